@@ -1,0 +1,22 @@
+"""Where the measured data are, and a clear skip where they are not."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+PROJECT = Path(__file__).resolve().parents[1]
+
+
+def data_folder() -> Path:
+    """Folder of measured data: $NISHIKI_DATA, else ../shared/data beside the project."""
+    return Path(os.environ.get("NISHIKI_DATA") or PROJECT.parent / "shared" / "data")
+
+
+@pytest.fixture(scope="session")
+def data() -> Path:
+    """The measured data; the test is skipped where they are absent."""
+    folder = data_folder()
+    if not folder.is_dir():
+        pytest.skip(f"measured data not found at {folder}; set NISHIKI_DATA to their folder")
+    return folder
