@@ -1,0 +1,151 @@
+"""The Torrance-Sparrow reflection model: facet distribution, Fresnel reflectance, masking, and their product.
+
+Paper P eq. 10-13 writes the reflected light of an illuminant of unit irradiance as
+
+    Y = rho_d cos(theta_i) + beta D F G / cos(theta_r),      D = exp(-ln 2 (phi / gamma)^2)
+
+with phi the angle between the surface normal and the half vector, gamma the half width at half maximum of D, F the
+exact Fresnel reflectance of a dielectric and G the masking of V-shaped grooves.  Paper O eq. 8 drops F and G:
+
+    I_s = K_s / cos(theta_r) exp(-phi^2 / (2 sigma^2)),      gamma = sigma sqrt(2 ln 2).
+
+Everything here is relative to the white reference: a perfect white diffuser that faces the lamp has the value 1.  The
+array functions are the readable form and the reference of the compiled ones in `nishiki.brdf.kernels`.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nishiki.brdf.kernels import specular_scalar as specular_scalar  # the same term, for loops over pixels
+from nishiki.errors import UserError
+
+GAMMA_PER_SIGMA = float(np.sqrt(2.0 * np.log(2.0)))
+
+
+@dataclass(frozen=True)
+class HalfVectorGeometry:
+    """Angles of one lamp and one view at a surface, all arrays of the broadcast shape of the directions less its last axis."""
+
+    phi: np.ndarray  # angle(normal, half vector), radians, 0 .. pi
+    cos_phi: np.ndarray  # n . h
+    cos_i: np.ndarray  # n . light, negative behind the surface
+    cos_r: np.ndarray  # n . view, negative behind the surface
+    cos_q: np.ndarray  # view . h = light . h, 0 .. 1: the incidence on the facet
+
+
+def half_vector_geometry(normals, lights, views) -> HalfVectorGeometry:
+    """Angles that the model needs, from unit directions of shape (..., 3) that broadcast against each other.
+
+    phi is atan2(|n x h|, n . h): acos(n . h) keeps no digit below 1e-8 rad and no lobe narrower than 1e-4 rad.  cos_q is
+    half the length of light + view, which needs no difference of nearly equal numbers.  Where light = -view there is no
+    half vector: phi is pi / 2 and cos_q 0 there (the model is 0 there for every normal).
+    """
+    normals, lights, views = (np.asarray(a) for a in (normals, lights, views))
+    total = lights + views
+    length = np.sqrt(np.sum(total * total, axis=-1))
+    along = np.sum(normals * total, axis=-1)
+    across = np.sqrt(np.sum(np.cross(normals, total) ** 2, axis=-1))
+    exists = length > 0
+    phi = np.where(exists, np.arctan2(across, along), np.asarray(np.pi / 2, dtype=length.dtype))
+    return HalfVectorGeometry(
+        phi=phi,
+        cos_phi=along / np.where(exists, length, 1),
+        cos_i=np.sum(normals * lights, axis=-1),
+        cos_r=np.sum(normals * views, axis=-1),
+        cos_q=np.minimum(length / 2, 1),
+    )
+
+
+def facet_distribution(phi, gamma) -> np.ndarray:
+    """D = exp(-ln 2 (phi / gamma)^2), 1 at phi = 0 and 1/2 at phi = gamma (P eq. 11).
+
+    phi and gamma in radians, broadcast against each other; gamma > 0 and may be infinite (D = 1).  The quotient is
+    formed before the square, so that no width underflows.
+    """
+    if not np.all(np.asarray(gamma) > 0):
+        raise UserError(
+            f"gamma: expected a half width above 0 rad, found {np.min(gamma)}; use a narrow lobe instead of 0"
+        )
+    with np.errstate(over="ignore", under="ignore"):
+        return np.exp2(-((np.asarray(phi) / gamma) ** 2))
+
+
+def fresnel(cos_theta, refractive_index) -> np.ndarray:
+    """Reflectance of a smooth dielectric for unpolarised light, 0 .. 1 (P eq. 12 with g^2 = n^2 + cos^2 - 1).
+
+    `cos_theta`: cosine of the incidence on the facet, 0 .. 1; `refractive_index`: n >= 1, relative to air.  With
+    c = cos_theta and g = sqrt((n - 1)(n + 1) + c^2) the textbook's g - c is (n^2 - 1) / (g + c), so that neither n -> 1
+    nor c -> 0 loses digits:  F = 1/2 (d / s)^2 (1 + ((c s - 1) / (c d + 1))^2), s = g + c, d = (n^2 - 1) / s.
+    F is 1 at c = 0 for n > 1 and 0 everywhere for n = 1 (the limit c -> 0 at n = 1 exactly is 0/0; it is set to 0).
+    """
+    c, n = np.asarray(cos_theta), refractive_index
+    if not np.all(np.asarray(n) >= 1):
+        raise UserError(f"refractive_index: expected n >= 1, found {np.min(n)}; give it relative to air")
+    contrast = (n - 1) * (n + 1)
+    s = np.sqrt(contrast + c * c) + c
+    s_safe = np.where(s > 0, s, 1)
+    d = contrast / s_safe
+    parallel = (c * s - 1) / (c * d + 1)
+    return np.where(s > 0, (d / s_safe) ** 2 * (1 + parallel * parallel) / 2, 0)
+
+
+def masking(cos_phi, cos_i, cos_r, cos_q) -> np.ndarray:
+    """G = min(1, 2 cos phi cos_r / cos_q, 2 cos phi cos_i / cos_q), 0 .. 1 (P eq. 13); 0 where light or view is behind."""
+    lit = (np.asarray(cos_i) > 0) & (np.asarray(cos_r) > 0) & (np.asarray(cos_q) > 0)
+    groove = 2 * np.asarray(cos_phi) * np.minimum(cos_i, cos_r) / np.where(lit, cos_q, 1)
+    return np.where(lit, np.clip(groove, 0, 1), 0)
+
+
+def masking_over_cos_r(cos_phi, cos_i, cos_r, cos_q) -> np.ndarray:
+    """G / cos_r without its 1 / cos_r singularity: min(1 / cos_r, 2 cos phi min(1, cos_i / cos_r) / cos_q).
+
+    At grazing view (cos_r -> 0 at fixed cos_i) G is proportional to cos_r, so that the quotient tends to
+    2 cos phi / cos_q.  0 where light or view is behind the surface.
+    """
+    cos_i, cos_r = np.asarray(cos_i), np.asarray(cos_r)
+    lit = (cos_i > 0) & (cos_r > 0) & (np.asarray(cos_q) > 0)
+    cos_r = np.where(lit, cos_r, 1)
+    groove = 2 * np.asarray(cos_phi) * np.minimum(1, cos_i / cos_r) / np.where(lit, cos_q, 1)
+    with np.errstate(
+        over="ignore"
+    ):  # 1 / cos_r may be infinite for a subnormal cos_r; the minimum takes the other branch
+        return np.where(lit, np.maximum(np.minimum(1 / cos_r, groove), 0), 0)
+
+
+def attenuation(geometry: HalfVectorGeometry, refractive_index) -> np.ndarray:
+    """F G / cos_r: all of the specular term but beta D, which is what a fit divides out (P eq. 10)."""
+    g = geometry
+    return fresnel(g.cos_q, refractive_index) * masking_over_cos_r(g.cos_phi, g.cos_i, g.cos_r, g.cos_q)
+
+
+def specular(normals, lights, views, *, beta, gamma, refractive_index) -> np.ndarray:
+    """beta D F G / cos_r of P eq. 10, relative to the white reference.
+
+    Directions: unit, (..., 3), broadcast.  `beta` >= 0 (no unit), `gamma` radians > 0, `refractive_index` >= 1; each
+    broadcasts against the directions' leading axes.  0 where light or view is not above the surface.
+    """
+    geometry = half_vector_geometry(normals, lights, views)
+    return beta * facet_distribution(geometry.phi, gamma) * attenuation(geometry, refractive_index)
+
+
+def simplified_specular(alpha, cos_r, *, strength, sigma) -> np.ndarray:
+    """K_s / cos_r exp(-alpha^2 / (2 sigma^2)) of O eq. 8: `alpha` angle(normal, half vector) and `sigma` in radians.
+
+    `strength` is K_s, relative to the white reference.  The form has no masking to hold it at grazing view: it grows
+    as 1 / cos_r, and is 0 where the view is not above the surface (cos_r <= 0).
+    """
+    cos_r = np.asarray(cos_r)
+    seen = cos_r > 0
+    lobe = facet_distribution(alpha, gamma_from_sigma(sigma))
+    return np.where(seen, strength * lobe / np.where(seen, cos_r, 1), 0)
+
+
+def gamma_from_sigma(sigma):
+    """Half width at half maximum of a Gaussian of standard deviation sigma: gamma = sigma sqrt(2 ln 2)."""
+    return sigma * GAMMA_PER_SIGMA
+
+
+def sigma_from_gamma(gamma):
+    """Standard deviation of a Gaussian of half width gamma: sigma = gamma / sqrt(2 ln 2)."""
+    return gamma / GAMMA_PER_SIGMA
