@@ -1,0 +1,153 @@
+"""Lambert's law by least squares: the kernels that turn observations into albedo times normal."""
+
+import numpy as np
+from numba import njit, prange
+
+from nishiki.normals import flags as bits
+
+BLOCK = 64
+COPLANAR = 1e12  # condition above which double precision cannot tell the normal matrix from a singular one
+TERMS = 10  # six products of the direction, three of the right-hand side, the sum of squares
+
+
+@njit(cache=True, error_model="numpy")
+def eigenvalues(a, b, c, d, e, f):
+    """Smallest and largest eigenvalue of the symmetric matrix [[a, b, c], [b, d, e], [c, e, f]].
+
+    The trigonometric form of the cubic's roots (O. K. Smith, Eigenvalues of a symmetric 3 x 3 matrix, CACM 1961).
+    """
+    mean = (a + d + f) / 3.0
+    off = b * b + c * c + e * e
+    spread = np.sqrt(((a - mean) ** 2 + (d - mean) ** 2 + (f - mean) ** 2 + 2.0 * off) / 6.0)
+    if spread <= 0.0:
+        return mean, mean
+    a, d, f = (a - mean) / spread, (d - mean) / spread, (f - mean) / spread
+    b, c, e = b / spread, c / spread, e / spread
+    half = 0.5 * (a * (d * f - e * e) - b * (b * f - c * e) + c * (b * e - c * d))
+    angle = np.arccos(min(1.0, max(-1.0, half))) / 3.0
+    return mean + 2.0 * spread * np.cos(angle + 2.0 * np.pi / 3.0), mean + 2.0 * spread * np.cos(angle)
+
+
+@njit(cache=True, error_model="numpy")
+def inverse(a, b, c, d, e, f):
+    """The six different elements of the inverse of a symmetric 3 x 3 matrix, by cofactors."""
+    c00, c01, c02 = d * f - e * e, c * e - b * f, b * e - c * d
+    det = a * c00 + b * c01 + c * c02
+    return c00 / det, c01 / det, c02 / det, (a * f - c * c) / det, (b * c - a * e) / det, (a * d - b * b) / det
+
+
+@njit(cache=True, error_model="numpy")
+def angular_sigma(m, x, y, z, length, variance):
+    """Root mean square angle of the normal's error: sqrt(trace(P C P)), P the projector across the normal.
+
+    m are the six elements of the inverse normal matrix, C = variance * m / length^2 (first order), (x, y, z) the unit
+    normal. At most pi / 2, which says that nothing is known.
+    """
+    along = x * (m[0] * x + 2.0 * (m[1] * y + m[2] * z)) + y * (m[3] * y + 2.0 * m[4] * z) + z * m[5] * z
+    trace = m[0] + m[3] + m[5] - along
+    return min(np.sqrt(max(trace, 0.0) * variance) / length, 0.5 * np.pi)
+
+
+@njit(cache=True, error_model="numpy")
+def write_pixel(t, count, weight, max_condition, p, normals, scalars, lights_used, flags):
+    """Solve one pixel's normal equations t (TERMS,) and write its row of every output.
+
+    scalars (4, pixels) float32: albedo, sigma, condition, residual.
+    """
+    flag = 0
+    normals[p, 0], normals[p, 1], normals[p, 2] = 0.0, 0.0, 1.0
+    scalars[0, p], scalars[1, p], scalars[2, p], scalars[3, p] = 0.0, 0.5 * np.pi, 0.0, 0.0
+    lights_used[p] = count
+    condition = np.inf
+    if count >= 3:
+        least, largest = eigenvalues(t[0], t[1], t[2], t[3], t[4], t[5])
+        if least > largest / COPLANAR:
+            condition = largest / least
+    scalars[2, p] = min(condition, 3e38)
+    if count < 3:
+        flag |= bits.TOO_FEW_LIGHTS
+    elif condition >= COPLANAR:
+        flag |= bits.COPLANAR_LIGHTS
+    if flag == 0:
+        m = inverse(t[0], t[1], t[2], t[3], t[4], t[5])
+        x = m[0] * t[6] + m[1] * t[7] + m[2] * t[8]
+        y = m[1] * t[6] + m[3] * t[7] + m[4] * t[8]
+        z = m[2] * t[6] + m[4] * t[7] + m[5] * t[8]
+        length = np.sqrt(x * x + y * y + z * z)
+        squares = max(t[9] - (x * t[6] + y * t[7] + z * t[8]), 0.0)
+        if not length > 0.0:
+            flag |= bits.NO_SIGNAL
+        else:
+            normals[p, 0], normals[p, 1], normals[p, 2] = x / length, y / length, z / length
+            scalars[0, p] = length
+            scalars[3, p] = np.sqrt(squares / weight)
+            if count > 3:
+                variance = squares / weight * count / (count - 3.0)
+                scalars[1, p] = angular_sigma(m, x / length, y / length, z / length, length, variance * weight / count)
+            else:
+                flag |= bits.NO_REDUNDANCY
+            if condition > max_condition:
+                flag |= bits.ILL_CONDITIONED
+            if z <= 0.0:
+                flag |= bits.FACES_AWAY
+    flags[p] = flag
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def solve_weighted(observations, weights, products, max_condition, normals, scalars, lights_used, flags):
+    """Least squares with weights of its own at every pixel (a mask is a weight of 0 or 1).
+
+    observations (lights, pixels) float32; weights (lights, pixels) uint8 or float32; products (lights, 9): the six
+    products of each direction with itself, then the direction. Accumulated in float64, a light at a time over BLOCK
+    neighbouring pixels, so that the result of a pixel does not depend on where tiles begin.
+    """
+    lights, pixels = observations.shape
+    for block in prange((pixels + BLOCK - 1) // BLOCK):
+        start = block * BLOCK
+        width = min(BLOCK, pixels - start)
+        sums = np.zeros((TERMS, BLOCK))
+        count = np.zeros(BLOCK)
+        weight = np.zeros(BLOCK)
+        for j in range(lights):
+            for p in range(width):
+                used = weights[j, start + p] > 0
+                w = float(weights[j, start + p])
+                value = float(observations[j, start + p]) if used else 0.0
+                for k in range(6):
+                    sums[k, p] += w * products[j, k]
+                sums[6, p] += w * value * products[j, 6]
+                sums[7, p] += w * value * products[j, 7]
+                sums[8, p] += w * value * products[j, 8]
+                sums[9, p] += w * value * value
+                weight[p] += w
+                count[p] += 1.0 if used else 0.0
+        for p in range(width):
+            write_pixel(sums[:, p], count[p], weight[p], max_condition, start + p, normals, scalars, lights_used, flags)
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def solve_shared(observations, products, max_condition, normals, scalars, lights_used, flags):
+    """Least squares where every light is usable everywhere: one normal matrix serves all pixels."""
+    lights, pixels = observations.shape
+    shared = np.zeros(TERMS)
+    for j in range(lights):
+        for k in range(6):
+            shared[k] += products[j, k]
+    for block in prange((pixels + BLOCK - 1) // BLOCK):
+        start = block * BLOCK
+        width = min(BLOCK, pixels - start)
+        sums = np.zeros((4, BLOCK))
+        for j in range(lights):
+            x, y, z = products[j, 6], products[j, 7], products[j, 8]
+            for p in range(width):
+                value = float(observations[j, start + p])
+                sums[0, p] += value * x
+                sums[1, p] += value * y
+                sums[2, p] += value * z
+                sums[3, p] += value * value
+        terms = shared.copy()
+        for p in range(width):
+            terms[6], terms[7], terms[8], terms[9] = sums[0, p], sums[1, p], sums[2, p], sums[3, p]
+            write_pixel(
+                terms, float(lights), float(lights), max_condition, start + p, normals, scalars, lights_used, flags
+            )

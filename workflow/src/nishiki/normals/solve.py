@@ -1,0 +1,140 @@
+"""Photometric stereo: normals, albedo and their uncertainty from observations under known lights."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nishiki.errors import UserError
+from nishiki.normals import flags as bits
+from nishiki.separation.lights import checked_stack
+
+SOLVERS = ("least_squares",)
+
+
+@dataclass(frozen=True)
+class NormalField:
+    """Normals with what is known about them; every array (rows, columns).
+
+    normals (rows, columns, 3) float32, unit vectors, x right, y up, z to the camera; albedo float32, relative to the
+    white reference; sigma float32, root mean square angle of the error in radians, first order, from the residual;
+    lights_used uint16; condition float32 of the weighted 3 x 3 normal matrix; residual float32, root mean square, in
+    units of the observations; flags uint8, the bits of `nishiki.normals.flags`. Where a flag of NO_ESTIMATE is set the
+    normal is (0, 0, 1), albedo and residual are 0 and sigma is pi / 2: finite, and marked as unknown.
+    """
+
+    normals: np.ndarray
+    albedo: np.ndarray
+    sigma: np.ndarray
+    lights_used: np.ndarray
+    condition: np.ndarray
+    residual: np.ndarray
+    flags: np.ndarray
+    solver: str
+
+    @property
+    def valid(self):
+        """(rows, columns) bool: where there is an estimate of the pixel's own."""
+        return (self.flags & (bits.NO_ESTIMATE | bits.FILLED)) == 0
+
+    @property
+    def diagnostics(self):
+        """Counts of flagged pixels and medians over the valid ones, as plain numbers."""
+        found = self.valid
+        middle = {
+            name: float(np.median(getattr(self, name)[found])) if found.any() else 0.0
+            for name in ("sigma", "condition", "residual", "lights_used")
+        }
+        counted = {name: int(((self.flags & bit) != 0).sum()) for bit, name in bits.NAMES.items()}
+        return {
+            "solver": self.solver,
+            "pixels": int(self.flags.size),
+            "valid_pixels": int(found.sum()),
+            **{f"median_{name}": value for name, value in middle.items()},
+            **{f"flagged_{name}": count for name, count in counted.items()},
+        }
+
+
+def estimate_normals(observations, directions, *, usable=None, weights=None, solver="least_squares", max_condition=1e4):
+    """Normals and albedo from I = albedo * max(n . l, 0) on the usable samples (P section 3).
+
+    observations (lights, rows, columns) relative to the white reference; directions (lights, 3) unit vectors to the
+    lights; usable (lights, rows, columns) bool, from `nishiki.separation.lights.select_diffuse`, None for all; weights
+    (lights,) or (lights, rows, columns), not negative, or None; max_condition: bound on the condition number of the
+    weighted 3 x 3 normal matrix above which a pixel is flagged.
+
+    solver
+        "least_squares": ordinary (weighted) least squares on the usable samples.
+
+    Raises UserError on shapes that do not fit, negative weights and unknown solvers. Returns a NormalField.
+    """
+    if solver not in SOLVERS:
+        raise UserError(f"normals: expected a solver of {', '.join(SOLVERS)}, found {solver!r}")
+    stack, directions = checked_stack(observations, directions)
+    shape = np.shape(observations)
+    factors = sample_weights(stack, usable, weights, shape)
+    return lambertian(stack, directions, factors, shape[1:], max_condition, solver)
+
+
+def lambertian(stack, directions, factors, shape, max_condition, solver):
+    """Lambertian least squares as a NormalField; factors (lights, pixels) uint8 or float32, or None for all."""
+    from nishiki.normals.least_squares import solve_shared, solve_weighted
+
+    normals, scalars, used, flags = empty_outputs(stack.shape[1])
+    products = direction_products(directions)
+    if factors is None:
+        solve_shared(stack, products, float(max_condition), normals, scalars, used, flags)
+    else:
+        solve_weighted(stack, factors, products, float(max_condition), normals, scalars, used, flags)
+    return as_field(normals, scalars, used, flags, shape, solver)
+
+
+def empty_outputs(pixels):
+    """Arrays that the kernels fill: normals, (albedo, sigma, condition, residual), lights used, flags."""
+    return (
+        np.empty((pixels, 3), dtype=np.float32),
+        np.empty((4, pixels), dtype=np.float32),
+        np.empty(pixels, dtype=np.uint16),
+        np.empty(pixels, dtype=np.uint8),
+    )
+
+
+def as_field(normals, scalars, used, flags, shape, solver):
+    """The kernels' flat outputs as a NormalField of the image's shape."""
+    albedo, sigma, condition, residual = scalars.reshape(4, *shape)
+    return NormalField(
+        normals=normals.reshape(*shape, 3),
+        albedo=albedo,
+        sigma=sigma,
+        lights_used=used.reshape(shape),
+        condition=condition,
+        residual=residual,
+        flags=flags.reshape(shape),
+        solver=solver,
+    )
+
+
+def direction_products(directions):
+    """(lights, 9): xx, xy, xz, yy, yz, zz, x, y, z of each direction, as the kernels add them up."""
+    x, y, z = directions.T
+    return np.ascontiguousarray(np.stack([x * x, x * y, x * z, y * y, y * z, z * z, x, y, z], axis=1))
+
+
+def sample_weights(stack, usable, weights, shape):
+    """Mask and weights combined: None (all alike), uint8 0 or 1 (lights, pixels) or float32 (lights, pixels)."""
+    finite = bool(np.isfinite(stack.sum(axis=0, dtype=np.float64)).all())
+    if usable is not None:
+        usable = np.asarray(usable, dtype=np.bool_)
+        if usable.shape != shape:
+            raise UserError(f"usable samples: expected shape {shape} as the observations, found {usable.shape}")
+        usable = np.ascontiguousarray(usable.reshape(stack.shape))
+    if not finite:
+        usable = np.isfinite(stack) if usable is None else usable & np.isfinite(stack)
+    if weights is None:
+        return None if usable is None else usable.view(np.uint8)
+    weights = np.asarray(weights, dtype=np.float32)
+    if weights.shape not in (shape, shape[:1]):
+        raise UserError(f"weights: expected shape {shape} or {shape[:1]}, found {weights.shape}")
+    if not (np.isfinite(weights).all() and (weights >= 0).all()):
+        raise UserError("weights: expected finite values, zero or above, found others; zero leaves a sample out")
+    weights = np.broadcast_to(weights.reshape(shape[0], -1), stack.shape)
+    return np.ascontiguousarray(weights if usable is None else np.where(usable, weights, np.float32(0)))
