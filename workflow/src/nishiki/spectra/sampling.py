@@ -1,0 +1,152 @@
+"""The working grid of wavelengths, and how measured curves come onto it.
+
+Every spectrum inside the project is an array whose last axis is `WAVELENGTHS_NM`: 400 to 700 nm every 5 nm, 61 bands.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nishiki.errors import UserError
+
+WAVELENGTHS_NM = np.arange(400.0, 701.0, 5.0)
+WAVELENGTHS_NM.setflags(write=False)
+STEP_NM = 5.0
+BANDS = WAVELENGTHS_NM.size
+
+# Sprague's quintic on six equidistant samples: CIE 167:2005, eq. 4, and its extrapolated end samples, eq. 5.
+_SPRAGUE_ENDS = (
+    np.array(
+        [
+            [884, -1960, 3033, -2648, 1080, -180],
+            [508, -540, 488, -367, 144, -24],
+            [-24, 144, -367, 488, -540, 508],
+            [-180, 1080, -2648, 3033, -1960, 884],
+        ],
+        dtype=float,
+    )
+    / 209.0
+)
+_SPRAGUE = (
+    np.array(
+        [
+            [0, 0, 24, 0, 0, 0],
+            [2, -16, 0, 16, -2, 0],
+            [-1, 16, -30, 16, -1, 0],
+            [-9, 39, -70, 66, -33, 7],
+            [13, -64, 126, -124, 61, -12],
+            [-5, 25, -50, 50, -25, 5],
+        ],
+        dtype=float,
+    )
+    / 24.0
+)
+
+
+def integration_weights(rule: str = "trapezoid") -> np.ndarray:
+    """Weights (61,) in nm whose dot product with a curve is its integral over 400-700 nm.
+
+    `"trapezoid"` halves the two end bands (sum 300 nm, exact for piecewise linear curves); `"rectangle"` is the plain
+    sum times 5 nm (sum 305 nm), the form in which colorimetric sums are tabulated (CIE 015:2018, 7.1).
+    """
+    weights = np.full(BANDS, STEP_NM)
+    if rule == "trapezoid":
+        weights[[0, -1]] *= 0.5
+    elif rule != "rectangle":
+        raise UserError(f"integration rule: expected 'trapezoid' or 'rectangle', found {rule!r}; use one of the two")
+    return weights
+
+
+def resample(
+    wavelengths_nm: np.ndarray,
+    values: np.ndarray,
+    *,
+    method: str = "linear",
+    name: str = "curve",
+    tolerance_nm: float = 5.0,
+) -> np.ndarray:
+    """Bring measured curves onto the working grid.
+
+    Parameters
+    ----------
+    wavelengths_nm : (W,) strictly increasing or strictly decreasing, nm.
+    values : (..., W) any unit; the last axis belongs to `wavelengths_nm`.
+    method : `"linear"`, or `"sprague"` (fifth order; CIE 167:2005 recommends it for equidistant smooth data; it may
+        overshoot at sharp lines, so fluorescent lamps are better served by linear). Sprague needs equidistant samples,
+        at least six of them.
+    name : what to call the curve in an error message (file name or curve name).
+    tolerance_nm : the ends may miss 400 or 700 nm by at most this much; the end value is then repeated (never
+        extrapolated by slope). 0 forbids even that.
+
+    Returns
+    -------
+    (..., 61) float64.
+
+    Raises
+    ------
+    UserError : wrong shapes, too few samples, unsorted or repeated wavelengths, NaN, 400-700 nm not covered.
+    """
+    wavelengths, samples = _checked_curve(wavelengths_nm, values, name)
+    low, high = wavelengths[0], wavelengths[-1]
+    if low > WAVELENGTHS_NM[0] + tolerance_nm or high < WAVELENGTHS_NM[-1] - tolerance_nm:
+        raise UserError(
+            f"{name}: expected a curve that covers 400-700 nm (within {tolerance_nm:g} nm), found {low:g}-{high:g} nm; "
+            "measure the missing part, or extend the table by hand with values that you can defend"
+        )
+    inside = np.clip(WAVELENGTHS_NM, low, high)
+    if method == "linear":
+        return _linear(wavelengths, samples, inside)
+    if method == "sprague":
+        return _sprague(wavelengths, samples, inside, name)
+    raise UserError(f"{name}: interpolation expected 'linear' or 'sprague', found {method!r}; use one of the two")
+
+
+def _checked_curve(wavelengths_nm, values, name):
+    wavelengths = np.asarray(wavelengths_nm, dtype=float)
+    samples = np.asarray(values, dtype=float)
+    if wavelengths.ndim != 1 or samples.ndim < 1 or samples.shape[-1] != wavelengths.size:
+        raise UserError(
+            f"{name}: expected one value a wavelength, found {wavelengths.shape} wavelengths and "
+            f"values {samples.shape}; give arrays whose last axes agree"
+        )
+    if wavelengths.size < 2:
+        raise UserError(f"{name}: expected at least 2 wavelengths, found {wavelengths.size}; give the whole curve")
+    if wavelengths[0] > wavelengths[-1]:
+        wavelengths, samples = wavelengths[::-1], samples[..., ::-1]
+    if not np.all(np.diff(wavelengths) > 0):
+        bad = int(np.flatnonzero(~(np.diff(wavelengths) > 0))[0])
+        raise UserError(
+            f"{name}: expected wavelengths that rise without repeats, found {wavelengths[bad]:g} nm followed by "
+            f"{wavelengths[bad + 1]:g} nm; sort the table and remove repeats"
+        )
+    if not np.all(np.isfinite(samples)):
+        raise UserError(
+            f"{name}: expected finite values, found {int(np.sum(~np.isfinite(samples)))} NaN or infinite; "
+            "fill or drop them"
+        )
+    return wavelengths, samples
+
+
+def _linear(wavelengths, samples, at):
+    right = np.clip(np.searchsorted(wavelengths, at, side="right"), 1, wavelengths.size - 1)
+    left = right - 1
+    fraction = (at - wavelengths[left]) / (wavelengths[right] - wavelengths[left])
+    return samples[..., left] * (1.0 - fraction) + samples[..., right] * fraction
+
+
+def _sprague(wavelengths, samples, at, name):
+    steps = np.diff(wavelengths)
+    step = float(np.median(steps))
+    if wavelengths.size < 6 or np.max(np.abs(steps - step)) > 1e-6 * step:
+        raise UserError(
+            f"{name}: Sprague interpolation expected at least 6 equidistant samples, found {wavelengths.size} "
+            f"with steps {steps.min():g}-{steps.max():g} nm; use linear"
+        )
+    head = samples[..., :6] @ _SPRAGUE_ENDS[:2].T
+    tail = samples[..., -6:] @ _SPRAGUE_ENDS[2:].T
+    padded = np.concatenate([head, samples, tail], axis=-1)
+    position = (at - wavelengths[0]) / step
+    left = np.clip(np.floor(position).astype(int), 0, wavelengths.size - 2)
+    powers = (position - left)[:, None] ** np.arange(6)  # (61, 6)
+    windows = padded[..., left[:, None] + np.arange(6)]  # (..., 61, 6)
+    return np.einsum("...bj,pj,bp->...b", windows, _SPRAGUE, powers)
