@@ -1,0 +1,34 @@
+# Nishiki: from photographs under controlled light to the appearance of an object.
+# `./nishiki run` calls this with the profile in workflow/profiles/default; see README.md.
+from snakemake.utils import min_version
+
+min_version("9.0")
+
+
+configfile: "config/config.yaml"
+
+
+include: "workflow/rules/common.smk"
+
+
+wildcard_constraints:
+    scene="[A-Za-z0-9_-]+",
+    key="[0-9a-f]{12}",
+
+
+include: "workflow/rules/ingest.smk"
+include: "workflow/rules/separate.smk"
+include: "workflow/rules/normals.smk"
+include: "workflow/rules/height.smk"
+include: "workflow/rules/spectra.smk"
+include: "workflow/rules/brdf.smk"
+include: "workflow/rules/render.smk"
+include: "workflow/rules/evaluate.smk"
+include: "workflow/rules/report.smk"
+include: "workflow/rules/publish.smk"
+
+
+rule all:
+    default_target: True
+    input:
+        [f"{RESULTS}/{scene}/current/index.json" for scene in PLANS],

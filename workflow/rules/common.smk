@@ -1,0 +1,58 @@
+# What every rule is made of: paths, inputs, parameters and resources, all derived from the plans.
+import json
+import os
+import sys
+
+PROJECT_FOLDER = workflow.basedir
+sys.path.insert(0, os.path.join(PROJECT_FOLDER, "workflow", "src"))
+
+from nishiki.errors import UserError
+from nishiki.provenance import canonical
+from nishiki.workflow import Workflow
+from snakemake.exceptions import WorkflowError
+
+shell.prefix(f"export PATH={os.path.dirname(sys.executable)}:$PATH; ")
+
+try:
+    FLOW = Workflow(config, folder=PROJECT_FOLDER)
+except UserError as error:
+    raise WorkflowError(str(error)) from None
+
+PLANS = FLOW.plans
+RESULTS = FLOW.results
+
+# The one command of all stages; {rule} names the script.
+RUN_STAGE = (
+    "NUMBA_NUM_THREADS={threads} OMP_NUM_THREADS={threads} python "
+    + os.path.join(PROJECT_FOLDER, "scripts")
+    + "/{rule}.py --scene {wildcards.scene} {params.source} --settings {params.settings:q}"
+    " --code {params.code} --libraries {params.libraries:q} --inputs {input:q} --output {output:q}"
+)
+
+
+def artifact(stage):
+    """Declared output of a stage; `update` keeps the finished one until its successor is complete."""
+    return update(f"{RESULTS}/{{scene}}/{stage}/{{key}}/artifact.json")
+
+
+def upstream(stage):
+    """Input function: artifacts that a stage of a scene reads."""
+    return lambda wildcards: FLOW.inputs(wildcards.scene, stage, wildcards.key)
+
+
+def params_of(stage):
+    """Parameters whose change reruns a stage: its code, its libraries, its settings."""
+    return {
+        "settings": lambda wildcards: canonical(FLOW.stage(wildcards.scene, stage, wildcards.key).settings),
+        "source": lambda wildcards: FLOW.source(wildcards.scene, stage),
+        "code": FLOW.code(stage),
+        "libraries": FLOW.libraries(stage),
+    }
+
+
+def memory_of(stage):
+    return lambda wildcards: FLOW.memory_mb(wildcards.scene, stage)
+
+
+def minutes_of(stage):
+    return lambda wildcards: FLOW.minutes(wildcards.scene, stage)

@@ -1,0 +1,19 @@
+# results/<scene>/current: links to the artifacts of the present configuration, and to what a user wants to open.
+localrules:
+    publish,
+
+
+rule publish:
+    input:
+        lambda wildcards: FLOW.artifacts(wildcards.scene),
+    output:
+        update(f"{RESULTS}/{{scene}}/current/index.json"),
+    params:
+        stages=lambda wildcards: FLOW.stages_text(wildcards.scene),
+        code=FLOW.code("publish"),
+    conda:
+        "../../envs/painting.yaml"
+    shell:
+        "python "
+        + os.path.join(PROJECT_FOLDER, "scripts")
+        + "/publish.py --scene {wildcards.scene} --stages {params.stages:q} --output {output:q}"

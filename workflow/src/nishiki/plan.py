@@ -1,0 +1,131 @@
+"""The plan of a scene: which stages run, under which keys, and what is left out and why."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+from nishiki.closed import Closed
+from nishiki.errors import UserError
+from nishiki.project import Scene
+from nishiki.provenance import stage_key
+from nishiki.stages import CHAIN, SceneFacts
+
+HOLD_OUT_FROM = 16
+"""From this number of lights, a tenth is held out where nothing else can check the result."""
+
+
+@dataclass(frozen=True)
+class PlannedStage:
+    """One stage of a scene's plan: its key decides where the artifact lies."""
+
+    name: str
+    key: str
+    settings: dict[str, Any]
+    upstream: dict[str, str]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Stages of a scene in the order of the flow, and what is left out with the reason."""
+
+    scene: Scene
+    facts: SceneFacts
+    stages: dict[str, PlannedStage]
+    left_out: dict[str, str] = field(default_factory=dict)
+    held_out: tuple[str, ...] = ()
+
+    def folder(self, stage: str) -> str:
+        """Path of a stage's artifact below the results folder."""
+        return f"{self.scene.name}/{stage}/{self.stages[stage].key}"
+
+
+def make_plan(scene: Scene, facts: SceneFacts) -> Plan:
+    """Plan of a scene: the stages that its products reach and its capture can feed.
+
+    Raises UserError where a product that was asked for by name cannot be made, with the reason.
+    """
+    held_out = held_out_lights(scene.settings.hold_out, scene, facts)
+    settings = {name: _filled(name, scene, facts, held_out) for name in CHAIN}
+    left_out: dict[str, str] = {}
+    wanted: set[str] = set()
+    for product in scene.products:
+        _reach(product, facts, settings, wanted, left_out)
+    if not wanted:
+        raise UserError(f"scene {scene.name!r}: nothing to make: {'; '.join(left_out.values())}")
+    for name in CHAIN:
+        if name not in wanted and name not in left_out:
+            left_out[name] = "no product asked for needs it"
+    if settings["ingest"].channels == "auto":
+        colour = any(CHAIN[name].needs_colour for name in wanted) and facts.channels > 1
+        settings["ingest"] = settings["ingest"].model_copy(update={"channels": "all" if colour else "luminance"})
+        if not colour and facts.channels > 1:
+            left_out["colour"] = "no product asked for needs more than luminance: one channel is decoded and kept"
+    settings["report"] = settings["report"].model_copy(update={"left_out": dict(left_out)})
+    stages: dict[str, PlannedStage] = {}
+    for name in CHAIN:
+        if name in wanted:
+            stages[name] = _planned(name, settings[name], stages, facts)
+    return Plan(scene, facts, stages, left_out, held_out)
+
+
+def held_out_lights(choice: str | tuple[str, ...], scene: Scene, facts: SceneFacts) -> tuple[str, ...]:
+    """Lights kept from every fit. auto: every tenth of at least 16 lights, if neither truth nor check lights exist."""
+    if choice == "none":
+        return ()
+    if choice == "auto":
+        if "evaluate" not in scene.products or facts.truth_sha256 or facts.check_lights:
+            return ()
+        return facts.lights[5::10] if len(facts.lights) >= HOLD_OUT_FROM else ()
+    unknown = [name for name in choice if name not in facts.lights]
+    if unknown:
+        raise UserError(f"scene {scene.name!r}: hold_out names light {unknown[0]!r}; lights: {', '.join(facts.lights)}")
+    if len(facts.lights) - len(choice) < 3:
+        raise UserError(f"scene {scene.name!r}: hold_out leaves {len(facts.lights) - len(choice)} lights; 3 are needed")
+    return tuple(choice)
+
+
+def _filled(name: str, scene: Scene, facts: SceneFacts, held_out: tuple[str, ...]) -> Closed:
+    """Settings of a stage with what only the plan knows."""
+    settings = getattr(scene.settings, name)
+    known = {"hold_out": held_out, "truth_sha256": facts.truth_sha256}
+    update = {key: value for key, value in known.items() if key in type(settings).model_fields}
+    if name == "spectra" and settings.training != "synthetic":
+        update["training_sha256"] = _digest_of(settings.training)
+    return settings.model_copy(update=update)
+
+
+def _digest_of(path: str) -> str:
+    from pathlib import Path
+
+    from nishiki.provenance import file_digest
+
+    if not Path(path).is_file():
+        raise UserError(f"spectra.training: file {path} not found; give a CSV of reflectances, or synthetic")
+    return file_digest(Path(path))
+
+
+def _reach(name: str, facts: SceneFacts, settings: dict, wanted: set[str], left_out: dict[str, str]) -> bool:
+    """Add a stage and what it needs to the plan; False, with the reason noted, where the capture cannot feed it."""
+    if name in wanted:
+        return True
+    reason = CHAIN[name].lacks(facts, settings[name])
+    if reason:
+        left_out[name] = reason
+        return False
+    for upstream in CHAIN[name].requires:
+        if not _reach(upstream, facts, settings, wanted, left_out):
+            left_out[name] = f"it needs {upstream}, which is left out: {left_out[upstream]}"
+            return False
+    for upstream in CHAIN[name].wants(settings[name]):
+        _reach(upstream, facts, settings, wanted, left_out)
+    wanted.add(name)
+    return True
+
+
+def _planned(name: str, settings: Closed, stages: dict[str, PlannedStage], facts: SceneFacts) -> PlannedStage:
+    stage = CHAIN[name]
+    reads = (*stage.requires, *stage.wants(settings), *stage.uses)
+    upstream = {other: stages[other].key for other in CHAIN if other in reads and other in stages}
+    if name == "ingest":
+        upstream = {"capture": facts.capture_digest}
+    values = settings.model_dump(mode="json")
+    return PlannedStage(name, stage_key(name, stage.version, values, upstream), values, upstream)

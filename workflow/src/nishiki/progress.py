@@ -1,0 +1,29 @@
+"""One line of progress on long work."""
+
+import sys
+import time
+from collections.abc import Iterable, Iterator
+from typing import TypeVar
+
+Item = TypeVar("Item")
+
+
+class Progress:
+    """Tells at most every two seconds how far a stage is, on standard error; silent on short work."""
+
+    def __init__(self, label: str, *, every_s: float = 2.0, stream=None):
+        self.label = label
+        self.every_s = every_s
+        self.stream = stream or sys.stderr
+
+    def over(self, items: Iterable[Item], what: str) -> Iterator[Item]:
+        """Pass `items` on, telling how many of them are done and how long the rest will take."""
+        items = list(items)
+        start = last = time.monotonic()
+        for done, item in enumerate(items):
+            now = time.monotonic()
+            if now - last >= self.every_s and done:
+                rest = (now - start) / done * (len(items) - done)
+                print(f"{self.label}: {what} {done} of {len(items)}, {rest:.0f} s left", file=self.stream, flush=True)
+                last = now
+            yield item

@@ -1,0 +1,158 @@
+"""Configuration and scene table: what the user wrote, checked."""
+
+import csv
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import yaml
+from pydantic import Field
+
+from nishiki.closed import Closed, parse
+from nishiki.errors import UserError
+from nishiki.settings.brdf import BrdfSettings
+from nishiki.settings.evaluate import EvaluateSettings
+from nishiki.settings.height import HeightSettings
+from nishiki.settings.ingest import IngestSettings
+from nishiki.settings.normals import NormalsSettings
+from nishiki.settings.render import RenderSettings
+from nishiki.settings.report import ReportSettings
+from nishiki.settings.separate import SeparateSettings
+from nishiki.settings.spectra import SpectraSettings
+from nishiki.stages import PRODUCTS
+
+Product = Literal["separate", "normals", "height", "spectra", "brdf", "render", "evaluate", "report"]
+COLUMNS = ("scene", "capture", "truth", "products", "settings")
+
+
+class StageSettings(Closed):
+    """Settings of the stages; everything has a default."""
+
+    hold_out: Literal["auto", "none"] | tuple[str, ...] = Field(
+        "auto", description="lights left out of every fit and predicted instead; auto: a tenth, where nothing else checks"
+    )
+    ingest: IngestSettings = IngestSettings()
+    separate: SeparateSettings = SeparateSettings()
+    normals: NormalsSettings = NormalsSettings()
+    height: HeightSettings = HeightSettings()
+    spectra: SpectraSettings = SpectraSettings()
+    brdf: BrdfSettings = BrdfSettings()
+    render: RenderSettings = RenderSettings()
+    evaluate: EvaluateSettings = EvaluateSettings()
+    report: ReportSettings = ReportSettings()
+
+
+class Configuration(StageSettings):
+    """The whole of config/config.yaml."""
+
+    scenes: str = Field("config/scenes.tsv", description="scene table: scene, capture, truth, products, settings")
+    results: str = Field("results", description="folder of the results")
+    products: tuple[Product, ...] = Field(
+        ("render", "evaluate", "report"), min_length=1, description="what is wanted, where a scene does not say"
+    )
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One row of the scene table, with its own settings merged in."""
+
+    name: str
+    capture: Path
+    truth: Path | None
+    products: tuple[str, ...]
+    settings: StageSettings
+
+
+@dataclass(frozen=True)
+class Project:
+    """Checked configuration and scenes."""
+
+    configuration: Configuration
+    scenes: dict[str, Scene]
+
+    @property
+    def results(self) -> Path:
+        """Folder of the results."""
+        return Path(self.configuration.results)
+
+
+def load_yaml(path: Path) -> dict:
+    """A YAML file as plain data (no tags, no code). Raises UserError naming file, line and remedy."""
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise UserError(f"{path}: file not found") from None
+    except UnicodeDecodeError as error:
+        raise UserError(f"{path}: expected UTF-8 text ({error.reason} at byte {error.start})") from None
+    try:
+        return yaml.load(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader)) or {}
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f", line {mark.line + 1}" if mark else ""
+        raise UserError(f"{path}{line}: not valid YAML ({getattr(error, 'problem', error)})") from None
+
+
+def load_project(values: dict | None = None, *, path: Path = Path("config/config.yaml")) -> Project:
+    """Project from `values` (as parsed from `path`), or from the file itself where values are None.
+
+    Raises UserError naming file, key or row, what was expected and found.
+    """
+    if values is None:
+        values = load_yaml(path)
+    configuration = parse(Configuration, values, str(path))
+    scenes = {}
+    for scene in _read_scenes(configuration, values, Path(configuration.scenes)):
+        if scene.name in scenes:
+            raise UserError(f"{configuration.scenes}: scene {scene.name!r} stands in the table twice")
+        scenes[scene.name] = scene
+    return Project(configuration, scenes)
+
+
+def _read_scenes(configuration: Configuration, values: dict, table: Path) -> list[Scene]:
+    try:
+        lines = table.read_text(encoding="utf-8-sig").splitlines()
+    except FileNotFoundError:
+        raise UserError(f"{table}: scene table not found (named by the key scenes)") from None
+    rows = csv.reader((line for line in lines if line.strip() and not line.startswith("#")), delimiter="\t")
+    header = tuple(next(rows, ()))
+    if not {"scene", "capture"} <= set(header) <= set(COLUMNS):
+        raise UserError(f"{table}: expected tab-separated columns {', '.join(COLUMNS)}, found {', '.join(header)}")
+    return [_scene(dict(zip(header, row, strict=False)), configuration, values, table) for row in rows]
+
+
+def _scene(row: dict[str, str], configuration: Configuration, values: dict, table: Path) -> Scene:
+    name = row["scene"].strip()
+    if not name or not name.replace("-", "").replace("_", "").isalnum() or not name.isascii():
+        raise UserError(f"{table}: scene name {name!r}: use letters, digits, - and _ only")
+    capture = row.get("capture", "").strip()
+    if not capture:
+        raise UserError(f"{table}: scene {name!r} names no capture folder")
+    products = tuple(row.get("products", "").replace(",", " ").split()) or configuration.products
+    unknown = [product for product in products if product not in PRODUCTS]
+    if unknown:
+        raise UserError(f"{table}: scene {name!r}: unknown product {unknown[0]!r}; known: {', '.join(PRODUCTS)}")
+    truth = row.get("truth", "").strip()
+    return Scene(name, _place(capture), _place(truth) if truth else None, products, _own(row, configuration, values))
+
+
+def _place(text: str) -> Path:
+    return Path(os.path.expandvars(text)).expanduser()
+
+
+def _own(row: dict[str, str], configuration: Configuration, values: dict) -> StageSettings:
+    """Settings of one scene: the project's, with those of the scene's own file over them."""
+    path = row.get("settings", "").strip()
+    if not path:
+        return configuration
+    own = load_yaml(Path(path))
+    shared = {key: value for key, value in values.items() if key in StageSettings.model_fields}
+    return parse(StageSettings, _merged(shared, own), path)
+
+
+def _merged(below: dict, above: dict) -> dict:
+    result = dict(below)
+    for key, value in above.items():
+        both = isinstance(value, dict) and isinstance(result.get(key), dict)
+        result[key] = _merged(result[key], value) if both else value
+    return result

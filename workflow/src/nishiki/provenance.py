@@ -1,0 +1,145 @@
+"""Stage keys and code digests: what decides whether a stage has to run.
+
+The key of a stage is the start of the SHA-256 of a canonical text of everything that decides its result, apart from the
+code: stage name and format version, exactly the settings that it reads, and the keys of its upstream artifacts.
+The code digest covers the syntax trees of the stage's script and of every module of this project that it imports,
+directly or not, without comments and docstrings.
+"""
+
+import ast
+import functools
+import hashlib
+import importlib.metadata
+import json
+import math
+import unicodedata
+from pathlib import Path
+from typing import Any
+
+KEY_DIGITS = 12
+SOURCE = Path(__file__).resolve().parents[1]
+PACKAGE = "nishiki"
+
+
+def canonical(value: Any) -> str:
+    """Canonical JSON text of `value`: keys sorted, 1 and 1.0 equal, Unicode in NFC, no spaces.
+
+    Raises ValueError for NaN and infinities, which have no place in a configuration, and TypeError for other types.
+    """
+    return json.dumps(_normal(value), sort_keys=True, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+
+
+def _normal(value: Any) -> Any:
+    if isinstance(value, bool) or value is None:
+        return value
+    if isinstance(value, int):
+        return value
+    if isinstance(value, float):
+        if not math.isfinite(value):
+            raise ValueError(f"a setting must be finite, found {value}")
+        return int(value) if value.is_integer() and abs(value) < 2**53 else value
+    if isinstance(value, str):
+        return unicodedata.normalize("NFC", value)
+    if isinstance(value, dict):
+        return {unicodedata.normalize("NFC", str(key)): _normal(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_normal(item) for item in value]
+    raise TypeError(f"a setting must be made of numbers, texts, lists and blocks, found {type(value).__name__}")
+
+
+def stage_key(stage: str, version: int, settings: dict, upstream: dict[str, str]) -> str:
+    """Key of a stage: 12 hexadecimal digits. `upstream` maps stage names (or `capture`) to their keys or digests."""
+    text = canonical({"stage": stage, "version": version, "settings": settings, "upstream": upstream})
+    return hashlib.sha256(text.encode()).hexdigest()[:KEY_DIGITS]
+
+
+def differences(first: dict, second: dict, path: str = "") -> list[str]:
+    """Each place where two settings blocks differ, as `place: first -> second`."""
+    found = []
+    for key in sorted(set(first) | set(second), key=str):
+        place = f"{path}.{key}" if path else str(key)
+        a, b = first.get(key, "(absent)"), second.get(key, "(absent)")
+        if isinstance(a, dict) and isinstance(b, dict):
+            found += differences(a, b, place)
+        elif _normal(a) != _normal(b):
+            found.append(f"{place}: {a!r} -> {b!r}")
+    return found
+
+
+def code_digest(script: Path) -> str:
+    """Digest of the code that a script runs: itself and every module of this project that it imports, transitively."""
+    digest = hashlib.sha256()
+    for path in code_files(script):
+        digest.update(f"{path.name if path == script else path.relative_to(SOURCE)}\0{_tree(path)}\0".encode())
+    return digest.hexdigest()[:KEY_DIGITS]
+
+
+def code_files(script: Path) -> list[Path]:
+    """The script and the project's modules that it imports, directly or not, in a fixed order."""
+    script = Path(script).resolve()
+    seen: set[Path] = set()
+    queue = [script]
+    while queue:
+        path = queue.pop()
+        if path not in seen:
+            seen.add(path)
+            queue += _imports(path)
+    return [script, *sorted(seen - {script})]
+
+
+@functools.cache
+def _imports(path: Path) -> tuple[Path, ...]:
+    """Project modules named in any import statement of a file, late imports inside functions included."""
+    names: set[str] = set()
+    for node in ast.walk(_parsed(path)):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            names |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
+    found = set()
+    for name in names:
+        parts = name.split(".")
+        local = path.parent / f"{parts[0]}.py"
+        if parts[0] == PACKAGE:
+            found |= set(_module_files(name))
+        elif path.parent != SOURCE / PACKAGE and len(parts) == 1 and local.is_file() and SOURCE not in path.parents:
+            found.add(local.resolve())  # a script's neighbour in scripts/
+    return tuple(sorted(found - {path}))
+
+
+def _module_files(name: str) -> list[Path]:
+    base = SOURCE.joinpath(*name.split("."))
+    candidates = [base.with_suffix(".py"), base / "__init__.py"]
+    return [path for path in candidates if path.is_file()]
+
+
+@functools.cache
+def _parsed(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+@functools.cache
+def _tree(path: Path) -> str:
+    """Text of a file's syntax tree, without docstrings (comments are no part of the tree)."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            first = node.body[0] if node.body else None
+            if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant) and isinstance(first.value.value, str):
+                node.body = node.body[1:] or [ast.Pass()]
+    return ast.dump(tree, annotate_fields=False)
+
+
+@functools.cache
+def library_version(name: str) -> str:
+    """Installed version of a library, `absent` where it is not installed (an optional one)."""
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return "absent"
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file, 64 hexadecimal digits."""
+    with open(path, "rb") as handle:
+        return hashlib.file_digest(handle, "sha256").hexdigest()

@@ -1,0 +1,20 @@
+"""Settings of brdf."""
+
+from typing import ClassVar, Literal
+
+from pydantic import Field
+
+from nishiki.closed import Closed
+
+
+class BrdfSettings(Closed):
+    """Torrance-Sparrow parameters of a scene or of each region."""
+
+    STAGE: ClassVar[str] = "brdf"
+    VERSION: ClassVar[int] = 1
+
+    method: Literal["robust", "paper"] = Field("robust", description="paper: brightest light, Levenberg-Marquardt")
+    refractive_index: float = Field(1.45, gt=1, le=3, description="of the varnish or binder (P: 1.45)")
+    max_slope_deg: float = Field(50, gt=0, le=90, description="steeper pixels are left out of the fit")
+    lobes: Literal[1, 2] = Field(1, description="specular lobes")
+    hold_out: tuple[str, ...] = Field((), description="lights left out of the fit; filled in by the plan")

@@ -1,0 +1,18 @@
+"""Settings of evaluate."""
+
+from typing import ClassVar
+
+from pydantic import Field
+
+from nishiki.closed import Closed
+
+
+class EvaluateSettings(Closed):
+    """Comparison with truth where there is one, otherwise with lights that the fit never saw."""
+
+    STAGE: ClassVar[str] = "evaluate"
+    VERSION: ClassVar[int] = 1
+
+    cast_shadows: bool = Field(True, description="predict cast shadows from the integrated height")
+    hold_out: tuple[str, ...] = Field((), description="lights to predict; filled in by the plan")
+    truth_sha256: str = Field("", description="digest of the truth; filled in by the plan")

@@ -1,0 +1,18 @@
+"""Settings of height."""
+
+from typing import ClassVar, Literal
+
+from pydantic import Field
+
+from nishiki.closed import Closed
+
+
+class HeightSettings(Closed):
+    """Integration of the normals."""
+
+    STAGE: ClassVar[str] = "height"
+    VERSION: ClassVar[int] = 1
+
+    method: Literal["auto", "dct", "weighted"] = Field(
+        "auto", description="dct: Poisson on the full rectangle; weighted: with mask and weights; auto: as needed"
+    )

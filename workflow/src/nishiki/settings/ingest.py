@@ -1,0 +1,23 @@
+"""Settings of ingest."""
+
+from typing import ClassVar, Literal
+
+from pydantic import Field
+
+from nishiki.closed import Closed
+
+
+class IngestSettings(Closed):
+    """Photographs to linear, white-normalised observations."""
+
+    STAGE: ClassVar[str] = "ingest"
+    VERSION: ClassVar[int] = 1
+
+    channels: Literal["auto", "all", "luminance", "green"] = Field(
+        "auto", description="channels to keep; auto: all where a product needs colour, luminance otherwise"
+    )
+    white_block: int = Field(
+        16, ge=1, le=256, description="white board averaged over blocks of this many pixels; 1: per pixel (P eq. 3)"
+    )
+    tile_mib: int = Field(128, ge=8, le=4096, description="memory for one tile of all lights as float32, MiB")
+    compression: Literal["none", "zstd"] = Field("none", description="zstd: a third of the bytes, twice the time")

@@ -1,0 +1,19 @@
+"""Settings of normals."""
+
+from typing import ClassVar, Literal
+
+from pydantic import Field
+
+from nishiki.closed import Closed
+
+
+class NormalsSettings(Closed):
+    """Photometric stereo on the selected lights (P 3.3), and the reflectance of each channel."""
+
+    STAGE: ClassVar[str] = "normals"
+    VERSION: ClassVar[int] = 1
+
+    solver: Literal["default", "least_squares"] = Field("default", description="see docs/stages/normals.md")
+    max_condition: float = Field(1e3, gt=1, description="pixels with a worse conditioned light matrix are flagged")
+    fill: bool = Field(False, description="fill flagged pixels from their neighbours (they stay flagged)")
+    hold_out: tuple[str, ...] = Field((), description="lights left out of the fit; filled in by the plan")

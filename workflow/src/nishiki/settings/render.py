@@ -1,0 +1,69 @@
+"""Settings of render."""
+
+from typing import ClassVar, Literal
+
+from pydantic import Field
+
+from nishiki.closed import Closed
+
+
+class LightSettings(Closed):
+    """One lamp, from a direction."""
+
+    elevation_deg: float = Field(45, ge=0, le=90, description="above the plane of the object")
+    azimuth_deg: float = Field(90, ge=-360, le=360, description="from x (right) towards y (up)")
+    illuminant: str = Field("D65", description="A, D50, D65, F11, the capture's own (capture), or a CSV: nm, power")
+    intensity: float = Field(1.0, ge=0, description="1: a white board facing the lamp has luminance 1")
+
+
+class ViewSettings(Closed):
+    """From where the picture is seen."""
+
+    kind: Literal["frontal", "pinhole"] = Field("frontal", description="frontal: orthographic, one pixel a pixel")
+    elevation_deg: float = Field(90, gt=0, le=90, description="pinhole: of the eye above the plane")
+    azimuth_deg: float = Field(-90, ge=-360, le=360, description="pinhole: of the eye, from x towards y")
+    distance: float = Field(3, gt=0, description="pinhole: in lengths of the object's longer side")
+    rows: int = Field(768, ge=16, le=16384, description="pinhole: of the picture")
+    columns: int = Field(1024, ge=16, le=16384, description="pinhole: of the picture")
+
+
+class PictureSettings(Closed):
+    """One picture."""
+
+    name: str = Field(pattern=r"^[a-z0-9][a-z0-9_-]*$", description="file name without ending")
+    lights: tuple[LightSettings, ...] = (LightSettings(),)
+    view: ViewSettings = ViewSettings()
+    ambient: float = Field(0.05, ge=0, description="uniform light from everywhere, relative to the lamps")
+
+
+class SequenceSettings(Closed):
+    """A moving light or a moving view, as video."""
+
+    name: str = Field(pattern=r"^[a-z0-9][a-z0-9_-]*$", description="file name without ending")
+    moves: Literal["light", "view"] = Field("light", description="what goes round")
+    elevation_deg: float = Field(35, gt=0, le=90, description="of what goes round")
+    frames: int = Field(48, ge=2, le=3600, description="frames of one turn")
+    frames_per_second: int = Field(24, ge=1, le=120)
+    illuminant: str = Field("D65", description="as for a light")
+    columns: int = Field(640, ge=16, le=4096, description="width of the video")
+
+
+class RenderSettings(Closed):
+    """Pictures and sequences to make."""
+
+    STAGE: ClassVar[str] = "render"
+    VERSION: ClassVar[int] = 1
+
+    pictures: tuple[PictureSettings, ...] = (
+        PictureSettings(name="daylight"),
+        PictureSettings(name="raking", lights=(LightSettings(elevation_deg=15, azimuth_deg=180),), ambient=0.0),
+        PictureSettings(name="lamplight", lights=(LightSettings(illuminant="A"),)),
+        PictureSettings(
+            name="oblique",
+            lights=(LightSettings(elevation_deg=50, azimuth_deg=90),),
+            view=ViewSettings(kind="pinhole", elevation_deg=45, azimuth_deg=-90),
+        ),
+    )
+    sequences: tuple[SequenceSettings, ...] = (SequenceSettings(name="moving-light"),)
+    cast_shadows: bool = Field(True, description="shadows thrown by the integrated height")
+    supersampling: int = Field(2, ge=1, le=8, description="pinhole: rays along each side of a pixel")

@@ -1,0 +1,148 @@
+"""The frame around every stage's script: arguments in, checked inputs, one artifact out."""
+
+import argparse
+import json
+import os
+import platform
+import resource
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from nishiki.artifact import MANIFEST, Artifact, ArtifactWriter, open_artifact
+from nishiki.closed import Closed, parse
+from nishiki.errors import UserError
+from nishiki.progress import Progress
+from nishiki.provenance import canonical, stage_key
+
+PROJECT_VERSION = "0.1.0"
+
+
+@dataclass(frozen=True)
+class Context:
+    """What a stage's function is given."""
+
+    inputs: dict[str, Artifact]
+    settings: Any
+    output: ArtifactWriter
+    capture: Path | None
+    truth: Path | None
+    stamp: dict[str, str]
+    progress: Progress
+
+
+def run_stage(settings_model: type[Closed], run: Callable[[Context], dict[str, Any]], description: str) -> None:
+    """Run one stage from the command line. Exit status 0: done; 2: bad input, told in one line; 1: a bug."""
+    try:
+        _run(settings_model, run, _arguments(settings_model, description))
+    except UserError as error:
+        print(f"nishiki {settings_model.STAGE}: {error}", file=sys.stderr)
+        raise SystemExit(2) from None
+
+
+def _arguments(model: type[Closed], description: str) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        description=description,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="settings:\n" + "\n".join(_help_of(model)),
+    )
+    parser.add_argument("--scene", default="scene", help="name of the scene, for stamps and messages")
+    parser.add_argument("--inputs", nargs="*", default=[], metavar="FOLDER", help="artifacts of the upstream stages")
+    parser.add_argument("--capture", type=Path, help="capture folder (ingest only)")
+    parser.add_argument("--truth", type=Path, help="folder of the truth (evaluate)")
+    parser.add_argument("--settings", default="{}", metavar="JSON", help="settings of this stage; the rest by default")
+    parser.add_argument("--code", default="", help="digest of the code, recorded in the artifact")
+    parser.add_argument("--libraries", default="{}", metavar="JSON", help="library versions, recorded in the artifact")
+    parser.add_argument(
+        "--output",
+        type=Path,
+        required=True,
+        help="results folder of the stage (the key is appended), or the path of the artifact.json to make",
+    )
+    return parser.parse_args()
+
+
+def _help_of(model: type[Closed]) -> list[str]:
+    return [
+        f"  {name:18} {field.description or ''} (default {field.default!r})"
+        for name, field in model.model_fields.items()
+    ]
+
+
+def _run(model: type[Closed], run: Callable[[Context], dict[str, Any]], arguments: argparse.Namespace) -> None:
+    clock, cpu = time.perf_counter(), time.process_time()
+    settings = parse(model, _json(arguments.settings, "--settings"), f"settings of {model.STAGE}")
+    inputs = {artifact.stage: artifact for artifact in map(open_artifact, map(Path, arguments.inputs))}
+    upstream = {name: artifact.key for name, artifact in inputs.items()}
+    if arguments.capture and not inputs:
+        from nishiki.capture.folder import capture_digest
+
+        upstream = {"capture": capture_digest(arguments.capture)}
+    values = settings.model_dump(mode="json")
+    key = stage_key(model.STAGE, model.VERSION, values, upstream)
+    target = _target(arguments.output, key)
+    stamp = {"scene": arguments.scene, "stage": model.STAGE, "key": key, "version": PROJECT_VERSION}
+    with ArtifactWriter(target) as output:
+        context = Context(
+            inputs,
+            settings,
+            output,
+            arguments.capture,
+            arguments.truth,
+            stamp,
+            Progress(f"{arguments.scene}/{model.STAGE}"),
+        )
+        diagnostics = run(context)
+        manifest = {
+            **stamp,
+            "format_version": model.VERSION,
+            "settings": json.loads(canonical(values)),
+            "upstream": {name: {"key": item.key, "digest": item.digest} for name, item in inputs.items()}
+            or {"capture": {"digest": upstream["capture"]}},
+            "code": arguments.code,
+            "libraries": _json(arguments.libraries, "--libraries"),
+            "diagnostics": diagnostics,
+        }
+        output.finish(manifest, _facts(clock, cpu, arguments))
+
+
+def _json(text: str, where: str) -> dict[str, Any]:
+    try:
+        value = json.loads(text)
+    except ValueError as error:
+        raise UserError(f"{where}: not valid JSON ({error})") from None
+    if not isinstance(value, dict):
+        raise UserError(f"{where}: expected a JSON object, found {text!r}")
+    return value
+
+
+def _target(output: Path, key: str) -> Path:
+    """Folder of the artifact; raises UserError where the workflow expected another key than the inputs give."""
+    if output.name != MANIFEST:
+        return output / key
+    if output.parent.name != key:
+        raise UserError(
+            f"{output.parent}: settings and inputs give the key {key}. Remedy: the inputs are not those that "
+            "were planned; run again."
+        )
+    return output.parent
+
+
+def _facts(clock: float, cpu: float, arguments: argparse.Namespace) -> dict[str, Any]:
+    """Facts of this run: what cannot be the same in the next one."""
+    usage = resource.getrusage(resource.RUSAGE_SELF)
+    return {
+        "seconds": round(time.perf_counter() - clock, 3),
+        "cpu_seconds": round(time.process_time() - cpu, 3),
+        "process_cpu_seconds": round(usage.ru_utime + usage.ru_stime, 3),
+        "peak_memory_mib": round(usage.ru_maxrss / 1024, 1),
+        "finished": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+        "host": platform.node(),
+        "platform": platform.platform(),
+        "python": platform.python_version(),
+        "cpus": os.cpu_count(),
+        "capture": str(arguments.capture or ""),
+    }
