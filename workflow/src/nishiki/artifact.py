@@ -123,7 +123,7 @@ def verify_artifact(folder: Path) -> list[Damage]:
     except UserError as error:
         return [Damage(folder / MANIFEST, "missing" if not (folder / MANIFEST).exists() else "damaged", str(error))]
     found = []
-    if manifest["key"] != folder.name:
+    if manifest["key"] != folder.name.split(".")[0]:
         found.append(Damage(folder / MANIFEST, "damaged", f"says key {manifest['key']}, folder is {folder.name}"))
     for name, entry in manifest["files"].items():
         path = folder / name

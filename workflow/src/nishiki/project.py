@@ -30,7 +30,8 @@ class StageSettings(Closed):
     """Settings of the stages; everything has a default."""
 
     hold_out: Literal["auto", "none"] | tuple[str, ...] = Field(
-        "auto", description="lights left out of every fit and predicted instead; auto: a tenth, where nothing else checks"
+        "auto",
+        description="lights left out of every fit and predicted instead; auto: a tenth, where nothing else checks",
     )
     ingest: IngestSettings = IngestSettings()
     separate: SeparateSettings = SeparateSettings()

@@ -67,10 +67,15 @@ def differences(first: dict, second: dict, path: str = "") -> list[str]:
 
 
 def code_digest(script: Path) -> str:
-    """Digest of the code that a script runs: itself and every module of this project that it imports, transitively."""
+    """Digest of the code that a script runs: itself, every module of this project that it imports, and their tables."""
     digest = hashlib.sha256()
-    for path in code_files(script):
-        digest.update(f"{path.name if path == script else path.relative_to(SOURCE)}\0{_tree(path)}\0".encode())
+    script = Path(script).resolve()
+    files = code_files(script)
+    for path in files:
+        name = path.relative_to(SOURCE) if SOURCE in path.parents else path.name
+        digest.update(f"{name}\0{_tree(path)}\0".encode())
+    for path in data_files(files):
+        digest.update(f"{path.relative_to(SOURCE)}\0{file_digest(path)}\0".encode())
     return digest.hexdigest()[:KEY_DIGITS]
 
 
@@ -108,9 +113,19 @@ def _imports(path: Path) -> tuple[Path, ...]:
 
 
 def _module_files(name: str) -> list[Path]:
-    base = SOURCE.joinpath(*name.split("."))
-    candidates = [base.with_suffix(".py"), base / "__init__.py"]
+    """The module's file and those of the packages that it lies in (importing it runs them)."""
+    parts = name.split(".")
+    packages = [SOURCE.joinpath(*parts[: end + 1], "__init__.py") for end in range(len(parts))]
+    candidates = [SOURCE.joinpath(*parts).with_suffix(".py"), *packages]
     return [path for path in candidates if path.is_file()]
+
+
+def data_files(modules: list[Path]) -> list[Path]:
+    """Tables and templates that lie in the rooms of the modules: they decide the result as code does."""
+    rooms = {path.parent for path in modules if SOURCE / PACKAGE in path.parent.parents}
+    return sorted(
+        item for room in rooms for item in room.iterdir() if item.is_file() and item.suffix not in (".py", ".md")
+    )
 
 
 @functools.cache
@@ -124,8 +139,7 @@ def _tree(path: Path) -> str:
     tree = ast.parse(path.read_text(encoding="utf-8"))
     for node in ast.walk(tree):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            first = node.body[0] if node.body else None
-            if isinstance(first, ast.Expr) and isinstance(first.value, ast.Constant) and isinstance(first.value.value, str):
+            if ast.get_docstring(node, clean=False) is not None:
                 node.body = node.body[1:] or [ast.Pass()]
     return ast.dump(tree, annotate_fields=False)
 

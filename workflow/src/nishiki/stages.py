@@ -95,7 +95,12 @@ CHAIN: dict[str, Stage] = {
             libraries=("numpy", "numba", "zarr", "opencv-contrib-python-headless", "OpenEXR", "rawpy"),
         ),
         Stage(SeparateSettings, "lights that show only diffuse reflection", requires=("ingest",), lacks=_no_method),
-        Stage(NormalsSettings, "normals and diffuse reflectance", requires=("ingest",), wants=lambda settings: ("separate",)),
+        Stage(
+            NormalsSettings,
+            "normals and diffuse reflectance",
+            requires=("ingest",),
+            wants=lambda settings: ("separate",),
+        ),
         Stage(
             HeightSettings,
             "height by integration of the normals",
@@ -106,7 +111,7 @@ CHAIN: dict[str, Stage] = {
         Stage(
             SpectraSettings,
             "spectral reflectance coefficients",
-            requires=("normals",),
+            requires=("ingest", "normals"),
             lacks=_no_spectra,
             needs_colour=True,
             libraries=("numpy", "scipy", "numba", "zarr"),

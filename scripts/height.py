@@ -1,0 +1,32 @@
+"""Height: integrate the normals into a relief."""
+
+import numpy as np
+
+import _project  # noqa: F401
+from nishiki.maps import Maps, MapWriter
+from nishiki.normals import flags as bits
+from nishiki.normals.height import integrate_normals
+from nishiki.settings.height import HeightSettings
+from nishiki.stage import Context, run_stage
+
+
+def run(context: Context) -> dict:
+    """Integrate the whole field: a global problem, held in memory at once."""
+    maps = Maps(context.inputs["normals"].folder)
+    normals = maps.read("normals")
+    valid = (maps.read("flags") & bits.NO_ESTIMATE) == 0
+    pitch = maps.group.attrs.get("pixel_pitch_mm")
+    field = integrate_normals(normals, valid=valid, pixel_pitch=pitch or 1.0, method=context.settings.method)
+    out = MapWriter(
+        context.output.folder,
+        rows=normals.shape[0],
+        columns=normals.shape[1],
+        band_rows=256,
+        stamp=context.stamp,
+    )
+    out.write("height", field.height.astype(np.float32), unit="mm" if pitch else "pixels")
+    return {"unit": "mm" if pitch else "pixels", **field.diagnostics}
+
+
+if __name__ == "__main__":
+    run_stage(HeightSettings, run, __doc__)

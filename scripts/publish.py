@@ -1,0 +1,22 @@
+"""Point results/<scene>/current at the artifacts of the present configuration."""
+
+import argparse
+import json
+from pathlib import Path
+
+import _project  # noqa: F401
+from nishiki.publish import publish
+
+
+def main() -> None:
+    """Arguments in, links out."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scene", required=True, help="name of the scene")
+    parser.add_argument("--stages", required=True, metavar="JSON", help="stage names and their keys")
+    parser.add_argument("--output", type=Path, required=True, help="results/<scene>/current/index.json")
+    arguments = parser.parse_args()
+    publish(arguments.output.parent, scene=arguments.scene, stages=json.loads(arguments.stages))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,49 @@
+"""Separate: per pixel, the lights under which it shows diffuse reflection only."""
+
+import numpy as np
+
+import _project  # noqa: F401
+from nishiki.ingest.observations import Observations
+from nishiki.maps import MapWriter
+from nishiki.separation.lights import select_diffuse
+from nishiki.settings.separate import SeparateSettings
+from nishiki.stage import Context, run_stage
+
+
+def run(context: Context) -> dict:
+    """Select the lights band by band; usable lights are kept as one bit each."""
+    frames = Observations(context.inputs["ingest"].folder)
+    lights = frames.fit_lights(context.settings.hold_out)
+    rows, columns = frames.shape
+    maps = MapWriter(context.output.folder, rows=rows, columns=columns, band_rows=frames.band_rows, stamp=context.stamp)
+    usable = maps.create("usable", (-(-len(lights) // 8),), dtype="uint8", meaning="bit j of byte i: light 8 i + j")
+    highlights = maps.create("highlights", dtype="uint16", unit="lights")
+    shadows = maps.create("shadows", dtype="uint16", unit="lights")
+    totals = np.zeros(4, dtype=np.int64)
+    settings = context.settings
+    for band in context.progress.over(frames.bands(), "band"):
+        observations, valid = frames.read(band, lights=lights, channel="mean")
+        selection = select_diffuse(
+            observations,
+            frames.directions[lights],
+            valid=valid,
+            method=settings.method,
+            w1=settings.w1,
+            w2=settings.w2,
+            keep=settings.keep,
+        )
+        usable[band] = np.moveaxis(np.packbits(selection.usable, axis=0, bitorder="little"), 0, -1)
+        highlights[band], shadows[band] = selection.highlights, selection.shadows
+        totals += [a.sum(dtype=np.int64) for a in (selection.usable, selection.highlights, selection.shadows, valid)]
+    samples = rows * columns * len(lights)
+    return {
+        "lights": [frames.lights[j] for j in lights],
+        "usable_fraction": float(totals[0] / samples),
+        "highlight_fraction": float(totals[1] / samples),
+        "shadow_fraction": float(totals[2] / samples),
+        "valid_fraction": float(totals[3] / samples),
+    }
+
+
+if __name__ == "__main__":
+    run_stage(SeparateSettings, run, __doc__)

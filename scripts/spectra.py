@@ -1,0 +1,70 @@
+"""Spectra: spectral reflectance coefficients of every pixel from its diffuse reflectance in the camera's channels."""
+
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+import _project  # noqa: F401
+from nishiki.capture.spectra_tables import read_curves
+from nishiki.maps import Maps, MapWriter
+from nishiki.settings.spectra import SpectraSettings
+from nishiki.spectra.estimate import SpectralEstimator, estimate_spectra, fit_estimator
+from nishiki.spectra.sampling import resample
+from nishiki.spectra.training import training_set
+from nishiki.stage import Context, run_stage
+
+
+def run(context: Context) -> dict:
+    """Fit the estimator once, then apply it band by band."""
+    settings = context.settings
+    training = training_set() if settings.training == "synthetic" else measured_set(Path(settings.training))
+    estimator = fit(context, training)
+    np.savez(context.output.path("estimator.npz"), **estimator.to_arrays())
+    maps = Maps(context.inputs["normals"].folder)
+    reflectance = maps.group["reflectance"]
+    rows, columns, _ = reflectance.shape
+    band_rows = reflectance.chunks[0]
+    out = MapWriter(context.output.folder, rows=rows, columns=columns, band_rows=band_rows, stamp=context.stamp)
+    basis = np.asarray(estimator.basis).tolist()
+    coefficients = out.create("coefficients", (len(basis),), basis=basis, first_nm=400, step_nm=5)
+    sigma = out.create("sigma", unit="rms over the bands, reflectance")
+    flags = out.create("flags", dtype="uint8", unit="bits, see docs/stages/spectra.md")
+    counts: Counter[str] = Counter()
+    for start in context.progress.over(range(0, rows, band_rows), "band"):
+        band = slice(start, min(rows, start + band_rows))
+        field = estimate_spectra(reflectance[band], estimator)
+        coefficients[band], sigma[band], flags[band] = field.coefficients, field.sigma, field.flags
+        counts.update(field.counts)
+    return {
+        "method": estimator.method,
+        "bases": len(basis),
+        "condition": float(estimator.condition),
+        "training_rmse": float(estimator.training_rmse),
+        "training_spectra": len(training),
+        **{f"flagged_{name}": count for name, count in counts.items()},
+    }
+
+
+def fit(context: Context, training: np.ndarray) -> SpectralEstimator:
+    """The estimator for this capture's lamp and camera."""
+    curves = np.load(context.inputs["ingest"].path("curves.npz"))
+    settings = context.settings
+    return fit_estimator(
+        training,
+        curves["illuminant"],
+        curves["sensitivities"],
+        method=settings.method,
+        bases=None if settings.method == "paper" else settings.bases,
+        noise=settings.noise,
+    )
+
+
+def measured_set(path: Path) -> np.ndarray:
+    """(samples, 61) reflectances from a table: wavelength_nm, then one column a sample."""
+    curves = read_curves(path, label=str(path))
+    return resample(curves.wavelengths_nm, curves.values, name=str(path))
+
+
+if __name__ == "__main__":
+    run_stage(SpectraSettings, run, __doc__)

@@ -1,0 +1,94 @@
+"""The command line: one parser, each command in a function that imports what it needs."""
+
+import argparse
+import sys
+
+from nishiki.errors import UserError
+from nishiki.stage import PROJECT_VERSION
+
+DESCRIPTION = """\
+From photographs under controlled light to the appearance of an object, with provenance.
+
+first steps:
+  ./nishiki demo                              simulate a painting, digitise it, write the report
+  ./nishiki convert photographs/ captures/x   turn a folder of photographs and an .lp file into a capture
+  ./nishiki check captures/x                  everything that is wrong with a capture, in one pass
+  ./nishiki run                               make what config/config.yaml and config/scenes.tsv ask for
+"""
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Parse and run. Exit status 0: done; 1: a stage failed or damage was found; 2: bad input, told in one line."""
+    parser = _parser()
+    options, rest = parser.parse_known_args(arguments)
+    if rest and options.command not in ("run", "demo", "test", "simulate"):
+        parser.error(f"unknown arguments: {' '.join(rest)}")
+    if not hasattr(options, "call"):
+        parser.print_help()
+        raise SystemExit(2)
+    try:
+        raise SystemExit(options.call(options, rest) or 0)
+    except UserError as error:
+        print(f"nishiki {options.command}: {error}", file=sys.stderr)
+        raise SystemExit(2) from None
+    except BrokenPipeError:
+        raise SystemExit(0) from None
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="nishiki", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--version", action="version", version=f"nishiki {PROJECT_VERSION}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands")
+
+    def command(name: str, function: str, text: str) -> argparse.ArgumentParser:
+        sub = commands.add_parser(name, help=text, description=text)
+        sub.set_defaults(call=lambda options, rest: _call(function, options, rest))
+        return sub
+
+    command("demo", "running:demo", "simulate a painting, run the whole workflow on it, name the report")
+    command("test", "running:test", "run the tests; further arguments go to pytest")
+    sub = command("run", "running:run", "make everything that the configuration asks for; further arguments: snakemake")
+    sub.add_argument("--configfile", default="config/config.yaml", help="configuration (default %(default)s)")
+    sub.add_argument("--cores", default="all", help="processors to use (default: all)")
+    sub = command("plan", "inspecting:plan", "what will run, what is left out and why")
+    _with_scene(sub)
+    sub = command(
+        "explain", "inspecting:explain", "why each stage of a scene would run or not; or what differs between keys"
+    )
+    _with_scene(sub)
+    sub.add_argument("--keys", nargs=2, metavar="KEY", help="two keys of one stage: what differs between them")
+    sub = command("verify", "inspecting:verify", "recompute every digest; name each damaged, missing or foreign file")
+    sub.add_argument("folders", nargs="*", help="results, scene, stage or artifact folders (default: results)")
+    sub.add_argument("--capture", action="append", default=[], help="a sealed capture to verify as well")
+    sub = command("check", "capturing:check", "everything that is wrong with a capture, in one pass")
+    sub.add_argument("captures", nargs="+", help="capture folders")
+    sub.add_argument("--quick", action="store_true", help="read headers and tables only, not every pixel")
+    sub = command(
+        "seal", "capturing:seal", "seal a capture with a BagIt manifest (RFC 8493); its files move into data/"
+    )
+    sub.add_argument("captures", nargs="+", help="capture folders")
+    sub = command("convert", "capturing:convert", "turn a folder of photographs and lights into a sealed capture")
+    sub.add_argument("source", help="folder of photographs, with an .lp file (or DiLiGenT's tables) in it")
+    sub.add_argument("capture", help="capture folder to make; must not exist")
+    sub.add_argument("--title", help="title of the object")
+    sub.add_argument("--encoding", choices=("linear", "srgb"), help="of the photographs (default: srgb for JPEG)")
+    sub.add_argument("--lights", help="file of the lights, where it is not found by itself")
+    sub.add_argument("--mask", help="image whose non-zero pixels are the object")
+    sub.add_argument("--roi", nargs=4, type=int, metavar=("ROW", "COLUMN", "ROWS", "COLUMNS"), help="crop")
+    command("simulate", "running:simulate", "photograph a simulated painting; --help tells its options")
+    command("schema", "inspecting:schema", "print the JSON schema of config.yaml")
+    return parser
+
+
+def _with_scene(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("scene", nargs="?", help="name of a scene (default: all)")
+    sub.add_argument("--configfile", default="config/config.yaml", help="configuration (default %(default)s)")
+
+
+def _call(function: str, options: argparse.Namespace, rest: list[str]) -> int | None:
+    import importlib
+
+    module, name = function.split(":")
+    return getattr(importlib.import_module(f"nishiki.commands.{module}"), name)(options, rest)

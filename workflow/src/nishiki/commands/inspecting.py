@@ -1,0 +1,179 @@
+"""Commands that look and change nothing: plan, explain, verify, schema."""
+
+import argparse
+import json
+from pathlib import Path
+
+from nishiki.artifact import MANIFEST, Artifact, open_artifact, verify_artifact
+from nishiki.errors import UserError
+from nishiki.plan import Plan
+from nishiki.project import Configuration, load_yaml
+from nishiki.provenance import differences
+from nishiki.stages import CHAIN
+from nishiki.workflow import Workflow
+
+PROJECT = Path(__file__).resolve().parents[4]
+
+
+def _workflow(options: argparse.Namespace) -> Workflow:
+    return Workflow(load_yaml(options.configfile), folder=PROJECT, only=options.scene)
+
+
+def plan(options: argparse.Namespace, rest: list[str]) -> None:
+    """Print, per scene, the stages with their keys and state, and what is left out with the reason."""
+    flow = _workflow(options)
+    for name, made in flow.plans.items():
+        facts = made.facts
+        print(f"{name}: {facts.pixels / 1e6:.2f} Mpx, {len(facts.lights)} lights, {facts.channels} channels")
+        for stage, planned in made.stages.items():
+            state, _ = stage_state(flow, name, stage)
+            print(f"  {stage:10} {planned.key}  {state:8} {CHAIN[stage].does}")
+        if made.held_out:
+            print(f"  held out of every fit and predicted instead: {', '.join(made.held_out)}")
+        for left, why in made.left_out.items():
+            print(f"  without {left}: {why}")
+
+
+def stage_state(flow: Workflow, scene: str, stage: str) -> tuple[str, list[str]]:
+    """State of a stage (done | run) and the reasons to run."""
+    path = Path(flow.artifact(scene, stage))
+    if not path.is_file():
+        return "run", [f"no artifact for key {path.parent.name}", *_nearest(path.parent, flow, scene, stage)]
+    try:
+        found = open_artifact(path.parent)
+    except UserError as error:
+        return "run", [str(error)]
+    reasons = []
+    if found.manifest["code"] != flow.code(stage):
+        reasons.append(f"its code changed: {found.manifest['code'] or '(none)'} -> {flow.code(stage)}")
+    reasons += [
+        f"library {text}" for text in differences(found.manifest["libraries"], json.loads(flow.libraries(stage)))
+    ]
+    reasons += _upstream_reasons(flow, scene, stage, found)
+    return ("run" if reasons else "done"), reasons
+
+
+def _upstream_reasons(flow: Workflow, scene: str, stage: str, found: Artifact) -> list[str]:
+    reasons = []
+    for upstream in flow.plans[scene].stages[stage].upstream:
+        if upstream not in CHAIN:
+            continue
+        path = Path(flow.artifact(scene, upstream))
+        state, _ = stage_state(flow, scene, upstream)
+        if state == "run":
+            reasons.append(f"{upstream} will run before it")
+        elif open_artifact(path).digest != found.manifest["upstream"][upstream]["digest"]:
+            reasons.append(f"{upstream} was made again since, with another result")
+    return reasons
+
+
+def _nearest(folder: Path, flow: Workflow, scene: str, stage: str) -> list[str]:
+    """What differs from the newest artifact of the same stage."""
+    others = sorted(folder.parent.glob(f"*/{MANIFEST}"), key=lambda path: path.stat().st_mtime)
+    if not others:
+        return []
+    other = json.loads(others[-1].read_text())
+    planned = flow.plans[scene].stages[stage]
+    changed = differences(other["settings"], planned.settings)
+    for name in sorted(set(planned.upstream) | set(other["upstream"])):
+        before = other["upstream"].get(name, {}).get("key") or other["upstream"].get(name, {}).get("digest", "(none)")
+        now = planned.upstream.get(name, "(none)")
+        if before != now:
+            changed.append(f"upstream {name}: {before[:12]} -> {now[:12]}")
+    return [f"since {other['key']}: {text}" for text in changed]
+
+
+def explain(options: argparse.Namespace, rest: list[str]) -> int:
+    """Print why each stage would run or not; with --keys, what differs between two artifacts of a stage."""
+    flow = _workflow(options)
+    if options.keys:
+        return _explain_keys(flow.project.results, *options.keys)
+    for name, made in flow.plans.items():
+        _explain_scene(flow, name, made)
+    return 0
+
+
+def _explain_scene(flow: Workflow, name: str, made: Plan) -> None:
+    for stage in made.stages:
+        state, reasons = stage_state(flow, name, stage)
+        print(f"{name}/{stage}: {'will run' if state == 'run' else 'up to date'}")
+        for reason in reasons:
+            print(f"    {reason}")
+    for left, why in made.left_out.items():
+        print(f"{name}/{left}: left out, {why}")
+
+
+def _explain_keys(results: Path, first: str, second: str) -> int:
+    found = []
+    for key in (first, second):
+        folders = [path for path in results.glob(f"*/*/{key}*") if (path / MANIFEST).is_file()]
+        if not folders:
+            raise UserError(f"no artifact with key {key} below {results}")
+        found.append(json.loads((folders[0] / MANIFEST).read_text()))
+    a, b = found
+    print(f"{a['scene']}/{a['stage']}/{a['key']} and {b['scene']}/{b['stage']}/{b['key']}")
+    keys = ("stage", "scene", "format_version", "settings", "upstream", "code", "libraries")
+    for text in differences({key: a.get(key) for key in keys}, {key: b.get(key) for key in keys}) or ["no difference"]:
+        print(f"    {text}")
+    return 0
+
+
+def verify(options: argparse.Namespace, rest: list[str]) -> int:
+    """Verify every artifact below the folders; exit status 1 where anything is damaged, missing or foreign."""
+    folders = [Path(folder) for folder in options.folders or ["results"]]
+    missing = [folder for folder in folders if not folder.is_dir()]
+    if missing:
+        raise UserError(f"{missing[0]}: folder not found")
+    artifacts = sorted({path for folder in folders for path in _artifact_folders(folder)})
+    damages = [damage for path in artifacts for damage in verify_artifact(path)]
+    damages += _lost_upstreams(artifacts)
+    for damage in damages:
+        print(damage)
+    count = 0
+    for capture in options.capture:
+        from nishiki.capture.seal import verify_seal
+
+        problems = verify_seal(Path(capture))
+        count += len(problems)
+        for problem in problems:
+            print(problem)
+    total = len(damages) + count
+    print(f"{len(artifacts)} artifacts verified: {'sound' if not total else f'{total} problems'}")
+    return 1 if total else 0
+
+
+def _artifact_folders(folder: Path) -> list[Path]:
+    """Artifact folders at or below a folder: results/scene/stage/key, entered at any level; links are not followed."""
+    if (folder / MANIFEST).is_file() or _is_key(folder.name):
+        return [folder]
+    found = []
+    for child in sorted(folder.iterdir()):
+        if child.is_dir() and not child.is_symlink() and child.name != "current" and not child.name.startswith("."):
+            found += _artifact_folders(child)
+    return found
+
+
+def _is_key(name: str) -> bool:
+    return len(name) == 12 and set(name) <= set("0123456789abcdef")
+
+
+def _lost_upstreams(artifacts: list[Path]) -> list[str]:
+    """Artifacts whose recorded upstream artifact stands there with another digest."""
+    lost = []
+    for folder in artifacts:
+        if not (folder / MANIFEST).is_file() or "superseded" in folder.name:
+            continue
+        try:
+            upstreams = json.loads((folder / MANIFEST).read_text()).get("upstream", {})
+        except ValueError:
+            continue
+        for name, entry in upstreams.items():
+            path = folder.parents[1] / name / str(entry.get("key")) / MANIFEST
+            if path.is_file() and open_artifact(path).digest != entry["digest"]:
+                lost.append(f"stale: {folder} was made from another version of {path.parent}; run again")
+    return lost
+
+
+def schema(options: argparse.Namespace, rest: list[str]) -> None:
+    """Print the JSON schema of the configuration."""
+    print(json.dumps(Configuration.model_json_schema(), indent=1))

@@ -1,0 +1,72 @@
+"""Commands that run something: the workflow, the demonstration, the simulator, the tests."""
+
+import argparse
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from nishiki.errors import UserError
+
+PROJECT = Path(__file__).resolve().parents[4]
+DEMO_CAPTURE, DEMO_TRUTH = Path("captures/painting"), Path("captures/painting-truth")
+
+
+def run(options: argparse.Namespace, rest: list[str]) -> int:
+    """Run the workflow on the configuration; the plan is checked first, so that bad input is told in one line."""
+    from nishiki.project import load_yaml
+    from nishiki.workflow import Workflow
+
+    flow = Workflow(load_yaml(options.configfile), folder=PROJECT)
+    command = [
+        sys.executable,
+        "-m",
+        "snakemake",
+        "--snakefile",
+        str(PROJECT / "Snakefile"),
+        "--workflow-profile",
+        str(PROJECT / "workflow/profiles/default"),
+        "--configfile",
+        options.configfile,
+        "--cores",
+        options.cores,
+        *rest,
+    ]
+    start = time.monotonic()
+    status = subprocess.run(command, check=False).returncode
+    if status == 0 and "--dry-run" not in rest and "-n" not in rest:
+        _tell(flow, time.monotonic() - start)
+    return 1 if status else 0
+
+
+def _tell(flow, seconds: float) -> None:
+    for scene in flow.plans:
+        report = Path(flow.results, scene, "current", "report.html")
+        where = report if report.is_file() else report.parent
+        print(f"{scene}: {where}")
+    print(f"done in {seconds:.1f} s")
+
+
+def demo(options: argparse.Namespace, rest: list[str]) -> int:
+    """Simulate the painting where it is not there yet, then run the configuration as it is shipped."""
+    os.chdir(PROJECT)
+    if not DEMO_CAPTURE.is_dir() or not DEMO_TRUTH.is_dir():
+        status = simulate(options, ["--output", str(DEMO_CAPTURE), "--truth", str(DEMO_TRUTH)])
+        if status:
+            return status
+    return run(argparse.Namespace(configfile="config/config.yaml", cores="all"), rest)
+
+
+def simulate(options: argparse.Namespace, rest: list[str]) -> int:
+    """Photograph a simulated painting."""
+    return subprocess.run([sys.executable, str(PROJECT / "scripts/simulate.py"), *rest], check=False).returncode
+
+
+def test(options: argparse.Namespace, rest: list[str]) -> int:
+    """Run the tests with pytest."""
+    try:
+        import pytest  # noqa: F401
+    except ImportError:
+        raise UserError("pytest is not installed; remove .venv and call ./nishiki test again") from None
+    return subprocess.run([sys.executable, "-m", "pytest", *rest], cwd=PROJECT, check=False).returncode

@@ -1,0 +1,42 @@
+"""What a plan has to know of a scene, read from the capture's small files only."""
+
+from pathlib import Path
+
+from nishiki.capture.folder import load_capture
+from nishiki.errors import UserError
+from nishiki.project import Scene
+from nishiki.provenance import canonical, file_digest
+from nishiki.stages import SceneFacts
+
+
+def scene_facts(scene: Scene) -> SceneFacts:
+    """Facts of a scene. Raises UserError where the capture is missing, not sealed or broken."""
+    try:
+        capture = load_capture(scene.capture)
+    except UserError as error:
+        raise UserError(f"scene {scene.name!r}: {error}") from None
+    return SceneFacts(
+        capture_digest=capture.digest,
+        lights=tuple(capture.sample_lights),
+        check_lights=tuple(capture.check_lights),
+        channels=len(capture.channels),
+        pixels=capture.rows * capture.columns,
+        has_sensitivities=capture.sensitivities is not None,
+        has_illuminant=capture.illuminant is not None,
+        truth_sha256=truth_digest(scene.truth) if scene.truth else "",
+    )
+
+
+def truth_digest(path: Path) -> str:
+    """Digest of a truth: of a file, of a folder's manifest, or of all files of a folder without one."""
+    if path.is_file():
+        return file_digest(path)
+    if not path.is_dir():
+        raise UserError(f"{path}: truth not found; correct the column truth of the scene table, or leave it empty")
+    manifest = path / "manifest-sha256.txt"
+    if manifest.is_file():
+        return file_digest(manifest)
+    import hashlib
+
+    files = {item.relative_to(path).as_posix(): file_digest(item) for item in sorted(path.rglob("*")) if item.is_file()}
+    return hashlib.sha256(canonical(files).encode()).hexdigest()

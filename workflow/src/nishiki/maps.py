@@ -1,0 +1,58 @@
+"""Maps of a plane scene in Zarr: one array a quantity, one chunk a band of rows, written and read by bands.
+
+Chunks carry a checksum (zstd frames with their own, so that a flipped bit cannot pass), and chunks of fill value are
+written like any other: a missing chunk is damage, not data.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import zarr
+from zarr.codecs import ZstdCodec
+
+STORE = "maps.zarr"
+
+
+class MapWriter:
+    """Writes the maps of one artifact."""
+
+    def __init__(self, folder: Path, *, rows: int, columns: int, band_rows: int, stamp: dict[str, str]):
+        self.shape = (rows, columns)
+        self.band_rows = band_rows
+        self.group = zarr.create_group(Path(folder) / STORE, attributes={"stamp": stamp})
+
+    def create(self, name: str, trailing: tuple[int, ...] = (), *, dtype: str = "float32", **attributes) -> zarr.Array:
+        """An array (rows, columns, *trailing); `attributes` say unit and meaning."""
+        rows, columns = self.shape
+        return self.group.create_array(
+            name,
+            shape=(rows, columns, *trailing),
+            chunks=(min(self.band_rows, rows), columns, *trailing),
+            dtype=dtype,
+            compressors=[ZstdCodec(level=1, checksum=True)],
+            attributes=attributes,
+            config={"write_empty_chunks": True},
+        )
+
+    def write(self, name: str, values: np.ndarray, **attributes) -> None:
+        """A whole map at once."""
+        values = np.asarray(values)
+        self.create(name, values.shape[2:], dtype=str(values.dtype), **attributes)[...] = values
+
+
+class Maps:
+    """The maps of one artifact, for reading."""
+
+    def __init__(self, folder: Path):
+        self.group = zarr.open_group(Path(folder) / STORE, mode="r")
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.group
+
+    def read(self, name: str, rows: slice = slice(None)) -> np.ndarray:
+        """A map, or a band of its rows."""
+        return self.group[name][rows]
+
+    def attributes(self, name: str) -> dict:
+        """What was said of a map when it was written."""
+        return dict(self.group[name].attrs)

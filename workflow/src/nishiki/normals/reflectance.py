@@ -1,0 +1,80 @@
+"""Diffuse reflectance of each channel, from the selected lights and the known normals."""
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from nishiki.errors import UserError
+
+COSINE_FLOOR = 0.02
+"""Samples lit at a smaller cosine carry no usable signal and divide by almost nothing: they are left out."""
+
+
+@dataclass(frozen=True)
+class DiffuseReflectance:
+    """reflectance (rows, columns, channels) float32, perfect white = 1; lights_used (rows, columns) uint16.
+
+    Where no selected light reaches a pixel the reflectance is 0 and lights_used is 0.
+    """
+
+    reflectance: np.ndarray
+    lights_used: np.ndarray
+
+
+def diffuse_reflectance(observations, directions, normals, *, usable, method="least_squares"):
+    """Reflectance per channel of a Lambert surface with known normals.
+
+    observations (lights, rows, columns, channels) float32, perfect white facing the lamp = 1; directions (lights, 3);
+    normals (rows, columns, 3); usable (lights, rows, columns) bool.
+
+    method
+        "least_squares": sum(I cos) / sum(cos^2), the maximum-likelihood weight for equal noise in all lights.
+        "mean": mean of I / cos over the selected lights (P eq. 6), which lets grazing lights weigh most.
+
+    Raises UserError on an unknown method or shapes that do not fit. Returns a DiffuseReflectance.
+    """
+    if method not in ("least_squares", "mean"):
+        raise UserError(f"diffuse reflectance: method {method!r} is unknown; known: least_squares, mean")
+    lights, rows, columns, channels = observations.shape
+    if usable.shape != (lights, rows, columns) or normals.shape != (rows, columns, 3) or len(directions) != lights:
+        raise UserError(
+            f"diffuse reflectance: observations {observations.shape} do not fit usable {usable.shape}, "
+            f"normals {normals.shape} and {len(directions)} directions"
+        )
+    pixels = rows * columns
+    reflectance = np.zeros((pixels, channels), dtype=np.float32)
+    used = np.zeros(pixels, dtype=np.uint16)
+    _accumulate(
+        np.ascontiguousarray(observations, dtype=np.float32).reshape(lights, pixels, channels),
+        np.ascontiguousarray(directions, dtype=np.float32),
+        np.ascontiguousarray(normals, dtype=np.float32).reshape(pixels, 3),
+        np.ascontiguousarray(usable).reshape(lights, pixels),
+        method == "mean",
+        reflectance,
+        used,
+    )
+    return DiffuseReflectance(reflectance.reshape(rows, columns, channels), used.reshape(rows, columns))
+
+
+@numba.njit(cache=True, parallel=True, error_model="numpy")
+def _accumulate(observations, directions, normals, usable, mean, reflectance, used):
+    lights, pixels, channels = observations.shape
+    block = 1024
+    for start in numba.prange((pixels + block - 1) // block):
+        first, last = start * block, min((start + 1) * block, pixels)
+        weight = np.zeros(block, dtype=np.float32)
+        for j in range(lights):
+            x, y, z = directions[j]
+            for p in range(first, last):
+                cosine = normals[p, 0] * x + normals[p, 1] * y + normals[p, 2] * z
+                if usable[j, p] and cosine > COSINE_FLOOR:
+                    factor = np.float32(1) / cosine if mean else cosine
+                    weight[p - first] += np.float32(1) if mean else cosine * cosine
+                    used[p] += 1
+                    for k in range(channels):
+                        reflectance[p, k] += factor * observations[j, p, k]
+        for p in range(first, last):
+            if used[p]:
+                for k in range(channels):
+                    reflectance[p, k] /= weight[p - first]
