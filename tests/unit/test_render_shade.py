@@ -1,0 +1,287 @@
+"""Shading against the explicit 61-band path, the limits of the model, and extreme input."""
+
+import dataclasses
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from nishiki.brdf.torrance_sparrow import specular
+from nishiki.errors import UserError
+from nishiki.render import kernel
+from nishiki.render.scene import (
+    COLOUR_MISSING,
+    NORMAL_MISSING,
+    OVERFLOW,
+    TURNED_AWAY,
+    Ambient,
+    Gloss,
+    Light,
+    PlaneScene,
+)
+from nishiki.render.shade import FRONTAL_EYE, pixel_to_plane, shade_xyz
+from nishiki.spectra.colour import cie_1931_cmfs, illuminant, white_xyz
+
+
+def unit(vectors):
+    vectors = np.asarray(vectors, dtype=np.float64)
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def make_scene(rows=9, columns=150, bands=3, seed=0, steepness=0.4, **changes):
+    """Random maps; 150 columns are more than one block of the kernel and no multiple of it."""
+    rng = np.random.default_rng(seed)
+    normals = unit(rng.normal(size=(rows, columns, 3)) * [steepness, steepness, 0] + [0, 0, 1]).astype(np.float32)
+    wavelengths = np.linspace(0, 1, 61)
+    basis = np.array([np.cos(np.pi * k * wavelengths) for k in range(bands)])
+    coefficients = (rng.uniform(0.1, 0.9, (rows, columns, bands)) / (1 + np.arange(bands)) ** 2).astype(np.float32)
+    gloss = Gloss(
+        beta=[[0.8, 0.1], [3.0, 0.0], [0.0, 0.0]],
+        gamma=[[0.15, 0.6], [0.05, 1.0], [0.3, 0.3]],
+        refractive_index=[1.45, 1.6, 1.33],
+    )
+    labels = rng.integers(0, 3, (rows, columns)).astype(np.uint8)
+    scene = PlaneScene(normals, coefficients, basis=basis, labels=labels, gloss=gloss, pitch=0.7)
+    return dataclasses.replace(scene, **changes)
+
+
+def many_lights():
+    return [
+        Light(direction=(1, 1, 1), spectrum=illuminant("D65"), intensity=0.7),
+        Light(position_mm=(-80, 20, 60), spectrum=illuminant("A"), intensity=2.0, falloff=True),
+        Light(direction=(0, -1, 0.05), spectrum=illuminant("D65"), intensity=0.2),
+        Light(position_mm=(10, 0, 100), spectrum=illuminant("FL11")),
+    ]
+
+
+def slow_xyz(scene, lights, *, eye=FRONTAL_EYE, ambient=None, visibility=None):
+    """All 61 bands, in float64, one light at a time, with the array form of Torrance-Sparrow."""
+    rows, columns = scene.shape
+    column, row = np.meshgrid(np.arange(columns), np.arange(rows))
+    x = (column - (columns - 1) / 2) * scene.pitch
+    y = ((rows - 1) / 2 - row) * scene.pitch
+    points = np.stack([x, y, np.zeros_like(x)], axis=-1)
+    normals = scene.normals.astype(np.float64)
+    reflectance = scene.coefficients.astype(np.float64) @ scene.basis
+    if scene.mean is not None:
+        reflectance = reflectance + scene.mean
+    views = unit(np.broadcast_to(eye[:3] - eye[3] * points, points.shape))
+    labels = np.zeros(scene.shape, int) if scene.labels is None else scene.labels
+    radiance = np.zeros((rows, columns, 61))
+    for j, light in enumerate(lights):
+        source = light.homogeneous()
+        to_light = np.broadcast_to(source[:3] - source[3] * points, points.shape)
+        power = light.intensity * light.spectrum / (cie_1931_cmfs()[1] @ light.spectrum)
+        irradiance = np.full(scene.shape, 1.0 if visibility is None else visibility[j])
+        if light.falloff:
+            irradiance *= source[:3] @ source[:3] / np.sum(to_light**2, axis=-1)
+        directions = unit(to_light)
+        gloss = np.zeros(scene.shape)
+        for lobe in range(scene.gloss.beta.shape[1]):
+            gloss += specular(
+                normals,
+                directions,
+                views,
+                beta=scene.gloss.beta[labels, lobe],
+                gamma=scene.gloss.gamma[labels, lobe],
+                refractive_index=scene.gloss.refractive_index[labels],
+            )
+        cosine = np.maximum(np.sum(normals * directions, axis=-1), 0)
+        radiance += (irradiance * cosine)[..., None] * reflectance * power
+        radiance += (irradiance * gloss)[..., None] * power
+    if ambient is not None:
+        power = ambient.level * ambient.spectrum / (cie_1931_cmfs()[1] @ ambient.spectrum)
+        radiance += 0.5 * (1 + normals[..., 2:]) * reflectance * power
+    return radiance @ cie_1931_cmfs().T
+
+
+def assert_close(values, reference, tolerance=1e-6):
+    scale = np.abs(reference).max(axis=-1, keepdims=True)
+    assert np.all(np.abs(values - reference) <= tolerance * scale + 1e-15)
+
+
+@pytest.mark.parametrize("bands", [1, 3, 8])
+@pytest.mark.parametrize("eye", [(0, 0, 1, 0), (40, -30, 90, 1), (300, 0, 20, 1)])
+def test_matrix_form_equals_61_bands(bands, eye):
+    scene = make_scene(bands=bands, mean=np.linspace(0.1, 0.2, 61))
+    ambient = Ambient(illuminant("FL2"), 0.3)
+    visibility = np.random.default_rng(1).uniform(0, 1, (4, *scene.shape)).astype(np.float32)
+    eye = np.array(eye, float)
+    result = shade_xyz(scene, many_lights(), eye=eye, ambient=ambient, visibility=visibility)
+    assert_close(result.values, slow_xyz(scene, many_lights(), eye=eye, ambient=ambient, visibility=visibility))
+    turned = result.flags == TURNED_AWAY
+    assert set(np.unique(result.flags)) <= {0, TURNED_AWAY}
+    if eye[3] == 0:
+        assert not turned.any()
+    if eye[2] == 20:
+        assert turned.any()
+
+
+@given(
+    gamma=st.floats(0.003, 10.0),
+    beta=st.floats(0, 1e6),
+    index=st.floats(1.0, 3.0),
+    elevation=st.floats(1e-4, np.pi / 2),
+    azimuth=st.floats(0, 6.3),
+    steepness=st.sampled_from([0.0, 1e-4, 0.02, 0.5, 20.0]),
+)
+@settings(max_examples=60, deadline=None)
+def test_gloss_equals_61_bands_over_extremes(gamma, beta, index, elevation, azimuth, steepness):
+    scene = make_scene(rows=2, columns=40, steepness=steepness, labels=None, gloss=Gloss([[beta]], [[gamma]], [index]))
+    direction = (np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation))
+    lights = [Light(direction=direction)]
+    result = shade_xyz(scene, lights)
+    reference = slow_xyz(scene, lights)
+    assert np.all(np.isfinite(result.values))
+    # the slow form is exp2(-(phi / gamma)^2) down to 1e-300; the kernel drops lobes below 2^-60 of their peak
+    floor = np.full((*scene.shape, 1), beta * 2.0**-60 * 1e4)
+    assert np.all(np.abs(result.values - reference) <= 1e-6 * np.abs(reference).max(-1, keepdims=True) + floor)
+
+
+def test_exp2_against_the_library():
+    e = np.linspace(0, 60, 4001)
+    ours = np.array([kernel.exp2_negative(x) for x in e])
+    assert np.max(np.abs(ours / np.exp2(-e) - 1)) < 4e-12
+    assert np.max(np.abs(ours / np.exp2(-e) - 1)[e < 40]) < 1e-14 * 4
+    assert kernel.exp2_negative(0.0) == 1.0
+
+
+def test_flat_white_facing_the_lamp_is_the_white_of_the_lamp():
+    normals = np.zeros((4, 5, 3), np.float32) + np.float32([0, 0, 1])
+    scene = PlaneScene(normals, np.ones((4, 5, 1), np.float32), basis=np.ones((1, 61)))
+    for name in ("A", "D65", "FL11"):
+        result = shade_xyz(scene, [Light(direction=(0, 0, 3), spectrum=illuminant(name), intensity=1.0)])
+        np.testing.assert_allclose(result.values[2, 2], white_xyz(illuminant(name)), rtol=1e-6)
+        assert result.values[2, 2, 1] == pytest.approx(1, abs=1e-6)
+    slanted = shade_xyz(scene, [Light(direction=(np.sqrt(3), 0, 1))]).values
+    np.testing.assert_allclose(slanted[..., 1], 0.5, rtol=1e-6)
+    ambient = shade_xyz(scene, [], ambient=Ambient(illuminant("A"), 0.25)).values
+    np.testing.assert_allclose(ambient[..., 1], 0.25, rtol=1e-6)
+
+
+def test_channels_without_a_basis_keep_white_white():
+    normals = np.zeros((2, 2, 3), np.float32) + np.float32([0, 0, 1])
+    scene = PlaneScene(normals, np.ones((2, 2, 3), np.float32))
+    for name in ("A", "D65"):
+        result = shade_xyz(scene, [Light(direction=(0, 0, 1), spectrum=illuminant(name))])
+        np.testing.assert_allclose(result.values[0, 0], white_xyz(illuminant(name)), rtol=2e-3)
+
+
+def test_lights_add_up_and_scale():
+    scene, lights = make_scene(), many_lights()
+    together = shade_xyz(scene, lights).values.astype(np.float64)
+    apart = sum(shade_xyz(scene, [light]).values.astype(np.float64) for light in lights)
+    assert_close(together, apart)
+    for scale in (1e-6, 1e6):
+        scaled = [dataclasses.replace(light, intensity=light.intensity * scale) for light in lights]
+        assert_close(shade_xyz(scene, scaled).values / scale, together)
+
+
+def test_fall_off_is_the_inverse_square():
+    normals = np.zeros((1, 3, 3), np.float32) + np.float32([0, 0, 1])
+    scene = PlaneScene(normals, np.ones((1, 3, 1), np.float32), basis=np.ones((1, 61)), pitch=10.0)
+    light = Light(position_mm=(0, 0, 20), falloff=True)
+    values = shade_xyz(scene, [light]).values[0, :, 1]
+    distance2 = 20**2 + np.array([10, 0, 10]) ** 2
+    np.testing.assert_allclose(values, 20**2 / distance2 * 20 / np.sqrt(distance2), rtol=1e-6)
+
+
+def test_bytes_do_not_depend_on_the_number_of_threads():
+    scene, lights = make_scene(rows=33, columns=301), many_lights()
+    before = numba.get_num_threads()
+    results = []
+    try:
+        for threads in sorted({1, before}):
+            numba.set_num_threads(threads)
+            results.append(shade_xyz(scene, lights, eye=np.array([40.0, -30, 90, 1])))
+    finally:
+        numba.set_num_threads(before)
+    assert all(r.values.tobytes() == results[0].values.tobytes() for r in results)
+    assert all(r.flags.tobytes() == results[0].flags.tobytes() for r in results)
+
+
+def test_pixels_do_not_depend_on_where_a_block_begins():
+    scene = make_scene(rows=2, columns=300)
+    lights = [Light(direction=(1, 1, 1))]
+    whole = shade_xyz(scene, lights).values
+    for start in (1, 127, 128, 129):
+        part = PlaneScene(
+            scene.normals[:, start:].copy(), scene.coefficients[:, start:].copy(), basis=scene.basis,
+            labels=scene.labels[:, start:].copy(), gloss=scene.gloss,
+        )  # fmt: skip
+        np.testing.assert_array_equal(shade_xyz(part, lights).values, whole[:, start:])
+
+
+def test_missing_input_is_flagged_and_zero():
+    scene = make_scene(rows=1, columns=140)
+    scene.normals[0, 0] = 0
+    scene.normals[0, 1] = np.nan
+    scene.normals[0, 2] *= 2
+    scene.coefficients[0, 3, 1] = np.inf
+    scene.coefficients[0, 130, 0] = np.nan
+    scene.coefficients[0, 4] = 0
+    result = shade_xyz(scene, many_lights())
+    assert np.all(result.flags[0, :3] == NORMAL_MISSING)
+    assert np.all(result.flags[0, [3, 130]] == COLOUR_MISSING)
+    assert np.all(result.values[0, [0, 1, 2, 3, 130]] == 0)
+    assert np.count_nonzero(result.flags) == 5
+    assert np.all(np.isfinite(result.values))
+    intact = make_scene(rows=1, columns=140)
+    intact.coefficients[0, 4] = 0  # zero albedo: gloss alone, not flagged
+    clean = np.flatnonzero(result.flags[0] == 0)
+    assert_close(result.values[:, clean], slow_xyz(intact, many_lights())[:, clean])
+
+
+def test_overflow_is_flagged():
+    scene = make_scene(rows=1, columns=5)
+    result = shade_xyz(scene, [Light(direction=(0, 0, 1), intensity=1e39), Light(direction=(0, 0, 1), intensity=1e300)])
+    assert np.all(result.flags == OVERFLOW)
+    assert np.all(result.values == 0)
+
+
+def test_grazing_light_and_view_stay_finite():
+    scene = make_scene(rows=3, columns=200, steepness=30.0)
+    for z in (1e-3, 1e-6, 1e-12, 1e-200):
+        lights = [Light(direction=(1, 0, z)), Light(position_mm=(1000, 3, z))]
+        for eye in ((-1000.0, 0, z, 1), (0.0, 1000.0, z, 1)):
+            result = shade_xyz(scene, lights, eye=np.array(eye))
+            assert np.all(np.isfinite(result.values))
+            assert np.all((result.flags == 0) | (result.flags == TURNED_AWAY))
+            assert_close(result.values, slow_xyz(scene, lights, eye=np.array(eye)), 3e-6)
+
+
+def test_pixel_to_plane_puts_the_first_row_at_the_top():
+    plane = pixel_to_plane(make_scene(rows=3, columns=5))
+    np.testing.assert_allclose(plane @ [0, 0, 1], [-1.4, 0.7, 1], atol=1e-12)
+    np.testing.assert_allclose(plane @ [2, 1, 1], [0, 0, 1], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Light(direction=(0, 0, -1)), "in front of the painting"),
+        (lambda: Light(direction=(0, 0, 1), position_mm=(0, 0, 1)), "either a direction or a position"),
+        (lambda: Light(direction=(0, np.nan, 1)), "finite"),
+        (lambda: Light(direction=(0, 0, 1), spectrum=np.ones(31)), "61 bands"),
+        (lambda: Light(direction=(0, 0, 1), spectrum=np.zeros(61)), "not all 0"),
+        (lambda: Light(direction=(0, 0, 1), intensity=-1), "intensity"),
+        (lambda: Light(direction=(0, 0, 1), falloff=True), "position_mm"),
+        (lambda: Light(direction=(0, 0, 1), angular_radius=1.0), "angular radius"),
+        (lambda: Ambient(level=np.nan), "level of the ambient"),
+        (lambda: Gloss([[1.0]], [[0.0]], [1.4]), "gamma"),
+        (lambda: Gloss([[-1.0]], [[0.1]], [1.4]), "beta"),
+        (lambda: Gloss([[1.0]], [[0.1]], [0.9]), "refractive index"),
+        (lambda: make_scene(labels=np.full((9, 150), 7, np.uint8)), "gloss of every region"),
+        (lambda: make_scene(basis=np.ones((2, 61))), "basis"),
+        (lambda: make_scene(height=np.zeros((3, 3))), "height"),
+        (lambda: make_scene(pitch=0.0), "pitch"),
+        (lambda: make_scene(bands=2, basis=None), "channels_to_xyz"),
+        (lambda: shade_xyz(make_scene(), []), "at least one light"),
+        (lambda: shade_xyz(make_scene(), many_lights(), visibility=np.ones((1, 2, 3), np.float32)), "visibility"),
+    ],
+)
+def test_mistakes_are_named(make, words):
+    with pytest.raises(UserError, match=words):
+        make()

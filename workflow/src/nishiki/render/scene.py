@@ -1,0 +1,236 @@
+"""What a picture of a plane scene is made from: the maps of the object, its gloss, lamps, ambient light and the view.
+
+The painting is the rectangle z = 0 with its centre at the origin, x to the right, y up, z towards the viewer, lengths
+in the unit of `pitch` (mm in captures that state a scale).  Row 0 of every map is the top.  Values are relative to the
+white reference: a perfect white diffuser that faces a lamp of intensity 1 has Y = 1.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from nishiki.errors import UserError
+
+BANDS = 61  # 400 .. 700 nm every 5 nm
+
+# Bits of the flags of a rendered pixel.
+NORMAL_MISSING = 1  # the normal is zero, not finite or not of unit length: the pixel is 0
+COLOUR_MISSING = 2  # a colour coefficient is not finite: the pixel is 0
+TURNED_AWAY = 4  # n . v <= 0: the facet cannot be seen from here; its diffuse light is shown, its gloss is not
+BACKGROUND = 8  # the ray misses the painting
+OVERFLOW = 16  # the value is outside the range of float32: the pixel is 0
+
+
+def _finite_vector(name, value, length) -> np.ndarray:
+    vector = np.asarray(value, dtype=np.float64)
+    if vector.shape != (length,) or not np.all(np.isfinite(vector)):
+        raise UserError(f"{name}: expected {length} finite numbers, found {value!r}; correct the light or view list")
+    return vector
+
+
+def _spectrum(name, value) -> np.ndarray:
+    spectrum = np.asarray(value, dtype=np.float64)
+    if spectrum.shape != (BANDS,):
+        raise UserError(
+            f"{name}: expected {BANDS} bands (400 to 700 nm every 5 nm), found shape {spectrum.shape}; resample it"
+        )
+    if not np.all(np.isfinite(spectrum)) or spectrum.min() < 0 or spectrum.max() <= 0:
+        raise UserError(f"{name}: expected finite values >= 0, not all 0; found {spectrum.min()} .. {spectrum.max()}")
+    return spectrum
+
+
+def _level(name, value) -> None:
+    if not (np.isfinite(value) and value >= 0):
+        raise UserError(f"{name}: expected a finite value >= 0, found {value!r}; 1 is the level of the white reference")
+
+
+@dataclass(frozen=True)
+class Light:
+    """One lamp: a direction (lamp at infinity) or a position, its spectrum, and its strength.
+
+    direction: (3,) towards the lamp, of any length; position_mm: (3,) from the centre of the painting, in the unit of
+    the pitch.  Exactly one of them is given, with z > 0.  spectrum: (61,) relative power, 400 .. 700 nm every 5 nm;
+    only its shape matters.  intensity: Y of a perfect white that faces the lamp at the centre of the painting.
+    falloff: with a position, irradiance decreases with the square of the distance (1 at the centre).
+    angular_radius: radius of the lamp as seen from the centre, radians; it softens the edges of cast shadows only.
+    """
+
+    direction: tuple | None = None
+    position_mm: tuple | None = None
+    spectrum: np.ndarray = field(default_factory=lambda: np.ones(BANDS))
+    intensity: float = 1.0
+    falloff: bool = False
+    angular_radius: float = 0.0
+
+    def __post_init__(self):
+        if (self.direction is None) == (self.position_mm is None):
+            raise UserError("light: expected either a direction or a position_mm, found both or none; give one of them")
+        vector = _finite_vector("light", self.direction if self.position_mm is None else self.position_mm, 3)
+        if not vector[2] > 0:
+            raise UserError(
+                f"light: expected z > 0 (in front of the painting), found {vector.tolist()}; check its sign"
+            )
+        if self.falloff and self.position_mm is None:
+            raise UserError("light: fall-off needs a position_mm, found a direction; give the position or drop falloff")
+        if not 0 <= self.angular_radius < np.pi / 4:
+            raise UserError(
+                f"light: expected an angular radius below 45 degrees, found {np.degrees(self.angular_radius):g} degrees"
+            )
+        object.__setattr__(self, "spectrum", _spectrum("spectrum of a light", self.spectrum))
+        _level("intensity of a light", self.intensity)
+
+    def homogeneous(self) -> np.ndarray:
+        """(4,): unit direction and 0, or position and 1, so that the vector to the lamp from p is xyz - w p."""
+        if self.position_mm is not None:
+            return np.append(np.asarray(self.position_mm, dtype=np.float64), 1.0)
+        direction = np.asarray(self.direction, dtype=np.float64)
+        return np.append(direction / np.linalg.norm(direction), 0.0)
+
+    def central_direction(self) -> np.ndarray:
+        """(3,): unit vector from the centre of the painting to the lamp."""
+        vector = self.homogeneous()[:3]
+        return vector / np.linalg.norm(vector)
+
+
+@dataclass(frozen=True)
+class Ambient:
+    """Light from everywhere in front of the painting: a uniform half space that gives a flat perfect white Y = level.
+
+    It reaches the diffuse colour only, with the share (1 + n_z) / 2 of that half space which a tilted facet sees.
+    """
+
+    spectrum: np.ndarray = field(default_factory=lambda: np.ones(BANDS))
+    level: float = 0.0
+
+    def __post_init__(self):
+        object.__setattr__(self, "spectrum", _spectrum("spectrum of the ambient light", self.spectrum))
+        _level("level of the ambient light", self.level)
+
+
+@dataclass(frozen=True)
+class View:
+    """Who looks: without an eye the frontal orthographic view, with one a pinhole camera.
+
+    eye_mm, target_mm: (3,) in the unit of the pitch from the centre of the painting, eye with z > 0; up: (3,), not
+    parallel to the line of sight; field_of_view: of the image's height, radians; rows, columns: of the image (for the
+    frontal view the default is the size of the maps).
+    """
+
+    eye_mm: tuple | None = None
+    target_mm: tuple = (0.0, 0.0, 0.0)
+    up: tuple = (0.0, 1.0, 0.0)
+    field_of_view: float = np.radians(30.0)
+    rows: int | None = None
+    columns: int | None = None
+
+    def __post_init__(self):
+        if (self.rows is None) != (self.columns is None) or (
+            self.rows is not None and min(self.rows, self.columns) < 1
+        ):
+            raise UserError(f"view: expected rows and columns >= 1, found {self.rows} and {self.columns}; give both")
+        if self.eye_mm is None:
+            return
+        eye, target = _finite_vector("eye", self.eye_mm, 3), _finite_vector("target", self.target_mm, 3)
+        up = _finite_vector("up", self.up, 3)
+        if not eye[2] > 0:
+            raise UserError(f"view: expected an eye in front of the painting (z > 0), found {eye.tolist()}")
+        if not 0 < self.field_of_view < np.pi:
+            raise UserError(
+                f"view: expected a field of view between 0 and 180 degrees, found {np.degrees(self.field_of_view):g}"
+            )
+        scale = np.linalg.norm(target - eye) * np.linalg.norm(up)
+        if not np.linalg.norm(np.cross(target - eye, up)) > 1e-9 * scale:
+            raise UserError("view: expected an up vector across the line of sight, found one along it; tilt it")
+        if self.rows is None:
+            raise UserError("view: a pinhole view needs rows and columns; give the size of the image")
+
+
+@dataclass(frozen=True)
+class Gloss:
+    """Torrance-Sparrow parameters, one row a region; a scene without regions has one row.
+
+    beta, gamma: (regions, lobes), strength relative to the white reference and half width at half maximum in radians;
+    refractive_index: (regions,) >= 1.
+    """
+
+    beta: np.ndarray
+    gamma: np.ndarray
+    refractive_index: np.ndarray
+
+    def __post_init__(self):
+        beta, gamma = (np.asarray(a, dtype=np.float64) for a in (self.beta, self.gamma))
+        index = np.atleast_1d(np.asarray(self.refractive_index, dtype=np.float64))
+        beta, gamma = (a.reshape(index.size, -1) if a.ndim < 2 else a for a in (beta, gamma))
+        if beta.shape != gamma.shape or beta.shape[0] != index.size or beta.shape[1] < 1:
+            raise UserError(
+                f"gloss: expected beta and gamma of (regions, lobes) and one refractive index a region, "
+                f"found {beta.shape}, {gamma.shape} and {index.shape}"
+            )
+        if not (np.all(np.isfinite(beta)) and beta.min() >= 0):
+            raise UserError(f"gloss: expected finite beta >= 0, found {beta.tolist()}; refit or set it to 0")
+        if not (gamma.min() >= 1e-6):
+            raise UserError(
+                f"gloss: expected gamma >= 1e-6 rad, found {gamma.tolist()}; float32 normals resolve no less"
+            )
+        if not (np.all(np.isfinite(index)) and index.min() >= 1):
+            raise UserError(f"gloss: expected a refractive index >= 1, found {index.tolist()}")
+        for name, value in (("beta", beta), ("gamma", gamma), ("refractive_index", index)):
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def none(cls) -> "Gloss":
+        """A matte surface: no specular term is computed."""
+        return cls(beta=[[0.0]], gamma=[[1.0]], refractive_index=[1.0])
+
+
+@dataclass(frozen=True)
+class PlaneScene:
+    """The maps of a flat object.
+
+    normals: (rows, columns, 3) float32, unit length, (0, 0, 0) where unknown.
+    coefficients: (rows, columns, K) float32, diffuse reflectance.  With `basis` (K, 61), S = coefficients . basis (+
+    `mean` (61,)).  Without a basis they are the albedo in K channels and `channels_to_xyz` (3, K) carries them to XYZ
+    (white point D65); for K = 3 it defaults to that of linear sRGB, which is a guess about the camera.
+    height: (rows, columns) float32 in the unit of `pitch`, or None: no cast shadows.
+    labels: (rows, columns) uint8 row of `gloss` for each pixel, or None: row 0 everywhere.
+    pitch: distance between neighbouring pixels.
+    """
+
+    normals: np.ndarray
+    coefficients: np.ndarray
+    basis: np.ndarray | None = None
+    mean: np.ndarray | None = None
+    channels_to_xyz: np.ndarray | None = None
+    height: np.ndarray | None = None
+    labels: np.ndarray | None = None
+    gloss: Gloss = field(default_factory=Gloss.none)
+    pitch: float = 1.0
+
+    def __post_init__(self):
+        if self.normals.ndim != 3 or self.normals.shape[2] != 3 or 0 in self.normals.shape:
+            raise UserError(f"normals: expected (rows, columns, 3), found {self.normals.shape}")
+        if self.coefficients.ndim != 3 or self.coefficients.shape[:2] != self.shape or self.coefficients.shape[2] < 1:
+            raise UserError(f"coefficients: expected {(*self.shape, 'K')}, found {self.coefficients.shape}")
+        for name in ("height", "labels"):
+            value = getattr(self, name)
+            if value is not None and value.shape != self.shape:
+                raise UserError(f"{name}: expected the shape of the normals {self.shape}, found {value.shape}")
+        if self.labels is not None and self.labels.dtype != np.uint8:
+            raise UserError(f"labels: expected uint8, found {self.labels.dtype}; a scene has at most 256 regions")
+        if self.labels is not None and self.labels.max() >= len(self.gloss.refractive_index):
+            raise UserError(
+                f"labels: expected values below {len(self.gloss.refractive_index)} (rows of the gloss table), "
+                f"found {self.labels.max()}; fit the gloss of every region"
+            )
+        if not (np.isfinite(self.pitch) and self.pitch > 0):
+            raise UserError(f"pitch: expected a length above 0, found {self.pitch!r}")
+        bands = self.coefficients.shape[2]
+        if self.basis is not None and self.basis.shape != (bands, BANDS):
+            raise UserError(f"basis: expected {(bands, BANDS)} for {bands} coefficients, found {self.basis.shape}")
+        if self.basis is None and self.channels_to_xyz is None and bands != 3:
+            raise UserError(f"channels_to_xyz: {bands} channels without a spectral basis need a (3, {bands}) matrix")
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns) of the maps."""
+        return self.normals.shape[:2]
