@@ -3,13 +3,13 @@ rule brdf:
         upstream("brdf"),
     output:
         artifact("brdf"),
-    params:
-        **params_of("brdf"),
+    conda:
+        "../../envs/painting.yaml"
     threads: 2
     resources:
         mem_mb=memory_of("brdf"),
         runtime=minutes_of("brdf"),
-    conda:
-        "../../envs/painting.yaml"
+    params:
+        **params_of("brdf"),
     shell:
         RUN_STAGE

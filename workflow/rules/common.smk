@@ -43,7 +43,9 @@ def upstream(stage):
 def params_of(stage):
     """Parameters whose change reruns a stage: its code, its libraries, its settings."""
     return {
-        "settings": lambda wildcards: canonical(FLOW.stage(wildcards.scene, stage, wildcards.key).settings),
+        "settings": lambda wildcards: canonical(
+            FLOW.stage(wildcards.scene, stage, wildcards.key).settings
+        ),
         "source": lambda wildcards: FLOW.source(wildcards.scene, stage),
         "code": FLOW.code(stage),
         "libraries": FLOW.libraries(stage),

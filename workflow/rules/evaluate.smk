@@ -3,13 +3,13 @@ rule evaluate:
         upstream("evaluate"),
     output:
         artifact("evaluate"),
-    params:
-        **params_of("evaluate"),
+    conda:
+        "../../envs/painting.yaml"
     threads: 2
     resources:
         mem_mb=memory_of("evaluate"),
         runtime=minutes_of("evaluate"),
-    conda:
-        "../../envs/painting.yaml"
+    params:
+        **params_of("evaluate"),
     shell:
         RUN_STAGE

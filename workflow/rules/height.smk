@@ -3,13 +3,13 @@ rule height:
         upstream("height"),
     output:
         artifact("height"),
-    params:
-        **params_of("height"),
+    conda:
+        "../../envs/painting.yaml"
     threads: 1
     resources:
         mem_mb=memory_of("height"),
         runtime=minutes_of("height"),
-    conda:
-        "../../envs/painting.yaml"
+    params:
+        **params_of("height"),
     shell:
         RUN_STAGE

@@ -3,13 +3,13 @@ rule ingest:
         upstream("ingest"),
     output:
         artifact("ingest"),
-    params:
-        **params_of("ingest"),
+    conda:
+        "../../envs/painting.yaml"
     threads: 2
     resources:
         mem_mb=memory_of("ingest"),
         runtime=minutes_of("ingest"),
-    conda:
-        "../../envs/painting.yaml"
+    params:
+        **params_of("ingest"),
     shell:
         RUN_STAGE

@@ -3,13 +3,13 @@ rule normals:
         upstream("normals"),
     output:
         artifact("normals"),
-    params:
-        **params_of("normals"),
+    conda:
+        "../../envs/painting.yaml"
     threads: 2
     resources:
         mem_mb=memory_of("normals"),
         runtime=minutes_of("normals"),
-    conda:
-        "../../envs/painting.yaml"
+    params:
+        **params_of("normals"),
     shell:
         RUN_STAGE

@@ -8,11 +8,11 @@ rule publish:
         lambda wildcards: FLOW.artifacts(wildcards.scene),
     output:
         update(f"{RESULTS}/{{scene}}/current/index.json"),
+    conda:
+        "../../envs/painting.yaml"
     params:
         stages=lambda wildcards: FLOW.stages_text(wildcards.scene),
         code=FLOW.code("publish"),
-    conda:
-        "../../envs/painting.yaml"
     shell:
         "python "
         + os.path.join(PROJECT_FOLDER, "scripts")

@@ -3,13 +3,13 @@ rule render:
         upstream("render"),
     output:
         artifact("render"),
-    params:
-        **params_of("render"),
+    conda:
+        "../../envs/painting.yaml"
     threads: 2
     resources:
         mem_mb=memory_of("render"),
         runtime=minutes_of("render"),
-    conda:
-        "../../envs/painting.yaml"
+    params:
+        **params_of("render"),
     shell:
         RUN_STAGE

@@ -3,13 +3,13 @@ rule report:
         upstream("report"),
     output:
         artifact("report"),
-    params:
-        **params_of("report"),
+    conda:
+        "../../envs/painting.yaml"
     threads: 1
     resources:
         mem_mb=memory_of("report"),
         runtime=minutes_of("report"),
-    conda:
-        "../../envs/painting.yaml"
+    params:
+        **params_of("report"),
     shell:
         RUN_STAGE

@@ -3,13 +3,13 @@ rule separate:
         upstream("separate"),
     output:
         artifact("separate"),
-    params:
-        **params_of("separate"),
+    conda:
+        "../../envs/painting.yaml"
     threads: 2
     resources:
         mem_mb=memory_of("separate"),
         runtime=minutes_of("separate"),
-    conda:
-        "../../envs/painting.yaml"
+    params:
+        **params_of("separate"),
     shell:
         RUN_STAGE

@@ -3,13 +3,13 @@ rule spectra:
         upstream("spectra"),
     output:
         artifact("spectra"),
-    params:
-        **params_of("spectra"),
+    conda:
+        "../../envs/painting.yaml"
     threads: 1
     resources:
         mem_mb=memory_of("spectra"),
         runtime=minutes_of("spectra"),
-    conda:
-        "../../envs/painting.yaml"
+    params:
+        **params_of("spectra"),
     shell:
         RUN_STAGE
