@@ -1,0 +1,239 @@
+"""A capture folder as one frozen value: what was photographed, how, under which lamps."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from nishiki.capture.frames import Frame, inside, read_frames
+from nishiki.capture.lights import Lights, direction_problems, read_lights
+from nishiki.capture.problems import CaptureError, Problem, error, raise_errors, warning
+from nishiki.capture.schema import NAMED_ILLUMINANTS, CaptureFile, read_capture_file
+from nishiki.capture.spectra_tables import Curves, read_curves
+
+T = TypeVar("T")
+GEOMETRIES = ("plane",)  # those that can be processed so far
+
+
+@dataclass(frozen=True)
+class Capture:
+    """root: the folder; payload: where capture.yaml lies (root, or root/data of a sealed one).
+
+    frames: every photograph, in the order of frames.csv; lights: all lamps of the lights file; intensities
+    (lights, channels) float64 or None; sensitivities: curves in the order of camera.channels, or None; illuminant:
+    curves, the name of a CIE illuminant, or None; warnings: what was tolerated.
+    """
+
+    root: Path
+    payload: Path
+    settings: CaptureFile
+    frames: tuple[Frame, ...]
+    lights: Lights
+    intensities: np.ndarray | None
+    sensitivities: Curves | None
+    illuminant: Curves | str | None
+    mask: Path | None
+    regions: Path | None
+    warnings: tuple[Problem, ...]
+
+    @property
+    def sealed(self) -> bool:
+        return (self.root / "bagit.txt").is_file()
+
+    @property
+    def observed(self) -> tuple[Frame, ...]:
+        """Frames of the object (sample and check), in the order of the table: one a light."""
+        return tuple(f for f in self.frames if f.role in ("sample", "check"))
+
+    @property
+    def directions(self) -> np.ndarray:
+        """(observed, 3) float64: unit direction of each observed frame's lamp."""
+        return self.lights.directions[[self.lights.index(f.light) for f in self.observed]]
+
+    def frames_of(self, role: str) -> tuple[Frame, ...]:
+        return tuple(f for f in self.frames if f.role == role)
+
+    def white_of(self, light: str) -> Frame | None:
+        """The white board's frame under this light."""
+        place = self.lights.index(light)
+        return next((f for f in self.frames_of("white") if self.lights.index(f.light) == place), None)
+
+
+def payload_of(root: Path) -> Path:
+    """The folder that holds capture.yaml: root, or root/data.
+
+    Raises CaptureError: folder-missing, folder-empty, capture-missing, seal-interrupted.
+    """
+    if not root.is_dir():
+        half = root.with_name(root.name + ".sealing")
+        if (half / "data").is_dir():
+            remedy = "Run seal again on the same name: it finishes what was begun; nothing is lost"
+            what = "sealing was interrupted"
+            raise CaptureError(error("seal-interrupted", str(root), what, found=half.name, remedy=remedy))
+        raise CaptureError(error("folder-missing", str(root), "no such capture folder"))
+    for payload in (root / "data", root):
+        if (payload / "capture.yaml").is_file():
+            return payload
+    if not any(root.iterdir()):
+        raise CaptureError(error("folder-empty", str(root), "capture folder is empty"))
+    remedy = "Make one from photographs and lights with the convert command, or write capture.yaml by hand"
+    raise CaptureError(error("capture-missing", str(root), "folder holds no capture.yaml", remedy=remedy))
+
+
+def load_capture(root: Path | str) -> Capture:
+    """Read and check a capture folder without opening its photographs.
+
+    Raises CaptureError (a UserError) that holds every error found, not only the first.
+    """
+    capture, problems = examine(Path(root))
+    raise_errors(problems)
+    return capture
+
+
+def examine(root: Path) -> tuple[Capture | None, list[Problem]]:
+    """The capture (None where its tables cannot be read) and everything found wrong in its tables."""
+    problems: list[Problem] = []
+
+    def attempt(read: Callable[[], T]) -> T | None:
+        try:
+            return read()
+        except CaptureError as e:
+            problems.extend(e.problems)
+            return None
+
+    payload = attempt(lambda: payload_of(root))
+    if payload is None:
+        return None, problems
+    settings = attempt(lambda: read_capture_file(payload / "capture.yaml"))
+    frames = attempt(lambda: read_frames(payload / "frames.csv"))
+    if settings is None:
+        return None, problems
+    if settings.geometry not in GEOMETRIES:
+        remedy = f"Only {', '.join(GEOMETRIES)} captures can be processed so far"
+        what = f"geometry '{settings.geometry}' is not supported yet"
+        problems.append(error("geometry-unsupported", "capture.yaml", what, remedy=remedy))
+
+    def named(file: str | None, key: str) -> Path | None:
+        return attempt(lambda: inside(payload, file, f"capture.yaml {key}")) if file else None
+
+    lights_path = named(settings.lights.file, "lights.file")
+    lights = attempt(lambda: read_lights(lights_path, kind=settings.lights.kind)) if lights_path else None
+    curves = named(settings.camera.sensitivities, "camera.sensitivities")
+    names = settings.camera.channels
+    label = settings.camera.sensitivities
+    sensitivities = attempt(lambda: read_curves(curves, names=names, label=label)) if curves else None
+    illuminant = _illuminant(settings, named, attempt)
+    mask, regions = named(settings.mask, "mask"), named(settings.regions, "regions")
+    scales = named(settings.lights.intensities, "lights.intensities")
+    if lights is None or frames is None:
+        return None, problems
+    intensities = attempt(lambda: read_intensities(scales, lights, names)) if scales else None
+    problems += match_frames(frames, lights, settings)
+    found = tuple(p for p in (*problems, *lights.warnings) if p.severity == "warning")
+    capture = Capture(
+        root, payload, settings, frames, lights, intensities, sensitivities, illuminant, mask, regions, found
+    )
+    return capture, problems + list(lights.warnings)
+
+
+def _illuminant(settings: CaptureFile, named: Callable, attempt: Callable) -> Curves | str | None:
+    """The name of a CIE illuminant, or a curve from the file."""
+    value = settings.illuminant
+    if value is None or value in NAMED_ILLUMINANTS:
+        return value
+    if "." not in value and "/" not in value:
+
+        def refuse():
+            expected = f"a CSV file or one of {', '.join(NAMED_ILLUMINANTS)}"
+            raise CaptureError(
+                error("illuminant-unknown", "capture.yaml illuminant", "unknown", expected=expected, found=value)
+            )
+
+        return attempt(refuse)
+    path = named(value, "illuminant")
+    return attempt(lambda: read_curves(path, label=value)) if path else None
+
+
+def read_intensities(path: Path, lights: Lights, channels: tuple[str, ...]) -> np.ndarray:
+    """Radiometric scale of each light (lights, channels) float64 > 0 from a table with columns light and the channels.
+
+    Raises CaptureError (kinds intensities-unreadable, intensities-invalid, intensities-light).
+    """
+    text = path.read_text(encoding="utf-8-sig", errors="replace")
+    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    rows = csv.DictReader(lines, skipinitialspace=True)
+    if sorted(rows.fieldnames or []) != sorted(("light", *channels)):
+        found = ",".join(rows.fieldnames or [])
+        expected = f"light,{','.join(channels)}"
+        raise CaptureError(error("intensities-unreadable", path.name, "columns", expected=expected, found=found))
+    table = np.full((len(lights.names), len(channels)), np.nan)
+    problems = []
+    for number, row in enumerate(rows, start=2):
+        place = lights.index(row["light"] or "")
+        where = f"{path.name} row {number}"
+        if place is None:
+            problems.append(error("intensities-light", where, f"no light '{row['light']}'"))
+            continue
+        try:
+            table[place] = [float(row[c]) for c in channels]
+        except (TypeError, ValueError):
+            table[place] = -1
+        if not all(0 < v < math.inf for v in table[place]):
+            problems.append(error("intensities-invalid", where, "intensity", expected="numbers above 0"))
+    missing = [lights.names[i] for i in np.flatnonzero(np.isnan(table).any(axis=1))]
+    if missing and not problems:
+        problems.append(error("intensities-light", path.name, f"no intensity for light {', '.join(missing[:5])}"))
+    raise_errors(problems)
+    return table
+
+
+def match_frames(frames: tuple[Frame, ...], lights: Lights, settings: CaptureFile) -> list[Problem]:
+    """Whether frames and lights belong together, and whether the sample's lights determine normals."""
+    problems = []
+    for frame in frames:
+        if frame.light and lights.index(frame.light) is None:
+            where = f"frames.csv row {frame.row}"
+            remedy = "Add it to the lights, or correct the name"
+            problems.append(
+                error("frame-without-light", where, f"light '{frame.light}' is not in the lights", remedy=remedy)
+            )
+    observed = [f for f in frames if f.role in ("sample", "check")]
+    whites = [f for f in frames if f.role == "white"]
+    seen, boards = (Counter(lights.index(f.light) for f in group) for group in (observed, whites))
+    for place, name in enumerate(lights.names):
+        if seen[place] == 0:
+            remedy = "Add its row to frames.csv, or remove the light"
+            what = f"light '{name}' has no photograph"
+            problems.append(error("light-without-frame", settings.lights.file, what, remedy=remedy))
+        for count, what in ((seen[place], "sample or check"), (boards[place], "white")):
+            if count > 1:
+                found = f"{count} {what} frames under light '{name}'"
+                problems.append(error("light-repeated", "frames.csv", "one frame a light", found=found))
+        if whites and seen[place] and boards[place] == 0:
+            remedy = "Photograph the board under every light, or list no white frames at all"
+            what = f"light '{name}' has no white frame"
+            problems.append(error("white-missing", "frames.csv", what, remedy=remedy))
+    problems += _exposure_problems(frames)
+    if whites and settings.lights.intensities:
+        what = "white frames are used; lights.intensities is not"
+        problems.append(warning("intensities-unused", "capture.yaml", what))
+    samples = [lights.index(f.light) for f in frames if f.role == "sample" and lights.index(f.light) is not None]
+    return problems + direction_problems(lights.directions[samples], settings.lights.file)
+
+
+def _exposure_problems(frames: tuple[Frame, ...]) -> list[Problem]:
+    """An exposure time for some lit frames but not for all cannot be used."""
+    lit = [f for f in frames if f.role in ("sample", "check", "white")]
+    without = [f for f in lit if f.exposure_s is None]
+    if without and len(without) < len(lit):
+        found = f"{len(without)} of {len(lit)} rows without, the first in row {without[0].row}"
+        remedy = "Give exposure_s for every sample, check and white frame, or for none"
+        return [error("exposure-partial", "frames.csv", "exposure_s", found=found, remedy=remedy)]
+    return []

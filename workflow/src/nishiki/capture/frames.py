@@ -1,0 +1,125 @@
+"""frames.csv: which photograph is what."""
+
+from __future__ import annotations
+
+import csv
+import difflib
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from nishiki.capture.problems import CaptureError, Problem, error, raise_errors
+
+ROLES = ("sample", "check", "white", "dark", "flat")
+LIT_ROLES = ("sample", "check", "white")
+COLUMNS = ("file", "role", "light", "exposure_s", "view")
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One photograph. file: as written, relative to the payload; light: its lamp's name ('' for dark and flat)."""
+
+    file: str
+    path: Path
+    role: str
+    light: str = ""
+    exposure_s: float | None = None
+    view: str = ""
+    row: int = 0
+
+
+def read_frames(table: Path) -> tuple[Frame, ...]:
+    """Parse frames.csv; CaptureError lists all mistakes.
+
+    Kinds: frames-missing, frames-unreadable, unknown-column, role-unknown, light-empty, exposure-invalid,
+    frame-duplicate, outside-folder, image-missing, frames-none.
+    """
+    try:
+        text = table.read_text(encoding="utf-8-sig")
+    except FileNotFoundError as e:
+        raise CaptureError(error("frames-missing", table.name, "file is missing")) from e
+    except UnicodeDecodeError as e:
+        raise CaptureError(error("frames-unreadable", table.name, "not UTF-8 text", found=str(e))) from e
+    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    reader = csv.DictReader(lines, skipinitialspace=True)
+    columns = [(c or "").strip() for c in reader.fieldnames or []]
+    _check_columns(columns, table.name)
+    reader.fieldnames = columns
+    problems: list[Problem] = []
+    frames: list[Frame] = []
+    seen: dict[str, int] = {}
+    for number, row in enumerate(reader, start=2):
+        where = f"{table.name} row {number}"
+        if None in row or None in row.values():
+            expected = f"{len(columns)} values"
+            problems.append(error("frames-unreadable", where, "wrong number of values", expected=expected))
+            continue
+        frame = _frame({k: v.strip() for k, v in row.items()}, table.parent, number, where, problems)
+        if frame.file in seen:
+            what = f"'{frame.file}' is listed twice (also row {seen[frame.file]})"
+            problems.append(error("frame-duplicate", where, what, remedy="Keep one row a photograph"))
+        seen.setdefault(frame.file, number)
+        frames.append(frame)
+    if not frames and not problems:
+        problems.append(error("frames-none", table.name, "no photographs listed"))
+    raise_errors(problems)
+    return tuple(frames)
+
+
+def _check_columns(columns: list[str], file: str) -> None:
+    problems = []
+    for name in [c for c in columns if c not in COLUMNS]:
+        near = difflib.get_close_matches(name, COLUMNS, n=1, cutoff=0.5)
+        remedy = f"Did you mean '{near[0]}'?" if near else f"Known columns: {', '.join(COLUMNS)}"
+        problems.append(error("unknown-column", file, f"unknown column '{name}'", remedy=remedy))
+    for name in ("file", "role"):
+        if name not in columns:
+            found = ",".join(columns)[:80]
+            problems.append(error("frames-unreadable", file, f"column '{name}' is missing", found=found))
+    if len(set(columns)) != len(columns):
+        problems.append(error("frames-unreadable", file, "a column appears twice", found=",".join(columns)))
+    raise_errors(problems)
+
+
+def _frame(row: dict[str, str], payload: Path, number: int, where: str, problems: list[Problem]) -> Frame:
+    role, light, exposure = row["role"], row.get("light", ""), row.get("exposure_s", "")
+    if role not in ROLES:
+        problems.append(error("role-unknown", where, "role", expected=" | ".join(ROLES), found=repr(role)))
+    if role in LIT_ROLES and not light:
+        problems.append(
+            error("light-empty", where, f"a {role} frame needs its light", remedy="Name it as in the lights")
+        )
+    seconds = None
+    if exposure:
+        try:
+            seconds = float(exposure)
+        except ValueError:
+            seconds = math.nan
+        if not 0 < seconds < math.inf:
+            what, expected = "exposure_s", "seconds above 0"
+            problems.append(error("exposure-invalid", where, what, expected=expected, found=exposure))
+            seconds = None
+    path = payload
+    try:
+        path = inside(payload, row["file"], where)
+    except CaptureError as e:
+        problems.extend(e.problems)
+    return Frame(row["file"], path, role, light, seconds, row.get("view", ""), number)
+
+
+def inside(payload: Path, file: str, where: str) -> Path:
+    """Path of a file that the capture names; CaptureError if it is missing or lies outside the capture.
+
+    Absolute names, '..' and links that lead out are refused: a capture must be whole when it is moved or archived.
+    """
+    parts = Path(file).parts
+    remedy = "Put the file into the capture folder and name it relative to capture.yaml, with forward slashes"
+    if not file or Path(file).is_absolute() or ".." in parts or "\\" in file or file[1:2] == ":":
+        raise CaptureError(error("outside-folder", where, "file name", found=repr(file), remedy=remedy))
+    path = payload / file
+    if not path.is_file():
+        raise CaptureError(error("image-missing", where, f"'{file}' is missing"))
+    if not path.resolve().is_relative_to(payload.resolve()):
+        found = f"'{file}' leads to {path.resolve()}"
+        raise CaptureError(error("outside-folder", where, "link out of the folder", found=found, remedy=remedy))
+    return path

@@ -1,0 +1,136 @@
+"""Size, depth and kind of a photograph from its first bytes, before anything large is allocated.
+
+A damaged or hostile header may claim any size; what it claims is compared with what the file can hold and with fixed
+bounds, and only then is the file decoded.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO, Literal
+
+from nishiki.capture.problems import CaptureError, Problem, error
+
+MAX_PIXELS = 1 << 29  # 537 megapixels: above the largest multi-shot cameras
+MAX_SIDE = 1 << 17
+MAX_BYTES = 1 << 33  # decoded
+DEFLATE_BOUND = 1040  # deflate cannot shrink more than 1032:1, so a larger claim is damage or a decompression bomb
+
+Kind = Literal["png", "jpeg", "tiff", "exr", "raw"]
+Sample = Literal["uint8", "uint16", "float32"]
+RAW_SUFFIXES = frozenset(
+    ".3fr .arw .cr2 .cr3 .crw .dcr .dng .erf .fff .iiq .kdc .mef .mos .mrw .nef .nrw .orf .pef .raf .raw .rw2 .rwl "
+    ".sr2 .srf .srw .x3f".split()
+)
+IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr"}) | RAW_SUFFIXES
+
+
+@dataclass(frozen=True)
+class ImageHeader:
+    """What a photograph says of itself. channels: as decoded, alpha included; pages: TIFF pages of equal size."""
+
+    kind: Kind
+    rows: int
+    columns: int
+    channels: int
+    sample: Sample
+    alpha: bool = False
+    pages: int = 1
+    names: tuple[str, ...] = ()
+
+    @property
+    def decoded_bytes(self) -> int:
+        return self.rows * self.columns * self.channels * {"uint8": 1, "uint16": 2, "float32": 4}[self.sample]
+
+
+def read_header(path: Path, *, name: str | None = None) -> ImageHeader:
+    """Header of a photograph; CaptureError (image-missing, image-unreadable, image-truncated, image-absurd) if none.
+
+    name: how to call the file in messages (default: its own name).
+    """
+    name = name or path.name
+    try:
+        with path.open("rb") as file:
+            start = file.read(32)
+            if path.suffix.lower() in RAW_SUFFIXES:
+                from nishiki.capture.raw import read_raw_header
+
+                header = read_raw_header(path, name)
+            else:
+                header = _parse(file, start, path, name)
+            bytes_on_disk = file.seek(0, 2)
+    except (FileNotFoundError, IsADirectoryError) as e:
+        raise CaptureError(error("image-missing", name, "file is missing")) from e
+    problem = _absurd(header, bytes_on_disk, name)
+    if problem:
+        raise CaptureError(problem)
+    return header
+
+
+def _parse(file: BinaryIO, start: bytes, path: Path, name: str) -> ImageHeader:
+    try:
+        if start.startswith(b"\x89PNG\r\n\x1a\n"):
+            return _png(file)
+        if start.startswith(b"\xff\xd8"):
+            return _jpeg(file)
+        if start[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
+            from nishiki.capture.tiff import tiff_header
+
+            return tiff_header(file)
+        if start.startswith(b"\x76\x2f\x31\x01"):
+            from nishiki.capture.exr import exr_header
+
+            return exr_header(path)
+    except (struct.error, IndexError, KeyError, ValueError, EOFError, OSError, RuntimeError) as e:
+        what = "image header is damaged or cut off"
+        raise CaptureError(error("image-truncated", name, what, found=str(e) or type(e).__name__)) from e
+    expected = "PNG, JPEG, TIFF, OpenEXR or camera raw"
+    raise CaptureError(error("image-unreadable", name, "not an image", expected=expected, found=f"{start[:8]!r}"))
+
+
+def _absurd(header: ImageHeader, bytes_on_disk: int, name: str) -> Problem | None:
+    size = f"{header.rows} x {header.columns} x {header.channels}"
+    if min(header.rows, header.columns, header.channels) < 1:
+        return error("image-absurd", name, "image without pixels", found=size)
+    too_big = max(header.rows, header.columns) > MAX_SIDE or header.rows * header.columns > MAX_PIXELS
+    if too_big or header.decoded_bytes > MAX_BYTES:
+        expected = f"at most {MAX_PIXELS} pixels, {MAX_SIDE} a side, {MAX_BYTES >> 30} GiB decoded"
+        return error("image-absurd", name, "image header claims an absurd size", expected=expected, found=size)
+    packed = header.kind == "png"
+    if packed and header.decoded_bytes // 16 > DEFLATE_BOUND * bytes_on_disk:
+        # a sixteenth: one-bit samples decode to eight bits or more
+        found = f"{size} in {bytes_on_disk} bytes"
+        return error("image-absurd", name, "image cannot hold the size that its header claims", found=found)
+    return None
+
+
+def _png(file: BinaryIO) -> ImageHeader:
+    file.seek(8)
+    length, tag = struct.unpack(">I4s", file.read(8))
+    if tag != b"IHDR" or length != 13:
+        raise ValueError("no IHDR chunk")
+    columns, rows, depth, colour = struct.unpack(">IIBB", file.read(10))
+    channels = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}[colour]
+    return ImageHeader("png", rows, columns, channels, "uint16" if depth == 16 else "uint8", alpha=colour in (4, 6))
+
+
+def _jpeg(file: BinaryIO) -> ImageHeader:
+    """Walk the segments to the start of frame (SOF), past thumbnails in the EXIF segment."""
+    file.seek(2)
+    while True:
+        marker = file.read(2)
+        while len(marker) == 2 and marker == b"\xff\xff":
+            marker = b"\xff" + file.read(1)
+        if len(marker) < 2 or marker[0] != 0xFF:
+            raise EOFError("no start of frame")
+        if marker[1] in (0x01, *range(0xD0, 0xD8)):
+            continue
+        (length,) = struct.unpack(">H", file.read(2))
+        if 0xC0 <= marker[1] <= 0xCF and marker[1] not in (0xC4, 0xC8, 0xCC):
+            depth, rows, columns, channels = struct.unpack(">BHHB", file.read(6))
+            if depth != 8 or channels not in (1, 3):
+                raise ValueError(f"JPEG of {depth} bits and {channels} components; 8 bits and 1 or 3 are read")
+            return ImageHeader("jpeg", rows, columns, channels, "uint8")
+        file.seek(length - 2, 1)

@@ -1,0 +1,217 @@
+"""Where the lamps were: `.lp` files in all their dialects, plain direction lists, and tables.
+
+A `.lp` file begins with the number of lights; each further line is `[file name] x y z`. In the wild one finds decimal
+commas, commas or semicolons between the numbers, Windows paths, quoted names with blanks, no names at all, vectors that
+are not of unit length, byte-order marks and blank lines. All are read; what cannot be is an error that names the line.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.capture.problems import CaptureError, Problem, error, raise_errors, warning
+
+IMAGE_SUFFIX = re.compile(r"\.(png|tiff?|jpe?g|exr|bmp|dng|cr[23w]|nef|arw|raf|orf|rw2|pef|srw)$", re.IGNORECASE)
+COPLANAR_RATIO = 1e-3  # smallest / largest singular value of the direction matrix
+
+
+@dataclass(frozen=True)
+class Lights:
+    """Named lamps.
+
+    names: one a light, distinct; files: the photograph named beside each light, or None;
+    vectors (lights, 3) float64 as written in the file; directions (lights, 3) float64, unit length, from the image
+    centre to the lamp (x right, y up, z to the camera); warnings: what was tolerated.
+    """
+
+    names: tuple[str, ...]
+    files: tuple[str | None, ...]
+    vectors: np.ndarray
+    directions: np.ndarray
+    warnings: tuple[Problem, ...] = ()
+
+    def index(self, name: str) -> int | None:
+        """Position of the light with this name; a photograph's file name stands for its light; None if unknown."""
+        return self._positions.get(name, self._positions.get(light_name(name)))
+
+    @cached_property
+    def _positions(self) -> dict[str, int]:
+        return {name: i for i, name in enumerate(self.names)}
+
+
+def light_name(token: str) -> str:
+    """The name of a light from what stands in its place: folders of either kind and an image's suffix are dropped."""
+    return IMAGE_SUFFIX.sub("", re.split(r"[\\/]", token.strip().strip("\"'"))[-1])
+
+
+def read_lights(path: Path, *, kind: str = "direction") -> Lights:
+    """Read `.lp`, `.csv`, or a list of directions (`.txt`), by the file's suffix.
+
+    kind: 'direction' (unit vectors; other lengths are normalised, with a warning) or 'position_mm'.
+    Raises CaptureError with every mistake found (kinds: lights-missing, lights-unreadable, lights-count, light-zero,
+    light-not-finite, light-behind, light-duplicate, lights-none).
+    """
+    try:
+        text = path.read_bytes().decode("utf-8-sig")
+    except FileNotFoundError as e:
+        raise CaptureError(error("lights-missing", path.name, "lights file is missing")) from e
+    except UnicodeDecodeError:
+        text = path.read_bytes().decode("latin-1")  # file names in an old code page; the numbers are ASCII anyway
+    parse = _parse_table if path.suffix.lower() == ".csv" else _parse_list
+    names, vectors = parse(text, path.name, counted=path.suffix.lower() not in (".csv", ".txt"))
+    return lights_from_vectors(names, np.array(vectors, dtype=np.float64).reshape(-1, 3), file=path.name, kind=kind)
+
+
+def lights_from_vectors(names: list[str | None], vectors: np.ndarray, *, file: str, kind: str = "direction") -> Lights:
+    """Check and normalise vectors (lights, 3); a light without a name is called by its number, from 1."""
+    problems: list[Problem] = []
+    if len(vectors) == 0:
+        problems.append(error("lights-none", file, "no lights", expected="at least 3 lights"))
+    lengths = np.sqrt((vectors**2).sum(axis=1))
+    called = [str(i + 1) if name is None else light_name(name) for i, name in enumerate(names)]
+    for i, (vector, length) in enumerate(zip(vectors, lengths, strict=True)):
+        problems += _check_vector(vector, length, called[i], file)
+    seen: dict[str, int] = {}
+    for i, name in enumerate(called):
+        if name in seen:
+            what = f"light '{name}' appears twice (numbers {seen[name] + 1} and {i + 1})"
+            problems.append(error("light-duplicate", file, what, remedy="Remove or rename one"))
+        seen.setdefault(name, i)
+    raise_errors(problems)
+    uneven = np.abs(lengths - 1) > 0.01
+    if kind == "direction" and uneven.any():
+        worst = lengths[np.argmax(np.abs(lengths - 1))]
+        what = f"{uneven.sum()} of {len(vectors)} directions are not of unit length and were normalised"
+        problems.append(warning("light-not-unit", file, what, found=f"length {worst:.4g}"))
+    return Lights(tuple(called), tuple(names), vectors, vectors / lengths[:, None], tuple(problems))
+
+
+def _check_vector(vector: np.ndarray, length: float, name: str, file: str) -> list[Problem]:
+    found = " ".join(f"{v:g}" for v in vector)
+    if not math.isfinite(length):
+        return [error("light-not-finite", file, f"light '{name}' is not finite", found=found)]
+    if length < 1e-9:
+        return [error("light-zero", file, f"light '{name}' has a vector of zero length", found=found)]
+    if vector[2] <= 0:
+        remedy = "Directions point from the object to the lamp, z towards the camera; turn the axes if yours differ"
+        what = f"light '{name}' lies in or behind the object's plane"
+        return [error("light-behind", file, what, expected="z > 0", found=found, remedy=remedy)]
+    return []
+
+
+def direction_problems(directions: np.ndarray, file: str) -> list[Problem]:
+    """Whether these directions (lights, 3) can determine a normal: three or more, not all in one plane."""
+    if len(directions) < 3:
+        remedy = "Photograph the object under more lamp positions"
+        found = f"{len(directions)}"
+        return [error("lights-few", file, "too few lights", expected="at least 3", found=found, remedy=remedy)]
+    values = np.linalg.svd(directions, compute_uv=False)
+    if values[2] < COPLANAR_RATIO * values[0]:
+        remedy = "Add a light outside that plane: with these, normals are not determined"
+        found = f"singular values {values[0]:.3g}, {values[1]:.3g}, {values[2]:.3g}"
+        return [error("lights-coplanar", file, "all lights lie in one plane", found=found, remedy=remedy)]
+    return []
+
+
+def _parse_list(text: str, file: str, *, counted: bool) -> tuple[list[str | None], list[list[float]]]:
+    """`.lp` (counted) or a bare list of vectors, one a line."""
+    lines = [(i + 1, line.strip()) for i, line in enumerate(text.splitlines())]
+    lines = [(i, line) for i, line in lines if line and not line.startswith(("#", "//"))]
+    declared = None
+    if lines and re.fullmatch(r"\d+", lines[0][1]):
+        declared = int(lines.pop(0)[1])
+    elif counted:
+        found = lines[0][1][:40] if lines else "an empty file"
+        expected = "the number of lights in the first line"
+        raise CaptureError(error("lights-unreadable", file, "not a .lp file", expected=expected, found=found))
+    names, vectors, problems = [], [], []
+    for number, line in lines:
+        parsed = _parse_line(line)
+        if parsed is None:
+            where = f"{file} line {number}"
+            expected = "[file name] x y z"
+            problems.append(
+                error("lights-unreadable", where, "line cannot be read", expected=expected, found=line[:60])
+            )
+            continue
+        names.append(parsed[0])
+        vectors.append(parsed[1])
+    if declared is not None and declared != len(lines):
+        remedy = "Correct the first line, or restore the missing lines"
+        expected, found = f"{declared} lights as the first line says", f"{len(lines)} lines"
+        problems.append(error("lights-count", file, "count disagrees", expected=expected, found=found, remedy=remedy))
+    raise_errors(problems)
+    if any(n is None for n in names) and any(n is not None for n in names):
+        raise CaptureError(error("lights-unreadable", file, "some lines have a file name and some have none"))
+    return names, vectors
+
+
+def _parse_line(line: str) -> tuple[str | None, list[float]] | None:
+    """Name (or None) and three numbers of one line, or None where it is no such line."""
+    for candidate in (line, re.sub(r"\s#.*$", "", line)):
+        for tokens in _splittings(candidate):
+            numbers = [_number(t) for t in tokens[-3:]]
+            if len(tokens) >= 3 and all(v is not None for v in numbers):
+                return _name_before(candidate, tokens), numbers
+    return None
+
+
+def _splittings(line: str) -> list[list[str]]:
+    """Ways to take a line apart: at blanks (numbers may then have decimal commas), semicolons, commas."""
+    blank = [t.rstrip(",;") for t in line.split() if t.strip(",;")]
+    return [blank, [t.strip() for t in line.split(";")], [t.strip() for t in line.split(",")]]
+
+
+def _number(token: str) -> float | None:
+    if token.count(",") == 1 and "." not in token:
+        token = token.replace(",", ".")
+    if "_" in token:  # Python would read 1_0 as a number
+        return None
+    try:
+        return float(token)
+    except ValueError:
+        return None
+
+
+def _name_before(line: str, tokens: list[str]) -> str | None:
+    """What stands before the last three numbers: a file name that may hold blanks."""
+    if len(tokens) == 3:
+        return None
+    name = line[: line.rindex(tokens[-3], 0, line.rindex(tokens[-2], 0, line.rindex(tokens[-1])))]
+    return name.strip().rstrip(",;").strip().strip("\"'")
+
+
+def _parse_table(text: str, file: str, *, counted: bool) -> tuple[list[str | None], list[list[float]]]:
+    """lights.csv: light,x,y,z or light,azimuth_deg,polar_deg (azimuth from x towards y; polar from the normal)."""
+    rows = csv.DictReader([line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")])
+    columns = [c.strip() for c in rows.fieldnames or []]
+    rows.fieldnames = columns
+    cartesian, angular = ["light", "x", "y", "z"], ["light", "azimuth_deg", "polar_deg"]
+    if sorted(columns) not in (sorted(cartesian), sorted(angular)):
+        expected = f"{','.join(cartesian)} or {','.join(angular)}"
+        found = ",".join(columns)
+        raise CaptureError(error("lights-unreadable", file, "wrong columns", expected=expected, found=found))
+    names, vectors, problems = [], [], []
+    for i, row in enumerate(rows, start=2):
+        keys = cartesian[1:] if "x" in columns else angular[1:]
+        values = [_number((row[k] or "").strip()) for k in keys]
+        if None in row or not (row["light"] or "").strip() or any(v is None for v in values):
+            found = ",".join(str(v) for v in row.values())[:60]
+            problems.append(error("lights-unreadable", f"{file} line {i}", "row cannot be read", found=found))
+            continue
+        names.append(row["light"].strip())
+        vectors.append(values if len(values) == 3 else _from_angles(*values))
+    raise_errors(problems)
+    return names, vectors
+
+
+def _from_angles(azimuth_deg: float, polar_deg: float) -> list[float]:
+    azimuth, polar = math.radians(azimuth_deg), math.radians(polar_deg)
+    return [math.sin(polar) * math.cos(azimuth), math.sin(polar) * math.sin(azimuth), math.cos(polar)]

@@ -1,0 +1,89 @@
+"""Curves over wavelength from CSV: camera sensitivities, the lamp's spectrum, patch reflectances."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.capture.problems import CaptureError, error, raise_errors
+
+FIRST_NM, LAST_NM = 400.0, 700.0
+
+
+@dataclass(frozen=True)
+class Curves:
+    """wavelengths_nm (n,) float64 increasing; values (n, curves) float64, >= 0; names: one a curve."""
+
+    names: tuple[str, ...]
+    wavelengths_nm: np.ndarray
+    values: np.ndarray
+
+
+def read_curves(path: Path, *, names: tuple[str, ...] | None = None, label: str | None = None) -> Curves:
+    """Read wavelength_nm and one column a curve, covering 400-700 nm.
+
+    names: the columns wanted, in this order (None: all). Raises CaptureError with all mistakes: spectra-missing,
+    spectra-unreadable, spectra-columns, spectra-not-finite, spectra-negative, spectra-order, spectra-range,
+    spectra-zero.
+    """
+    label = label or path.name
+    header, rows = _table(path, label)
+    if header[:1] != ["wavelength_nm"] or len(header) < 2:
+        expected = "wavelength_nm, then one column a curve"
+        raise CaptureError(error("spectra-columns", label, "columns", expected=expected, found=",".join(header)[:80]))
+    wanted = list(names) if names else header[1:]
+    missing = [n for n in wanted if n not in header[1:]]
+    if missing or len(set(header)) != len(header):
+        what = f"no column for {', '.join(missing)}" if missing else "a column appears twice"
+        remedy = "Name the columns as camera.channels does"
+        raise CaptureError(error("spectra-columns", label, what, found=",".join(header)[:80], remedy=remedy))
+    try:
+        numbers = np.array([[float(v) for v in row] for row in rows], dtype=np.float64).reshape(-1, len(header))
+    except ValueError as e:
+        raise CaptureError(error("spectra-unreadable", label, "a value is not a number", found=str(e))) from e
+    wavelengths, values = numbers[:, 0], numbers[:, [header.index(n) for n in wanted]]
+    raise_errors(_mistakes(wavelengths, values, label))
+    return Curves(tuple(wanted), wavelengths, values)
+
+
+def _table(path: Path, label: str) -> tuple[list[str], list[list[str]]]:
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError as e:
+        raise CaptureError(error("spectra-missing", label, "file is missing")) from e
+    except UnicodeDecodeError as e:
+        raise CaptureError(error("spectra-unreadable", label, "not UTF-8 text")) from e
+    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    rows = [[v.strip() for v in row] for row in csv.reader(lines)]
+    if not rows:
+        raise CaptureError(error("spectra-unreadable", label, "empty file"))
+    uneven = [i for i, row in enumerate(rows, start=1) if len(row) != len(rows[0])]
+    if uneven:
+        what = f"row {uneven[0]} has another number of values than the heading"
+        raise CaptureError(error("spectra-unreadable", label, what, expected=f"{len(rows[0])} values"))
+    return rows[0], rows[1:]
+
+
+def _mistakes(wavelengths: np.ndarray, values: np.ndarray, label: str) -> list:
+    if not (np.isfinite(wavelengths).all() and np.isfinite(values).all()):
+        bad = int((~np.isfinite(values)).sum() + (~np.isfinite(wavelengths)).sum())
+        return [error("spectra-not-finite", label, f"{bad} values are not finite")]
+    problems = []
+    if len(wavelengths) > 1 and not (np.diff(wavelengths) > 0).all():
+        at = wavelengths[1:][np.diff(wavelengths) <= 0][0]
+        problems.append(error("spectra-order", label, "wavelengths do not increase", found=f"at {at:g} nm"))
+    if len(wavelengths) < 2 or wavelengths.min() > FIRST_NM or wavelengths.max() < LAST_NM:
+        found = f"{wavelengths.min():g}-{wavelengths.max():g} nm" if len(wavelengths) else "no rows"
+        expected = f"at least {FIRST_NM:g}-{LAST_NM:g} nm"
+        remedy = "Measure or extend the curve; it is not extrapolated"
+        what = "wavelength range is too short"
+        problems.append(error("spectra-range", label, what, expected=expected, found=found, remedy=remedy))
+    if (values < 0).any():
+        found = f"{values.min():g}"
+        problems.append(error("spectra-negative", label, f"{int((values < 0).sum())} negative values", found=found))
+    elif values.size and not (values > 0).any(axis=0).all():
+        problems.append(error("spectra-zero", label, "a curve is zero everywhere"))
+    return problems

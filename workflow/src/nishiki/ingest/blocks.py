@@ -1,0 +1,109 @@
+"""A field over the picture on a coarse grid: block edges, robust block levels, bilinear positions."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+from numba.extending import overload
+
+SUBSAMPLE = 64  # of a block's samples, for the median and the spread
+CLIP_SIGMAS = 4.0
+
+
+def block_edges(length: int, block: int) -> np.ndarray:
+    """Edges (blocks + 1,) int64 of blocks of nearly `block` pixels that cover `length` pixels without a remainder."""
+    count = max(1, round(length / block))
+    return np.arange(count + 1, dtype=np.int64) * length // count
+
+
+def positions(edges: np.ndarray, start: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
+    """Where pixels start..stop lie between block centres: lower node (n,) int64, weight of the next (n,) float32.
+
+    Beyond the outer centres the field is extrapolated (weights below 0 or above 1, by half a block at most).
+    """
+    centres = (edges[:-1] + edges[1:] - 1) / 2.0
+    pixels = np.arange(start, stop)
+    if len(centres) == 1:
+        return np.zeros(len(pixels), np.int64), np.zeros(len(pixels), np.float32)
+    lower = np.clip(np.searchsorted(centres, pixels, side="right") - 1, 0, len(centres) - 2)
+    weight = (pixels - centres[lower]) / (centres[lower + 1] - centres[lower])
+    return lower.astype(np.int64), weight.astype(np.float32)
+
+
+def linear_value(table, code):
+    """Linear value of a code: by table for integer codes, the code itself for float ones (compiled code only)."""
+    raise NotImplementedError
+
+
+@overload(linear_value)
+def _linear_value(table, code):
+    if hasattr(code, "bitwidth") and str(code).startswith("float"):
+        return lambda table, code: code
+    return lambda table, code: table[code]
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def block_levels(codes, table, row_edges, column_edges, saturated, clip):
+    """Robust level of each block and the share of its samples that are not usable.
+
+    codes (rows, columns, channels); table: linear value by code (two zeros for float codes); saturated, clip: codes at
+    or above, at or below which a sample is not usable. Level: mean of the usable samples within 4 robust standard
+    deviations of their median (median and median absolute deviation of at most 64 of them), so that dust, dead pixels
+    and glints drop out.
+    Returns levels (r, c, channels) float32 (NaN without usable samples), unusable (r, c, channels) float32 in 0..1.
+    """
+    r, c, channels = len(row_edges) - 1, len(column_edges) - 1, codes.shape[2]
+    levels = np.empty((r, c, channels), np.float32)
+    unusable = np.empty((r, c, channels), np.float32)
+    for i in prange(r):
+        picked = np.empty(SUBSAMPLE, np.float64)
+        for j in range(c):
+            y0, y1, x0, x1 = row_edges[i], row_edges[i + 1], column_edges[j], column_edges[j + 1]
+            width = x1 - x0
+            samples = (y1 - y0) * width
+            step = max(1, samples // SUBSAMPLE)
+            for k in range(channels):
+                count = 0
+                for s in range(0, samples, step):
+                    code = codes[y0 + s // width, x0 + s % width, k]
+                    if code < saturated and code > clip and count < SUBSAMPLE:
+                        picked[count] = linear_value(table, code)
+                        count += 1
+                if count == 0:
+                    levels[i, j, k] = np.nan
+                    unusable[i, j, k] = 1.0
+                    continue
+                median = np.median(picked[:count])
+                sigma = 1.4826 * np.median(np.abs(picked[:count] - median))
+                # at least the rounding of the codes (table[1]), and 1 percent of the level
+                bound = CLIP_SIGMAS * max(sigma, 0.01 * abs(median), table[1])
+                total, used = 0.0, 0
+                for y in range(y0, y1):
+                    for x in range(x0, x1):
+                        code = codes[y, x, k]
+                        if code < saturated and code > clip:
+                            value = linear_value(table, code)
+                            if abs(value - median) <= bound:
+                                total += value
+                                used += 1
+                levels[i, j, k] = total / used if used > 0 else median
+                unusable[i, j, k] = 1.0 - used / samples
+    return levels, unusable
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def count_outliers(codes, table, levels, row_edges, column_edges, low, high, counts):
+    """Add 1 to counts (rows, columns) uint8 where any channel's linear value is below low or above high of its block.
+
+    low: factor of the block's level; high: amount above it (either may be infinite to switch that side off).
+    """
+    for i in prange(len(row_edges) - 1):
+        for j in range(len(column_edges) - 1):
+            for y in range(row_edges[i], row_edges[i + 1]):
+                for x in range(column_edges[j], column_edges[j + 1]):
+                    for k in range(codes.shape[2]):
+                        value = linear_value(table, codes[y, x, k])
+                        level = levels[i, j, k]
+                        if value < low * level or value > level + high:
+                            counts[y, x] += 1
+                            break

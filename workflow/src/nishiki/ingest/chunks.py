@@ -1,0 +1,71 @@
+"""Chunk files of a Zarr v3 array, written and read without the array library in between.
+
+A chunk is its bytes, little-endian, optionally compressed with zstd, followed by their CRC-32C: what Zarr's codecs
+`bytes`, `zstd` and `crc32c` make. Whole-array reading through zarr gives the same values (tested); going past it takes
+about a third of the time for the thousands of large chunks of a capture.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import google_crc32c
+import numpy as np
+
+from nishiki.errors import UserError
+
+ZSTD_LEVEL = 1
+
+
+def create_array(group, name: str, shape: tuple, chunks: tuple, dtype, *, compression: str = "none"):
+    """A Zarr array whose chunks this module can write. compression: 'none' | 'zstd'."""
+    from zarr.codecs import Crc32cCodec, ZstdCodec
+
+    packers = [ZstdCodec(level=ZSTD_LEVEL)] if compression == "zstd" else []
+    return group.create_array(
+        name,
+        shape=shape,
+        chunks=chunks,
+        dtype=dtype,
+        compressors=[*packers, Crc32cCodec()],
+        filters=None,
+        config={"write_empty_chunks": True},
+    )
+
+
+def chunk_path(array_folder: Path, light: int, band: int) -> Path:
+    """File of the chunk of one light and band of an array (lights, rows, columns, channels) chunked over both."""
+    return array_folder / "c" / str(light) / str(band) / "0" / "0"
+
+
+def write_chunk(path: Path, values: np.ndarray, *, compression: str) -> None:
+    """Write one whole chunk; values contiguous, little-endian."""
+    payload = np.ascontiguousarray(values).reshape(-1).view(np.uint8).data
+    if compression == "zstd":
+        from numcodecs.zstd import Zstd
+
+        payload = Zstd(level=ZSTD_LEVEL).encode(payload)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("wb") as file:
+        file.write(payload)
+        file.write(google_crc32c.value(bytes(payload)).to_bytes(4, "little"))
+
+
+def read_chunk(path: Path, shape: tuple, dtype: np.dtype, *, compression: str) -> np.ndarray:
+    """Read one chunk and verify its checksum; UserError where it is missing or damaged."""
+    remedy = "Run ingest again"
+    try:
+        stored = path.read_bytes()
+    except FileNotFoundError as e:
+        raise UserError(f"{path}: part of the ingested frames is missing. {remedy}") from e
+    payload = stored[:-4]
+    if len(stored) < 4 or google_crc32c.value(payload) != int.from_bytes(stored[-4:], "little"):
+        raise UserError(f"{path}: part of the ingested frames is damaged (checksum differs). {remedy}")
+    if compression == "zstd":
+        from numcodecs.zstd import Zstd
+
+        payload = Zstd().decode(payload)
+    values = np.frombuffer(payload, np.dtype(dtype).newbyteorder("<"))
+    if values.size != np.prod(shape):
+        raise UserError(f"{path}: {values.size} values, expected {tuple(shape)}. {remedy}")
+    return values.reshape(shape)

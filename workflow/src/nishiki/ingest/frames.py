@@ -1,0 +1,164 @@
+"""The photographs of a capture, decoded one at a time into the channels that a scene needs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from nishiki.capture.folder import Capture
+from nishiki.capture.frames import Frame
+from nishiki.capture.headers import read_header
+from nishiki.capture.images import Region, read_codes
+from nishiki.capture.problems import CaptureError, Problem, error, warning
+from nishiki.ingest.decode import to_luma
+from nishiki.ingest.linearise import LUMA_WEIGHTS, code_table, full_scale, saturation_code, srgb_to_linear
+
+Channels = Literal["all", "luminance", "green"]
+
+
+def region_of(capture: Capture, rows: int, columns: int) -> Region:
+    """The region of interest, the whole picture if none; CaptureError (region-outside) if it leaves the picture."""
+    region = capture.settings.region_of_interest or (0, 0, rows, columns)
+    row, column, height, width = region
+    if height < 1 or width < 1 or row + height > rows or column + width > columns:
+        what = "region_of_interest leaves the picture or is empty"
+        expected = f"within {rows} rows and {columns} columns"
+        raise CaptureError(
+            error("region-outside", "capture.yaml", what, expected=expected, found=", ".join(map(str, region)))
+        )
+    return region
+
+
+@dataclass(frozen=True)
+class FrameReader:
+    """How to read this capture's photographs. rows, columns, dtype: of the first frame, which all others must match."""
+
+    capture: Capture
+    channels: Channels
+    rows: int
+    columns: int
+    dtype: np.dtype
+    region: Region
+
+    @classmethod
+    def of(cls, capture: Capture, channels: Channels) -> FrameReader:
+        """Look at the first photograph's header. CaptureError where it or the region cannot be used."""
+        if channels not in ("all", "luminance", "green"):
+            raise ValueError(f"channels {channels!r}: all, luminance or green")
+        first = capture.observed[0]
+        header = read_header(first.path, name=first.file)
+        region = region_of(capture, header.rows, header.columns)
+        dtype = np.dtype(header.sample)
+        camera = capture.settings.camera
+        if dtype.kind == "u" and camera.bits and camera.bits > 8 * dtype.itemsize:
+            expected = f"at most {8 * dtype.itemsize} for these files"
+            found = str(camera.bits)
+            raise CaptureError(error("bits-differ", "capture.yaml camera.bits", "bits", expected=expected, found=found))
+        return cls(capture, channels, header.rows, header.columns, dtype, region)
+
+    @property
+    def stored(self) -> tuple[str, ...]:
+        """Names of the channels in the files."""
+        return self.capture.settings.camera.channels
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the channels that are read."""
+        if self.channels == "luminance" and len(self.stored) > 1:
+            return ("luminance",)
+        return (self.stored[self._green],) if self.channels == "green" else self.stored
+
+    @property
+    def _green(self) -> int:
+        folded = [name.casefold() for name in self.stored]
+        return next((folded.index(n) for n in ("green", "g") if n in folded), len(folded) // 2)
+
+    @cached_property
+    def weights(self) -> np.ndarray:
+        """(read channels, stored channels) float64: how the channels read are made of those stored."""
+        count = len(self.stored)
+        if self.channels == "green":
+            return np.eye(count)[self._green : self._green + 1]
+        if self.channels == "luminance" and count > 1:
+            return LUMA_WEIGHTS[None] if count == 3 else np.full((1, count), 1 / count)
+        return np.eye(count)
+
+    @cached_property
+    def full(self) -> float:
+        return full_scale(self.dtype, self.capture.settings.camera.bits)
+
+    @cached_property
+    def table(self) -> np.ndarray:
+        """Linear value by code; two zeros for float samples, which are linear as they are."""
+        if self.dtype.kind == "f":
+            return np.zeros(2, np.float32)
+        camera = self.capture.settings.camera
+        return code_table(self.dtype, encoding=camera.encoding, bits=camera.bits)
+
+    @cached_property
+    def saturated(self) -> float:
+        camera = self.capture.settings.camera
+        return saturation_code(self.dtype, camera.saturation, camera.bits)
+
+    @property
+    def clip(self) -> float:
+        """A stored code of 0 tells only that there was no more light than that."""
+        return 0.0
+
+    @property
+    def black(self) -> float:
+        """Black level of camera.black_level, linear."""
+        camera = self.capture.settings.camera
+        value = camera.black_level / self.full
+        return float(srgb_to_linear(np.array(value))) if camera.encoding == "srgb" else value
+
+    def read(self, frame: Frame) -> np.ndarray:
+        """Codes (rows, columns, channels) of the region. CaptureError (image-size, image-depth, bits-exceeded, ...)."""
+        header = read_header(frame.path, name=frame.file)
+        if (header.rows, header.columns) != (self.rows, self.columns):
+            expected, found = f"{self.rows} x {self.columns}", f"{header.rows} x {header.columns}"
+            raise CaptureError(error("image-size", frame.file, "size differs", expected=expected, found=found))
+        if np.dtype(header.sample) != self.dtype:
+            expected, found = str(self.dtype), header.sample
+            raise CaptureError(error("image-depth", frame.file, "depth differs", expected=expected, found=found))
+        luminance = self.channels == "luminance" and len(self.stored) > 1
+        codes = read_codes(frame.path, self.stored, header=header, luma=luminance, region=self.region, name=frame.file)
+        if self.channels == "green":
+            return codes[:, :, self._green : self._green + 1]
+        if luminance and codes.shape[2] > 1:
+            top = self.full if np.isfinite(self.saturated) else np.inf
+            rounding = 0.0 if self.dtype.kind == "f" else 0.5
+            return to_luma(codes, self.saturated, top, self.weights[0], rounding)
+        return codes
+
+    def read_all(self, frames: tuple[Frame, ...]) -> Iterator[tuple[Frame, np.ndarray]]:
+        """Each frame with its codes, in order; the next one is decoded while the caller works: two in memory."""
+        with ThreadPoolExecutor(max_workers=1) as decoder:
+            coming = decoder.submit(self.read, frames[0]) if frames else None
+            for i, frame in enumerate(frames):
+                codes = coming.result()
+                coming = decoder.submit(self.read, frames[i + 1]) if i + 1 < len(frames) else None
+                yield frame, codes
+                del codes
+
+    def warnings(self) -> list[Problem]:
+        """What the user should know about these files as measurements."""
+        kinds = {frame.path.suffix.lower() for frame in self.capture.frames}
+        found = []
+        if self.capture.settings.camera.encoding == "srgb":
+            what = "photographs are sRGB-coded: decoded with the standard curve, which cameras do not follow exactly"
+            remedy = "Values are not linear radiance; photograph in raw where radiometry matters"
+            found.append(warning("not-linear", "capture.yaml", what, remedy=remedy))
+        if kinds & {".jpg", ".jpeg"}:
+            what = "JPEG is lossy and of 8 bits: shadows are coarse and edges have artefacts"
+            found.append(warning("jpeg", "frames.csv", what, remedy="Photograph in raw or 16-bit TIFF"))
+            if self.capture.settings.camera.encoding == "linear":
+                what = "JPEG files are declared linear"
+                remedy = "Set camera.encoding: srgb unless the camera was told otherwise"
+                found.append(warning("jpeg-linear", "capture.yaml", what, remedy=remedy))
+        return found

@@ -1,0 +1,79 @@
+"""From stored codes to linear light, and whether the camera really is linear."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+DEFAULT_SATURATION = 0.995  # of full scale
+LUMA_WEIGHTS = np.array([0.299, 0.587, 0.114])  # ITU-R BT.601, the weights of a JPEG's luma plane
+
+
+def srgb_to_linear(value: np.ndarray) -> np.ndarray:
+    """Inverse of the sRGB transfer curve (IEC 61966-2-1), [0, 1] to [0, 1], float64."""
+    value = np.asarray(value, dtype=np.float64)
+    return np.where(value <= 0.04045, value / 12.92, ((np.maximum(value, 0.04045) + 0.055) / 1.055) ** 2.4)
+
+
+def full_scale(dtype: np.dtype, bits: int | None) -> float:
+    """Largest code: 2^bits - 1, by default of the sample's own 8 or 16 bits; 1 for float samples."""
+    if np.dtype(dtype).kind == "f":
+        return 1.0
+    return float((1 << (bits or 8 * np.dtype(dtype).itemsize)) - 1)
+
+
+def code_table(dtype: np.dtype, *, encoding: Literal["linear", "srgb"], bits: int | None = None) -> np.ndarray:
+    """Linear value of each code, as a fraction of full scale: (256,) or (65536,) float32."""
+    codes = np.arange(np.iinfo(dtype).max + 1) / full_scale(dtype, bits)
+    return (srgb_to_linear(codes) if encoding == "srgb" else codes).astype(np.float32)
+
+
+def saturation_code(dtype: np.dtype, fraction: float | None, bits: int | None = None) -> float:
+    """Code from which a sample counts as saturated.
+
+    fraction: of full scale; None: 0.995, and for float samples, which have no full scale of their own, never.
+    """
+    if np.dtype(dtype).kind == "f":
+        return float("inf") if fraction is None else float(fraction)
+    return float(np.ceil((fraction or DEFAULT_SATURATION) * full_scale(dtype, bits)))
+
+
+@dataclass(frozen=True)
+class Linearity:
+    """Straight line through patch values: value = slope * reflectance + intercept.
+
+    r_squared: share of the variance that the line explains; worst_deviation: largest distance from the line as a
+    fraction of the largest value; worst_patch: its index.
+    """
+
+    slope: float
+    intercept: float
+    r_squared: float
+    worst_deviation: float
+    worst_patch: int
+
+
+def check_linearity(values: np.ndarray, reflectances: np.ndarray) -> Linearity:
+    """Fit patch values (patches,) against their known reflectances (patches,), both linear (P section 2).
+
+    Ordinary least squares. ValueError for fewer than 3 patches, values that are not finite, or equal reflectances.
+    """
+    values, reflectances = np.asarray(values, np.float64), np.asarray(reflectances, np.float64)
+    if values.shape != reflectances.shape or values.ndim != 1 or len(values) < 3:
+        raise ValueError(f"3 or more patches with a reflectance each are needed, found {values.shape}")
+    if not (np.isfinite(values).all() and np.isfinite(reflectances).all()):
+        raise ValueError("patch values and reflectances must be finite")
+    centred = reflectances - reflectances.mean()
+    spread = float(centred @ centred)
+    if spread <= 1e-12 * max(1.0, float(reflectances @ reflectances)):
+        raise ValueError("the patches all have the same reflectance")
+    slope = float(centred @ values) / spread
+    intercept = float(values.mean() - slope * reflectances.mean())
+    residual = values - (slope * reflectances + intercept)
+    total = float(((values - values.mean()) ** 2).sum())
+    r_squared = 1.0 - float(residual @ residual) / total if total > 0 else 0.0
+    worst = int(np.argmax(np.abs(residual)))
+    scale = float(np.abs(values).max()) or 1.0
+    return Linearity(slope, intercept, r_squared, float(abs(residual[worst])) / scale, worst)

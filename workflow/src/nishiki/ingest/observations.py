@@ -1,0 +1,171 @@
+"""Reading the ingested frames: bands of white-normalised observations, with what may not be used marked."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from nishiki.errors import UserError
+from nishiki.ingest.blocks import block_edges, positions
+from nishiki.ingest.chunks import chunk_path, read_chunk
+from nishiki.ingest.decode import decode
+
+FORMAT = 1
+
+
+class Observations:
+    """The ingested frames of one capture, opened for reading.
+
+    lights: names; roles: 'sample' | 'check'; directions (lights, 3) float64; positions_mm (lights, 3) or None;
+    shape (rows, columns); channels: names; band_rows; pixel_pitch_mm or None; image_centre (row, column) of the whole
+    picture's centre in these coordinates, the origin of positions_mm.
+    """
+
+    def __init__(self, folder: Path | str):
+        """Open `frames.zarr`, or the folder that holds it. UserError where it is none."""
+        import zarr
+
+        path = Path(folder)
+        path = path if path.name.endswith(".zarr") else path / "frames.zarr"
+        try:
+            group = zarr.open_group(path, mode="r", zarr_format=3)
+            stored = dict(group.attrs)
+            self._codes = group["codes"]
+        except (FileNotFoundError, KeyError) as e:
+            raise UserError(f"{path}: no ingested frames here; run ingest first") from e
+        if stored.get("format") != FORMAT:
+            raise UserError(
+                f"{path}: ingested frames of format {stored.get('format')}, expected {FORMAT}; run ingest again"
+            )
+        self.path = path
+        self.attributes = stored
+        self.lights: tuple[str, ...] = tuple(stored["lights"])
+        self.files: tuple[str, ...] = tuple(stored["files"])
+        self.roles: tuple[str, ...] = tuple(stored["roles"])
+        self.directions = np.array(stored["directions"], np.float64)
+        positions_mm = stored["positions_mm"]
+        self.positions_mm = None if positions_mm is None else np.array(positions_mm, np.float64)
+        self.channels: tuple[str, ...] = tuple(stored["channels"])
+        self.shape: tuple[int, int] = tuple(self._codes.shape[1:3])
+        self.dtype = np.dtype(self._codes.dtype)
+        self.band_rows: int = stored["band_rows"]
+        self.pixel_pitch_mm: float | None = stored["pixel_pitch_mm"]
+        self.image_centre: tuple[float, float] = tuple(stored["image_centre"])
+        self.white_board: bool = stored["white_board"]
+        self._group = group
+
+    def indices(self, role: Literal["sample", "check"]) -> np.ndarray:
+        """Which lights have this role, (n,) int64."""
+        return np.flatnonzero([own == role for own in self.roles])
+
+    def bands(self) -> list[slice]:
+        """Row slices that cover the picture, each of bounded memory."""
+        rows = self.shape[0]
+        return [slice(start, min(start + self.band_rows, rows)) for start in range(0, rows, self.band_rows)]
+
+    @cached_property
+    def mask(self) -> np.ndarray:
+        """(rows, columns) bool: the object."""
+        return np.asarray(self._group["mask"][...]) > 0
+
+    @cached_property
+    def defect(self) -> np.ndarray | None:
+        """(rows, columns) bool: hot and dead pixels, or None where none are known."""
+        return np.asarray(self._group["defect"][...]) > 0 if "defect" in self._group else None
+
+    @cached_property
+    def gain(self) -> np.ndarray:
+        """(lights, r, c, channels) float32 on block centres; NaN where the white board could not be used."""
+        return np.asarray(self._group["gain"][...])
+
+    @cached_property
+    def dark(self) -> np.ndarray:
+        """(lights or 1, r or 1, c or 1, channels) float32, fraction of full scale."""
+        return np.asarray(self._group["dark"][...])
+
+    @cached_property
+    def table(self) -> np.ndarray:
+        """Linear value by code; two zeros for float samples."""
+        return np.asarray(self._group["lut"][...]) if self.dtype.kind == "u" else np.zeros(2, np.float32)
+
+    def read(
+        self,
+        band: slice,
+        *,
+        lights: np.ndarray | None = None,
+        channel: Literal["mean"] | int | None = None,
+        columns: slice | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Observations of some rows: values and validity.
+
+        band: rows (a slice of step 1, from `bands()` or any other); lights: indices, default all; channel: None for
+        all, an index, or 'mean' over all; columns: slice, default all. Returns float32 (lights, rows, columns,
+        channels), or without the last axis for one channel or the mean, and bool (lights, rows, columns): inside the
+        mask, no defect, gain known, finite, saturated in no channel, above the lowest code in at least one of the
+        channels read. A perfect white diffuser that faces the lamp has value 1. Values that cannot be formed are 0.
+        """
+        chosen = np.arange(len(self.lights)) if lights is None else np.asarray(lights, np.int64)
+        first, last = self._channel_range(channel)
+        codes, start = self.codes(band, lights=chosen, columns=columns)
+        rows, width = codes.shape[1:3]
+        left = (columns or slice(None)).indices(self.shape[1])[0]
+        gain, dark = self._fields(chosen)
+        edges = [block_edges(n, self.attributes["white_block"]) for n in self.shape]
+        if gain.shape[1:3] == (1, 1):
+            edges = [np.array([0, n]) for n in self.shape]
+        place_rows, row_weights = positions(edges[0], start, start + rows)
+        place_columns, column_weights = positions(edges[1], left, left + width)
+        usable = self._usable[start : start + rows, left : left + width]
+        out = np.empty((*codes.shape[:3], last - first if channel is None else 1), np.float32)
+        valid = np.empty(codes.shape[:3], bool)
+        limits = self.attributes["saturation_code"], self.attributes["clip_code"]
+        saturated, clip = (np.inf if limits[0] is None else float(limits[0])), float(limits[1])
+        decode(
+            codes, self.table, gain, dark, place_rows, row_weights, place_columns, column_weights, usable,
+            saturated, clip, first, last, channel is not None, out, valid,
+        )  # fmt: skip
+        return (out if channel is None else out[..., 0]), valid
+
+    def codes(
+        self, band: slice, *, lights: np.ndarray | None = None, columns: slice | None = None
+    ) -> tuple[np.ndarray, int]:
+        """The stored codes (lights, rows, columns, channels) of some rows, and the first row's number."""
+        chosen = np.arange(len(self.lights)) if lights is None else np.asarray(lights, np.int64)
+        start, stop, step = band.indices(self.shape[0])
+        left, right, stride = (columns or slice(None)).indices(self.shape[1])
+        if step != 1 or stride != 1 or stop <= start or right <= left:
+            raise ValueError(f"rows {band} and columns {columns} must be non-empty slices of step 1 in {self.shape}")
+        chunk = (self.band_rows, self.shape[1], len(self.channels))
+        codes = np.empty((len(chosen), stop - start, right - left, len(self.channels)), self.dtype)
+        for number in range(start // self.band_rows, -(-stop // self.band_rows)):
+            top = number * self.band_rows
+            inner = slice(max(start - top, 0), min(stop - top, self.band_rows))
+            outer = slice(top + inner.start - start, top + inner.stop - start)
+            for j, light in enumerate(chosen):
+                path = chunk_path(self.path / "codes", int(light), number)
+                values = read_chunk(path, chunk, self.dtype, compression=self.attributes["compression"])
+                codes[j, outer] = values[inner, left:right]
+        return codes, start
+
+    @cached_property
+    def _usable(self) -> np.ndarray:
+        usable = self.mask if self.defect is None else self.mask & ~self.defect
+        return usable.astype(np.uint8)
+
+    def _channel_range(self, channel: str | int | None) -> tuple[int, int]:
+        count = len(self.channels)
+        if channel is None or channel == "mean":
+            return 0, count
+        if isinstance(channel, str) or not 0 <= channel < count:
+            raise ValueError(f"channel {channel!r}: None, 'mean' or 0..{count - 1}")
+        return int(channel), int(channel) + 1
+
+    def _fields(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Gain and dark of the chosen lights on one grid."""
+        gain = self.gain[chosen]
+        dark = self.dark if len(self.dark) == 1 else self.dark[chosen]
+        shape = np.broadcast_shapes(gain.shape, dark.shape)
+        return tuple(np.ascontiguousarray(np.broadcast_to(field, shape)) for field in (gain, dark))

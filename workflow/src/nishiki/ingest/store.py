@@ -1,0 +1,255 @@
+"""Writing the ingested frames: the camera's own codes, re-tiled, with all that is needed to read them as light."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Literal, Protocol
+
+import numpy as np
+
+from nishiki.capture.folder import Capture
+from nishiki.capture.frames import Frame
+from nishiki.capture.images import read_mask
+from nishiki.capture.problems import CaptureError, Problem, error, warning
+from nishiki.ingest.blocks import block_edges
+from nishiki.ingest.chunks import chunk_path, create_array, write_chunk
+from nishiki.ingest.decode import count_unusable
+from nishiki.ingest.frames import FrameReader
+from nishiki.ingest.reference import DarkField, Gains, measure_darks, measure_gains
+
+STORE = "frames.zarr"
+FORMAT = 1
+ALL_SATURATED = 0.99
+MANY_SATURATED = 0.05
+
+
+class Settings(Protocol):
+    """What ingest reads of its settings."""
+
+    channels: Literal["all", "luminance", "green"]
+    white_block: int
+    tile_mib: int
+    compression: Literal["none", "zstd"]
+
+
+@dataclass(frozen=True)
+class IngestSettings:
+    """channels: which to keep; white_block: pixels of a gain block (1: per pixel, as in P eq. 3); tile_mib: float
+    memory of one band over all lights; compression of the stored codes."""
+
+    channels: Literal["all", "luminance", "green"] = "all"
+    white_block: int = 16
+    tile_mib: int = 128
+    compression: Literal["none", "zstd"] = "none"
+
+
+@dataclass(frozen=True)
+class IngestDiagnostics:
+    """What ingest found. Shares are of the pixels inside the mask, one a light (sample and check, in order).
+
+    saturated: saturated in any channel; dark: at the lowest code in all channels; not_finite: counts; white_level:
+    median of the board as a fraction of full scale per light, and white_uniformity: 5th / 95th percentile over the
+    board per light, both of the worst channel, empty without a board; defects: hot or dead pixels.
+    """
+
+    rows: int
+    columns: int
+    channels: tuple[str, ...]
+    lights: tuple[str, ...]
+    dtype: str
+    band_rows: int
+    mask_pixels: int
+    saturated: tuple[float, ...]
+    dark: tuple[float, ...]
+    not_finite: tuple[int, ...]
+    white_level: tuple[float, ...]
+    white_uniformity: tuple[float, ...]
+    defects: int
+    warnings: tuple[str, ...]
+
+    def as_dict(self) -> dict:
+        """Plain values for JSON."""
+        return asdict(self)
+
+
+def rows_of_band(lights: int, rows: int, columns: int, channels: int, tile_mib: int) -> int:
+    """Rows of a band whose float32 observations fit into tile_mib MiB: a multiple of 8, at least 8."""
+    fit = (tile_mib << 20) // max(1, lights * columns * channels * 4)
+    return int(min(max(8, fit // 8 * 8), -(-rows // 8) * 8))
+
+
+def write_observations(
+    capture: Capture,
+    folder: Path | str,
+    *,
+    settings: Settings | None = None,
+    progress: Callable[[int, int, str], None] | None = None,
+) -> IngestDiagnostics:
+    """Write `frames.zarr` into the folder, which must not hold one; read it with `Observations`.
+
+    progress(done, of, file) is called once a photograph. Two frames at a time are in memory. Raises CaptureError
+    (a UserError) for photographs that cannot be used.
+    """
+    settings = settings or IngestSettings()
+    tick = _Ticker(progress, len(capture.frames_of("dark")) + len(capture.frames_of("white")) + len(capture.observed))
+    reader = FrameReader.of(capture, settings.channels)
+    mask = mask_of(capture, reader)
+    _, _, rows, columns = reader.region
+    edges = block_edges(rows, settings.white_block), block_edges(columns, settings.white_block)
+    darks = measure_darks(reader, edges, tick)
+    gains = measure_gains(reader, darks, edges, tick)
+    import zarr
+
+    group = zarr.open_group(Path(folder) / STORE, mode="w-", zarr_format=3)
+    band_rows = rows_of_band(len(capture.observed), rows, columns, len(reader.names), settings.tile_mib)
+    counts, problems = _write_frames(Path(folder) / STORE, group, reader, mask, band_rows, settings.compression, tick)
+    defect = darks.defect | gains.defect
+    _write_fields(group, reader, mask, defect, darks, gains)
+    group.attrs.update(_attributes(capture, reader, settings, band_rows))
+    problems = (*capture.warnings, *reader.warnings(), *darks.problems, *gains.problems, *problems)
+    return _diagnostics(reader, counts, mask, defect, gains, problems, band_rows)
+
+
+class _Ticker:
+    """Counts photographs for the caller's progress line."""
+
+    def __init__(self, progress: Callable[[int, int, str], None] | None, total: int):
+        self.progress, self.total, self.done = progress, total, 0
+
+    def __call__(self, file: str) -> None:
+        self.done += 1
+        if self.progress:
+            self.progress(self.done, self.total, file)
+
+
+def mask_of(capture: Capture, reader: FrameReader) -> np.ndarray:
+    """Mask (rows, columns) uint8 of the region, all ones without one. CaptureError: mask-size, mask-empty."""
+    if capture.mask is None:
+        return np.ones(reader.region[2:], np.uint8)
+    name = capture.settings.mask
+    whole = read_mask(capture.mask, name=name)
+    if whole.shape != (reader.rows, reader.columns):
+        expected, found = f"{reader.rows} x {reader.columns} as the frames", f"{whole.shape[0]} x {whole.shape[1]}"
+        raise CaptureError(error("mask-size", name, "size of the mask", expected=expected, found=found))
+    row, column, rows, columns = reader.region
+    mask = whole[row : row + rows, column : column + columns].astype(np.uint8)
+    if not mask.any():
+        remedy = "Non-zero pixels mark the object; check the mask and the region of interest"
+        raise CaptureError(error("mask-empty", name, "mask has no pixels", remedy=remedy))
+    return mask
+
+
+def _write_frames(
+    path: Path, group, reader: FrameReader, mask: np.ndarray, band_rows: int, compression: str, tick: Callable
+) -> tuple[np.ndarray, list[Problem]]:
+    """Every observed frame into its chunks; returns counts (lights, 4) and what was found in the frames."""
+    _, _, rows, columns = reader.region
+    observed, count = reader.capture.observed, len(reader.names)
+    shape, chunk = (len(observed), rows, columns, count), (1, band_rows, columns, count)
+    create_array(group, "codes", shape, chunk, reader.dtype, compression=compression)
+    counts, problems = np.zeros((len(observed), 4), np.int64), []
+    for j, (frame, codes) in enumerate(reader.read_all(observed)):
+        counts[j], highest = count_unusable(codes, mask, reader.saturated, reader.clip)
+        problems += frame_problems(frame, counts[j], float(highest), reader)
+        for band in range(-(-rows // band_rows)):
+            part = codes[band * band_rows : (band + 1) * band_rows]
+            if len(part) < band_rows:  # chunks are whole: the last one is padded
+                part = np.concatenate([part, np.zeros((band_rows - len(part), columns, count), codes.dtype)])
+            write_chunk(chunk_path(path / "codes", j, band), part, compression=compression)
+        tick(frame.file)
+    return counts, problems
+
+
+def frame_problems(frame: Frame, counts: np.ndarray, highest: float, reader: FrameReader) -> list[Problem]:
+    """What the sample values of one frame say; CaptureError (bits-exceeded, all-saturated, all-dark) if unusable."""
+    saturated, dark, broken, inside = (int(v) for v in counts)
+    if reader.dtype.kind == "u" and highest > reader.full:
+        expected, found = f"codes up to {reader.full:.0f} as camera.bits says", f"{highest:.0f}"
+        remedy = "Correct camera.bits"
+        raise CaptureError(error("bits-exceeded", frame.file, "code", expected=expected, found=found, remedy=remedy))
+    if saturated > ALL_SATURATED * inside:
+        remedy = "Expose less, or leave this light out"
+        raise CaptureError(error("all-saturated", frame.file, "the whole object is saturated", remedy=remedy))
+    if dark > ALL_SATURATED * inside:
+        remedy = "Expose longer, or leave this light out"
+        raise CaptureError(error("all-dark", frame.file, "the whole object is black", remedy=remedy))
+    problems = []
+    if broken:
+        found = f"{broken} pixels"
+        problems.append(warning("not-finite", frame.file, "NaN or infinite samples are not used", found=found))
+    if saturated > MANY_SATURATED * inside:
+        found = f"{100 * saturated / inside:.1f} % of the object"
+        problems.append(warning("many-saturated", frame.file, "many saturated samples", found=found))
+    return problems
+
+
+def _write_fields(group, reader: FrameReader, mask: np.ndarray, defect: np.ndarray, darks: DarkField, gains: Gains):
+    """The small arrays beside the codes."""
+    fields = {"mask": mask, "gain": gains.gain, "dark": darks.for_frames(reader.capture.observed)}
+    if reader.dtype.kind == "u":
+        fields["lut"] = reader.table
+    if defect.any():
+        fields["defect"] = defect.astype(np.uint8)
+    for name, values in fields.items():
+        array = create_array(group, name, values.shape, values.shape, values.dtype)
+        array[...] = values
+
+
+def _attributes(capture: Capture, reader: FrameReader, settings: Settings, band_rows: int) -> dict:
+    positions = None
+    if capture.settings.lights.kind == "position_mm":
+        positions = capture.lights.vectors[[capture.lights.index(f.light) for f in capture.observed]].tolist()
+    row, column, _, _ = reader.region
+    finite = np.isfinite(reader.saturated)
+    top = min(reader.saturated, len(reader.table) - 1) if reader.dtype.kind == "u" else reader.saturated
+    linear_top = float(reader.table[int(top)]) if reader.dtype.kind == "u" else float(top)
+    return {
+        "format": FORMAT,
+        "lights": [capture.lights.names[capture.lights.index(f.light)] for f in capture.observed],
+        "files": [f.file for f in capture.observed],
+        "roles": [f.role for f in capture.observed],
+        "directions": capture.directions.tolist(),
+        "positions_mm": positions,
+        "channels": list(reader.names),
+        "saturation": linear_top if finite else None,
+        "saturation_code": reader.saturated if finite else None,
+        "clip_code": reader.clip,
+        "pixel_pitch_mm": capture.settings.pixel_pitch_mm,
+        "image_shape": [reader.rows, reader.columns],
+        "region_of_interest": list(reader.region),
+        "image_centre": [(reader.rows - 1) / 2 - row, (reader.columns - 1) / 2 - column],
+        "band_rows": band_rows,
+        "white_block": settings.white_block,
+        "white_board": bool(capture.frames_of("white")),
+        "compression": settings.compression,
+    }
+
+
+def _diagnostics(
+    reader: FrameReader,
+    counts: np.ndarray,
+    mask: np.ndarray,
+    defect: np.ndarray,
+    gains: Gains,
+    problems: tuple[Problem, ...],
+    band_rows: int,
+) -> IngestDiagnostics:
+    inside = int(mask.sum(dtype=np.int64))
+    return IngestDiagnostics(
+        rows=mask.shape[0],
+        columns=mask.shape[1],
+        channels=reader.names,
+        lights=tuple(f.light for f in reader.capture.observed),
+        dtype=str(reader.dtype),
+        band_rows=band_rows,
+        mask_pixels=inside,
+        saturated=tuple((counts[:, 0] / inside).tolist()),
+        dark=tuple((counts[:, 1] / inside).tolist()),
+        not_finite=tuple(counts[:, 2].tolist()),
+        white_level=gains.levels,
+        white_uniformity=gains.uniformity,
+        defects=int((defect & (mask > 0)).sum()),
+        warnings=tuple(str(p) for p in problems),
+    )
