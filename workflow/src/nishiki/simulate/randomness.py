@@ -1,0 +1,91 @@
+"""Random numbers that depend on a key and a position only, never on the order or the number of threads."""
+
+import math
+
+import numba
+import numpy as np
+
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+_MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
+_MIX_2 = np.uint64(0x94D049BB133111EB)
+_SHIFT_30, _SHIFT_27, _SHIFT_31, _SHIFT_11 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(11)
+_UNIT = 1.0 / 9007199254740992.0  # 2^-53
+
+
+@numba.njit(cache=True)
+def hash_uint(key, counter):
+    """64 well-mixed bits of (key, counter): the output function of SplitMix64 (Steele, Lea, Flood, OOPSLA 2014)."""
+    z = np.uint64(key) + (np.uint64(counter) + np.uint64(1)) * _GOLDEN
+    z = (z ^ (z >> _SHIFT_30)) * _MIX_1
+    z = (z ^ (z >> _SHIFT_27)) * _MIX_2
+    return z ^ (z >> _SHIFT_31)
+
+
+@numba.njit(cache=True)
+def uniform(key, counter):
+    """A number in [0, 1) from (key, counter)."""
+    return float(hash_uint(key, counter) >> _SHIFT_11) * _UNIT
+
+
+@numba.njit(cache=True)
+def normal(key, counter):
+    """A standard normal number from (key, counter): Box-Muller on two hashed uniforms (one of the pair is used)."""
+    twice = np.uint64(counter) * np.uint64(2)
+    radius = math.sqrt(-2.0 * math.log(1.0 - uniform(key, twice)))
+    return radius * math.cos(2.0 * math.pi * uniform(key, twice + np.uint64(1)))
+
+
+@numba.njit(cache=True)
+def line_noise(key, x):
+    """Smooth noise in [0, 1] on a line: hashed values at the integers, joined by the smoothstep polynomial."""
+    cell = math.floor(x)
+    f = x - cell
+    left = uniform(key, np.uint64(np.int64(cell)))
+    right = uniform(key, np.uint64(np.int64(cell) + 1))
+    return left + (right - left) * f * f * (3.0 - 2.0 * f)
+
+
+@numba.njit(cache=True)
+def plane_noise(key, x, y):
+    """Smooth noise in [0, 1] on the plane: hashed values at the integer lattice, joined by smoothsteps."""
+    column, row = math.floor(x), math.floor(y)
+    fx, fy = x - column, y - row
+    fx = fx * fx * (3.0 - 2.0 * fx)
+    fy = fy * fy * (3.0 - 2.0 * fy)
+    i, j = np.int64(column), np.int64(row)
+    key_0, key_1 = hash_uint(key, np.uint64(j)), hash_uint(key, np.uint64(j + 1))
+    a, b = uniform(key_0, np.uint64(i)), uniform(key_0, np.uint64(i + 1))
+    c, d = uniform(key_1, np.uint64(i)), uniform(key_1, np.uint64(i + 1))
+    top, bottom = a + (b - a) * fx, c + (d - c) * fx
+    return top + (bottom - top) * fy
+
+
+@numba.njit(cache=True, parallel=True)
+def _fractal(key, x, y, octaves, out):
+    for row in numba.prange(out.shape[0]):
+        for column in range(out.shape[1]):
+            total, weight, scale = 0.0, 0.0, 1.0
+            for octave in range(octaves):
+                total += plane_noise(key + np.uint64(octave), x[row, column] / scale, y[row, column] / scale) * scale
+                weight += scale
+                scale *= 0.5
+            out[row, column] = total / weight
+
+
+def fractal_noise(x: np.ndarray, y: np.ndarray, *, key: int, octaves: int = 3) -> np.ndarray:
+    """Sum of octaves of smooth noise, each twice as fine and half as strong.
+
+    x, y : (rows, columns) positions in units of the coarsest cell. Returns (rows, columns) float32 in [0, 1].
+    """
+    x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
+    out = np.empty(x.shape, np.float32)
+    _fractal(np.uint64(key), np.ascontiguousarray(x), np.ascontiguousarray(y), octaves, out)
+    return out
+
+
+def subkey(seed: int, purpose: str) -> int:
+    """A 63-bit key for one purpose of one seed, so that two purposes never share random numbers."""
+    import hashlib
+
+    digest = hashlib.sha256(f"{int(seed)}:{purpose}".encode()).digest()
+    return int.from_bytes(digest[:8], "little") >> 1

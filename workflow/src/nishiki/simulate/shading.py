@@ -1,0 +1,176 @@
+"""Light that leaves the object towards the camera under one lamp, averaged over each camera pixel."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from nishiki.simulate.bounce import REACH_PIXELS, bounced_irradiance
+from nishiki.simulate.lamp import Lamp
+from nishiki.simulate.objects import SimulatedObject
+from nishiki.simulate.reflection import ggx_gloss, rough_body
+from nishiki.simulate.relief import slopes_at
+from nishiki.simulate.settings import SimulationSettings
+from nishiki.simulate.shadows import visible_share
+
+BODY_SIGMA = 0.20  # roughness of the paint itself, radians (Oren-Nayar)
+
+
+@dataclass(frozen=True)
+class Shading:
+    """What one lamp does to some rows of the picture, relative to a white diffuser facing the lamp; all float32.
+
+    body : (rows, columns, tables) body reflection through each column of the colour table, bounce included.
+    gloss : (rows, columns) mirror reflection, the same at all wavelengths. irradiance : (rows, columns) direct, with
+    shadows. lit : (rows, columns) share of the pixel's area times the lamp's disc that is lit.
+    """
+
+    body: np.ndarray
+    gloss: np.ndarray
+    irradiance: np.ndarray
+    lit: np.ndarray
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _shade_sample(height, i, j, step, lx, ly, lz, half, radius, ceiling, index, sigma, alpha, wave):
+    """(lit share, irradiance, body, gloss) of one sample; `half` is the inverse length of light + view."""
+    p, q = slopes_at(height, i, j, step)
+    n_v = 1.0 / math.sqrt(1.0 + p * p + q * q)
+    n_l = (lz - p * lx - q * ly) * n_v
+    if n_l <= 0.0:
+        return 0.0, 0.0, 0.0, 0.0
+    visible = visible_share(height, i, j, lx, ly, lz, step, ceiling, radius)
+    if visible <= 0.0:
+        return 0.0, 0.0, 0.0, 0.0
+    body = n_l * visible
+    if sigma > 0.0:
+        body *= rough_body(n_l, n_v, lz, sigma, index)
+    gloss = 0.0
+    if alpha > 0.0:
+        # The varnish is not quite parallel to the paint: its own gentle waves tilt the mirror.
+        p, q = p + wave[0], q + wave[1]
+        m_v = 1.0 / math.sqrt(1.0 + p * p + q * q)
+        m_l = (lz - p * lx - q * ly) * m_v
+        m_h = ((lz + 1.0) - p * lx - q * ly) * half * m_v
+        gloss = visible * ggx_gloss(m_l, m_v, m_h, (lz + 1.0) * half, alpha, index)
+    return visible, n_l * visible, body, gloss
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _shade_row(row, r, height, label, wave, table, alpha, pitch, s, position, optics, body, gloss, direct, lit):
+    """One row of camera pixels; optics: lamp's angular radius, ceiling, refractive index, roughness of the body."""
+    columns, tables = body.shape[1], body.shape[2]
+    step, share = pitch / s, 1.0 / (s * s)
+    sums = np.empty(tables)
+    y = (0.5 * (height.shape[0] // s) - 0.5 - row) * pitch
+    for column in range(columns):
+        x = (column + 0.5 - 0.5 * columns) * pitch
+        lx, ly, lz = position[0] - x, position[1] - y, position[2]
+        inverse = 1.0 / math.sqrt(lx * lx + ly * ly + lz * lz)
+        lx, ly, lz = lx * inverse, ly * inverse, lz * inverse
+        half = 1.0 / math.sqrt(2.0 + 2.0 * lz)
+        sums[:] = 0.0
+        shine, light, seen = 0.0, 0.0, 0.0
+        for i in range(row * s, row * s + s):
+            for j in range(column * s, column * s + s):
+                paint = label[i, j]
+                visible, received, value, mirror = _shade_sample(
+                    height,
+                    i,
+                    j,
+                    step,
+                    lx,
+                    ly,
+                    lz,
+                    half,
+                    optics[0],
+                    optics[1],
+                    optics[2],
+                    optics[3],
+                    alpha[paint],
+                    wave[row, column],
+                )
+                seen += visible
+                light += received
+                shine += mirror
+                for k in range(tables):
+                    sums[k] += value * table[paint, k]
+        for k in range(tables):
+            body[r, column, k] = sums[k] * share
+        gloss[r, column], direct[r, column], lit[r, column] = shine * share, light * share, seen * share
+
+
+@numba.njit(cache=True, parallel=True, error_model="numpy")
+def _shade(first, height, label, wave, table, alpha, pitch, s, position, optics, body, gloss, direct, lit):
+    for r in numba.prange(body.shape[0]):
+        _shade_row(
+            first + r, r, height, label, wave, table, alpha, pitch, s, position, optics, body, gloss, direct, lit
+        )
+
+
+@numba.njit(cache=True, parallel=True)
+def _add_bounce(label, bounced, squared, s, first, body):
+    rows, columns, tables = body.shape
+    share = 1.0 / (s * s)
+    for r in numba.prange(rows):
+        row = first + r
+        for column in range(columns):
+            if bounced[r, column] <= 0.0:
+                continue
+            light = float(bounced[r, column]) * share
+            for i in range(row * s, row * s + s):
+                for j in range(column * s, column * s + s):
+                    for k in range(tables):
+                        body[r, column, k] += np.float32(light * squared[label[i, j], k])
+
+
+def shade(
+    thing: SimulatedObject, lamp: Lamp, settings: SimulationSettings, *, table, squared, rows: slice | None = None
+) -> Shading:
+    """Shading of the given rows (all if None).
+
+    table : (labels, tables) weighted reflectance of each paint, 1 for a perfect white; squared : likewise of the
+    reflectance squared: bounced light has met the paint twice (the neighbour is taken to carry the same paint).
+    """
+    rows = rows or slice(0, settings.rows)
+    # The bounce needs the direct irradiance of its neighbourhood: shade a margin, then cut it off.
+    margin = REACH_PIXELS + 1 if settings.bounce else 0
+    first, last = max(rows.start - margin, 0), min(rows.stop + margin, settings.rows)
+    shape = (last - first, settings.columns)
+    body = np.empty((*shape, table.shape[1]), np.float32)
+    gloss, direct, lit = (np.empty(shape, np.float32) for _ in range(3))
+    optics = (
+        0.5 * math.radians(settings.lights.angular_diameter_deg),
+        thing.ceiling_mm,
+        settings.refractive_index if settings.gloss != "none" else 1.0,
+        BODY_SIGMA if settings.body == "rough" else 0.0,
+    )
+    _shade(
+        first,
+        thing.height_mm,
+        thing.label,
+        thing.waves,
+        np.ascontiguousarray(table, np.float64),
+        np.ascontiguousarray(thing.palette.roughness, np.float64),
+        settings.pitch_mm,
+        settings.supersampling,
+        lamp.position_mm,
+        optics,
+        body,
+        gloss,
+        direct,
+        lit,
+    )
+    if settings.bounce and thing.ceiling_mm > 0.0:
+        band = slice(first, last)
+        normals = thing.normals[band]
+        slope_x, slope_y = -normals[..., 0] / normals[..., 2], -normals[..., 1] / normals[..., 2]
+        bounced = bounced_irradiance(direct, thing.mean_height_mm[band], slope_x, slope_y, pitch_mm=settings.pitch_mm)
+        _add_bounce(
+            thing.label, bounced, np.ascontiguousarray(squared, np.float64), settings.supersampling, first, body
+        )
+    inner = slice(rows.start - first, rows.stop - first)
+    return Shading(body[inner], gloss[inner], direct[inner], lit[inner])
