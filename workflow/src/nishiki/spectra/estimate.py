@@ -108,7 +108,7 @@ def fit_estimator(
     white_width: float = 0.05,
     centres: int = 256,
     radius: float = 6.0,
-    ridge: float = 0.01,
+    ridge: float | None = None,
     condition_limit: float = 1e6,
     unit_tolerance: float = 0.01,
     rule: str = "trapezoid",
@@ -235,7 +235,7 @@ def _check_settings(method, noise, white_width, centres, radius, ridge, conditio
         ("white_width", white_width, 0.0),
         ("centres", centres, 1),
         ("radius", radius, 1e-3),
-        ("ridge", ridge, 1e-12),
+        ("ridge", 1.0 if ridge is None else ridge, 1e-12),
         ("condition_limit", condition_limit, 1.0),
         ("unit_tolerance", unit_tolerance, 0.0),
     )

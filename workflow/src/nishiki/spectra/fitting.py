@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nishiki.errors import UserError
+from nishiki.spectra import kernels
 from nishiki.spectra.basis import principal_basis
 from nishiki.spectra.linear import condition_number, paper_map, wiener_map
 from nishiki.spectra.local import (
@@ -15,12 +16,11 @@ from nishiki.spectra.local import (
     ResponseSpace,
     evaluate_correction,
     fit_correction,
-    kernel_sums,
 )
 from nishiki.spectra.sampling import BANDS
 
 LINEAR_GAMUT_EXCESS = 0.5  # whitened standard deviations beyond the training box, for methods without centres
-TABLE_STEP, TABLE_CELLS = 0.3, 64
+TABLE_STEP, TABLE_CELLS = 0.25, 64
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def fit_paper(problem: Problem, bases: int | None, *, white: bool, condition_lim
     return Parts(basis, linear, of_white, None, error, condition, cut, error**0.5)
 
 
-def fit_regression(problem: Problem, bases: int | None, local: tuple[int, float, float] | None) -> Parts:
+def fit_regression(problem: Problem, bases: int | None, local: tuple[int, float, float | None] | None) -> Parts:
     """Wiener's estimator, with the local correction if `local` = (centres, radius, ridge) is given."""
     channels = problem.weights.shape[0]
     dense = wiener_map(problem.weights, problem.spectra, noise=problem.noise)
@@ -138,8 +138,8 @@ def correction_table(
     cells = np.clip(np.ceil(extent / TABLE_STEP).astype(int), 1, TABLE_CELLS)
     axes = [origin[i] + extent[i] * np.linspace(0.0, 1.0, cells[i] + 1) for i in range(3)]
     table = np.empty((*(cells + 1), correction.weights.shape[1] + 2), np.float32)
-    plane = np.stack(np.meshgrid(axes[1], axes[2], indexing="ij"), axis=-1).reshape(-1, 2)
-    for i, first in enumerate(axes[0]):
-        values, variance, nearest = kernel_sums(correction, np.column_stack([np.full(len(plane), first), plane]))
-        table[i] = np.column_stack([values, variance, nearest]).reshape(*table.shape[1:])
+    kernels.fill_table(
+        axes[0], axes[1], axes[2], np.ascontiguousarray(correction.centres.T, np.float32),
+        correction.weights.astype(np.float32), correction.radius, correction.variance, correction.far_variance, table,
+    )  # fmt: skip
     return table, origin, extent / cells

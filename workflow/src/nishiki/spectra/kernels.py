@@ -147,6 +147,20 @@ def _kernel_sums(z, centres, weights, radius, variance, far_variance, apart, out
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
+def fill_table(axis0, axis1, axis2, centres, weights, radius, variance, far_variance, table):
+    """Fill a (n0, n1, n2, K + 2) float32 table with `_kernel_sums` at the nodes of three axes."""
+    for i in prange(axis0.size):
+        z = np.empty(3, np.float64)
+        apart = np.empty(centres.shape[1], np.float32)
+        z[0] = axis0[i]
+        for j in range(axis1.size):
+            z[1] = axis1[j]
+            for k in range(axis2.size):
+                z[2] = axis2[k]
+                _kernel_sums(z, centres, weights, radius, variance, far_variance, apart, table[i, j, k])
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
 def apply_estimator(
     responses, linear, anchor, precision, mean, whiten, low, high, table, origin, step,
     centres, weights, radius, variance, far_variance, noise_variance, gamut_distance, basis, unit_low, unit_high,
