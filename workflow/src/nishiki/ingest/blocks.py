@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numba.extending import overload
 
 SUBSAMPLE = 64  # of a block's samples, for the median and the spread
@@ -42,7 +42,19 @@ def _linear_value(table, code):
     return lambda table, code: table[code]
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
+def middle(values, count):
+    """Median of the first `count` values, which are sorted in place (by insertion: they are few)."""
+    for i in range(1, count):
+        value, j = values[i], i
+        while j > 0 and values[j - 1] > value:
+            values[j] = values[j - 1]
+            j -= 1
+        values[j] = value
+    return 0.5 * (values[(count - 1) // 2] + values[count // 2])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def block_levels(codes, table, row_edges, column_edges, saturated, clip):
     """Robust level of each block and the share of its samples that are not usable.
 
@@ -55,8 +67,8 @@ def block_levels(codes, table, row_edges, column_edges, saturated, clip):
     r, c, channels = len(row_edges) - 1, len(column_edges) - 1, codes.shape[2]
     levels = np.empty((r, c, channels), np.float32)
     unusable = np.empty((r, c, channels), np.float32)
-    for i in prange(r):
-        picked = np.empty(SUBSAMPLE, np.float64)
+    picked = np.empty(SUBSAMPLE, np.float64)
+    for i in range(r):
         for j in range(c):
             y0, y1, x0, x1 = row_edges[i], row_edges[i + 1], column_edges[j], column_edges[j + 1]
             width = x1 - x0
@@ -73,8 +85,10 @@ def block_levels(codes, table, row_edges, column_edges, saturated, clip):
                     levels[i, j, k] = np.nan
                     unusable[i, j, k] = 1.0
                     continue
-                median = np.median(picked[:count])
-                sigma = 1.4826 * np.median(np.abs(picked[:count] - median))
+                median = middle(picked, count)
+                for s in range(count):
+                    picked[s] = abs(picked[s] - median)
+                sigma = 1.4826 * middle(picked, count)
                 # at least the rounding of the codes (table[1]), and 1 percent of the level
                 bound = CLIP_SIGMAS * max(sigma, 0.01 * abs(median), table[1])
                 total, used = 0.0, 0
@@ -91,13 +105,13 @@ def block_levels(codes, table, row_edges, column_edges, saturated, clip):
     return levels, unusable
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def count_outliers(codes, table, levels, row_edges, column_edges, low, high, counts):
     """Add 1 to counts (rows, columns) uint8 where any channel's linear value is below low or above high of its block.
 
     low: factor of the block's level; high: amount above it (either may be infinite to switch that side off).
     """
-    for i in prange(len(row_edges) - 1):
+    for i in range(len(row_edges) - 1):
         for j in range(len(column_edges) - 1):
             for y in range(row_edges[i], row_edges[i + 1]):
                 for x in range(column_edges[j], column_edges[j + 1]):

@@ -106,37 +106,32 @@ def _decode_flat(codes, table, gain, dark, usable, top, below, out, valid):
             valid[x] = False
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def count_unusable(codes, usable, saturated, clip):
     """Pixels of one frame inside the mask that are: saturated in any channel, at the clip in all, not finite; in all.
 
-    codes (rows, columns, channels); usable (rows, columns) uint8. Returns (4,) int64 and the largest code as float.
+    codes (rows, columns, channels); usable (rows, columns) uint8. Returns these four counts and the largest code
+    (of the whole frame, as a float).
     """
-    rows, columns, channels = codes.shape
-    counts = np.zeros((rows, 4), np.int64)
-    highest = np.zeros(rows, np.float64)
-    for y in prange(rows):
-        hot, cold, broken, inside, most = 0, 0, 0, 0, 0.0
-        for x in range(columns):
+    hot, cold, broken, inside, most = 0, 0, 0, 0, codes[0, 0, 0]
+    for y in range(codes.shape[0]):
+        for x in range(codes.shape[1]):
             over, under, bad = False, True, False
-            for k in range(channels):
+            for k in range(codes.shape[2]):
                 code = codes[y, x, k]
-                over = over or code >= saturated
-                under = under and code <= clip
-                bad = bad or not np.isfinite(np.float32(code))
-                if code > most:
-                    most = float(code)
+                over |= code >= saturated
+                under &= code <= clip
+                bad |= not np.isfinite(np.float32(code))
+                most = max(most, code)
             if usable[y, x] != 0:
                 inside += 1
                 hot += over
                 cold += under
                 broken += bad
-        counts[y, 0], counts[y, 1], counts[y, 2], counts[y, 3] = hot, cold, broken, inside
-        highest[y] = most
-    return counts.sum(axis=0), highest.max()
+    return hot, cold, broken, inside, float(most)
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def to_luma(codes, saturated, full, weights, rounding):
     """Luma (rows, columns, 1) of codes (rows, columns, 3) in their own type; full scale where a channel is saturated.
 
@@ -145,7 +140,7 @@ def to_luma(codes, saturated, full, weights, rounding):
     """
     rows, columns, channels = codes.shape
     out = np.empty((rows, columns, 1), codes.dtype)
-    for y in prange(rows):
+    for y in range(rows):
         for x in range(columns):
             total, over = rounding, False
             for k in range(channels):

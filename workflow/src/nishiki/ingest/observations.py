@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
@@ -60,6 +61,14 @@ class Observations:
     def indices(self, role: Literal["sample", "check"]) -> np.ndarray:
         """Which lights have this role, (n,) int64."""
         return np.flatnonzero([own == role for own in self.roles])
+
+    def fit_lights(self, hold_out: Collection[str] = ()) -> np.ndarray:
+        """Lights that fits may use, (n,) int64: those of samples, without the names held out."""
+        return np.array([j for j in self.indices("sample") if self.lights[j] not in set(hold_out)], np.int64)
+
+    def check_lights(self, hold_out: Collection[str] = ()) -> np.ndarray:
+        """Lights that no fit has seen, (n,) int64: those of check frames and those held out."""
+        return np.setdiff1d(np.arange(len(self.lights)), self.fit_lights(hold_out))
 
     def bands(self) -> list[slice]:
         """Row slices that cover the picture, each of bounded memory."""

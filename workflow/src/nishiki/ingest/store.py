@@ -151,8 +151,9 @@ def _write_frames(
     create_array(group, "codes", shape, chunk, reader.dtype, compression=compression)
     counts, problems = np.zeros((len(observed), 4), np.int64), []
     for j, (frame, codes) in enumerate(reader.read_all(observed)):
-        counts[j], highest = count_unusable(codes, mask, reader.saturated, reader.clip)
-        problems += frame_problems(frame, counts[j], float(highest), reader)
+        *tally, highest = count_unusable(codes, mask, reader.saturated, reader.clip)
+        counts[j] = tally
+        problems += frame_problems(frame, counts[j], highest, reader)
         for band in range(-(-rows // band_rows)):
             part = codes[band * band_rows : (band + 1) * band_rows]
             if len(part) < band_rows:  # chunks are whole: the last one is padded

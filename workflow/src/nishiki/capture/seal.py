@@ -1,0 +1,208 @@
+"""Sealing a capture: a BagIt bag (RFC 8493) whose manifest says what every file was when it was sealed."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from datetime import date as Date
+from pathlib import Path
+
+from nishiki.capture.problems import CaptureError, Problem, error, raise_errors
+
+MANIFEST, TAG_MANIFEST = "manifest-sha256.txt", "tagmanifest-sha256.txt"
+TAGS = ("bagit.txt", "bag-info.txt", MANIFEST)
+BAGIT = "BagIt-Version: 1.0\nTag-File-Character-Encoding: UTF-8\n"
+BLOCK = 1 << 20
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One payload file: digest and the facts that tell cheaply whether it may have changed."""
+
+    sha256: str
+    bytes: int
+    mtime_ns: int
+
+
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file, 64 hexadecimal digits."""
+    digest = hashlib.sha256()
+    with path.open("rb") as file:
+        while block := file.read(BLOCK):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+def payload_files(folder: Path) -> Iterator[Path]:
+    """Regular files below a folder, in the order of their relative names; links to folders are not followed."""
+    found = [Path(base) / name for base, _, names in os.walk(folder) for name in names]
+    return iter(sorted(found, key=lambda path: path.relative_to(folder).as_posix()))
+
+
+def payload_digests(folder: Path, *, known: dict[str, Entry] | None = None) -> dict[str, Entry]:
+    """Digest of every file by its name in a bag ('data/...').
+
+    known: an earlier result; a file whose size and modification time are as they were is not read again.
+    """
+    entries = {}
+    for path in payload_files(folder):
+        name, facts = f"data/{path.relative_to(folder).as_posix()}", path.stat()
+        before = (known or {}).get(name)
+        same = before and (before.bytes, before.mtime_ns) == (facts.st_size, facts.st_mtime_ns)
+        entries[name] = before if same else Entry(sha256_of(path), facts.st_size, facts.st_mtime_ns)
+    return entries
+
+
+def manifest_text(digests: dict[str, str]) -> str:
+    """Manifest lines 'digest  name' sorted by name; line ends and '%' in names are percent-encoded (RFC 8493, 2.1.3)."""
+    return "".join(f"{digests[name]}  {_encode(name)}\n" for name in sorted(digests))
+
+
+def read_manifest(path: Path) -> dict[str, str]:
+    """Digest by name from a manifest. CaptureError (seal-manifest) where a line is none."""
+    entries, problems = {}, []
+    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+        match = re.fullmatch(r"([0-9a-fA-F]{64})[ \t]+\*?(.+)", line)
+        if match is None or match[2].startswith("/") or ".." in match[2].split("/"):
+            expected = "64 hexadecimal digits and a name inside the bag"
+            where = f"{path.name} line {number}"
+            problems.append(error("seal-manifest", where, "line", expected=expected, found=line[:80]))
+            continue
+        entries[_decode(match[2])] = match[1].lower()
+    raise_errors(problems)
+    return entries
+
+
+def capture_digest(root: Path, *, known: dict[str, Entry] | None = None) -> str:
+    """SHA-256 over the sorted payload manifest: the identity of a capture, the same before and after sealing.
+
+    Of a sealed capture the manifest is read (`check` proves that the files are still those); otherwise every file is
+    (known: see payload_digests).
+    """
+    if (root / "bagit.txt").is_file():
+        text = manifest_text(read_manifest(root / MANIFEST))
+    else:
+        payload = root / "data" if (root / "data" / "capture.yaml").is_file() else root
+        text = manifest_text({name: e.sha256 for name, e in payload_digests(payload, known=known).items()})
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def seal(root: Path, *, progress: Callable[[str], None] | None = None) -> str:
+    """Make the capture folder a bag, in place, and return its digest.
+
+    The folder's contents move into data/. Safe against being killed at any moment: the bag is prepared beside it as
+    NAME.sealing, the whole folder is moved into that by one rename, and a second rename puts it in place; running seal
+    again finishes what was begun. Raises CaptureError: seal-done, seal-link, folder-missing.
+    """
+    root = root.absolute()
+    half = root.with_name(root.name + ".sealing")
+    if not root.exists() and (half / "data").is_dir():
+        # Killed between the two renames: the payload is whole; the tag files are made anew in case they are not.
+        _write_tags(half, half / "data", progress)
+        os.rename(half, root)
+        return capture_digest(root)
+    if not root.is_dir():
+        raise CaptureError(error("folder-missing", str(root), "no such capture folder"))
+    if (root / "bagit.txt").is_file():
+        remedy = "A sealed capture stays as it is; copy its data folder to make another capture"
+        raise CaptureError(error("seal-done", str(root), "capture is already sealed", remedy=remedy))
+    inside = (root / "data" / "capture.yaml").is_file()
+    _refuse_links(root)
+    if inside:
+        _write_tags(root, root / "data", progress)
+        return capture_digest(root)
+    if half.exists():  # killed before the first rename: only tag files can be there
+        for name in (*TAGS, TAG_MANIFEST):
+            (half / name).unlink(missing_ok=True)
+        half.rmdir()
+    half.mkdir()
+    _write_tags(half, root, progress)
+    os.rename(root, half / "data")
+    os.rename(half, root)
+    _sync_folder(root.parent)
+    return capture_digest(root)
+
+
+def verify_seal(root: Path) -> list[Problem]:
+    """Every file of a sealed capture that is missing, changed or foreign (seal-missing, seal-changed, seal-foreign)."""
+    problems: list[Problem] = []
+    for name in TAGS:
+        if not (root / name).is_file():
+            problems.append(error("seal-missing", name, "file of the seal is missing"))
+    if problems:
+        return problems
+    listed = read_manifest(root / MANIFEST)
+    present = {p.relative_to(root).as_posix(): p for p in payload_files(root / "data")}
+    remedy = "Restore it from a backup; a sealed capture must stay as it was"
+    for name in sorted(set(listed) - set(present)):
+        problems.append(error("seal-missing", name, "listed in the manifest but missing", remedy=remedy))
+    for name in sorted(set(present) - set(listed)):
+        what = "not listed in the manifest"
+        problems.append(error("seal-foreign", name, what, remedy="Remove it, or make a new capture that holds it"))
+    for name in sorted(set(listed) & set(present)):
+        found = sha256_of(present[name])
+        if found != listed[name]:
+            expected = f"sha256 {listed[name][:12]}..."
+            what = "changed after sealing"
+            problems.append(
+                error("seal-changed", name, what, expected=expected, found=f"{found[:12]}...", remedy=remedy)
+            )
+    if (root / TAG_MANIFEST).is_file():
+        for name, digest in read_manifest(root / TAG_MANIFEST).items():
+            if not (root / name).is_file() or sha256_of(root / name) != digest:
+                problems.append(error("seal-changed", name, "file of the seal changed after sealing", remedy=remedy))
+    return problems
+
+
+def _write_tags(bag: Path, payload: Path, progress: Callable[[str], None] | None) -> None:
+    """bag-info, manifests, and last bagit.txt, whose presence makes it a bag."""
+    digests, size = {}, 0
+    for path in payload_files(payload):
+        name = f"data/{path.relative_to(payload).as_posix()}"
+        digests[name] = sha256_of(path)
+        size += path.stat().st_size
+        if progress:
+            progress(name)
+    info = f"Bagging-Date: {Date.today().isoformat()}\nPayload-Oxum: {size}.{len(digests)}\n"
+    texts = {"bag-info.txt": info, MANIFEST: manifest_text(digests)}
+    tags = {n: hashlib.sha256(t.encode()).hexdigest() for n, t in {**texts, "bagit.txt": BAGIT}.items()}
+    for name, text in {**texts, TAG_MANIFEST: manifest_text(tags), "bagit.txt": BAGIT}.items():
+        temporary = bag / f".{name}.part"
+        with temporary.open("w", encoding="utf-8", newline="\n") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, bag / name)
+    _sync_folder(bag)
+
+
+def _refuse_links(root: Path) -> None:
+    """A bag holds files: a link, even one inside the folder, may break when the bag is copied."""
+    walked = (Path(base) / name for base, folders, files in os.walk(root) for name in (*folders, *files))
+    links = [path.relative_to(root).as_posix() for path in walked if path.is_symlink()]
+    if links:
+        remedy = "Replace each link by a copy of its file"
+        raise CaptureError(
+            [error("seal-link", name, "link in a capture to be sealed", remedy=remedy) for name in links]
+        )
+
+
+def _sync_folder(folder: Path) -> None:
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _encode(name: str) -> str:
+    return name.replace("%", "%25").replace("\r", "%0D").replace("\n", "%0A")
+
+
+def _decode(name: str) -> str:
+    return re.sub(
+        r"%(25|0D|0A)", lambda m: {"25": "%", "0D": "\r", "0A": "\n"}[m[1].upper()], name, flags=re.IGNORECASE
+    )
