@@ -7,11 +7,12 @@ matrix of that spectrum once (P eq. 19 without its loop over wavelengths).
 The work goes in blocks of BLOCK pixels of a row.  All intermediate values of a block lie in one flat float64 array, in
 lanes of constant distance: the compiler can then prove that no store meets a later load and emits vector instructions.
 Branches inside the loops over a block are selections, never early returns, for the same reason.  Every pixel sees the
-same operations in the same order whatever the number of threads, so that the bytes do not depend on it.
+same operations in the same order whatever the number of threads, so that the bytes do not depend on it.  The threads
+are the caller's (`nishiki.render.threads`): a parallel region of the compiler's would double the time to compile.
 """
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from nishiki.brdf.kernels import phi_squared
 
@@ -172,8 +173,9 @@ def _half_vector_terms(buf, widest, n):
 
     Equal to `nishiki.brdf.kernels.specular_scalar`, rewritten with four divisions and two roots a pixel.  With
     s = l + v:  sin^2(phi / 2) = |n x s|^2 / (2 |s| (|s| + n.s)),
-    G / cos_r = min(1 / cos_r, 4 n.s min(1, cos_i / cos_r) / |s|^2),  and with c = |s| / 2, m = n^2 - 1, g = sqrt(m + c^2) + c:  F = 1/2 (m / g^2)^2 (1 + p^2),
-    p = (c g - 1) g / (c m + g).
+    G / cos_r = min(1 / cos_r, 4 n.s min(1, cos_i / cos_r) / |s|^2),
+    and with c = |s| / 2, m = n^2 - 1, g = sqrt(m + c^2) + c:
+    F = 1/2 (m / g^2)^2 (1 + p^2),  p = (c g - 1) g / (c m + g).
     """
     near = 0
     for i in range(n):
@@ -314,10 +316,10 @@ def _store(buf, out, flags, total, n):
             out[i, c] = np.float32(total[c, i])
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
-def shade(normals, coefficients, labels, gloss, index, lights, group, matrices, offsets, whites, visibility, plane, eye,
-          ambient, widest, out, flags):  # fmt: skip
-    """Sum over the lights of (A sigma + a0) E max(n.l, 0) + E_white E beta D F G / cos_r, into `out` and `flags`.
+@njit(cache=True, nogil=True, error_model="numpy")
+def shade(first, last, normals, coefficients, labels, gloss, index, lights, group, matrices, offsets, whites,
+          visibility, plane, eye, ambient, widest, out, flags):  # fmt: skip
+    """Rows first .. last - 1 of: sum over the lights of (A sigma + a0) E max(n.l, 0) + white E beta D F G / cos_r.
 
     normals (R, C, 3) and coefficients (R, C, K) float32; labels (R, C) uint8 or (0, 0): all pixels row 0; gloss
     (regions, 2 lobes): beta, 1 / gamma^2 of each lobe; index (regions,); lights (L, 6): x, y, z, w, intensity, squared
@@ -326,32 +328,33 @@ def shade(normals, coefficients, labels, gloss, index, lights, group, matrices, 
     homogeneous; ambient: irradiance of group 0's uniform half space; widest: largest sin^2 phi at which a lobe counts,
     negative for a matte scene; out (R, C, channels) float32, flags (R, C) uint8.
     """
-    rows, columns, bands = coefficients.shape
-    channels = out.shape[2]
-    count = lights.shape[0]
+    columns, bands = coefficients.shape[1:]
     no_labels, no_visibility = np.empty(0, np.uint8), np.empty(0, np.float32)
-    positions = eye[3] != 0.0 or np.any(lights[:, 3] != 0.0)
-    for row in prange(rows):
-        buf = np.zeros((_LOBES + gloss.shape[1]) * BLOCK)
-        sigma = np.empty((bands, BLOCK))
-        total = np.empty((channels, BLOCK))
+    buf = np.zeros((_LOBES + gloss.shape[1]) * BLOCK)
+    sigma = np.empty((bands, BLOCK))
+    total = np.empty((out.shape[2], BLOCK))
+    positions = eye[3] != 0.0
+    for j in range(lights.shape[0]):
+        positions = positions or lights[j, 3] != 0.0
+    for row in range(first, last):
         for start in range(0, columns, BLOCK):
             n = min(BLOCK, columns - start)
             end = start + n
             mark = flags[row, start:end]
-            regions = labels[row, start:end] if labels.shape[0] > 0 else no_labels
             _load_normals(buf, normals[row, start:end], mark, n)
-            _load_gloss(buf, regions, gloss, index, n)
+            _load_gloss(buf, labels[row, start:end] if labels.shape[0] > 0 else no_labels, gloss, index, n)
             _load_colours(buf, sigma, coefficients[row, start:end], mark, n)
             if positions:
                 _load_positions(buf, plane, float(row), start, n)
             _view_directions(buf, eye, n)
             _view_cosines(buf, mark, n)
-            total[:, :n] = 0.0
             for i in range(n):
                 buf[_WD + i] = ambient * 0.5 * (1.0 + buf[_NZ + i])
+            for c in range(total.shape[0]):
+                for i in range(n):
+                    total[c, i] = 0.0
             current = 0
-            for j in range(count):
+            for j in range(lights.shape[0]):
                 if group[j] != current:
                     _flush(buf, total, sigma, matrices[current], offsets[current], whites[current], n)
                     current = group[j]

@@ -7,6 +7,7 @@ import numpy as np
 from nishiki.errors import UserError
 from nishiki.render import kernel
 from nishiki.render.scene import Ambient, Gloss, Light, PlaneScene
+from nishiki.render.threads import over_rows
 from nishiki.spectra.colour import illuminant, srgb_matrix, white_xyz, xyz_matrix
 
 FRONTAL_EYE = np.array([0.0, 0.0, 1.0, 0.0])
@@ -121,7 +122,7 @@ def shade_channels(
     values = np.empty((*normals.shape[:2], groups.matrices.shape[1]), np.float32)
     flags = np.empty(normals.shape[:2], np.uint8)
     table, widest = _gloss_table(gloss)
-    kernel.shade(
+    arguments = (
         np.ascontiguousarray(normals, np.float32),
         np.ascontiguousarray(coefficients, np.float32),
         np.zeros((0, 0), np.uint8) if labels is None else np.ascontiguousarray(labels),
@@ -140,6 +141,7 @@ def shade_channels(
         values,
         flags,
     )
+    over_rows(lambda first, last: kernel.shade(first, last, *arguments), len(values))
     return Shading(values, flags)
 
 

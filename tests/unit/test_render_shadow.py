@@ -1,0 +1,197 @@
+"""Cast shadows against rays that are followed in small steps through the interpolated surface."""
+
+import functools
+
+import numpy as np
+import pytest
+
+from nishiki.errors import UserError
+from nishiki.render.scene import Light
+from nishiki.render.shadow import NO_HORIZON, cast_shadows, horizon_tangent, shadow_reach
+
+
+def relief(rows=40, columns=57, seed=0, amplitude=6.0):
+    """Smooth hills and a few sharp ridges, heights in pixels."""
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[:rows, :columns].astype(float)
+    height = np.zeros((rows, columns))
+    for _ in range(12):
+        cx, cy, width = rng.uniform(0, columns), rng.uniform(0, rows), rng.uniform(1.5, 6)
+        height += rng.uniform(0.2, 1) * np.exp(-((x - cx) ** 2 + (y - cy) ** 2) / (2 * width**2))
+    height += 0.8 * (np.abs(x - 0.3 * y - columns / 2) < 1.5)
+    return (amplitude * height).astype(np.float32)
+
+
+def slow_horizon(height, pitch, row, column, to_column, to_row, end=np.inf):
+    """Highest tangent among the crossings of one ray with the grid lines across its longer axis, in plain Python."""
+    rows, columns = height.shape
+    main = max(abs(to_column), abs(to_row))
+    best, k = -1e30, 1
+    while True:
+        c, r = column + k * to_column / main, row + k * to_row / main
+        distance = k / main
+        if not (0 <= round(c, 9) <= columns - 1 and 0 <= round(r, 9) <= rows - 1) or distance > end:
+            return best
+        c, r = min(max(c, 0), columns - 1), min(max(r, 0), rows - 1)
+        r0, c0 = int(np.floor(round(r, 9))), int(np.floor(round(c, 9)))
+        r1, c1 = min(r0 + 1, rows - 1), min(c0 + 1, columns - 1)
+        fr, fc = r - r0, c - c0
+        value = (
+            (1 - fr) * (1 - fc) * height[r0, c0]
+            + (1 - fr) * fc * height[r0, c1]
+            + fr * (1 - fc) * height[r1, c0]
+            + fr * fc * height[r1, c1]
+        )
+        best = max(best, (value - height[row, column]) / (distance * pitch))
+        k += 1
+
+
+@functools.cache
+def slow_horizons(azimuth, rows, columns, pitch):
+    """`slow_horizon` of every pixel of the relief, azimuth in degrees."""
+    height, a = relief(rows, columns), np.radians(azimuth)
+    to = np.cos(a), -np.sin(a)
+    return np.array([[slow_horizon(height, pitch, r, c, *to) for c in range(columns)] for r in range(rows)])
+
+
+AZIMUTHS = [0, 45, 90, 135, 180, 225, 270, 315, 10, 37, 77, 101, 163, 200, 248, 281, 349]
+
+
+@pytest.mark.parametrize("azimuth", AZIMUTHS)
+def test_horizon_along_grid_and_diagonals_and_between(azimuth):
+    height, pitch = relief(24, 31), 0.5
+    a = np.radians(azimuth)
+    horizon = horizon_tangent(height, pitch=pitch, azimuth=a)
+    slow = slow_horizons(azimuth, 24, 31, pitch)
+    nothing = slow < -1e29
+    if azimuth % 45 == 0:  # every pixel lies on a line: exact
+        np.testing.assert_array_equal(horizon == NO_HORIZON, nothing)
+        np.testing.assert_allclose(horizon[~nothing], slow[~nothing], rtol=2e-5, atol=2e-6)
+    else:  # a pixel between two lines takes their mean
+        both = ~nothing & (horizon != NO_HORIZON)
+        difference = np.abs(np.arctan(horizon) - np.arctan(slow))[both]
+        assert np.median(difference) < 0.02
+        assert np.count_nonzero(nothing ^ (horizon == NO_HORIZON)) <= 31 + 24
+
+
+@pytest.mark.parametrize("elevation", [8, 25, 45, 70])
+@pytest.mark.parametrize("azimuth", [0, 63, 135, 222, 301])
+def test_march_equals_rays_exactly_and_sweep_up_to_the_edge(azimuth, elevation):
+    height, pitch = relief(30, 37), 0.5
+    a, e = np.radians([azimuth, elevation])
+    light = Light(direction=(np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e)))
+    marched = cast_shadows(height, [light], pitch=pitch, method="march").visibility[0]
+    swept = cast_shadows(height, [light], pitch=pitch).visibility[0]
+    slow = slow_horizons(azimuth, 30, 37, pitch)
+    sure = np.abs(slow - np.tan(e)) > 1e-4
+    np.testing.assert_array_equal(marched[sure], (np.tan(e) > slow)[sure])
+    assert set(np.unique(swept)) <= {0.0, 1.0}
+    # the sweep may move an edge by a pixel: where it differs, both states are among the neighbours of the exact answer
+    wrong = swept != marched
+    padded = np.pad(marched, 1, mode="edge")
+    around = np.stack([padded[i : i + 30, j : j + 37] for i in range(3) for j in range(3)])
+    mixed = around.min(axis=0) != around.max(axis=0)
+    assert np.all(mixed[wrong])
+    assert wrong.mean() < 0.06
+
+
+def test_a_wall_casts_a_shadow_of_its_height_over_the_tangent():
+    height = np.zeros((9, 60), np.float32)
+    height[:, 30] = 5.0
+    light = Light(direction=(np.cos(0.4), 0, np.sin(0.4)))  # from the right
+    for method in ("sweep", "march"):
+        visibility = cast_shadows(height, [light], pitch=1.0, method=method).visibility[0]
+        length = 5 / np.tan(0.4)
+        expected = np.ones(60)
+        expected[(np.arange(60) < 30) & (30 - np.arange(60) < length)] = 0
+        np.testing.assert_array_equal(visibility, np.broadcast_to(expected, (9, 60)))
+    assert shadow_reach(height, light, pitch=1.0) >= length
+
+
+def test_rows_run_downwards():
+    height = np.zeros((40, 9), np.float32)
+    height[20] = 5.0
+    above = Light(direction=(0, 1, 1))  # the lamp is above the painting: the shadow falls below the wall
+    visibility = cast_shadows(height, [above], pitch=1.0).visibility[0]
+    assert np.all(visibility[21:25] == 0)
+    assert np.all(visibility[:20] == 1)
+
+
+def test_a_near_lamp_throws_shadows_outwards():
+    height = np.zeros((41, 41), np.float32)
+    height[20, [14, 26]] = 3.0
+    light = Light(position_mm=(0, 0, 5.0))
+    visibility = cast_shadows(height, [light], pitch=1.0).visibility[0]
+    assert visibility[20, 10] == 0
+    assert visibility[20, 30] == 0
+    assert np.all(visibility[20, 15:26] == 1)
+    far = Light(position_mm=(1e6, 5e5, 1e6))
+    towards = Light(direction=(1, 0.5, 1))
+    surface = relief()
+    near = cast_shadows(surface, [far], pitch=1.0, method="march").visibility
+    infinite = cast_shadows(surface, [towards], pitch=1.0, method="march").visibility
+    assert np.mean(near != infinite) < 2e-3
+
+
+def test_position_march_equals_rays():
+    height, pitch = relief(), 0.5
+    position = np.array([6.0, -9.0, 7.0])
+    visibility = cast_shadows(height, [Light(position_mm=tuple(position))], pitch=pitch).visibility[0]
+    rows, columns = height.shape
+    for row in range(0, rows, 3):
+        for column in range(0, columns, 2):
+            dc = position[0] / pitch + (columns - 1) / 2 - column
+            dr = (rows - 1) / 2 - position[1] / pitch - row
+            distance = np.hypot(dc, dr)
+            slow = slow_horizon(height, pitch, row, column, dc / distance, dr / distance, end=distance)
+            lamp = (position[2] - height[row, column]) / (distance * pitch)
+            if abs(lamp - slow) > 1e-4:
+                assert visibility[row, column] == (lamp > slow)
+
+
+def test_soft_edges_are_the_mean_over_the_disc():
+    height = np.zeros((3, 80), np.float32)
+    height[:, 60] = 8.0
+    e, radius = 0.5, 0.06
+    light = Light(direction=(np.cos(e), 0, np.sin(e)), angular_radius=radius)
+    for method in ("sweep", "march"):
+        visibility = cast_shadows(height, [light], pitch=1.0, method=method).visibility[0, 1, :60]
+        # share of the disc's area above the horizon, by counting points of the disc
+        grid = (np.arange(400) + 0.5) / 200 - 1
+        v = np.broadcast_to(grid[:, None], (400, 400))[grid[:, None] ** 2 + grid[None] ** 2 < 1]
+        horizon = np.arctan(8.0 / (60 - np.arange(60)))
+        counted = np.array([(e + radius * v > h).mean() for h in horizon])
+        np.testing.assert_allclose(visibility, counted, atol=3e-3)
+        assert np.count_nonzero((visibility > 0.01) & (visibility < 0.99)) >= 3
+
+
+def test_flat_maps_and_missing_heights_are_lit():
+    light = Light(direction=(1, 0, 1e-3))
+    flat = cast_shadows(np.zeros((5, 7), np.float32), [light], pitch=1.0)
+    assert np.all(flat.visibility == 1)
+    height = np.zeros((5, 7), np.float32)
+    height[2, 3] = np.nan
+    height[1, 2] = np.inf
+    result = cast_shadows(height, [light, Light(position_mm=(9, 9, 1))], pitch=1.0)
+    assert result.heights_missing == 2
+    assert np.all(result.visibility == 1)
+    np.testing.assert_array_equal(result.shadowed, 0)
+    nothing = cast_shadows(np.full((3, 3), np.nan, np.float32), [light], pitch=1.0, method="march")
+    assert np.all(nothing.visibility == 1)
+
+
+def test_overhead_lamp_and_scale():
+    height = relief()
+    assert np.all(cast_shadows(height, [Light(direction=(0, 0, 1))], pitch=1.0, method="march").visibility == 1)
+    light = Light(direction=(0.3, 0.8, 0.4), angular_radius=0.02)
+    one = cast_shadows(height, [light], pitch=1.0).visibility
+    for scale in (1e-6, 1e6):
+        other = cast_shadows(height * np.float32(scale), [light], pitch=scale).visibility
+        assert np.mean(np.abs(one - other) > 1e-3) < 1e-3
+
+
+def test_mistakes_are_named():
+    with pytest.raises(UserError, match="sweep or march"):
+        cast_shadows(np.zeros((2, 2), np.float32), [], pitch=1.0, method="magic")
+    with pytest.raises(UserError, match="height"):
+        cast_shadows(np.zeros(3, np.float32), [], pitch=1.0)
