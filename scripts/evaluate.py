@@ -1,0 +1,253 @@
+"""Evaluate: errors against truth where there is one, and predictions of lights that the fit never saw."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+
+import _project  # noqa: F401
+from nishiki.artifact import Artifact
+from nishiki.errors import UserError
+from nishiki.evaluate.camera_colour import CameraColour, assumed_colour, fitted_colour
+from nishiki.evaluate.classes import NAMES, classify
+from nishiki.evaluate.headlines import headlines
+from nishiki.evaluate.height import height_error
+from nishiki.evaluate.museum import levels
+from nishiki.evaluate.normals import normal_errors
+from nishiki.evaluate.prediction import FittedModel, gloss_from, predict_band
+from nishiki.evaluate.reflectance import reflectance_errors
+from nishiki.evaluate.relighting import LightComparison, truth_difference
+from nishiki.evaluate.scene_colour import channel_colour, spectral_colour
+from nishiki.evaluate.summary import summarise
+from nishiki.evaluate.table import COLUMNS, rows_of
+from nishiki.evaluate.truth import Truth, truth_from
+from nishiki.ingest.observations import Observations
+from nishiki.maps import Maps, MapWriter
+from nishiki.normals.flags import NO_ESTIMATE
+from nishiki.render.scene import Gloss, Light
+from nishiki.render.shadow import cast_shadows
+from nishiki.settings.evaluate import EvaluateSettings
+from nishiki.spectra.colour import illuminant
+from nishiki.spectra.training import synthetic_reflectances
+from nishiki.stage import Context, run_stage
+
+
+def run(context: Context) -> dict:
+    """Compare everything that has a counterpart; lights one after the other, each band by band."""
+    frames = Observations(context.inputs["ingest"].folder)
+    scene = Scene(context, frames)
+    truth = read_truth(context, frames)
+    rows, columns = frames.shape
+    out = MapWriter(context.output.folder, rows=rows, columns=columns, band_rows=frames.band_rows, stamp=context.stamp)
+    found = {"pixels": int(np.count_nonzero(frames.mask)), **against_truth(truth, scene, out)}
+    found["colour"] = {"how": scene.camera.how, "rmse_xyz": scene.camera.rmse}
+    found["lights"], pooled = relight(context, scene, truth, out)
+    found["overall"] = {"de00": pooled.as_dict(), "levels": levels(pooled.mean, pooled.p90)}
+    found["classes_from"] = "truth" if truth.checks else "model"
+    found["gloss"] = {"true_gamma_rad": truth.equivalent_gamma(), "gamma_rad": scene.model.gloss.gamma.tolist()}
+    write_tables(context.output.folder, found)
+    return headlines(found)
+
+
+class Scene:
+    """The fitted maps of one scene and what is needed to see them."""
+
+    def __init__(self, context: Context, frames: Observations):
+        inputs = context.inputs
+        self.frames = frames
+        maps = Maps(inputs["normals"].folder)
+        self.flags = maps.read("flags")
+        gloss, labels = read_gloss(inputs.get("brdf"))
+        self.model = FittedModel(maps.read("normals"), maps.read("reflectance"), gloss, labels)
+        self.known = ((self.flags & NO_ESTIMATE) == 0) & np.isfinite(self.model.reflectance).all(axis=-1)
+        self.height, self.height_unit = None, "pixels"
+        if "height" in inputs:
+            height = Maps(inputs["height"].folder)
+            self.height, self.height_unit = height.read("height"), height.attributes("height")["unit"]
+        self.pitch = frames.pixel_pitch_mm if self.height_unit == "mm" else 1.0
+        self.coefficients, self.basis = None, None
+        if "spectra" in inputs:
+            spectra = Maps(inputs["spectra"].folder)
+            self.coefficients, self.basis = (
+                spectra.read("coefficients"),
+                np.array(spectra.attributes("coefficients")["basis"]),
+            )
+        curves = inputs["ingest"].path("curves.npz")
+        self.curves = dict(np.load(curves)) if curves.is_file() else {}
+        self.camera = self._camera()
+
+    def _camera(self) -> CameraColour:
+        channels = len(self.frames.channels)
+        sensitivities, lamp = self.curves.get("sensitivities"), self.curves.get("illuminant")
+        if sensitivities is None or lamp is None or len(sensitivities) != channels:
+            return assumed_colour(channels)
+        return fitted_colour(synthetic_reflectances(), lamp, sensitivities)
+
+
+def read_gloss(brdf: Artifact | None) -> tuple[Gloss, np.ndarray | None]:
+    """Parameters of the brdf stage and its map of regions; a matte surface where the stage is left out."""
+    if brdf is None:
+        return Gloss.none(), None
+    gloss = gloss_from(json.loads(brdf.path("parameters.json").read_text()))
+    has_maps = brdf.path("maps.zarr").is_dir() and "labels" in Maps(brdf.folder)
+    return gloss, Maps(brdf.folder).read("labels") if has_maps else None
+
+
+def read_truth(context: Context, frames: Observations) -> Truth:
+    """Truth of a simulated capture (truth.zarr), or an .npz with normals; empty where none is given."""
+    if context.truth is None:
+        return Truth()
+    from nishiki.facts import truth_digest
+
+    path = Path(context.truth)
+    digest = truth_digest(path)
+    if digest != context.settings.truth_sha256:
+        raise UserError(
+            f"{path}: expected the truth with the digest {context.settings.truth_sha256 or '(none)'} (setting "
+            f"truth_sha256), found {digest}. Remedy: run again, so that the plan sees the truth as it is now"
+        )
+    region = tuple(frames.attributes["region_of_interest"])
+    if (path / "truth.zarr").is_dir():
+        import zarr
+
+        group = zarr.open_group(path / "truth.zarr", mode="r")
+        return truth_from(
+            {name: group[name] for name in group.array_keys()},
+            shape=frames.shape,
+            attributes=dict(group.attrs),
+            region=region,
+        )
+    tables = [path] if path.suffix == ".npz" else sorted(path.glob("*.npz"))
+    if len(tables) != 1:
+        raise UserError(
+            f"{path}: expected truth.zarr or one .npz with an array named normals, found {len(tables)} .npz files"
+        )
+    with np.load(tables[0]) as arrays:
+        return truth_from(dict(arrays), shape=frames.shape, region=region)
+
+
+def against_truth(truth: Truth, scene: Scene, out: MapWriter) -> dict:
+    """Errors of the maps themselves."""
+    found = {}
+    if truth.normals is not None:
+        errors = normal_errors(scene.model.normals, truth.normals, flags=scene.flags, mask=scene.frames.mask)
+        out.write("angular_error", errors.map_deg, unit="degrees")
+        found["normals"] = errors.as_dict()
+    has_height = truth.height_mm is not None and scene.height is not None and scene.height_unit == "mm"
+    if has_height:
+        inside = scene.frames.mask & scene.known
+        error = height_error(scene.height, truth.height_mm, pixels=inside, pitch=scene.pitch)
+        found["height"] = {"unit": "mm", **error.as_dict()}
+    if truth.paints is not None and scene.coefficients is not None:
+        errors = reflectance_errors(
+            scene.coefficients,
+            scene.basis,
+            truth.paints,
+            truth.spectra,
+            pixels=scene.frames.mask & scene.known,
+            regions=truth.regions,
+        )
+        out.write("reflectance_de00", errors.de00_map, unit="CIEDE2000 under D65")
+        found["reflectance"] = {**errors.as_dict(), "region_names": list(truth.region_names)}
+    return found
+
+
+def relight(context: Context, scene: Scene, truth: Truth, out: MapWriter):
+    """Scores of every light that no fit has seen, and the pooled differences of all of them."""
+    frames = scene.frames
+    chosen = [
+        j for j, role in enumerate(frames.roles) if role == "check" or frames.lights[j] in context.settings.hold_out
+    ]
+    scores, everything = [], []
+    for j in context.progress.over(chosen, "light"):
+        score, difference = one_light(context, scene, truth, out, j)
+        scores.append(score)
+        everything.append(difference[np.isfinite(difference)])
+    return scores, summarise(np.concatenate(everything) if everything else np.zeros(0))
+
+
+def one_light(context: Context, scene: Scene, truth: Truth, out: MapWriter, j: int) -> tuple[dict, np.ndarray]:
+    """Score of one light; its map of differences is written."""
+    frames, direction = scene.frames, scene.frames.directions[j]
+    name = frames.lights[j]
+    visibility = None
+    if context.settings.cast_shadows and scene.height is not None:
+        visibility = cast_shadows(scene.height, [Light(direction=tuple(direction))], pitch=scene.pitch).visibility[0]
+    known_truth = truth.check(name)
+    comparison = LightComparison.of(frames.shape, scene.camera)
+    views = colours_for(scene) if known_truth else {}
+    pictures = {case: np.zeros((*frames.shape, 3), np.float32) for case in views}
+    for rows in frames.bands():
+        observed, valid = frames.read(rows, lights=np.array([j]))
+        band = predict_band(
+            scene.model, direction, rows=rows, visibility=None if visibility is None else visibility[rows]
+        )
+        inside = frames.mask[rows]
+        parts = (band.diffuse, band.specular, band.lit)
+        if known_truth:
+            parts = (known_truth.body[rows], known_truth.gloss[rows], known_truth.lit[rows])
+        comparison.add(
+            rows,
+            band.channels,
+            observed[0],
+            usable=valid[0],
+            known=scene.known[rows],
+            inside=inside,
+            classes=classify(*parts, inside=inside),
+        )
+        for case, colour in views.items():
+            pictures[case][rows] = colour.xyz(band, None if scene.coefficients is None else scene.coefficients[rows])
+    score = comparison.score().as_dict()
+    score.update(describe_light(frames, j), shadowed=None if visibility is None else float(1.0 - visibility.mean()))
+    if known_truth:
+        score["truth"] = compare_pictures(known_truth, pictures, views, comparison.classes)
+    out.write(f"de00_{j:03d}", comparison.de00_map, unit="CIEDE2000", light=name)
+    out.write(f"classes_{j:03d}", comparison.classes, meaning={str(k): v for k, v in NAMES.items()}, light=name)
+    return score, comparison.de00_map
+
+
+def describe_light(frames: Observations, j: int) -> dict:
+    """Name, role and place of a light."""
+    x, y, z = frames.directions[j]
+    return {
+        "name": frames.lights[j],
+        "index": j,
+        "role": "check" if frames.roles[j] == "check" else "held out",
+        "incidence_deg": float(np.degrees(np.arctan2(np.hypot(x, y), z))),
+        "azimuth_deg": float(np.degrees(np.arctan2(y, x))),
+    }
+
+
+def colours_for(scene: Scene) -> dict:
+    """Ways from the prediction to XYZ: under the capture's lamp, and, with spectra, under D65."""
+    if scene.basis is None or "illuminant" not in scene.curves:
+        return {} if scene.camera.rmse is None else {"lamp": channel_colour(scene.camera)}
+    return {
+        "lamp": spectral_colour(scene.curves["illuminant"], scene.basis),
+        "D65": spectral_colour(illuminant("D65"), scene.basis),
+    }
+
+
+def compare_pictures(truth, pictures: dict, views: dict, classes: np.ndarray) -> dict:
+    """Predicted XYZ against noise-free XYZ."""
+    found = {}
+    for case, picture in pictures.items():
+        true = truth.xyz_lamp if case == "lamp" else truth.xyz_d65
+        total, by_class, _ = truth_difference(picture, true, views[case].white, classes=classes)
+        found[case] = {"de00": total.as_dict(), "by_class": {name: s.as_dict() for name, s in by_class.items()}}
+    return found
+
+
+def write_tables(folder: Path, found: dict) -> None:
+    """evaluation.json holds everything, evaluation.csv the figures."""
+    text = json.dumps(found, indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
+    (folder / "evaluation.json").write_text(text, encoding="utf-8")
+    with open(folder / "evaluation.csv", "w", newline="", encoding="utf-8") as handle:
+        table = csv.DictWriter(handle, COLUMNS, lineterminator="\n")
+        table.writeheader()
+        table.writerows(rows_of(found))
+
+
+if __name__ == "__main__":
+    run_stage(EvaluateSettings, run, __doc__)

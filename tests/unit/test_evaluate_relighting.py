@@ -1,0 +1,252 @@
+"""Predictions against photographs: classes, PSNR, colour differences, levels, tables."""
+
+import numpy as np
+import pytest
+
+from nishiki.errors import UserError
+from nishiki.evaluate.camera_colour import assumed_colour, fitted_colour
+from nishiki.evaluate.classes import DIFFUSE, HIGHLIGHT, OUTSIDE, SHADOW, classify
+from nishiki.evaluate.headlines import headlines
+from nishiki.evaluate.museum import FADGI, ISO_19264, level_of, levels
+from nishiki.evaluate.prediction import FittedModel, gloss_from, predict_band
+from nishiki.evaluate.relighting import LightComparison, SquaredError, truth_difference
+from nishiki.evaluate.scene_colour import channel_colour, spectral_colour
+from nishiki.evaluate.table import COLUMNS, rows_of
+from nishiki.render.scene import Gloss
+from nishiki.spectra.basis import channel_weights
+from nishiki.spectra.colour import delta_e_2000, illuminant, white_xyz, xyz_from_spectra, xyz_to_lab
+from nishiki.spectra.sampling import WAVELENGTHS_NM
+from nishiki.spectra.training import synthetic_reflectances
+
+
+def _sensitivities(count=3):
+    centres = np.linspace(610, 450, count)
+    return np.exp(-0.5 * ((WAVELENGTHS_NM - centres[:, None]) / 35.0) ** 2)
+
+
+def test_classes_by_share_and_light():
+    diffuse = np.array([0.5, 0.5, 0.5, 0.0, 0.5])
+    specular = np.array([0.0, 0.1, 0.1, 0.0, 0.02])
+    lit = np.array([1.0, 1.0, 0.2, 1.0, 1.0])
+    inside = np.array([True, True, True, True, False])
+    assert classify(diffuse, specular, lit, inside=inside).tolist() == [DIFFUSE, HIGHLIGHT, SHADOW, DIFFUSE, OUTSIDE]
+
+
+def test_class_of_unknown_light_is_shadow_not_diffuse():
+    nan = np.array([np.nan])
+    assert classify(np.ones(1), np.zeros(1), nan, inside=np.ones(1, bool)).tolist() == [SHADOW]
+
+
+def test_psnr_known_value_and_bands_add_up():
+    error = SquaredError()
+    error.add(np.full((10, 3), 0.6), np.full((10, 3), 0.5))
+    assert error.psnr("linear") == pytest.approx(20.0)
+    parts = SquaredError()
+    for half in range(2):
+        parts.add(np.full((5, 3), 0.6), np.full((5, 3), 0.5))
+        assert parts.samples == 15 * (half + 1)
+    assert parts.psnr("coded") == pytest.approx(error.psnr("coded"))
+    assert error.as_dict()["bias"] == pytest.approx(0.1)
+
+
+def test_psnr_of_nothing_and_of_equal_pictures_is_not_a_number_made_up():
+    assert SquaredError().psnr("linear") is None
+    same = SquaredError()
+    same.add(np.ones((2, 3)), np.ones((2, 3)))
+    assert same.psnr("linear") is None
+
+
+@pytest.mark.parametrize("channels", [1, 3, 6])
+def test_fitted_colour_keeps_white_and_beats_no_map(channels):
+    lamp = illuminant("A")
+    training = synthetic_reflectances(400)
+    colour = fitted_colour(training, lamp, _sensitivities(channels))
+    assert colour.xyz(np.ones(channels)) == pytest.approx(white_xyz(lamp), abs=1e-12)
+    assert colour.lab(np.ones(channels)) == pytest.approx([100, 0, 0], abs=1e-9)
+    responses = training @ channel_weights(lamp, _sensitivities(channels)).T
+    error = colour.xyz(responses) - xyz_from_spectra(lamp, training)
+    assert np.sqrt(np.mean(error**2)) == pytest.approx(colour.rmse)
+    assert colour.rmse < {1: 0.2, 3: 0.02, 6: 0.01}[channels]
+
+
+def test_assumed_colour_says_so():
+    assert "guess" in assumed_colour(3).how
+    assert assumed_colour(3).lab(np.ones(3)) == pytest.approx([100, 0, 0], abs=1e-9)
+    grey = assumed_colour(1)
+    assert grey.lab(np.array([[0.18], [1.0]]))[:, 1:] == pytest.approx(0, abs=1e-9)
+    with pytest.raises(UserError, match="at least one channel"):
+        assumed_colour(0)
+
+
+def _plane(shape=(6, 8)):
+    normals = np.zeros((*shape, 3), np.float32)
+    normals[..., 2] = 1
+    reflectance = np.random.default_rng(1).random((*shape, 3)).astype(np.float32)
+    return normals, reflectance
+
+
+def test_prediction_of_a_matte_plane_is_lambert():
+    normals, reflectance = _plane()
+    direction = np.array([0.6, 0.0, 0.8])
+    band = predict_band(FittedModel(normals, reflectance), direction, rows=slice(2, 5))
+    assert band.channels == pytest.approx(0.8 * reflectance[2:5], rel=1e-6)
+    assert band.specular.max() < 1e-6
+    assert (band.lit == 1).all()
+
+
+def test_prediction_splits_off_the_gloss_and_the_shadow():
+    normals, reflectance = _plane()
+    gloss = Gloss(beta=[[2.0]], gamma=[[0.1]], refractive_index=[1.5])
+    model = FittedModel(normals, reflectance, gloss)
+    visibility = np.ones((6, 8), np.float32)
+    visibility[0] = 0
+    band = predict_band(model, np.array([0.0, 0.0, 1.0]), rows=slice(None), visibility=visibility)
+    assert band.channels[0] == pytest.approx(0, abs=1e-9)
+    assert (band.lit[0] == 0).all()
+    # at the mirror direction D = G = 1 and F = ((n - 1) / (n + 1))^2
+    assert band.specular[1:] == pytest.approx(2.0 * 0.04, rel=1e-4)
+    assert band.channels[1:] == pytest.approx(reflectance[1:] + 0.08, rel=1e-4)
+
+
+def test_prediction_of_a_facet_that_faces_away_is_dark():
+    normals, reflectance = _plane()
+    normals[...] = (0.8, 0.0, 0.6)
+    band = predict_band(FittedModel(normals, reflectance), np.array([-0.96, 0.0, 0.28]), rows=slice(None))
+    assert (band.channels == 0).all()
+    assert (band.lit == 0).all()
+
+
+def test_gloss_from_parameters_reads_lobes_and_gaps():
+    regions = [
+        {"beta": 3.0, "gamma": 0.1, "refractive_index": 1.45},
+        {"beta": None, "gamma": None, "refractive_index": 1.45},
+    ]
+    gloss = gloss_from({"regions": regions})
+    assert gloss.beta.tolist() == [[3.0], [0.0]]
+    two = gloss_from({"regions": [{"beta": [3, 1], "gamma": [0.1, 0.3], "refractive_index": 1.5}]})
+    assert two.gamma.tolist() == [[0.1, 0.3]]
+
+
+def _comparison(observed, predicted, **changes):
+    shape = observed.shape[:2]
+    settings = {
+        "usable": np.ones(shape, bool),
+        "known": np.ones(shape, bool),
+        "inside": np.ones(shape, bool),
+        "classes": np.ones(shape, np.uint8),
+    } | changes
+    comparison = LightComparison.of(shape, assumed_colour(3))
+    for start in range(0, shape[0], 4):
+        rows = slice(start, start + 4)
+        parts = {name: values[rows] for name, values in settings.items()}
+        comparison.add(rows, predicted[rows], observed[rows], **parts)
+    return comparison
+
+
+def test_comparison_counts_what_it_leaves_out():
+    random = np.random.default_rng(2)
+    observed = random.random((10, 7, 3)).astype(np.float32)
+    predicted = observed + np.float32(0.01)
+    usable, known, inside = (np.ones((10, 7), bool) for _ in range(3))
+    usable[0, :2], known[1, :3], inside[2, :4] = False, False, False
+    usable[2, 0] = False  # outside: not counted again
+    predicted[9, 6] = np.nan
+    score = _comparison(observed, predicted, usable=usable, known=known, inside=inside).score()
+    assert score.excluded == {"saturated_or_clipped": 2, "no_estimate": 3, "not_finite": 1}
+    assert score.de00.count == 70 - 4 - 2 - 3 - 1
+    assert score.error.psnr("linear") == pytest.approx(40.0, abs=1e-3)
+
+
+def test_comparison_against_the_obvious_loop_by_class():
+    random = np.random.default_rng(6)
+    observed, predicted = random.random((2, 9, 5, 3)).astype(np.float32)
+    classes = random.integers(1, 4, (9, 5)).astype(np.uint8)
+    comparison = _comparison(observed, predicted, classes=classes)
+    score = comparison.score()
+    colour = assumed_colour(3)
+    for label, name in ((1, "diffuse"), (2, "highlight"), (3, "shadow")):
+        pairs = [(predicted[i, j], observed[i, j]) for i in range(9) for j in range(5) if classes[i, j] == label]
+        de00 = [float(delta_e_2000(colour.lab(a), colour.lab(b))) for a, b in pairs]
+        mse = np.mean([(a.astype(float) - b) ** 2 for a, b in pairs])
+        error, summary = score.by_class[name]
+        assert summary.mean == pytest.approx(np.mean(de00), rel=1e-6)
+        assert error.psnr("linear") == pytest.approx(-10 * np.log10(mse), rel=1e-9)
+    assert score.error.samples == 9 * 5 * 3
+    assert score.de00.p90 == pytest.approx(np.percentile(comparison.de00_map, 90), rel=1e-6)
+
+
+def test_truth_difference_is_that_of_xyz():
+    lamp = illuminant("D65")
+    white = white_xyz(lamp)
+    spectra = synthetic_reflectances(12).reshape(3, 4, 61)
+    xyz = xyz_from_spectra(lamp, spectra)
+    classes = np.ones((3, 4), np.uint8)
+    classes[0, 0] = 0
+    total, by_class, found = truth_difference(xyz, 0.9 * xyz, white, classes=classes)
+    expected = delta_e_2000(xyz_to_lab(xyz, white), xyz_to_lab(0.9 * xyz, white))
+    assert found.ravel()[1:] == pytest.approx(expected.ravel()[1:], rel=1e-5)
+    assert total.count == 11
+    assert by_class["shadow"].mean is None
+
+
+def test_scene_colour_from_spectra_equals_that_of_the_spectra():
+    lamp = illuminant("A")
+    random = np.random.default_rng(8)
+    basis, coefficients = random.random((4, 61)), random.random((6, 8, 4)).astype(np.float32)
+    normals, reflectance = _plane()
+    gloss = Gloss(beta=[[1.0]], gamma=[[0.2]], refractive_index=[1.5])
+    direction = np.array([0.0, 0.6, 0.8])
+    band = predict_band(FittedModel(normals, reflectance, gloss), direction, rows=slice(None))
+    found = spectral_colour(lamp, basis).xyz(band, coefficients)
+    expected = 0.8 * xyz_from_spectra(lamp, coefficients @ basis) + band.specular[..., None] * white_xyz(lamp)
+    assert found == pytest.approx(expected, rel=1e-5)
+    camera = assumed_colour(3)
+    assert channel_colour(camera).xyz(band, None) == pytest.approx(camera.xyz(band.channels), rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("mean", "p90", "fadgi", "iso"),
+    [
+        (1.99, 3.99, "4 stars", "A"),
+        (2.0, 3.0, "3 stars", "A"),
+        (1.0, 8.0, "2 stars", "A"),
+        (4.0, 9.0, "2 stars", "A"),
+        (4.01, 9.0, "2 stars", "B"),
+        (6.4, 40.0, "1 star", "none"),
+        (7.0, 8.0, "none", "none"),
+        (None, None, "not measured", "not measured"),
+    ],
+)
+def test_levels_at_their_limits(mean, p90, fadgi, iso):
+    assert levels(mean, p90) == {"fadgi": fadgi, "iso_19264": iso}
+
+
+def test_levels_never_improve_with_the_error():
+    for scheme in (FADGI, ISO_19264):
+        names = [level.name for level in scheme] + ["none"]
+        ranks = [names.index(level_of(mean, 2 * mean, scheme)) for mean in np.linspace(0, 8, 200)]
+        assert ranks == sorted(ranks)
+
+
+def _evaluation():
+    random = np.random.default_rng(9)
+    observed, predicted = random.random((2, 4, 5, 3)).astype(np.float32)
+    score = _comparison(observed, predicted).score().as_dict()
+    light = {"name": "east", "index": 3, "role": "check", **score}
+    empty = {"count": 0, "mean": None, "median": None, "p90": None, "worst": None, "dropped": 0}
+    normals = {name: empty for name in ("inside", "estimated", "unflagged", "flagged")} | {"by_slope": []}
+    return {"lights": [light], "overall": {"de00": score["de00"], "levels": levels(1, 1)}, "normals": normals}
+
+
+def test_table_has_a_row_for_every_figure_and_empty_values_stay_empty():
+    rows = rows_of(_evaluation())
+    assert all(tuple(row) == COLUMNS for row in rows)
+    of_light = [row for row in rows if row["subject"] == "light east"]
+    assert {row["pixels_of"] for row in of_light} == {"all", "diffuse", "highlight", "shadow"}
+    assert all(row["value"] == "" for row in rows if row["subject"] == "normals")
+
+
+def test_headlines_name_each_light():
+    found = headlines(_evaluation())
+    assert found["relighting_psnr_db"].keys() == {"east"}
+    assert found["normals_mean_deg"] is None

@@ -1,0 +1,65 @@
+"""From camera channels to XYZ and Lab: one linear map for prediction and photograph alike, so that both err alike."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nishiki.errors import UserError
+from nishiki.spectra.basis import channel_weights
+from nishiki.spectra.colour import illuminant as named_illuminant
+from nishiki.spectra.colour import srgb_matrix, white_xyz, xyz_from_spectra, xyz_to_lab
+
+
+@dataclass(frozen=True)
+class CameraColour:
+    """XYZ = channels @ matrix.T, Lab relative to `white`.
+
+    matrix : (3, channels); white : (3,) XYZ of a perfect white that faces the lamp, Y = 1; how : in words, where the
+    map comes from; rmse : root mean square error of XYZ over the training spectra, or None where nothing was fitted.
+    """
+
+    matrix: np.ndarray
+    white: np.ndarray
+    how: str
+    rmse: float | None
+
+    def xyz(self, channels: np.ndarray) -> np.ndarray:
+        """XYZ (..., 3) float64 of channels (..., C) that are relative to white."""
+        return np.asarray(channels, np.float64) @ self.matrix.T
+
+    def lab(self, channels: np.ndarray) -> np.ndarray:
+        """CIELAB (..., 3) of channels (..., C)."""
+        return xyz_to_lab(self.xyz(channels), self.white)
+
+
+def fitted_colour(training: np.ndarray, illuminant: np.ndarray, sensitivities: np.ndarray) -> CameraColour:
+    """Least squares over training reflectances (M, 61), with the perfect white kept exact.
+
+    illuminant : (61,) of the capture; sensitivities : (C, 61). The constraint (channels of white = 1 give the white of
+    the lamp) is met by fitting the differences from white only, through an elimination: matrix = white/C + deviations
+    from it that sum to 0 in every row.
+    """
+    responses = training @ channel_weights(illuminant, sensitivities).T
+    xyz, white = xyz_from_spectra(illuminant, training), white_xyz(illuminant)
+    count = responses.shape[1]
+    # rows of the matrix = white / C + B t, B: basis of the vectors of sum 0
+    sum_free = np.linalg.svd(np.ones((1, count)))[2][1:]
+    rest = xyz - responses.mean(axis=1, keepdims=True) * white
+    parts = np.linalg.lstsq(responses @ sum_free.T, rest, rcond=1e-8)[0] if count > 1 else np.zeros((0, 3))
+    matrix = white[:, None] / count + parts.T @ sum_free
+    rmse = float(np.sqrt(np.mean((responses @ matrix.T - xyz) ** 2)))
+    how = f"linear map from the camera's sensitivities, least squares over {len(training)} reflectances, white exact"
+    return CameraColour(matrix, white, how, rmse)
+
+
+def assumed_colour(channels: int) -> CameraColour:
+    """Without sensitivities: three channels are read as linear sRGB, any other number as grey (their mean)."""
+    if channels < 1:
+        raise UserError(f"colour: expected at least one channel, found {channels}")
+    white = white_xyz(named_illuminant("D65"))
+    if channels == 3:
+        how = "no sensitivities: the channels are read as linear sRGB, which is a guess about the camera"
+        matrix = np.linalg.inv(srgb_matrix())
+        return CameraColour(matrix, matrix.sum(axis=1), how, None)
+    how = f"no sensitivities: the mean of {channels} channel(s) is read as luminance, so that only lightness differs"
+    return CameraColour(np.repeat(white[:, None] / channels, channels, axis=1), white, how, None)

@@ -1,0 +1,87 @@
+"""What the fitted model says that the camera would observe under a lamp."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from nishiki.render.scene import Gloss, Light
+from nishiki.render.shade import ColourGroups, shade_channels
+
+
+@dataclass(frozen=True)
+class FittedModel:
+    """Maps of the fit, on camera pixels.
+
+    normals : (rows, columns, 3) float32; reflectance : (rows, columns, channels) float32, relative to white; gloss :
+    Torrance-Sparrow parameters by region; labels : (rows, columns) uint8 region of each pixel, or None.
+    """
+
+    normals: np.ndarray
+    reflectance: np.ndarray
+    gloss: Gloss = field(default_factory=Gloss.none)
+    labels: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class PredictedBand:
+    """Some rows under one lamp, all (rows, columns) float32 but the first.
+
+    channels : (rows, columns, C) as the camera would see them, relative to white; diffuse, specular : their parts, mean
+    over channels; lit : share of the lamp that is visible, 0 where n.l <= 0; cosine : max(n.l, 0) times that share.
+    """
+
+    channels: np.ndarray
+    diffuse: np.ndarray
+    specular: np.ndarray
+    lit: np.ndarray
+    cosine: np.ndarray
+
+
+def predict_band(
+    model: FittedModel, direction: np.ndarray, *, rows: slice, visibility: np.ndarray | None = None
+) -> PredictedBand:
+    """Observation I' = rho max(n.l, 0) + beta D F G / cos_r (P eq. 10, camera channels, frontal view).
+
+    direction : (3,) unit vector to the lamp; the observations are divided by the white board's, so that the lamp's
+    fall-off is gone from them. visibility : (rows, columns) of the band, 1 lit .. 0 in cast shadow; None: all lit.
+    """
+    normals, reflectance = model.normals[rows], model.reflectance[rows]
+    labels = None if model.labels is None else model.labels[rows]
+    count = reflectance.shape[-1]
+    groups = ColourGroups(
+        np.eye(count)[None], np.zeros((1, count)), np.ones((1, count)), np.zeros(1, dtype=np.int64), ambient=0
+    )
+    shading = shade_channels(
+        normals,
+        reflectance,
+        [Light(direction=tuple(direction))],
+        groups=groups,
+        gloss=model.gloss,
+        labels=labels,
+        visibility=None if visibility is None else visibility[None],
+        plane=np.eye(3),
+    )
+    cosine = np.maximum(normals @ np.asarray(direction, np.float32), 0.0)
+    lit = (cosine > 0).astype(np.float32)
+    if visibility is not None:
+        lit *= visibility
+        cosine = cosine * visibility
+    diffuse = reflectance.mean(axis=-1) * cosine
+    specular = np.maximum(shading.values.mean(axis=-1) - diffuse, 0.0)
+    return PredictedBand(shading.values, diffuse, specular, lit, cosine)
+
+
+def gloss_from(parameters: dict) -> Gloss:
+    """Gloss of the brdf stage's parameters: one entry in `regions` a region, each with beta, gamma, refractive_index.
+
+    beta and gamma may be lists, one value a lobe. A lobe of a width that could not be found (None) counts as matte.
+    """
+    rows = []
+    for region in parameters["regions"]:
+        betas, gammas = (np.atleast_1d(np.array(region[name], dtype=object)) for name in ("beta", "gamma"))
+        missing = [b is None or g is None for b, g in zip(betas, gammas, strict=True)]
+        beta = [0.0 if gap else float(b) for b, gap in zip(betas, missing, strict=True)]
+        gamma = [1.0 if gap else float(g) for g, gap in zip(gammas, missing, strict=True)]
+        rows.append((beta, gamma, float(region["refractive_index"])))
+    beta, gamma, index = zip(*rows, strict=True)
+    return Gloss(beta=np.array(beta), gamma=np.array(gamma), refractive_index=np.array(index))

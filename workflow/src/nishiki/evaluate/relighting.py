@@ -1,0 +1,141 @@
+"""A photograph under a light that no fit has seen, against its prediction."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from nishiki.evaluate.camera_colour import CameraColour
+from nishiki.evaluate.classes import NAMES
+from nishiki.evaluate.summary import Summary, summarise
+from nishiki.spectra.colour import delta_e_2000, srgb_encode, xyz_to_lab
+
+
+@dataclass
+class SquaredError:
+    """Sums from which PSNR and bias follow; `add` takes one band after the other."""
+
+    samples: int = 0
+    linear: float = 0.0
+    coded: float = 0.0
+    bias: float = 0.0
+
+    def add(self, predicted: np.ndarray, observed: np.ndarray) -> None:
+        """predicted, observed : (pixels, channels), relative to white."""
+        difference = predicted.astype(np.float64) - observed
+        coded = srgb_encode(predicted.astype(np.float64)) - srgb_encode(observed.astype(np.float64))
+        self.samples += difference.size
+        self.linear += float(np.sum(difference**2))
+        self.coded += float(np.sum(coded**2))
+        self.bias += float(np.sum(difference))
+
+    def psnr(self, kind: str) -> float | None:
+        """Peak signal-to-noise ratio, dB, peak = the white reference; kind: linear | coded. None for no or no error."""
+        total = getattr(self, kind)
+        return float(10.0 * np.log10(self.samples / total)) if self.samples and total > 0 else None
+
+    def as_dict(self) -> dict:
+        """Plain values, for JSON."""
+        bias = self.bias / self.samples if self.samples else None
+        return {"psnr_linear_db": self.psnr("linear"), "psnr_coded_db": self.psnr("coded"), "bias": bias}
+
+
+@dataclass(frozen=True)
+class LightScore:
+    """One light's prediction against the photograph.
+
+    error, de00: over all compared pixels; by_class: class name -> (error, de00); excluded: pixels of the object that
+    were not compared, by reason.
+    """
+
+    error: SquaredError
+    de00: Summary
+    by_class: dict[str, tuple[SquaredError, Summary]]
+    excluded: dict[str, int]
+
+    def as_dict(self) -> dict:
+        """Plain values, for JSON."""
+        return {
+            **self.error.as_dict(),
+            "de00": self.de00.as_dict(),
+            "by_class": {name: {**e.as_dict(), "de00": s.as_dict()} for name, (e, s) in self.by_class.items()},
+            "excluded": self.excluded,
+        }
+
+
+@dataclass
+class LightComparison:
+    """Compares one light band by band; `score` when all bands are through.
+
+    colour: map to Lab, the same for both images; de00_map: (rows, columns) float32, NaN where not compared; classes:
+    (rows, columns) uint8 of nishiki.evaluate.classes.
+    """
+
+    colour: CameraColour
+    de00_map: np.ndarray
+    classes: np.ndarray
+    errors: dict[int, SquaredError] = field(default_factory=dict)
+    excluded: dict[str, int] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, shape: tuple[int, int], colour: CameraColour) -> "LightComparison":
+        """An empty comparison for maps of this shape."""
+        return cls(colour, np.full(shape, np.nan, np.float32), np.zeros(shape, np.uint8))
+
+    def add(
+        self,
+        rows: slice,
+        predicted: np.ndarray,
+        observed: np.ndarray,
+        *,
+        usable: np.ndarray,
+        known: np.ndarray,
+        inside: np.ndarray,
+        classes: np.ndarray,
+    ) -> None:
+        """One band: predicted, observed (rows, columns, channels) relative to white.
+
+        usable : photograph neither saturated nor dark-clipped there; known : the model has a normal and a colour
+        there; inside : pixel of the object; classes : see `classify`. Pixels that are not finite are excluded.
+        """
+        finite = np.isfinite(predicted).all(axis=-1) & np.isfinite(observed).all(axis=-1)
+        used = inside & usable & known & finite
+        for reason, count in (
+            ("saturated_or_clipped", inside & ~usable),
+            ("no_estimate", inside & usable & ~known),
+            ("not_finite", inside & usable & known & ~finite),
+        ):
+            self.excluded[reason] = self.excluded.get(reason, 0) + int(np.count_nonzero(count))
+        self.classes[rows] = np.where(used, classes, 0)
+        self.de00_map[rows][used] = delta_e_2000(self.colour.lab(predicted[used]), self.colour.lab(observed[used]))
+        for label in NAMES:
+            chosen = used & (classes == label)
+            self.errors.setdefault(label, SquaredError()).add(predicted[chosen], observed[chosen])
+
+    def score(self) -> LightScore:
+        """Figures over all bands."""
+        total = SquaredError()
+        for part in self.errors.values():
+            for name in ("samples", "linear", "coded", "bias"):
+                setattr(total, name, getattr(total, name) + getattr(part, name))
+        by_class = {
+            NAMES[label]: (part, summarise(self.de00_map, where=self.classes == label))
+            for label, part in self.errors.items()
+        }
+        return LightScore(total, summarise(self.de00_map, where=self.classes > 0), by_class, dict(self.excluded))
+
+
+def truth_difference(
+    xyz: np.ndarray, true_xyz: np.ndarray, white: np.ndarray, *, classes: np.ndarray
+) -> tuple[Summary, dict[str, Summary], np.ndarray]:
+    """CIEDE2000 between predicted and true XYZ (rows, columns, 3): all compared pixels, by class, and the map.
+
+    white : (3,) XYZ of the perfect white that faces the lamp; classes : (rows, columns), 0 is left out.
+    """
+    found = np.full(classes.shape, np.nan, np.float32)
+    for start in range(0, len(classes), 64):
+        rows = slice(start, start + 64)
+        used = classes[rows] > 0
+        pair = (xyz_to_lab(values[rows][used].astype(np.float64), white) for values in (xyz, true_xyz))
+        found[rows][used] = delta_e_2000(*pair)
+    by_class = {name: summarise(found, where=classes == label) for label, name in NAMES.items()}
+    return summarise(found, where=classes > 0), by_class, found
