@@ -6,6 +6,7 @@ import numpy as np
 
 import _project  # noqa: F401
 from nishiki.ingest.observations import Observations
+from nishiki.ingest.parcels import Parcel, parcels
 from nishiki.maps import Maps, MapWriter
 from nishiki.normals import flags as bits
 from nishiki.normals.reflectance import diffuse_reflectance
@@ -13,7 +14,9 @@ from nishiki.normals.solve import estimate_normals
 from nishiki.settings.normals import NormalsSettings
 from nishiki.stage import Context, run_stage
 
-QUANTITIES = {
+MAPS = {
+    "normals": ("float32", "unit vector, x right, y up, z to the camera"),
+    "reflectance": ("float32", "relative to white, per channel"),
     "albedo": ("float32", "relative to white, intensity"),
     "sigma": ("float32", "radians, rms error of the direction"),
     "lights_used": ("uint16", "lights"),
@@ -29,56 +32,70 @@ def run(context: Context) -> dict:
     separate = context.inputs.get("separate")
     selection = Maps(separate.folder) if separate else None
     lights = frames.fit_lights(context.settings.hold_out)
-    rows, columns = frames.shape
-    maps = MapWriter(context.output.folder, rows=rows, columns=columns, band_rows=frames.band_rows, stamp=context.stamp)
-    normals = maps.create("normals", (3,), unit="unit vector, x right, y up, z to the camera")
-    reflectance = maps.create(
-        "reflectance", (len(frames.channels),), unit="relative to white", channels=frames.channels
-    )
-    arrays = {name: maps.create(name, dtype=dtype, unit=unit) for name, (dtype, unit) in QUANTITIES.items()}
+    arrays = create_maps(context, frames)
     counts: Counter[str] = Counter()
     sigmas = []
     for band in context.progress.over(frames.bands(), "band"):
         observations, valid = frames.read(band, lights=lights)
-        usable = _usable(selection, band, len(lights), valid)
-        intensity = observations[..., 0] if observations.shape[-1] == 1 else observations.mean(axis=-1)
-        field = estimate_normals(
-            intensity,
-            frames.directions[lights],
-            usable=usable,
-            solver=context.settings.solver,
-            max_condition=context.settings.max_condition,
-        )
-        normals[band] = field.normals
-        reflectance[band] = diffuse_reflectance(
-            observations, frames.directions[lights], field.normals, usable=usable
-        ).reflectance
+        usable = read_usable(selection, band, len(lights), valid)
+        found = {name: np.empty((*valid.shape[1:], *array.shape[2:]), array.dtype) for name, array in arrays.items()}
+        for parcel in parcels(frames, band, lights):
+            area = np.s_[:, parcel.rows, parcel.columns]
+            for name, values in solve(observations[area], usable[area], parcel, context.settings).items():
+                found[name][area[1:]] = values
         for name, array in arrays.items():
-            array[band] = getattr(field, name)
-        counts.update(_counts(field))
-        sigmas.append(field.sigma[field.valid][::17])
-    sigma = np.degrees(np.concatenate(sigmas)) if sigmas else np.zeros(0)
+            array[band] = found[name]
+        inside = frames.mask[band]
+        counts.update(count_flags(found["flags"], inside))
+        sigmas.append(found["sigma"][inside & ((found["flags"] & bits.NO_ESTIMATE) == 0)][::17])
+    return {"lights": [frames.lights[j] for j in lights], **dict(counts), **percentiles(np.concatenate(sigmas))}
+
+
+def create_maps(context: Context, frames: Observations) -> dict:
+    """The arrays of the artifact."""
+    rows, columns = frames.shape
+    maps = MapWriter(context.output.folder, rows=rows, columns=columns, band_rows=frames.band_rows, stamp=context.stamp)
+    maps.group.attrs["pixel_pitch_mm"] = frames.pixel_pitch_mm
+    trailing = {"normals": (3,), "reflectance": (len(frames.channels),)}
     return {
-        "lights": [frames.lights[j] for j in lights],
-        "pixels": rows * columns,
-        **dict(counts),
-        "sigma_median_deg": float(np.median(sigma)) if sigma.size else None,
-        "sigma_p95_deg": float(np.percentile(sigma, 95)) if sigma.size else None,
+        name: maps.create(name, trailing.get(name, ()), dtype=dtype, unit=unit) for name, (dtype, unit) in MAPS.items()
     }
 
 
-def _usable(selection: Maps | None, band: slice, lights: int, valid: np.ndarray) -> np.ndarray:
+def solve(observations: np.ndarray, usable: np.ndarray, parcel: Parcel, settings: NormalsSettings) -> dict:
+    """Maps of one parcel by name."""
+    if (parcel.scale != 1).any():
+        observations = observations * parcel.scale[:, None, None, None]
+    intensity = observations[..., 0] if observations.shape[-1] == 1 else observations.mean(axis=-1)
+    field = estimate_normals(
+        intensity, parcel.directions, usable=usable, solver=settings.solver, max_condition=settings.max_condition
+    )
+    diffuse = diffuse_reflectance(observations, parcel.directions, field.normals, usable=usable)
+    return {name: getattr(field, name) for name in MAPS if name != "reflectance"} | {"reflectance": diffuse.reflectance}
+
+
+def read_usable(selection: Maps | None, band: slice, lights: int, valid: np.ndarray) -> np.ndarray:
+    """Samples (lights, rows, columns) that separate chose; all valid ones where it was left out."""
     if selection is None:
         return valid
     packed = np.moveaxis(selection.read("usable", band), -1, 0)
-    return np.unpackbits(packed, axis=0, count=lights, bitorder="little").astype(bool)
+    return np.unpackbits(packed, axis=0, count=lights, bitorder="little").view(bool)
 
 
-def _counts(field) -> dict[str, int]:
-    found = {"valid_pixels": int(field.valid.sum())}
-    for bit, name in bits.NAMES.items():
-        found[f"flagged_{name}"] = int(((field.flags & bit) != 0).sum())
-    return found
+def count_flags(flags: np.ndarray, inside: np.ndarray) -> dict[str, int]:
+    """Pixels of the object, those with an estimate, and those with each flag."""
+    of_object = flags[inside]
+    valid = int(((of_object & bits.NO_ESTIMATE) == 0).sum())
+    named = {f"flagged_{name}": int(((of_object & bit) != 0).sum()) for bit, name in bits.NAMES.items()}
+    return {"object_pixels": int(inside.sum()), "valid_pixels": valid, **named}
+
+
+def percentiles(sigma: np.ndarray) -> dict[str, float | None]:
+    """Median and 95th percentile of the standard error of the direction, degrees, over a sample of the pixels."""
+    if not sigma.size:
+        return {"sigma_median_deg": None, "sigma_p95_deg": None}
+    middle, high = np.degrees(np.percentile(sigma, [50, 95]))
+    return {"sigma_median_deg": float(middle), "sigma_p95_deg": float(high)}
 
 
 if __name__ == "__main__":

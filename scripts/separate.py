@@ -4,6 +4,7 @@ import numpy as np
 
 import _project  # noqa: F401
 from nishiki.ingest.observations import Observations
+from nishiki.ingest.parcels import parcels
 from nishiki.maps import MapWriter
 from nishiki.separation.lights import select_diffuse
 from nishiki.settings.separate import SeparateSettings
@@ -23,18 +24,24 @@ def run(context: Context) -> dict:
     settings = context.settings
     for band in context.progress.over(frames.bands(), "band"):
         observations, valid = frames.read(band, lights=lights, channel="mean")
-        selection = select_diffuse(
-            observations,
-            frames.directions[lights],
-            valid=valid,
-            method=settings.method,
-            w1=settings.w1,
-            w2=settings.w2,
-            keep=settings.keep,
-        )
-        usable[band] = np.moveaxis(np.packbits(selection.usable, axis=0, bitorder="little"), 0, -1)
-        highlights[band], shadows[band] = selection.highlights, selection.shadows
-        totals += [a.sum(dtype=np.int64) for a in (selection.usable, selection.highlights, selection.shadows, valid)]
+        chosen = np.empty_like(valid)
+        counts = np.empty((2, *valid.shape[1:]), np.uint16)
+        for parcel in parcels(frames, band, lights):
+            area = np.s_[:, parcel.rows, parcel.columns]
+            selection = select_diffuse(
+                observations[area] * parcel.scale[:, None, None],
+                parcel.directions,
+                valid=valid[area],
+                method=settings.method,
+                w1=settings.w1,
+                w2=settings.w2,
+                keep=settings.keep,
+            )
+            chosen[area] = selection.usable
+            counts[area] = selection.highlights, selection.shadows
+        usable[band] = np.moveaxis(np.packbits(chosen, axis=0, bitorder="little"), 0, -1)
+        highlights[band], shadows[band] = counts
+        totals += [a.sum(dtype=np.int64) for a in (chosen, *counts, valid)]
     samples = rows * columns * len(lights)
     return {
         "lights": [frames.lights[j] for j in lights],

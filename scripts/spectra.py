@@ -10,15 +10,14 @@ from nishiki.capture.spectra_tables import read_curves
 from nishiki.maps import Maps, MapWriter
 from nishiki.settings.spectra import SpectraSettings
 from nishiki.spectra.estimate import SpectralEstimator, estimate_spectra, fit_estimator
-from nishiki.spectra.sampling import resample
-from nishiki.spectra.training import training_set
+from nishiki.spectra.training import measured_reflectances, synthetic_reflectances
 from nishiki.stage import Context, run_stage
 
 
 def run(context: Context) -> dict:
     """Fit the estimator once, then apply it band by band."""
     settings = context.settings
-    training = training_set() if settings.training == "synthetic" else measured_set(Path(settings.training))
+    training = synthetic_reflectances() if settings.training == "synthetic" else measured_set(Path(settings.training))
     estimator = fit(context, training)
     np.savez(context.output.path("estimator.npz"), **estimator.to_arrays())
     maps = Maps(context.inputs["normals"].folder)
@@ -63,7 +62,7 @@ def fit(context: Context, training: np.ndarray) -> SpectralEstimator:
 def measured_set(path: Path) -> np.ndarray:
     """(samples, 61) reflectances from a table: wavelength_nm, then one column a sample."""
     curves = read_curves(path, label=str(path))
-    return resample(curves.wavelengths_nm, curves.values, name=str(path))
+    return measured_reflectances(curves.wavelengths_nm, curves.values, name=str(path))
 
 
 if __name__ == "__main__":

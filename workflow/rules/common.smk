@@ -47,8 +47,8 @@ def params_of(stage):
             FLOW.stage(wildcards.scene, stage, wildcards.key).settings
         ),
         "source": lambda wildcards: FLOW.source(wildcards.scene, stage),
-        "code": FLOW.code(stage),
-        "libraries": FLOW.libraries(stage),
+        "code": lambda wildcards: FLOW.code(stage),
+        "libraries": lambda wildcards: FLOW.libraries(stage),
     }
 
 

@@ -12,7 +12,7 @@ rule publish:
         "../../envs/painting.yaml"
     params:
         stages=lambda wildcards: FLOW.stages_text(wildcards.scene),
-        code=FLOW.code("publish"),
+        code=lambda wildcards: FLOW.code("publish"),
     shell:
         "python "
         + os.path.join(PROJECT_FOLDER, "scripts")

@@ -2,7 +2,9 @@
 
 from pathlib import Path
 
-from nishiki.capture.folder import load_capture
+from nishiki.capture.digest import capture_digest
+from nishiki.capture.folder import Capture, load_capture
+from nishiki.capture.headers import read_header
 from nishiki.errors import UserError
 from nishiki.project import Scene
 from nishiki.provenance import canonical, file_digest
@@ -16,15 +18,24 @@ def scene_facts(scene: Scene) -> SceneFacts:
     except UserError as error:
         raise UserError(f"scene {scene.name!r}: {error}") from None
     return SceneFacts(
-        capture_digest=capture.digest,
-        lights=tuple(capture.sample_lights),
-        check_lights=tuple(capture.check_lights),
-        channels=len(capture.channels),
-        pixels=capture.rows * capture.columns,
+        capture_digest=capture_digest(scene.capture),
+        lights=tuple(frame.light for frame in capture.observed if frame.role == "sample"),
+        check_lights=tuple(frame.light for frame in capture.observed if frame.role == "check"),
+        channels=len(capture.settings.camera.channels),
+        pixels=_pixels(capture),
         has_sensitivities=capture.sensitivities is not None,
         has_illuminant=capture.illuminant is not None,
         truth_sha256=truth_digest(scene.truth) if scene.truth else "",
     )
+
+
+def _pixels(capture: Capture) -> int:
+    """Pixels of the region of interest, from the header of the first photograph."""
+    region = capture.settings.region_of_interest
+    if region is not None:
+        return region[2] * region[3]
+    header = read_header(capture.observed[0].path, name=capture.observed[0].file)
+    return header.rows * header.columns
 
 
 def truth_digest(path: Path) -> str:

@@ -15,6 +15,14 @@ class Progress:
         self.label = label
         self.every_s = every_s
         self.stream = stream or sys.stderr
+        self._last = time.monotonic()
+
+    def __call__(self, done: int, total: int, what: str) -> None:
+        """Tell that `done` of `total` are done, the last being `what`."""
+        now = time.monotonic()
+        if now - self._last >= self.every_s:
+            self._last = now
+            print(f"{self.label}: {done} of {total}, {what}", file=self.stream, flush=True)
 
     def over(self, items: Iterable[Item], what: str) -> Iterator[Item]:
         """Pass `items` on, telling how many of them are done and how long the rest will take."""

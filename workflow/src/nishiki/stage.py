@@ -78,7 +78,7 @@ def _run(model: type[Closed], run: Callable[[Context], dict[str, Any]], argument
     inputs = {artifact.stage: artifact for artifact in map(open_artifact, map(Path, arguments.inputs))}
     upstream = {name: artifact.key for name, artifact in inputs.items()}
     if arguments.capture and not inputs:
-        from nishiki.capture.folder import capture_digest
+        from nishiki.capture.digest import capture_digest
 
         upstream = {"capture": capture_digest(arguments.capture)}
     values = settings.model_dump(mode="json")
