@@ -57,7 +57,7 @@ def payload_digests(folder: Path, *, known: dict[str, Entry] | None = None) -> d
 
 
 def manifest_text(digests: dict[str, str]) -> str:
-    """Manifest lines 'digest  name' sorted by name; line ends and '%' in names are percent-encoded (RFC 8493, 2.1.3)."""
+    """Manifest lines 'digest  name' sorted by name; line ends and '%' in names percent-encoded (RFC 8493, 2.1.3)."""
     return "".join(f"{digests[name]}  {_encode(name)}\n" for name in sorted(digests))
 
 
@@ -95,7 +95,7 @@ def seal(root: Path, *, progress: Callable[[str], None] | None = None) -> str:
 
     The folder's contents move into data/. Safe against being killed at any moment: the bag is prepared beside it as
     NAME.sealing, the whole folder is moved into that by one rename, and a second rename puts it in place; running seal
-    again finishes what was begun. Raises CaptureError: seal-done, seal-link, folder-missing.
+    again finishes what was begun. Raises CaptureError: seal-done, seal-link, seal-occupied, folder-missing.
     """
     root = root.absolute()
     half = root.with_name(root.name + ".sealing")
@@ -114,10 +114,7 @@ def seal(root: Path, *, progress: Callable[[str], None] | None = None) -> str:
     if inside:
         _write_tags(root, root / "data", progress)
         return capture_digest(root)
-    if half.exists():  # killed before the first rename: only tag files can be there
-        for name in (*TAGS, TAG_MANIFEST):
-            (half / name).unlink(missing_ok=True)
-        half.rmdir()
+    _clear_half(half)
     half.mkdir()
     _write_tags(half, root, progress)
     os.rename(root, half / "data")
@@ -126,8 +123,26 @@ def seal(root: Path, *, progress: Callable[[str], None] | None = None) -> str:
     return capture_digest(root)
 
 
-def verify_seal(root: Path) -> list[Problem]:
-    """Every file of a sealed capture that is missing, changed or foreign (seal-missing, seal-changed, seal-foreign)."""
+def _clear_half(half: Path) -> None:
+    """Remove what a sealing killed before its first rename left: tag files only. Anything else is left alone."""
+    if not half.exists():
+        return
+    own = {f".{name}.part" for name in (*TAGS, TAG_MANIFEST)} | {*TAGS, TAG_MANIFEST}
+    strange = sorted({path.name for path in half.iterdir()} - own)
+    if strange:
+        remedy = "Look at it: it may hold another capture; move it away and seal again"
+        found = ", ".join(strange[:5])
+        raise CaptureError(error("seal-occupied", str(half), "folder is in the way", found=found, remedy=remedy))
+    for path in half.iterdir():
+        path.unlink()
+    half.rmdir()
+
+
+def verify_seal(root: Path, *, digests: bool = True) -> list[Problem]:
+    """Every file of a sealed capture that is missing, changed or foreign (seal-missing, seal-changed, seal-foreign).
+
+    digests: read every file; otherwise only the names are compared.
+    """
     problems: list[Problem] = []
     for name in TAGS:
         if not (root / name).is_file():
@@ -142,7 +157,7 @@ def verify_seal(root: Path) -> list[Problem]:
     for name in sorted(set(present) - set(listed)):
         what = "not listed in the manifest"
         problems.append(error("seal-foreign", name, what, remedy="Remove it, or make a new capture that holds it"))
-    for name in sorted(set(listed) & set(present)):
+    for name in sorted(set(listed) & set(present)) if digests else ():
         found = sha256_of(present[name])
         if found != listed[name]:
             expected = f"sha256 {listed[name][:12]}..."

@@ -11,7 +11,7 @@ from nishiki.capture.frames import Frame
 from nishiki.capture.problems import Problem, warning
 from nishiki.ingest.blocks import block_levels, count_outliers
 from nishiki.ingest.frames import FrameReader
-from nishiki.ingest.white import white_field
+from nishiki.ingest.white import WhiteField, white_field
 
 Edges = tuple[np.ndarray, np.ndarray]
 HOT = 0.02  # of full scale above its block in the dark
@@ -118,19 +118,8 @@ def measure_gains(reader: FrameReader, darks: DarkField, edges: Edges, tick: Cal
     gains, dead, problems = [None] * len(observed), np.zeros(shape, np.uint8), []
     levels, uniformity = np.zeros(len(observed)), np.zeros(len(observed))
     for frame, codes in reader.read_all(whites):
-        place = capture.lights.index(frame.light)
-        i = by_light[place]
-        field = white_field(
-            codes,
-            reader.table,
-            darks.at(frame.exposure_s),
-            *edges,
-            cos_theta=board_cosine(reader, place, edges),
-            reflectance=capture.settings.white.reflectance,
-            saturated=reader.saturated,
-            clip=reader.clip,
-            name=frame.file,
-        )
+        i = by_light[capture.lights.index(frame.light)]
+        field = board_field(reader, frame, codes, darks, edges)
         ratio = (frame.exposure_s or 1.0) / (observed[i].exposure_s or 1.0)
         gains[i] = field.gain * np.float32(ratio)
         levels[i], uniformity[i] = field.level.min(), field.uniformity.min()
@@ -142,6 +131,21 @@ def measure_gains(reader: FrameReader, darks: DarkField, edges: Edges, tick: Cal
         tick(frame.file)
     defect = dead == len(whites) if len(whites) <= 255 else np.zeros(shape, bool)
     return Gains(np.stack(gains), tuple(levels.tolist()), tuple(uniformity.tolist()), defect, tuple(problems))
+
+
+def board_field(reader: FrameReader, frame: Frame, codes: np.ndarray, darks: DarkField, edges: Edges) -> WhiteField:
+    """The gain that one white frame gives. CaptureError where the board cannot be used."""
+    return white_field(
+        codes,
+        reader.table,
+        darks.at(frame.exposure_s),
+        *edges,
+        cos_theta=board_cosine(reader, reader.capture.lights.index(frame.light), edges),
+        reflectance=reader.capture.settings.white.reflectance,
+        saturated=reader.saturated,
+        clip=reader.clip,
+        name=frame.file,
+    )
 
 
 def board_cosine(reader: FrameReader, place: int, edges: Edges) -> np.ndarray | float:

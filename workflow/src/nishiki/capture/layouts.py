@@ -1,0 +1,185 @@
+"""Folders of photographs as other projects leave them: which picture belongs to which lamp."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.capture.headers import IMAGE_SUFFIXES, read_header
+from nishiki.capture.images import read_codes
+from nishiki.capture.lights import Lights, light_name, lights_from_vectors, read_lights
+from nishiki.capture.probes import direction_from_sphere, mean_direction
+from nishiki.capture.problems import CaptureError, Problem, error, warning
+
+MASK_WORD = re.compile(r"(^|[._\- ])mask([._\- ]|$)", re.IGNORECASE)
+PROBE_DATA = "circle_data.txt"
+LUMA = np.array([0.299, 0.587, 0.114])
+DISAGREEMENT = np.radians(3.0)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """photographs[i] was taken under lights.names[i]; intensities (lights, channels) or None; mask or None."""
+
+    name: str
+    photographs: tuple[Path, ...]
+    lights: Lights
+    intensities: np.ndarray | None
+    mask: Path | None
+    warnings: tuple[Problem, ...]
+
+
+def natural_key(path: Path) -> list:
+    """Sort key in which cat.2 comes before cat.10."""
+    return [int(part) if part.isdigit() else part.casefold() for part in re.split(r"(\d+)", path.name)]
+
+
+def photographs_in(folder: Path) -> list[Path]:
+    """Pictures of a folder that are no masks, in natural order."""
+    found = (p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file())
+    return sorted((p for p in found if not MASK_WORD.search(p.stem)), key=natural_key)
+
+
+def recognise(source: Path, *, lights_file: Path | None = None, mask: Path | None = None) -> Layout:
+    """Find lamps and photographs in a folder.
+
+    A lights file (given, or the one `.lp` there), DiLiGenT's light_directions.txt, or mirror spheres with their
+    circles (folders holding circle_data.txt: column, row, radius) with the photographs beside them.
+    Raises CaptureError (folder-missing, layout-unknown, photographs-count, photograph-missing, and those of lights).
+    """
+    if not source.is_dir():
+        raise CaptureError(error("folder-missing", str(source), "no such folder"))
+    mask = mask or _find_mask(source)
+    listed = sorted(source.glob("*.lp"))
+    if lights_file is None and len(listed) > 1:
+        found = ", ".join(p.name for p in listed)
+        raise CaptureError(error("layout-unknown", str(source), "several .lp files", found=found, remedy="Name one"))
+    lights_file = lights_file or (listed[0] if listed else None)
+    if lights_file is not None:
+        return _with_lights(source, read_lights(lights_file), mask)
+    if (source / "light_directions.txt").is_file():
+        return _diligent(source, mask)
+    probes = sorted(path.parent for path in source.glob(f"*/{PROBE_DATA}"))
+    if probes:
+        return _with_spheres(source, probes, mask)
+    expected = "a .lp file, light_directions.txt, or folders of mirror spheres with circle_data.txt"
+    remedy = "Give the lights file"
+    raise CaptureError(error("layout-unknown", str(source), "no lamps found", expected=expected, remedy=remedy))
+
+
+def _find_mask(source: Path) -> Path | None:
+    masks = [p for p in source.iterdir() if p.suffix.lower() in (".png", ".tif", ".tiff") and MASK_WORD.search(p.stem)]
+    return masks[0] if len(masks) == 1 else None
+
+
+def _with_lights(source: Path, lights: Lights, mask: Path | None) -> Layout:
+    """Photographs named in the lights file; where it names none, in the natural order of their names."""
+    present = photographs_in(source)
+    if all(file is None for file in lights.files):
+        _expect_count(source, present, len(lights.names))
+        return _in_order(source, present, lights, None, mask, "directions in order")
+    by_name = {p.name.casefold(): p for p in present}
+    by_stem = {p.stem.casefold(): p for p in present}
+    chosen, missing = [], []
+    for name, file in zip(lights.names, lights.files, strict=True):
+        base = re.split(r"[\\/]", file)[-1].casefold()
+        path = by_name.get(base) or by_stem.get(name.casefold())
+        chosen.append(path)
+        missing += [] if path else [error("photograph-missing", str(source), f"no photograph '{file}'")]
+    if missing:
+        raise CaptureError(missing)
+    extra = [p.name for p in present if p not in chosen]
+    notes = list(lights.warnings)
+    if extra:
+        what = "pictures that the lights file does not name were left out"
+        notes.append(warning("photograph-unlisted", str(source), what, found=", ".join(extra[:5])))
+    return Layout("lights file", tuple(chosen), lights, None, mask, tuple(notes))
+
+
+def _diligent(source: Path, mask: Path | None) -> Layout:
+    """DiLiGenT: directions and intensities by line; names from filenames.txt or in order."""
+    bare = read_lights(source / "light_directions.txt")
+    names = source / "filenames.txt"
+    present = photographs_in(source)
+    if names.is_file():
+        listed = [source / light.strip() for light in names.read_text().split("\n") if light.strip()]
+        gone = [p.name for p in listed if not p.is_file()]
+        if gone:
+            what = f"photographs of filenames.txt are missing: {', '.join(gone[:5])}"
+            raise CaptureError(error("photograph-missing", str(source), what))
+        present = listed
+    _expect_count(source, present, len(bare.names))
+    intensities = None
+    scales = source / "light_intensities.txt"
+    if scales.is_file():
+        try:
+            intensities = np.loadtxt(scales, ndmin=2)
+        except ValueError as e:
+            raise CaptureError(error("intensities-unreadable", scales.name, "not a table of numbers")) from e
+        if len(intensities) != len(present) or not (np.isfinite(intensities) & (intensities > 0)).all():
+            expected = f"{len(present)} rows of numbers above 0"
+            raise CaptureError(
+                error("intensities-invalid", scales.name, "table", expected=expected, found=f"{intensities.shape}")
+            )
+    layout = _in_order(source, present, bare, intensities, mask, "DiLiGenT")
+    if names.is_file():
+        return Layout(layout.name, layout.photographs, layout.lights, intensities, mask, bare.warnings)
+    return layout
+
+
+def _with_spheres(source: Path, probes: list[Path], mask: Path | None) -> Layout:
+    """Lamps from mirror spheres photographed together with the object; both in natural order of the file names."""
+    numbered = re.compile(r"\d")
+    folders = [p for p in source.iterdir() if p.is_dir() and p not in probes]
+    objects = [found for found in map(photographs_in, folders) if found]
+    if len(objects) != 1:
+        what = "exactly one folder of photographs is expected beside the mirror spheres"
+        raise CaptureError(error("layout-unknown", str(source), what, found=f"{len(objects)}"))
+    photographs = objects[0]
+    spheres = []
+    for probe in probes:
+        pictures = [p for p in photographs_in(probe) if numbered.search(p.stem)]
+        _expect_count(probe, pictures, len(photographs))
+        column, row, radius = np.loadtxt(probe / PROBE_DATA).ravel()[:3]
+        # the circle is given in coordinates that count from 1
+        spheres.append([direction_from_sphere(_grey(p), (row - 1, column - 1), radius) for p in pictures])
+    notes, vectors = [], []
+    for i, photograph in enumerate(photographs):
+        mean, angle = mean_direction(np.array([sphere[i] for sphere in spheres]))
+        vectors.append(mean)
+        if angle > DISAGREEMENT:
+            found = f"{np.degrees(angle):.1f} degrees from their mean"
+            what = "mirror spheres disagree about the lamp"
+            notes.append(warning("probes-disagree", photograph.name, what, found=found))
+    lights = lights_from_vectors([p.stem for p in photographs], np.array(vectors), file="mirror spheres")
+    return Layout("mirror spheres", tuple(photographs), lights, None, mask, (*notes, *lights.warnings))
+
+
+def _grey(path: Path) -> np.ndarray:
+    header = read_header(path)
+    names = ("grey",) if header.channels < 3 else ("red", "green", "blue")
+    codes = read_codes(path, names, header=header).astype(np.float64)
+    return codes[..., 0] if len(names) == 1 else codes @ LUMA
+
+
+def _in_order(
+    source: Path, present: list[Path], lights: Lights, intensities: np.ndarray | None, mask: Path | None, name: str
+) -> Layout:
+    """Directions without names, given to the photographs in the natural order of their names."""
+    named = lights_from_vectors([light_name(p.name) for p in present], lights.vectors, file=str(source.name))
+    what = "directions have no file names: given to the photographs in the natural order of their names"
+    found = f"{present[0].name} ... {present[-1].name}"
+    note = warning("lights-in-order", source.name, what, found=found, remedy="Check that the order is the lamps' order")
+    return Layout(name, tuple(present), named, intensities, mask, (note, *named.warnings))
+
+
+def _expect_count(source: Path, present: list[Path], count: int) -> None:
+    if len(present) != count:
+        expected, found = f"{count}, one a light", f"{len(present)}"
+        remedy = "Move other pictures away, or name the photographs in the lights file"
+        raise CaptureError(
+            error("photographs-count", str(source), "photographs", expected=expected, found=found, remedy=remedy)
+        )

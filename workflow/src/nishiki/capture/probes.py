@@ -1,0 +1,45 @@
+"""Directions of lamps from the highlight on a mirror sphere."""
+
+from __future__ import annotations
+
+import numpy as np
+
+HIGHLIGHT = 0.9  # of the brightest blurred value: the lamp's own image and not what else the sphere reflects
+
+
+def direction_from_sphere(image: np.ndarray, centre: tuple[float, float], radius: float) -> np.ndarray:
+    """Unit direction (3,) float64 to the lamp whose image is the brightest spot on a mirror sphere.
+
+    image (rows, columns) of any scale; centre (row, column) and radius of the sphere's outline in pixels, seen from
+    afar along z. The spot's centroid gives the normal n there and the mirror law the lamp: l = 2 (n . v) n - v with
+    v = (0, 0, 1). ValueError where no spot lies on the sphere.
+    """
+    import cv2
+
+    rows, columns = np.indices(image.shape)
+    distance = np.hypot(rows - centre[0], columns - centre[1])
+    inside = distance < 0.98 * radius
+    if not inside.any():
+        raise ValueError("the sphere lies outside the picture")
+    smooth = cv2.GaussianBlur(image.astype(np.float64), (0, 0), max(0.5, 0.01 * radius))
+    smooth = np.where(inside, smooth, -np.inf)
+    peak = np.unravel_index(int(np.argmax(smooth)), smooth.shape)
+    floor = float(np.median(smooth[inside]))
+    if not smooth[peak] > floor:
+        raise ValueError("no highlight on the sphere")
+    bright = (smooth >= floor + HIGHLIGHT * (smooth[peak] - floor)).astype(np.uint8)
+    _, labels = cv2.connectedComponents(bright)
+    spot = labels == labels[peak]
+    weight = np.where(spot, smooth - floor, 0.0)
+    row, column = (rows * weight).sum() / weight.sum(), (columns * weight).sum() / weight.sum()
+    x, y = (column - centre[1]) / radius, -(row - centre[0]) / radius
+    z = np.sqrt(max(0.0, 1.0 - x * x - y * y))
+    normal = np.array([x, y, z])
+    return 2.0 * z * normal - np.array([0.0, 0.0, 1.0])
+
+
+def mean_direction(directions: np.ndarray) -> tuple[np.ndarray, float]:
+    """Mean unit direction (3,) of several spheres (spheres, 3), and the largest angle from it in radians."""
+    total = directions.sum(axis=0)
+    mean = total / np.linalg.norm(total)
+    return mean, float(np.arccos(np.clip(directions @ mean, -1, 1)).max())
