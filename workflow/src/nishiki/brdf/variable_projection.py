@@ -1,0 +1,346 @@
+"""Compiled variable projection: Lambert + one Torrance-Sparrow lobe at every point, shared width, linear strengths.
+
+A point has observations y_oc = K_d,c q_o + K_s,c a_o D(phi_o; gamma).  For a given gamma both strengths of a channel are
+a 2 x 2 linear problem with K >= 0, so only log gamma is searched:
+
+* a global grid of half widths with the ratio 2.  One step down is the fourth power, because D(phi; gamma / 2) = D(phi; gamma)^4:
+  the whole grid costs one exponential an observation;
+* then Gauss-Newton on the projected residual (Kaufman's Jacobian; Golub & Pereyra, Inverse Problems 19, 2003, R1),
+  held inside the bracket by the sign of the exact derivative and replaced by bisection where it would leave it.
+
+The loops over the observations may reassociate their sums (vector instructions); nothing else of fast math is allowed,
+so that infinities and NaN keep their meaning.
+"""
+
+import numpy as np
+from numba import njit, prange
+
+GRID_RATIO = 2.0
+REFINEMENTS = 24
+PAD = 16  # observations are padded with zero columns to a multiple of the vector length
+REASSOCIATE = {"reassoc", "contract", "nsz"}
+_EXP2 = (  # 2^-f on 0 .. 1 interpolated at Chebyshev nodes, relative error 2.5e-9
+    np.float32(0.9999999986201363),
+    np.float32(-0.6931470452096826),
+    np.float32(0.24022433120843853),
+    np.float32(-0.05549093211490295),
+    np.float32(0.009579859772968908),
+    np.float32(-0.0012755401353185156),
+    np.float32(0.00010932892393299026),
+)
+_E_MAX, _E_SCALE, _ZERO = np.float32(32), np.float32(1 / 32), np.float32(0)
+_TWO_LN2 = float(2.0 * np.log(2.0))
+_GRID_FLOOR = 1e-9  # D below it is 0 on the grid: its powers would end in slow subnormal numbers
+# What is reported of a point, in this order
+GAMMA, CURVATURE, RSS, RSS_DIFFUSE, USED, NEAREST, LIT, SCALE = range(8)
+REPORT = 8
+# Rows of the scratch of a point, before one row for each channel's observations
+_PHI2, _A, _Q, _D, _LOBE, _ROWS = range(6)
+
+
+@njit(cache=True, error_model="numpy", fastmath=REASSOCIATE)
+def _lobe_values(w, inverse):
+    """Row _D = 2^-(phi^2 inverse), inverse = 1 / gamma^2.
+
+    float64: exp2.  float32: 2^-(e / 32) by polynomial, squared five times (relative error 2e-6), 0 beyond e = 32.
+    """
+    if w.itemsize == 4:
+        for o in range(w.shape[1]):
+            e = w[_PHI2, o] * inverse
+            f = (e if e < _E_MAX else _E_MAX) * _E_SCALE
+            p = _EXP2[4] + f * (_EXP2[5] + f * _EXP2[6])
+            p = _EXP2[0] + f * (_EXP2[1] + f * (_EXP2[2] + f * (_EXP2[3] + f * p)))
+            p *= p
+            p *= p
+            p *= p
+            p *= p
+            p *= p
+            w[_D, o] = p if e < _E_MAX else _ZERO
+    else:
+        for o in range(w.shape[1]):
+            w[_D, o] = np.exp2(-w[_PHI2, o] * inverse)
+
+
+@njit(cache=True, error_model="numpy", fastmath=REASSOCIATE)
+def _dot(w, i, j):
+    total = w.dtype.type(0)
+    for o in range(w.shape[1]):
+        total += w[i, o] * w[j, o]
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def _inverse_determinant(w, a, b, d):
+    """1 / (a d - b^2), or 0 where the two columns are collinear within the rounding of w's type."""
+    tolerance = w.dtype.type(1e-5) if w.itemsize == 4 else w.dtype.type(1e-12)
+    det = a * d - b * b
+    return 1 / det if det > tolerance * a * d else det - det
+
+
+@njit(cache=True, error_model="numpy")
+def _strengths(a, b, d, inverse, u, v, k0):
+    """Non-negative least squares in two unknowns, relative to the fit by the diffuse column alone.
+
+    The observations are y = y' + k0 q, k0 >= 0 the best strength of the diffuse column alone.  a, b, d: the products
+    s.s, s.q, q.q of the lobe's and the diffuse column; u, v: s.y' and q.y'; inverse: of the determinant, 0 if collinear.
+    Returns K_s, K_d - k0, and what K_s takes off sum y'^2: a difference that no subtraction of large sums blurs.  If an
+    unconstrained strength is negative the optimum lies where one of them is 0, and it is the better of those two.
+    """
+    zero = a - a
+    s = (d * u - b * v) * inverse
+    t = (a * v - b * u) * inverse
+    if inverse > 0 and s >= 0 and k0 + t >= 0:
+        return s, t, s * u + t * v
+    u_all = u + k0 * b
+    s = u_all / a if u_all > 0 and a > 0 else zero
+    gain = s * u_all - k0 * k0 * d
+    if gain > 0:
+        return s, -k0, gain
+    return zero, zero, zero
+
+
+@njit(cache=True, error_model="numpy", fastmath=REASSOCIATE)
+def _grid_step(w, floor):
+    """Row _LOBE = a D at this half width, and D to its fourth power for the next; returns (s.s, s.q)."""
+    a, b = floor - floor, floor - floor
+    for o in range(w.shape[1]):
+        s = w[_A, o] * w[_D, o]
+        w[_LOBE, o] = s
+        a += s * s
+        b += s * w[_Q, o]
+        fourth = w[_D, o] * w[_D, o]
+        fourth *= fourth
+        w[_D, o] = fourth if fourth > floor else floor - floor
+    return a, b
+
+
+@njit(cache=True, error_model="numpy")
+def _grid_search(w, channels, d, v, log_max, steps):
+    """Index of the best half width of the grid, gamma_max / 2^index; of equally good ones the widest."""
+    real = w.dtype.type
+    margin = real(1.00001) if w.itemsize == 4 else real(1 + 1e-12)
+    _lobe_values(w, real(np.exp(-2 * log_max)))
+    best, index = real(-1), 0
+    for step in range(steps):
+        a, b = _grid_step(w, real(_GRID_FLOOR))
+        if a <= 0:
+            break
+        inverse = _inverse_determinant(w, a, b, d)
+        gain = real(0)
+        for c in range(channels):
+            u = _dot(w, _LOBE, _ROWS + c)
+            gain += _strengths(a, b, d, inverse, u, v[0, c], v[1, c])[2]
+        if gain > best * margin:
+            best, index = gain, step
+    return index
+
+
+@njit(cache=True, error_model="numpy", fastmath=REASSOCIATE)
+def _columns_at(w, inverse):
+    """Row _D = the lobe's column s, row _LOBE = its derivative j by log gamma; returns s.s, s.q, j.j, j.s, j.q."""
+    _lobe_values(w, inverse)
+    zero = w.dtype.type(0)
+    a, b, jj, js, jq = zero, zero, zero, zero, zero
+    rate = w.dtype.type(_TWO_LN2) * inverse
+    for o in range(w.shape[1]):
+        s = w[_A, o] * w[_D, o]
+        j = s * w[_PHI2, o] * rate
+        w[_D, o] = s
+        w[_LOBE, o] = j
+        a += s * s
+        b += s * w[_Q, o]
+        jj += j * j
+        js += j * s
+        jq += j * w[_Q, o]
+    return a, b, jj, js, jq
+
+
+@njit(cache=True, error_model="numpy", fastmath=REASSOCIATE)
+def _residual_products(w, row, kd, ks):
+    """(residual . j, residual . residual) of one channel, from the residuals themselves: no cancellation."""
+    along, square = w.dtype.type(0), w.dtype.type(0)
+    for o in range(w.shape[1]):
+        r = w[row, o] - kd * w[_Q, o] - ks * w[_D, o]
+        along += r * w[_LOBE, o]
+        square += r * r
+    return along, square
+
+
+@njit(cache=True, error_model="numpy")
+def _evaluate(w, channels, d, v, t, strengths):
+    """Strengths at log gamma = t; returns (slope, curvature, rss) of the projected problem.
+
+    slope: minus half the derivative of the sum of squares by t (exact); curvature: Kaufman's approximation of half the
+    second derivative, sum_c K_s,c^2 |P j|^2 with j the lobe's derivative and P the projection off the active columns.
+    """
+    real = w.dtype.type
+    a, b, jj, js, jq = _columns_at(w, real(np.exp(-2 * t)))
+    inverse = _inverse_determinant(w, a, b, d)
+    one_left = max(jj - js * js / a, real(0)) if a > 0 else real(0)
+    both_left = one_left
+    if inverse > 0:
+        both_left = max(jj - (js * js * d - 2 * js * jq * b + jq * jq * a) * inverse, real(0))
+    slope, curvature, rss = real(0), real(0), real(0)
+    for c in range(channels):
+        ks, kd, _ = _strengths(a, b, d, inverse, _dot(w, _D, _ROWS + c), v[0, c], v[1, c])
+        along, square = _residual_products(w, _ROWS + c, kd, ks)
+        kd += v[1, c]
+        slope += ks * along
+        rss += square
+        curvature += ks * ks * (both_left if kd > 0 else one_left)
+        strengths[c, 0] = ks
+        strengths[c, 1] = kd
+    return slope, curvature, rss
+
+
+@njit(cache=True, error_model="numpy")
+def _refine(w, channels, d, v, t, lo, hi, strengths):
+    """Safeguarded Gauss-Newton in t = log gamma between lo and hi; leaves everything evaluated at the t it returns."""
+    settled = 1e-4 if w.itemsize == 4 else 1e-9
+    slope, curvature, rss = _evaluate(w, channels, d, v, t, strengths)
+    for _ in range(REFINEMENTS):
+        if not (slope != 0 and curvature > 0):
+            break
+        if slope > 0:
+            lo = t
+        else:
+            hi = t
+        new = t + slope / curvature
+        if not lo <= new <= hi:
+            new = 0.5 * (lo + hi)
+        moved = abs(new - t)
+        t = new
+        slope, curvature, rss = _evaluate(w, channels, d, v, t, strengths)
+        if moved < settled:
+            break
+    return t, curvature, rss
+
+
+@njit(cache=True, error_model="numpy", fastmath=REASSOCIATE)
+def _scale_row(w, row, weight_row):
+    """Multiply a row by the roots of the weights and divide it by its mean absolute value, which is returned."""
+    real = w.dtype.type
+    total = real(0)
+    for o in range(w.shape[1]):
+        w[row, o] *= w[weight_row, o]
+        total += abs(w[row, o])
+    if not total > 0:
+        return real(1)
+    mean = total / real(w.shape[1])
+    scale = 1 / mean
+    for o in range(w.shape[1]):
+        w[row, o] *= scale
+    return mean
+
+
+@njit(cache=True, error_model="numpy")
+def _load(phi, amplitude, attenuation, diffuse, weights, w):
+    """Copy one point into the scratch, with the roots of its weights in row _D; returns how many observations count.
+
+    An observation in which any value is not finite, or whose weight is not positive, gets weight 0 and value 0.
+    """
+    w[:] = 0
+    zero = w.dtype.type(0)
+    observations, channels = amplitude.shape
+    used = 0
+    for o in range(observations):
+        check = phi[o] + attenuation[o] + diffuse[o] + weights[o]
+        for c in range(channels):
+            check += amplitude[o, c]
+        good = (check - check == zero) & (weights[o] > zero)
+        used += good
+        w[_D, o] = np.sqrt(weights[o]) if good else zero
+        w[_PHI2, o] = phi[o] * phi[o] if good else zero
+        w[_A, o] = attenuation[o] if good else zero
+        w[_Q, o] = diffuse[o] if good else zero
+        for c in range(channels):
+            w[_ROWS + c, o] = amplitude[o, c] if good else zero
+    return used
+
+
+@njit(cache=True, error_model="numpy", fastmath=REASSOCIATE)
+def _scale(w, channels):
+    """Weight the columns and scale them to a mean of 1; returns the scales of the lobe, of q, and of the observations.
+
+    The scaling makes the fit equivariant under any radiometric scale that the float type can hold.
+    """
+    top_a = _scale_row(w, _A, _D)
+    top_q = _scale_row(w, _Q, _D)
+    total = w.dtype.type(0)
+    for c in range(channels):
+        for o in range(w.shape[1]):
+            w[_ROWS + c, o] *= w[_D, o]
+            total += abs(w[_ROWS + c, o])
+    top_y = total / w.dtype.type(w.shape[1] * channels) if total > 0 else w.dtype.type(1)
+    inverse = 1 / top_y
+    for c in range(channels):
+        for o in range(w.shape[1]):
+            w[_ROWS + c, o] *= inverse
+    return top_a, top_q, top_y
+
+
+@njit(cache=True, error_model="numpy", fastmath=REASSOCIATE)
+def _deflate(w, row, d, v):
+    """Take the best diffuse-only fit off a row: v = (q . what is left, its strength k0 >= 0); q . rest is 0 if k0 > 0."""
+    zero = w.dtype.type(0)
+    product = _dot(w, _Q, row)
+    k0 = product / d if product > 0 and d > 0 else zero
+    for o in range(w.shape[1]):
+        w[row, o] -= k0 * w[_Q, o]
+    v[0] = _dot(w, _Q, row)
+    v[1] = k0
+
+
+@njit(cache=True, error_model="numpy")
+def _summarise(w, channels, gamma, report):
+    """Sum of squares that the diffuse term alone leaves, the observation nearest to the mirror direction, and how many are lit."""
+    report[RSS_DIFFUSE] = 0
+    for c in range(channels):
+        report[RSS_DIFFUSE] += _dot(w, _ROWS + c, _ROWS + c)
+    nearest, lit, limit = w.dtype.type(1e30), 0, 9 * gamma * gamma
+    for o in range(w.shape[1]):
+        phi2 = w[_PHI2, o] if w[_A, o] > 0 else w.dtype.type(1e30)
+        nearest = phi2 if phi2 < nearest else nearest
+        lit += phi2 < limit  # within three half widths: D above 1 / 512
+    report[NEAREST], report[LIT] = np.sqrt(nearest), lit
+
+
+@njit(cache=True, error_model="numpy")
+def _solve_point(phi, amplitude, attenuation, diffuse, weights, log_min, log_max, w, v, pairs, report):
+    """One point from load to report; pairs (channels, 2) receive K_s and K_d in the units of the observations."""
+    channels = amplitude.shape[1]
+    step = np.log(GRID_RATIO)
+    report[USED] = _load(phi, amplitude, attenuation, diffuse, weights, w)
+    top_a, top_q, top_y = _scale(w, channels)
+    d = _dot(w, _Q, _Q)
+    for c in range(channels):
+        _deflate(w, _ROWS + c, d, v[:, c])
+    index = _grid_search(w, channels, d, v, log_max, int(np.ceil((log_max - log_min) / step)) + 1)
+    t = max(log_max - index * step, log_min)
+    t, curvature, rss = _refine(w, channels, d, v, t, max(t - step, log_min), min(t + step, log_max), pairs)
+    report[GAMMA], report[CURVATURE], report[RSS], report[SCALE] = np.exp(t), curvature, rss, top_y
+    _summarise(w, channels, report[GAMMA], report)
+    for c in range(channels):
+        pairs[c, 0] *= top_y / top_a
+        pairs[c, 1] *= top_y / top_q
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def project_points(phi, amplitude, attenuation, diffuse, weights, log_min, log_max, strengths, reports):
+    """Fit every point; all arrays C-contiguous of one float type.
+
+    phi, attenuation, diffuse, weights: (points, observations); amplitude: (points, observations, channels).  Writes
+    strengths (points, channels, 2), K_s then K_d, and reports (points, REPORT).  Sums of squares in a report are in
+    units of the squared SCALE of the point.
+    """
+    points, observations, channels = amplitude.shape
+    padded = (observations + PAD - 1) // PAD * PAD
+    blocks = min(points, 256)
+    for block in prange(blocks):
+        w = np.empty((_ROWS + channels, padded), amplitude.dtype)
+        v = np.empty((2, channels), amplitude.dtype)
+        for p in range(block * points // blocks, (block + 1) * points // blocks):
+            _solve_point(
+                phi[p], amplitude[p], attenuation[p], diffuse[p], weights[p], log_min, log_max,
+                w, v, strengths[p], reports[p],
+            )  # fmt: skip
