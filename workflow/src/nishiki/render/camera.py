@@ -1,8 +1,8 @@
 """Views of the painting: which point of the maps each sample of the screen sees, and the maps at those points.
 
-Ray casting to a rectangle in space is a homography, for a pinhole camera as for the frontal view: one 3 x 3 matrix takes
-(column, row, 1) of the screen to the plane, another takes the plane to the maps.  The relief moves no pixel sideways
-(no parallax) and hides nothing from an oblique eye; it acts through the normals and through cast shadows.
+Ray casting to a rectangle in space is a homography, for a pinhole camera as for the frontal view: one 3 x 3 matrix
+takes (column, row, 1) of the screen to the plane, another takes the plane to the maps.  The relief moves no pixel
+sideways (no parallax) and hides nothing from an oblique eye; it acts through the normals and through cast shadows.
 """
 
 from dataclasses import dataclass
@@ -56,7 +56,8 @@ def is_native(view: View, scene: PlaneScene) -> bool:
 def footprint(to_map: np.ndarray, first: int, last: int, columns: int, shape: tuple[int, int]) -> tuple[float, float]:
     """Largest steps on the maps, in their pixels, from one screen row and one screen column to the next.
 
-    Over the screen rows first .. last - 1, where the painting is in sight; (0, 0) where it is not.
+    Over the screen rows first .. last - 1, where the painting is in sight; (0, 0) where it is not.  No step is longer
+    than the painting: towards the horizon the steps grow without bound.
     """
     column, row = np.meshgrid(np.arange(columns, dtype=np.float64), np.arange(first, last, dtype=np.float64))
     x, y, w = (to_map[i, 0] * column + to_map[i, 1] * row + to_map[i, 2] for i in range(3))
@@ -65,6 +66,8 @@ def footprint(to_map: np.ndarray, first: int, last: int, columns: int, shape: tu
     x, y = x / w, y / w
     by_column = np.hypot((to_map[0, 0] - x * to_map[2, 0]) / w, (to_map[1, 0] - y * to_map[2, 0]) / w)
     by_row = np.hypot((to_map[0, 1] - x * to_map[2, 1]) / w, (to_map[1, 1] - y * to_map[2, 1]) / w)
+    longest = np.hypot(*shape)
+    by_column, by_row = np.minimum(by_column, longest), np.minimum(by_row, longest)
     margin = by_column + by_row  # the pixel may touch the painting though its centre does not
     outside = np.maximum(np.maximum(-x, x - shape[1] + 1), np.maximum(-y, y - shape[0] + 1))
     seen = ahead & (outside <= margin + 0.5)
@@ -84,10 +87,13 @@ class MapSamples:
     inside: np.ndarray  # (h, w) bool
 
 
-def sample_maps(scene: PlaneScene, visibility: np.ndarray | None, to_map: np.ndarray, shape: tuple) -> MapSamples:
+def sample_maps(
+    scene: PlaneScene, visibility: np.ndarray | None, to_map: np.ndarray, shape: tuple, extent: tuple
+) -> MapSamples:
     """Bilinear samples at to_map . (column, row, 1), normals renormalised: the shading comes after.
 
-    A missing normal among the four neighbours is left out; where half of the weight or more is missing, so is the sample.
+    extent: (rows, columns) of the painting in pixels of the maps, where averaging in blocks rounded their number up.
+    A missing normal among the four neighbours is left out; where half of the weight is missing, so is the sample.
     """
     height, width = shape
     lights = 0 if visibility is None else len(visibility)
@@ -102,6 +108,8 @@ def sample_maps(scene: PlaneScene, visibility: np.ndarray | None, to_map: np.nda
         np.zeros((0, 0), np.uint8) if scene.labels is None else np.ascontiguousarray(scene.labels),
         np.zeros((0, 0, 0), np.float32) if visibility is None else np.ascontiguousarray(visibility, np.float32),
         to_map,
+        float(extent[0]),
+        float(extent[1]),
         normals,
         coefficients,
         labels,
@@ -118,14 +126,14 @@ def sample_maps(scene: PlaneScene, visibility: np.ndarray | None, to_map: np.nda
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _sample(maps_n, maps_c, maps_l, maps_v, to_map, normals, coefficients, labels, visible, inside):
+def _sample(maps_n, maps_c, maps_l, maps_v, to_map, high, wide, normals, coefficients, labels, visible, inside):
     rows, columns = maps_n.shape[:2]
     for i in range(inside.shape[0]):
         for j in range(inside.shape[1]):
             w = to_map[2, 0] * j + to_map[2, 1] * i + to_map[2, 2]
             x = (to_map[0, 0] * j + to_map[0, 1] * i + to_map[0, 2]) / w
             y = (to_map[1, 0] * j + to_map[1, 1] * i + to_map[1, 2]) / w
-            on = w > 0.0 and -0.5 <= x < columns - 0.5 and -0.5 <= y < rows - 0.5
+            on = w > 0.0 and -0.5 <= x < wide - 0.5 and -0.5 <= y < high - 0.5
             inside[i, j] = on
             if not on:
                 normals[i, j, :] = 0.0

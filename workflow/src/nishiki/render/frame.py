@@ -21,8 +21,8 @@ class Rendering:
     """A picture and what there is to know about it.
 
     xyz: (rows, columns, 3) float32, linear, Y = 1 for a perfect white that faces a lamp of intensity 1.
-    flags: (rows, columns) uint8, bits of `nishiki.render.scene`; a pixel made of several samples carries NORMAL_MISSING,
-    COLOUR_MISSING and OVERFLOW only if no sample of it is usable, TURNED_AWAY if any sample is.
+    flags: (rows, columns) uint8, bits of `nishiki.render.scene`; a pixel made of several samples carries
+    NORMAL_MISSING, COLOUR_MISSING and OVERFLOW only if no sample of it is usable, TURNED_AWAY if any sample is.
     coverage: (rows, columns) float32, share of the pixel inside the painting; the rest shows the background.
     """
 
@@ -45,23 +45,24 @@ def render(
     shadows: str = "sweep",
     visibility: np.ndarray | None = None,
     minimum_samples: int = 2,
-    maximum_samples: int = 16,
+    maximum_samples: int = 1024,
 ) -> Rendering:
     """Picture of `scene` under `lights` from `view` (default: frontal, a screen pixel for a pixel of the maps).
 
     background: XYZ where the ray misses the painting.  shadows: "sweep", "march" (see `nishiki.render.shadow`) or
-    "none"; without a height there are none.  visibility: (lights, rows, columns) computed before, e.g. for a sequence of
-    views.  minimum_samples, maximum_samples: along each side of a pixel, when the screen is not the maps; the number
-    between them is the step on the maps, so that no pixel of the maps is jumped over.  Beyond the maximum the maps are
-    averaged first; averaged normals shade like a smoother surface.
+    "none"; without a height there are none.  visibility: (lights, rows, columns) computed before, e.g. for a sequence
+    of views.  A pixel of a screen that is not the maps is the mean of shaded samples, as many across and down as the
+    pixel is steps long on the maps, so that no pixel of the maps is jumped over; at least `minimum_samples` along each
+    side.  Where that would be more than `maximum_samples` in all, the maps are averaged first (`reduction`); averaged
+    normals shade like a smoother surface.
     """
     view = View() if view is None else view
     ambient = Ambient() if ambient is None else ambient
     if shadows not in ("sweep", "march", "none"):
         raise UserError(f"shadows: expected sweep, march or none, found {shadows!r}; choose one of the three")
-    if not 1 <= minimum_samples <= maximum_samples:
+    if not 1 <= minimum_samples**2 <= maximum_samples:
         raise UserError(
-            f"samples: expected 1 <= minimum <= maximum, found {minimum_samples} and {maximum_samples}; swap them"
+            f"samples: expected 1 <= minimum squared <= maximum, found {minimum_samples} and {maximum_samples}"
         )
     shadowed = ()
     if visibility is None and shadows != "none" and scene.height is not None and lights:
@@ -76,13 +77,14 @@ def render(
     plane = camera.screen_to_plane(view, scene)
     rows, columns = camera.screen_shape(view, scene)
     to_map = camera.map_from_plane(scene) @ plane
-    largest = max(camera.footprint(to_map, 0, rows, columns, scene.shape))
+    steps = [camera.footprint(to_map, k, min(k + 16, rows), columns, scene.shape) for k in range(0, rows, 16)]
     reduction = 1
-    while largest / reduction > maximum_samples and reduction < max(scene.shape):
+    while max(_count(step, reduction) for step in steps) > maximum_samples and reduction < max(scene.shape):
         reduction *= 2
     maps, seen = reduce_maps(scene, visibility, reduction)
     shrink = np.array([[1 / reduction, 0, 0.5 / reduction - 0.5], [0, 1 / reduction, 0.5 / reduction - 0.5], [0, 0, 1]])
-    painter = _Painter(maps, seen, lights, groups, ambient.level, plane, shrink @ to_map, camera.homogeneous_eye(view))
+    painter = _Painter(maps, seen, lights, groups, ambient.level, plane, shrink @ to_map, camera.homogeneous_eye(view),
+        (scene.shape[0] / reduction, scene.shape[1] / reduction))  # fmt: skip
     xyz = np.empty((rows, columns, 3), np.float32)
     flags, coverage = np.empty((rows, columns), np.uint8), np.empty((rows, columns), np.float32)
     backdrop, most, first = np.asarray(background, np.float64), 1, 0
@@ -93,6 +95,10 @@ def render(
                       coverage[first:last])  # fmt: skip
         most, first = max(most, across * down), last
     return Rendering(xyz, flags, coverage, white, shadowed, most, reduction)
+
+
+def _count(step: tuple[float, float], reduction: int) -> float:
+    return np.prod([max(1, np.ceil(s / reduction - 1e-6)) for s in step])
 
 
 @dataclass(frozen=True)
@@ -107,6 +113,7 @@ class _Painter:
     plane: np.ndarray
     to_map: np.ndarray
     eye: np.ndarray
+    extent: tuple  # (rows, columns) of the painting in pixels of the maps
 
     def band(self, first: int, shape: tuple, minimum: int, maximum: int) -> tuple[int, int, int]:
         """(end of the band, samples across, samples down) for a band that begins at screen row `first`."""
@@ -114,8 +121,8 @@ class _Painter:
         height = min(16, rows - first)
         while True:
             by_row, by_column = camera.footprint(self.to_map, first, first + height, columns, self.maps.shape)
-            across = int(np.clip(np.ceil(by_column - 1e-6), minimum, maximum))
-            down = int(np.clip(np.ceil(by_row - 1e-6), minimum, maximum))
+            across = max(minimum, int(np.ceil(by_column - 1e-6)))
+            down = min(max(minimum, int(np.ceil(by_row - 1e-6))), max(1, maximum // across))
             if by_row == by_column == 0:
                 across = down = 1  # the painting is out of sight
             if height == 1 or height * columns * across * down <= _SAMPLES_AT_ONCE:
@@ -126,7 +133,7 @@ class _Painter:
         """Maps and shading at across x down samples a pixel of the screen rows first .. last - 1."""
         to_screen = np.array([[1 / across, 0, 0.5 / across - 0.5], [0, 1 / down, first + 0.5 / down - 0.5], [0, 0, 1]])
         shape = ((last - first) * down, columns * across)
-        samples = camera.sample_maps(self.maps, self.visibility, self.to_map @ to_screen, shape)
+        samples = camera.sample_maps(self.maps, self.visibility, self.to_map @ to_screen, shape, self.extent)
         shading = shade_channels(
             samples.normals,
             samples.coefficients,
@@ -151,10 +158,7 @@ def reduce_maps(scene: PlaneScene, visibility: np.ndarray | None, factor: int):
     length = np.linalg.norm(normals, axis=2, keepdims=True)
     normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
     coefficients = _block_means(scene.coefficients, factor)
-    labels = None
-    if scene.labels is not None:
-        padded = _padded(scene.labels, factor)
-        labels = np.ascontiguousarray(padded[factor // 2 :: factor, factor // 2 :: factor])
+    labels = None if scene.labels is None else _block_middles(scene.labels, factor)
     reduced = dataclasses.replace(
         scene, normals=normals, coefficients=coefficients, labels=labels, height=None, pitch=scene.pitch * factor
     )
@@ -163,17 +167,18 @@ def reduce_maps(scene: PlaneScene, visibility: np.ndarray | None, factor: int):
     return reduced, visibility
 
 
-def _padded(values, factor):
-    rows, columns = values.shape[:2]
-    extra = ((0, -rows % factor), (0, -columns % factor), *(((0, 0),) * (values.ndim - 2)))
-    return np.pad(values, extra, mode="edge")
-
-
 def _block_means(values, factor):
-    padded = _padded(values, factor)
-    rows, columns, depth = padded.shape
-    blocks = padded.reshape(rows // factor, factor, columns // factor, factor, depth)
-    return blocks.mean(axis=(1, 3), dtype=np.float64).astype(np.float32)
+    """Means of (rows, columns, depth) over blocks; the last ones of a row or column may be smaller."""
+    rows, columns = (np.arange(0, n, factor) for n in values.shape[:2])
+    planes = [np.add.reduceat(plane, rows, axis=0, dtype=np.float64) for plane in np.moveaxis(values, 2, 0)]
+    sums = np.stack([np.add.reduceat(plane, columns, axis=1) for plane in planes], axis=2)
+    sizes = [np.diff(np.append(start, n)) for start, n in zip((rows, columns), values.shape, strict=False)]
+    return (sums / (sizes[0][:, None] * sizes[1])[..., None]).astype(np.float32)
+
+
+def _block_middles(values, factor):
+    rows, columns = (np.minimum(np.arange(0, n, factor) + factor // 2, n - 1) for n in values.shape)
+    return np.ascontiguousarray(values[np.ix_(rows, columns)])
 
 
 def _resolve_band(shading, inside, across, down, background, xyz, flags, coverage):

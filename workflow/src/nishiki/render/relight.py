@@ -1,0 +1,84 @@
+"""Observations that a camera would make under a captured light, predicted from what the other stages recovered.
+
+The prediction is in the camera's own channels and relative to the white board, as ingest delivers observations:
+I' = albedo max(n . l, 0) + beta D F G / cos_r, so that no spectrum and no colour matrix stands between it and a photograph.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from nishiki.errors import UserError
+from nishiki.render.scene import Gloss, Light
+from nishiki.render.shade import ColourGroups, shade_channels
+from nishiki.render.shadow import cast_shadows
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """One light's predicted photograph."""
+
+    observations: np.ndarray  # (rows, columns, channels) float32, a perfect white that faces the lamp is 1
+    flags: np.ndarray  # (rows, columns) uint8, bits of nishiki.render.scene
+    visibility: np.ndarray | None  # (rows, columns) float32, what each pixel sees of the lamp; None without a height
+
+
+def predict_observations(
+    normals: np.ndarray,
+    albedo: np.ndarray,
+    lights: list[Light],
+    *,
+    gloss: Gloss | None = None,
+    labels: np.ndarray | None = None,
+    height: np.ndarray | None = None,
+    pitch: float = 1.0,
+    shadows: str = "sweep",
+    origin: tuple[int, int] = (0, 0),
+    whole: tuple[int, int] | None = None,
+) -> Iterator[Prediction]:
+    """One prediction a light, in order, so that a stack of them need not be held in memory.
+
+    normals: (rows, columns, 3); albedo: (rows, columns, channels), perfect white 1; gloss, labels, height, pitch as in
+    `PlaneScene`; shadows: "sweep", "march" or "none".  The spectra of the lights are not used; a white board at the same
+    place has divided out intensity and fall-off, which should therefore stay 1 and False.  For a tile, `origin` is its
+    first (row, column) and `whole` the (rows, columns) of the map: directions to near lamps are those of the whole.
+    """
+    if albedo.ndim != 3 or albedo.shape[:2] != normals.shape[:2] or normals.shape[2:] != (3,):
+        raise UserError(
+            f"expected normals (rows, columns, 3) and albedo (rows, columns, channels), "
+            f"found {normals.shape} and {albedo.shape}; give maps of one size"
+        )
+    if height is not None and height.shape != normals.shape[:2]:
+        raise UserError(f"height: expected the shape of the normals {normals.shape[:2]}, found {height.shape}")
+    rows, columns = normals.shape[:2] if whole is None else whole
+    # x and y of pixel (0, 0) of these maps, with the centre of the whole at 0
+    left, top = pitch * (origin[1] - (columns - 1) / 2), pitch * ((rows - 1) / 2 - origin[0])
+    plane = np.array([[pitch, 0, left], [0, -pitch, top], [0, 0, 1]], dtype=np.float64)
+    channels = albedo.shape[2]
+    groups = ColourGroups(
+        np.eye(channels)[None], np.zeros((1, channels)), np.ones((1, channels)), np.zeros(1, np.int64), 0
+    )
+    for light in lights:
+        visibility = None
+        if height is not None and shadows != "none":
+            here = light if light.position_mm is None else _seen_from(light, plane, normals.shape[:2], pitch)
+            visibility = cast_shadows(height, [here], pitch=pitch, method=shadows).visibility
+        shading = shade_channels(
+            normals,
+            albedo,
+            [light],
+            groups=groups,
+            gloss=Gloss.none() if gloss is None else gloss,
+            labels=labels,
+            visibility=visibility,
+            plane=plane,
+        )
+        yield Prediction(shading.values, shading.flags, None if visibility is None else visibility[0])
+
+
+def _seen_from(light: Light, plane: np.ndarray, shape: tuple, pitch: float) -> Light:
+    """The same lamp relative to the centre of these maps, which is where cast shadows put the origin."""
+    centre = plane @ [(shape[1] - 1) / 2, (shape[0] - 1) / 2, 1]
+    x, y, z = light.position_mm
+    return Light(position_mm=(x - centre[0], y - centre[1], z), angular_radius=light.angular_radius)
