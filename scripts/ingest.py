@@ -5,6 +5,7 @@ import zarr
 
 import _project  # noqa: F401
 from nishiki.capture.folder import Capture, load_capture
+from nishiki.capture.seal import capture_digest
 from nishiki.ingest.store import STORE, write_observations
 from nishiki.settings.ingest import IngestSettings
 from nishiki.spectra.colour import illuminant as cie_illuminant
@@ -40,4 +41,4 @@ def write_curves(capture: Capture, context: Context) -> None:
 
 
 if __name__ == "__main__":
-    run_stage(IngestSettings, run, __doc__)
+    run_stage(IngestSettings, run, __doc__, digest_of_capture=capture_digest)

@@ -2,9 +2,9 @@
 
 from pathlib import Path
 
-from nishiki.capture.digest import capture_digest
 from nishiki.capture.folder import Capture, load_capture
 from nishiki.capture.headers import read_header
+from nishiki.capture.seal import capture_digest
 from nishiki.errors import UserError
 from nishiki.project import Scene
 from nishiki.provenance import canonical, file_digest
@@ -17,6 +17,10 @@ def scene_facts(scene: Scene) -> SceneFacts:
         capture = load_capture(scene.capture)
     except UserError as error:
         raise UserError(f"scene {scene.name!r}: {error}") from None
+    if not capture.sealed:
+        raise UserError(
+            f"scene {scene.name!r}: capture {scene.capture} is not sealed. Remedy: ./nishiki seal {scene.capture}"
+        )
     return SceneFacts(
         capture_digest=capture_digest(scene.capture),
         lights=tuple(frame.light for frame in capture.observed if frame.role == "sample"),

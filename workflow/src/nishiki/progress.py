@@ -24,6 +24,13 @@ class Progress:
             self._last = now
             print(f"{self.label}: {done} of {total}, {what}", file=self.stream, flush=True)
 
+    def tell(self, what: str) -> None:
+        """Tell what is being worked on."""
+        now = time.monotonic()
+        if now - self._last >= self.every_s:
+            self._last = now
+            print(f"{self.label}: {what}", file=self.stream, flush=True)
+
     def over(self, items: Iterable[Item], what: str) -> Iterator[Item]:
         """Pass `items` on, telling how many of them are done and how long the rest will take."""
         items = list(items)

@@ -34,10 +34,19 @@ class Context:
     progress: Progress
 
 
-def run_stage(settings_model: type[Closed], run: Callable[[Context], dict[str, Any]], description: str) -> None:
-    """Run one stage from the command line. Exit status 0: done; 2: bad input, told in one line; 1: a bug."""
+def run_stage(
+    settings_model: type[Closed],
+    run: Callable[[Context], dict[str, Any]],
+    description: str,
+    *,
+    digest_of_capture: Callable[[Path], str] | None = None,
+) -> None:
+    """Run one stage from the command line. Exit status 0: done; 2: bad input, told in one line; 1: a bug.
+
+    digest_of_capture: for the first stage, whose key starts from the capture instead of upstream artifacts.
+    """
     try:
-        _run(settings_model, run, _arguments(settings_model, description))
+        _run(settings_model, run, _arguments(settings_model, description), digest_of_capture)
     except UserError as error:
         print(f"nishiki {settings_model.STAGE}: {error}", file=sys.stderr)
         raise SystemExit(2) from None
@@ -72,15 +81,20 @@ def _help_of(model: type[Closed]) -> list[str]:
     ]
 
 
-def _run(model: type[Closed], run: Callable[[Context], dict[str, Any]], arguments: argparse.Namespace) -> None:
+def _run(
+    model: type[Closed],
+    run: Callable[[Context], dict[str, Any]],
+    arguments: argparse.Namespace,
+    digest_of_capture: Callable[[Path], str] | None,
+) -> None:
     clock, cpu = time.perf_counter(), time.process_time()
     settings = parse(model, _json(arguments.settings, "--settings"), f"settings of {model.STAGE}")
     inputs = {artifact.stage: artifact for artifact in map(open_artifact, map(Path, arguments.inputs))}
     upstream = {name: artifact.key for name, artifact in inputs.items()}
-    if arguments.capture and not inputs:
-        from nishiki.capture.digest import capture_digest
-
-        upstream = {"capture": capture_digest(arguments.capture)}
+    if digest_of_capture:
+        if arguments.capture is None:
+            raise UserError("--capture is needed: the sealed capture folder")
+        upstream = {"capture": digest_of_capture(arguments.capture)}
     values = settings.model_dump(mode="json")
     key = stage_key(model.STAGE, model.VERSION, values, upstream)
     target = _target(arguments.output, key)

@@ -1,0 +1,70 @@
+"""Commands that make and check capture folders."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from nishiki.progress import Progress
+
+
+def check(options: argparse.Namespace, rest: list[str]) -> int:
+    """Print everything that is wrong with each capture; exit status 2 where one cannot be used."""
+    from nishiki.capture.check import check_capture
+
+    worst = 0
+    for name in options.captures:
+        progress = Progress(f"check {name}")
+        problems = check_capture(
+            Path(name), level="quick" if options.quick else "full", progress=lambda file, tell=progress: tell.tell(file)
+        )
+        errors = [problem for problem in problems if problem.severity == "error"]
+        for problem in problems:
+            print(f"{name}: {problem.severity}: {problem}")
+        warnings = len(problems) - len(errors)
+        print(f"{name}: {'usable' if not errors else 'cannot be used'}, {len(errors)} errors, {warnings} warnings")
+        worst = max(worst, 2 if errors else 0)
+    return worst
+
+
+def seal(options: argparse.Namespace, rest: list[str]) -> None:
+    """Seal captures: BagIt manifests with SHA-256; the files move into data/."""
+    from nishiki.capture.seal import seal as seal_capture
+
+    for name in options.captures:
+        progress = Progress(f"seal {name}")
+        digest = seal_capture(Path(name), progress=progress.tell)
+        print(f"{name}: sealed, digest {digest[:12]}")
+
+
+def convert(options: argparse.Namespace, rest: list[str]) -> None:
+    """Make a sealed capture from photographs and lights; the sources are only read."""
+    from nishiki.capture.convert import convert as convert_folder
+    from nishiki.capture.seal import seal as seal_capture
+
+    made = convert_folder(
+        Path(options.source),
+        Path(options.capture),
+        lights_file=_path(options.lights),
+        mask=_path(options.mask),
+        white=_path(options.white),
+        dark=_path(options.dark),
+        checks=tuple(options.check or ()),
+        encoding=options.encoding,
+        title=options.title,
+        region=tuple(options.roi) if options.roi else None,
+        link=options.link,
+    )
+    for problem in made.warnings:
+        print(f"warning: {problem}", file=sys.stderr)
+    if options.open:
+        print(
+            f"{made.folder}: {made.photographs} photographs ({made.layout}); not sealed: complete capture.yaml (camera "
+            f"sensitivities, illuminant, pixel_pitch_mm; see docs/capture-folder.md), then ./nishiki seal {made.folder}"
+        )
+        return
+    digest = seal_capture(Path(options.capture), progress=Progress(f"seal {options.capture}").tell)
+    print(f"{made.folder}: {made.photographs} photographs ({made.layout}), sealed, digest {digest[:12]}")
+
+
+def _path(text: str | None) -> Path | None:
+    return Path(text) if text else None
