@@ -7,7 +7,10 @@ linear in S (colour under any light, rendering) costs K products instead of 61 b
 
 from __future__ import annotations
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, fields, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -18,6 +21,7 @@ from nishiki.spectra.fitting import LINEAR_GAMUT_EXCESS, Parts, Problem, correct
 from nishiki.spectra.kernels import ILL_CONDITIONED, NEGATIVE_RESPONSE, NOT_FINITE, OUTSIDE_TRAINING, OUTSIDE_UNIT
 from nishiki.spectra.local import response_space
 
+_PIXELS_A_THREAD = 4096
 METHODS = ("paper", "wiener", "local")
 FLAG_MEANINGS = {
     OUTSIDE_UNIT: "reflectance outside [0, 1] beyond the tolerance",
@@ -145,12 +149,15 @@ def fit_estimator(
     return _with_exact_white(estimator, parts.white) if white_width > 0 else estimator
 
 
-def estimate_spectra(responses: np.ndarray, estimator: SpectralEstimator) -> SpectralField:
+def estimate_spectra(
+    responses: np.ndarray, estimator: SpectralEstimator, *, threads: int | None = None
+) -> SpectralField:
     """Spectral reflectance of every pixel.
 
     responses : (..., N) white-normalised, incidence-corrected diffuse observations (perfect white = 1 in each channel);
     any real dtype. Non-finite responses give zero coefficients and the flag NOT_FINITE; zero responses give S = 0;
     negative responses go through the linear part (noise stays unbiased) and are flagged.
+    threads : how many to use; None: as many as the process may. The result does not depend on it.
     Raises UserError where the number of channels differs from the estimator's.
     """
     observed = np.asarray(responses)
@@ -164,7 +171,7 @@ def estimate_spectra(responses: np.ndarray, estimator: SpectralEstimator) -> Spe
     flat = np.ascontiguousarray(observed.reshape(-1, channels), dtype=np.float32)
     coefficients = np.empty((len(flat), size), np.float32)
     sigma, flags = np.empty(len(flat), np.float32), np.empty(len(flat), np.uint8)
-    kernels.apply_estimator(flat, *_kernel_arguments(estimator), coefficients, sigma, flags)
+    _apply(flat, estimator, coefficients, sigma, flags, threads or len(os.sched_getaffinity(0)))
     names = ("outside_unit", "outside_training", "not_finite", "ill_conditioned", "negative_response")
     counts = {name: int(np.count_nonzero(flags & bit)) for name, bit in zip(names, FLAG_MEANINGS, strict=True)}
     return SpectralField(
@@ -177,14 +184,33 @@ def estimate_spectra(responses: np.ndarray, estimator: SpectralEstimator) -> Spe
     )
 
 
+def _apply(responses, estimator, coefficients, sigma, flags, threads):
+    """Run the kernel over slices of the pixels, one a thread."""
+    arguments = _kernel_arguments(estimator)
+    count = max(1, min(threads, len(responses) // _PIXELS_A_THREAD))
+    bounds = np.linspace(0, len(responses), count + 1).astype(int)
+    slices = [slice(low, high) for low, high in pairwise(bounds)]
+
+    def run(part):
+        kernels.apply_estimator(responses[part], *arguments, coefficients[part], sigma[part], flags[part])
+
+    if count == 1:
+        run(slices[0])
+    else:
+        with ThreadPoolExecutor(count) as pool:
+            list(pool.map(run, slices))
+
+
 def _kernel_arguments(e: SpectralEstimator) -> tuple:
     """Arguments of `apply_estimator` between the responses and the outputs, in its order and types."""
     precision = 0.5 / e.white_width**2 if e.white_width > 0 else 0.0
-    single = np.float32
+    double, single = np.float64, np.float32
+    c = np.ascontiguousarray  # one memory layout, hence one compilation, wherever the arrays come from
     return (
-        e.linear, e.anchor, precision, e.mean, e.whiten, e.low, e.high, e.table, e.table_origin, e.table_step,
-        np.ascontiguousarray(e.centres.T, single), e.weights.astype(single), e.radius, e.variance, e.far_variance,
-        e.noise_variance, e.gamut_distance, e.basis.astype(single), -e.unit_tolerance, 1.0 + e.unit_tolerance,
+        c(e.linear, double), c(e.anchor, double), precision, c(e.mean, double), c(e.whiten, double), c(e.low, double),
+        c(e.high, double), c(e.table, single), c(e.table_origin, double), c(e.table_step, double),
+        c(e.centres.T, single), c(e.weights, single), e.radius, c(e.variance, single), e.far_variance,
+        e.noise_variance, e.gamut_distance, c(e.basis, single), -e.unit_tolerance, 1.0 + e.unit_tolerance,
         e.ill_conditioned,
     )  # fmt: skip
 

@@ -138,8 +138,8 @@ def correction_table(
     cells = np.clip(np.ceil(extent / TABLE_STEP).astype(int), 1, TABLE_CELLS)
     axes = [origin[i] + extent[i] * np.linspace(0.0, 1.0, cells[i] + 1) for i in range(3)]
     table = np.empty((*(cells + 1), correction.weights.shape[1] + 2), np.float32)
-    kernels.fill_table(
-        axes[0], axes[1], axes[2], np.ascontiguousarray(correction.centres.T, np.float32),
-        correction.weights.astype(np.float32), correction.radius, correction.variance, correction.far_variance, table,
-    )  # fmt: skip
+    single = np.float32
+    centres = np.ascontiguousarray(correction.centres.T, single)
+    weights, variance = correction.weights.astype(single), correction.variance.astype(single)
+    kernels.fill_table(*axes, centres, weights, correction.radius, variance, correction.far_variance, table)
     return table, origin, extent / cells
