@@ -15,7 +15,8 @@ from nishiki.evaluate.headlines import headlines
 from nishiki.evaluate.height import height_error
 from nishiki.evaluate.museum import levels
 from nishiki.evaluate.normals import normal_errors
-from nishiki.evaluate.prediction import FittedModel, gloss_from, predict_band
+from nishiki.evaluate.prediction import FittedModel, gloss_from, predict_light
+from nishiki.evaluate.preview import PreviewPair
 from nishiki.evaluate.reflectance import reflectance_errors
 from nishiki.evaluate.relighting import LightComparison, truth_difference
 from nishiki.evaluate.scene_colour import channel_colour, spectral_colour
@@ -25,8 +26,7 @@ from nishiki.evaluate.truth import Truth, truth_from
 from nishiki.ingest.observations import Observations
 from nishiki.maps import Maps, MapWriter
 from nishiki.normals.flags import NO_ESTIMATE
-from nishiki.render.scene import Gloss, Light
-from nishiki.render.shadow import cast_shadows
+from nishiki.render.scene import Gloss
 from nishiki.settings.evaluate import EvaluateSettings
 from nishiki.spectra.colour import illuminant
 from nishiki.spectra.training import synthetic_reflectances
@@ -171,18 +171,16 @@ def one_light(context: Context, scene: Scene, truth: Truth, out: MapWriter, j: i
     """Score of one light; its map of differences is written."""
     frames, direction = scene.frames, scene.frames.directions[j]
     name = frames.lights[j]
-    visibility = None
-    if context.settings.cast_shadows and scene.height is not None:
-        visibility = cast_shadows(scene.height, [Light(direction=tuple(direction))], pitch=scene.pitch).visibility[0]
+    height = scene.height if context.settings.cast_shadows else None
+    predicted = predict_light(scene.model, direction, height=height, pitch=scene.pitch)
     known_truth = truth.check(name)
     comparison = LightComparison.of(frames.shape, scene.camera)
     views = colours_for(scene) if known_truth else {}
     pictures = {case: np.zeros((*frames.shape, 3), np.float32) for case in views}
+    previews = PreviewPair(frames.shape, scene.camera)
     for rows in frames.bands():
         observed, valid = frames.read(rows, lights=np.array([j]))
-        band = predict_band(
-            scene.model, direction, rows=rows, visibility=None if visibility is None else visibility[rows]
-        )
+        band = predicted.band(rows)
         inside = frames.mask[rows]
         parts = (band.diffuse, band.specular, band.lit)
         if known_truth:
@@ -196,12 +194,14 @@ def one_light(context: Context, scene: Scene, truth: Truth, out: MapWriter, j: i
             inside=inside,
             classes=classify(*parts, inside=inside),
         )
+        previews.add(rows, band.channels, observed[0], inside=inside)
         for case, colour in views.items():
             pictures[case][rows] = colour.xyz(band, None if scene.coefficients is None else scene.coefficients[rows])
     score = comparison.score().as_dict()
-    score.update(describe_light(frames, j), shadowed=None if visibility is None else float(1.0 - visibility.mean()))
+    score.update(describe_light(frames, j), cast_shadows=height is not None)
     if known_truth:
         score["truth"] = compare_pictures(known_truth, pictures, views, comparison.classes)
+    np.savez(context.output.path(f"preview_{j:03d}.npz"), **previews.arrays())
     out.write(f"de00_{j:03d}", comparison.de00_map, unit="CIEDE2000", light=name)
     out.write(f"classes_{j:03d}", comparison.classes, meaning={str(k): v for k, v in NAMES.items()}, light=name)
     return score, comparison.de00_map

@@ -8,7 +8,8 @@ from nishiki.evaluate.camera_colour import assumed_colour, fitted_colour
 from nishiki.evaluate.classes import DIFFUSE, HIGHLIGHT, OUTSIDE, SHADOW, classify
 from nishiki.evaluate.headlines import headlines
 from nishiki.evaluate.museum import FADGI, ISO_19264, level_of, levels
-from nishiki.evaluate.prediction import FittedModel, gloss_from, predict_band
+from nishiki.evaluate.prediction import FittedModel, gloss_from, predict_light
+from nishiki.evaluate.preview import PreviewPair
 from nishiki.evaluate.relighting import LightComparison, SquaredError, truth_difference
 from nishiki.evaluate.scene_colour import channel_colour, spectral_colour
 from nishiki.evaluate.table import COLUMNS, rows_of
@@ -88,30 +89,38 @@ def _plane(shape=(6, 8)):
 def test_prediction_of_a_matte_plane_is_lambert():
     normals, reflectance = _plane()
     direction = np.array([0.6, 0.0, 0.8])
-    band = predict_band(FittedModel(normals, reflectance), direction, rows=slice(2, 5))
+    band = predict_light(FittedModel(normals, reflectance), direction).band(slice(2, 5))
     assert band.channels == pytest.approx(0.8 * reflectance[2:5], rel=1e-6)
     assert band.specular.max() < 1e-6
     assert (band.lit == 1).all()
 
 
-def test_prediction_splits_off_the_gloss_and_the_shadow():
+def test_prediction_splits_off_the_gloss():
     normals, reflectance = _plane()
     gloss = Gloss(beta=[[2.0]], gamma=[[0.1]], refractive_index=[1.5])
     model = FittedModel(normals, reflectance, gloss)
-    visibility = np.ones((6, 8), np.float32)
-    visibility[0] = 0
-    band = predict_band(model, np.array([0.0, 0.0, 1.0]), rows=slice(None), visibility=visibility)
-    assert band.channels[0] == pytest.approx(0, abs=1e-9)
-    assert (band.lit[0] == 0).all()
+    band = predict_light(model, np.array([0.0, 0.0, 1.0]))
+    assert (band.lit == 1).all()
     # at the mirror direction D = G = 1 and F = ((n - 1) / (n + 1))^2
-    assert band.specular[1:] == pytest.approx(2.0 * 0.04, rel=1e-4)
-    assert band.channels[1:] == pytest.approx(reflectance[1:] + 0.08, rel=1e-4)
+    assert band.specular == pytest.approx(2.0 * 0.04, rel=1e-4)
+    assert band.channels == pytest.approx(reflectance + 0.08, rel=1e-4)
+
+
+def test_prediction_casts_the_shadow_of_a_wall():
+    normals, reflectance = _plane()
+    height = np.zeros((6, 8), np.float32)
+    height[:, 5] = 2.0
+    direction = np.array([1.0, 0.0, 1.0]) / np.sqrt(2)  # from the right at 45 degrees: two pixels in shadow
+    band = predict_light(FittedModel(normals, reflectance), direction, height=height, pitch=1.0)
+    assert band.lit[2].tolist() == [1, 1, 1, band.lit[2, 3], 0, 1, 1, 1]
+    assert (band.channels[:, 4] == 0).all()
+    assert band.channels[:, 1] == pytest.approx(reflectance[:, 1] / np.sqrt(2), rel=1e-5)
 
 
 def test_prediction_of_a_facet_that_faces_away_is_dark():
     normals, reflectance = _plane()
     normals[...] = (0.8, 0.0, 0.6)
-    band = predict_band(FittedModel(normals, reflectance), np.array([-0.96, 0.0, 0.28]), rows=slice(None))
+    band = predict_light(FittedModel(normals, reflectance), np.array([-0.96, 0.0, 0.28]))
     assert (band.channels == 0).all()
     assert (band.lit == 0).all()
 
@@ -196,7 +205,7 @@ def test_scene_colour_from_spectra_equals_that_of_the_spectra():
     normals, reflectance = _plane()
     gloss = Gloss(beta=[[1.0]], gamma=[[0.2]], refractive_index=[1.5])
     direction = np.array([0.0, 0.6, 0.8])
-    band = predict_band(FittedModel(normals, reflectance, gloss), direction, rows=slice(None))
+    band = predict_light(FittedModel(normals, reflectance, gloss), direction)
     found = spectral_colour(lamp, basis).xyz(band, coefficients)
     expected = 0.8 * xyz_from_spectra(lamp, coefficients @ basis) + band.specular[..., None] * white_xyz(lamp)
     assert found == pytest.approx(expected, rel=1e-5)
@@ -250,3 +259,25 @@ def test_headlines_name_each_light():
     found = headlines(_evaluation())
     assert found["relighting_psnr_db"].keys() == {"east"}
     assert found["normals_mean_deg"] is None
+
+
+def test_preview_is_the_block_mean_in_linear_light():
+    random = np.random.default_rng(11)
+    predicted, observed = random.random((2, 10, 13, 3)).astype(np.float32)
+    inside = random.random((10, 13)) < 0.8
+    inside[0:3, 0:3] = False
+    pair = PreviewPair((10, 13), assumed_colour(3), columns=5)
+    for start in range(0, 10, 4):
+        rows = slice(start, start + 4)
+        pair.add(rows, predicted[rows], observed[rows], inside=inside[rows])
+    found = pair.arrays()
+    assert pair.block == 3
+    assert found["predicted"].shape == (4, 5, 3)
+    for i in range(4):
+        for j in range(5):
+            block = inside[3 * i : 3 * i + 3, 3 * j : 3 * j + 3]
+            assert found["inside"][i, j] == block.any()
+            for name, picture in (("predicted", predicted), ("observed", observed)):
+                values = picture[3 * i : 3 * i + 3, 3 * j : 3 * j + 3][block]
+                expected = values.mean(axis=0) if len(values) else np.zeros(3)
+                assert found[name][i, j] == pytest.approx(expected, abs=1e-3)

@@ -1,11 +1,11 @@
 """What the fitted model says that the camera would observe under a lamp."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 
+from nishiki.render.relight import predict_observations
 from nishiki.render.scene import Gloss, Light
-from nishiki.render.shade import ColourGroups, shade_channels
 
 
 @dataclass(frozen=True)
@@ -23,8 +23,8 @@ class FittedModel:
 
 
 @dataclass(frozen=True)
-class PredictedBand:
-    """Some rows under one lamp, all (rows, columns) float32 but the first.
+class PredictedLight:
+    """A scene under one lamp, all (rows, columns) float32 but the first.
 
     channels : (rows, columns, C) as the camera would see them, relative to white; diffuse, specular : their parts, mean
     over channels; lit : share of the lamp that is visible, 0 where n.l <= 0; cosine : max(n.l, 0) times that share.
@@ -36,39 +36,36 @@ class PredictedBand:
     lit: np.ndarray
     cosine: np.ndarray
 
+    def band(self, rows: slice) -> "PredictedLight":
+        """The same, of some rows."""
+        return PredictedLight(*(getattr(self, f.name)[rows] for f in fields(self)))
 
-def predict_band(
-    model: FittedModel, direction: np.ndarray, *, rows: slice, visibility: np.ndarray | None = None
-) -> PredictedBand:
+
+def predict_light(
+    model: FittedModel, direction: np.ndarray, *, height: np.ndarray | None = None, pitch: float = 1.0
+) -> PredictedLight:
     """Observation I' = rho max(n.l, 0) + beta D F G / cos_r (P eq. 10, camera channels, frontal view).
 
     direction : (3,) unit vector to the lamp; the observations are divided by the white board's, so that the lamp's
-    fall-off is gone from them. visibility : (rows, columns) of the band, 1 lit .. 0 in cast shadow; None: all lit.
+    fall-off is gone from them. height : (rows, columns) in the unit of `pitch`, for cast shadows; None: none are cast.
     """
-    normals, reflectance = model.normals[rows], model.reflectance[rows]
-    labels = None if model.labels is None else model.labels[rows]
-    count = reflectance.shape[-1]
-    groups = ColourGroups(
-        np.eye(count)[None], np.zeros((1, count)), np.ones((1, count)), np.zeros(1, dtype=np.int64), ambient=0
-    )
-    shading = shade_channels(
-        normals,
-        reflectance,
+    (found,) = predict_observations(
+        model.normals,
+        model.reflectance,
         [Light(direction=tuple(direction))],
-        groups=groups,
         gloss=model.gloss,
-        labels=labels,
-        visibility=None if visibility is None else visibility[None],
-        plane=np.eye(3),
+        labels=model.labels,
+        height=height,
+        pitch=pitch,
     )
-    cosine = np.maximum(normals @ np.asarray(direction, np.float32), 0.0)
+    cosine = np.maximum(model.normals @ np.asarray(direction, np.float32), 0.0)
     lit = (cosine > 0).astype(np.float32)
-    if visibility is not None:
-        lit *= visibility
-        cosine = cosine * visibility
-    diffuse = reflectance.mean(axis=-1) * cosine
-    specular = np.maximum(shading.values.mean(axis=-1) - diffuse, 0.0)
-    return PredictedBand(shading.values, diffuse, specular, lit, cosine)
+    if found.visibility is not None:
+        lit *= found.visibility
+        cosine *= found.visibility
+    diffuse = model.reflectance.mean(axis=-1) * cosine
+    specular = np.maximum(found.observations.mean(axis=-1) - diffuse, 0.0)
+    return PredictedLight(found.observations, diffuse, specular, lit, cosine)
 
 
 def gloss_from(parameters: dict) -> Gloss:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nishiki.evaluate.camera_colour import CameraColour
-from nishiki.evaluate.prediction import PredictedBand
+from nishiki.evaluate.prediction import PredictedLight
 from nishiki.spectra.colour import white_xyz, xyz_matrix
 
 
@@ -21,7 +21,7 @@ class SceneColour:
     matrix: np.ndarray | None
     camera: CameraColour | None
 
-    def xyz(self, band: PredictedBand, coefficients: np.ndarray | None) -> np.ndarray:
+    def xyz(self, band: PredictedLight, coefficients: np.ndarray | None) -> np.ndarray:
         """(rows, columns, 3) float32.
 
         coefficients : (rows, columns, K) of the same rows. Gloss has the colour of the lamp.
