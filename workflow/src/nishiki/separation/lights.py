@@ -6,7 +6,16 @@ import numpy as np
 
 from nishiki.errors import UserError
 
-METHODS = ("none", "threshold", "trimmed")
+METHODS = ("refit", "trimmed", "threshold", "none")
+
+
+# The re-fit's constants: shares of the samples, and bounds in units of the scale of the concentrated fit.
+STEPS = 2  # concentration steps for each start
+WINDOW = 0.4  # share of the samples in a starting window of ranks
+COVERAGE = 0.5  # share of the samples that a fit has to explain: up to half may be spoilt
+ABOVE = 4.0  # how many times worse a sample too bright is than one too dark
+BRIGHTER, DARKER = 2.0, 4.0  # limits of acceptance after the concentration
+ROUNDS = 2  # times that accepted samples are fitted again
 
 
 @dataclass(frozen=True)
@@ -41,7 +50,17 @@ class LightSelection:
 
 
 def select_diffuse(
-    observations, directions, *, method="trimmed", valid=None, w1=1.2, w2=0.1, keep=(0.3, 0.7), min_lights=4
+    observations,
+    directions,
+    *,
+    method="refit",
+    valid=None,
+    w1=1.2,
+    w2=0.1,
+    keep=(0.3, 0.7),
+    min_lights=4,
+    noise=0.003,
+    starts=3,
 ):
     """Select per pixel the lights under which it shows diffuse reflection only.
 
@@ -50,6 +69,9 @@ def select_diffuse(
     where a sample is saturated, dark-clipped or otherwise unusable. Samples that are not finite count as invalid.
 
     method
+        "refit": least trimmed squares against Lambert's law, then every sample that agrees with the fit; noise: the
+        observations' noise relative to the albedo, below which no disagreement is taken seriously; starts: number of
+        windows of ranks tried.
         "none": every valid sample.
         "threshold": P section 3.2: reject above w1 and below w2 times the pixel's mean over the lights.
         "trimmed": keep = (low, high): the share of the valid samples, in order of brightness, that is kept; at least
@@ -65,6 +87,8 @@ def select_diffuse(
     highlights, shadows = np.zeros(pixels, dtype=np.uint16), np.zeros(pixels, dtype=np.uint16)
     if method == "none":
         usable[...] = known
+    elif method == "refit":
+        refit(stack, known, directions, starts, noise, min_lights, usable, highlights, shadows)
     elif method == "threshold":
         from nishiki.separation.thresholds import threshold_selection
 
@@ -92,6 +116,26 @@ def select_diffuse(
         lights_usable=usable.sum(axis=0, dtype=np.uint16).reshape(shape[1:]),
         method=method,
     )
+
+
+def refit(stack, known, directions, starts, noise, min_lights, usable, highlights, shadows):
+    """Run `refit_selection` with the project's constants (docs/stages/separate.md gives their reasons)."""
+    from nishiki.separation.ranks import sorting_network
+    from nishiki.separation.refit import refit_selection
+
+    if not (1 <= starts <= 32 and 0 <= noise < 1 and min_lights >= 3):
+        raise UserError(
+            "light selection by re-fit: expected 1 <= starts <= 32, 0 <= noise < 1 and min_lights >= 3,"
+            f" found starts = {starts}, noise = {noise}, min_lights = {min_lights}"
+        )
+    x, y, z = directions.astype(np.float32).T
+    products = np.ascontiguousarray(np.stack([x * x, x * y, x * z, y * y, y * z, z * z, x, y, z], axis=1))
+    settings = np.array(
+        [starts, STEPS, WINDOW, COVERAGE, ABOVE, BRIGHTER, DARKER, noise, min_lights, ROUNDS], np.float32
+    )
+    vectors = np.ascontiguousarray(directions.astype(np.float32))
+    network = sorting_network(stack.shape[0])
+    refit_selection(stack, known, vectors, products, network, settings, usable, highlights, shadows)
 
 
 def checked_stack(observations, directions):
