@@ -130,7 +130,7 @@ def _lake(plan, u, v, width, noise):
     mirror = np.exp(-(((u - 0.335 * width) / 0.20) ** 2)) * (depth < 0.75)  # the mountain stands on its head
     tone = np.clip(0.62 - 0.30 * depth + 0.28 * waves - 0.30 * mirror, 0, 1)
     plan.paint(inside, "lake", tone=tone, direction=0.12 * waves, group=WATER, size=0.55, body=0.9)
-    path = np.abs(u - SUN[0] * width + 0.02 * waves) < 0.018 + 0.16 * (v - HORIZON)
+    path = np.abs(u - SUN[0] * width + 0.02 * waves) < 0.022 + 0.20 * (v - HORIZON)
     sparkle = noise("sparkle", 22.0, 2, 4.0) + 0.12 * waves > -0.02
     plan.paint(inside & path & sparkle, "glitter", tone=np.clip(0.9 - 1.1 * depth, 0, 1), body=1.6, size=0.5)
 
@@ -248,7 +248,7 @@ def _patches(plan, u, v, width):
     count = len(_PATCH_NAMES)
     index = np.clip((u / width * count).astype(int), 0, count - 1)
     inside = v > PATCH_TOP - 0.006
-    plan.paint(inside, "black line", tone=0.5, direction=0.0, group=PATCHES, size=0.4, body=0.5)
+    plan.paint(inside, "black line", tone=0.5, direction=0.0, group=PATCHES, size=0.3, body=0.5)
     within = np.abs((u / width * count) % 1.0 - 0.5) * width / count < 0.5 * width / count - 0.0035
     within &= (v > PATCH_TOP) & (v < 0.994)
     region = np.array([REGION[name] for name in _PATCH_NAMES], np.uint8)[index]
