@@ -1,7 +1,8 @@
 """Observations that a camera would make under a captured light, predicted from what the other stages recovered.
 
 The prediction is in the camera's own channels and relative to the white board, as ingest delivers observations:
-I' = albedo max(n . l, 0) + beta D F G / cos_r, so that no spectrum and no colour matrix stands between it and a photograph.
+I' = albedo max(n . l, 0) + beta D F G / cos_r, so that no spectrum and no colour matrix stands between it and a
+photograph.
 """
 
 from collections.abc import Iterator
@@ -40,9 +41,9 @@ def predict_observations(
     """One prediction a light, in order, so that a stack of them need not be held in memory.
 
     normals: (rows, columns, 3); albedo: (rows, columns, channels), perfect white 1; gloss, labels, height, pitch as in
-    `PlaneScene`; shadows: "sweep", "march" or "none".  The spectra of the lights are not used; a white board at the same
-    place has divided out intensity and fall-off, which should therefore stay 1 and False.  For a tile, `origin` is its
-    first (row, column) and `whole` the (rows, columns) of the map: directions to near lamps are those of the whole.
+    `PlaneScene`; shadows: "sweep", "march" or "none".  The spectra of the lights are not used; a white board at the
+    same place has divided out intensity and fall-off, which should therefore stay 1 and False.  For a tile, `origin` is
+    its first (row, column) and `whole` the (rows, columns) of the map: directions to near lamps are those of the whole.
     """
     if albedo.ndim != 3 or albedo.shape[:2] != normals.shape[:2] or normals.shape[2:] != (3,):
         raise UserError(

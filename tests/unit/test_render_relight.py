@@ -1,0 +1,121 @@
+"""Predicted photographs and sequences: the model written out for single pixels, tiles, paths."""
+
+import numpy as np
+import pytest
+
+from nishiki.brdf.torrance_sparrow import specular
+from nishiki.errors import UserError
+from nishiki.render.relight import predict_observations
+from nishiki.render.scene import NORMAL_MISSING, Gloss, Light, PlaneScene, View
+from nishiki.render.sequence import circle_of_directions, light_sequence, moved_lights, orbit, view_sequence
+from nishiki.render.shadow import cast_shadows
+
+GLOSS = Gloss([[0.7], [164.0]], [[0.2], [0.07]], [1.45, 1.5])
+
+
+def maps(rows=30, columns=41, channels=5):
+    rng = np.random.default_rng(3)
+    y, x = np.mgrid[:rows, :columns].astype(float)
+    height = 1.5 * np.sin(x / 3) * np.cos(y / 4) + 0.7 * np.cos(x / 1.7 + y / 2.3)
+    slope_y, slope_x = np.gradient(height)
+    normals = np.stack([-slope_x, slope_y, np.ones_like(x)], -1)  # rows run downwards, y up
+    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
+    albedo = rng.uniform(0.05, 0.9, (rows, columns, channels))
+    labels = (x > columns / 2).astype(np.uint8)
+    return normals.astype(np.float32), albedo.astype(np.float32), labels, height.astype(np.float32)
+
+
+@pytest.mark.parametrize("channels", [1, 3, 7])
+def test_prediction_is_the_model_in_the_channels_of_the_camera(channels):
+    normals, albedo, labels, height = maps(channels=channels)
+    lights = [Light(direction=(1, 2, 2)), Light(position_mm=(-20, 15, 30))]
+    predicted = list(predict_observations(normals, albedo, lights, gloss=GLOSS, labels=labels, height=height))
+    for light, prediction in zip(lights, predicted, strict=True):
+        source = light.homogeneous()
+        visible = cast_shadows(height, [light], pitch=1.0).visibility[0]
+        for row, column in ((0, 0), (7, 30), (29, 40), (15, 20), (22, 3)):
+            point = np.array([column - 20.0, 14.5 - row, 0])
+            to_light = source[:3] - source[3] * point
+            to_light /= np.linalg.norm(to_light)
+            normal = normals[row, column].astype(float)
+            region = labels[row, column]
+            shine = specular(
+                normal, to_light, np.array([0, 0, 1.0]),
+                beta=GLOSS.beta[region, 0], gamma=GLOSS.gamma[region, 0], 
+                refractive_index=GLOSS.refractive_index[region],
+            )  # fmt: skip
+            expected = visible[row, column] * (albedo[row, column] * max(normal @ to_light, 0) + shine)
+            np.testing.assert_allclose(prediction.observations[row, column], expected, rtol=2e-6, atol=1e-12)
+    assert np.all(predicted[0].flags == 0)
+
+
+def test_tiles_make_the_whole():
+    normals, albedo, labels, height = maps()
+    lights = [Light(direction=(1, 2, 2)), Light(position_mm=(-20, 15, 30), angular_radius=0.03)]
+    settings = {"gloss": GLOSS, "pitch": 0.8}
+    whole = list(predict_observations(normals, albedo, lights, labels=labels, **settings))
+    tile = np.s_[8:19, 5:33]
+    parts = list(
+        predict_observations(
+            normals[tile], albedo[tile], lights, labels=labels[tile], origin=(8, 5), whole=(30, 41), **settings
+        )
+    )
+    for a, b in zip(whole, parts, strict=True):
+        np.testing.assert_allclose(b.observations, a.observations[tile], rtol=1e-6)
+    shadowed = list(predict_observations(normals, albedo, lights, height=height, **settings))
+    tiles = list(
+        predict_observations(
+            normals[tile], albedo[tile], lights, height=height[tile], origin=(8, 5), whole=(30, 41), **settings
+        )
+    )
+    # in the middle of the tile, further from its edge than any shadow is long
+    for a, b in zip(shadowed, tiles, strict=True):
+        np.testing.assert_allclose(b.observations[5:-5, 8:-8], a.observations[tile][5:-5, 8:-8], rtol=1e-5, atol=2e-5)
+
+
+def test_missing_normals_and_shapes():
+    normals, albedo, _, height = maps()
+    normals[3, 4] = 0
+    (prediction,) = predict_observations(normals, albedo, [Light(direction=(0, 0, 1))])
+    assert prediction.flags[3, 4] == NORMAL_MISSING
+    assert np.all(prediction.observations[3, 4] == 0)
+    assert prediction.visibility is None
+    with pytest.raises(UserError, match="one size"):
+        next(predict_observations(normals[1:], albedo, [Light(direction=(0, 0, 1))]))
+    with pytest.raises(UserError, match="height"):
+        next(predict_observations(normals, albedo, [Light(direction=(0, 0, 1))], height=height[1:]))
+
+
+def small_scene():
+    normals, albedo, labels, height = maps(channels=3)
+    return PlaneScene(normals, albedo, labels=labels, height=height, gloss=GLOSS)
+
+
+def test_light_circle_and_sequence():
+    directions = circle_of_directions(8, elevation=np.radians(30), start=0.1)
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1)
+    np.testing.assert_allclose(directions[:, 2], 0.5)
+    np.testing.assert_allclose(np.diff(np.unwrap(np.arctan2(directions[:, 1], directions[:, 0]))), np.pi / 4)
+    lists = list(moved_lights(Light(position_mm=(0, 0, 50), falloff=True), directions))
+    assert np.linalg.norm(lists[3][0].position_mm) == pytest.approx(50)
+    pictures = list(light_sequence(small_scene(), moved_lights(Light(direction=(0, 0, 1)), directions[:3])))
+    assert len(pictures) == 3
+    assert not np.array_equal(pictures[0].xyz, pictures[1].xyz)
+    with pytest.raises(UserError, match="elevation"):
+        circle_of_directions(3, elevation=0)
+
+
+def test_orbit_and_view_sequence():
+    view = View(eye_mm=(0, 10, 80), target_mm=(1, 2, 0), field_of_view=0.6, rows=20, columns=30)
+    views = list(orbit(view, 4, sweep=0.5))
+    offsets = np.array([np.subtract(v.eye_mm, v.target_mm) for v in views])
+    np.testing.assert_allclose(np.linalg.norm(offsets, axis=1), np.linalg.norm([-1, 8, 80]))
+    np.testing.assert_allclose(offsets[1], [-1, 8, 80], atol=1e-9)
+    assert offsets[0, 0] > 30
+    scene, lights = small_scene(), [Light(direction=(1, 1, 1))]
+    pictures = list(view_sequence(scene, lights, views))
+    from nishiki.render.frame import render
+
+    np.testing.assert_array_equal(pictures[2].xyz, render(scene, lights, views[2]).xyz)
+    with pytest.raises(UserError, match="frontal"):
+        next(orbit(View(), 3, sweep=0.1))

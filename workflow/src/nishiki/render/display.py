@@ -1,0 +1,44 @@
+"""From linear XYZ to what a screen shows, and normals as colours: pure array functions; `output` writes the files."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nishiki.errors import UserError
+from nishiki.spectra.colour import srgb_encode, xyz_to_srgb_linear
+
+
+@dataclass(frozen=True)
+class DisplayImage:
+    """A picture for looking, and what its 8 bits could not show."""
+
+    pixels: np.ndarray  # (rows, columns, 3) uint8 sRGB
+    clipped_high: float  # share of pixels with a channel above 1 before coding
+    clipped_low: float  # share of pixels with a channel below 0
+
+
+def display_image(xyz: np.ndarray, *, white: np.ndarray | None = None, exposure: float = 1.0) -> DisplayImage:
+    """8-bit sRGB of linear XYZ (rows, columns, 3).
+
+    A perfect white of Y = 1 gets 255 at exposure 1.  white: XYZ (3,) of the scene's white, which Bradford adaptation
+    turns into the display's (as the eye adapts to lamp light); None shows the colours as a D65 display measures them.
+    """
+    if not (np.isfinite(exposure) and exposure > 0):
+        raise UserError(f"exposure: expected a finite factor above 0, found {exposure!r}")
+    linear = xyz_to_srgb_linear(np.asarray(xyz, np.float32) * np.float32(exposure), white=white)
+    # half a step of the coding is not clipping: a perfect white is 1 to within rounding
+    high = np.count_nonzero((linear > 1.0 + 1e-3).any(axis=2)) / max(1, linear[..., 0].size)
+    low = np.count_nonzero((linear < -1e-3).any(axis=2)) / max(1, linear[..., 0].size)
+    return DisplayImage(np.floor(srgb_encode(linear) * 255 + 0.5).astype(np.uint8), high, low)
+
+
+def normals_as_colours(normals: np.ndarray) -> np.ndarray:
+    """(rows, columns, 3) uint16 of unit normals, OpenGL convention: (n + 1) / 2 of x right, y up, z out of the surface.
+
+    A missing normal (zero or not finite) is (0, 0, 0), which no unit normal maps to.
+    """
+    values = np.asarray(normals, np.float64)
+    with np.errstate(invalid="ignore", over="ignore"):
+        known = np.abs(np.sum(values * values, axis=2) - 1) < 0.02
+        coded = np.floor((np.clip(values, -1, 1) + 1) / 2 * 65535 + 0.5)
+    return np.where(known[..., None], coded, 0).astype(np.uint16)

@@ -1,0 +1,255 @@
+"""Pictures to files: OpenEXR (linear XYZ or sRGB primaries, normals, spectra), PNG, and moving pictures.
+
+Every file carries the stamp that the caller gives (scene, stage, key, project version) and is written under another
+name first, then renamed.  EXR and PNG bytes depend on the values alone: no date, no host.
+"""
+
+import os
+import struct
+import zlib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.errors import UserError
+from nishiki.render.display import normals_as_colours
+from nishiki.spectra.colour import xyz_to_srgb_linear
+
+# red, green, blue, white: x, y of each.  XYZ itself is an RGB space whose primaries are the corners of the diagram.
+_CHROMATICITIES = {
+    "xyz": (1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1 / 3, 1 / 3),
+    "srgb": (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290),
+}
+_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+
+
+def write_exr(
+    path: Path,
+    xyz: np.ndarray,
+    *,
+    stamp: Mapping[str, str],
+    colours: str = "xyz",
+    half: bool = False,
+    coverage: np.ndarray | None = None,
+    white_luminance: float = 100.0,
+    owner: str = "",
+    captured: str = "",
+) -> None:
+    """Linear picture (rows, columns, 3) as R, G, B with the chromaticities of CIE XYZ or of sRGB (= Rec. 709).
+
+    white_luminance: cd/m^2 of the value 1; the values are relative to the white reference, so that this is a statement
+    about the room and no measurement.  captured: "YYYY:MM:DD hh:mm:ss", the photographs' date.  coverage becomes alpha.
+    half: 16-bit values, relative precision 5e-4 between 6e-5 and 65504; values beyond that are an error.
+    """
+    if colours not in _CHROMATICITIES:
+        raise UserError(f"EXR colours: expected xyz or srgb, found {colours!r}; choose one of the two")
+    values = np.asarray(xyz, np.float32)
+    values = values if colours == "xyz" else xyz_to_srgb_linear(values).astype(np.float32)
+    if half and values.size and np.abs(values).max() > 65504:
+        raise UserError(f"{path}: {np.abs(values).max():g} does not fit in 16 bits (65504); write float32 instead")
+    kind = np.float16 if half else np.float32
+    channels = {name: np.ascontiguousarray(values[..., k], kind) for k, name in enumerate("RGB")}
+    if coverage is not None:
+        channels["A"] = np.ascontiguousarray(coverage, kind)
+    header = {"chromaticities": _CHROMATICITIES[colours], "whiteLuminance": float(white_luminance)}
+    header |= {name: text for name, text in (("owner", owner), ("capDate", captured)) if text}
+    _write_exr(path, header, channels, stamp)
+
+
+def write_normals_exr(path: Path, normals: np.ndarray, *, stamp: Mapping[str, str]) -> None:
+    """Unit normals (rows, columns, 3) as float32 channels N.X, N.Y, N.Z: x right, y up, z out of the surface."""
+    channels = {f"N.{n}": np.ascontiguousarray(normals[..., k], np.float32) for k, n in enumerate("XYZ")}
+    _write_exr(path, {}, channels, stamp)
+
+
+def write_spectral_exr(
+    path: Path, reflectance: np.ndarray, wavelengths_nm: np.ndarray, *, stamp: Mapping[str, str], half: bool = True
+) -> None:
+    """Reflectance (rows, columns, bands) in the spectral layout of Fichet, Pacanowski and Wilkie 2021, version 1.0.
+
+    One channel a band, "T.550,000000nm" for a reflectance (JCGT 10(3), An OpenEXR layout for spectral images).
+    """
+    if reflectance.shape[-1] != len(wavelengths_nm):
+        raise UserError(f"spectral EXR: expected {len(wavelengths_nm)} bands, found {reflectance.shape[-1]}")
+    kind = np.float16 if half else np.float32
+    names = [f"T.{wavelength:.6f}nm".replace(".", ",").replace(",", ".", 1) for wavelength in wavelengths_nm]
+    channels = {name: np.ascontiguousarray(reflectance[..., k], kind) for k, name in enumerate(names)}
+    _write_exr(path, {"spectralLayoutVersion": "1.0"}, channels, stamp)
+
+
+def _write_exr(path: Path, header: dict, channels: dict, stamp: Mapping[str, str]) -> None:
+    import OpenEXR
+
+    attributes = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **header}
+    for name, text in stamp.items():
+        attributes[f"nishiki.{name}"] = str(text)
+    unfinished = _unfinished(path)
+    with OpenEXR.File(attributes, channels) as file:
+        file.write(str(unfinished))
+    os.replace(unfinished, path)
+
+
+def write_png(path: Path, pixels: np.ndarray, *, stamp: Mapping[str, str], srgb: bool = True) -> None:
+    """(rows, columns, 3) uint8 or uint16 as PNG; `srgb` says that the values are sRGB-coded colours."""
+    _write_bytes(path, _PNG_SIGNATURE + b"".join(_png_chunks(pixels, stamp, srgb)))
+
+
+def write_normals_png(path: Path, normals: np.ndarray, *, stamp: Mapping[str, str]) -> None:
+    """Normals (rows, columns, 3) as 16-bit PNG, OpenGL convention (y up); missing ones are black."""
+    write_png(path, normals_as_colours(normals), stamp=stamp, srgb=False)
+
+
+def _png_chunks(pixels: np.ndarray, stamp: Mapping[str, str], srgb: bool) -> list[bytes]:
+    import cv2
+
+    if pixels.dtype not in (np.uint8, np.uint16) or pixels.ndim != 3 or pixels.shape[2] != 3:
+        raise UserError(f"PNG: expected (rows, columns, 3) uint8 or uint16, found {pixels.shape} {pixels.dtype}")
+    level = [cv2.IMWRITE_PNG_COMPRESSION, 6]
+    encoded = cv2.imencode(".png", np.ascontiguousarray(pixels[..., ::-1]), level)[1].tobytes()
+    chunks = [chunk for chunk in _split_png(encoded) if chunk[4:8] in (b"IHDR", b"IDAT", b"IEND")]
+    # sRGB: perceptual intent; it has to stand before the image data
+    notes = [_chunk(b"sRGB", b"\x00")] if srgb else []
+    notes += [_text_chunk(f"nishiki.{name}", str(text)) for name, text in stamp.items()]
+    return [chunks[0], *notes, *chunks[1:]]
+
+
+def _split_png(encoded: bytes) -> list[bytes]:
+    chunks, at = [], len(_PNG_SIGNATURE)
+    while at < len(encoded):
+        end = at + 12 + struct.unpack(">I", encoded[at : at + 4])[0]
+        chunks.append(encoded[at:end])
+        at = end
+    return chunks
+
+
+def _chunk(kind: bytes, body: bytes) -> bytes:
+    return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+
+
+def _text_chunk(keyword: str, text: str) -> bytes:
+    if text.isascii():
+        return _chunk(b"tEXt", keyword.encode("ascii") + b"\x00" + text.encode("ascii"))
+    return _chunk(b"iTXt", keyword.encode("ascii") + b"\x00\x00\x00\x00\x00" + text.encode("utf-8"))
+
+
+@dataclass(frozen=True)
+class VideoWritten:
+    """What became of a sequence."""
+
+    path: Path  # the file that was written: MP4, or an animated PNG where MP4 cannot be encoded
+    frames: int
+    note: str  # why it is not what was asked for; empty if it is
+
+
+def write_video(
+    path: Path,
+    frames: Iterable[np.ndarray],
+    *,
+    frames_per_second: int = 25,
+    stamp: Mapping[str, str],
+    quality: int = 18,
+) -> VideoWritten:
+    """Frames (rows, columns, 3) uint8 sRGB, all of one size, as MP4 (H.264, 4:2:0) by PyAV.
+
+    One encoding thread and no date: the same frames give the same bytes with the same PyAV.  quality: constant rate
+    factor, 0 lossless .. 51.  Without PyAV an animated PNG with the name of `path` and .png is written instead.
+    """
+    try:
+        import av
+    except ImportError:
+        other = path.with_suffix(".png")
+        count = write_animated_png(other, frames, frames_per_second=frames_per_second, stamp=stamp)
+        return VideoWritten(
+            other, count, "PyAV is not installed (extra: video), so an animated PNG was written in place of an MP4"
+        )
+    unfinished, count, shape = _unfinished(path), 0, None
+    options = {"fflags": "+bitexact", "movflags": "+faststart"}
+    with av.open(str(unfinished), "w", format="mp4", options=options) as container:
+        container.metadata["comment"] = "; ".join(f"nishiki.{name}={text}" for name, text in stamp.items())
+        for pixels in frames:
+            if shape is None:
+                shape = pixels.shape
+                stream = _h264_stream(container, shape, frames_per_second, quality)
+            _check_frame(pixels, shape, count)
+            picture = av.VideoFrame.from_ndarray(_yuv420(pixels), format="yuv420p")
+            picture.pts = count
+            container.mux(stream.encode(picture))
+            count += 1
+        if shape is None:
+            raise UserError(f"{path}: expected at least one frame, found none; give a light or view path with a step")
+        container.mux(stream.encode(None))
+    os.replace(unfinished, path)
+    return VideoWritten(path, count, "")
+
+
+def write_animated_png(
+    path: Path, frames: Iterable[np.ndarray], *, frames_per_second: int = 25, stamp: Mapping[str, str]
+) -> int:
+    """Frames (rows, columns, 3) uint8 sRGB as an animated PNG that repeats for ever; the number of frames."""
+    body, count, sequence, shape, head = [], 0, 0, None, []
+    for pixels in frames:
+        chunks = _png_chunks(pixels, stamp if shape is None else {}, shape is None)
+        shape = pixels.shape if shape is None else shape
+        _check_frame(pixels, shape, count)
+        control = struct.pack(">IIIIIHHBB", sequence, shape[1], shape[0], 0, 0, 1, frames_per_second, 0, 0)
+        body.append(_chunk(b"fcTL", control))
+        sequence += 1
+        data = [chunk[8:-4] for chunk in chunks if chunk[4:8] == b"IDAT"]
+        if count == 0:
+            head = [chunk for chunk in chunks if chunk[4:8] not in (b"IDAT", b"IEND")]
+            body += [_chunk(b"IDAT", part) for part in data]
+        else:
+            for part in data:
+                body.append(_chunk(b"fdAT", struct.pack(">I", sequence) + part))
+                sequence += 1
+        count += 1
+    if not count:
+        raise UserError(f"{path}: expected at least one frame, found none; give a light or view path with a step")
+    animation = _chunk(b"acTL", struct.pack(">II", count, 0))
+    _write_bytes(path, b"".join([_PNG_SIGNATURE, *head, animation, *body, _chunk(b"IEND", b"")]))
+    return count
+
+
+def _check_frame(pixels: np.ndarray, shape: tuple, number: int) -> None:
+    if pixels.shape != shape or pixels.dtype != np.uint8:
+        raise UserError(f"frame {number}: expected {shape} uint8 like frame 0, found {pixels.shape} {pixels.dtype}")
+
+
+def _h264_stream(container, shape: tuple, frames_per_second: int, quality: int):
+    stream = container.add_stream("libx264", rate=frames_per_second)
+    # 4:2:0 needs even sides: odd ones are extended by repeating the last row or column
+    stream.height, stream.width = shape[0] + shape[0] % 2, shape[1] + shape[1] % 2
+    stream.pix_fmt = "yuv420p"
+    # macroblock-tree rate control makes the bytes depend on where in memory the frames lie, for sizes that are no
+    # multiple of 16 (measured: two outcomes in eight runs)
+    stream.options = {"crf": str(quality), "preset": "medium", "x264-params": "mbtree=0", "flags": "+bitexact"}
+    context = stream.codec_context
+    context.thread_count = 1
+    # ITU-T H.273: primaries and matrix of BT.709, transfer of sRGB, limited range
+    context.color_primaries, context.color_trc, context.colorspace, context.color_range = 1, 13, 1, 1
+    return stream
+
+
+def _yuv420(pixels: np.ndarray) -> np.ndarray:
+    """Planes Y, U, V of BT.709, limited range, 8 bits, stacked as (1.5 rows, columns): what PyAV takes as yuv420p."""
+    rows, columns = pixels.shape[:2]
+    rgb = np.pad(pixels, ((0, rows % 2), (0, columns % 2), (0, 0)), mode="edge").astype(np.float32) / 255
+    luma = rgb @ np.float32([0.2126, 0.7152, 0.0722])
+    blue = (rgb[..., 2] - luma) / 1.8556
+    red = (rgb[..., 0] - luma) / 1.5748
+    halves = [(c[::2, ::2] + c[1::2, ::2] + c[::2, 1::2] + c[1::2, 1::2]) / 4 for c in (blue, red)]
+    planes = [luma * 219 + 16, *(half * 224 + 128 for half in halves)]
+    flat = np.concatenate([np.floor(plane + 0.5).clip(0, 255).astype(np.uint8).ravel() for plane in planes])
+    return flat.reshape(luma.shape[0] * 3 // 2, luma.shape[1])
+
+
+def _unfinished(path: Path) -> Path:
+    return path.with_name(f".{path.name}.unfinished{path.suffix}")
+
+
+def _write_bytes(path: Path, content: bytes) -> None:
+    unfinished = _unfinished(path)
+    unfinished.write_bytes(content)
+    os.replace(unfinished, path)
