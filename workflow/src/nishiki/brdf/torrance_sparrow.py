@@ -25,7 +25,7 @@ GAMMA_PER_SIGMA = float(np.sqrt(2.0 * np.log(2.0)))
 
 @dataclass(frozen=True)
 class HalfVectorGeometry:
-    """Angles of one lamp and one view at a surface, all arrays of the broadcast shape of the directions less its last axis."""
+    """Angles of one lamp and one view at a surface: arrays of the directions' broadcast shape less its last axis."""
 
     phi: np.ndarray  # angle(normal, half vector), radians, 0 .. pi
     cos_phi: np.ndarray  # n . h
@@ -37,9 +37,9 @@ class HalfVectorGeometry:
 def half_vector_geometry(normals, lights, views) -> HalfVectorGeometry:
     """Angles that the model needs, from unit directions of shape (..., 3) that broadcast against each other.
 
-    phi is atan2(|n x h|, n . h): acos(n . h) keeps no digit below 1e-8 rad and no lobe narrower than 1e-4 rad.  cos_q is
-    half the length of light + view, which needs no difference of nearly equal numbers.  Where light = -view there is no
-    half vector: phi is pi / 2 and cos_q 0 there (the model is 0 there for every normal).
+    phi is atan2(|n x h|, n . h): acos(n . h) keeps no digit below 1e-8 rad.  cos_q is half the length of light + view,
+    which needs no difference of nearly equal numbers.  Where light = -view there is no half
+    vector: phi is pi / 2 and cos_q 0 there (the model is 0 there for every normal).
     """
     normals, lights, views = (np.asarray(a) for a in (normals, lights, views))
     total = lights + views
@@ -91,7 +91,7 @@ def fresnel(cos_theta, refractive_index) -> np.ndarray:
 
 
 def masking(cos_phi, cos_i, cos_r, cos_q) -> np.ndarray:
-    """G = min(1, 2 cos phi cos_r / cos_q, 2 cos phi cos_i / cos_q), 0 .. 1 (P eq. 13); 0 where light or view is behind."""
+    """G = min(1, 2 cos phi cos_r / cos_q, 2 cos phi cos_i / cos_q), 0 .. 1 (P eq. 13); 0 with light or view behind."""
     lit = (np.asarray(cos_i) > 0) & (np.asarray(cos_r) > 0) & (np.asarray(cos_q) > 0)
     groove = 2 * np.asarray(cos_phi) * np.minimum(cos_i, cos_r) / np.where(lit, cos_q, 1)
     return np.where(lit, np.clip(groove, 0, 1), 0)

@@ -1,10 +1,10 @@
 """Compiled variable projection: Lambert + one Torrance-Sparrow lobe at every point, shared width, linear strengths.
 
-A point has observations y_oc = K_d,c q_o + K_s,c a_o D(phi_o; gamma).  For a given gamma both strengths of a channel are
-a 2 x 2 linear problem with K >= 0, so only log gamma is searched:
+A point has observations y_oc = K_d,c q_o + K_s,c a_o D(phi_o; gamma).  For a given gamma both strengths of a channel
+are a 2 x 2 linear problem with K >= 0, so only log gamma is searched:
 
-* a global grid of half widths with the ratio 2.  One step down is the fourth power, because D(phi; gamma / 2) = D(phi; gamma)^4:
-  the whole grid costs one exponential an observation;
+* a global grid of half widths with the ratio 2.  One step down is the fourth power, because D(phi; gamma / 2) =
+  D(phi; gamma)^4: the whole grid costs one exponential an observation;
 * then Gauss-Newton on the projected residual (Kaufman's Jacobian; Golub & Pereyra, Inverse Problems 19, 2003, R1),
   held inside the bracket by the sign of the exact derivative and replaced by bisection where it would leave it.
 
@@ -82,9 +82,9 @@ def _strengths(a, b, d, inverse, u, v, k0):
     """Non-negative least squares in two unknowns, relative to the fit by the diffuse column alone.
 
     The observations are y = y' + k0 q, k0 >= 0 the best strength of the diffuse column alone.  a, b, d: the products
-    s.s, s.q, q.q of the lobe's and the diffuse column; u, v: s.y' and q.y'; inverse: of the determinant, 0 if collinear.
-    Returns K_s, K_d - k0, and what K_s takes off sum y'^2: a difference that no subtraction of large sums blurs.  If an
-    unconstrained strength is negative the optimum lies where one of them is 0, and it is the better of those two.
+    s.s, s.q, q.q of the lobe's and the diffuse column; u, v: s.y' and q.y'; inverse: of the determinant, 0 if
+    collinear.  Returns K_s, K_d - k0, and what K_s takes off sum y'^2: a difference that no subtraction of large sums
+    blurs.  If an unconstrained strength is negative the optimum lies where one is 0, and is the better of those two.
     """
     zero = a - a
     s = (d * u - b * v) * inverse
@@ -281,7 +281,7 @@ def _scale(w, channels):
 
 @njit(cache=True, error_model="numpy", fastmath=REASSOCIATE)
 def _deflate(w, row, d, v):
-    """Take the best diffuse-only fit off a row: v = (q . what is left, its strength k0 >= 0); q . rest is 0 if k0 > 0."""
+    """Take the best diffuse-only fit off a row: v = (q . what is left, its strength k0 >= 0)."""
     zero = w.dtype.type(0)
     product = _dot(w, _Q, row)
     k0 = product / d if product > 0 and d > 0 else zero
@@ -293,7 +293,7 @@ def _deflate(w, row, d, v):
 
 @njit(cache=True, error_model="numpy")
 def _summarise(w, channels, gamma, report):
-    """Sum of squares that the diffuse term alone leaves, the observation nearest to the mirror direction, and how many are lit."""
+    """What the diffuse term alone leaves, the observation nearest to the mirror direction, and how many are lit."""
     report[RSS_DIFFUSE] = 0
     for c in range(channels):
         report[RSS_DIFFUSE] += _dot(w, _ROWS + c, _ROWS + c)

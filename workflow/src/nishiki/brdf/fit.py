@@ -1,0 +1,137 @@
+"""Torrance-Sparrow at every point: Lambert and one specular lobe from the observations of each, and its baseline.
+
+The strengths (K_s, K_d, or beta) enter linearly and the half width gamma does not.  The default eliminates the
+strengths and searches log gamma globally (variable projection): there is no start value to choose, and beta = 164
+beside gamma = 0.07 is no harder than beta = 1 beside gamma = 1.  Levenberg-Marquardt on everything is the published
+choice (P eq. 18) and stays selectable as the baseline.  Fits over a whole scene are in `nishiki.brdf.scene`.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nishiki.brdf import variable_projection as vp
+from nishiki.brdf.flags import FitFlag
+from nishiki.brdf.scene import TorranceSparrowFit as TorranceSparrowFit
+from nishiki.brdf.scene import fit_scene as fit_scene
+from nishiki.errors import UserError
+
+GAMMA_BOUNDS = (1e-3, 1.6)
+SIGNIFICANCE = 8.0  # F ratio that a lobe must reach; chance alone passes 6 for 1 in 1000 points of 36 x 3 observations
+UNDETERMINED_LOG_GAMMA = 0.5
+
+
+@dataclass(frozen=True)
+class PointFits:
+    """Lambert + one lobe at each point: I' = diffuse * q + specular * a * D(phi; gamma).
+
+    Arrays have the float type of the fit.  Points whose flags contain NO_HIGHLIGHT or TOO_FEW have specular 0 and
+    gamma NaN: they take these from their neighbours (paper O) or from the scene.
+    """
+
+    gamma: np.ndarray  # (points,) half width at half maximum, radians
+    specular: np.ndarray  # (points, channels) K_s or beta, >= 0
+    diffuse: np.ndarray  # (points, channels) K_d, >= 0
+    residual: np.ndarray  # (points,) root mean square of the weighted residuals, units of the observations
+    sigma_log_gamma: np.ndarray  # (points,) standard deviation of log gamma, NaN where gamma is
+    nearest: np.ndarray  # (points,) smallest phi among the observations used, radians; infinite where none was
+    used: np.ndarray  # (points,) int32, observations used
+    lit: np.ndarray  # (points,) int32, observations within three half widths
+    flags: np.ndarray  # (points,) uint8, bits of FitFlag
+
+
+def fit_torrance_sparrow(
+    phi, amplitude, *, weights=None, attenuation=None, diffuse=None, gamma_bounds=GAMMA_BOUNDS, method="projection"
+) -> PointFits:
+    """Fit K_d q + K_s a D(phi; gamma) to the observations of many points; K per channel, gamma per point.
+
+    phi: (points, observations), angle(normal, half vector), radians, 0 .. pi.  amplitude: (points, observations,
+    channels), observations relative to the white reference (or specular parts alone, with `diffuse` None).
+    attenuation a: (points, observations), F G / cos theta_r (P eq. 10; K_s is then beta) or 1 / cos theta_r (O eq. 8);
+    ones if None.  diffuse q: (points, observations), the Lambert term max(cos theta_i, 0); no diffuse term if None.
+    weights: (points, observations), >= 0, inverse variances up to a factor; 0 leaves an observation out, as does any
+    value that is not finite.  gamma_bounds: radians, the range searched.  method: "projection" (default) or
+    "levenberg_marquardt" (the baseline: slow, from one start, no bounds).
+
+    Fitted in float32 if amplitude is float32, else in float64.  Raises UserError for shapes that do not agree, negative
+    weights, or bounds that are not 0 < low < high.
+    """
+    arrays = _prepared(phi, amplitude, attenuation, diffuse, weights)
+    low, high = gamma_bounds
+    if not 0 < low < high < np.inf:
+        raise UserError(f"gamma_bounds: expected 0 < low < high in radians, found {gamma_bounds}; e.g. {GAMMA_BOUNDS}")
+    points, _, channels = arrays[1].shape
+    strengths = np.zeros((points, channels, 2), arrays[1].dtype)
+    reports = np.zeros((points, vp.REPORT), arrays[1].dtype)
+    if method == "projection":
+        vp.project_points(*arrays, float(np.log(low)), float(np.log(high)), strengths, reports)
+    elif method == "levenberg_marquardt":
+        from nishiki.brdf.levenberg_marquardt import fit_points
+
+        fit_points(*arrays, strengths, reports)
+    else:
+        raise UserError(f"method: expected 'projection' or 'levenberg_marquardt', found {method!r}")
+    return _judged(arrays, strengths, reports, low, high)
+
+
+def _prepared(phi, amplitude, attenuation, diffuse, weights):
+    """Contiguous arrays of one float type, with the defaults filled in and the shapes checked."""
+    amplitude = np.asarray(amplitude)
+    real = np.float32 if amplitude.dtype == np.float32 else np.float64
+    if amplitude.ndim != 3:
+        raise UserError(f"amplitude: expected (points, observations, channels), found shape {amplitude.shape}")
+    shape = amplitude.shape[:2]
+    weights = np.ones(shape, real) if weights is None else weights
+    attenuation = np.ones(shape, real) if attenuation is None else attenuation
+    diffuse = np.zeros(shape, real) if diffuse is None else diffuse
+    columns = []
+    for name, array in (("phi", phi), ("attenuation", attenuation), ("diffuse", diffuse), ("weights", weights)):
+        array = np.asarray(array)
+        if array.shape != shape:
+            raise UserError(f"{name}: expected shape {shape} as amplitude's first axes, found {array.shape}")
+        columns.append(np.ascontiguousarray(array, real))
+    if np.any(columns[3] < 0):
+        raise UserError(f"weights: expected values >= 0, found {np.nanmin(columns[3])}; 0 leaves an observation out")
+    return columns[0], np.ascontiguousarray(amplitude, real), *columns[1:]
+
+
+def _judged(arrays, strengths, reports, low, high) -> PointFits:
+    """Flags and standard deviations from the solver's reports; what is not supported is set to 'no highlight'."""
+    _, amplitude, _, diffuse, weights = arrays
+    channels = amplitude.shape[2]
+    has_diffuse = np.any(diffuse != 0, axis=1)
+    used, gamma = reports[:, vp.USED].astype(np.int32), reports[:, vp.GAMMA].copy()
+    unknowns = channels * (1 + has_diffuse) + 1
+    freedom = used * channels - unknowns
+    rss, gained = reports[:, vp.RSS], reports[:, vp.RSS_DIFFUSE] - reports[:, vp.RSS]
+    noise = rss / np.maximum(freedom, 1)
+    rounding = (64 * np.finfo(amplitude.dtype).eps) ** 2 * used * channels
+    few = (used < 2 + has_diffuse) | (freedom < 0)
+    dark = ~few & ((gained <= rounding) | (gained < SIGNIFICANCE * (channels + 1) * noise))
+    curvature = reports[:, vp.CURVATURE]
+    sigma = np.sqrt(noise / np.where(curvature > 0, curvature, 1))
+    sigma = np.where(curvature > 0, sigma, np.inf)
+    lit = reports[:, vp.LIT].astype(np.int32)
+    vague = (lit < 2) | (sigma > UNDETERMINED_LOG_GAMMA)
+    edge = (gamma <= low * (1 + 1e-4)) | (gamma >= high * (1 - 1e-4))
+    lost = few | dark
+    flags = FitFlag.TOO_FEW * few | FitFlag.NO_HIGHLIGHT * dark
+    flags = flags | np.where(lost, 0, FitFlag.UNDETERMINED * vague | FitFlag.AT_BOUND * edge)
+    flags = flags | FitFlag.NOT_FINITE * (used < np.sum(weights > 0, axis=1))
+    specular, kd = strengths[..., 0].copy(), strengths[..., 1].copy()
+    specular[lost], gamma[lost], sigma = 0, np.nan, np.where(lost, np.nan, sigma)
+    kd[lost] = _lambert_alone(amplitude[lost], diffuse[lost], weights[lost])
+    squares = np.where(lost, reports[:, vp.RSS_DIFFUSE], rss)
+    residual = reports[:, vp.SCALE] * np.sqrt(squares / np.maximum(used * channels, 1))
+    nearest = np.where(reports[:, vp.NEAREST] < 1e14, reports[:, vp.NEAREST], np.inf)
+    lit = np.where(lost, 0, lit)
+    return PointFits(gamma, specular, kd, residual, sigma, nearest, used, lit, flags.astype(np.uint8))
+
+
+def _lambert_alone(amplitude, diffuse, weights):
+    """K_d of points without a lobe: weighted least squares on the diffuse column, 0 where it is not defined."""
+    good = np.isfinite(amplitude).all(axis=2) & np.isfinite(diffuse) & np.isfinite(weights)
+    q = np.where(good, np.where(good, weights, 0) * np.where(good, diffuse, 0), 0)
+    top = np.einsum("po,poc->pc", q, np.where(good[..., None], amplitude, 0))
+    bottom = np.einsum("po,po->p", q, np.where(good, diffuse, 0))[:, None]
+    return np.maximum(np.where(bottom > 0, top / np.where(bottom > 0, bottom, 1), 0), 0)
