@@ -70,8 +70,11 @@ def solve(observations: np.ndarray, usable: np.ndarray, parcel: Parcel, settings
     field = estimate_normals(
         intensity, parcel.directions, usable=usable, solver=settings.solver, max_condition=settings.max_condition
     )
+    found = {name: getattr(field, name) for name in MAPS if name != "reflectance"}
+    if observations.shape[-1] == 1:
+        return found | {"reflectance": field.albedo[..., None]}
     diffuse = diffuse_reflectance(observations, parcel.directions, field.normals, usable=usable)
-    return {name: getattr(field, name) for name in MAPS if name != "reflectance"} | {"reflectance": diffuse.reflectance}
+    return found | {"reflectance": diffuse.reflectance}
 
 
 def read_usable(selection: Maps | None, band: slice, lights: int, valid: np.ndarray) -> np.ndarray:

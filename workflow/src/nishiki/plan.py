@@ -1,12 +1,13 @@
 """The plan of a scene: which stages run, under which keys, and what is left out and why."""
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from nishiki.closed import Closed
 from nishiki.errors import UserError
 from nishiki.project import Scene
-from nishiki.provenance import stage_key
+from nishiki.provenance import file_digest, stage_key
 from nishiki.stages import CHAIN, SceneFacts
 
 HOLD_OUT_FROM = 16
@@ -88,18 +89,23 @@ def _filled(name: str, scene: Scene, facts: SceneFacts, held_out: tuple[str, ...
     settings = getattr(scene.settings, name)
     known = {"hold_out": held_out, "truth_sha256": facts.truth_sha256}
     update = {key: value for key, value in known.items() if key in type(settings).model_fields}
+    if name == "render":
+        tables = sorted(table for table in illuminants(settings) if table.lower().endswith(".csv"))
+        update["curves_sha256"] = {table: _digest_of(table, "illuminant") for table in tables}
     if name == "spectra" and settings.training != "synthetic":
-        update["training_sha256"] = _digest_of(settings.training)
+        update["training_sha256"] = _digest_of(settings.training, "spectra.training")
     return settings.model_copy(update=update)
 
 
-def _digest_of(path: str) -> str:
-    from pathlib import Path
+def illuminants(settings: Closed) -> set[str]:
+    """Every illuminant that the pictures and sequences of render name."""
+    names = {light.illuminant for picture in settings.pictures for light in picture.lights}
+    return names | {sequence.illuminant for sequence in settings.sequences}
 
-    from nishiki.provenance import file_digest
 
+def _digest_of(path: str, key: str) -> str:
     if not Path(path).is_file():
-        raise UserError(f"spectra.training: file {path} not found; give a CSV of reflectances, or synthetic")
+        raise UserError(f"{key}: file {path} not found; correct the path in the configuration")
     return file_digest(Path(path))
 
 

@@ -34,11 +34,15 @@ class Progress:
     def over(self, items: Iterable[Item], what: str) -> Iterator[Item]:
         """Pass `items` on, telling how many of them are done and how long the rest will take."""
         items = list(items)
+        yield from self.through(items, len(items), what)
+
+    def through(self, items: Iterable[Item], total: int, what: str) -> Iterator[Item]:
+        """Like `over`, for items that are made while they are asked for; `total`: their number."""
         start = last = time.monotonic()
         for done, item in enumerate(items):
             now = time.monotonic()
             if now - last >= self.every_s and done:
-                rest = (now - start) / done * (len(items) - done)
-                print(f"{self.label}: {what} {done} of {len(items)}, {rest:.0f} s left", file=self.stream, flush=True)
+                rest = (now - start) / done * (total - done)
+                print(f"{self.label}: {what} {done} of {total}, {rest:.0f} s left", file=self.stream, flush=True)
                 last = now
             yield item

@@ -10,9 +10,9 @@ from nishiki.closed import Closed
 class LightSettings(Closed):
     """One lamp, from a direction."""
 
-    elevation_deg: float = Field(45, ge=0, le=90, description="above the plane of the object")
+    elevation_deg: float = Field(45, gt=0, le=90, description="above the plane of the object")
     azimuth_deg: float = Field(90, ge=-360, le=360, description="from x (right) towards y (up)")
-    illuminant: str = Field("D65", description="A, D50, D65, F11, the capture's own (capture), or a CSV: nm, power")
+    illuminant: str = Field("D65", description="A, D50, D65, E, F2, F7, F11, or a CSV: wavelength_nm, power")
     intensity: float = Field(1.0, ge=0, description="1: a white board facing the lamp has luminance 1")
 
 
@@ -66,4 +66,6 @@ class RenderSettings(Closed):
     )
     sequences: tuple[SequenceSettings, ...] = (SequenceSettings(name="moving-light"),)
     cast_shadows: bool = Field(True, description="shadows thrown by the integrated height")
+    export_normals: bool = Field(True, description="also write the normals as 16-bit PNG (y up) and EXR")
+    curves_sha256: dict[str, str] = Field({}, description="digests of the illuminant tables; filled in by the plan")
     supersampling: int = Field(2, ge=1, le=8, description="pinhole: rays along each side of a pixel")

@@ -13,8 +13,9 @@ class SeparateSettings(Closed):
     STAGE: ClassVar[str] = "separate"
     VERSION: ClassVar[int] = 1
 
-    method: Literal["robust", "threshold", "trimmed", "none"] = Field(
-        "robust", description="robust: re-fit by residuals; threshold: the paper's w1, w2 (P 3.2); trimmed: by rank"
+    method: Literal["refit", "threshold", "trimmed", "none"] = Field(
+        "refit",
+        description="refit: by residuals of a robust fit; threshold: the paper's w1, w2 (P 3.2); trimmed: by rank",
     )
     w1: float = Field(1.2, gt=0, description="threshold: highlight above w1 times the mean over lights")
     w2: float = Field(0.1, ge=0, description="threshold: shadow below w2 times the mean over lights")
