@@ -21,6 +21,7 @@ from pathlib import Path
 import numpy as np
 
 import _project  # noqa: F401  (puts the package on the path)
+from nishiki.capture.seal import seal
 from nishiki.errors import UserError
 from nishiki.simulate.settings import (
     BODIES,
@@ -161,12 +162,12 @@ def simulate(settings: SimulationSettings, output: Path, truth: Path, options) -
             drafts.append(folder.with_name(f".{folder.name}.{os.getpid()}.part"))
             drafts[-1].mkdir()
         write_all(settings, *drafts, image_format=image_format, lights_as=options.lights_as)
+        seal(drafts[0])
         drafts[1].rename(truth)
         drafts[0].rename(output)
     finally:
         for draft in drafts:
             shutil.rmtree(draft, ignore_errors=True)
-    seal_if_possible(output)
 
 
 def write_all(settings, capture: Path, truth: Path, *, image_format: str, lights_as: str) -> None:
@@ -293,15 +294,6 @@ class TruthStore:
 
         self.group.attrs.update(truth_attributes(self.settings, self.lamps))
         (self.folder / "README.md").write_text(truth_readme(self.settings, self.lamps))
-
-
-def seal_if_possible(capture: Path) -> None:
-    """Seal the capture as a bag where the package can."""
-    try:
-        from nishiki.capture.seal import seal
-    except ImportError:
-        return
-    seal(capture)
 
 
 if __name__ == "__main__":

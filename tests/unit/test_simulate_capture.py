@@ -4,13 +4,12 @@ import ast
 import dataclasses
 from pathlib import Path
 
-import numba
 import numpy as np
 import pytest
 
 import nishiki.simulate
 from nishiki.errors import UserError
-from nishiki.simulate import photographs
+from nishiki.simulate import photographs, rows
 from nishiki.simulate.lamp import board_cosine, direction_error_deg, place_lamps, planck_spectrum
 from nishiki.simulate.objects import make_object
 from nishiki.simulate.photographs import BOARD_REFLECTANCE, dark_frame, make_tables, photograph, white_board
@@ -95,15 +94,12 @@ def test_bytes_do_not_depend_on_threads_or_bands(tiny, monkeypatch):
     lamp = place_lamps(TINY)[-1]
     tables = make_tables(tiny, TINY, with_truth=True)
     first = photograph(tiny, lamp, TINY, tables)
-    before = numba.get_num_threads()
-    numba.set_num_threads(1)
-    try:
-        again = make_object(TINY)
-        np.testing.assert_array_equal(again.height_mm, tiny.height_mm)
-        np.testing.assert_array_equal(again.label, tiny.label)
-        single = photograph(again, lamp, TINY, tables)
-    finally:
-        numba.set_num_threads(before)
+    monkeypatch.setattr(rows, "threads", lambda: 1)
+    again = make_object(TINY)
+    np.testing.assert_array_equal(again.height_mm, tiny.height_mm)
+    np.testing.assert_array_equal(again.label, tiny.label)
+    single = photograph(again, lamp, TINY, tables)
+    monkeypatch.setattr(rows, "threads", lambda: 5)
     monkeypatch.setattr(photographs, "_BAND_ROWS", 24)
     banded = photograph(tiny, lamp, TINY, tables)
     for name in ("codes", "lit", "xyz_lamp", "xyz_d65", "gloss", "body"):

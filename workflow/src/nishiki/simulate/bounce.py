@@ -5,6 +5,8 @@ import math
 import numba
 import numpy as np
 
+from nishiki.simulate.rows import over_rows
+
 DIRECTIONS = 16
 REACH_PIXELS = 8
 
@@ -21,10 +23,10 @@ def _neighbours(pitch: float) -> tuple[np.ndarray, np.ndarray]:
     return offsets, np.stack([run, area], axis=-1)
 
 
-@numba.njit(cache=True, parallel=True, error_model="numpy")
-def _gather(height, slope_x, slope_y, irradiance, pitch, offsets, sizes, out):
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _gather(start, stop, height, slope_x, slope_y, irradiance, pitch, offsets, sizes, out):
     rows, columns = height.shape
-    for i in numba.prange(rows):
+    for i in range(start, stop):
         for j in range(columns):
             p, q, here = slope_x[i, j] * pitch, slope_y[i, j] * pitch, float(height[i, j])
             total = 0.0
@@ -63,5 +65,6 @@ def bounced_irradiance(
     Relief finer than a pixel, farther than 8 pixels, and further bounces are left out.
     """
     out = np.empty(irradiance.shape, np.float32)
-    _gather(height_mm, slope_x, slope_y, irradiance, pitch_mm, *_neighbours(pitch_mm), out)
+    offsets, sizes = _neighbours(pitch_mm)
+    over_rows(_gather, len(out), height_mm, slope_x, slope_y, irradiance, pitch_mm, offsets, sizes, out)
     return out

@@ -5,6 +5,8 @@ import math
 import numba
 import numpy as np
 
+from nishiki.simulate.rows import over_rows
+
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
 _MIX_2 = np.uint64(0x94D049BB133111EB)
@@ -60,9 +62,9 @@ def plane_noise(key, x, y):
     return top + (bottom - top) * fy
 
 
-@numba.njit(cache=True, parallel=True)
-def _fractal(key, x, y, octaves, out):
-    for row in numba.prange(out.shape[0]):
+@numba.njit(cache=True, nogil=True)
+def _fractal(start, stop, key, x, y, octaves, out):
+    for row in range(start, stop):
         for column in range(out.shape[1]):
             total, weight, scale = 0.0, 0.0, 1.0
             for octave in range(octaves):
@@ -79,7 +81,7 @@ def fractal_noise(x: np.ndarray, y: np.ndarray, *, key: int, octaves: int = 3) -
     """
     x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
     out = np.empty(x.shape, np.float32)
-    _fractal(np.uint64(key), np.ascontiguousarray(x), np.ascontiguousarray(y), octaves, out)
+    over_rows(_fractal, out.shape[0], np.uint64(key), np.ascontiguousarray(x), np.ascontiguousarray(y), octaves, out)
     return out
 
 

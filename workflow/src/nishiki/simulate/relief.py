@@ -2,57 +2,46 @@
 
 from __future__ import annotations
 
-import math
-
 import numba
 import numpy as np
 
 THREAD_MM = 1.15  # distance of neighbouring threads
 WEAVE_MM = 0.055  # height of a thread's crest over its trough
 HIDING_MM = 0.20  # paint of this thickness hides the weave to 1/e
-
-
-@numba.njit(cache=True, parallel=True)
-def _weave_under_paint(paint, step, thread, amplitude, hiding, out):
-    rows, columns = paint.shape
-    for i in numba.prange(rows):
-        y = (i + 0.5) * step / thread
-        for j in range(columns):
-            x = (j + 0.5) * step / thread
-            # Plain weave: warp and weft pass over each other in turn; a soft maximum joins their crests.
-            warp = abs(math.sin(math.pi * x)) * (0.5 + 0.5 * math.sin(math.pi * y) * math.cos(math.pi * math.floor(x)))
-            weft = abs(math.sin(math.pi * y)) * (0.5 - 0.5 * math.sin(math.pi * x) * math.cos(math.pi * math.floor(y)))
-            weave = math.log(math.exp(6.0 * warp) + math.exp(6.0 * weft)) / 6.0
-            thick = float(paint[i, j])
-            out[i, j] = np.float32(thick + amplitude * weave * math.exp(-thick / hiding))
+_BAND = 256  # rows at a time, for the memory of the intermediate arrays
 
 
 def weave_under_paint(paint_mm: np.ndarray, *, step_mm: float, scale: float = 1.0) -> np.ndarray:
     """Height (rows, columns) float32 in mm of canvas with paint of the given thickness on it.
 
-    step_mm : distance of neighbouring samples. scale : size of the threads, 1 = 1.15 mm apart.
+    step_mm : distance of neighbouring samples. scale : size of the threads, 1 = 1.15 mm apart. Plain weave: warp and
+    weft pass over each other in turn; a soft maximum joins their crests.
     """
-    out = np.empty_like(paint_mm, dtype=np.float32)
-    _weave_under_paint(paint_mm, step_mm, THREAD_MM * scale, WEAVE_MM * scale, HIDING_MM * scale, out)
+    out = np.empty(paint_mm.shape, np.float32)
+    x = (np.arange(paint_mm.shape[1]) + 0.5)[None, :] * step_mm / (THREAD_MM * scale)
+    along, sign_x = np.sin(np.pi * x), np.cos(np.pi * np.floor(x))
+    for start in range(0, len(out), _BAND):
+        band = slice(start, start + _BAND)
+        y = (np.arange(len(out))[band] + 0.5)[:, None] * step_mm / (THREAD_MM * scale)
+        across, sign_y = np.sin(np.pi * y), np.cos(np.pi * np.floor(y))
+        warp = np.abs(along) * (0.5 + 0.5 * across * sign_x)
+        weft = np.abs(across) * (0.5 - 0.5 * along * sign_y)
+        weave = np.logaddexp(6.0 * warp, 6.0 * weft) / 6.0
+        out[band] = paint_mm[band] + WEAVE_MM * scale * weave * np.exp(-paint_mm[band] / (HIDING_MM * scale))
     return out
-
-
-@numba.njit(cache=True, parallel=True)
-def _smooth(height, out):
-    rows, columns = height.shape
-    for i in numba.prange(rows):
-        up, down = max(i - 1, 0), min(i + 1, rows - 1)
-        for j in range(columns):
-            left, right = max(j - 1, 0), min(j + 1, columns - 1)
-            sides = height[up, j] + height[down, j] + height[i, left] + height[i, right]
-            corners = height[up, left] + height[up, right] + height[down, left] + height[down, right]
-            out[i, j] = np.float32(0.25) * height[i, j] + np.float32(0.125) * sides + np.float32(0.0625) * corners
 
 
 def level_out(height_mm: np.ndarray) -> np.ndarray:
     """One pass of the 3×3 binomial filter: wet paint and varnish round off what is finer than a sample."""
     out = np.empty_like(height_mm)
-    _smooth(height_mm, out)
+    quarter, half = np.float32(0.25), np.float32(0.5)
+    for start in range(0, len(out), _BAND):
+        stop = min(start + _BAND, len(out))
+        rows = np.clip(np.arange(start - 1, stop + 1), 0, len(out) - 1)
+        part = height_mm[rows]
+        part = half * part[1:-1] + quarter * (part[:-2] + part[2:])
+        part = np.pad(part, ((0, 0), (1, 1)), mode="edge")
+        out[start:stop] = half * part[:, 1:-1] + quarter * (part[:, :-2] + part[:, 2:])
     return out
 
 
@@ -67,27 +56,14 @@ def slopes_at(height, i, j, step):
     return slope_x, slope_y
 
 
-@numba.njit(cache=True, parallel=True)
-def _pixel_maps(height, step, s, normals, mean, steepest):
-    rows, columns = mean.shape
-    for row in numba.prange(rows):
-        for column in range(columns):
-            total_x, total_y, total_z, total_h, steep = 0.0, 0.0, 0.0, 0.0, 0.0
-            for i in range(row * s, row * s + s):
-                for j in range(column * s, column * s + s):
-                    p, q = slopes_at(height, i, j, step)
-                    inverse = 1.0 / math.sqrt(1.0 + p * p + q * q)
-                    total_x -= p * inverse
-                    total_y -= q * inverse
-                    total_z += inverse
-                    total_h += float(height[i, j])
-                    steep = max(steep, p * p + q * q)
-            length = math.sqrt(total_x * total_x + total_y * total_y + total_z * total_z)
-            normals[row, column, 0] = total_x / length
-            normals[row, column, 1] = total_y / length
-            normals[row, column, 2] = total_z / length
-            mean[row, column] = total_h / (s * s)
-            steepest[row, column] = math.atan(math.sqrt(steep))
+def slopes_of_rows(height_mm: np.ndarray, start: int, stop: int, step_mm: float) -> tuple[np.ndarray, np.ndarray]:
+    """Slopes of rows start..stop as `slopes_at` gives them, float64, for whole rows at once."""
+    count = len(height_mm)
+    rows = np.arange(start, stop)
+    up, down = np.maximum(rows - 1, 0), np.minimum(rows + 1, count - 1)
+    slope_y = (height_mm[up].astype(float) - height_mm[down]) / ((down - up) * step_mm)[:, None]
+    slope_x = np.gradient(height_mm[start:stop].astype(float), step_mm, axis=1)
+    return slope_x, slope_y
 
 
 def pixel_maps(height_mm: np.ndarray, *, step_mm: float, supersampling: int):
@@ -96,8 +72,17 @@ def pixel_maps(height_mm: np.ndarray, *, step_mm: float, supersampling: int):
     The normal of a pixel is the normalised mean of the unit normals of its samples. All float32.
     """
     s = supersampling
-    shape = (height_mm.shape[0] // s, height_mm.shape[1] // s)
-    normals = np.empty((*shape, 3), np.float32)
-    mean, steepest = np.empty(shape, np.float32), np.empty(shape, np.float32)
-    _pixel_maps(height_mm, step_mm, s, normals, mean, steepest)
+    rows, columns = height_mm.shape[0] // s, height_mm.shape[1] // s
+    normals = np.empty((rows, columns, 3), np.float32)
+    mean, steepest = np.empty((rows, columns), np.float32), np.empty((rows, columns), np.float32)
+    for start in range(0, rows, _BAND):
+        stop = min(start + _BAND, rows)
+        blocks = (stop - start, s, columns, s)
+        p, q = slopes_of_rows(height_mm, start * s, stop * s, step_mm)
+        square = p * p + q * q
+        inverse = 1.0 / np.sqrt(1.0 + square)
+        total = np.stack([(v * inverse).reshape(blocks).mean(axis=(1, 3)) for v in (-p, -q, np.ones_like(p))], axis=-1)
+        normals[start:stop] = total / np.linalg.norm(total, axis=-1, keepdims=True)
+        mean[start:stop] = height_mm[start * s : stop * s].reshape(blocks).mean(axis=(1, 3), dtype=float)
+        steepest[start:stop] = np.arctan(np.sqrt(square.reshape(blocks).max(axis=(1, 3))))
     return normals, mean, steepest

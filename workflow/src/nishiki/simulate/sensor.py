@@ -8,6 +8,7 @@ import numba
 import numpy as np
 
 from nishiki.simulate.randomness import normal
+from nishiki.simulate.rows import over_rows
 from nishiki.simulate.settings import CameraSettings
 
 FINE_NM = np.arange(380.0, 780.5, 2.0)  # finer and wider than the grid on which the chain works
@@ -51,10 +52,10 @@ def vignette(settings, rows: slice) -> np.ndarray:
     return 1.0 - 0.04 * (u[None, :] ** 2 + v[:, None] ** 2)
 
 
-@numba.njit(cache=True, parallel=True)
-def _expose(signal, full_scale, black, electrons, read_noise, noisy, key, first, codes):
-    rows, columns, channels = signal.shape
-    for row in numba.prange(rows):
+@numba.njit(cache=True, nogil=True)
+def _expose(start, stop, signal, full_scale, black, electrons, read_noise, noisy, key, first, codes):
+    columns, channels = signal.shape[1], signal.shape[2]
+    for row in range(start, stop):
         for column in range(columns):
             for channel in range(channels):
                 count = max(float(signal[row, column, channel]), 0.0) * electrons
@@ -74,7 +75,9 @@ def expose(signal: np.ndarray, camera: CameraSettings, *, key: int, first_row: i
     """
     codes = np.empty(signal.shape, np.uint16)
     full = float(2**camera.bits - 1)
-    _expose(
+    over_rows(
+        _expose,
+        len(codes),
         np.ascontiguousarray(signal, np.float32),
         full,
         float(camera.black_level),

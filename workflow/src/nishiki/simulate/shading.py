@@ -13,6 +13,7 @@ from nishiki.simulate.lamp import Lamp
 from nishiki.simulate.objects import SimulatedObject
 from nishiki.simulate.reflection import ggx_gloss, rough_body
 from nishiki.simulate.relief import slopes_at
+from nishiki.simulate.rows import over_rows
 from nishiki.simulate.settings import SimulationSettings
 from nishiki.simulate.shadows import visible_share
 
@@ -103,19 +104,19 @@ def _shade_row(row, r, height, label, wave, table, alpha, pitch, s, position, op
         gloss[r, column], direct[r, column], lit[r, column] = shine * share, light * share, seen * share
 
 
-@numba.njit(cache=True, parallel=True, error_model="numpy")
-def _shade(first, height, label, wave, table, alpha, pitch, s, position, optics, body, gloss, direct, lit):
-    for r in numba.prange(body.shape[0]):
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _shade(start, stop, first, height, label, wave, table, alpha, pitch, s, position, optics, body, gloss, direct, lit):
+    for r in range(start, stop):
         _shade_row(
             first + r, r, height, label, wave, table, alpha, pitch, s, position, optics, body, gloss, direct, lit
         )
 
 
-@numba.njit(cache=True, parallel=True)
-def _add_bounce(label, bounced, squared, s, first, body):
-    rows, columns, tables = body.shape
+@numba.njit(cache=True, nogil=True)
+def _add_bounce(start, stop, label, bounced, squared, s, first, body):
+    columns, tables = body.shape[1], body.shape[2]
     share = 1.0 / (s * s)
-    for r in numba.prange(rows):
+    for r in range(start, stop):
         row = first + r
         for column in range(columns):
             if bounced[r, column] <= 0.0:
@@ -148,7 +149,9 @@ def shade(
         settings.refractive_index if settings.gloss != "none" else 1.0,
         BODY_SIGMA if settings.body == "rough" else 0.0,
     )
-    _shade(
+    over_rows(
+        _shade,
+        len(body),
         first,
         thing.height_mm,
         thing.label,
@@ -169,8 +172,7 @@ def shade(
         normals = thing.normals[band]
         slope_x, slope_y = -normals[..., 0] / normals[..., 2], -normals[..., 1] / normals[..., 2]
         bounced = bounced_irradiance(direct, thing.mean_height_mm[band], slope_x, slope_y, pitch_mm=settings.pitch_mm)
-        _add_bounce(
-            thing.label, bounced, np.ascontiguousarray(squared, np.float64), settings.supersampling, first, body
-        )
+        squared = np.ascontiguousarray(squared, np.float64)
+        over_rows(_add_bounce, len(body), thing.label, bounced, squared, settings.supersampling, first, body)
     inner = slice(rows.start - first, rows.stop - first)
     return Shading(body[inner], gloss[inner], direct[inner], lit[inner])

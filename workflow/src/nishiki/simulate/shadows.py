@@ -5,6 +5,8 @@ import math
 import numba
 import numpy as np
 
+from nishiki.simulate.rows import over_rows
+
 
 @numba.njit(cache=True)
 def height_between(height, y, x):
@@ -67,9 +69,9 @@ def visible_share(height, i, j, lx, ly, lz, step, ceiling, radius):
     return lit_share(elevation, math.atan(slope), radius)
 
 
-@numba.njit(cache=True, parallel=True)
-def _shadow_map(height, light, step, ceiling, radius, out):
-    for i in numba.prange(height.shape[0]):
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _shadow_map(start, stop, height, light, step, ceiling, radius, out):
+    for i in range(start, stop):
         for j in range(height.shape[1]):
             out[i, j] = visible_share(height, i, j, light[0], light[1], light[2], step, ceiling, radius)
 
@@ -77,5 +79,6 @@ def _shadow_map(height, light, step, ceiling, radius, out):
 def shadow_map(height_mm: np.ndarray, light: np.ndarray, *, step_mm: float, angular_radius: float) -> np.ndarray:
     """Share (rows, columns) float32 of a distant lamp that each sample sees past the relief, self-shadow apart."""
     out = np.empty(height_mm.shape, np.float32)
-    _shadow_map(height_mm, np.asarray(light, float), step_mm, float(height_mm.max()), angular_radius, out)
+    light = np.asarray(light, float)
+    over_rows(_shadow_map, len(out), height_mm, light, step_mm, float(height_mm.max()), angular_radius, out)
     return out
