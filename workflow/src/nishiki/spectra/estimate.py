@@ -168,7 +168,8 @@ def estimate_spectra(
             f"{observed.shape}; give the camera's own channels in their order"
         )
     shape, size = observed.shape[:-1], len(estimator.basis)
-    flat = np.ascontiguousarray(observed.reshape(-1, channels), dtype=np.float32)
+    with np.errstate(over="ignore"):  # beyond float32 becomes infinite, which is flagged
+        flat = np.ascontiguousarray(observed.reshape(-1, channels), dtype=np.float32)
     coefficients = np.empty((len(flat), size), np.float32)
     sigma, flags = np.empty(len(flat), np.float32), np.empty(len(flat), np.uint8)
     _apply(flat, estimator, coefficients, sigma, flags, threads or len(os.sched_getaffinity(0)))
