@@ -194,7 +194,7 @@ def _frame_content(
     if frame.role == "flat":
         return []
     *counts, highest = count_unusable(codes, usable, reader.saturated, reader.clip)
-    problems = frame_problems(frame, np.array(counts), highest, reader)
+    problems = frame_problems(frame, np.array(counts), float(highest), reader)
     severe = {"not-finite"}
     return [error(p.kind, p.file, p.what, found=p.found) if p.kind in severe else p for p in problems]
 

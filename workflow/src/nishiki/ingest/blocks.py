@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+from numba import njit, types
 from numba.extending import overload
 
 SUBSAMPLE = 64  # of a block's samples, for the median and the spread
@@ -30,6 +30,17 @@ def positions(edges: np.ndarray, start: int, stop: int) -> tuple[np.ndarray, np.
     return lower.astype(np.int64), weight.astype(np.float32)
 
 
+def cells(edges: np.ndarray, start: int, stop: int) -> np.ndarray:
+    """First pixel, counted from start, of each cell between neighbouring block centres, then the last cell's end.
+
+    Cell c lies between the centres of blocks c and c + 1; the outer ones reach to the border. (cells + 1,) int64, with
+    as many cells as blocks less one, but at least one; cells outside start..stop are empty.
+    """
+    centres = (edges[:-1] + edges[1:] - 1) / 2.0
+    inner = np.ceil(centres[1:-1]).astype(np.int64)
+    return np.clip(np.concatenate([[start], inner, [stop]]), start, stop) - start
+
+
 def linear_value(table, code):
     """Linear value of a code: by table for integer codes, the code itself for float ones (compiled code only)."""
     raise NotImplementedError
@@ -37,7 +48,7 @@ def linear_value(table, code):
 
 @overload(linear_value)
 def _linear_value(table, code):
-    if hasattr(code, "bitwidth") and str(code).startswith("float"):
+    if isinstance(code, types.Float):
         return lambda table, code: code
     return lambda table, code: table[code]
 

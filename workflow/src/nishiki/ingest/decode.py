@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import njit, prange, types
+from numba.extending import overload
 
 from nishiki.ingest.blocks import linear_value
 
@@ -12,11 +13,12 @@ from nishiki.ingest.blocks import linear_value
 def decode(
     codes,
     table,
+    scale,
     gain,
     dark,
     rows,
     row_weights,
-    columns,
+    cells,
     column_weights,
     usable,
     saturated,
@@ -29,111 +31,150 @@ def decode(
 ):
     """Fill observations `I' = (linear(code) - dark) * gain` and their validity.
 
-    codes (lights, n, m, channels) uint8 | uint16 | float32; table: linear value by code (unused for float);
-    gain, dark (lights, r, c, channels) float32 on block centres, interpolated bilinearly; rows, columns: lower node of
-    each row (n,) and column (m,), with the weight of the next; usable (n, m) uint8: inside the mask, no defect;
-    saturated, clip: codes at or above, at or below which a sample is unusable. out (lights, n, m, last - first), or, if
-    reduced, (lights, n, m, 1) for the mean over the channels first..last; valid (lights, n, m) bool: inside the mask,
-    gain known, finite, saturated in none of *all* channels, above the clip in at least one of the channels decoded.
-    Samples that cannot be formed are 0 and not valid.
+    codes (lights, n, m, channels) uint8 | uint16 | float32; scale > 0: linear(code) = code * scale, otherwise by the
+    table; gain, dark (lights, r, c, channels) float32 on block centres, interpolated bilinearly; rows: lower node of
+    each row (n,) with row_weights of the next; cells (c or more,): first column of each cell between two block
+    centres, then m, with column_weights (m,) of its right node; usable (n, m) uint8: inside the mask, no defect;
+    saturated, clip: codes at or above, at or below which a sample is unusable, in the codes' own type.
+    out (lights, n, m, last - first), or, if reduced, (lights, n, m, 1) for the mean over the channels first..last;
+    valid (lights, n, m) bool: inside the mask, gain known, finite, saturated in none of *all* channels, above the clip
+    in at least one of the channels decoded. Samples that cannot be formed are 0 and not valid.
     """
-    lights, n, m, channels = codes.shape
-    flat = gain.shape[1] == 1 and gain.shape[2] == 1
-    share = np.float32(1.0 / (last - first))
-    below = np.float32(clip)
-    top = np.float32(saturated)
+    lights, n, m, _ = codes.shape
+    share = np.float32(1.0 / (last - first)) if reduced else np.float32(1.0)
     for job in prange(lights * n):
         j, y = job // n, job % n
-        if flat and channels == 1:
-            _decode_flat(
-                codes[j, y, :, 0],
-                table,
-                gain[j, 0, 0, 0],
-                dark[j, 0, 0, 0],
-                usable[y],
-                top,
-                below,
-                out[j, y, :, 0],
-                valid[j, y],
-            )
-            continue
-        i0 = rows[y]
-        i1 = min(i0 + 1, gain.shape[1] - 1)
-        wy = row_weights[y]
-        for x in range(m):
-            c0 = columns[x]
-            c1 = min(c0 + 1, gain.shape[2] - 1)
-            wx = column_weights[x]
-            fine = usable[y, x] != 0
-            above = False
-            for k in range(channels):
-                fine = fine and codes[j, y, x, k] < top
-            total = np.float32(0.0)
-            for k in range(first, last):
-                code = codes[j, y, x, k]
-                g = (np.float32(1) - wy) * (
-                    (np.float32(1) - wx) * gain[j, i0, c0, k] + wx * gain[j, i0, c1, k]
-                ) + wy * ((np.float32(1) - wx) * gain[j, i1, c0, k] + wx * gain[j, i1, c1, k])
-                d = (np.float32(1) - wy) * (
-                    (np.float32(1) - wx) * dark[j, i0, c0, k] + wx * dark[j, i0, c1, k]
-                ) + wy * ((np.float32(1) - wx) * dark[j, i1, c0, k] + wx * dark[j, i1, c1, k])
-                value = np.float32((linear_value(table, code) - d) * g)
-                above = above or code > below
-                if not (g > 0) or not np.isfinite(value):
-                    fine = False
-                    value = np.float32(0.0)
-                if reduced:
-                    total += value * share
-                else:
-                    out[j, y, x, k - first] = value
-            if reduced:
-                out[j, y, x, 0] = total
-            valid[j, y, x] = fine and above
+        _mark_valid(codes[j, y], usable[y], saturated, clip, first, last, valid[j, y])
+        gains, darks = np.empty(m, np.float32), np.empty(m, np.float32)
+        for k in range(first, last):
+            _between_blocks(gain[j], k, rows[y], row_weights[y], cells, column_weights, gains)
+            _between_blocks(dark[j], k, rows[y], row_weights[y], cells, column_weights, darks)
+            if not _all_known(gains):
+                _drop_unknown(gains, valid[j, y])
+            target = out[j, y, :, 0 if reduced else k - first]
+            _scale_row(codes[j, y, :, k], table, scale, gains, darks, share, reduced and k > first, target)
+        if not _always_finite(codes[j, y, 0, 0]):
+            _drop_not_finite(out[j, y], valid[j, y])
+
+
+def _always_finite(code):
+    """Whether codes of this type are finite (compiled code only)."""
+    raise NotImplementedError
+
+
+@overload(_always_finite)
+def _always_finite_of(code):
+    answer = isinstance(code, types.Integer)
+    return lambda code: answer
 
 
 @njit(cache=True, error_model="numpy")
-def _decode_flat(codes, table, gain, dark, usable, top, below, out, valid):
-    """One row of one channel under one gain: the common case of a scene without a white board."""
-    for x in range(len(codes)):
-        code = codes[x]
-        value = np.float32((linear_value(table, code) - dark) * gain)
-        fine = (usable[x] != 0) & (code < top) & (code > below)
-        if np.isfinite(value):
-            out[x] = value
-            valid[x] = fine
-        else:
-            out[x] = np.float32(0.0)
+def _mark_valid(codes, usable, saturated, clip, first, last, valid):
+    """Validity of one row by its codes (m, channels)."""
+    m, channels = codes.shape
+    if channels == 1:
+        for x in range(m):
+            valid[x] = (usable[x] != 0) & (codes[x, 0] < saturated) & (codes[x, 0] > clip)
+        return
+    if channels == 3 and first == 0 and last == 3:
+        for x in range(m):
+            a, b, c = codes[x, 0], codes[x, 1], codes[x, 2]
+            valid[x] = (usable[x] != 0) & (max(a, b, c) < saturated) & (max(a, b, c) > clip)
+        return
+    for x in range(m):
+        fine, lit = usable[x] != 0, False
+        for k in range(channels):
+            fine &= codes[x, k] < saturated
+            lit |= (codes[x, k] > clip) & (k >= first) & (k < last)
+        valid[x] = fine & lit
+
+
+@njit(cache=True, error_model="numpy")
+def _between_blocks(field, k, row, row_weight, cells, weights, out):
+    """Channel k of a grid field (r, c, channels) along one pixel row; NaN where a node is."""
+    following = min(row + 1, field.shape[0] - 1)
+    for c in range(len(cells) - 1):
+        right = min(c + 1, field.shape[1] - 1)
+        start = field[row, c, k] + row_weight * (field[following, c, k] - field[row, c, k])
+        rise = field[row, right, k] + row_weight * (field[following, right, k] - field[row, right, k]) - start
+        w, part = weights[cells[c] : cells[c + 1]], out[cells[c] : cells[c + 1]]
+        for x in range(len(part)):
+            part[x] = start + w[x] * rise
+
+
+@njit(cache=True, error_model="numpy")
+def _all_known(gains):
+    known = True
+    for x in range(len(gains)):
+        known &= gains[x] > 0
+    return known
+
+
+@njit(cache=True, error_model="numpy")
+def _drop_unknown(gains, valid):
+    for x in range(len(gains)):
+        if not gains[x] > 0:
+            gains[x] = np.float32(0.0)
             valid[x] = False
 
 
 @njit(cache=True, error_model="numpy")
-def count_unusable(codes, usable, saturated, clip):
-    """Pixels of one frame inside the mask that are: saturated in any channel, at the clip in all, not finite; in all.
-
-    codes (rows, columns, channels); usable (rows, columns) uint8. Returns these four counts and the largest code
-    (of the whole frame, as a float).
-    """
-    hot, cold, broken, inside, most = 0, 0, 0, 0, codes[0, 0, 0]
-    for y in range(codes.shape[0]):
-        for x in range(codes.shape[1]):
-            over, under, bad = False, True, False
-            for k in range(codes.shape[2]):
-                code = codes[y, x, k]
-                over |= code >= saturated
-                under &= code <= clip
-                bad |= not np.isfinite(np.float32(code))
-                most = max(most, code)
-            if usable[y, x] != 0:
-                inside += 1
-                hot += over
-                cold += under
-                broken += bad
-    return hot, cold, broken, inside, float(most)
+def _scale_row(codes, table, scale, gains, darks, share, add, target):
+    """Values of one channel of one row, written or added."""
+    for x in range(len(codes)):
+        linear = np.float32(codes[x]) * scale if scale > 0 else linear_value(table, codes[x])
+        value = (linear - darks[x]) * gains[x] * share
+        target[x] = target[x] + value if add else value
 
 
 @njit(cache=True, error_model="numpy")
+def _drop_not_finite(out, valid):
+    for x in range(out.shape[0]):
+        for k in range(out.shape[1]):
+            if not np.isfinite(out[x, k]):
+                out[x, k] = np.float32(0.0)
+                valid[x] = False
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def count_unusable(codes, usable, saturated, clip):
+    """Pixels of one frame inside the mask that are: saturated in any channel, at the clip in all, not finite; in all.
+
+    codes (rows, columns, channels); usable (rows, columns) uint8; saturated, clip: int for integer codes, float for
+    float. Returns these four counts and the largest code (of the whole frame).
+    """
+    rows, columns, channels = codes.shape
+    hot, cold, broken, inside, most = 0, 0, 0, 0, codes[0, 0, 0]
+    for y in range(rows):
+        if channels == 1:
+            row, within = codes[y, :, 0], usable[y]
+            for x in range(columns):
+                code, here = row[x], within[x] != 0
+                most = max(most, code)
+                inside += here
+                hot += here & (code >= saturated)
+                cold += here & (code <= clip)
+                broken += here & (code - code != 0)  # NaN and infinity only
+            continue
+        for x in range(columns):
+            over, under, bad = False, True, False
+            for k in range(channels):
+                code = codes[y, x, k]
+                over |= code >= saturated
+                under &= code <= clip
+                bad |= code - code != 0
+                most = max(most, code)
+            here = usable[y, x] != 0
+            inside += here
+            hot += here & over
+            cold += here & under
+            broken += here & bad
+    return hot, cold, broken, inside, most
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def to_luma(codes, saturated, full, weights, rounding):
-    """Luma (rows, columns, 1) of codes (rows, columns, 3) in their own type; full scale where a channel is saturated.
+    """Luma (rows, columns, 1) of codes (rows, columns, channels) in their own type; `full` where one is saturated.
 
     A mean would hide that one channel was clipped, so such pixels are given a code that counts as saturated.
     rounding: 0.5 for integer codes, 0.0 for float.

@@ -101,14 +101,14 @@ class FrameReader:
         return code_table(self.dtype, encoding=camera.encoding, bits=camera.bits)
 
     @cached_property
-    def saturated(self) -> float:
+    def saturated(self) -> int | float:
         camera = self.capture.settings.camera
         return saturation_code(self.dtype, camera.saturation, camera.bits)
 
     @property
-    def clip(self) -> float:
+    def clip(self) -> int | float:
         """A stored code of 0 tells only that there was no more light than that."""
-        return 0.0
+        return 0 if self.dtype.kind == "u" else 0.0
 
     @property
     def black(self) -> float:

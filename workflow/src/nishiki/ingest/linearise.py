@@ -30,14 +30,14 @@ def code_table(dtype: np.dtype, *, encoding: Literal["linear", "srgb"], bits: in
     return (srgb_to_linear(codes) if encoding == "srgb" else codes).astype(np.float32)
 
 
-def saturation_code(dtype: np.dtype, fraction: float | None, bits: int | None = None) -> float:
-    """Code from which a sample counts as saturated.
+def saturation_code(dtype: np.dtype, fraction: float | None, bits: int | None = None) -> int | float:
+    """Code from which a sample counts as saturated: int for integer codes, float for float.
 
     fraction: of full scale; None: 0.995, and for float samples, which have no full scale of their own, never.
     """
     if np.dtype(dtype).kind == "f":
         return float("inf") if fraction is None else float(fraction)
-    return float(np.ceil((fraction or DEFAULT_SATURATION) * full_scale(dtype, bits)))
+    return int(np.ceil((fraction or DEFAULT_SATURATION) * full_scale(dtype, bits)))
 
 
 @dataclass(frozen=True)

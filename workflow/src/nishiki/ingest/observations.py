@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from nishiki.errors import UserError
-from nishiki.ingest.blocks import block_edges, positions
+from nishiki.ingest.blocks import block_edges, cells, positions
 from nishiki.ingest.chunks import chunk_path, read_chunk
 from nishiki.ingest.decode import decode
 
@@ -81,6 +81,11 @@ class Observations:
         return np.asarray(self._group["mask"][...]) > 0
 
     @cached_property
+    def regions(self) -> np.ndarray | None:
+        """(rows, columns) uint8 label of the region of each pixel, or None where the capture names no regions."""
+        return np.asarray(self._group["regions"][...]) if "regions" in self._group else None
+
+    @cached_property
     def defect(self) -> np.ndarray | None:
         """(rows, columns) bool: hot and dead pixels, or None where none are known."""
         return np.asarray(self._group["defect"][...]) > 0 if "defect" in self._group else None
@@ -99,6 +104,14 @@ class Observations:
     def table(self) -> np.ndarray:
         """Linear value by code; two zeros for float samples."""
         return np.asarray(self._group["lut"][...]) if self.dtype.kind == "u" else np.zeros(2, np.float32)
+
+    @cached_property
+    def _scale(self) -> np.float32:
+        """Linear value of one code where the table is a straight line (faster than looking it up), otherwise 0."""
+        if self.dtype.kind == "f":
+            return np.float32(1.0)
+        straight = np.arange(len(self.table)) * (self.table[-1].astype(np.float64) / (len(self.table) - 1))
+        return np.float32(straight[1] if np.allclose(self.table, straight, rtol=1e-6, atol=0) else 0.0)
 
     def read(
         self,
@@ -126,15 +139,14 @@ class Observations:
         if gain.shape[1:3] == (1, 1):
             edges = [np.array([0, n]) for n in self.shape]
         place_rows, row_weights = positions(edges[0], start, start + rows)
-        place_columns, column_weights = positions(edges[1], left, left + width)
+        _, column_weights = positions(edges[1], left, left + width)
+        between = cells(edges[1], left, left + width)
         usable = self._usable[start : start + rows, left : left + width]
         out = np.empty((*codes.shape[:3], last - first if channel is None else 1), np.float32)
         valid = np.empty(codes.shape[:3], bool)
-        limits = self.attributes["saturation_code"], self.attributes["clip_code"]
-        saturated, clip = (np.inf if limits[0] is None else float(limits[0])), float(limits[1])
         decode(
-            codes, self.table, gain, dark, place_rows, row_weights, place_columns, column_weights, usable,
-            saturated, clip, first, last, channel is not None, out, valid,
+            codes, self.table, self._scale, gain, dark, place_rows, row_weights, between, column_weights, usable,
+            *self._limits, first, last, channel is not None, out, valid,
         )  # fmt: skip
         return (out if channel is None else out[..., 0]), valid
 
@@ -163,6 +175,14 @@ class Observations:
     def _usable(self) -> np.ndarray:
         usable = self.mask if self.defect is None else self.mask & ~self.defect
         return usable.astype(np.uint8)
+
+    @property
+    def _limits(self) -> tuple[np.number, np.number]:
+        """Codes at or above, at or below which a sample is unusable, in the codes' own type."""
+        top, low = self.attributes["saturation_code"], self.attributes["clip_code"]
+        if self.dtype.kind == "u":
+            return self.dtype.type(top), self.dtype.type(low)
+        return np.float32(np.inf if top is None else top), np.float32(low)
 
     def _channel_range(self, channel: str | int | None) -> tuple[int, int]:
         count = len(self.channels)

@@ -153,7 +153,7 @@ def _write_frames(
     for j, (frame, codes) in enumerate(reader.read_all(observed)):
         *tally, highest = count_unusable(codes, mask, reader.saturated, reader.clip)
         counts[j] = tally
-        problems += frame_problems(frame, counts[j], highest, reader)
+        problems += frame_problems(frame, counts[j], float(highest), reader)
         for band in range(-(-rows // band_rows)):
             part = codes[band * band_rows : (band + 1) * band_rows]
             if len(part) < band_rows:  # chunks are whole: the last one is padded
