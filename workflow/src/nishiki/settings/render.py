@@ -60,7 +60,7 @@ class RenderSettings(Closed):
         PictureSettings(name="lamplight", lights=(LightSettings(illuminant="A"),)),
         PictureSettings(
             name="oblique",
-            lights=(LightSettings(elevation_deg=50, azimuth_deg=90),),
+            lights=(LightSettings(elevation_deg=50, azimuth_deg=160),),
             view=ViewSettings(kind="pinhole", elevation_deg=45, azimuth_deg=-90),
         ),
     )
