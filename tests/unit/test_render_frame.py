@@ -175,8 +175,8 @@ def test_gloss_follows_the_eye():
 def test_background_edges_and_missing_normals():
     scene = flat(20, 20)
     scene.normals[5:15, 5:15] = 0
-    result = render(scene, [FRONT], View(rows=40, columns=80), background=(0.1, 0.2, 0.3), minimum_samples=4)
-    np.testing.assert_allclose(result.xyz[0, 0], [0.1, 0.2, 0.3], rtol=1e-6)
+    result = render(scene, [FRONT], View(rows=40, columns=80), background=0.2, minimum_samples=4)
+    np.testing.assert_allclose(result.xyz[0, 0], 0.2 * result.white_xyz, rtol=1e-6)
     assert result.flags[0, 0] == BACKGROUND
     assert result.flags[20, 40] == NORMAL_MISSING
     assert np.all(result.xyz[20, 40] == 0)
@@ -230,6 +230,7 @@ def test_reduction_averages_blocks_and_keeps_normals_unit():
         (lambda: View(rows=3), "give both"),
         (lambda: View(eye_mm=(0, 5, 5), up=(0, 1, 1), rows=3, columns=3), "line of sight"),
         (lambda: View(eye_mm=(0, 5, 5), field_of_view=4.0, rows=3, columns=3), "180 degrees"),
+        (lambda: render(flat(3, 3), [FRONT], background=-1.0), "background"),
         (lambda: render(flat(3, 3), [FRONT], shadows="perhaps"), "sweep, march or none"),
         (lambda: render(flat(3, 3), [FRONT], minimum_samples=5, maximum_samples=20), "minimum"),
     ],

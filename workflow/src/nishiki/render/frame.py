@@ -41,7 +41,7 @@ def render(
     view: View | None = None,
     *,
     ambient: Ambient | None = None,
-    background: tuple = (0.0, 0.0, 0.0),
+    background: float = 0.0,
     shadows: str = "sweep",
     visibility: np.ndarray | None = None,
     minimum_samples: int = 2,
@@ -49,12 +49,12 @@ def render(
 ) -> Rendering:
     """Picture of `scene` under `lights` from `view` (default: frontal, a screen pixel for a pixel of the maps).
 
-    background: XYZ where the ray misses the painting.  shadows: "sweep", "march" (see `nishiki.render.shadow`) or
-    "none"; without a height there are none.  visibility: (lights, rows, columns) computed before, e.g. for a sequence
-    of views.  A pixel of a screen that is not the maps is the mean of shaded samples, as many across and down as the
-    pixel is steps long on the maps, so that no pixel of the maps is jumped over; at least `minimum_samples` along each
-    side.  Where that would be more than `maximum_samples` in all, the maps are averaged first (`reduction`); averaged
-    normals shade like a smoother surface.
+    background: Y where the ray misses the painting, a grey under the scene's white.  shadows: "sweep", "march" (see
+    `nishiki.render.shadow`) or "none"; without a height there are none.  visibility: (lights, rows, columns) computed
+    before, e.g. for a sequence of views.  A pixel of a screen that is not the maps is the mean of shaded samples, as
+    many across and down as the pixel is steps long on the maps, so that no pixel of the maps is jumped over; at least
+    `minimum_samples` along each side.  Where that would be more than `maximum_samples` in all, the maps are averaged
+    first (`reduction`); averaged normals shade like a smoother surface.
     """
     view = View() if view is None else view
     ambient = Ambient() if ambient is None else ambient
@@ -64,6 +64,8 @@ def render(
         raise UserError(
             f"samples: expected 1 <= minimum squared <= maximum, found {minimum_samples} and {maximum_samples}"
         )
+    if not (np.isfinite(background) and background >= 0):
+        raise UserError(f"background: expected a finite level >= 0, found {background!r}; 1 is the white")
     shadowed = ()
     if visibility is None and shadows != "none" and scene.height is not None and lights:
         cast = cast_shadows(scene.height, lights, pitch=scene.pitch, method=shadows)
@@ -87,7 +89,7 @@ def render(
         (scene.shape[0] / reduction, scene.shape[1] / reduction))  # fmt: skip
     xyz = np.empty((rows, columns, 3), np.float32)
     flags, coverage = np.empty((rows, columns), np.uint8), np.empty((rows, columns), np.float32)
-    backdrop, most, first = np.asarray(background, np.float64), 1, 0
+    backdrop, most, first = background * white, 1, 0
     while first < rows:
         last, across, down = painter.band(first, xyz.shape, minimum_samples, maximum_samples)
         samples, shading = painter.paint(first, last, columns, across, down)

@@ -1,0 +1,153 @@
+"""Compiled loops behind `nishiki.render.shadow`: horizons along lines and rays, and what a horizon hides of a lamp.
+
+All of them in one file, because the cache of the compiler watches only the file of the function that it has compiled.
+"""
+
+import numpy as np
+from numba import njit
+
+NO_HORIZON = np.float32(-1e30)  # nothing lies between the pixel and the lamp
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _disc_share(elevation, horizon, radius):
+    """Share of a disc of angular `radius` centred at `elevation` above a straight horizon (angles, radians)."""
+    if radius <= 0.0:
+        return 1.0 if elevation > horizon else 0.0
+    d = (elevation - horizon) / radius
+    if d >= 1.0:
+        return 1.0
+    if d <= -1.0:
+        return 0.0
+    return 0.5 + (d * np.sqrt(1.0 - d * d) + np.arcsin(d)) / np.pi
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def disc_above(first, last, horizon, elevation, radius, out):
+    low, high = np.tan(max(elevation - radius, -1.5)), np.tan(min(elevation + radius, 1.5))
+    for row in range(first, last):
+        for column in range(horizon.shape[1]):
+            tangent = horizon[row, column]
+            if tangent <= low and (radius > 0.0 or tangent < low):
+                out[row, column] = 1.0
+            elif tangent >= high and elevation + radius < 1.5:
+                out[row, column] = 0.0
+            else:
+                out[row, column] = _disc_share(elevation, np.arctan(tangent), radius)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _sweep_line(k, surface, slope, step, hull_at, hull_height, out):
+    """Horizon along the line row = k + slope column into out (columns,); NaN where that is off the map or unknown."""
+    rows, columns = surface.shape
+    top = -1
+    for column in range(columns - 1, -1, -1):
+        out[column] = np.nan
+        at = k + slope * column
+        row = int(np.floor(at))
+        share = at - row
+        if row < 0 or row >= rows or (share > 0.0 and row + 1 >= rows):
+            continue
+        height = float(surface[row, column])
+        if share > 0.0:
+            height = (1.0 - share) * height + share * surface[row + 1, column]
+        if not np.isfinite(height):
+            continue
+        tangent = -1e30
+        if top >= 0:
+            tangent = (hull_height[top] - height) / (hull_at[top] - column)
+            while top >= 1:
+                deeper = (hull_height[top - 1] - height) / (hull_at[top - 1] - column)
+                if deeper < tangent:
+                    break
+                tangent = deeper  # the point at the top lies below the line to the one beneath it
+                top -= 1
+            tangent /= step
+        out[column] = tangent
+        top += 1
+        hull_at[top] = column
+        hull_height[top] = height
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def sweep(first, last, surface, slope, step, out):
+    """Pixels between the lines k - 1 and k, for k = first .. last - 1: exactly one a column."""
+    rows, columns = surface.shape
+    hull_at, hull_height = np.empty(columns), np.empty(columns)
+    before, here = np.empty(columns), np.empty(columns)
+    _sweep_line(first - 1, surface, slope, step, hull_at, hull_height, before)
+    for k in range(first, last):
+        _sweep_line(k, surface, slope, step, hull_at, hull_height, here)
+        for column in range(columns):
+            lower = k - 1 + slope * column
+            row = int(np.floor(lower)) + 1
+            if row < 0 or row >= rows:
+                continue
+            share = row - lower  # 0 < share <= 1: 1 is the line k
+            a, b = before[column], here[column]
+            if share == 1.0 or not np.isfinite(a):
+                tangent = b
+            elif not np.isfinite(b):
+                tangent = a
+            else:
+                tangent = (1.0 - share) * a + share * b
+            out[row, column] = tangent if np.isfinite(tangent) else -1e30
+        before, here = here, before
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _march_pixel(row, column, surface, pitch, to_column, to_row, lowest, highest, end):
+    """Tangent of the horizon of a pixel along the unit direction (to_column, to_row); -1e30 where nothing is there.
+
+    Stops where a height of `highest` could no longer pass the horizon found, or `lowest`, and after `end` pixels.
+    """
+    rows, columns = surface.shape
+    by_column = abs(to_column) >= abs(to_row)
+    main = abs(to_column) if by_column else abs(to_row)
+    length = 1.0 / main
+    step_column, step_row = to_column * length, to_row * length
+    start = surface[row, column] / pitch
+    tangent = -1e30
+    k = 1
+    while True:
+        distance = k * length
+        c, r = column + k * step_column, row + k * step_row
+        if distance > end or (highest - start) <= distance * max(tangent, lowest):
+            return tangent
+        inside = -1e-9 <= c <= columns - 1 + 1e-9 and -1e-9 <= r <= rows - 1 + 1e-9
+        if not inside:
+            return tangent
+        r0, c0 = int(np.floor(r + 1e-9)), int(np.floor(c + 1e-9))
+        if by_column:
+            c0 = int(np.round(c))
+            share = max(0.0, r - r0)
+            other = surface[min(r0 + 1, rows - 1), c0]
+        else:
+            r0 = int(np.round(r))
+            share = max(0.0, c - c0)
+            other = surface[r0, min(c0 + 1, columns - 1)]
+        here = float(surface[r0, c0])
+        height = here if share < 1e-8 else (1.0 - share) * here + share * other
+        value = (height / pitch - start) / distance
+        if value > tangent:  # false for NaN
+            tangent = value
+        k += 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def march(first, last, surface, pitch, light_column, light_row, light_z, w, highest, radius, out):
+    """Visibility of a lamp at (column, row, z) in pixels from each pixel, or in that direction where w is 0."""
+    for row in range(first, last):
+        for column in range(surface.shape[1]):
+            start = surface[row, column] / pitch
+            dc, dr = light_column - w * column, light_row - w * row
+            horizontal = np.sqrt(dc * dc + dr * dr)
+            rise = light_z - (w * start if w > 0.0 else 0.0)
+            if not np.isfinite(start) or horizontal <= 1e-12 * abs(rise):
+                out[row, column] = 1.0
+                continue
+            elevation = np.arctan2(rise, horizontal)
+            lowest = np.tan(max(elevation - radius, -1.5))
+            end = horizontal if w > 0.0 else 1e30
+            tangent = _march_pixel(row, column, surface, pitch, dc / horizontal, dr / horizontal, lowest, highest, end)
+            out[row, column] = _disc_share(elevation, np.arctan(tangent), radius)
