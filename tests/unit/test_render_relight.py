@@ -41,7 +41,7 @@ def test_prediction_is_the_model_in_the_channels_of_the_camera(channels):
             region = labels[row, column]
             shine = specular(
                 normal, to_light, np.array([0, 0, 1.0]),
-                beta=GLOSS.beta[region, 0], gamma=GLOSS.gamma[region, 0], 
+                beta=GLOSS.beta[region, 0], gamma=GLOSS.gamma[region, 0],
                 refractive_index=GLOSS.refractive_index[region],
             )  # fmt: skip
             expected = visible[row, column] * (albedo[row, column] * max(normal @ to_light, 0) + shine)
