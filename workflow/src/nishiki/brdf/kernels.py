@@ -71,7 +71,7 @@ def masking_over_cos_r_scalar(cos_phi, cos_i, cos_r, cos_q):
 
 @njit(cache=True, error_model="numpy")
 def lobe_coordinates_scalar(nx, ny, nz, lx, ly, lz, vx, vy, vz, widest, refractive_index):
-    """(phi^2, F G / cos_r) of unit normal n, direction to the light l and to the viewer v: all that lobes have in common.
+    """(phi^2, F G / cos_r) of unit normal n, direction to the light l and to the viewer v: what lobes have in common.
 
     A renderer with several lobes sums beta_k 2^-(phi^2 / gamma_k^2) itself and multiplies once.  `widest`: the largest
     half width, radians.  (0, 0) where n . l <= 0 or n . v <= 0, and where that lobe is below 2^-60 of its peak.

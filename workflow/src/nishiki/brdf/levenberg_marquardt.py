@@ -100,7 +100,7 @@ def fit_points(phi, amplitude, attenuation, diffuse, weights, strengths, reports
         reports[p, vp.GAMMA], reports[p, vp.RSS] = gamma, 2 * found.cost
         reports[p, vp.RSS_DIFFUSE] = np.sum(w[:, None] * (y - np.outer(q, best)) ** 2)
         reports[p, vp.CURVATURE] = _projected_curvature(found.jac)
-        reports[p, vp.NEAREST], reports[p, vp.LIT] = x.min(), np.sum(x < 3 * gamma)
+        reports[p, vp.NEAREST], reports[p, vp.LIT] = x.min(), np.sum(x < 2 * gamma)
 
 
 def _projected_curvature(jacobian):

@@ -10,7 +10,7 @@ a lobe too wide and too low.  With sigma known for each row of the profile, beta
 convolution (errors in variables), not to its result.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -52,7 +52,8 @@ def fit_scene(
     """Torrance-Sparrow parameters of each region of the histogram, one entry a region.
 
     lobes: 1 (the model of P eq. 10), 2 (a narrow and a wide lobe, for varnish with long tails), or "auto": 2 where the
-    second lobe takes off more than three quarters of what the first leaves.  normal_noise: undo
+    second lobe takes off more than three quarters of what the first leaves (regions with one lobe get a second of
+    strength 0, where another region has two).  normal_noise: undo
     the blur by uncertain normals, with the sigma that was given to the histogram.  reject: outlier fence, see
     `SpecularHistogram.profile`; where the lobe proves narrower than the normals are certain, its samples are themselves
     rare and nothing is rejected.  gamma_bounds: radians.
@@ -74,7 +75,20 @@ def fit_scene(
             sigma = profile.sigma if normal_noise else np.zeros_like(profile.sigma)
             fit = fit_profile(profile, sigma, histogram.refractive_index, **settings)
         fits.append(fit)
-    return tuple(fits)
+    most = max((fit.beta.size for fit in fits), default=1)
+    return tuple(_padded(fit, most) for fit in fits)
+
+
+def _padded(fit, lobes):
+    """The fit with lobes of strength 0 added, so that all regions have as many; the covariance of those is 0."""
+    k, missing = fit.beta.size, lobes - fit.beta.size
+    if missing == 0:
+        return fit
+    covariance = np.zeros((2 * lobes, 2 * lobes))
+    rows = np.r_[0:k, lobes : lobes + k]
+    covariance[np.ix_(rows, rows)] = fit.covariance
+    beta, gamma = np.pad(fit.beta, (0, missing)), np.pad(fit.gamma, (0, missing), mode="edge")
+    return replace(fit, beta=beta, gamma=gamma, covariance=covariance)
 
 
 def fit_profile(profile: SpecularProfile, sigma, refractive_index, *, lobes="auto", gamma_bounds=GAMMA_BOUNDS):
@@ -104,7 +118,7 @@ def fit_profile(profile: SpecularProfile, sigma, refractive_index, *, lobes="aut
     covariance = _covariance(profile.phi, sigma, root, beta, gamma, rss * scale**2 / freedom)
     deviation = np.sqrt(np.diag(covariance)[lobes:]) / gamma
     flags = FitFlag(0)
-    lit = np.sum(profile.phi < 3 * gamma[0])
+    lit = np.sum(profile.phi < 2 * gamma[0])
     if lit < 2 or not np.all(deviation[beta > 0] < 0.5):
         flags |= FitFlag.UNDETERMINED
     live = gamma[beta > 0]

@@ -13,7 +13,7 @@ so that infinities and NaN keep their meaning.
 """
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 GRID_RATIO = 2.0
 REFINEMENTS = 24
@@ -197,9 +197,10 @@ def _evaluate(w, channels, d, v, t, strengths):
 def _refine(w, channels, d, v, t, lo, hi, strengths):
     """Safeguarded Gauss-Newton in t = log gamma between lo and hi; leaves everything evaluated at the t it returns."""
     settled = 1e-4 if w.itemsize == 4 else 1e-9
-    slope, curvature, rss = _evaluate(w, channels, d, v, t, strengths)
-    for _ in range(REFINEMENTS):
-        if not (slope != 0 and curvature > 0):
+    moved = settled
+    for k in range(REFINEMENTS + 1):
+        slope, curvature, rss = _evaluate(w, channels, d, v, t, strengths)
+        if moved < settled or k == REFINEMENTS or not (slope != 0 and curvature > 0):
             break
         if slope > 0:
             lo = t
@@ -210,9 +211,6 @@ def _refine(w, channels, d, v, t, lo, hi, strengths):
             new = 0.5 * (lo + hi)
         moved = abs(new - t)
         t = new
-        slope, curvature, rss = _evaluate(w, channels, d, v, t, strengths)
-        if moved < settled:
-            break
     return t, curvature, rss
 
 
@@ -297,11 +295,11 @@ def _summarise(w, channels, gamma, report):
     report[RSS_DIFFUSE] = 0
     for c in range(channels):
         report[RSS_DIFFUSE] += _dot(w, _ROWS + c, _ROWS + c)
-    nearest, lit, limit = w.dtype.type(1e30), 0, 9 * gamma * gamma
+    nearest, lit, limit = w.dtype.type(1e30), 0, 4 * gamma * gamma
     for o in range(w.shape[1]):
         phi2 = w[_PHI2, o] if w[_A, o] > 0 else w.dtype.type(1e30)
         nearest = phi2 if phi2 < nearest else nearest
-        lit += phi2 < limit  # within three half widths: D above 1 / 512
+        lit += phi2 < limit  # within two half widths: D above 1 / 16
     report[NEAREST], report[LIT] = np.sqrt(nearest), lit
 
 
@@ -325,9 +323,9 @@ def _solve_point(phi, amplitude, attenuation, diffuse, weights, log_min, log_max
         pairs[c, 1] *= top_y / top_q
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
+@njit(cache=True, error_model="numpy", nogil=True)
 def project_points(phi, amplitude, attenuation, diffuse, weights, log_min, log_max, strengths, reports):
-    """Fit every point; all arrays C-contiguous of one float type.
+    """Fit every point, releasing the interpreter's lock; all arrays C-contiguous of one float type.
 
     phi, attenuation, diffuse, weights: (points, observations); amplitude: (points, observations, channels).  Writes
     strengths (points, channels, 2), K_s then K_d, and reports (points, REPORT).  Sums of squares in a report are in
@@ -335,12 +333,10 @@ def project_points(phi, amplitude, attenuation, diffuse, weights, log_min, log_m
     """
     points, observations, channels = amplitude.shape
     padded = (observations + PAD - 1) // PAD * PAD
-    blocks = min(points, 256)
-    for block in prange(blocks):
-        w = np.empty((_ROWS + channels, padded), amplitude.dtype)
-        v = np.empty((2, channels), amplitude.dtype)
-        for p in range(block * points // blocks, (block + 1) * points // blocks):
-            _solve_point(
-                phi[p], amplitude[p], attenuation[p], diffuse[p], weights[p], log_min, log_max,
-                w, v, strengths[p], reports[p],
-            )  # fmt: skip
+    w = np.empty((_ROWS + channels, padded), amplitude.dtype)
+    v = np.empty((2, channels), amplitude.dtype)
+    for p in range(points):
+        _solve_point(
+            phi[p], amplitude[p], attenuation[p], diffuse[p], weights[p], log_min, log_max,
+            w, v, strengths[p], reports[p],
+        )  # fmt: skip

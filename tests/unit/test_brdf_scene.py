@@ -1,0 +1,217 @@
+"""Gloss of a scene: the histogram as a monoid, recovery from data of the model, noisy normals, outliers, baseline."""
+
+import numpy as np
+import pytest
+
+from nishiki.brdf.brightest_light import brightest_light_samples, fit_brightest_light, thin
+from nishiki.brdf.flags import FitFlag
+from nishiki.brdf.scene import fit_scene
+from nishiki.brdf.specular_histogram import COUNT, SpecularHistogram
+from nishiki.brdf.torrance_sparrow import attenuation, fresnel, half_vector_geometry, specular
+from nishiki.errors import UserError
+
+VIEW = np.array([0.0, 0.0, 1.0])
+INDEX = 1.45
+
+
+def unit(v):
+    return v / np.linalg.norm(v, axis=-1, keepdims=True)
+
+
+def relief(rows=90, columns=110, slope=0.5):
+    y, x = np.mgrid[0:rows, 0:columns] / rows
+    return unit(np.dstack([slope * np.sin(9 * x + 3 * y), slope * np.cos(7 * y - 2 * x), np.ones_like(x)]))
+
+
+def ring():
+    angles = [(0.05, 0.0), (0.3, 0.0), *((0.7, p) for p in (1.0, 2.1, 3.1, 4.2, 5.2))]
+    return np.array([[np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)] for t, p in angles])
+
+
+def photographs(normals, lights, *, beta, gamma, noise=0.0, seed=0):
+    albedo = 0.3 + 0.2 * np.sin(np.arange(normals.shape[1]) / 7) * np.ones(normals.shape[:2])
+    diffuse = albedo * np.maximum((normals @ lights.T).transpose(2, 0, 1), 0)
+    gloss = specular(normals[None], lights[:, None, None], VIEW, beta=beta, gamma=gamma, refractive_index=INDEX)
+    return diffuse + gloss + noise * np.random.default_rng(seed).normal(size=diffuse.shape), albedo
+
+
+def test_tile_kernel_equals_the_array_form():
+    normals, lights = relief(), ring()
+    observations, albedo = photographs(normals, lights, beta=20.0, gamma=0.2)
+    geometry = half_vector_geometry(normals[None], lights[:, None, None], VIEW)
+    factor = attenuation(geometry, INDEX)
+    residual = observations - albedo * np.maximum(geometry.cos_i, 0)
+    tile = SpecularHistogram.empty().add_tile(observations, normals, albedo, lights).profile(reject=np.inf)
+    plain = SpecularHistogram.empty().add_samples(geometry.phi, residual, factor).profile(reject=np.inf)
+    strong = plain.weight > 1e-3 * plain.weight.max()
+    assert abs(tile.count.sum() - plain.count.sum()) < 10  # a float32 normal may change the side of a horizon
+    np.testing.assert_allclose(tile.value[strong], plain.value[strong], rtol=1e-2)
+    # and the rows against plain sums
+    total = np.sum(factor**2)
+    assert plain.weight.sum() == pytest.approx(total, rel=1e-12)
+    assert np.sum(plain.weight * plain.value) == pytest.approx(np.sum((factor * residual)[factor > 0]), rel=1e-9)
+
+
+def test_histogram_is_a_monoid():
+    normals, lights = relief(), ring()
+    observations, albedo = photographs(normals, lights, beta=5.0, gamma=0.1, noise=0.01)
+    whole = SpecularHistogram.empty().add_tile(observations, normals, albedo, lights)
+    halves = [
+        SpecularHistogram.empty().add_tile(observations[:, part], normals[part], albedo[part], lights)
+        for part in (slice(0, 40), slice(40, None))
+    ]
+    for sums in (halves[0].merge(halves[1]), halves[1].merge(halves[0]), whole.merge(SpecularHistogram.empty())):
+        for name in ("weights", "values", "rows"):
+            np.testing.assert_allclose(getattr(sums, name), getattr(whole, name), rtol=1e-9, atol=1e-12)
+    with pytest.raises(UserError, match="refractive_index"):
+        whole.merge(SpecularHistogram.empty(refractive_index=1.5))
+
+
+def test_regions_unusable_samples_and_thinning_of_pixels():
+    normals, lights = relief(), ring()
+    observations, albedo = photographs(normals, lights, beta=5.0, gamma=0.1)
+    regions = np.zeros(albedo.shape, int)
+    regions[:, 50:], regions[:10] = 1, -1
+    other = photographs(normals, lights, beta=50.0, gamma=0.3)[0]
+    mixed = np.where(regions == 1, other, observations)
+    usable = np.ones(observations.shape, bool)
+    usable[:, 20:30] = False
+    mixed[:, 20:30] = np.nan
+    histogram = SpecularHistogram.empty(regions=2).add_tile(
+        mixed, normals, albedo, lights, regions=regions, usable=usable
+    )
+    one, two = fit_scene(histogram)
+    assert one.beta[0] == pytest.approx(5, rel=0.01)
+    assert one.gamma[0] == pytest.approx(0.1, rel=0.01)
+    assert two.beta[0] == pytest.approx(50, rel=0.01)
+    assert two.gamma[0] == pytest.approx(0.3, rel=0.01)
+    few = SpecularHistogram.empty().add_tile(observations, normals, albedo, lights, every=3)
+    full = SpecularHistogram.empty().add_tile(observations, normals, albedo, lights)
+    assert few.rows[..., COUNT].sum() == pytest.approx(full.rows[..., COUNT].sum() / 9, rel=0.05)
+    with pytest.raises(UserError, match="regions"):
+        SpecularHistogram.empty().add_tile(observations, normals, albedo, lights, regions=regions)
+
+
+@pytest.mark.parametrize(("beta", "gamma"), [(1.0, 0.2), (164.0, 0.07), (30.0, 0.003), (5.0, 0.01), (0.01, 0.5)])
+def test_scene_of_the_model_is_recovered_within_a_tenth_of_a_percent(beta, gamma):
+    normals, lights = relief(), ring()
+    observations, albedo = photographs(normals, lights, beta=beta, gamma=gamma)
+    fit = fit_scene(SpecularHistogram.empty().add_tile(observations, normals, albedo, lights))[0]
+    assert fit.beta.shape == (1,)
+    assert fit.beta[0] == pytest.approx(beta, rel=2e-3)
+    assert fit.gamma[0] == pytest.approx(gamma, rel=2e-3)
+    assert fit.flags == 0
+    assert fit.samples > 1e4
+
+
+@pytest.mark.parametrize(("gamma", "sigma", "tolerance"), [(0.2, 0.03, 0.02), (0.07, 0.03, 0.05), (0.05, 0.02, 0.05)])
+def test_noisy_normals_do_not_widen_the_lobe(gamma, sigma, tolerance):
+    rng = np.random.default_rng(2)
+    normals, lights = relief(), ring()
+    gloss = specular(normals[None], lights[:, None, None], VIEW, beta=20.0, gamma=gamma, refractive_index=INDEX)
+    noisy = unit(normals + sigma * rng.normal(size=normals.shape))
+    flat = np.zeros(normals.shape[:2])
+    histogram = SpecularHistogram.empty().add_tile(gloss, noisy, flat, lights, sigma=flat + sigma)
+    fit, blurred = fit_scene(histogram, lobes=1)[0], fit_scene(histogram, lobes=1, normal_noise=False)[0]
+    assert fit.gamma[0] == pytest.approx(gamma, rel=tolerance)
+    assert fit.beta[0] == pytest.approx(20, rel=2 * tolerance)
+    assert abs(fit.gamma[0] - gamma) < 0.6 * abs(blurred.gamma[0] - gamma)
+
+
+def test_outliers_are_fenced_off():
+    rng = np.random.default_rng(4)
+    normals, lights = relief(), ring()
+    observations, albedo = photographs(normals, lights, beta=30.0, gamma=0.1, noise=0.002)
+    observations[rng.uniform(size=observations.shape) < 0.05] = 0  # unseen cast shadow
+    observations[rng.uniform(size=observations.shape) < 0.02] += 0.3
+    histogram = SpecularHistogram.empty().add_tile(observations, normals, albedo, lights)
+    fit, all_kept = fit_scene(histogram, lobes=1)[0], fit_scene(histogram, lobes=1, reject=np.inf)[0]
+    assert fit.beta[0] == pytest.approx(30, rel=0.02)
+    assert abs(fit.beta[0] - 30) < 0.5 * abs(all_kept.beta[0] - 30)
+    assert 0.05 < fit.rejected < 0.09
+
+
+def ggx(normals, lights, alpha, index=1.5):
+    """GGX with Smith masking, relative to the white reference: gloss that is not of the model."""
+    g = half_vector_geometry(normals[None], lights[:, None, None], VIEW)
+    d = alpha**2 / (np.pi * (g.cos_phi**2 * (alpha**2 - 1) + 1) ** 2)
+    smith = lambda c: 2 * c / (c + np.sqrt(alpha**2 + (1 - alpha**2) * c * c))  # noqa: E731
+    i, r = np.maximum(g.cos_i, 1e-9), np.maximum(g.cos_r, 1e-9)
+    lit = (g.cos_i > 0) & (g.cos_r > 0)
+    return np.where(lit, np.pi * d * fresnel(g.cos_q, index) * smith(i) * smith(r) / (4 * r), 0)
+
+
+@pytest.mark.parametrize("alpha", [0.05, 0.3])
+def test_a_second_lobe_is_taken_for_long_tails_and_halves_the_error_of_a_new_light(alpha):
+    normals, lights = relief(), ring()
+    flat = np.zeros(normals.shape[:2])
+    histogram = SpecularHistogram.empty().add_tile(ggx(normals, lights, alpha), normals, flat, lights)
+    new = np.array([[np.sin(0.5) * np.cos(0.5), np.sin(0.5) * np.sin(0.5), np.cos(0.5)]])
+    truth, errors = ggx(normals, new, alpha), {}
+    for lobes in (1, "auto"):
+        fit = fit_scene(histogram, lobes=lobes)[0]
+        parts = [
+            specular(normals[None], new[:, None, None], VIEW, beta=b, gamma=g, refractive_index=INDEX)
+            for b, g in zip(fit.beta, fit.gamma, strict=True)
+        ]
+        errors[lobes] = np.sqrt(np.mean((sum(parts) - truth) ** 2))
+    assert fit.beta.size == 2
+    assert errors["auto"] < 0.5 * errors[1]
+
+
+def test_no_highlight_too_few_samples_and_messages():
+    normals, lights = relief(), ring()
+    observations, albedo = photographs(normals, lights, beta=0.0, gamma=0.1)
+    noise = 0.01 * np.random.default_rng(0).normal(size=observations.shape)
+    for extra in (0.0, noise):
+        histogram = SpecularHistogram.empty().add_tile(observations + extra, normals, albedo, lights)
+        fit = fit_scene(histogram)[0]
+        assert FitFlag.NO_HIGHLIGHT in fit.flags or fit.beta[0] * 0.034 < 0.002
+        assert np.isfinite(fit.gamma).all()
+    nothing = fit_scene(SpecularHistogram.empty())[0]
+    assert nothing.flags == FitFlag.TOO_FEW
+    assert nothing.beta[0] == 0
+    with pytest.raises(UserError, match="lobes"):
+        fit_scene(histogram, lobes=3)
+    with pytest.raises(UserError, match="contrast"):
+        SpecularHistogram.empty(refractive_index=1.0)
+    with pytest.raises(UserError, match="agree"):
+        SpecularHistogram.empty().add_tile(observations, normals[:4], albedo, lights)
+
+
+def test_twelve_orders_of_radiometric_scale():
+    normals, lights = relief(), ring()
+    observations, albedo = photographs(normals, lights, beta=20.0, gamma=0.1, noise=0.003)
+    one = fit_scene(SpecularHistogram.empty().add_tile(observations, normals, albedo, lights))[0]
+    for scale in (1e-6, 1e6):
+        histogram = SpecularHistogram.empty(value_unit=scale)
+        other = fit_scene(histogram.add_tile(observations * scale, normals, albedo * scale, lights))[0]
+        np.testing.assert_allclose(other.gamma, one.gamma, rtol=1e-4)
+        np.testing.assert_allclose(other.beta, one.beta * scale, rtol=1e-4)
+
+
+def test_standard_errors_are_of_the_size_of_the_errors():
+    normals, lights = relief(), ring()
+    deviations = []
+    for seed in range(8):
+        observations, albedo = photographs(normals, lights, beta=2.0, gamma=0.15, noise=0.02, seed=seed)
+        fit = fit_scene(SpecularHistogram.empty().add_tile(observations, normals, albedo, lights), lobes=1)[0]
+        deviations.append((fit.gamma[0] - 0.15) / np.sqrt(fit.covariance[1, 1]))
+    assert 0.2 < np.sqrt(np.mean(np.square(deviations))) < 4
+
+
+def test_brightest_light_baseline():
+    normals, lights = relief(), ring()
+    observations, albedo = photographs(normals, lights, beta=20.0, gamma=0.15)
+    fit = fit_brightest_light(observations, normals, albedo, lights, smoothing=0.0)
+    assert fit.converged
+    assert fit.beta == pytest.approx(20, rel=1e-3)
+    assert fit.gamma == pytest.approx(0.15, rel=1e-3)
+    phi, _, factor = brightest_light_samples(observations, normals, albedo, lights)
+    assert phi.size <= albedo.size
+    assert np.all(factor > 0)
+    kept = thin(phi, bins=20, per_bin=10)
+    assert np.all(np.histogram(phi[kept], bins=20, range=(0, phi.max()))[0] <= 11)
+    steep = unit(np.dstack([np.full((4, 4), 2.0), np.zeros((4, 4)), np.ones((4, 4))]))
+    assert brightest_light_samples(np.ones((7, 4, 4)), steep, np.ones((4, 4)), lights, smoothing=0.0)[0].size == 0
+    assert not fit_brightest_light(np.ones((7, 4, 4)), steep, np.ones((4, 4)), lights, smoothing=0.0).converged

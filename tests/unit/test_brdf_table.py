@@ -1,0 +1,123 @@
+"""Fits to tables of measured reflectance."""
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from nishiki.brdf import reflectance_table as rt
+from nishiki.brdf.torrance_sparrow import attenuation, facet_distribution, half_vector_geometry
+from nishiki.errors import UserError
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def table(*, beta=(6.0,), gamma=(0.15,), index=1.5, bands=5, samples=400, seed=0):
+    rng = np.random.default_rng(seed)
+    theta_i, theta_r = rng.uniform(0, 1.4, samples), rng.uniform(0, 1.4, samples)
+    azimuth = np.where(rng.uniform(size=samples) < 0.5, np.pi, rng.uniform(0, 2 * np.pi, samples))
+    lights, views = rt.directions(theta_i, np.zeros(samples)), rt.directions(theta_r, azimuth)
+    g = half_vector_geometry(UP, lights, views)
+    lobes = sum(b * facet_distribution(g.phi, w) for b, w in zip(beta, gamma, strict=True))
+    gloss = lobes * attenuation(g, index) / (np.pi * g.cos_i)
+    albedo = rng.uniform(0.05, 0.8, bands)
+    return lights, views, albedo / np.pi + gloss[:, None], albedo
+
+
+@pytest.mark.parametrize(("beta", "gamma"), [(6.0, 0.15), (164.0, 0.07), (0.5, 0.4)])
+def test_one_lobe_is_recovered(beta, gamma):
+    lights, views, brdf, albedo = table(beta=(beta,), gamma=(gamma,))
+    fit = rt.fit_reflectance_table(lights, views, brdf, lobes=1)
+    assert fit.beta[0] == pytest.approx(beta, rel=2e-3)
+    assert fit.gamma[0] == pytest.approx(gamma, rel=1e-3)
+    assert fit.refractive_index == pytest.approx(1.5, abs=2e-3)
+    np.testing.assert_allclose(fit.diffuse, albedo, rtol=1e-3)
+    assert fit.r2_mean > 1 - 1e-6
+    fixed = rt.fit_reflectance_table(lights, views, brdf, lobes=1, refractive_index=1.5, shared_from="mean")
+    assert fixed.refractive_index == 1.5
+    assert fixed.beta[0] == pytest.approx(beta, rel=1e-3)
+
+
+def test_two_lobes_are_recovered():
+    lights, views, brdf, _ = table(beta=(20.0, 2.0), gamma=(0.06, 0.3), samples=900)
+    fit = rt.fit_reflectance_table(lights, views, brdf)
+    np.testing.assert_allclose(fit.gamma, (0.06, 0.3), rtol=0.01)
+    np.testing.assert_allclose(fit.beta, (20, 2), rtol=0.02)
+
+
+@pytest.mark.parametrize("distribution", ["torrance_sparrow", "ggx"])
+def test_reaches_the_minimum_that_a_plain_solver_reaches(distribution):
+    lights, views, brdf, _ = table()
+    brdf = brdf * np.exp(0.2 * np.random.default_rng(1).normal(size=brdf.shape))
+    fit = rt.fit_reflectance_table(lights, views, brdf, lobes=1, distribution=distribution)
+    lobe = rt._Lobes(lights, views, 1, distribution, None)
+    weight = (lights[:, 2] * views[:, 2])[:, None]
+
+    def residual(p):
+        return (np.cbrt(weight * (np.exp(p[:5]) + lobe.evaluate(p[5:])[0][:, None])) - np.cbrt(weight * brdf)).ravel()
+
+    start = np.concatenate([np.log(fit.diffuse / np.pi), [np.log(0.1), 0.0, np.log(0.4)]])
+    cost = 2 * least_squares(residual, start, x_scale="jac").cost
+    mine = np.sum((np.cbrt(weight * fit.predicted) - np.cbrt(weight * brdf)) ** 2)
+    assert mine <= cost * (1 + 1e-5)
+
+
+def test_derivatives_of_the_lobes():
+    lights, views, _, _ = table(samples=50)
+    for distribution in ("torrance_sparrow", "ggx"):
+        lobe = rt._Lobes(lights, views, 2, distribution, None)
+        theta = np.array([-2.0, -1.0, 0.5, -0.3, -0.7])
+        _, columns = lobe.evaluate(theta)
+        for k, step in enumerate(np.eye(5) * 1e-6):
+            slope = (lobe.evaluate(theta + step)[0] - lobe.evaluate(theta - step)[0]) / 2e-6
+            np.testing.assert_allclose(columns[:, k], slope, rtol=1e-4, atol=1e-8)
+
+
+def test_half_width_of_ggx():
+    lights, views, _, _ = table(samples=5)
+    lobe = rt._Lobes(lights, views, 1, "ggx", None)
+    half = lobe.half_width(np.array([0.2]))[0]
+    assert (np.cos(half) ** 2 + np.sin(half) ** 2 / 0.04) ** -2 == pytest.approx(0.5)
+
+
+def test_r2_by_hand_and_its_scale():
+    measured, predicted, weight = np.array([1.0, 8.0, 27.0]), np.array([1.0, 8.0, 64.0]), np.ones(3)
+    assert rt.r2_cube_root(measured, predicted, weight) == pytest.approx(1 - 1 / 2)
+    one = rt.r2_cube_root(measured * 1e-6, predicted * 1e-6, weight)
+    assert one == pytest.approx(0.5)
+
+
+def test_scale_equivariance():
+    lights, views, brdf, _ = table()
+    one = rt.fit_reflectance_table(lights, views, brdf, lobes=1)
+    for scale in (1e-6, 1e6):
+        other = rt.fit_reflectance_table(lights, views, brdf * scale, lobes=1)
+        assert other.beta[0] == pytest.approx(one.beta[0] * scale, rel=1e-2)
+        assert other.gamma[0] == pytest.approx(one.gamma[0], rel=1e-3)
+
+
+def test_messages():
+    lights, views, brdf, _ = table(samples=20)
+    bad = brdf.copy()
+    bad[7, 0] = np.nan
+    for arguments, settings, word in (
+        ((lights, views, bad), {}, "row 7"),
+        ((lights, -views, brdf), {}, "horizon"),
+        ((lights[:3], views, brdf), {}, "samples, 3"),
+        ((lights, views, brdf), {"lobes": 3}, "lobes"),
+        ((lights, views, brdf), {"distribution": "phong"}, "distribution"),
+    ):
+        with pytest.raises(UserError, match=word):
+            rt.fit_reflectance_table(*arguments, **settings)
+
+
+@pytest.mark.data
+@pytest.mark.parametrize(("name", "one_lobe"), [("garnet_red", 0.965), ("krylon_blue", 0.945)])
+def test_measured_paints(data, name, one_lobe):
+    rows = [r for r in (data / "cornell_brdf" / f"{name}.brdf").read_text().splitlines() if r and r[0] != "#"]
+    values = np.array([r.split() for r in rows[3:] if len(r.split()) == 35], float)
+    lights, views = (rt.directions(values[:, k], values[:, k + 1]) for k in (0, 2))
+    one = rt.fit_reflectance_table(lights, views, values[:, 4:], lobes=1)
+    two = rt.fit_reflectance_table(lights, views, values[:, 4:])
+    assert one.r2_mean >= one_lobe
+    assert two.r2_mean > one.r2_mean
+    assert two.r2_bands >= one_lobe - 0.001
