@@ -257,42 +257,36 @@ def _add_light(buf, light, visibility, widest, n):
 
 @njit(cache=True, error_model="numpy")
 def _flush(buf, total, sigma, matrix, offset, white, n):
-    """Colour of a group: total_c += (sum_k A_ck sigma_k + offset_c) W_d + white_c W_s; clears the weights."""
+    """Colour of a group: total_c += (sum_k A_ck sigma_k + offset_c) W_d + white_c W_s; clears the weights.
+
+    Four coefficients at a time (their number is padded with zeros), to pass over the block less often.
+    """
     for c in range(total.shape[0]):
-        for i in range(n):
-            total[c, i] += offset[c] * buf[_WD + i] + white[c] * buf[_WS + i]
-        for k in range(sigma.shape[0]):
-            a = matrix[c, k]
+        base, gloss = offset[c], white[c]
+        for k in range(0, sigma.shape[0], 4):
+            a0, a1, a2, a3 = matrix[c, k], matrix[c, k + 1], matrix[c, k + 2], matrix[c, k + 3]
+            s0, s1, s2, s3 = sigma[k], sigma[k + 1], sigma[k + 2], sigma[k + 3]
+            out = total[c]
             for i in range(n):
-                total[c, i] += a * sigma[k, i] * buf[_WD + i]
+                value = base + ((a0 * s0[i] + a1 * s1[i]) + (a2 * s2[i] + a3 * s3[i]))
+                out[i] += value * buf[_WD + i] + gloss * buf[_WS + i]
+            base, gloss = 0.0, 0.0
     for i in range(n):
         buf[_WD + i] = 0.0
         buf[_WS + i] = 0.0
 
 
 @njit(cache=True, error_model="numpy")
-def _load_colours(buf, sigma, coefficients, flags, n):
-    """Coefficients of a block, one lane each; where one is not finite all become 0, and a flag."""
-    for i in range(n):
-        buf[_WD + i] = 0.0
-    for k in range(sigma.shape[0]):
+def _load_colours(sigma, coefficients, n):
+    """Coefficients of a block, one lane each.  One that is not finite shows in the total, and is looked for there."""
+    for k in range(coefficients.shape[1]):
+        lane = sigma[k]
         for i in range(n):
-            value = float(coefficients[i, k])
-            sigma[k, i] = value
-            buf[_WD + i] += value * 0.0  # stays 0 unless a value is NaN or infinite
-    bad = 0
-    for i in range(n):
-        bad += 0 if buf[_WD + i] == 0.0 else 1
-    if bad > 0:
-        for i in range(n):
-            if not buf[_WD + i] == 0.0:
-                flags[i] |= 2
-                for k in range(sigma.shape[0]):
-                    sigma[k, i] = 0.0
+            lane[i] = coefficients[i, k]
 
 
 @njit(cache=True, error_model="numpy")
-def _store(buf, out, flags, total, n):
+def _store(buf, out, flags, total, sigma, n):
     """Totals to float32; what does not fit there, and what rests on missing input, becomes 0 (its flag says why)."""
     for i in range(n):
         buf[_WD + i] = 0.0
@@ -303,18 +297,29 @@ def _store(buf, out, flags, total, n):
     bad = 0
     for i in range(n):
         bad += 0 if buf[_WD + i] <= _FLOAT32_MAX else 1
-    if bad > 0:
-        for i in range(n):
-            if not buf[_WD + i] <= _FLOAT32_MAX:
-                flags[i] |= 16
     for i in range(n):
-        bad += flags[i] & 3
+        bad += flags[i] & 1
+    if bad > 0:
+        _mark_bad(buf, flags, total, sigma, n)
     for c in range(total.shape[0]):
-        if bad > 0:
-            for i in range(n):
-                total[c, i] = total[c, i] if flags[i] & 19 == 0 else 0.0
+        line = total[c]
         for i in range(n):
-            out[i, c] = np.float32(total[c, i])
+            out[i, c] = np.float32(line[i])
+
+
+@njit(cache=True, error_model="numpy")
+def _mark_bad(buf, flags, total, sigma, n):
+    for i in range(n):
+        known = True
+        for k in range(sigma.shape[0]):
+            known = known and np.isfinite(sigma[k, i])
+        if not known:
+            flags[i] |= 2
+        elif not buf[_WD + i] <= _FLOAT32_MAX:
+            flags[i] |= 16
+        if flags[i] & 19 != 0:
+            for c in range(total.shape[0]):
+                total[c, i] = 0.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -332,22 +337,29 @@ def shade(first, last, normals, coefficients, labels, gloss, index, lights, grou
     columns, bands = coefficients.shape[1:]
     no_labels, no_visibility = np.empty(0, np.uint8), np.empty(0, np.float32)
     buf = np.zeros((_LOBES + gloss.shape[1]) * BLOCK)
-    sigma = np.empty((bands, BLOCK))
+    sigma = np.zeros(((bands + 3) // 4 * 4, BLOCK))
+    padded = np.zeros((matrices.shape[0], matrices.shape[1], sigma.shape[0]))
+    padded[:, :, :bands] = matrices
     total = np.empty((out.shape[2], BLOCK))
     positions = eye[3] != 0.0
     for j in range(lights.shape[0]):
         positions = positions or lights[j, 3] != 0.0
+    # what is the same for all pixels is written to its lanes once
+    _load_gloss(buf, no_labels, gloss, index, BLOCK)
+    _view_directions(buf, eye, BLOCK)
     for row in range(first, last):
         for start in range(0, columns, BLOCK):
             n = min(BLOCK, columns - start)
             end = start + n
             mark = flags[row, start:end]
             _load_normals(buf, normals[row, start:end], mark, n)
-            _load_gloss(buf, labels[row, start:end] if labels.shape[0] > 0 else no_labels, gloss, index, n)
-            _load_colours(buf, sigma, coefficients[row, start:end], mark, n)
+            if labels.shape[0] > 0:
+                _load_gloss(buf, labels[row, start:end], gloss, index, n)
+            _load_colours(sigma, coefficients[row, start:end], n)
             if positions:
                 _load_positions(buf, plane, float(row), start, n)
-            _view_directions(buf, eye, n)
+            if eye[3] != 0.0:
+                _view_directions(buf, eye, n)
             _view_cosines(buf, mark, n)
             for i in range(n):
                 buf[_WD + i] = ambient * 0.5 * (1.0 + buf[_NZ + i])
@@ -357,9 +369,9 @@ def shade(first, last, normals, coefficients, labels, gloss, index, lights, grou
             current = 0
             for j in range(lights.shape[0]):
                 if group[j] != current:
-                    _flush(buf, total, sigma, matrices[current], offsets[current], whites[current], n)
+                    _flush(buf, total, sigma, padded[current], offsets[current], whites[current], n)
                     current = group[j]
                 visible = visibility[j, row, start:end] if visibility.shape[0] > 0 else no_visibility
                 _add_light(buf, lights[j], visible, widest, n)
-            _flush(buf, total, sigma, matrices[current], offsets[current], whites[current], n)
-            _store(buf, out[row, start:end], mark, total, n)
+            _flush(buf, total, sigma, padded[current], offsets[current], whites[current], n)
+            _store(buf, out[row, start:end], mark, total, sigma, n)
