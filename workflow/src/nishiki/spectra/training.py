@@ -67,17 +67,34 @@ class _Draw:
         return radius * np.cos(2.0 * np.pi * self._stream.random(shape))
 
 
-def _edges(draw: _Draw, count: int, low_nm: float, high_nm: float) -> np.ndarray:
-    """Absorption (count, 61) that falls at an edge: 1 below it, a small rest above; semiconductors, iron oxides."""
-    edge, width = draw.uniform(low_nm, high_nm, count, 1), draw.log_uniform(10.0, 35.0, count, 1)
-    rest = draw.log_uniform(3e-3, 0.15, count, 1)
-    return rest + (1.0 - rest) / (1.0 + np.exp((WAVELENGTHS_NM - edge) / width))
+# Families of pigments: share, then edge or band positions, widths in nm and rests (absorption beside the main feature).
+_FAMILIES = {
+    "edge": 0.33,  # yellow, orange, red: semiconductors and organics that pass all light beyond an edge
+    "earth": 0.15,  # ochre, sienna, umber: a wide edge on a grey rest
+    "blue": 0.20,  # one broad band in the orange, the far red coming back
+    "green": 0.13,  # a band in the red and one in the violet
+    "purple": 0.12,  # magenta to violet: a band in the green
+    "other": 0.07,  # one to three bands anywhere
+}
+
+
+def _edge(draw: _Draw, count: int, position: tuple, width: tuple, rest: tuple) -> np.ndarray:
+    """Absorption (count, 61): 1 below an edge, a rest above it."""
+    place, slope = draw.uniform(*position, count, 1), draw.log_uniform(*width, count, 1)
+    floor = draw.log_uniform(*rest, count, 1)
+    return floor + (1.0 - floor) / (1.0 + np.exp((WAVELENGTHS_NM - place) / slope))
+
+
+def _band(draw: _Draw, count: int, position: tuple, width: tuple, rest: tuple) -> np.ndarray:
+    """Absorption (count, 61): a Gaussian band on a rest."""
+    place, spread = draw.uniform(*position, count, 1), draw.log_uniform(*width, count, 1)
+    return draw.log_uniform(*rest, count, 1) + np.exp(-0.5 * ((WAVELENGTHS_NM - place) / spread) ** 2)
 
 
 def _bands(draw: _Draw, count: int, terms: int = 3) -> np.ndarray:
-    """Absorption (count, 61) of one to three Gaussian bands, wider to the red, on a small rest; dyes and metal ions."""
+    """Absorption (count, 61) of one to three Gaussian bands anywhere on a small rest."""
     centre = draw.uniform(380.0, 680.0, count, terms, 1)
-    width = draw.log_uniform(30.0, 100.0, count, terms, 1) * centre / 550.0
+    width = draw.log_uniform(30.0, 100.0, count, terms, 1)
     height = draw.log_uniform(0.05, 1.0, count, terms, 1)
     height[:, 1:] *= draw.uniform(0.0, 1.0, count, terms - 1, 1) < 0.4
     total = np.sum(height * np.exp(-0.5 * ((WAVELENGTHS_NM - centre) / width) ** 2), axis=1)
@@ -85,9 +102,19 @@ def _bands(draw: _Draw, count: int, terms: int = 3) -> np.ndarray:
 
 
 def _pigments(draw: _Draw, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Absorption and scattering (count, 61) of chromatic pigments: 45 % edges, 55 % bands; scatter falls to the red."""
-    is_edge = draw.uniform(0.0, 1.0, count, 1) < 0.45
-    absorption = np.where(is_edge, _edges(draw, count, 430.0, 630.0), _bands(draw, count))
+    """Absorption and scattering (count, 61) of chromatic pigments of the families above; scatter falls to the red."""
+    small, grey = (3e-3, 0.05), (0.03, 0.3)
+    choices = [
+        _edge(draw, count, (470.0, 610.0), (8.0, 22.0), small),
+        _edge(draw, count, (530.0, 600.0), (22.0, 45.0), grey),
+        _band(draw, count, (580.0, 640.0), (45.0, 75.0), small),
+        _band(draw, count, (620.0, 680.0), (35.0, 60.0), small)
+        + draw.uniform(0.3, 1.2, count, 1) * _band(draw, count, (390.0, 450.0), (25.0, 50.0), small),
+        _band(draw, count, (510.0, 575.0), (28.0, 55.0), small),
+        _bands(draw, count),
+    ]
+    family = np.searchsorted(np.cumsum(list(_FAMILIES.values()))[:-1], draw.uniform(0.0, 1.0, count), side="right")
+    absorption = np.stack(choices)[family, np.arange(count)]
     scattering = draw.log_uniform(0.03, 1.0, count, 1) * (WAVELENGTHS_NM / 550.0) ** -draw.uniform(0.0, 2.0, count, 1)
     return absorption * draw.log_uniform(0.3, 3.0, count, 1), scattering
 
