@@ -15,7 +15,7 @@ from nishiki.evaluate.headlines import headlines
 from nishiki.evaluate.height import height_error
 from nishiki.evaluate.museum import levels
 from nishiki.evaluate.normals import normal_errors
-from nishiki.evaluate.prediction import FittedModel, gloss_from, predict_light
+from nishiki.evaluate.prediction import FittedModel, gloss_from, light_of, predict_light
 from nishiki.evaluate.preview import PreviewPair
 from nishiki.evaluate.reflectance import reflectance_errors
 from nishiki.evaluate.relighting import LightComparison, truth_difference
@@ -24,9 +24,10 @@ from nishiki.evaluate.summary import summarise
 from nishiki.evaluate.table import COLUMNS, rows_of
 from nishiki.evaluate.truth import Truth, truth_from
 from nishiki.ingest.observations import Observations
+from nishiki.ingest.parcels import point_mm
 from nishiki.maps import Maps, MapWriter
 from nishiki.normals.flags import NO_ESTIMATE
-from nishiki.render.scene import Gloss
+from nishiki.render.scene import Gloss, Light
 from nishiki.settings.evaluate import EvaluateSettings
 from nishiki.spectra.colour import illuminant
 from nishiki.spectra.training import synthetic_reflectances
@@ -65,7 +66,7 @@ class Scene:
         if "height" in inputs:
             height = Maps(inputs["height"].folder)
             self.height, self.height_unit = height.read("height"), height.attributes("height")["unit"]
-        self.pitch = frames.pixel_pitch_mm if self.height_unit == "mm" else 1.0
+        self.pitch = (frames.pixel_pitch_mm or 1.0) if self.height is None or self.height_unit == "mm" else 1.0
         self.coefficients, self.basis = None, None
         if "spectra" in inputs:
             spectra = Maps(inputs["spectra"].folder)
@@ -128,8 +129,8 @@ def read_truth(context: Context, frames: Observations) -> Truth:
 
 
 def against_truth(truth: Truth, scene: Scene, out: MapWriter) -> dict:
-    """Errors of the maps themselves."""
-    found = {}
+    """Errors of the maps themselves; None where there is no truth or no map of the kind."""
+    found = {"normals": None, "height": None, "reflectance": None}
     if truth.normals is not None:
         errors = normal_errors(scene.model.normals, truth.normals, flags=scene.flags, mask=scene.frames.mask)
         out.write("angular_error", errors.map_deg, unit="degrees")
@@ -169,10 +170,9 @@ def relight(context: Context, scene: Scene, truth: Truth, out: MapWriter):
 
 def one_light(context: Context, scene: Scene, truth: Truth, out: MapWriter, j: int) -> tuple[dict, np.ndarray]:
     """Score of one light; its map of differences is written."""
-    frames, direction = scene.frames, scene.frames.directions[j]
-    name = frames.lights[j]
+    frames, name = scene.frames, scene.frames.lights[j]
     height = scene.height if context.settings.cast_shadows else None
-    predicted = predict_light(scene.model, direction, height=height, pitch=scene.pitch)
+    predicted = predict_light(scene.model, lamp(context, scene, j), height=height, pitch=scene.pitch)
     known_truth = truth.check(name)
     comparison = LightComparison.of(frames.shape, scene.camera)
     views = colours_for(scene) if known_truth else {}
@@ -205,6 +205,19 @@ def one_light(context: Context, scene: Scene, truth: Truth, out: MapWriter, j: i
     out.write(f"de00_{j:03d}", comparison.de00_map, unit="CIEDE2000", light=name)
     out.write(f"classes_{j:03d}", comparison.classes, meaning={str(k): v for k, v in NAMES.items()}, light=name)
     return score, comparison.de00_map
+
+
+def lamp(context: Context, scene: Scene, j: int) -> Light:
+    """The lamp of a light, at its position where the capture gives one."""
+    frames = scene.frames
+    position, centre = None, None
+    if frames.positions_mm is not None:
+        position = frames.positions_mm[j]
+        centre = point_mm(frames, (frames.shape[0] - 1) / 2, (frames.shape[1] - 1) / 2)
+    radius = float(np.radians(context.settings.lamp_diameter_deg / 2))
+    return light_of(
+        frames.directions[j], position, centre=centre, white_board=frames.white_board, angular_radius=radius
+    )
 
 
 def describe_light(frames: Observations, j: int) -> dict:

@@ -8,12 +8,12 @@ from nishiki.evaluate.camera_colour import assumed_colour, fitted_colour
 from nishiki.evaluate.classes import DIFFUSE, HIGHLIGHT, OUTSIDE, SHADOW, classify
 from nishiki.evaluate.headlines import headlines
 from nishiki.evaluate.museum import FADGI, ISO_19264, level_of, levels
-from nishiki.evaluate.prediction import FittedModel, gloss_from, predict_light
+from nishiki.evaluate.prediction import FittedModel, gloss_from, light_of, predict_light
 from nishiki.evaluate.preview import PreviewPair
 from nishiki.evaluate.relighting import LightComparison, SquaredError, truth_difference
 from nishiki.evaluate.scene_colour import channel_colour, spectral_colour
 from nishiki.evaluate.table import COLUMNS, rows_of
-from nishiki.render.scene import Gloss
+from nishiki.render.scene import Gloss, Light
 from nishiki.spectra.basis import channel_weights
 from nishiki.spectra.colour import delta_e_2000, illuminant, white_xyz, xyz_from_spectra, xyz_to_lab
 from nishiki.spectra.sampling import WAVELENGTHS_NM
@@ -27,7 +27,7 @@ def _sensitivities(count=3):
 
 def test_classes_by_share_and_light():
     diffuse = np.array([0.5, 0.5, 0.5, 0.0, 0.5])
-    specular = np.array([0.0, 0.1, 0.1, 0.0, 0.02])
+    specular = np.array([0.0, 0.06, 0.06, 0.0, 0.02])
     lit = np.array([1.0, 1.0, 0.2, 1.0, 1.0])
     inside = np.array([True, True, True, True, False])
     assert classify(diffuse, specular, lit, inside=inside).tolist() == [DIFFUSE, HIGHLIGHT, SHADOW, DIFFUSE, OUTSIDE]
@@ -89,7 +89,7 @@ def _plane(shape=(6, 8)):
 def test_prediction_of_a_matte_plane_is_lambert():
     normals, reflectance = _plane()
     direction = np.array([0.6, 0.0, 0.8])
-    band = predict_light(FittedModel(normals, reflectance), direction).band(slice(2, 5))
+    band = predict_light(FittedModel(normals, reflectance), Light(direction=tuple(direction))).band(slice(2, 5))
     assert band.channels == pytest.approx(0.8 * reflectance[2:5], rel=1e-6)
     assert band.specular.max() < 1e-6
     assert (band.lit == 1).all()
@@ -99,7 +99,7 @@ def test_prediction_splits_off_the_gloss():
     normals, reflectance = _plane()
     gloss = Gloss(beta=[[2.0]], gamma=[[0.1]], refractive_index=[1.5])
     model = FittedModel(normals, reflectance, gloss)
-    band = predict_light(model, np.array([0.0, 0.0, 1.0]))
+    band = predict_light(model, Light(direction=(0, 0, 1)))
     assert (band.lit == 1).all()
     # at the mirror direction D = G = 1 and F = ((n - 1) / (n + 1))^2
     assert band.specular == pytest.approx(2.0 * 0.04, rel=1e-4)
@@ -111,7 +111,7 @@ def test_prediction_casts_the_shadow_of_a_wall():
     height = np.zeros((6, 8), np.float32)
     height[:, 5] = 2.0
     direction = np.array([1.0, 0.0, 1.0]) / np.sqrt(2)  # from the right at 45 degrees: two pixels in shadow
-    band = predict_light(FittedModel(normals, reflectance), direction, height=height, pitch=1.0)
+    band = predict_light(FittedModel(normals, reflectance), Light(direction=tuple(direction)), height=height)
     assert band.lit[2].tolist() == [1, 1, 1, band.lit[2, 3], 0, 1, 1, 1]
     assert (band.channels[:, 4] == 0).all()
     assert band.channels[:, 1] == pytest.approx(reflectance[:, 1] / np.sqrt(2), rel=1e-5)
@@ -120,9 +120,28 @@ def test_prediction_casts_the_shadow_of_a_wall():
 def test_prediction_of_a_facet_that_faces_away_is_dark():
     normals, reflectance = _plane()
     normals[...] = (0.8, 0.0, 0.6)
-    band = predict_light(FittedModel(normals, reflectance), np.array([-0.96, 0.0, 0.28]))
+    band = predict_light(FittedModel(normals, reflectance), Light(direction=(-0.96, 0.0, 0.28)))
     assert (band.channels == 0).all()
     assert (band.lit == 0).all()
+
+
+@pytest.mark.parametrize("white_board", [True, False])
+def test_prediction_of_a_near_lamp_is_pixel_by_pixel(white_board):
+    normals, reflectance = _plane()
+    normals[...] = np.random.default_rng(3).normal(size=normals.shape) * 0.2 + (0, 0, 1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    position, centre = np.array([10.0, -5.0, 30.0]), np.array([2.0, 1.0, 0.0])
+    light = light_of(np.zeros(3), position, centre=centre, white_board=white_board)
+    found = predict_light(FittedModel(normals, reflectance), light, pitch=0.5)
+    for i in range(6):
+        for j in range(8):
+            place = centre + 0.5 * np.array([j - 3.5, 2.5 - i, 0.0])
+            towards = position - place
+            distance = np.linalg.norm(towards)
+            strength = 1.0 if white_board else position @ position / distance**2
+            expected = reflectance[i, j] * max(normals[i, j] @ towards / distance, 0) * strength
+            assert found.channels[i, j] == pytest.approx(expected, rel=1e-5)
+    assert found.diffuse == pytest.approx(found.channels.mean(axis=-1), rel=1e-5)
 
 
 def test_gloss_from_parameters_reads_lobes_and_gaps():
@@ -205,7 +224,7 @@ def test_scene_colour_from_spectra_equals_that_of_the_spectra():
     normals, reflectance = _plane()
     gloss = Gloss(beta=[[1.0]], gamma=[[0.2]], refractive_index=[1.5])
     direction = np.array([0.0, 0.6, 0.8])
-    band = predict_light(FittedModel(normals, reflectance, gloss), direction)
+    band = predict_light(FittedModel(normals, reflectance, gloss), Light(direction=tuple(direction)))
     found = spectral_colour(lamp, basis).xyz(band, coefficients)
     expected = 0.8 * xyz_from_spectra(lamp, coefficients @ basis) + band.specular[..., None] * white_xyz(lamp)
     assert found == pytest.approx(expected, rel=1e-5)

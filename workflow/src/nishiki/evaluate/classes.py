@@ -6,8 +6,8 @@ from nishiki.errors import UserError
 
 OUTSIDE, DIFFUSE, HIGHLIGHT, SHADOW = 0, 1, 2, 3
 NAMES = {DIFFUSE: "diffuse", HIGHLIGHT: "highlight", SHADOW: "shadow"}
-HIGHLIGHT_SHARE = 0.05
-"""A pixel counts as highlight where the specular part exceeds this share of the whole: the smallest that one sees."""
+HIGHLIGHT_SHARE = 0.1
+"""A pixel counts as highlight where the specular part exceeds this share of all the light that it returns."""
 
 
 def classify(diffuse: np.ndarray, specular: np.ndarray, lit: np.ndarray, *, inside: np.ndarray) -> np.ndarray:

@@ -1,0 +1,263 @@
+"""Drawings, pictures and texts of the report."""
+
+import hashlib
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import nishiki.report.page as page
+from nishiki.report.appearance_section import describe
+from nishiki.report.colour_map import MISSING, coloured, heat, sea
+from nishiki.report.colour_section import spread_out
+from nishiki.report.gloss_section import gloss_section
+from nishiki.report.page import degrees, figure, percent
+from nishiki.report.pictures import (
+    block_of,
+    class_picture,
+    file_picture,
+    hillshade,
+    normal_picture,
+    scalar_picture,
+    shrink,
+)
+from nishiki.report.provenance import flat, settings_of, text
+from nishiki.report.relighting_section import chosen
+from nishiki.report.summary import choices
+from nishiki.report.svg import Curve, bars, chart, lights_plot, ticks
+from nishiki.settings.render import RenderSettings
+from nishiki.settings.separate import SeparateSettings
+from nishiki.spectra.colour import srgb_matrix, xyz_to_lab
+
+
+def decoded(picture) -> np.ndarray:
+    import base64
+
+    data = base64.b64decode(picture.source.split(",", 1)[1])
+    return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+
+
+@pytest.mark.parametrize("table", [heat(), sea()])
+def test_lightness_of_a_colour_map_grows_evenly(table):
+    coded = table / 255
+    linear = np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)
+    to_xyz = np.linalg.inv(srgb_matrix())
+    lab = xyz_to_lab(linear @ to_xyz.T, to_xyz.sum(axis=1))
+    steps = np.diff(lab[:, 0])
+    assert steps.min() > -0.3  # 8 bits round to 0.4 of lightness
+    even = np.linspace(lab[0, 0], lab[-1, 0], 256)
+    assert np.abs(lab[:, 0] - even).max() < 1.5
+
+
+def test_coloured_clips_and_marks_what_is_missing():
+    table = heat()
+    found = coloured(np.array([[-5.0, 0.0, 1.0, 9.0, np.nan]]), table, 0.0, 1.0)
+    assert found[0, 0].tolist() == found[0, 1].tolist() == table[0].tolist()
+    assert found[0, 2].tolist() == found[0, 3].tolist() == table[255].tolist()
+    assert found[0, 4].tolist() == MISSING.tolist()
+
+
+@pytest.mark.parametrize(("columns", "widest", "block"), [(720, 720, 1), (721, 720, 2), (4608, 720, 7), (3, 128, 1)])
+def test_block_keeps_the_picture_within_its_width(columns, widest, block):
+    assert block_of(columns, widest) == block
+
+
+@given(st.integers(1, 40), st.integers(1, 40), st.integers(1, 7), st.booleans(), st.integers(0, 2**31))
+def test_shrink_against_the_obvious_loop(rows, columns, block, worst, seed):
+    random = np.random.default_rng(seed)
+    values = random.random((rows, columns)).astype(np.float32)
+    values[random.random((rows, columns)) < 0.2] = np.nan
+    found = shrink(lambda band: values[band], (rows, columns), block, worst=worst)
+    assert found.shape == (-(-rows // block), -(-columns // block))
+    for i in range(found.shape[0]):
+        for j in range(found.shape[1]):
+            part = values[i * block : (i + 1) * block, j * block : (j + 1) * block]
+            part = part[np.isfinite(part)]
+            if part.size == 0:
+                assert not np.isfinite(found[i, j])
+            else:
+                assert found[i, j] == pytest.approx(part.max() if worst else part.mean(), rel=1e-6)
+
+
+def test_shrink_bands_do_not_change_the_result():
+    values = np.random.default_rng(1).random((700, 9, 3)).astype(np.float32)
+    found = shrink(lambda band: values[band], (700, 9), 3)
+    whole = values[:699].reshape(233, 3, 3, 3, 3).mean(axis=(1, 3))
+    assert found[:233] == pytest.approx(whole, rel=1e-6)
+
+
+def test_scalar_picture_of_nothing_is_all_missing():
+    picture = scalar_picture(np.full((4, 5), np.nan), heat(), unit="x")
+    assert np.abs(decoded(picture).astype(int) - MISSING).max() <= 3  # JPEG
+    assert (picture.rows, picture.columns) == (4, 5)
+
+
+def test_class_picture_is_exact():
+    key = {0: ("#102030", "a"), 2: ("#fefdfc", "b")}
+    codes = decoded(class_picture(np.array([[0.0, 2.0, np.nan]]), key))
+    assert codes[0].tolist() == [[16, 32, 48], [254, 253, 252], MISSING.tolist()]
+
+
+def test_normals_are_shown_in_the_opengl_convention():
+    normals = np.zeros((16, 16, 3), np.float32)
+    normals[...] = (0.0, 1.0, 0.0)
+    assert np.abs(decoded(normal_picture(normals))[8, 8].astype(int) - (128, 255, 128)).max() <= 3
+
+
+def test_hillshade_is_light_towards_the_upper_left():
+    rows, columns = np.mgrid[:40, :40]
+    bump = 5 * np.exp(-((rows - 20.0) ** 2 + (columns - 20.0) ** 2) / 60)
+    shade = hillshade(bump, step=1.0)
+    assert shade[15, 15] > shade[0, 0] > shade[25, 25]
+    assert hillshade(np.zeros((1, 5)), step=1.0).shape == (1, 5)
+    flat = hillshade(np.zeros((5, 5)), step=1.0)
+    assert np.isfinite(flat).all()
+
+
+def test_a_png_that_is_none_is_refused():
+    with pytest.raises(ValueError, match="not a picture"):
+        file_picture(b"text", 720)
+
+
+def test_a_large_png_is_averaged_in_linear_light():
+    board = np.indices((8, 8)).sum(axis=0) % 2 * 255
+    data = cv2.imencode(".png", np.repeat(board[..., None], 3, axis=-1).astype(np.uint8))[1].tobytes()
+    assert np.abs(decoded(file_picture(data, 4)).astype(int) - 188).max() <= 2  # half the light is code 188
+
+
+@given(st.floats(-1e6, 1e6), st.floats(1e-6, 1e6))
+def test_ticks_are_round_and_inside(low, span):
+    found = ticks(low, low + span)
+    assert 2 <= len(found) <= 12 or span < 1e-6 * abs(low)
+    for value in found:
+        slack = 1e-6 * span + 4 * np.spacing(abs(low) + span)
+        assert low - slack <= value <= low + span + slack
+
+
+def test_a_chart_is_well_formed_whatever_the_names():
+    svg = chart([Curve('a<b>&"c', np.arange(3), np.array([0.0, np.nan, 1.0]))], x_label="<x>", y_label="&", title='"t"')
+    root = ElementTree.fromstring(svg)
+    assert root.attrib["aria-label"] == '"t"'
+    assert chart([], x_label="x", y_label="y", title="empty").startswith("<svg")
+
+
+def test_points_outside_a_chart_are_not_drawn():
+    curve = Curve("", np.array([0.5, 0.5, 5.0]), np.array([0.5, 9.0, 0.5]), dots=True)
+    svg = chart([curve], x_label="x", y_label="y", title="t", x_range=(0, 1), y_range=(0, 1))
+    assert svg.count("<circle") == 1
+
+
+def test_lights_stand_where_they_shine_from():
+    directions = np.array([[0, 0, 1], [np.sqrt(0.5), 0, np.sqrt(0.5)], [0, np.sqrt(0.5), np.sqrt(0.5)]])
+    svg = lights_plot(directions, ["top", "right", "up"], ["sample", "sample", "check"], size=340)
+    circles = [
+        (float(c.attrib["cx"]), float(c.attrib["cy"]))
+        for c in ElementTree.fromstring(svg).iter("circle")
+        if list(c)  # lights carry a title
+    ]
+    assert circles == [(170.0, 170.0), (240.0, 170.0), (170.0, 100.0)]  # 45 degrees: half of the radius of 140
+
+
+def test_bars_of_nothing_but_zero():
+    assert ElementTree.fromstring(bars([0.0], ["a"], title="t", unit="%")) is not None
+
+
+def test_spread_out_points_are_far_apart_and_never_equal():
+    points = np.array([[0.0, 0], [0, 0], [10, 0], [5, 0], [0, 8]])
+    assert spread_out(points, 4, 0) == [0, 2, 4, 3]
+    assert spread_out(points[:2], 4, 0) == [0]
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [
+        (None, "–"),
+        (0, "0"),
+        (12345, "12\u202f345"),
+        (2.0, "2.00"),
+        (0.0, "0"),
+        (-0.5, "−0.500"),
+        (123.4, "123"),
+        (99.96, "100"),
+        (0.00123, "0.00123"),
+    ],
+)
+def test_figures(value, shown):
+    assert figure(value) == shown
+
+
+def test_percent_and_degrees():
+    assert [percent(v) for v in (None, 0.0, 0.001, 12.345)] == ["–", "0", "< 0.01\u202f%", "12.35\u202f%"]
+    assert [degrees(v) for v in (None, -0.2, -45.4)] == ["–", "0°", "−45°"]
+
+
+def test_settings_that_differ_are_marked_and_planned_ones_are_not():
+    values = SeparateSettings(w1=1.5, hold_out=("a",)).model_dump(mode="json") | {"w2": 0.1}
+    rows = {row.name: row for row in settings_of(values, SeparateSettings)}
+    assert [name for name, row in rows.items() if row.changed] == ["w1"]
+    assert rows["hold_out"].planned
+    assert (rows["w1"].value, rows["w1"].default) == ("1.5", "1.2")
+
+
+def test_diagnostics_become_short_lines():
+    found = dict(flat({"a": {"b": 1.0, "c": None}, "d": list(range(1000))}))
+    assert found["a.b"] == "1"
+    assert found["a.c"] == "none"
+    assert len(found["d"]) == 160
+    assert found["d"].endswith("…")
+    assert text(True) == "yes"
+
+
+def test_chosen_lights_hold_the_best_and_the_worst():
+    lights = [{"de00": {"mean": value}} for value in (3.0, 1.0, 2.0, 9.0, 5.0, None)]
+    assert chosen(lights[:3]) == [0, 1, 2]
+    picked = chosen(lights)
+    assert len(picked) == 4
+    assert {3, 5} <= set(picked)
+
+
+def test_choices_name_the_published_method():
+    found = choices({"separate": {"method": "threshold"}, "normals": {"solver": "default"}})
+    assert [(row["step"], row["is_paper"]) for row in found] == [("selection of the lights", True), ("normals", False)]
+
+
+def test_pictures_are_described_in_words():
+    pictures = RenderSettings().model_dump(mode="json")["pictures"]
+    by_name = {entry["name"]: describe(entry) for entry in pictures}
+    assert by_name["lamplight"].startswith("A from 45° above the plane")
+    assert "azimuth −90°" in by_name["oblique"]
+
+
+def _parameters(gamma):
+    phi = np.linspace(0, 1.2, 60)
+    fitted = 5 * 2.0 ** -((phi / 0.1) ** 2)
+    profile = {"phi": phi.tolist(), "value": (fitted + 0.01).tolist(), "count": [100] * 60, "fitted": fitted.tolist()}
+    region = {"beta": [5.0], "gamma": [gamma], "refractive_index": 1.45, "residual": 0.1, "samples": 60, "flags": "0"}
+    return {"method": "robust", "regions": [region | {"profile": profile}]}
+
+
+def test_gloss_is_drawn_twice_and_measured_in_degrees():
+    found = gloss_section(_parameters(0.1), true_gamma=[0.05, 0.07, 0.09])
+    assert [item["log"] for item in found["charts"]] == [False, True]
+    for item in found["charts"]:
+        ElementTree.fromstring(item["svg"])
+    assert found["rows"][0]["gamma_deg"] == pytest.approx(np.degrees(0.1))
+    assert found["true_gamma_deg"] == pytest.approx(np.degrees([0.05, 0.07, 0.09]))
+
+
+def test_gloss_of_a_matte_scene_has_no_chart():
+    parameters = _parameters(1.6)
+    region = parameters["regions"][0]
+    region["beta"] = [0.0]
+    region["profile"] = {"phi": [], "value": [], "count": [], "fitted": []}
+    assert gloss_section(parameters)["charts"] == []
+
+
+def test_the_digest_of_the_template_is_the_one_that_decides_when_to_run_again():
+    template = Path(page.__file__).with_name(page.TEMPLATE)
+    found = hashlib.sha256(template.read_bytes()).hexdigest()
+    assert found == page.TEMPLATE_DIGEST, f"write TEMPLATE_DIGEST = {found!r} into {page.__file__}"

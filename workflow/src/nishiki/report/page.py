@@ -1,0 +1,51 @@
+"""The page itself: the template filled in. The same content gives the same bytes."""
+
+from typing import Any
+
+TEMPLATE = "page.html.j2"
+TEMPLATE_DIGEST = "bff43a310bd1acba556efb6106148298579c44dcf34e4f38446b351856a003eb"
+"""SHA-256 of the template: a template is no Python code, so this constant is what makes a changed one run again."""
+
+
+def render_page(content: dict[str, Any]) -> str:
+    """HTML of the page. content : what the template names; a missing name is an error, not an empty place."""
+    import jinja2
+
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("nishiki.report", "."),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {"figure": figure, "percent": percent, "degrees": degrees}
+    return environment.get_template(TEMPLATE).render(content)
+
+
+def percent(value: float | None) -> str:
+    """A share in per cent, to a hundredth."""
+    if value is None:
+        return "–"
+    if 0 < value < 0.01:
+        return "< 0.01\u202f%"
+    return f"{value:.2f}\u202f%" if value else "0"
+
+
+def degrees(value: float | None) -> str:
+    """An angle to a degree, with a true minus and without a negative zero."""
+    return "–" if value is None else f"{round(value):d}°".replace("-", "−")
+
+
+def figure(value: Any, digits: int = 3, unit: str = "") -> str:
+    """A measured figure as text: `digits` significant ones, a dash where there is none."""
+    if value is None:
+        return "–"
+    if isinstance(value, int):
+        return f"{value:,}".replace(",", "\u202f") + (f"\u202f{unit}" if unit else "")
+    if value != 0 and abs(value) < 10 ** (digits - 1):
+        shown = f"{value:#.{digits}g}".rstrip(".")
+        if "e" in shown and abs(value) >= 1e-4:
+            shown = f"{value:.{digits + 3}f}"
+    else:
+        shown = f"{value:.0f}" if value else "0"
+    return shown.replace("-", "−") + (f"\u202f{unit}" if unit else "")

@@ -1,0 +1,165 @@
+"""Pictures for the page: maps shrunk to its width, coloured, and encoded into the page itself."""
+
+import base64
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from nishiki.report.colour_map import MISSING, coloured, hexadecimal
+from nishiki.spectra.colour import srgb_encode
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Colour bar under a map: labels of its ends and its colours from left to right."""
+
+    low: str
+    high: str
+    unit: str
+    stops: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture inside the page: `source` is a data URI; columns, rows its size; scale its colour bar, or None;
+    key: (colour, meaning) of a map of classes."""
+
+    source: str
+    columns: int
+    rows: int
+    scale: Scale | None = None
+    key: tuple[tuple[str, str], ...] = ()
+
+
+def block_of(columns: int, widest: int) -> int:
+    """Side of the square blocks whose means make a picture at most `widest` pixels wide."""
+    return max(1, -(-columns // widest))
+
+
+def shrink(
+    read: Callable[[slice], np.ndarray], shape: tuple[int, int], block: int, *, worst: bool = False
+) -> np.ndarray:
+    """Means over square blocks of a map that `read` gives by bands of rows; NaN does not count; float32.
+
+    shape : (rows, columns) of the map. worst : largest value instead of the mean, for maps of classes. The last row and
+    column of blocks may be cut. A block without any value is NaN.
+    """
+    rows, columns = shape
+    height = max(1, 256 // block)
+    parts = []
+    for start in range(0, rows, height * block):
+        values = np.asarray(read(slice(start, min(start + height * block, rows))), np.float32)
+        if block == 1:
+            parts.append(values)
+            continue
+        pad = [(0, -values.shape[0] % block), (0, -columns % block)] + [(0, 0)] * (values.ndim - 2)
+        values = np.pad(values, pad, constant_values=np.nan)
+        tiles = values.reshape(values.shape[0] // block, block, values.shape[1] // block, block, *values.shape[2:])
+        known = np.isfinite(tiles)
+        if worst:
+            parts.append(np.where(known, tiles, -np.inf).max(axis=(1, 3)))
+            continue
+        count = known.sum(axis=(1, 3))
+        total = np.where(known, tiles, 0).sum(axis=(1, 3), dtype=np.float64)
+        parts.append(np.where(count > 0, total / np.maximum(count, 1), np.nan).astype(np.float32))
+    return np.concatenate(parts)
+
+
+def colour_picture(linear: np.ndarray, *, inside: np.ndarray | None = None) -> Picture:
+    """Picture of linear sRGB (rows, columns, 3), white at 1; NaN and pixels outside in the colour of missing values."""
+    codes = np.round(255 * srgb_encode(linear)).astype(np.uint8)
+    codes[~np.isfinite(linear).all(axis=-1)] = MISSING
+    if inside is not None:
+        codes[~inside] = MISSING
+    return encoded(codes)
+
+
+def scalar_picture(values: np.ndarray, table: np.ndarray, *, unit: str, low=None, high=None, digits=2) -> Picture:
+    """Picture of one quantity; ends of the scale: given, else the 1st and 99th percentile of the known values."""
+    known = values[np.isfinite(values)]
+    low = float(np.percentile(known, 1)) if low is None and known.size else float(low or 0.0)
+    high = float(np.percentile(known, 99)) if high is None and known.size else float(high or 1.0)
+    if not high > low:
+        high = low + 1.0
+    stops = tuple(hexadecimal(colour) for colour in table[:: 255 // 5])
+    scale = Scale(_number(low, digits), _number(high, digits), unit, stops)
+    return encoded(coloured(values, table, low, high), scale=scale)
+
+
+def class_picture(classes: np.ndarray, key: dict[int, tuple[str, str]]) -> Picture:
+    """Picture of classes (rows, columns); key: class -> (#rrggbb, meaning); other values in the colour of missing."""
+    codes = np.empty((*classes.shape, 3), np.uint8)
+    codes[...] = MISSING
+    for value, (colour, _) in key.items():
+        codes[classes == value] = [int(colour[k : k + 2], 16) for k in (1, 3, 5)]
+    return encoded(codes, lossless=True, key=tuple(key.values()))
+
+
+def normal_picture(normals: np.ndarray) -> Picture:
+    """Normals as colours in the OpenGL convention: red x, green y (up), blue z, from -1..1 to 0..255."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        unit = normals / np.linalg.norm(normals, axis=-1, keepdims=True)
+    codes = np.round(np.clip(np.nan_to_num(unit) * 127.5 + 127.5, 0, 255)).astype(np.uint8)
+    codes[~np.isfinite(unit).all(axis=-1)] = MISSING
+    return encoded(codes)
+
+
+def hillshade(height: np.ndarray, *, step: float) -> np.ndarray:
+    """Relief (rows, columns) as grey under a lamp from the upper left at 35 degrees, linear 0..1; NaN stays NaN.
+
+    step : distance of the pixels in the unit of the height. Slopes are scaled so that their 95th percentile is 0.7: a
+    relief is to be seen, not measured, here.
+    """
+    if min(height.shape) < 2:
+        return np.where(np.isfinite(height), 0.5, np.nan)
+    down, right = np.gradient(height, step)
+    steep = np.hypot(down, right)
+    typical = np.nanpercentile(steep, 95) if np.isfinite(steep).any() else 0.0
+    gain = 0.7 / typical if typical > 0 else 0.0
+    p, q = right * gain, -down * gain
+    lamp = np.array([-0.58, 0.58, 0.57])
+    shade = (-p * lamp[0] - q * lamp[1] + lamp[2]) / np.sqrt(1 + p * p + q * q)
+    return np.clip(shade, 0, 1) ** 1.4
+
+
+def encoded(codes: np.ndarray, *, lossless: bool = False, scale: Scale | None = None, key=()) -> Picture:
+    """A picture (rows, columns, 3) uint8 sRGB as data URI: JPEG of quality 90, or PNG."""
+    import cv2
+
+    kind, options = ".jpg", [cv2.IMWRITE_JPEG_QUALITY, 90, cv2.IMWRITE_JPEG_OPTIMIZE, 1]
+    if lossless:
+        kind, options = ".png", [cv2.IMWRITE_PNG_COMPRESSION, 9]
+    done, data = cv2.imencode(kind, np.ascontiguousarray(codes[..., ::-1]), options)
+    if not done:
+        raise RuntimeError(f"a picture of shape {codes.shape} could not be encoded as {kind}")
+    mime = "image/jpeg" if kind == ".jpg" else "image/png"
+    return Picture(data_uri(data.tobytes(), mime), codes.shape[1], codes.shape[0], scale, key)
+
+
+def file_picture(data: bytes, widest: int) -> Picture:
+    """A PNG as picture at most `widest` pixels wide, averaged in linear light. Raises ValueError if it is none."""
+    import cv2
+
+    codes = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    if codes is None:
+        raise ValueError("not a picture")
+    block = block_of(codes.shape[1], widest)
+    if block == 1:
+        return encoded(codes[..., ::-1])
+    linear = _decode_srgb(codes[..., ::-1] / np.float32(255))
+    small = shrink(lambda rows: linear[rows], codes.shape[:2], block)
+    return colour_picture(small)
+
+
+def data_uri(data: bytes, mime: str) -> str:
+    """A file as text that a page can carry."""
+    return f"data:{mime};base64,{base64.b64encode(data).decode('ascii')}"
+
+
+def _decode_srgb(coded: np.ndarray) -> np.ndarray:
+    return np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)
+
+
+def _number(value: float, digits: int) -> str:
+    return f"{value:.{digits}g}" if value else "0"

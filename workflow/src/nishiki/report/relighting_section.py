@@ -1,0 +1,75 @@
+"""The part of the page on lights that no fit has seen: prediction beside photograph, and their differences."""
+
+from typing import Any
+
+import numpy as np
+
+from nishiki.evaluate.classes import DIFFUSE, HIGHLIGHT, SHADOW
+from nishiki.evaluate.museum import FADGI, ISO_19264
+from nishiki.report.colour_map import heat
+from nishiki.report.pictures import block_of, class_picture, colour_picture, scalar_picture, shrink
+
+SHOWN = 4
+LARGEST_DE00 = 10.0
+"""End of the scale of difference maps: the same for all lights, so that they can be compared."""
+CLASS_KEY = {
+    DIFFUSE: ("#d9dedb", "diffuse"),
+    HIGHLIGHT: ("#e3a72f", "highlight in view"),
+    SHADOW: ("#3c4657", "shadow"),
+}
+
+
+def chosen(lights: list[dict[str, Any]], count: int = SHOWN) -> list[int]:
+    """Which lights to show: all, or evenly through the ranks of their mean difference, best and worst among them."""
+    if len(lights) <= count:
+        return list(range(len(lights)))
+    ranks = sorted(range(len(lights)), key=lambda k: (lights[k]["de00"]["mean"] or 0.0, k))
+    places = np.round(np.linspace(0, len(ranks) - 1, count)).astype(int)
+    return sorted(ranks[p] for p in places)
+
+
+def relighting_section(
+    evaluation: dict[str, Any], evaluated, previews: dict[int, Any], *, widest: int
+) -> dict[str, Any]:
+    """Content of the section.
+
+    evaluation : evaluation.json; evaluated : `Maps` of the evaluate stage; previews : light index -> arrays predicted,
+    observed (linear sRGB) and inside.
+    """
+    lights = evaluation["lights"]
+    shown = []
+    for k in chosen(lights):
+        light = lights[k]
+        pair = previews[light["index"]]
+        inside = np.asarray(pair["inside"])
+        name = f"de00_{light['index']:03d}"
+        shape = tuple(evaluated.group[name].shape)
+        block = block_of(shape[1], widest)
+        difference = shrink(lambda rows, name=name: evaluated.read(name, rows), shape, block)
+        classes = f"classes_{light['index']:03d}"
+        what = shrink(lambda rows, name=classes: _ranked(evaluated.read(name, rows)), shape, block, worst=True)
+        shown.append(
+            {
+                "light": light,
+                "photograph": colour_picture(np.asarray(pair["observed"], np.float32), inside=inside),
+                "prediction": colour_picture(np.asarray(pair["predicted"], np.float32), inside=inside),
+                "difference": scalar_picture(difference, heat(), unit="ΔE00", low=0.0, high=LARGEST_DE00),
+                "classes": class_picture(what, CLASS_KEY),
+            }
+        )
+    return {
+        "shown": shown,
+        "lights": lights,
+        "overall": evaluation["overall"],
+        "how": evaluation["colour"]["how"],
+        "classes_from": evaluation["classes_from"],
+        "with_truth": any(light.get("truth") for light in lights),
+        "cases": sorted({case for light in lights for case in (light.get("truth") or {})}, key=lambda c: c != "lamp"),
+        "fadgi": FADGI,
+        "iso": ISO_19264,
+    }
+
+
+def _ranked(classes: np.ndarray) -> np.ndarray:
+    """Classes as floats, 0 (not compared) as NaN, so that a block takes its gravest."""
+    return np.where(classes > 0, classes, np.nan).astype(np.float32)

@@ -1,0 +1,77 @@
+"""The first lines of the page: the figures that matter most, and which methods made them."""
+
+from typing import Any
+
+PAPER_CHOICES = {
+    ("separate", "method"): ("threshold", "selection of the lights", "thresholds w1, w2 (P 3.2)"),
+    ("normals", "solver"): ("least_squares", "normals", "plain least squares (P 3.3)"),
+    ("spectra", "method"): ("paper", "spectra", "three bases and matrix inverse (P eq. 8)"),
+    ("brdf", "method"): ("paper", "gloss", "brightest light, Levenberg-Marquardt (P eq. 14–18)"),
+}
+
+
+def choices(settings: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
+    """For each step where the paper's choice can be selected: what ran, and whether it was the paper's.
+
+    settings : stage name -> its settings, of the stages that ran.
+    """
+    found = []
+    for (stage, name), (paper, step, meaning) in PAPER_CHOICES.items():
+        if stage in settings and name in settings[stage]:
+            ran = str(settings[stage][name])
+            found.append(
+                {
+                    "step": step,
+                    "ran": ran,
+                    "setting": f"{stage}.{name}",
+                    "is_paper": ran == paper,
+                    "paper": paper,
+                    "meaning": meaning,
+                }
+            )
+    return found
+
+
+def at_a_glance(normals: dict[str, Any], evaluation: dict[str, Any] | None) -> list[dict[str, Any]]:
+    """Tiles: figure, unit, what it is. normals : diagnostics of that stage; evaluation : evaluation.json or None."""
+    evaluation = evaluation or {}
+    tiles = []
+    if evaluation.get("lights"):
+        overall, count = evaluation["overall"]["de00"], len(evaluation["lights"])
+        tiles.append(
+            _tile(
+                overall["mean"],
+                "ΔE00",
+                f"mean difference, prediction to photograph, {count} unseen light{'s' * (count > 1)}",
+            )
+        )
+        tiles.append(_tile(overall["p90"], "ΔE00", "90th percentile of that difference"))
+    if evaluation.get("normals"):
+        tiles.append(_tile(evaluation["normals"]["estimated"]["mean"], "°", "mean angle of the normals to the truth"))
+    elif normals.get("sigma_median_deg") is not None:
+        tiles.append(_tile(normals["sigma_median_deg"], "°", "median expected error of a normal"))
+    if evaluation.get("reflectance"):
+        tiles.append(
+            _tile(
+                evaluation["reflectance"]["de00"]["D65"]["mean"],
+                "ΔE00",
+                "mean colour difference of the reflectance to the truth, D65",
+            )
+        )
+    if evaluation.get("height") and evaluation["height"]["rms"] is not None:
+        height = evaluation["height"]
+        tiles.append(
+            _tile(
+                1000 * height["rms"],
+                "µm",
+                f"rms error of the height; the relief itself has {1000 * height['relief_rms']:.0f} µm",
+            )
+        )
+    share = normals["valid_pixels"] / normals["object_pixels"] if normals.get("object_pixels") else None
+    if share is not None:
+        tiles.append(_tile(100 * share, "%", "of the object's pixels have a normal"))
+    return tiles
+
+
+def _tile(value: float | None, unit: str, meaning: str) -> dict[str, Any]:
+    return {"value": value, "unit": unit, "meaning": meaning}
