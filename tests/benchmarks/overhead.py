@@ -1,0 +1,111 @@
+"""What the workflow costs beside computing: seconds until "nothing to be done", for one scene and for many.
+
+    python tests/benchmarks/overhead.py --data simulated
+    python tests/benchmarks/overhead.py --data captures/painting --scenes 1 100 1000
+
+One scene is simulated (or the capture given is used) and run; then the same results, with Snakemake's records of them,
+are laid out under as many scene names as asked for, and a run with nothing changed is timed.
+"""
+
+import argparse
+import base64
+import json
+import os
+import resource
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+PROJECT = Path(__file__).resolve().parents[2]
+SETTINGS = "scenes: scenes.tsv\nrender:\n  pictures: [{name: daylight}]\n  sequences: []\n"
+
+
+def nishiki(folder: Path, *arguments: str) -> tuple[float, float, str]:
+    """Wall and processor seconds of one call of the command line, and what it printed."""
+    environment = {**os.environ, "PYTHONPATH": str(PROJECT / "workflow/src")}
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    start = time.perf_counter()
+    done = subprocess.run(
+        [sys.executable, "-m", "nishiki", *arguments],
+        cwd=folder,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    wall = time.perf_counter() - start
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    if done.returncode:
+        raise SystemExit(done.stdout + done.stderr)
+    cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return wall, cpu, done.stdout + done.stderr
+
+
+def table(folder: Path, names: list[str], capture: str) -> None:
+    rows = "".join(f"{name}\t{capture}\t\n" for name in names)
+    (folder / "scenes.tsv").write_text("scene\tcapture\ttruth\n" + rows)
+
+
+def multiply(folder: Path, names: list[str]) -> None:
+    """Give each name the results of the first scene and Snakemake's records of them."""
+    records = folder / ".snakemake/metadata"
+    for name in names:
+        target = folder / "results" / name
+        if not target.exists():
+            shutil.copytree(folder / "results/one", target, symlinks=True, copy_function=os.link)
+    for record in list(records.rglob("*")):
+        if not record.is_file():
+            continue
+        path = base64.b64decode(record.name, altchars=b"-_").decode()
+        if not path.startswith("results/one/"):
+            continue
+        text = record.read_text()
+        for name in names:
+            renamed = base64.b64encode(path.replace("results/one/", f"results/{name}/", 1).encode(), altchars=b"-_")
+            moved = text.replace("results/one/", f"results/{name}/").replace("--scene one ", f"--scene {name} ")
+            (records / renamed.decode()).write_text(moved)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", default="simulated", help="a sealed capture, or simulated (default)")
+    parser.add_argument("--scenes", nargs="*", type=int, default=[1, 1000], help="numbers of scenes (default 1 1000)")
+    parser.add_argument("--repeats", type=int, default=3, help="runs; the median is printed (default 3)")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        capture = options.data
+        if capture == "simulated":
+            capture = "capture"
+            nishiki(folder, "simulate", "--output", "capture", "--truth", "truth", "--preset", "tiny")
+        else:
+            capture = str(Path(capture).resolve())
+        (folder / "config.yaml").write_text(SETTINGS)
+        table(folder, ["one"], capture)
+        wall, cpu, _ = nishiki(folder, "run", "--configfile", "config.yaml")
+        stages = sum(1 for path in (folder / "results/one/current").iterdir() if path.is_dir())
+        print(
+            json.dumps(
+                {"case": "first run of a tiny scene", "scenes": 1, "stages": stages, "wall_s": wall, "cpu_s": cpu}
+            )
+        )
+        for count in options.scenes:
+            names = ["one", *(f"scene{i:05d}" for i in range(1, count))]
+            multiply(folder, names[1:])
+            table(folder, names, capture)
+            times = []
+            for _ in range(options.repeats):
+                wall, cpu, text = nishiki(folder, "run", "--configfile", "config.yaml")
+                if "Nothing to be done" not in text:
+                    raise SystemExit(f"expected nothing to be done:\n{text[-2000:]}")
+                times.append((wall, cpu))
+            wall, cpu = sorted(times)[len(times) // 2]
+            case = {"case": "nothing to be done", "scenes": count, "stages": stages * count}
+            print(json.dumps({**case, "wall_s": round(wall, 2), "cpu_s": round(cpu, 2), "default": True}))
+
+
+if __name__ == "__main__":
+    main()

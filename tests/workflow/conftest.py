@@ -1,0 +1,100 @@
+"""A small scene run through the workflow in a copy of the project, so that code can be edited without harm."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+import yaml
+
+PROJECT = Path(__file__).resolve().parents[2]
+COPIED = ("Snakefile", "workflow", "scripts", "config", "envs")
+SMALL_RENDER = {
+    "pictures": [{"name": "daylight"}],
+    "sequences": [{"name": "moving-light", "frames": 3, "columns": 64}],
+}
+
+
+@dataclass
+class Site:
+    """A copy of the project with one tiny simulated scene."""
+
+    folder: Path
+
+    def nishiki(self, *arguments: str, check: bool = True) -> subprocess.CompletedProcess:
+        """Run the command line inside the copy."""
+        environment = {**os.environ, "PYTHONPATH": str(self.folder / "workflow/src"), "PYTHONWARNINGS": "default"}
+        done = subprocess.run(
+            [sys.executable, "-m", "nishiki", *arguments],
+            cwd=self.folder,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert not check or done.returncode == 0, done.stdout + done.stderr
+        return done
+
+    def configure(self, **settings) -> None:
+        """Write the configuration: small pictures, and these settings over them."""
+        values = {"scenes": "config/scenes.tsv", "render": SMALL_RENDER, **settings}
+        (self.folder / "config/config.yaml").write_text(yaml.safe_dump(values))
+
+    def would_run(self) -> list[str]:
+        """Stages that a run would make now, in the order of the flow, as Snakemake sees it."""
+        text = self.nishiki("run", "--dry-run").stdout
+        known = (*self.stages(), "publish")
+        lines = [line.split() for line in text.splitlines()]
+        return [
+            name for name in known if any(len(line) == 2 and line[0] == name and line[1].isdigit() for line in lines)
+        ]
+
+    def stages(self) -> tuple[str, ...]:
+        """Stages of the chain."""
+        from nishiki.stages import CHAIN
+
+        return tuple(CHAIN)
+
+    def run_facts(self) -> dict[str, tuple[str, str]]:
+        """Key and time of the last run of each stage."""
+        current = self.folder / "results/tiny/current"
+        return {
+            stage: (os.readlink(current / stage), json.loads((current / stage / "run.json").read_text())["finished"])
+            for stage in self.stages()
+            if (current / stage).exists()
+        }
+
+
+@pytest.fixture(scope="session")
+def finished_site(tmp_path_factory) -> Site:
+    """The scene simulated and run once."""
+    folder = tmp_path_factory.mktemp("site")
+    for name in COPIED:
+        source = PROJECT / name
+        ignore = shutil.ignore_patterns("*.pyc")
+        shutil.copytree(source, folder / name, ignore=ignore) if source.is_dir() else shutil.copy2(
+            source, folder / name
+        )
+    site = Site(folder)
+    (folder / "config/scenes.tsv").write_text("scene\tcapture\ttruth\ntiny\tcaptures/tiny\tcaptures/tiny-truth\n")
+    site.configure()
+    site.nishiki("simulate", "--output", "captures/tiny", "--truth", "captures/tiny-truth", "--preset", "tiny")
+    site.nishiki("run")
+    return site
+
+
+@pytest.fixture
+def site(finished_site):
+    """The finished scene; configuration and code are put back afterwards."""
+    saved = finished_site.folder / "saved"
+    shutil.copytree(finished_site.folder / "workflow", saved / "workflow")
+    shutil.copytree(finished_site.folder / "config", saved / "config")
+    yield finished_site
+    for name in ("workflow", "config"):
+        shutil.rmtree(finished_site.folder / name)
+        shutil.move(saved / name, finished_site.folder / name)
+    shutil.rmtree(saved)

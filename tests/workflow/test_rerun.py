@@ -1,0 +1,180 @@
+"""What runs again, and what does not, as Snakemake sees it."""
+
+import shutil
+
+import pytest
+
+from nishiki.stages import CHAIN
+
+DOWNSTREAM_OF_NORMALS = ["height", "spectra", "brdf", "render", "evaluate", "report", "publish"]
+
+
+def edit(site, name, old, new):
+    path = site.folder / name
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+
+
+def test_every_stage_ran_and_nothing_is_left_to_do(site):
+    assert set(site.run_facts()) == set(CHAIN)
+    assert site.would_run() == []
+    assert "Nothing to be done" in (lambda done: done.stdout + done.stderr)(site.nishiki("run"))
+
+
+def test_touching_every_file_reruns_nothing(site):
+    for folder in ("workflow", "scripts", "captures", "config", "results"):
+        for path in (site.folder / folder).rglob("*"):
+            if path.is_file() and not path.is_symlink():
+                path.touch()
+    assert site.would_run() == []
+
+
+def test_comment_docstring_and_layout_rerun_nothing(site):
+    name = "workflow/src/nishiki/normals/solve.py"
+    path = site.folder / name
+    path.write_text("# a comment\n\n\n" + path.read_text())
+    edit(site, "workflow/src/nishiki/ingest/observations.py", '"""Reading the ingested frames', '"""Changed words')
+    assert site.would_run() == []
+
+
+def test_code_reruns_the_stages_that_import_it_and_what_follows(site):
+    edit(site, "workflow/src/nishiki/spectra/fitting.py", "import numpy as np", "import numpy as np\n\nUNUSED = 1")
+    stages = site.would_run()
+    assert "spectra" in stages
+    assert not {"ingest", "separate", "normals", "height", "brdf"} & set(stages)
+
+
+def test_changing_w1_leaves_ingest_alone(site):
+    site.configure(separate={"method": "threshold", "w1": 1.3})
+    assert site.would_run() == ["separate", "normals", *DOWNSTREAM_OF_NORMALS]
+
+
+def test_changing_a_render_light_reruns_render_and_what_follows(site):
+    light = {"elevation_deg": 30, "azimuth_deg": 10}
+    site.configure(render={"pictures": [{"name": "daylight", "lights": [light]}], "sequences": []})
+    assert site.would_run() == ["render", "report", "publish"]
+
+
+def test_going_back_costs_a_publication_only(site):
+    before = site.run_facts()
+    site.configure(height={"method": "weighted"})
+    site.nishiki("run")
+    changed = site.run_facts()
+    assert changed["height"] != before["height"]
+    assert changed["normals"] == before["normals"]
+    site.configure()
+    assert site.would_run() == ["publish"]
+    site.nishiki("run")
+    assert site.run_facts() == before
+
+
+def test_explain_names_the_setting(site):
+    site.configure(separate={"method": "threshold", "w1": 1.3})
+    text = site.nishiki("explain", "tiny").stdout
+    assert "tiny/ingest: up to date" in text
+    assert "tiny/separate: will run" in text
+    assert "w1: 1.2 -> 1.3" in text
+
+
+def test_plan_says_what_is_left_out_and_why(site):
+    (site.folder / "config/scenes.tsv").write_text("scene\tcapture\ttruth\tproducts\ntiny\tcaptures/tiny\t\tnormals\n")
+    text = site.nishiki("plan").stdout
+    assert "without render: no product asked for needs it" in text
+    assert "without colour" in text
+
+
+def test_verify_passes_then_names_each_damage(site):
+    assert "sound" in site.nishiki("verify").stdout
+    copy = site.folder / "damaged"
+    shutil.copytree(site.folder / "results", copy, symlinks=True)
+    maps = next((copy / "tiny/normals").glob("*/maps.zarr/normals/c/0/0/0"))
+    data = bytearray(maps.read_bytes())
+    data[100] ^= 1
+    maps.write_bytes(data)
+    missing = next((copy / "tiny/brdf").glob("*/parameters.json"))
+    missing.unlink()
+    foreign = next((copy / "tiny/height").glob("*")) / "notes.txt"
+    foreign.write_text("x")
+    done = site.nishiki("verify", str(copy), check=False)
+    shutil.rmtree(copy)
+    assert done.returncode == 1
+    for word, path in (("damaged", maps), ("missing", missing), ("foreign", foreign)):
+        assert any(
+            line.startswith(word) and str(path.relative_to(site.folder)) in line for line in done.stdout.splitlines()
+        )
+
+
+def test_two_runs_give_the_same_bytes(site):
+    """A second run from nothing leaves artifacts with the same digests."""
+    before = (site.folder / "results/tiny/current/index.json").read_text()
+    kept = site.folder / "results-kept"
+    (site.folder / "results").rename(kept)
+    try:
+        site.nishiki("run")
+        assert (site.folder / "results/tiny/current/index.json").read_text() == before
+    finally:
+        shutil.rmtree(site.folder / "results")
+        kept.rename(site.folder / "results")
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"separate": {"methd": "threshold"}}, "did you mean 'method'"),
+        ({"separate": {"method": "magic"}}, "separate.method"),
+        ({"separate": {"w1": -1}}, "separate.w1"),
+        ({"normals": {"max_condition": "large"}}, "normals.max_condition"),
+        ({"products": ["rendering"]}, "products"),
+        ({"products": []}, "products"),
+        ({"scenes": "config/none.tsv"}, "scene table not found"),
+        ({"hold_out": ["no-such-light"]}, "no-such-light"),
+        ({"hold_out": ["top", *[f"ring{i}" for i in range(1, 8)]]}, "3 are needed"),
+        ({"render": {"pictures": [{"name": "A B"}]}}, "render.pictures.0.name"),
+        ({"render": {"pictures": [{"name": "x", "lights": [{"elevation_deg": 0}]}]}}, "elevation_deg"),
+        ({"render": {"pictures": [{"name": "x", "lights": [{"illuminant": "lamp.csv"}]}]}}, "lamp.csv"),
+        ({"spectra": {"training": "nowhere.csv"}}, "nowhere.csv"),
+        ({"unknown": 1}, "unknown key 'unknown'"),
+    ],
+)
+def test_bad_configuration_is_told_in_one_line_with_status_2(site, settings, message):
+    site.configure(**settings)
+    done = site.nishiki("plan", check=False)
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("separate: {method: [", "not valid YAML"),
+        ("- a\n- b\n", "expected a block"),
+        ("separate: !!python/object/apply:os.system [ls]\n", "not valid YAML"),
+    ],
+)
+def test_broken_yaml_is_told_with_its_file(site, text, message):
+    (site.folder / "config/config.yaml").write_text(text)
+    done = site.nishiki("plan", check=False)
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert "config/config.yaml" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ("scene\tcapture\ntiny\tcaptures/none\n", "captures/none"),
+        ("scene\tcapture\ntiny\tcaptures/tiny\ntiny\tcaptures/tiny\n", "twice"),
+        ("scene\tphotos\ntiny\tcaptures/tiny\n", "columns"),
+        ("scene\tcapture\n../x\tcaptures/tiny\n", "letters, digits"),
+        ("scene\tcapture\ttruth\ntiny\tcaptures/tiny\tcaptures/none\n", "truth not found"),
+        ("scene\tcapture\ttruth\tproducts\ntiny\tcaptures/tiny\t\tpicture\n", "unknown product"),
+        ("scene\tcapture\ttruth\tproducts\tsettings\ntiny\tcaptures/tiny\t\t\tnone.yaml\n", "none.yaml"),
+    ],
+)
+def test_bad_scene_table_is_told_in_one_line_with_status_2(site, table, message):
+    (site.folder / "config/scenes.tsv").write_text(table)
+    done = site.nishiki("plan", check=False)
+    assert done.returncode == 2
+    assert message in done.stderr
