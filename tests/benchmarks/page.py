@@ -29,8 +29,8 @@ PROGRAMS = {
 INTRODUCTION = """\
 # Benchmarks
 
-Written by `python tests/benchmarks/page.py`; the JSON lines behind the tables are in `docs/benchmarks/`. Measured data are
-not part of the project; each program says with `--help` what it looks for. **Bold** rows are the shipped defaults.
+Written by `python tests/benchmarks/page.py`; the JSON lines behind the tables are in `docs/benchmarks/`. Measured data
+are not part of the project; each program says with `--help` what it looks for. **Bold** rows are the shipped defaults.
 """
 
 
