@@ -8,7 +8,12 @@ from nishiki.errors import UserError
 from nishiki.normals import flags as bits
 from nishiki.separation.lights import checked_stack
 
-SOLVERS = ("least_squares",)
+SOLVERS = ("lobe", "lobes", "least_squares")
+EXPONENTS = (2, 4, 8, 16)  # that the solver "lobes" tries
+PRIOR = 1e-4  # weight of the squared relative terms b and d, in units of the samples' own sum of squares
+EXPONENT = 8  # of the gloss skirt
+RESELECTIONS = 1
+AT_LEAST = 6  # samples below which the gloss lobe is not tried: five unknowns and one to spare
 
 
 @dataclass(frozen=True)
@@ -54,7 +59,18 @@ class NormalField:
         }
 
 
-def estimate_normals(observations, directions, *, usable=None, weights=None, solver="least_squares", max_condition=1e4):
+def estimate_normals(
+    observations,
+    directions,
+    *,
+    usable=None,
+    weights=None,
+    valid=None,
+    solver="lobe",
+    max_condition=1e4,
+    noise=0.003,
+    exponent=EXPONENT,
+):
     """Normals and albedo from I = albedo * max(n . l, 0) on the usable samples (P section 3).
 
     observations (lights, rows, columns) relative to the white reference; directions (lights, 3) unit vectors to the
@@ -64,6 +80,10 @@ def estimate_normals(observations, directions, *, usable=None, weights=None, sol
 
     solver
         "least_squares": ordinary (weighted) least squares on the usable samples.
+        "lobe": from there, a reflectance with a diffuse fall-off and a gloss lobe (`nishiki.normals.lobe`), choosing
+        the samples again among those of `valid` (lights, rows, columns) bool, None for all; noise: the observations'
+        noise relative to the albedo; exponent: 2, 4, 8, 16 or 32, of the lobe. Takes no weights.
+        "lobes": the same with the exponents 2, 4, 8 and 16 in turn, and at each pixel the one that leaves least over.
 
     Raises UserError on shapes that do not fit, negative weights and unknown solvers. Returns a NormalField.
     """
@@ -72,20 +92,53 @@ def estimate_normals(observations, directions, *, usable=None, weights=None, sol
     stack, directions = checked_stack(observations, directions)
     shape = np.shape(observations)
     factors = sample_weights(stack, usable, weights, shape)
-    return lambertian(stack, directions, factors, shape[1:], max_condition, solver)
+    outputs = lambertian(stack, directions, factors, max_condition)
+    if solver in ("lobe", "lobes"):
+        if weights is not None:
+            raise UserError(
+                f"normals: the solver {solver!r} takes no weights; use 'least_squares', or leave samples out"
+            )
+        known = sample_weights(stack, valid, None, shape)
+        exponents = EXPONENTS if solver == "lobes" else (exponent,)
+        refine_lobe(stack, directions, factors, known, outputs, exponents, noise, max_condition)
+    return as_field(*outputs, shape[1:], solver)
 
 
-def lambertian(stack, directions, factors, shape, max_condition, solver):
-    """Lambertian least squares as a NormalField; factors (lights, pixels) uint8 or float32, or None for all."""
+def refine_lobe(stack, directions, usable, known, outputs, exponents, noise, max_condition):
+    """Replace the Lambertian estimates in the outputs, in place, by those of the model with a gloss lobe."""
+    from nishiki.normals.refine import LANES, refine
+
+    if not set(exponents) <= {2, 4, 8, 16, 32}:
+        raise UserError(f"normals: expected an exponent of 2, 4, 8, 16 or 32, found {exponents[0]}")
+    lights = stack.shape[0]
+    halves = directions + np.array([0.0, 0.0, 1.0])
+    halves /= np.maximum(np.linalg.norm(halves, axis=1, keepdims=True), 1e-12)
+    vectors = np.zeros((6, -(-lights // LANES) * LANES), dtype=np.float32)
+    vectors[:3, :lights], vectors[3:, :lights] = directions.T, halves.T
+    everything = np.ones((lights, 1), dtype=np.uint8)
+    settings = np.array([np.log2(exponents[0]), PRIOR, noise, RESELECTIONS, AT_LEAST, np.log2(exponents[-1])])
+    refine(
+        stack,
+        everything if usable is None else usable,
+        everything if known is None else known,
+        vectors,
+        settings,
+        float(max_condition),
+        *outputs,
+    )
+
+
+def lambertian(stack, directions, factors, max_condition):
+    """Lambertian least squares into new outputs; factors (lights, pixels) uint8 or float32, or None for all."""
     from nishiki.normals.least_squares import solve_shared, solve_weighted
 
-    normals, scalars, used, flags = empty_outputs(stack.shape[1])
+    outputs = empty_outputs(stack.shape[1])
     products = direction_products(directions)
     if factors is None:
-        solve_shared(stack, products, float(max_condition), normals, scalars, used, flags)
+        solve_shared(stack, products, float(max_condition), *outputs)
     else:
-        solve_weighted(stack, factors, products, float(max_condition), normals, scalars, used, flags)
-    return as_field(normals, scalars, used, flags, shape, solver)
+        solve_weighted(stack, factors, products, float(max_condition), *outputs)
+    return outputs
 
 
 def empty_outputs(pixels):

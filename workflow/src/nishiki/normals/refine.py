@@ -1,0 +1,214 @@
+"""Refining Lambertian normals by the lobe model: choosing the samples and the lobe's width at every pixel."""
+
+import numpy as np
+from numba import njit, prange
+
+from nishiki.normals import flags as bits
+from nishiki.normals.least_squares import eigenvalues
+from nishiki.normals.lobe import SUM_ORDER, SUMS, cholesky_solve, descend, raised
+
+LANES = 16  # lights are padded to a multiple, with weight 0
+CHUNK = 256  # pixels that share one set of work arrays
+
+
+@njit(cache=True, fastmath=SUM_ORDER, error_model="numpy")
+def choose(value, known, vectors, normal, terms, squarings, limit, weight):
+    """Weight 1 for the lit, known samples whose residual is at most `limit`; their number."""
+    f = np.float32
+    n0, n1, n2 = f(normal[0]), f(normal[1]), f(normal[2])
+    a, b, d = f(terms[0]), f(terms[1]), f(terms[2])
+    bound = f(limit)
+    kept = f(0.0)
+    for j in range(value.size):
+        c = n0 * vectors[0, j] + n1 * vectors[1, j] + n2 * vectors[2, j]
+        x = n0 * vectors[3, j] + n1 * vectors[4, j] + n2 * vectors[5, j]
+        power = raised(x if x > f(1e-3) else f(1e-3), squarings)
+        r = value[j] - c * (a + b * c + d * power)
+        w = known[j] if r <= bound else f(0.0)
+        w = w if r >= -bound else f(0.0)
+        w = w if c > f(0.0) else f(0.0)
+        weight[j] = w
+        kept += w
+    return kept
+
+
+@njit(cache=True, error_model="numpy")
+def fit_pixel(value, known, weight, spare, vectors, normal, squarings, prior, noise, reselections, at_least, work):
+    """Fit, choose the samples again, fit again; values relative to the Lambertian albedo. weight: kept at the end."""
+    terms = (1.0, 0.0, 0.0)
+    normal, terms, _ = descend(value, weight, vectors, normal, terms, squarings, prior, 4, work)
+    kept = 0.0
+    for j in range(weight.size):
+        kept += weight[j]
+    for _ in range(reselections):
+        scale = np.sqrt(work[0][20] / max(kept - 5.0, 1.0)) + noise
+        more = choose(value, known, vectors, normal, terms, squarings, 3.0 * scale, spare)
+        if more < at_least:
+            break
+        kept = more
+        weight[:] = spare
+        normal, terms, _ = descend(value, weight, vectors, normal, terms, squarings, prior, 3, work)
+    return normal, terms, kept
+
+
+@njit(cache=True, fastmath=SUM_ORDER, error_model="numpy")
+def disagreement(value, known, vectors, normal, terms, squarings, scale):
+    """Sum over the known samples of the squared residual in units of scale, at most 9 each: what a fit leaves over."""
+    f = np.float32
+    n0, n1, n2 = f(normal[0]), f(normal[1]), f(normal[2])
+    a, b, d = f(terms[0]), f(terms[1]), f(terms[2])
+    per_scale, most = f(1.0 / max(scale, 1e-6)), f(9.0)
+    total = f(0.0)
+    for j in range(value.size):
+        c = n0 * vectors[0, j] + n1 * vectors[1, j] + n2 * vectors[2, j]
+        c = c if c > f(0.0) else f(0.0)
+        x = n0 * vectors[3, j] + n1 * vectors[4, j] + n2 * vectors[5, j]
+        power = raised(x if x > f(1e-3) else f(1e-3), squarings)
+        r = (value[j] - c * (a + b * c + d * power)) * per_scale
+        square = r * r
+        total += known[j] * (square if square < most else most)
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def fit_widths(
+    value, known, weight, spare, first, vectors, normal, widths, prior, noise, reselections, at_least, scale, work
+):
+    """The best of the fits with exponents 2^k, widths = (least k, largest k); weight and work are those of the best.
+
+    first (lights) holds the samples to start from. The fits are compared by `disagreement` with one common scale.
+    """
+    low, high = widths
+    record, chosen = np.inf, low
+    for k in range(low, high + 1) if high > low else range(0):
+        weight[:] = first
+        found, terms, _ = fit_pixel(
+            value, known, weight, spare, vectors, normal, k, prior, noise, reselections, at_least, work
+        )
+        score = disagreement(value, known, vectors, found, terms, k, scale)
+        if score < record:
+            record, chosen = score, k
+    weight[:] = first
+    return fit_pixel(value, known, weight, spare, vectors, normal, chosen, prior, noise, reselections, at_least, work)
+
+
+@njit(cache=True, error_model="numpy")
+def normal_matrix_condition(weight, vectors):
+    """Condition number of the 3 x 3 normal matrix of the kept lights."""
+    t = np.zeros(6)
+    for j in range(weight.size):
+        if weight[j] > 0:
+            x, y, z = float(vectors[0, j]), float(vectors[1, j]), float(vectors[2, j])
+            t[0] += x * x
+            t[1] += x * y
+            t[2] += x * z
+            t[3] += y * y
+            t[4] += y * z
+            t[5] += z * z
+    least, largest = eigenvalues(t[0], t[1], t[2], t[3], t[4], t[5])
+    return largest / max(least, 1e-30 * largest)
+
+
+@njit(cache=True, error_model="numpy")
+def tangential_variance(sums, prior, matrix, step):
+    """Trace of the tangential block of the inverse of the (undamped) normal equations; negative if singular."""
+    total = 0.0
+    for i in range(2):
+        for k in range(5):
+            step[k] = 1.0 if k == i else 0.0
+        if not cholesky_solve(sums, 0.0, prior, matrix, step):
+            return -1.0
+        total += step[i]
+    return total
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def refine(observations, usable, known, vectors, settings, max_condition, normals, scalars, lights_used, flags):
+    """Refine the Lambertian estimates in the outputs of `solve_weighted` where there are samples enough.
+
+    observations (lights, pixels) float32; usable, known (lights, pixels) uint8, or (lights, 1) for all pixels alike;
+    vectors (6, padded lights) float32; settings: least k of the exponents 2^k, prior, noise, reselections, at_least,
+    largest k.
+    """
+    lights, pixels = observations.shape
+    padded = vectors.shape[1]
+    widths, reselections = (int(settings[0]), int(settings[5])), int(settings[3])
+    prior, noise, at_least = settings[1], settings[2], settings[4]
+    shared_usable, shared_known = usable.shape[1] == 1, known.shape[1] == 1
+    for chunk in prange((pixels + CHUNK - 1) // CHUNK):
+        value, allowed = np.zeros(padded, np.float32), np.zeros(padded, np.float32)
+        weight, spare, first = np.zeros_like(value), np.zeros_like(value), np.zeros_like(value)
+        work = (np.zeros(SUMS), np.zeros(SUMS), np.zeros((5, 5)), np.zeros(5))
+        for p in range(chunk * CHUNK, min((chunk + 1) * CHUNK, pixels)):
+            if flags[p] & bits.NO_ESTIMATE:
+                continue
+            if lights_used[p] < at_least:
+                flags[p] |= bits.FALLBACK
+                continue
+            albedo = float(scalars[0, p])
+            for j in range(lights):
+                may = known[j, 0] if shared_known else known[j, p]
+                use = usable[j, 0] if shared_usable else usable[j, p]
+                value[j] = observations[j, p] / albedo if may else np.float32(0.0)
+                allowed[j] = may
+                first[j] = use
+            start = (float(normals[p, 0]), float(normals[p, 1]), float(normals[p, 2]))
+            scale = noise + float(scalars[3, p]) / albedo
+            normal, terms, kept = fit_widths(
+                value,
+                allowed,
+                weight,
+                spare,
+                first,
+                vectors,
+                start,
+                widths,
+                prior,
+                noise,
+                reselections,
+                at_least,
+                scale,
+                work,
+            )
+            store(
+                normal,
+                terms,
+                kept,
+                albedo,
+                weight,
+                vectors,
+                prior,
+                max_condition,
+                work,
+                p,
+                normals,
+                scalars,
+                lights_used,
+                flags,
+            )
+
+
+@njit(cache=True, error_model="numpy")
+def store(
+    normal, terms, kept, albedo, weight, vectors, prior, max_condition, work, p, normals, scalars, lights_used, flags
+):
+    """Write a refined pixel; where the fit is no surface (no diffuse part, singular) the Lambertian one stands."""
+    sums, _, matrix, step = work
+    diffuse = terms[0] + 2.0 / 3.0 * terms[1]  # hemispherical reflectance of a + b cos(theta)
+    variance = tangential_variance(sums, prior, matrix, step)
+    if not (variance > 0.0 and diffuse > 0.0 and kept > 5.0):
+        flags[p] |= bits.FALLBACK
+        return
+    condition = normal_matrix_condition(weight, vectors)
+    normals[p, 0], normals[p, 1], normals[p, 2] = normal[0], normal[1], normal[2]
+    scalars[0, p] = diffuse * albedo
+    scalars[1, p] = min(np.sqrt(variance * sums[20] / (kept - 5.0)), 0.5 * np.pi)
+    scalars[2, p] = min(condition, 3e38)
+    scalars[3, p] = np.sqrt(sums[20] / kept) * albedo
+    lights_used[p] = int(kept)
+    flag = flags[p] & ~(bits.ILL_CONDITIONED | bits.FACES_AWAY | bits.NO_REDUNDANCY)
+    if condition > max_condition:
+        flag |= bits.ILL_CONDITIONED
+    if normal[2] <= 0.0:
+        flag |= bits.FACES_AWAY
+    flags[p] = flag
