@@ -94,6 +94,9 @@ def _in_threads(arrays, log_low, log_high, strengths, reports, threads):
         parts = [array[first:last] for array in arrays]
         vp.project_points(*parts, log_low, log_high, strengths[first:last], reports[first:last])
 
+    if len(edges) == 2:
+        work(0, points)
+        return
     with ThreadPoolExecutor(len(edges) - 1) as pool:
         list(pool.map(work, edges[:-1], edges[1:]))
 

@@ -23,7 +23,7 @@ GAMMA_BOUNDS = (1e-3, 1.6)
 ZOOMS, NODES = 14, 9
 _SIGNIFICANCE = 12.0
 _ONE_SUFFICES = 1e-3  # a residual of this part of the profile is within the width of its rows
-_WORTH_A_LOBE = 0.5
+_APART = 1.3  # two lobes closer in width than this are one
 
 
 @dataclass(frozen=True)
@@ -51,9 +51,9 @@ def fit_scene(
 ) -> tuple[TorranceSparrowFit, ...]:
     """Torrance-Sparrow parameters of each region of the histogram, one entry a region.
 
-    lobes: 1 (the model of P eq. 10), 2 (a narrow and a wide lobe, for varnish with long tails), or "auto": 2 where the
-    second lobe takes off more than three quarters of what the first leaves (regions with one lobe get a second of
-    strength 0, where another region has two).  normal_noise: undo
+    lobes: 1 (the model of P eq. 10), 2 (a narrow and a wide lobe, for varnish with long tails), or "auto": 2 where a
+    second lobe of another width is significant (F ratio above 12) and both are determined; regions with one lobe get a
+    second of strength 0 where another region has two.  normal_noise: undo
     the blur by uncertain normals, with the sigma that was given to the histogram.  reject: outlier fence, see
     `SpecularHistogram.profile`; where the lobe proves narrower than the normals are certain, its samples are themselves
     rare and nothing is rejected.  gamma_bounds: radians.
@@ -100,7 +100,9 @@ def fit_profile(profile: SpecularProfile, sigma, refractive_index, *, lobes="aut
         if one.flags & (FitFlag.NO_HIGHLIGHT | FitFlag.TOO_FEW) or one.residual < _ONE_SUFFICES * size:
             return one
         two = fit_profile(profile, sigma, refractive_index, lobes=2, **settings)
-        return two if two.flags == 0 and two.residual < _WORTH_A_LOBE * one.residual else one
+        ratio = ((one.residual / max(two.residual, 1e-300)) ** 2 - 1) / 2 * max(profile.phi.size - 4, 1)
+        apart = two.gamma.max() > _APART * two.gamma.min()
+        return two if two.flags == 0 and apart and ratio > _SIGNIFICANCE else one
     count = int(profile.count.sum())
     if profile.phi.size < 2 * lobes + 1:
         return _nothing(profile, refractive_index, lobes, gamma_bounds[1], count, FitFlag.TOO_FEW)
