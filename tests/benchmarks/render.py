@@ -235,9 +235,9 @@ def shade(scene, lights):
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", default="simulated", help="simulated, or a folder")
-    parser.add_argument("--rows", type=int, default=128)
-    parser.add_argument("--columns", type=int, default=512)
-    parser.add_argument("--repeats", type=int, default=40)
+    parser.add_argument("--rows", type=int, default=512)
+    parser.add_argument("--columns", type=int, default=1024)
+    parser.add_argument("--repeats", type=int, default=12)
     options = parser.parse_args()
     found = simulated(options.rows, options.columns) if options.data == "simulated" else measured(Path(options.data))
     count = 0
