@@ -8,7 +8,7 @@ from nishiki.errors import UserError
 from nishiki.normals import flags as bits
 from nishiki.separation.lights import checked_stack
 
-SOLVERS = ("lobe", "lobes", "least_squares")
+SOLVERS = ("default", "lobe", "lobes", "least_squares")
 EXPONENTS = (2, 4, 8, 16)  # that the solver "lobes" tries
 PRIOR = 1e-4  # weight of the squared relative terms b and d, in units of the samples' own sum of squares
 EXPONENT = 8  # of the gloss skirt
@@ -66,7 +66,7 @@ def estimate_normals(
     usable=None,
     weights=None,
     valid=None,
-    solver="lobe",
+    solver="default",
     max_condition=1e4,
     noise=0.003,
     exponent=EXPONENT,
@@ -78,17 +78,19 @@ def estimate_normals(
     (lights,) or (lights, rows, columns), not negative, or None; max_condition: bound on the condition number of the
     weighted 3 x 3 normal matrix above which a pixel is flagged.
 
-    solver
+    solver, "default" being "lobe"
         "least_squares": ordinary (weighted) least squares on the usable samples.
         "lobe": from there, a reflectance with a diffuse fall-off and a gloss lobe (`nishiki.normals.lobe`), choosing
-        the samples again among those of `valid` (lights, rows, columns) bool, None for all; noise: the observations'
-        noise relative to the albedo; exponent: 2, 4, 8, 16 or 32, of the lobe. Takes no weights.
+        the samples again among those of `valid` (lights, rows, columns) bool, None for those of `usable`; noise: the
+        observations' noise relative to the albedo; exponent: 2, 4, 8, 16 or 32, of the lobe. Takes no weights.
         "lobes": the same with the exponents 2, 4, 8 and 16 in turn, and at each pixel the one that leaves least over.
 
     Raises UserError on shapes that do not fit, negative weights and unknown solvers. Returns a NormalField.
     """
     if solver not in SOLVERS:
         raise UserError(f"normals: expected a solver of {', '.join(SOLVERS)}, found {solver!r}")
+    if solver == "default":
+        solver = "lobe"
     stack, directions = checked_stack(observations, directions)
     shape = np.shape(observations)
     factors = sample_weights(stack, usable, weights, shape)
@@ -98,7 +100,7 @@ def estimate_normals(
             raise UserError(
                 f"normals: the solver {solver!r} takes no weights; use 'least_squares', or leave samples out"
             )
-        known = sample_weights(stack, valid, None, shape)
+        known = factors if valid is None else sample_weights(stack, valid, None, shape)
         exponents = EXPONENTS if solver == "lobes" else (exponent,)
         refine_lobe(stack, directions, factors, known, outputs, exponents, noise, max_condition)
     return as_field(*outputs, shape[1:], solver)
