@@ -5,7 +5,9 @@ import json
 import numpy as np
 
 import _project  # noqa: F401
-from nishiki.brdf.parameters import described
+from nishiki.brdf.brightest_light import brightest_light_samples, thin
+from nishiki.brdf.levenberg_marquardt import fit_lobe
+from nishiki.brdf.parameters import described, described_brightest
 from nishiki.brdf.scene import fit_scene
 from nishiki.brdf.specular_histogram import SpecularHistogram
 from nishiki.ingest.observations import Observations
@@ -21,9 +23,12 @@ def run(context: Context) -> dict:
     frames = Observations(context.inputs["ingest"].folder)
     maps = Maps(context.inputs["normals"].folder)
     labels = frames.regions
-    histogram = gather(context, frames, maps, labels)
-    fits = fit_scene(histogram, lobes=context.settings.lobes)
-    parameters = {"method": context.settings.method, "regions": [described(fit) for fit in fits]}
+    if context.settings.method == "paper":
+        regions = fit_brightest(context, frames, maps, labels)
+    else:
+        histogram = gather(context, frames, maps, labels)
+        regions = [described(fit) for fit in fit_scene(histogram, lobes=context.settings.lobes)]
+    parameters = {"method": context.settings.method, "regions": regions}
     text = json.dumps(parameters, indent=1, sort_keys=True, allow_nan=False)
     context.output.path("parameters.json").write_text(text + "\n")
     if labels is not None:
@@ -33,13 +38,47 @@ def run(context: Context) -> dict:
         )
         out.write("labels", labels, meaning="row of parameters.json")
     return {
-        "regions": len(fits),
-        "beta": [fit.beta.tolist() for fit in fits],
-        "gamma_deg": [np.degrees(fit.gamma).tolist() for fit in fits],
-        "residual": [fit.residual for fit in fits],
-        "samples": [fit.samples for fit in fits],
-        "flags": [[flag.name for flag in fit.flags] for fit in fits],
+        "regions": len(regions),
+        "gamma_deg": [np.degrees(region["gamma"]).tolist() for region in regions],
+        **{name: [region[name] for region in regions] for name in ("beta", "residual", "samples", "flags")},
     }
+
+
+def fit_brightest(context: Context, frames: Observations, maps: Maps, labels: np.ndarray | None) -> list[dict]:
+    """The published fit (P eq. 14-18) of each region: the brightest light of each pixel, thinned samples, one lobe."""
+    settings = context.settings
+    lights = frames.fit_lights(settings.hold_out)
+    count = 1 if labels is None else int(labels.max()) + 1
+    gathered = [[] for _ in range(count)]
+    for band in context.progress.over(frames.bands(), "band"):
+        observations, valid = frames.read(band, lights=lights, channel="mean")
+        known = (maps.read("flags", band) & NO_ESTIMATE) == 0
+        normals, albedo = maps.read("normals", band), maps.read("reflectance", band).mean(axis=-1)
+        for region, samples in enumerate(gathered):
+            inside = known if labels is None else known & (labels[band] == region)
+            found = brightest_light_samples(
+                observations,
+                normals,
+                albedo,
+                frames.directions[lights],
+                usable=valid & inside,
+                refractive_index=settings.refractive_index,
+            )
+            kept = thin(found[0], per_bin=500)
+            samples.append([values[kept] for values in found])
+    return [published_fit(samples, settings.refractive_index) for samples in gathered]
+
+
+def published_fit(samples: list, refractive_index: float) -> dict:
+    """One region's samples of all bands, thinned once more and fitted by Levenberg-Marquardt."""
+    phi, value, attenuation = (np.concatenate(values) for values in zip(*samples, strict=True))
+    kept = thin(phi)
+    phi, value, attenuation = phi[kept], value[kept], attenuation[kept]
+    if phi.size < 3:
+        nothing = (0.0, 0.1, np.full((2, 2), np.inf), 0.0, False)
+        return described_brightest(phi, value, attenuation, nothing, refractive_index)
+    fitted = fit_lobe(phi, value, attenuation, start=(1.0, 0.1))
+    return described_brightest(phi, value, attenuation, fitted, refractive_index)
 
 
 def gather(context: Context, frames: Observations, maps: Maps, labels: np.ndarray | None) -> SpecularHistogram:

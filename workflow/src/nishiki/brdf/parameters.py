@@ -27,6 +27,32 @@ def described(fit: TorranceSparrowFit) -> dict:
     }
 
 
+def described_brightest(
+    phi: np.ndarray, value: np.ndarray, attenuation: np.ndarray, fitted: tuple, index: float
+) -> dict:
+    """Likewise for the published fit: thinned samples (phi, value, F G / cos_r) and (beta, gamma, covariance, ...)."""
+    beta, gamma, covariance, residual, converged = fitted
+    order = np.argsort(phi)[:: max(1, phi.size // 500)]
+    lobe = value[order] / attenuation[order]
+    finite = bool(np.isfinite(covariance).all())
+    return {
+        "beta": [float(beta)],
+        "gamma": [float(gamma)],
+        "refractive_index": index,
+        "standard_errors": np.sqrt(np.diag(covariance)).tolist() if finite else None,
+        "residual": float(residual),
+        "samples": int(phi.size),
+        "rejected": 0.0,
+        "flags": [] if converged else ["NOT_CONVERGED"],
+        "profile": {
+            "phi": phi[order].tolist(),
+            "value": lobe.tolist(),
+            "count": [1] * len(order),
+            "fitted": (beta * np.exp2(-((phi[order] / gamma) ** 2))).tolist(),
+        },
+    }
+
+
 def gloss_table(parameters: dict) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """beta (regions, lobes), gamma (regions, lobes) in radians, refractive index (regions,) of a parameters.json."""
     regions = parameters["regions"]

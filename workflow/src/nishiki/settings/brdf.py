@@ -16,5 +16,7 @@ class BrdfSettings(Closed):
     method: Literal["robust", "paper"] = Field("robust", description="paper: brightest light, Levenberg-Marquardt")
     refractive_index: float = Field(1.45, gt=1, le=3, description="of the varnish or binder (P: 1.45)")
     max_slope_deg: float = Field(50, gt=0, le=90, description="steeper pixels are left out of the fit")
-    lobes: Literal[1, 2] = Field(1, description="specular lobes")
+    lobes: Literal["auto", 1, 2] = Field(
+        "auto", description="specular lobes; auto: a second, wider one where it is significant; paper: always 1"
+    )
     hold_out: tuple[str, ...] = Field((), description="lights left out of the fit; filled in by the plan")
