@@ -23,7 +23,7 @@ RESULTS = FLOW.results
 
 # The one command of all stages; {rule} names the script.
 RUN_STAGE = (
-    "NUMBA_NUM_THREADS={threads} OMP_NUM_THREADS={threads} python "
+    "NUMBA_NUM_THREADS={threads} OMP_NUM_THREADS={threads} OPENBLAS_NUM_THREADS={threads} python "
     + os.path.join(PROJECT_FOLDER, "scripts")
     + "/{rule}.py --scene {wildcards.scene} {params.source} --settings {params.settings:q}"
     " --code {params.code} --libraries {params.libraries:q} --inputs {input:q} --output {output:q}"

@@ -16,7 +16,7 @@ class SpectraSettings(Closed):
     method: Literal["local", "wiener", "paper"] = Field(
         "local", description="paper: three bases, inverse of H (P eq. 8)"
     )
-    bases: int = Field(8, ge=1, le=16, description="number of basis functions (paper: always 3)")
+    bases: int = Field(8, ge=2, le=16, description="number of basis functions (paper: always 3)")
     noise: float = Field(0.005, gt=0, le=1, description="standard deviation of a response, relative to white")
     training: str = Field("synthetic", description="synthetic, or a CSV: wavelength_nm, then one reflectance a column")
     training_sha256: str = Field("", description="digest of the training file; filled in by the plan")
