@@ -61,5 +61,6 @@ def assumed_colour(channels: int) -> CameraColour:
         how = "no sensitivities: the channels are read as linear sRGB, which is a guess about the camera"
         matrix = np.linalg.inv(srgb_matrix())
         return CameraColour(matrix, matrix.sum(axis=1), how, None)
-    how = f"no sensitivities: the mean of {channels} channel(s) is read as luminance, so that only lightness differs"
+    what = "the one channel" if channels == 1 else f"the mean of {channels} channels"
+    how = f"no sensitivities: {what} is read as luminance, so that only lightness differs"
     return CameraColour(np.repeat(white[:, None] / channels, channels, axis=1), white, how, None)

@@ -65,9 +65,10 @@ def _facts(diagnostics, rows, columns, channels, pitch_mm, kinds) -> list[tuple[
     facts.append(("Channels", f"{len(channels)}: {', '.join(channels)} ({diagnostics['dtype']})"))
     count = {kind: kinds.count(kind) for kind in ("sample", "check", "held out")}
     used = f"{count['sample']} used for the fits"
-    kept = [f"{count[kind]} {kind}" for kind in ("check", "held out") if count[kind]]
+    words = {"check": "kept from them to check the result", "held out": "held out of them and predicted instead"}
+    kept = [f"{count[kind]} {text}" for kind, text in words.items() if count[kind]]
     lamp = f"; spectrum {capture['illuminant']}" if capture.get("illuminant") else "; spectrum not known"
-    facts.append(("Lights", f"{len(kinds)}: {used}" + (f", {', '.join(kept)} kept from them" if kept else "") + lamp))
+    facts.append(("Lights", f"{len(kinds)}: {', '.join([used, *kept])}{lamp}"))
     return facts
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from nishiki.evaluate.camera_colour import CameraColour
 from nishiki.report.colour_map import heat, hexadecimal
-from nishiki.report.pictures import block_of, colour_picture, scalar_picture, shrink
+from nishiki.report.pictures import block_of, brightened, brightening, colour_picture, scalar_picture, shrink
 from nishiki.report.svg import INK, PALETTE, Curve, chart
 from nishiki.spectra.colour import (
     illuminant,
@@ -37,14 +37,12 @@ def colour_section(
     maps, name = (normals, "reflectance") if spectra is None else (spectra, "coefficients")
     small = shrink(lambda rows: _masked(maps.read(name, rows), known, rows), shape, block)
     if spectra is None:
-        content["diffuse"] = colour_picture(xyz_to_srgb_linear(camera.xyz(small), white=camera.white))
-        content["how"] = camera.how
+        content |= _diffuse(xyz_to_srgb_linear(camera.xyz(small), white=camera.white), camera.how)
         return content
     basis = np.array(spectra.attributes("coefficients")["basis"])
     lamp = illuminant("D65")
     xyz = small @ xyz_matrix(lamp, basis).T
-    content["diffuse"] = colour_picture(xyz_to_srgb_linear(xyz))
-    content["how"] = "from the spectra of the pixels, under D65"
+    content |= _diffuse(xyz_to_srgb_linear(xyz), "from the spectra of the pixels, under D65")
     sigma = shrink(lambda rows: _masked(spectra.read("sigma", rows), known, rows), shape, block)
     content["sigma"] = scalar_picture(sigma, heat(), unit="reflectance, expected rms", low=0.0)
     regions = ((evaluation or {}).get("reflectance") or {}).get("regions")
@@ -57,6 +55,11 @@ def colour_section(
         difference = shrink(lambda rows: evaluated.read("reflectance_de00", rows), shape, block)
         content["de00"] = scalar_picture(difference, heat(), unit="ΔE00 under D65", low=0.0)
     return content
+
+
+def _diffuse(linear: np.ndarray, how: str) -> dict[str, Any]:
+    factor = brightening(linear)
+    return {"diffuse": colour_picture(factor * linear), "how": f"{how}.{brightened(factor)}"}
 
 
 def spread_out(points: np.ndarray, count: int, first: int) -> list[int]:

@@ -75,6 +75,26 @@ def colour_picture(linear: np.ndarray, *, inside: np.ndarray | None = None) -> P
     return encoded(codes)
 
 
+def brightening(linear: np.ndarray) -> float:
+    """Factor, 1 or a round number, that brings the light parts of a dark picture (..., 3) to a good display level.
+
+    1 where the 99.5th percentile of green is at least 0.5. A picture so shown must say so.
+    """
+    green = linear[..., 1]
+    green = green[np.isfinite(green)]
+    top = float(np.percentile(green, 99.5)) if green.size else 1.0
+    if not 0 < top < 0.5:
+        return 1.0
+    wanted = 0.85 / top
+    power = 10.0 ** np.floor(np.log10(wanted))
+    return float(max(power * step for step in (1, 1.5, 2, 3, 5, 7) if power * step <= wanted))
+
+
+def brightened(factor: float) -> str:
+    """What a caption says of it."""
+    return "" if factor == 1 else f" Shown {factor:g} times brighter than it is."
+
+
 def scalar_picture(values: np.ndarray, table: np.ndarray, *, unit: str, low=None, high=None, digits=2) -> Picture:
     """Picture of one quantity; ends of the scale: given, else the 1st and 99th percentile of the known values."""
     known = values[np.isfinite(values)]

@@ -7,7 +7,15 @@ import numpy as np
 from nishiki.evaluate.classes import DIFFUSE, HIGHLIGHT, SHADOW
 from nishiki.evaluate.museum import FADGI, ISO_19264
 from nishiki.report.colour_map import heat
-from nishiki.report.pictures import block_of, class_picture, colour_picture, scalar_picture, shrink
+from nishiki.report.pictures import (
+    block_of,
+    brightened,
+    brightening,
+    class_picture,
+    colour_picture,
+    scalar_picture,
+    shrink,
+)
 
 SHOWN = 4
 LARGEST_DE00 = 10.0
@@ -42,6 +50,8 @@ def relighting_section(
         light = lights[k]
         pair = previews[light["index"]]
         inside = np.asarray(pair["inside"])
+        observed, predicted = (np.asarray(pair[name], np.float32) for name in ("observed", "predicted"))
+        factor = brightening(observed[inside])
         name = f"de00_{light['index']:03d}"
         shape = tuple(evaluated.group[name].shape)
         block = block_of(shape[1], widest)
@@ -51,8 +61,9 @@ def relighting_section(
         shown.append(
             {
                 "light": light,
-                "photograph": colour_picture(np.asarray(pair["observed"], np.float32), inside=inside),
-                "prediction": colour_picture(np.asarray(pair["predicted"], np.float32), inside=inside),
+                "note": brightened(factor),
+                "photograph": colour_picture(factor * observed, inside=inside),
+                "prediction": colour_picture(factor * predicted, inside=inside),
                 "difference": scalar_picture(difference, heat(), unit="ΔE00", low=0.0, high=LARGEST_DE00),
                 "classes": class_picture(what, CLASS_KEY),
             }

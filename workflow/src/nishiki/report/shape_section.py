@@ -18,7 +18,7 @@ from nishiki.report.pictures import (
 
 # From harmless to grave: later ones win where a block of pixels has several.
 CLASSES = (
-    (0, "#dfe7dc", "no flag"),
+    (0, "#b9d1b3", "no flag"),
     (bits.FILLED, "#9fc0dd", "filled from neighbours"),
     (bits.FALLBACK, "#cfc08a", "simple estimate stands"),
     (bits.NO_REDUNDANCY, "#e3b04b", "as many lights as unknowns"),

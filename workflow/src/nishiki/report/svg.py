@@ -41,6 +41,11 @@ def number(value: float) -> str:
     return f"{0.0 if abs(value) < 1e-12 else value:.6g}"
 
 
+def decade(exponent: float) -> str:
+    """Label of a power of ten."""
+    return "10" + str(round(exponent)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+
+
 def chart(
     curves: list[Curve],
     *,
@@ -76,7 +81,7 @@ def chart(
     for value in np.arange(np.ceil(y0), y1 + 1e-9) if decades else ticks(y0, y1, 5):
         at = float(py(value))
         parts.append(_line(left, at, width - right, at, GRID))
-        parts.append(_text(left - 7, at + 4, number(10.0**value if decades else value), anchor="end"))
+        parts.append(_text(left - 7, at + 4, decade(value) if decades else number(value), anchor="end"))
     parts.append(_line(left, top + inner_height, width - right, top + inner_height, SOFT))
     parts.append(_text(left + inner_width / 2, height - 8, x_label, anchor="middle"))
     middle = top + inner_height / 2

@@ -1,0 +1,307 @@
+"""The whole page of small scenes, from capture to HTML, and the evaluation behind it."""
+
+import html.parser
+import importlib.util
+import json
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from captures import make_capture
+
+from nishiki.artifact import Artifact, ArtifactWriter, open_artifact
+from nishiki.capture.folder import load_capture
+from nishiki.errors import UserError
+from nishiki.facts import truth_digest
+from nishiki.ingest.observations import Observations
+from nishiki.ingest.store import write_observations
+from nishiki.maps import Maps, MapWriter
+from nishiki.progress import Progress
+from nishiki.settings.brdf import BrdfSettings
+from nishiki.settings.evaluate import EvaluateSettings
+from nishiki.settings.height import HeightSettings
+from nishiki.settings.ingest import IngestSettings
+from nishiki.settings.normals import NormalsSettings
+from nishiki.settings.render import RenderSettings
+from nishiki.settings.report import ReportSettings
+from nishiki.settings.spectra import SpectraSettings
+from nishiki.spectra.sampling import WAVELENGTHS_NM
+from nishiki.stage import Context
+
+PROJECT = Path(__file__).resolve().parents[2]
+STAMP = {"scene": "small", "stage": "report", "key": "0" * 12, "version": "0.1.0"}
+TITLE = 'Tea caddy <b>&"quoted"</b>'
+
+
+def script(name: str):
+    """A stage's script as a module."""
+    if str(PROJECT / "scripts") not in sys.path:
+        sys.path.insert(0, str(PROJECT / "scripts"))
+    spec = importlib.util.spec_from_file_location(f"script_{name}", PROJECT / "scripts" / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def artifact(root: Path, settings, fill, *, key: str = "a" * 12) -> Artifact:
+    """An artifact whose files `fill(writer)` makes; what it returns becomes the diagnostics."""
+    stage = settings.STAGE
+    with ArtifactWriter(root / stage / key) as writer:
+        diagnostics = fill(writer) or {}
+        manifest = {
+            **STAMP,
+            "stage": stage,
+            "key": key,
+            "settings": json.loads(settings.model_dump_json()),
+            "upstream": {},
+            "code": "c0de",
+            "libraries": {"numpy": "2"},
+            "diagnostics": diagnostics,
+        }
+        return writer.finish(manifest, {})
+
+
+def run(root: Path, name: str, inputs, settings, *, truth=None) -> Artifact:
+    """A stage by its script's own function."""
+    module = script(name)
+    return artifact(
+        root, settings, lambda writer: module.run(Context(inputs, settings, writer, None, truth, STAMP, Progress("t")))
+    )
+
+
+def ingested(root: Path, *, channels: str, **options) -> Artifact:
+    capture = load_capture(make_capture(root / "capture", yaml_extra={"title": TITLE}, **options))
+
+    def fill(writer):
+        found = write_observations(
+            capture, writer.folder, settings=IngestSettings(channels=channels), progress=Progress("t")
+        )
+        curves = {}
+        if channels == "all":
+            centres = np.array([[610.0], [540.0], [450.0]])
+            curves = {
+                "illuminant": np.linspace(50, 150, 61),
+                "sensitivities": np.exp(-0.5 * ((WAVELENGTHS_NM - centres) / 35) ** 2),
+            }
+        np.savez(writer.path("curves.npz"), **curves)
+        return {"capture": capture.settings.model_dump(mode="json"), **found.as_dict()}
+
+    return artifact(root, IngestSettings(channels=channels), fill)
+
+
+def exact_normals(root: Path, ingest: Artifact) -> Artifact:
+    """The flat plane that was photographed: its reflectance is the first photograph, taken from above."""
+    frames = Observations(ingest.folder)
+    rows, columns = frames.shape
+
+    def fill(writer):
+        maps = MapWriter(writer.folder, rows=rows, columns=columns, band_rows=16, stamp=STAMP)
+        normals = np.zeros((rows, columns, 3), np.float32)
+        normals[..., 2] = 1
+        flags = np.zeros((rows, columns), np.uint8)
+        flags[0, 0] = 1
+        reflectance = frames.read(slice(0, rows), lights=np.array([0]))[0][0]
+        maps.write("normals", normals)
+        maps.write("reflectance", reflectance)
+        maps.write("sigma", np.full((rows, columns), 0.01, np.float32))
+        maps.write("lights_used", np.full((rows, columns), 4, np.uint16))
+        maps.write("flags", flags)
+        return {"object_pixels": rows * columns, "valid_pixels": rows * columns - 1, "sigma_median_deg": 0.5}
+
+    return artifact(root, NormalsSettings(), fill)
+
+
+def others(root: Path, ingest: Artifact) -> dict[str, Artifact]:
+    """Height, spectra, gloss and a picture of the flat plane."""
+    frames = Observations(ingest.folder)
+    rows, columns = frames.shape
+    random = np.random.default_rng(5)
+
+    def height(writer):
+        maps = MapWriter(writer.folder, rows=rows, columns=columns, band_rows=16, stamp=STAMP)
+        maps.write("height", np.zeros((rows, columns), np.float32), unit="mm")
+
+    def spectra(writer):
+        maps = MapWriter(writer.folder, rows=rows, columns=columns, band_rows=16, stamp=STAMP)
+        basis = np.stack([np.ones(61), np.linspace(0, 1, 61)])
+        values = random.random((rows, columns, 2)).astype(np.float32) * 0.4
+        maps.write("coefficients", values, basis=basis.tolist())
+        maps.write("sigma", np.full((rows, columns), 0.02, np.float32))
+        maps.write("flags", np.zeros((rows, columns), np.uint8))
+
+    def brdf(writer):
+        phi = np.linspace(0, 1, 40)
+        lobe = (0.5 * 2.0 ** -((phi / 0.2) ** 2)).tolist()
+        profile = {"phi": phi.tolist(), "value": lobe, "count": [9] * 40, "fitted": lobe}
+        region = {"beta": [0.0], "gamma": [0.2], "refractive_index": 1.45, "samples": 9, "residual": 0.1, "flags": "0"}
+        writer.path("parameters.json").write_text(json.dumps({"regions": [region | {"profile": profile}]}))
+
+    def render(writer):
+        import cv2
+
+        picture = random.integers(0, 255, (rows, columns, 3)).astype(np.uint8)
+        writer.path("daylight.png").write_bytes(cv2.imencode(".png", picture)[1].tobytes())
+        writer.path("moving-light.mp4").write_bytes(b"0" * 3_000_000)
+        return {"pictures": {"moving-light": {"file": "moving-light.mp4"}}, "notes": []}
+
+    made = ((HeightSettings, height), (SpectraSettings, spectra), (BrdfSettings, brdf), (RenderSettings, render))
+    return {settings.STAGE: artifact(root, settings(), fill) for settings, fill in made}
+
+
+def plane_truth(folder: Path) -> Path:
+    folder.mkdir()
+    normals = np.zeros((24, 32, 3), np.float32)
+    normals[..., 2] = 1
+    np.savez(folder / "normals.npz", normals=normals)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def full(tmp_path_factory) -> dict[str, Artifact]:
+    """A scene of all stages with a check light and a truth."""
+    root = tmp_path_factory.mktemp("full")
+    ingest = ingested(root, channels="all")
+    inputs = {"ingest": ingest, "normals": exact_normals(root, ingest), **others(root, ingest)}
+    truth = plane_truth(root / "truth")
+    settings = EvaluateSettings(truth_sha256=truth_digest(truth))
+    chosen = {name: inputs[name] for name in ("ingest", "normals", "height", "spectra", "brdf")}
+    return inputs | {"evaluate": run(root, "evaluate", chosen, settings, truth=truth)}
+
+
+@pytest.fixture(scope="module")
+def page(full, tmp_path_factory) -> str:
+    report = run(tmp_path_factory.mktemp("report"), "report", full, ReportSettings())
+    return report.path("report.html").read_text(encoding="utf-8")
+
+
+class Checker(html.parser.HTMLParser):
+    """Every element is closed in order; collects identifiers and links."""
+
+    EMPTY = frozenset({"meta", "img", "br", "link", "input", "line", "circle", "rect", "path"})
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.ids, self.links, self.sources = [], set(), [], []
+
+    def handle_starttag(self, tag, attributes):
+        values = dict(attributes)
+        self.ids.add(values.get("id"))
+        self.links += [values["href"]] if "href" in values else []
+        self.sources += [values["src"]] if "src" in values else []
+        if tag not in self.EMPTY or (tag in {"circle", "path"} and not self.get_starttag_text().endswith("/>")):
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attributes):
+        pass
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+def checked(text: str) -> Checker:
+    checker = Checker()
+    checker.feed(text)
+    assert checker.open == []
+    return checker
+
+
+def test_evaluation_of_an_exact_record_finds_only_quantisation(full):
+    found = json.loads(full["evaluate"].path("evaluation.json").read_text())
+    (light,) = found["lights"]
+    assert light["role"] == "check"
+    # 12 bits of which a dark level of 100 and a white at 80 % are used: steps of 3e-4, errors of some 1e-4
+    assert light["psnr_linear_db"] > 60
+    assert light["de00"]["mean"] < 0.1
+    assert light["excluded"] == {"saturated_or_clipped": 0, "no_estimate": 1, "not_finite": 0}
+    assert light["by_class"]["diffuse"]["de00"]["count"] == 24 * 32 - 1
+    assert found["normals"]["estimated"]["worst"] < 1e-5
+    assert found["height"] is None
+    assert found["overall"]["levels"]["fadgi"] == "4 stars"
+
+
+def test_evaluation_maps_and_table_agree_with_the_figures(full):
+    maps = Maps(full["evaluate"].folder)
+    found = json.loads(full["evaluate"].path("evaluation.json").read_text())
+    index = found["lights"][0]["index"]
+    difference = maps.read(f"de00_{index:03d}")
+    assert np.isnan(difference[0, 0])
+    assert np.nanmean(difference) == pytest.approx(found["lights"][0]["de00"]["mean"], rel=1e-5)
+    assert "light L05,against the photograph,all,mean," in full["evaluate"].path("evaluation.csv").read_text()
+
+
+def test_a_truth_that_changed_since_the_plan_is_refused(full, tmp_path):
+    truth = plane_truth(tmp_path / "truth")
+    inputs = {name: full[name] for name in ("ingest", "normals")}
+    with pytest.raises(UserError, match="expected the truth with the digest"):
+        run(tmp_path, "evaluate", inputs, EvaluateSettings(truth_sha256="0" * 64), truth=truth)
+
+
+def test_the_page_is_whole(page):
+    found = checked(page)
+    sections = {"appearance", "relighting", "shape", "colour", "gloss", "capture", "left-out", "made", "verify"}
+    assert sections <= found.ids
+    assert all(link.startswith("#") and link[1:] in found.ids for link in found.links)
+
+
+def test_the_page_opens_offline_and_on_a_phone(page):
+    found = checked(page)
+    assert all(source.startswith("data:") for source in found.sources)
+    assert not re.search(r"https?://|@import|url\(|<script|<link", page)
+    assert len(page.encode()) < 8e6
+
+
+def test_the_page_is_the_same_byte_for_byte(full, page, tmp_path):
+    again = run(tmp_path, "report", full, ReportSettings())
+    assert again.path("report.html").read_text(encoding="utf-8") == page
+    assert open_artifact(again.folder).diagnostics["bytes"] == len(page.encode())
+
+
+def test_the_title_is_text_not_markup(page):
+    assert "Tea caddy &lt;b&gt;&amp;&#34;quoted&#34;&lt;/b&gt;" in page
+    assert "<b>&" not in page
+
+
+def test_a_large_video_is_named_not_carried(page):
+    assert "<video" not in page
+    assert "render/aaaaaaaaaaaa/moving-light.mp4" in page
+
+
+def test_changed_settings_and_reasons_are_told(full, tmp_path):
+    settings = ReportSettings(title="Own title", left_out={"separate": "its method is set to none"})
+    inputs = {name: full[name] for name in ("ingest", "normals")}
+    text = run(tmp_path, "report", inputs, settings).path("report.html").read_text(encoding="utf-8")
+    assert "<h1>Own title</h1>" in text
+    assert "its method is set to none" in text
+    assert "1 setting changed" in text  # channels of ingest
+    assert 'id="relighting"' not in text
+    assert "none were" in text
+
+
+def test_a_scene_of_luminance_and_a_mask_has_its_page(tmp_path):
+    mask = np.zeros((24, 32), bool)
+    mask[4:20, 5:30] = True
+    ingest = ingested(tmp_path, channels="luminance", mask=mask, checks=0, white=False)
+    inputs = {"ingest": ingest, "normals": exact_normals(tmp_path, ingest)}
+    text = run(tmp_path, "report", inputs, ReportSettings(picture_columns=128)).path("report.html").read_text()
+    checked(text)
+    assert "No white board was photographed" in text
+    assert "only lightness differs" in text
+    assert "52.1 % of the picture" in text
+
+
+def test_left_out_spectra_and_gloss_leave_no_gap(full, tmp_path):
+    inputs = {name: full[name] for name in ("ingest", "normals", "height")}
+    truthless = run(tmp_path / "e", "evaluate", inputs, EvaluateSettings())
+    found = json.loads(truthless.path("evaluation.json").read_text())
+    assert (found["normals"], found["reflectance"]) == (None, None)
+    assert found["classes_from"] == "model"
+    text = (
+        run(tmp_path / "r", "report", inputs | {"evaluate": truthless}, ReportSettings())
+        .path("report.html")
+        .read_text()
+    )
+    checked(text)
+    assert 'id="gloss"' not in text
+    assert 'id="relighting"' in text
