@@ -46,11 +46,12 @@ def make_capture(
         cosine = (
             max(float(light[2]), 0.0) / max(float(np.linalg.norm(light)), 1e-9) if np.isfinite(light).all() else 0.5
         )
+        lamp = falloff * (1 - 0.01 * i)  # no two lamps are equally strong
         role = "check" if i >= len(lights) - checks else "sample"
-        write_frame(folder / f"frames/{name}.png", level + 0.8 * top * cosine * falloff * texture)
+        write_frame(folder / f"frames/{name}.png", level + 0.8 * top * cosine * lamp * texture)
         table.append(f"frames/{name}.png,{role},{name},{seconds}")
         if white:
-            write_frame(folder / f"white/{name}.png", level + 0.8 * top * cosine * falloff)
+            write_frame(folder / f"white/{name}.png", level + 0.8 * top * cosine * lamp)
             table.append(f"white/{name}.png,white,{name},{seconds}")
     if dark:
         write_frame(folder / "dark/dark.png", np.full((rows, columns, len(channels)), float(level)))

@@ -140,35 +140,34 @@ def _drop_not_finite(out, valid):
 def count_unusable(codes, usable, saturated, clip):
     """Pixels of one frame inside the mask that are: saturated in any channel, at the clip in all, not finite; in all.
 
-    codes (rows, columns, channels); usable (rows, columns) uint8; saturated, clip: int for integer codes, float for
-    float. Returns these four counts and the largest code (of the whole frame).
+    codes (rows, columns, channels); usable (rows, columns) uint8; saturated, clip: in the codes' own type.
+    Returns these four counts and the largest code (of the whole frame).
     """
     rows, columns, channels = codes.shape
     hot, cold, broken, inside, most = 0, 0, 0, 0, codes[0, 0, 0]
+    brightest = np.empty(columns, codes.dtype)
     for y in range(rows):
-        if channels == 1:
-            row, within = codes[y, :, 0], usable[y]
+        row, within = codes[y], usable[y]
+        if channels == 3:
             for x in range(columns):
-                code, here = row[x], within[x] != 0
-                most = max(most, code)
-                inside += here
-                hot += here & (code >= saturated)
-                cold += here & (code <= clip)
-                broken += here & (code - code != 0)  # NaN and infinity only
-            continue
+                brightest[x] = max(row[x, 0], row[x, 1], row[x, 2])
+        else:
+            brightest[:] = row[:, 0]
+            for k in range(1, channels):
+                for x in range(columns):
+                    brightest[x] = max(brightest[x], row[x, k])
         for x in range(columns):
-            over, under, bad = False, True, False
-            for k in range(channels):
-                code = codes[y, x, k]
-                over |= code >= saturated
-                under &= code <= clip
-                bad |= code - code != 0
-                most = max(most, code)
-            here = usable[y, x] != 0
+            here = within[x] != 0
             inside += here
-            hot += here & over
-            cold += here & under
-            broken += here & bad
+            hot += here & (brightest[x] >= saturated)
+            cold += here & (brightest[x] <= clip)
+            most = max(most, brightest[x])
+        if not _always_finite(most):
+            for x in range(columns):
+                bad = False
+                for k in range(channels):
+                    bad |= not np.isfinite(row[x, k])
+                broken += bad & (within[x] != 0)
     return hot, cold, broken, inside, most
 
 

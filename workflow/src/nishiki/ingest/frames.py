@@ -101,14 +101,15 @@ class FrameReader:
         return code_table(self.dtype, encoding=camera.encoding, bits=camera.bits)
 
     @cached_property
-    def saturated(self) -> int | float:
+    def saturated(self) -> np.number:
+        """Code from which a sample is saturated, in the codes' own type."""
         camera = self.capture.settings.camera
         return saturation_code(self.dtype, camera.saturation, camera.bits)
 
     @property
-    def clip(self) -> int | float:
+    def clip(self) -> np.number:
         """A stored code of 0 tells only that there was no more light than that."""
-        return 0 if self.dtype.kind == "u" else 0.0
+        return self.dtype.type(0)
 
     @property
     def black(self) -> float:

@@ -30,14 +30,14 @@ def code_table(dtype: np.dtype, *, encoding: Literal["linear", "srgb"], bits: in
     return (srgb_to_linear(codes) if encoding == "srgb" else codes).astype(np.float32)
 
 
-def saturation_code(dtype: np.dtype, fraction: float | None, bits: int | None = None) -> int | float:
-    """Code from which a sample counts as saturated: int for integer codes, float for float.
+def saturation_code(dtype: np.dtype, fraction: float | None, bits: int | None = None) -> np.number:
+    """Code from which a sample counts as saturated, in the codes' own type.
 
     fraction: of full scale; None: 0.995, and for float samples, which have no full scale of their own, never.
     """
     if np.dtype(dtype).kind == "f":
-        return float("inf") if fraction is None else float(fraction)
-    return int(np.ceil((fraction or DEFAULT_SATURATION) * full_scale(dtype, bits)))
+        return np.float32(np.inf if fraction is None else fraction)
+    return np.dtype(dtype).type(np.ceil((fraction or DEFAULT_SATURATION) * full_scale(dtype, bits)))
 
 
 @dataclass(frozen=True)

@@ -52,7 +52,7 @@ def white_field(
     if np.min(cos_theta) <= 0.05:
         found = f"cosine {np.min(cos_theta):.3f}"
         raise CaptureError(error("white-grazing", name, "lamp grazes or lies behind the white board", found=found))
-    levels, unusable = block_levels(codes, table, row_edges, column_edges, saturated, clip)
+    levels, unusable = block_levels(codes, table, row_edges, column_edges, float(saturated), float(clip))
     board = levels - dark
     bright_share = float((codes >= saturated).any(axis=2).mean())
     with np.errstate(invalid="ignore"):
