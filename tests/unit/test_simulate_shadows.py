@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from nishiki.simulate import relief
 from nishiki.simulate.bounce import bounced_irradiance
 from nishiki.simulate.relief import level_out, pixel_maps, weave_under_paint
 from nishiki.simulate.shadows import lit_share, shadow_map
@@ -116,6 +117,13 @@ def test_bounce_vanishes_where_nothing_faces_a_point():
     assert bounced_irradiance(light, dome, -0.04 * j, 0.04 * i, pitch_mm=1.0).max() < 1e-6
 
 
+@pytest.fixture(params=[256, 10])
+def band(request, monkeypatch):
+    """Pictures higher than one band of rows must come out the same."""
+    monkeypatch.setattr(relief, "_BAND", request.param)
+
+
+@pytest.mark.usefixtures("band")
 def test_pixel_normals_are_the_gradient_of_the_height():
     height = hills(96) * 0.2
     normals, mean, steepest = pixel_maps(height, step_mm=0.1, supersampling=2)
@@ -130,6 +138,7 @@ def test_pixel_normals_are_the_gradient_of_the_height():
     np.testing.assert_allclose(steepest, slope, atol=1e-5)
 
 
+@pytest.mark.usefixtures("band")
 def test_level_out_is_the_binomial_filter():
     height = np.random.default_rng(0).normal(size=(12, 14)).astype(np.float32)
     padded = np.pad(height.astype(float), 1, mode="edge")
@@ -138,6 +147,7 @@ def test_level_out_is_the_binomial_filter():
     np.testing.assert_allclose(level_out(height), slow, atol=1e-6)
 
 
+@pytest.mark.usefixtures("band")
 def test_thick_paint_hides_the_weave():
     bare = weave_under_paint(np.zeros((64, 64), np.float32), step_mm=0.1)
     covered = weave_under_paint(np.full((64, 64), 2.0, np.float32), step_mm=0.1)

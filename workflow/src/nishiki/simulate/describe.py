@@ -110,6 +110,6 @@ Colours are relative to a perfect white diffuser facing the lamp (Y = 1), like w
 Check lights: {checks}. Other attributes: lights, directions, positions in mm, settings.
 
 Where the capture gives one direction a lamp, it is that from the centre of the object. The lamps stand
-{settings.distance_mm:.0f} mm away, so the true direction at a pixel differs
-by {mean:.2f}° in the mean and {largest:.2f}° at most.
+{settings.distance_mm:.0f} mm away, so the true direction at a pixel differs from it by {mean:.2f}° in the mean
+and by {largest:.2f}° at most.
 """

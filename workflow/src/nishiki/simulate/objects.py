@@ -55,7 +55,7 @@ def make_object(settings: SimulationSettings) -> SimulatedObject:
         normals,
         mean,
         steepest,
-        float(height.max() - min(height.min(), 0)),
+        float(height.max()),
     )
 
 
