@@ -7,7 +7,7 @@ import pytest
 
 from nishiki.errors import UserError
 from nishiki.render.scene import Light
-from nishiki.render.shadow import NO_HORIZON, cast_shadows, horizon_tangent, shadow_reach
+from nishiki.render.shadow import cast_shadows, shadow_reach
 
 
 def relief(rows=40, columns=57, seed=0, amplitude=6.0):
@@ -58,20 +58,22 @@ AZIMUTHS = [0, 45, 90, 135, 180, 225, 270, 315, 10, 37, 77, 101, 163, 200, 248, 
 
 
 @pytest.mark.parametrize("azimuth", AZIMUTHS)
-def test_horizon_along_grid_and_diagonals_and_between(azimuth):
+def test_sweep_along_grid_and_diagonals_is_exact_and_close_between(azimuth):
     height, pitch = relief(24, 31), 0.5
-    a = np.radians(azimuth)
-    horizon = horizon_tangent(height, pitch=pitch, azimuth=a)
     slow = slow_horizons(azimuth, 24, 31, pitch)
-    nothing = slow < -1e29
-    if azimuth % 45 == 0:  # every pixel lies on a line: exact
-        np.testing.assert_array_equal(horizon == NO_HORIZON, nothing)
-        np.testing.assert_allclose(horizon[~nothing], slow[~nothing], rtol=2e-5, atol=2e-6)
-    else:  # a pixel between two lines takes their mean
-        both = ~nothing & (horizon != NO_HORIZON)
-        difference = np.abs(np.arctan(horizon) - np.arctan(slow))[both]
-        assert np.median(difference) < 0.02
-        assert np.count_nonzero(nothing ^ (horizon == NO_HORIZON)) <= 31 + 24
+    for elevation in (3, 12, 33, 60):
+        for radius in (0.0, 0.05):
+            a, e = np.radians([azimuth, elevation])
+            light = Light(direction=(np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e)), angular_radius=radius)
+            visibility = cast_shadows(height, [light], pitch=pitch).visibility[0]
+            above = e - np.arctan(slow)
+            d = np.clip(above / radius, -1, 1) if radius else np.where(above > 0, 1.0, -1.0)
+            expected = 0.5 + (d * np.sqrt(1 - d * d) + np.arcsin(d)) / np.pi
+            difference = np.abs(visibility - expected)
+            if azimuth % 45 == 0:  # every pixel lies on a line
+                assert np.all(difference[np.abs(above) > 1e-4] < 2e-3)
+            else:  # a pixel between two lines takes their mean
+                assert difference.mean() < 0.08, difference.mean()
 
 
 @pytest.mark.parametrize("elevation", [8, 25, 45, 70])
@@ -85,14 +87,16 @@ def test_march_equals_rays_exactly_and_sweep_up_to_the_edge(azimuth, elevation):
     slow = slow_horizons(azimuth, 30, 37, pitch)
     sure = np.abs(slow - np.tan(e)) > 1e-4
     np.testing.assert_array_equal(marched[sure], (np.tan(e) > slow)[sure])
-    assert set(np.unique(swept)) <= {0.0, 1.0}
-    # the sweep may move an edge by a pixel: where it differs, both states are among the neighbours of the exact answer
+    assert np.all((swept >= 0) & (swept <= 1))
+    # where the sweep differs, an edge is near: both states are among the neighbours of the exact answer (but for
+    # slivers of a pixel that one of the two misses)
     wrong = swept != marched
     padded = np.pad(marched, 1, mode="edge")
     around = np.stack([padded[i : i + 30, j : j + 37] for i in range(3) for j in range(3)])
     mixed = around.min(axis=0) != around.max(axis=0)
-    assert np.all(mixed[wrong])
-    assert wrong.mean() < 0.06
+    assert np.count_nonzero(wrong & ~mixed) <= 0.002 * mixed.size
+    assert np.abs(swept - marched).mean() < 0.04
+    assert np.mean(np.abs(swept - marched) > 0.5) < 0.04
 
 
 def test_a_wall_casts_a_shadow_of_its_height_over_the_tangent():

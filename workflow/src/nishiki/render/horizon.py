@@ -6,8 +6,6 @@ All of them in one file, because the cache of the compiler watches only the file
 import numpy as np
 from numba import njit
 
-NO_HORIZON = np.float32(-1e30)  # nothing lies between the pixel and the lamp
-
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _disc_share(elevation, horizon, radius):
@@ -23,27 +21,13 @@ def _disc_share(elevation, horizon, radius):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def disc_above(first, last, horizon, elevation, radius, out):
-    low, high = np.tan(max(elevation - radius, -1.5)), np.tan(min(elevation + radius, 1.5))
-    for row in range(first, last):
-        for column in range(horizon.shape[1]):
-            tangent = horizon[row, column]
-            if tangent <= low and (radius > 0.0 or tangent < low):
-                out[row, column] = 1.0
-            elif tangent >= high and elevation + radius < 1.5:
-                out[row, column] = 0.0
-            else:
-                out[row, column] = _disc_share(elevation, np.arctan(tangent), radius)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _sweep_line(k, surface, slope, step, hull_at, hull_height, out):
-    """Horizon along the line row = k + slope column into out (columns,); NaN where that is off the map or unknown."""
+def _sweep_line(start, surface, slope, step, hull_at, hull_height, out):
+    """Horizon along the line row = start + slope column into out (columns,); NaN off the map or where unknown."""
     rows, columns = surface.shape
     top = -1
     for column in range(columns - 1, -1, -1):
         out[column] = np.nan
-        at = k + slope * column
+        at = start + slope * column
         row = int(np.floor(at))
         share = at - row
         if row < 0 or row >= rows or (share > 0.0 and row + 1 >= rows):
@@ -70,28 +54,37 @@ def _sweep_line(k, surface, slope, step, hull_at, hull_height, out):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def sweep(first, last, surface, slope, step, out):
-    """Pixels between the lines k - 1 and k, for k = first .. last - 1: exactly one a column."""
+def sweep(first, last, phase, surface, slope, step, elevation, radius, floor, out):
+    """Visibility of the pixels between the lines k - 1 and k, for k = first .. last - 1: exactly one a column.
+
+    Line k is row = k + phase + slope column.  A pixel's tangent is the mean of its two lines'; tangents below `floor`
+    count as that: what lies further off than a tile's border reaches is then the same as nothing.
+    """
     rows, columns = surface.shape
+    low, high = np.tan(max(elevation - radius, -1.5)), np.tan(min(elevation + radius, 1.5))
     hull_at, hull_height = np.empty(columns), np.empty(columns)
     before, here = np.empty(columns), np.empty(columns)
-    _sweep_line(first - 1, surface, slope, step, hull_at, hull_height, before)
+    _sweep_line(first - 1 + phase, surface, slope, step, hull_at, hull_height, before)
     for k in range(first, last):
-        _sweep_line(k, surface, slope, step, hull_at, hull_height, here)
+        _sweep_line(k + phase, surface, slope, step, hull_at, hull_height, here)
         for column in range(columns):
-            lower = k - 1 + slope * column
+            lower = k - 1 + phase + slope * column
             row = int(np.floor(lower)) + 1
             if row < 0 or row >= rows:
                 continue
-            share = row - lower  # 0 < share <= 1: 1 is the line k
+            weight = row - lower  # 0 < weight <= 1: 1 is the line k
             a, b = before[column], here[column]
-            if share == 1.0 or not np.isfinite(a):
-                tangent = b
+            if weight == 1.0 or not np.isfinite(a):
+                a = b
             elif not np.isfinite(b):
-                tangent = a
+                b = a
+            tangent = (1.0 - weight) * max(a, floor) + weight * max(b, floor)
+            if not tangent >= low:
+                out[row, column] = 1.0
+            elif tangent > high and elevation + radius < 1.5:
+                out[row, column] = 0.0
             else:
-                tangent = (1.0 - share) * a + share * b
-            out[row, column] = tangent if np.isfinite(tangent) else -1e30
+                out[row, column] = _disc_share(elevation, np.arctan(tangent), radius)
         before, here = here, before
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.render.scene import Gloss, Light
-from nishiki.render.shade import ColourGroups, shade_channels
+from nishiki.render.shade import ColourGroups, shade_channels, tile_to_plane
 from nishiki.render.shadow import cast_shadows
 
 
@@ -52,10 +52,8 @@ def predict_observations(
         )
     if height is not None and height.shape != normals.shape[:2]:
         raise UserError(f"height: expected the shape of the normals {normals.shape[:2]}, found {height.shape}")
-    rows, columns = normals.shape[:2] if whole is None else whole
-    # x and y of pixel (0, 0) of these maps, with the centre of the whole at 0
-    left, top = pitch * (origin[1] - (columns - 1) / 2), pitch * ((rows - 1) / 2 - origin[0])
-    plane = np.array([[pitch, 0, left], [0, -pitch, top], [0, 0, 1]], dtype=np.float64)
+    whole = normals.shape[:2] if whole is None else whole
+    plane = tile_to_plane(pitch, origin, whole)
     channels = albedo.shape[2]
     groups = ColourGroups(
         np.eye(channels)[None], np.zeros((1, channels)), np.ones((1, channels)), np.zeros(1, np.int64), 0
@@ -63,8 +61,8 @@ def predict_observations(
     for light in lights:
         visibility = None
         if height is not None and shadows != "none":
-            here = light if light.position_mm is None else _seen_from(light, plane, normals.shape[:2], pitch)
-            visibility = cast_shadows(height, [here], pitch=pitch, method=shadows).visibility
+            cast = cast_shadows(height, [light], pitch=pitch, method=shadows, origin=origin, whole=whole)
+            visibility = cast.visibility
         shading = shade_channels(
             normals,
             albedo,
@@ -76,10 +74,3 @@ def predict_observations(
             plane=plane,
         )
         yield Prediction(shading.values, shading.flags, None if visibility is None else visibility[0])
-
-
-def _seen_from(light: Light, plane: np.ndarray, shape: tuple, pitch: float) -> Light:
-    """The same lamp relative to the centre of these maps, which is where cast shadows put the origin."""
-    centre = plane @ [(shape[1] - 1) / 2, (shape[0] - 1) / 2, 1]
-    x, y, z = light.position_mm
-    return Light(position_mm=(x - centre[0], y - centre[1], z), angular_radius=light.angular_radius)

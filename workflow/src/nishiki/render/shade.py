@@ -145,11 +145,20 @@ def shade_channels(
     return Shading(values, flags)
 
 
-def pixel_to_plane(scene: PlaneScene) -> np.ndarray:
-    """(3, 3): (column, row, 1) of the maps to (x, y, 1) on the painting; origin at its centre, y up."""
-    rows, columns = scene.shape
-    p = scene.pitch
-    return np.array([[p, 0, -p * (columns - 1) / 2], [0, -p, p * (rows - 1) / 2], [0, 0, 1]], dtype=np.float64)
+def pixel_to_plane(
+    scene: PlaneScene, *, origin: tuple[int, int] = (0, 0), whole: tuple[int, int] | None = None
+) -> np.ndarray:
+    """(3, 3): (column, row, 1) of the maps to (x, y, 1) on the painting; (0, 0) at its centre, y up.
+
+    For maps that are a tile, `origin` is their first (row, column) and `whole` the (rows, columns) of the painting.
+    """
+    return tile_to_plane(scene.pitch, origin, scene.shape if whole is None else whole)
+
+
+def tile_to_plane(pitch: float, origin: tuple[int, int], whole: tuple[int, int]) -> np.ndarray:
+    """`pixel_to_plane` without a scene."""
+    left, top = origin[1] - (whole[1] - 1) / 2, (whole[0] - 1) / 2 - origin[0]
+    return np.array([[pitch, 0, pitch * left], [0, -pitch, pitch * top], [0, 0, 1]], dtype=np.float64)
 
 
 def _first(index: int, count: int) -> np.ndarray:

@@ -19,7 +19,6 @@ import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.render import horizon
-from nishiki.render.horizon import NO_HORIZON
 from nishiki.render.scene import Light
 from nishiki.render.threads import over_rows
 
@@ -33,11 +32,21 @@ class CastShadows:
     heights_missing: int  # pixels without a finite height
 
 
-def cast_shadows(height: np.ndarray, lights: list[Light], *, pitch: float, method: str = "sweep") -> CastShadows:
+def cast_shadows(
+    height: np.ndarray,
+    lights: list[Light],
+    *,
+    pitch: float,
+    method: str = "sweep",
+    origin: tuple[int, int] = (0, 0),
+    whole: tuple[int, int] | None = None,
+) -> CastShadows:
     """What each pixel sees of each lamp.  height: (rows, columns), in the unit of `pitch`.
 
     method: "sweep" (lamps at a finite distance are marched all the same) or "march".  A lamp of angular radius 0 gives
-    hard edges; otherwise the lamp is a uniform disc that a straight horizon cuts.
+    hard edges; otherwise it is a uniform disc that a straight horizon cuts.  For a tile, `origin` is its first (row,
+    column) and `whole` the (rows, columns) of the map; further than `shadow_reach` from the tile's edges the result is
+    that of the whole map.
     """
     if method not in ("sweep", "march"):
         raise UserError(f"shadow method: expected sweep or march, found {method!r}; choose one of the two")
@@ -50,28 +59,23 @@ def cast_shadows(height: np.ndarray, lights: list[Light], *, pitch: float, metho
     visibility = np.empty((len(lights), *height.shape), np.float32)
     for j, light in enumerate(lights):
         if method == "sweep" and light.position_mm is None:
-            x, y, z = light.central_direction()
-            tangent = horizon_tangent(surface, pitch=pitch, azimuth=float(np.arctan2(y, x)))
-            elevation = float(np.arctan2(z, np.hypot(x, y)))
-            over_rows(
-                _rows_of(horizon.disc_above, tangent, elevation, light.angular_radius, visibility[j]), len(surface)
-            )
+            visibility[j] = _sweep_light(surface, light, pitch, origin)
         else:
-            _march_light(surface, light, pitch, visibility[j])
+            _march_light(surface, light, pitch, origin, height.shape if whole is None else whole, visibility[j])
         visibility[j][~known] = 1
     shadowed = 1 - visibility.mean(axis=(1, 2), dtype=np.float64)
     return CastShadows(visibility, shadowed, int(known.size - np.count_nonzero(known)))
 
 
-def horizon_tangent(height: np.ndarray, *, pitch: float, azimuth: float) -> np.ndarray:
-    """Tangent of the horizon's elevation towards `azimuth` (radians, from x to y), by the sweep.
-
-    height: (rows, columns) float32, NaN where unknown.  Result of the same shape; NO_HORIZON where nothing is there.
-    """
+def _sweep_light(surface: np.ndarray, light: Light, pitch: float, origin: tuple[int, int]) -> np.ndarray:
+    """Visibility (rows, columns) of a lamp at infinity; the lines of a tile are those of the whole map."""
+    x, y, z = light.central_direction()
+    elevation = float(np.arctan2(z, np.hypot(x, y)))
+    azimuth = np.arctan2(y, x)
     toward_column, toward_row = np.cos(azimuth), -np.sin(azimuth)
     # bring the lamp to the side of growing columns, within 45 degrees
     swap = abs(toward_row) > abs(toward_column)
-    surface = height.T if swap else height
+    surface = surface.T if swap else surface
     along, across = (toward_row, toward_column) if swap else (toward_column, toward_row)
     flip = along < 0
     surface = np.ascontiguousarray(surface[:, ::-1] if flip else surface)
@@ -80,20 +84,25 @@ def horizon_tangent(height: np.ndarray, *, pitch: float, azimuth: float) -> np.n
     slope = float(np.round(across / abs(along) * 2**20) / 2**20)
     rows, columns = surface.shape
     drift = slope * (columns - 1)
-    first, last = int(np.floor(min(0.0, -drift))), int(np.ceil(rows - 1 + max(0.0, -drift)))
+    first, last = int(np.floor(min(0.0, -drift))) - 1, int(np.ceil(rows - 1 + max(0.0, -drift))) + 1
+    start = origin[0] if swap else origin[1]
+    phase = (-slope * (start + columns - 1) if flip else slope * start) % 1.0
     step = pitch * np.hypot(1.0, slope)
-    out = np.full(surface.shape, NO_HORIZON)
+    floor = _lowest_tangent(elevation, light.angular_radius)
+    out = np.ones(surface.shape, np.float32)
 
     def lines(begin, end):
-        horizon.sweep(first + begin, first + end, surface, slope, step, out)
+        horizon.sweep(
+            first + begin, first + end, phase, surface, slope, step, elevation, light.angular_radius, floor, out
+        )
 
-    over_rows(lines, last - first + 2)
+    over_rows(lines, last - first + 1)
     out = out[:, ::-1] if flip else out
-    return np.ascontiguousarray(out.T if swap else out)
+    return out.T if swap else out
 
 
 def shadow_reach(height: np.ndarray, light: Light, *, pitch: float) -> int:
-    """Pixels beyond a tile that can cast a shadow into it: the relief's range over the tangent of the elevation.
+    """Pixels beyond a tile that can cast a shadow into it: the relief's range over half the tangent of the elevation.
 
     For a lamp at a finite distance, of its lowest elevation over the map.
     """
@@ -102,27 +111,33 @@ def shadow_reach(height: np.ndarray, light: Light, *, pitch: float) -> int:
     horizontal = float(np.hypot(x, y))
     if light.position_mm is not None:
         horizontal += 0.5 * pitch * float(np.hypot(*height.shape))
-    elevation = np.arctan2(z, horizontal) - light.angular_radius
+    floor = _lowest_tangent(np.arctan2(z, horizontal), light.angular_radius)
     longest = int(np.ceil(np.hypot(*height.shape)))
-    if elevation <= 0:
-        return longest
-    return min(longest, int(np.ceil(relief / np.tan(elevation) / pitch)) + 1)
+    return longest if floor <= 0 else min(longest, int(np.ceil(relief / floor / pitch)) + 1)
+
+
+def _lowest_tangent(elevation: float, radius: float) -> float:
+    """Horizons below this cannot matter: half the tangent of the lamp's lower edge, as the sweep averages two lines.
+
+    Not the edge itself: a line that is lit would then weigh too little against one in shadow.
+    """
+    return 0.5 * float(np.tan(elevation - radius)) if elevation > radius else -1e30
 
 
 def _rows_of(kernel, *arguments):
     return lambda first, last: kernel(first, last, *arguments)
 
 
-def _march_light(surface, light, pitch, out) -> None:
+def _march_light(surface, light, pitch, origin, whole, out) -> None:
     source = light.homogeneous()
-    rows, columns = surface.shape
+    rows, columns = whole
     scaled = source[:3] / (pitch if source[3] else 1.0)
     # to pixels: columns to the right, rows downwards, heights in pixels too
     column, row = scaled[0], -scaled[1]
     if source[3]:
-        column, row = column + (columns - 1) / 2, row + (rows - 1) / 2
+        column, row = column + (columns - 1) / 2 - origin[1], row + (rows - 1) / 2 - origin[0]
     highest = float(np.nanmax(surface)) / pitch if np.any(np.isfinite(surface)) else 0.0
     over_rows(
         _rows_of(horizon.march, surface, pitch, column, row, scaled[2], source[3], highest, light.angular_radius, out),
-        rows,
+        len(surface),
     )
