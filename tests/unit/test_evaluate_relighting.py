@@ -1,21 +1,25 @@
 """Predictions against photographs: classes, PSNR, colour differences, levels, tables."""
 
+import numba
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from nishiki.errors import UserError
 from nishiki.evaluate.camera_colour import assumed_colour, fitted_colour
 from nishiki.evaluate.classes import DIFFUSE, HIGHLIGHT, OUTSIDE, SHADOW, classify
 from nishiki.evaluate.headlines import headlines
+from nishiki.evaluate.kernels import delta_e
 from nishiki.evaluate.museum import FADGI, ISO_19264, level_of, levels
 from nishiki.evaluate.prediction import FittedModel, gloss_from, light_of, predict_light
 from nishiki.evaluate.preview import PreviewPair
-from nishiki.evaluate.relighting import LightComparison, SquaredError, truth_difference
+from nishiki.evaluate.relighting import LightComparison, SquaredError, difference_of, truth_difference
 from nishiki.evaluate.scene_colour import channel_colour, spectral_colour
 from nishiki.evaluate.table import COLUMNS, rows_of
 from nishiki.render.scene import Gloss, Light
 from nishiki.spectra.basis import channel_weights
-from nishiki.spectra.colour import delta_e_2000, illuminant, white_xyz, xyz_from_spectra, xyz_to_lab
+from nishiki.spectra.colour import delta_e_2000, illuminant, srgb_encode, white_xyz, xyz_from_spectra, xyz_to_lab
 from nishiki.spectra.sampling import WAVELENGTHS_NM
 from nishiki.spectra.training import synthetic_reflectances
 
@@ -38,23 +42,73 @@ def test_class_of_unknown_light_is_shadow_not_diffuse():
     assert classify(np.ones(1), np.zeros(1), nan, inside=np.ones(1, bool)).tolist() == [SHADOW]
 
 
+def _error(predicted, observed):
+    """Sums over two pictures (rows, columns, channels), and the map of differences."""
+    colour = assumed_colour(predicted.shape[-1])
+    classes = np.ones(predicted.shape[:2], np.uint8)
+    de00 = np.full(classes.shape, np.nan, np.float32)
+    return difference_of(predicted, observed, colour.matrix, colour.white, classes, de00)[1], de00
+
+
 def test_psnr_known_value_and_bands_add_up():
-    error = SquaredError()
-    error.add(np.full((10, 3), 0.6), np.full((10, 3), 0.5))
-    assert error.psnr("linear") == pytest.approx(20.0)
-    parts = SquaredError()
+    predicted, observed = np.full((10, 2, 3), 0.6, np.float32), np.full((10, 2, 3), 0.5, np.float32)
+    error, parts = SquaredError(), SquaredError()
+    error.add(_error(predicted, observed)[0])
+    assert error.psnr("linear") == pytest.approx(20.0, abs=1e-5)
     for half in range(2):
-        parts.add(np.full((5, 3), 0.6), np.full((5, 3), 0.5))
-        assert parts.samples == 15 * (half + 1)
+        parts.add(_error(predicted[:5], observed[:5])[0])
+        assert parts.samples == 30 * (half + 1)
     assert parts.psnr("coded") == pytest.approx(error.psnr("coded"))
-    assert error.as_dict()["bias"] == pytest.approx(0.1)
+    expected = srgb_encode(0.6) - srgb_encode(0.5)
+    assert error.psnr("coded") == pytest.approx(-20 * np.log10(expected), abs=1e-5)
+    assert error.as_dict()["bias"] == pytest.approx(0.1, rel=1e-6)
 
 
 def test_psnr_of_nothing_and_of_equal_pictures_is_not_a_number_made_up():
     assert SquaredError().psnr("linear") is None
     same = SquaredError()
-    same.add(np.ones((2, 3)), np.ones((2, 3)))
+    same.add(_error(np.ones((2, 2, 3)), np.ones((2, 2, 3)))[0])
     assert same.psnr("linear") is None
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(-6, 3), st.sampled_from([1, 3, 5]))
+@settings(deadline=None, max_examples=60)
+def test_the_compiled_difference_equals_the_formula_of_arrays(seed, exponent, channels):
+    random = np.random.default_rng(seed)
+    first, second = (10.0**exponent * random.normal(0.5, 0.5, (2, 4, 6, channels))).astype(np.float32)
+    first[0, 0], second[0, 1], first[1, 1] = 0.0, 0.0, second[1, 1]
+    sums, de00 = _error(first, second)
+    colour = assumed_colour(channels)
+    expected = delta_e_2000(colour.lab(first), colour.lab(second))
+    assert de00 == pytest.approx(expected, rel=1e-5, abs=1e-6)
+    assert sums[2] == pytest.approx(np.sum((srgb_encode(first.astype(float)) - srgb_encode(second.astype(float))) ** 2))
+    assert sums[1] == pytest.approx(np.sum((first.astype(float) - second) ** 2))
+
+
+def test_the_compiled_difference_on_the_pairs_of_sharma():
+    # one pair of each hard kind: hues far apart, close greens (Sharma et al. 2005, table 1)
+    pairs = [
+        ([50, 2.5, 0], [50, 0, -2.5], 4.3065),
+        ([50, 2.5, 0], [73, 25, -18], 27.1492),
+        ([50, 2.5, 0], [61, -5, 29], 22.8977),
+        ([60.2574, -34.0099, 36.2677], [60.4626, -34.1751, 39.4387], 1.2644),
+    ]
+    for first, second, expected in pairs:
+        assert delta_e(np.array(first, float), np.array(second, float)) == pytest.approx(expected, abs=1e-4)
+
+
+def test_the_difference_is_the_same_for_any_number_of_threads():
+    random = np.random.default_rng(4)
+    first, second = random.random((2, 37, 11, 3)).astype(np.float32)
+    found = []
+    before = numba.get_num_threads()
+    try:
+        for threads in {1, before}:
+            numba.set_num_threads(threads)
+            found.append(_error(first, second)[0].tobytes())
+    finally:
+        numba.set_num_threads(before)
+    assert len(set(found)) == 1
 
 
 @pytest.mark.parametrize("channels", [1, 3, 6])
@@ -157,7 +211,7 @@ def test_gloss_from_parameters_reads_lobes_and_gaps():
 
 def _comparison(observed, predicted, **changes):
     shape = observed.shape[:2]
-    settings = {
+    options = {
         "usable": np.ones(shape, bool),
         "known": np.ones(shape, bool),
         "inside": np.ones(shape, bool),
@@ -166,7 +220,7 @@ def _comparison(observed, predicted, **changes):
     comparison = LightComparison.of(shape, assumed_colour(3))
     for start in range(0, shape[0], 4):
         rows = slice(start, start + 4)
-        parts = {name: values[rows] for name, values in settings.items()}
+        parts = {name: values[rows] for name, values in options.items()}
         comparison.add(rows, predicted[rows], observed[rows], **parts)
     return comparison
 

@@ -3,6 +3,7 @@
 import numpy as np
 
 from nishiki.evaluate.camera_colour import CameraColour
+from nishiki.evaluate.kernels import add_blocks
 from nishiki.spectra.colour import xyz_to_srgb_linear
 
 COLUMNS = 720
@@ -16,23 +17,24 @@ class PreviewPair:
         self.block = -(-shape[1] // columns)
         self.size = tuple(-(-n // self.block) for n in shape)
         self.colour = colour
-        self.sums = np.zeros((2, *self.size, 3))
-        self.counts = np.zeros(self.size)
+        self.sums = None
+        self.counts = np.zeros((2, *self.size))
 
     def add(self, rows: slice, predicted: np.ndarray, observed: np.ndarray, *, inside: np.ndarray) -> None:
-        """predicted, observed : (rows, columns, channels) relative to white; pixels outside the object are left out."""
-        i, j = np.nonzero(inside)
-        target = (i + rows.start) // self.block * self.size[1] + j // self.block
-        places = self.size[0] * self.size[1]
-        self.counts += np.bincount(target, minlength=places).reshape(self.size)
+        """predicted, observed : (rows, columns, channels) relative to white; pixels outside the object are left out.
+
+        Values that are not finite count as 0.
+        """
+        if self.sums is None:
+            self.sums = np.zeros((2, *self.size, predicted.shape[2]))
         for k, picture in enumerate((predicted, observed)):
-            xyz = self.colour.xyz(np.nan_to_num(picture[inside], posinf=0.0, neginf=0.0))
-            for c in range(3):
-                self.sums[k, ..., c] += np.bincount(target, xyz[:, c], minlength=places).reshape(self.size)
+            values = np.ascontiguousarray(picture, np.float32)
+            add_blocks(values, inside, rows.start, self.block, self.sums[k], self.counts[k])
 
     def arrays(self) -> dict[str, np.ndarray]:
         """predicted, observed: (rows, columns, 3) float16 linear sRGB, the lamp's white at 1, 1, 1; inside: bool."""
         with np.errstate(invalid="ignore", divide="ignore"):
             means = np.where(self.counts[..., None] > 0, self.sums / self.counts[..., None], 0.0)
-        rgb = np.clip(xyz_to_srgb_linear(means, white=self.colour.white), -60000, 60000).astype(np.float16)
-        return {"predicted": rgb[0], "observed": rgb[1], "inside": self.counts > 0}
+        rgb = xyz_to_srgb_linear(self.colour.xyz(means), white=self.colour.white)
+        rgb = np.clip(rgb, -60000, 60000).astype(np.float16)
+        return {"predicted": rgb[0], "observed": rgb[1], "inside": self.counts[0] > 0}

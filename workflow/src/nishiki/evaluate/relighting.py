@@ -4,29 +4,28 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from nishiki.evaluate import kernels
 from nishiki.evaluate.camera_colour import CameraColour
 from nishiki.evaluate.classes import NAMES
 from nishiki.evaluate.summary import Summary, summarise
-from nishiki.spectra.colour import delta_e_2000, srgb_encode, xyz_to_lab
+from nishiki.render.threads import over_rows
 
 
 @dataclass
 class SquaredError:
-    """Sums from which PSNR and bias follow; `add` takes one band after the other."""
+    """Sums from which PSNR and bias follow, over samples relative to white."""
 
     samples: int = 0
     linear: float = 0.0
     coded: float = 0.0
     bias: float = 0.0
 
-    def add(self, predicted: np.ndarray, observed: np.ndarray) -> None:
-        """predicted, observed : (pixels, channels), relative to white."""
-        difference = predicted.astype(np.float64) - observed
-        coded = srgb_encode(predicted.astype(np.float64)) - srgb_encode(observed.astype(np.float64))
-        self.samples += difference.size
-        self.linear += float(np.sum(difference**2))
-        self.coded += float(np.sum(coded**2))
-        self.bias += float(np.sum(difference))
+    def add(self, sums: np.ndarray) -> None:
+        """Sums (SUMS,) of the comparison kernel."""
+        self.samples += int(sums[0])
+        self.linear += float(sums[1])
+        self.coded += float(sums[2])
+        self.bias += float(sums[3])
 
     def psnr(self, kind: str) -> float | None:
         """Peak signal-to-noise ratio, dB, peak = the white reference; kind: linear | coded. None for no or no error."""
@@ -106,10 +105,11 @@ class LightComparison:
         ):
             self.excluded[reason] = self.excluded.get(reason, 0) + int(np.count_nonzero(count))
         self.classes[rows] = np.where(used, classes, 0)
-        self.de00_map[rows][used] = delta_e_2000(self.colour.lab(predicted[used]), self.colour.lab(observed[used]))
+        sums = difference_of(
+            predicted, observed, self.colour.matrix, self.colour.white, self.classes[rows], self.de00_map[rows]
+        )
         for label in NAMES:
-            chosen = used & (classes == label)
-            self.errors.setdefault(label, SquaredError()).add(predicted[chosen], observed[chosen])
+            self.errors.setdefault(label, SquaredError()).add(sums[label])
 
     def score(self) -> LightScore:
         """Figures over all bands."""
@@ -132,10 +132,26 @@ def truth_difference(
     white : (3,) XYZ of the perfect white that faces the lamp; classes : (rows, columns), 0 is left out.
     """
     found = np.full(classes.shape, np.nan, np.float32)
-    for start in range(0, len(classes), 64):
-        rows = slice(start, start + 64)
-        used = classes[rows] > 0
-        pair = (xyz_to_lab(values[rows][used].astype(np.float64), white) for values in (xyz, true_xyz))
-        found[rows][used] = delta_e_2000(*pair)
+    difference_of(xyz, true_xyz, np.eye(3), white, classes, found)
     by_class = {name: summarise(found, where=classes == label) for label, name in NAMES.items()}
     return summarise(found, where=classes > 0), by_class, found
+
+
+def difference_of(
+    first: np.ndarray, second: np.ndarray, matrix: np.ndarray, white: np.ndarray, classes: np.ndarray, de00: np.ndarray
+) -> np.ndarray:
+    """CIEDE2000 of two pictures (rows, columns, C) into de00 where classes is not 0; sums (classes, SUMS) of errors.
+
+    matrix : (3, C) from channels to XYZ; white : (3,). Rows are summed one by one and then in order, so that the result
+    is the same for any number of threads.
+    """
+    sums = np.zeros((len(classes), max(NAMES) + 1, kernels.SUMS))
+    pictures = [np.ascontiguousarray(picture, np.float32) for picture in (first, second)]
+    matrix = np.ascontiguousarray(matrix, np.float64)
+    white = np.ascontiguousarray(white, np.float64)
+
+    def rows(start: int, stop: int) -> None:
+        kernels.compare_rows(start, stop, *pictures, classes, matrix, white, de00, sums)
+
+    over_rows(rows, len(classes))
+    return sums.sum(axis=0)
