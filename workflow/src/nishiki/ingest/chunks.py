@@ -7,6 +7,7 @@ about a third of the time for the thousands of large chunks of a capture.
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import google_crc32c
@@ -39,27 +40,29 @@ def chunk_path(array_folder: Path, light: int, band: int) -> Path:
 
 
 def write_chunk(path: Path, values: np.ndarray, *, compression: str) -> None:
-    """Write one whole chunk; values contiguous, little-endian."""
-    payload = np.ascontiguousarray(values).reshape(-1).view(np.uint8).data
+    """Write one whole chunk of little-endian values."""
+    payload = values.tobytes()
     if compression == "zstd":
         from numcodecs.zstd import Zstd
 
-        payload = Zstd(level=ZSTD_LEVEL).encode(payload)
+        payload = bytes(Zstd(level=ZSTD_LEVEL).encode(payload))
     path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("wb") as file:
-        file.write(payload)
-        file.write(google_crc32c.value(bytes(payload)).to_bytes(4, "little"))
+    with path.open("wb", buffering=0) as file:
+        for part in (payload, google_crc32c.value(payload).to_bytes(4, "little")):
+            if file.write(part) != len(part):
+                raise OSError(f"{path}: cannot be written whole; is the disk full?")
 
 
 def read_chunk(path: Path, shape: tuple, dtype: np.dtype, *, compression: str) -> np.ndarray:
     """Read one chunk and verify its checksum; UserError where it is missing or damaged."""
     remedy = "Run ingest again"
     try:
-        stored = path.read_bytes()
+        with path.open("rb", buffering=0) as file:
+            length = os.fstat(file.fileno()).st_size
+            payload, checksum = file.read(max(length - 4, 0)), file.read()
     except FileNotFoundError as e:
         raise UserError(f"{path}: part of the ingested frames is missing. {remedy}") from e
-    payload = stored[:-4]
-    if len(stored) < 4 or google_crc32c.value(payload) != int.from_bytes(stored[-4:], "little"):
+    if len(checksum) != 4 or google_crc32c.value(payload) != int.from_bytes(checksum, "little"):
         raise UserError(f"{path}: part of the ingested frames is damaged (checksum differs). {remedy}")
     if compression == "zstd":
         from numcodecs.zstd import Zstd
