@@ -11,6 +11,7 @@ import zarr
 from captures import RING, edit_text, edit_yaml, make_capture, write_frame
 from conftest import PROJECT
 
+from nishiki.capture.check import check_capture
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
 from nishiki.errors import UserError
@@ -104,6 +105,22 @@ def test_near_lamp_cosine_on_the_board_varies_over_the_picture(tmp_path):
     np.testing.assert_allclose(values[0], TEXTURE * cosine, rtol=5e-3)
     np.testing.assert_array_equal(observations.positions_mm[0], lamp)
     assert observations.image_centre == (11.5, 15.5)
+
+
+def test_the_board_need_not_be_larger_than_the_object(tmp_path):
+    mask = np.zeros((ROWS, COLUMNS), bool)
+    mask[8:14, 9:15] = True
+    folder = make_capture(tmp_path / "c", mask=mask)
+    for path in (folder / "white").iterdir():
+        board = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        board[:4], board[20:], board[:, :4], board[:, 20:] = 100, 100, 100, 100
+        cv2.imwrite(str(path), board)
+    observations, diagnostics = ingest(folder, tmp_path / "o", white_block=4)
+    values, valid = observations.read(slice(0, ROWS))
+    np.testing.assert_array_equal(valid, np.broadcast_to(mask, valid.shape))
+    np.testing.assert_allclose(values[:, mask], truth()[:, mask], rtol=2e-3)
+    assert diagnostics.warnings == ()
+    assert check_capture(folder, level="full") == []
 
 
 def test_what_may_not_be_used_is_marked(tmp_path):

@@ -190,7 +190,7 @@ def _frame_content(
 ) -> list[Problem]:
     codes = reader.read(frame)
     if frame.role == "white":
-        return list(board_field(reader, frame, codes, darks, edges).problems)
+        return list(board_field(reader, frame, codes, darks, edges, usable).problems)
     if frame.role == "flat":
         return []
     *counts, highest = count_unusable(codes, usable, reader.saturated, reader.clip)

@@ -16,12 +16,15 @@ def direction_from_sphere(image: np.ndarray, centre: tuple[float, float], radius
     """
     import cv2
 
-    rows, columns = np.indices(image.shape)
-    distance = np.hypot(rows - centre[0], columns - centre[1])
-    inside = distance < 0.98 * radius
+    # Only the sphere's own square is looked at.
+    top, left = (max(0, int(c - radius)) for c in centre)
+    bottom, right = (int(c + radius) + 2 for c in centre)
+    part = np.ascontiguousarray(image[top:bottom, left:right], dtype=np.float32)
+    rows, columns = np.ogrid[top : top + part.shape[0], left : left + part.shape[1]]
+    inside = np.hypot(rows - centre[0], columns - centre[1]) < 0.98 * radius
     if not inside.any():
         raise ValueError("the sphere lies outside the picture")
-    smooth = cv2.GaussianBlur(image.astype(np.float64), (0, 0), max(0.5, 0.01 * radius))
+    smooth = cv2.GaussianBlur(part, (0, 0), max(0.5, 0.01 * radius))
     smooth = np.where(inside, smooth, -np.inf)
     peak = np.unravel_index(int(np.argmax(smooth)), smooth.shape)
     floor = float(np.median(smooth[inside]))
@@ -29,9 +32,8 @@ def direction_from_sphere(image: np.ndarray, centre: tuple[float, float], radius
         raise ValueError("no highlight on the sphere")
     bright = (smooth >= floor + HIGHLIGHT * (smooth[peak] - floor)).astype(np.uint8)
     _, labels = cv2.connectedComponents(bright)
-    spot = labels == labels[peak]
-    weight = np.where(spot, smooth - floor, 0.0)
-    row, column = (rows * weight).sum() / weight.sum(), (columns * weight).sum() / weight.sum()
+    weight = np.where(labels == labels[peak], smooth - floor, 0.0)
+    row, column = float((rows * weight).sum() / weight.sum()), float((columns * weight).sum() / weight.sum())
     x, y = (column - centre[1]) / radius, -(row - centre[0]) / radius
     z = np.sqrt(max(0.0, 1.0 - x * x - y * y))
     normal = np.array([x, y, z])

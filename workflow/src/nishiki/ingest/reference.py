@@ -102,7 +102,9 @@ def _dark_problems(reader: FrameReader, exposures: tuple[float | None, ...]) -> 
     return (warning("dark-exposure", "frames.csv", "no dark frame of the same exposure", found=found, remedy=remedy),)
 
 
-def measure_gains(reader: FrameReader, darks: DarkField, edges: Edges, tick: Callable[[str], None]) -> Gains:
+def measure_gains(
+    reader: FrameReader, darks: DarkField, edges: Edges, mask: np.ndarray, tick: Callable[[str], None]
+) -> Gains:
     """Gain of each observed frame: from its white board, else from the lights' intensities, else from exposure."""
     capture, shape = reader.capture, reader.region[2:]
     observed = capture.observed
@@ -119,7 +121,7 @@ def measure_gains(reader: FrameReader, darks: DarkField, edges: Edges, tick: Cal
     levels, uniformity = np.zeros(len(observed)), np.zeros(len(observed))
     for frame, codes in reader.read_all(whites):
         i = by_light[capture.lights.index(frame.light)]
-        field = board_field(reader, frame, codes, darks, edges)
+        field = board_field(reader, frame, codes, darks, edges, mask)
         ratio = (frame.exposure_s or 1.0) / (observed[i].exposure_s or 1.0)
         gains[i] = field.gain * np.float32(ratio)
         levels[i], uniformity[i] = field.level.min(), field.uniformity.min()
@@ -133,8 +135,11 @@ def measure_gains(reader: FrameReader, darks: DarkField, edges: Edges, tick: Cal
     return Gains(np.stack(gains), tuple(levels.tolist()), tuple(uniformity.tolist()), defect, tuple(problems))
 
 
-def board_field(reader: FrameReader, frame: Frame, codes: np.ndarray, darks: DarkField, edges: Edges) -> WhiteField:
-    """The gain that one white frame gives. CaptureError where the board cannot be used."""
+def board_field(
+    reader: FrameReader, frame: Frame, codes: np.ndarray, darks: DarkField, edges: Edges, mask: np.ndarray
+) -> WhiteField:
+    """The gain that one white frame gives over the mask (rows, columns). CaptureError where it cannot be used."""
+    counts = np.add.reduceat(np.add.reduceat(mask, edges[0][:-1], axis=0, dtype=np.int64), edges[1][:-1], axis=1)
     return white_field(
         codes,
         reader.table,
@@ -145,6 +150,7 @@ def board_field(reader: FrameReader, frame: Frame, codes: np.ndarray, darks: Dar
         saturated=reader.saturated,
         clip=reader.clip,
         name=frame.file,
+        needed=counts > 0,
     )
 
 

@@ -99,7 +99,7 @@ def write_observations(
     _, _, rows, columns = reader.region
     edges = block_edges(rows, settings.white_block), block_edges(columns, settings.white_block)
     darks = measure_darks(reader, edges, tick)
-    gains = measure_gains(reader, darks, edges, tick)
+    gains = measure_gains(reader, darks, edges, mask, tick)
     import zarr
 
     group = zarr.open_group(Path(folder) / STORE, mode="w-", zarr_format=3)

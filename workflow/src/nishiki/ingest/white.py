@@ -19,7 +19,7 @@ class WhiteField:
     """gain (r, c, channels) float32, NaN where the board cannot be used; relative to the exposure of the board.
 
     level: median of the board (channels,), fraction of full scale; uniformity: 5th / 95th percentile of the blocks, per
-    channel; bad_blocks: share of blocks that cannot be used; problems: what the user should know.
+    channel; bad_blocks: share of the needed blocks that cannot be used; problems: what the user should know.
     """
 
     gain: np.ndarray
@@ -41,13 +41,16 @@ def white_field(
     saturated: float,
     clip: float,
     name: str,
+    needed: np.ndarray | None = None,
 ) -> WhiteField:
     """Gain of one lamp from the board's codes (rows, columns, channels).
 
     gain = reflectance * cos(theta) / (board - dark): the reciprocal of what a perfect diffuser facing the lamp would
     have given. dark (1 or r, 1 or c, channels) in fractions of full scale; cos_theta: between lamp and board's normal,
-    a number or (r, c, 1) where the lamp is near.
-    Raises CaptureError (white-grazing, white-saturated, white-dark) where less than half of the board can be used.
+    a number or (r, c, 1) where the lamp is near; needed (r, c) bool: blocks that hold part of the object (default all):
+    the board need not be larger than the object.
+    Raises CaptureError (white-grazing, white-saturated, white-dark) where less than half of the needed board can
+    be used.
     """
     if np.min(cos_theta) <= 0.05:
         found = f"cosine {np.min(cos_theta):.3f}"
@@ -58,16 +61,17 @@ def white_field(
     with np.errstate(invalid="ignore"):
         too_dark = ~(board >= TOO_DARK)
         bad = (too_dark | (unusable > BAD_SHARE)).any(axis=2)
-    bad_share = float(bad.mean())
+    needed = np.ones(bad.shape, bool) if needed is None else needed
+    bad_share = float(bad[needed].mean())
     if bad_share > 1 - MIN_GOOD_BLOCKS:
-        raise CaptureError(_unusable_board(name, bright_share, board))
+        raise CaptureError(_unusable_board(name, bright_share, board[needed]))
     gain = np.where(bad[:, :, None], np.nan, reflectance * cos_theta / np.where(bad[:, :, None], 1.0, board))
     problems = ()
     if bad_share > 0:
         found = f"{100 * bad_share:.1f} % of the blocks; saturated samples {100 * bright_share:.1f} %"
         remedy = "Samples there are marked as not valid under this light"
         problems = (warning("white-partial", name, "white board is partly unusable", found=found, remedy=remedy),)
-    good = board[~bad]
+    good = board[needed & ~bad]
     low, high = np.percentile(good, [5, 95], axis=0)
     return WhiteField(gain.astype(np.float32), np.median(good, axis=0), low / high, bad_share, problems)
 
