@@ -1,6 +1,27 @@
-"""Imported first by every script: makes the package importable when a script is run by hand."""
+"""Imported first by every script: makes the package importable, and keeps compiled kernels of different code apart."""
 
+import hashlib
+import os
 import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "workflow" / "src"))
+PROJECT = Path(__file__).resolve().parents[1]
+SOURCE = PROJECT / "workflow" / "src"
+
+
+def use_kernel_cache() -> None:
+    """Give this state of the package its own folder of compiled kernels.
+
+    numba renews a cached function when the function's own file changes, but not when a function that it inlines from
+    another file does: an edit would rerun a stage with the old machine code.
+    """
+    if "NUMBA_CACHE_DIR" in os.environ or not os.access(PROJECT, os.W_OK):
+        return
+    digest = hashlib.sha256()
+    for path in sorted(SOURCE.rglob("*.py")):
+        digest.update(path.read_bytes())
+    os.environ["NUMBA_CACHE_DIR"] = str(PROJECT / ".kernels" / digest.hexdigest()[:12])
+
+
+sys.path.insert(0, str(SOURCE))
+use_kernel_cache()

@@ -5,6 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from _project import use_kernel_cache
+
+use_kernel_cache()
 PROJECT = Path(__file__).resolve().parents[1]
 
 

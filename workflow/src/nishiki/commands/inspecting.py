@@ -8,7 +8,7 @@ from nishiki.artifact import MANIFEST, Artifact, open_artifact, verify_artifact
 from nishiki.errors import UserError
 from nishiki.plan import Plan
 from nishiki.project import Configuration, load_yaml
-from nishiki.provenance import differences
+from nishiki.provenance import differences, file_digest
 from nishiki.stages import CHAIN
 from nishiki.workflow import Workflow
 
@@ -169,7 +169,7 @@ def _lost_upstreams(artifacts: list[Path]) -> list[str]:
             continue
         for name, entry in upstreams.items():
             path = folder.parents[1] / name / str(entry.get("key")) / MANIFEST
-            if path.is_file() and open_artifact(path).digest != entry["digest"]:
+            if path.is_file() and file_digest(path) != entry["digest"]:
                 lost.append(f"stale: {folder} was made from another version of {path.parent}; run again")
     return lost
 
