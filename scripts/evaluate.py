@@ -20,7 +20,7 @@ from nishiki.evaluate.preview import PreviewPair
 from nishiki.evaluate.reflectance import reflectance_errors
 from nishiki.evaluate.relighting import LightComparison, truth_difference
 from nishiki.evaluate.scene_colour import channel_colour, spectral_colour
-from nishiki.evaluate.summary import summarise
+from nishiki.evaluate.summary import Pool
 from nishiki.evaluate.table import COLUMNS, rows_of
 from nishiki.evaluate.truth import Truth, truth_from
 from nishiki.ingest.observations import Observations
@@ -160,12 +160,12 @@ def relight(context: Context, scene: Scene, truth: Truth, out: MapWriter):
     chosen = [
         j for j, role in enumerate(frames.roles) if role == "check" or frames.lights[j] in context.settings.hold_out
     ]
-    scores, everything = [], []
+    scores, pool = [], Pool()
     for j in context.progress.over(chosen, "light"):
         score, difference = one_light(context, scene, truth, out, j)
         scores.append(score)
-        everything.append(difference[np.isfinite(difference)])
-    return scores, summarise(np.concatenate(everything) if everything else np.zeros(0))
+        pool.add(difference)
+    return scores, pool.summary()
 
 
 def one_light(context: Context, scene: Scene, truth: Truth, out: MapWriter, j: int) -> tuple[dict, np.ndarray]:

@@ -9,7 +9,7 @@ from nishiki.errors import UserError
 from nishiki.evaluate.height import height_error
 from nishiki.evaluate.normals import angular_error_deg, normal_errors
 from nishiki.evaluate.reflectance import reflectance_errors
-from nishiki.evaluate.summary import summarise
+from nishiki.evaluate.summary import Pool, summarise
 from nishiki.evaluate.truth import truth_from
 from nishiki.normals.flags import ILL_CONDITIONED, TOO_FEW_LIGHTS
 from nishiki.spectra.colour import delta_e_2000, illuminant, white_xyz, xyz_from_spectra, xyz_to_lab
@@ -28,6 +28,27 @@ def test_summary_of_nothing_and_of_nan():
     assert summarise(np.zeros(0)).mean is None
     found = summarise(np.array([1.0, np.nan, np.inf, 3.0]))
     assert (found.count, found.mean, found.dropped) == (2, 2.0, 2)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 4), st.floats(0.01, 40))
+def test_pooled_figures_are_those_of_all_values_together(seed, maps, scale):
+    random = np.random.default_rng(seed)
+    parts = [scale * random.gamma(2.0, size=random.integers(20, 400)).astype(np.float32) for _ in range(maps)]
+    pool = Pool()
+    for part in parts:
+        pool.add(np.concatenate([part, [np.nan]]))
+    values, found = np.concatenate(parts), pool.summary()
+    assert (found.count, found.worst) == (values.size, float(values.max()))
+    assert found.mean == pytest.approx(values.mean(dtype=np.float64), rel=1e-6)
+    for percent, figure in ((50, found.median), (90, found.p90)):
+        low, high = (np.percentile(values, percent, method=method) for method in ("lower", "higher"))
+        assert min(low, 200) - 0.006 <= figure <= min(high, 200) + 0.006
+
+
+def test_a_pool_of_nothing_has_no_figures():
+    pool = Pool()
+    pool.add(np.full(3, np.nan))
+    assert pool.summary().mean is None
 
 
 @given(st.floats(-7.0, 0.4971), st.floats(-30, 30))

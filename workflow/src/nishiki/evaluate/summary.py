@@ -39,3 +39,38 @@ def summarise(values: np.ndarray, *, where: np.ndarray | None = None) -> Summary
     median, p90 = np.percentile(chosen, (50, 90))
     mean = np.mean(chosen, dtype=np.float64)
     return Summary(chosen.size, float(mean), float(median), float(p90), float(chosen.max()), dropped)
+
+
+class Pool:
+    """Summary of many maps of errors together, without holding them: memory does not grow with their number.
+
+    Median and percentile come from bins of 0.01 (errors above 200 count as 200 there) and are exact to half a bin;
+    mean, count and largest value are exact.
+    """
+
+    BIN, END = 0.01, 200.0
+
+    def __init__(self):
+        self.bins = np.zeros(round(self.END / self.BIN), np.int64)
+        self.count, self.total, self.worst = 0, 0.0, None
+
+    def add(self, values: np.ndarray) -> None:
+        """Errors of any shape, >= 0; those that are not finite are left out."""
+        for part in np.array_split(np.asarray(values).ravel(), max(1, np.size(values) >> 20)):
+            part = part[np.isfinite(part)]
+            if part.size:
+                places = np.minimum((part / self.BIN).astype(np.int64), self.bins.size - 1)
+                self.bins += np.bincount(places, minlength=self.bins.size)
+                self.count += part.size
+                self.total += float(part.sum(dtype=np.float64))
+                self.worst = max(float(part.max()), self.worst or 0.0)
+
+    def summary(self) -> Summary:
+        """Figures of everything added so far."""
+        if not self.count:
+            return Summary(0, None, None, None, None)
+        return Summary(self.count, self.total / self.count, self._percentile(50), self._percentile(90), self.worst)
+
+    def _percentile(self, percent: float) -> float:
+        below = np.searchsorted(np.cumsum(self.bins), percent / 100 * self.count, side="left")
+        return min((float(below) + 0.5) * self.BIN, self.worst)

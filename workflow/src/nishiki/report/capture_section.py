@@ -67,9 +67,13 @@ def _facts(diagnostics, rows, columns, channels, pitch_mm, kinds) -> list[tuple[
     used = f"{count['sample']} used for the fits"
     words = {"check": "kept from them to check the result", "held out": "held out of them and predicted instead"}
     kept = [f"{count[kind]} {text}" for kind, text in words.items() if count[kind]]
-    lamp = f"; spectrum {capture['illuminant']}" if capture.get("illuminant") else "; spectrum not known"
+    lamp = f"; spectrum {_named(capture['illuminant'])}" if capture.get("illuminant") else "; spectrum not known"
     facts.append(("Lights", f"{len(kinds)}: {', '.join([used, *kept])}{lamp}"))
     return facts
+
+
+def _named(illuminant: str) -> str:
+    return f"in {illuminant}" if illuminant.endswith(".csv") else f"taken as CIE {illuminant}"
 
 
 def _exposure(diagnostics, lights, kinds, directions) -> list[dict[str, Any]]:
