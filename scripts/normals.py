@@ -9,6 +9,9 @@ from nishiki.ingest.observations import Observations
 from nishiki.ingest.parcels import Parcel, parcels
 from nishiki.maps import Maps, MapWriter
 from nishiki.normals import flags as bits
+from nishiki.normals.gloss import refine_normals
+from nishiki.normals.gloss_profile import GlossProfile
+from nishiki.normals.gloss_scene import FEW_LIGHTS, GlossTile, SceneGloss, fit_scene_gloss
 from nishiki.normals.reflectance import diffuse_reflectance
 from nishiki.normals.solve import estimate_normals
 from nishiki.settings.normals import NormalsSettings
@@ -25,6 +28,8 @@ MAPS = {
     "flags": ("uint8", "bits, see docs/stages/normals.md"),
 }
 
+SAMPLE_BANDS, SAMPLE_PIXELS = 12, 20_000  # of the scene, for its gloss
+
 
 def run(context: Context) -> dict:
     """Solve band by band; memory does not grow with the number of rows."""
@@ -33,6 +38,8 @@ def run(context: Context) -> dict:
     selection = Maps(separate.folder) if separate else None
     lights = frames.fit_lights(context.settings.hold_out)
     arrays = create_maps(context, frames)
+    gloss = scene_gloss(frames, selection, lights, context.settings)
+    profile = gloss.profile if wanted(gloss, context.settings) else None
     counts: Counter[str] = Counter()
     sigmas = []
     for band in context.progress.over(frames.bands(), "band"):
@@ -41,14 +48,73 @@ def run(context: Context) -> dict:
         found = {name: np.empty((*valid.shape[1:], *array.shape[2:]), array.dtype) for name, array in arrays.items()}
         for parcel in parcels(frames, band, lights):
             area = np.s_[:, parcel.rows, parcel.columns]
-            for name, values in solve(observations[area], usable[area], parcel, context.settings).items():
+            maps = solve(observations[area], usable[area], valid[area], parcel, context.settings, profile)
+            for name, values in maps.items():
                 found[name][area[1:]] = values
         for name, array in arrays.items():
             array[band] = found[name]
         inside = frames.mask[band]
         counts.update(count_flags(found["flags"], inside))
         sigmas.append(found["sigma"][inside & ((found["flags"] & bits.NO_ESTIMATE) == 0)][::17])
-    return {"lights": [frames.lights[j] for j in lights], **dict(counts), **percentiles(np.concatenate(sigmas))}
+    return {
+        "lights": [frames.lights[j] for j in lights],
+        **dict(counts),
+        **percentiles(np.concatenate(sigmas)),
+        "refined": profile is not None,
+        **({} if gloss is None else gloss.described),
+    }
+
+
+def wanted(gloss: SceneGloss | None, settings: NormalsSettings) -> bool:
+    """Whether the joint fit is used on all pixels."""
+    return gloss is not None and (settings.refine == "gloss" or gloss.significant)
+
+
+def scene_gloss(
+    frames: Observations, selection: Maps | None, lights: np.ndarray, settings: NormalsSettings
+) -> SceneGloss | None:
+    """Gloss of the scene from a fixed sample of its pixels in a few bands; None where it is not asked for.
+
+    The sample is the same for every machine and number of threads; it bounds the memory to that of one band.
+    """
+    if settings.refine == "none" or (settings.refine == "auto" and len(lights) > FEW_LIGHTS):
+        return None
+    bands = frames.bands()
+    bands = [bands[i] for i in np.unique(np.linspace(0, len(bands) - 1, SAMPLE_BANDS).round().astype(int))]
+    step = max(1, sum(int(frames.mask[band].sum()) for band in bands) // SAMPLE_PIXELS)
+    tiles, seen = [], 0
+    for band in bands:
+        observations, valid = frames.read(band, lights=lights)
+        usable = read_usable(selection, band, len(lights), valid)
+        inside = frames.mask[band]
+        for parcel in parcels(frames, band, lights):
+            area = np.s_[:, parcel.rows, parcel.columns]
+            here = np.flatnonzero(inside[area[1:]])
+            chosen = here[(-seen) % step :: step]
+            seen += here.size
+            if chosen.size:
+                picked = [pick(array[area], chosen) for array in (observations, usable, valid)]
+                tiles.append(gloss_tile(*picked, parcel, settings))
+    return fit_scene_gloss(tiles, refractive_index=settings.refractive_index) if tiles else None
+
+
+def pick(array: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """Pixels of an array (lights, rows, columns, ...) as (lights, 1, pixels, ...)."""
+    return array.reshape(len(array), 1, -1, *array.shape[3:])[:, :, chosen]
+
+
+def gloss_tile(observations, usable, valid, parcel: Parcel, settings: NormalsSettings) -> GlossTile:
+    """Sampled pixels with their estimates from the selected lights."""
+    maps = solve(observations, usable, valid, parcel, settings, None)
+    return GlossTile(
+        scaled(observations, parcel),
+        valid,
+        parcel.directions,
+        maps["normals"],
+        maps["flags"],
+        maps["sigma"],
+        maps["reflectance"],
+    )
 
 
 def create_maps(context: Context, frames: Observations) -> dict:
@@ -62,19 +128,58 @@ def create_maps(context: Context, frames: Observations) -> dict:
     }
 
 
-def solve(observations: np.ndarray, usable: np.ndarray, parcel: Parcel, settings: NormalsSettings) -> dict:
-    """Maps of one parcel by name."""
-    if (parcel.scale != 1).any():
-        observations = observations * parcel.scale[:, None, None, None]
+def scaled(observations: np.ndarray, parcel: Parcel) -> np.ndarray:
+    """Observations as if the lamps were as far from the parcel as from the centre."""
+    return observations * parcel.scale[:, None, None, None] if (parcel.scale != 1).any() else observations
+
+
+def solve(
+    observations: np.ndarray,
+    usable: np.ndarray,
+    valid: np.ndarray,
+    parcel: Parcel,
+    settings: NormalsSettings,
+    gloss: GlossProfile | None,
+) -> dict:
+    """Maps of one parcel by name: from the selected lights, then, with a gloss, fitted together with it."""
+    observations = scaled(observations, parcel)
     intensity = observations[..., 0] if observations.shape[-1] == 1 else observations.mean(axis=-1)
     field = estimate_normals(
-        intensity, parcel.directions, usable=usable, solver=settings.solver, max_condition=settings.max_condition
+        intensity,
+        parcel.directions,
+        usable=usable,
+        valid=valid,
+        solver=settings.solver,
+        max_condition=settings.max_condition,
     )
     found = {name: getattr(field, name) for name in MAPS if name != "reflectance"}
     if observations.shape[-1] == 1:
-        return found | {"reflectance": field.albedo[..., None]}
-    diffuse = diffuse_reflectance(observations, parcel.directions, field.normals, usable=usable)
-    return found | {"reflectance": diffuse.reflectance}
+        found["reflectance"] = field.albedo[..., None]
+    else:
+        diffuse = diffuse_reflectance(observations, parcel.directions, field.normals, usable=usable)
+        found["reflectance"] = diffuse.reflectance
+    if gloss is None:
+        return found
+    fit = refine_normals(
+        observations,
+        parcel.directions,
+        normals=field.normals,
+        gloss=gloss,
+        valid=valid,
+        flags=field.flags,
+        reflectance=found["reflectance"],
+        max_condition=settings.max_condition,
+    )
+    kept = (fit.flags & (bits.NO_ESTIMATE | bits.FALLBACK)) != 0
+    return {
+        name: fit.flags if name == "flags" else np.where(aligned(kept, values), values, getattr(fit, name))
+        for name, values in found.items()
+    }
+
+
+def aligned(mask: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """The mask (rows, columns) with as many axes as the map."""
+    return mask.reshape(mask.shape + (1,) * (values.ndim - 2))
 
 
 def read_usable(selection: Maps | None, band: slice, lights: int, valid: np.ndarray) -> np.ndarray:

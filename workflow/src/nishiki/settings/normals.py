@@ -13,7 +13,13 @@ class NormalsSettings(Closed):
     STAGE: ClassVar[str] = "normals"
     VERSION: ClassVar[int] = 1
 
-    solver: Literal["default", "least_squares"] = Field("default", description="see docs/stages/normals.md")
+    solver: Literal["default", "lobe", "lobes", "least_squares"] = Field(
+        "default", description="see docs/stages/normals.md"
+    )
+    refine: Literal["auto", "gloss", "none"] = Field(
+        "auto", description="fit normals, reflectance and gloss together; auto: where few lights show gloss that counts"
+    )
+    refractive_index: float = Field(1.45, gt=1, le=3, description="of the varnish or binder, for refine (P: 1.45)")
     max_condition: float = Field(1e3, gt=1, description="pixels with a worse conditioned light matrix are flagged")
     fill: bool = Field(False, description="fill flagged pixels from their neighbours (they stay flagged)")
     hold_out: tuple[str, ...] = Field((), description="lights left out of the fit; filled in by the plan")

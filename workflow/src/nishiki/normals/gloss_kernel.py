@@ -1,0 +1,375 @@
+"""One pixel of the joint fit: normal, reflectance of each channel and gloss of a known profile, robustly.
+
+Model of sample j in channel k, with b the body's shading and s the gloss, the same in all channels:
+
+    I'_jk = rho_k b(n . l_j, n_z) + s_j(n),     s = F G / cos theta_r * z(chord),  chord = 2 sin(phi / 2)
+
+The channels are rotated first, so that component 0 is their common level (times sqrt C) and the others are differences
+of colour, in which white gloss cancels: component 0 is trusted less where gloss is predicted, the others are not. The
+reflectances enter linearly and are eliminated (variable projection); the two tangential components of the normal are
+found by damped Gauss-Newton with weights 1 / variance, times the square of Cauchy's weight of the residual.
+
+Everything is float64 and in the fixed order of the lights: the result of a pixel depends on nothing else.
+"""
+
+import numpy as np
+from numba import njit
+
+from nishiki.normals import flags as bits
+from nishiki.normals.least_squares import eigenvalues
+
+NODES_PER_UNIT = 1024  # of the table of the profile, per unit of chord
+NODES = 1450  # up to a chord of sqrt 2 (phi = 90 degrees)
+STEEPEST = 0.05  # n_z is kept above it
+LARGEST_STEP = 0.3  # radians
+DAMPINGS = 5
+SETTLED = 3e-4  # radians
+AT_LEAST = 4  # lit samples; three unknowns in the common level, and one to spare
+# Rows of the scratch of a pixel, a column for each light
+COSINE, BODY, BODY_S, BODY_T, GLOSS, GLOSS_S, GLOSS_T, VAR_LEVEL, VAR_COLOUR, W_LEVEL, W_COLOUR = range(11)
+ROWS = 11
+# Places of the settings
+NOISE, MODEL_ERROR, GLOSS_ERROR, TILT_ERROR, TRANSMISSION, TOLERANCE, ITERATIONS, SECOND_START = range(8)
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def gloss_and_gradient(n, light, cosine, table, out):
+    """Gloss s and its gradient by n, into out (4,). light: (8,) l, h, F, cos theta_q; cosine > 0."""
+    x = n[0] * light[3] + n[1] * light[4] + n[2] * light[5]
+    place = np.sqrt(max(2.0 * (1.0 - x), 0.0)) * NODES_PER_UNIT
+    node = min(int(place), NODES - 2)
+    part = place - node
+    value = table[0, node] + part * (table[0, node + 1] - table[0, node])
+    slope = 2.0 * (table[1, node] + part * (table[1, node + 1] - table[1, node]))  # dz / dx
+    f, nz = light[6], n[2]
+    groove = 2.0 * f / light[7]
+    ratio = min(1.0, cosine / nz)
+    factor = groove * x * ratio
+    if factor < f / nz:
+        gl = groove * x / nz if cosine < nz else 0.0
+        gh = groove * ratio
+        gz = -gl * cosine / nz
+    else:
+        factor, gl, gh, gz = f / nz, 0.0, 0.0, -f / (nz * nz)
+    gh = value * gh + factor * slope
+    gl, gz = value * gl, value * gz
+    out[0] = factor * value
+    out[1] = gl * light[0] + gh * light[3]
+    out[2] = gl * light[1] + gh * light[4]
+    out[3] = gl * light[2] + gh * light[5] + gz
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def tangents(n, t):
+    """Two unit vectors across n (n_z > -1), into t (6,). T. Duff et al., J. Comput. Graph. Tech. 6 (1), 2017."""
+    a = -1.0 / (1.0 + n[2])
+    b = n[0] * n[1] * a
+    t[0], t[1], t[2] = 1.0 + n[0] * n[0] * a, b, -n[0]
+    t[3], t[4], t[5] = b, 1.0 + n[1] * n[1] * a, -n[1]
+
+
+@njit(cache=True, error_model="numpy")
+def predict(n, known, lights, table, settings, floor, root, rows, t, gradient):
+    """Fill the rows for the normal n: shading and gloss with their slopes along both tangents, and the variances."""
+    tangents(n, t)
+    transmission, kappa, tilt = settings[TRANSMISSION], settings[GLOSS_ERROR] ** 2, settings[TILT_ERROR] ** 2
+    u = 1.0 - n[2]
+    view = 1.0 - transmission * u * u * u * u * u
+    view_slope = 5.0 * transmission * u * u * u * u
+    for j in range(known.size):
+        c = n[0] * lights[j, 0] + n[1] * lights[j, 1] + n[2] * lights[j, 2]
+        if not (known[j] and c > 0.0):
+            rows[COSINE, j] = min(c, 0.0)
+            continue
+        light = lights[j]
+        u = 1.0 - c
+        fall = transmission * u * u * u * u
+        enter = 1.0 - fall * u
+        along, by_view = (enter + 5.0 * c * fall) * view, c * enter * view_slope
+        ls = light[0] * t[0] + light[1] * t[1] + light[2] * t[2]
+        lt = light[0] * t[3] + light[1] * t[4] + light[2] * t[5]
+        gloss_and_gradient(n, light, c, table, gradient)
+        gs = root * (gradient[1] * t[0] + gradient[2] * t[1] + gradient[3] * t[2])
+        gt = root * (gradient[1] * t[3] + gradient[2] * t[4] + gradient[3] * t[5])
+        s = root * gradient[0]
+        rows[COSINE, j], rows[BODY, j], rows[GLOSS, j] = c, c * enter * view, s
+        rows[BODY_S, j], rows[BODY_T, j] = along * ls + by_view * t[2], along * lt + by_view * t[5]
+        rows[GLOSS_S, j], rows[GLOSS_T, j] = gs, gt
+        rows[VAR_LEVEL, j] = floor + kappa * s * s + tilt * (gs * gs + gt * gt)
+        rows[VAR_COLOUR, j] = floor
+
+
+@njit(cache=True, error_model="numpy")
+def strengths(y, rows, rho):
+    """Weighted least-squares reflectance of each component at fixed normal."""
+    for k in range(rho.size):
+        above, below = 0.0, 1e-30
+        for j in range(rows.shape[1]):
+            if rows[COSINE, j] > 0.0:
+                w = rows[W_COLOUR, j] if k else rows[W_LEVEL, j]
+                value = y[k, j] if k else y[k, j] - rows[GLOSS, j]
+                above += w * rows[BODY, j] * value
+                below += w * rows[BODY, j] * rows[BODY, j]
+        rho[k] = above / below
+
+
+@njit(cache=True, error_model="numpy")
+def weigh(y, rows, rho, tolerance):
+    """Robust weights from the residuals; too dark a sample is distrusted in all components, for shadow takes all."""
+    components = rho.size
+    limit = 1.0 / (tolerance * tolerance)
+    for j in range(rows.shape[1]):
+        if rows[COSINE, j] <= 0.0:
+            continue
+        b = rows[BODY, j]
+        r = y[0, j] - rho[0] * b - rows[GLOSS, j]
+        a = 1.0 / (1.0 + r * r / rows[VAR_LEVEL, j] * limit)
+        rows[W_LEVEL, j] = a * a / rows[VAR_LEVEL, j]
+        if components > 1:
+            q = 0.0
+            for k in range(1, components):
+                d = y[k, j] - rho[k] * b
+                q += d * d
+            e = 1.0 / (1.0 + q / rows[VAR_COLOUR, j] * limit / (components - 1))
+            if r < 0.0:
+                e = min(a, e)
+            rows[W_COLOUR, j] = e * e / rows[VAR_COLOUR, j]
+
+
+@njit(cache=True, error_model="numpy")
+def squares(y, rows, rho):
+    """Weighted sum of squares at the present weights."""
+    total = 0.0
+    for j in range(rows.shape[1]):
+        if rows[COSINE, j] > 0.0:
+            r = y[0, j] - rho[0] * rows[BODY, j] - rows[GLOSS, j]
+            total += rows[W_LEVEL, j] * r * r
+            for k in range(1, rho.size):
+                d = y[k, j] - rho[k] * rows[BODY, j]
+                total += rows[W_COLOUR, j] * d * d
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def gauss_newton(y, rows, rho, out):
+    """Curvature (3) and right-hand side (2) by the tangents, reflectances eliminated (Schur complement), into out."""
+    h0 = h1 = h2 = g0 = g1 = 0.0
+    for k in range(rho.size):
+        a, p, q = 1e-30, 0.0, 0.0
+        for j in range(rows.shape[1]):
+            if rows[COSINE, j] <= 0.0:
+                continue
+            b = rows[BODY, j]
+            r = y[k, j] - rho[k] * b
+            s, t = rho[k] * rows[BODY_S, j], rho[k] * rows[BODY_T, j]
+            if k:
+                w = rows[W_COLOUR, j]
+            else:
+                w = rows[W_LEVEL, j]
+                r -= rows[GLOSS, j]
+                s += rows[GLOSS_S, j]
+                t += rows[GLOSS_T, j]
+            a += w * b * b
+            p += w * b * s
+            q += w * b * t
+            h0 += w * s * s
+            h1 += w * s * t
+            h2 += w * t * t
+            g0 += w * s * r
+            g1 += w * t * r
+        h0 -= p * p / a
+        h1 -= p * q / a
+        h2 -= q * q / a
+    out[0], out[1], out[2], out[3], out[4] = h0, h1, h2, g0, g1
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def moved(n, t, s, r, out):
+    """The unit normal at the tangential step (s, r), of limited length and never grazing; returns the step's length."""
+    length = np.sqrt(s * s + r * r)
+    part = LARGEST_STEP / length if length > LARGEST_STEP else 1.0
+    s, r = part * s, part * r
+    x, y = n[0] + s * t[0] + r * t[3], n[1] + s * t[1] + r * t[4]
+    z = max(n[2] + s * t[2] + r * t[5], STEEPEST)
+    scale = 1.0 / np.sqrt(x * x + y * y + z * z)
+    out[0], out[1], out[2] = x * scale, y * scale, z * scale
+    return length
+
+
+@njit(cache=True, error_model="numpy")
+def descend(y, known, lights, table, settings, floor, n, rho, rows, work):
+    """Fit from the normal n, in place; the rows and weights are left at the result.
+
+    work (18,): tangents 0:6, trial normal 6:9, equations 9:14, gradient 14:18.
+    """
+    t, trial, equations, gradient = work[0:6], work[6:9], work[9:14], work[14:18]
+    root, tolerance = np.sqrt(float(rho.size)), settings[TOLERANCE]
+    predict(n, known, lights, table, settings, floor, root, rows, t, gradient)
+    for j in range(known.size):
+        rows[W_LEVEL, j], rows[W_COLOUR, j] = 1.0 / rows[VAR_LEVEL, j], 1.0 / rows[VAR_COLOUR, j]
+    strengths(y, rows, rho)
+    damping = 1e-3
+    for _ in range(int(settings[ITERATIONS])):
+        for _ in range(2):
+            weigh(y, rows, rho, tolerance)
+            strengths(y, rows, rho)
+        gauss_newton(y, rows, rho, equations)
+        before = squares(y, rows, rho)
+        length = 0.0
+        for _ in range(DAMPINGS):
+            tangents(n, t)
+            d0, d2 = equations[0] * (1.0 + damping) + 1e-12, equations[2] * (1.0 + damping) + 1e-12
+            det = d0 * d2 - equations[1] * equations[1]
+            s = (d2 * equations[3] - equations[1] * equations[4]) / det
+            r = (d0 * equations[4] - equations[1] * equations[3]) / det
+            length = moved(n, t, s, r, trial)
+            predict(trial, known, lights, table, settings, floor, root, rows, t, gradient)
+            strengths(y, rows, rho)
+            if squares(y, rows, rho) <= before * (1.0 + 1e-9) or length < 0.1 * SETTLED:
+                damping = max(0.2 * damping, 1e-6)
+                break
+            damping *= 8.0
+        n[:] = trial
+        if length < SETTLED:
+            break
+    weigh(y, rows, rho, tolerance)
+
+
+@njit(cache=True, error_model="numpy")
+def misfit(y, known, rows, rho, tolerance, floor):
+    """Robust cost (Geman and McClure), with the logarithms of the variances: what decides between two starts.
+
+    A sample under which the normal turns away from the lamp is predicted as black.
+    """
+    bound, components = tolerance * tolerance, rho.size
+    total = 0.0
+    for j in range(known.size):
+        if not known[j]:
+            continue
+        if rows[COSINE, j] > 0.0:
+            b = rows[BODY, j]
+            r = y[0, j] - rho[0] * b - rows[GLOSS, j]
+            level, q = r * r / rows[VAR_LEVEL, j], 0.0
+            for k in range(1, components):
+                d = y[k, j] - rho[k] * b
+                q += d * d / rows[VAR_COLOUR, j]
+            total += level / (1.0 + level / bound) + np.log(rows[VAR_LEVEL, j] / floor)
+            total += q / (1.0 + q / (bound * max(components - 1, 1)))
+        else:
+            q = 0.0
+            for k in range(components):
+                q += y[k, j] * y[k, j] / floor
+            total += min(q, 5.0 * bound)
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def describe(y, known, lights, rows, rho, equations, max_condition, p, scalars, used, flags):
+    """Sigma, condition, residual and lights used of a pixel, and its flags."""
+    a = b = c = d = e = f = 0.0
+    weight = squared = chi = 0.0
+    count, freedom = 0, -2 - rho.size
+    for j in range(known.size):
+        if rows[COSINE, j] <= 0.0:
+            continue
+        trust = rows[W_LEVEL, j] * rows[VAR_LEVEL, j]
+        count += trust > 0.5
+        x, v, z = lights[j, 0], lights[j, 1], lights[j, 2]
+        a, b, c = a + trust * x * x, b + trust * x * v, c + trust * x * z
+        d, e, f = d + trust * v * v, e + trust * v * z, f + trust * z * z
+        r = y[0, j] - rho[0] * rows[BODY, j] - rows[GLOSS, j]
+        weight += trust
+        squared += trust * r * r
+        chi += rows[W_LEVEL, j] * r * r
+        for k in range(1, rho.size):
+            s = y[k, j] - rho[k] * rows[BODY, j]
+            chi += rows[W_COLOUR, j] * s * s
+        freedom += rho.size
+    least, largest = eigenvalues(a, b, c, d, e, f)
+    condition = largest / least if least > 0.0 else 3e38
+    det = equations[0] * equations[2] - equations[1] * equations[1]
+    variance = (equations[0] + equations[2]) / det if det > 0.0 else np.inf
+    variance *= max(chi / max(freedom, 1), 1.0)
+    scalars[1, p] = min(np.sqrt(variance), 0.5 * np.pi)
+    scalars[2, p] = min(condition, 3e38)
+    scalars[3, p] = np.sqrt(squared / max(weight, 1e-30) / rho.size)
+    used[p] = count
+    flags[p] = bits.ILL_CONDITIONED if condition > max_condition else 0
+
+
+@njit(cache=True, error_model="numpy")
+def rotate(observations, rotation, p, y):
+    """Components (C, lights) of pixel p; returns the light of the largest level and the mean level of the others."""
+    lights, channels = y.shape[1], y.shape[0]
+    top, highest, total = 0, -np.inf, 0.0
+    for j in range(lights):
+        for k in range(channels):
+            value = 0.0
+            for i in range(channels):
+                value += rotation[k, i] * observations[j, p, i]
+            y[k, j] = value
+        total += y[0, j]
+        if y[0, j] > highest:
+            top, highest = j, y[0, j]
+    return top, (total - highest) / max(lights - 1, 1)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def refine_pixels(
+    observations, valid, lights, table, rotation, settings, max_condition, first, last,
+    normals, reflectance, scalars, used, flags, cost,
+):  # fmt: skip
+    """Refine the pixels first .. last - 1 in place, where their flags say that there is an estimate to start from.
+
+    observations (lights, pixels, channels) float32; valid (lights, pixels) bool; lights (lights, 8) float64: direction,
+    half vector, F, cos theta_q; table (2, NODES) the profile z and -dz / d(chord^2); rotation (C, C).
+    normals (pixels, 3), reflectance (pixels, C), scalars (4, pixels) float32: albedo, sigma, condition, residual.
+    """
+    count, channels = observations.shape[0], observations.shape[2]
+    rows, y, known = np.ones((ROWS, count)), np.empty((channels, count)), np.empty(count, np.bool_)
+    rho, best_rho, n, best_n = np.empty(channels), np.empty(channels), np.empty(3), np.empty(3)
+    work = np.empty(18)
+    tolerance = settings[TOLERANCE]
+    for p in range(first, last):
+        cost[p] = 0.0
+        if flags[p] & bits.NO_ESTIMATE:
+            continue
+        for j in range(count):
+            known[j] = valid[j, p]
+        top, scale = rotate(observations, rotation, p, y)
+        floor = settings[NOISE] ** 2 + (settings[MODEL_ERROR] * scale) ** 2
+        for i in range(3):
+            n[i] = normals[p, i]
+        n[2] = max(n[2], STEEPEST)
+        descend(y, known, lights, table, settings, floor, n, rho, rows, work)
+        value = misfit(y, known, rows, rho, tolerance, floor)
+        if value > settings[SECOND_START] * count * channels:
+            best_n[:], best_rho[:] = n, rho
+            for i in range(3):
+                n[i] = lights[top, 3 + i]
+            descend(y, known, lights, table, settings, floor, n, rho, rows, work)
+            other = misfit(y, known, rows, rho, tolerance, floor)
+            if not other < value:
+                n[:] = best_n
+                descend(y, known, lights, table, settings, floor, n, rho, rows, work)
+            else:
+                value = other
+        lit = 0
+        for j in range(count):
+            lit += rows[COSINE, j] > 0.0
+        if lit < AT_LEAST or not np.isfinite(n[0] + n[1] + n[2] + rho.sum() + value):
+            flags[p] |= bits.FALLBACK
+            continue
+        level = 0.0
+        for i in range(3):
+            normals[p, i] = n[i]
+        for i in range(channels):
+            total = 0.0
+            for k in range(channels):
+                total += rotation[k, i] * rho[k]
+            reflectance[p, i] = max(total, 0.0)
+            level += max(total, 0.0)
+        scalars[0, p] = level / channels
+        cost[p] = value
+        gauss_newton(y, rows, rho, work[9:14])
+        describe(y, known, lights, rows, rho, work[9:14], max_condition, p, scalars, used, flags)

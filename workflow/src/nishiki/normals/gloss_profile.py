@@ -1,0 +1,135 @@
+"""The gloss of a scene as a profile z(phi): a mixture of lobes, with the errors of the normals undone.
+
+A facet distribution of any tail (GGX, for one) is a mixture of Gaussians of different widths. So the profile is
+
+    z(phi) = sum_k beta_k exp(-ln 2 (chord / gamma_k)^2),   chord = 2 sin(phi / 2),  beta_k >= 0,
+
+on a fixed ladder of half widths. Normals that are uncertain by sigma along each tangent blur every Gaussian into a
+wider one, so that the strengths behind the blur follow from one non-negative least-squares problem (C. L. Lawson and
+R. J. Hanson, Solving Least Squares Problems, 1974, ch. 23): no start value, no width to search.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nishiki.brdf.specular_histogram import SpecularHistogram
+from nishiki.brdf.torrance_sparrow import GAMMA_PER_SIGMA
+from nishiki.errors import UserError
+from nishiki.normals.gloss_kernel import NODES, NODES_PER_UNIT
+
+LADDER = np.geomspace(0.01, 0.9, 11)
+"""Half widths at half maximum, radians of chord. The narrowest is ten nodes of the table wide."""
+PROFILE_ERROR = 0.05  # relative error of a row beside its scatter: the model is not the surface
+PEAK_ERROR = 0.01  # likewise, relative to the highest row
+FEWEST = 20  # samples of a row
+
+
+@dataclass(frozen=True)
+class GlossProfile:
+    """beta (lobes,) relative to the white reference, gamma (lobes,) radians of chord; F and G are not in it.
+
+    transmission: share (0 to 1) of Schlick's loss 1 - (1 - c)^5 that the body's light suffers on its way in and out.
+    """
+
+    beta: np.ndarray
+    gamma: np.ndarray
+    refractive_index: float = 1.45
+    transmission: float = 1.0
+
+    def __post_init__(self):
+        good = self.beta.shape == self.gamma.shape and (self.beta >= 0).all() and (self.gamma > 0).all()
+        if not (good and self.refractive_index > 1 and 0 <= self.transmission <= 1):
+            raise UserError(
+                f"gloss: expected as many beta >= 0 as gamma > 0, refractive_index > 1 and transmission from 0 to 1, "
+                f"found beta {self.beta}, gamma {self.gamma}, {self.refractive_index} and {self.transmission}"
+            )
+
+    def value(self, chord: np.ndarray) -> np.ndarray:
+        """z at chord = 2 sin(phi / 2), any shape."""
+        return self._sum(chord, self.beta)
+
+    def slope(self, chord: np.ndarray) -> np.ndarray:
+        """-dz / d(chord^2)."""
+        return self._sum(chord, self.beta * np.log(2.0) / self.gamma**2)
+
+    def _sum(self, chord, factors):
+        exponent = (np.asarray(chord, np.float64)[..., None] / self.gamma) ** 2
+        with np.errstate(under="ignore"):
+            return np.exp2(-exponent) @ factors
+
+    def table(self) -> np.ndarray:
+        """(2, NODES) value and slope on equal steps of chord, as the kernel reads them."""
+        chord = np.arange(NODES) / NODES_PER_UNIT
+        return np.stack([self.value(chord), self.slope(chord)])
+
+    @property
+    def described(self) -> dict:
+        """Plain numbers for a list of results; lobes of no strength left out."""
+        there = self.beta > 0
+        return {
+            "gloss_beta": self.beta[there].tolist(),
+            "gloss_gamma_deg": np.degrees(self.gamma[there]).tolist(),
+            "gloss_transmission": self.transmission,
+        }
+
+
+def light_table(directions: np.ndarray, refractive_index: float) -> np.ndarray:
+    """(lights, 8) float64: direction, half vector with the view (0, 0, 1), Fresnel reflectance, cos theta_q."""
+    from nishiki.brdf.torrance_sparrow import fresnel
+
+    directions = np.asarray(directions, np.float64)
+    halves = directions + np.array([0.0, 0.0, 1.0])
+    length = np.linalg.norm(halves, axis=1)
+    if not (length > 1e-6).all():
+        raise UserError(f"light {int(np.argmin(length))}: shines against the view, from behind the object; remove it")
+    cos_q = np.minimum(length / 2, 1)
+    return np.column_stack([directions, halves / length[:, None], fresnel(cos_q, refractive_index), cos_q])
+
+
+def body_shading(cosine: np.ndarray, normal_z: np.ndarray, transmission: float) -> np.ndarray:
+    """Shading of the body below a dielectric: cos times Schlick's transmission in and out, relative to frontal."""
+    cosine, leave = np.clip(cosine, 0, 1), 1 - np.clip(normal_z, 0, 1)
+    return cosine * (1 - transmission * (1 - cosine) ** 5) * (1 - transmission * leave**5)
+
+
+def specular_samples(observations, directions, normals, reflectance, gloss, *, valid):
+    """(phi, residual, F G / cos_r) of every lit sample: (lights, ...) each, attenuation 0 where there is none.
+
+    observations (lights, ..., C), normals (..., 3), reflectance (..., C), valid (lights, ...) bool.
+    """
+    lights = light_table(directions, gloss.refractive_index)
+    normals = np.asarray(normals, np.float64)
+    shape = (len(lights),) + (1,) * (normals.ndim - 1)
+    cosine = np.moveaxis(normals @ lights[:, :3].T, -1, 0)
+    x = np.moveaxis(normals @ lights[:, 3:6].T, -1, 0)
+    nz = normals[..., 2]
+    body = body_shading(cosine, nz, gloss.transmission)
+    residual = observations.mean(axis=-1) - body * np.asarray(reflectance, np.float64).mean(axis=-1)
+    fresnel, cos_q = lights[:, 6].reshape(shape), lights[:, 7].reshape(shape)
+    usable = valid & (cosine > 0.05) & (nz > 0.5)
+    safe = np.where(nz > 0.5, nz, 1)
+    groove = 2 * x / cos_q * np.minimum(1, cosine / safe)
+    attenuation = np.where(usable, fresnel * np.minimum(1 / safe, groove), 0)
+    return np.arccos(np.clip(x, -1, 1)), residual, np.maximum(attenuation, 0)
+
+
+def fit_gloss(histogram: SpecularHistogram, *, transmission: float = 1.0, ladder: np.ndarray = LADDER) -> GlossProfile:
+    """The profile that explains a histogram of specular samples; all beta 0 where nothing positive is left."""
+    from scipy.optimize import nnls
+
+    profile = histogram.profile()
+    beta = np.zeros(ladder.size)
+    enough = profile.count >= FEWEST
+    if enough.any():
+        value = profile.value[enough]
+        chord = 2 * np.sin(profile.phi[enough] / 2)
+        s2 = (ladder / GAMMA_PER_SIGMA) ** 2
+        blurred = s2 + profile.sigma[enough, None] ** 2
+        with np.errstate(under="ignore"):
+            columns = s2 / blurred * np.exp(-(chord[:, None] ** 2) / (2 * blurred))
+        scatter = profile.spread[enough] / np.sqrt(profile.count[enough])
+        error = np.sqrt((PROFILE_ERROR * value) ** 2 + (PEAK_ERROR * np.abs(value).max()) ** 2 + scatter**2)
+        error = np.maximum(error, np.finfo(np.float64).tiny)
+        beta, _ = nnls(columns / error[:, None], value / error)
+    return GlossProfile(beta, ladder, histogram.refractive_index, transmission)
