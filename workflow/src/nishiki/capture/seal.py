@@ -138,6 +138,29 @@ def _clear_half(half: Path) -> None:
     half.rmdir()
 
 
+def sealed_digests(root: Path) -> dict[str, str]:
+    """Digest of each file of a sealed capture by its name relative to data/; empty for an unsealed one."""
+    if not (root / "bagit.txt").is_file():
+        return {}
+    return {name.removeprefix("data/"): digest for name, digest in read_manifest(root / MANIFEST).items()}
+
+
+def expect_sealed(path: Path, name: str, digests: dict[str, str]) -> None:
+    """CaptureError (seal-changed, seal-foreign) unless the file is as it was sealed; no digests: nothing to prove."""
+    if not digests:
+        return
+    remedy = "Restore the file from a backup; a sealed capture must stay as it was"
+    if name not in digests:
+        raise CaptureError(error("seal-foreign", name, "not listed in the manifest", remedy=remedy))
+    found = sha256_of(path)
+    if found != digests[name]:
+        expected = f"sha256 {digests[name][:12]}..."
+        what = "changed after sealing"
+        raise CaptureError(
+            error("seal-changed", name, what, expected=expected, found=f"{found[:12]}...", remedy=remedy)
+        )
+
+
 def verify_seal(root: Path, *, digests: bool = True) -> list[Problem]:
     """Every file of a sealed capture that is missing, changed or foreign (seal-missing, seal-changed, seal-foreign).
 

@@ -6,15 +6,17 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from nishiki.capture.folder import Capture
-from nishiki.capture.frames import Frame
+from nishiki.capture.frames import Frame, inside
 from nishiki.capture.headers import read_header
 from nishiki.capture.images import Region, read_codes
 from nishiki.capture.problems import CaptureError, Problem, error, warning
+from nishiki.capture.seal import expect_sealed, sealed_digests
 from nishiki.ingest.decode import to_luma
 from nishiki.ingest.linearise import LUMA_WEIGHTS, code_table, full_scale, saturation_code, srgb_to_linear
 
@@ -36,7 +38,11 @@ def region_of(capture: Capture, rows: int, columns: int) -> Region:
 
 @dataclass(frozen=True)
 class FrameReader:
-    """How to read this capture's photographs. rows, columns, dtype: of the first frame, which all others must match."""
+    """How to read this capture's photographs.
+
+    rows, columns, dtype: of the first frame, which all others must match; digests: of a sealed capture's files, against
+    which every photograph is proven before it is decoded; empty otherwise.
+    """
 
     capture: Capture
     channels: Channels
@@ -44,12 +50,19 @@ class FrameReader:
     columns: int
     dtype: np.dtype
     region: Region
+    digests: dict[str, str]
 
     @classmethod
-    def of(cls, capture: Capture, channels: Channels) -> FrameReader:
-        """Look at the first photograph's header. CaptureError where it or the region cannot be used."""
+    def of(cls, capture: Capture, channels: Channels, *, prove: bool = True) -> FrameReader:
+        """Look at the first photograph's header, and prove that a sealed capture's tables are as they were sealed.
+
+        prove=False: without any proof. CaptureError where the header or the region cannot be used, or a file changed.
+        """
         if channels not in ("all", "luminance", "green"):
             raise ValueError(f"channels {channels!r}: all, luminance or green")
+        digests, photographs = sealed_digests(capture.root) if prove else {}, {f.file for f in capture.frames}
+        for name in sorted(digests.keys() - photographs):  # tables, spectra, mask: small
+            expect_sealed(inside(capture.payload, name, "manifest-sha256.txt"), name, digests)
         first = capture.observed[0]
         header = read_header(first.path, name=first.file)
         region = region_of(capture, header.rows, header.columns)
@@ -59,7 +72,7 @@ class FrameReader:
             expected = f"at most {8 * dtype.itemsize} for these files"
             found = str(camera.bits)
             raise CaptureError(error("bits-differ", "capture.yaml camera.bits", "bits", expected=expected, found=found))
-        return cls(capture, channels, header.rows, header.columns, dtype, region)
+        return cls(capture, channels, header.rows, header.columns, dtype, region, digests)
 
     @property
     def stored(self) -> tuple[str, ...]:
@@ -120,6 +133,7 @@ class FrameReader:
 
     def read(self, frame: Frame) -> np.ndarray:
         """Codes (rows, columns, channels) of the region. CaptureError (image-size, image-depth, bits-exceeded, ...)."""
+        expect_sealed(frame.path, Path(frame.file).as_posix(), self.digests)
         header = read_header(frame.path, name=frame.file)
         if (header.rows, header.columns) != (self.rows, self.columns):
             expected, found = f"{self.rows} x {self.columns}", f"{header.rows} x {header.columns}"
