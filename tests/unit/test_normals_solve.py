@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from nishiki.errors import UserError
 from nishiki.normals import flags as bits
 from nishiki.normals.fill import fill_flagged
+from nishiki.normals.refine import WIDTH
 from nishiki.normals.solve import AT_LEAST, PRIOR, estimate_normals
 from nishiki.separation.lights import select_diffuse
 
@@ -114,20 +115,20 @@ def test_the_lobe_equals_a_general_optimiser():
     for p in range(25):
         data, keep = stack[:, 0, p] / start.albedo[0, p].astype(np.float64), usable[:, 0, p]
         n0 = start.normals[0, p].astype(np.float64)
+        held = PRIOR + 3 * (start.residual[0, p] / start.albedo[0, p] / WIDTH) ** 2 / start.lights_used[0, p]
 
         def unit(v):
             return v / np.linalg.norm(v)
 
-        def cost(u, n0=n0, data=data, keep=keep):
+        def cost(u, n0=n0, data=data, keep=keep, held=held):
             n = unit(n0 + u[0] * unit(np.cross(n0, [0, 1, 0])) + u[1] * unit(np.cross(n0, [1, 0, 0])))
             c, x = np.maximum(lights @ n, 0), np.maximum(halves @ n, 1e-3)
             r = (data - c * (u[2] + u[3] * c + u[4] * x**8))[keep]
-            held = np.sqrt(PRIOR * np.sum(c[keep] ** 2))
-            return np.concatenate([r, held * u[3:5]])
+            return np.concatenate([r, np.sqrt(held * np.sum(c[keep] ** 2)) * u[3:5]])
 
         best = least_squares(cost, [0, 0, 1, 0, 0], xtol=1e-14, ftol=1e-14, gtol=1e-14)
         n = unit(n0 + best.x[0] * unit(np.cross(n0, [0, 1, 0])) + best.x[1] * unit(np.cross(n0, [1, 0, 0])))
-        assert angle(field.normals[0, p], n) < 0.02
+        assert angle(field.normals[0, p], n) < 0.06  # the step at which the descent ends: 1e-3 rad
         residual = np.sqrt(np.mean(best.fun[:-2] ** 2)) * start.albedo[0, p]
         assert field.residual[0, p] == pytest.approx(residual, rel=5e-3)
 

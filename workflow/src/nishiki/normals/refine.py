@@ -8,6 +8,7 @@ from nishiki.normals.least_squares import eigenvalues
 from nishiki.normals.lobe import SUM_ORDER, SUMS, cholesky_solve, descend, raised
 
 LANES = 16  # lights are padded to a multiple, with weight 0
+WIDTH = 0.25  # standard deviation expected of b and d, relative to the albedo, where the samples scatter much
 CHUNK = 256  # pixels that share one set of work arrays
 
 
@@ -153,7 +154,10 @@ def refine(observations, usable, known, vectors, settings, max_condition, normal
                 allowed[j] = may
                 first[j] = use
             start = (float(normals[p, 0]), float(normals[p, 1]), float(normals[p, 2]))
-            scale = noise + float(scalars[3, p]) / albedo
+            spread = float(scalars[3, p]) / albedo
+            scale = noise + spread
+            # Of a Gaussian prior of width WIDTH, in the units of `descend`: sum of w c^2 is near a third of the lights.
+            held = prior + 3.0 * (spread / WIDTH) ** 2 / lights_used[p]
             normal, terms, kept = fit_widths(
                 value,
                 allowed,
@@ -163,7 +167,7 @@ def refine(observations, usable, known, vectors, settings, max_condition, normal
                 vectors,
                 start,
                 widths,
-                prior,
+                held,
                 noise,
                 reselections,
                 at_least,
@@ -177,7 +181,7 @@ def refine(observations, usable, known, vectors, settings, max_condition, normal
                 albedo,
                 weight,
                 vectors,
-                prior,
+                held,
                 max_condition,
                 work,
                 p,
@@ -194,7 +198,7 @@ def store(
 ):
     """Write a refined pixel; where the fit is no surface (no diffuse part, singular) the Lambertian one stands."""
     sums, _, matrix, step = work
-    diffuse = terms[0] + 2.0 / 3.0 * terms[1]  # hemispherical reflectance of a + b cos(theta)
+    diffuse = terms[0] + terms[1] * sums[10] / max(sums[9], 1e-30)  # mean of a + b c over the samples, weighted c^2
     variance = tangential_variance(sums, prior, matrix, step)
     if not (variance > 0.0 and diffuse > 0.0 and kept > 5.0):
         flags[p] |= bits.FALLBACK
