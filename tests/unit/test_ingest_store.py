@@ -307,3 +307,11 @@ def test_diligent_values_are_codes_over_intensities(data, tmp_path):
     for i in (0, 50, 95):
         codes = cv2.imread(str(data / f"diligent_cat/{i + 1:03d}.png"), cv2.IMREAD_UNCHANGED)[100:140, :, ::-1]
         np.testing.assert_allclose(values[i], codes / 65535 / scale[i], rtol=1e-5, atol=1e-7)
+
+
+def test_regions_are_kept_numbered_from_zero_in_the_order_of_their_labels(tmp_path):
+    folder = make_capture(tmp_path / "c", yaml_extra={"regions": "regions.png"})
+    labels = np.where(np.arange(COLUMNS) < COLUMNS // 2, 7, 3).astype(np.uint8) * np.ones((ROWS, 1), np.uint8)
+    cv2.imwrite(str(folder / "regions.png"), labels)
+    observations, _ = ingest(folder, tmp_path / "o")
+    assert np.array_equal(observations.regions, (labels == 7).astype(np.uint8))

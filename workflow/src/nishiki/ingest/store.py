@@ -11,7 +11,7 @@ import numpy as np
 
 from nishiki.capture.folder import Capture
 from nishiki.capture.frames import Frame
-from nishiki.capture.images import read_mask
+from nishiki.capture.images import read_labels, read_mask
 from nishiki.capture.problems import CaptureError, Problem, error, warning
 from nishiki.ingest.blocks import block_edges
 from nishiki.ingest.chunks import chunk_path, create_array, write_chunk
@@ -23,6 +23,7 @@ STORE = "frames.zarr"
 FORMAT = 1
 ALL_SATURATED = 0.99
 MANY_SATURATED = 0.05
+MANY_REGIONS = 256
 
 
 class Settings(Protocol):
@@ -141,6 +142,28 @@ def mask_of(capture: Capture, reader: FrameReader) -> np.ndarray:
     return mask
 
 
+def regions_of(capture: Capture, reader: FrameReader) -> np.ndarray | None:
+    """Region of each pixel (rows, columns) uint8, numbered from 0 in the order of the labels; None without a picture.
+
+    CaptureError: regions-size, regions-many.
+    """
+    if capture.regions is None:
+        return None
+    name = capture.settings.regions
+    whole = read_labels(capture.regions, name=name)
+    if whole.shape != (reader.rows, reader.columns):
+        expected, found = f"{reader.rows} x {reader.columns} as the frames", f"{whole.shape[0]} x {whole.shape[1]}"
+        raise CaptureError(error("regions-size", name, "size of the regions", expected=expected, found=found))
+    row, column, rows, columns = reader.region
+    labels, index = np.unique(whole[row : row + rows, column : column + columns], return_inverse=True)
+    if len(labels) > MANY_REGIONS:
+        remedy = "Join regions of the same material: each gets its own reflection parameters"
+        found = f"{len(labels)} labels"
+        expected = f"at most {MANY_REGIONS}"
+        raise CaptureError(error("regions-many", name, "regions", expected=expected, found=found, remedy=remedy))
+    return index.reshape(rows, columns).astype(np.uint8)
+
+
 def _write_frames(
     path: Path, group, reader: FrameReader, mask: np.ndarray, band_rows: int, compression: str, tick: Callable
 ) -> tuple[np.ndarray, list[Problem]]:
@@ -193,6 +216,9 @@ def _write_fields(group, reader: FrameReader, mask: np.ndarray, defect: np.ndarr
         fields["lut"] = reader.table
     if defect.any():
         fields["defect"] = defect.astype(np.uint8)
+    labels = regions_of(reader.capture, reader)
+    if labels is not None:
+        fields["regions"] = labels
     for name, values in fields.items():
         array = create_array(group, name, values.shape, values.shape, values.dtype)
         array[...] = values
