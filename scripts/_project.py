@@ -10,7 +10,7 @@ SOURCE = PROJECT / "workflow" / "src"
 
 
 def use_kernel_cache() -> None:
-    """Give this state of the package its own folder of compiled kernels.
+    """Give this state of the package's compiled modules its own folder of kernels.
 
     numba renews a cached function when the function's own file changes, but not when a function that it inlines from
     another file does: an edit would rerun a stage with the old machine code.
@@ -19,7 +19,9 @@ def use_kernel_cache() -> None:
         return
     digest = hashlib.sha256()
     for path in sorted(SOURCE.rglob("*.py")):
-        digest.update(path.read_bytes())
+        text = path.read_bytes()
+        if b"numba" in text:
+            digest.update(text)
     os.environ["NUMBA_CACHE_DIR"] = str(PROJECT / ".kernels" / digest.hexdigest()[:12])
 
 
