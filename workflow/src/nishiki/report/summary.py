@@ -5,6 +5,7 @@ from typing import Any
 PAPER_CHOICES = {
     ("separate", "method"): ("threshold", "selection of the lights", "thresholds w1, w2 (P 3.2)"),
     ("normals", "solver"): ("least_squares", "normals", "plain least squares (P 3.3)"),
+    ("normals", "refine"): ("none", "normals and gloss together", "one after the other"),
     ("spectra", "method"): ("paper", "spectra", "three bases and matrix inverse (P eq. 8)"),
     ("brdf", "method"): ("paper", "gloss", "brightest light, Levenberg-Marquardt (P eq. 14–18)"),
 }
