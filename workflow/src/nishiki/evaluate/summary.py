@@ -73,4 +73,4 @@ class Pool:
 
     def _percentile(self, percent: float) -> float:
         below = np.searchsorted(np.cumsum(self.bins), percent / 100 * self.count, side="left")
-        return min((float(below) + 0.5) * self.BIN, self.worst)
+        return min(round((float(below) + 0.5) * self.BIN, 6), self.worst)
