@@ -115,7 +115,7 @@ def test_the_lobe_equals_a_general_optimiser():
     for p in range(25):
         data, keep = stack[:, 0, p] / start.albedo[0, p].astype(np.float64), usable[:, 0, p]
         n0 = start.normals[0, p].astype(np.float64)
-        held = PRIOR + 3 * (start.residual[0, p] / start.albedo[0, p] / WIDTH) ** 2 / start.lights_used[0, p]
+        held = PRIOR * start.lights_used[0, p] / 3 + (start.residual[0, p] / start.albedo[0, p] / WIDTH) ** 2
 
         def unit(v):
             return v / np.linalg.norm(v)
@@ -124,7 +124,7 @@ def test_the_lobe_equals_a_general_optimiser():
             n = unit(n0 + u[0] * unit(np.cross(n0, [0, 1, 0])) + u[1] * unit(np.cross(n0, [1, 0, 0])))
             c, x = np.maximum(lights @ n, 0), np.maximum(halves @ n, 1e-3)
             r = (data - c * (u[2] + u[3] * c + u[4] * x**8))[keep]
-            return np.concatenate([r, np.sqrt(held * np.sum(c[keep] ** 2)) * u[3:5]])
+            return np.concatenate([r, np.sqrt(held) * u[3:5]])
 
         best = least_squares(cost, [0, 0, 1, 0, 0], xtol=1e-14, ftol=1e-14, gtol=1e-14)
         n = unit(n0 + best.x[0] * unit(np.cross(n0, [0, 1, 0])) + best.x[1] * unit(np.cross(n0, [1, 0, 0])))

@@ -94,13 +94,13 @@ def add_up(value, weight, vectors, frame, terms, squarings, out):
 def cholesky_solve(sums, damping, prior, matrix, step):
     """Solve the damped normal equations with the prior on b and d, in step; matrix is work. False: singular."""
     k = 0
-    scale = sums[9]  # sum of w c^2: the prior's strength is relative to the data, so that any light level acts alike
+    scale = sums[9]
     for i in range(5):
         for j in range(i, 5):
             matrix[j, i] = sums[k]
             k += 1
         if i >= 3:
-            matrix[i, i] += prior * scale
+            matrix[i, i] += prior
         matrix[i, i] = matrix[i, i] * (1.0 + damping) + 1e-9 * scale
     for i in range(5):
         for j in range(i + 1):
@@ -148,13 +148,13 @@ def descend(value, weight, vectors, normal, terms, squarings, prior, rounds, wor
     frame, normal = frame_of(normal[0], normal[1], normal[2])
     f = np.float32
     add_up(value, weight, vectors, frame, (f(terms[0]), f(terms[1]), f(terms[2])), squarings, sums)
-    cost = sums[20] + prior * sums[9] * (terms[1] ** 2 + terms[2] ** 2)
+    cost = sums[20] + prior * (terms[1] ** 2 + terms[2] ** 2)
     damping = 1e-3
     for _ in range(rounds):
         for i in range(5):
             step[i] = sums[15 + i]
-        step[3] -= prior * sums[9] * terms[1]
-        step[4] -= prior * sums[9] * terms[2]
+        step[3] -= prior * terms[1]
+        step[4] -= prior * terms[2]
         if not cholesky_solve(sums, damping, prior, matrix, step):
             break
         turn = np.sqrt(step[0] ** 2 + step[1] ** 2)
@@ -167,7 +167,7 @@ def descend(value, weight, vectors, normal, terms, squarings, prior, rounds, wor
         )
         a, b, d = terms[0] + step[2], terms[1] + step[3], terms[2] + step[4]
         add_up(value, weight, vectors, moved, (f(a), f(b), f(d)), squarings, trial)
-        attempt = trial[20] + prior * trial[9] * (b * b + d * d)
+        attempt = trial[20] + prior * (b * b + d * d)
         if attempt < cost:
             frame, normal, terms, cost = moved, unit, (a, b, d), attempt
             sums[:] = trial

@@ -156,8 +156,8 @@ def refine(observations, usable, known, vectors, settings, max_condition, normal
             start = (float(normals[p, 0]), float(normals[p, 1]), float(normals[p, 2]))
             spread = float(scalars[3, p]) / albedo
             scale = noise + spread
-            # Of a Gaussian prior of width WIDTH, in the units of `descend`: sum of w c^2 is near a third of the lights.
-            held = prior + 3.0 * (spread / WIDTH) ** 2 / lights_used[p]
+            # The second part is a Gaussian prior of standard deviation WIDTH, in units of the squared residuals.
+            held = prior * lights_used[p] / 3.0 + (spread / WIDTH) ** 2
             normal, terms, kept = fit_widths(
                 value,
                 allowed,

@@ -10,7 +10,7 @@ from nishiki.separation.lights import checked_stack
 
 SOLVERS = ("default", "lobe", "lobes", "least_squares")
 EXPONENTS = (2, 4, 8, 16)  # that the solver "lobes" tries
-PRIOR = 1e-4  # weight of the squared relative terms b and d, in units of the samples' own sum of squares
+PRIOR = 1e-4  # least weight of b^2 and d^2, times a third of the number of samples (about their sum of c^2)
 EXPONENT = 8  # of the gloss skirt
 RESELECTIONS = 1
 AT_LEAST = 6  # samples below which the gloss lobe is not tried: five unknowns and one to spare

@@ -141,6 +141,7 @@ def refit_selection(observations, valid, directions, products, comparators, sett
         sums = np.empty(TERMS * BLOCK, dtype=np.float32)
         scaled, best = np.empty(4 * BLOCK, dtype=np.float32), np.empty(4 * BLOCK, dtype=np.float32)
         count, low, high = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
+        limit = np.empty(BLOCK, np.float32)
         quality, record, scale = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
         for block in range(chunk * CHUNK, min((chunk + 1) * CHUNK, blocks)):
             start = block * BLOCK
@@ -151,6 +152,7 @@ def refit_selection(observations, valid, directions, products, comparators, sett
                     ranked[j, p] = values[j, p] if known[j, p] > np.float32(0.0) else FAR
             sort_block(ranked, comparators)
             best[:] = 0.0
+            limit[:] = 0.0
             record[:] = np.inf
             for s in range(starts):
                 part = np.float32(s / max(starts - 1, 1))
@@ -165,11 +167,11 @@ def refit_selection(observations, valid, directions, products, comparators, sett
                 judge(distance, weights, scaled, count, coverage, at_least, floor, quality)
                 for p in range(BLOCK):
                     if quality[p] < record[p]:
-                        record[p] = quality[p]
+                        record[p], limit[p] = quality[p], low[p]
                         for k in range(4):
                             best[p + k * BLOCK] = scaled[p + k * BLOCK]
             distances(values, known, directions, best, above, distance)
-            concentrate(distance, ordered, comparators, count, coverage, at_least, low, weights)
+            keep_below(distance, limit, weights)
             spread(values, directions, weights, best, floor, scale)
             for _ in range(rounds):
                 accept(values, known, directions, best, scale, brighter, darker, weights)
