@@ -7,7 +7,7 @@ import numpy as np
 
 from nishiki.ingest.observations import Observations
 
-TOLERANCE_RAD = np.radians(0.1)
+TOLERANCE_RAD = np.radians(0.2)
 """Largest difference between a pixel's direction to a near lamp and that of its parcel's centre."""
 
 
@@ -28,8 +28,8 @@ class Parcel:
 def parcels(frames: Observations, band: slice, lights: np.ndarray) -> Iterator[Parcel]:
     """Parcels of a band: the whole band for distant lamps, small rectangles for lamps at a position.
 
-    lights: indices (n,). The size follows from the nearest lamp: the direction changes by less than 0.1 degrees from a
-    parcel's centre to its corner.
+    lights: indices (n,). The size follows from the nearest lamp: the direction changes by less than 0.2 degrees from a
+    parcel's centre to its corner, except for lamps so near that this takes fewer than 8 pixels.
     """
     rows, columns = band.stop - band.start, frames.shape[1]
     if frames.positions_mm is None:
@@ -50,9 +50,9 @@ def parcels(frames: Observations, band: slice, lights: np.ndarray) -> Iterator[P
 
 
 def parcel_side(positions_mm: np.ndarray, pitch_mm: float) -> int:
-    """Side of a square parcel in pixels, at least 4, for lamps at these positions (lights, 3)."""
+    """Side of a square parcel in pixels, at least 8, for lamps at these positions (lights, 3)."""
     reach = 2 * TOLERANCE_RAD * float(positions_mm[:, 2].min()) / np.sqrt(2)
-    return max(4, int(reach / pitch_mm))
+    return max(8, int(reach / pitch_mm))
 
 
 def point_mm(frames: Observations, row: float, column: float) -> np.ndarray:
