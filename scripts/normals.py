@@ -156,7 +156,9 @@ def solve(
     if observations.shape[-1] == 1:
         found["reflectance"] = field.albedo[..., None]
     else:
-        diffuse = diffuse_reflectance(observations, parcel.directions, field.normals, usable=usable)
+        diffuse = diffuse_reflectance(
+            observations, parcel.directions, field.normals, usable=usable, method=settings.reflectance
+        )
         found["reflectance"] = diffuse.reflectance
     if gloss is None:
         return found

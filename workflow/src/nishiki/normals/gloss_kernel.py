@@ -20,13 +20,15 @@ from nishiki.normals.least_squares import eigenvalues
 
 NODES_PER_UNIT = 1024  # of the table of the profile, per unit of chord
 NODES = 1450  # up to a chord of sqrt 2 (phi = 90 degrees)
+LANES = 4  # lights are padded to a multiple, unlit: the sums over them then become SIMD code
+SUM_ORDER = {"reassoc", "nsz", "contract"}
 STEEPEST = 0.05  # n_z is kept above it
 LARGEST_STEP = 0.3  # radians
 DAMPINGS = 5
-SETTLED = 3e-4  # radians
+SETTLED = 1e-3  # radians
 AT_LEAST = 4  # lit samples; three unknowns in the common level, and one to spare
 # Rows of the scratch of a pixel, a column for each light
-COSINE, BODY, BODY_S, BODY_T, GLOSS, GLOSS_S, GLOSS_T, VAR_LEVEL, VAR_COLOUR, W_LEVEL, W_COLOUR = range(11)
+LIT, BODY, BODY_S, BODY_T, GLOSS, GLOSS_S, GLOSS_T, VAR_LEVEL, VAR_COLOUR, W_LEVEL, W_COLOUR = range(11)
 ROWS = 11
 # Places of the settings
 NOISE, MODEL_ERROR, GLOSS_ERROR, TILT_ERROR, TRANSMISSION, TOLERANCE, ITERATIONS, SECOND_START = range(8)
@@ -79,7 +81,8 @@ def predict(n, known, lights, table, settings, floor, root, rows, t, gradient):
     for j in range(known.size):
         c = n[0] * lights[j, 0] + n[1] * lights[j, 1] + n[2] * lights[j, 2]
         if not (known[j] and c > 0.0):
-            rows[COSINE, j] = min(c, 0.0)
+            for k in range(ROWS):
+                rows[k, j] = 1.0 if k == VAR_LEVEL or k == VAR_COLOUR else 0.0
             continue
         light = lights[j]
         u = 1.0 - c
@@ -92,94 +95,114 @@ def predict(n, known, lights, table, settings, floor, root, rows, t, gradient):
         gs = root * (gradient[1] * t[0] + gradient[2] * t[1] + gradient[3] * t[2])
         gt = root * (gradient[1] * t[3] + gradient[2] * t[4] + gradient[3] * t[5])
         s = root * gradient[0]
-        rows[COSINE, j], rows[BODY, j], rows[GLOSS, j] = c, c * enter * view, s
+        rows[LIT, j], rows[BODY, j], rows[GLOSS, j] = 1.0, c * enter * view, s
         rows[BODY_S, j], rows[BODY_T, j] = along * ls + by_view * t[2], along * lt + by_view * t[5]
         rows[GLOSS_S, j], rows[GLOSS_T, j] = gs, gt
         rows[VAR_LEVEL, j] = floor + kappa * s * s + tilt * (gs * gs + gt * gt)
         rows[VAR_COLOUR, j] = floor
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=SUM_ORDER)
 def strengths(y, rows, rho):
     """Weighted least-squares reflectance of each component at fixed normal."""
-    for k in range(rho.size):
-        above, below = 0.0, 1e-30
-        for j in range(rows.shape[1]):
-            if rows[COSINE, j] > 0.0:
-                w = rows[W_COLOUR, j] if k else rows[W_LEVEL, j]
-                value = y[k, j] if k else y[k, j] - rows[GLOSS, j]
-                above += w * rows[BODY, j] * value
-                below += w * rows[BODY, j] * rows[BODY, j]
+    body, gloss, level, colour = rows[BODY], rows[GLOSS], rows[W_LEVEL], rows[W_COLOUR]
+    value, above, below = y[0], 0.0, 1e-30
+    for j in range(body.size):
+        v = level[j] * body[j]
+        above += v * (value[j] - gloss[j])
+        below += v * body[j]
+    rho[0] = above / below
+    below = 1e-30
+    for j in range(body.size):
+        below += colour[j] * body[j] * body[j]
+    for k in range(1, rho.size):
+        value, above = y[k], 0.0
+        for j in range(body.size):
+            above += colour[j] * body[j] * value[j]
         rho[k] = above / below
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=SUM_ORDER)
 def weigh(y, rows, rho, tolerance):
     """Robust weights from the residuals; too dark a sample is distrusted in all components, for shadow takes all."""
-    components = rho.size
-    limit = 1.0 / (tolerance * tolerance)
-    for j in range(rows.shape[1]):
-        if rows[COSINE, j] <= 0.0:
-            continue
-        b = rows[BODY, j]
-        r = y[0, j] - rho[0] * b - rows[GLOSS, j]
-        a = 1.0 / (1.0 + r * r / rows[VAR_LEVEL, j] * limit)
-        rows[W_LEVEL, j] = a * a / rows[VAR_LEVEL, j]
-        if components > 1:
-            q = 0.0
-            for k in range(1, components):
-                d = y[k, j] - rho[k] * b
-                q += d * d
-            e = 1.0 / (1.0 + q / rows[VAR_COLOUR, j] * limit / (components - 1))
-            if r < 0.0:
-                e = min(a, e)
-            rows[W_COLOUR, j] = e * e / rows[VAR_COLOUR, j]
+    lit, body, gloss, level, colour = rows[LIT], rows[BODY], rows[GLOSS], rows[W_LEVEL], rows[W_COLOUR]
+    of_level, of_colour = rows[VAR_LEVEL], rows[VAR_COLOUR]
+    bound, components, value, first = tolerance * tolerance, rho.size, y[0], rho[0]
+    for j in range(body.size):
+        colour[j] = 0.0
+    for k in range(1, components):
+        values, strength = y[k], rho[k]
+        for j in range(body.size):
+            d = values[j] - strength * body[j]
+            colour[j] += d * d
+    limit = bound * max(components - 1, 1)
+    for j in range(body.size):
+        r = value[j] - first * body[j] - gloss[j]
+        a = bound * of_level[j] / (bound * of_level[j] + r * r)
+        e = limit * of_colour[j] / (limit * of_colour[j] + colour[j])
+        e = min(a, e) if r < 0.0 else e
+        level[j] = lit[j] * a * a / of_level[j]
+        colour[j] = lit[j] * e * e / of_colour[j]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=SUM_ORDER)
 def squares(y, rows, rho):
     """Weighted sum of squares at the present weights."""
-    total = 0.0
-    for j in range(rows.shape[1]):
-        if rows[COSINE, j] > 0.0:
-            r = y[0, j] - rho[0] * rows[BODY, j] - rows[GLOSS, j]
-            total += rows[W_LEVEL, j] * r * r
-            for k in range(1, rho.size):
-                d = y[k, j] - rho[k] * rows[BODY, j]
-                total += rows[W_COLOUR, j] * d * d
+    body, gloss, level, colour = rows[BODY], rows[GLOSS], rows[W_LEVEL], rows[W_COLOUR]
+    value, strength, total = y[0], rho[0], 0.0
+    for j in range(body.size):
+        r = value[j] - strength * body[j] - gloss[j]
+        total += level[j] * r * r
+    for k in range(1, rho.size):
+        value, strength = y[k], rho[k]
+        for j in range(body.size):
+            d = value[j] - strength * body[j]
+            total += colour[j] * d * d
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath=SUM_ORDER)
 def gauss_newton(y, rows, rho, out):
     """Curvature (3) and right-hand side (2) by the tangents, reflectances eliminated (Schur complement), into out."""
-    h0 = h1 = h2 = g0 = g1 = 0.0
-    for k in range(rho.size):
-        a, p, q = 1e-30, 0.0, 0.0
-        for j in range(rows.shape[1]):
-            if rows[COSINE, j] <= 0.0:
-                continue
-            b = rows[BODY, j]
-            r = y[k, j] - rho[k] * b
-            s, t = rho[k] * rows[BODY_S, j], rho[k] * rows[BODY_T, j]
-            if k:
-                w = rows[W_COLOUR, j]
-            else:
-                w = rows[W_LEVEL, j]
-                r -= rows[GLOSS, j]
-                s += rows[GLOSS_S, j]
-                t += rows[GLOSS_T, j]
-            a += w * b * b
-            p += w * b * s
-            q += w * b * t
-            h0 += w * s * s
-            h1 += w * s * t
-            h2 += w * t * t
-            g0 += w * s * r
-            g1 += w * t * r
-        h0 -= p * p / a
-        h1 -= p * q / a
-        h2 -= q * q / a
+    body, body_s, body_t, gloss = rows[BODY], rows[BODY_S], rows[BODY_T], rows[GLOSS]
+    gloss_s, gloss_t, level, colour = rows[GLOSS_S], rows[GLOSS_T], rows[W_LEVEL], rows[W_COLOUR]
+    h0 = h1 = h2 = g0 = g1 = p = q = 0.0
+    a, value, strength = 1e-30, y[0], rho[0]
+    for j in range(body.size):
+        w, b = level[j], body[j]
+        s, t = strength * body_s[j] + gloss_s[j], strength * body_t[j] + gloss_t[j]
+        r = value[j] - strength * b - gloss[j]
+        ws, wt = w * s, w * t
+        a += w * b * b
+        p += ws * b
+        q += wt * b
+        h0 += ws * s
+        h1 += ws * t
+        h2 += wt * t
+        g0 += ws * r
+        g1 += wt * r
+    h0, h1, h2 = h0 - p * p / a, h1 - p * q / a, h2 - q * q / a
+    # the other components share weights and, but for their reflectance, slopes
+    bb, bs, bt, ss, st, tt = 1e-30, 0.0, 0.0, 0.0, 0.0, 0.0
+    for j in range(body.size):
+        w, b, s, t = colour[j], body[j], body_s[j], body_t[j]
+        bb += w * b * b
+        bs += w * b * s
+        bt += w * b * t
+        ss += w * s * s
+        st += w * s * t
+        tt += w * t * t
+    for k in range(1, rho.size):
+        value, strength, p, q = y[k], rho[k], 0.0, 0.0
+        for j in range(body.size):
+            r = colour[j] * (value[j] - strength * body[j])
+            p += body_s[j] * r
+            q += body_t[j] * r
+        g0, g1 = g0 + strength * p, g1 + strength * q
+        square = strength * strength
+        h0 += square * (ss - bs * bs / bb)
+        h1 += square * (st - bs * bt / bb)
+        h2 += square * (tt - bt * bt / bb)
     out[0], out[1], out[2], out[3], out[4] = h0, h1, h2, g0, g1
 
 
@@ -200,38 +223,40 @@ def moved(n, t, s, r, out):
 def descend(y, known, lights, table, settings, floor, n, rho, rows, work):
     """Fit from the normal n, in place; the rows and weights are left at the result.
 
-    work (18,): tangents 0:6, trial normal 6:9, equations 9:14, gradient 14:18.
+    work (18,): tangents 0:6, trial normal 6:9, equations 9:14, gradient 14:18. A step that raises the weighted sum of
+    squares is taken back and damped more, DAMPINGS times at most.
     """
     t, trial, equations, gradient = work[0:6], work[6:9], work[9:14], work[14:18]
     root, tolerance = np.sqrt(float(rho.size)), settings[TOLERANCE]
-    predict(n, known, lights, table, settings, floor, root, rows, t, gradient)
-    for j in range(known.size):
-        rows[W_LEVEL, j], rows[W_COLOUR, j] = 1.0 / rows[VAR_LEVEL, j], 1.0 / rows[VAR_COLOUR, j]
-    strengths(y, rows, rho)
-    damping = 1e-3
-    for _ in range(int(settings[ITERATIONS])):
-        for _ in range(2):
-            weigh(y, rows, rho, tolerance)
-            strengths(y, rows, rho)
-        gauss_newton(y, rows, rho, equations)
-        before = squares(y, rows, rho)
-        length = 0.0
-        for _ in range(DAMPINGS):
-            tangents(n, t)
-            d0, d2 = equations[0] * (1.0 + damping) + 1e-12, equations[2] * (1.0 + damping) + 1e-12
-            det = d0 * d2 - equations[1] * equations[1]
-            s = (d2 * equations[3] - equations[1] * equations[4]) / det
-            r = (d0 * equations[4] - equations[1] * equations[3]) / det
-            length = moved(n, t, s, r, trial)
-            predict(trial, known, lights, table, settings, floor, root, rows, t, gradient)
-            strengths(y, rows, rho)
-            if squares(y, rows, rho) <= before * (1.0 + 1e-9) or length < 0.1 * SETTLED:
-                damping = max(0.2 * damping, 1e-6)
+    trial[:] = n
+    damping, before, length, refused, taken = 1e-3, 0.0, np.inf, 0, 0
+    while True:
+        predict(trial, known, lights, table, settings, floor, root, rows, t, gradient)
+        if taken == 0:
+            for j in range(known.size):
+                rows[W_LEVEL, j] = rows[LIT, j] / rows[VAR_LEVEL, j]
+                rows[W_COLOUR, j] = rows[LIT, j] / rows[VAR_COLOUR, j]
+        strengths(y, rows, rho)
+        if taken == 0 or refused == DAMPINGS or not squares(y, rows, rho) > before * (1.0 + 1e-9):
+            n[:] = trial
+            damping = max(0.2 * damping, 1e-6) if taken else damping
+            for _ in range(1 if taken else 2):
+                weigh(y, rows, rho, tolerance)
+                strengths(y, rows, rho)
+            if length < SETTLED or taken == int(settings[ITERATIONS]):
                 break
+            gauss_newton(y, rows, rho, equations)
+            before = squares(y, rows, rho)
+            refused, taken = 0, taken + 1
+        else:
             damping *= 8.0
-        n[:] = trial
-        if length < SETTLED:
-            break
+            refused += 1
+        tangents(n, t)
+        d0, d2 = equations[0] * (1.0 + damping) + 1e-12, equations[2] * (1.0 + damping) + 1e-12
+        det = d0 * d2 - equations[1] * equations[1]
+        s = (d2 * equations[3] - equations[1] * equations[4]) / det
+        r = (d0 * equations[4] - equations[1] * equations[3]) / det
+        length = moved(n, t, s, r, trial)
     weigh(y, rows, rho, tolerance)
 
 
@@ -246,7 +271,7 @@ def misfit(y, known, rows, rho, tolerance, floor):
     for j in range(known.size):
         if not known[j]:
             continue
-        if rows[COSINE, j] > 0.0:
+        if rows[LIT, j] > 0.0:
             b = rows[BODY, j]
             r = y[0, j] - rho[0] * b - rows[GLOSS, j]
             level, q = r * r / rows[VAR_LEVEL, j], 0.0
@@ -270,7 +295,7 @@ def describe(y, known, lights, rows, rho, equations, max_condition, p, scalars, 
     weight = squared = chi = 0.0
     count, freedom = 0, -2 - rho.size
     for j in range(known.size):
-        if rows[COSINE, j] <= 0.0:
+        if rows[LIT, j] == 0.0:
             continue
         trust = rows[W_LEVEL, j] * rows[VAR_LEVEL, j]
         count += trust > 0.5
@@ -300,7 +325,7 @@ def describe(y, known, lights, rows, rho, equations, max_condition, p, scalars, 
 @njit(cache=True, error_model="numpy")
 def rotate(observations, rotation, p, y):
     """Components (C, lights) of pixel p; returns the light of the largest level and the mean level of the others."""
-    lights, channels = y.shape[1], y.shape[0]
+    lights, channels = observations.shape[0], y.shape[0]
     top, highest, total = 0, -np.inf, 0.0
     for j in range(lights):
         for k in range(channels):
@@ -326,8 +351,10 @@ def refine_pixels(
     normals (pixels, 3), reflectance (pixels, C), scalars (4, pixels) float32: albedo, sigma, condition, residual.
     """
     count, channels = observations.shape[0], observations.shape[2]
-    rows, y, known = np.ones((ROWS, count)), np.empty((channels, count)), np.empty(count, np.bool_)
-    rho, best_rho, n, best_n = np.empty(channels), np.empty(channels), np.empty(3), np.empty(3)
+    padded = (count + LANES - 1) // LANES * LANES
+    rows, y, known = np.zeros((ROWS, padded)), np.zeros((channels, padded)), np.zeros(count, np.bool_)
+    rows[VAR_LEVEL], rows[VAR_COLOUR] = 1.0, 1.0
+    rho, n, best_n = np.empty(channels), np.empty(3), np.empty(3)
     work = np.empty(18)
     tolerance = settings[TOLERANCE]
     for p in range(first, last):
@@ -341,22 +368,22 @@ def refine_pixels(
         for i in range(3):
             n[i] = normals[p, i]
         n[2] = max(n[2], STEEPEST)
-        descend(y, known, lights, table, settings, floor, n, rho, rows, work)
-        value = misfit(y, known, rows, rho, tolerance, floor)
-        if value > settings[SECOND_START] * count * channels:
-            best_n[:], best_rho[:] = n, rho
-            for i in range(3):
-                n[i] = lights[top, 3 + i]
+        value, limit = np.inf, settings[SECOND_START] * count * channels
+        for attempt in range(3):  # the given normal; the one that mirrors the brightest light; back to the better one
             descend(y, known, lights, table, settings, floor, n, rho, rows, work)
-            other = misfit(y, known, rows, rho, tolerance, floor)
-            if not other < value:
-                n[:] = best_n
-                descend(y, known, lights, table, settings, floor, n, rho, rows, work)
+            cost_here = misfit(y, known, rows, rho, tolerance, floor)
+            if attempt == 2 or (attempt == 0 and not cost_here > limit) or (attempt == 1 and cost_here < value):
+                value = cost_here
+                break
+            if attempt == 0:
+                value = cost_here
+                best_n[:] = n
+                n[:] = lights[top, 3:6]
             else:
-                value = other
+                n[:] = best_n
         lit = 0
         for j in range(count):
-            lit += rows[COSINE, j] > 0.0
+            lit += rows[LIT, j] > 0.0
         if lit < AT_LEAST or not np.isfinite(n[0] + n[1] + n[2] + rho.sum() + value):
             flags[p] |= bits.FALLBACK
             continue

@@ -17,8 +17,8 @@ from nishiki.normals.gloss_profile import LADDER, GlossProfile, fit_gloss, specu
 
 ROUNDS = 3
 LARGEST_SIGMA = 0.1  # radians: where the normals are worse the blur is no longer a small one
-WORTHWHILE = 0.02  # gain of robust cost a value, from which gloss counts as shown
-FEW_LIGHTS = 32  # up to here the joint fit pays its time; with more the selection has diffuse samples enough
+WORTHWHILE = 0.03  # gain of robust cost a value, from which gloss counts as shown
+FEW_LIGHTS = 24  # up to here the joint fit pays its time; with more the selection has diffuse samples enough
 
 
 @dataclass(frozen=True)

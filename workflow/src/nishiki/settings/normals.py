@@ -20,6 +20,9 @@ class NormalsSettings(Closed):
         "auto", description="fit normals, reflectance and gloss together; auto: where few lights show gloss that counts"
     )
     refractive_index: float = Field(1.45, gt=1, le=3, description="of the varnish or binder, for refine (P: 1.45)")
+    reflectance: Literal["least_squares", "mean"] = Field(
+        "least_squares", description="of each channel, without refine; mean: of I / cos over the lights (P eq. 6)"
+    )
     max_condition: float = Field(1e3, gt=1, description="pixels with a worse conditioned light matrix are flagged")
     fill: bool = Field(False, description="fill flagged pixels from their neighbours (they stay flagged)")
     hold_out: tuple[str, ...] = Field((), description="lights left out of the fit; filled in by the plan")
