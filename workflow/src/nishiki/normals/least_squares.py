@@ -49,47 +49,50 @@ def angular_sigma(m, x, y, z, length, variance):
 
 
 @njit(cache=True, error_model="numpy")
-def write_pixel(t, count, weight, max_condition, p, normals, scalars, lights_used, flags):
-    """Solve one pixel's normal equations t (TERMS,) and write its row of every output.
+def conditioned(t, count):
+    """Condition number and inverse of the normal matrix in t; infinite where there are fewer than three lights."""
+    if count < 3:
+        return np.inf, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    least, largest = eigenvalues(t[0], t[1], t[2], t[3], t[4], t[5])
+    if not least > largest / COPLANAR:
+        return np.inf, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    return largest / least, inverse(t[0], t[1], t[2], t[3], t[4], t[5])
+
+
+@njit(cache=True, error_model="numpy")
+def write_pixel(t, condition, m, count, weight, max_condition, p, normals, scalars, lights_used, flags):
+    """Solve one pixel's normal equations t (TERMS,), inverse matrix m, and write its row of every output.
 
     scalars (4, pixels) float32: albedo, sigma, condition, residual.
     """
     flag = 0
     normals[p, 0], normals[p, 1], normals[p, 2] = 0.0, 0.0, 1.0
-    scalars[0, p], scalars[1, p], scalars[2, p], scalars[3, p] = 0.0, 0.5 * np.pi, 0.0, 0.0
-    lights_used[p] = count
-    condition = np.inf
-    if count >= 3:
-        least, largest = eigenvalues(t[0], t[1], t[2], t[3], t[4], t[5])
-        if least > largest / COPLANAR:
-            condition = largest / least
+    scalars[0, p], scalars[1, p], scalars[3, p] = 0.0, 0.5 * np.pi, 0.0
     scalars[2, p] = min(condition, 3e38)
+    lights_used[p] = count
     if count < 3:
         flag |= bits.TOO_FEW_LIGHTS
     elif condition >= COPLANAR:
         flag |= bits.COPLANAR_LIGHTS
-    if flag == 0:
-        m = inverse(t[0], t[1], t[2], t[3], t[4], t[5])
+    else:
         x = m[0] * t[6] + m[1] * t[7] + m[2] * t[8]
         y = m[1] * t[6] + m[3] * t[7] + m[4] * t[8]
         z = m[2] * t[6] + m[4] * t[7] + m[5] * t[8]
         length = np.sqrt(x * x + y * y + z * z)
-        squares = max(t[9] - (x * t[6] + y * t[7] + z * t[8]), 0.0)
-        if not length > 0.0:
-            flag |= bits.NO_SIGNAL
-        else:
-            normals[p, 0], normals[p, 1], normals[p, 2] = x / length, y / length, z / length
+        if length > 0.0:
+            flag |= bits.FACES_AWAY if z <= 0.0 else 0
+            flag |= bits.ILL_CONDITIONED if condition > max_condition else 0
+            squares = max(t[9] - (x * t[6] + y * t[7] + z * t[8]), 0.0)
+            x, y, z = x / length, y / length, z / length
+            normals[p, 0], normals[p, 1], normals[p, 2] = x, y, z
             scalars[0, p] = length
             scalars[3, p] = np.sqrt(squares / weight)
             if count > 3:
-                variance = squares / weight * count / (count - 3.0)
-                scalars[1, p] = angular_sigma(m, x / length, y / length, z / length, length, variance * weight / count)
+                scalars[1, p] = angular_sigma(m, x, y, z, length, squares / (count - 3.0))
             else:
                 flag |= bits.NO_REDUNDANCY
-            if condition > max_condition:
-                flag |= bits.ILL_CONDITIONED
-            if z <= 0.0:
-                flag |= bits.FACES_AWAY
+        else:
+            flag |= bits.NO_SIGNAL
     flags[p] = flag
 
 
@@ -122,7 +125,11 @@ def solve_weighted(observations, weights, products, max_condition, normals, scal
                 weight[p] += w
                 count[p] += 1.0 if used else 0.0
         for p in range(width):
-            write_pixel(sums[:, p], count[p], weight[p], max_condition, start + p, normals, scalars, lights_used, flags)
+            t = sums[:, p]
+            condition, m = conditioned(t, count[p])
+            write_pixel(
+                t, condition, m, count[p], weight[p], max_condition, start + p, normals, scalars, lights_used, flags
+            )
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
@@ -133,6 +140,7 @@ def solve_shared(observations, products, max_condition, normals, scalars, lights
     for j in range(lights):
         for k in range(6):
             shared[k] += products[j, k]
+    condition, m = conditioned(shared, lights)
     for block in prange((pixels + BLOCK - 1) // BLOCK):
         start = block * BLOCK
         width = min(BLOCK, pixels - start)
@@ -149,5 +157,5 @@ def solve_shared(observations, products, max_condition, normals, scalars, lights
         for p in range(width):
             terms[6], terms[7], terms[8], terms[9] = sums[0, p], sums[1, p], sums[2, p], sums[3, p]
             write_pixel(
-                terms, float(lights), float(lights), max_condition, start + p, normals, scalars, lights_used, flags
+                terms, condition, m, lights, lights, max_condition, start + p, normals, scalars, lights_used, flags
             )

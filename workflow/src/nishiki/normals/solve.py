@@ -6,7 +6,7 @@ import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.normals import flags as bits
-from nishiki.separation.lights import checked_stack
+from nishiki.separation.lights import all_finite, checked_stack
 
 SOLVERS = ("default", "lobe", "lobes", "least_squares")
 EXPONENTS = (2, 4, 8, 16)  # that the solver "lobes" tries
@@ -176,7 +176,7 @@ def direction_products(directions):
 
 def sample_weights(stack, usable, weights, shape):
     """Mask and weights combined: None (all alike), uint8 0 or 1 (lights, pixels) or float32 (lights, pixels)."""
-    finite = bool(np.isfinite(stack.sum(axis=0, dtype=np.float64)).all())
+    finite = all_finite(stack)
     if usable is not None:
         usable = np.asarray(usable, dtype=np.bool_)
         if usable.shape != shape:

@@ -162,9 +162,15 @@ def checked_stack(observations, directions):
     return np.ascontiguousarray(stack.reshape(stack.shape[0], -1)), np.ascontiguousarray(directions)
 
 
+def all_finite(stack):
+    """Whether every sample is finite: one pass without a mask; sums that overflow only cost the slower way."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return bool(np.isfinite(stack.sum(axis=0)).all())
+
+
 def checked_valid(stack, valid, shape):
     """The mask of valid samples as (lights, pixels), or (lights, 1) where all are valid."""
-    finite = np.isfinite(stack.sum(axis=0, dtype=np.float64)).all()  # one pass, no mask, in the usual case
+    finite = all_finite(stack)
     if valid is None and finite:
         return np.ones((stack.shape[0], 1), dtype=np.bool_)
     if valid is None:
