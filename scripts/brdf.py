@@ -63,6 +63,7 @@ def fit_brightest(context: Context, frames: Observations, maps: Maps, labels: np
                 frames.directions[lights],
                 usable=valid & inside,
                 refractive_index=settings.refractive_index,
+                smoothing=settings.smoothing_px,
             )
             kept = thin(found[0], per_bin=500)
             samples.append([values[kept] for values in found])

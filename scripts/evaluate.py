@@ -8,6 +8,7 @@ import numpy as np
 
 import _project  # noqa: F401
 from nishiki.artifact import Artifact
+from nishiki.brdf.parameters import gloss_table
 from nishiki.errors import UserError
 from nishiki.evaluate.camera_colour import CameraColour, assumed_colour, fitted_colour
 from nishiki.evaluate.classes import NAMES, classify
@@ -15,7 +16,7 @@ from nishiki.evaluate.headlines import headlines
 from nishiki.evaluate.height import height_error
 from nishiki.evaluate.museum import levels
 from nishiki.evaluate.normals import normal_errors
-from nishiki.evaluate.prediction import FittedModel, gloss_from, light_of, predict_light
+from nishiki.evaluate.prediction import FittedModel, light_of, predict_light
 from nishiki.evaluate.preview import PreviewPair
 from nishiki.evaluate.reflectance import reflectance_errors
 from nishiki.evaluate.relighting import LightComparison, truth_difference
@@ -27,6 +28,7 @@ from nishiki.ingest.observations import Observations
 from nishiki.ingest.parcels import point_mm
 from nishiki.maps import Maps, MapWriter
 from nishiki.normals.flags import NO_ESTIMATE
+from nishiki.provenance import truth_digest
 from nishiki.render.scene import Gloss, Light
 from nishiki.settings.evaluate import EvaluateSettings
 from nishiki.spectra.colour import illuminant
@@ -90,7 +92,7 @@ def read_gloss(brdf: Artifact | None) -> tuple[Gloss, np.ndarray | None]:
     """Parameters of the brdf stage and its map of regions; a matte surface where the stage is left out."""
     if brdf is None:
         return Gloss.none(), None
-    gloss = gloss_from(json.loads(brdf.path("parameters.json").read_text()))
+    gloss = Gloss(*gloss_table(json.loads(brdf.path("parameters.json").read_text())))
     has_maps = brdf.path("maps.zarr").is_dir() and "labels" in Maps(brdf.folder)
     return gloss, Maps(brdf.folder).read("labels") if has_maps else None
 
@@ -99,8 +101,6 @@ def read_truth(context: Context, frames: Observations) -> Truth:
     """Truth of a simulated capture (truth.zarr), or an .npz with normals; empty where none is given."""
     if context.truth is None:
         return Truth()
-    from nishiki.facts import truth_digest
-
     path = Path(context.truth)
     digest = truth_digest(path)
     if digest != context.settings.truth_sha256:

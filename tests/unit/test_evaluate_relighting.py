@@ -12,7 +12,7 @@ from nishiki.evaluate.classes import DIFFUSE, HIGHLIGHT, OUTSIDE, SHADOW, classi
 from nishiki.evaluate.headlines import headlines
 from nishiki.evaluate.kernels import delta_e
 from nishiki.evaluate.museum import FADGI, ISO_19264, level_of, levels
-from nishiki.evaluate.prediction import FittedModel, gloss_from, light_of, predict_light
+from nishiki.evaluate.prediction import FittedModel, light_of, predict_light
 from nishiki.evaluate.preview import PreviewPair
 from nishiki.evaluate.relighting import LightComparison, SquaredError, difference_of, truth_difference
 from nishiki.evaluate.scene_colour import channel_colour, spectral_colour
@@ -196,17 +196,6 @@ def test_prediction_of_a_near_lamp_is_pixel_by_pixel(white_board):
             expected = reflectance[i, j] * max(normals[i, j] @ towards / distance, 0) * strength
             assert found.channels[i, j] == pytest.approx(expected, rel=1e-5)
     assert found.diffuse == pytest.approx(found.channels.mean(axis=-1), rel=1e-5)
-
-
-def test_gloss_from_parameters_reads_lobes_and_gaps():
-    regions = [
-        {"beta": 3.0, "gamma": 0.1, "refractive_index": 1.45},
-        {"beta": None, "gamma": None, "refractive_index": 1.45},
-    ]
-    gloss = gloss_from({"regions": regions})
-    assert gloss.beta.tolist() == [[3.0], [0.0]]
-    two = gloss_from({"regions": [{"beta": [3, 1], "gamma": [0.1, 0.3], "refractive_index": 1.5}]})
-    assert two.gamma.tolist() == [[0.1, 0.3]]
 
 
 def _comparison(observed, predicted, **changes):

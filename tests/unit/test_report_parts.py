@@ -1,8 +1,6 @@
 """Drawings, pictures and texts of the report."""
 
-import hashlib
 import xml.etree.ElementTree as ElementTree
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -10,7 +8,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import nishiki.report.page as page
 from nishiki.report.appearance_section import describe
 from nishiki.report.colour_map import MISSING, coloured, heat, sea
 from nishiki.report.colour_section import spread_out
@@ -255,9 +252,3 @@ def test_gloss_of_a_matte_scene_has_no_chart():
     region["beta"] = [0.0]
     region["profile"] = {"phi": [], "value": [], "count": [], "fitted": []}
     assert gloss_section(parameters)["charts"] == []
-
-
-def test_the_digest_of_the_template_is_the_one_that_decides_when_to_run_again():
-    template = Path(page.__file__).with_name(page.TEMPLATE)
-    found = hashlib.sha256(template.read_bytes()).hexdigest()
-    assert found == page.TEMPLATE_DIGEST, f"write TEMPLATE_DIGEST = {found!r} into {page.__file__}"

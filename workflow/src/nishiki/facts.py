@@ -1,13 +1,11 @@
 """What a plan has to know of a scene, read from the capture's small files only."""
 
-from pathlib import Path
-
 from nishiki.capture.folder import Capture, load_capture
 from nishiki.capture.headers import read_header
 from nishiki.capture.seal import capture_digest
 from nishiki.errors import UserError
 from nishiki.project import Scene
-from nishiki.provenance import canonical, file_digest
+from nishiki.provenance import truth_digest
 from nishiki.stages import SceneFacts
 
 
@@ -40,18 +38,3 @@ def _pixels(capture: Capture) -> int:
         return region[2] * region[3]
     header = read_header(capture.observed[0].path, name=capture.observed[0].file)
     return header.rows * header.columns
-
-
-def truth_digest(path: Path) -> str:
-    """Digest of a truth: of a file, of a folder's manifest, or of all files of a folder without one."""
-    if path.is_file():
-        return file_digest(path)
-    if not path.is_dir():
-        raise UserError(f"{path}: truth not found; correct the column truth of the scene table, or leave it empty")
-    manifest = path / "manifest-sha256.txt"
-    if manifest.is_file():
-        return file_digest(manifest)
-    import hashlib
-
-    files = {item.relative_to(path).as_posix(): file_digest(item) for item in sorted(path.rglob("*")) if item.is_file()}
-    return hashlib.sha256(canonical(files).encode()).hexdigest()

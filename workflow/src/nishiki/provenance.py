@@ -16,6 +16,8 @@ import unicodedata
 from pathlib import Path
 from typing import Any
 
+from nishiki.errors import UserError
+
 KEY_DIGITS = 12
 SOURCE = Path(__file__).resolve().parents[1]
 PACKAGE = "nishiki"
@@ -157,3 +159,19 @@ def file_digest(path: Path) -> str:
     """SHA-256 of a file, 64 hexadecimal digits."""
     with open(path, "rb") as handle:
         return hashlib.file_digest(handle, "sha256").hexdigest()
+
+
+def truth_digest(path: Path) -> str:
+    """Digest of a truth: of a file, of a folder's manifest, or of all files of a folder without one.
+
+    Raises UserError where there is none.
+    """
+    if path.is_file():
+        return file_digest(path)
+    if not path.is_dir():
+        raise UserError(f"{path}: truth not found; correct the column truth of the scene table, or leave it empty")
+    manifest = path / "manifest-sha256.txt"
+    if manifest.is_file():
+        return file_digest(manifest)
+    files = {item.relative_to(path).as_posix(): file_digest(item) for item in sorted(path.rglob("*")) if item.is_file()}
+    return hashlib.sha256(canonical(files).encode()).hexdigest()

@@ -136,8 +136,7 @@ CHAIN: dict[str, Stage] = {
             EvaluateSettings,
             "errors against truth, or on lights that the fit never saw",
             requires=("ingest", "normals"),
-            wants=lambda settings: ("height",) * settings.cast_shadows + ("brdf",),
-            uses=("spectra",),
+            wants=lambda settings: ("height",) * settings.cast_shadows + ("spectra", "brdf"),
             lacks=_nothing_to_compare,
             needs_colour=True,
             libraries=("numpy", "scipy", "numba", "zarr"),
@@ -148,7 +147,7 @@ CHAIN: dict[str, Stage] = {
             "one page that tells everything",
             requires=("ingest", "normals"),
             uses=("separate", "height", "spectra", "brdf", "render", "evaluate"),
-            libraries=("numpy", "matplotlib", "jinja2", "zarr"),
+            libraries=("numpy", "jinja2", "zarr", "opencv-contrib-python-headless"),
             memory_mb=_whole_image(64),
         ),
     )

@@ -33,12 +33,13 @@ def brightest_light_samples(
     usable=None,
     view=(0.0, 0.0, 1.0),
     refractive_index=1.45,
-    smoothing=2.0,
+    smoothing=0.4,
 ):
     """(phi, value, F G / cos_r) of the brightest light of each pixel less steep than 50 degrees; flat arrays.
 
     Arguments as `SpecularHistogram.add_tile`; smoothing: standard deviation in pixels of the Gaussian that smooths the
-    normals (0: none).  The diffuse part albedo * cos theta_i is predicted with the normals as given.
+    normals, 0 for none (more than the scale of the relief makes every facet look like a rough one). The diffuse part
+    albedo * cos theta_i is predicted with the normals as given.
     """
     from scipy.ndimage import gaussian_filter
 

@@ -105,19 +105,3 @@ def light_of(
     here = np.asarray(position, float) - centre
     intensity = 1.0 if white_board else float(np.sum(np.square(position)) / np.sum(here**2))
     return Light(position_mm=tuple(here), intensity=intensity, falloff=not white_board, angular_radius=angular_radius)
-
-
-def gloss_from(parameters: dict) -> Gloss:
-    """Gloss of the brdf stage's parameters: one entry in `regions` a region, each with beta, gamma, refractive_index.
-
-    beta and gamma may be lists, one value a lobe. A lobe of a width that could not be found (None) counts as matte.
-    """
-    rows = []
-    for region in parameters["regions"]:
-        betas, gammas = (np.atleast_1d(np.array(region[name], dtype=object)) for name in ("beta", "gamma"))
-        missing = [b is None or g is None for b, g in zip(betas, gammas, strict=True)]
-        beta = [0.0 if gap else float(b) for b, gap in zip(betas, missing, strict=True)]
-        gamma = [1.0 if gap else float(g) for g, gap in zip(gammas, missing, strict=True)]
-        rows.append((beta, gamma, float(region["refractive_index"])))
-    beta, gamma, index = zip(*rows, strict=True)
-    return Gloss(beta=np.array(beta), gamma=np.array(gamma), refractive_index=np.array(index))

@@ -14,6 +14,9 @@ class BrdfSettings(Closed):
     VERSION: ClassVar[int] = 1
 
     method: Literal["robust", "paper"] = Field("robust", description="paper: brightest light, Levenberg-Marquardt")
+    smoothing_px: float = Field(
+        0.4, ge=0, le=16, description="paper: Gaussian that smooths the normals, standard deviation"
+    )
     refractive_index: float = Field(1.45, gt=1, le=3, description="of the varnish or binder (P: 1.45)")
     max_slope_deg: float = Field(50, gt=0, le=90, description="steeper pixels are left out of the fit")
     lobes: Literal["auto", 1, 2] = Field(
