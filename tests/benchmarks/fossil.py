@@ -19,6 +19,8 @@ from pathlib import Path
 PROJECT = Path(__file__).resolve().parents[2]
 CASES = {
     "least_squares": "separate: {method: none}\nnormals: {solver: least_squares, refine: none}\n",
+    "trimmed": "separate: {method: trimmed}\nnormals: {solver: least_squares, refine: none}\n",
+    "refit": "normals: {solver: least_squares, refine: none}\n",
     "default": "",
 }
 

@@ -105,30 +105,49 @@ def solve_weighted(observations, weights, products, max_condition, normals, scal
     neighbouring pixels, so that the result of a pixel does not depend on where tiles begin.
     """
     lights, pixels = observations.shape
+    whole = np.zeros(TERMS)
+    for j in range(lights):
+        for k in range(6):
+            whole[k] += products[j, k]
+    whole_condition, whole_inverse = conditioned(whole, lights)
     for block in prange((pixels + BLOCK - 1) // BLOCK):
         start = block * BLOCK
         width = min(BLOCK, pixels - start)
-        sums = np.zeros((TERMS, BLOCK))
-        count = np.zeros(BLOCK)
-        weight = np.zeros(BLOCK)
+        # One flat array of sums: with a single pair of arrays to tell apart the compiler makes SIMD code of the loop.
+        sums = np.zeros((TERMS + 2) * BLOCK)
         for j in range(lights):
+            row, weight = observations[j, start : start + width], weights[j, start : start + width]
+            xx, xy, xz = products[j, 0], products[j, 1], products[j, 2]
+            yy, yz, zz = products[j, 3], products[j, 4], products[j, 5]
+            x, y, z = products[j, 6], products[j, 7], products[j, 8]
             for p in range(width):
-                used = weights[j, start + p] > 0
-                w = float(weights[j, start + p])
-                value = float(observations[j, start + p]) if used else 0.0
-                for k in range(6):
-                    sums[k, p] += w * products[j, k]
-                sums[6, p] += w * value * products[j, 6]
-                sums[7, p] += w * value * products[j, 7]
-                sums[8, p] += w * value * products[j, 8]
-                sums[9, p] += w * value * value
-                weight[p] += w
-                count[p] += 1.0 if used else 0.0
+                w = float(weight[p])
+                value = float(row[p]) if w > 0 else 0.0
+                weighted = w * value
+                sums[p] += w * xx
+                sums[p + BLOCK] += w * xy
+                sums[p + 2 * BLOCK] += w * xz
+                sums[p + 3 * BLOCK] += w * yy
+                sums[p + 4 * BLOCK] += w * yz
+                sums[p + 5 * BLOCK] += w * zz
+                sums[p + 6 * BLOCK] += weighted * x
+                sums[p + 7 * BLOCK] += weighted * y
+                sums[p + 8 * BLOCK] += weighted * z
+                sums[p + 9 * BLOCK] += weighted * value
+                sums[p + 10 * BLOCK] += w
+                sums[p + 11 * BLOCK] += 1.0 if w > 0 else 0.0
+        t = np.empty(TERMS)
         for p in range(width):
-            t = sums[:, p]
-            condition, m = conditioned(t, count[p])
+            for k in range(TERMS):
+                t[k] = sums[p + k * BLOCK]
+            weight_sum, count = sums[p + 10 * BLOCK], sums[p + 11 * BLOCK]
+            # Most pixels use every light: their matrix is the same to the last bit, and so is its inverse.
+            if count == lights and weight_sum == lights and t[0] == whole[0] and t[3] == whole[3] and t[5] == whole[5]:
+                condition, m = whole_condition, whole_inverse
+            else:
+                condition, m = conditioned(t, count)
             write_pixel(
-                t, condition, m, count[p], weight[p], max_condition, start + p, normals, scalars, lights_used, flags
+                t, condition, m, count, weight_sum, max_condition, start + p, normals, scalars, lights_used, flags
             )
 
 
