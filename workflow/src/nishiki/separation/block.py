@@ -1,7 +1,8 @@
 """Arithmetic on a block of neighbouring pixels held as (lights, BLOCK) float32, written so that it becomes SIMD code.
 
 The selection needs many small fits; their accuracy need only be that of a decision, so float32 suffices. Every
-operation treats each pixel alone: the result does not depend on which pixels share a block.
+operation treats each pixel alone: the result does not depend on which pixels share a block. Only the loops that take
+most of the time are inlined by numba, which costs seconds of compilation for each.
 """
 
 import numpy as np
@@ -55,7 +56,7 @@ def add_up(values, weights, products, sums):
             sums[p + 9 * BLOCK] += w
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, error_model="numpy")
 def solve_block(sums, at_least, scaled):
     """Scaled normals (4 * BLOCK: x, y, z, length) from the sums; with fewer than at_least samples they stay."""
     for p in range(BLOCK):

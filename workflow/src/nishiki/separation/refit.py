@@ -20,7 +20,7 @@ from nishiki.separation.block import BLOCK, FAR, TERMS, add_up, distances, keep_
 CHUNK = 32  # blocks that share one set of work arrays
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, error_model="numpy")
 def load_block(observations, valid, start, width, values, known, count):
     """Copy a block, divided by each pixel's largest sample, so that every radiometric scale is treated alike."""
     shared = valid.shape[1] == 1
@@ -43,7 +43,7 @@ def load_block(observations, valid, start, width, values, known, count):
             values[j, p] = values[j, p] / peak[p]
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, error_model="numpy")
 def rank_limits(ordered, count, share, part, at_least, low, high):
     """Values that bound the window of ranks that starts at the fraction `part` of the places it can have."""
     for p in range(BLOCK):
@@ -54,7 +54,7 @@ def rank_limits(ordered, count, share, part, at_least, low, high):
         high[p] = ordered[last, p]
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, error_model="numpy")
 def window_weights(values, known, low, high, weights):
     """Weight 1 for known samples from low to high."""
     for j in range(values.shape[0]):
@@ -76,7 +76,7 @@ def concentrate(distance, ordered, comparators, count, coverage, at_least, limit
     keep_below(distance, limit, weights)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, error_model="numpy")
 def judge(distance, weights, scaled, count, coverage, at_least, floor, quality):
     """Mean squared relative distance of the kept samples, raised where fewer than asked were lit."""
     kept = np.zeros(BLOCK, dtype=np.float32)
@@ -93,7 +93,7 @@ def judge(distance, weights, scaled, count, coverage, at_least, floor, quality):
         quality[p] = mean * size / max(kept[p], np.float32(1.0)) if enough else FAR
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, error_model="numpy")
 def spread(values, directions, weights, scaled, floor, scale):
     """Standard deviation of the kept residuals, with the noise floor (relative to the albedo) added."""
     total = np.zeros(BLOCK, dtype=np.float32)
@@ -109,7 +109,7 @@ def spread(values, directions, weights, scaled, floor, scale):
         scale[p] = np.sqrt(variance) + floor * scaled[p + 3 * BLOCK]
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, error_model="numpy")
 def accept(values, known, directions, scaled, scale, brighter, darker, weights):
     """Weight 1 for every lit sample within -darker .. brighter times the scale of the fit."""
     for j in range(values.shape[0]):
@@ -181,7 +181,7 @@ def refit_selection(observations, valid, directions, products, comparators, sett
             write_block(values, known, directions, best, weights, at_least, start, width, usable, highlights, shadows)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, error_model="numpy")
 def write_block(values, known, directions, scaled, weights, at_least, start, width, usable, highlights, shadows):
     """Samples kept and the reasons for the others; a pixel without a trustworthy fit keeps every known sample."""
     for p in range(width):
