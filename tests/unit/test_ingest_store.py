@@ -273,7 +273,7 @@ def test_memory_of_a_full_size_capture(data, tmp_path):
     environment = os.environ | {"PYTHONPATH": str(PROJECT / "workflow" / "src")}
     command = [sys.executable, "-c", MEMORY, str(tmp_path / "c"), str(tmp_path / "o")]
     done = subprocess.run(command, check=True, env=environment, capture_output=True, text=True)
-    assert float(done.stdout) < 450
+    assert float(done.stdout) < 700  # with the compiler in memory; the photographs would take 1400
     observations = Observations(tmp_path / "o")
     assert observations.shape == (2592, 4608)
     values, valid = observations.read(slice(1200, 1208), channel=0)
