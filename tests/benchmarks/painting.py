@@ -31,7 +31,7 @@ SCENES = {
     "varnish": ["--seed", "1"],
     "steep": ["--seed", "3", "--relief-gain", "2"],
     "satin": ["--seed", "4", "--gloss", "satin", "--relief-gain", "1.5"],
-    "canvas": ["--seed", "6", "--relief", "canvas"],
+    "canvas": ["--seed", "6", "--relief", "canvas", "--relief-gain", "2"],
 }
 METHODS = {
     "default": {},
@@ -87,7 +87,7 @@ def stage(name, inputs, settings, place, *extra):
 
 def run_method(ingested, truth, settings, place):
     """All stages of one method; their artifacts by name."""
-    from nishiki.facts import truth_digest
+    from nishiki.provenance import truth_digest
 
     made = {"ingest": ingested}
     for name, needs in STAGES.items():
@@ -172,18 +172,20 @@ def budget(made, truth):
     """Error of each check light with parts of the prediction replaced by the truth; (diffuse, highlight) means."""
     import zarr
 
+    from nishiki.brdf.parameters import gloss_table
     from nishiki.evaluate.classes import classify
-    from nishiki.evaluate.prediction import FittedModel, gloss_from, light_of, predict_light
+    from nishiki.evaluate.prediction import FittedModel, light_of, predict_light
     from nishiki.evaluate.relighting import truth_difference
     from nishiki.evaluate.scene_colour import spectral_colour
     from nishiki.ingest.observations import Observations
     from nishiki.maps import Maps
     from nishiki.normals.gloss_profile import body_shading
+    from nishiki.render.scene import Gloss
 
     frames, group = Observations(made["ingest"]), zarr.open_group(truth / "truth.zarr", mode="r")
     maps, spectra = Maps(made["normals"]), Maps(made["spectra"])
     coefficients, basis = spectra.read("coefficients"), np.array(spectra.attributes("coefficients")["basis"])
-    gloss = gloss_from(json.loads((made["brdf"] / "parameters.json").read_text()))
+    gloss = Gloss(*gloss_table(json.loads((made["brdf"] / "parameters.json").read_text())))
     normals, reflectance = maps.read("normals"), maps.read("reflectance")
     true_normals = group["normals"][...].astype(np.float32)
     height, true_height = Maps(made["height"]).read("height"), group["height_mm"][...]
