@@ -29,6 +29,7 @@ MAPS = {
 }
 
 SAMPLE_BANDS, SAMPLE_PIXELS = 12, 20_000  # of the scene, for its gloss
+SMALL_PARCEL = 1024  # pixels
 
 
 def run(context: Context) -> dict:
@@ -82,7 +83,7 @@ def scene_gloss(
     bands = frames.bands()
     bands = [bands[i] for i in np.unique(np.linspace(0, len(bands) - 1, SAMPLE_BANDS).round().astype(int))]
     step = max(1, sum(int(frames.mask[band].sum()) for band in bands) // SAMPLE_PIXELS)
-    tiles, seen = [], 0
+    tiles, seen, parcel_number = [], 0, 0
     for band in bands:
         observations, valid = frames.read(band, lights=lights)
         usable = read_usable(selection, band, len(lights), valid)
@@ -90,8 +91,11 @@ def scene_gloss(
         for parcel in parcels(frames, band, lights):
             area = np.s_[:, parcel.rows, parcel.columns]
             here = np.flatnonzero(inside[area[1:]])
-            chosen = here[(-seen) % step :: step]
-            seen += here.size
+            if inside[area[1:]].size < SMALL_PARCEL:  # lamps that stand near: whole parcels, or there are too many
+                chosen = here if parcel_number % step == 0 else here[:0]
+            else:
+                chosen = here[(-seen) % step :: step]
+            parcel_number, seen = parcel_number + 1, seen + here.size
             if chosen.size:
                 picked = [pick(array[area], chosen) for array in (observations, usable, valid)]
                 tiles.append(gloss_tile(*picked, parcel, settings))

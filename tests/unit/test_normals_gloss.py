@@ -10,7 +10,7 @@ from nishiki.brdf.torrance_sparrow import attenuation, half_vector_geometry
 from nishiki.errors import UserError
 from nishiki.normals import flags as bits
 from nishiki.normals.gloss import channel_rotation, refine_normals
-from nishiki.normals.gloss_kernel import NODES, NODES_PER_UNIT, predict
+from nishiki.normals.gloss_prediction import NODES, NODES_PER_UNIT, predict
 from nishiki.normals.gloss_profile import (
     LADDER,
     GlossProfile,

@@ -10,13 +10,14 @@ R. J. Hanson, Solving Least Squares Problems, 1974, ch. 23): no start value, no 
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from nishiki.brdf.specular_histogram import SpecularHistogram
 from nishiki.brdf.torrance_sparrow import GAMMA_PER_SIGMA
 from nishiki.errors import UserError
-from nishiki.normals.gloss_kernel import NODES, NODES_PER_UNIT
+from nishiki.normals.gloss_prediction import NODES, NODES_PER_UNIT
 
 LADDER = np.geomspace(0.01, 0.9, 11)
 """Half widths at half maximum, radians of chord. The narrowest is ten nodes of the table wide."""
@@ -60,6 +61,11 @@ class GlossProfile:
 
     def table(self) -> np.ndarray:
         """(2, NODES) value and slope on equal steps of chord, as the kernel reads them."""
+        return self._table
+
+    @cached_property
+    def _table(self) -> np.ndarray:
+        """Made once: lamps that stand near ask for it at every small parcel of the picture."""
         chord = np.arange(NODES) / NODES_PER_UNIT
         return np.stack([self.value(chord), self.slope(chord)])
 
