@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "workflow" / "src"))
-
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
+import _project  # noqa: F401
 from nishiki.brdf.brightest_light import fit_brightest_light
 from nishiki.brdf.fit import fit_torrance_sparrow
 from nishiki.brdf.levenberg_marquardt import fit_points, point_problem

@@ -22,8 +22,8 @@ import numba
 import numpy as np
 from numba import njit
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "workflow" / "src"))
-
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
+import _project  # noqa: F401
 from nishiki.brdf.kernels import specular_scalar
 from nishiki.brdf.torrance_sparrow import specular
 from nishiki.render.scene import Gloss, Light, PlaneScene

@@ -82,6 +82,7 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--link", action="store_true", help="hard links instead of copies, on the same disk")
     sub.add_argument("--open", action="store_true", help="do not seal yet: camera curves and the like will be added")
     sub.add_argument("--roi", nargs=4, type=int, metavar=("ROW", "COLUMN", "ROWS", "COLUMNS"), help="crop")
+    command("compile", "running:compile_kernels", "compile all kernels, by running a tiny scene somewhere else")
     command("simulate", "running:simulate", "photograph a simulated painting; --help tells its options")
     command("schema", "inspecting:schema", "print the JSON schema of config.yaml")
     return parser

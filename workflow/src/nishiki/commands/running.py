@@ -4,6 +4,7 @@ import argparse
 import os
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -58,6 +59,31 @@ def demo(options: argparse.Namespace, rest: list[str]) -> int:
         if status:
             return status
     return run(argparse.Namespace(configfile="config/config.yaml", cores="all"), rest)
+
+
+def compile_kernels(options: argparse.Namespace, rest: list[str]) -> int:
+    """Run a tiny simulated scene in a temporary folder: every kernel that it needs is compiled and kept."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "scenes.tsv").write_text("scene\tcapture\ttruth\ntiny\tcapture\ttruth\n")
+        (folder / "config.yaml").write_text("scenes: scenes.tsv\n")
+        environment = {key: value for key, value in os.environ.items() if key != "PYTHONDONTWRITEBYTECODE"}
+        for arguments in (
+            ["simulate", "--output", "capture", "--truth", "truth", "--preset", "tiny"],
+            ["run", "--configfile", "config.yaml"],
+        ):
+            done = subprocess.run(
+                [sys.executable, "-m", "nishiki", *arguments],
+                cwd=folder,
+                env=environment,
+                capture_output=True,
+                text=True,
+                check=False,
+            )
+            if done.returncode:
+                print(done.stdout + done.stderr, file=sys.stderr)
+                return 1
+    return 0
 
 
 def simulate(options: argparse.Namespace, rest: list[str]) -> int:

@@ -41,14 +41,13 @@ from nishiki.normals.gloss_prediction import (
 )
 from nishiki.normals.least_squares import eigenvalues
 
-SUM_ORDER = {"reassoc", "nsz", "contract"}
 LARGEST_STEP = 0.3  # radians
 DAMPINGS = 5
 SETTLED = 1e-3  # radians
 AT_LEAST = 4  # lit samples; three unknowns in the common level, and one to spare
 
 
-@njit(cache=True, error_model="numpy", fastmath=SUM_ORDER)
+@njit(cache=True, error_model="numpy")
 def strengths(y, rows, rho):
     """Weighted least-squares reflectance of each component at fixed normal."""
     body, gloss, level, colour = rows[BODY], rows[GLOSS], rows[W_LEVEL], rows[W_COLOUR]
@@ -68,7 +67,7 @@ def strengths(y, rows, rho):
         rho[k] = above / below
 
 
-@njit(cache=True, error_model="numpy", fastmath=SUM_ORDER)
+@njit(cache=True, error_model="numpy")
 def weigh(y, rows, rho, tolerance):
     """Robust weights from the residuals; too dark a sample is distrusted in all components, for shadow takes all."""
     lit, body, gloss, level, colour = rows[LIT], rows[BODY], rows[GLOSS], rows[W_LEVEL], rows[W_COLOUR]
@@ -91,7 +90,7 @@ def weigh(y, rows, rho, tolerance):
         colour[j] = lit[j] * e * e / of_colour[j]
 
 
-@njit(cache=True, error_model="numpy", fastmath=SUM_ORDER)
+@njit(cache=True, error_model="numpy")
 def squares(y, rows, rho):
     """Weighted sum of squares at the present weights."""
     body, gloss, level, colour = rows[BODY], rows[GLOSS], rows[W_LEVEL], rows[W_COLOUR]
@@ -107,7 +106,7 @@ def squares(y, rows, rho):
     return total
 
 
-@njit(cache=True, error_model="numpy", fastmath=SUM_ORDER)
+@njit(cache=True, error_model="numpy")
 def gauss_newton(y, rows, rho, out):
     """Curvature (3) and right-hand side (2) by the tangents, reflectances eliminated (Schur complement), into out."""
     body, body_s, body_t, gloss = rows[BODY], rows[BODY_S], rows[BODY_T], rows[GLOSS]

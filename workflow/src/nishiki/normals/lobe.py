@@ -11,15 +11,15 @@ reflectances, IEEE Trans. PAMI 36 (6), 2014, with other terms. b and d are held 
 few lights or a matt surface the Lambertian estimate results. Solved by damped Gauss-Newton over the two tangential
 components of the normal and (a, b, d) together; then the samples are chosen again by their residuals, and so on.
 
-One pixel at a time; the loops over its lights are sums that the compiler may reorder (and so make SIMD code of), in an
-order that depends on the number of lights only: the result of a pixel does not depend on tiles or threads.
+One pixel at a time; the sums over its lights are written as LANES partial sums, which the compiler makes SIMD code of
+without reordering anything: the result of a pixel depends neither on tiles and threads nor on the compiler's mood.
 """
 
 import numpy as np
 from numba import njit
 
 SUMS = 22
-SUM_ORDER = {"reassoc", "nsz", "contract"}
+LANES = 16  # lights are padded to a multiple, with weight 0
 
 
 @njit(cache=True, inline="always")
@@ -35,59 +35,70 @@ def raised(x, squarings):
     return x16 * x16 if squarings >= 5 else power
 
 
-@njit(cache=True, fastmath=SUM_ORDER, error_model="numpy")
-def add_up(value, weight, vectors, frame, terms, squarings, out):
+@njit(cache=True, error_model="numpy")
+def add_up(value, weight, vectors, frame, terms, squarings, lanes, out):
     """One pass over the lights: 15 products and 5 right-hand sides of the Gauss-Newton step, squares, sum of w c^2.
 
-    vectors (6, lights): l and h; frame: normal and two tangents (9 numbers); terms (a, b, d); out (SUMS,) float64.
+    vectors (6, lights): l and h; frame: normal and two tangents (9 numbers); terms (a, b, d); out (SUMS,) float64;
+    lanes (SUMS * LANES) float32: partial sums, each over every LANES-th light. They fix the order of addition: left to
+    the compiler, it would differ between a kernel just compiled and the same kernel from the cache.
     """
     n0, n1, n2, s0, s1, s2, t0, t1, t2 = frame
     a, b, d = terms
-    lx, ly, lz, hx, hy, hz = vectors[0], vectors[1], vectors[2], vectors[3], vectors[4], vectors[5]
     zero, least, slope = np.float32(0.0), np.float32(1e-3), np.float32(1 << squarings)
-    j00 = j01 = j02 = j03 = j04 = j11 = j12 = j13 = j14 = j22 = j23 = j24 = j33 = j34 = j44 = zero
-    g0 = g1 = g2 = g3 = g4 = squares = zero
-    for j in range(value.size):
-        w = weight[j]
-        c = n0 * lx[j] + n1 * ly[j] + n2 * lz[j]
-        w = w if c > zero else zero
-        c = c if c > zero else zero
-        x = n0 * hx[j] + n1 * hy[j] + n2 * hz[j]
-        x = x if x > least else least
-        power = raised(x, squarings)
-        factor = a + b * c + d * power
-        r = value[j] - c * factor
-        along = factor + b * c
-        skirt = slope * d * c * power / x
-        e0 = along * (s0 * lx[j] + s1 * ly[j] + s2 * lz[j]) + skirt * (s0 * hx[j] + s1 * hy[j] + s2 * hz[j])
-        e1 = along * (t0 * lx[j] + t1 * ly[j] + t2 * lz[j]) + skirt * (t0 * hx[j] + t1 * hy[j] + t2 * hz[j])
-        e3, e4 = c * c, c * power
-        w0, w1, w2, w3, w4 = w * e0, w * e1, w * c, w * e3, w * e4
-        j00 += w0 * e0
-        j01 += w0 * e1
-        j02 += w0 * c
-        j03 += w0 * e3
-        j04 += w0 * e4
-        j11 += w1 * e1
-        j12 += w1 * c
-        j13 += w1 * e3
-        j14 += w1 * e4
-        j22 += w2 * c
-        j23 += w2 * e3
-        j24 += w2 * e4
-        j33 += w3 * e3
-        j34 += w3 * e4
-        j44 += w4 * e4
-        g0 += w0 * r
-        g1 += w1 * r
-        g2 += w2 * r
-        g3 += w3 * r
-        g4 += w4 * r
-        squares += w * r * r
-    out[0], out[1], out[2], out[3], out[4] = j00, j01, j02, j03, j04
-    out[5], out[6], out[7], out[8] = j11, j12, j13, j14
-    out[9], out[10], out[11], out[12], out[13], out[14] = j22, j23, j24, j33, j34, j44
-    out[15], out[16], out[17], out[18], out[19], out[20] = g0, g1, g2, g3, g4, squares
+    for k in range(SUMS * LANES):
+        lanes[k] = zero
+    for start in range(0, value.size, LANES):
+        values, weights = value[start : start + LANES], weight[start : start + LANES]
+        lx, ly, lz = (vectors[0, start : start + LANES], vectors[1, start : start + LANES],
+                      vectors[2, start : start + LANES])  # fmt: skip
+        hx, hy, hz = (vectors[3, start : start + LANES], vectors[4, start : start + LANES],
+                      vectors[5, start : start + LANES])  # fmt: skip
+        for j in range(LANES):
+            w = weights[j]
+            c = n0 * lx[j] + n1 * ly[j] + n2 * lz[j]
+            w = w if c > zero else zero
+            c = c if c > zero else zero
+            x = n0 * hx[j] + n1 * hy[j] + n2 * hz[j]
+            x = x if x > least else least
+            power = raised(x, squarings)
+            factor = a + b * c + d * power
+            r = values[j] - c * factor
+            along = factor + b * c
+            skirt = slope * d * c * power / x
+            e0 = along * (s0 * lx[j] + s1 * ly[j] + s2 * lz[j]) + skirt * (s0 * hx[j] + s1 * hy[j] + s2 * hz[j])
+            e1 = along * (t0 * lx[j] + t1 * ly[j] + t2 * lz[j]) + skirt * (t0 * hx[j] + t1 * hy[j] + t2 * hz[j])
+            e3, e4 = c * c, c * power
+            w0, w1, w2, w3, w4 = w * e0, w * e1, w * c, w * e3, w * e4
+            lanes[j] += w0 * e0
+            lanes[j + 1 * LANES] += w0 * e1
+            lanes[j + 2 * LANES] += w0 * c
+            lanes[j + 3 * LANES] += w0 * e3
+            lanes[j + 4 * LANES] += w0 * e4
+            lanes[j + 5 * LANES] += w1 * e1
+            lanes[j + 6 * LANES] += w1 * c
+            lanes[j + 7 * LANES] += w1 * e3
+            lanes[j + 8 * LANES] += w1 * e4
+            lanes[j + 9 * LANES] += w2 * c
+            lanes[j + 10 * LANES] += w2 * e3
+            lanes[j + 11 * LANES] += w2 * e4
+            lanes[j + 12 * LANES] += w3 * e3
+            lanes[j + 13 * LANES] += w3 * e4
+            lanes[j + 14 * LANES] += w4 * e4
+            lanes[j + 15 * LANES] += w0 * r
+            lanes[j + 16 * LANES] += w1 * r
+            lanes[j + 17 * LANES] += w2 * r
+            lanes[j + 18 * LANES] += w3 * r
+            lanes[j + 19 * LANES] += w4 * r
+            lanes[j + 20 * LANES] += w * r * r
+    half = LANES // 2
+    while half > 0:
+        for k in range(SUMS):
+            for j in range(half):
+                lanes[k * LANES + j] += lanes[k * LANES + j + half]
+        half //= 2
+    for k in range(SUMS - 1):
+        out[k] = lanes[k * LANES]
 
 
 @njit(cache=True, error_model="numpy")
@@ -144,10 +155,10 @@ def frame_of(x, y, z):
 @njit(cache=True, error_model="numpy")
 def descend(value, weight, vectors, normal, terms, squarings, prior, rounds, work):
     """Damped Gauss-Newton from (normal, terms); returns both with the penalised sum of squares."""
-    sums, trial, matrix, step = work
+    sums, trial, matrix, step, lanes = work
     frame, normal = frame_of(normal[0], normal[1], normal[2])
     f = np.float32
-    add_up(value, weight, vectors, frame, (f(terms[0]), f(terms[1]), f(terms[2])), squarings, sums)
+    add_up(value, weight, vectors, frame, (f(terms[0]), f(terms[1]), f(terms[2])), squarings, lanes, sums)
     cost = sums[20] + prior * (terms[1] ** 2 + terms[2] ** 2)
     damping = 1e-3
     for _ in range(rounds):
@@ -166,7 +177,7 @@ def descend(value, weight, vectors, normal, terms, squarings, prior, rounds, wor
             normal[2] + u * frame[5] + v * frame[8],
         )
         a, b, d = terms[0] + step[2], terms[1] + step[3], terms[2] + step[4]
-        add_up(value, weight, vectors, moved, (f(a), f(b), f(d)), squarings, trial)
+        add_up(value, weight, vectors, moved, (f(a), f(b), f(d)), squarings, lanes, trial)
         attempt = trial[20] + prior * (b * b + d * d)
         if attempt < cost:
             frame, normal, terms, cost = moved, unit, (a, b, d), attempt

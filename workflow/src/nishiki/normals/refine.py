@@ -5,21 +5,20 @@ from numba import njit, prange
 
 from nishiki.normals import flags as bits
 from nishiki.normals.least_squares import eigenvalues
-from nishiki.normals.lobe import SUM_ORDER, SUMS, cholesky_solve, descend, raised
+from nishiki.normals.lobe import LANES, SUMS, cholesky_solve, descend, raised
 
-LANES = 16  # lights are padded to a multiple, with weight 0
 WIDTH = 0.25  # standard deviation expected of b and d, relative to the albedo, where the samples scatter much
 CHUNK = 256  # pixels that share one set of work arrays
 
 
-@njit(cache=True, fastmath=SUM_ORDER, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def choose(value, known, vectors, normal, terms, squarings, limit, weight):
     """Weight 1 for the lit, known samples whose residual is at most `limit`; their number."""
     f = np.float32
     n0, n1, n2 = f(normal[0]), f(normal[1]), f(normal[2])
     a, b, d = f(terms[0]), f(terms[1]), f(terms[2])
     bound = f(limit)
-    kept = f(0.0)
+    kept = 0
     for j in range(value.size):
         c = n0 * vectors[0, j] + n1 * vectors[1, j] + n2 * vectors[2, j]
         x = n0 * vectors[3, j] + n1 * vectors[4, j] + n2 * vectors[5, j]
@@ -29,8 +28,8 @@ def choose(value, known, vectors, normal, terms, squarings, limit, weight):
         w = w if r >= -bound else f(0.0)
         w = w if c > f(0.0) else f(0.0)
         weight[j] = w
-        kept += w
-    return kept
+        kept += 1 if w > f(0.0) else 0
+    return float(kept)
 
 
 @njit(cache=True, error_model="numpy")
@@ -52,7 +51,7 @@ def fit_pixel(value, known, weight, spare, vectors, normal, squarings, prior, no
     return normal, terms, kept
 
 
-@njit(cache=True, fastmath=SUM_ORDER, error_model="numpy")
+@njit(cache=True, error_model="numpy")
 def disagreement(value, known, vectors, normal, terms, squarings, scale):
     """Sum over the known samples of the squared residual in units of scale, at most 9 each: what a fit leaves over."""
     f = np.float32
@@ -139,7 +138,7 @@ def refine(observations, usable, known, vectors, settings, max_condition, normal
     for chunk in prange((pixels + CHUNK - 1) // CHUNK):
         value, allowed = np.zeros(padded, np.float32), np.zeros(padded, np.float32)
         weight, spare, first = np.zeros_like(value), np.zeros_like(value), np.zeros_like(value)
-        work = (np.zeros(SUMS), np.zeros(SUMS), np.zeros((5, 5)), np.zeros(5))
+        work = (np.zeros(SUMS), np.zeros(SUMS), np.zeros((5, 5)), np.zeros(5), np.zeros(SUMS * LANES, np.float32))
         for p in range(chunk * CHUNK, min((chunk + 1) * CHUNK, pixels)):
             if flags[p] & bits.NO_ESTIMATE:
                 continue
@@ -197,7 +196,7 @@ def store(
     normal, terms, kept, albedo, weight, vectors, prior, max_condition, work, p, normals, scalars, lights_used, flags
 ):
     """Write a refined pixel; where the fit is no surface (no diffuse part, singular) the Lambertian one stands."""
-    sums, _, matrix, step = work
+    sums, _, matrix, step, _ = work
     diffuse = terms[0] + terms[1] * sums[10] / max(sums[9], 1e-30)  # mean of a + b c over the samples, weighted c^2
     variance = tangential_variance(sums, prior, matrix, step)
     if not (variance > 0.0 and diffuse > 0.0 and kept > 5.0):
