@@ -23,6 +23,5 @@ class NormalsSettings(Closed):
     reflectance: Literal["least_squares", "mean"] = Field(
         "least_squares", description="of each channel, without refine; mean: of I / cos over the lights (P eq. 6)"
     )
-    max_condition: float = Field(1e3, gt=1, description="pixels with a worse conditioned light matrix are flagged")
-    fill: bool = Field(False, description="fill flagged pixels from their neighbours (they stay flagged)")
+    max_condition: float = Field(1e4, gt=1, description="pixels with a worse conditioned light matrix are flagged")
     hold_out: tuple[str, ...] = Field((), description="lights left out of the fit; filled in by the plan")
