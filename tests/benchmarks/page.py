@@ -26,6 +26,7 @@ PROGRAMS = {
     "fossil": (["--data", "{data}"], "Whole runs on a 12-megapixel capture", None),
     "overhead": (["--data", "simulated"], "Overhead of the workflow", None),
 }
+SHOWN = {"spectra": {"camera": "Canon 60D", "illuminant": "A"}}  # of long results; the others stay in the JSON lines
 INTRODUCTION = """\
 # Benchmarks
 
@@ -100,6 +101,12 @@ def page() -> str:
             continue
         about, *rows = [json.loads(line) for line in path.read_text().splitlines()]
         more = f" Methods and limits: [stages/{stage_page}](stages/{stage_page})." if stage_page else ""
+        only = SHOWN.get(name, {})
+        rows = [row for row in rows if all(row.get(key) == value for key, value in only.items())]
+        if only:
+            more += (
+                f" Shown: {', '.join(f'{key} {value}' for key, value in only.items())}; the rest is in the JSON lines."
+            )
         command = f"`python tests/benchmarks/{name}.py {' '.join(arguments).format(data='FOLDER')}`"
         parts.append(f"## {title}\n\n{command} on {about['machine']}.{more}\n\n{tables(rows)}\n")
     return "\n".join(parts)
