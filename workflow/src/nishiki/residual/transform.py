@@ -1,0 +1,238 @@
+"""Orthonormal separable transform of a tile over (u, v, observation): O section 4.1, with boundaries that lose none.
+
+Coefficients lie as the samples do, (channel, light, view, T, T): planes in Mallat's order (coarsest band in the corner),
+the observation axis by frequency. The basis vectors have unit length, also those of the biorthogonal families (their
+gains are divided out), so that one quantiser step means the same error everywhere. For an orthonormal family the
+inverse is the transpose and the energy of what is left out is the error (Parseval).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from numba import njit
+
+from nishiki.residual.filters import SparseRows, filter_bank, level_matrix, levels_of
+
+
+@dataclass(frozen=True)
+class Plane:
+    """The transform of a T x T plane: per level, finest first, analysis, synthesis and adjoint synthesis by rows.
+
+    smooth, detail: per level, (T, T >> level + 1) float64, columns are the one-axis basis vectors of its low and high
+    band; gains (T, T) float64: lengths of the basis planes before they are brought to 1; bound: largest singular value
+    of the synthesis, squared.
+    """
+
+    size: int
+    levels: int
+    analysis: tuple[SparseRows, ...]
+    synthesis: tuple[SparseRows, ...]
+    adjoint: tuple[SparseRows, ...]
+    smooth: tuple[np.ndarray, ...]
+    detail: tuple[np.ndarray, ...]
+    gains: np.ndarray
+    bound: float
+    orthonormal: bool
+
+
+@lru_cache(maxsize=32)
+def plane_transform(wavelet: str, size: int, levels: int, *, mirrored: bool = False) -> Plane:
+    """The transform of planes of `size` texels a side; fewer levels than asked where `size` cannot be halved more."""
+    levels = levels_of(size, levels)
+    orthonormal = filter_bank(wavelet)[2] and not mirrored
+    analysis, synthesis, adjoint = [], [], []
+    for level in range(levels):
+        matrix = level_matrix(wavelet, size >> level, mirrored=mirrored)
+        inverse = matrix.T if orthonormal else np.linalg.inv(matrix)
+        inverse = np.where(np.abs(inverse) < 1e-14, 0.0, inverse)
+        analysis.append(SparseRows.of(matrix))
+        synthesis.append(SparseRows.of(inverse))
+        adjoint.append(SparseRows.of(inverse.T))
+    smooth, detail = _bases(wavelet, size, levels, orthonormal=orthonormal, mirrored=mirrored)
+    plane = Plane(
+        size,
+        levels,
+        tuple(analysis),
+        tuple(synthesis),
+        tuple(adjoint),
+        tuple(smooth),
+        tuple(detail),
+        np.ones((size, size)),
+        1.0,
+        orthonormal,
+    )
+    if orthonormal:
+        return plane
+    gains = np.sqrt(squared_lengths(plane, np.ones((1, size, size)))[0])
+    plane = replace(plane, gains=gains)
+    return replace(plane, bound=_largest_gain(plane))
+
+
+def _bases(wavelet: str, size: int, levels: int, *, orthonormal: bool, mirrored: bool):
+    smooth, detail, so_far = [], [], np.eye(size)
+    for level in range(levels):
+        matrix = level_matrix(wavelet, size >> level, mirrored=mirrored)
+        inverse = matrix.T if orthonormal else np.linalg.inv(matrix)
+        half = size >> level + 1
+        detail.append(so_far @ inverse[:, half:])
+        so_far = so_far @ inverse[:, :half]
+        smooth.append(so_far)
+    return smooth, detail
+
+
+def squared_lengths(plane: Plane, weight: np.ndarray) -> np.ndarray:
+    """(n, T, T) float64: for every basis plane s before normalising, the sum of weight * s**2; weight (n, T, T).
+
+    With the density of pixels as weight this estimates the curvature of the error in each coefficient.
+    """
+    out = np.array(weight, np.float64)
+    for level in range(plane.levels):
+        half = plane.size >> level + 1
+        low, high = plane.smooth[level] ** 2, plane.detail[level] ** 2
+        rows_low, rows_high = low.T @ weight, high.T @ weight
+        out[:, :half, :half] = rows_low @ low
+        out[:, :half, half : 2 * half] = rows_low @ high
+        out[:, half : 2 * half, :half] = rows_high @ low
+        out[:, half : 2 * half, half : 2 * half] = rows_high @ high
+    return out
+
+
+def _largest_gain(plane: Plane) -> float:
+    """Power iteration on synthesis and adjoint, with one per cent on top; the start vector is fixed."""
+    transform = Block(plane, np.eye(1), np.eye(1))
+    vector = np.random.default_rng(0).standard_normal((1, 1, 1, plane.size, plane.size))
+    norm = 1.0
+    for _ in range(60):
+        vector = transform.adjoint(transform.inverse(vector / np.linalg.norm(vector)))
+        norm = float(np.linalg.norm(vector))
+    return 1.01 * norm
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def apply_rows(index, weight, source, target, size):
+    """target[i, :size] = sum over k of weight[i, k] source[index[i, k], :size]: one level along the first axis."""
+    for i in range(size):
+        out = target[i]
+        first, row = weight[i, 0], source[index[i, 0]]
+        for j in range(size):
+            out[j] = first * row[j]
+        for k in range(1, index.shape[1]):
+            factor = weight[i, k]
+            if factor != 0:
+                row = source[index[i, k]]
+                for j in range(size):
+                    out[j] += factor * row[j]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _transpose(source, target, size):
+    for i in range(size):
+        for j in range(size):
+            target[j, i] = source[i, j]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def plane_level(planes, index, weight, size, scratch, skip_zero):
+    """One level of all planes (n, T, T), in place, on their corner of `size` texels; scratch (2, T, T)."""
+    first, second = scratch[0], scratch[1]
+    for n in range(planes.shape[0]):
+        plane = planes[n]
+        if skip_zero:
+            empty = True
+            for i in range(size):
+                for j in range(size):
+                    if plane[i, j] != 0:
+                        empty = False
+                        break
+                if not empty:
+                    break
+            if empty:
+                continue
+        apply_rows(index, weight, plane, first, size)
+        _transpose(first, second, size)
+        apply_rows(index, weight, second, first, size)
+        _transpose(first, plane, size)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def apply_axis(matrix, source, target):
+    """target[o, k, :] = sum over m of matrix[k, m] source[o, m, :], skipping sources that are all zero."""
+    outer, length, inner = source.shape
+    filled = np.empty(length, np.bool_)
+    for o in range(outer):
+        for m in range(length):
+            row = source[o, m]
+            filled[m] = False
+            for j in range(inner):
+                if row[j] != 0:
+                    filled[m] = True
+                    break
+        for k in range(matrix.shape[0]):
+            out = target[o, k]
+            out[:] = 0
+            for m in range(length):
+                factor = matrix[k, m]
+                if factor != 0 and filled[m]:
+                    row = source[o, m]
+                    for j in range(inner):
+                        out[j] += factor * row[j]
+
+
+def _levels(planes: np.ndarray, rows: tuple[SparseRows, ...], plane: Plane, *, finest_first: bool, skip: bool) -> None:
+    scratch = np.empty((2, plane.size, plane.size), planes.dtype)
+    levels = range(plane.levels) if finest_first else range(plane.levels - 1, -1, -1)
+    for level in levels:
+        weight = rows[level].weight.astype(planes.dtype)
+        plane_level(planes, rows[level].index, weight, plane.size >> level, scratch, skip)
+
+
+def along(matrix: np.ndarray, values: np.ndarray, axis: int) -> np.ndarray:
+    """`matrix` (k, m) applied along one axis of an array; the result has k entries there."""
+    if matrix.shape[0] == matrix.shape[1] == 1 and matrix[0, 0] == 1:
+        return values
+    shape = values.shape
+    source = np.ascontiguousarray(values).reshape(int(np.prod(shape[:axis])), shape[axis], -1)
+    target = np.empty((source.shape[0], matrix.shape[0], source.shape[2]), values.dtype)
+    apply_axis(np.ascontiguousarray(matrix, values.dtype), source, target)
+    return target.reshape(*shape[:axis], matrix.shape[0], *shape[axis + 1 :])
+
+
+@dataclass(frozen=True)
+class Block:
+    """Transform of a tile's block (channels, lights, views, T, T): orthonormal matrices of the light and view axes
+    (rows are basis vectors) and the transform of the planes."""
+
+    plane: Plane
+    views: np.ndarray
+    lights: np.ndarray
+
+    def forward(self, values: np.ndarray) -> np.ndarray:
+        """Coefficients of samples (channels, lights, views, T, T), float32 or float64."""
+        out = np.array(along(self.lights, along(self.views, values, 2), 1), copy=True)
+        planes = out.reshape(-1, *out.shape[-2:])
+        _levels(planes, self.plane.analysis, self.plane, finest_first=True, skip=True)
+        return out if self.plane.orthonormal else out * self._gains(out.dtype)
+
+    def inverse(self, coefficients: np.ndarray) -> np.ndarray:
+        """Samples of coefficients."""
+        out = np.array(coefficients, copy=True)
+        if not self.plane.orthonormal:
+            out /= self._gains(out.dtype)
+        _levels(out.reshape(-1, *out.shape[-2:]), self.plane.synthesis, self.plane, finest_first=False, skip=True)
+        return along(self.views.T, along(self.lights.T, out, 1), 2)
+
+    def adjoint(self, values: np.ndarray) -> np.ndarray:
+        """Transpose of `inverse`: the gradient with respect to the coefficients; `forward` where orthonormal."""
+        out = np.array(along(self.lights, along(self.views, values, 2), 1), copy=True)
+        _levels(out.reshape(-1, *out.shape[-2:]), self.plane.adjoint, self.plane, finest_first=True, skip=True)
+        return out if self.plane.orthonormal else out / self._gains(out.dtype)
+
+    def bound(self) -> float:
+        """Largest singular value of `inverse`, squared: 1 where orthonormal."""
+        return self.plane.bound
+
+    def _gains(self, dtype) -> np.ndarray:
+        return self.plane.gains.astype(dtype)
