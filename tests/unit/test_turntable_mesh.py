@@ -1,0 +1,152 @@
+"""The compact mesh: what is coded comes back, in few bytes, whatever the triangles."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from nishiki.geometry.camera import Camera
+from nishiki.geometry.mesh import Mesh
+from nishiki.turntable.compact_mesh import decode_mesh, encode_mesh, grid_step, shift
+from nishiki.turntable.connectivity import twins_of
+from nishiki.turntable.range_coder import decode_integers, encode_integers
+
+
+def sphere(rows=24, columns=48, bump=0.1):
+    """Closed sphere with bumps: rows of vertices between two poles."""
+    theta = np.pi * np.arange(1, rows) / rows
+    phi = 2 * np.pi * np.arange(columns) / columns
+    ring = np.stack(
+        [
+            np.outer(np.sin(theta), np.cos(phi)),
+            np.outer(np.cos(theta), np.ones(columns)),
+            np.outer(np.sin(theta), -np.sin(phi)),
+        ],
+        axis=-1,
+    )
+    vertices = np.concatenate([ring.reshape(-1, 3), [[0, 1, 0], [0, -1, 0]]])
+    vertices *= 1 + bump * np.sin(5 * vertices[:, :1]) * np.cos(3 * vertices[:, 1:2])
+    triangles = []
+    for i in range(rows - 2):
+        for j in range(columns):
+            a, b = i * columns + j, i * columns + (j + 1) % columns
+            triangles += [[a, a + columns, b], [b, a + columns, b + columns]]
+    north, south, last = len(vertices) - 2, len(vertices) - 1, (rows - 2) * columns
+    for j in range(columns):
+        triangles += [[north, j, (j + 1) % columns], [south, last + (j + 1) % columns, last + j]]
+    return Mesh.of(vertices, np.array(triangles))
+
+
+def same(mesh, step):
+    """Code a mesh, decode it, compare everything; the coded form."""
+    coded = encode_mesh(mesh, step=step)
+    decoded = decode_mesh(coded.data)
+    assert sorted(coded.triangles) == list(range(len(mesh.triangles)))
+    corners = (coded.first[:, None] + np.arange(3)) % 3
+    expected = np.take_along_axis(mesh.triangles[coded.triangles], corners, axis=1)
+    np.testing.assert_array_equal(coded.vertices[decoded.triangles], expected)
+    np.testing.assert_array_equal(decoded.vertices, np.round(mesh.vertices[coded.vertices] / step) * step)
+    assert sum(coded.parts.values()) == len(coded.data)
+    return coded
+
+
+@given(st.lists(st.integers(-(2**31), 2**31), max_size=60), st.integers(1, 5), st.integers(0, 2**32 - 1))
+@settings(max_examples=60, deadline=None)
+def test_integers_come_back(values, contexts, seed):
+    values = np.array(values, np.int64)
+    where = np.random.default_rng(seed).integers(0, contexts, len(values))
+    data = encode_integers(values, where, contexts)
+    np.testing.assert_array_equal(decode_integers(data, where, contexts), values)
+
+
+def test_integers_cost_little_more_than_their_entropy():
+    rng = np.random.default_rng(1)
+    where = rng.integers(0, 2, 40000)
+    values = np.round(rng.laplace(size=40000) * np.where(where, 0.3, 6)).astype(np.int64)
+    bits = 0.0
+    for context in (0, 1):
+        _, counts = np.unique(values[where == context], return_counts=True)
+        bits -= (counts * np.log2(counts / counts.sum())).sum()
+    assert 8 * len(encode_integers(values, where, 2)) < 1.06 * bits
+
+
+def test_carries_run_through_bytes_of_255():
+    # long runs of the less probable symbol push the low end up to the edge of the interval
+    for length in range(1, 400, 7):
+        values = np.array(([0] * 50 + [1] * 3) * length)[:1500]
+        where = np.zeros(len(values), np.int64)
+        np.testing.assert_array_equal(decode_integers(encode_integers(values, where, 1), where, 1), values)
+
+
+def test_a_closed_surface_comes_back_in_few_bytes():
+    mesh = sphere(48, 96)
+    coded = same(mesh, 2.0**-12)
+    assert 8 * coded.parts["triangles"] < 1.0 * len(mesh.triangles)
+    assert 8 * coded.parts["positions"] < 14 * len(mesh.vertices)
+
+
+@given(st.integers(3, 30), st.integers(0, 60), st.integers(0, 2**32 - 1))
+@settings(max_examples=60, deadline=None)
+def test_any_set_of_triangles_comes_back(vertices, triangles, seed):
+    rng = np.random.default_rng(seed)
+    mesh = Mesh.of(rng.normal(size=(vertices, 3)), rng.integers(0, vertices, (triangles, 3)))
+    same(mesh, 2.0**-8)
+
+
+def test_open_permuted_and_separate_surfaces_come_back():
+    rng = np.random.default_rng(3)
+    mesh = sphere()
+    kept = mesh.triangles[rng.random(len(mesh.triangles)) < 0.8]
+    same(Mesh.of(mesh.vertices, kept), 2.0**-10)
+    shuffled = mesh.triangles[rng.permutation(len(mesh.triangles))]
+    same(Mesh.of(mesh.vertices, shuffled), 2.0**-10)
+    two = np.concatenate([mesh.triangles, mesh.triangles + len(mesh.vertices)])
+    same(Mesh.of(np.concatenate([mesh.vertices, mesh.vertices + 3]), two), 2.0**-10)
+
+
+def test_a_mesh_on_the_grid_comes_back_exactly_with_its_normals():
+    mesh, step = sphere(), 2.0**-9
+    snapped = Mesh.of(np.round(mesh.vertices / step) * step, mesh.triangles)
+    restored = encode_mesh(snapped, step=step).restored(snapped)
+    np.testing.assert_array_equal(restored.vertices, snapped.vertices)
+    np.testing.assert_array_equal(restored.normals, snapped.normals)
+
+
+def test_unused_vertices_are_left_out_and_counted():
+    mesh = sphere()
+    more = Mesh.of(np.concatenate([[[9.0, 9, 9]], mesh.vertices]), mesh.triangles + 1)
+    coded = same(more, 2.0**-10)
+    assert coded.unused == 1
+    np.testing.assert_array_equal(coded.restored(more).vertices[0], [9, 9, 9])
+
+
+def test_the_step_moves_no_vertex_too_far():
+    mesh = sphere()
+    camera = Camera(
+        "a", np.array([[900.0, 0, 320], [0, 900, 240], [0, 0, 1]]), np.eye(3), np.array([0, 0, 4.0]), 480, 640
+    )
+    step = grid_step(mesh, [camera], shift_px=0.05)
+    moved = np.round(mesh.vertices / step) * step
+    assert 0.005 < shift(mesh.vertices, moved, [camera]) <= 0.05
+    coarser = np.round(mesh.vertices / (2 * step)) * 2 * step
+    assert shift(mesh.vertices, coarser, [camera]) > 0.05
+
+
+def test_bad_bytes_are_refused():
+    data = encode_mesh(sphere(6, 8), step=2.0**-8).data
+    with pytest.raises(ValueError, match="not a compact mesh"):
+        decode_mesh(b"something else, long enough to hold a header")
+    with pytest.raises(ValueError, match=r"expected \d+ bytes"):
+        decode_mesh(data[:-3])
+    with pytest.raises(ValueError, match="power of two"):
+        encode_mesh(sphere(6, 8), step=0.3)
+
+
+def test_twins_are_mutual_and_run_the_other_way():
+    triangles = sphere(8, 12).triangles
+    twins = twins_of(triangles)
+    assert (twins >= 0).all()
+    np.testing.assert_array_equal(twins[twins], np.arange(twins.size))
+    start, end = triangles.reshape(-1), np.roll(triangles, -1, axis=1).reshape(-1)
+    np.testing.assert_array_equal(start[twins], end)
+    assert (twins_of(np.array([[0, 1, 2], [0, 1, 3], [1, 0, 4]])) == -1).all()

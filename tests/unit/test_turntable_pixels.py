@@ -1,0 +1,120 @@
+"""Kernels between texels and pixels against slow, obvious ones."""
+
+import itertools
+
+import numpy as np
+
+from nishiki.turntable.pixels import by_tile, extend, look_up, mix
+from nishiki.turntable.quality import Difference, difference, structural_similarity, summary
+
+
+def test_pixels_are_sorted_by_tile_in_their_order():
+    tile = np.array([2, 0, 2, 1, 0, 4], np.int32)
+    first, order = by_tile(tile, 5)
+    assert [order[a:b].tolist() for a, b in itertools.pairwise(first)] == [[1, 4], [3], [0, 2], [], [5]]
+
+
+def slow_look_up(texture, s, t):
+    size = texture.shape[0]
+    i, j = min(int(s), size - 2), min(int(t), size - 2)
+    y, x = s - i, t - j
+    return (
+        texture[i, j] * (1 - y) * (1 - x)
+        + texture[i, j + 1] * (1 - y) * x
+        + texture[i + 1, j] * y * (1 - x)
+        + texture[i + 1, j + 1] * y * x
+    )
+
+
+def test_look_up_is_bilinear_up_to_the_border():
+    rng = np.random.default_rng(0)
+    texture = rng.normal(size=(5, 5, 3)).astype(np.float32)
+    s = np.concatenate([rng.uniform(0, 4, 40), [0, 4, 4, 0]]).astype(np.float32)
+    t = np.concatenate([rng.uniform(0, 4, 40), [0, 4, 0, 4]]).astype(np.float32)
+    order = rng.permutation(len(s))[:30].astype(np.int64)
+    out = np.full((len(s), 3), 7, np.float32)
+    look_up(texture, s, t, order, out)
+    for p in range(len(s)):
+        want = slow_look_up(texture.astype(np.float64), s[p], t[p]) if p in order else np.full(3, 7)
+        np.testing.assert_allclose(out[p], want, atol=1e-5)
+
+
+def slow_mix(residual, views, visible, weights, fallback):
+    out = np.zeros(residual.shape[1:])
+    for i, j in np.ndindex(residual.shape[1:3]):
+        seen = visible[:, i, j]
+        used = weights != 0
+        if (seen[used] >= 1).all():
+            share = weights
+        elif (fallback * seen).sum() > 1e-6:
+            share = fallback * seen / (fallback * seen).sum()
+        else:
+            share = fallback / fallback.sum()
+        out[i, j] = sum(w * residual[v, i, j] for w, v in zip(share, views, strict=True))
+    return out
+
+
+def test_mixing_heeds_what_each_view_sees():
+    rng = np.random.default_rng(1)
+    residual = rng.normal(size=(6, 7, 7, 2)).astype(np.float32)
+    views = np.array([4, 5, 0, 1])
+    visible = np.clip(rng.uniform(-1, 3, (4, 7, 7)), 0, 1).astype(np.float32)
+    visible[:, 0, 0], visible[:, 1, 1] = 0, 1
+    weights, fallback = np.float32([-1 / 16, 9 / 16, 9 / 16, -1 / 16]), np.float32([0, 0.5, 0.5, 0])
+    out = np.zeros((7, 7, 2), np.float32)
+    mix(residual, views, visible, weights, fallback, out)
+    np.testing.assert_allclose(out, slow_mix(residual, views, visible, weights, fallback), atol=1e-5)
+
+
+def test_the_rim_continues_the_surface():
+    y, x = np.mgrid[:40, :40]
+    disc = (y - 20) ** 2 + (x - 20) ** 2 < 12**2
+    ramp = (0.2 + 0.01 * x + 0.005 * y)[..., None].astype(np.float32)
+    values = np.where(disc[..., None], ramp, 0).astype(np.float32)
+    wide, reached = extend(values, disc, rings=2)
+    np.testing.assert_array_equal(wide[disc], values[disc])
+    rim = reached & ~disc
+    distance = np.sqrt((y - 20.0) ** 2 + (x - 20) ** 2)
+    assert rim[(distance >= 12) & (distance < 13.4)].all()
+    assert not rim[distance > 15.5].any()
+    assert np.abs(wide[rim] - ramp[rim]).max() < 0.02
+    assert not wide[~reached].any()
+    none, nowhere = extend(values, np.zeros_like(disc), rings=2)
+    assert not nowhere.any()
+    np.testing.assert_array_equal(none, values)
+    np.testing.assert_array_equal(extend(values, disc, rings=0)[1], disc)
+
+
+def test_psnr_of_known_noise():
+    rng = np.random.default_rng(2)
+    photograph = rng.uniform(0, 1, (60, 50, 3)).astype(np.float32)
+    inside = np.zeros((60, 50), bool)
+    inside[10:50, 5:45] = True
+    covered = inside.copy()
+    covered[10, :] = False
+    wrong = photograph + np.float32(0.01)
+    wrong[~inside] = 99
+    found = difference(wrong, photograph, inside, covered)
+    assert abs(found.psnr_db - 40) < 1e-3
+    assert (found.pixels, found.samples, found.uncovered) == (1600, 4800, 40)
+    both = summary([found, Difference(4800 * 1e-3, 4800, 1600, 0), Difference(0.0, 10, 5, 0)])
+    assert abs(both["mean_psnr_db"] - 35) < 1e-3
+    assert abs(both["worst_psnr_db"] - 30) < 1e-3
+    assert both["views"] == 2
+    assert summary([])["pooled_psnr_db"] is None
+
+
+def test_similarity_is_one_for_equal_pictures_and_falls_with_noise():
+    rng = np.random.default_rng(3)
+    y, x = np.mgrid[:64, :64] / 64
+    photograph = np.stack([y, x, 0.5 + 0.3 * np.sin(9 * x)], axis=-1).astype(np.float32)
+    inside = (y - 0.5) ** 2 + (x - 0.5) ** 2 < 0.16
+    assert structural_similarity(photograph, photograph, inside) > 1 - 1e-9
+    little, much = (
+        structural_similarity(
+            photograph + np.float32(s) * rng.normal(size=photograph.shape).astype(np.float32), photograph, inside
+        )
+        for s in (0.01, 0.1)
+    )
+    assert 0 < much < little < 1
+    assert structural_similarity(photograph, photograph, np.zeros_like(inside)) is None
