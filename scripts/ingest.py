@@ -1,12 +1,17 @@
 """Ingest: photographs of a sealed capture to linear, white-normalised observations."""
 
+import shutil
+
 import numpy as np
 import zarr
 
 import _project  # noqa: F401
 from nishiki.capture.folder import Capture, load_capture
 from nishiki.capture.seal import capture_digest
+from nishiki.capture.turntable import TurntableCapture
 from nishiki.ingest.store import STORE, write_observations
+from nishiki.ingest.views_store import STORE as VIEWS
+from nishiki.ingest.views_store import geometry_sources, write_views
 from nishiki.settings.ingest import IngestSettings
 from nishiki.spectra.colour import illuminant as cie_illuminant
 from nishiki.spectra.sampling import resample
@@ -14,20 +19,32 @@ from nishiki.stage import Context, run_stage
 
 
 def run(context: Context) -> dict:
-    """Decode every photograph once, check it against the seal, and write the observations."""
+    """Decode every photograph once, check it against the seal, and write the observations or the views."""
     capture = load_capture(context.capture)
+    if capture.geometry == "turntable":
+        return run_views(capture, context)
     result = write_observations(capture, context.output.folder, settings=context.settings, progress=context.progress)
-    stamp_store(context)
+    stamp_store(context, STORE)
     write_curves(capture, context)
     return {"capture": capture.settings.model_dump(mode="json"), **result.as_dict()}
 
 
-def stamp_store(context: Context) -> None:
+def run_views(capture: TurntableCapture, context: Context) -> dict:
+    """The views of a turntable or of a polarisation series, and copies of the files of its geometry."""
+    result = write_views(capture, context.output.folder, settings=context.settings, progress=context.progress)
+    for source, name in geometry_sources(capture):
+        shutil.copyfile(source, context.output.path(name))
+    stamp_store(context, VIEWS)
+    write_curves(capture, context)
+    return {"capture": capture.settings.model_dump(mode="json"), **result.as_dict()}
+
+
+def stamp_store(context: Context, store: str) -> None:
     """Say inside the store where it comes from."""
-    zarr.open_group(context.output.folder / STORE, mode="r+").attrs["stamp"] = context.stamp
+    zarr.open_group(context.output.folder / store, mode="r+").attrs["stamp"] = context.stamp
 
 
-def write_curves(capture: Capture, context: Context) -> None:
+def write_curves(capture: Capture | TurntableCapture, context: Context) -> None:
     """curves.npz: illuminant (61,) and sensitivities (channels, 61) on 400-700/5 nm, those that the capture has."""
     curves = {}
     for name in ("illuminant", "sensitivities"):

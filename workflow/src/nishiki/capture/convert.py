@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -12,11 +13,12 @@ import numpy as np
 import yaml
 
 from nishiki.capture.headers import read_header
-from nishiki.capture.layouts import Layout, photographs_in, recognise
+from nishiki.capture.layouts import Layout, has_lamps, photographs_in, recognise
 from nishiki.capture.problems import CaptureError, Problem, error, warning
 from nishiki.capture.schema import FORMAT
-
-COLOUR = ("red", "green", "blue")
+from nishiki.capture.taking import channel_names, file_names, take
+from nishiki.capture.turntable_convert import write_round
+from nishiki.capture.turntable_layouts import recognise_round
 
 
 @dataclass(frozen=True)
@@ -45,30 +47,67 @@ def convert(
 ) -> Conversion:
     """Make the capture folder `target`, which must not exist, from a folder of photographs.
 
-    white: folder of the white board's photographs, matched by name or, if as many, by order; dark: folder of dark
-    frames; checks: lights kept for evaluation; encoding: default srgb for JPEG, otherwise linear; region: row, column,
-    rows, columns; link: hard links instead of copies (same disk; then never edit either). The folder appears whole or
-    not at all. Raises CaptureError (target-exists, and those of `recognise`).
+    white: folder of the white board's photographs, matched by name or, if as many, by order (for a turntable: named by
+    their polariser state); dark: folder of dark frames; checks: lights kept for evaluation; encoding: of the
+    photographs, None for what is usual; region: row, column, rows, columns; mask: picture of the object, for a
+    turntable the folder of the silhouettes; link: hard links instead of copies (same disk; then never edit either).
+    The folder appears whole or not at all. Raises CaptureError (target-exists, option-unusable, and those of
+    `recognise` and `recognise_round`).
     """
     source, target = Path(source), Path(target)
     if target.exists():
         remedy = "Choose another name; nothing is overwritten"
         raise CaptureError(error("target-exists", str(target), "target exists", remedy=remedy))
+    found = recognise_round(source) if lights_file is None and source.is_dir() and not has_lamps(source) else None
+    if found is not None:
+        refuse_for_round(checks, region)
+
+        def write_turntable(partial: Path) -> list[Problem]:
+            return write_round(
+                partial,
+                found,
+                source,
+                silhouettes=mask,
+                white=white,
+                dark=dark,
+                encoding=encoding,
+                title=title,
+                link=link,
+            )
+
+        notes = _whole(target, write_turntable)
+        return Conversion(target, found.name, len(found.photographs), (*found.warnings, *notes))
     layout = recognise(source, lights_file=lights_file, mask=mask)
     unknown = [name for name in checks if layout.lights.index(name) is None]
     if unknown:
-        found = ", ".join(unknown)
-        raise CaptureError(error("light-unknown", str(source), "no such light to keep for evaluation", found=found))
+        named = ", ".join(unknown)
+        raise CaptureError(error("light-unknown", str(source), "no such light to keep for evaluation", found=named))
+    notes = _whole(target, lambda p: _write(p, layout, source, white, dark, checks, encoding, title, region, link))
+    return Conversion(target, layout.name, len(layout.photographs), (*layout.warnings, *notes))
+
+
+def _whole(target: Path, write: Callable[[Path], list[Problem]]) -> list[Problem]:
+    """Write into a folder beside the target and rename it when it is whole."""
     partial = target.with_name(f".{target.name}.partial")
     if partial.exists():
         shutil.rmtree(partial)
     try:
-        notes = _write(partial, layout, source, white, dark, checks, encoding, title, region, link)
+        notes = write(partial)
         os.rename(partial, target)
     finally:
         if partial.exists():
             shutil.rmtree(partial)
-    return Conversion(target, layout.name, len(layout.photographs), (*layout.warnings, *notes))
+    return notes
+
+
+def refuse_for_round(checks: tuple[str, ...], region: tuple | None) -> None:
+    """CaptureError (option-unusable) for what has a meaning for planes only."""
+    if checks:
+        remedy = "Views are held out by the setting hold_out when results are made"
+        raise CaptureError(error("option-unusable", "check", "a turntable has no check lights", remedy=remedy))
+    if region is not None:
+        remedy = "Camera matrices count from the corner of the whole photograph"
+        raise CaptureError(error("option-unusable", "roi", "photographs of a turntable are used whole", remedy=remedy))
 
 
 def _write(
@@ -85,15 +124,15 @@ def _write(
 ) -> list[Problem]:
     folder.mkdir(parents=True)
     header = read_header(layout.photographs[0])
-    channels = _channel_names(header)
+    channels = channel_names(header)
     names, held = layout.lights.names, {layout.lights.index(name) for name in checks}
     rows = []
-    for i, (photograph, file) in enumerate(zip(layout.photographs, _file_names(layout.photographs), strict=True)):
-        rows.append((_take(photograph, folder / "frames" / file, link), "check" if i in held else "sample", names[i]))
+    for i, (photograph, file) in enumerate(zip(layout.photographs, file_names(layout.photographs), strict=True)):
+        rows.append((take(photograph, folder / "frames" / file, link), "check" if i in held else "sample", names[i]))
     for photograph, light in _match_whites(layout, white) if white else ():
-        rows.append((_take(photograph, folder / "white" / photograph.name, link), "white", light))
+        rows.append((take(photograph, folder / "white" / photograph.name, link), "white", light))
     for photograph in photographs_in(dark) if dark else ():
-        rows.append((_take(photograph, folder / "dark" / photograph.name, link), "dark", ""))
+        rows.append((take(photograph, folder / "dark" / photograph.name, link), "dark", ""))
     settings = {"format": FORMAT, "title": title or source.name, "geometry": "plane"}
     jpeg = header.kind == "jpeg"
     coding = encoding or ("srgb" if jpeg else "linear")
@@ -103,7 +142,7 @@ def _write(
         settings["lights"]["intensities"] = "intensities.csv"
         _write_intensities(folder / "intensities.csv", layout, channels)
     if layout.mask is not None:
-        settings["mask"] = _take(layout.mask, folder / f"mask{layout.mask.suffix.lower()}", link)
+        settings["mask"] = take(layout.mask, folder / f"mask{layout.mask.suffix.lower()}", link)
     if region is not None:
         settings["region_of_interest"] = list(region)
     _write_tables(folder, settings, rows, layout)
@@ -116,32 +155,6 @@ def _notes(sample: str, jpeg: bool, encoding: str | None, source: Path) -> list[
         remedy = "Give the encoding srgb if the camera or a converter coded them for display"
         return [warning("encoding-assumed", source.name, what, remedy=remedy)]
     return []
-
-
-def _channel_names(header) -> tuple[str, ...]:
-    if header.kind == "exr":
-        rest = tuple(sorted(set(header.names) - {"A"}))
-        return COLOUR if set(rest) == {"R", "G", "B"} else rest
-    count = header.channels - header.alpha
-    known = {1: ("grey",), 3: COLOUR}
-    return known.get(count, tuple(f"channel{i + 1}" for i in range(count)))
-
-
-def _file_names(photographs: tuple[Path, ...]) -> list[str]:
-    """Names in the capture: those of the files, numbered where two from different folders are the same."""
-    names = [p.name for p in photographs]
-    same = len(set(names)) != len(names)
-    return [f"{i + 1:03d}_{name}" for i, name in enumerate(names)] if same else names
-
-
-def _take(origin: Path, place: Path, link: bool) -> str:
-    """Copy or hard-link one file; returns its name relative to the capture."""
-    place.parent.mkdir(parents=True, exist_ok=True)
-    if link:
-        os.link(origin.resolve(), place)
-    else:
-        shutil.copyfile(origin, place)
-    return f"{place.parent.name}/{place.name}" if place.parent.name in ("frames", "white", "dark") else place.name
 
 
 def _match_whites(layout: Layout, folder: Path) -> list[tuple[Path, str]]:

@@ -15,11 +15,12 @@ import numpy as np
 from nishiki.capture.frames import Frame, inside, read_frames
 from nishiki.capture.lights import Lights, direction_problems, read_lights
 from nishiki.capture.problems import CaptureError, Problem, error, raise_errors, warning
-from nishiki.capture.schema import NAMED_ILLUMINANTS, CaptureFile, read_capture_file
+from nishiki.capture.schema import NAMED_ILLUMINANTS, CaptureFile, Session, geometry_named, read_capture_file
 from nishiki.capture.spectra_tables import Curves, read_curves
+from nishiki.capture.turntable import TurntableCapture, examine_turntable
 
 T = TypeVar("T")
-GEOMETRIES = ("plane",)  # those that can be processed so far
+GEOMETRIES = ("plane", "turntable")  # those that can be processed so far
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,10 @@ class Capture:
     mask: Path | None
     regions: Path | None
     warnings: tuple[Problem, ...]
+
+    @property
+    def geometry(self) -> str:
+        return self.settings.geometry
 
     @property
     def sealed(self) -> bool:
@@ -87,8 +92,8 @@ def payload_of(root: Path) -> Path:
     raise CaptureError(error("capture-missing", str(root), "folder holds no capture.yaml", remedy=remedy))
 
 
-def load_capture(root: Path | str) -> Capture:
-    """Read and check a capture folder without opening its photographs.
+def load_capture(root: Path | str) -> Capture | TurntableCapture:
+    """Read and check a capture folder, by its geometry a Capture or a TurntableCapture; no photograph is opened.
 
     Raises CaptureError (a UserError) that holds every error found, not only the first.
     """
@@ -97,7 +102,7 @@ def load_capture(root: Path | str) -> Capture:
     return capture
 
 
-def examine(root: Path) -> tuple[Capture | None, list[Problem]]:
+def examine(root: Path) -> tuple[Capture | TurntableCapture | None, list[Problem]]:
     """The capture (None where its tables cannot be read) and everything found wrong in its tables."""
     problems: list[Problem] = []
 
@@ -112,7 +117,8 @@ def examine(root: Path) -> tuple[Capture | None, list[Problem]]:
     if payload is None:
         return None, problems
     settings = attempt(lambda: read_capture_file(payload / "capture.yaml"))
-    frames = attempt(lambda: read_frames(payload / "frames.csv"))
+    turntable = (settings.geometry if settings else geometry_named(payload / "capture.yaml")) == "turntable"
+    frames = attempt(lambda: read_frames(payload / "frames.csv", turntable=turntable))
     if settings is None:
         return None, problems
     if settings.geometry not in GEOMETRIES:
@@ -123,13 +129,17 @@ def examine(root: Path) -> tuple[Capture | None, list[Problem]]:
     def named(file: str | None, key: str) -> Path | None:
         return attempt(lambda: inside(payload, file, f"capture.yaml {key}")) if file else None
 
-    lights_path = named(settings.lights.file, "lights.file")
-    lights = attempt(lambda: read_lights(lights_path, kind=settings.lights.kind)) if lights_path else None
     curves = named(settings.camera.sensitivities, "camera.sensitivities")
     names = settings.camera.channels
     label = settings.camera.sensitivities
     sensitivities = attempt(lambda: read_curves(curves, names=names, label=label)) if curves else None
     illuminant = _illuminant(settings, named, attempt)
+    if turntable:
+        spectra = sensitivities, illuminant
+        capture, found = examine_turntable(root, payload, settings, frames, spectra, attempt)
+        return capture, problems + found
+    lights_path = named(settings.lights.file, "lights.file")
+    lights = attempt(lambda: read_lights(lights_path, kind=settings.lights.kind)) if lights_path else None
     mask, regions = named(settings.mask, "mask"), named(settings.regions, "regions")
     scales = named(settings.lights.intensities, "lights.intensities")
     if lights is None or frames is None:
@@ -143,7 +153,7 @@ def examine(root: Path) -> tuple[Capture | None, list[Problem]]:
     return capture, problems + list(lights.warnings)
 
 
-def _illuminant(settings: CaptureFile, named: Callable, attempt: Callable) -> Curves | str | None:
+def _illuminant(settings: Session, named: Callable, attempt: Callable) -> Curves | str | None:
     """The name of a CIE illuminant, or a curve from the file."""
     value = settings.illuminant
     if value is None or value in NAMED_ILLUMINANTS:

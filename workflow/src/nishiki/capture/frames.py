@@ -5,19 +5,25 @@ from __future__ import annotations
 import csv
 import difflib
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from nishiki.capture.polariser import parse_state
 from nishiki.capture.problems import CaptureError, Problem, error, raise_errors
 
 ROLES = ("sample", "check", "white", "dark", "flat")
 LIT_ROLES = ("sample", "check", "white")
 COLUMNS = ("file", "role", "light", "exposure_s", "view")
+TURNTABLE_ROLES = ("sample", "white", "dark", "board")
+TURNTABLE_COLUMNS = ("file", "role", "view", "light", "polariser", "exposure_s", "silhouette")
 
 
 @dataclass(frozen=True)
 class Frame:
-    """One photograph. file: as written, relative to the payload; light: its lamp's name ('' for dark and flat)."""
+    """One photograph. file: as written, relative to the payload; light: its lamp's name ('' for dark and flat).
+
+    polariser: state of the polarisers ('' for none); silhouette: picture of the object's outline in this view, or ''.
+    """
 
     file: str
     path: Path
@@ -26,13 +32,16 @@ class Frame:
     exposure_s: float | None = None
     view: str = ""
     row: int = 0
+    polariser: str = ""
+    silhouette: str = ""
+    silhouette_path: Path | None = None
 
 
-def read_frames(table: Path) -> tuple[Frame, ...]:
-    """Parse frames.csv; CaptureError lists all mistakes.
+def read_frames(table: Path, *, turntable: bool = False) -> tuple[Frame, ...]:
+    """Parse frames.csv of a plane, or of a turntable; CaptureError lists all mistakes.
 
     Kinds: frames-missing, frames-unreadable, unknown-column, role-unknown, light-empty, exposure-invalid,
-    frame-duplicate, outside-folder, image-missing, frames-none.
+    frame-duplicate, outside-folder, image-missing, frames-none, polariser-unknown, silhouette-role.
     """
     try:
         text = table.read_text(encoding="utf-8-sig")
@@ -43,7 +52,7 @@ def read_frames(table: Path) -> tuple[Frame, ...]:
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
     reader = csv.DictReader(lines, skipinitialspace=True)
     columns = [(c or "").strip() for c in reader.fieldnames or []]
-    _check_columns(columns, table.name)
+    _check_columns(columns, table.name, TURNTABLE_COLUMNS if turntable else COLUMNS)
     reader.fieldnames = columns
     problems: list[Problem] = []
     frames: list[Frame] = []
@@ -54,7 +63,9 @@ def read_frames(table: Path) -> tuple[Frame, ...]:
             expected = f"{len(columns)} values"
             problems.append(error("frames-unreadable", where, "wrong number of values", expected=expected))
             continue
-        frame = _frame({k: v.strip() for k, v in row.items()}, table.parent, number, where, problems)
+        cells = {k: v.strip() for k, v in row.items()}
+        frame = _frame(cells, table.parent, number, where, problems, TURNTABLE_ROLES if turntable else ROLES)
+        frame = _round_about(frame, cells, table.parent, where, problems) if turntable else frame
         if frame.file in seen:
             what = f"'{frame.file}' is listed twice (also row {seen[frame.file]})"
             problems.append(error("frame-duplicate", where, what, remedy="Keep one row a photograph"))
@@ -66,11 +77,11 @@ def read_frames(table: Path) -> tuple[Frame, ...]:
     return tuple(frames)
 
 
-def _check_columns(columns: list[str], file: str) -> None:
+def _check_columns(columns: list[str], file: str, known: tuple[str, ...]) -> None:
     problems = []
-    for name in [c for c in columns if c not in COLUMNS]:
-        near = difflib.get_close_matches(name, COLUMNS, n=1, cutoff=0.5)
-        remedy = f"Did you mean '{near[0]}'?" if near else f"Known columns: {', '.join(COLUMNS)}"
+    for name in [c for c in columns if c not in known]:
+        near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+        remedy = f"Did you mean '{near[0]}'?" if near else f"Known columns: {', '.join(known)}"
         problems.append(error("unknown-column", file, f"unknown column '{name}'", remedy=remedy))
     for name in ("file", "role"):
         if name not in columns:
@@ -81,11 +92,13 @@ def _check_columns(columns: list[str], file: str) -> None:
     raise_errors(problems)
 
 
-def _frame(row: dict[str, str], payload: Path, number: int, where: str, problems: list[Problem]) -> Frame:
+def _frame(
+    row: dict[str, str], payload: Path, number: int, where: str, problems: list[Problem], roles: tuple[str, ...]
+) -> Frame:
     role, light, exposure = row["role"], row.get("light", ""), row.get("exposure_s", "")
-    if role not in ROLES:
-        problems.append(error("role-unknown", where, "role", expected=" | ".join(ROLES), found=repr(role)))
-    if role in LIT_ROLES and not light:
+    if role not in roles:
+        problems.append(error("role-unknown", where, "role", expected=" | ".join(roles), found=repr(role)))
+    if roles is ROLES and role in LIT_ROLES and not light:
         problems.append(
             error("light-empty", where, f"a {role} frame needs its light", remedy="Name it as in the lights")
         )
@@ -105,6 +118,21 @@ def _frame(row: dict[str, str], payload: Path, number: int, where: str, problems
     except CaptureError as e:
         problems.extend(e.problems)
     return Frame(row["file"], path, role, light, seconds, row.get("view", ""), number)
+
+
+def _round_about(frame: Frame, row: dict[str, str], payload: Path, where: str, problems: list[Problem]) -> Frame:
+    """The frame with what only a turntable's table tells: polariser state and silhouette."""
+    state, outline, path = "", row.get("silhouette", ""), None
+    try:
+        state = parse_state(row.get("polariser", ""), where).name
+        path = inside(payload, outline, f"{where} silhouette") if outline else None
+    except CaptureError as e:
+        problems.extend(e.problems)
+    if outline and frame.role != "sample":
+        what = f"a {frame.role} frame has a silhouette"
+        remedy = "Give the silhouette in the row of a sample frame of the view"
+        problems.append(error("silhouette-role", where, what, found=outline, remedy=remedy))
+    return replace(frame, polariser=state, silhouette=outline, silhouette_path=path)
 
 
 def inside(payload: Path, file: str, where: str) -> Path:

@@ -65,9 +65,18 @@ def recognise(source: Path, *, lights_file: Path | None = None, mask: Path | Non
     probes = sorted(path.parent for path in source.glob(f"*/{PROBE_DATA}"))
     if probes:
         return _with_spheres(source, probes, mask)
-    expected = "a .lp file, light_directions.txt, or folders of mirror spheres with circle_data.txt"
-    remedy = "Give the lights file"
+    expected = (
+        "a .lp file, light_directions.txt, folders of mirror spheres with circle_data.txt; for a turntable a .mat file "
+        "with matrices P or a list of cameras; or photographs named GENERATOR_ANALYSER"
+    )
+    remedy = "Give the lights file, or write capture.yaml and frames.csv by hand"
     raise CaptureError(error("layout-unknown", str(source), "no lamps found", expected=expected, remedy=remedy))
+
+
+def has_lamps(source: Path) -> bool:
+    """Whether a folder tells where the lamps of a plane's photographs were."""
+    listed = (source / "light_directions.txt").is_file() or any(source.glob("*.lp"))
+    return listed or any(source.glob(f"*/{PROBE_DATA}"))
 
 
 def _find_mask(source: Path) -> Path | None:

@@ -51,10 +51,11 @@ def light_name(token: str) -> str:
     return IMAGE_SUFFIX.sub("", re.split(r"[\\/]", token.strip().strip("\"'"))[-1])
 
 
-def read_lights(path: Path, *, kind: str = "direction") -> Lights:
+def read_lights(path: Path, *, kind: str = "direction", frontal: bool = True) -> Lights:
     """Read `.lp`, `.csv`, or a list of directions (`.txt`), by the file's suffix.
 
-    kind: 'direction' (unit vectors; other lengths are normalised, with a warning) or 'position_mm'.
+    kind: 'direction' (unit vectors; other lengths are normalised, with a warning) or 'position_mm'; frontal: refuse
+    lamps in or behind the object's plane (z <= 0), which an object in the round may well have.
     Raises CaptureError with every mistake found (kinds: lights-missing, lights-unreadable, lights-count, light-zero,
     light-not-finite, light-behind, light-duplicate, lights-none).
     """
@@ -66,10 +67,14 @@ def read_lights(path: Path, *, kind: str = "direction") -> Lights:
         text = path.read_bytes().decode("latin-1")  # file names in an old code page; the numbers are ASCII anyway
     parse = _parse_table if path.suffix.lower() == ".csv" else _parse_list
     names, vectors = parse(text, path.name, counted=path.suffix.lower() not in (".csv", ".txt"))
-    return lights_from_vectors(names, np.array(vectors, dtype=np.float64).reshape(-1, 3), file=path.name, kind=kind)
+    return lights_from_vectors(
+        names, np.array(vectors, dtype=np.float64).reshape(-1, 3), file=path.name, kind=kind, frontal=frontal
+    )
 
 
-def lights_from_vectors(names: list[str | None], vectors: np.ndarray, *, file: str, kind: str = "direction") -> Lights:
+def lights_from_vectors(
+    names: list[str | None], vectors: np.ndarray, *, file: str, kind: str = "direction", frontal: bool = True
+) -> Lights:
     """Check and normalise vectors (lights, 3); a light without a name is called by its number, from 1."""
     problems: list[Problem] = []
     if len(vectors) == 0:
@@ -77,7 +82,7 @@ def lights_from_vectors(names: list[str | None], vectors: np.ndarray, *, file: s
     lengths = np.sqrt((vectors**2).sum(axis=1))
     called = [str(i + 1) if name is None else light_name(name) for i, name in enumerate(names)]
     for i, (vector, length) in enumerate(zip(vectors, lengths, strict=True)):
-        problems += _check_vector(vector, length, called[i], file)
+        problems += _check_vector(vector, length, called[i], file, frontal)
     seen: dict[str, int] = {}
     for i, name in enumerate(called):
         if name in seen:
@@ -93,13 +98,13 @@ def lights_from_vectors(names: list[str | None], vectors: np.ndarray, *, file: s
     return Lights(tuple(called), tuple(names), vectors, vectors / lengths[:, None], tuple(problems))
 
 
-def _check_vector(vector: np.ndarray, length: float, name: str, file: str) -> list[Problem]:
+def _check_vector(vector: np.ndarray, length: float, name: str, file: str, frontal: bool) -> list[Problem]:
     found = " ".join(f"{v:g}" for v in vector)
     if not math.isfinite(length):
         return [error("light-not-finite", file, f"light '{name}' is not finite", found=found)]
     if length < 1e-9:
         return [error("light-zero", file, f"light '{name}' has a vector of zero length", found=found)]
-    if vector[2] <= 0:
+    if frontal and vector[2] <= 0:
         remedy = "Directions point from the object to the lamp, z towards the camera; turn the axes if yours differ"
         what = f"light '{name}' lies in or behind the object's plane"
         return [error("light-behind", file, what, expected="z > 0", found=found, remedy=remedy)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 from datetime import date as Date
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
@@ -19,11 +19,11 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Count = Annotated[int, Field(strict=True, ge=0)]
 
 
-class _Closed(BaseModel):
+class Closed(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class Camera(_Closed):
+class Camera(Closed):
     """How a stored code becomes light."""
 
     channels: tuple[str, ...] = Field(("red", "green", "blue"), min_length=1, max_length=64)
@@ -42,7 +42,7 @@ class Camera(_Closed):
         return names
 
 
-class LightsFile(_Closed):
+class LightsFile(Closed):
     """Where the lamps were."""
 
     file: str
@@ -50,7 +50,7 @@ class LightsFile(_Closed):
     intensities: str | None = None
 
 
-class White(_Closed):
+class White(Closed):
     """The white board."""
 
     reflectance: Annotated[float, Field(gt=0, le=1.1)] = 1.0
@@ -65,11 +65,10 @@ class White(_Closed):
         return tuple(v / length for v in normal)
 
 
-class CaptureFile(_Closed):
-    """capture.yaml."""
+class Session(Closed):
+    """What capture.yaml says whatever the geometry: what was photographed, by whom, with which camera."""
 
     format: Literal[1]
-    lights: LightsFile
     camera: Camera = Camera()
     title: str = ""
     creator: str | None = None
@@ -77,13 +76,8 @@ class CaptureFile(_Closed):
     object_id: str | None = None
     rights: str | None = None
     notes: str | None = None
-    geometry: Literal["plane", "turntable", "goniometer"] = "plane"
     illuminant: str | None = None
     white: White = White()
-    pixel_pitch_mm: Positive | None = None
-    region_of_interest: tuple[Count, Count, Count, Count] | None = None
-    mask: str | None = None
-    regions: str | None = None
 
     @field_validator("date", mode="before")
     @classmethod
@@ -99,6 +93,17 @@ class CaptureFile(_Closed):
     @classmethod
     def _number_as_text(cls, value: Any) -> Any:
         return str(value) if isinstance(value, int) else value
+
+
+class CaptureFile(Session):
+    """capture.yaml of a plane."""
+
+    lights: LightsFile
+    geometry: Literal["plane", "turntable", "goniometer"] = "plane"
+    pixel_pitch_mm: Positive | None = None
+    region_of_interest: tuple[Count, Count, Count, Count] | None = None
+    mask: str | None = None
+    regions: str | None = None
 
     @model_validator(mode="after")
     def _pitch_for_positions(self) -> CaptureFile:
@@ -122,11 +127,27 @@ class _UniqueKeyLoader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):
         return super().construct_mapping(node, deep)
 
 
-def read_capture_file(path: Path) -> CaptureFile:
-    """Parse capture.yaml; a CaptureError lists every mistake in it.
+def read_capture_file(path: Path) -> Session:
+    """Parse capture.yaml, by its geometry a CaptureFile or a TurntableFile; a CaptureError lists every mistake in it.
 
     Kinds: yaml-missing, yaml-invalid, unknown-key, missing-key, wrong-value.
     """
+    from nishiki.capture.turntable_schema import TurntableFile
+
+    parsed = read_mapping(path)
+    return validate(TurntableFile if parsed.get("geometry") == "turntable" else CaptureFile, parsed, path.name)
+
+
+def geometry_named(path: Path) -> str | None:
+    """The geometry that a capture.yaml names, even where the rest of it cannot be used; None where it names none."""
+    try:
+        return read_mapping(path).get("geometry")
+    except CaptureError:
+        return None
+
+
+def read_mapping(path: Path) -> dict:
+    """Keys and values of a plain YAML file. CaptureError: yaml-missing, yaml-invalid."""
     try:
         content = path.read_text(encoding="utf-8-sig")
         parsed = yaml.load(content, Loader=_UniqueKeyLoader)
@@ -144,17 +165,25 @@ def read_capture_file(path: Path) -> CaptureFile:
         raise CaptureError(
             error("yaml-invalid", path.name, "wrong content", expected="keys with values", found=type(parsed).__name__)
         )
+    return parsed
+
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def validate(model: type[Model], parsed: dict, file: str) -> Model:
+    """The mapping as this closed model. CaptureError: unknown-key, missing-key, wrong-value."""
     try:
-        return CaptureFile.model_validate(parsed)
+        return model.model_validate(parsed)
     except ValidationError as e:
-        raise CaptureError([_explain(item, path.name) for item in e.errors()]) from e
+        raise CaptureError([_explain(item, file, model) for item in e.errors()]) from e
 
 
-def _explain(item: dict, file: str) -> Problem:
+def _explain(item: dict, file: str, model: type[BaseModel]) -> Problem:
     """One pydantic finding as a Problem, in the words of the file's author."""
     key = ".".join(str(part) for part in item["loc"])
     if item["type"] == "extra_forbidden":
-        known = _known_keys(item["loc"][:-1])
+        known = _known_keys(model, item["loc"][:-1])
         near = difflib.get_close_matches(str(item["loc"][-1]), known, n=1, cutoff=0.5)
         remedy = f"Did you mean '{near[0]}'?" if near else f"Known keys: {', '.join(known)}"
         return error("unknown-key", file, f"unknown key '{key}'", remedy=remedy)
@@ -165,8 +194,7 @@ def _explain(item: dict, file: str) -> Problem:
     return error("wrong-value", file, what, expected=message, found=_short(item["input"]) if key else "")
 
 
-def _known_keys(location: tuple) -> list[str]:
-    model = CaptureFile
+def _known_keys(model: type[BaseModel], location: tuple) -> list[str]:
     for part in location:
         annotation = model.model_fields[part].annotation if part in model.model_fields else None
         model = next((a for a in (annotation, *get_args(annotation)) if hasattr(a, "model_fields")), model)

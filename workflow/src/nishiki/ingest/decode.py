@@ -47,8 +47,8 @@ def decode(
         _mark_valid(codes[j, y], usable[y], saturated, clip, first, last, valid[j, y])
         gains, darks = np.empty(m, np.float32), np.empty(m, np.float32)
         for k in range(first, last):
-            _between_blocks(gain[j], k, rows[y], row_weights[y], cells, column_weights, gains)
-            _between_blocks(dark[j], k, rows[y], row_weights[y], cells, column_weights, darks)
+            between_blocks(gain[j], k, rows[y], row_weights[y], cells, column_weights, gains)
+            between_blocks(dark[j], k, rows[y], row_weights[y], cells, column_weights, darks)
             if not _all_known(gains):
                 _drop_unknown(gains, valid[j, y])
             target = out[j, y, :, 0 if reduced else k - first]
@@ -90,7 +90,7 @@ def _mark_valid(codes, usable, saturated, clip, first, last, valid):
 
 
 @njit(cache=True, error_model="numpy")
-def _between_blocks(field, k, row, row_weight, cells, weights, out):
+def between_blocks(field, k, row, row_weight, cells, weights, out):
     """Channel k of a grid field (r, c, channels) along one pixel row; NaN where a node is."""
     following = min(row + 1, field.shape[0] - 1)
     for c in range(len(cells) - 1):

@@ -1,0 +1,147 @@
+"""Tables of a turntable's geometry: projection matrices, and points of the object found in pictures."""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.capture.problems import CaptureError, Problem, error, raise_errors
+from nishiki.errors import UserError
+from nishiki.geometry.camera import Camera
+
+MATRIX_COLUMNS = tuple(f"p{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3, 4))
+POINT_COLUMNS = ("view", "column", "row", "x", "y", "z")
+FEWEST_POINTS = 4
+LARGEST_STEP = 1.6  # of the median: a turn closes where its last step is like the others
+
+
+@dataclass(frozen=True)
+class Turn:
+    """Whether the views go once round, and the smallest, median and largest step in radians (the closing one last)."""
+
+    full: bool
+    steps: np.ndarray
+
+
+def read_cameras(path: Path, name: str) -> dict[str, np.ndarray]:
+    """Projection matrices (3, 4) float64 by view, from columns view, p11 ... p34 (row by row).
+
+    Raises CaptureError with every mistake: cameras-missing, cameras-unreadable, cameras-columns, camera-values,
+    camera-not-finite, camera-singular, camera-duplicate.
+    """
+    matrices: dict[str, np.ndarray] = {}
+    problems: list[Problem] = []
+    rows = _rows(path, name, "cameras")
+    expected = "view, then the 12 numbers p11 ... p34 of the 3x4 matrix, row by row"
+    if not rows or [c.casefold() for c in rows[0][1]] != ["view", *MATRIX_COLUMNS]:
+        found = ",".join(rows[0][1])[:90] if rows else "no heading"
+        raise CaptureError(error("cameras-columns", name, "columns", expected=expected, found=found))
+    for number, cells in rows[1:]:
+        where = f"{name} row {number}"
+        values = _numbers(cells[1:])
+        if len(cells) != 13 or values is None:
+            found = f"{len(cells) - 1} values" if len(cells) != 13 else ",".join(cells)[:60]
+            problems.append(error("camera-values", where, "camera matrix", expected="12 numbers", found=found))
+            continue
+        view, matrix = cells[0], np.array(values).reshape(3, 4)
+        if view in matrices:
+            what = f"view '{view}' has two cameras"
+            problems.append(error("camera-duplicate", where, what, remedy="Keep one row a view"))
+        problems += camera_problems(view, matrix, where)
+        matrices[view] = matrix
+    raise_errors(problems)
+    return matrices
+
+
+def camera_problems(view: str, matrix: np.ndarray, where: str) -> list[Problem]:
+    """Whether a 3x4 matrix is a camera at a finite place: finite, with a regular left part."""
+    if not np.isfinite(matrix).all():
+        found = f"{int((~np.isfinite(matrix)).sum())} of 12 values are not finite"
+        return [error("camera-not-finite", where, f"camera of view '{view}'", expected="12 numbers", found=found)]
+    try:
+        Camera.from_matrix(view, matrix, rows=1, columns=1)
+    except UserError:
+        what = f"camera of view '{view}' is singular"
+        remedy = "A 3x4 matrix K [R t] of a perspective camera is expected, row by row"
+        return [error("camera-singular", where, what, remedy=remedy)]
+    return []
+
+
+def read_points(path: Path, name: str, views: tuple[str, ...]) -> dict[str, np.ndarray]:
+    """Image points with their places on the object, by view: (points, 5) float64 column, row, x, y, z.
+
+    Raises CaptureError: points-missing, points-unreadable, points-columns, points-values, points-view, points-few.
+    """
+    rows = _rows(path, name, "points")
+    if not rows or tuple(c.casefold() for c in rows[0][1]) != POINT_COLUMNS:
+        found = ",".join(rows[0][1])[:90] if rows else "no heading"
+        raise CaptureError(error("points-columns", name, "columns", expected=",".join(POINT_COLUMNS), found=found))
+    found_points: dict[str, list] = {}
+    problems: list[Problem] = []
+    for number, cells in rows[1:]:
+        where, values = f"{name} row {number}", _numbers(cells[1:])
+        if len(cells) != 6 or values is None or not all(map(math.isfinite, values)):
+            expected, found = "a view and 5 finite numbers", ",".join(cells)[:60]
+            problems.append(error("points-values", where, "point", expected=expected, found=found))
+            continue
+        if cells[0] not in views:
+            remedy = "Name the view as frames.csv does"
+            problems.append(error("points-view", where, f"no view '{cells[0]}'", remedy=remedy))
+        found_points.setdefault(cells[0], []).append(values)
+    if not problems:
+        for view in views:
+            count = len(found_points.get(view, ()))
+            if count < FEWEST_POINTS:
+                expected, remedy = f"at least {FEWEST_POINTS}", "Mark more points of the object in this view"
+                what = f"points in view '{view}'"
+                problems.append(error("points-few", name, what, expected=expected, found=str(count), remedy=remedy))
+    raise_errors(problems)
+    return {view: np.array(points) for view, points in found_points.items()}
+
+
+def camera_centre(matrix: np.ndarray) -> np.ndarray:
+    """(3,) place of the camera of a 3x4 matrix: the point that it maps to zero."""
+    return -np.linalg.solve(matrix[:, :3], matrix[:, 3])
+
+
+def turn_of(centres: np.ndarray) -> Turn:
+    """Whether cameras at these places (views, 3), in this order, go once round the object at about equal steps.
+
+    Angles are taken round the mean of the places in the plane that they lie in best. Full: all steps in one sense,
+    together one turn, and none, the closing one included, above 1.6 times their median.
+    """
+    centres = np.asarray(centres, np.float64)
+    if len(centres) < 3:
+        return Turn(False, np.zeros(0))
+    offset = centres - centres.mean(axis=0)
+    _, _, axes = np.linalg.svd(offset, full_matrices=False)
+    plane = offset @ axes[:2].T
+    angles = np.arctan2(plane[:, 1], plane[:, 0])
+    steps = np.mod(np.diff(angles, append=angles[:1]) + np.pi, 2 * np.pi) - np.pi
+    steps = steps if steps.sum() >= 0 else -steps
+    once = abs(steps.sum() - 2 * np.pi) < 1e-6 and bool((steps > 0).all())
+    return Turn(once and bool(steps.max() <= LARGEST_STEP * np.median(steps)), steps)
+
+
+def _rows(path: Path, name: str, kind: str) -> list[tuple[int, list[str]]]:
+    """Lines of a table that are neither empty nor comments, with their numbers."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError as e:
+        raise CaptureError(error(f"{kind}-missing", name, "file is missing")) from e
+    except UnicodeDecodeError as e:
+        raise CaptureError(error(f"{kind}-unreadable", name, "not UTF-8 text")) from e
+    lines = enumerate(text.splitlines(), start=1)
+    kept = [(number, line) for number, line in lines if line.strip() and not line.lstrip().startswith("#")]
+    return [(number, [cell.strip() for cell in next(csv.reader([line]))]) for number, line in kept]
+
+
+def _numbers(cells: list[str]) -> list[float] | None:
+    try:
+        return [float(cell) for cell in cells]
+    except ValueError:
+        return None

@@ -1,0 +1,68 @@
+"""States of the polarisers of one photograph, and whether the states of a capture can be separated."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from nishiki.capture.problems import CaptureError, Problem, error
+
+Kind = Literal["none", "circular", "linear", "generator"]
+MEANS = {
+    "none": "no polariser",
+    "circular": "circular polarisers off or on",
+    "linear": "analyser angle",
+    "generator": "generator/analyser angles",
+}
+
+
+@dataclass(frozen=True)
+class State:
+    """name: canonical ('' | 'off' | 'on' | '45' | '0/90'); angles_deg: analyser, or generator and analyser."""
+
+    name: str
+    kind: Kind
+    angles_deg: tuple[float, ...] = ()
+
+
+def parse_state(text: str, where: str = "polariser") -> State:
+    """State from a cell of frames.csv. CaptureError (polariser-unknown) where it is none."""
+    text = text.strip()
+    if not text:
+        return State("", "none")
+    if text in ("off", "on"):
+        return State(text, "circular")
+    parts = text.split("/")
+    try:
+        angles = tuple(float(part) for part in parts)
+    except ValueError:
+        angles = ()
+    if len(angles) in (1, 2) and all(math.isfinite(a) and abs(a) <= 360 for a in angles):
+        return State("/".join(f"{a + 0.0:g}" for a in angles), "linear" if len(angles) == 1 else "generator", angles)
+    near = difflib.get_close_matches(text.casefold(), ("off", "on"), n=1, cutoff=0.6)
+    remedy = f"Did you mean '{near[0]}'?" if near else "Angles are in degrees, at most 360"
+    expected = "empty, off, on, an analyser angle (45), or generator/analyser angles (0/90)"
+    raise CaptureError(
+        error("polariser-unknown", where, "polariser state", expected=expected, found=repr(text), remedy=remedy)
+    )
+
+
+def kind_of(states: tuple[str, ...]) -> Kind:
+    """Kind of a capture's states, which are all of one kind."""
+    return parse_state(states[0]).kind if states else "none"
+
+
+def state_problems(states: tuple[str, ...], file: str) -> list[Problem]:
+    """Whether these states belong together: all of one kind, and circular ones both off and on."""
+    kinds = {parse_state(name).kind for name in states}
+    if len(kinds) > 1:
+        found = ", ".join(MEANS[kind] for kind in sorted(kinds))
+        remedy = "Give every sample frame a state of the same kind, or make two captures"
+        return [error("polariser-mixed", file, "polariser states of several kinds", found=found, remedy=remedy)]
+    if kinds == {"circular"} and len(states) == 1:
+        other = "on" if states[0] == "off" else "off"
+        remedy = f"Photograph every view with the polariser {other} too, or leave the column empty"
+        return [error("polariser-pair", file, f"polariser only '{states[0]}'", expected="off and on", remedy=remedy)]
+    return []

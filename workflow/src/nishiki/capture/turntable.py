@@ -1,0 +1,232 @@
+"""A capture of an object from many sides, or of one view under several polariser states, as one frozen value."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.capture.cameras import read_cameras, read_points
+from nishiki.capture.frames import Frame, inside
+from nishiki.capture.headers import read_header
+from nishiki.capture.lights import Lights, read_lights
+from nishiki.capture.polariser import kind_of
+from nishiki.capture.problems import CaptureError, Problem, error
+from nishiki.capture.spectra_tables import Curves
+from nishiki.capture.turntable_rules import turntable_problems
+from nishiki.capture.turntable_schema import Intrinsics, TurntableFile, read_intrinsics
+
+MESHES = (".ply", ".obj")
+
+
+@dataclass(frozen=True)
+class TurntableCapture:
+    """root: the folder; payload: where capture.yaml lies (root, or root/data of a sealed one).
+
+    frames: every photograph, in the order of frames.csv; views, light_names, states: of the sample frames in the order
+    in which they first appear, ('',) where the column is empty, but 'off' before 'on'; lights: the lamps of the lights
+    file, or None; matrices: (3, 4) float64 by view, or None; points: (n, 5) float64 column, row, x, y, z by view, or
+    None; scans, mesh, calibration: files; warnings: what was tolerated.
+    """
+
+    root: Path
+    payload: Path
+    settings: TurntableFile
+    frames: tuple[Frame, ...]
+    views: tuple[str, ...]
+    light_names: tuple[str, ...]
+    states: tuple[str, ...]
+    lights: Lights | None
+    matrices: dict[str, np.ndarray] | None
+    points: dict[str, np.ndarray] | None
+    intrinsics: Intrinsics | None
+    mesh: Path | None
+    scans: tuple[Path, ...]
+    calibration: Path | None
+    sensitivities: Curves | None
+    illuminant: Curves | str | None
+    warnings: tuple[Problem, ...]
+
+    @property
+    def geometry(self) -> str:
+        return self.settings.geometry
+
+    @property
+    def sealed(self) -> bool:
+        return (self.root / "bagit.txt").is_file()
+
+    @property
+    def observed(self) -> tuple[Frame, ...]:
+        """Frames of the object, ordered by light, then view, then polariser state: how observations are numbered."""
+        found = {(f.light, f.view, f.polariser): f for f in self.frames_of("sample")}
+        return tuple(found[i, j, k] for i in self.light_names for j in self.views for k in self.states)
+
+    def frames_of(self, role: str) -> tuple[Frame, ...]:
+        return tuple(f for f in self.frames if f.role == role)
+
+    def silhouette_of(self, view: str) -> Frame | None:
+        """The frame whose row names the silhouette of this view."""
+        return next((f for f in self.frames if f.view == view and f.silhouette_path), None)
+
+
+@dataclass(frozen=True)
+class TurntableFacts:
+    """What a plan has to know. lights, states: ('',) where unnamed or none; boards: calibration pictures, view_boards:
+    one for every view; white_states: polariser states of white boards, '' for none; scans: how many."""
+
+    geometry: str
+    views: tuple[str, ...]
+    lights: tuple[str, ...]
+    states: tuple[str, ...]
+    polarisation: str
+    white_states: tuple[str, ...]
+    white_board: bool
+    lamp: str
+    full_turn: bool
+    unit: str
+    cameras: bool
+    boards: int
+    view_boards: bool
+    correspondences: bool
+    intrinsics: bool
+    mesh: bool
+    scans: int
+    silhouettes: bool
+    channels: int
+    rows: int
+    columns: int
+    encoding: str
+    has_sensitivities: bool
+    has_illuminant: bool
+
+    @property
+    def pixels(self) -> int:
+        """Of one photograph."""
+        return self.rows * self.columns
+
+
+def turntable_facts(capture: TurntableCapture) -> TurntableFacts:
+    """Facts of a loaded capture; one photograph's header is read, none is decoded."""
+    block, camera = capture.settings.turntable, capture.settings.camera
+    first = capture.observed[0]
+    header = read_header(first.path, name=first.file)
+    boards = capture.frames_of("board")
+    whites = tuple(dict.fromkeys(f.polariser for f in capture.frames_of("white")))
+    return TurntableFacts(
+        geometry=capture.geometry,
+        views=capture.views,
+        lights=capture.light_names,
+        states=capture.states,
+        polarisation=kind_of(capture.states),
+        white_states=whites,
+        white_board="" in whites,
+        lamp=capture.settings.lights.kind if capture.settings.lights else "unknown",
+        full_turn=block.full_turn,
+        unit=block.unit,
+        cameras=capture.matrices is not None,
+        boards=len(boards),
+        view_boards={f.view for f in boards} >= set(capture.views),
+        correspondences=capture.points is not None,
+        intrinsics=capture.intrinsics is not None,
+        mesh=capture.mesh is not None,
+        scans=len(capture.scans),
+        silhouettes=all(capture.silhouette_of(view) for view in capture.views),
+        channels=len(camera.channels),
+        rows=header.rows,
+        columns=header.columns,
+        encoding=camera.encoding,
+        has_sensitivities=capture.sensitivities is not None,
+        has_illuminant=capture.illuminant is not None,
+    )
+
+
+def examine_turntable(
+    root: Path,
+    payload: Path,
+    settings: TurntableFile,
+    frames: tuple[Frame, ...] | None,
+    spectra: tuple[Curves | None, Curves | str | None],
+    attempt: Callable,
+) -> tuple[TurntableCapture | None, list[Problem]]:
+    """The capture (None where its tables cannot be read) and what is wrong with how its tables fit together.
+
+    spectra: sensitivities and illuminant; attempt: runs a reader, collecting the problems that it raises.
+    """
+    block = settings.turntable
+    places = {(key, file): attempt(lambda f=file, k=key: inside(payload, f, f"capture.yaml {k}"))
+              for key, file in block.files}  # fmt: skip
+
+    def named(key: str) -> Path | None:
+        return places.get((f"turntable.{key}", getattr(block, key)))
+
+    def read(key: str, reader: Callable):
+        return attempt(lambda: reader(named(key), getattr(block, key))) if named(key) else None
+
+    for (key, file), path in places.items():
+        if path is not None and key in ("turntable.mesh", "turntable.scans"):
+            attempt(lambda k=key, f=file: expect_mesh(f, f"capture.yaml {k}", scan=k.endswith("scans")))
+    lights = _lights(payload, settings, attempt)
+    matrices, intrinsics = read("cameras", read_cameras), read("intrinsics", read_intrinsics)
+    if frames is None:
+        return None, []
+    frames = _lamps_named(frames, lights)
+    samples = [f for f in frames if f.role == "sample"]
+    views = tuple(dict.fromkeys(f.view for f in samples))
+    points = read("correspondences", lambda path, name: read_points(path, name, views))
+    problems = turntable_problems(frames, views, lights, matrices, settings)
+    capture = TurntableCapture(
+        root=root,
+        payload=payload,
+        settings=settings,
+        frames=frames,
+        views=views,
+        light_names=tuple(dict.fromkeys(f.light for f in samples)),
+        states=_ordered(tuple(dict.fromkeys(f.polariser for f in samples))),
+        lights=lights,
+        matrices=matrices,
+        points=points,
+        intrinsics=intrinsics,
+        mesh=named("mesh"),
+        scans=tuple(path for (key, _), path in places.items() if key == "turntable.scans" and path),
+        calibration=named("calibration"),
+        sensitivities=spectra[0],
+        illuminant=spectra[1],
+        warnings=tuple(p for p in (*problems, *(lights.warnings if lights else ())) if p.severity == "warning"),
+    )
+    return capture, problems + list(lights.warnings if lights else ())
+
+
+def _lamps_named(frames: tuple[Frame, ...], lights: Lights | None) -> tuple[Frame, ...]:
+    """Frames with their lamps called as in the lights file; a single lamp need not be named."""
+    if lights is None:
+        return frames
+    alone = lights.names[0] if len(lights.names) == 1 else ""
+
+    def called(frame: Frame) -> str:
+        place = lights.index(frame.light) if frame.light else None
+        return lights.names[place] if place is not None else frame.light or alone
+
+    return tuple(replace(f, light=called(f)) if f.role in ("sample", "white") else f for f in frames)
+
+
+def _ordered(states: tuple[str, ...]) -> tuple[str, ...]:
+    """'off' before 'on', so that the first state is the brighter one; others as in the table."""
+    return tuple(sorted(states)) if set(states) == {"off", "on"} else states
+
+
+def _lights(payload: Path, settings: TurntableFile, attempt: Callable) -> Lights | None:
+    if settings.lights is None or settings.lights.file is None:
+        return None
+    file, kind = settings.lights.file, settings.lights.kind
+    path = attempt(lambda: inside(payload, file, "capture.yaml lights.file"))
+    return attempt(lambda: read_lights(path, kind=kind, frontal=False)) if path else None
+
+
+def expect_mesh(file: str, where: str, *, scan: bool) -> None:
+    """CaptureError (mesh-format) unless the file's suffix is that of a mesh that can be read."""
+    known = MESHES[:1] if scan else MESHES
+    if Path(file).suffix.lower() not in known:
+        what, remedy = "mesh file", "Convert it, for example with MeshLab"
+        raise CaptureError(error("mesh-format", where, what, expected=" or ".join(known), found=file, remedy=remedy))

@@ -1,0 +1,202 @@
+"""Folders of turntables and polarisation series as other projects leave them: which camera took which picture."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.capture.cameras import camera_centre, camera_problems, turn_of
+from nishiki.capture.headers import IMAGE_SUFFIXES
+from nishiki.capture.layouts import natural_key, photographs_in
+from nishiki.capture.polariser import parse_state
+from nishiki.capture.problems import CaptureError, Problem, error, raise_errors, warning
+from nishiki.capture.seal import sha256_of
+
+STATES = re.compile(r"(\d+(?:\.\d+)?)_(\d+(?:\.\d+)?)")
+FEWEST_STATES = 3
+
+
+@dataclass(frozen=True)
+class RoundLayout:
+    """photographs[i] shows views[i] in the polariser state states[i] ('' for none); matrices (views, 3, 4) or None;
+    calibration: the instrument's own file, or None."""
+
+    name: str
+    photographs: tuple[Path, ...]
+    views: tuple[str, ...]
+    states: tuple[str, ...]
+    matrices: np.ndarray | None
+    full_turn: bool
+    calibration: Path | None
+    warnings: tuple[Problem, ...]
+
+
+def recognise_round(source: Path) -> RoundLayout | None:
+    """The turntable or polarisation series in a folder, known by the files inside; None where it is neither.
+
+    A turntable: numbered photographs with a MATLAB file that holds a cell array P of 3x4 projection matrices, or with a
+    list of cameras as the Middlebury multi-view sets have it (`*_par.txt`). A polarisation series: photographs named
+    G_A, the angles of generator and analyser in degrees. Raises CaptureError where one is recognised but not whole.
+    """
+    photographs = photographs_in(source)
+    lists = [path for path in sorted(source.glob("*.txt")) if _is_camera_list(path)]
+    if lists:
+        return _middlebury(source, _only(lists, source))
+    if not photographs:
+        return None
+    stored = {path: matrices for path in sorted(source.glob("*.mat")) if (matrices := _matrices_in(path)) is not None}
+    if stored:
+        path = _only(list(stored), source)
+        return _numbered(source, photographs, stored[path], path)
+    if len(photographs) >= FEWEST_STATES and all(STATES.fullmatch(p.stem) for p in photographs):
+        return _series(source, photographs)
+    return None
+
+
+def _only(paths: list[Path], source: Path) -> Path:
+    if len(paths) > 1:
+        found = ", ".join(p.name for p in paths)
+        what, remedy = "several files of cameras", "Keep the one that belongs to these photographs"
+        raise CaptureError(error("layout-unknown", str(source), what, found=found, remedy=remedy))
+    return paths[0]
+
+
+def _matrices_in(path: Path) -> np.ndarray | None:
+    """Projection matrices (views, 3, 4) float64 of a MATLAB file's variable P: a cell array, or one array of them all.
+
+    None where the file has no such variable. CaptureError (cameras-unreadable) where it is no MATLAB file of level 5.
+    """
+    from scipy.io import loadmat
+
+    try:
+        stored = loadmat(path).get("P")
+    except (ValueError, NotImplementedError, OSError, TypeError, EOFError) as e:
+        remedy = "Save it with -v7 in MATLAB, or write cameras.csv by hand"
+        what = "MATLAB file cannot be read"
+        raise CaptureError(error("cameras-unreadable", path.name, what, found=str(e)[:80], remedy=remedy)) from e
+    if stored is None:
+        return None
+    if stored.dtype == object:
+        cells = list(stored.ravel())
+    elif stored.ndim == 3 and stored.shape[:2] == (3, 4):
+        cells = list(np.moveaxis(stored, 2, 0))
+    else:
+        return None
+    problems = []
+    for i, cell in enumerate(cells):
+        if np.shape(cell) != (3, 4) or np.asarray(cell).dtype.kind not in "fiu":
+            found = " x ".join(map(str, np.shape(cell)))
+            where = f"{path.name} P{{{i + 1}}}"
+            problems.append(error("camera-values", where, "camera matrix", expected="3 x 4 numbers", found=found))
+    raise_errors(problems)
+    return np.array(cells, np.float64)
+
+
+def _numbered(source: Path, photographs: list[Path], matrices: np.ndarray, path: Path) -> RoundLayout:
+    """Photographs in the natural order of their names, one a matrix; a last one that repeats the first is left out."""
+    notes = []
+    repeated = len(photographs) > 2 and sha256_of(photographs[0]) == sha256_of(photographs[-1])
+    if len(photographs) == len(matrices) + 1 or (repeated and len(photographs) == len(matrices)):
+        what = "the last photograph closes the turn and was left out"
+        found = "it repeats the first" if repeated else f"{len(matrices)} matrices for {len(photographs)} photographs"
+        remedy = "" if repeated else "Check that the first matrix belongs to the first photograph"
+        notes.append(warning("photograph-repeats", photographs[-1].name, what, found=found, remedy=remedy))
+        photographs = photographs[:-1]
+        matrices = matrices[: len(photographs)]
+    if len(photographs) != len(matrices):
+        expected, found = f"{len(matrices)}, one a matrix of {path.name}", f"{len(photographs)}"
+        remedy = "Move other pictures away"
+        raise CaptureError(
+            error("photographs-count", str(source), "photographs", expected=expected, found=found, remedy=remedy)
+        )
+    what = "matrices have no file names: given to the photographs in the natural order of their names"
+    found = f"{photographs[0].name} ... {photographs[-1].name}"
+    notes.append(warning("cameras-in-order", path.name, what, found=found))
+    return _turntable("turntable with matrices", photographs, matrices, path.name, None, notes)
+
+
+def _is_camera_list(path: Path) -> bool:
+    """A count, then as many lines of a picture's name and 21 numbers."""
+    if path.stat().st_size > 1 << 22:
+        return False
+    lines = [line.split() for line in path.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
+    if len(lines) < 2 or len(lines[0]) != 1 or not lines[0][0].isdigit():
+        return False
+    return Path(lines[1][0]).suffix.lower() in IMAGE_SUFFIXES and len(lines[1]) > 12
+
+
+def _middlebury(source: Path, path: Path) -> RoundLayout:
+    """Lines `name k11 ... k33 r11 ... r33 t1 t2 t3`: the camera is K [R t]."""
+    lines = [line.split() for line in path.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
+    problems, notes, photographs, matrices = [], [], [], []
+    present = {p.name: p for p in source.iterdir() if p.is_file()}
+    for number, cells in enumerate(lines[1:], start=2):
+        where = f"{path.name} line {number}"
+        try:
+            values = np.array([float(cell) for cell in cells[1:]])
+        except ValueError:
+            values = np.zeros(0)
+        if len(values) != 21:
+            found = f"{len(cells) - 1} values" if len(values) or len(cells) != 22 else "a value that is no number"
+            expected = "a name and 21 numbers"
+            problems.append(error("camera-values", where, "camera", expected=expected, found=found))
+            continue
+        if cells[0] not in present:
+            problems.append(error("photograph-missing", where, f"no photograph '{cells[0]}'"))
+            continue
+        intrinsics, rotation, translation = values[:9].reshape(3, 3), values[9:18].reshape(3, 3), values[18:]
+        photographs.append(present[cells[0]])
+        matrices.append(intrinsics @ np.column_stack([rotation, translation]))
+    if int(lines[0][0]) != len(lines) - 1:
+        expected, found = f"{lines[0][0]} as its first line says", f"{len(lines) - 1}"
+        problems.append(error("cameras-count", path.name, "cameras", expected=expected, found=found))
+    raise_errors(problems)
+    extra = [p.name for p in photographs_in(source) if p not in photographs]
+    if extra:
+        what, found = "pictures that the cameras do not name were left out", ", ".join(extra[:5])
+        notes.append(warning("photograph-unlisted", str(source), what, found=found))
+    return _turntable("turntable with a list of cameras", photographs, np.array(matrices), path.name, None, notes)
+
+
+def _turntable(
+    name: str, photographs: list[Path], matrices: np.ndarray, file: str, calibration: Path | None, notes: list[Problem]
+) -> RoundLayout:
+    """A layout with its cameras checked, and whether they go once round."""
+    views = view_names(photographs)
+    raise_errors([p for view, m in zip(views, matrices, strict=True) for p in camera_problems(view, m, file)])
+    turn = turn_of(np.array([camera_centre(m) for m in matrices]))
+    states = ("",) * len(views)
+    return RoundLayout(name, tuple(photographs), views, states, matrices, turn.full, calibration, tuple(notes))
+
+
+def view_names(photographs: list[Path]) -> tuple[str, ...]:
+    """The file names without suffix; numbered where two are the same."""
+    stems = [p.stem for p in photographs]
+    return tuple(stems) if len(set(stems)) == len(stems) else tuple(f"{i + 1:03d}" for i in range(len(stems)))
+
+
+def _series(source: Path, photographs: list[Path]) -> RoundLayout:
+    """One view in many states; a MATLAB file beside the photographs is the instrument's calibration."""
+    pairs = [STATES.fullmatch(p.stem).groups() for p in photographs]
+    states = [parse_state(f"{generator}/{analyser}").name for generator, analyser in pairs]
+    if len(set(states)) != len(states):
+        found = next(state for state in states if states.count(state) > 1)
+        raise CaptureError(error("photograph-repeats", str(source), "two photographs of one state", found=found))
+    order = sorted(range(len(states)), key=lambda i: parse_state(states[i]).angles_deg)
+    notes, calibrations = [], sorted(source.glob("*.mat"), key=natural_key)
+    generators, analysers = ({angles[k] for angles in (parse_state(s).angles_deg for s in states)} for k in (0, 1))
+    if len(states) != len(generators) * len(analysers):
+        expected, found = f"{len(generators)} x {len(analysers)} states", f"{len(states)}"
+        what = "not every generator angle was photographed with every analyser angle"
+        notes.append(warning("states-incomplete", str(source), what, expected=expected, found=found))
+    if len(calibrations) > 1:
+        found = ", ".join(p.name for p in calibrations)
+        what, remedy = "several calibration files; none was taken along", "Put the right one into turntable.calibration"
+        notes.append(warning("calibration-several", str(source), what, found=found, remedy=remedy))
+    calibration = calibrations[0] if len(calibrations) == 1 else None
+    chosen, ordered = tuple(photographs[i] for i in order), tuple(states[i] for i in order)
+    views = ("",) * len(states)
+    return RoundLayout("polarisation series", chosen, views, ordered, None, False, calibration, tuple(notes))

@@ -1,0 +1,255 @@
+"""Whether the tables of a turntable capture belong together: frames, views, lamps, polariser states, cameras."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+
+from nishiki.capture.cameras import camera_centre, turn_of
+from nishiki.capture.frames import Frame
+from nishiki.capture.lights import Lights
+from nishiki.capture.polariser import state_problems
+from nishiki.capture.problems import Problem, error, warning
+from nishiki.capture.turntable_schema import TurntableFile
+
+TABLE = "frames.csv"
+
+
+def turntable_problems(
+    frames: tuple[Frame, ...],
+    views: tuple[str, ...],
+    lights: Lights | None,
+    matrices: dict[str, np.ndarray] | None,
+    settings: TurntableFile,
+) -> list[Problem]:
+    """Everything wrong with how the tables fit together."""
+    samples = [f for f in frames if f.role == "sample"]
+    if not samples:
+        remedy = "Photographs of the object have the role sample"
+        return [error("samples-none", TABLE, "no photograph of the object", remedy=remedy)]
+    return [
+        *_view_problems(frames, views),
+        *_light_problems(frames, lights, settings),
+        *_grid_problems(samples, views),
+        *_white_problems(frames),
+        *_silhouette_problems(samples, views),
+        *_camera_problems(views, matrices, settings),
+        *_board_problems(frames, views, settings),
+        *_pose_problems(frames, views, settings),
+        *_exposure_problems(frames),
+    ]
+
+
+def _row(frame: Frame) -> str:
+    return f"{TABLE} row {frame.row}"
+
+
+def _view_problems(frames: tuple[Frame, ...], views: tuple[str, ...]) -> list[Problem]:
+    problems = []
+    several = len(views) > 1
+    for frame in frames:
+        if frame.role == "sample" and several and not frame.view:
+            remedy = "Give every sample frame the name of its view, in the order of the turn"
+            problems.append(error("view-empty", _row(frame), "a sample frame needs its view", remedy=remedy))
+        if frame.role == "board" and frame.view and frame.view not in views:
+            what = f"no sample frame shows view '{frame.view}'"
+            remedy = "Name the view as its sample frame does, or leave it empty for a picture of the board alone"
+            problems.append(error("view-unknown", _row(frame), what, remedy=remedy))
+        if frame.role in ("dark", "white") and frame.view:
+            what, remedy = f"a {frame.role} frame has no view", "Leave the column empty: it serves all views"
+            problems.append(error("view-unexpected", _row(frame), what, found=repr(frame.view), remedy=remedy))
+        if frame.role in ("dark", "board") and frame.polariser:
+            what = f"a {frame.role} frame has no polariser state"
+            problems.append(error("polariser-unexpected", _row(frame), what, found=repr(frame.polariser)))
+    return problems
+
+
+def _light_problems(frames: tuple[Frame, ...], lights: Lights | None, settings: TurntableFile) -> list[Problem]:
+    """Lamps named in the frames against those of the lights file; without a file, all named or none."""
+    lit = [f for f in frames if f.role in ("sample", "white")]
+    problems = []
+    if settings.lights is None or settings.lights.file is None:
+        names = {f.light for f in lit}
+        if "" in names and len(names) > 1:
+            frame = next(f for f in lit if not f.light)
+            remedy = "Name the lamp of every sample and white frame, or of none"
+            problems.append(error("light-empty", _row(frame), f"a {frame.role} frame needs its light", remedy=remedy))
+        return problems
+    if lights is None:
+        return problems  # its own mistakes are reported already
+    for frame in lit:
+        if not frame.light:
+            what, remedy = f"a {frame.role} frame needs its light", "Name it as in the lights"
+            problems.append(error("light-empty", _row(frame), what, remedy=remedy))
+        if frame.light and lights.index(frame.light) is None:
+            what, remedy = f"light '{frame.light}' is not in the lights", "Add it to the lights, or correct the name"
+            problems.append(error("frame-without-light", _row(frame), what, remedy=remedy))
+    seen = {lights.index(f.light) for f in lit if f.role == "sample"}
+    for place, name in enumerate(lights.names):
+        if place not in seen:
+            what, remedy = f"light '{name}' has no photograph", f"Add its rows to {TABLE}, or remove the light"
+            problems.append(error("light-without-frame", settings.lights.file, what, remedy=remedy))
+    return problems
+
+
+def _grid_problems(samples: list[Frame], views: tuple[str, ...]) -> list[Problem]:
+    """Every view under every lamp in every polariser state, once."""
+    states = tuple(dict.fromkeys(f.polariser for f in samples))
+    lights = tuple(dict.fromkeys(f.light for f in samples))
+    problems = state_problems(states, TABLE)
+    counts = Counter((f.light, f.view, f.polariser) for f in samples)
+    last = {(f.light, f.view, f.polariser): f for f in samples}
+    for key, count in counts.items():
+        if count > 1:
+            found, remedy = f"{count} frames of {_said(*key)}", "Keep one frame of each view, light and polariser state"
+            problems.append(error("frame-repeated", _row(last[key]), "one frame each", found=found, remedy=remedy))
+    if any(p.kind == "polariser-mixed" for p in problems):
+        return problems
+    for light in lights:
+        for view in views:
+            lacking = [state for state in states if (light, view, state) not in counts]
+            if len(lacking) == len(states):
+                what = f"view '{view}' has no frame under light '{light}'"
+                remedy = "Photograph every view under every light"
+                problems.append(error("light-missing", TABLE, what, remedy=remedy))
+            elif lacking:
+                found = ", ".join(repr(state) for state in lacking[:4])
+                what, remedy = f"{_said(light, view, None)} lacks a polariser state", "Photograph it in every state"
+                expected = f"{len(states)} states"
+                problems.append(
+                    error("polariser-missing", TABLE, what, expected=expected, found=f"no {found}", remedy=remedy)
+                )
+    return problems
+
+
+def _said(light: str, view: str, state: str | None) -> str:
+    parts = [f"view '{view}'"] + ([f"light '{light}'"] if light else []) + ([f"polariser '{state}'"] if state else [])
+    return ", ".join(parts)
+
+
+def _white_problems(frames: tuple[Frame, ...]) -> list[Problem]:
+    """White boards: in states that the sample has, or without one; the normalising ones under every lamp."""
+    whites = [f for f in frames if f.role == "white"]
+    samples = [f for f in frames if f.role == "sample"]
+    states, lights = {f.polariser for f in samples}, tuple(dict.fromkeys(f.light for f in samples))
+    problems = []
+    for frame in whites:
+        if frame.polariser and frame.polariser not in states:
+            what, remedy = f"no sample frame has the polariser state '{frame.polariser}'", "Correct or remove the row"
+            problems.append(error("white-state", _row(frame), what, remedy=remedy))
+    plain = [f for f in whites if not f.polariser]
+    for light in lights if plain else ():
+        count = sum(f.light == light for f in plain)
+        if count == 0:
+            what = f"light '{light}' has no white frame"
+            remedy = "Photograph the board under every light, or list no white frames at all"
+            problems.append(error("white-missing", TABLE, what, remedy=remedy))
+        if count > 1:
+            found = f"{count} under light '{light}'"
+            problems.append(error("light-repeated", TABLE, "one white frame a light", found=found))
+    kept = {f.polariser for f in whites if f.polariser}
+    if kept and kept != states:
+        lacking = ", ".join(repr(state) for state in sorted(states - kept)[:4])
+        what, remedy = "white boards lack a polariser state", "Photograph the board in every state"
+        problems.append(error("white-missing", TABLE, what, found=f"no {lacking}", remedy=remedy))
+    return problems
+
+
+def _silhouette_problems(samples: list[Frame], views: tuple[str, ...]) -> list[Problem]:
+    problems = []
+    given: dict[str, set[str]] = {view: set() for view in views}
+    for frame in samples:
+        if frame.silhouette:
+            given[frame.view].add(frame.silhouette)
+    for view, files in given.items():
+        if len(files) > 1:
+            found, remedy = (
+                ", ".join(sorted(files)[:3]),
+                "Name the same file in all rows of the view, or in one of them",
+            )
+            what = f"view '{view}' has several silhouettes"
+            problems.append(error("silhouette-several", TABLE, what, found=found, remedy=remedy))
+    without = [view for view, files in given.items() if not files]
+    if without and len(without) < len(views):
+        found = f"{len(without)} of {len(views)} views without, the first '{without[0]}'"
+        remedy = "They are found from the pictures for the others; give all, or none"
+        problems.append(warning("silhouette-partial", TABLE, "silhouettes of some views", found=found, remedy=remedy))
+    return problems
+
+
+def _camera_problems(
+    views: tuple[str, ...], matrices: dict[str, np.ndarray] | None, settings: TurntableFile
+) -> list[Problem]:
+    if matrices is None:
+        return []
+    file, problems = settings.turntable.cameras, []
+    for view in views:
+        if view not in matrices:
+            remedy = "Add its row to the cameras, or remove its photographs"
+            problems.append(error("view-without-camera", file, f"view '{view}' has no camera", remedy=remedy))
+    for view in matrices:
+        if view not in views:
+            remedy = f"Add its photograph to {TABLE}, or remove the camera"
+            problems.append(error("camera-without-view", file, f"view '{view}' has no photograph", remedy=remedy))
+    if problems or len(views) < 3:
+        return problems
+    turn = turn_of(np.array([camera_centre(matrices[view]) for view in views]))
+    if settings.turntable.full_turn and not turn.full:
+        found = f"steps of {np.degrees(turn.steps.min()):.1f} to {np.degrees(turn.steps.max()):.1f} degrees"
+        what, expected = "full_turn is true but the cameras do not go once round at about equal steps", "equal steps"
+        remedy = f"List the views in the order of the turn in {TABLE}, or set full_turn: false"
+        problems.append(warning("turn-uneven", "capture.yaml turntable.full_turn", what,
+                                expected=expected, found=found, remedy=remedy))  # fmt: skip
+    if turn.full and not settings.turntable.full_turn:
+        remedy = "Set full_turn: true: the residual is then coded as periodic over the views"
+        what = "the cameras go once round, but full_turn is false"
+        problems.append(warning("turn-full", "capture.yaml turntable.full_turn", what, remedy=remedy))
+    return problems
+
+
+def _board_problems(frames: tuple[Frame, ...], views: tuple[str, ...], settings: TurntableFile) -> list[Problem]:
+    boards = [f for f in frames if f.role == "board"]
+    problems = []
+    if boards and settings.turntable.board is None:
+        what = "frames of a calibration board, but no description of it"
+        expected = "turntable.board with squares_x, squares_y, square_mm, marker_mm, dictionary"
+        problems.append(
+            error("board-undescribed", "capture.yaml", what, expected=expected, found=f"{len(boards)} frames")
+        )
+    if settings.turntable.board is not None and not boards:
+        what, remedy = "a calibration board is described, but no frame shows it", "List its pictures with role board"
+        problems.append(error("board-without-frame", "capture.yaml turntable.board", what, remedy=remedy))
+    for view, count in Counter(f.view for f in boards if f.view).items():
+        if count > 1:
+            found = f"{count} for view '{view}'"
+            problems.append(error("board-repeated", TABLE, "one picture of the board a view", found=found))
+    return problems
+
+
+def _pose_problems(frames: tuple[Frame, ...], views: tuple[str, ...], settings: TurntableFile) -> list[Problem]:
+    """Where neither matrices nor correspondences tell where a view was taken from, boards must, for all or none."""
+    block = settings.turntable
+    if block.cameras or block.correspondences or len(views) < 2:
+        return []
+    posed = {f.view for f in frames if f.role == "board" and f.view}
+    if not posed:
+        what = "nothing tells where the views were taken from: only separation by polarisers is possible"
+        remedy = "Give turntable.cameras, correspondences, or pictures of a board in each view"
+        return [warning("cameras-none", "capture.yaml", what, remedy=remedy)]
+    return [
+        error("view-without-camera", TABLE, f"view '{view}' has no picture of the board, nor a camera")
+        for view in views
+        if view not in posed
+    ]
+
+
+def _exposure_problems(frames: tuple[Frame, ...]) -> list[Problem]:
+    """An exposure time for some lit frames but not for all cannot be used."""
+    lit = [f for f in frames if f.role in ("sample", "white")]
+    without = [f for f in lit if f.exposure_s is None]
+    if without and len(without) < len(lit):
+        found = f"{len(without)} of {len(lit)} rows without, the first in row {without[0].row}"
+        remedy = "Give exposure_s for every sample and white frame, or for none"
+        return [error("exposure-partial", TABLE, "exposure_s", found=found, remedy=remedy)]
+    return []
