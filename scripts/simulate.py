@@ -1,13 +1,15 @@
 #!/usr/bin/env python3
-"""Simulate the capture of a varnished painting or a tray of sphere caps: photographs, and the truth apart.
+"""Simulate the capture of a painting, a tray of sphere caps, or a jar on a turntable: photographs, and the truth apart.
 
     python scripts/simulate.py --output captures/painting --truth captures/painting-truth
     python scripts/simulate.py --output captures/small --truth captures/small-truth --preset tiny
     python scripts/simulate.py --output captures/tray --truth captures/tray-truth --scene spheres --gloss satin --seed 7
+    python scripts/simulate.py --output captures/jar --truth captures/jar-truth --preset object
 
 The capture folder is what a studio would hand over: photographs of the object and of a white board under each lamp,
 dark frames, and tables of the lamps, of the camera's sensitivities and of the lamp's spectrum. The truth folder holds
-what no studio knows: normals, height, spectra, roughness, shadows, and noise-free colours under the check lights.
+what no studio knows: normals, height, spectra, roughness, shadows, and noise-free colours under the check lights. A
+turntable capture holds two pictures a view (circular polarisers not crossed and crossed), camera matrices and a scan.
 """
 
 import argparse
@@ -21,6 +23,7 @@ from pathlib import Path
 import numpy as np
 
 import _project  # noqa: F401  (puts the package on the path)
+import _turntable
 from nishiki.capture.seal import seal
 from nishiki.errors import UserError
 from nishiki.simulate.settings import (
@@ -33,21 +36,25 @@ from nishiki.simulate.settings import (
     LightSettings,
     SimulationSettings,
 )
+from nishiki.simulate.turntable.settings import PRESETS as OBJECTS
+from nishiki.simulate.turntable.settings import TurntableSettings
 
 DARK_FRAMES = 3
 _FINISHES = ", ".join(f"{name} {alpha:g}" for name, alpha in ROUGHNESS.items())
+_POLARISERS = ("circular", "none")
 _NUMBER, _COUNT, _FLAG = {"type": float}, {"type": int}, {"action": "store_true"}
 OPTIONS = {
     "size": (
         (
             "preset",
-            "painting 384×512 (default), tiny 64×96, large 1536×2048, full 3000×4000",
-            {"choices": PRESETS, "default": "painting"},
+            "painting 384×512 (default), tiny 64×96, large 1536×2048, full 3000×4000; on a turntable: object "
+            "36 views of 384×384, object-tiny 12 of 96×96, object-large 36 of 3000×4000",
+            {"choices": (*PRESETS, *OBJECTS), "default": "painting"},
         ),
         ("rows", "camera pixels, instead of the preset's", _COUNT),
         ("columns", "camera pixels, instead of the preset's", _COUNT),
         ("pitch-mm", "size of a camera pixel on the object (0.2)", {**_NUMBER, "default": 0.2}),
-        ("supersampling", "points a pixel in each direction (2)", {**_COUNT, "default": 2}),
+        ("supersampling", "points a pixel in each direction (2; object 4)", _COUNT),
     ),
     "object": (
         ("scene", "what is photographed (painting)", {"choices": SCENES, "default": "painting"}),
@@ -74,8 +81,8 @@ OPTIONS = {
         ("distance-mm", "from the lamp to the centre of the object (80 half diagonals)", _NUMBER),
         (
             "lights-as",
-            "what the capture tells of the lamps (direction)",
-            {"choices": ("direction", "position"), "default": "direction"},
+            "what the capture tells of the lamps (direction; on a turntable position, or camera: beside the camera)",
+            {"choices": ("direction", "position", "camera")},
         ),
         ("lamp-diameter-deg", "size of the lamp seen from the object (1.5)", {**_NUMBER, "default": 1.5}),
     ),
@@ -84,11 +91,20 @@ OPTIONS = {
         ("bits", "of the converter (12)", {**_COUNT, "default": 12}),
         (
             "white-level",
-            "share of full scale of a white facing the lamp; more saturates more highlights (0.7)",
-            {**_NUMBER, "default": 0.7},
+            "share of full scale of a white facing the lamp; more saturates more highlights (0.7; object 0.65)",
+            _NUMBER,
         ),
         ("no-noise", "quantised, but without shot and read noise", _FLAG),
         ("format", "of the photographs (png for 3 channels, tiff for more)", {"choices": ("png", "tiff")}),
+    ),
+    "turntable": (
+        ("views", "over a full turn, instead of the preset's", _COUNT),
+        ("polariser", "circular: two pictures a view (default)", {"choices": _POLARISERS, "default": "circular"}),
+        ("silhouettes", "of every view: given (default) or not", {"choices": ("given", "none"), "default": "given"}),
+        ("mesh", "in the capture: a scan (default) or none", {"choices": ("scan", "none"), "default": "scan"}),
+        ("mesh-noise-mm", "of the scan, along the normal (0.02)", _NUMBER),
+        ("triangles", "of the object, instead of the preset's", _COUNT),
+        ("scan-triangles", "of the scan, where not the object's own", _COUNT),
     ),
 }
 
@@ -96,7 +112,12 @@ OPTIONS = {
 def main(arguments: list[str] | None = None) -> int:
     options = parser().parse_args(arguments)
     try:
-        simulate(settings_from(options), Path(options.output), Path(options.truth), options)
+        if options.preset in OBJECTS:
+            defaults = parser().parse_args(["--output", "", "--truth", ""])
+            settings = _turntable.settings_from(options, defaults)
+        else:
+            settings = settings_from(options)
+        simulate(settings, Path(options.output), Path(options.truth), options)
     except UserError as error:
         print(f"simulate: {error}", file=sys.stderr)
         return 2
@@ -129,10 +150,13 @@ def settings_from(options) -> SimulationSettings:
         roughness=options.roughness,
         relief_gain=options.relief_gain,
         pitch_mm=options.pitch_mm,
-        supersampling=options.supersampling,
+        supersampling=2 if options.supersampling is None else options.supersampling,
         bounce=not options.no_bounce,
         camera=CameraSettings(
-            channels=options.channels, bits=options.bits, white_level=options.white_level, noise=not options.no_noise
+            channels=options.channels,
+            bits=options.bits,
+            white_level=0.7 if options.white_level is None else options.white_level,
+            noise=not options.no_noise,
         ),
         lights=LightSettings(
             rings=options.rings,
@@ -145,7 +169,7 @@ def settings_from(options) -> SimulationSettings:
     )
 
 
-def simulate(settings: SimulationSettings, output: Path, truth: Path, options) -> None:
+def simulate(settings: SimulationSettings | TurntableSettings, output: Path, truth: Path, options) -> None:
     """Make both folders under temporary names, then rename them: a killed run leaves no half capture."""
     for folder in (output, truth):
         if folder.exists() or folder.is_symlink():
@@ -161,7 +185,11 @@ def simulate(settings: SimulationSettings, output: Path, truth: Path, options) -
             folder.parent.mkdir(parents=True, exist_ok=True)
             drafts.append(folder.with_name(f".{folder.name}.{os.getpid()}.part"))
             drafts[-1].mkdir()
-        write_all(settings, *drafts, image_format=image_format, lights_as=options.lights_as)
+        if isinstance(settings, TurntableSettings):
+            _turntable.write_all(settings, *drafts, options, Progress(), write_image, write_csv)
+        else:
+            lights_as = options.lights_as or "direction"
+            write_all(settings, *drafts, image_format=image_format, lights_as=lights_as)
         seal(drafts[0])
         drafts[1].rename(truth)
         drafts[0].rename(output)

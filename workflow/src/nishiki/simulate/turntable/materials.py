@@ -1,0 +1,334 @@
+"""What each place of the object is made of: enamelled porcelain, woven and gilded parts, lacquer, glaze.
+
+A material is a row m of 15 numbers: 0-2 albedo of the body (red, green, blue); 3-5 reflectance of a metal at normal
+incidence, 0 where there is none; 6, 7 GGX roughness along and across the tangent; 8 Oren-Nayar roughness, radians;
+9-11 unit normal with its fine texture; 12-14 unit tangent, perpendicular to it. Lengths in mm.
+"""
+
+import math
+
+import numba
+import numpy as np
+
+from nishiki.simulate.randomness import hash_uint, plane_noise, uniform
+from nishiki.simulate.turntable.noise import crack_distance, solid_fractal, solid_noise
+from nishiki.simulate.turntable.shape import ANIMAL, BODY, FLUTES, FRUIT, HANDLES, LID, ROPE
+
+NUMBERS = 15
+GOLD = (0.94, 0.72, 0.34)
+_ENAMELS = np.array(
+    [
+        [0.50, 0.05, 0.03],
+        [0.05, 0.11, 0.42],
+        [0.62, 0.36, 0.05],
+        [0.34, 0.08, 0.26],
+        [0.66, 0.30, 0.26],
+        [0.05, 0.25, 0.16],
+    ]
+)
+
+
+@numba.njit(cache=True)
+def _set(m, red, green, blue, alpha):
+    m[0], m[1], m[2], m[3], m[6], m[7] = red, green, blue, 0.0, alpha, alpha
+
+
+@numba.njit(cache=True)
+def _gild(m, along, across):
+    """Gold leaf: a metal, a little soiled."""
+    m[0], m[1], m[2] = 0.05, 0.035, 0.015
+    m[3], m[4], m[5] = GOLD
+    m[6], m[7] = along, across
+
+
+@numba.njit(cache=True)
+def _mix(m, red, green, blue, share):
+    m[0] += share * (red - m[0])
+    m[1] += share * (green - m[1])
+    m[2] += share * (blue - m[2])
+
+
+@numba.njit(cache=True)
+def _flower(m, key, u, v, size):
+    """A chrysanthemum about the middle of a cell: u, v mm from it. True where it covers the ground."""
+    bits = hash_uint(key, np.uint64(7))
+    u -= 5.0 * (uniform(bits, np.uint64(1)) - 0.5)
+    v -= 5.0 * (uniform(bits, np.uint64(2)) - 0.5)
+    r, turn = math.hypot(u, v), math.atan2(v, u) + 6.283 * uniform(bits, np.uint64(3))
+    reach = size * (0.8 + 0.35 * uniform(bits, np.uint64(4)))
+    petals = 10.0 + math.floor(7.0 * uniform(bits, np.uint64(5)))
+    wave = abs(math.cos(0.5 * petals * turn))
+    edge = reach * (0.78 + 0.22 * math.sqrt(wave))
+    if r > edge:
+        return False
+    first = int(6.0 * uniform(bits, np.uint64(6)))
+    enamel = _ENAMELS[first]
+    pale = 0.75 - 0.6 * r / edge + 0.35 * (plane_noise(bits, 9.0 * turn, 0.5 * r) - 0.5)
+    _set(m, enamel[0], enamel[1], enamel[2], 0.16)
+    _mix(m, 0.72, 0.66, 0.55, min(max(pale, 0.0), 0.85))
+    if r < 0.42 * edge:  # a second ring of petals, and the heart
+        inner = abs(math.cos(0.5 * petals * turn + 1.57))
+        if r < 0.42 * edge * (0.7 + 0.3 * inner):
+            enamel = _ENAMELS[(first + 1) % 6]
+            _mix(m, enamel[0], enamel[1], enamel[2], 0.8)
+    if r < 0.15 * edge:
+        _set(m, 0.55, 0.33, 0.05, 0.2)
+        if (math.floor(u / 0.9) + math.floor(v / 0.9)) % 2 == 0:
+            _mix(m, 0.15, 0.06, 0.02, 0.7)
+    # Fine outlines: of the petals, and of the flower in gold.
+    if wave * r < 0.45 and r > 0.42 * edge:
+        _mix(m, 0.10, 0.03, 0.03, 0.85)
+    if edge - r < 0.75:
+        _gild(m, 0.36, 0.36)
+    return True
+
+
+@numba.njit(cache=True)
+def _field(m, key, turn, s):
+    """Flowers over leaves and a diapered ground, around the belly. turn : radians about the axis; s : mm upwards."""
+    cells = 14.0
+    row = math.floor((s + 14.0) / 29.0)
+    place = turn / 6.283185307179586 * cells + 0.5 * row
+    column = math.floor(place)
+    u, v = (place - column - 0.5) * 32.0, s + 14.0 - 29.0 * row - 14.5
+    bits = hash_uint(hash_uint(key, np.uint64(np.int64(row) + 5)), np.uint64(np.int64(column) % 14 + 20))
+    if _flower(m, bits, u, v, 13.0):
+        return
+    around, tone = turn * 72.0, plane_noise(key + np.uint64(3), turn * 14.0, s / 9.0)
+    _set(m, 0.70, 0.63, 0.50, 0.14)
+    # Diaper of crossing threads in red, worn in places.
+    a, b = (around + s) / 4.2, (around - s) / 4.2
+    line = min(abs(a - math.floor(a) - 0.5), abs(b - math.floor(b) - 0.5))
+    if line < 0.07:
+        _mix(m, 0.48, 0.08, 0.05, 0.85)
+    elif (math.floor(a + 0.5) + math.floor(b + 0.5)) % 2 == 0 and tone > 0.35:
+        _mix(m, 0.30, 0.44, 0.40, 0.6)
+    leaf = plane_noise(key + np.uint64(4), turn * 72.0 / 8.0, s / 6.0) - 0.62
+    if leaf > 0.0:
+        vein = abs(math.sin(1.9 * (around + 0.6 * s)))
+        _set(m, 0.06 + 0.10 * tone, 0.22 + 0.12 * tone, 0.10, 0.18)
+        if vein < 0.16 or leaf < 0.035:
+            _mix(m, 0.02, 0.05, 0.04, 0.8)
+
+
+@numba.njit(cache=True)
+def _waves(m, turn, s):
+    """Overlapping scales (sea waves) in blue and white, rings on each."""
+    width, height = 6.283185307179586 * 62.0 / 44.0, 4.4
+    place = turn * 62.0 / width
+    best_ring = -1.0
+    row = math.floor(s / height)
+    for back in range(0, 3):
+        level = row + 1 - back
+        shifted = place + 0.5 * (level % 2)
+        u = (shifted - math.floor(shifted) - 0.5) * width
+        r = math.hypot(u, s - (level - 0.6) * height)
+        if r < 0.56 * width:
+            best_ring = r / (0.56 * width)
+    blue = best_ring < 0.0 or math.floor(best_ring * 4.6) % 2 == 1
+    if blue:
+        _set(m, 0.05, 0.12, 0.40, 0.15)
+    else:
+        _set(m, 0.68, 0.68, 0.64, 0.15)
+
+
+@numba.njit(cache=True)
+def _woven(m, key, around, s, slope):
+    """Basket weave: strips over and under; slopes of its relief into slope (2,)."""
+    pitch = 3.4
+    a, b = around / pitch, s / pitch
+    i, j = math.floor(a), math.floor(b)
+    fa, fb = a - i - 0.5, b - j - 0.5
+    over = (i + j) % 2 == 0
+    along, across = (fa, fb) if over else (fb, fa)
+    dye = uniform(hash_uint(key, np.uint64(np.int64(j if over else i) + 900)), np.uint64(1))
+    grain = plane_noise(key + np.uint64(9), (a if over else b) * 0.8, (b if over else a) * 9.0)
+    shade = (1.0 - 0.75 * (2.0 * along) ** 4) * (1.0 - 0.55 * (2.0 * across) ** 6)
+    shade *= (0.65 + 0.55 * dye) * (0.75 + 0.5 * grain)
+    _set(m, 0.44 * shade, 0.29 * shade, 0.13 * shade, 0.32)
+    bend, camber = -1.3 * along * abs(2.0 * along), -0.9 * across * abs(2.0 * across)
+    slope[0], slope[1] = (bend, camber) if over else (camber, bend)
+
+
+@numba.njit(cache=True)
+def _jar(m, key, x, y, z, slope):
+    r = math.hypot(x, z)
+    turn, latitude = math.atan2(z, x), math.atan2(y - 58.0, r)
+    s, around = 64.0 * latitude, r * math.atan2(z, x)
+    if s < -49.0:
+        _set(m, 0.66, 0.65, 0.60, 0.17)
+        if abs(s + 52.0) < 0.8 or abs(s + 54.5) < 0.4 or y < 1.5:
+            _set(m, 0.04, 0.09, 0.30, 0.17)
+    elif s < -19.5:
+        arch = abs(math.sin(0.5 * FLUTES * turn))
+        inside = -0.33 - 0.42 * (1.0 - arch) - latitude
+        if inside > 0.035:
+            _woven(m, key, 64.0 * turn, s, slope)
+        elif inside > 0.005:
+            _gild(m, 0.40, 0.40)
+        else:
+            _set(m, 0.03, 0.08, 0.29, 0.13)
+            dot_u, dot_v = around / 3.0 + 0.5 * (math.floor(s / 3.0) % 2), s / 3.0
+            if math.hypot(dot_u - math.floor(dot_u) - 0.5, dot_v - math.floor(dot_v) - 0.5) < 0.22:
+                _set(m, 0.60, 0.60, 0.56, 0.15)
+    elif s < -14.0:
+        _set(m, 0.50, 0.05, 0.03, 0.15)
+        key_u = turn * 72.0 / 7.0
+        fret = abs(key_u - math.floor(key_u) - 0.5)
+        inner = abs(s + 16.7)
+        if inner > 2.1 or (fret < 0.09 and inner < 1.4) or (fret > 0.2 and fret < 0.36 and abs(inner - 0.9) < 0.45):
+            _gild(m, 0.38, 0.38)
+    elif s < 44.0:
+        _field(m, key, turn, s)
+    elif s < 53.0:
+        _waves(m, turn, s)
+    else:
+        _set(m, 0.45, 0.06, 0.035, 0.14)
+        u, v = around / 5.0 + 0.5 * (math.floor(s / 4.0) % 2), s / 4.0
+        if math.hypot((u - math.floor(u) - 0.5) * 1.25, v - math.floor(v) - 0.5) < 0.3 or y > 121.5:
+            _gild(m, 0.40, 0.40)
+    crack = crack_distance(key + np.uint64(30), turn * 72.0 / 6.0, s / 6.0)
+    if crack < 0.028 and m[3] == 0.0 and solid_noise(key + np.uint64(31), x / 22.0, y / 22.0, z / 22.0) > 0.42:
+        _mix(m, 0.12, 0.08, 0.05, 0.6)
+
+
+@numba.njit(cache=True)
+def _lacquer(m, key, x, z):
+    """Black lacquer with sprinkled gold, a gold and red spray of blossoms, and a red rim."""
+    _set(m, 0.022, 0.015, 0.012, 0.13)
+    r, turn = math.hypot(x, z), math.atan2(z, x)
+    fleck = crack_distance(key + np.uint64(40), x / 1.1, z / 1.1)
+    amount = plane_noise(key + np.uint64(41), x / 11.0, z / 11.0)
+    if fleck > 0.46 - 0.20 * amount:
+        _gild(m, 0.45, 0.45)
+    place = turn / 6.283185307179586 * 7.0
+    column = math.floor(place)
+    bits = hash_uint(key + np.uint64(42), np.uint64(np.int64(column) + 9))
+    u, v = (place - column - 0.5) * 22.0, r - 26.0
+    _flower(m, bits, u, v, 6.5)
+    if r > 33.2:
+        _set(m, 0.42, 0.035, 0.02, 0.15)
+
+
+@numba.njit(cache=True)
+def _cord(m, key, x, y, z, slope):
+    ring, lift = math.hypot(x, z) - 45.0, y - 105.0
+    phase = 2.0 * math.atan2(lift, ring) + 40.0 * math.atan2(z, x)
+    strand = math.floor(phase / 6.283185307179586)
+    thread = math.sin(7.0 * phase + 9.0 * math.atan2(lift, ring))
+    shade = (0.72 + 0.28 * math.cos(phase)) * (0.78 + 0.22 * thread)
+    if strand % 3 == 0:
+        _set(m, 0.55 * shade, 0.40 * shade, 0.12 * shade, 0.38)
+    elif strand % 3 == 1:
+        _set(m, 0.40 * shade, 0.04 * shade, 0.04 * shade, 0.45)
+    else:
+        _set(m, 0.16 * shade, 0.07 * shade, 0.28 * shade, 0.45)
+    slope[1] = 0.25 * thread
+
+
+@numba.njit(cache=True)
+def _gilded(m, key, x, y, z):
+    wear = solid_fractal(key + np.uint64(50), x / 7.0, y / 7.0, z / 7.0, 4)
+    brush = solid_noise(key + np.uint64(55), x / 3.0, y / 3.0, z / 0.5)
+    if wear > 0.64:
+        _set(m, 0.30 * (0.7 + 0.6 * brush), 0.07, 0.035, 0.42)
+    else:
+        _gild(m, 0.46 + 0.1 * brush, 0.24)
+        _mix(m, 0.10, 0.07, 0.03, wear)
+
+
+@numba.njit(cache=True)
+def _creature(m, key, x, y, z):
+    patch = solid_fractal(key + np.uint64(60), x / 13.0, y / 13.0, z / 13.0, 3)
+    hair = solid_noise(key + np.uint64(63), x / 0.8, y / 2.6, z / 1.0)
+    _set(m, 0.66, 0.63, 0.57, 0.19)
+    if patch > 0.55:
+        _set(m, 0.52, 0.24, 0.07, 0.19)
+    elif patch < 0.36:
+        _set(m, 0.11, 0.08, 0.07, 0.19)
+    _mix(m, 0.10, 0.06, 0.04, 0.45 * max(hair - 0.45, 0.0) / 0.55)
+    side = abs(x)
+    eye = math.sqrt((side - 6.0) ** 2 + (y - 162.5) ** 2 + (z - 19.5) ** 2)
+    if eye < 2.6:
+        _set(m, 0.012, 0.010, 0.010, 0.10)
+    elif eye < 3.4:
+        _gild(m, 0.38, 0.38)
+    if z > 24.8 and abs(y - 157.5) < 1.2 and side < 1.8:
+        _set(m, 0.45, 0.10, 0.09, 0.2)
+    if y > 168.0 and z > 5.5:
+        _mix(m, 0.62, 0.30, 0.26, 0.7)
+
+
+@numba.njit(cache=True)
+def _fruit(m, key, x, y, z):
+    ripe = solid_fractal(key + np.uint64(70), x / 16.0, y / 16.0, z / 16.0, 4)
+    share = min(max((ripe - 0.38) / 0.22, 0.0), 1.0)
+    _set(m, 0.58, 0.42, 0.08, 0.22)
+    _mix(m, 0.55, 0.10, 0.04, share)
+    if y > 96.5 or z < 50.0:
+        _set(m, 0.09, 0.20, 0.06, 0.3)
+    elif crack_distance(key + np.uint64(75), (x + 0.3 * z) / 1.6, y / 1.6) > 0.42:
+        _mix(m, 0.22, 0.10, 0.03, 0.75)
+
+
+@numba.njit(cache=True)
+def describe(parts, x, y, z, nx, ny, nz, key, m, slope):
+    """The material at (x, y, z) into m; parts (6,): distances from the parts; slope (2,) is scratch."""
+    part, least = BODY, 1e300
+    for k in range(parts.size):
+        if parts[k] < least:
+            part, least = k, parts[k]
+    slope[0], slope[1] = 0.0, 0.0
+    m[3], m[8] = 0.0, 0.22
+    if part == BODY:
+        _jar(m, key, x, y, z, slope)
+    elif part == LID:
+        _lacquer(m, key, x, z)
+    elif part == ROPE:
+        _cord(m, key, x, y, z, slope)
+        m[8] = 0.45
+    elif part == HANDLES:
+        _gilded(m, key, x, y, z)
+    elif part == FRUIT:
+        _fruit(m, key, x, y, z)
+    elif part == ANIMAL:
+        _creature(m, key, x, y, z)
+    # Uneven enamel, dust, wear: no paint is even.
+    uneven = solid_fractal(key, x / 24.0, y / 24.0, z / 24.0, 6)
+    grain = solid_noise(key + np.uint64(20), x / 0.9, y / 0.9, z / 0.9)
+    tone = 0.62 + 0.62 * uneven + 0.16 * (grain - 0.5)
+    for c in range(3):
+        m[c] = min(m[c] * tone, 0.9)
+    rough = 0.8 + 0.5 * solid_noise(key + np.uint64(21), x / 5.0, y / 5.0, z / 5.0)
+    m[6], m[7] = m[6] * rough, m[7] * rough
+    _texture(m, key, x, y, z, nx, ny, nz, slope, part == HANDLES)
+
+
+@numba.njit(cache=True)
+def _texture(m, key, x, y, z, nx, ny, nz, slope, ring):
+    """Bumped normal and tangent. The tangent runs around the axis; on the handles along their rings."""
+    if ring:
+        across, rise = x - math.copysign(74.0, x), y - 78.0
+        tx, ty, tz = -rise, across, 0.0
+    else:
+        tx, ty, tz = -z, 0.0, x
+    along = tx * nx + ty * ny + tz * nz
+    tx, ty, tz = tx - along * nx, ty - along * ny, tz - along * nz
+    length = math.sqrt(tx * tx + ty * ty + tz * tz)
+    if length < 1e-9:
+        tx, ty, tz = (1.0 - nx * nx, -nx * ny, -nx * nz) if abs(nx) < 0.9 else (-nx * ny, 1.0 - ny * ny, -ny * nz)
+        length = math.sqrt(tx * tx + ty * ty + tz * tz)
+    tx, ty, tz = tx / length, ty / length, tz / length
+    bx, by, bz = ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx
+    bump_u = 0.05 * (solid_noise(key + np.uint64(80), x / 1.3, y / 1.3, z / 1.3) - 0.5)
+    bump_v = 0.05 * (solid_noise(key + np.uint64(81), x / 1.3, y / 1.3, z / 1.3) - 0.5)
+    bump_u += 0.10 * (solid_noise(key + np.uint64(82), x / 6.0, y / 6.0, z / 6.0) - 0.5) - 0.35 * slope[0]
+    bump_v += 0.10 * (solid_noise(key + np.uint64(83), x / 6.0, y / 6.0, z / 6.0) - 0.5) - 0.35 * slope[1]
+    px, py, pz = nx + bump_u * tx + bump_v * bx, ny + bump_u * ty + bump_v * by, nz + bump_u * tz + bump_v * bz
+    length = math.sqrt(px * px + py * py + pz * pz)
+    px, py, pz = px / length, py / length, pz / length
+    along = tx * px + ty * py + tz * pz
+    tx, ty, tz = tx - along * px, ty - along * py, tz - along * pz
+    length = math.sqrt(tx * tx + ty * ty + tz * tz)
+    m[9], m[10], m[11] = px, py, pz
+    m[12], m[13], m[14] = tx / length, ty / length, tz / length

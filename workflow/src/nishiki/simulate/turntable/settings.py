@@ -1,0 +1,87 @@
+"""What a simulated turntable capture looks like: one frozen set of settings, checked when it is made."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from nishiki.errors import UserError
+from nishiki.simulate.settings import CameraSettings
+
+DISTANCE_MM = 1200.0  # from the camera to the axis
+ELEVATION_DEG = 20.0  # the camera looks down on the object
+LAMP_MM = (52.0, 44.0, 6.0)  # in the camera's frame: x right, y up, z backwards
+LAMP_RADIUS_MM = 14.0
+BLUR_PIXELS = 0.45  # standard deviation of the lens's point spread
+BETA = (0.395, 0.412, 0.371)  # white board with the second polariser over that without
+LEAK = (0.008, 0.010, 0.013)  # share of the mirror reflection that the crossed polariser lets through
+WHITE_RATIO = (0.86, 1.0, 0.78)  # what a white gives in each channel, the largest = 1
+STRAY = 0.0015  # light scattered inside the lens, of a white's
+CLOTH = 0.004  # the black cloth behind the object, of a white's
+BOARD_REFLECTANCE = 0.98
+
+
+@dataclass(frozen=True)
+class TurntableSettings:
+    """Everything that decides the bytes of a simulated turntable capture.
+
+    rows, columns : camera pixels. views : over a full turn. triangles : about how many the object has. samples : points a
+    pixel in each direction. directions : rays a vertex into its hemisphere, for light from other parts of the object.
+    bounces : 0 to 4. polariser : True for two pictures a view. scan_triangles : about how many the mesh in the capture
+    has, None = the object's own. scan_noise_mm : standard deviation of its vertices along the normal.
+    """
+
+    rows: int = 384
+    columns: int = 384
+    views: int = 36
+    seed: int = 1
+    triangles: int = 30000
+    samples: int = 4
+    directions: int = 256
+    bounces: int = 2
+    polariser: bool = True
+    scan_triangles: int | None = None
+    scan_noise_mm: float = 0.02
+    white_boards: int = 8
+    camera: CameraSettings = field(
+        default_factory=lambda: CameraSettings(full_well=40000.0, read_noise=6.0, white_level=0.65)
+    )
+
+    def __post_init__(self):
+        camera = self.camera
+        for name, value, low, high in (
+            ("rows", self.rows, 16, 20000),
+            ("columns", self.columns, 16, 20000),
+            ("views", self.views, 2, 3600),
+            ("seed", self.seed, 0, 2**53),
+            ("triangles", self.triangles, 1000, 5_000_000),
+            ("scan_triangles", self.scan_triangles or 1000, 1000, 5_000_000),
+            ("samples", self.samples, 1, 8),
+            ("directions", self.directions, 16, 4096),
+            ("bounces", self.bounces, 0, 4),
+            ("scan_noise_mm", self.scan_noise_mm, 0.0, 5.0),
+            ("channels", camera.channels, 3, 3),
+            ("bits", camera.bits, 8, 16),
+            ("full_well", camera.full_well, 100.0, 1e9),
+            ("read_noise", camera.read_noise, 0.0, 1e4),
+            ("black_level", camera.black_level, 0, 2**camera.bits // 4),
+            ("white_level", camera.white_level, 0.01, 1.0),
+        ):
+            if not low <= value <= high:
+                raise UserError(
+                    f"simulation: {name} expected {low:g} to {high:g}, found {value!r}; choose a value in that range"
+                )
+
+
+PRESETS = {
+    "object": {},
+    "object-tiny": {
+        "rows": 96,
+        "columns": 96,
+        "views": 12,
+        "triangles": 4000,
+        "samples": 3,
+        "directions": 64,
+        "white_boards": 2,
+    },
+    "object-large": {"rows": 3000, "columns": 4000, "triangles": 250_000, "samples": 2, "directions": 96},
+}

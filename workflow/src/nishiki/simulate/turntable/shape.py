@@ -1,0 +1,147 @@
+"""The shape of the object: a lidded, fluted jar with ring handles, fruit on its shoulder and an animal on its lid.
+
+Lengths in mm; the axis of the turntable is the y axis (upwards), the jar stands on y = 0.
+"""
+
+import math
+
+import numba
+import numpy as np
+
+PARTS = ("body", "lid", "rope", "handles", "fruit", "animal")
+BODY, LID, ROPE, HANDLES, FRUIT, ANIMAL = range(6)
+LOW = (-104.0, -4.0, -82.0)
+HIGH = (104.0, 188.0, 90.0)
+FLUTES = 14
+
+
+@numba.njit(cache=True)
+def smooth_union(a, b, k):
+    """Minimum of two distances, rounded where they differ by less than k (quadratic blend)."""
+    h = max(k - abs(a - b), 0.0) / k
+    return min(a, b) - 0.25 * h * h * k
+
+
+@numba.njit(cache=True)
+def _ball(x, y, z, cx, cy, cz, rx, ry, rz):
+    """Approximate distance from an ellipsoid."""
+    u, v, w = (x - cx) / rx, (y - cy) / ry, (z - cz) / rz
+    k = math.sqrt(u * u + v * v + w * w)
+    g = math.sqrt((u / rx) ** 2 + (v / ry) ** 2 + (w / rz) ** 2)
+    return k * (k - 1.0) / g if g > 1e-9 else -min(rx, min(ry, rz))
+
+
+@numba.njit(cache=True)
+def _limb(x, y, z, ax, ay, az, bx, by, bz, thick_a, thick_b):
+    """Distance from a rod with round ends whose thickness changes from a to b."""
+    dx, dy, dz = bx - ax, by - ay, bz - az
+    t = ((x - ax) * dx + (y - ay) * dy + (z - az) * dz) / (dx * dx + dy * dy + dz * dz)
+    t = min(max(t, 0.0), 1.0)
+    px, py, pz = x - ax - t * dx, y - ay - t * dy, z - az - t * dz
+    return math.sqrt(px * px + py * py + pz * pz) - (thick_a + t * (thick_b - thick_a))
+
+
+@numba.njit(cache=True)
+def _body(x, y, z, r, turn):
+    latitude = math.atan2(y - 58.0, r)
+    flute = math.cos(FLUTES * turn)
+    window = math.exp(-(((latitude - 0.15) / 0.55) ** 4))
+    wide = 71.0 * (1.0 + 0.022 * window * flute)
+    # Carved petals rise from the foot: pointed arches, each over two flutes.
+    arch = abs(math.sin(0.5 * FLUTES * turn))
+    petal = min(max((-0.30 - 0.42 * (1.0 - arch) - latitude) / 0.10, 0.0), 1.0)
+    wide += 1.6 * petal * petal * (3.0 - 2.0 * petal)
+    u, v = r / wide, (y - 58.0) / 57.0
+    k = (abs(u) ** 2.3 + abs(v) ** 2.3) ** (1.0 / 2.3)
+    body = (k - 1.0) * 58.0
+    wall = max(r - 40.0, abs(y - 106.0) - 13.0)
+    rim = math.sqrt((r - 40.5) ** 2 + (y - 118.5) ** 2) - 4.2
+    body = smooth_union(smooth_union(body, wall, 9.0), rim, 3.0)
+    foot = max(abs(r - 40.0) - 5.0, abs(y - 3.0) - 5.0)
+    body = smooth_union(body, foot, 4.0)
+    inside = math.sqrt(r * r / 1600.0 + (y + 2.0) ** 2 / 49.0) - 1.0  # hollow under the foot
+    return max(max(body, -y), -7.0 * inside)
+
+
+@numba.njit(cache=True)
+def _animal(x, y, z):
+    side = abs(x)
+    d = _ball(x, y, z, 0.0, 147.0, -3.0, 13.0, 12.0, 19.0)
+    d = smooth_union(d, _ball(side, y, z, 8.5, 142.0, -10.0, 7.0, 9.5, 10.0), 3.0)
+    d = smooth_union(d, _limb(side, y, z, 6.5, 148.0, 9.0, 7.0, 135.0, 14.0, 5.0, 3.8), 3.0)
+    d = smooth_union(d, _ball(x, y, z, 0.0, 160.0, 13.0, 9.5, 9.0, 10.5), 4.0)
+    d = smooth_union(d, _ball(x, y, z, 0.0, 156.5, 21.5, 5.0, 4.2, 4.5), 2.5)
+    d = smooth_union(d, _limb(side, y, z, 4.0, 165.0, 10.0, 7.0, 181.0, 1.0, 3.4, 2.2), 2.0)
+    return smooth_union(d, _ball(x, y, z, 0.0, 149.0, -22.0, 5.0, 5.0, 4.5), 2.0)
+
+
+@numba.njit(cache=True)
+def part_distances(x, y, z, out):
+    """Approximate signed distances (mm, negative inside) from the parts, in the order of `PARTS`, into out (6,)."""
+    r = math.sqrt(x * x + z * z)
+    turn = math.atan2(z, x)
+    out[BODY] = _body(x, y, z, r, turn)
+    dome = _ball(x, y, z, 0.0, 118.0, 0.0, 35.0, 18.0, 35.0)
+    step = max(r - 19.0, abs(y - 134.0) - 3.0)
+    out[LID] = smooth_union(max(dome, 112.0 - y), step, 2.0)
+    ring, lift = r - 45.0, y - 105.0
+    twist = math.cos(2.0 * math.atan2(lift, ring) + 40.0 * turn)
+    out[ROPE] = 0.8 * (math.sqrt(ring * ring + lift * lift) - 4.6 - 0.8 * twist)
+    across, rise = abs(x) - 74.0, y - 78.0
+    about = math.sqrt(across * across + rise * rise)
+    thick = 5.4 + 0.7 * math.cos(4.0 * math.atan2(rise, across))
+    out[HANDLES] = math.sqrt((about - 18.5) ** 2 + z * z) - thick
+    fruit = _ball(x, y, z, 0.0, 93.0, 60.0, 12.0, 11.0, 12.0)
+    fruit = min(fruit, _ball(x, y, z, 17.0, 84.0, 62.0, 10.0, 9.5, 10.0))
+    fruit = min(fruit, _ball(x, y, z, -15.5, 81.0, 64.0, 9.5, 9.0, 9.5))
+    out[FRUIT] = smooth_union(fruit, _limb(x, y, z, -24.0, 96.0, 52.0, 22.0, 100.0, 50.0, 2.6, 2.0), 2.0)
+    out[ANIMAL] = _animal(x, y, z)
+
+
+@numba.njit(cache=True)
+def distance(x, y, z, parts):
+    """Signed distance (approximate; exact in sign) from the whole object; parts (6,) is scratch."""
+    part_distances(x, y, z, parts)
+    d = smooth_union(parts[BODY], parts[HANDLES], 5.0)
+    d = smooth_union(d, parts[ROPE], 1.5)
+    d = smooth_union(d, parts[FRUIT], 2.0)
+    return min(d, smooth_union(parts[LID], parts[ANIMAL], 2.0))
+
+
+@numba.njit(cache=True)
+def gradient(x, y, z, parts, step):
+    """Gradient of `distance` by central differences over 2 step mm."""
+    gx = distance(x + step, y, z, parts) - distance(x - step, y, z, parts)
+    gy = distance(x, y + step, z, parts) - distance(x, y - step, z, parts)
+    gz = distance(x, y, z + step, parts) - distance(x, y, z - step, parts)
+    return 0.5 * gx / step, 0.5 * gy / step, 0.5 * gz / step
+
+
+@numba.njit(cache=True, nogil=True)
+def sample_layers(start, stop, origin, spacing, out):
+    """Distances on layers start..stop (first axis) of a grid with the given origin and spacing, into out."""
+    parts = np.empty(6)
+    for i in range(start, stop):
+        for j in range(out.shape[1]):
+            for k in range(out.shape[2]):
+                out[i, j, k] = distance(
+                    origin[0] + i * spacing, origin[1] + j * spacing, origin[2] + k * spacing, parts
+                )
+
+
+@numba.njit(cache=True, nogil=True)
+def settle(start, stop, points, normals, parts_out, rounds):
+    """Move points onto the surface along the gradient; write unit normals and the distances from the parts."""
+    parts = np.empty(6)
+    for p in range(start, stop):
+        x, y, z = points[p, 0], points[p, 1], points[p, 2]
+        for _ in range(rounds):
+            gx, gy, gz = gradient(x, y, z, parts, 0.05)
+            square = max(gx * gx + gy * gy + gz * gz, 0.04)
+            move = min(max(distance(x, y, z, parts), -1.0), 1.0) / square
+            x, y, z = x - move * gx, y - move * gy, z - move * gz
+        gx, gy, gz = gradient(x, y, z, parts, 0.15)
+        length = max(math.sqrt(gx * gx + gy * gy + gz * gz), 1e-12)
+        points[p, 0], points[p, 1], points[p, 2] = x, y, z
+        normals[p, 0], normals[p, 1], normals[p, 2] = gx / length, gy / length, gz / length
+        part_distances(x, y, z, parts_out[p])
