@@ -10,6 +10,8 @@ Limits.  Both terms are 0 where the lamp or (I_s) the camera is behind the surfa
 infinity a lobe without end (1 everywhere).  Parameters and normals that are not finite count as 0.
 """
 
+from itertools import pairwise
+
 import numpy as np
 from numba import njit
 
@@ -96,9 +98,10 @@ def _in_slices(work, points: int, threads: int) -> None:
         return
     from concurrent.futures import ThreadPoolExecutor
 
-    edges = np.linspace(0, points, max(threads, points // (4 * _SLICE)) + 1).astype(int)
+    parts = max(threads, points // (4 * _SLICE))
+    edges = [points * k // parts for k in range(parts + 1)]
     with ThreadPoolExecutor(threads) as pool:
-        list(pool.map(work, [slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True)]))
+        list(pool.map(work, [slice(a, b) for a, b in pairwise(edges)]))
 
 
 @njit(cache=True, error_model="numpy")

@@ -1,0 +1,127 @@
+"""Unknown lighting of a turntable: an irradiance over the normal, fixed to the camera, fitted with the texels' colours.
+
+    I = K_d,c E(n),    E(n) = max(0, quadratic form of the normal in the lamp frame)
+
+Irradiance of distant lighting is a quadratic form of the normal within a few percent, whatever the lamps are
+(R. Ramamoorthi and P. Hanrahan, On the relationship between radiance and irradiance, J. Opt. Soc. Am. A 18, 2001).  A
+texel turns through the lighting with the object, which tells E apart from its K_d.  E is the same for all channels: the
+lamps' colour is in K_d.  Each texel's K_d is eliminated (variable projection) and the nine coefficients found by
+Gauss-Newton with weights that fall with the residual, for cast shadows, highlights and wrong normals.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nishiki.reflection.lighting import HARMONICS, Lighting
+
+ROUNDS = 12
+SETTLED = 1e-4  # relative change of E
+TUKEY = 4.685  # of the scaled residual at which an observation counts nothing
+SMOOTHNESS = 1e-4  # of the quadratic terms, relative to the data: they stay 0 where no texel tells
+HIGHLIGHT_GAIN = 0.02  # share of the squared residual of left-out views that a lobe must explain
+
+
+@dataclass(frozen=True)
+class EnvironmentFit:
+    """lighting; how much of the squared deviation from a constant colour E explains; what a highlight would explain."""
+
+    lighting: Lighting
+    explained: float
+    rounds: int
+    texels: int
+    highlight_gain: float
+
+
+def harmonics(normals: np.ndarray) -> np.ndarray:
+    """(..., 9): the functions of the unit normal (..., 3) in the lamp frame that E is a sum of."""
+    x, y, z = np.moveaxis(np.asarray(normals), -1, 0)
+    return np.stack([np.ones_like(x), x, y, z, x * y, y * z, z * x, x * x - y * y, 3 * z * z - 1], axis=-1)
+
+
+def fit_environment(values: np.ndarray, normals: np.ndarray, weights: np.ndarray) -> EnvironmentFit:
+    """E of texels: values (n, M, channels), normals (n, M, 3) in the lamp frame of each view, weights (n, M) >= 0.
+
+    Scaled so that E is 1 at most over the normals that were seen.  With fewer than 20 texels seen twice, E = max(0, z):
+    the lamp at the camera.
+    """
+    usable = np.sum(weights > 0, axis=1) >= 3
+    values, weights = values[usable].astype(np.float64), weights[usable].astype(np.float64)
+    basis = harmonics(normals[usable].astype(np.float64))
+    start = np.array([0.5, 0, 0, 0.5, 0, 0, 0, 0, 0])
+    if len(values) < 20:
+        return EnvironmentFit(_lighting(np.array([0, 0, 0, 1.0, 0, 0, 0, 0, 0])), 0.0, 0, len(values), 0.0)
+    e, robust, rounds = start, weights, 0
+    for rounds in range(1, ROUNDS + 1):
+        new = _positive(_step(values, basis, robust, e), basis, robust)
+        new /= max(_peak(basis, weights, new), 1e-12)
+        moved = np.linalg.norm(new - e) / np.linalg.norm(e)
+        e = new
+        robust = weights * _tukey(_residuals(values, basis, robust, e), weights)
+        if moved < SETTLED:
+            break
+    left = np.sum(robust[..., None] * _residuals(values, basis, robust, e) ** 2)
+    flat = np.sum(robust[..., None] * _residuals(values, basis, robust, np.eye(HARMONICS)[0]) ** 2)
+    return EnvironmentFit(_lighting(e), float(1 - left / flat) if flat > 0 else 0.0, rounds, len(values), 0.0)
+
+
+def _lighting(e: np.ndarray) -> Lighting:
+    return Lighting("environment", ((0.0, 0.0, 0.0),), (tuple((float(v),) for v in e),))
+
+
+def _peak(basis: np.ndarray, weights: np.ndarray, e: np.ndarray) -> float:
+    return float(np.quantile((basis @ e)[weights > 0], 0.999))
+
+
+def _colours(values: np.ndarray, weights: np.ndarray, lit: np.ndarray) -> np.ndarray:
+    below = np.einsum("to,to,to->t", weights, lit, lit)[:, None]
+    return np.einsum("to,to,toc->tc", weights, lit, values) / np.where(below > 0, below, 1)
+
+
+def _residuals(values: np.ndarray, basis: np.ndarray, weights: np.ndarray, e: np.ndarray) -> np.ndarray:
+    lit = np.maximum(basis @ e, 0)
+    return values - _colours(values, weights, lit)[:, None] * lit[..., None]
+
+
+def _step(values: np.ndarray, basis: np.ndarray, weights: np.ndarray, e: np.ndarray) -> np.ndarray:
+    """One Gauss-Newton step of the projected problem (Kaufman): the part of each texel's E across its own column.
+
+    Every texel counts by its brightness no more than others do: K_d is divided out of its equations.
+    """
+    lit = np.maximum(basis @ e, 0)
+    kd = _colours(values, weights, lit)
+    level = np.sum(kd**2, axis=1)
+    equal = weights / np.where(level > 0, level, np.inf)[:, None]
+    along = np.einsum("to,to,tok->tk", equal, lit, basis)
+    norm = np.einsum("to,to->t", equal, lit**2)
+    across = basis - (along / np.where(norm > 0, norm, 1)[:, None])[:, None] * lit[..., None]
+    # sum over channels of kd_c^2 is `level`; of kd_c r_c, one number an observation
+    residual = np.einsum("toc,tc->to", values - kd[:, None] * lit[..., None], kd)
+    normal = np.einsum("to,t,toj,tok->jk", equal, level, across, across)
+    right = np.einsum("to,to,tok->k", equal, residual, across)
+    damp = SMOOTHNESS * np.trace(normal) / HARMONICS * np.diag([1, 1, 1, 1, 1, 1, 1, 1, 1.0])
+    return e + np.linalg.solve(normal + damp, right)
+
+
+def _tukey(residuals: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Tukey's biweight of the length of each observation's residual, scaled by the median of each texel and of all."""
+    length = np.sqrt(np.sum(residuals**2, axis=-1))
+    scale = 1.4826 * float(np.median(length[weights > 0]))
+    return np.maximum(1 - (length / max(TUKEY * scale, 1e-12)) ** 2, 0) ** 2
+
+
+def _positive(e: np.ndarray, basis: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """The nearest E (in least squares over the normals seen) that is nowhere negative among a sample of them."""
+    rows = basis[weights > 0]
+    rows = rows[:: max(len(rows) // 2000, 1)]
+    constraint = np.zeros(len(rows))
+    for _ in range(8):
+        low = rows @ e < -1e-6
+        if not low.any():
+            break
+        constraint += low * 10.0
+        normal = rows.T @ (rows * (1 + constraint)[:, None])
+        e = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(HARMONICS), rows.T @ (rows @ e))
+    return e

@@ -1,0 +1,136 @@
+"""What the neighbours of a texel say: a smooth field over the surface from texels of unequal certainty.
+
+Texels are spread onto the nodes of a cubic lattice in the object's frame (tent weights), each with its precision, and
+from there onto lattices twice as wide, up to the whole object.  From coarse to fine, a node's value is the mean of its
+own texels and of the coarser field, which counts as much as `coarse` (a precision).  Where texels say much, the field
+follows them at the finest scale; where they say nothing, it is the mean of whatever is near, smoothly, across tile and
+chart borders.  Cost and memory are linear in the texels, and texels come tile by tile in any order.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+_BITS = 21
+_MIDDLE = 1 << (_BITS - 1)
+
+
+@dataclass(frozen=True)
+class Neighbourhood:
+    """Texels gathered; edge: of the finest lattice's cells, in the object's unit; size: numbers a texel; parts: from
+    `spread`, in the order in which they are to be added."""
+
+    edge: float
+    size: int
+    parts: list
+
+    def mean(self, default: np.ndarray) -> np.ndarray:
+        """(size,): of all texels, by precision; default where none says anything."""
+        total = sum((sums.sum(axis=0) for _, sums in self.parts), np.zeros(1 + self.size))
+        return total[1:] / total[0] if total[0] > 0 else np.asarray(default, float)
+
+    def field(self, coarse: float, default: np.ndarray) -> Field:
+        """The smooth field; coarse: precision with which the next coarser lattice counts; default (size,): value where
+        no texel of the whole object says anything."""
+        mean = self.mean(default)
+        if not any(len(keys) for keys, _ in self.parts):
+            return Field(self.edge, np.zeros(1, np.int64), mean[None].copy(), mean)
+        levels = [_merged(*(np.concatenate(part) for part in zip(*self.parts, strict=True)))]
+        while len(levels[-1][0]) > 8 and len(levels) < _BITS:
+            keys, sums = levels[-1]
+            levels.append(_shared(_unpacked(keys) / 2, sums))
+        parents = None
+        for keys, sums in reversed(levels):
+            above = mean if parents is None else _looked_up(_unpacked(keys) / 2, *parents)
+            parents = keys, (sums[:, 1:] + coarse * above) / (sums[:, :1] + coarse)
+        return Field(self.edge, *parents, mean)
+
+
+def spread(positions: np.ndarray, values: np.ndarray, precision: np.ndarray, edge: float) -> tuple:
+    """A part of a Neighbourhood: texels at positions (n, 3) with values (n, size) and precision (n,) >= 0.
+
+    Texels of precision 0 only say where there is surface.
+    """
+    weight = np.asarray(precision, np.float64)[:, None]
+    sums = np.concatenate([weight, weight * np.where(weight > 0, values, 0)], axis=1)
+    return _shared(np.asarray(positions, np.float64) / edge, sums)
+
+
+@dataclass(frozen=True)
+class Field:
+    """Values on the nodes of a lattice (keys sorted): between them, trilinear."""
+
+    edge: float
+    keys: np.ndarray
+    values: np.ndarray
+    mean: np.ndarray
+
+    def at(self, positions: np.ndarray) -> np.ndarray:
+        """(n, size) float32 at positions (n, 3) that were added; elsewhere the nearest nodes' mean, or the first."""
+        places = np.asarray(positions, np.float64).reshape(-1, 3) / self.edge
+        return _looked_up(places, self.keys, self.values).astype(np.float32)
+
+
+def _shared(places: np.ndarray, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Sums (n, s) at places (n, 3), in cells, shared among the nodes around by tent weights; merged by node."""
+    low = np.floor(places).astype(np.int64)
+    share = places - low
+    keys, parts = [], []
+    for corner in range(8):
+        bits = np.array([corner >> 2, corner >> 1 & 1, corner & 1])
+        weight = np.prod(np.where(bits, share, 1 - share), axis=1)
+        there = weight > 0
+        keys.append(_packed(low[there] + bits))
+        parts.append(weight[there, None] * sums[there])
+    return _merged(np.concatenate(keys), np.concatenate(parts))
+
+
+def _merged(keys: np.ndarray, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    order = np.argsort(keys, kind="stable")
+    keys = keys[order]
+    if not keys.size:
+        return keys, sums
+    first = np.flatnonzero(np.r_[True, keys[1:] != keys[:-1]])
+    return keys[first], np.add.reduceat(sums[order], first, axis=0)
+
+
+def _packed(nodes: np.ndarray) -> np.ndarray:
+    i, j, k = (np.clip(nodes[:, axis] + _MIDDLE, 0, 2 * _MIDDLE - 1) for axis in range(3))
+    return (i << 2 * _BITS) | (j << _BITS) | k
+
+
+def _unpacked(keys: np.ndarray) -> np.ndarray:
+    mask = 2 * _MIDDLE - 1
+    return np.stack([keys >> 2 * _BITS, keys >> _BITS & mask, keys & mask], axis=1) - float(_MIDDLE)
+
+
+def _looked_up(places: np.ndarray, keys: np.ndarray, values: np.ndarray) -> np.ndarray:
+    out = np.empty((len(places), values.shape[1]))
+    _interpolate(np.ascontiguousarray(places), keys, np.ascontiguousarray(values, np.float64), out)
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _interpolate(places, keys, values, out):
+    for p in range(len(places)):
+        x, y, z = np.floor(places[p, 0]), np.floor(places[p, 1]), np.floor(places[p, 2])
+        fx, fy, fz = places[p, 0] - x, places[p, 1] - y, places[p, 2] - z
+        out[p] = 0.0
+        total = 0.0
+        for corner in range(8):
+            bi, bj, bk = corner >> 2, corner >> 1 & 1, corner & 1
+            weight = (fx if bi else 1 - fx) * (fy if bj else 1 - fy) * (fz if bk else 1 - fz)
+            if not weight > 0.0:
+                continue
+            i, j, k = int(x) + bi + _MIDDLE, int(y) + bj + _MIDDLE, int(z) + bk + _MIDDLE
+            key = (i << 2 * _BITS) | (j << _BITS) | k
+            found = np.searchsorted(keys, key)
+            if found < len(keys) and keys[found] == key:
+                total += weight
+                for c in range(out.shape[1]):
+                    out[p, c] += weight * values[found, c]
+        for c in range(out.shape[1]):
+            out[p, c] = out[p, c] / total if total > 0.0 else values[0, c]

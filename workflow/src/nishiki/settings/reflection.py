@@ -1,0 +1,35 @@
+"""Settings of reflection."""
+
+from typing import ClassVar, Literal
+
+from pydantic import Field
+
+from nishiki.closed import Closed
+
+
+class ReflectionSettings(Closed):
+    """Lambert and the simplified Torrance-Sparrow model at every texel of an object."""
+
+    STAGE: ClassVar[str] = "reflection"
+    VERSION: ClassVar[int] = 1
+
+    width: Literal["smooth", "texel", "object"] = Field(
+        "smooth",
+        description="sigma and K_s: drawn towards the neighbours' as far as the data allow; each texel's own, filled "
+        "where no highlight was observed (the paper's); one sigma for the object",
+    )
+    method: Literal["projection", "levenberg_marquardt"] = Field(
+        "projection", description="fit of a texel's lobe; levenberg_marquardt: the paper's, slow"
+    )
+    lighting: Literal["auto", "camera", "fitted"] = Field(
+        "auto",
+        description="auto: the capture's lamps, fitted where it states none; camera: a lamp at the camera; fitted: an "
+        "irradiance over the normal whatever the capture states",
+    )
+    components: Literal["auto", "total"] = Field(
+        "auto", description="auto: diffuse and specular apart where polarisation separated them; total: together"
+    )
+    falloff: Literal["auto", "none", "inverse_square"] = Field(
+        "auto", description="of a lamp at a place, over the depth of the object; auto: whichever fits better"
+    )
+    hold_out: tuple[str, ...] = Field((), description="views left out of the fit; filled in by the plan")
