@@ -1,0 +1,232 @@
+"""The renderer on a dome of known texels, against a slow one written out pixel by pixel."""
+
+import numpy as np
+import pytest
+
+from nishiki.geometry.camera import Camera
+from nishiki.geometry.mesh import Mesh
+from nishiki.ingest.encoding import decode, encode
+from nishiki.patches.raster import rasterise
+from nishiki.reflection.lighting import Lighting
+from nishiki.reflection.model import predict
+from nishiki.turntable import renderer as module
+from nishiki.turntable.renderer import ObjectRenderer, lit_by
+from nishiki.turntable.turn import rotation_matrix
+
+SIZE, ACROSS = 9, 3  # texels of a tile, tiles across the dome
+TEXELS = (SIZE - 1) * ACROSS + 1
+
+
+def height(x, y):
+    return 0.4 * np.exp(-2 * (x * x + y * y))
+
+
+def dome(count=24):
+    """A dome over the square -1..1 as triangles."""
+    x, y = np.meshgrid(np.linspace(-1, 1, count + 1), np.linspace(-1, 1, count + 1))
+    vertices = np.stack([x, y, height(x, y)], axis=-1).reshape(-1, 3)
+    a = (np.arange(count)[:, None] * (count + 1) + np.arange(count)).reshape(-1)
+    triangles = np.concatenate([np.stack([a, a + 1, a + count + 2], 1), np.stack([a, a + count + 2, a + count + 1], 1)])
+    return Mesh.of(vertices, triangles)
+
+
+class DomeAtlas:
+    """Texels on the square, cut into tiles that share their borders."""
+
+    size = SIZE
+    tiles = ACROSS * ACROSS
+
+    def __init__(self, mesh):
+        self.mesh = mesh
+
+    def locate(self, triangle, barycentric):
+        corners = self.mesh.vertices[self.mesh.triangles[triangle]]
+        u, v = barycentric[..., :1].astype(float), barycentric[..., 1:].astype(float)
+        points = u * corners[..., 0, :] + v * corners[..., 1, :] + (1 - u - v) * corners[..., 2, :]
+        row, column = ((points[..., k] + 1) / 2 * (TEXELS - 1) for k in (1, 0))
+        down, across = (np.minimum(p // (SIZE - 1), ACROSS - 1).astype(int) for p in (row, column))
+        tile = np.where(triangle >= 0, down * ACROSS + across, -1).astype(np.int32)
+        return tile, (row - down * (SIZE - 1)).astype(np.float32), (column - across * (SIZE - 1)).astype(np.float32)
+
+    def geometry(self, tile):
+        row, column = np.mgrid[:SIZE, :SIZE] + np.array([tile // ACROSS, tile % ACROSS])[:, None, None] * (SIZE - 1)
+        x, y = 2 * column / (TEXELS - 1) - 1, 2 * row / (TEXELS - 1) - 1
+        slope = -4 * height(x, y)
+        normals = np.stack([-slope * x, -slope * y, np.ones_like(x)], axis=-1)
+        normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+        positions = np.stack([x, y, height(x, y)], axis=-1)
+        return positions.astype(np.float32), normals.astype(np.float32), np.ones((SIZE, SIZE), bool)
+
+
+class DomeResidual:
+    """Random parameters and residuals, continuous over the tiles' common borders; tile 4 stores nothing."""
+
+    def __init__(self, observations, *, scale=0.1):
+        rng = np.random.default_rng(5)
+        self.whole = (scale * rng.normal(size=(observations, TEXELS, TEXELS, 3))).astype(np.float32)
+        middle = slice(SIZE - 1, 2 * SIZE - 1)
+        self.whole[:, middle, middle] = 0
+        self.kd = rng.uniform(0.2, 0.8, (TEXELS, TEXELS, 3)).astype(np.float32)
+        self.ks = rng.uniform(0, 0.2, (TEXELS, TEXELS, 3)).astype(np.float32)
+        self.sigma = rng.uniform(0.1, 0.3, (TEXELS, TEXELS)).astype(np.float32)
+        self.decoded = []
+
+    def cut(self, tile):
+        first, second = tile // ACROSS * (SIZE - 1), tile % ACROSS * (SIZE - 1)
+        return slice(first, first + SIZE), slice(second, second + SIZE)
+
+    def parameters(self, tile):
+        area = self.cut(tile)
+        return self.kd[area], self.ks[area], self.sigma[area]
+
+    def decode(self, tile, *, level=0):
+        self.decoded.append(tile)
+        return self.whole[(slice(None), *self.cut(tile))]
+
+    def empty(self, tile):
+        return tile == 4
+
+
+def view(angle, rows=100, columns=110):
+    """A camera that looks at the dome from a distance of 4, turned about the y axis."""
+    rotation = np.diag([1.0, -1, -1]) @ rotation_matrix(np.array([0, -angle, 0]))
+    intrinsics = np.array([[150.0, 0, columns / 2], [0, 150, rows / 2], [0, 0, 1]])
+    return Camera(f"{angle:.3f}", intrinsics, rotation, np.array([0, 0, 4.0]), rows, columns)
+
+
+LIGHTING = Lighting("direction", ((0.0, 0.3, 1.0), (0.6, 0.0, 0.8)))
+ANGLES = np.array([-0.3, -0.1, 0.1, 0.3])
+
+
+def make(*, encoding="srgb", residual=None, **options):
+    mesh = dome()
+    atlas = DomeAtlas(mesh)
+    return ObjectRenderer(
+        mesh,
+        atlas,
+        [view(a) for a in ANGLES],
+        residual or DomeResidual(2 * len(ANGLES)),
+        LIGHTING,
+        geometry=atlas.geometry,
+        encoding=encoding,
+        full_turn=False,
+        channels=3,
+        **options,
+    )
+
+
+def slow(made, camera, light, shares):
+    """(rows, columns, 3) linear and covered: pixel by pixel, float64, with shares {observation: weight} everywhere."""
+    raster = rasterise(made.mesh, camera)
+    tile, s, t = made.atlas.locate(raster.triangle, raster.barycentric)
+    lamp = made.lighting.lamp(camera, light)
+    textures = []
+    for number in range(made.atlas.tiles):
+        positions, normals, _ = made.geometry(number)
+        diffuse, specular = predict(*made.residual.parameters(number), positions, normals, camera.centre, lamp)
+        texture = encode((diffuse + specular).astype(np.float64), made.encoding)
+        for observation, weight in shares.items():
+            texture = texture + weight * made.residual.whole[(observation, *made.residual.cut(number))]
+        textures.append(texture)
+    out = np.zeros((camera.rows, camera.columns, 3))
+    for place in zip(*np.nonzero(tile >= 0), strict=True):
+        texture, y, x = textures[tile[place]], float(s[place]), float(t[place])
+        i, j = min(int(y), SIZE - 2), min(int(x), SIZE - 2)
+        y, x = y - i, x - j
+        upper = texture[i, j] * (1 - x) + texture[i, j + 1] * x
+        lower = texture[i + 1, j] * (1 - x) + texture[i + 1, j + 1] * x
+        out[place] = decode(upper * (1 - y) + lower * y, made.encoding)
+    return out, raster.triangle >= 0
+
+
+@pytest.mark.parametrize("encoding", ["srgb", "linear"])
+def test_captured_views_are_model_plus_residual_between_texels(encoding):
+    made = make(encoding=encoding)
+    for index in (0, 2):
+        picture = made.view(index)
+        want, covered = slow(made, made.cameras[index], 0, {index: 1.0})
+        np.testing.assert_array_equal(picture.covered, covered)
+        assert covered.sum() > 1500
+        np.testing.assert_allclose(picture.linear[covered], want[covered], atol=2e-6)
+        assert not picture.linear[~picture.reached].any()
+        assert (picture.reached & ~covered).sum() > 100
+
+
+def test_model_alone():
+    made = make(model_only=True)
+    want, covered = slow(made, made.cameras[1], 0, {})
+    np.testing.assert_allclose(made.view(1).linear[covered], want[covered], atol=2e-6)
+    assert made.residual.decoded == []
+
+
+def test_lights_are_summed_in_linear_light():
+    made = make()
+    shot = lit_by(made.captured(1), ((0, 0.5), (1, 2.0)))
+    picture = next(made.render([shot]))
+    first, covered = slow(made, made.cameras[1], 0, {1: 1.0})
+    second, _ = slow(made, made.cameras[1], 1, {len(ANGLES) + 1: 1.0})
+    np.testing.assert_allclose(picture.linear[covered], 0.5 * first[covered] + 2 * second[covered], atol=5e-6)
+
+
+def test_views_between_weight_the_neighbours_and_model_the_new_view():
+    made = make()
+    shot = made.between(1, 0.25)
+    picture = next(made.render([shot]))
+    want, covered = slow(made, view(-0.05), 0, {1: 0.75, 2: 0.25})
+    # the dome is seen well from both neighbours everywhere
+    np.testing.assert_allclose(picture.linear[covered], want[covered], atol=1e-4)
+
+
+def test_cubic_weights_take_four_views():
+    made = make(method="cubic")
+    picture = next(made.render([made.between(1, 0.5)]))
+    shares = dict(zip(range(4), (-1 / 16, 9 / 16, 9 / 16, -1 / 16), strict=True))
+    want, covered = slow(made, view(0.0), 0, shares)
+    np.testing.assert_allclose(picture.linear[covered], want[covered], atol=1e-4)
+
+
+def test_between_at_a_captured_view_is_that_view():
+    made = make()
+    between, captured = made.render([made.between(2, 0.0), made.captured(2)])
+    np.testing.assert_array_equal(between.linear, captured.linear)
+
+
+def test_a_left_out_view_is_predicted_from_its_neighbours():
+    residual = DomeResidual(2 * len(ANGLES))
+    residual.whole[1] = 99.0  # what stands in its own slot must not be used
+    made = make(residual=residual, without=frozenset({1}))
+    want, covered = slow(made, made.cameras[1], 0, {0: 0.5, 2: 0.5})
+    np.testing.assert_allclose(made.view(1).linear[covered], want[covered], atol=1e-4)
+
+
+def test_only_tiles_in_view_that_hold_something_are_decoded_once():
+    made = make(threads=1)
+    for _ in made.render([made.captured(k) for k in range(4)]):
+        pass
+    assert sorted(made.residual.decoded) == [0, 1, 2, 3, 5, 6, 7, 8]
+
+
+def test_pictures_do_not_depend_on_batches_threads_or_cache(monkeypatch):
+    plain = [picture.linear for picture in make(threads=1).render([make().captured(k) for k in range(4)])]
+    monkeypatch.setattr(module, "BATCH_BYTES", 1)
+    monkeypatch.setattr(module, "CACHE_BYTES", 1)
+    made = make(threads=4)
+    for want, picture in zip(plain, made.render([made.captured(k) for k in range(4)]), strict=True):
+        np.testing.assert_array_equal(picture.linear, want)
+
+
+def test_nothing_in_view_gives_an_empty_picture():
+    made = make()
+    away = Camera("away", made.cameras[0].intrinsics, np.eye(3), np.array([0, 0, -9.0]), 20, 30)
+    picture = next(made.render([made.captured(0, camera=away)]))
+    assert not picture.reached.any()
+    assert not picture.linear.any()
+
+
+def test_normals_face_the_camera():
+    made = make()
+    picture = made.view(2)
+    normals = made.normals(picture, made.cameras[2])
+    assert np.allclose(np.linalg.norm(normals[picture.covered], axis=1), 1, atol=1e-5)
+    assert normals[picture.covered][:, 2].mean() > 0.8
+    assert not normals[~picture.covered].any()

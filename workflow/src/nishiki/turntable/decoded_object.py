@@ -1,0 +1,84 @@
+"""Opening a decoded object from the artifacts of the stages, ready to be rendered."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from nishiki.artifact import Artifact
+from nishiki.errors import UserError
+from nishiki.geometry.camera import Camera
+from nishiki.geometry.cameras_file import load_cameras
+from nishiki.geometry.mesh import Mesh
+from nishiki.patches.atlas import Atlas
+from nishiki.patches.store import Texels
+from nishiki.reflection.lighting import Lighting
+from nishiki.residual.store import Residual
+from nishiki.turntable.renderer import ObjectRenderer
+
+
+@dataclass(frozen=True)
+class DecodedObject:
+    """Everything that the renderer of one object needs, and the names of its views and lights."""
+
+    mesh: Mesh
+    atlas: Atlas
+    cameras: list[Camera]
+    residual: Residual
+    lighting: Lighting
+    texels: Texels
+    views: tuple[str, ...]
+    lights: tuple[str, ...]
+
+    @classmethod
+    def open(cls, inputs: Mapping[str, Artifact]) -> DecodedObject:
+        """From the artifacts of cameras, mesh, texels, reflection and residual."""
+        texels = Texels(inputs["texels"].folder)
+        lighting = json.loads(inputs["reflection"].path("reflection.json").read_text())["lighting"]
+        return cls(
+            Mesh.load(inputs["mesh"].path("mesh.npz")),
+            texels.atlas,
+            load_cameras(inputs["cameras"].path("cameras.json")),
+            Residual(inputs["residual"].folder),
+            Lighting.from_dict(lighting),
+            texels,
+            tuple(texels.views),
+            tuple(texels.lights),
+        )
+
+    def renderer(self, *, mesh: Mesh | None = None, **options) -> ObjectRenderer:
+        """A renderer of the object; `mesh`: the same triangles at other places; options as of `ObjectRenderer`."""
+        return ObjectRenderer(
+            mesh or self.mesh,
+            self.atlas,
+            self.cameras,
+            self.residual,
+            self.lighting,
+            geometry=self.texels.geometry,
+            encoding=self.texels.encoding,
+            full_turn=self.texels.full_turn,
+            channels=self.texels.channels,
+            **options,
+        )
+
+    def numbers(self, names) -> frozenset[int]:
+        """Places of named views in the order of the turn; UserError for a name that is not there."""
+        return frozenset(self.number(name) for name in names)
+
+    def number(self, name: str) -> int:
+        """Place of a named view."""
+        if name not in self.views:
+            known = ", ".join(self.views[:12]) + (", ..." if len(self.views) > 12 else "")
+            raise UserError(f"view {name!r}: expected one of {known}. Remedy: correct the name in the settings")
+        return self.views.index(name)
+
+    def light_weights(self, weights: Mapping[str, float]) -> tuple[tuple[int, float], ...]:
+        """(place, weight) of named lights; the first light alone where none is named."""
+        unknown = [name for name in weights if name not in self.lights]
+        if unknown:
+            raise UserError(
+                f"lights: expected names among {', '.join(map(repr, self.lights))}, found {unknown[0]!r}. Remedy: "
+                "correct the name in the settings"
+            )
+        return tuple((self.lights.index(name), float(w)) for name, w in weights.items()) or ((0, 1.0),)

@@ -1,0 +1,253 @@
+"""Pictures of a decoded object: captured views, views between them, sums of captured lights (O eq. 12 to 16).
+
+The value of a pixel is a bilinear look-up, at the surface point behind its centre, among texels of
+
+    encode(model at the texel, for this camera and lamp) + decoded residual of the texel,
+
+in the capture's own encoding; then decoded to linear light.  This is the very operation that the residual's texels
+were solved for, so that a captured view is reproduced up to what the coder threw away.  Work goes tile by tile: only
+tiles in view are decoded, each once for all pictures of a batch.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from nishiki.geometry.camera import Camera
+from nishiki.geometry.mesh import Mesh
+from nishiki.ingest.encoding import decode as to_linear
+from nishiki.ingest.encoding import encode
+from nishiki.patches.raster import interpolate, rasterise
+from nishiki.reflection.model import predict
+from nishiki.turntable.interpolation import Method, Neighbours, neighbours
+from nishiki.turntable.pixels import by_tile, extend, look_up, mix
+from nishiki.turntable.turn import camera_between, fit_turn
+from nishiki.turntable.visibility import DepthMaps
+
+BATCH_BYTES = 384 << 20
+CACHE_BYTES = 256 << 20
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One picture to make: from `camera`, with the residual of captured views (and for pixels that not all of them
+    see, `fallback`), under lights with weights L_j / L."""
+
+    camera: Camera
+    views: Neighbours
+    fallback: Neighbours
+    lights: tuple[tuple[int, float], ...] = ((0, 1.0),)
+
+
+@dataclass(frozen=True)
+class Picture:
+    """linear (rows, columns, channels) float32, 0 where nothing is shown; covered (rows, columns) bool: pixel centres
+    on the surface; reached: covered, or carried on beyond the edge by `rim` pixels; triangle, barycentric: what the
+    pixels show (see `nishiki.patches.raster.Raster`); depth (rows, columns) float32, +inf where not covered."""
+
+    linear: np.ndarray
+    covered: np.ndarray
+    reached: np.ndarray
+    triangle: np.ndarray
+    barycentric: np.ndarray
+    depth: np.ndarray
+
+
+@dataclass
+class _Prepared:
+    shot: Shot
+    raster: object
+    pixels: np.ndarray  # flat indexes of covered pixels
+    s: np.ndarray
+    t: np.ndarray
+    slots: dict[int, int]  # tile -> place in `first`
+    first: np.ndarray
+    order: np.ndarray
+    values: np.ndarray = field(init=False)  # (lights, pixels, channels): in the capture's encoding
+
+
+class ObjectRenderer:
+    """A decoded object.
+
+    mesh, atlas, cameras (of the captured views), residual and lighting as their rooms give them; geometry(tile) ->
+    positions (T, T, 3), normals (T, T, 3), inside (T, T); encoding: of the capture; without: views that were left out
+    of the fit and may not lend their residual to others; level > 0: a preview from the coarse part of the residual;
+    model_only: without the residual; rim: pixels by which values are carried on beyond the surface's edge.
+    """
+
+    def __init__(
+        self,
+        mesh: Mesh,
+        atlas,
+        cameras: list[Camera],
+        residual,
+        lighting,
+        *,
+        geometry: Callable,
+        encoding: str,
+        full_turn: bool,
+        channels: int,
+        without: frozenset[int] = frozenset(),
+        method: Method = "linear",
+        level: int = 0,
+        model_only: bool = False,
+        rim: int = 2,
+        threads: int | None = None,
+    ):
+        self.mesh, self.atlas, self.cameras = mesh, atlas, list(cameras)
+        self.residual, self.lighting, self.geometry = residual, lighting, geometry
+        self.encoding, self.channels = encoding, channels
+        self.turn = fit_turn(self.cameras, full_turn=full_turn)
+        self.without, self.method, self.level = without, method, level
+        self.model_only, self.rim = model_only, rim
+        self.threads = threads or os.cpu_count() or 1
+        self.depths = DepthMaps(mesh)
+        self._cache: OrderedDict[int, np.ndarray] = OrderedDict()
+        self._held, self._lock = 0, threading.Lock()
+
+    def captured(self, index: int, *, camera: Camera | None = None, light: int = 0) -> Shot:
+        """The picture of a captured view from its own slot of the residual; `camera`: the same, at another size."""
+        own = Neighbours(np.array([index]), np.ones(1))
+        return Shot(camera or self.cameras[index], own, own, ((light, 1.0),))
+
+    def predicted(self, index: int, *, light: int = 0) -> Shot:
+        """The picture of a captured view without its own residual: interpolated between the other views."""
+        return self._shot(self.cameras[index], float(self.turn.position[index]), light, self.without | {index})
+
+    def between(self, index: int, fraction: float, *, light: int = 0, scale: Callable | None = None) -> Shot:
+        """A picture `fraction` of the way from captured view `index` to the next; scale(camera): another size."""
+        camera = camera_between(self.cameras, self.turn, index, fraction)
+        position = self.turn.locate(index, fraction)
+        return self._shot(scale(camera) if scale else camera, position, light, self.without)
+
+    def _shot(self, camera: Camera, position: float, light: int, without: frozenset[int]) -> Shot:
+        full = neighbours(self.turn, position, method=self.method, without=without)
+        plain = full
+        if self.method == "cubic":
+            plain = neighbours(self.turn, position, method="linear", without=without)
+        return Shot(camera, full, plain, ((light, 1.0),))
+
+    def view(self, index: int, *, light: int = 0) -> Picture:
+        """A captured view; where it was left out of the fit, from the residual of its neighbours."""
+        shot = self.predicted if index in self.without else self.captured
+        return next(self.render([shot(index, light=light)]))
+
+    def render(self, shots: Iterable[Shot]) -> Iterator[Picture]:
+        """The pictures of the shots, in order; as many at a time as fit into the memory set aside for them."""
+        batch, held = [], 0
+        for shot in shots:
+            prepared = self._prepare(shot)
+            size = prepared.raster.triangle.nbytes * 4 + prepared.values.nbytes + prepared.order.nbytes * 3
+            if batch and held + size > BATCH_BYTES:
+                yield from self._finish(batch)
+                batch, held = [], 0
+            batch.append(prepared)
+            held += size
+        yield from self._finish(batch)
+
+    def _prepare(self, shot: Shot) -> _Prepared:
+        raster = rasterise(self.mesh, shot.camera)
+        pixels = np.flatnonzero(raster.triangle.reshape(-1) >= 0)
+        tile, s, t = self.atlas.locate(raster.triangle.reshape(-1)[pixels], raster.barycentric.reshape(-1, 2)[pixels])
+        present = np.flatnonzero(np.bincount(tile[tile >= 0], minlength=1))
+        places = np.full(int(tile.max(initial=0)) + 2, len(present), np.int32)  # tile -1 reads the last place
+        places[present] = np.arange(len(present))
+        first, order = by_tile(places[tile], len(present) + 1)
+        slots = {int(number): k for k, number in enumerate(present)}
+        prepared = _Prepared(shot, raster, pixels, s, t, slots, first, order)
+        prepared.values = np.zeros((len(shot.lights), len(pixels), self.channels), np.float32)
+        return prepared
+
+    def _finish(self, batch: list[_Prepared]) -> Iterator[Picture]:
+        if not self.model_only:
+            self.depths.prepare(
+                [self.cameras[v] for p in batch if len(p.shot.fallback.views) > 1 for v in p.shot.fallback.views]
+            )
+        tiles = sorted({tile for prepared in batch for tile in prepared.slots})
+        if self.threads > 1 and len(tiles) > 1:
+            with ThreadPoolExecutor(self.threads) as pool:
+                for _ in pool.map(lambda tile: self._draw(tile, batch), tiles):
+                    pass  # reading the results passes on an exception
+        else:
+            for tile in tiles:
+                self._draw(tile, batch)
+        while batch:
+            yield self._picture(batch.pop(0))
+
+    def _draw(self, tile: int, batch: list[_Prepared]) -> None:
+        """All pixels of all pictures of a batch that show this tile."""
+        parameters, surface = self.residual.parameters(tile), self.geometry(tile)
+        residual = None if self.model_only or self.residual.empty(tile) else self._decoded(tile)
+        for prepared in batch:
+            slot = prepared.slots.get(tile)
+            if slot is None:
+                continue
+            order = prepared.order[prepared.first[slot] : prepared.first[slot + 1]]
+            for k, (light, _) in enumerate(prepared.shot.lights):
+                texture = self._texture(prepared.shot, light, parameters, surface, residual)
+                look_up(texture, prepared.s, prepared.t, order, prepared.values[k])
+
+    def _texture(self, shot: Shot, light: int, parameters, surface, residual: np.ndarray | None) -> np.ndarray:
+        """(T, T, channels) float32: the tile's texels as this camera sees them under one light, encoded."""
+        positions, normals = surface[0], surface[1]
+        lamp = self.lighting.lamp(shot.camera, light)
+        diffuse, specular = predict(*parameters, positions, normals, shot.camera.centre, lamp)
+        coded = np.array(encode(diffuse + specular, self.encoding))
+        if residual is None:
+            return coded
+        base = light * len(self.cameras)
+        if len(shot.fallback.views) == 1 and len(shot.views.views) == 1:
+            coded += residual[base + shot.views.views[0]]
+            return coded
+        views = np.union1d(shot.views.views, shot.fallback.views)
+        weights, fallback = (
+            np.array([n.weights[n.views == v].sum() for v in views], np.float32) for n in (shot.views, shot.fallback)
+        )
+        seen = np.stack([self.depths.visible(positions, normals, self.cameras[v]) for v in views])
+        mix(residual, base + views.astype(np.int64), seen, weights, fallback, coded)
+        return coded
+
+    def _decoded(self, tile: int) -> np.ndarray:
+        """Decoded residual of a tile, (M, T, T, channels); the most recent ones are kept."""
+        with self._lock:
+            if tile in self._cache:
+                self._cache.move_to_end(tile)
+                return self._cache[tile]
+        block = np.ascontiguousarray(self.residual.decode(tile, level=self.level), np.float32)
+        with self._lock:
+            if tile not in self._cache:
+                self._cache[tile] = block
+                self._held += block.nbytes
+            while self._held > CACHE_BYTES and len(self._cache) > 1:
+                self._held -= self._cache.popitem(last=False)[1].nbytes
+        return block
+
+    def _picture(self, prepared: _Prepared) -> Picture:
+        raster, shot = prepared.raster, prepared.shot
+        linear = np.zeros((raster.triangle.size, self.channels), np.float32)
+        for values, (_, weight) in zip(prepared.values, shot.lights, strict=True):
+            linear[prepared.pixels] += np.float32(weight) * to_linear(values, self.encoding)
+        linear = linear.reshape(*raster.triangle.shape, self.channels)
+        covered = raster.triangle >= 0
+        linear, reached = extend(linear, covered, rings=self.rim)
+        return Picture(linear, covered, reached, raster.triangle, raster.barycentric, raster.depth)
+
+    def normals(self, picture: Picture, camera: Camera) -> np.ndarray:
+        """(rows, columns, 3) float32 unit normals as the camera sees them (x right, y up, z to the camera), 0 where
+        nothing is covered."""
+        turned = self.mesh.normals @ (np.diag([1.0, -1.0, -1.0]) @ camera.rotation).T
+        found = interpolate(turned, self.mesh.triangles, picture.triangle, picture.barycentric)
+        length = np.linalg.norm(found, axis=2, keepdims=True)
+        return np.where(length > 1e-6, found / np.where(length > 1e-6, length, 1), 0).astype(np.float32)
+
+
+def lit_by(shot: Shot, lights: tuple[tuple[int, float], ...]) -> Shot:
+    """The same picture under a sum of captured lights (index, L_j / L) (O eq. 13 to 15)."""
+    return Shot(shot.camera, shot.views, shot.fallback, lights)
