@@ -1,0 +1,289 @@
+"""Pose of one view from points of the object and their places in the picture (PnP)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import combinations
+from math import comb
+
+import numpy as np
+
+from nishiki.errors import UserError
+from nishiki.geometry.camera import NO_DISTORTION, Camera
+
+LEAST_POINTS = 4
+DRAWS = 400
+STEPS = 100
+# Where the second pose of a flat set fits worse by less than this many noise variances, the picture cannot tell.
+DISTINCT = 20.0
+FLAT = 0.05
+LINE = 1e-3
+SAME_POSE_DEG = 2.0
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What one view shows of known points: points (n, 3) world, pixels (n, 2) (column, row), float64."""
+
+    name: str
+    points: np.ndarray
+    pixels: np.ndarray
+
+
+@dataclass(frozen=True)
+class Pose:
+    """camera: the view. inliers (n,) bool: points that agree with it. rms_px, worst_px: over the inliers."""
+
+    camera: Camera
+    inliers: np.ndarray
+    rms_px: float
+    worst_px: float
+
+
+def estimate_pose(
+    sight: Sight,
+    intrinsics: np.ndarray,
+    distortion: tuple[float, ...] = NO_DISTORTION,
+    *,
+    rows: int,
+    columns: int,
+    outlier_px: float,
+) -> Pose:
+    """Start from the best of many four-point solutions (SQPnP: G. Terzakis and M. Lourakis, ECCV 2020; scored as in
+    MSAC), then Levenberg-Marquardt on the points within outlier_px, until they stay the same. Draws are fixed: equal
+    input gives equal output.
+
+    Raises UserError, naming the view and what to do: fewer than 4 points; points on a line; fewer than 4, or less than
+    half of them, agree with one pose; points behind the camera; flat points with two poses that fit equally well.
+    """
+    sight = Sight(sight.name, np.asarray(sight.points, np.float64), np.asarray(sight.pixels, np.float64))
+    _expect_spread(sight, np.ones(len(sight.points), bool))
+    whole, (sight, middle, size) = sight, _unit(sight)
+    lens = _Lens.of(intrinsics, distortion, rows, columns)
+    start = _best_draw(sight, lens, outlier_px)
+    if start is None:
+        raise UserError(f"view {sight.name!r}: no camera sees these {len(sight.points)} points there. {REMEDY}")
+    vector, inliers = _settle(sight, lens, start, outlier_px)
+    if inliers.sum() < max(LEAST_POINTS, len(inliers) / 2):
+        raise UserError(
+            f"view {sight.name!r}: only {int(inliers.sum())} of {len(inliers)} correspondences agree with one "
+            "camera within "
+            f"{outlier_px:g} px. {REMEDY}"
+        )
+    _expect_spread(sight, inliers)
+    vector = _expect_one(sight, lens, vector, inliers)
+    camera = lens.camera(sight.name, vector)
+    camera = replace(camera, translation=size * camera.translation - camera.rotation @ middle)
+    found, depth = camera.project(whole.points)
+    if (depth[inliers] <= 0).any():
+        raise UserError(
+            f"view {sight.name!r}: {int((depth[inliers] <= 0).sum())} points lie behind the camera that fits them "
+            "best. "
+            f"{REMEDY}"
+        )
+    errors = np.linalg.norm(found - sight.pixels, axis=1)[inliers]
+    return Pose(camera, inliers, float(np.sqrt((errors**2).mean())), float(errors.max()))
+
+
+REMEDY = (
+    "Remedy: check that columns and rows are not swapped, that points carry the mesh's own coordinates and unit, that "
+    "the world is right-handed, and that the intrinsics are those of these pictures"
+)
+
+
+def _unit(sight: Sight) -> tuple[Sight, np.ndarray, float]:
+    """Points about their mean, of unit size, so that the solvers' tolerances fit; the mean and the size."""
+    middle = sight.points.mean(axis=0)
+    size = float(np.sqrt(((sight.points - middle) ** 2).sum(axis=1).mean()))
+    return Sight(sight.name, (sight.points - middle) / size, sight.pixels), middle, size
+
+
+def refine_pose(camera: Camera, points: np.ndarray, pixels: np.ndarray) -> Camera:
+    """The camera moved to the least reprojection error over points (n, 3), pixels (n, 2); intrinsics stay."""
+    lens = _Lens.of(camera.intrinsics, camera.distortion, camera.rows, camera.columns)
+    vector = np.concatenate([_rotation_vector(camera.rotation), camera.translation])
+    return lens.camera(camera.name, _refine(lens, vector, points, pixels))
+
+
+@dataclass(frozen=True)
+class _Lens:
+    intrinsics: np.ndarray
+    upright: np.ndarray
+    distortion: np.ndarray
+    rows: int
+    columns: int
+
+    @classmethod
+    def of(cls, intrinsics: np.ndarray, distortion: tuple[float, ...], rows: int, columns: int) -> _Lens:
+        intrinsics = np.array(intrinsics, np.float64)
+        upright = intrinsics.copy()
+        upright[0, 1] = 0.0
+        return cls(intrinsics, upright, np.array(distortion, np.float64), rows, columns)
+
+    def straighten(self, pixels: np.ndarray) -> np.ndarray:
+        """Pixels of the same camera without skew, which OpenCV's model has not: exact, the lens comes before it."""
+        k = self.intrinsics
+        skew = k[0, 1] * (pixels[:, 1] - k[1, 2]) / k[1, 1]
+        return np.ascontiguousarray(np.column_stack([pixels[:, 0] - skew, pixels[:, 1]]))
+
+    def camera(self, name: str, vector: np.ndarray) -> Camera:
+        import cv2
+
+        rotation = cv2.Rodrigues(np.ascontiguousarray(vector[:3]))[0]
+        coefficients = tuple(self.distortion.tolist())
+        return Camera(name, self.intrinsics, rotation, vector[3:].copy(), self.rows, self.columns, coefficients)
+
+
+def _rotation_vector(rotation: np.ndarray) -> np.ndarray:
+    import cv2
+
+    return cv2.Rodrigues(np.ascontiguousarray(rotation))[0].ravel()
+
+
+def _expect_spread(sight: Sight, chosen: np.ndarray) -> None:
+    """UserError unless the chosen points are at least 4, finite, and not on a line."""
+    points = sight.points[chosen]
+    if len(points) < LEAST_POINTS:
+        raise UserError(
+            f"view {sight.name!r}: expected at least {LEAST_POINTS} correspondences for a pose, found "
+            f"{len(points)}. Remedy: "
+            "pick more points in this view, far apart and at different depths (6 or more are better)"
+        )
+    if not (np.isfinite(points).all() and np.isfinite(sight.pixels[chosen]).all()):
+        raise UserError(f"view {sight.name!r}: correspondences that are not finite. Remedy: correct these rows")
+    for values, what in ((points, "points"), (sight.pixels[chosen], "pixels")):
+        sizes = np.linalg.svd(values - values.mean(axis=0), compute_uv=False)
+        if sizes[1] <= LINE * sizes[0]:
+            raise UserError(
+                f"view {sight.name!r}: all {what} of its correspondences lie on a line, so that the camera can turn "
+                "about it. "
+                "Remedy: pick points to both sides of that line"
+            )
+
+
+def _best_draw(sight: Sight, lens: _Lens, outlier_px: float) -> np.ndarray | None:
+    """Rotation vector and translation (6,) of the draw of four points that the others contradict least."""
+    count = len(sight.points)
+    pixels = lens.straighten(sight.pixels)
+    draws = (
+        combinations(range(count), LEAST_POINTS)
+        if comb(count, LEAST_POINTS) <= DRAWS
+        else (np.random.default_rng(draw).choice(count, LEAST_POINTS, replace=False) for draw in range(DRAWS))
+    )
+    best, least = None, np.inf
+    for chosen in (list(range(count)), *(list(draw) for draw in draws)):
+        vector = _solve(lens, sight.points[chosen], pixels[chosen])
+        if vector is None:
+            continue
+        errors = _errors(lens, vector, sight.points, sight.pixels)
+        score = np.minimum(errors, outlier_px**2).sum()
+        if score < least:
+            best, least = vector, score
+    return best
+
+
+def _solve(lens: _Lens, points: np.ndarray, pixels: np.ndarray) -> np.ndarray | None:
+    import cv2
+
+    try:
+        done, turn, shift = cv2.solvePnP(points, pixels, lens.upright, lens.distortion, flags=cv2.SOLVEPNP_SQPNP)
+    except cv2.error:
+        return None
+    vector = np.concatenate([turn.ravel(), shift.ravel()]) if done else None
+    return vector if done and np.isfinite(vector).all() else None
+
+
+def _errors(lens: _Lens, vector: np.ndarray, points: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """(n,) squared distances in pixels; infinite behind the camera."""
+    found, depth = lens.camera("", vector).project(points)
+    return np.where(depth > 0, ((found - pixels) ** 2).sum(axis=1), np.inf)
+
+
+def _settle(sight: Sight, lens: _Lens, vector: np.ndarray, outlier_px: float) -> tuple[np.ndarray, np.ndarray]:
+    """Alternate between the points within outlier_px and the best pose of these."""
+    inliers = _errors(lens, vector, sight.points, sight.pixels) <= outlier_px**2
+    for _ in range(10):
+        if inliers.sum() < LEAST_POINTS:
+            break
+        vector = _refine(lens, vector, sight.points[inliers], sight.pixels[inliers])
+        now = _errors(lens, vector, sight.points, sight.pixels) <= outlier_px**2
+        if (now == inliers).all():
+            break
+        inliers = now
+    return vector, inliers
+
+
+def _refine(lens: _Lens, vector: np.ndarray, points: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """Levenberg-Marquardt from rotation vector and translation (6,), scaled by the columns of the Jacobian."""
+    straight = lens.straighten(pixels)
+    errors, slopes = _residuals(lens, vector, points, straight)
+    best, damping = errors @ errors, 1e-3
+    for _ in range(STEPS):
+        scale = np.linalg.norm(slopes, axis=0)
+        scale[scale == 0] = 1.0
+        scaled = slopes / scale
+        step = np.linalg.solve(scaled.T @ scaled + damping * np.eye(6), -scaled.T @ errors) / scale
+        tried, tried_slopes = _residuals(lens, vector + step, points, straight)
+        total = tried @ tried
+        if not total < best:
+            damping *= 8
+            if damping > 1e8:
+                break
+            continue
+        settled = best - total <= 1e-14 * best
+        vector, errors, slopes, best, damping = vector + step, tried, tried_slopes, total, max(damping / 8, 1e-12)
+        if settled:
+            break
+    return vector
+
+
+def _residuals(
+    lens: _Lens, vector: np.ndarray, points: np.ndarray, straight: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(2 n,) pixels off and (2 n, 6) their derivatives by rotation vector and translation."""
+    import cv2
+
+    shape = np.ascontiguousarray(points, np.float64)
+    found, slopes = cv2.projectPoints(shape, vector[:3], vector[3:], lens.upright, lens.distortion)[:2]
+    return (found.reshape(-1, 2) - straight).ravel(), np.asarray(slopes)[:, :6]
+
+
+def _expect_one(sight: Sight, lens: _Lens, vector: np.ndarray, inliers: np.ndarray) -> np.ndarray:
+    """The better of the two poses of flat points (T. Collins and A. Bartoli, Infinitesimal plane-based pose estimation,
+    IJCV 109, 2014); UserError where the picture does not tell them apart. Other points pass unchanged."""
+    import cv2
+
+    points, pixels = sight.points[inliers], sight.pixels[inliers]
+    centred = points - points.mean(axis=0)
+    _, sizes, directions = np.linalg.svd(centred, full_matrices=False)
+    if sizes[2] > FLAT * sizes[0]:
+        return vector
+    flat = points - np.outer(centred @ directions[2], directions[2])
+    try:
+        _, turns, shifts, _ = cv2.solvePnPGeneric(
+            flat, lens.straighten(pixels), lens.upright, lens.distortion, flags=cv2.SOLVEPNP_IPPE
+        )
+    except cv2.error:
+        return vector
+    starts = [np.concatenate([turn.ravel(), shift.ravel()]) for turn, shift in zip(turns, shifts, strict=True)]
+    poses = [vector, *(_refine(lens, start, points, pixels) for start in starts if np.isfinite(start).all())]
+    poses = [pose for pose in poses if np.isfinite(pose).all()]
+    sums = [float(_errors(lens, pose, points, pixels).sum()) for pose in poses]
+    order = np.argsort(sums, kind="stable")
+    best = poses[order[0]]
+    variance = max(sums[order[0]] / max(1, 2 * len(points) - 6), 0.02**2)
+    for other in order[1:]:
+        apart = _degrees_apart(lens, best, poses[other])
+        if apart > SAME_POSE_DEG and sums[other] - sums[order[0]] < DISTINCT * variance:
+            raise UserError(
+                f"view {sight.name!r}: its points lie in a plane and two cameras, {apart:.0f} degrees apart, "
+                "explain them equally "
+                "well. Remedy: add points off that plane, more points, or take the picture closer and from further "
+                "aside"
+            )
+    return best
+
+
+def _degrees_apart(lens: _Lens, one: np.ndarray, other: np.ndarray) -> float:
+    turn = lens.camera("", one).rotation @ lens.camera("", other).rotation.T
+    return float(np.degrees(np.linalg.norm(_rotation_vector(turn))))
