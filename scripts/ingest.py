@@ -10,8 +10,9 @@ from nishiki.capture.folder import Capture, load_capture
 from nishiki.capture.seal import capture_digest
 from nishiki.capture.turntable import TurntableCapture
 from nishiki.ingest.store import STORE, write_observations
+from nishiki.ingest.views_attributes import geometry_sources
 from nishiki.ingest.views_store import STORE as VIEWS
-from nishiki.ingest.views_store import geometry_sources, write_views
+from nishiki.ingest.views_store import write_views
 from nishiki.settings.ingest import IngestSettings
 from nishiki.spectra.colour import illuminant as cie_illuminant
 from nishiki.spectra.sampling import resample

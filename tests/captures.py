@@ -94,3 +94,95 @@ def edit_text(path: Path, old: str, new: str) -> None:
     text = path.read_text()
     assert old in text, f"{old!r} not in {path}"
     path.write_text(text.replace(old, new))
+
+
+def ring_of_cameras(views: int, *, turn: float = 2 * np.pi, rows: int = 20, columns: int = 24) -> np.ndarray:
+    """(views, 3, 4) projection matrices of cameras round the y axis at distance 5 that look at the origin."""
+    intrinsics = np.array([[30.0, 0, (columns - 1) / 2], [0, 30.0, (rows - 1) / 2], [0, 0, 1]])
+    matrices = []
+    for angle in np.arange(views) * turn / views:
+        c, s = np.cos(angle), np.sin(angle)
+        rotation = np.array([[c, 0, -s], [0, -1, 0], [-s, 0, -c]])
+        matrices.append(intrinsics @ np.column_stack([rotation, [0, 0, 5.0]]))
+    return np.array(matrices)
+
+
+def turntable_value(view: int, light: int, state: int, rows: int, columns: int) -> np.ndarray:
+    """(rows, columns, 3) light of the test object, full scale 1: each photograph differs from all others."""
+    y, x = np.mgrid[:rows, :columns]
+    base = 0.1 + 0.5 * x / columns + 0.1 * y / rows
+    factors = np.array([1.0, 0.8, 0.6]) * (1 - 0.05 * view) * (1 - 0.2 * light) * (1 - 0.3 * state)
+    return base[..., None] * factors
+
+
+def make_turntable(
+    folder: Path,
+    *,
+    views: int = 5,
+    states: tuple[str, ...] = ("",),
+    lights: tuple[str, ...] = ("",),
+    cameras: bool = True,
+    silhouettes: bool = True,
+    dark: bool = False,
+    white: bool = False,
+    boards: tuple[str, ...] = (),
+    rows: int = 20,
+    columns: int = 24,
+    bits: int = 12,
+    camera: dict | None = None,
+    turntable: dict | None = None,
+    yaml_extra: dict | None = None,
+) -> Path:
+    """Write an unsealed turntable capture: views v0, v1 ..., 16-bit PNG with 12 significant bits, dark level 100 codes.
+
+    white: boards without polariser, 0.5 of full scale, one a light; boards: states with a board of their own.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    top, level = (1 << bits) - 1, 100 if dark else 0
+    table = [("file", "role", "view", "light", "polariser", "silhouette")]
+    names = [f"v{i}" if views > 1 else "" for i in range(views)]
+    for j, light in enumerate(lights):
+        for i, view in enumerate(names):
+            for k, state in enumerate(states):
+                file = f"frames/{i}_{j}_{k}.png"
+                write_frame(folder / file, level + top * turntable_value(i, j, k, rows, columns))
+                outline = f"silhouettes/{i}.png" if silhouettes else ""
+                table.append((file, "sample", view, light, state, outline))
+        if white:
+            write_frame(folder / f"white/{j}.png", np.full((rows, columns, 3), level + 0.5 * top))
+            table.append((f"white/{j}.png", "white", "", light, "", ""))
+        for k, state in enumerate(boards):
+            values = np.full((rows, columns, 3), level + 0.6 * top) * [1, 0.9, 0.8] / (k + 1)
+            write_frame(folder / f"white/{j}_{k}.png", values)
+            table.append((f"white/{j}_{k}.png", "white", "", light, state, ""))
+    for i in range(views) if silhouettes else ():
+        outline = np.zeros((rows, columns, 1))
+        outline[5:15, 6:18] = 255
+        write_frame(folder / f"silhouettes/{i}.png", outline, np.uint8)
+    if dark:
+        write_frame(folder / "dark/dark.png", np.full((rows, columns, 3), float(level)))
+        table.append(("dark/dark.png", "dark", "", "", "", ""))
+    block = {"full_turn": views > 2, "unit": "mm"}
+    if cameras:
+        heading = "view," + ",".join(f"p{r}{c}" for r in (1, 2, 3) for c in (1, 2, 3, 4))
+        lines = [
+            f"{n},{','.join(map(repr, m.ravel().tolist()))}" for n, m in zip(names, ring_of_cameras(views), strict=True)
+        ]
+        (folder / "cameras.csv").write_text("\n".join([heading, *lines]) + "\n")
+        block["cameras"] = "cameras.csv"
+    (folder / "frames.csv").write_text("".join(",".join(row) + "\n" for row in table))
+    settings = {
+        "format": 1,
+        "title": "Test object",
+        "geometry": "turntable",
+        "camera": {"channels": list(CHANNELS), "encoding": "linear", "bits": bits, **(camera or {})},
+        "turntable": block | (turntable or {}),
+    }
+    (folder / "capture.yaml").write_text(yaml.safe_dump(settings | (yaml_extra or {}), sort_keys=False))
+    return folder
+
+
+def edit_block(folder: Path, **changes) -> None:
+    """Set keys of the block `turntable` in capture.yaml (None removes one)."""
+    block = yaml.safe_load((folder / "capture.yaml").read_text())["turntable"] | changes
+    edit_yaml(folder, turntable={k: v for k, v in block.items() if v is not None})

@@ -14,6 +14,8 @@ from nishiki.capture.headers import ImageHeader, read_header
 from nishiki.capture.images import expect_channels, read_labels, read_mask
 from nishiki.capture.problems import CaptureError, Problem, error, warning
 from nishiki.capture.seal import sha256_of, verify_seal
+from nishiki.capture.turntable import TurntableCapture
+from nishiki.capture.turntable_check import listed_files, silhouette_problems, turntable_content_problems
 from nishiki.ingest.blocks import block_edges
 from nishiki.ingest.decode import count_unusable
 from nishiki.ingest.frames import FrameReader, region_of
@@ -39,14 +41,24 @@ def check_capture(
         problems += _attempt(lambda: verify_seal(root, digests=level == "full"))
     if capture is not None:
         problems += _unlisted(capture)
-        problems += _same_directions(capture)
         headers = {}
         problems += _header_problems(capture, headers)
-        problems += _mask_problems(capture, headers)
-        if level == "full":
-            problems += _content_problems(capture, progress or (lambda file: None))
+        look = _look_round if capture.geometry == "turntable" else _look_at_plane
+        problems += look(capture, headers, level == "full", progress or (lambda file: None))
     distinct = list(dict.fromkeys(problems))
     return sorted(distinct, key=lambda p: p.severity != "error")
+
+
+def _look_at_plane(capture: Capture, headers: dict, whole: bool, tick: Callable[[str], None]) -> list[Problem]:
+    problems = _same_directions(capture) + _mask_problems(capture, headers)
+    return problems + (_content_problems(capture, tick) if whole else [])
+
+
+def _look_round(capture: TurntableCapture, headers: dict, whole: bool, tick: Callable[[str], None]) -> list[Problem]:
+    if not capture.frames_of("sample"):
+        return []  # reported already; there is nothing to compare with
+    problems = silhouette_problems(capture, headers)
+    return problems + (turntable_content_problems(capture, tick) if whole else [])
 
 
 def _attempt(work: Callable[[], list[Problem]]) -> list[Problem]:
@@ -56,16 +68,23 @@ def _attempt(work: Callable[[], list[Problem]]) -> list[Problem]:
         return list(e.problems)
 
 
-def _unlisted(capture: Capture) -> list[Problem]:
-    """Files in the payload that nothing names: harmless, but perhaps a forgotten photograph."""
-    settings, payload = capture.settings, capture.payload
+def _listed(capture: Capture | TurntableCapture) -> set[str]:
+    """Every file that the capture's tables name."""
+    if capture.geometry == "turntable":
+        return listed_files(capture)
+    settings = capture.settings
     named = [settings.lights.file, settings.lights.intensities, settings.camera.sensitivities, settings.illuminant]
     named += [settings.mask, settings.regions, "capture.yaml", "frames.csv", *(f.file for f in capture.frames)]
-    listed = {Path(name).as_posix() for name in named if name}
+    return {Path(name).as_posix() for name in named if name}
+
+
+def _unlisted(capture: Capture | TurntableCapture) -> list[Problem]:
+    """Files in the payload that nothing names: harmless, but perhaps a forgotten photograph."""
+    payload = capture.payload
     files = (p.relative_to(payload).as_posix() for p in payload.rglob("*") if p.is_file())
     own = {"bagit.txt", "bag-info.txt", "manifest-sha256.txt", "tagmanifest-sha256.txt"}
     remedy = "List it in frames.csv, or move it out of the capture"
-    extra = sorted(set(files) - listed - own)
+    extra = sorted(set(files) - _listed(capture) - own)
     return [warning("file-unlisted", name, "no table names this file", remedy=remedy) for name in extra]
 
 
@@ -79,7 +98,7 @@ def _same_directions(capture: Capture) -> list[Problem]:
     return [warning("light-same", file, what.format(names[i], names[j])) for i, j in pairs]
 
 
-def _header_problems(capture: Capture, headers: dict[str, ImageHeader]) -> list[Problem]:
+def _header_problems(capture: Capture | TurntableCapture, headers: dict[str, ImageHeader]) -> list[Problem]:
     """Sizes, depths and channels of all photographs against the first that can be read."""
     problems: list[Problem] = []
     for frame in capture.frames:

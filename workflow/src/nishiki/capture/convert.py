@@ -29,6 +29,7 @@ class Conversion:
     layout: str
     photographs: int
     warnings: tuple[Problem, ...]
+    geometry: str = "plane"
 
 
 def convert(
@@ -76,7 +77,7 @@ def convert(
             )
 
         notes = _whole(target, write_turntable)
-        return Conversion(target, found.name, len(found.photographs), (*found.warnings, *notes))
+        return Conversion(target, found.name, len(found.photographs), (*found.warnings, *notes), "turntable")
     layout = recognise(source, lights_file=lights_file, mask=mask)
     unknown = [name for name in checks if layout.lights.index(name) is None]
     if unknown:

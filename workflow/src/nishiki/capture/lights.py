@@ -82,7 +82,9 @@ def lights_from_vectors(
     lengths = np.sqrt((vectors**2).sum(axis=1))
     called = [str(i + 1) if name is None else light_name(name) for i, name in enumerate(names)]
     for i, (vector, length) in enumerate(zip(vectors, lengths, strict=True)):
-        problems += _check_vector(vector, length, called[i], file, frontal)
+        # the origin of a turntable's positions is the camera, where a lamp may well be
+        somewhere = 0.0 if kind == "position_mm" and not frontal else 1e-9
+        problems += _check_vector(vector, length, called[i], file, frontal, somewhere)
     seen: dict[str, int] = {}
     for i, name in enumerate(called):
         if name in seen:
@@ -95,14 +97,18 @@ def lights_from_vectors(
         worst = lengths[np.argmax(np.abs(lengths - 1))]
         what = f"{uneven.sum()} of {len(vectors)} directions are not of unit length and were normalised"
         problems.append(warning("light-not-unit", file, what, found=f"length {worst:.4g}"))
-    return Lights(tuple(called), tuple(names), vectors, vectors / lengths[:, None], tuple(problems))
+    return Lights(
+        tuple(called), tuple(names), vectors, vectors / np.where(lengths > 0, lengths, 1.0)[:, None], tuple(problems)
+    )
 
 
-def _check_vector(vector: np.ndarray, length: float, name: str, file: str, frontal: bool) -> list[Problem]:
+def _check_vector(
+    vector: np.ndarray, length: float, name: str, file: str, frontal: bool, least: float
+) -> list[Problem]:
     found = " ".join(f"{v:g}" for v in vector)
     if not math.isfinite(length):
         return [error("light-not-finite", file, f"light '{name}' is not finite", found=found)]
-    if length < 1e-9:
+    if length < least:
         return [error("light-zero", file, f"light '{name}' has a vector of zero length", found=found)]
     if frontal and vector[2] <= 0:
         remedy = "Directions point from the object to the lamp, z towards the camera; turn the axes if yours differ"

@@ -7,9 +7,10 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from nishiki.capture.problems import CaptureError, Problem, error
+from nishiki.capture.problems import CaptureError, Problem, error, warning
 
 Kind = Literal["none", "circular", "linear", "generator"]
+FEWEST_ANGLES = 3
 MEANS = {
     "none": "no polariser",
     "circular": "circular polarisers off or on",
@@ -55,7 +56,7 @@ def kind_of(states: tuple[str, ...]) -> Kind:
 
 
 def state_problems(states: tuple[str, ...], file: str) -> list[Problem]:
-    """Whether these states belong together: all of one kind, and circular ones both off and on."""
+    """Whether these states belong together: all of one kind, circular ones both off and on, enough angles."""
     kinds = {parse_state(name).kind for name in states}
     if len(kinds) > 1:
         found = ", ".join(MEANS[kind] for kind in sorted(kinds))
@@ -65,4 +66,10 @@ def state_problems(states: tuple[str, ...], file: str) -> list[Problem]:
         other = "on" if states[0] == "off" else "off"
         remedy = f"Photograph every view with the polariser {other} too, or leave the column empty"
         return [error("polariser-pair", file, f"polariser only '{states[0]}'", expected="off and on", remedy=remedy)]
+    if kinds == {"linear"}:
+        angles = {round(parse_state(name).angles_deg[0] % 180, 3) % 180 for name in states}
+        if len(angles) < FEWEST_ANGLES:
+            expected, found = f"at least {FEWEST_ANGLES}, half a turn apart counting once", f"{len(angles)}"
+            what, remedy = "analyser angles are too few to separate reflection", "Photograph 0, 45, 90 and 135 degrees"
+            return [warning("polariser-few", file, what, expected=expected, found=found, remedy=remedy)]
     return []

@@ -12,13 +12,12 @@ from nishiki.capture.cameras import read_cameras, read_points
 from nishiki.capture.frames import Frame, inside
 from nishiki.capture.headers import read_header
 from nishiki.capture.lights import Lights, read_lights
+from nishiki.capture.mesh_files import expect_mesh
 from nishiki.capture.polariser import kind_of
-from nishiki.capture.problems import CaptureError, Problem, error
+from nishiki.capture.problems import Problem
 from nishiki.capture.spectra_tables import Curves
 from nishiki.capture.turntable_rules import turntable_problems
 from nishiki.capture.turntable_schema import Intrinsics, TurntableFile, read_intrinsics
-
-MESHES = (".ply", ".obj")
 
 
 @dataclass(frozen=True)
@@ -61,7 +60,8 @@ class TurntableCapture:
     def observed(self) -> tuple[Frame, ...]:
         """Frames of the object, ordered by light, then view, then polariser state: how observations are numbered."""
         found = {(f.light, f.view, f.polariser): f for f in self.frames_of("sample")}
-        return tuple(found[i, j, k] for i in self.light_names for j in self.views for k in self.states)
+        keys = ((i, j, k) for i in self.light_names for j in self.views for k in self.states)
+        return tuple(found[key] for key in keys if key in found)  # of a sound capture all are
 
     def frames_of(self, role: str) -> tuple[Frame, ...]:
         return tuple(f for f in self.frames if f.role == role)
@@ -166,7 +166,8 @@ def examine_turntable(
 
     for (key, file), path in places.items():
         if path is not None and key in ("turntable.mesh", "turntable.scans"):
-            attempt(lambda k=key, f=file: expect_mesh(f, f"capture.yaml {k}", scan=k.endswith("scans")))
+            scan = key == "turntable.scans"
+            attempt(lambda p=path, f=file, k=key, s=scan: expect_mesh(p, f, f"capture.yaml {k}", scan=s))
     lights = _lights(payload, settings, attempt)
     matrices, intrinsics = read("cameras", read_cameras), read("intrinsics", read_intrinsics)
     if frames is None:
@@ -222,11 +223,3 @@ def _lights(payload: Path, settings: TurntableFile, attempt: Callable) -> Lights
     file, kind = settings.lights.file, settings.lights.kind
     path = attempt(lambda: inside(payload, file, "capture.yaml lights.file"))
     return attempt(lambda: read_lights(path, kind=kind, frontal=False)) if path else None
-
-
-def expect_mesh(file: str, where: str, *, scan: bool) -> None:
-    """CaptureError (mesh-format) unless the file's suffix is that of a mesh that can be read."""
-    known = MESHES[:1] if scan else MESHES
-    if Path(file).suffix.lower() not in known:
-        what, remedy = "mesh file", "Convert it, for example with MeshLab"
-        raise CaptureError(error("mesh-format", where, what, expected=" or ".join(known), found=file, remedy=remedy))

@@ -47,13 +47,21 @@ def recognise_round(source: Path) -> RoundLayout | None:
         return _middlebury(source, _only(lists, source))
     if not photographs:
         return None
-    stored = {path: matrices for path in sorted(source.glob("*.mat")) if (matrices := _matrices_in(path)) is not None}
+    series = len(photographs) >= FEWEST_STATES and all(STATES.fullmatch(p.stem) for p in photographs)
+    stored = {}
+    for path in sorted(source.glob("*.mat")):
+        try:
+            matrices = _matrices_in(path)
+        except CaptureError:
+            if not series:  # its calibration is taken along unread
+                raise
+            continue
+        if matrices is not None:
+            stored[path] = matrices
     if stored:
         path = _only(list(stored), source)
         return _numbered(source, photographs, stored[path], path)
-    if len(photographs) >= FEWEST_STATES and all(STATES.fullmatch(p.stem) for p in photographs):
-        return _series(source, photographs)
-    return None
+    return _series(source, photographs) if series else None
 
 
 def _only(paths: list[Path], source: Path) -> Path:
@@ -73,7 +81,7 @@ def _matrices_in(path: Path) -> np.ndarray | None:
 
     try:
         stored = loadmat(path).get("P")
-    except (ValueError, NotImplementedError, OSError, TypeError, EOFError) as e:
+    except Exception as e:  # a damaged file makes the reader fail in any of a dozen ways
         remedy = "Save it with -v7 in MATLAB, or write cameras.csv by hand"
         what = "MATLAB file cannot be read"
         raise CaptureError(error("cameras-unreadable", path.name, what, found=str(e)[:80], remedy=remedy)) from e

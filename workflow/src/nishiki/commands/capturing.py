@@ -6,6 +6,11 @@ from pathlib import Path
 
 from nishiki.progress import Progress
 
+TO_COMPLETE = {
+    "plane": "camera sensitivities, illuminant, pixel_pitch_mm",
+    "turntable": "lights, turntable.mesh, turntable.unit, turntable.background",
+}
+
 
 def check(options: argparse.Namespace, rest: list[str]) -> int:
     """Print everything that is wrong with each capture; exit status 2 where one cannot be used."""
@@ -37,7 +42,7 @@ def seal(options: argparse.Namespace, rest: list[str]) -> None:
 
 
 def convert(options: argparse.Namespace, rest: list[str]) -> None:
-    """Make a sealed capture from photographs and lights; the sources are only read."""
+    """Make a sealed capture from photographs and lights, or cameras, or polariser states; the sources are only read."""
     from nishiki.capture.convert import convert as convert_folder
     from nishiki.capture.seal import seal as seal_capture
 
@@ -58,8 +63,8 @@ def convert(options: argparse.Namespace, rest: list[str]) -> None:
         print(f"warning: {problem}", file=sys.stderr)
     if options.open:
         print(
-            f"{made.folder}: {made.photographs} photographs ({made.layout}); not sealed: complete capture.yaml (camera "
-            f"sensitivities, illuminant, pixel_pitch_mm; see docs/capture-folder.md), then ./nishiki seal {made.folder}"
+            f"{made.folder}: {made.photographs} photographs ({made.layout}); not sealed: complete capture.yaml "
+            f"({TO_COMPLETE[made.geometry]}; see docs/capture-folder.md), then ./nishiki seal {made.folder}"
         )
         return
     digest = seal_capture(Path(options.capture), progress=Progress(f"seal {options.capture}").tell)
