@@ -15,24 +15,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.reflection.lighting import HARMONICS, Lighting
+from nishiki.reflection.lighting import HARMONICS
 
 ROUNDS = 12
 SETTLED = 1e-4  # relative change of E
 TUKEY = 4.685  # of the scaled residual at which an observation counts nothing
-SMOOTHNESS = 1e-4  # of the quadratic terms, relative to the data: they stay 0 where no texel tells
-HIGHLIGHT_GAIN = 0.02  # share of the squared residual of left-out views that a lobe must explain
+SMOOTHNESS = 1e-4  # damping of a step relative to the data: what no texel tells stays as it was
+FEWEST = 20  # texels seen three times or more, below which nothing is fitted
 
 
 @dataclass(frozen=True)
 class EnvironmentFit:
-    """lighting; how much of the squared deviation from a constant colour E explains; what a highlight would explain."""
+    """coefficients of E; the share of the squared deviation from a constant colour that E explains (of what the robust
+    weights leave); rounds and texels that it took."""
 
-    lighting: Lighting
+    coefficients: tuple[float, ...]
     explained: float
     rounds: int
     texels: int
-    highlight_gain: float
 
 
 def harmonics(normals: np.ndarray) -> np.ndarray:
@@ -44,31 +44,28 @@ def harmonics(normals: np.ndarray) -> np.ndarray:
 def fit_environment(values: np.ndarray, normals: np.ndarray, weights: np.ndarray) -> EnvironmentFit:
     """E of texels: values (n, M, channels), normals (n, M, 3) in the lamp frame of each view, weights (n, M) >= 0.
 
-    Scaled so that E is 1 at most over the normals that were seen.  With fewer than 20 texels seen twice, E = max(0, z):
-    the lamp at the camera.
+    Scaled so that E is 1 at most over the normals that were seen.  With fewer than FEWEST texels seen three times E is
+    max(0, z), a lamp at the camera.
     """
     usable = np.sum(weights > 0, axis=1) >= 3
     values, weights = values[usable].astype(np.float64), weights[usable].astype(np.float64)
     basis = harmonics(normals[usable].astype(np.float64))
     start = np.array([0.5, 0, 0, 0.5, 0, 0, 0, 0, 0])
-    if len(values) < 20:
-        return EnvironmentFit(_lighting(np.array([0, 0, 0, 1.0, 0, 0, 0, 0, 0])), 0.0, 0, len(values), 0.0)
-    e, robust, rounds = start, weights, 0
-    for rounds in range(1, ROUNDS + 1):
+    if len(values) < FEWEST:
+        return EnvironmentFit((0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0), 0.0, 0, len(values))
+    e, robust = start, weights
+    done, moved = 0, 1.0
+    while done < ROUNDS and moved >= SETTLED:
+        done += 1
         new = _positive(_step(values, basis, robust, e), basis, robust)
         new /= max(_peak(basis, weights, new), 1e-12)
         moved = np.linalg.norm(new - e) / np.linalg.norm(e)
         e = new
         robust = weights * _tukey(_residuals(values, basis, robust, e), weights)
-        if moved < SETTLED:
-            break
     left = np.sum(robust[..., None] * _residuals(values, basis, robust, e) ** 2)
     flat = np.sum(robust[..., None] * _residuals(values, basis, robust, np.eye(HARMONICS)[0]) ** 2)
-    return EnvironmentFit(_lighting(e), float(1 - left / flat) if flat > 0 else 0.0, rounds, len(values), 0.0)
-
-
-def _lighting(e: np.ndarray) -> Lighting:
-    return Lighting("environment", ((0.0, 0.0, 0.0),), (tuple((float(v),) for v in e),))
+    explained = float(1 - left / flat) if flat > 0 else 0.0
+    return EnvironmentFit(tuple(e.tolist()), explained, done, len(values))
 
 
 def _peak(basis: np.ndarray, weights: np.ndarray, e: np.ndarray) -> float:
@@ -101,15 +98,23 @@ def _step(values: np.ndarray, basis: np.ndarray, weights: np.ndarray, e: np.ndar
     residual = np.einsum("toc,tc->to", values - kd[:, None] * lit[..., None], kd)
     normal = np.einsum("to,t,toj,tok->jk", equal, level, across, across)
     right = np.einsum("to,to,tok->k", equal, residual, across)
-    damp = SMOOTHNESS * np.trace(normal) / HARMONICS * np.diag([1, 1, 1, 1, 1, 1, 1, 1, 1.0])
+    damp = SMOOTHNESS * np.trace(normal) / HARMONICS * np.eye(HARMONICS)
     return e + np.linalg.solve(normal + damp, right)
 
 
 def _tukey(residuals: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Tukey's biweight of the length of each observation's residual, scaled by the median of each texel and of all."""
+    """Tukey's biweight of the length of each observation's residual, scaled by the median of all."""
     length = np.sqrt(np.sum(residuals**2, axis=-1))
     scale = 1.4826 * float(np.median(length[weights > 0]))
     return np.maximum(1 - (length / max(TUKEY * scale, 1e-12)) ** 2, 0) ** 2
+
+
+def residuals(values: np.ndarray, normals: np.ndarray, weights: np.ndarray, coefficients) -> np.ndarray:
+    """(n, M, channels): what E and the best K_d of each texel leave; arguments as of `fit_environment`."""
+    e = np.asarray(coefficients, float)
+    basis, values = harmonics(normals.astype(np.float64)), values.astype(np.float64)
+    robust = weights * _tukey(_residuals(values, basis, weights, e), weights)
+    return _residuals(values, basis, robust, e)
 
 
 def _positive(e: np.ndarray, basis: np.ndarray, weights: np.ndarray) -> np.ndarray:

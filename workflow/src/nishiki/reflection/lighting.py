@@ -17,7 +17,7 @@ from nishiki.geometry.camera import Camera
 KINDS = ("camera", "direction", "position", "environment", "unknown")
 POINT, DISTANT, ENVIRONMENT = 0, 1, 2
 HARMONICS = 9  # 1, x, y, z, xy, yz, zx, x^2 - y^2, 3 z^2 - 1
-UNITS_IN_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4, "inch": 25.4}
+UNITS_IN_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 TO_LAMP_FRAME = np.diag([1.0, -1.0, -1.0])  # from the camera frame with y down and z into the scene
 
 

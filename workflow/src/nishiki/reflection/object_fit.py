@@ -37,6 +37,8 @@ class ObjectFit:
     """What the fit says of itself; shares are of the texels inside charts."""
 
     texels: int
+    samples: int  # visible: texels times observations times channels
+    psnr_db: float | None  # of the model alone over them, in the capture's encoding, peak 1
     highlight_share: float  # sigma determined from own observations
     filled_share: float  # K_s from the neighbours, for want of observations near the mirror direction
     unseen_share: float
@@ -75,13 +77,14 @@ def fit_object(
         second = every(lambda k: _Second.of(read(tiles[k]), capture, widths, first[k], edge))
         gloss = _Gloss.of(second, first, edge, width)
 
-        def finish(k: int) -> np.ndarray:
-            parameters = _third(read(tiles[k]), capture, widths, gloss, first[k])
+        def finish(k: int) -> tuple[np.ndarray, float, int]:
+            tile = read(tiles[k])
+            parameters = _third(tile, capture, widths, gloss, first[k])
             write(tiles[k], parameters)
-            return _counts(parameters.flags)
+            return _counts(parameters.flags), *capture.squares(parameters, tile)
 
-        counts = sum(every(finish), np.zeros(5, np.int64))
-    return _described(first, widths, gloss, counts)
+        finished = every(finish)
+    return _described(first, widths, gloss, finished)
 
 
 def spacing(tiles: list[Tile]) -> float:
@@ -247,13 +250,26 @@ def _counts(flags: np.ndarray) -> np.ndarray:
     return np.array([inside.sum(), *(np.sum(inside & ((flags & bit) != 0)) for bit in bits)], np.int64)
 
 
-def _described(first: list[_First], widths: _Widths, gloss: _Gloss, counts: np.ndarray) -> ObjectFit:
+def _described(first: list[_First], widths: _Widths, gloss: _Gloss, finished: list) -> ObjectFit:
+    counts = sum((counted for counted, _, _ in finished), np.zeros(5, np.int64))
+    squares, samples = (sum(found[k] for found in finished) for k in (1, 2))
+    psnr = -10 * float(np.log10(max(squares / samples, 1e-30))) if samples else None
     texels = int(counts[0])
     share = [float(c) / max(texels, 1) for c in counts[1:]]
     own = np.concatenate([f.fit.log_sigma[f.fit.information > 0] for f in first] or [np.empty(0)])
     median = float(np.exp(np.median(own))) if own.size else None
     return ObjectFit(
-        texels, 1 - share[0], share[1], share[2], share[3], median, widths.scatter, gloss.scatter, gloss.noise
+        texels,
+        samples,
+        psnr,
+        1 - share[0],
+        share[1],
+        share[2],
+        share[3],
+        median,
+        widths.scatter,
+        gloss.scatter,
+        gloss.noise,
     )
 
 

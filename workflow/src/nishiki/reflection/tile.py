@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nishiki.ingest.encoding import encode
 from nishiki.reflection.lighting import Lamp
 from nishiki.reflection.model import predict
 from nishiki.reflection.stack import Observed, observed
@@ -61,10 +62,21 @@ class Capture:
         )
         return first, second
 
-    def predicted(self, parameters: Parameters, tile: Tile, observation: int) -> np.ndarray:
-        """Total radiance (T, T, channels) that the model gives for one observation of a tile."""
-        p = parameters
-        diffuse, specular = predict(
-            p.kd, p.ks, p.sigma, tile.positions, tile.normals, self.centres[observation], self.lamps[observation]
-        )
+    def squares(self, parameters: Parameters, tile: Tile) -> tuple[float, int]:
+        """Sum of the squared errors of the model alone in the capture's encoding, and how many samples these are."""
+        total, count = 0.0, 0
+        for o in np.flatnonzero(tile.visible.reshape(len(tile.visible), -1).any(axis=1)):
+            seen = tile.visible[o] & tile.inside
+            captured = tile.values[o][seen] if tile.specular is None else (tile.values[o] + tile.specular[o])[seen]
+            error = encode(self.predicted(parameters, tile, o, seen), self.encoding) - encode(captured, self.encoding)
+            total += float(np.sum(error.astype(np.float64) ** 2))
+            count += error.size
+        return total, count
+
+    def predicted(self, parameters: Parameters, tile: Tile, observation: int, texels=...) -> np.ndarray:
+        """Total radiance (..., channels) that the model gives for one observation of a tile, or of some of its texels
+        (an index into (T, T))."""
+        of_texels = (parameters.kd, parameters.ks, parameters.sigma, tile.positions, tile.normals)
+        picked = (array[texels] for array in of_texels)
+        diffuse, specular = predict(*picked, self.centres[observation], self.lamps[observation])
         return diffuse + specular

@@ -1,0 +1,85 @@
+"""Reflection: Lambert and the simplified Torrance-Sparrow model at every texel of an object."""
+
+import json
+import os
+from dataclasses import asdict
+
+import numpy as np
+
+import _project  # noqa: F401
+from nishiki.errors import UserError
+from nishiki.ingest.views import Views
+from nishiki.patches.store import Texels
+from nishiki.reflection.lighting import Lighting
+from nishiki.reflection.object_fit import fit_object
+from nishiki.reflection.settle import sample_texels, settle
+from nishiki.reflection.store import ParameterWriter
+from nishiki.reflection.tile import Capture, Tile
+from nishiki.settings.reflection import ReflectionSettings
+from nishiki.stage import Context, run_stage
+
+
+def run(context: Context) -> dict:
+    """Settle the lighting on a sample of texels, then fit tile by tile."""
+    settings = context.settings
+    texels, views = Texels(context.inputs["texels"].folder), Views(context.inputs["ingest"].folder)
+    apart = settings.components == "auto" and {"diffuse", "specular"} <= set(texels.components)
+    read = reader(texels, apart, settings.hold_out)
+    lighting, cameras, light_of = lamps(texels, views, settings.lighting)
+    numbers = list(range(texels.tiles))
+    lighting, found = settle(lighting, sample_texels(read, numbers), cameras, light_of, falloff=settings.falloff)
+    capture = Capture(
+        np.array([camera.centre for camera in cameras]),
+        [lighting.lamp(camera, int(light)) for camera, light in zip(cameras, light_of, strict=True)],
+        texels.encoding,
+    )
+    out = ParameterWriter(
+        context.output.folder, tiles=texels.tiles, size=texels.size, channels=channels(texels), stamp=context.stamp
+    )
+    context.progress.tell(f"{texels.tiles} tiles, {len(cameras)} observations")
+    fit = fit_object(
+        read, numbers, capture, out.write, width=settings.width, method=settings.method, threads=os.cpu_count() or 1
+    )
+    report = {"lighting": lighting.as_dict(), "found": found, "fit": asdict(fit), "components_apart": apart}
+    text = json.dumps(report, indent=1, sort_keys=True, allow_nan=False)
+    context.output.path("reflection.json").write_text(text + "\n")
+    return {"lighting": lighting.kind, **found, **asdict(fit), "components_apart": apart, "width": settings.width}
+
+
+def channels(texels: Texels) -> int:
+    """Number of channels of the store."""
+    return texels.channels if isinstance(texels.channels, int) else len(texels.channels)
+
+
+def lamps(texels: Texels, views: Views, kind: str) -> tuple[Lighting, list, np.ndarray]:
+    """The lighting as stated, the camera of every observation and the index of its light."""
+    count = len(texels.lights)
+    stated = {"camera": {"kind": "camera"}, "fitted": {"kind": "unknown"}}.get(kind, views.lamp)
+    lighting = Lighting.from_capture(stated, lights=count, unit=views.unit)
+    cameras = list(texels.cameras)
+    if texels.observations != count * len(cameras):
+        raise UserError(
+            f"texels: {texels.observations} observations, expected {count} lights x {len(cameras)} views. Remedy: "
+            "run the texels stage again."
+        )
+    light_of = np.repeat(np.arange(count), len(cameras))
+    return lighting, cameras * count, light_of
+
+
+def reader(texels: Texels, apart: bool, hold_out: tuple[str, ...]):
+    """read(tile) for the fit; views left out are not visible in it, whatever the store holds."""
+    kept = np.array([view not in hold_out for _ in texels.lights for view in texels.views])
+
+    def read(tile: int) -> Tile:
+        positions, normals, inside = texels.geometry(tile)
+        visible = texels.visible(tile) & kept[:, None, None]
+        if apart:
+            values, specular = texels.read("diffuse", tile), texels.read("specular", tile)
+            return Tile(values, visible, positions, normals, inside, specular)
+        return Tile(texels.read("total", tile), visible, positions, normals, inside)
+
+    return read
+
+
+if __name__ == "__main__":
+    run_stage(ReflectionSettings, run, __doc__)
