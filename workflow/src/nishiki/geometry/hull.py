@@ -1,0 +1,261 @@
+"""The visual hull: the largest body that has the given silhouettes in the given views.
+
+A. Laurentini, The visual hull concept for silhouette-based image understanding, IEEE Trans. PAMI 16(2), 1994. Here as
+the zero level of the smallest, over the views, of the signed distances to the silhouettes' outlines, so that the
+surface lies between the grid points where the outlines put it.
+"""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from nishiki.errors import UserError
+from nishiki.geometry.camera import Camera
+from nishiki.geometry.hull_kernels import MOST_MISSES, at_points, fill_slab
+from nishiki.geometry.mesh import Mesh
+
+BLOCK = 8
+"""Grid points along a cube that is decided at once where it can be."""
+BAND = 3.0
+"""Cells around the surface within which distances are kept as they are; beyond, only the sign counts."""
+SMOOTHING_PX = 0.7
+MARGIN_PX = 3
+
+
+@dataclass(frozen=True)
+class Field:
+    """Silhouettes of several views as signed distances, ready to be asked at any point.
+
+    The arrays are laid out as `nishiki.geometry.hull_kernels` says; names: of the views that have a silhouette.
+    """
+
+    names: tuple[str, ...]
+    poses: np.ndarray
+    lenses: np.ndarray
+    frames: np.ndarray
+    buffer: np.ndarray
+
+    def at(self, points: np.ndarray, *, misses: int = 0) -> np.ndarray:
+        """(n,) float64: signed distance at points (n, 3), world's unit, positive inside; misses: as in `carve`."""
+        points = np.ascontiguousarray(points, np.float64)
+        out = np.empty(len(points))
+        at_points(self.poses, self.lenses, self.frames, self.buffer, points, misses, out)
+        return out
+
+
+@dataclass(frozen=True)
+class Hull:
+    """mesh: surface of the hull; cell: side of a grid cell, world's unit; shape: grid points along x, y, z; box: (2, 3)
+    lowest and highest corner; asked: fraction of the cubes whose points were evaluated one by one."""
+
+    mesh: Mesh
+    cell: float
+    shape: tuple[int, int, int]
+    box: np.ndarray
+    asked: float
+
+
+def signed_distance(silhouette: np.ndarray) -> np.ndarray:
+    """(rows, columns) float32: distance in pixels to the outline of a mask, positive inside.
+
+    The outline of a mask runs between the centres of its pixels and those outside; steps of a pixel are smoothed away
+    (Gaussian, 0.7 pixels) so that slanted outlines come out straight.
+    """
+    import cv2
+
+    inside = np.ascontiguousarray(silhouette, np.uint8)
+    within = cv2.distanceTransform(np.pad(inside, 1, mode="edge"), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    outside = cv2.distanceTransform(np.pad(1 - inside, 1, mode="edge"), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    distance = np.where(inside > 0, within[1:-1, 1:-1] - 0.5, 0.5 - outside[1:-1, 1:-1])
+    # A mask without an outline has no nearest pixel: OpenCV answers with a huge number.
+    distance = np.clip(distance, -1e6, 1e6).astype(np.float32)
+    return cv2.GaussianBlur(distance, (0, 0), SMOOTHING_PX)
+
+
+def field_of(silhouettes: list[np.ndarray | None], cameras: list[Camera], *, finest_px: float = 0.0) -> Field:
+    """Distance maps of the views that have a silhouette (None: none known there).
+
+    finest_px: detail that nobody will ask for, pixels; larger pictures are kept at a coarser stride. Raises UserError
+    where fewer than two views have one, where one is empty, or where its size is not the camera's.
+    """
+    names, poses, lenses, frames, maps, start = [], [], [], [], [], 0
+    for silhouette, camera in zip(silhouettes, cameras, strict=True):
+        if silhouette is None:
+            continue
+        if silhouette.shape != (camera.rows, camera.columns):
+            raise UserError(
+                f"view {camera.name!r}: expected a silhouette of {camera.rows} x {camera.columns} pixels as its camera, "
+                f"found {silhouette.shape}"
+            )
+        area = _area_of(silhouette, camera)
+        stride = max(1, int(finest_px))
+        distance = signed_distance(silhouette[area])[::stride, ::stride]
+        touches = silhouette[0].any() or silhouette[-1].any() or silhouette[:, 0].any() or silhouette[:, -1].any()
+        frames.append([start, area[0].start, area[1].start, *distance.shape, stride, int(touches)])
+        maps.append(distance.ravel())
+        start += distance.size
+        names.append(camera.name)
+        poses.append(np.column_stack([camera.rotation, camera.translation]).ravel())
+        lenses.append(_lens(camera))
+    if len(names) < 2:
+        raise UserError(f"expected silhouettes in two views at least, found {len(names)}; give masks or a background")
+    return Field(
+        tuple(names), np.array(poses), np.array(lenses), np.array(frames, np.int64), np.concatenate(maps)
+    )
+
+
+def _lens(camera: Camera) -> list[float]:
+    k = camera.intrinsics
+    distortion = [*camera.distortion, *([0.0] * 5)][:5]
+    return [k[0, 0], k[0, 1], k[0, 2], k[1, 1], k[1, 2], *distortion, float(np.sqrt(abs(k[0, 0] * k[1, 1])))]
+
+
+def _area_of(silhouette: np.ndarray, camera: Camera) -> tuple[slice, slice]:
+    rows, columns = np.flatnonzero(silhouette.any(axis=1)), np.flatnonzero(silhouette.any(axis=0))
+    if rows.size == 0:
+        raise UserError(
+            f"view {camera.name!r}: its silhouette is empty. Remedy: give a mask for this view, name the background "
+            "in the settings of mesh, or leave the view out"
+        )
+
+    def span(found: np.ndarray, size: int) -> slice:
+        return slice(max(0, found[0] - MARGIN_PX), min(size, found[-1] + 1 + MARGIN_PX))
+
+    return span(rows, silhouette.shape[0]), span(columns, silhouette.shape[1])
+
+
+def bounding_box(silhouettes: list[np.ndarray | None], cameras: list[Camera]) -> np.ndarray:
+    """(2, 3) float64: lowest and highest corner of all points that project into the silhouettes' convex outlines.
+
+    Each edge of a convex outline spans a plane with the camera's centre; the smallest and largest x, y and z within all
+    these planes are six linear programs, exact for any cameras, without a first guess. An outline's edge along the
+    picture's border bounds nothing. Raises UserError where the cameras have no such point in common, or no bounded set.
+    """
+    from scipy.optimize import linprog
+
+    planes = np.concatenate(
+        [_planes(mask, camera) for mask, camera in zip(silhouettes, cameras, strict=True) if mask is not None]
+    )
+    middle = np.mean([camera.centre for camera in cameras], axis=0)
+    size = max(np.linalg.norm(camera.centre - middle) for camera in cameras) or 1.0
+    box = np.empty((2, 3))
+    for axis in range(3):
+        for end, sign in enumerate((1.0, -1.0)):
+            found = linprog(
+                sign * np.eye(3)[axis],
+                A_ub=-planes[:, :3] * size,
+                b_ub=planes[:, :3] @ middle + planes[:, 3],
+                bounds=[(None, None)] * 3,
+                method="highs",
+            )
+            if found.status == 2:
+                raise UserError(
+                    "the silhouettes have no point of space in common: expected cameras that all see the object. "
+                    "Remedy: look at the silhouettes and at the order of the camera matrices"
+                )
+            if found.status != 0:
+                raise UserError("the silhouettes do not bound the object: more views from other sides are needed")
+            box[end, axis] = middle[axis] + size * found.x[axis]
+    return box
+
+
+def _planes(silhouette: np.ndarray, camera: Camera) -> np.ndarray:
+    """(n, 4): planes p with p . (x, y, z, 1) >= 0 within the cone of the silhouette's convex outline."""
+    import cv2
+
+    _area_of(silhouette, camera)
+    points = np.argwhere(silhouette)[:, ::-1].astype(np.float32)
+    outline = cv2.convexHull(points)[:, 0].astype(np.float64)
+    # Pixels are squares: half a pixel more on every side.
+    outline = cv2.convexHull(
+        np.concatenate([outline + np.array([a, b]) for a in (-0.5, 0.5) for b in (-0.5, 0.5)]).astype(np.float32)
+    )[:, 0].astype(np.float64)
+    edge = np.array([camera.columns - 0.5, camera.rows - 0.5])
+    following = np.roll(outline, -1, axis=0)
+    on_border = ((outline == following) & ((outline <= -0.5) | (outline >= edge))).any(axis=1)
+    rays = _undistorted(outline, camera)
+    normals = np.cross(rays, np.roll(rays, -1, axis=0))
+    inwards = np.sign(normals @ rays.mean(axis=0))[:, None]
+    normals = (normals * inwards)[~on_border]
+    normals = np.concatenate([normals, [[0.0, 0.0, 1.0]]])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.column_stack([normals @ camera.rotation, normals @ camera.translation])
+
+
+def _undistorted(pixels: np.ndarray, camera: Camera) -> np.ndarray:
+    """(n, 3): directions in the camera's frame, third component 1, of pixels (n, 2)."""
+    k = camera.intrinsics
+    y = (pixels[:, 1] - k[1, 2]) / k[1, 1]
+    x = (pixels[:, 0] - k[0, 2] - k[0, 1] * y) / k[0, 0]
+    if any(camera.distortion):
+        import cv2
+
+        plane = np.column_stack([x, y])[:, None]
+        return np.column_stack([cv2.undistortPoints(plane, np.eye(3), np.array(camera.distortion))[:, 0], np.ones(len(x))])
+    return np.column_stack([x, y, np.ones(len(x))])
+
+
+def carve(
+    silhouettes: list[np.ndarray | None],
+    cameras: list[Camera],
+    *,
+    cells: int = 256,
+    misses: int = 0,
+    box: np.ndarray | None = None,
+) -> Hull:
+    """Visual hull of silhouettes, list of (rows, columns) bool arrays or None, one per camera.
+
+    cells: grid cells along the longest side of the box; misses: views (up to 4) that may see background where the body
+    is: with 1, no single wrong mask can carve anything away; box (2, 3): where to look, by default `bounding_box`.
+    Memory: 4 bytes a grid point, 8 while the surface is extracted. Raises UserError where nothing is left.
+    """
+    if not 0 <= misses <= MOST_MISSES:
+        raise ValueError(f"misses: expected 0 to {MOST_MISSES}, found {misses}")
+    box = bounding_box(silhouettes, cameras) if box is None else np.asarray(box, np.float64)
+    cell = float((box[1] - box[0]).max()) / cells
+    origin = box[0] - 2.5 * cell
+    shape = tuple(int(n) for n in np.ceil((box[1] - box[0]) / cell) + 6)
+    field = field_of(silhouettes, cameras, finest_px=_pixels_of(cell, box, cameras) / 4)
+    volume = np.empty(shape, np.float32)
+    asked = _fill(field, volume, origin, cell, misses)
+    if not (volume > 0).any():
+        raise UserError(
+            f"nothing is left of the hull on a grid of {cells} cells: one silhouette at least contradicts the others. "
+            "Remedy: look at the silhouettes and the camera matrices, or leave the wrong view out"
+        )
+    mesh = surface_of(volume, origin, cell)
+    cubes = np.prod([-(-n // BLOCK) for n in shape])
+    return Hull(mesh, cell, shape, box, asked / float(cubes))
+
+
+def _pixels_of(cell: float, box: np.ndarray, cameras: list[Camera]) -> float:
+    """Smallest extent in pixels that a cell in the middle of the box has in any view."""
+    middle = box.mean(axis=0)
+    depths = [(camera.rotation @ middle + camera.translation)[2] for camera in cameras]
+    focal = [np.sqrt(abs(np.linalg.det(camera.intrinsics))) for camera in cameras]
+    return min(cell * f / max(depth, 1e-12) for f, depth in zip(focal, depths, strict=True))
+
+
+def _fill(field: Field, volume: np.ndarray, origin: np.ndarray, cell: float, misses: int) -> int:
+    """Fill the grid, cubes of 8 x 8 x 8 points at once, in threads over slabs of x; the number of cubes asked."""
+    starts = range(0, volume.shape[0], BLOCK)
+    one = partial(fill_slab, field.poses, field.lenses, field.frames, field.buffer, origin, cell, BLOCK, misses)
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return sum(pool.map(lambda s: one(BAND * cell, s, min(s + BLOCK, volume.shape[0]), volume), starts))
+
+
+def surface_of(volume: np.ndarray, origin: np.ndarray, cell: float) -> Mesh:
+    """Mesh of the zero level of volume (x, y, z), positive inside, by marching cubes (Lewiner et al., Efficient
+    implementation of marching cubes' cases with topological guarantees, J. Graphics Tools 8(2), 2003)."""
+    from skimage.measure import marching_cubes
+
+    vertices, triangles, _, _ = marching_cubes(volume, 0.0, spacing=(cell,) * 3, gradient_direction="descent")
+    a, b, c = (vertices[triangles[:, k]].astype(np.float64) for k in range(3))
+    if np.einsum("ij,ij->", a, np.cross(b, c)) < 0:
+        triangles = triangles[:, ::-1]
+    return Mesh.of(vertices.astype(np.float64) + origin, triangles)

@@ -1,0 +1,171 @@
+"""Numba kernels of the visual hull: the smallest signed distance to the silhouettes at points of a grid.
+
+A view is one row of `matrices` (12 numbers, the 3x4 matrix K [R | t]), `lenses` (9 numbers: K's upper triangle k00 k01
+k02 k11 k12, then 4 unused zeros where the lens is ideal) and `frames` (start, first row, first column, rows, columns,
+stride, open): where its distance map lies in one flat buffer, which part of the picture it covers, every how many
+pixels, and whether the silhouette is cut off by the picture's edge.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+JIT = {"cache": True, "nogil": True, "error_model": "numpy"}
+FAR = 1e30
+MOST_MISSES = 4
+
+
+@njit(**JIT)
+def _project(pose, lens, x, y, z, out):
+    """Column, row and depth of a world point into out[:3]; a depth <= 0 leaves column and row alone."""
+    depth = pose[8] * x + pose[9] * y + pose[10] * z + pose[11]
+    out[2] = depth
+    if depth <= 0.0:
+        return
+    u = (pose[0] * x + pose[1] * y + pose[2] * z + pose[3]) / depth
+    v = (pose[4] * x + pose[5] * y + pose[6] * z + pose[7]) / depth
+    k1, k2, p1, p2, k3 = lens[5], lens[6], lens[7], lens[8], lens[9]
+    if k1 != 0.0 or k2 != 0.0 or p1 != 0.0 or p2 != 0.0 or k3 != 0.0:
+        square = u * u + v * v
+        radial = 1.0 + square * (k1 + square * (k2 + square * k3))
+        bent = u * radial + 2.0 * p1 * u * v + p2 * (square + 2.0 * u * u)
+        v = v * radial + p1 * (square + 2.0 * v * v) + 2.0 * p2 * u * v
+        u = bent
+    out[0] = lens[0] * u + lens[1] * v + lens[2]
+    out[1] = lens[3] * v + lens[4]
+
+
+@njit(**JIT)
+def _distance(buffer, frame, column, row):
+    """Signed distance in pixels, bilinear; beyond the stored part it goes on falling by the distance to it."""
+    stride = frame[5]
+    r = (row - frame[1]) / stride
+    c = (column - frame[2]) / stride
+    clamped_r = min(max(r, 0.0), frame[3] - 1.0)
+    clamped_c = min(max(c, 0.0), frame[4] - 1.0)
+    i = min(int(clamped_r), frame[3] - 2)
+    j = min(int(clamped_c), frame[4] - 2)
+    s, t = clamped_r - i, clamped_c - j
+    at = frame[0] + i * frame[4] + j
+    upper = buffer[at] * (1.0 - t) + buffer[at + 1] * t
+    at += frame[4]
+    value = upper * (1.0 - s) + (buffer[at] * (1.0 - t) + buffer[at + 1] * t) * s
+    if value <= 0.0 and (r != clamped_r or c != clamped_c):
+        value -= stride * np.hypot(r - clamped_r, c - clamped_c)
+    return value
+
+
+@njit(**JIT)
+def _at_point(poses, lenses, frames, buffer, x, y, z, misses, enough, spot, worst):
+    """The (misses + 1)-th smallest signed distance over the views, in world units; may stop once below -enough."""
+    for m in range(misses + 1):
+        worst[m] = FAR
+    for view in range(poses.shape[0]):
+        _project(poses[view], lenses[view], x, y, z, spot)
+        value = -FAR
+        if spot[2] > 0.0:
+            value = _distance(buffer, frames[view], spot[0], spot[1]) * spot[2] / lenses[view, 10]
+        for m in range(misses + 1):
+            if value < worst[m]:
+                worst[m], value = value, worst[m]
+        if worst[misses] < -enough:
+            break
+    return worst[misses]
+
+
+@njit(**JIT)
+def at_points(poses, lenses, frames, buffer, points, misses, out):
+    """Signed distance of the hull at points (n, 3), world units, positive inside."""
+    spot, worst = np.empty(3), np.empty(MOST_MISSES + 1)
+    for n in range(points.shape[0]):
+        out[n] = _at_point(
+            poses, lenses, frames, buffer, points[n, 0], points[n, 1], points[n, 2], misses, FAR, spot, worst
+        )
+
+
+@njit(**JIT)
+def _block(poses, lenses, frames, buffer, lowest, side, misses, spot):
+    """-1: the cube is outside for more than `misses` views; 1: inside for all; 0: some of its points must be asked.
+
+    A cube before the camera lies within the convex hull of its projected corners, so within the circle around its
+    projected centre that holds them; a distance map changes by no more than the way gone (a tenth and a pixel are
+    allowed for lens distortion and for the smoothing of the map).
+    """
+    outside, inside = 0, True
+    half = 0.5 * side
+    for view in range(poses.shape[0]):
+        _project(poses[view], lenses[view], lowest[0] + half, lowest[1] + half, lowest[2] + half, spot)
+        before = spot[2] > 0.0
+        column, row = spot[0], spot[1]
+        reach = 0.0
+        leaves = False
+        frame = frames[view]
+        for corner in range(8):
+            _project(
+                poses[view],
+                lenses[view],
+                lowest[0] + side * (corner & 1),
+                lowest[1] + side * (corner >> 1 & 1),
+                lowest[2] + side * (corner >> 2),
+                spot,
+            )
+            if spot[2] <= 0.0:
+                before = False
+                break
+            reach = max(reach, np.hypot(spot[0] - column, spot[1] - row))
+            if frame[6]:
+                r, c = spot[1] - frame[1], spot[0] - frame[2]
+                leaves |= r < 0 or c < 0 or r > (frame[3] - 1) * frame[5] or c > (frame[4] - 1) * frame[5]
+        if not before or leaves:
+            inside = False
+            continue
+        value = _distance(buffer, frame, column, row)
+        reach = 1.1 * reach + 1.0 + frame[5]
+        if value < reach:
+            inside = False
+        if value < -reach:
+            outside += 1
+            if outside > misses:
+                return -1
+    return 1 if inside else 0
+
+
+@njit(**JIT)
+def fill_slab(poses, lenses, frames, buffer, origin, cell, block, misses, band, first, last, volume):
+    """Clipped signed distance at the grid points first <= i < last of volume (i, j, k); counts cubes asked fully.
+
+    volume (x, y, z) float32 of values within [-band, band]; grid point (i, j, k) lies at origin + cell (i, j, k).
+    """
+    spot, worst, lowest = np.empty(3), np.empty(MOST_MISSES + 1), np.empty(3)
+    _, ny, nz = volume.shape
+    asked = 0
+    for i0 in range(first, last, block):
+        for j0 in range(0, ny, block):
+            for k0 in range(0, nz, block):
+                lowest[0] = origin[0] + cell * i0
+                lowest[1] = origin[1] + cell * j0
+                lowest[2] = origin[2] + cell * k0
+                kind = _block(poses, lenses, frames, buffer, lowest, cell * (block - 1), misses, spot)
+                asked += kind == 0
+                for i in range(i0, min(i0 + block, last)):
+                    for j in range(j0, min(j0 + block, ny)):
+                        for k in range(k0, min(k0 + block, nz)):
+                            if kind != 0:
+                                volume[i, j, k] = band * kind
+                                continue
+                            value = _at_point(
+                                poses,
+                                lenses,
+                                frames,
+                                buffer,
+                                origin[0] + cell * i,
+                                origin[1] + cell * j,
+                                origin[2] + cell * k,
+                                misses,
+                                band,
+                                spot,
+                                worst,
+                            )
+                            volume[i, j, k] = min(max(value, -band), band)
+    return asked
