@@ -1,0 +1,68 @@
+"""The counterparts of rendered pictures: photographs, silhouettes, and the truth of a simulated capture."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.artifact import Artifact
+from nishiki.ingest.views import Views
+
+
+class Photographs:
+    """What was photographed, view by view, in linear light.  From the artifacts of ingest, mesh, and polarise where
+    the capture has polariser states."""
+
+    def __init__(self, inputs: Mapping[str, Artifact]):
+        self.views = Views(inputs["ingest"].folder)
+        self.components = None
+        if "polarise" in inputs:
+            from nishiki.separation.components import Components
+
+            self.components = Components(inputs["polarise"].folder)
+        self.outlines = None
+        path = inputs["mesh"].path("silhouettes.zarr")
+        if path.is_dir():
+            import zarr
+
+            self.outlines = zarr.open_array(path, mode="r")
+
+    def read(self, view: int, light: int) -> tuple[np.ndarray, np.ndarray]:
+        """Linear (rows, columns, channels) float32 and validity (rows, columns): light of any polarisation."""
+        if self.components is None:
+            return self.views.read(view, light=self.views.lights[light])
+        diffuse, specular, valid = self.components.read(light * len(self.views.views) + view)
+        return diffuse + specular, valid
+
+    def silhouette(self, view: int) -> np.ndarray | None:
+        """(rows, columns) bool, or None where it is not known."""
+        if self.outlines is not None:
+            outline = self.outlines[view] != 0
+            return outline if outline.any() else None
+        return self.views.silhouette(view)
+
+
+class ObjectTruth:
+    """truth.zarr of a simulated turntable capture."""
+
+    def __init__(self, folder: Path, photographs: Photographs):
+        import zarr
+
+        self.group = zarr.open_group(folder / "truth.zarr", mode="r")
+        states = photographs.views.states
+        self.normalised = photographs.views.board(states[0]) is not None
+        self.names = list(self.group.attrs["views"])
+
+    def read(self, name: str) -> np.ndarray:
+        """Linear (rows, columns, channels) float32 without noise, in the unit of the photographs."""
+        total = self.group["total"][self.names.index(name)]
+        if not self.normalised:
+            return total * self.group["sensitivity"][...]
+        board = self.group["board"][...][..., None] + np.float32(self.group.attrs.get("stray", 0.0))
+        return (total / board * np.float32(self.group.attrs["board_reflectance"])).astype(np.float32)
+
+    def silhouette(self, name: str) -> np.ndarray:
+        """(rows, columns) bool: pixels at least half filled by the object."""
+        return self.group["coverage"][self.names.index(name)] >= 0.5
