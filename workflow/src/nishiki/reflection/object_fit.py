@@ -194,7 +194,7 @@ class _Gloss:
         channels = second[0].ks.shape[1] if second else 1
         around = Neighbourhood(edge, channels, [s.part for s in second])
         mean = around.mean(np.zeros(channels))
-        guess = SCATTER_KS * max(float(np.mean(mean)), 1e-6)
+        guess = SCATTER_KS * max(float(np.mean(mean)), 1e-30)
         rough = around.field((noise / guess) ** 2, mean)
         apart = np.concatenate([(s.ks - rough.at(s.sample)).mean(axis=1) for s in second] or [np.empty(0)])
         information = np.concatenate([s.information for s in second] or [np.empty(0)])
@@ -225,7 +225,7 @@ def _third(tile: Tile, capture: Capture, widths: _Widths, gloss: _Gloss, first: 
         pull = np.where(first.fit.information > 0, 0.0, 1e12)
     found = texel_fit.strengths(total, sigma[first.texel], ks[first.texel], pull, specular)
     kd[first.texel], ks[first.texel] = found.kd, found.ks
-    limit = (gloss.noise / max(UNTOLD * float(np.mean(gloss.field.mean)), 1e-12)) ** 2
+    limit = (gloss.noise / max(UNTOLD * float(np.mean(gloss.field.mean)), 1e-30)) ** 2
     flags = _flags(tile, total.seen, first, found.information < limit)
     known = (flags & (TexelFlag.OUTSIDE | TexelFlag.UNSEEN)) == 0
     inside = tile.inside
@@ -275,7 +275,8 @@ def _described(first: list[_First], widths: _Widths, gloss: _Gloss, finished: li
 
 def _scatter(apart: np.ndarray, information: np.ndarray, guess: float) -> float:
     """Standard deviation of true values about the neighbourhood: apart (n,) less its own variance 1 / information."""
-    told = information > 1 / guess**2
+    apart, information = apart.astype(np.float64), information.astype(np.float64)
+    told = information * guess**2 > 1
     if told.sum() < 30:
         return guess
     variance = 1 / information[told]

@@ -103,5 +103,5 @@ def _lambert_residual(lighting: Lighting, sample: Sample, cameras: list[Camera],
     values = sample.values.mean(axis=-1)
     below = np.sum(weights * lit**2, axis=1)
     kd = np.sum(weights * lit * values, axis=1) / np.where(below > 0, below, 1)
-    off = np.abs(values - kd[:, None] * lit) / np.maximum(kd, 1e-6)[:, None]
+    off = np.abs(values - kd[:, None] * lit) / np.maximum(kd, 1e-30)[:, None]
     return float(np.median(off[weights > 0])) if np.any(weights > 0) else 0.0

@@ -1,0 +1,255 @@
+"""The fit of a whole object: of the model itself, of another one, and where nothing can be known."""
+
+import numpy as np
+import pytest
+
+from nishiki.geometry.camera import Camera
+from nishiki.reflection.flags import TexelFlag
+from nishiki.reflection.lighting import Lighting
+from nishiki.reflection.object_fit import fit_object
+from nishiki.reflection.texel_fit import lambert
+from nishiki.reflection.tile import Capture, Parameters, Tile
+
+VIEWS, SIZE, RADIUS, DISTANCE = 36, 24, 50.0, 600.0
+BEHIND = 0.15  # cos(theta_r) below which a texel is not seen
+
+
+def ring(views=VIEWS):
+    """Cameras on a circle around the y axis, a little above the object, looking at its centre."""
+    cameras = []
+    for k in range(views):
+        turn = 2 * np.pi * k / views
+        back = np.array([np.sin(turn), 0.25, np.cos(turn)])
+        back /= np.linalg.norm(back)
+        right = np.cross([0.0, 1, 0], back)
+        right /= np.linalg.norm(right)
+        down = -np.cross(back, right)
+        rotation = np.stack([right, down, -back])
+        centre = DISTANCE * back
+        intrinsics = np.array([[900.0, 0, 99.5], [0, 900, 99.5], [0, 0, 1]])
+        cameras.append(Camera(f"v{k}", intrinsics, rotation, -rotation @ centre, 200, 200))
+    return cameras
+
+
+def capture(lighting, encoding="linear", cameras=None):
+    cameras = ring() if cameras is None else cameras
+    return Capture(np.array([c.centre for c in cameras]), [lighting.lamp(c) for c in cameras], encoding)
+
+
+def patch(number, patches=6):
+    """Texels of one of six patches side by side around the equator of a sphere: positions, normals."""
+    longitude = 2 * np.pi * (number + np.linspace(0, 1, SIZE)) / patches
+    latitude = np.linspace(0.6, -0.6, SIZE)[:, None]
+    normals = np.stack(
+        [np.sin(longitude) * np.cos(latitude), np.sin(latitude) + 0 * longitude, np.cos(longitude) * np.cos(latitude)],
+        axis=-1,
+    )
+    return RADIUS * normals, normals
+
+
+def colours(positions):
+    """A texture: albedo between 0.15 and 0.85."""
+    x, y, z = np.moveaxis(positions, -1, 0)
+    waves = [np.sin(0.35 * x + 0.2 * y), np.sin(0.25 * y - 0.3 * z + 1), np.cos(0.4 * z + 0.15 * x)]
+    return 0.5 + 0.35 * np.stack(waves, axis=-1)
+
+
+def angles(positions, normals, centre, place):
+    """cos theta_i, cos theta_r, alpha, all (T, T): written out from the definitions in float64."""
+
+    def unit(vectors):
+        return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+    to_lamp, to_camera = unit(place - positions), unit(centre - positions)
+    cos_i, cos_r = (np.sum(normals * v, axis=-1) for v in (to_lamp, to_camera))
+    half = unit(to_lamp + to_camera)
+    return cos_i, cos_r, np.arccos(np.clip(np.sum(normals * half, axis=-1), -1, 1)), half
+
+
+def scene(reflect, *, noise=0.0, lamp=(60.0, 150.0, 0.0), seed=0, albedo=colours):
+    """{tile: Tile} of a sphere whose points reflect(positions, kd, cos_i, cos_r, alpha) under a lamp at the camera."""
+    rng = np.random.default_rng(seed)
+    lighting = Lighting("position", (lamp,))
+    cameras = ring()
+    tiles = {}
+    for number in range(6):
+        positions, normals = patch(number)
+        kd = albedo(positions)
+        values = np.zeros((VIEWS, SIZE, SIZE, 3), np.float32)
+        visible = np.zeros((VIEWS, SIZE, SIZE), bool)
+        for o, camera in enumerate(cameras):
+            place = camera.centre + camera.rotation.T @ (np.array(lamp) * [1, -1, -1])
+            cos_i, cos_r, alpha, _ = angles(positions, normals, camera.centre, place)
+            seen = (cos_r > BEHIND) & (cos_i > 0)
+            radiance = reflect(positions, kd, np.maximum(cos_i, 1e-6), np.maximum(cos_r, BEHIND), alpha)
+            radiance = radiance + noise * rng.normal(size=radiance.shape)
+            visible[o], values[o] = seen, np.where(seen[..., None], radiance, 0)
+        tiles[number] = Tile(values, visible, positions.astype(np.float32), normals.astype(np.float32),
+                             np.ones((SIZE, SIZE), bool))  # fmt: skip
+    return tiles, lighting
+
+
+def simplified(sigma=0.15, ks=(0.3, 0.25, 0.2)):
+    def reflect(_, kd, cos_i, cos_r, alpha):
+        lobe = np.exp(-(alpha**2) / (2 * sigma**2)) / cos_r
+        return kd * cos_i[..., None] + np.array(ks) * lobe[..., None]
+
+    return reflect
+
+
+def ggx(roughness=0.3, specular=0.04, bounce=0.03):
+    """Trowbridge-Reitz with Smith's masking, and light from the neighbours: another model than the fitted one."""
+
+    def reflect(positions, kd, cos_i, cos_r, alpha):
+        a2 = (roughness * (1 + 0.3 * np.sin(positions[..., 1] / 10))) ** 4
+        d = a2 / (np.cos(alpha) ** 2 * (a2 - 1) + 1) ** 2
+        g = np.ones_like(d)
+        for cosine in (cos_i, cos_r):
+            g = g / (cosine + np.sqrt(a2 + (1 - a2) * cosine**2))
+        gloss = specular * d * g * cos_i
+        return kd * (cos_i + bounce)[..., None] + gloss[..., None]
+
+    return reflect
+
+
+def fitted(tiles, lighting, *, encoding="linear", **settings):
+    found = {}
+    report = fit_object(tiles.__getitem__, tiles, capture(lighting, encoding), found.__setitem__, **settings)
+    return found, report
+
+
+@pytest.mark.parametrize("width", ["smooth", "texel", "object"])
+def test_the_model_itself_is_recovered(width):
+    tiles, lighting = scene(simplified())
+    found, report = fitted(tiles, lighting, width=width)
+    assert report.texels == 6 * SIZE * SIZE
+    assert report.median_sigma == pytest.approx(0.15, rel=2e-3)
+    assert report.psnr_db > (60 if width == "smooth" else 55)
+    for number, parameters in found.items():
+        told = (parameters.flags & TexelFlag.UNTOLD) == 0
+        assert told.mean() > 0.2
+        kd = colours(patch(number)[0])
+        assert np.median(abs(parameters.kd - kd)) < 2e-3
+        assert np.median(abs(parameters.ks - [0.3, 0.25, 0.2])) < 0.01
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.003])
+def test_another_material_is_fitted_better_and_smoother_with_the_neighbours(noise):
+    tiles, lighting = scene(ggx(), noise=noise)
+    reports, roughness = {}, {}
+    for width in ("smooth", "texel", "object"):
+        found, reports[width] = fitted(tiles, lighting, width=width)
+        steps = [np.abs(np.diff(np.log(p.sigma), axis=1)).mean() for p in found.values()]
+        roughness[width] = np.mean(steps)
+    assert reports["smooth"].psnr_db > reports["texel"].psnr_db > reports["object"].psnr_db
+    assert roughness["smooth"] < roughness["texel"]
+    assert reports["smooth"].psnr_db > (45 if noise == 0 else 43)
+
+
+def test_the_lobe_is_worth_decibels():
+    tiles, lighting = scene(ggx(), noise=0.003)
+    _, report = fitted(tiles, lighting)
+    squares, count = 0.0, 0
+    for tile in tiles.values():
+        made = capture(lighting)
+        total, _ = made.observe(tile)
+        kd = np.zeros((SIZE * SIZE, 3), np.float32)
+        kd[total.texel] = lambert(total)
+        shape = (SIZE, SIZE, 3)
+        matt = Parameters(kd.reshape(shape), np.zeros(shape, np.float32), np.full(shape[:2], 0.2, np.float32),
+                          np.zeros(shape[:2], np.uint8))  # fmt: skip
+        part = made.squares(matt, tile)
+        squares, count = squares + part[0], count + part[1]
+    assert report.psnr_db > -10 * np.log10(squares / count) + 6
+
+
+def test_components_apart_give_the_same_parameters():
+    gloss, matt = simplified(), simplified(ks=(0, 0, 0))
+    total, lighting = scene(gloss)
+    diffuse, _ = scene(matt)
+    apart = {
+        n: Tile(diffuse[n].values, t.visible, t.positions, t.normals, t.inside, t.values - diffuse[n].values)
+        for n, t in total.items()
+    }
+    found, report = fitted(apart, lighting)
+    together, _ = fitted(total, lighting)
+    assert report.psnr_db > 60
+    for n in found:
+        seen = (found[n].flags & TexelFlag.NO_HIGHLIGHT) == 0
+        np.testing.assert_allclose(found[n].kd, together[n].kd, atol=2e-3)
+        np.testing.assert_allclose(found[n].ks[seen], together[n].ks[seen], atol=0.02)
+
+
+def test_unseen_texels_are_flagged_and_filled_smoothly():
+    tiles, lighting = scene(simplified(), noise=0.002)
+    tile = tiles[2]
+    tile.visible[:, 5:15, 6:16] = False
+    tile.values[:, 5:15, 6:16] = 0
+    tile.visible[1:, 20, 20] = False
+    tile.inside[:, :3] = False
+    tiles[4].visible[:] = False
+    found, report = fitted(tiles, lighting)
+    flags = found[2].flags
+    assert np.all((flags[5:15, 6:16] & TexelFlag.UNSEEN) != 0)
+    assert np.all(flags[:, :3] == TexelFlag.OUTSIDE)
+    assert np.all((found[4].flags & TexelFlag.UNSEEN) != 0)
+    assert report.unseen_share == pytest.approx((100 + SIZE * SIZE) / (6 * SIZE * SIZE - 3 * SIZE), abs=0.01)
+    for parameters in found.values():
+        for array in (parameters.kd, parameters.ks, parameters.sigma):
+            assert np.isfinite(array).all()
+            assert (array >= 0).all()
+    hole = found[2].kd[4:16, 5:17]
+    assert np.abs(np.diff(hole, n=2, axis=0)).max() < 0.2
+    assert np.ptp(found[4].kd) == 0
+    assert np.median(abs(found[4].ks - [0.3, 0.25, 0.2])) < 0.05
+
+
+def test_nothing_seen_at_all():
+    tiles, lighting = scene(simplified())
+    for tile in tiles.values():
+        tile.visible[:] = False
+    found, report = fitted(tiles, lighting)
+    assert report.psnr_db is None
+    assert report.unseen_share == 1
+    for parameters in found.values():
+        assert np.all(parameters.kd == 0)
+        assert np.all(parameters.ks == 0)
+        assert np.all(parameters.sigma > 0)
+
+
+def test_threads_and_order_do_not_change_the_result():
+    tiles, lighting = scene(ggx(), noise=0.003)
+    one, two = (fitted(tiles, lighting, threads=k)[0] for k in (1, 3))
+    for n in tiles:
+        for name in ("kd", "ks", "sigma", "flags"):
+            np.testing.assert_array_equal(getattr(one[n], name), getattr(two[n], name))
+
+
+@pytest.mark.parametrize("scale", [2.0**-20, 2.0**20])
+def test_radiometric_scale_does_not_matter(scale):
+    tiles, lighting = scene(ggx(), noise=0.003)
+    scaled = {
+        n: Tile(t.values * np.float32(scale), t.visible, t.positions, t.normals, t.inside) for n, t in tiles.items()
+    }
+    one, two = fitted(tiles, lighting)[0], fitted(scaled, lighting)[0]
+    for n in tiles:
+        np.testing.assert_allclose(two[n].kd / scale, one[n].kd, atol=1e-5)
+        np.testing.assert_allclose(two[n].sigma, one[n].sigma, rtol=1e-4)
+
+
+def test_the_published_method_agrees_where_it_converges():
+    tiles, lighting = scene(simplified(), noise=0.001)
+    few = {
+        0: Tile(
+            tiles[0].values[:, :6, :6],
+            tiles[0].visible[:, :6, :6],
+            tiles[0].positions[:6, :6],
+            tiles[0].normals[:6, :6],
+            tiles[0].inside[:6, :6],
+        )
+    }
+    ours, _ = fitted(few, lighting, width="texel")
+    theirs, _ = fitted(few, lighting, width="texel", method="levenberg_marquardt")
+    both = ((ours[0].flags | theirs[0].flags) & TexelFlag.NO_HIGHLIGHT) == 0
+    assert both.sum() > 5
+    assert np.median(abs(ours[0].sigma / theirs[0].sigma - 1)[both]) < 0.02
