@@ -29,7 +29,7 @@ SCATTER_KS = 0.5  # of K_s, relative to its mean: first guess
 LEAST_SCATTER = 0.02  # of either
 SUBSET = 2000  # texels of a tile, at most, that the scatter is judged by
 DEFAULT_SIGMA = 0.2  # radians, where no highlight was seen on the whole object
-UNTOLD = 1.0  # standard deviation of a texel's own K_s, relative to the mean K_s, above which it says nothing
+UNTOLD = 0.1  # standard deviation of a texel's own K_s, relative to the mean K_d, above which it says nothing
 
 
 @dataclass(frozen=True)
@@ -186,6 +186,7 @@ class _Gloss:
     field: Field
     scatter: float
     noise: float
+    level: float  # mean K_d
     width: str
 
     @classmethod
@@ -200,7 +201,9 @@ class _Gloss:
         information = np.concatenate([s.information for s in second] or [np.empty(0)])
         scatter = _scatter(apart, information / noise**2, guess)
         scatter = max(scatter, LEAST_SCATTER * guess / SCATTER_KS)
-        return cls(around.field((noise / scatter) ** 2, mean), scatter, noise, width)
+        levels = [f.fit.kd.mean(dtype=float) for f in first if len(f.texel)]
+        level = float(np.mean(levels)) if levels else 0.0
+        return cls(around.field((noise / scatter) ** 2, mean), scatter, noise, level, width)
 
     @property
     def pull(self) -> float:
@@ -225,8 +228,8 @@ def _third(tile: Tile, capture: Capture, widths: _Widths, gloss: _Gloss, first: 
         pull = np.where(first.fit.information > 0, 0.0, 1e12)
     found = texel_fit.strengths(total, sigma[first.texel], ks[first.texel], pull, specular)
     kd[first.texel], ks[first.texel] = found.kd, found.ks
-    limit = (gloss.noise / max(UNTOLD * float(np.mean(gloss.field.mean)), 1e-30)) ** 2
-    flags = _flags(tile, total.seen, first, found.information < limit)
+    untold = gloss.noise > UNTOLD * gloss.level * np.sqrt(found.information)
+    flags = _flags(tile, total.seen, first, untold)
     known = (flags & (TexelFlag.OUTSIDE | TexelFlag.UNSEEN)) == 0
     inside = tile.inside
     joined = np.concatenate([ks.reshape(*shape, channels), sigma.reshape(*shape, 1)], axis=-1)
