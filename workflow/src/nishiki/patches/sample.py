@@ -1,0 +1,162 @@
+"""Which texels a view shows, what it shows there, and where the view's own pixels lie in the atlas."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from nishiki.geometry.camera import Camera
+from nishiki.geometry.mesh import Mesh, face_vectors
+from nishiki.patches.atlas import Atlas
+from nishiki.patches.raster import Raster
+
+
+@dataclass(frozen=True)
+class PixelPlaces:
+    """Where the pixels of one view lie in the atlas, sorted by tile, then row, then column.
+
+    row, column (n,) int32; s, t (n,) float32; offsets (tiles + 1,) int64: tile k has the pixels offsets[k] up to
+    offsets[k + 1].
+    """
+
+    row: np.ndarray
+    column: np.ndarray
+    s: np.ndarray
+    t: np.ndarray
+    offsets: np.ndarray
+
+
+def object_pixels(mesh: Mesh, camera: Camera, raster: Raster, silhouette: np.ndarray | None) -> np.ndarray:
+    """(rows, columns) bool: pixels that show the outer side of the surface, inside the silhouette where it is known."""
+    towards = camera.centre - mesh.vertices[mesh.triangles[:, 0]]
+    facing = (face_vectors(mesh.vertices, mesh.triangles) * towards).sum(axis=1) > 0
+    # Triangle -1 reads the last entry.
+    shown = np.append(facing, False)[raster.triangle]
+    return shown if silhouette is None else shown & silhouette
+
+
+def pixel_places(atlas: Atlas, raster: Raster, shown: np.ndarray) -> PixelPlaces:
+    """Places of the pixels `shown` (rows, columns) in the atlas."""
+    row, column = np.nonzero(shown)
+    tile, s, t = atlas.locate(raster.triangle[row, column], raster.barycentric[row, column])
+    order, offsets = by_tile(tile, atlas.tiles)
+    places = (values[order] for values in (row.astype(np.int32), column.astype(np.int32), s, t))
+    return PixelPlaces(*places, offsets)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def by_tile(tile, tiles):
+    """Stable order (n,) of the points by tile, and where each tile starts; points of tile -1 are left out."""
+    offsets = np.zeros(tiles + 1, np.int64)
+    for k in tile:
+        if k >= 0:
+            offsets[k + 1] += 1
+    for k in range(tiles):
+        offsets[k + 1] += offsets[k]
+    order, place = np.empty(offsets[tiles], np.int64), offsets.copy()
+    for i in range(len(tile)):
+        if tile[i] >= 0:
+            order[place[tile[i]]] = i
+            place[tile[i]] += 1
+    return order, offsets
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """values (..., channels) float32, 0 where not visible; visible (...) bool."""
+
+    values: np.ndarray
+    visible: np.ndarray
+
+
+def sample_view(
+    positions: np.ndarray,
+    normals: np.ndarray,
+    inside: np.ndarray,
+    *,
+    camera: Camera,
+    depth: np.ndarray,
+    usable: np.ndarray,
+    pictures: list[np.ndarray],
+    tolerance: float = 1.0,
+    grazing_deg: float = 80.0,
+) -> list[Sampled]:
+    """Sample texels in one view, for each of its pictures (rows, columns, channels) float32.
+
+    positions, normals (..., 3), inside (...): texels; depth (rows, columns): of the view's `Raster`; usable (rows,
+    columns) bool: pixels that show the object and hold a valid value. A texel is visible where it is inside, faces the
+    camera at less than `grazing_deg` from its normal, all four pixels around its image are usable, and the surface that
+    each of them shows lies no further in front of or behind the texel than the texel's own tangent plane comes or goes
+    within `tolerance` pixels, plus `tolerance` pixels of the surface's size (against ties of a surface with itself).
+    """
+    shape = inside.shape
+    points = positions.reshape(-1, 3)
+    pixels, depths = camera.project(points)
+    seen = np.empty(len(points), np.bool_)
+    rotation, inverse = np.ascontiguousarray(camera.rotation), np.linalg.inv(camera.intrinsics)
+    plain = [np.ascontiguousarray(p, np.float32) for p in pictures]
+    rays = (points.astype(np.float64) - camera.centre) @ rotation.T
+    least = np.cos(np.radians(grazing_deg))
+    flat_normals = np.ascontiguousarray(normals.reshape(-1, 3), np.float32)
+    see(
+        rays, flat_normals, inside.reshape(-1), pixels, depths, rotation, inverse, depth, usable, tolerance, least, seen
+    )
+    found = []
+    for picture in plain:
+        values = np.zeros((len(points), picture.shape[2]), np.float32)
+        bilinear(pixels, seen, picture, values)
+        found.append(Sampled(values.reshape(*shape, -1), seen.reshape(shape)))
+    return found
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def see(rays, normals, inside, pixels, depths, rotation, inverse, depth, usable, tolerance, least, seen):
+    """See `sample_view`: fills seen (n,). rays (n, 3): texels in the camera's frame."""
+    rows, columns = depth.shape
+    footprint = np.sqrt(abs(inverse[0, 0] * inverse[1, 1]))
+    for i in range(len(rays)):
+        seen[i] = False
+        x, y, z = pixels[i, 0], pixels[i, 1], depths[i]
+        if not inside[i] or not z > 0 or not (0 <= x <= columns - 1 and 0 <= y <= rows - 1):
+            continue
+        n0, n1, n2 = 0.0, 0.0, 0.0
+        for k in range(3):
+            n0 += rotation[0, k] * normals[i, k]
+            n1 += rotation[1, k] * normals[i, k]
+            n2 += rotation[2, k] * normals[i, k]
+        towards = -(n0 * rays[i, 0] + n1 * rays[i, 1] + n2 * rays[i, 2])
+        length = np.sqrt(rays[i, 0] ** 2 + rays[i, 1] ** 2 + rays[i, 2] ** 2)
+        if not towards > least * length:
+            continue
+        # Depth of the tangent plane at a pixel is -towards / (n . ray of the pixel): its relative change for one pixel.
+        across = abs(n0 * inverse[0, 0]) + abs(n0 * inverse[0, 1] + n1 * inverse[1, 1])
+        slack = tolerance * z * (footprint + across * z / towards)
+        column, row = min(int(x), max(columns - 2, 0)), min(int(y), max(rows - 2, 0))
+        good = True
+        for down in range(2):
+            for right in range(2):
+                # A neighbour without weight is not asked: it may not exist.
+                if (right == 1 and x == column) or (down == 1 and y == row):
+                    continue
+                r, c = row + down, column + right
+                if not usable[r, c] or not abs(depth[r, c] - z) <= slack:
+                    good = False
+        seen[i] = good
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def bilinear(pixels, seen, picture, values):
+    """Picture (rows, columns, channels) at pixels (n, 2) (column, row) that are seen; fills values (n, channels)."""
+    rows, columns, channels = picture.shape
+    for i in range(len(pixels)):
+        if not seen[i]:
+            continue
+        column, row = min(int(pixels[i, 0]), columns - 1), min(int(pixels[i, 1]), rows - 1)
+        right, below = min(column + 1, columns - 1), min(row + 1, rows - 1)
+        u, v = pixels[i, 0] - column, pixels[i, 1] - row
+        for k in range(channels):
+            top = (1 - u) * picture[row, column, k] + u * picture[row, right, k]
+            bottom = (1 - u) * picture[below, column, k] + u * picture[below, right, k]
+            values[i, k] = (1 - v) * top + v * bottom
