@@ -152,7 +152,7 @@ def make_turntable(
             write_frame(folder / f"white/{j}.png", np.full((rows, columns, 3), level + 0.5 * top))
             table.append((f"white/{j}.png", "white", "", light, "", ""))
         for k, state in enumerate(boards):
-            values = np.full((rows, columns, 3), level + 0.6 * top) * [1, 0.9, 0.8] / (k + 1)
+            values = level + np.full((rows, columns, 3), 0.6 * top) * [1, 0.9, 0.8] / (k + 1)
             write_frame(folder / f"white/{j}_{k}.png", values)
             table.append((f"white/{j}_{k}.png", "white", "", light, state, ""))
     for i in range(views) if silhouettes else ():

@@ -81,10 +81,18 @@ def _reference_problems(reader: FrameReader, tick: Tick) -> list[Problem]:
     edges = tuple(block_edges(n, CHECK_BLOCK) for n in (reader.rows, reader.columns))
     try:
         darks = measure_darks(reader, edges, tick)
-        whites = measure_whites(reader, darks, edges, tick)
-        return [*darks.problems, *whites.problems]
+        whites = measure_whites(reader, darks, edges, tick).problems if _complete(reader.capture) else ()
+        return [*darks.problems, *whites]
     except CaptureError as e:
         return list(e.problems)
+
+
+def _complete(capture: TurntableCapture) -> bool:
+    """Whether white boards and exposure times are there for every light, or none; if not, it is reported already."""
+    lit = [f for f in capture.frames if f.role in ("sample", "white")]
+    plain = {f.light for f in lit if f.role == "white" and not f.polariser}
+    timed = sum(f.exposure_s is not None for f in lit)
+    return timed in (0, len(lit)) and (not plain or plain >= set(capture.light_names))
 
 
 def _frame_problems(reader: FrameReader, frame: Frame) -> list[Problem]:
