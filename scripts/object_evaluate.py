@@ -42,7 +42,7 @@ def run(context: Context) -> dict:
     used = settings.left_out if settings.left_out != "best" else better_prediction(found)
     bits = 8 * cost.total / work.pixels if work.pixels else None
     evaluation = {
-        "encoding": decoded.texels.encoding,
+        "encoding": decoded.encoding,
         "peak": 1.0,
         "figures": found,
         "left_out": {"views": sorted(settings.hold_out), "used": used},
@@ -102,7 +102,7 @@ class Work:
 
     def judge(self, view: int, light: int, made: dict[str, Picture]) -> list:
         """Rows of one observation; its pictures side by side where they are to be shown."""
-        encoding, similarity = self.decoded.texels.encoding, self.settings.similarity
+        encoding, similarity = self.decoded.encoding, self.settings.similarity
         name = self.decoded.views[view]
         linear, valid = self.photographs.read(view, light)
         outline = self.photographs.silhouette(view)
@@ -133,7 +133,7 @@ class Work:
     def show(self, name: str, left_out: bool, inside: np.ndarray, photograph: np.ndarray, coded: dict) -> None:
         """One picture file: photograph, rendering, model alone, ten times the difference; and their arrays."""
         best = coded[INTERPOLATED] if left_out else coded[DECODED]
-        panels = comparison(photograph, best, coded[MODEL], inside, self.decoded.texels.encoding, self.settings.columns)
+        panels = comparison(photograph, best, coded[MODEL], inside, self.decoded.encoding, self.settings.columns)
         stem = f"compare-{name}"
         strip = np.concatenate([panels[key] for key in ("photograph", "rendered", "model", "error")], axis=1)
         write_png(self.context.output.path(f"{stem}.png"), strip, stamp=self.context.stamp)

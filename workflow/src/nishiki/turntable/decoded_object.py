@@ -13,6 +13,7 @@ from nishiki.geometry.cameras_file import load_cameras
 from nishiki.geometry.mesh import Mesh
 from nishiki.patches.atlas import Atlas
 from nishiki.patches.store import Texels
+from nishiki.patches.surface import Surface, texel_points, texel_triangles
 from nishiki.reflection.lighting import Lighting
 from nishiki.residual.store import Residual
 from nishiki.turntable.renderer import ObjectRenderer
@@ -27,7 +28,10 @@ class DecodedObject:
     cameras: list[Camera]
     residual: Residual
     lighting: Lighting
-    texels: Texels
+    surface: Surface
+    encoding: str
+    channels: int
+    full_turn: bool
     views: tuple[str, ...]
     lights: tuple[str, ...]
 
@@ -36,29 +40,39 @@ class DecodedObject:
         """From the artifacts of cameras, mesh, texels, reflection and residual."""
         texels = Texels(inputs["texels"].folder)
         lighting = json.loads(inputs["reflection"].path("reflection.json").read_text())["lighting"]
+        atlas = texels.atlas
         return cls(
             Mesh.load(inputs["mesh"].path("mesh.npz")),
-            texels.atlas,
+            atlas,
             load_cameras(inputs["cameras"].path("cameras.json")),
             Residual(inputs["residual"].folder),
             Lighting.from_dict(lighting),
-            texels,
+            texel_triangles(atlas),
+            texels.encoding,
+            texels.channels,
+            texels.full_turn,
             tuple(texels.views),
             tuple(texels.lights),
         )
 
     def renderer(self, *, mesh: Mesh | None = None, **options) -> ObjectRenderer:
         """A renderer of the object; `mesh`: the same triangles at other places; options as of `ObjectRenderer`."""
+        mesh = mesh or self.mesh
+
+        def geometry(tile: int):
+            found = texel_points(mesh, self.atlas, self.surface, slice(tile, tile + 1))
+            return tuple(values[0] for values in found)
+
         return ObjectRenderer(
-            mesh or self.mesh,
+            mesh,
             self.atlas,
             self.cameras,
             self.residual,
             self.lighting,
-            geometry=self.texels.geometry,
-            encoding=self.texels.encoding,
-            full_turn=self.texels.full_turn,
-            channels=self.texels.channels,
+            geometry=geometry,
+            encoding=self.encoding,
+            full_turn=self.full_turn,
+            channels=self.channels,
             **options,
         )
 

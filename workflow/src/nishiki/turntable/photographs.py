@@ -27,14 +27,21 @@ class Photographs:
         if path.is_dir():
             import zarr
 
-            self.outlines = zarr.open_array(path, mode="r")
+            stored = zarr.open(path, mode="r")
+            self.outlines = stored if isinstance(stored, zarr.Array) else stored["silhouettes"]
 
     def read(self, view: int, light: int) -> tuple[np.ndarray, np.ndarray]:
-        """Linear (rows, columns, channels) float32 and validity (rows, columns): light of any polarisation."""
+        """Linear (rows, columns, channels) float32 and validity (rows, columns): light of any polarisation.
+
+        The photograph without polariser where there is one, else the sum of the components.
+        """
+        states, name = self.views.states, self.views.lights[light]
+        if self.components is None or "off" in states:
+            plain, valid = self.views.read(view, state="off" if "off" in states else states[0], light=name)
         if self.components is None:
-            return self.views.read(view, light=self.views.lights[light])
-        diffuse, specular, valid = self.components.read(light * len(self.views.views) + view)
-        return diffuse + specular, valid
+            return plain, valid
+        diffuse, specular, separated = self.components.read(light * len(self.views.views) + view)
+        return (plain, valid & separated) if "off" in states else (diffuse + specular, separated)
 
     def silhouette(self, view: int) -> np.ndarray | None:
         """(rows, columns) bool, or None where it is not known."""
