@@ -111,8 +111,9 @@ def camera_centre(matrix: np.ndarray) -> np.ndarray:
 def turn_of(centres: np.ndarray) -> Turn:
     """Whether cameras at these places (views, 3), in this order, go once round the object at about equal steps.
 
-    Angles are taken round the mean of the places in the plane that they lie in best. Full: all steps in one sense,
-    together one turn, and none, the closing one included, above 1.6 times their median.
+    Angles are taken in the plane that the places lie in best, round the centre of the circle that fits them there
+    (linear least squares on the squared radius). Full: all steps in one sense, together one turn, and none, the closing
+    one included, above 1.6 times their median.
     """
     centres = np.asarray(centres, np.float64)
     if len(centres) < 3:
@@ -120,11 +121,13 @@ def turn_of(centres: np.ndarray) -> Turn:
     offset = centres - centres.mean(axis=0)
     _, _, axes = np.linalg.svd(offset, full_matrices=False)
     plane = offset @ axes[:2].T
+    circle = np.linalg.lstsq(np.column_stack([2 * plane, np.ones(len(plane))]), (plane**2).sum(axis=1), rcond=None)[0]
+    plane = plane - circle[:2]
     angles = np.arctan2(plane[:, 1], plane[:, 0])
     steps = np.mod(np.diff(angles, append=angles[:1]) + np.pi, 2 * np.pi) - np.pi
     steps = steps if steps.sum() >= 0 else -steps
-    once = abs(steps.sum() - 2 * np.pi) < 1e-6 and bool((steps > 0).all())
-    return Turn(once and bool(steps.max() <= LARGEST_STEP * np.median(steps)), steps)
+    once = abs(steps.sum() - 2 * np.pi) < 1e-6 and (steps > 0).all()
+    return Turn(bool(once and steps.max() <= LARGEST_STEP * np.median(steps)), steps)
 
 
 def _rows(path: Path, name: str, kind: str) -> list[tuple[int, list[str]]]:
