@@ -8,17 +8,17 @@ are a 2 x 2 linear problem with K >= 0, so only log gamma is searched:
 * then Gauss-Newton on the projected residual (Kaufman's Jacobian; Golub & Pereyra, Inverse Problems 19, 2003, R1),
   held inside the bracket by the sign of the exact derivative and replaced by bisection where it would leave it.
 
-The loops over the observations may reassociate their sums (vector instructions); nothing else of fast math is allowed,
-so that infinities and NaN keep their meaning.
+Sums over the observations are products of rows (`nishiki.brdf.vector_sums`), fast and in a fixed order; everything else
+is element by element.  No fast math: infinities and NaN keep their meaning, and results are the same bytes everywhere.
 """
 
 import numpy as np
 from numba import njit
 
+from nishiki.brdf.vector_sums import LANES, dot_rows
+
 GRID_RATIO = 2.0
 REFINEMENTS = 24
-PAD = 16  # observations are padded with zero columns to a multiple of the vector length
-REASSOCIATE = {"reassoc", "contract", "nsz"}
 _EXP2 = (  # 2^-f on 0 .. 1 interpolated at Chebyshev nodes, relative error 2.5e-9
     np.float32(0.9999999986201363),
     np.float32(-0.6931470452096826),
@@ -35,10 +35,10 @@ _GRID_FLOOR = 1e-9  # D below it is 0 on the grid: its powers would end in slow 
 GAMMA, CURVATURE, RSS, RSS_DIFFUSE, USED, NEAREST, LIT, SCALE = range(8)
 REPORT = 8
 # Rows of the scratch of a point, before one row for each channel's observations
-_PHI2, _A, _Q, _D, _LOBE, _ROWS = range(6)
+_PHI2, _A, _Q, _D, _LOBE, _REST, _ONES, _ROWS = range(8)
 
 
-@njit(cache=True, error_model="numpy", fastmath=REASSOCIATE)
+@njit(cache=True, error_model="numpy")
 def _lobe_values(w, inverse):
     """Row _D = 2^-(phi^2 inverse), inverse = 1 / gamma^2.
 
@@ -59,14 +59,6 @@ def _lobe_values(w, inverse):
     else:
         for o in range(w.shape[1]):
             w[_D, o] = np.exp2(-w[_PHI2, o] * inverse)
-
-
-@njit(cache=True, error_model="numpy", fastmath=REASSOCIATE)
-def _dot(w, i, j):
-    total = w.dtype.type(0)
-    for o in range(w.shape[1]):
-        total += w[i, o] * w[j, o]
-    return total
 
 
 @njit(cache=True, error_model="numpy")
@@ -99,19 +91,16 @@ def _strengths(a, b, d, inverse, u, v, k0):
     return zero, zero, zero
 
 
-@njit(cache=True, error_model="numpy", fastmath=REASSOCIATE)
+@njit(cache=True, error_model="numpy")
 def _grid_step(w, floor):
     """Row _LOBE = a D at this half width, and D to its fourth power for the next; returns (s.s, s.q)."""
-    a, b = floor - floor, floor - floor
     for o in range(w.shape[1]):
-        s = w[_A, o] * w[_D, o]
-        w[_LOBE, o] = s
-        a += s * s
-        b += s * w[_Q, o]
-        fourth = w[_D, o] * w[_D, o]
-        fourth *= fourth
-        w[_D, o] = fourth if fourth > floor else floor - floor
-    return a, b
+        d = w[_D, o]
+        w[_LOBE, o] = w[_A, o] * d
+        d *= d
+        d *= d
+        w[_D, o] = d if d > floor else floor - floor
+    return dot_rows(w, _LOBE, _LOBE), dot_rows(w, _LOBE, _Q)
 
 
 @njit(cache=True, error_model="numpy")
@@ -128,42 +117,32 @@ def _grid_search(w, channels, d, v, log_max, steps):
         inverse = _inverse_determinant(w, a, b, d)
         gain = real(0)
         for c in range(channels):
-            u = _dot(w, _LOBE, _ROWS + c)
+            u = dot_rows(w, _LOBE, _ROWS + c)
             gain += _strengths(a, b, d, inverse, u, v[0, c], v[1, c])[2]
         if gain > best * margin:
             best, index = gain, step
     return index
 
 
-@njit(cache=True, error_model="numpy", fastmath=REASSOCIATE)
+@njit(cache=True, error_model="numpy")
 def _columns_at(w, inverse):
     """Row _D = the lobe's column s, row _LOBE = its derivative j by log gamma; returns s.s, s.q, j.j, j.s, j.q."""
     _lobe_values(w, inverse)
-    zero = w.dtype.type(0)
-    a, b, jj, js, jq = zero, zero, zero, zero, zero
     rate = w.dtype.type(_TWO_LN2) * inverse
     for o in range(w.shape[1]):
         s = w[_A, o] * w[_D, o]
-        j = s * w[_PHI2, o] * rate
         w[_D, o] = s
-        w[_LOBE, o] = j
-        a += s * s
-        b += s * w[_Q, o]
-        jj += j * j
-        js += j * s
-        jq += j * w[_Q, o]
-    return a, b, jj, js, jq
+        w[_LOBE, o] = s * w[_PHI2, o] * rate
+    a, b = dot_rows(w, _D, _D), dot_rows(w, _D, _Q)
+    return a, b, dot_rows(w, _LOBE, _LOBE), dot_rows(w, _LOBE, _D), dot_rows(w, _LOBE, _Q)
 
 
-@njit(cache=True, error_model="numpy", fastmath=REASSOCIATE)
+@njit(cache=True, error_model="numpy")
 def _residual_products(w, row, kd, ks):
     """(residual . j, residual . residual) of one channel, from the residuals themselves: no cancellation."""
-    along, square = w.dtype.type(0), w.dtype.type(0)
     for o in range(w.shape[1]):
-        r = w[row, o] - kd * w[_Q, o] - ks * w[_D, o]
-        along += r * w[_LOBE, o]
-        square += r * r
-    return along, square
+        w[_REST, o] = w[row, o] - kd * w[_Q, o] - ks * w[_D, o]
+    return dot_rows(w, _REST, _LOBE), dot_rows(w, _REST, _REST)
 
 
 @njit(cache=True, error_model="numpy")
@@ -182,7 +161,7 @@ def _evaluate(w, channels, d, v, t, strengths):
         both_left = max(jj - (js * js * d - 2 * js * jq * b + jq * jq * a) * inverse, real(0))
     slope, curvature, rss = real(0), real(0), real(0)
     for c in range(channels):
-        ks, kd, _ = _strengths(a, b, d, inverse, _dot(w, _D, _ROWS + c), v[0, c], v[1, c])
+        ks, kd, _ = _strengths(a, b, d, inverse, dot_rows(w, _D, _ROWS + c), v[0, c], v[1, c])
         along, square = _residual_products(w, _ROWS + c, kd, ks)
         kd += v[1, c]
         slope += ks * along
@@ -214,14 +193,14 @@ def _refine(w, channels, d, v, t, lo, hi, strengths):
     return t, curvature, rss
 
 
-@njit(cache=True, error_model="numpy", fastmath=REASSOCIATE)
+@njit(cache=True, error_model="numpy")
 def _scale_row(w, row, weight_row):
     """Multiply a row by the roots of the weights and divide it by its mean absolute value, which is returned."""
     real = w.dtype.type
-    total = real(0)
     for o in range(w.shape[1]):
         w[row, o] *= w[weight_row, o]
-        total += abs(w[row, o])
+        w[_REST, o] = abs(w[row, o])
+    total = dot_rows(w, _REST, _ONES)
     if not total > 0:
         return real(1)
     mean = total / real(w.shape[1])
@@ -238,6 +217,7 @@ def _load(phi, amplitude, attenuation, diffuse, weights, w):
     An observation in which any value is not finite, or whose weight is not positive, gets weight 0 and value 0.
     """
     w[:] = 0
+    w[_ONES] = 1
     zero = w.dtype.type(0)
     observations, channels = amplitude.shape
     used = 0
@@ -256,7 +236,7 @@ def _load(phi, amplitude, attenuation, diffuse, weights, w):
     return used
 
 
-@njit(cache=True, error_model="numpy", fastmath=REASSOCIATE)
+@njit(cache=True, error_model="numpy")
 def _scale(w, channels):
     """Weight the columns and scale them to a mean of 1; returns the scales of the lobe, of q, and of the observations.
 
@@ -268,7 +248,8 @@ def _scale(w, channels):
     for c in range(channels):
         for o in range(w.shape[1]):
             w[_ROWS + c, o] *= w[_D, o]
-            total += abs(w[_ROWS + c, o])
+            w[_REST, o] = abs(w[_ROWS + c, o])
+        total += dot_rows(w, _REST, _ONES)
     top_y = total / w.dtype.type(w.shape[1] * channels) if total > 0 else w.dtype.type(1)
     inverse = 1 / top_y
     for c in range(channels):
@@ -277,15 +258,15 @@ def _scale(w, channels):
     return top_a, top_q, top_y
 
 
-@njit(cache=True, error_model="numpy", fastmath=REASSOCIATE)
+@njit(cache=True, error_model="numpy")
 def _deflate(w, row, d, v):
     """Take the best diffuse-only fit off a row: v = (q . what is left, its strength k0 >= 0)."""
     zero = w.dtype.type(0)
-    product = _dot(w, _Q, row)
+    product = dot_rows(w, _Q, row)
     k0 = product / d if product > 0 and d > 0 else zero
     for o in range(w.shape[1]):
         w[row, o] -= k0 * w[_Q, o]
-    v[0] = _dot(w, _Q, row)
+    v[0] = dot_rows(w, _Q, row)
     v[1] = k0
 
 
@@ -294,7 +275,7 @@ def _summarise(w, channels, gamma, report):
     """What the diffuse term alone leaves, the observation nearest to the mirror direction, and how many are lit."""
     report[RSS_DIFFUSE] = 0
     for c in range(channels):
-        report[RSS_DIFFUSE] += _dot(w, _ROWS + c, _ROWS + c)
+        report[RSS_DIFFUSE] += dot_rows(w, _ROWS + c, _ROWS + c)
     nearest, lit, limit = w.dtype.type(1e30), 0, 4 * gamma * gamma
     for o in range(w.shape[1]):
         phi2 = w[_PHI2, o] if w[_A, o] > 0 else w.dtype.type(1e30)
@@ -310,7 +291,7 @@ def _solve_point(phi, amplitude, attenuation, diffuse, weights, log_min, log_max
     step = np.log(GRID_RATIO)
     report[USED] = _load(phi, amplitude, attenuation, diffuse, weights, w)
     top_a, top_q, top_y = _scale(w, channels)
-    d = _dot(w, _Q, _Q)
+    d = dot_rows(w, _Q, _Q)
     for c in range(channels):
         _deflate(w, _ROWS + c, d, v[:, c])
     index = _grid_search(w, channels, d, v, log_max, int(np.ceil((log_max - log_min) / step)) + 1)
@@ -332,7 +313,7 @@ def project_points(phi, amplitude, attenuation, diffuse, weights, log_min, log_m
     units of the squared SCALE of the point.
     """
     points, observations, channels = amplitude.shape
-    padded = (observations + PAD - 1) // PAD * PAD
+    padded = (observations + LANES - 1) // LANES * LANES  # with zero columns
     w = np.empty((_ROWS + channels, padded), amplitude.dtype)
     v = np.empty((2, channels), amplitude.dtype)
     for p in range(points):

@@ -14,7 +14,7 @@ from numba import njit
 from nishiki.reflection.lighting import Lamp
 from nishiki.reflection.model import GRAZING, factors
 
-MULTIPLE = 16  # observations a texel are padded to a multiple, with weight 0
+MULTIPLE = 8  # observations a texel are padded to a multiple, with weight 0
 # sRGB decoded value at which the curve turns from a line into a power, and the slopes of the two (IEC 61966-2-1)
 _LINEAR_BELOW, _LINEAR_SLOPE, _POWER_SLOPE, _POWER = 0.0031308, 12.92, 1.055 / 2.4, 1 / 2.4 - 1
 
