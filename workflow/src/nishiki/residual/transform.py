@@ -1,6 +1,6 @@
 """Orthonormal separable transform of a tile over (u, v, observation): O section 4.1, with boundaries that lose none.
 
-Coefficients lie as the samples do, (channel, light, view, T, T): planes in Mallat's order (coarsest band in the corner),
+Coefficients lie as the samples do, (channel, light, view, T, T): planes in Mallat's order (coarsest band in a corner),
 the observation axis by frequency. The basis vectors have unit length, also those of the biorthogonal families (their
 gains are divided out), so that one quantiser step means the same error everywhere. For an orthonormal family the
 inverse is the transpose and the energy of what is left out is the error (Parseval).

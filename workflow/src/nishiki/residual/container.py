@@ -1,0 +1,102 @@
+"""All that a decoder needs as one string of bytes: header, start states, index, then the tiles' streams.
+
+    magic (4) | length of header (4, little endian) | header, start states, index, compressed | streams, tile by tile
+
+The index holds, per tile, its arc and the length of each stream; a tile without streams takes no byte beyond it.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from nishiki.errors import UserError
+from nishiki.residual.allocate import EncodedObject
+from nishiki.residual.design import Design
+from nishiki.residual.entropy import Model
+from nishiki.residual.training import pack, unpack
+
+MAGIC = b"NWT1"
+
+
+@dataclass(frozen=True)
+class Contents:
+    """design, models and, per tile, arcs (tiles, 2) and lengths (tiles, streams); offset: of the first stream."""
+
+    design: Design
+    models: tuple[Model, Model]
+    arcs: np.ndarray
+    lengths: np.ndarray
+    offset: int
+
+    def place(self, tile: int, stream: int) -> tuple[int, int]:
+        """First byte and number of bytes of a tile's stream."""
+        before = int(self.lengths[:tile].sum() + self.lengths[tile, :stream].sum())
+        return self.offset + before, int(self.lengths[tile, stream])
+
+
+def pack_object(encoded: EncodedObject) -> tuple[bytes, dict[str, int]]:
+    """The bytes and how many of them each part takes: header, start_states, index, parameters, residual."""
+    header = json.dumps(encoded.design.as_dict(), separators=(",", ":"), sort_keys=True).encode()
+    states = [pack(model) for model in encoded.models]
+    lengths = np.array([[len(s) for s in tile] for tile in encoded.streams], np.uint32).reshape(
+        len(encoded.streams), -1
+    )
+    index = zlib.compress(_planes(encoded.arcs.astype(np.uint16)) + _planes(lengths), 9)
+    header = zlib.compress(header, 9)
+    counts = struct.pack("<7I", len(header), len(states[0]), len(states[1]), len(index), *lengths.shape, 0)
+    head = counts + header + states[0] + states[1] + index
+    streams = [b"".join(tile[k] for tile in encoded.streams) for k in range(lengths.shape[1])]
+    data = MAGIC + struct.pack("<I", len(head)) + head + b"".join(s for tile in encoded.streams for s in tile)
+    parts = {
+        "header": 8 + len(counts) + len(header),
+        "start_states": len(states[0]) + len(states[1]),
+        "index": len(index),
+        "parameters": len(streams[0]) if streams else 0,
+        "residual": sum(len(s) for s in streams[1:]),
+    }
+    return data, parts
+
+
+def head_length(first: bytes) -> int:
+    """Bytes before the streams, from the first eight. UserError where they are not those of a residual."""
+    if len(first) < 8 or first[:4] != MAGIC:
+        raise UserError(f"residual: expected bytes that begin with {MAGIC!r}, found {first[:4]!r}; run the stage again")
+    return 8 + struct.unpack("<I", first[4:8])[0]
+
+
+def unpack_head(data: bytes) -> Contents:
+    """Inverse of `pack_object` but for the streams; data: at least the first `head_length` bytes."""
+    end = head_length(data)
+    sizes = struct.unpack("<7I", data[8:36])
+    parts, at = [], 36
+    for size in sizes[:4]:
+        parts.append(data[at : at + size])
+        at += size
+    if at != end or len(data) < end:
+        raise UserError(f"residual: header of {end} bytes expected, found {at}; run the stage again")
+    try:
+        design = Design.from_dict(json.loads(zlib.decompress(parts[0])))
+        raw = zlib.decompress(parts[3])
+    except (zlib.error, ValueError) as error:
+        raise UserError(f"residual: header damaged ({error}); run the stage again") from None
+    tiles, streams = sizes[4:6]
+    arcs = _whole(raw[: 4 * tiles], np.uint16, (tiles, 2)).astype(np.int64)
+    lengths = _whole(raw[4 * tiles :], np.uint32, (tiles, streams)).astype(np.int64)
+    return Contents(design, (unpack(parts[1]), unpack(parts[2])), arcs, lengths, end)
+
+
+def _planes(values: np.ndarray) -> bytes:
+    """Bytes by significance, column after column: small numbers leave planes of zeros, which compress to nothing."""
+    columns = np.ascontiguousarray(values.T)
+    return np.ascontiguousarray(columns.view(np.uint8).reshape(-1, values.itemsize).T).tobytes()
+
+
+def _whole(data: bytes, dtype, shape: tuple[int, int]) -> np.ndarray:
+    size = np.dtype(dtype).itemsize
+    planes = np.frombuffer(data, np.uint8).reshape(size, -1)
+    return np.ascontiguousarray(planes.T).view(dtype).reshape(shape[::-1]).T

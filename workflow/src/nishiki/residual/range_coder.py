@@ -1,0 +1,117 @@
+"""Adaptive binary arithmetic coding: one routine that encodes or decodes a bit under a mixture of learnt probabilities.
+
+Carry-free range coder with 32-bit bounds (as in M. Mahoney's lpaq, 2007, after Rissanen and Langdon 1979); probabilities
+of several contexts are mixed in the logistic domain by weights that follow the coding cost (M. Mahoney, Adaptive
+weighing of context models for lossless data compression, 2005). All arithmetic is in integers, so that a decoder on any
+machine repeats what the encoder computed.
+
+State of a coder, int64: [low, high, place in the bytes, code word]. A context's probability of a one has 22 bits
+in `chance`; `seen` counts how often it was used, up to a limit, and sets how fast it learns.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+INPUTS = 8
+LIMIT = 250
+LOW, HIGH, PLACE, WORD = 0, 1, 2, 3
+WHOLE = 0xFFFFFFFF
+UNIT = 65536
+
+
+def _stretch_table() -> np.ndarray:
+    p = (np.arange(4096) + 0.5) / 4096
+    return np.round(np.log(p / (1 - p)) * 256).astype(np.int64)
+
+
+def _squash_table() -> np.ndarray:
+    p = 65536 / (1 + np.exp(-np.arange(-3071, 3072) / 256))
+    return np.clip(np.round(p), 4, 65532).astype(np.int64)
+
+
+def _rate_table() -> np.ndarray:
+    return np.round(65536 / (np.arange(LIMIT + 1) + 1.6)).astype(np.int64)
+
+
+STRETCH, SQUASH, RATE = _stretch_table(), _squash_table(), _rate_table()
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def code_bit(bit, p_one, state, data, decoding):
+    """Encode `bit`, or decode and return one, with probability p_one / 65536 of a one; data (n,) uint8."""
+    low, high = state[LOW], state[HIGH]
+    middle = low + ((high - low) >> 16) * p_one + ((((high - low) & 0xFFFF) * p_one) >> 16)
+    if decoding:
+        bit = 1 if state[WORD] <= middle else 0
+    if bit:
+        high = middle
+    else:
+        low = middle + 1
+    while ((low ^ high) & 0xFF000000) == 0:
+        place = state[PLACE]
+        if decoding:
+            following = data[place] if place < data.shape[0] else 0
+            state[WORD] = ((state[WORD] << 8) & WHOLE) | following
+        else:
+            data[place] = high >> 24
+        state[PLACE] = place + 1
+        low = (low << 8) & WHOLE
+        high = ((high << 8) & WHOLE) | 255
+    state[LOW], state[HIGH] = low, high
+    return bit
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def begin(state, data, decoding):
+    """Set a coder to its start; a decoder reads its first four bytes (bytes beyond the end are zeros)."""
+    state[LOW], state[HIGH], state[PLACE], state[WORD] = 0, WHOLE, 0, 0
+    if decoding:
+        for k in range(4):
+            state[WORD] = (state[WORD] << 8) | (data[k] if k < data.shape[0] else 0)
+        state[PLACE] = 4
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def finish(state, data):
+    """Write the shortest byte string inside the last interval; number of bytes, zeros at the end left out."""
+    low, high, place = state[LOW], state[HIGH], state[PLACE]
+    for kept in range(5):
+        shift = 32 - 8 * kept
+        value = ((low + (1 << shift) - 1) >> shift) << shift
+        if value <= high:
+            for k in range(kept):
+                data[place + k] = (value >> (24 - 8 * k)) & 255
+            place += kept
+            break
+    while place > 0 and data[place - 1] == 0:
+        place -= 1
+    return place
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def code_mixed(bit, contexts, count, group, chance, seen, ones, weights, tables, state, data, decoding):
+    """Code one bit under `count` contexts (places in `chance`), mixed by the weights of `group`; learn from it.
+
+    tables: (STRETCH, SQUASH, RATE). ones (contexts, 2) counts zeros and ones, for training.
+    """
+    stretch, squash, rate = tables
+    weight = weights[group]
+    total = weight[INPUTS - 1] * 256
+    for k in range(count):
+        total += weight[k] * stretch[chance[contexts[k]] >> 10]
+    total = (total + 32768) >> 16
+    total = min(max(total, -3071), 3071)
+    p_one = squash[total + 3071]
+    bit = code_bit(bit, p_one, state, data, decoding)
+    error = ((bit << 16) - p_one) * 6
+    for k in range(count):
+        place = contexts[k]
+        weight[k] += (stretch[chance[place] >> 10] * error + (1 << 19)) >> 20
+        chance[place] += (((bit << 22) - bit - chance[place]) * rate[seen[place]]) >> 16
+        if seen[place] < LIMIT:
+            seen[place] += 1
+        ones[place, bit] += 1
+    weight[INPUTS - 1] += (256 * error + (1 << 19)) >> 20
+    return bit

@@ -1,0 +1,149 @@
+"""The decoded residual of an object: a Zarr v3 array of bytes with checksums, read tile by tile."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import threading
+from pathlib import Path
+
+import numpy as np
+import zarr
+from zarr.codecs import Crc32cCodec
+
+from nishiki.errors import UserError
+from nishiki.residual.allocate import EncodedObject
+from nishiki.residual.container import head_length, pack_object, unpack_head
+from nishiki.residual.entropy import decode
+from nishiki.residual.observations import arc_views
+from nishiki.residual.parameter_code import decode_parameters
+from nishiki.residual.tile_code import decode_residual
+
+STORE = "residual.zarr"
+REPORT = "residual.json"
+CHUNK = 1 << 16
+
+
+def write_residual(folder: Path, encoded: EncodedObject, *, stamp: dict[str, str], report: dict) -> dict[str, int]:
+    """Write `residual.zarr` and `residual.json` into a folder; bytes by part.
+
+    The array is one-dimensional, uint8, in chunks of 64 KiB with a CRC-32C each: coded bytes do not compress further. The
+    report holds the SHA-256 of the array's metadata, which no chunk's checksum covers.
+    """
+    data, parts = pack_object(encoded)
+    array = zarr.create_array(
+        Path(folder) / STORE,
+        shape=(len(data),),
+        chunks=(min(CHUNK, len(data)),),
+        dtype="uint8",
+        filters=None,
+        compressors=[Crc32cCodec()],
+        attributes={"stamp": stamp},
+        config={"write_empty_chunks": True},
+        zarr_format=3,
+    )
+    array[:] = np.frombuffer(data, np.uint8)
+    stored = sum(p.stat().st_size for p in (Path(folder) / STORE).rglob("*") if p.is_file())
+    parts = {**parts, "container": stored - len(data), "total": stored}
+    metadata = hashlib.sha256((Path(folder) / STORE / "zarr.json").read_bytes()).hexdigest()
+    text = json.dumps(
+        {**report, "bytes": parts, "metadata_sha256": metadata}, indent=1, sort_keys=True, allow_nan=False
+    )
+    (Path(folder) / REPORT).write_text(text + "\n")
+    return parts
+
+
+class Residual:
+    """The residual and the reflection parameters of an artifact, for reading; safe from several threads.
+
+    tiles; size (T); observations (M), channels; design: as coded; bytes: by part; report: of `residual.json`.
+    """
+
+    def __init__(self, folder: Path | str):
+        """Open the artifact's folder. UserError where it holds no residual, or its description is damaged."""
+        folder = Path(folder)
+        try:
+            self.report = json.loads((folder / REPORT).read_text())
+            metadata = (folder / STORE / "zarr.json").read_bytes()
+        except FileNotFoundError as error:
+            raise UserError(
+                f"{folder}: no residual here ({error.filename} is missing); run the stage residual"
+            ) from None
+        except ValueError as error:
+            raise UserError(f"{folder / REPORT}: not valid JSON ({error}); run the stage residual again") from None
+        if hashlib.sha256(metadata).hexdigest() != self.report.get("metadata_sha256"):
+            raise UserError(f"{folder / STORE}/zarr.json is damaged; run the stage residual again")
+        self.folder, self.bytes = folder, dict(self.report["bytes"])
+        self._array = zarr.open_array(folder / STORE, mode="r", zarr_format=3)
+        self._lock, self._chunk = threading.Lock(), (-1, b"")
+        self._contents = unpack_head(self._read(0, head_length(self._read(0, 8))))
+        self.design = self._contents.design
+        self.tiles, self.size = len(self._contents.arcs), self.design.tile_size
+        self.channels = self.design.channels
+        self.observations = self.design.views * self.design.lights
+
+    def parameters(self, tile: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """kd, ks (T, T, C), sigma (T, T) float32, as the encoder's own prediction used them."""
+        shape = (self.channels, 3, self.size, self.size)
+        stream = self._stream(tile, 0)
+        if self.design.model and self._contents.arcs[tile, 1]:
+            values = (
+                decode(stream, shape, self.design.parameter_plane.levels, self._contents.models[0]) if stream else 0
+            )
+            maps = decode_parameters(np.broadcast_to(values, shape), self.design)
+            return maps.kd, maps.ks, maps.sigma
+        zero = np.zeros((self.size, self.size, self.channels), np.float32)
+        return zero, zero.copy(), np.ones((self.size, self.size), np.float32)
+
+    def decode(self, tile: int, *, level: int = 0, component: str | None = None) -> np.ndarray:
+        """(M, T, T, C) float32: the residual in the capture's encoding, zero in views that do not see the tile.
+
+        level: so many of the finest bands are left out (and not even read): a blurred preview. component: one of
+        `design.components`; their sum by default.
+        """
+        design, (start, length) = self.design, self._contents.arcs[tile]
+        out = np.zeros((self.observations, self.size, self.size, self.channels), np.float32)
+        shape = (self.channels, design.lights * int(length), self.size, self.size)
+        views = arc_views(int(start), int(length), design.views)
+        places = (np.arange(design.lights)[:, None] * design.views + views[None]).reshape(-1)
+        for index, name in enumerate(design.components):
+            stream = self._stream(tile, 1 + index) if component in (None, name) else b""
+            if stream:
+                integers = decode(stream, shape, design.plane.levels, self._contents.models[1], drop=level)
+                out[places] += np.moveaxis(decode_residual(integers, index, design, int(length)), 0, -1)
+        return out
+
+    def empty(self, tile: int) -> bool:
+        """Whether nothing is stored for a tile's residual: the model suffices."""
+        return not self._contents.lengths[tile, 1:].any()
+
+    def stored(self, tile: int) -> tuple[int, ...]:
+        """Bytes of each stream of a tile: parameters, then the residual of each component."""
+        return tuple(int(n) for n in self._contents.lengths[tile])
+
+    def _stream(self, tile: int, stream: int) -> bytes:
+        start, length = self._contents.place(tile, stream)
+        return self._read(start, length) if length else b""
+
+    def _read(self, start: int, length: int) -> bytes:
+        """Some bytes of the array, through the chunk that was read last; a damaged chunk raises UserError."""
+        size = self._array.chunks[0]
+        pieces = []
+        for number in range(start // size, (start + length - 1) // size + 1):
+            with self._lock:
+                held = self._chunk
+            if held[0] != number:
+                try:
+                    held = number, self._array[number * size : (number + 1) * size].tobytes()
+                except ValueError as error:
+                    raise UserError(
+                        f"{self.folder / STORE}: chunk {number} is damaged ({error}); run the stage residual again"
+                    ) from None
+                with self._lock:
+                    self._chunk = held
+            low = max(start - number * size, 0)
+            pieces.append(held[1][low : start + length - number * size])
+        data = b"".join(pieces)
+        if len(data) != length:
+            raise UserError(f"{self.folder / STORE}: {length} bytes at {start} expected, found {len(data)}; run again")
+        return data

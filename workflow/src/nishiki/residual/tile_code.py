@@ -1,0 +1,174 @@
+"""One tile from pixels to integers and from integers to texels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from nishiki.reflection.lighting import Lamp
+from nishiki.residual.design import Design
+from nishiki.residual.interpolate import Footprints
+from nishiki.residual.observations import arc_views, visible_arc
+from nishiki.residual.parameter_code import decode_parameters, encode_parameters
+from nishiki.residual.parameters import Maps, Weights, model_factors, refine, texel_weights
+from nishiki.residual.prediction import Surface, predict_texels
+from nishiki.residual.quantise import quantise
+from nishiki.residual.solve import Operator, samples_of, solve
+
+
+@dataclass(frozen=True)
+class Pixels:
+    """Object pixels of one tile: observation (n,) int32, s, t (n,) float32, values: per component (n, C) float32 in the
+    capture's encoding."""
+
+    observation: np.ndarray
+    s: np.ndarray
+    t: np.ndarray
+    values: tuple[np.ndarray, ...]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """centres (M, 3) of the cameras and lamps of every observation, light by light."""
+
+    centres: np.ndarray
+    lamps: Sequence[Lamp]
+
+
+@dataclass(frozen=True)
+class Effort:
+    """iterations of the residual's solver and of the parameters' refinement; threshold, dead_zone: in steps;
+    rounding: fraction added before the whole part is taken."""
+
+    iterations: int = 30
+    refinements: int = 30
+    threshold: float = 0.8
+    dead_zone: float = 0.6
+    rounding: float = 0.42
+
+
+@dataclass(frozen=True)
+class CodedTile:
+    """parameters (C, 3, T, T) int32; residual: per component (C, lights * length, T, T) int32; start, length: arc of
+    views; pixels; error, model_error, zero_error: sums of squares over pixels and channels of the decoded tile, of its
+    model alone, and of the pictures themselves."""
+
+    parameters: np.ndarray
+    residual: tuple[np.ndarray, ...]
+    start: int
+    length: int
+    pixels: int
+    error: float
+    model_error: float
+    zero_error: float
+
+    @property
+    def kept(self) -> int:
+        """Residual coefficients that are not zero."""
+        return int(sum(np.count_nonzero(part) for part in self.residual))
+
+
+@dataclass(frozen=True)
+class Refined:
+    """Parameters of a tile solved for in the pictures, and what an error in them does."""
+
+    maps: Maps
+    weights: Weights
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What pixels see of a tile: its arc of views, the observations of the block, footprints in it, and the pixel values
+    (C, n) of each component in the order of the footprints."""
+
+    start: int
+    length: int
+    observations: np.ndarray
+    feet: Footprints
+    values: tuple[np.ndarray, ...]
+
+
+def arc_observations(design: Design, start: int, length: int) -> np.ndarray:
+    """(lights * length,) int64: observations of a block, in its order."""
+    views = arc_views(start, length, design.views)
+    return (np.arange(design.lights)[:, None] * design.views + views[None]).reshape(-1)
+
+
+def see(pixels: Pixels, design: Design) -> Seen | None:
+    """Find the arc and sort the pixels; None where no pixel sees the tile."""
+    seen = np.bincount(pixels.observation % design.views, minlength=design.views) > 0
+    if not seen.any():
+        return None
+    start, length = visible_arc(seen, full_turn=design.full_turn) if design.arcs else (0, design.views)
+    observations = arc_observations(design, start, length)
+    place = np.full(design.lights * design.views, -1)
+    place[observations] = np.arange(len(observations))
+    feet = Footprints.of(
+        place[pixels.observation], pixels.s, pixels.t, observations=len(observations), size=design.tile_size
+    )
+    values = tuple(np.ascontiguousarray(v.T[:, feet.order], np.float32) for v in pixels.values)
+    return Seen(start, length, observations, feet, values)
+
+
+def refine_tile(seen: Seen, maps: Maps, surface: Surface, scene: Scene, design: Design, effort: Effort) -> Refined:
+    """Parameters of a tile such that the pictures of the model are right; zero where the design has no model."""
+    maps = Maps(*(np.nan_to_num(a.astype(np.float32)) for a in (maps.kd, maps.ks, maps.sigma)))
+    if not design.model:
+        zero = np.zeros_like(maps.kd)
+        return Refined(Maps(zero, zero, np.ones_like(maps.sigma)), Weights(zero, zero, zero[..., 0]))
+    centres, lamps = scene.centres[seen.observations], [scene.lamps[o] for o in seen.observations]
+    factors = model_factors(maps.sigma, design.channels, surface, centres, lamps)
+    whole = seen.values[0] if len(seen.values) == 1 else sum(seen.values)
+    maps = refine(maps, factors, seen.feet, whole, design.encoding, iterations=effort.refinements)
+    return Refined(maps, texel_weights(maps, factors, seen.feet, design.encoding))
+
+
+def encode_tile(
+    seen: Seen,
+    refined: Refined,
+    surface: Surface,
+    scene: Scene,
+    design: Design,
+    effort: Effort,
+    typical: tuple[float, ...],
+) -> CodedTile:
+    """Integers of a tile at the design's steps: parameters first, then the residual against what they decode to."""
+    parameters = np.zeros((design.channels, 3, design.tile_size, design.tile_size), np.int32)
+    maps = refined.maps
+    if design.model:
+        parameters = encode_parameters(maps, refined.weights, typical, design, effort.threshold)
+        maps = decode_parameters(parameters, design)
+    shape, block = design.shape(seen.length), design.block(seen.length)
+    operator = Operator.of_pixels(seen.feet)
+    residual, errors = [], np.zeros(3)
+    for index, component in enumerate(design.components):
+        values = seen.values[index]
+        left = values
+        if design.model:
+            left = values - seen.feet.look_up(model_of(maps, seen.observations, surface, scene, design, component))
+        data = (design.mix(index) @ left).astype(np.float32)
+        found = solve(
+            data, operator, block, shape, threshold=effort.threshold * design.step, iterations=effort.iterations
+        )
+        integers = quantise(found.coefficients, design.step, dead_zone=effort.dead_zone, rounding=effort.rounding)
+        after = data - operator.look(samples_of(block, (integers * np.float32(design.step)).astype(np.float32)))
+        errors += [float(np.sum(a.astype(np.float64) ** 2)) for a in (after, data, values)]
+        residual.append(integers.reshape(design.channels, -1, *shape[-2:]))
+    pixels = seen.values[0].shape[1] * len(design.components)
+    return CodedTile(parameters, tuple(residual), seen.start, seen.length, pixels, *errors)
+
+
+def model_of(maps: Maps, observations: np.ndarray, surface: Surface, scene: Scene, design: Design, component: str):
+    """(C, observations, T, T) float32: the model's texels in some observations, in the capture's encoding."""
+    lamps = [scene.lamps[o] for o in observations]
+    arguments = (surface, scene.centres[observations], lamps, design.encoding)
+    return predict_texels(maps.kd, maps.ks, maps.sigma, *arguments, component=component)
+
+
+def decode_residual(integers: np.ndarray, component: int, design: Design, length: int) -> np.ndarray:
+    """(C, lights * length, T, T) float32 texels of integers (C, lights * length, T, T)."""
+    coefficients = (integers * np.float32(design.step)).astype(np.float32).reshape(design.shape(length))
+    samples = samples_of(design.block(length), coefficients)
+    return np.tensordot(design.mix(component).T.astype(np.float32), samples, 1)

@@ -1,0 +1,40 @@
+"""Settings of residual."""
+
+from typing import ClassVar, Literal
+
+from pydantic import Field
+
+from nishiki.closed import Closed
+
+
+class ResidualSettings(Closed):
+    """What the reflection model does not explain, as wavelet coefficients."""
+
+    STAGE: ClassVar[str] = "residual"
+    VERSION: ClassVar[int] = 1
+
+    target: Literal["bits_per_pixel", "bytes", "psnr", "kept", "kept_of_all", "step"] = Field(
+        "bits_per_pixel",
+        description="what `amount` means: bits for each object pixel of each picture; bytes of the store; dB inside the "
+        "silhouette; coefficients kept as a fraction of the visible samples, or of all; the quantiser step itself",
+    )
+    amount: float = Field(0.5, gt=0, description="the target's value; parameters and start states count")
+    tolerance: float = Field(0.02, gt=0, lt=1, description="relative error of bytes or kept, in dB / 8.7 of psnr")
+    passes: int = Field(6, ge=1, le=20, description="passes over all tiles that the search may take")
+    components: Literal["auto", "total"] = Field(
+        "total", description="auto: diffuse and specular coded apart where polarisation separated them; total: together"
+    )
+    model: bool = Field(True, description="false: image-based, nothing is subtracted (a baseline)")
+    wavelet: str = Field("sym4", description="of the tile's planes: haar, db2 (the paper's), sym4, bior4.4, ...")
+    levels: int = Field(4, ge=0, le=8, description="halvings of the tile's planes")
+    mirrored: bool = Field(False, description="mirrored ends in place of periodic ones (bior2.2, bior4.4)")
+    view_transform: str = Field(
+        "db2", description="along the views: an orthonormal wavelet, cosine, fourier, or none (2-D coding of each view)"
+    )
+    light_transform: str = Field("cosine", description="along the lights, likewise")
+    arcs: bool = Field(True, description="a tile's block spans only the views that see it")
+    iterations: int = Field(30, ge=0, le=500, description="of the solver, per tile and pass")
+    refinements: int = Field(30, ge=0, le=500, description="of the parameters in the pictures; 0: as fitted to texels")
+    threshold: float = Field(0.8, ge=0, le=4, description="of the solver, in quantiser steps")
+    parameter_share: float = Field(1.0, gt=0, description="parameter steps against those of equal effect on pictures")
+    hold_out: tuple[str, ...] = Field((), description="views left out of the residual; filled in by the plan")
