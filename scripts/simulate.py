@@ -91,7 +91,7 @@ OPTIONS = {
         ("bits", "of the converter (12)", {**_COUNT, "default": 12}),
         (
             "white-level",
-            "share of full scale of a white facing the lamp; more saturates more highlights (0.7; object 0.65)",
+            "share of full scale of a white facing the lamp; more saturates more highlights (0.7; object 0.5)",
             _NUMBER,
         ),
         ("no-noise", "quantised, but without shot and read noise", _FLAG),

@@ -104,8 +104,8 @@ Use it to judge results, never to fit.
 | `beta` | rows, columns, 3 | factor of the second polariser |
 | `vertices`, `triangles`, `vertex_normals` | | the object itself; the mesh in the capture is a noisy scan of it |
 
-Light is relative to a perfect white on the axis that faces the lamp, without noise, behind the lens's blur. The codes of
-a photograph are (full scale − black) × sensitivity × total + black, with crossed polarisers
+Light is relative to a perfect white on the axis that faces the lamp, without noise, behind the lens's blur. The codes
+of a photograph are (full scale − black) × sensitivity × total + black, with crossed polarisers
 (full scale − black) × sensitivity × beta × (diffuse + leak × specular) + black, plus noise; those of the board likewise
 with sensitivity × (board + {constants.STRAY}). Where observations are divided by the board, the truth to compare them
 with is total / (board + {constants.STRAY}) × {constants.BOARD_REFLECTANCE}.

@@ -74,10 +74,10 @@ def _flower(m, key, u, v, size):
     if r < 0.15 * edge:
         _set(m, 0.55, 0.33, 0.05, 0.2)
         if (math.floor(u / 0.9) + math.floor(v / 0.9)) % 2 == 0:
-            _mix(m, 0.15, 0.06, 0.02, 0.7)
+            _mix(m, 0.15, 0.06, 0.02, 0.4)
     # Fine outlines: of the petals, and of the flower in gold.
-    if wave * r < 0.45 and r > 0.42 * edge:
-        _mix(m, 0.10, 0.03, 0.03, 0.85)
+    if wave * r < 0.6 and r > 0.42 * edge:
+        _mix(m, 0.10, 0.03, 0.03, 0.4)
     if edge - r < 0.75:
         _gild(m, 0.36, 0.36)
     return True
@@ -86,35 +86,37 @@ def _flower(m, key, u, v, size):
 @numba.njit(cache=True)
 def _field(m, key, turn, s):
     """Flowers over leaves and a diapered ground, around the belly. turn : radians about the axis; s : mm upwards."""
-    cells = 14.0
-    row = math.floor((s + 14.0) / 29.0)
+    cells, width, height = 11.0, 41.0, 29.0
+    row = math.floor((s + 14.0) / height)
     place = turn / 6.283185307179586 * cells + 0.5 * row
     column = math.floor(place)
-    u, v = (place - column - 0.5) * 32.0, s + 14.0 - 29.0 * row - 14.5
-    bits = hash_uint(hash_uint(key, np.uint64(np.int64(row) + 5)), np.uint64(np.int64(column) % 14 + 20))
+    u, v = (place - column - 0.5) * width, s + 14.0 - height * (row + 0.5)
+    bits = hash_uint(hash_uint(key, np.uint64(np.int64(row) + 5)), np.uint64(np.int64(column) % 11 + 20))
     if _flower(m, bits, u, v, 13.0):
         return
-    around, tone = turn * 72.0, plane_noise(key + np.uint64(3), turn * 14.0, s / 9.0)
-    _set(m, 0.70, 0.63, 0.50, 0.14)
-    # Diaper of crossing threads in red, worn in places.
-    a, b = (around + s) / 4.2, (around - s) / 4.2
+    around, tone = turn * 72.0, solid_noise(key + np.uint64(3), 4.0 * math.cos(turn), s / 18.0, 4.0 * math.sin(turn))
+    _set(m, 0.64, 0.57, 0.45, 0.14)
+    # Bare ground, and patches with a diaper of crossing threads in red.
+    a, b = (around + s) / 6.5, (around - s) / 6.5
     line = min(abs(a - math.floor(a) - 0.5), abs(b - math.floor(b) - 0.5))
-    if line < 0.07:
-        _mix(m, 0.48, 0.08, 0.05, 0.85)
-    elif (math.floor(a + 0.5) + math.floor(b + 0.5)) % 2 == 0 and tone > 0.35:
-        _mix(m, 0.30, 0.44, 0.40, 0.6)
-    leaf = plane_noise(key + np.uint64(4), turn * 72.0 / 8.0, s / 6.0) - 0.62
+    if tone < 0.56:
+        _mix(m, 0.72, 0.55, 0.40, 0.5 * max(0.45 - tone, 0.0) / 0.45)
+    elif line < 0.06:
+        _mix(m, 0.48, 0.10, 0.06, 0.45)
+    elif (math.floor(a + 0.5) + math.floor(b + 0.5)) % 2 == 0:
+        _mix(m, 0.36, 0.46, 0.40, 0.35)
+    leaf = solid_noise(key + np.uint64(4), 8.0 * math.cos(turn), s / 9.0, 8.0 * math.sin(turn)) - 0.60
     if leaf > 0.0:
-        vein = abs(math.sin(1.9 * (around + 0.6 * s)))
+        vein = abs(math.sin(1.2 * (around + 0.6 * s)))
         _set(m, 0.06 + 0.10 * tone, 0.22 + 0.12 * tone, 0.10, 0.18)
         if vein < 0.16 or leaf < 0.035:
-            _mix(m, 0.02, 0.05, 0.04, 0.8)
+            _mix(m, 0.02, 0.07, 0.05, 0.45)
 
 
 @numba.njit(cache=True)
 def _waves(m, turn, s):
     """Overlapping scales (sea waves) in blue and white, rings on each."""
-    width, height = 6.283185307179586 * 62.0 / 44.0, 4.4
+    width, height = 6.283185307179586 * 62.0 / 32.0, 6.0
     place = turn * 62.0 / width
     best_ring = -1.0
     row = math.floor(s / height)
@@ -125,7 +127,7 @@ def _waves(m, turn, s):
         r = math.hypot(u, s - (level - 0.6) * height)
         if r < 0.56 * width:
             best_ring = r / (0.56 * width)
-    blue = best_ring < 0.0 or math.floor(best_ring * 4.6) % 2 == 1
+    blue = best_ring < 0.0 or math.floor(best_ring * 3.4) % 2 == 1
     if blue:
         _set(m, 0.05, 0.12, 0.40, 0.15)
     else:
@@ -135,7 +137,7 @@ def _waves(m, turn, s):
 @numba.njit(cache=True)
 def _woven(m, key, around, s, slope):
     """Basket weave: strips over and under; slopes of its relief into slope (2,)."""
-    pitch = 3.4
+    pitch = 4.4
     a, b = around / pitch, s / pitch
     i, j = math.floor(a), math.floor(b)
     fa, fb = a - i - 0.5, b - j - 0.5
@@ -168,12 +170,12 @@ def _jar(m, key, x, y, z, slope):
             _gild(m, 0.40, 0.40)
         else:
             _set(m, 0.03, 0.08, 0.29, 0.13)
-            dot_u, dot_v = around / 3.0 + 0.5 * (math.floor(s / 3.0) % 2), s / 3.0
+            dot_u, dot_v = around / 4.6 + 0.5 * (math.floor(s / 4.6) % 2), s / 4.6
             if math.hypot(dot_u - math.floor(dot_u) - 0.5, dot_v - math.floor(dot_v) - 0.5) < 0.22:
-                _set(m, 0.60, 0.60, 0.56, 0.15)
+                _mix(m, 0.40, 0.42, 0.46, 0.6)
     elif s < -14.0:
         _set(m, 0.50, 0.05, 0.03, 0.15)
-        key_u = turn * 72.0 / 7.0
+        key_u = turn * 72.0 / 8.0
         fret = abs(key_u - math.floor(key_u) - 0.5)
         inner = abs(s + 16.7)
         if inner > 2.1 or (fret < 0.09 and inner < 1.4) or (fret > 0.2 and fret < 0.36 and abs(inner - 0.9) < 0.45):
@@ -189,7 +191,7 @@ def _jar(m, key, x, y, z, slope):
             _gild(m, 0.40, 0.40)
     crack = crack_distance(key + np.uint64(30), turn * 72.0 / 6.0, s / 6.0)
     if crack < 0.028 and m[3] == 0.0 and solid_noise(key + np.uint64(31), x / 22.0, y / 22.0, z / 22.0) > 0.42:
-        _mix(m, 0.12, 0.08, 0.05, 0.6)
+        _mix(m, 0.12, 0.08, 0.05, 0.35)
 
 
 @numba.njit(cache=True)
@@ -197,7 +199,7 @@ def _lacquer(m, key, x, z):
     """Black lacquer with sprinkled gold, a gold and red spray of blossoms, and a red rim."""
     _set(m, 0.022, 0.015, 0.012, 0.13)
     r, turn = math.hypot(x, z), math.atan2(z, x)
-    fleck = crack_distance(key + np.uint64(40), x / 1.1, z / 1.1)
+    fleck = crack_distance(key + np.uint64(40), x / 1.5, z / 1.5)
     amount = plane_noise(key + np.uint64(41), x / 11.0, z / 11.0)
     if fleck > 0.46 - 0.20 * amount:
         _gild(m, 0.45, 0.45)
@@ -216,7 +218,7 @@ def _cord(m, key, x, y, z, slope):
     phase = 2.0 * math.atan2(lift, ring) + 40.0 * math.atan2(z, x)
     strand = math.floor(phase / 6.283185307179586)
     thread = math.sin(7.0 * phase + 9.0 * math.atan2(lift, ring))
-    shade = (0.72 + 0.28 * math.cos(phase)) * (0.78 + 0.22 * thread)
+    shade = (0.75 + 0.25 * math.cos(phase)) * (0.88 + 0.12 * thread)
     if strand % 3 == 0:
         _set(m, 0.55 * shade, 0.40 * shade, 0.12 * shade, 0.38)
     elif strand % 3 == 1:
@@ -296,7 +298,7 @@ def describe(parts, x, y, z, nx, ny, nz, key, m, slope):
     # Uneven enamel, dust, wear: no paint is even.
     uneven = solid_fractal(key, x / 24.0, y / 24.0, z / 24.0, 6)
     grain = solid_noise(key + np.uint64(20), x / 0.9, y / 0.9, z / 0.9)
-    tone = 0.62 + 0.62 * uneven + 0.16 * (grain - 0.5)
+    tone = 0.62 + 0.62 * uneven + 0.07 * (grain - 0.5)
     for c in range(3):
         m[c] = min(m[c] * tone, 0.9)
     rough = 0.8 + 0.5 * solid_noise(key + np.uint64(21), x / 5.0, y / 5.0, z / 5.0)
@@ -320,8 +322,8 @@ def _texture(m, key, x, y, z, nx, ny, nz, slope, ring):
         length = math.sqrt(tx * tx + ty * ty + tz * tz)
     tx, ty, tz = tx / length, ty / length, tz / length
     bx, by, bz = ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx
-    bump_u = 0.05 * (solid_noise(key + np.uint64(80), x / 1.3, y / 1.3, z / 1.3) - 0.5)
-    bump_v = 0.05 * (solid_noise(key + np.uint64(81), x / 1.3, y / 1.3, z / 1.3) - 0.5)
+    bump_u = 0.03 * (solid_noise(key + np.uint64(80), x / 1.3, y / 1.3, z / 1.3) - 0.5)
+    bump_v = 0.03 * (solid_noise(key + np.uint64(81), x / 1.3, y / 1.3, z / 1.3) - 0.5)
     bump_u += 0.10 * (solid_noise(key + np.uint64(82), x / 6.0, y / 6.0, z / 6.0) - 0.5) - 0.35 * slope[0]
     bump_v += 0.10 * (solid_noise(key + np.uint64(83), x / 6.0, y / 6.0, z / 6.0) - 0.5) - 0.35 * slope[1]
     px, py, pz = nx + bump_u * tx + bump_v * bx, ny + bump_u * ty + bump_v * by, nz + bump_u * tz + bump_v * bz

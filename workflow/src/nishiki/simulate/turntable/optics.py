@@ -54,7 +54,7 @@ def metal_fresnel(cosine, straight):
 
 @numba.njit(cache=True)
 def reflect(m, lx, ly, lz, vx, vy, vz, body, gloss):
-    """Body and mirror reflection (3,) each of the material m (see materials.py) for unit directions to light and view."""
+    """Body and mirror reflection (3,) each of the material m (materials.py) for unit directions to light and view."""
     nx, ny, nz = m[9], m[10], m[11]
     n_l, n_v = nx * lx + ny * ly + nz * lz, nx * vx + ny * vy + nz * vz
     l_v = lx * vx + ly * vy + lz * vz

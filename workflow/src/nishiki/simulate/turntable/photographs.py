@@ -29,8 +29,8 @@ class Optics:
     """What stands between the light and the converter, without noise.
 
     sensitivity : (rows, columns, 3), share of full scale that a perfect white at the axis gives, first polariser in
-    place; beta : (rows, columns, 3), factor of the second polariser; board : (rows, columns), light from the white board,
-    relative to a perfect white at the axis. All float64.
+    place; beta : (rows, columns, 3), factor of the second polariser; board : (rows, columns), light from the white
+    board, relative to a perfect white at the axis. All float64.
     """
 
     sensitivity: np.ndarray
@@ -49,7 +49,7 @@ def _plane(settings: TurntableSettings) -> tuple[np.ndarray, np.ndarray]:
 def make_optics(view: Viewpoint, settings: TurntableSettings) -> Optics:
     """Fall-off of the lens (4 % in the corners), unevenness of the polarisers (±3 %) and of the light on the board.
 
-    The board stands in the place of the object, facing the camera; it is the same for every view, as camera and lamp are.
+    The board stands in the place of the object, facing the camera; the same for every view, as camera and lamp are.
     """
     u, v = _plane(settings)
     falloff = 1.0 - 0.02 * (u * u + v * v)
@@ -74,7 +74,7 @@ def blurred(image: np.ndarray) -> np.ndarray:
     """A (rows, columns, channels) picture behind the lens: normal point spread of BLUR_PIXELS."""
     from scipy.ndimage import correlate1d
 
-    offsets = np.arange(-2, 3)
+    offsets = np.arange(-3, 4)
     kernel = np.exp(-0.5 * (offsets / BLUR_PIXELS) ** 2)
     kernel /= kernel.sum()
     for axis in range(2):
@@ -89,7 +89,7 @@ def backdrop(settings: TurntableSettings) -> np.ndarray:
 
 
 def components(light: Light, settings: TurntableSettings) -> tuple[np.ndarray, np.ndarray]:
-    """Depolarised and mirror-reflected light (rows, columns, 3) float64 at the sensor: blurred, cloth and stray light added."""
+    """Depolarised and mirror-reflected light (rows, columns, 3) float64 at the sensor: blurred, stray light added."""
     bare = (1.0 - light.coverage)[..., None].astype(np.float64)
     diffuse = blurred(light.diffuse + bare * backdrop(settings))
     return diffuse + STRAY, blurred(light.specular.astype(np.float64))

@@ -152,7 +152,7 @@ def _inverse(d):
 
 @numba.njit(cache=True)
 def nearest(boxes, links, triangles, stack, ox, oy, oz, dx, dy, dz, far, any_hit):
-    """First hit of a ray nearer than `far`: distance, triangle in the tree's order (-1 = none), weights of corners 1, 2.
+    """First hit of a ray nearer than `far`: distance, triangle in the tree's order (-1: none), weights of corners 1, 2.
 
     stack (STACK,) int32 is scratch. any_hit : return the first hit found, whichever it is (for shadows).
     """

@@ -96,8 +96,9 @@ def _irradiate(start, stop, vertices, normals, boxes, links, triangles, lamp, ra
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _see(
-    start, stop, columns, samples, vertices, normals, parts, faces, boxes, links, triangles, order, rotation, centre, lens,
-    lamp, radius, reference, offset, indirect, mirror, key, diffuse, specular, coverage, depth, geometry, albedo, part,
+    start, stop, columns, samples, vertices, normals, parts, faces, boxes, links, triangles, order, rotation, centre,
+    lens, lamp, radius, reference, offset, indirect, mirror, key, diffuse, specular, coverage, depth, geometry, albedo,
+    part,
 ):  # fmt: skip
     stack = np.empty(STACK, np.int32)
     m, slope, mixed = np.empty(NUMBERS), np.empty(2), np.empty(parts.shape[1])

@@ -11,7 +11,7 @@ DISTANCE_MM = 1200.0  # from the camera to the axis
 ELEVATION_DEG = 20.0  # the camera looks down on the object
 LAMP_MM = (52.0, 44.0, 6.0)  # in the camera's frame: x right, y up, z backwards
 LAMP_RADIUS_MM = 14.0
-BLUR_PIXELS = 0.45  # standard deviation of the lens's point spread
+BLUR_PIXELS = 0.7  # standard deviation of the lens's point spread
 BETA = (0.395, 0.412, 0.371)  # white board with the second polariser over that without
 LEAK = (0.008, 0.010, 0.013)  # share of the mirror reflection that the crossed polariser lets through
 WHITE_RATIO = (0.86, 1.0, 0.78)  # what a white gives in each channel, the largest = 1
@@ -24,8 +24,8 @@ BOARD_REFLECTANCE = 0.98
 class TurntableSettings:
     """Everything that decides the bytes of a simulated turntable capture.
 
-    rows, columns : camera pixels. views : over a full turn. triangles : about how many the object has. samples : points a
-    pixel in each direction. directions : rays a vertex into its hemisphere, for light from other parts of the object.
+    rows, columns : camera pixels. views : over a full turn. triangles : about how many the object has. samples : points
+    a pixel in each direction. directions : rays a vertex into its hemisphere, for light from other parts of the object.
     bounces : 0 to 4. polariser : True for two pictures a view. scan_triangles : about how many the mesh in the capture
     has, None = the object's own. scan_noise_mm : standard deviation of its vertices along the normal.
     """
@@ -43,7 +43,7 @@ class TurntableSettings:
     scan_noise_mm: float = 0.02
     white_boards: int = 8
     camera: CameraSettings = field(
-        default_factory=lambda: CameraSettings(full_well=40000.0, read_noise=6.0, white_level=0.65)
+        default_factory=lambda: CameraSettings(full_well=40000.0, read_noise=6.0, white_level=0.5)
     )
 
     def __post_init__(self):

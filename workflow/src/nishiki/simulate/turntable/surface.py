@@ -67,7 +67,7 @@ def _settled(vertices: np.ndarray, faces: np.ndarray) -> Surface:
     points = np.ascontiguousarray(vertices, np.float64)
     normals, parts = np.empty_like(points), np.empty((len(points), len(PARTS)))
     over_rows(settle, len(points), points, normals, parts, 3)
-    # Where two parts meet in a crease the gradient is that of one of them only: there the triangles' normals are better.
+    # Where two parts meet in a crease the gradient is that of one of them only: there use the triangles'.
     mean = _triangle_normals(points, faces)
     crease = np.einsum("ij,ij->i", mean, normals) < _CREASE
     normals[crease] = mean[crease]
