@@ -15,7 +15,7 @@ class PolariseSettings(Closed):
 
     method: Literal["auto", "pairs", "mueller", "none"] = Field(
         "auto",
-        description="generator/analyser states by parallel and crossed pairs or by the Mueller matrix; none: all diffuse",
+        description="generator/analyser states by parallel and crossed pairs or the Mueller matrix; none: all diffuse",
     )
     beta: tuple[float, ...] | None = Field(
         None, description="circular: what the polarisers let through, one a channel; none: from the white boards"
