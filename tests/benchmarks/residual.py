@@ -1,0 +1,126 @@
+"""The coded residual against its baselines, on a turntable capture.
+
+    python tests/benchmarks/residual.py --data CAPTURE               a capture folder, or one that `convert` recognises
+    python tests/benchmarks/residual.py --data results/dino/current  artifacts of a run, as they are
+
+One JSON object a line: {object, domain, method, kept, bytes, bits_per_texel, bits_per_pixel, psnr_db, encode_s,
+decode_s}. domain "texels": the paper's counting, coefficients kept of all samples or of the visible ones, nothing
+quantised; domain "pictures": rendered views against photographs inside the silhouette, with the bytes of everything that
+a renderer needs (mesh, charts, cameras and parameters too), beside JPEG, JPEG 2000, JPEG XL, AVIF view by view and two
+video codecs over the views. The last lines give the default's gain over each other method at equal bytes.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+PROJECT = Path(__file__).resolve().parents[2]
+sys.path[:0] = [str(PROJECT / "scripts"), str(Path(__file__).parent)]
+import _project  # noqa: E402, F401
+
+NEEDED = ("ingest", "cameras", "mesh", "texels", "reflection")
+
+
+def artifacts_of(data: Path, work: Path) -> dict:
+    """Upstream artifacts: those of a run, or of one that is made now."""
+    from nishiki.artifact import open_artifact
+
+    current = data if (data / "texels").exists() else run_upstream(data, work)
+    names = (*NEEDED, *(("polarise",) if (current / "polarise").exists() else ()))
+    return {name: open_artifact((current / name).resolve()) for name in names}
+
+
+def run_upstream(data: Path, work: Path) -> Path:
+    """Convert where needed, and run everything up to the reflection parameters, with no view left out."""
+    capture = data
+    if not any((data / place).is_file() for place in ("capture.yaml", "data/capture.yaml")):
+        capture = work / "capture"
+        nishiki("convert", str(data.resolve()), str(capture), cwd=work)
+    if not (capture / "bagit.txt").is_file():
+        raise SystemExit(f"{capture} is not sealed: ./nishiki seal {capture}")
+    (work / "scenes.tsv").write_text(f"scene\tcapture\nobject\t{capture.resolve()}\n")
+    (work / "config.yaml").write_text("scenes: scenes.tsv\nproducts: [reflection]\nhold_out: none\n")
+    nishiki("run", "--configfile", "config.yaml", cwd=work)
+    return work / "results/object/current"
+
+
+def nishiki(*arguments: str, cwd: Path) -> None:
+    """The command line in a folder; ends with its message where it fails."""
+    done = subprocess.run(
+        [sys.executable, "-m", "nishiki", *arguments],
+        cwd=cwd,
+        env={**_environment(), "PYTHONPATH": str(PROJECT / "workflow/src")},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode:
+        raise SystemExit(done.stdout[-4000:] + done.stderr[-4000:])
+
+
+def _environment() -> dict:
+    import os
+
+    return {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+
+
+def texel_rows(inputs: dict) -> Iterator[dict]:
+    """Rows of the texel domain."""
+    from residual_texels import curves
+
+    from nishiki.patches.store import Texels
+    from nishiki.reflection.lighting import Lighting
+    from nishiki.reflection.store import ParameterMaps
+
+    lighting = json.loads(inputs["reflection"].path("reflection.json").read_text())["lighting"]
+    folder = inputs["reflection"].folder
+    yield from curves(Texels(inputs["texels"].folder), ParameterMaps(folder), Lighting.from_dict(lighting))
+
+
+def picture_rows(inputs: dict, work: Path, amounts: list[float], codecs: bool) -> Iterator[dict]:
+    """Rows of the picture domain, and the gains at equal bytes."""
+    from residual_pictures import codec_rows, gains, our_rows
+
+    rows, compared = [], None
+    for line, pictures in our_rows(inputs, work, amounts):
+        compared = pictures
+        rows.append(line)
+        yield line
+    if codecs and compared is not None:
+        for line in codec_rows(compared):
+            rows.append(line)
+            yield line
+        yield from gains(rows)
+
+
+def main() -> None:
+    """Parse, run, print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--data", type=Path, required=True, help="capture, photographs, or results/SCENE/current")
+    parser.add_argument("--object", default="", help="name in the lines (default: of the folder)")
+    parser.add_argument(
+        "--bits", type=float, nargs="*", default=[0.15, 0.3, 0.55], help="bits a pixel of residual and parameters"
+    )
+    parser.add_argument("--domain", choices=("both", "texels", "pictures"), default="both")
+    parser.add_argument("--no-codecs", action="store_true", help="only this system's own variants")
+    options = parser.parse_args()
+    name = options.object or options.data.resolve().name
+    with tempfile.TemporaryDirectory() as folder:
+        work = Path(folder)
+        inputs = artifacts_of(options.data, work)
+        lines = []
+        if options.domain != "pictures":
+            lines.append(texel_rows(inputs))
+        if options.domain != "texels":
+            lines.append(picture_rows(inputs, work, options.bits, not options.no_codecs))
+        for part in lines:
+            for line in part:
+                print(json.dumps({"object": name, **line}), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,173 @@
+"""The paper's counting: texels of every patch over the views, and the error against the share of coefficients kept.
+
+Nothing is quantised or entropy coded here, parameters and mesh are not counted: this is the domain of the published
+figures (paper O, figures 11 to 14). What a picture costs and how good it is, see `residual_pictures`.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from time import perf_counter
+
+import numpy as np
+from eigen_texture import eigen_patch, kept_components
+
+from nishiki.ingest.encoding import encode
+from nishiki.patches.store import Texels
+from nishiki.reflection.lighting import Lighting
+from nishiki.reflection.store import ParameterMaps
+from nishiki.residual.colour import principal_channels
+from nishiki.residual.fill import keep_largest
+from nishiki.residual.observations import view_matrix
+from nishiki.residual.prediction import Surface, predict_texels
+from nishiki.residual.transform import Block, plane_transform
+
+SHARES = (0.5, 0.05, 0.02)
+DEFAULT = "bior4.4"
+
+
+@dataclass(frozen=True)
+class Stack:
+    """One patch: captured and model (channels, lights, views, T, T) float32 in the capture's encoding, zero where not
+    visible; visible (lights, views, T, T) bool; inside (T, T) bool."""
+
+    captured: np.ndarray
+    model: np.ndarray
+    visible: np.ndarray
+    inside: np.ndarray
+
+
+def stacks(texels: Texels, parameters: ParameterMaps, lighting: Lighting, component: str) -> Iterator[Stack]:
+    """Every patch with its model."""
+    lights, views = len(texels.lights), len(texels.views)
+    cameras = list(texels.cameras)
+    lamps = [lighting.lamp(cameras[v], light) for light in range(lights) for v in range(views)]
+    centres = np.array([cameras[v].centre for _ in range(lights) for v in range(views)])
+    for tile in range(texels.tiles):
+        positions, normals, inside = texels.geometry(tile)
+        visible = texels.visible(tile) & inside
+        maps = parameters.read(tile)
+        model = predict_texels(
+            maps.kd, maps.ks, maps.sigma, Surface(positions, normals, inside), centres, lamps, texels.encoding,
+            component=component,
+        )  # fmt: skip
+        captured = np.moveaxis(encode(texels.read(component, tile), texels.encoding), -1, 0)
+        shape = (captured.shape[0], lights, views, *captured.shape[-2:])
+        seen = visible.reshape(shape[1:])
+        yield Stack(
+            (captured.reshape(shape) * seen).astype(np.float32), (model.reshape(shape) * seen).astype(np.float32),
+            seen, inside,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Method:
+    """model: whether the model is taken off first; views: the transform along the views; wavelet, levels: of the
+    patch's plane; colour: whether the channels are decorrelated; rounds: of filling the invisible samples."""
+
+    name: str
+    model: bool
+    wavelet: str = DEFAULT
+    levels: int = 4
+    views: str = "db2"
+    colour: bool = True
+    rounds: int = 8
+
+
+METHODS = (
+    Method("wavelet_texture", True),
+    Method("wavelet_texture_paper", True, "db2", 3, "db2", colour=False, rounds=0),
+    Method("wavelet_texture_db2", True, "db2"),
+    Method("image_based", False),
+    Method("image_based_paper", False, "db2", 3, "db2", colour=False, rounds=0),
+    Method("wavelet_2d", False, views="none"),
+    Method("wavelet_2d_paper", False, "db2", 3, "none", colour=False, rounds=0),
+)
+
+
+def psnr(error: float, count: int) -> float:
+    """Decibels below full scale of a sum of squares over `count` samples."""
+    return float(-10 * np.log10(max(error / count, 1e-30)))
+
+
+def wavelets(patches: list[Stack], method: Method) -> Iterator[dict]:
+    """Rows of one wavelet method at every share, counted of all and of the visible samples."""
+    channels, lights, views, size, _ = patches[0].captured.shape
+    residuals = [patch.captured - patch.model if method.model else patch.captured for patch in patches]
+    mix = np.eye(channels)
+    if method.colour:
+        moments = sum(np.einsum("clvij,dlvij->cd", r, r, dtype=np.float64) for r in residuals)
+        mix = principal_channels(moments)
+    residuals = [np.tensordot(mix, r, 1).astype(np.float32) for r in residuals]
+    plane = plane_transform(method.wavelet, size, method.levels)
+    block = Block(plane, view_matrix(method.views, views), view_matrix("cosine", lights))
+    visible = [patch.visible for patch in patches]
+    for counted, share, count in budgets(patches):
+        start = perf_counter()
+        kept = keep_largest(residuals, visible, [block] * len(patches), count=count, rounds=method.rounds)
+        middle = perf_counter()
+        for coefficients in kept.coefficients:
+            block.inverse(coefficients)
+        yield row(method.name, counted, share, psnr(kept.error, samples(patches)[1]), middle - start, middle)
+
+
+def row(method: str, counted: str, share: float, decibels: float, encode_s: float, since: float) -> dict:
+    """One JSON line of the texel domain; `since`: when decoding began."""
+    return {
+        "domain": "texels",
+        "method": method,
+        "counted": counted,
+        "kept": share,
+        "psnr_db": round(decibels, 2),
+        "encode_s": round(encode_s, 3),
+        "decode_s": round(perf_counter() - since, 3),
+    }
+
+
+def samples(patches: list[Stack]) -> tuple[int, int]:
+    """Numbers of samples (texels x observations x channels): all of the surface, and the visible ones."""
+    channels, lights, views = patches[0].captured.shape[:3]
+    every = sum(int(patch.inside.sum()) for patch in patches) * lights * views * channels
+    return every, sum(int(patch.visible.sum()) for patch in patches) * channels
+
+
+def budgets(patches: list[Stack]) -> Iterator[tuple[str, float, int]]:
+    """How many coefficients each share allows, counted of all samples as the paper does, and of the visible ones."""
+    every, visible = samples(patches)
+    for share in SHARES:
+        yield "all", share, round(every * share)
+        yield "visible", share, round(visible * share)
+
+
+def eigen(patches: list[Stack]) -> Iterator[dict]:
+    """Eigen-texture (no reflection model), one number stored counted as one coefficient kept."""
+    channels = patches[0].captured.shape[0]
+    start = perf_counter()
+    tables, masks = [], []
+    for patch in patches:
+        count = patch.visible.shape[0] * patch.visible.shape[1]
+        values = np.moveaxis(patch.captured, 0, -1).reshape(count, -1, channels)[:, patch.inside.ravel()]
+        tables.append(values[:, None])
+        masks.append(patch.visible.reshape(count, -1)[:, patch.inside.ravel()][:, None])
+    found = [eigen_patch(table, mask, components=6) for table, mask in zip(tables, masks, strict=True)]
+    spent = perf_counter() - start
+    for counted, share, budget in budgets(patches):
+        chosen, error, middle = kept_components(found, budget), 0.0, perf_counter()
+        for patch, number, table, mask in zip(found, chosen, tables, masks, strict=True):
+            difference = patch.decode(number).reshape(table.shape) - table
+            error += float(np.sum(difference[mask] ** 2))
+        yield row("eigen_texture", counted, share, psnr(error, samples(patches)[1]), spent, middle)
+
+
+def model_only(patches: list[Stack]) -> dict:
+    """The reflection model alone."""
+    error = sum(float(np.sum((p.captured - p.model).astype(np.float64) ** 2)) for p in patches)
+    return row("model_only", "all", 0.0, psnr(error, samples(patches)[1]), 0.0, perf_counter())
+
+
+def curves(texels: Texels, parameters: ParameterMaps, lighting: Lighting, component: str = "total") -> Iterator[dict]:
+    """All rows of the texel domain of one component."""
+    patches = list(stacks(texels, parameters, lighting, component))
+    yield model_only(patches)
+    for method in METHODS:
+        yield from wavelets(patches, method)
+    yield from eigen(patches)
