@@ -5,8 +5,8 @@
 
 One JSON object a line: {object, domain, method, kept, bytes, bits_per_texel, bits_per_pixel, psnr_db, encode_s,
 decode_s}. domain "texels": the paper's counting, coefficients kept of all samples or of the visible ones, nothing
-quantised; domain "pictures": rendered views against photographs inside the silhouette, with the bytes of everything that
-a renderer needs (mesh, charts, cameras and parameters too), beside JPEG, JPEG 2000, JPEG XL, AVIF view by view and two
+quantised; domain "pictures": rendered views against photographs inside the silhouette, with the bytes of all that
+a renderer needs (mesh, charts, cameras, parameters too), beside JPEG, JPEG 2000, JPEG XL, AVIF view by view and two
 video codecs over the views. The last lines give the default's gain over each other method at equal bytes.
 """
 
