@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from nishiki.capture.folder import load_capture
 from nishiki.errors import UserError
-from nishiki.ingest.linearise import srgb_to_linear
+from nishiki.ingest.linearise import code_table, srgb_to_linear, straight_scale
 from nishiki.ingest.views import Views, decode, encode
 from nishiki.ingest.views_decode import view_values
 from nishiki.ingest.views_store import write_views
@@ -264,7 +264,8 @@ def test_zarr_itself_reads_the_same_codes(tmp_path):
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
 @pytest.mark.parametrize("nodes", ["one", "grid"])
-def test_kernel_is_the_obvious_formula(dtype, nodes):
+@pytest.mark.parametrize("encoding", ["linear", "srgb"])
+def test_kernel_is_the_obvious_formula(dtype, nodes, encoding):
     rng = np.random.default_rng(7)
     shape, block = (37, 53), 8
     edges = picture_edges(shape, block)
@@ -280,12 +281,14 @@ def test_kernel_is_the_obvious_formula(dtype, nodes):
     else:
         top = np.iinfo(dtype).max
         codes = rng.integers(0, top + 1, (*shape, 2)).astype(dtype)
-        table, saturated = srgb_to_linear(np.arange(top + 1) / top).astype(np.float32), 0.9 * top
+        table, saturated = code_table(dtype, encoding=encoding), 0.9 * top
         linear = table[codes].astype(np.float64)
     usable = (rng.random(shape) > 0.1).astype(np.uint8)
     out, valid = np.empty((*shape, 2), np.float32), np.empty(shape, bool)
     places = grid_of(grid, shape, edges)
-    view_values(codes, table, dtype(saturated), gain, dark, *places, usable, out, valid)
+    scale = straight_scale(table, dtype)
+    assert (scale > 0) == (encoding == "linear" or dtype == np.float32)
+    view_values(codes, table, scale, dtype(saturated), gain, dark, *places, usable, out, valid)
 
     def interpolated(field):
         if nodes == "one":

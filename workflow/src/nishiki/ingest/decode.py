@@ -49,20 +49,20 @@ def decode(
         for k in range(first, last):
             between_blocks(gain[j], k, rows[y], row_weights[y], cells, column_weights, gains)
             between_blocks(dark[j], k, rows[y], row_weights[y], cells, column_weights, darks)
-            if not _all_known(gains):
-                _drop_unknown(gains, valid[j, y])
+            if not all_known(gains):
+                drop_unknown(gains, valid[j, y])
             target = out[j, y, :, 0 if reduced else k - first]
-            _scale_row(codes[j, y, :, k], table, scale, gains, darks, share, reduced and k > first, target)
-        if not _always_finite(codes[j, y, 0, 0]):
-            _drop_not_finite(out[j, y], valid[j, y])
+            scale_row(codes[j, y, :, k], table, scale, gains, darks, share, reduced and k > first, target)
+        if not always_finite(codes[j, y, 0, 0]):
+            drop_not_finite(out[j, y], valid[j, y])
 
 
-def _always_finite(code):
+def always_finite(code):
     """Whether codes of this type are finite (compiled code only)."""
     raise NotImplementedError
 
 
-@overload(_always_finite)
+@overload(always_finite)
 def _always_finite_of(code):
     answer = isinstance(code, types.Integer)
     return lambda code: answer
@@ -103,7 +103,7 @@ def between_blocks(field, k, row, row_weight, cells, weights, out):
 
 
 @njit(cache=True, error_model="numpy")
-def _all_known(gains):
+def all_known(gains):
     known = True
     for x in range(len(gains)):
         known &= gains[x] > 0
@@ -111,7 +111,7 @@ def _all_known(gains):
 
 
 @njit(cache=True, error_model="numpy")
-def _drop_unknown(gains, valid):
+def drop_unknown(gains, valid):
     for x in range(len(gains)):
         if not gains[x] > 0:
             gains[x] = np.float32(0.0)
@@ -119,7 +119,7 @@ def _drop_unknown(gains, valid):
 
 
 @njit(cache=True, error_model="numpy")
-def _scale_row(codes, table, scale, gains, darks, share, add, target):
+def scale_row(codes, table, scale, gains, darks, share, add, target):
     """Values of one channel of one row, written or added."""
     for x in range(len(codes)):
         linear = np.float32(codes[x]) * scale if scale > 0 else linear_value(table, codes[x])
@@ -128,7 +128,7 @@ def _scale_row(codes, table, scale, gains, darks, share, add, target):
 
 
 @njit(cache=True, error_model="numpy")
-def _drop_not_finite(out, valid):
+def drop_not_finite(out, valid):
     for x in range(out.shape[0]):
         for k in range(out.shape[1]):
             if not np.isfinite(out[x, k]):
@@ -162,7 +162,7 @@ def count_unusable(codes, usable, saturated, clip):
             hot += here & (brightest[x] >= saturated)
             cold += here & (brightest[x] <= clip)
             most = max(most, brightest[x])
-        if not _always_finite(most):
+        if not always_finite(most):
             for x in range(columns):
                 bad = False
                 for k in range(channels):

@@ -30,6 +30,17 @@ def code_table(dtype: np.dtype, *, encoding: Literal["linear", "srgb"], bits: in
     return (srgb_to_linear(codes) if encoding == "srgb" else codes).astype(np.float32)
 
 
+def straight_scale(table: np.ndarray, dtype: np.dtype) -> np.float32:
+    """Linear value of one code where the table is a straight line (faster than looking it up), otherwise 0.
+
+    1 for float codes, which are linear as they are.
+    """
+    if np.dtype(dtype).kind == "f":
+        return np.float32(1.0)
+    straight = np.arange(len(table)) * (table[-1].astype(np.float64) / (len(table) - 1))
+    return np.float32(straight[1] if np.allclose(table, straight, rtol=1e-6, atol=0) else 0.0)
+
+
 def saturation_code(dtype: np.dtype, fraction: float | None, bits: int | None = None) -> np.number:
     """Code from which a sample counts as saturated, in the codes' own type.
 

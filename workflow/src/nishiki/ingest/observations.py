@@ -13,6 +13,7 @@ from nishiki.errors import UserError
 from nishiki.ingest.blocks import block_edges, cells, positions
 from nishiki.ingest.chunks import chunk_path, read_chunk
 from nishiki.ingest.decode import decode
+from nishiki.ingest.linearise import straight_scale
 
 FORMAT = 1
 
@@ -107,11 +108,7 @@ class Observations:
 
     @cached_property
     def _scale(self) -> np.float32:
-        """Linear value of one code where the table is a straight line (faster than looking it up), otherwise 0."""
-        if self.dtype.kind == "f":
-            return np.float32(1.0)
-        straight = np.arange(len(self.table)) * (self.table[-1].astype(np.float64) / (len(self.table) - 1))
-        return np.float32(straight[1] if np.allclose(self.table, straight, rtol=1e-6, atol=0) else 0.0)
+        return straight_scale(self.table, self.dtype)
 
     def read(
         self,

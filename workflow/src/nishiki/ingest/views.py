@@ -11,6 +11,7 @@ import numpy as np
 from nishiki.errors import UserError
 from nishiki.ingest.chunks import chunk_path, read_chunk
 from nishiki.ingest.encoding import decode, encode
+from nishiki.ingest.linearise import straight_scale
 from nishiki.ingest.views_decode import view_values
 from nishiki.ingest.views_white import grid_of, on_one_grid, picture_edges
 
@@ -85,7 +86,7 @@ class Views:
         edges = picture_edges(self.shape, self.attributes["white_block"])
         grid = grid_of(fields[0].shape[:2], self.shape, edges)
         out, valid = np.empty(codes.shape, np.float32), np.empty(self.shape, bool)
-        view_values(codes, self._table, self._saturated, *fields, *grid, self._usable, out, valid)
+        view_values(codes, self._table, self._scale, self._saturated, *fields, *grid, self._usable, out, valid)
         return out, valid
 
     def codes(self, view: str | int, *, state: str | None = None, light: str | None = None) -> np.ndarray:
@@ -132,6 +133,10 @@ class Views:
     @cached_property
     def _table(self) -> np.ndarray:
         return self._group["lut"][...] if self.dtype.kind == "u" else np.zeros(2, np.float32)
+
+    @cached_property
+    def _scale(self) -> np.float32:
+        return straight_scale(self._table, self.dtype)
 
     @cached_property
     def _gain(self) -> np.ndarray:

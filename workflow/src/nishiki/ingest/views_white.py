@@ -10,6 +10,7 @@ import numpy as np
 from nishiki.capture.problems import Problem
 from nishiki.ingest.blocks import block_edges, cells, count_outliers, positions
 from nishiki.ingest.frames import FrameReader
+from nishiki.ingest.linearise import straight_scale
 from nishiki.ingest.reference import DEAD, DarkField, Edges
 from nishiki.ingest.views_decode import view_values
 from nishiki.ingest.white import white_field
@@ -96,7 +97,7 @@ def mean_boards(
     Saturated samples keep their values: they are the best that is known of the board there.
     """
     rows, columns = reader.rows, reader.columns
-    usable = np.ones((rows, columns), np.uint8)
+    usable, one_code = np.ones((rows, columns), np.uint8), straight_scale(reader.table, reader.dtype)
     for light, state in keys:
         frames = tuple(f for f in reader.capture.frames_of("white") if (f.light, f.polariser) == (light, state))
         total = np.zeros((rows, columns, len(reader.names)), np.float32)
@@ -106,7 +107,7 @@ def mean_boards(
             scale = np.float32(whites.longest / frame.exposure_s if whites.longest else 1.0)
             fields = on_one_grid(gain * scale, darks.at(frame.exposure_s))
             grid = grid_of(fields[0].shape[:2], (rows, columns), edges)
-            view_values(codes, reader.table, reader.saturated, *fields, *grid, usable, part, valid)
+            view_values(codes, reader.table, one_code, reader.saturated, *fields, *grid, usable, part, valid)
             total += part
             tick(frame.file)
         yield total / np.float32(len(frames))
