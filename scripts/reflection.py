@@ -27,7 +27,8 @@ def run(context: Context) -> dict:
     read = reader(texels, apart, settings.hold_out)
     lighting, cameras, light_of = lamps(texels, views, settings.lighting)
     numbers = list(range(texels.tiles))
-    lighting, found = settle(lighting, sample_texels(read, numbers), cameras, light_of, falloff=settings.falloff)
+    sample = sample_texels(read, numbers)
+    lighting, found = settle(lighting, sample, cameras, light_of, falloff=settings.falloff, encoding=texels.encoding)
     capture = Capture(
         np.array([camera.centre for camera in cameras]),
         [lighting.lamp(camera, int(light)) for camera, light in zip(cameras, light_of, strict=True)],

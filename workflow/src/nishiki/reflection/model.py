@@ -114,7 +114,7 @@ def _alpha_squared(y):
 
 
 @njit(cache=True, error_model="numpy")
-def _angles(px, py, pz, nx, ny, nz, centre, form, vector, reference):
+def angles_at(px, py, pz, nx, ny, nz, centre, form, vector, reference):
     """(cos theta_i, cos theta_r, alpha^2, distance factor); cosines of lamps and cameras behind are <= 0."""
     vx, vy, vz = centre[0] - px, centre[1] - py, centre[2] - pz
     scale = _ONE / np.sqrt(vx * vx + vy * vy + vz * vz + _TINY)
@@ -137,7 +137,7 @@ def _angles(px, py, pz, nx, ny, nz, centre, form, vector, reference):
 
 
 @njit(cache=True, error_model="numpy")
-def _irradiance(nx, ny, nz, rotation, harmonics, c):
+def irradiance_at(nx, ny, nz, rotation, harmonics, c):
     """max(0, sum of the nine products of the normal in the lamp frame with channel c's coefficients)."""
     x = rotation[0, 0] * nx + rotation[0, 1] * ny + rotation[0, 2] * nz
     y = rotation[1, 0] * nx + rotation[1, 1] * ny + rotation[1, 2] * nz
@@ -164,7 +164,7 @@ def _predict(
     points, channels = kd.shape
     for p in range(points):
         nx, ny, nz = normals[p, 0], normals[p, 1], normals[p, 2]
-        cos_i, cos_r, alpha2, strength = _angles(
+        cos_i, cos_r, alpha2, strength = angles_at(
             positions[p, 0], positions[p, 1], positions[p, 2], nx, ny, nz, centre, form, vector, reference
         )
         lobe = _ZERO
@@ -173,7 +173,7 @@ def _predict(
         lit = cos_i * strength if cos_i > _ZERO else _ZERO
         for c in range(channels):
             if form == ENVIRONMENT:
-                lit = _irradiance(nx, ny, nz, rotation, harmonics, c)
+                lit = irradiance_at(nx, ny, nz, rotation, harmonics, c)
             d, s = kd[p, c] * lit, ks[p, c] * lobe
             diffuse[p, c] = d if d - d == _ZERO else _ZERO
             specular[p, c] = s if s - s == _ZERO else _ZERO
@@ -184,7 +184,7 @@ def _factors(positions, normals, centre, form, vector, rotation, harmonics, refe
     points, channels = irradiance.shape
     for p in range(points):
         nx, ny, nz = normals[p, 0], normals[p, 1], normals[p, 2]
-        cos_i, cos_r, alpha2, strength = _angles(
+        cos_i, cos_r, alpha2, strength = angles_at(
             positions[p, 0], positions[p, 1], positions[p, 2], nx, ny, nz, centre, form, vector, reference
         )
         angles[p, 0] = strength if cos_i > _ZERO and cos_r > _ZERO else _ZERO
@@ -192,4 +192,4 @@ def _factors(positions, normals, centre, form, vector, rotation, harmonics, refe
         angles[p, 2] = alpha2
         lit = cos_i * strength if cos_i > _ZERO else _ZERO
         for c in range(channels):
-            irradiance[p, c] = _irradiance(nx, ny, nz, rotation, harmonics, c) if form == ENVIRONMENT else lit
+            irradiance[p, c] = irradiance_at(nx, ny, nz, rotation, harmonics, c) if form == ENVIRONMENT else lit

@@ -29,6 +29,7 @@ SCATTER_KS = 0.5  # of K_s, relative to its mean: first guess
 LEAST_SCATTER = 0.02  # of either
 SUBSET = 2000  # texels of a tile, at most, that the scatter is judged by
 DEFAULT_SIGMA = 0.2  # radians, where no highlight was seen on the whole object
+MOST_PULL = 1e20  # a precision that no data compare with
 UNTOLD = 0.1  # standard deviation of a texel's own K_s, relative to the mean K_d, above which it says nothing
 
 
@@ -196,19 +197,19 @@ class _Gloss:
         around = Neighbourhood(edge, channels, [s.part for s in second])
         mean = around.mean(np.zeros(channels))
         guess = SCATTER_KS * max(float(np.mean(mean)), 1e-30)
-        rough = around.field((noise / guess) ** 2, mean)
+        rough = around.field(min((noise / guess) ** 2, MOST_PULL), mean)
         apart = np.concatenate([(s.ks - rough.at(s.sample)).mean(axis=1) for s in second] or [np.empty(0)])
         information = np.concatenate([s.information for s in second] or [np.empty(0)])
         scatter = _scatter(apart, information / noise**2, guess)
         scatter = max(scatter, LEAST_SCATTER * guess / SCATTER_KS)
         levels = [f.fit.kd.mean(dtype=float) for f in first if len(f.texel)]
         level = float(np.mean(levels)) if levels else 0.0
-        return cls(around.field((noise / scatter) ** 2, mean), scatter, noise, level, width)
+        return cls(around.field(min((noise / scatter) ** 2, MOST_PULL), mean), scatter, noise, level, width)
 
     @property
     def pull(self) -> float:
         """Precision of the prior, in the units of a texel's information."""
-        return (self.noise / self.scatter) ** 2
+        return min((self.noise / self.scatter) ** 2, MOST_PULL)
 
 
 def _third(tile: Tile, capture: Capture, widths: _Widths, gloss: _Gloss, first: _First) -> Parameters:
@@ -225,7 +226,7 @@ def _third(tile: Tile, capture: Capture, widths: _Widths, gloss: _Gloss, first: 
     ks[surface] = np.maximum(gloss.field.at(places[surface]), 0)
     pull = np.full(len(first.texel), gloss.pull)
     if gloss.width == "texel":
-        pull = np.where(first.fit.information > 0, 0.0, 1e12)
+        pull = np.where(first.fit.information > 0, 0.0, MOST_PULL)
     found = texel_fit.strengths(total, sigma[first.texel], ks[first.texel], pull, specular)
     kd[first.texel], ks[first.texel] = found.kd, found.ks
     untold = gloss.noise > UNTOLD * gloss.level * np.sqrt(found.information)

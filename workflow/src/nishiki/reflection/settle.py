@@ -12,6 +12,7 @@ from nishiki.reflection.environment import fit_environment, residuals
 from nishiki.reflection.highlight import fit_highlight
 from nishiki.reflection.lighting import TO_LAMP_FRAME, Lighting
 from nishiki.reflection.model import factors
+from nishiki.reflection.stack import slope_of_srgb
 from nishiki.reflection.tile import Tile
 
 SAMPLE = 4000  # texels
@@ -46,14 +47,21 @@ def sample_texels(read: Callable[[int], Tile], tiles: list[int], count: int = SA
 
 
 def settle(
-    stated: Lighting, sample: Sample, cameras: list[Camera], light_of: np.ndarray, *, falloff: str
+    stated: Lighting,
+    sample: Sample,
+    cameras: list[Camera],
+    light_of: np.ndarray,
+    *,
+    falloff: str,
+    encoding: str = "linear",
 ) -> tuple[Lighting, dict]:
     """The lighting to fit with, and a report of how it was found.
 
     cameras: one an observation; light_of (M,): index of its light.  falloff: "auto", "none" or "inverse_square".
+    encoding: in which errors count.
     """
     if stated.kind == "unknown":
-        return _fitted(sample, cameras, light_of, len(stated.vectors))
+        return _fitted(sample, cameras, light_of, len(stated.vectors), encoding)
     if stated.kind == "direction" or falloff == "none":
         return stated, {"falloff": "none"}
     near = replace(stated, reference=_distance(stated, sample, cameras, light_of))
@@ -65,7 +73,9 @@ def settle(
     return chosen, {"falloff": name, "residual_without_falloff": left[0], "residual_with_falloff": left[1]}
 
 
-def _fitted(sample: Sample, cameras: list[Camera], light_of: np.ndarray, lights: int) -> tuple[Lighting, dict]:
+def _fitted(
+    sample: Sample, cameras: list[Camera], light_of: np.ndarray, lights: int, encoding: str
+) -> tuple[Lighting, dict]:
     """An irradiance and, if the views confirm it, a direction of highlights for each light."""
     harmonics, vectors, reports = [], [], []
     turned = [TO_LAMP_FRAME @ camera.rotation for camera in cameras]
@@ -76,6 +86,8 @@ def _fitted(sample: Sample, cameras: list[Camera], light_of: np.ndarray, lights:
         towards = (towards / np.linalg.norm(towards, axis=-1, keepdims=True)).astype(np.float32)
         weights = sample.visible[:, of] * np.maximum(np.sum(normals * towards, axis=-1), 0)
         values = sample.values[:, of]
+        if encoding == "srgb":
+            weights = weights * slope_of_srgb(values.mean(axis=-1)) ** 2
         fit = fit_environment(values, normals, weights)
         left = residuals(values, normals, weights, fit.coefficients).mean(axis=-1)
         lobe = fit_highlight(left, normals, towards, weights)

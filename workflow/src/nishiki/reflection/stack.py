@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from nishiki.reflection.lighting import Lamp
-from nishiki.reflection.model import GRAZING, factors
+from nishiki.reflection.lighting import ENVIRONMENT, POINT, Lamp
+from nishiki.reflection.model import GRAZING, angles_at, irradiance_at
 
 MULTIPLE = 8  # observations a texel are padded to a multiple, with weight 0
 # sRGB decoded value at which the curve turns from a line into a power, and the slopes of the two (IEC 61966-2-1)
@@ -63,20 +63,13 @@ def observed(
     texel, view = _slots(np.ascontiguousarray(visible))
     points, slots = view.shape
     channels = values.shape[-1]
-    places = np.ascontiguousarray(positions, np.float32).reshape(-1, 3)[texel]
-    facing = np.ascontiguousarray(normals, np.float32).reshape(-1, 3)[texel]
+    places = np.ascontiguousarray(positions, np.float32).reshape(-1, 3)
+    facing = np.ascontiguousarray(normals, np.float32).reshape(-1, 3)
     picked = np.zeros((points, slots, channels), np.float32)
     _pick(np.ascontiguousarray(values, np.float32), texel, view, picked)
     diffuse, attenuation, alpha, weights = (np.zeros((points, slots), np.float32) for _ in range(4))
-    for o, lamp in enumerate(lamps):
-        point, slot = np.nonzero(view == o)
-        if not point.size:
-            continue
-        lit, angles = factors(places[point], facing[point], centres[o], lamp, 1)
-        diffuse[point, slot] = lit[:, 0]
-        attenuation[point, slot] = angles[:, 0] / np.maximum(angles[:, 1], GRAZING)
-        alpha[point, slot] = np.sqrt(angles[:, 2])
-        weights[point, slot] = np.maximum(angles[:, 1], 0)
+    centres = np.ascontiguousarray(centres, np.float32)
+    _look(places, facing, texel, view, centres, *_side_by_side(lamps), diffuse, attenuation, alpha, weights)
     if encoding == "srgb":
         level = picked
         if bright is not None:
@@ -85,6 +78,15 @@ def observed(
         weights *= slope_of_srgb(level.mean(axis=-1)) ** 2
     weights[~np.isfinite(picked).all(axis=-1)] = 0
     return Observed(texel, picked, diffuse, attenuation, alpha, weights, view)
+
+
+def _side_by_side(lamps: list[Lamp]) -> tuple:
+    """Form, vectors, rotations, grey harmonics and squared references of the lamps, as arrays."""
+    form = np.array([lamp.form for lamp in lamps], np.int64)
+    vectors, rotations = (np.stack([getattr(lamp, name) for lamp in lamps]) for name in ("vector", "rotation"))
+    harmonics = np.stack([lamp.harmonics.mean(axis=1, keepdims=True) for lamp in lamps]).astype(np.float32)
+    references = np.array([lamp.reference if lamp.form == POINT else 0 for lamp in lamps], np.float32) ** 2
+    return form, vectors, rotations, harmonics, references
 
 
 def slope_of_srgb(linear: np.ndarray) -> np.ndarray:
@@ -125,3 +127,29 @@ def _pick(stack, texel, view, out):
                 break
             for c in range(out.shape[2]):
                 out[p, slot, c] = stack[o, row, column, c]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _look(places, facing, texel, view, centres, form, vectors, rotations, harmonics, references,
+          diffuse, attenuation, alpha, weights):  # fmt: skip
+    """What `model.factors` gives, for every slot."""
+    zero, grazing = np.float32(0), np.float32(GRAZING)
+    for p in range(texel.size):
+        px, py, pz = places[texel[p], 0], places[texel[p], 1], places[texel[p], 2]
+        nx, ny, nz = facing[texel[p], 0], facing[texel[p], 1], facing[texel[p], 2]
+        for slot in range(view.shape[1]):
+            o = view[p, slot]
+            if o < 0:
+                break
+            cos_i, cos_r, alpha2, strength = angles_at(
+                px, py, pz, nx, ny, nz, centres[o], form[o], vectors[o], references[o]
+            )
+            if form[o] == ENVIRONMENT:
+                diffuse[p, slot] = irradiance_at(nx, ny, nz, rotations[o], harmonics[o], 0)
+            elif cos_i > zero:
+                diffuse[p, slot] = cos_i * strength
+            if cos_r > zero:
+                weights[p, slot] = cos_r
+                if cos_i > zero:
+                    attenuation[p, slot] = strength / (cos_r if cos_r > grazing else grazing)
+            alpha[p, slot] = np.sqrt(alpha2)
