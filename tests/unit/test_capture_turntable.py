@@ -1,6 +1,8 @@
 """Turntables and polarisation series: tables, facts, conversion of known layouts, seal and check."""
 
+import re
 import shutil
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -18,6 +20,7 @@ from nishiki.capture.polariser import parse_state
 from nishiki.capture.problems import CaptureError
 from nishiki.capture.seal import seal
 from nishiki.capture.turntable import turntable_facts
+from nishiki.cli import main
 from nishiki.geometry.camera import Camera
 
 PLY = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nelement face 1\nend_header\n"
@@ -350,6 +353,49 @@ def test_sealed_turntable_is_the_same_capture_and_changes_are_found(tmp_path):
     data[len(data) // 2] ^= 1
     (folder / "data/silhouettes/1.png").write_bytes(data)
     assert "seal-changed" in {p.kind for p in check_capture(folder, level="full")}
+
+
+def command(*words):
+    with pytest.raises(SystemExit) as left:
+        main([str(word) for word in words])
+    return left.value.code
+
+
+def test_commands_convert_check_and_seal(tmp_path, capsys):
+    pictures(tmp_path / "s", [f"{i}.png" for i in range(4)])
+    savemat(tmp_path / "s/P.mat", {"P": cells(ring_of_cameras(4))})
+    assert command("convert", tmp_path / "s", tmp_path / "c", "--open", "--title", "Jar") == 0
+    assert "turntable.mesh" in capsys.readouterr().out
+    assert command("seal", tmp_path / "c") == 0
+    assert command("check", tmp_path / "c") == 0
+    assert command("verify", tmp_path / "s", "--capture", tmp_path / "c") == 0
+    assert load_capture(tmp_path / "c").settings.title == "Jar"
+    assert command("convert", tmp_path / "s", tmp_path / "c") == 2
+    write_frame(tmp_path / "c/data/frames/2.png", np.full((9, 9, 3), 5.0), np.uint8)
+    assert command("check", tmp_path / "c") == 2
+    assert command("verify", tmp_path / "s", "--capture", tmp_path / "c") == 1
+
+
+def test_the_example_of_the_documentation_is_a_sound_capture(tmp_path):
+    """What the page shows as capture.yaml and frames.csv is what the reader accepts."""
+    page = (Path(__file__).resolve().parents[2] / "docs/capture-folder.md").read_text()
+    blocks = {
+        title: text for title, text in re.findall(r"```\w*\n# (capture\.yaml|frames\.csv)\n(.*?)```", page, re.DOTALL)
+    }
+    assert set(blocks) == {"capture.yaml", "frames.csv"}
+    for name, text in blocks.items():
+        (tmp_path / name).write_text(text)
+    rows = [line.split(",") for line in blocks["frames.csv"].splitlines()[1:]]
+    for i, (file, *_) in enumerate(rows):
+        level = (2000 if file.startswith("white") else 100 if file.startswith("dark") else 800) + 50 * i
+        write_frame(tmp_path / file, np.full((20, 24, 3), float(level)))
+    views = sorted({row[2] for row in rows if row[2]})
+    heading = "view," + ",".join(f"p{r}{c}" for r in (1, 2, 3) for c in (1, 2, 3, 4))
+    lines = [f"{v},{','.join(map(repr, m.ravel().tolist()))}" for v, m in zip(views, ring_of_cameras(2), strict=True)]
+    (tmp_path / "cameras.csv").write_text("\n".join([heading, *lines]) + "\n")
+    assert check_capture(tmp_path, level="full") == []
+    facts = turntable_facts(load_capture(tmp_path))
+    assert (facts.polarisation, facts.lamp, facts.full_turn) == ("circular", "camera", True)
 
 
 @pytest.mark.data
