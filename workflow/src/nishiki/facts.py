@@ -3,10 +3,11 @@
 from nishiki.capture.folder import Capture, load_capture
 from nishiki.capture.headers import read_header
 from nishiki.capture.seal import capture_digest
+from nishiki.capture.turntable import TurntableCapture, turntable_facts
+from nishiki.chain import SceneFacts
 from nishiki.errors import UserError
 from nishiki.project import Scene
 from nishiki.provenance import truth_digest
-from nishiki.stages import SceneFacts
 
 
 def scene_facts(scene: Scene) -> SceneFacts:
@@ -19,6 +20,13 @@ def scene_facts(scene: Scene) -> SceneFacts:
         raise UserError(
             f"scene {scene.name!r}: capture {scene.capture} is not sealed. Remedy: ./nishiki seal {scene.capture}"
         )
+    truth = truth_digest(scene.truth) if scene.truth else ""
+    if isinstance(capture, TurntableCapture):
+        return _of_turntable(scene, capture, truth)
+    return _of_plane(scene, capture, truth)
+
+
+def _of_plane(scene: Scene, capture: Capture, truth: str) -> SceneFacts:
     return SceneFacts(
         capture_digest=capture_digest(scene.capture),
         lights=tuple(frame.light for frame in capture.observed if frame.role == "sample"),
@@ -27,7 +35,25 @@ def scene_facts(scene: Scene) -> SceneFacts:
         pixels=_pixels(capture),
         has_sensitivities=capture.sensitivities is not None,
         has_illuminant=capture.illuminant is not None,
-        truth_sha256=truth_digest(scene.truth) if scene.truth else "",
+        truth_sha256=truth,
+    )
+
+
+def _of_turntable(scene: Scene, capture: TurntableCapture, truth: str) -> SceneFacts:
+    found = turntable_facts(capture)
+    return SceneFacts(
+        capture_digest=capture_digest(scene.capture),
+        lights=found.lights,
+        check_lights=(),
+        channels=found.channels,
+        pixels=found.pixels,
+        has_sensitivities=found.has_sensitivities,
+        has_illuminant=found.has_illuminant,
+        truth_sha256=truth,
+        geometry="turntable",
+        views=found.views,
+        states=found.states,
+        has_poses=found.cameras or found.view_boards or found.correspondences,
     )
 
 

@@ -4,14 +4,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from nishiki.chain import SceneFacts
 from nishiki.closed import Closed
 from nishiki.errors import UserError
 from nishiki.project import Scene
 from nishiki.provenance import file_digest, stage_key
-from nishiki.stages import CHAIN, SceneFacts
+from nishiki.stages import CHAIN, chain_of
 
 HOLD_OUT_FROM = 16
-"""From this number of lights, a tenth is held out where nothing else can check the result."""
+"""From this number of lights or views, some are held out where nothing else can check the result."""
 
 
 @dataclass(frozen=True)
@@ -44,43 +45,54 @@ def make_plan(scene: Scene, facts: SceneFacts) -> Plan:
 
     Raises UserError where a product that was asked for by name cannot be made, with the reason.
     """
-    held_out = held_out_lights(scene.settings.hold_out, scene, facts)
-    settings = {name: _filled(name, scene, facts, held_out) for name in CHAIN}
+    chain = chain_of(facts.geometry)
+    held_out = held_out_of(scene.settings.hold_out, scene, facts)
+    settings = {name: _filled(name, scene, facts, held_out) for name in chain}
     left_out: dict[str, str] = {}
     wanted: set[str] = set()
     for product in scene.products:
-        _reach(product, facts, settings, wanted, left_out)
+        stage = next((name for name in chain if product in (name, chain[name].product)), None)
+        if stage is None:
+            left_out[product] = f"captures of a {facts.geometry} have no such stage"
+        else:
+            _reach(stage, facts, settings, wanted, left_out)
     if not wanted:
         raise UserError(f"scene {scene.name!r}: nothing to make: {'; '.join(left_out.values())}")
-    for name in CHAIN:
+    for name in chain:
         if name not in wanted and name not in left_out:
             left_out[name] = "no product asked for needs it"
     if settings["ingest"].channels == "auto":
-        colour = any(CHAIN[name].needs_colour for name in wanted) and facts.channels > 1
+        colour = any(chain[name].needs_colour for name in wanted) and facts.channels > 1
         settings["ingest"] = settings["ingest"].model_copy(update={"channels": "all" if colour else "luminance"})
         if not colour and facts.channels > 1:
             left_out["colour"] = "no product asked for needs more than luminance: one channel is decoded and kept"
-    settings["report"] = settings["report"].model_copy(update={"left_out": dict(left_out)})
     stages: dict[str, PlannedStage] = {}
-    for name in CHAIN:
+    for name in chain:
         if name in wanted:
+            if "left_out" in type(settings[name]).model_fields:
+                settings[name] = settings[name].model_copy(update={"left_out": dict(left_out)})
             stages[name] = _planned(name, settings[name], stages, facts)
     return Plan(scene, facts, stages, left_out, held_out)
 
 
-def held_out_lights(choice: str | tuple[str, ...], scene: Scene, facts: SceneFacts) -> tuple[str, ...]:
-    """Lights kept from every fit. auto: every tenth of at least 16 lights, if neither truth nor check lights exist."""
+def held_out_of(choice: str | tuple[str, ...], scene: Scene, facts: SceneFacts) -> tuple[str, ...]:
+    """Lights, or views of a turntable, kept from every fit and predicted instead.
+
+    auto: a tenth of at least 16 lights, a twelfth of at least 16 views, where neither truth nor check lights exist.
+    """
     if choice == "none":
         return ()
+    series, what = facts.series, "view" if facts.geometry == "turntable" else "light"
     if choice == "auto":
         if "evaluate" not in scene.products or facts.truth_sha256 or facts.check_lights:
             return ()
-        return facts.lights[5::10] if len(facts.lights) >= HOLD_OUT_FROM else ()
-    unknown = [name for name in choice if name not in facts.lights]
+        every = 12 if what == "view" else 10
+        return series[5::every] if len(series) >= HOLD_OUT_FROM else ()
+    unknown = [name for name in choice if name not in series]
     if unknown:
-        raise UserError(f"scene {scene.name!r}: hold_out names light {unknown[0]!r}; lights: {', '.join(facts.lights)}")
-    if len(facts.lights) - len(choice) < 3:
-        raise UserError(f"scene {scene.name!r}: hold_out leaves {len(facts.lights) - len(choice)} lights; 3 are needed")
+        raise UserError(f"scene {scene.name!r}: hold_out names {what} {unknown[0]!r}; {what}s: {', '.join(series)}")
+    if len(series) - len(choice) < 3:
+        raise UserError(f"scene {scene.name!r}: hold_out leaves {len(series) - len(choice)} {what}s; 3 are needed")
     return tuple(choice)
 
 

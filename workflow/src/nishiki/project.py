@@ -12,17 +12,28 @@ from pydantic import Field
 from nishiki.closed import Closed, parse
 from nishiki.errors import UserError
 from nishiki.settings.brdf import BrdfSettings
+from nishiki.settings.cameras import CamerasSettings
 from nishiki.settings.evaluate import EvaluateSettings
 from nishiki.settings.height import HeightSettings
 from nishiki.settings.ingest import IngestSettings
+from nishiki.settings.mesh import MeshSettings
 from nishiki.settings.normals import NormalsSettings
+from nishiki.settings.object_evaluate import ObjectEvaluateSettings
+from nishiki.settings.object_render import ObjectRenderSettings
+from nishiki.settings.polarise import PolariseSettings
+from nishiki.settings.reflection import ReflectionSettings
 from nishiki.settings.render import RenderSettings
 from nishiki.settings.report import ReportSettings
+from nishiki.settings.residual import ResidualSettings
 from nishiki.settings.separate import SeparateSettings
 from nishiki.settings.spectra import SpectraSettings
+from nishiki.settings.texels import TexelsSettings
 from nishiki.stages import PRODUCTS
 
-Product = Literal["separate", "normals", "height", "spectra", "brdf", "render", "evaluate", "report"]
+Product = Literal[
+    "separate", "normals", "height", "spectra", "brdf", "cameras", "mesh", "texels", "reflection", "residual",
+    "render", "evaluate", "report",
+]  # fmt: skip
 COLUMNS = ("scene", "capture", "truth", "products", "settings")
 
 
@@ -31,7 +42,8 @@ class StageSettings(Closed):
 
     hold_out: Literal["auto", "none"] | tuple[str, ...] = Field(
         "auto",
-        description="lights left out of every fit and predicted instead; auto: a tenth, where nothing else checks",
+        description="lights (views of a turntable) left out of every fit and predicted instead; auto: some, where "
+        "nothing else checks",
     )
     ingest: IngestSettings = IngestSettings()
     separate: SeparateSettings = SeparateSettings()
@@ -42,6 +54,14 @@ class StageSettings(Closed):
     render: RenderSettings = RenderSettings()
     evaluate: EvaluateSettings = EvaluateSettings()
     report: ReportSettings = ReportSettings()
+    polarise: PolariseSettings = PolariseSettings()
+    cameras: CamerasSettings = CamerasSettings()
+    mesh: MeshSettings = MeshSettings()
+    texels: TexelsSettings = TexelsSettings()
+    reflection: ReflectionSettings = ReflectionSettings()
+    residual: ResidualSettings = ResidualSettings()
+    object_render: ObjectRenderSettings = ObjectRenderSettings()
+    object_evaluate: ObjectEvaluateSettings = ObjectEvaluateSettings()
 
 
 class Configuration(StageSettings):

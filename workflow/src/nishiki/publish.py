@@ -10,6 +10,10 @@ from nishiki.provenance import file_digest
 
 DELIVERABLES = {
     "report": ("*.html",),
+    "object_report": ("*.html",),
+    "object_render": ("*.png", "*.exr", "*.mp4", "*.webp"),
+    "mesh": ("*.ply",),
+    "polarise": ("*.png", "*.exr"),
     "render": ("*.png", "*.exr", "*.mp4", "*.webp"),
     "normals": ("*.png", "*.exr"),
     "spectra": ("*.exr",),

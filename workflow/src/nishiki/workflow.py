@@ -54,7 +54,7 @@ class Workflow:
         of = self.plans[scene].scene
         if stage == "ingest":
             return f"--capture {shlex.quote(str(of.capture))}"
-        if stage == "evaluate" and of.truth:
+        if CHAIN[stage].asked_as == "evaluate" and of.truth:
             return f"--truth {shlex.quote(str(of.truth))}"
         return ""
 
@@ -75,12 +75,12 @@ class Workflow:
     def memory_mb(self, scene: str, stage: str) -> int:
         """Memory that a stage may take, from its cost model."""
         facts = self.plans[scene].facts
-        return CHAIN[stage].memory_mb(facts.pixels, len(facts.lights))
+        return CHAIN[stage].memory_mb(facts.pixels, facts.observations)
 
     def minutes(self, scene: str, stage: str) -> int:
         """Minutes that a stage may take, from its cost model."""
         facts = self.plans[scene].facts
-        return CHAIN[stage].minutes(facts.pixels, len(facts.lights))
+        return CHAIN[stage].minutes(facts.pixels, facts.observations)
 
     def relative_results(self) -> str:
         """Results folder relative to the working folder, for messages."""

@@ -5,6 +5,7 @@ import json
 from pathlib import Path
 
 from nishiki.artifact import MANIFEST, Artifact, open_artifact, verify_artifact
+from nishiki.chain import SceneFacts
 from nishiki.errors import UserError
 from nishiki.plan import Plan
 from nishiki.project import Configuration, load_yaml
@@ -24,14 +25,23 @@ def plan(options: argparse.Namespace, rest: list[str]) -> None:
     flow = _workflow(options)
     for name, made in flow.plans.items():
         facts = made.facts
-        print(f"{name}: {facts.pixels / 1e6:.2f} Mpx, {len(facts.lights)} lights, {facts.channels} channels")
+        print(f"{name}: {facts.pixels / 1e6:.2f} Mpx, {_series(facts)}, {facts.channels} channels")
         for stage, planned in made.stages.items():
             state, _ = stage_state(flow, name, stage)
-            print(f"  {stage:10} {planned.key}  {state:8} {CHAIN[stage].does}")
+            print(f"  {stage:15} {planned.key}  {state:8} {CHAIN[stage].does}")
         if made.held_out:
             print(f"  held out of every fit and predicted instead: {', '.join(made.held_out)}")
         for left, why in made.left_out.items():
             print(f"  without {left}: {why}")
+
+
+def _series(facts: SceneFacts) -> str:
+    """How many lights, or views under how many lights, and polariser states."""
+    if facts.geometry != "turntable":
+        return f"{len(facts.lights)} lights"
+    states = f", {len(facts.states)} polariser states" if len(facts.states) > 1 else ""
+    lights = f" under {len(facts.lights)} lights" if len(facts.lights) > 1 else ""
+    return f"{len(facts.views)} views{lights}{states}"
 
 
 def stage_state(flow: Workflow, scene: str, stage: str) -> tuple[str, list[str]]:

@@ -30,7 +30,7 @@ def cost_of(mesh: Mesh, chart: np.ndarray, cameras: list, lighting: dict, residu
     coded = encode_mesh(mesh, step=own_step(mesh, cameras))
     used = coded.vertices
     moved = shift(mesh.vertices[used], coded.restored(mesh).vertices[used], cameras) if len(used) else 0.0
-    parts = {f"residual_{name}": int(size) for name, size in residual.items()}
+    parts = {f"residual_{name}": int(size) for name, size in residual.items() if name != "total"}
     parts |= {f"mesh_{name}": size for name, size in coded.parts.items()}
     parts |= {
         "charts": chart_bytes(chart, coded.triangles),

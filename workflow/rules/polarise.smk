@@ -1,0 +1,15 @@
+rule polarise:
+    input:
+        upstream("polarise"),
+    output:
+        artifact("polarise"),
+    conda:
+        "../../envs/object.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory_of("polarise"),
+        runtime=minutes_of("polarise"),
+    params:
+        **params_of("polarise"),
+    shell:
+        RUN_STAGE

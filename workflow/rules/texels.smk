@@ -1,0 +1,15 @@
+rule texels:
+    input:
+        upstream("texels"),
+    output:
+        artifact("texels"),
+    conda:
+        "../../envs/object.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory_of("texels"),
+        runtime=minutes_of("texels"),
+    params:
+        **params_of("texels"),
+    shell:
+        RUN_STAGE

@@ -1,0 +1,83 @@
+"""What a stage is, and what a plan has to know of a scene: the types of the one table in `nishiki.stages`."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from nishiki.closed import Closed
+
+
+@dataclass(frozen=True)
+class SceneFacts:
+    """What a plan has to know of a scene before anything is read from its photographs.
+
+    geometry: plane (one view, many lights) or turntable (many views); views, states (of polarisers): of a turntable;
+    has_poses: matrices, boards or correspondences tell where its cameras were. truth_sha256: empty where there is no
+    truth.
+    """
+
+    capture_digest: str
+    lights: tuple[str, ...]
+    check_lights: tuple[str, ...]
+    channels: int
+    pixels: int
+    has_sensitivities: bool
+    has_illuminant: bool
+    truth_sha256: str
+    geometry: str = "plane"
+    views: tuple[str, ...] = ()
+    states: tuple[str, ...] = ()
+    has_poses: bool = False
+
+    @property
+    def observations(self) -> int:
+        """Photographs of the object that a fit sees: lights, times views on a turntable."""
+        return max(len(self.lights), 1) * max(len(self.views), 1)
+
+    @property
+    def series(self) -> tuple[str, ...]:
+        """Names of what can be left out of the fits and predicted instead: views of a turntable, otherwise lights."""
+        return self.views if self.geometry == "turntable" else self.lights
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One stage of the chain.
+
+    requires: without these stages it cannot run; wants: pulled into the plan where the capture can feed them; uses:
+    read where the plan has them anyway. lacks: a reason why the capture cannot feed the stage, or None.
+    geometry: the captures that it is for, None: all. product: the name under which a scene asks for it, where that is
+    not its own: a plane's and a turntable's `render` are different stages with one name for the user.
+    memory_mb: (pixels, observations) -> peak resident memory; minutes: likewise, generous.
+    """
+
+    settings: type[Closed]
+    does: str
+    requires: tuple[str, ...] = ()
+    wants: Callable[[Closed], tuple[str, ...]] = lambda settings: ()
+    uses: tuple[str, ...] = ()
+    lacks: Callable[[SceneFacts, Closed], str | None] = lambda facts, settings: None
+    geometry: str | None = "plane"
+    product: str = ""
+    needs_colour: bool = False
+    libraries: tuple[str, ...] = ("numpy", "numba", "zarr")
+    memory_mb: Callable[[int, int], int] = lambda pixels, observations: 700
+    minutes: Callable[[int, int], int] = lambda pixels, observations: 5 + pixels * observations // 20_000_000
+
+    @property
+    def name(self) -> str:
+        """Name of the stage, of its rule, of its script and of its folder."""
+        return self.settings.STAGE
+
+    @property
+    def version(self) -> int:
+        """Version of the stage's output format; a part of the key."""
+        return self.settings.VERSION
+
+    @property
+    def asked_as(self) -> str:
+        """The name under which a scene asks for it."""
+        return self.product or self.name
+
+    def serves(self, geometry: str) -> bool:
+        """Whether captures of this geometry have the stage."""
+        return self.geometry in (None, geometry)
