@@ -20,8 +20,10 @@ ROUNDS = 12
 """Of splitting and naming anew; each split-off piece is judged by its own direction in the next round."""
 SMOOTHING = (0, 4, 16, 64, 256)
 """Rounds of smoothing tried before the projection, in this order."""
-FEW = 0.0005
-"""Share of the triangles that may be split off before more smoothing is tried."""
+FEW = 0.005
+"""Share of the triangles that may be split off at first; more, and the attempt is given up."""
+MANY = 50
+"""Charts that are few enough."""
 
 
 @dataclass(frozen=True)
@@ -45,16 +47,19 @@ def make_charts(mesh: Mesh, *, up: np.ndarray, front: np.ndarray, spacing: float
 
     up, front (3,): the turntable's axis and a direction across it; spacing: distance of the probes that look for
     overlaps, in the world's unit (half a texel); settings: of `cut`. The surface is flattened as it is where that
-    splits off few triangles, otherwise smoothed before, by the first of `SMOOTHING` that does: on a rough surface
-    many triangles turn away from any direction, and each would become a chart of its own.
+    makes at most `MANY` charts, otherwise smoothed before, by as many of `SMOOTHING` rounds as make so few, or the
+    fewest: on a rough surface many triangles turn away from any direction, and each would become a chart of its own.
     """
-    common = dict(up=up, front=front, spacing=spacing, **settings)
+    best = None
     for rounds in SMOOTHING:
         vertices = smoothed_vertices(mesh.vertices, mesh.triangles, rounds=rounds)
-        charts = cut(mesh, vertices, rounds, patience=1.0 if rounds == SMOOTHING[-1] else FEW, **common)
-        if charts is not None:
+        patience = FEW if best is not None or rounds < SMOOTHING[-1] else 1.0
+        charts = cut(mesh, vertices, rounds, up=up, front=front, spacing=spacing, patience=patience, **settings)
+        if charts is not None and (best is None or len(charts.frames.direction) < len(best.frames.direction)):
+            best = charts
+        if best is not None and len(best.frames.direction) <= MANY:
             break
-    return charts
+    return best
 
 
 def cut(
@@ -71,7 +76,7 @@ def cut(
     patience: float = 1.0,
 ) -> Charts | None:
     """Charts of a mesh whose smoothed vertices (v, 3), `rounds` of it, are flattened; None where more than `patience`
-    of the triangles have to be split off at first.
+    of the triangles are turned over.
 
     range_of_normals: over which normals are averaged before they are judged, of the mesh's extent; smallest: area
     below which a piece is merged, of the whole surface; steepest_deg: largest angle between a triangle and its chart.
@@ -99,7 +104,7 @@ def cut(
             away = flipped | overlap
             if not away.any():
                 break
-            if away.mean() > patience:
+            if flipped.mean() > patience:  # smoothing helps against folds, not against overlaps
                 return None
             totals[0] += int(flipped.sum())
             totals[1] += int(overlap.sum())
