@@ -104,9 +104,7 @@ def field_of(silhouettes: list[np.ndarray | None], cameras: list[Camera], *, fin
         lenses.append(_lens(camera))
     if len(names) < 2:
         raise UserError(f"expected silhouettes in two views at least, found {len(names)}; give masks or a background")
-    return Field(
-        tuple(names), np.array(poses), np.array(lenses), np.array(frames, np.int64), np.concatenate(maps)
-    )
+    return Field(tuple(names), np.array(poses), np.array(lenses), np.array(frames, np.int64), np.concatenate(maps))
 
 
 def _lens(camera: Camera) -> list[float]:
@@ -196,7 +194,9 @@ def _undistorted(pixels: np.ndarray, camera: Camera) -> np.ndarray:
         import cv2
 
         plane = np.column_stack([x, y])[:, None]
-        return np.column_stack([cv2.undistortPoints(plane, np.eye(3), np.array(camera.distortion))[:, 0], np.ones(len(x))])
+        return np.column_stack(
+            [cv2.undistortPoints(plane, np.eye(3), np.array(camera.distortion))[:, 0], np.ones(len(x))]
+        )
     return np.column_stack([x, y, np.ones(len(x))])
 
 

@@ -1,0 +1,206 @@
+"""Meshes as they come from elsewhere, made sound: what was wrong is counted, nothing is moved."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from nishiki.geometry.camera import Camera
+from nishiki.geometry.mesh import Mesh, face_vectors
+from nishiki.geometry.surface import parts_of
+
+
+@dataclass(frozen=True)
+class Defects:
+    """What `clean` found. merged_vertices: at the same place as another; degenerate: triangles without area or with a
+    corner twice; duplicates: triangles on the same three vertices as another; crowded_edges: edges of more than two
+    triangles, crowded_triangles: left out there; split_vertices: made where parts of the surface only touched in one
+    point; turned: triangles turned to face as their neighbours; turned_parts: whole parts turned inside out;
+    unreferenced: vertices of no triangle, left out; small_parts: left out."""
+
+    merged_vertices: int = 0
+    degenerate: int = 0
+    duplicates: int = 0
+    crowded_edges: int = 0
+    crowded_triangles: int = 0
+    split_vertices: int = 0
+    turned: int = 0
+    turned_parts: int = 0
+    unreferenced: int = 0
+
+    def as_dict(self) -> dict[str, int]:
+        """Plain data, for JSON."""
+        return asdict(self)
+
+
+def clean(vertices: np.ndarray, triangles: np.ndarray, *, cameras: list[Camera] | None = None) -> tuple[Mesh, Defects]:
+    """A mesh whose edges have two triangles at most, all turned outwards, and what had to be changed for it.
+
+    vertices (v, 3) finite, triangles (f, 3) integer. Outwards: positive volume of closed parts; of open parts, towards
+    the cameras. Raises ValueError where no triangle is left.
+    """
+    vertices = np.asarray(vertices, np.float64)
+    triangles = np.asarray(triangles, np.int64)
+    unreferenced = len(vertices) - len(np.unique(triangles))
+    vertices, triangles, merged = merge_equal(vertices, triangles)
+    triangles, degenerate = without_degenerate(vertices, triangles)
+    triangles, duplicates = without_duplicates(triangles)
+    triangles, crowded_edges, crowded = without_crowded(vertices, triangles)
+    if not len(triangles):
+        raise ValueError("no triangle with an area is left")
+    triangles, turned = turned_alike(triangles)
+    vertices, triangles, split = split_touching(vertices, triangles)
+    triangles, turned_parts = outwards(vertices, triangles, cameras or [])
+    used, renumbered = np.unique(triangles, return_inverse=True)
+    defects = Defects(merged, degenerate, duplicates, crowded_edges, crowded, split, turned, turned_parts, unreferenced)
+    return Mesh.of(vertices[used], renumbered.reshape(-1, 3)), defects
+
+
+def merge_equal(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+    """One vertex for each place (the same three numbers; -0 is 0), in the order of first use; vertices merged among
+    those that triangles use."""
+    used = np.unique(triangles)
+    places, first, inverse = np.unique(vertices[used] + 0.0, axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first, kind="stable")
+    rank = np.empty(len(order), np.int64)
+    rank[order] = np.arange(len(order))
+    number = np.full(len(vertices), -1)
+    number[used] = rank[inverse.reshape(-1)]
+    return places[order], number[triangles], len(used) - len(places)
+
+
+def without_degenerate(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, int]:
+    """Triangles with an area above rounding (relative to their longest side) and three different corners."""
+    twice = np.linalg.norm(face_vectors(vertices, triangles), axis=1)
+    corners = vertices[triangles]
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    reach = np.abs(corners).max(axis=(1, 2))
+    # Coordinates carry float32's rounding in most files: a triangle thinner than that has no direction.
+    sound = twice > longest * np.maximum(1e-9 * longest, 1e-14 * reach)
+    a, b, c = triangles.T
+    sound &= (a != b) & (b != c) & (c != a)
+    return triangles[sound], int((~sound).sum())
+
+
+def without_duplicates(triangles: np.ndarray) -> tuple[np.ndarray, int]:
+    """One triangle for each three vertices, the first, whatever their order."""
+    _, first = np.unique(np.sort(triangles, axis=1), axis=0, return_index=True)
+    return triangles[np.sort(first)], len(triangles) - len(first)
+
+
+def without_crowded(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, int, int]:
+    """Triangles such that no edge has more than two: the larger ones stay. Also the edges and the triangles."""
+    edges, owners, counts = _edges(triangles)
+    crowded = int((counts > 2).sum())
+    if not crowded:
+        return triangles, 0, 0
+    area = np.linalg.norm(face_vectors(vertices, triangles), axis=1)
+    # Rank of each triangle among those of its edge, largest first.
+    order = np.lexsort((owners, -area[owners], edges))
+    position = np.arange(len(order))
+    starts = np.concatenate([[True], edges[order][1:] != edges[order][:-1]])
+    rank = position - np.maximum.accumulate(np.where(starts, position, 0))
+    gone = np.zeros(len(triangles), bool)
+    gone[owners[order][rank > 1]] = True
+    return triangles[~gone], crowded, int(gone.sum())
+
+
+def _edges(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(3 f,) number of the edge of each triangle side, (3 f,) its triangle, and (e,) how many triangles it has."""
+    sides = np.sort(np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)]), axis=1)
+    _, number, counts = np.unique(sides, axis=0, return_inverse=True, return_counts=True)
+    return number.reshape(-1), np.tile(np.arange(len(triangles)), 3), counts
+
+
+def _neighbours(triangles: np.ndarray):
+    """Pairs of triangles (p,), (p,) that share an edge, and whether both run along it in the same sense (p,)."""
+    number, owners, _ = _edges(triangles)
+    forward = np.concatenate([triangles[:, k] < triangles[:, (k + 1) % 3] for k in range(3)])
+    order = np.argsort(number, kind="stable")
+    pairs = np.flatnonzero(number[order][1:] == number[order][:-1])
+    first, second = order[pairs], order[pairs + 1]
+    return owners[first], owners[second], forward[first] == forward[second]
+
+
+def turned_alike(triangles: np.ndarray) -> tuple[np.ndarray, int]:
+    """Triangles turned so that neighbours run along their edge in opposite senses, as far as the surface allows (not a
+    Moebius strip); the smaller number of each part is turned."""
+    first, second, same = _neighbours(triangles)
+    if not same.any():
+        return triangles, 0
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import breadth_first_order, connected_components
+
+    count = len(triangles)
+    weights = np.where(same, 2.0, 1.0)
+    graph = coo_matrix(
+        (np.tile(weights, 2), (np.concatenate([first, second]), np.concatenate([second, first]))), (count, count)
+    ).tocsr()
+    parts, labels = connected_components(graph, directed=False)
+    flip = np.zeros(count, bool)
+    for part in range(parts):
+        root = int(np.argmax(labels == part))
+        order, parents = breadth_first_order(graph, root, directed=False)
+        for face in order[1:]:
+            parent = parents[face]
+            flip[face] = flip[parent] ^ (graph[parent, face] == 2.0)
+        mine = labels == part
+        if 2 * flip[mine].sum() > mine.sum():
+            flip[mine] = ~flip[mine]
+    out = triangles.copy()
+    out[flip] = out[flip][:, ::-1]
+    return out, int(flip.sum())
+
+
+def split_touching(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+    """A vertex of its own for each fan of triangles where several fans touch in one point; vertices made."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    # Corners of triangles are one fan where they share an edge at their vertex.
+    number, owners, _ = _edges(triangles)
+    order = np.argsort(number, kind="stable")
+    pairs = np.flatnonzero(number[order][1:] == number[order][:-1])
+    first, second = owners[order[pairs]], owners[order[pairs + 1]]
+    starts, ends = [], []
+    for k in range(3):
+        for m in range(3):
+            equal = triangles[first, k] == triangles[second, m]
+            starts.append(3 * first[equal] + k)
+            ends.append(3 * second[equal] + m)
+    starts, ends = np.concatenate(starts), np.concatenate(ends)
+    corners = 3 * len(triangles)
+    graph = coo_matrix((np.ones(len(starts), np.int8), (starts, ends)), (corners, corners))
+    fans, labels = connected_components(graph, directed=False)
+    owner = np.empty(fans, np.int64)
+    owner[labels] = triangles.reshape(-1)
+    # The first fan of a vertex keeps its number.
+    _, keeper = np.unique(owner, return_index=True)
+    target = np.full(fans, -1)
+    target[keeper] = owner[keeper]
+    extra = np.flatnonzero(target < 0)
+    target[extra] = len(vertices) + np.arange(len(extra))
+    return np.concatenate([vertices, vertices[owner[extra]]]), target[labels].reshape(-1, 3), len(extra)
+
+
+def outwards(vertices: np.ndarray, triangles: np.ndarray, cameras: list[Camera]) -> tuple[np.ndarray, int]:
+    """Triangles of parts turned inside out the other way round, and how many parts were."""
+    parts, mine = parts_of(triangles, len(vertices))
+    normals = face_vectors(vertices, triangles)
+    middle = vertices[triangles].mean(axis=1)
+    first, second, _ = _neighbours(triangles)
+    shared = np.bincount(first, minlength=len(triangles)) + np.bincount(second, minlength=len(triangles))
+    closed = np.bincount(mine, weights=shared, minlength=parts) == 3 * np.bincount(mine, minlength=parts)
+    centre = np.stack([np.bincount(mine, weights=middle[:, k], minlength=parts) for k in range(3)], axis=1)
+    centre /= np.bincount(mine, minlength=parts)[:, None]
+    volume = np.bincount(mine, weights=np.einsum("ij,ij->i", normals, middle - centre[mine]), minlength=parts)
+    towards = np.zeros(parts)
+    for camera in cameras:
+        view = camera.centre - middle
+        view /= np.maximum(np.linalg.norm(view, axis=1, keepdims=True), 1e-300)
+        towards += np.bincount(mine, weights=np.einsum("ij,ij->i", normals, view), minlength=parts)
+    wrong = np.where(closed | (towards == 0), volume < 0, towards < 0)
+    out = triangles.copy()
+    out[wrong[mine]] = out[wrong[mine]][:, ::-1]
+    return out, int(wrong.sum())

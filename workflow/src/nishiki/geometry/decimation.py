@@ -1,0 +1,313 @@
+"""Fewer triangles for the same surface: edges collapsed in the order of the error that this makes.
+
+M. Garland and P. S. Heckbert, Surface simplification using quadric error metrics, SIGGRAPH 1997. Quadrics are weighted
+by area. A collapse must keep the surface a surface (the edge's two ends share no neighbours but the two opposite
+corners) and must not turn a triangle over.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+JIT = {"cache": True, "nogil": True, "error_model": "numpy"}
+STIFF = 1e-3
+"""Share of a plane's own quadric that pulls a corner towards where it was: settles flat places."""
+
+
+@njit(**JIT)
+def _plane(a, b, c, out):
+    """Unit normal of a triangle and its area; (0, 0, 0) and 0 where it has none."""
+    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    length = np.sqrt(x * x + y * y + z * z)
+    if length <= 0.0:
+        out[:] = 0.0
+        return 0.0
+    out[0], out[1], out[2] = x / length, y / length, z / length
+    return 0.5 * length
+
+
+@njit(**JIT)
+def _add_plane(quadric, n, point, weight):
+    """Add weight (n . (x - point))^2 as the ten numbers xx xy xz yy yz zz, x y z, constant."""
+    d = -(n[0] * point[0] + n[1] * point[1] + n[2] * point[2])
+    quadric[0] += weight * n[0] * n[0]
+    quadric[1] += weight * n[0] * n[1]
+    quadric[2] += weight * n[0] * n[2]
+    quadric[3] += weight * n[1] * n[1]
+    quadric[4] += weight * n[1] * n[2]
+    quadric[5] += weight * n[2] * n[2]
+    quadric[6] += weight * n[0] * d
+    quadric[7] += weight * n[1] * d
+    quadric[8] += weight * n[2] * d
+    quadric[9] += weight * d * d
+
+
+@njit(**JIT)
+def _value(q, x, y, z):
+    return (
+        q[0] * x * x
+        + q[3] * y * y
+        + q[5] * z * z
+        + 2.0 * (q[1] * x * y + q[2] * x * z + q[4] * y * z + q[6] * x + q[7] * y + q[8] * z)
+        + q[9]
+    )
+
+
+@njit(**JIT)
+def _best(first, second, a, b, out):
+    """Place (into out) of smallest error for the sum of two quadrics, drawn weakly to the middle of a and b; error."""
+    q = first + second
+    pull = STIFF * (q[0] + q[3] + q[5]) + 1e-300
+    mx, my, mz = 0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 0.5 * (a[2] + b[2])
+    xx, yy, zz = q[0] + pull, q[3] + pull, q[5] + pull
+    bx, by, bz = pull * mx - q[6], pull * my - q[7], pull * mz - q[8]
+    # Symmetric and positive definite by the pull: Cramer's rule.
+    c0, c1, c2 = yy * zz - q[4] * q[4], q[2] * q[4] - q[1] * zz, q[1] * q[4] - q[2] * yy
+    determinant = xx * c0 + q[1] * c1 + q[2] * c2
+    if not determinant > 0.0:
+        out[0], out[1], out[2] = mx, my, mz
+    else:
+        c3, c4, c5 = xx * zz - q[2] * q[2], q[1] * q[2] - xx * q[4], xx * yy - q[1] * q[1]
+        out[0] = (c0 * bx + c1 * by + c2 * bz) / determinant
+        out[1] = (c1 * bx + c3 * by + c4 * bz) / determinant
+        out[2] = (c2 * bx + c4 * by + c5 * bz) / determinant
+    return max(0.0, _value(q, out[0], out[1], out[2]))
+
+
+@njit(**JIT)
+def _gather(vertex, head, following, faces, alive, marks, stamp, ring):
+    """Neighbours of a vertex into ring, marked with stamp; their number, and forgets dead triangles in its list."""
+    count, previous, node = 0, -1, head[vertex]
+    while node >= 0:
+        face = node // 3
+        if not alive[face]:
+            if previous < 0:
+                head[vertex] = following[node]
+            else:
+                following[previous] = following[node]
+            node = following[node]
+            continue
+        for k in range(3):
+            other = faces[face, k]
+            if other != vertex and marks[other] != stamp:
+                marks[other] = stamp
+                if count < ring.shape[0]:
+                    ring[count] = other
+                count += 1
+        previous, node = node, following[node]
+    return count
+
+
+@njit(**JIT)
+def _turns(vertex, other, place, vertices, head, following, faces, alive, old, new, spot):
+    """Whether moving `vertex` to place turns over, or flattens, a triangle that does not vanish with `other`."""
+    node = head[vertex]
+    while node >= 0:
+        face = node // 3
+        node = following[node]
+        if not alive[face]:
+            continue
+        a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
+        if a == other or b == other or c == other:
+            continue
+        before = _plane(vertices[a], vertices[b], vertices[c], old)
+        for k in range(3):
+            spot[0, k] = place[k] if a == vertex else vertices[a, k]
+            spot[1, k] = place[k] if b == vertex else vertices[b, k]
+            spot[2, k] = place[k] if c == vertex else vertices[c, k]
+        area = _plane(spot[0], spot[1], spot[2], new)
+        longest = 0.0
+        for i in range(3):
+            j = (i + 1) % 3
+            side = (spot[i, 0] - spot[j, 0]) ** 2 + (spot[i, 1] - spot[j, 1]) ** 2 + (spot[i, 2] - spot[j, 2]) ** 2
+            longest = max(longest, side)
+        if area <= 0.01 * longest:
+            return True
+        if before > 0.0 and old[0] * new[0] + old[1] * new[1] + old[2] * new[2] < 0.3:
+            return True
+    return False
+
+
+@njit(**JIT)
+def _start(vertices, faces, quadrics, head, following):
+    """Quadrics of all triangles and of planes across open edges; lists of the triangles at each vertex."""
+    normal, across = np.empty(3), np.empty(3)
+    for face in range(faces.shape[0]):
+        a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
+        area = _plane(vertices[a], vertices[b], vertices[c], normal)
+        for k in range(3):
+            _add_plane(quadrics[faces[face, k]], normal, vertices[a], area / 3.0)
+            following[3 * face + k] = head[faces[face, k]]
+            head[faces[face, k]] = 3 * face + k
+    for face in range(faces.shape[0]):
+        area = _plane(vertices[faces[face, 0]], vertices[faces[face, 1]], vertices[faces[face, 2]], normal)
+        for k in range(3):
+            a, b = faces[face, k], faces[face, (k + 1) % 3]
+            if not _is_open(a, b, face, head, following, faces):
+                continue
+            ex, ey, ez = (
+                vertices[b, 0] - vertices[a, 0],
+                vertices[b, 1] - vertices[a, 1],
+                vertices[b, 2] - vertices[a, 2],
+            )
+            length = np.sqrt(ex * ex + ey * ey + ez * ez)
+            if length <= 0.0 or area <= 0.0:
+                continue
+            across[0] = (ey * normal[2] - ez * normal[1]) / length
+            across[1] = (ez * normal[0] - ex * normal[2]) / length
+            across[2] = (ex * normal[1] - ey * normal[0]) / length
+            _add_plane(quadrics[a], across, vertices[a], length * length)
+            _add_plane(quadrics[b], across, vertices[a], length * length)
+
+
+@njit(**JIT)
+def _is_open(a, b, face, head, following, faces):
+    node = head[a]
+    while node >= 0:
+        other = node // 3
+        node = following[node]
+        if other != face and (faces[other, 0] == b or faces[other, 1] == b or faces[other, 2] == b):
+            return False
+    return True
+
+
+@njit(**JIT)
+def _push(costs, items, size, cost, a, b, version_a, version_b):
+    """Put an edge into the heap of costs (smallest first; ties in the order of the vertices); its new size."""
+    place = size
+    while place > 0:
+        above = (place - 1) // 2
+        if not _before(cost, a, b, costs[above], items[above, 0], items[above, 1]):
+            break
+        costs[place], items[place] = costs[above], items[above]
+        place = above
+    costs[place] = cost
+    items[place, 0], items[place, 1], items[place, 2], items[place, 3] = a, b, version_a, version_b
+    return size + 1
+
+
+@njit(**JIT)
+def _before(cost, a, b, other, c, d):
+    return cost < other or (cost == other and (a < c or (a == c and b < d)))
+
+
+@njit(**JIT)
+def _pop(costs, items, size):
+    """Take the first edge away (the caller has read it); the heap's new size."""
+    size -= 1
+    cost = costs[size]
+    a, b = items[size, 0], items[size, 1]
+    place = 0
+    while True:
+        below = 2 * place + 1
+        if below >= size:
+            break
+        right = below + 1
+        if right < size and _before(
+            costs[right], items[right, 0], items[right, 1], costs[below], items[below, 0], items[below, 1]
+        ):
+            below = right
+        if not _before(costs[below], items[below, 0], items[below, 1], cost, a, b):
+            break
+        costs[place], items[place] = costs[below], items[below]
+        place = below
+    costs[place], items[place] = cost, items[size]
+    return size
+
+
+@njit(**JIT)
+def collapse(vertices, faces, target):
+    """Collapse edges until `target` triangles are left or no edge may collapse. Changes both arrays.
+
+    vertices (v, 3) float64, faces (f, 3) int64 of a surface (two triangles an edge at most). Returns alive (f,) bool and
+    the largest error of a collapse that was made (area times squared distance).
+    """
+    count = vertices.shape[0]
+    quadrics = np.zeros((count, 10))
+    head, following = np.full(count, -1), np.full(3 * faces.shape[0], -1)
+    _start(vertices, faces, quadrics, head, following)
+    alive = np.ones(faces.shape[0], np.bool_)
+    version, marks = np.zeros(count, np.int64), np.full(count, -1)
+    ring, ring2 = np.empty(1024, np.int64), np.empty(1024, np.int64)
+    place, old, new, spot = np.empty(3), np.empty(3), np.empty(3), np.empty((3, 3))
+    costs, items, size = np.empty(3 * faces.shape[0]), np.empty((3 * faces.shape[0], 4), np.int64), 0
+    for face in range(faces.shape[0]):
+        for k in range(3):
+            a, b = faces[face, k], faces[face, (k + 1) % 3]
+            if a < b or _is_open(a, b, face, head, following, faces):
+                cost = _best(quadrics[a], quadrics[b], vertices[a], vertices[b], place)
+                size = _push(costs, items, size, cost, min(a, b), max(a, b), 0, 0)
+    left, stamp, worst = faces.shape[0], 0, 0.0
+    while left > target and size > 0:
+        cost, a, b = costs[0], items[0, 0], items[0, 1]
+        version_a, version_b = items[0, 2], items[0, 3]
+        size = _pop(costs, items, size)
+        if version[a] != version_a or version[b] != version_b:
+            continue
+        stamp += 2
+        near_b = _gather(b, head, following, faces, alive, marks, stamp, ring2)
+        near_a = _gather(a, head, following, faces, alive, marks, stamp + 1, ring)
+        if near_a > ring.shape[0] or near_b > ring2.shape[0]:
+            continue
+        shared, sides = 0, 0
+        for i in range(near_b):
+            if marks[ring2[i]] == stamp + 1:
+                shared += 1
+        node = head[a]
+        while node >= 0:
+            face = node // 3
+            node = following[node]
+            if alive[face] and (faces[face, 0] == b or faces[face, 1] == b or faces[face, 2] == b):
+                sides += 1
+        if shared != sides or sides == 0 or (sides == 2 and near_a <= 3 and near_b <= 3):
+            continue
+        _best(quadrics[a], quadrics[b], vertices[a], vertices[b], place)
+        if _turns(a, b, place, vertices, head, following, faces, alive, old, new, spot):
+            continue
+        if _turns(b, a, place, vertices, head, following, faces, alive, old, new, spot):
+            continue
+        worst = max(worst, cost)
+        vertices[a] = place
+        quadrics[a] += quadrics[b]
+        version[b] = -1
+        last, node = -1, head[b]
+        while node >= 0:
+            face = node // 3
+            if alive[face]:
+                if faces[face, 0] == a or faces[face, 1] == a or faces[face, 2] == a:
+                    alive[face] = False
+                    left -= 1
+                else:
+                    faces[face, node % 3] = a
+            last, node = node, following[node]
+        following[last] = head[a]
+        head[a] = head[b]
+        version[a] += 1
+        stamp += 2
+        near_a = _gather(a, head, following, faces, alive, marks, stamp, ring)
+        near_a = min(near_a, ring.shape[0])
+        if size + near_a > costs.shape[0]:
+            costs, items = _wider(costs), _wider_items(items)
+        for i in range(near_a):
+            other = ring[i]
+            cost = _best(quadrics[a], quadrics[other], vertices[a], vertices[other], place)
+            first, second = min(a, other), max(a, other)
+            size = _push(costs, items, size, cost, first, second, version[first], version[second])
+    return alive, worst
+
+
+@njit(**JIT)
+def _wider(costs):
+    out = np.empty(2 * costs.shape[0] + 1024)
+    out[: costs.shape[0]] = costs
+    return out
+
+
+@njit(**JIT)
+def _wider_items(items):
+    out = np.empty((2 * items.shape[0] + 1024, 4), np.int64)
+    out[: items.shape[0]] = items
+    return out

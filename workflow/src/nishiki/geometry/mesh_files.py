@@ -1,0 +1,97 @@
+"""Files of meshes and of range scans: PLY and OBJ in, binary PLY out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.errors import UserError
+from nishiki.geometry.mesh import Mesh
+
+
+def read_triangles(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (v, 3) float64 and triangles (f, 3) int64 of a PLY or OBJ file, as they are.
+
+    Polygons of more than three corners are cut into fans. Raises UserError where the file is damaged, holds no
+    triangles, names vertices that are not there, or has coordinates that are not finite.
+    """
+    vertices, triangles = _read(path)
+    if not len(triangles):
+        raise UserError(
+            f"{path}: expected a surface of triangles, found {len(vertices)} points without faces. Remedy: give points "
+            "as scans (turntable.scans), or make a surface of them first"
+        )
+    lowest, highest = int(triangles.min()), int(triangles.max())
+    if lowest < 0 or highest >= len(vertices):
+        raise UserError(
+            f"{path}: a face names vertex {highest if highest >= len(vertices) else lowest}, expected 0 to "
+            f"{len(vertices) - 1}. Remedy: export the mesh again"
+        )
+    return vertices, triangles
+
+
+def read_points(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
+    """Points (n, 3) float64 of a range scan, and its triangles (f, 3) or None where it is a cloud of points."""
+    vertices, triangles = _read(path)
+    if len(vertices) < 10:
+        raise UserError(f"{path}: expected a range scan, found {len(vertices)} points. Remedy: export the scan again")
+    return vertices, triangles if len(triangles) else None
+
+
+def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    import trimesh
+
+    kind = Path(path).suffix.lower().lstrip(".")
+    if kind not in ("ply", "obj"):
+        raise UserError(f"{path}: expected a .ply or .obj file. Remedy: convert it, for example with MeshLab")
+    try:
+        with open(path, "rb") as stream:
+            found = trimesh.load(stream, file_type=kind, process=False, maintain_order=True, skip_materials=True)
+    except FileNotFoundError:
+        raise UserError(f"{path}: file not found") from None
+    except Exception as error:  # whatever a damaged file makes the reader stumble over
+        raise UserError(f"{path}: damaged {kind.upper()} file ({error}). Remedy: export the mesh again") from None
+    if isinstance(found, trimesh.Scene):
+        parts = [part for part in found.geometry.values() if hasattr(part, "faces")]
+        vertices, triangles, count = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], 0
+        for part in parts:
+            vertices.append(np.asarray(part.vertices))
+            triangles.append(np.asarray(part.faces) + count)
+            count += len(part.vertices)
+        vertices, triangles = np.concatenate(vertices), np.concatenate(triangles)
+    else:
+        vertices, triangles = np.asarray(found.vertices), np.asarray(getattr(found, "faces", np.empty((0, 3))))
+    if not len(vertices):
+        raise UserError(f"{path}: no vertices in it. Remedy: export the mesh again")
+    bad = ~np.isfinite(vertices).all(axis=1)
+    if bad.any():
+        raise UserError(
+            f"{path}: {int(bad.sum())} of {len(vertices)} vertices are not finite, the first is number "
+            f"{int(np.argmax(bad))}. Remedy: remove them (MeshLab: Remove Vertices wrt NaN) and export again"
+        )
+    return np.array(vertices, np.float64), np.array(triangles, np.int64).reshape(-1, 3)
+
+
+def write_ply(path: Path, mesh: Mesh, *, stamp: Mapping[str, str], unit: str) -> None:
+    """Binary little-endian PLY of a mesh, positions double, normals float; the stamp and the unit as comments."""
+    comments = [f"comment {name} {value}" for name, value in sorted(stamp.items())]
+    heading = [
+        "ply",
+        "format binary_little_endian 1.0",
+        *comments,
+        f"comment unit {unit}",
+        f"element vertex {len(mesh.vertices)}",
+        *(f"property double {axis}" for axis in "xyz"),
+        *(f"property float n{axis}" for axis in "xyz"),
+        f"element face {len(mesh.triangles)}",
+        "property list uchar int vertex_indices",
+        "end_header",
+    ]
+    points = np.empty(len(mesh.vertices), np.dtype([("place", "<f8", 3), ("normal", "<f4", 3)]))
+    points["place"], points["normal"] = mesh.vertices, mesh.normals
+    faces = np.empty(len(mesh.triangles), np.dtype([("count", "u1"), ("corner", "<i4", 3)]))
+    faces["count"], faces["corner"] = 3, mesh.triangles
+    text = "\n".join(line.replace("\n", " ") for line in heading) + "\n"
+    Path(path).write_bytes(text.encode("utf-8") + points.tobytes() + faces.tobytes())

@@ -1,0 +1,310 @@
+"""Silhouettes: which pixels of a photograph show the object, from the look of the background around it.
+
+The background's colours are learnt from the border of the picture. Where a colour goes darker without changing its
+hue (a shadow on a coloured cloth) it is still background. The outline runs where
+the object covers half a pixel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+BORDER = 0.06
+"""Width of the border that is taken for background, of the picture's shorter side."""
+CLUSTERS = 8
+NEAR = 1.5
+"""Distance (in spreads of the background) below which a hole is background."""
+LOWEST_LEVEL, HIGHEST_LEVEL = 1.5, 6.0
+REACH_PX = 2
+WORKING_PIXELS = 1_000_000
+"""Larger pictures are segmented at a coarser scale, then refined along the outline only."""
+
+
+@dataclass(frozen=True)
+class Silhouette:
+    """mask (rows, columns) bool; separation: median over the outline of the colour difference between the two sides, in
+    spreads of the background (below 2 the outline is a guess); parts: connected parts kept; dropped: small parts that
+    were left out, pixels; holes: pixels of background seen through the object."""
+
+    mask: np.ndarray
+    separation: float
+    parts: int
+    dropped: int
+    holes: int
+
+
+def display(linear: np.ndarray) -> np.ndarray:
+    """(rows, columns, 3) uint8 sRGB picture of linear values (rows, columns, channels), bright parts just below
+    white; channels beyond three are left out, one is repeated."""
+    from nishiki.ingest.encoding import encode
+
+    channels = linear[..., :3] if linear.shape[-1] >= 3 else linear[..., :1].repeat(3, axis=-1)
+    white = float(np.percentile(channels[::4, ::4], 99.5)) or 1.0
+    scale = 1.0 / max(white, 1e-9)
+    return np.round(255 * encode(np.clip(channels * scale, 0, 1).astype(np.float32), "srgb")).astype(np.uint8)
+
+
+def segment(
+    picture: np.ndarray,
+    *,
+    background: str = "auto",
+    inside: np.ndarray | None = None,
+    outside: np.ndarray | None = None,
+) -> Silhouette:
+    """Silhouette of the object in picture (rows, columns, 3) uint8 sRGB.
+
+    background: what is behind it: 'dark', 'bright', 'blue', 'green', or 'auto' for whatever the border shows. inside
+    (rows, columns) bool: pixels that show the object unless they look like background; outside (rows, columns) bool:
+    pixels that do not show it, whatever they look like.
+    """
+    import cv2
+
+    shrink = min(1.0, np.sqrt(WORKING_PIXELS / (picture.shape[0] * picture.shape[1])))
+    small = picture
+    if shrink < 1:
+        size = (round(picture.shape[1] * shrink), round(picture.shape[0] * shrink))
+        small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    seeds = [None if known is None else _resized(known, small.shape[:2]) for known in (inside, outside)]
+    colours = background_colours(small, background)
+    distance = background_distance(small, colours)
+    mask = _cut(small, distance, *seeds)
+    mask, parts, dropped, holes = tidy(mask, distance)
+    separation = _separation(mask, distance)
+    if shrink < 1:
+        mask = _finer(picture, mask, colours)
+    return Silhouette(mask, separation, parts, dropped, holes)
+
+
+def _resized(mask: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    import cv2
+
+    if mask.shape == shape:
+        return mask
+    return cv2.resize(mask.astype(np.float32), shape[::-1], interpolation=cv2.INTER_LINEAR) > 0.5
+
+
+def live_area(picture: np.ndarray) -> tuple[slice, slice]:
+    """Rows and columns of a picture without the black strips that some cameras leave along the edges."""
+    bright = picture.max(axis=-1)
+    limit = 0.15 * np.percentile(bright[::4, ::4], 90)
+    dead_rows = np.percentile(bright, 90, axis=1) < limit
+    dead_columns = np.percentile(bright, 90, axis=0) < limit
+
+    def span(dead: np.ndarray) -> slice:
+        # Strips are narrow: a dark half of the picture is background, not a strip.
+        most = len(dead) // 12
+        first = int(np.argmin(dead[:most])) if not dead[:most].all() else 0
+        last = int(np.argmin(dead[::-1][:most])) if not dead[::-1][:most].all() else 0
+        return slice(first, len(dead) - last)
+
+    return span(dead_rows), span(dead_columns)
+
+
+def _lab(picture: np.ndarray) -> np.ndarray:
+    """CIE L + 16, a, b (float32): proportional to the cube root of the light, so that a shadow is a factor."""
+    import cv2
+
+    lab = cv2.cvtColor(picture.astype(np.float32) / 255, cv2.COLOR_RGB2LAB)
+    lab[..., 0] += 16
+    return lab
+
+
+@dataclass(frozen=True)
+class Colours:
+    """Clusters of the background: centres (n, 3), inverse covariances (n, 3, 3) in L + 16, a, b; area: live part of the
+    picture; coloured (n,) bool: far enough from grey to tell a shadow from a grey object."""
+
+    centres: np.ndarray
+    inverses: np.ndarray
+    coloured: np.ndarray
+    area: tuple[slice, slice]
+
+
+def background_colours(picture: np.ndarray, background: str) -> Colours:
+    """Colours along the border of a picture, as a few clusters; small ones (a corner of the object) are left out."""
+    import cv2
+
+    area = live_area(picture)
+    lab = _lab(picture[area])
+    width = max(2, round(BORDER * min(lab.shape[:2])))
+    ring = np.ones(lab.shape[:2], bool)
+    ring[width:-width, width:-width] = False
+    samples = lab[ring]
+    fitting = _fits(samples, background)
+    if fitting.sum() > 50:
+        samples = samples[fitting]
+    samples = np.ascontiguousarray(samples[:: max(1, len(samples) // 20000)])
+    clusters = min(CLUSTERS, len(samples))
+    cv2.setRNGSeed(1)
+    stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 0.1)
+    _, labels, _ = cv2.kmeans(samples, clusters, None, stop, 2, cv2.KMEANS_PP_CENTERS)
+    labels = labels.ravel()
+    centres, inverses = [], []
+    for k in range(clusters):
+        mine = samples[labels == k]
+        if len(mine) < 0.02 * len(samples):
+            continue
+        covariance = np.cov(mine.T) if len(mine) > 3 else np.zeros((3, 3))
+        # Floors: 8-bit codes, video noise and the width of a cluster that k-means cut out of a gradient.
+        covariance = 4 * covariance + np.diag([3.0, 2.0, 2.0]) ** 2
+        centres.append(mine.mean(axis=0))
+        inverses.append(np.linalg.inv(covariance))
+    centres = np.array(centres)
+    coloured = np.hypot(centres[:, 1], centres[:, 2]) > 0.15 * centres[:, 0]
+    return Colours(centres, np.array(inverses), coloured, area)
+
+
+def _fits(samples: np.ndarray, background: str) -> np.ndarray:
+    """Which of the border's colours (n, 3) can be the named background."""
+    light, a, b = samples.T
+    if background == "dark":
+        return light < 16 + 45
+    if background == "bright":
+        return light > 16 + 55
+    if background == "blue":
+        return (b < -5) & (b < a)
+    if background == "green":
+        return (a < -5) & (a < b)
+    return np.ones(len(samples), bool)
+
+
+def background_distance(picture: np.ndarray, colours: Colours) -> np.ndarray:
+    """(rows, columns) float32: distance of each pixel to the nearest background colour, in its spreads, up to 100.
+
+    A coloured background may be in shadow: its colour is scaled down to 0.55 (a sixth of the light) where that fits.
+    """
+    lab = _lab(picture)
+    nearest = np.full(lab.shape[:2], np.float32(100.0))
+    for centre, inverse, coloured in zip(colours.centres, colours.inverses, colours.coloured, strict=True):
+        centre, inverse = centre.astype(np.float32), inverse.astype(np.float32)
+        lowest = 0.55 if coloured else 1.0
+        scale = np.clip(lab @ (inverse @ centre) / (centre @ inverse @ centre), lowest, 1.0)
+        off = lab - scale[..., None] * centre
+        squares = np.einsum("rci,ij,rcj->rc", off, inverse, off, optimize=True)
+        np.minimum(nearest, np.sqrt(np.maximum(squares, 0)), out=nearest)
+    rows, columns = colours.area
+    nearest[: rows.start] = nearest[rows.stop :] = 0
+    nearest[:, : columns.start] = nearest[:, columns.stop :] = 0
+    return nearest
+
+
+def best_level(distance: np.ndarray) -> float:
+    """The distance, 1.5 to 6 spreads, at which the outline is steepest: between background and object, not within
+    either. Slopes are those of the distance's logarithm, so that neither side's scale counts."""
+    import cv2
+
+    smooth = np.log(cv2.GaussianBlur(np.minimum(distance, 30), (0, 0), 1.0) + 0.5)
+    slope = np.hypot(cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1))
+    levels = np.linspace(*np.log([LOWEST_LEVEL + 0.5, HIGHEST_LEVEL + 0.5]), 11)
+    step = 0.5 * (levels[1] - levels[0])
+    means = [slope[np.abs(smooth - level) < step] for level in levels]
+    steepness = np.array([found.mean() if found.size > 20 else 0.0 for found in means])
+    return float(np.exp(levels[int(np.argmax(steepness))]) - 0.5)
+
+
+def _cut(picture: np.ndarray, distance: np.ndarray, inside: np.ndarray | None, outside: np.ndarray | None):
+    """Object pixels by the distance, then along the outline by how they mix the colours of its two sides."""
+    import cv2
+
+    smooth = cv2.GaussianBlur(distance, (0, 0), 0.8)
+    mask = smooth > best_level(distance)
+    if outside is not None:
+        mask &= ~outside
+    if inside is not None:
+        mask |= inside & (smooth > NEAR)
+    mask, *_ = tidy(mask, distance)
+    return at_half_cover(picture, mask)
+
+
+def at_half_cover(picture: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Mask whose outline runs where the object covers half a pixel.
+
+    Lenses and video mix the colours of both sides over a few pixels, and a small share of the object suffices to look
+    unlike the background. Within two pixels of the outline the share is estimated from the mean colours a little
+    further inside and outside; where the object is too thin to have an inside, the mask stays.
+    """
+    import cv2
+
+    from nishiki.ingest.encoding import decode
+
+    light = decode(picture.astype(np.float32) / 255, "srgb")
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * REACH_PX + 1, 2 * REACH_PX + 1))
+    solid = mask.astype(np.uint8)
+    inner, outer = cv2.erode(solid, kernel), 1 - cv2.dilate(solid, kernel)
+    band = (inner == 0) & (outer == 0)
+    sides = []
+    for side in (inner, outer):
+        weight = cv2.GaussianBlur(side.astype(np.float32), (0, 0), 1.5 * REACH_PX)
+        total = cv2.GaussianBlur(light * side[..., None].astype(np.float32), (0, 0), 1.5 * REACH_PX)
+        sides.append((total / np.maximum(weight, 1e-6)[..., None], weight > 0.03))
+    (front, has_front), (back, has_back) = sides
+    across = front - back
+    square = np.einsum("rck,rck->rc", across, across)
+    cover = np.einsum("rck,rck->rc", light - back, across) / np.maximum(square, 1e-9)
+    known = band & has_front & has_back & (square > 1e-4)
+    return np.where(known, cover > 0.5, mask)
+
+
+def _around(mask: np.ndarray, margin: int) -> tuple[slice, slice]:
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    return (
+        slice(max(0, rows[0] - margin), rows[-1] + 1 + margin),
+        slice(max(0, columns[0] - margin), columns[-1] + 1 + margin),
+    )
+
+
+def tidy(mask: np.ndarray, distance: np.ndarray) -> tuple[np.ndarray, int, int, int]:
+    """Mask of the large parts only, its holes filled where they do not look like background.
+
+    Parts below a fiftieth of the largest are dust on the background; a hole is real where at least four pixels of it
+    have background colour in the median. Returns mask, parts, pixels dropped, pixels of holes left open.
+    """
+    import cv2
+
+    count, labels, facts, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
+    if count < 2:
+        return mask, 0, 0, 0
+    areas = facts[1:, cv2.CC_STAT_AREA]
+    kept = np.concatenate([[False], areas * 50 >= areas.max()])
+    out = kept[labels]
+    count, labels, facts, _ = cv2.connectedComponentsWithStats((~out).astype(np.uint8), connectivity=4)
+    rim = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
+    open_pixels = 0
+    for hole in set(range(1, count)) - set(rim.tolist()):
+        here = labels == hole
+        area = int(facts[hole, cv2.CC_STAT_AREA])
+        if area >= 4 and np.median(distance[here]) < NEAR:
+            open_pixels += area
+        else:
+            out[here] = True
+    return out, int(kept.sum()), int(areas[~kept[1:]].sum()), open_pixels
+
+
+def _separation(mask: np.ndarray, distance: np.ndarray) -> float:
+    import cv2
+
+    kernel = np.ones((5, 5), np.uint8)
+    grown, shrunk = cv2.dilate(mask.astype(np.uint8), kernel), cv2.erode(mask.astype(np.uint8), kernel)
+    within, beyond = mask & (shrunk == 0), ~mask & (grown > 0)
+    if not within.any() or not beyond.any():
+        return 0.0
+    return float(np.median(distance[within]) - np.median(distance[beyond]))
+
+
+def _finer(picture: np.ndarray, mask: np.ndarray, colours: Colours) -> np.ndarray:
+    """Mask at the picture's own resolution: along the outline each pixel goes by its own colour."""
+    import cv2
+
+    rows, columns = picture.shape[:2]
+    soft = cv2.resize(mask.astype(np.float32), (columns, rows), interpolation=cv2.INTER_LINEAR)
+    scale = np.array([rows / mask.shape[0], columns / mask.shape[1]])
+    area = tuple(
+        slice(round(part.start * s), round(part.stop * s)) for part, s in zip(colours.area, scale, strict=True)
+    )
+    large = Colours(colours.centres, colours.inverses, colours.coloured, area)
+    band = np.zeros((rows, columns), bool)
+    band[:] = (soft > 0.02) & (soft < 0.98)
+    near = cv2.GaussianBlur(background_distance(picture, large), (0, 0), 1.0)
+    return np.where(band, near > LOWEST_LEVEL, soft > 0.5)

@@ -1,0 +1,240 @@
+"""Surfaces measured and made lighter: distance between two meshes, fewest triangles within a deviation, shape facts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nishiki.geometry.camera import Camera
+from nishiki.geometry.decimation import collapse
+from nishiki.geometry.mesh import Mesh, face_vectors
+
+CANDIDATES = 6
+MEASURED = 40_000
+"""Vertices, evenly taken, at which a deviation is measured."""
+
+
+@dataclass(frozen=True)
+class Lighter:
+    """mesh; deviation_px: how far the original's surface is from it, in pixels of the sharpest view: 99 in 100 vertices
+    are nearer; deviation_largest_px: the farthest (tips of needles); before: triangles of the original."""
+
+    mesh: Mesh
+    deviation_px: float
+    deviation_largest_px: float
+    before: int
+
+
+def decimate(mesh: Mesh, triangles: int) -> Mesh:
+    """Mesh of about `triangles` triangles (no fewer than a collapse leaves; never more than it has), deterministic."""
+    if triangles >= len(mesh.triangles):
+        return mesh
+    vertices, faces = mesh.vertices.copy(), mesh.triangles.astype(np.int64)
+    alive, _ = collapse(vertices, faces, triangles)
+    faces = faces[alive]
+    used, renumbered = np.unique(faces, return_inverse=True)
+    return Mesh.of(vertices[used], renumbered.reshape(-1, 3))
+
+
+def pixels_per_unit(points: np.ndarray, cameras: list[Camera]) -> np.ndarray:
+    """(n,) float64: pixels that a unit of length across the line of sight covers at each point, in the view that shows
+    it largest."""
+    largest = np.zeros(len(points))
+    for camera in cameras:
+        depth = points @ camera.rotation[2] + camera.translation[2]
+        focal = max(abs(camera.intrinsics[0, 0]), abs(camera.intrinsics[1, 1]))
+        np.maximum(largest, np.where(depth > 0, focal / np.where(depth > 0, depth, 1), 0), out=largest)
+    return largest
+
+
+def distances(points: np.ndarray, mesh: Mesh, *, spacing: float | None = None) -> np.ndarray:
+    """(n,) float64: distance of points (n, 3) to the surface of a mesh.
+
+    Nearest among the triangles whose samples (one per `spacing` along every edge, by default the square root of the
+    mean area a point has) are nearest: at most a small part of the spacing too large, never too small.
+    """
+    from scipy.spatial import cKDTree
+
+    areas = 0.5 * np.linalg.norm(face_vectors(mesh.vertices, mesh.triangles), axis=1)
+    spacing = spacing or float(np.sqrt(areas.sum() / max(1, len(points)))) or 1.0
+    samples, owners = sample(mesh, spacing)
+    _, found = cKDTree(samples).query(points, k=min(CANDIDATES, len(samples)), workers=-1)
+    found = owners[np.atleast_2d(found.T).T if found.ndim == 1 else found]
+    best = np.full(len(points), np.inf)
+    for k in range(found.shape[1]):
+        corners = mesh.vertices[mesh.triangles[found[:, k]]]
+        best = np.minimum(best, point_to_triangle(points, corners))
+    return best
+
+
+def sample(mesh: Mesh, spacing: float) -> tuple[np.ndarray, np.ndarray]:
+    """Points (n, 3) on the triangles, every `spacing` at most along their edges (up to 64 along one), and the triangle
+    (n,) each lies on."""
+    corners = mesh.vertices[mesh.triangles]
+    sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    parts = np.clip(np.ceil(sides / spacing), 1, 64).astype(int)
+    points, owners = [], []
+    for count in np.unique(parts):
+        mine = np.flatnonzero(parts == count)
+        i, j = np.meshgrid(np.arange(count + 1), np.arange(count + 1), indexing="ij")
+        inside = i + j <= count
+        weights = np.column_stack([i[inside], j[inside], count - i[inside] - j[inside]]) / count
+        points.append(np.einsum("wk,fkc->fwc", weights, corners[mine]).reshape(-1, 3))
+        owners.append(np.repeat(mine, len(weights)))
+    return np.concatenate(points), np.concatenate(owners)
+
+
+def point_to_triangle(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
+    """(n,) distance of points (n, 3) to triangles (n, 3 corners, 3)."""
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    normal = np.cross(b - a, c - a)
+    square = np.einsum("ij,ij->i", normal, normal)
+    flat = square > 0
+    above = np.einsum("ij,ij->i", points - a, normal)
+    foot = points - (above / np.where(flat, square, 1))[:, None] * normal
+    inside = flat.copy()
+    for start, end in ((a, b), (b, c), (c, a)):
+        inside &= np.einsum("ij,ij->i", np.cross(end - start, foot - start), normal) >= 0
+    nearest = np.full(len(points), np.inf)
+    for start, end in ((a, b), (b, c), (c, a)):
+        along = end - start
+        length = np.einsum("ij,ij->i", along, along)
+        t = np.clip(np.einsum("ij,ij->i", points - start, along) / np.where(length > 0, length, 1), 0, 1)
+        nearest = np.minimum(nearest, np.linalg.norm(points - start - t[:, None] * along, axis=1))
+    return np.where(inside, np.abs(above) / np.sqrt(np.where(flat, square, 1)), nearest)
+
+
+def fewest_triangles(
+    mesh: Mesh, cameras: list[Camera], *, deviation_px: float, most: int | None = None, rounds: int = 6
+) -> Lighter:
+    """The lightest mesh whose surface stays within `deviation_px` pixels of 99 in 100 vertices of the original.
+
+    Pixels as `pixels_per_unit`. Found by bisection on the number of triangles (`rounds` halvings of its logarithm); 0
+    keeps all. most: no more triangles than this, whatever the deviation. Deterministic.
+    """
+    scale = pixels_per_unit(mesh.vertices, cameras)
+    best = Lighter(mesh, 0.0, 0.0, len(mesh.triangles))
+    if most is not None and most < len(mesh.triangles):
+        best = _measured(mesh, decimate(mesh, most), scale)
+    if deviation_px <= 0 or best.deviation_px > deviation_px:
+        return best
+    low, high = np.log(min(64, len(mesh.triangles))), np.log(len(best.mesh.triangles))
+    for _ in range(rounds):
+        middle = 0.5 * (low + high)
+        tried = _measured(mesh, decimate(mesh, int(np.exp(middle))), scale)
+        if tried.deviation_px <= deviation_px:
+            best, high = tried, middle
+        else:
+            low = middle
+    return best
+
+
+def _measured(original: Mesh, mesh: Mesh, scale: np.ndarray) -> Lighter:
+    used = np.unique(original.triangles)
+    used = used[:: max(1, len(used) // MEASURED)]
+    off = distances(original.vertices[used], mesh) * scale[used]
+    return Lighter(mesh, float(np.percentile(off, 99)), float(off.max()), len(original.triangles))
+
+
+def snapped(mesh: Mesh, step: float) -> Mesh:
+    """The mesh with vertices on the grid of multiples of `step`; triangles that vanish by it are left out."""
+    vertices = np.round(mesh.vertices / step) * step
+    areas = np.linalg.norm(face_vectors(vertices, mesh.triangles), axis=1)
+    faces = mesh.triangles[areas > 0]
+    used, renumbered = np.unique(faces, return_inverse=True)
+    return Mesh.of(vertices[used], renumbered.reshape(-1, 3))
+
+
+def smoothed(mesh: Mesh, cameras: list[Camera], *, most_px: float, rounds: int = 8) -> Mesh:
+    """The mesh without the steps of its grid and the noise of its outlines, each vertex moved by `most_px` at most.
+
+    G. Taubin, A signal processing approach to fair surface design, SIGGRAPH 1995: alternately towards the neighbours'
+    mean and a little further back, so that the whole does not shrink. Pixels as `pixels_per_unit`.
+    """
+    from scipy.sparse import coo_matrix, diags
+
+    ends = np.concatenate([mesh.triangles[:, [k, (k + 1) % 3]] for k in range(3)])
+    graph = coo_matrix(
+        (np.ones(2 * len(ends)), (np.r_[ends[:, 0], ends[:, 1]], np.r_[ends[:, 1], ends[:, 0]])),
+        (len(mesh.vertices),) * 2,
+    ).tocsr()
+    graph.data[:] = 1.0
+    mean = diags(1.0 / np.maximum(np.asarray(graph.sum(axis=1)).ravel(), 1)) @ graph
+    points = mesh.vertices
+    for _ in range(rounds):
+        for factor in (0.5, -0.53):
+            points = points + factor * (mean @ points - points)
+    moved = points - mesh.vertices
+    limit = most_px / np.maximum(pixels_per_unit(mesh.vertices, cameras), 1e-300)
+    length = np.linalg.norm(moved, axis=1)
+    moved *= np.minimum(1.0, limit / np.maximum(length, 1e-300))[:, None]
+    return Mesh.of(mesh.vertices + moved, mesh.triangles)
+
+
+@dataclass(frozen=True)
+class Shape:
+    """Facts of a mesh. open_edges: edges of one triangle only; crowded_edges: of more than two; parts: connected
+    parts; watertight: no open, crowded or inconsistently turned edge; genus: number of handles over all parts, None
+    where not watertight; volume, area: world's unit cubed (None where not watertight) and squared."""
+
+    vertices: int
+    triangles: int
+    open_edges: int
+    crowded_edges: int
+    parts: int
+    watertight: bool
+    genus: int | None
+    volume: float | None
+    area: float
+
+
+def shape_of(mesh: Mesh) -> Shape:
+    """Topology and size of a mesh."""
+    parts, _ = parts_of(mesh.triangles, len(mesh.vertices))
+    directed = np.concatenate([mesh.triangles[:, [k, (k + 1) % 3]] for k in range(3)])
+    edges, counts = np.unique(np.sort(directed, axis=1), axis=0, return_counts=True)
+    repeated = len(np.unique(directed, axis=0)) < len(directed)
+    watertight = bool(len(mesh.triangles)) and not (counts != 2).any() and not repeated
+    used = len(np.unique(mesh.triangles))
+    genus = (2 * parts - (used - len(edges) + len(mesh.triangles))) // 2 if watertight else None
+    a, b, c = (mesh.vertices[mesh.triangles[:, k]] for k in range(3))
+    return Shape(
+        len(mesh.vertices),
+        len(mesh.triangles),
+        int((counts == 1).sum()),
+        int((counts > 2).sum()),
+        parts,
+        watertight,
+        int(genus) if genus is not None else None,
+        float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6) if watertight else None,
+        float(0.5 * np.linalg.norm(face_vectors(mesh.vertices, mesh.triangles), axis=1).sum()),
+    )
+
+
+def parts_of(triangles: np.ndarray, vertices: int) -> tuple[int, np.ndarray]:
+    """Number of connected parts, and the part (f,) of each triangle."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    ends = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]]])
+    graph = coo_matrix((np.ones(len(ends), np.int8), (ends[:, 0], ends[:, 1])), shape=(vertices, vertices))
+    _, labels = connected_components(graph, directed=False)
+    found, mine = np.unique(labels[triangles[:, 0]], return_inverse=True)
+    return len(found), mine
+
+
+def without_small_parts(mesh: Mesh, *, smallest: float) -> tuple[Mesh, int]:
+    """The mesh without parts whose box has a diagonal below `smallest` times that of the largest; how many went."""
+    count, mine = parts_of(mesh.triangles, len(mesh.vertices))
+    if count < 2:
+        return mesh, 0
+    low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
+    for k in range(3):
+        np.minimum.at(low, mine, mesh.vertices[mesh.triangles[:, k]])
+        np.maximum.at(high, mine, mesh.vertices[mesh.triangles[:, k]])
+    diagonal = np.linalg.norm(high - low, axis=1)
+    kept = diagonal >= smallest * diagonal.max()
+    faces = mesh.triangles[kept[mine]]
+    used, renumbered = np.unique(faces, return_inverse=True)
+    return Mesh.of(mesh.vertices[used], renumbered.reshape(-1, 3)), int((~kept).sum())
