@@ -273,6 +273,29 @@ def test_silhouettes_boards_and_dark_frames_are_taken_along(tmp_path):
     assert capture.silhouette_of("2").silhouette == "silhouettes/2.png"
 
 
+@pytest.mark.parametrize(
+    ("channels", "dtype", "suffix", "coding"),
+    [
+        (1, np.uint8, "png", "srgb"),
+        (3, np.uint8, "png", "srgb"),
+        (3, np.uint16, "png", "linear"),
+        (3, np.uint8, "jpg", "srgb"),
+    ],
+)
+def test_encoding_of_a_turntable_follows_its_bits_and_can_be_given(tmp_path, channels, dtype, suffix, coding):
+    for i in range(3):
+        write_frame(tmp_path / f"s/{i}.{suffix}", np.full((20, 24, channels), 40.0 + i), dtype)
+    savemat(tmp_path / "s/P.mat", {"P": cells(ring_of_cameras(3))})
+    made = convert(tmp_path / "s", tmp_path / "c")
+    assert load_capture(tmp_path / "c").settings.camera.encoding == coding
+    told = "encoding-assumed" in {p.kind for p in made.warnings}
+    assert told == (dtype == np.uint8 and suffix == "png")
+    other = {"srgb": "linear", "linear": "srgb"}[coding]
+    made = convert(tmp_path / "s", tmp_path / "d", encoding=other)
+    assert load_capture(tmp_path / "d").settings.camera.encoding == other
+    assert "encoding-assumed" not in {p.kind for p in made.warnings}
+
+
 def test_boards_of_a_series_are_known_by_their_names(tmp_path):
     series(tmp_path / "s", (0, 90))
     series(tmp_path / "w", (0, 90))

@@ -69,9 +69,8 @@ def write_round(
 
 
 def usual_encoding(header: ImageHeader, *, series: bool) -> str:
-    """What such photographs are coded in: 8-bit colour pictures for display; measured states and more bits linearly."""
-    colour = header.channels - header.alpha >= 3
-    return "srgb" if header.kind == "jpeg" or (header.sample == "uint8" and colour and not series) else "linear"
+    """What such photographs are coded in: 8-bit pictures for display; measured states and more bits linearly."""
+    return "srgb" if header.kind == "jpeg" or (header.sample == "uint8" and not series) else "linear"
 
 
 def _notes(header: ImageHeader, coding: str, encoding: str | None, source: Path) -> list[Problem]:
