@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 
-from nishiki.turntable.pixels import by_tile, extend, look_up, mix
+from nishiki.turntable.pixels import asked_for, by_tile, extend, look_up, mix
 from nishiki.turntable.quality import Difference, difference, structural_similarity, summary
 
 
@@ -33,7 +33,10 @@ def test_look_up_is_bilinear_up_to_the_border():
     t = np.concatenate([rng.uniform(0, 4, 40), [0, 4, 0, 4]]).astype(np.float32)
     order = rng.permutation(len(s))[:30].astype(np.int64)
     out = np.full((len(s), 3), 7, np.float32)
-    look_up(texture, s, t, order, out)
+    chosen, place = asked_for(s, t, order, 5)
+    assert len(set(chosen.tolist())) == len(chosen) == (place >= 0).sum()
+    np.testing.assert_array_equal(place[chosen], np.arange(len(chosen)))
+    look_up(texture.reshape(-1, 3)[chosen], place, 5, s, t, order, out)
     for p in range(len(s)):
         want = slow_look_up(texture.astype(np.float64), s[p], t[p]) if p in order else np.full(3, 7)
         np.testing.assert_allclose(out[p], want, atol=1e-5)
@@ -61,9 +64,11 @@ def test_mixing_heeds_what_each_view_sees():
     visible = np.clip(rng.uniform(-1, 3, (4, 7, 7)), 0, 1).astype(np.float32)
     visible[:, 0, 0], visible[:, 1, 1] = 0, 1
     weights, fallback = np.float32([-1 / 16, 9 / 16, 9 / 16, -1 / 16]), np.float32([0, 0.5, 0.5, 0])
-    out = np.zeros((7, 7, 2), np.float32)
-    mix(residual, views, visible, weights, fallback, out)
-    np.testing.assert_allclose(out, slow_mix(residual, views, visible, weights, fallback), atol=1e-5)
+    want = slow_mix(residual, views, visible, weights, fallback).reshape(-1, 2)
+    chosen = rng.permutation(49)[:40]
+    out = np.zeros((40, 2), np.float32)
+    mix(residual.reshape(6, 49, 2), views, chosen, visible.reshape(4, 49)[:, chosen], weights, fallback, out)
+    np.testing.assert_allclose(out, want[chosen], atol=1e-5)
 
 
 def test_the_rim_continues_the_surface():
@@ -71,7 +76,8 @@ def test_the_rim_continues_the_surface():
     disc = (y - 20) ** 2 + (x - 20) ** 2 < 12**2
     ramp = (0.2 + 0.01 * x + 0.005 * y)[..., None].astype(np.float32)
     values = np.where(disc[..., None], ramp, 0).astype(np.float32)
-    wide, reached = extend(values, disc, rings=2)
+    wide = values.copy()
+    reached = extend(wide, disc, rings=2)
     np.testing.assert_array_equal(wide[disc], values[disc])
     rim = reached & ~disc
     distance = np.sqrt((y - 20.0) ** 2 + (x - 20) ** 2)
@@ -79,10 +85,17 @@ def test_the_rim_continues_the_surface():
     assert not rim[distance > 15.5].any()
     assert np.abs(wide[rim] - ramp[rim]).max() < 0.02
     assert not wide[~reached].any()
-    none, nowhere = extend(values, np.zeros_like(disc), rings=2)
-    assert not nowhere.any()
-    np.testing.assert_array_equal(none, values)
-    np.testing.assert_array_equal(extend(values, disc, rings=0)[1], disc)
+    same = values.copy()
+    assert not extend(same, np.zeros_like(disc), rings=2).any()
+    np.testing.assert_array_equal(same, values)
+    np.testing.assert_array_equal(extend(same, disc, rings=0), disc)
+
+
+def test_the_rim_stays_inside_the_picture():
+    values, covered = np.ones((3, 5, 1), np.float32), np.zeros((3, 5), bool)
+    covered[0, 0] = covered[2, 4] = True
+    assert extend(values, covered, rings=9).all()
+    np.testing.assert_allclose(values, 1)
 
 
 def test_psnr_of_known_noise():

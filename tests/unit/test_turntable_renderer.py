@@ -1,5 +1,7 @@
 """The renderer on a dome of known texels, against a slow one written out pixel by pixel."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -79,9 +81,10 @@ class DomeResidual:
         area = self.cut(tile)
         return self.kd[area], self.ks[area], self.sigma[area]
 
-    def decode(self, tile, *, level=0):
+    def decode(self, tile, *, level=0, component=None):
         self.decoded.append(tile)
-        return self.whole[(slice(None), *self.cut(tile))]
+        share = {None: 1.0, "diffuse": 0.75, "specular": 0.25}[component]
+        return np.float32(share) * self.whole[(slice(None), *self.cut(tile))]
 
     def empty(self, tile):
         return tile == 4
@@ -115,6 +118,14 @@ def make(*, encoding="srgb", residual=None, **options):
     )
 
 
+def bilinear(texture, y, x):
+    i, j = min(int(y), SIZE - 2), min(int(x), SIZE - 2)
+    y, x = y - i, x - j
+    upper = texture[i, j] * (1 - x) + texture[i, j + 1] * x
+    lower = texture[i + 1, j] * (1 - x) + texture[i + 1, j + 1] * x
+    return upper * (1 - y) + lower * y
+
+
 def slow(made, camera, light, shares):
     """(rows, columns, 3) linear and covered: pixel by pixel, float64, with shares {observation: weight} everywhere."""
     raster = rasterise(made.mesh, camera)
@@ -130,12 +141,7 @@ def slow(made, camera, light, shares):
         textures.append(texture)
     out = np.zeros((camera.rows, camera.columns, 3))
     for place in zip(*np.nonzero(tile >= 0), strict=True):
-        texture, y, x = textures[tile[place]], float(s[place]), float(t[place])
-        i, j = min(int(y), SIZE - 2), min(int(x), SIZE - 2)
-        y, x = y - i, x - j
-        upper = texture[i, j] * (1 - x) + texture[i, j + 1] * x
-        lower = texture[i + 1, j] * (1 - x) + texture[i + 1, j + 1] * x
-        out[place] = decode(upper * (1 - y) + lower * y, made.encoding)
+        out[place] = decode(bilinear(textures[tile[place]], float(s[place]), float(t[place])), made.encoding)
     return out, raster.triangle >= 0
 
 
@@ -157,6 +163,27 @@ def test_model_alone():
     want, covered = slow(made, made.cameras[1], 0, {})
     np.testing.assert_allclose(made.view(1).linear[covered], want[covered], atol=2e-6)
     assert made.residual.decoded == []
+
+
+def test_components_coded_apart_are_summed_in_linear_light():
+    residual = DomeResidual(2 * len(ANGLES), scale=0.01)
+    residual.design = SimpleNamespace(components=("diffuse", "specular"))
+    made = make(residual=residual)
+    assert made.parts == ("diffuse", "specular")
+    found = made.view(1)
+    total = np.zeros_like(found.linear)
+    lamp = made.lighting.lamp(made.cameras[1], 0)
+    raster = rasterise(made.mesh, made.cameras[1])
+    tile, s, t = made.atlas.locate(raster.triangle, raster.barycentric)
+    for part, share in ((0, 0.75), (1, 0.25)):
+        for number in range(made.atlas.tiles):
+            positions, normals, _ = made.geometry(number)
+            model = predict(*residual.parameters(number), positions, normals, made.cameras[1].centre, lamp)[part]
+            texture = encode(model, "srgb") + share * residual.whole[(1, *residual.cut(number))]
+            for place in zip(*np.nonzero(tile == number), strict=True):
+                total[place] += decode(bilinear(texture, float(s[place]), float(t[place])), "srgb")
+    np.testing.assert_allclose(found.linear[found.covered], total[found.covered], atol=5e-6)
+    assert make(residual=residual, encoding="linear").parts == ("total",)
 
 
 def test_lights_are_summed_in_linear_light():

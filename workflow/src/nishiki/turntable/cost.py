@@ -26,7 +26,8 @@ class Cost:
 
 
 def cost_of(mesh: Mesh, chart: np.ndarray, cameras: list, lighting: dict, residual: dict[str, int]) -> Cost:
-    """chart (f,): of the atlas; lighting: as plain data; residual: its bytes by part, parameters included."""
+    """chart (f,): of the atlas; lighting: as plain data; residual: its bytes by part, parameters included (a "total"
+    among them is left out)."""
     coded = encode_mesh(mesh, step=own_step(mesh, cameras))
     used = coded.vertices
     moved = shift(mesh.vertices[used], coded.restored(mesh).vertices[used], cameras) if len(used) else 0.0

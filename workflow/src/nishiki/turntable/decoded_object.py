@@ -41,10 +41,17 @@ class DecodedObject:
         texels = Texels(inputs["texels"].folder)
         lighting = json.loads(inputs["reflection"].path("reflection.json").read_text())["lighting"]
         atlas = texels.atlas
+        mesh, cameras = Mesh.load(inputs["mesh"].path("mesh.npz")), load_cameras(inputs["cameras"].path("cameras.json"))
+        if len(mesh.triangles) != len(atlas.chart) or [camera.name for camera in cameras] != list(texels.views):
+            raise UserError(
+                f"{inputs['texels'].folder}: the texels are of {len(atlas.chart)} triangles and {len(texels.views)} "
+                f"views, mesh and cameras of {len(mesh.triangles)} and {len(cameras)}; expected the same ones. Remedy: "
+                "give artifacts that were made from one another"
+            )
         return cls(
-            Mesh.load(inputs["mesh"].path("mesh.npz")),
+            mesh,
             atlas,
-            load_cameras(inputs["cameras"].path("cameras.json")),
+            cameras,
             Residual(inputs["residual"].folder),
             Lighting.from_dict(lighting),
             texel_triangles(atlas),

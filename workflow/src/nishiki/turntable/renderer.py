@@ -27,7 +27,7 @@ from nishiki.ingest.encoding import encode
 from nishiki.patches.raster import interpolate, rasterise
 from nishiki.reflection.model import predict
 from nishiki.turntable.interpolation import Method, Neighbours, neighbours
-from nishiki.turntable.pixels import by_tile, extend, look_up, mix
+from nishiki.turntable.pixels import asked_for, by_tile, extend, look_up, mix
 from nishiki.turntable.turn import camera_between, fit_turn
 from nishiki.turntable.visibility import DepthMaps
 
@@ -70,7 +70,24 @@ class _Prepared:
     slots: dict[int, int]  # tile -> place in `first`
     first: np.ndarray
     order: np.ndarray
-    values: np.ndarray = field(init=False)  # (lights, pixels, channels): in the capture's encoding
+    values: np.ndarray = field(init=False)  # (lights, parts, pixels, channels): in the capture's encoding
+
+
+@dataclass(frozen=True)
+class _Tile:
+    """A tile as the renderer reads it, its texels in one row: kd, ks (T * T, channels) and sigma (T * T,); positions,
+    normals (T * T, 3); residual: (M, T * T, channels) of each part, or None."""
+
+    parameters: tuple[np.ndarray, np.ndarray, np.ndarray]
+    positions: np.ndarray
+    normals: np.ndarray
+    residual: tuple[np.ndarray, ...] | None
+
+    @property
+    def nbytes(self) -> int:
+        """Size of the arrays."""
+        arrays = (*self.parameters, self.positions, self.normals, *(self.residual or ()))
+        return sum(values.nbytes for values in arrays)
 
 
 class ObjectRenderer:
@@ -108,8 +125,9 @@ class ObjectRenderer:
         self.without, self.method, self.level = without, method, level
         self.model_only, self.rim = model_only, rim
         self.threads = threads or os.cpu_count() or 1
+        self.parts = coded_parts(residual, encoding)
         self.depths = DepthMaps(mesh)
-        self._cache: OrderedDict[int, np.ndarray] = OrderedDict()
+        self._cache: OrderedDict[int, _Tile] = OrderedDict()
         self._held, self._lock = 0, threading.Lock()
 
     def captured(self, index: int, *, camera: Camera | None = None, light: int = 0) -> Shot:
@@ -162,7 +180,7 @@ class ObjectRenderer:
         first, order = by_tile(places[tile], len(present) + 1)
         slots = {int(number): k for k, number in enumerate(present)}
         prepared = _Prepared(shot, raster, pixels, s, t, slots, first, order)
-        prepared.values = np.zeros((len(shot.lights), len(pixels), self.channels), np.float32)
+        prepared.values = np.zeros((len(shot.lights), len(self.parts), len(pixels), self.channels), np.float32)
         return prepared
 
     def _finish(self, batch: list[_Prepared]) -> Iterator[Picture]:
@@ -183,60 +201,83 @@ class ObjectRenderer:
 
     def _draw(self, tile: int, batch: list[_Prepared]) -> None:
         """All pixels of all pictures of a batch that show this tile."""
-        parameters, surface = self.residual.parameters(tile), self.geometry(tile)
-        residual = None if self.model_only or self.residual.empty(tile) else self._decoded(tile)
+        flat = self._tile(tile)
         for prepared in batch:
             slot = prepared.slots.get(tile)
             if slot is None:
                 continue
             order = prepared.order[prepared.first[slot] : prepared.first[slot + 1]]
+            chosen, place = asked_for(prepared.s, prepared.t, order, self.atlas.size)
             for k, (light, _) in enumerate(prepared.shot.lights):
-                texture = self._texture(prepared.shot, light, parameters, surface, residual)
-                look_up(texture, prepared.s, prepared.t, order, prepared.values[k])
+                for part, texels in enumerate(self._texels(prepared.shot, light, flat, chosen)):
+                    look_up(texels, place, self.atlas.size, prepared.s, prepared.t, order, prepared.values[k, part])
 
-    def _texture(self, shot: Shot, light: int, parameters, surface, residual: np.ndarray | None) -> np.ndarray:
-        """(T, T, channels) float32: the tile's texels as this camera sees them under one light, encoded."""
-        positions, normals = surface[0], surface[1]
+    def _texels(self, shot: Shot, light: int, flat: _Tile, chosen: np.ndarray) -> list[np.ndarray]:
+        """(m, channels) float32 of each part: chosen texels of a tile as this camera sees them under one light,
+        encoded."""
+        positions, normals = flat.positions[chosen], flat.normals[chosen]
         lamp = self.lighting.lamp(shot.camera, light)
-        diffuse, specular = predict(*parameters, positions, normals, shot.camera.centre, lamp)
-        coded = np.array(encode(diffuse + specular, self.encoding))
-        if residual is None:
+        parameters = (values[chosen] for values in flat.parameters)
+        modelled = predict(*parameters, positions, normals, shot.camera.centre, lamp)
+        if len(self.parts) == 1:
+            modelled = [modelled[0] + modelled[1]]
+        coded = [encode(values, self.encoding) for values in modelled]
+        if flat.residual is None:
             return coded
         base = light * len(self.cameras)
         if len(shot.fallback.views) == 1 and len(shot.views.views) == 1:
-            coded += residual[base + shot.views.views[0]]
+            for values, residual in zip(coded, flat.residual, strict=True):
+                values += residual[base + shot.views.views[0]][chosen]
             return coded
         views = np.union1d(shot.views.views, shot.fallback.views)
         weights, fallback = (
             np.array([n.weights[n.views == v].sum() for v in views], np.float32) for n in (shot.views, shot.fallback)
         )
         seen = np.stack([self.depths.visible(positions, normals, self.cameras[v]) for v in views])
-        mix(residual, base + views.astype(np.int64), seen, weights, fallback, coded)
+        for values, residual in zip(coded, flat.residual, strict=True):
+            mix(residual, base + views.astype(np.int64), chosen, seen, weights, fallback, values)
         return coded
 
-    def _decoded(self, tile: int) -> np.ndarray:
-        """Decoded residual of a tile, (M, T, T, channels); the most recent ones are kept."""
+    def _tile(self, tile: int) -> _Tile:
+        """A tile's decoded parameters and residual and its geometry; the most recent ones are kept."""
         with self._lock:
             if tile in self._cache:
                 self._cache.move_to_end(tile)
                 return self._cache[tile]
-        block = np.ascontiguousarray(self.residual.decode(tile, level=self.level), np.float32)
+        kd, ks, sigma = (np.asarray(values, np.float32) for values in self.residual.parameters(tile))
+        positions, normals, _ = self.geometry(tile)
+        residual = None
+        if not self.model_only and not self.residual.empty(tile):
+            residual = tuple(self._decoded(tile, part) for part in self.parts)
+        flat = _Tile(
+            (kd.reshape(-1, self.channels), ks.reshape(-1, self.channels), sigma.reshape(-1)),
+            positions.reshape(-1, 3),
+            normals.reshape(-1, 3),
+            residual,
+        )
         with self._lock:
             if tile not in self._cache:
-                self._cache[tile] = block
-                self._held += block.nbytes
+                self._cache[tile] = flat
+                self._held += flat.nbytes
             while self._held > CACHE_BYTES and len(self._cache) > 1:
                 self._held -= self._cache.popitem(last=False)[1].nbytes
-        return block
+        return flat
+
+    def _decoded(self, tile: int, part: str) -> np.ndarray:
+        """(M, T * T, channels) float32: the residual of one part of a tile."""
+        named = {} if part == "total" else {"component": part}
+        block = np.ascontiguousarray(self.residual.decode(tile, level=self.level, **named), np.float32)
+        return block.reshape(len(block), -1, self.channels)
 
     def _picture(self, prepared: _Prepared) -> Picture:
         raster, shot = prepared.raster, prepared.shot
         linear = np.zeros((raster.triangle.size, self.channels), np.float32)
         for values, (_, weight) in zip(prepared.values, shot.lights, strict=True):
-            linear[prepared.pixels] += np.float32(weight) * to_linear(values, self.encoding)
+            for part in values:
+                linear[prepared.pixels] += np.float32(weight) * to_linear(part, self.encoding)
         linear = linear.reshape(*raster.triangle.shape, self.channels)
         covered = raster.triangle >= 0
-        linear, reached = extend(linear, covered, rings=self.rim)
+        reached = extend(linear, covered, rings=self.rim)
         return Picture(linear, covered, reached, raster.triangle, raster.barycentric, raster.depth)
 
     def normals(self, picture: Picture, camera: Camera) -> np.ndarray:
@@ -246,6 +287,13 @@ class ObjectRenderer:
         found = interpolate(turned, self.mesh.triangles, picture.triangle, picture.barycentric)
         length = np.linalg.norm(found, axis=2, keepdims=True)
         return np.where(length > 1e-6, found / np.where(length > 1e-6, length, 1), 0).astype(np.float32)
+
+
+def coded_parts(residual, encoding: str) -> tuple[str, ...]:
+    """What has to be looked up and decoded to linear light by itself: the total, or diffuse and specular where their
+    residuals were coded apart in an encoding in which sums are not sums of light."""
+    components = getattr(getattr(residual, "design", None), "components", ("total",))
+    return tuple(components) if encoding != "linear" and len(components) > 1 else ("total",)
 
 
 def lit_by(shot: Shot, lights: tuple[tuple[int, float], ...]) -> Shot:

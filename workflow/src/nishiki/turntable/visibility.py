@@ -43,31 +43,51 @@ class DepthMaps:
                 self.prepare([camera])
             depth = self._maps[camera.name]
         shape = positions.shape[:-1]
-        points = np.ascontiguousarray(positions, np.float64).reshape(-1, 3)
-        pixels, depths = camera.project(points)
-        towards = camera.centre - points
-        distance = np.linalg.norm(towards, axis=1)
-        cosine = (np.ascontiguousarray(normals, np.float64).reshape(-1, 3) * towards).sum(axis=1)
-        cosine /= np.where(distance > 0, distance, 1)
-        footprint = 1 / np.sqrt(abs(camera.intrinsics[0, 0] * camera.intrinsics[1, 1]))
-        return seen(pixels, depths, cosine, depth, footprint).reshape(shape)
+        points, facing = (np.ascontiguousarray(a, np.float32).reshape(-1, 3) for a in (positions, normals))
+        pose = np.column_stack([camera.rotation, camera.translation])
+        lens = np.array(camera.distortion, np.float64)
+        return seen(points, facing, pose, camera.intrinsics, lens, camera.centre, depth).reshape(shape)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def seen(pixels, depths, cosine, depth, footprint):
-    """See `DepthMaps.visible`; footprint: size of a pixel at depth 1.
+def project(x, y, z, pose, intrinsics, lens):
+    """Column, row and depth of a point, as `Camera.project` has them."""
+    u = pose[0, 0] * x + pose[0, 1] * y + pose[0, 2] * z + pose[0, 3]
+    v = pose[1, 0] * x + pose[1, 1] * y + pose[1, 2] * z + pose[1, 3]
+    depth = pose[2, 0] * x + pose[2, 1] * y + pose[2, 2] * z + pose[2, 3]
+    if not depth > 0:
+        return 0.0, 0.0, depth
+    u, v = u / depth, v / depth
+    k1, k2, p1, p2, k3 = lens[0], lens[1], lens[2], lens[3], lens[4]
+    square = u * u + v * v
+    radial = 1 + square * (k1 + square * (k2 + square * k3))
+    a = u * radial + 2 * p1 * u * v + p2 * (square + 2 * u * u)
+    b = v * radial + p1 * (square + 2 * v * v) + 2 * p2 * u * v
+    column = intrinsics[0, 0] * a + intrinsics[0, 1] * b + intrinsics[0, 2]
+    return column, intrinsics[1, 1] * b + intrinsics[1, 2], depth
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def seen(points, normals, pose, intrinsics, lens, centre, depth):
+    """See `DepthMaps.visible`; points, normals (n, 3) float32, pose (3, 4) world to camera, lens (5,), centre (3,).
 
     A point passes where it lies no deeper than the deepest of the 3 x 3 depths around its pixel, plus what the slope of
     the surface makes of 1.5 pixels.
     """
-    out = np.zeros(len(depths), np.float32)
+    out = np.zeros(len(points), np.float32)
     rows, columns = depth.shape
-    for i in range(len(depths)):
-        z, c = depths[i], cosine[i]
-        if not (z > 0 and c > 0):
+    footprint = 1 / np.sqrt(abs(intrinsics[0, 0] * intrinsics[1, 1]))
+    for i in range(len(points)):
+        cosine, square = 0.0, 0.0
+        for k in range(3):
+            towards = centre[k] - points[i, k]
+            cosine += towards * normals[i, k]
+            square += towards * towards
+        if not (cosine > 0 and square > 0):
             continue
-        x, y = pixels[i, 0], pixels[i, 1]
-        if not (-0.5 <= x <= columns - 0.5 and -0.5 <= y <= rows - 0.5):
+        c = cosine / np.sqrt(square)
+        x, y, z = project(points[i, 0], points[i, 1], points[i, 2], pose, intrinsics, lens)
+        if not (z > 0 and -0.5 <= x <= columns - 0.5 and -0.5 <= y <= rows - 0.5):
             continue
         column, row = min(int(x + 0.5), columns - 1), min(int(y + 0.5), rows - 1)
         deepest = 0.0
