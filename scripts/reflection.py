@@ -23,8 +23,8 @@ def run(context: Context) -> dict:
     """Settle the lighting on a sample of texels, then fit tile by tile."""
     settings = context.settings
     texels, views = Texels(context.inputs["texels"].folder), Views(context.inputs["ingest"].folder)
-    apart = settings.components == "auto" and {"diffuse", "specular"} <= set(texels.components)
-    read = reader(texels, apart, settings.hold_out)
+    separated = settings.components != "total" and {"diffuse", "specular"} <= set(texels.components)
+    read = reader(texels, separated, settings.hold_out)
     lighting, cameras, light_of = lamps(texels, views, settings.lighting)
     numbers = list(range(texels.tiles))
     sample = sample_texels(read, numbers)
@@ -39,12 +39,20 @@ def run(context: Context) -> dict:
     )
     context.progress.tell(f"{texels.tiles} tiles, {len(cameras)} observations")
     fit = fit_object(
-        read, numbers, capture, out.write, width=settings.width, method=settings.method, threads=os.cpu_count() or 1
+        read,
+        numbers,
+        capture,
+        out.write,
+        width=settings.width,
+        method=settings.method,
+        apart=settings.components == "apart",
+        threads=os.cpu_count() or 1,
     )
-    report = {"lighting": lighting.as_dict(), "found": found, "fit": asdict(fit), "components_apart": apart}
+    used = settings.components if separated else "total"
+    report = {"lighting": lighting.as_dict(), "found": found, "fit": asdict(fit), "components": used}
     text = json.dumps(report, indent=1, sort_keys=True, allow_nan=False)
     context.output.path("reflection.json").write_text(text + "\n")
-    return {"lighting": lighting.kind, **found, **asdict(fit), "components_apart": apart, "width": settings.width}
+    return {"lighting": lighting.kind, **found, **asdict(fit), "components": used, "width": settings.width}
 
 
 def channels(texels: Texels) -> int:
@@ -67,14 +75,14 @@ def lamps(texels: Texels, views: Views, kind: str) -> tuple[Lighting, list, np.n
     return lighting, cameras * count, light_of
 
 
-def reader(texels: Texels, apart: bool, hold_out: tuple[str, ...]):
+def reader(texels: Texels, separated: bool, hold_out: tuple[str, ...]):
     """read(tile) for the fit; views left out are not visible in it, whatever the store holds."""
     kept = np.array([view not in hold_out for _ in texels.lights for view in texels.views])
 
     def read(tile: int) -> Tile:
         positions, normals, inside = texels.geometry(tile)
         visible = texels.visible(tile) & kept[:, None, None]
-        if apart:
+        if separated:
             values, specular = texels.read("diffuse", tile), texels.read("specular", tile)
             return Tile(values, visible, positions, normals, inside, specular)
         return Tile(texels.read("total", tile), visible, positions, normals, inside)

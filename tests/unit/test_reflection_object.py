@@ -163,7 +163,8 @@ def test_the_lobe_is_worth_decibels():
     assert report.psnr_db > -10 * np.log10(squares / count) + 6
 
 
-def test_components_apart_give_the_same_parameters():
+@pytest.mark.parametrize("settings", [True, False])
+def test_components_give_the_same_parameters(settings):
     gloss, matt = simplified(), simplified(ks=(0, 0, 0))
     total, lighting = scene(gloss)
     diffuse, _ = scene(matt)
@@ -171,7 +172,7 @@ def test_components_apart_give_the_same_parameters():
         n: Tile(diffuse[n].values, t.visible, t.positions, t.normals, t.inside, t.values - diffuse[n].values)
         for n, t in total.items()
     }
-    found, report = fitted(apart, lighting)
+    found, report = fitted(apart, lighting, apart=settings)
     together, _ = fitted(total, lighting)
     assert report.psnr_db > 60
     for n in found:

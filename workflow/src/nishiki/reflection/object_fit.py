@@ -58,28 +58,34 @@ def fit_object(
     *,
     width: str = "smooth",
     method: str = "projection",
+    apart: bool = False,
     threads: int = 1,
 ) -> ObjectFit:
     """Fit all tiles: read(tile) gives its texels, write(tile, parameters) takes the result; from several threads.
 
     width: "smooth" (sigma and K_s drawn towards the neighbours' as far as the data allow), "texel" (the paper's: each
     texel by itself, the neighbours only where no highlight was observed), "object" (one sigma).  method: of the first
-    pass, "projection" or "levenberg_marquardt".  The result does not depend on `threads`.
+    pass, "projection" or "levenberg_marquardt".  apart: where tiles have components, K_d from the
+    diffuse and K_s from the specular one (the paper's); else only sigma comes from the specular component, and K_d and
+    K_s from the total, which is what a picture shows.  The result does not depend on `threads`.
     """
     tiles = list(tiles)
     edge = CELL * spacing([read(tile) for tile in tiles[:: max(len(tiles) // 6, 1)]])
     with ThreadPoolExecutor(max(threads, 1)) as pool:
+
+        def whole(k: int) -> Tile:
+            return read(tiles[k]) if apart else read(tiles[k]).joined
 
         def every(function):
             return list(pool.map(function, range(len(tiles))))
 
         first = every(lambda k: _First.of(read(tiles[k]), capture, method, edge))
         widths = _Widths.of(first, edge, width)
-        second = every(lambda k: _Second.of(read(tiles[k]), capture, widths, first[k], edge))
+        second = every(lambda k: _Second.of(whole(k), capture, widths, first[k], edge))
         gloss = _Gloss.of(second, first, edge, width)
 
         def finish(k: int) -> tuple[np.ndarray, float, int]:
-            tile = read(tiles[k])
+            tile = whole(k)
             parameters = _third(tile, capture, widths, gloss, first[k])
             write(tiles[k], parameters)
             return _counts(parameters.flags), *capture.squares(parameters, tile)

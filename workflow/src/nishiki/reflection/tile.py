@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -23,6 +23,11 @@ class Tile:
     normals: np.ndarray
     inside: np.ndarray
     specular: np.ndarray | None = None
+
+    @property
+    def joined(self) -> Tile:
+        """The same with the total radiance instead of its components."""
+        return self if self.specular is None else replace(self, values=self.values + self.specular, specular=None)
 
     @property
     def spacing(self) -> float:
@@ -65,10 +70,11 @@ class Capture:
     def squares(self, parameters: Parameters, tile: Tile) -> tuple[float, int]:
         """Sum of the squared errors of the model alone in the capture's encoding, and how many samples these are."""
         total, count = 0.0, 0
+        whole = tile.joined.values
         for o in np.flatnonzero(tile.visible.reshape(len(tile.visible), -1).any(axis=1)):
             seen = tile.visible[o] & tile.inside
-            captured = tile.values[o][seen] if tile.specular is None else (tile.values[o] + tile.specular[o])[seen]
-            error = encode(self.predicted(parameters, tile, o, seen), self.encoding) - encode(captured, self.encoding)
+            error = encode(self.predicted(parameters, tile, o, seen), self.encoding)
+            error = error - encode(whole[o][seen], self.encoding)
             total += float(np.sum(error.astype(np.float64) ** 2))
             count += error.size
         return total, count

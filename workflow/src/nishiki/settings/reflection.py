@@ -26,8 +26,10 @@ class ReflectionSettings(Closed):
         description="auto: the capture's lamps, fitted where it states none; camera: a lamp at the camera; fitted: an "
         "irradiance over the normal whatever the capture states",
     )
-    components: Literal["auto", "total"] = Field(
-        "auto", description="auto: diffuse and specular apart where polarisation separated them; total: together"
+    components: Literal["auto", "apart", "total"] = Field(
+        "auto",
+        description="where polarisation separated them: auto: sigma from the specular part, strengths from the total; "
+        "apart: K_d from the diffuse, K_s from the specular part (the paper's); total: not used",
     )
     falloff: Literal["auto", "none", "inverse_square"] = Field(
         "auto", description="of a lamp at a place, over the depth of the object; auto: whichever fits better"
