@@ -11,7 +11,7 @@ From photographs under controlled light to the appearance of an object, with pro
 
 first steps:
   ./nishiki demo                              simulate a painting, digitise it, write the report
-  ./nishiki convert photographs/ captures/x   turn a folder of photographs and an .lp file into a capture
+  ./nishiki convert photographs/ captures/x   turn a folder of photographs, with its lights or cameras, into a capture
   ./nishiki check captures/x                  everything that is wrong with a capture, in one pass
   ./nishiki run                               make what config/config.yaml and config/scenes.tsv ask for
 """
@@ -69,13 +69,15 @@ def _parser() -> argparse.ArgumentParser:
         "seal", "capturing:seal", "seal a capture with a BagIt manifest (RFC 8493); its files move into data/"
     )
     sub.add_argument("captures", nargs="+", help="capture folders")
-    sub = command("convert", "capturing:convert", "turn a folder of photographs and lights into a sealed capture")
-    sub.add_argument("source", help="folder of photographs, with an .lp file (or DiLiGenT's tables) in it")
+    sub = command(
+        "convert", "capturing:convert", "turn photographs, with their lights or cameras, into a sealed capture folder"
+    )
+    sub.add_argument("source", help="folder of photographs with an .lp file, camera matrices, or polariser angles")
     sub.add_argument("capture", help="capture folder to make; must not exist")
     sub.add_argument("--title", help="title of the object")
     sub.add_argument("--encoding", choices=("linear", "srgb"), help="of the photographs (default: srgb for JPEG)")
     sub.add_argument("--lights", help="file of the lights, where it is not found by itself")
-    sub.add_argument("--mask", help="image whose non-zero pixels are the object")
+    sub.add_argument("--mask", help="image whose non-zero pixels are the object; turntable: a folder of them")
     sub.add_argument("--white", help="folder of the white board's photographs, one a light")
     sub.add_argument("--dark", help="folder of dark frames")
     sub.add_argument("--check", action="append", metavar="LIGHT", help="a light kept for evaluation (repeatable)")
@@ -83,7 +85,7 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--open", action="store_true", help="do not seal yet: camera curves and the like will be added")
     sub.add_argument("--roi", nargs=4, type=int, metavar=("ROW", "COLUMN", "ROWS", "COLUMNS"), help="crop")
     command("compile", "running:compile_kernels", "compile all kernels, by running a tiny scene somewhere else")
-    command("simulate", "running:simulate", "photograph a simulated painting; --help tells its options")
+    command("simulate", "running:simulate", "photograph a simulated painting or turntable object; --help tells more")
     command("schema", "inspecting:schema", "print the JSON schema of config.yaml")
     return parser
 
