@@ -78,8 +78,8 @@ def source_of(wanted: str, views: Views, points: dict[str, np.ndarray] | None) -
 
 def points_of(folder: Path, views: Views) -> dict[str, np.ndarray] | None:
     """Correspondences of every view, as ingest carried them; None without."""
-    path = folder / "geometry" / "correspondences.csv"
-    return read_points(path, path.name, views.views) if path.is_file() else None
+    name = views.geometry.get("correspondences")
+    return read_points(folder / name, name, views.views) if name else None
 
 
 def given(views: Views, points: dict[str, np.ndarray] | None) -> tuple[list[Camera], list[float | None], dict, tuple]:

@@ -208,6 +208,65 @@ def test_kernel_against_numpy_over_twelve_orders(seed, scale, planes):
     np.testing.assert_array_equal(good, valid[weights.any(axis=0)].all(axis=0))
 
 
+def slow_components(planes, valid, sums, *, beta=None, phase=None, sense=1, gain=1.0):
+    """The formulas one by one, in float64."""
+    p = planes.astype(np.float64)
+    if sums.method == "none":
+        diffuse, specular = p[0], 0 * p[0]
+    elif sums.method == "circular":
+        diffuse = p[1] / beta
+        specular = p[0] - diffuse
+    elif sums.method in ("crossed", "pairs"):
+        diffuse, specular = 2 * p[1], p[0] - p[1]
+    elif sums.method == "linear":
+        b = np.hypot(p[1], p[2]) if phase is None else p[1] * np.cos(2 * phase) + p[2] * np.sin(2 * phase)
+        diffuse, specular = 2 * (p[0] - b), 2 * b
+    else:
+        specular = (p[1] + sense * p[2]) / 2
+        diffuse = p[0] - specular
+    diffuse, specular = diffuse * gain, specular * gain
+    known = valid & np.isfinite(diffuse).all(axis=-1) & np.isfinite(specular).all(axis=-1)
+    return np.where(known[..., None], diffuse, 0), np.where(known[..., None], specular, 0), known
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize(
+    ("states", "rest"),
+    [
+        (("",), {}),
+        (("off", "on"), {"beta": "field"}),
+        (("off", "on"), {"beta": "channel"}),
+        (("0", "90"), {"gain": "field"}),
+        (("0/0", "0/90"), {}),
+        (("0", "45", "90", "135"), {}),
+        (("0", "45", "90", "135"), {"phase": 0.7, "gain": "channel"}),
+        (tuple(f"{g}/{a}" for g in (0, 60, 120) for a in (20, 80, 140)), {"sense": -1}),
+    ],
+)
+def test_last_step_against_the_formulas(states, rest, scale):
+    rng = np.random.default_rng(11)
+    sums = sums_of(states)
+    planes = (scale * rng.normal(size=(len(sums.weights), *SHAPE))).astype(np.float32)
+    valid = rng.random(SHAPE[:2]) < 0.8
+    field = rng.uniform(0.1, 0.9, SHAPE)
+    field[3, 4, 1] = field[5, 6, 0] = np.nan
+    fields = {"field": field.astype(np.float32), "channel": np.array([0.2, 0.5, 0.7], np.float32)}
+    rest = {key: fields.get(value, value) if isinstance(value, str) else value for key, value in rest.items()}
+    found = components(planes, valid, sums, **rest)
+    diffuse, specular, known = slow_components(planes, valid, sums, **rest)
+    np.testing.assert_array_equal(found.valid, known)
+    np.testing.assert_allclose(found.diffuse, diffuse, rtol=1e-5, atol=3e-6 * scale)
+    np.testing.assert_allclose(found.specular, specular, rtol=1e-5, atol=3e-6 * scale)
+
+
+def test_beta_goes_with_circular_states_only():
+    planes, valid = np.ones((2, *SHAPE), np.float32), np.ones(SHAPE[:2], bool)
+    with pytest.raises(ValueError, match="needs beta"):
+        components(planes, valid, sums_of(("off", "on")))
+    with pytest.raises(ValueError, match="needs beta"):
+        components(planes, valid, sums_of(("0", "90")), beta=np.array(0.3))
+
+
 def test_values_that_are_not_finite_add_nothing():
     planes = np.zeros((2, 1, 4, 1), np.float32)
     values = np.array([1, np.nan, np.inf, -2], np.float32).reshape(1, 4, 1)

@@ -63,13 +63,10 @@ ROW = 1 << 14
 def add_weighted_band(planes, values, weights, first, last):
     """Values first .. last - 1 of `add_weighted`; a value that is not finite counts as 0."""
     for p in range(planes.shape[0]):
-        weight = weights[p]
-        if weight == 0:
-            continue
+        weight, plane = weights[p], planes[p]
         for k in range(first, last):
             value = values[k]
-            if np.isfinite(value):
-                planes[p, k] += weight * value
+            plane[k] += weight * (value if abs(value) < np.inf else np.float32(0.0))
 
 
 def components(
@@ -88,31 +85,74 @@ def components(
     a picture, NaN where it is unknown (those pixels become invalid). crossed, pairs: I_d = 2 crossed, I_s = parallel -
     crossed. linear: I_d = 2 (a - b), I_s = 2 b; b is the amplitude of each pixel, or, with a phase (radians), the
     amplitude at that common angle, which may be negative. mueller: I_s = (m11 + sense m22) / 2, I_d = m00 - I_s.
-    gain: factor on both, broadcasts; NaN where unknown.
+    gain: factor on both, broadcasts; NaN where unknown. The squares of `linear` leave float32 beyond 1e-19 and 1e19,
+    outside what cameras give.
     """
-    planes = planes.astype(np.float32, copy=False)
-    if sums.method == "none":
-        diffuse, specular = planes[0], np.zeros_like(planes[0])
-    elif sums.method == "circular":
-        if beta is None:
-            raise ValueError("circular polarisation needs beta")
-        diffuse = planes[1] / np.asarray(beta, np.float32)
-        specular = planes[0] - diffuse
-    elif sums.method in ("crossed", "pairs"):
-        diffuse, specular = 2 * planes[1], planes[0] - planes[1]
-    elif sums.method == "linear":
-        amplitude = np.hypot(planes[1], planes[2])
-        if phase is not None:
-            amplitude = np.float32(np.cos(2 * phase)) * planes[1] + np.float32(np.sin(2 * phase)) * planes[2]
-        diffuse, specular = 2 * (planes[0] - amplitude), 2 * amplitude
-    else:
-        specular = (planes[1] + np.float32(sense) * planes[2]) / 2
-        diffuse = planes[0] - specular
-    if gain is not None:
-        diffuse, specular = diffuse * gain.astype(np.float32), specular * gain.astype(np.float32)
-    known = valid & np.isfinite(diffuse).all(axis=-1) & np.isfinite(specular).all(axis=-1)
-    diffuse, specular = (np.where(known[..., None], part, np.float32(0)) for part in (diffuse, specular))
+    if (beta is None) == (sums.method == "circular"):
+        raise ValueError("circular polarisation needs beta, other methods take none")
+    field = np.asarray(beta if sums.method == "circular" else 1.0 if gain is None else gain, np.float32)
+    field = np.ascontiguousarray(field.reshape((1,) * (3 - field.ndim) + field.shape))
+    to_diffuse, to_specular = _last_step(sums.method, phase, sense)
+    kind = {"circular": CIRCULAR, "linear": AMPLITUDE if phase is None else SUMS}.get(sums.method, SUMS)
+    planes = np.ascontiguousarray(planes, np.float32)
+    diffuse, specular = np.empty_like(planes[0]), np.empty_like(planes[0])
+    known = np.empty(valid.shape, bool)
+
+    def band(first: int, last: int) -> None:
+        finish_band(planes, valid, field, to_diffuse, to_specular, kind, diffuse, specular, known, first, last)
+
+    over_rows(band, len(valid))
     return SeparatedView(diffuse, specular, known)
+
+
+SUMS, AMPLITUDE, CIRCULAR = 0, 1, 2
+
+
+def _last_step(method: str, phase: float | None, sense: int) -> tuple[np.ndarray, np.ndarray]:
+    """Weights of the planes in diffuse and specular, float32; unused by the methods that are no sums of planes."""
+    along = (0.0, 0.0) if phase is None else (np.cos(2 * phase), np.sin(2 * phase))
+    rows = {
+        "none": ([1], [0]),
+        "circular": ([0, 0], [0, 0]),
+        "crossed": ([0, 2], [1, -1]),
+        "pairs": ([0, 2], [1, -1]),
+        "linear": ([2, -2 * along[0], -2 * along[1]], [0, 2 * along[0], 2 * along[1]]),
+        "mueller": ([1, -0.5, -0.5 * sense], [0, 0.5, 0.5 * sense]),
+    }[method]
+    return np.array(rows[0], np.float32), np.array(rows[1], np.float32)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def finish_band(planes, valid, field, to_diffuse, to_specular, kind, diffuse, specular, known, first, last):
+    """Rows first .. last - 1 of `components`. field (1 or rows, 1 or columns, 1 or channels): beta, or the gain."""
+    down, across, deep = int(field.shape[0] > 1), int(field.shape[1] > 1), int(field.shape[2] > 1)
+    count, channels = planes.shape[0], planes.shape[3]
+    for y in range(first, last):
+        for x in range(planes.shape[2]):
+            good = valid[y, x]
+            for k in range(channels):
+                factor = field[y * down, x * across, k * deep]
+                d, s = np.float32(0.0), np.float32(0.0)
+                if kind == CIRCULAR:
+                    good &= factor > 0
+                    d = planes[1, y, x, k] / factor
+                    s = planes[0, y, x, k] - d
+                elif kind == AMPLITUDE:
+                    c, i = planes[1, y, x, k], planes[2, y, x, k]
+                    b = np.float32(2.0) * np.sqrt(c * c + i * i)
+                    d, s = (np.float32(2.0) * planes[0, y, x, k] - b) * factor, b * factor
+                else:
+                    for p in range(count):
+                        d += to_diffuse[p] * planes[p, y, x, k]
+                        s += to_specular[p] * planes[p, y, x, k]
+                    d, s = d * factor, s * factor
+                good &= abs(d) < np.inf
+                good &= abs(s) < np.inf
+                diffuse[y, x, k], specular[y, x, k] = d, s
+            known[y, x] = good
+            if not good:
+                for k in range(channels):
+                    diffuse[y, x, k] = specular[y, x, k] = np.float32(0.0)
 
 
 def common_phase(planes: np.ndarray, valid: np.ndarray) -> tuple[float, float]:
