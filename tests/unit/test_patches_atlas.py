@@ -9,7 +9,7 @@ from unit.test_patches_charts import FRONT, UP, around, ball
 from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh, face_vectors
-from nishiki.patches.atlas import Atlas, build_atlas
+from nishiki.patches.atlas import Atlas, build_atlas, pack
 from nishiki.patches.charts import make_charts
 from nishiki.patches.density import sampling_density, texels_per_unit
 from nishiki.patches.quality import atlas_picture, texels_per_pixel
@@ -319,3 +319,37 @@ def test_a_camera_inside_or_beside_the_object_sees_nothing(scene):
     places = pixel_places(atlas, raster, raster.triangle >= 0)
     assert len(places.row) == 0
     assert places.offsets.tolist() == [0] * (atlas.tiles + 1)
+
+
+def test_small_charts_share_tiles_but_no_texels():
+    mesh, cameras = ball(4, noise=0.03, seed=3), around(6)
+    charts = make_charts(mesh, up=UP, front=FRONT, spacing=0.01)
+    many = np.ones((charts.chart.max() + 1, 2)) * [[8.0, 6.0]]
+    atlas = build_atlas(charts.plane, charts.chart, many, size=32)
+    assert 1 <= atlas.tiles <= len(many) / 2
+    raster = rasterise(mesh, cameras[0])
+    shown = raster.triangle >= 0
+    tile, s, t = atlas.locate(raster.triangle[shown], raster.barycentric[shown])
+    assert (tile >= 0).all()
+    chart, owner = charts.chart[raster.triangle[shown]], {}
+    for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        texels = zip(tile, np.floor(s).astype(int) + i, np.floor(t).astype(int) + j, strict=True)
+        for texel, c in zip(texels, chart, strict=True):
+            assert owner.setdefault(texel, c) == c
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.tuples(st.integers(1, 20), st.integers(1, 20)), min_size=1, max_size=40))
+def test_packed_boxes_are_apart(boxes):
+    boxes = np.array(boxes)
+    group, origin = pack(boxes, 16)
+    tiles = {}
+    for k, (rows, columns) in enumerate(boxes):
+        if rows > 16 or columns > 16:
+            assert (group[k], *origin[k]) == (k, -1, -1)
+            continue
+        tile = tiles.setdefault(group[k], np.zeros((16, 16), int))
+        row, column = origin[k]
+        assert tile[row : row + rows, column : column + columns].shape == (rows, columns)
+        tile[row : row + rows, column : column + columns] += 1
+    assert all(tile.max() == 1 for tile in tiles.values())

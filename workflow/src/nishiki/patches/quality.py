@@ -59,7 +59,8 @@ def atlas_picture(atlas: Atlas, texels: np.ndarray, *, width: int = 2048) -> np.
     """Tiles (tiles, T, T, channels) float32 put together chart by chart; NaN between them. Charts stand in rows."""
     stride, shelves, room = atlas.size - 1, [], 0
     wide = int(max(atlas.chart_grid[:, 2].max(initial=1), np.ceil(np.sqrt(1.3 * len(atlas.cells)))))
-    for chart in np.argsort(-atlas.chart_grid[:, 1], kind="stable"):
+    drawn = np.unique(atlas.tile_chart)  # small charts are in the tile of the first of their group
+    for chart in drawn[np.argsort(-atlas.chart_grid[drawn, 1], kind="stable")]:
         columns = atlas.chart_grid[chart, 2]
         if not shelves or room < columns:
             shelves.append([])

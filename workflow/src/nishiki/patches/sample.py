@@ -91,45 +91,45 @@ def sample_view(
     each of them shows lies no further in front of or behind the texel than the texel's own tangent plane comes or goes
     within `tolerance` pixels, plus `tolerance` pixels of the surface's size (against ties of a surface with itself).
     """
-    shape = inside.shape
-    points = positions.reshape(-1, 3)
+    index = np.flatnonzero(inside)
+    points = positions.reshape(-1, 3)[index]
     pixels, depths = camera.project(points)
-    seen = np.empty(len(points), np.bool_)
     rotation, inverse = np.ascontiguousarray(camera.rotation), np.linalg.inv(camera.intrinsics)
-    plain = [np.ascontiguousarray(p, np.float32) for p in pictures]
-    rays = (points.astype(np.float64) - camera.centre) @ rotation.T
+    seen = np.empty(len(points), np.bool_)
     least = np.cos(np.radians(grazing_deg))
-    flat_normals = np.ascontiguousarray(normals.reshape(-1, 3), np.float32)
-    see(
-        rays, flat_normals, inside.reshape(-1), pixels, depths, rotation, inverse, depth, usable, tolerance, least, seen
-    )
+    towards = normals.reshape(-1, 3)[index]
+    see(points, camera.centre, towards, pixels, depths, rotation, inverse, depth, usable, tolerance, least, seen)
+    visible = np.zeros(inside.size, np.bool_)
+    visible[index] = seen
     found = []
-    for picture in plain:
-        values = np.zeros((len(points), picture.shape[2]), np.float32)
-        bilinear(pixels, seen, picture, values)
-        found.append(Sampled(values.reshape(*shape, -1), seen.reshape(shape)))
+    for picture in pictures:
+        values = np.zeros((inside.size, picture.shape[2]), np.float32)
+        bilinear(pixels, seen, index, np.ascontiguousarray(picture, np.float32), values)
+        found.append(Sampled(values.reshape(*inside.shape, -1), visible.reshape(inside.shape)))
     return found
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def see(rays, normals, inside, pixels, depths, rotation, inverse, depth, usable, tolerance, least, seen):
-    """See `sample_view`: fills seen (n,). rays (n, 3): texels in the camera's frame."""
+def see(points, centre, normals, pixels, depths, rotation, inverse, depth, usable, tolerance, least, seen):
+    """See `sample_view`: fills seen (n,) for texels at points (n, 3)."""
     rows, columns = depth.shape
     footprint = np.sqrt(abs(inverse[0, 0] * inverse[1, 1]))
-    for i in range(len(rays)):
+    for i in range(len(points)):
         seen[i] = False
         x, y, z = pixels[i, 0], pixels[i, 1], depths[i]
-        if not inside[i] or not z > 0 or not (0 <= x <= columns - 1 and 0 <= y <= rows - 1):
+        if not z > 0 or not (0 <= x <= columns - 1 and 0 <= y <= rows - 1):
             continue
-        n0, n1, n2 = 0.0, 0.0, 0.0
+        towards, length = 0.0, 0.0
+        for k in range(3):
+            ray = centre[k] - points[i, k]
+            towards += normals[i, k] * ray
+            length += ray * ray
+        if not towards > least * np.sqrt(length):
+            continue
+        n0, n1 = 0.0, 0.0
         for k in range(3):
             n0 += rotation[0, k] * normals[i, k]
             n1 += rotation[1, k] * normals[i, k]
-            n2 += rotation[2, k] * normals[i, k]
-        towards = -(n0 * rays[i, 0] + n1 * rays[i, 1] + n2 * rays[i, 2])
-        length = np.sqrt(rays[i, 0] ** 2 + rays[i, 1] ** 2 + rays[i, 2] ** 2)
-        if not towards > least * length:
-            continue
         # Depth of the tangent plane at a pixel is -towards / (n . ray of the pixel): its relative change for one pixel.
         across = abs(n0 * inverse[0, 0]) + abs(n0 * inverse[0, 1] + n1 * inverse[1, 1])
         slack = tolerance * z * (footprint + across * z / towards)
@@ -147,8 +147,8 @@ def see(rays, normals, inside, pixels, depths, rotation, inverse, depth, usable,
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def bilinear(pixels, seen, picture, values):
-    """Picture (rows, columns, channels) at pixels (n, 2) (column, row) that are seen; fills values (n, channels)."""
+def bilinear(pixels, seen, index, picture, values):
+    """Picture (rows, columns, channels) at the pixels (n, 2) (column, row) that are seen, into values[index[i]]."""
     rows, columns, channels = picture.shape
     for i in range(len(pixels)):
         if not seen[i]:
@@ -159,4 +159,4 @@ def bilinear(pixels, seen, picture, values):
         for k in range(channels):
             top = (1 - u) * picture[row, column, k] + u * picture[row, right, k]
             bottom = (1 - u) * picture[below, column, k] + u * picture[below, right, k]
-            values[i, k] = (1 - v) * top + v * bottom
+            values[index[i], k] = (1 - v) * top + v * bottom
