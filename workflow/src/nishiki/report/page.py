@@ -3,10 +3,11 @@
 from typing import Any
 
 TEMPLATE = "page.html.j2"
+OBJECT_TEMPLATE = "object.html.j2"
 
 
-def render_page(content: dict[str, Any]) -> str:
-    """HTML of the page. content : what the template names; a missing name is an error, not an empty place."""
+def render_page(content: dict[str, Any], template: str = TEMPLATE) -> str:
+    """HTML of a page. content : what the template names; a missing name is an error, not an empty place."""
     import jinja2
 
     environment = jinja2.Environment(
@@ -17,7 +18,7 @@ def render_page(content: dict[str, Any]) -> str:
         lstrip_blocks=True,
     )
     environment.filters |= {"figure": figure, "percent": percent, "degrees": degrees}
-    return environment.get_template(TEMPLATE).render(content)
+    return environment.get_template(template).render(content)
 
 
 def percent(value: float | None) -> str:
