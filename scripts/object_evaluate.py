@@ -8,6 +8,7 @@ import numpy as np
 
 import _project  # noqa: F401
 from nishiki.errors import UserError
+from nishiki.geometry.mesh import Mesh
 from nishiki.ingest.encoding import encode
 from nishiki.provenance import truth_digest
 from nishiki.render.output import write_png
@@ -27,16 +28,18 @@ from nishiki.turntable.evaluation import (
     figures,
 )
 from nishiki.turntable.photographs import ObjectTruth, Photographs
-from nishiki.turntable.renderer import Picture
+from nishiki.turntable.shots import Picture
 
 
 def run(context: Context) -> dict:
     """Render every observation from the coded object, compare it, and count the bytes."""
     settings = context.settings
+    photographs = Photographs(context.inputs)
+    truth = open_truth(context, photographs)
     decoded = DecodedObject.open(context.inputs)
     charts = decoded.atlas.chart
     cost = cost_of(decoded.mesh, charts, decoded.cameras, decoded.lighting.as_dict(), decoded.residual.bytes)
-    work = Work(context, decoded, cost.mesh.restored(decoded.mesh))
+    work = Work(context, decoded, cost.mesh.restored(decoded.mesh), photographs, truth)
     rows = [row for light in range(len(decoded.lights)) for row in work.light(light)]
     found = figures(rows)
     used = settings.left_out if settings.left_out != "best" else better_prediction(found)
@@ -66,14 +69,13 @@ def run(context: Context) -> dict:
 class Work:
     """The pictures of one object and their counterparts."""
 
-    def __init__(self, context: Context, decoded: DecodedObject, mesh):
+    def __init__(self, context: Context, decoded: DecodedObject, mesh: Mesh, photographs: Photographs, truth):
         self.context, self.decoded, self.settings = context, decoded, context.settings
         self.without = decoded.numbers(self.settings.hold_out)
         options = {"mesh": mesh, "without": self.without, "rim": self.settings.rim_px}
         self.renderer = decoded.renderer(method=self.settings.interpolation, **options)
         self.model = decoded.renderer(model_only=True, **options)
-        self.photographs = Photographs(context.inputs)
-        self.truth = open_truth(context, self.photographs)
+        self.photographs, self.truth = photographs, truth
         count = len(decoded.views)
         spread = {k * count // max(1, self.settings.pictures) for k in range(min(self.settings.pictures, count))}
         self.to_show = spread | set(sorted(self.without)[: self.settings.pictures])

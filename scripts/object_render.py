@@ -11,7 +11,8 @@ from nishiki.stage import Context, run_stage
 from nishiki.turntable.decoded_object import DecodedObject
 from nishiki.turntable.display import coverage, on_screen, three_channels
 from nishiki.turntable.film import frames
-from nishiki.turntable.renderer import ObjectRenderer, Picture, Shot, lit_by
+from nishiki.turntable.renderer import ObjectRenderer
+from nishiki.turntable.shots import Picture, Shot, lit_by
 
 
 def run(context: Context) -> dict:

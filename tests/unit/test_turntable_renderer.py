@@ -12,7 +12,8 @@ from nishiki.patches.raster import rasterise
 from nishiki.reflection.lighting import Lighting
 from nishiki.reflection.model import predict
 from nishiki.turntable import renderer as module
-from nishiki.turntable.renderer import ObjectRenderer, lit_by
+from nishiki.turntable.renderer import ObjectRenderer
+from nishiki.turntable.shots import lit_by
 from nishiki.turntable.turn import rotation_matrix
 
 SIZE, ACROSS = 9, 3  # texels of a tile, tiles across the dome

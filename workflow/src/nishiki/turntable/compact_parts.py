@@ -10,7 +10,7 @@ from nishiki.geometry.camera import NO_DISTORTION, Camera
 from nishiki.turntable.range_coder import encode_integers
 from nishiki.turntable.turn import rotation_matrix, rotation_vector
 
-_CHART_NUMBERS = 5  # direction of the chart's projection (3) and texels per unit along its rows and columns
+_CHART_NUMBERS = 2  # texels per unit along rows and columns
 _SAME = 11  # numbers of a camera without distortion
 
 

@@ -7,7 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from nishiki.turntable.display import on_screen, reduced
-from nishiki.turntable.renderer import ObjectRenderer, lit_by
+from nishiki.turntable.renderer import ObjectRenderer
+from nishiki.turntable.shots import lit_by
 from nishiki.turntable.turn import scaled
 
 

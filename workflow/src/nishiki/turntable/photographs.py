@@ -58,8 +58,7 @@ class ObjectTruth:
         import zarr
 
         self.group = zarr.open_group(folder / "truth.zarr", mode="r")
-        states = photographs.views.states
-        self.normalised = photographs.views.board(states[0]) is not None
+        self.normalised = bool(photographs.views.attributes["white_board"])
         self.names = list(self.group.attrs["views"])
 
     def read(self, name: str) -> np.ndarray:

@@ -16,7 +16,6 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -28,66 +27,12 @@ from nishiki.patches.raster import interpolate, rasterise
 from nishiki.reflection.model import predict
 from nishiki.turntable.interpolation import Method, Neighbours, neighbours
 from nishiki.turntable.pixels import asked_for, by_tile, extend, look_up, mix
+from nishiki.turntable.shots import Picture, Prepared, Shot, Tile
 from nishiki.turntable.turn import camera_between, fit_turn
 from nishiki.turntable.visibility import DepthMaps
 
 BATCH_BYTES = 384 << 20
 CACHE_BYTES = 256 << 20
-
-
-@dataclass(frozen=True)
-class Shot:
-    """One picture to make: from `camera`, with the residual of captured views (and for pixels that not all of them
-    see, `fallback`), under lights with weights L_j / L."""
-
-    camera: Camera
-    views: Neighbours
-    fallback: Neighbours
-    lights: tuple[tuple[int, float], ...] = ((0, 1.0),)
-
-
-@dataclass(frozen=True)
-class Picture:
-    """linear (rows, columns, channels) float32, 0 where nothing is shown; covered (rows, columns) bool: pixel centres
-    on the surface; reached: covered, or carried on beyond the edge by `rim` pixels; triangle, barycentric: what the
-    pixels show (see `nishiki.patches.raster.Raster`); depth (rows, columns) float32, +inf where not covered."""
-
-    linear: np.ndarray
-    covered: np.ndarray
-    reached: np.ndarray
-    triangle: np.ndarray
-    barycentric: np.ndarray
-    depth: np.ndarray
-
-
-@dataclass
-class _Prepared:
-    shot: Shot
-    raster: object
-    pixels: np.ndarray  # flat indexes of covered pixels
-    s: np.ndarray
-    t: np.ndarray
-    slots: dict[int, int]  # tile -> place in `first`
-    first: np.ndarray
-    order: np.ndarray
-    values: np.ndarray = field(init=False)  # (lights, parts, pixels, channels): in the capture's encoding
-
-
-@dataclass(frozen=True)
-class _Tile:
-    """A tile as the renderer reads it, its texels in one row: kd, ks (T * T, channels) and sigma (T * T,); positions,
-    normals (T * T, 3); residual: (M, T * T, channels) of each part, or None."""
-
-    parameters: tuple[np.ndarray, np.ndarray, np.ndarray]
-    positions: np.ndarray
-    normals: np.ndarray
-    residual: tuple[np.ndarray, ...] | None
-
-    @property
-    def nbytes(self) -> int:
-        """Size of the arrays."""
-        arrays = (*self.parameters, self.positions, self.normals, *(self.residual or ()))
-        return sum(values.nbytes for values in arrays)
 
 
 class ObjectRenderer:
@@ -127,7 +72,7 @@ class ObjectRenderer:
         self.threads = threads or os.cpu_count() or 1
         self.parts = coded_parts(residual, encoding)
         self.depths = DepthMaps(mesh)
-        self._cache: OrderedDict[int, _Tile] = OrderedDict()
+        self._cache: OrderedDict[int, Tile] = OrderedDict()
         self._held, self._lock = 0, threading.Lock()
 
     def captured(self, index: int, *, camera: Camera | None = None, light: int = 0) -> Shot:
@@ -170,7 +115,7 @@ class ObjectRenderer:
             held += size
         yield from self._finish(batch)
 
-    def _prepare(self, shot: Shot) -> _Prepared:
+    def _prepare(self, shot: Shot) -> Prepared:
         raster = rasterise(self.mesh, shot.camera)
         pixels = np.flatnonzero(raster.triangle.reshape(-1) >= 0)
         tile, s, t = self.atlas.locate(raster.triangle.reshape(-1)[pixels], raster.barycentric.reshape(-1, 2)[pixels])
@@ -179,11 +124,11 @@ class ObjectRenderer:
         places[present] = np.arange(len(present))
         first, order = by_tile(places[tile], len(present) + 1)
         slots = {int(number): k for k, number in enumerate(present)}
-        prepared = _Prepared(shot, raster, pixels, s, t, slots, first, order)
+        prepared = Prepared(shot, raster, pixels, s, t, slots, first, order)
         prepared.values = np.zeros((len(shot.lights), len(self.parts), len(pixels), self.channels), np.float32)
         return prepared
 
-    def _finish(self, batch: list[_Prepared]) -> Iterator[Picture]:
+    def _finish(self, batch: list[Prepared]) -> Iterator[Picture]:
         if not self.model_only:
             self.depths.prepare(
                 [self.cameras[v] for p in batch if len(p.shot.fallback.views) > 1 for v in p.shot.fallback.views]
@@ -199,7 +144,7 @@ class ObjectRenderer:
         while batch:
             yield self._picture(batch.pop(0))
 
-    def _draw(self, tile: int, batch: list[_Prepared]) -> None:
+    def _draw(self, tile: int, batch: list[Prepared]) -> None:
         """All pixels of all pictures of a batch that show this tile."""
         flat = self._tile(tile)
         for prepared in batch:
@@ -212,7 +157,7 @@ class ObjectRenderer:
                 for part, texels in enumerate(self._texels(prepared.shot, light, flat, chosen)):
                     look_up(texels, place, self.atlas.size, prepared.s, prepared.t, order, prepared.values[k, part])
 
-    def _texels(self, shot: Shot, light: int, flat: _Tile, chosen: np.ndarray) -> list[np.ndarray]:
+    def _texels(self, shot: Shot, light: int, flat: Tile, chosen: np.ndarray) -> list[np.ndarray]:
         """(m, channels) float32 of each part: chosen texels of a tile as this camera sees them under one light,
         encoded."""
         positions, normals = flat.positions[chosen], flat.normals[chosen]
@@ -238,7 +183,7 @@ class ObjectRenderer:
             mix(residual, base + views.astype(np.int64), chosen, seen, weights, fallback, values)
         return coded
 
-    def _tile(self, tile: int) -> _Tile:
+    def _tile(self, tile: int) -> Tile:
         """A tile's decoded parameters and residual and its geometry; the most recent ones are kept."""
         with self._lock:
             if tile in self._cache:
@@ -249,7 +194,7 @@ class ObjectRenderer:
         residual = None
         if not self.model_only and not self.residual.empty(tile):
             residual = tuple(self._decoded(tile, part) for part in self.parts)
-        flat = _Tile(
+        flat = Tile(
             (kd.reshape(-1, self.channels), ks.reshape(-1, self.channels), sigma.reshape(-1)),
             positions.reshape(-1, 3),
             normals.reshape(-1, 3),
@@ -269,7 +214,7 @@ class ObjectRenderer:
         block = np.ascontiguousarray(self.residual.decode(tile, level=self.level, **named), np.float32)
         return block.reshape(len(block), -1, self.channels)
 
-    def _picture(self, prepared: _Prepared) -> Picture:
+    def _picture(self, prepared: Prepared) -> Picture:
         raster, shot = prepared.raster, prepared.shot
         linear = np.zeros((raster.triangle.size, self.channels), np.float32)
         for values, (_, weight) in zip(prepared.values, shot.lights, strict=True):
@@ -294,8 +239,3 @@ def coded_parts(residual, encoding: str) -> tuple[str, ...]:
     residuals were coded apart in an encoding in which sums are not sums of light."""
     components = getattr(getattr(residual, "design", None), "components", ("total",))
     return tuple(components) if encoding != "linear" and len(components) > 1 else ("total",)
-
-
-def lit_by(shot: Shot, lights: tuple[tuple[int, float], ...]) -> Shot:
-    """The same picture under a sum of captured lights (index, L_j / L) (O eq. 13 to 15)."""
-    return Shot(shot.camera, shot.views, shot.fallback, lights)
