@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from nishiki.separation.polariser_states import StateSums
 
 MOST_VALUES = 1 << 19
+ROWS = 32
 
 
 class Thinned:
@@ -28,9 +31,13 @@ class Thinned:
         self.valid = some.copy() if self.valid is None else self.valid & some
         self.values.append(values[:: self.step, :: self.step].copy())
 
-    def stack(self) -> np.ndarray:
-        """(states, values) float64 of the pixels that are valid in all photographs."""
-        return np.stack([values[self.valid].ravel() for values in self.values]).astype(np.float64)
+    def blocks(self) -> Iterator[np.ndarray]:
+        """(states, values) float64 of the pixels that are valid in all photographs, a few rows at a time."""
+        for first in range(0, len(self.valid), ROWS):
+            part = slice(first, first + ROWS)
+            inside = self.valid[part]
+            if inside.any():
+                yield np.stack([values[part][inside].ravel() for values in self.values]).astype(np.float64)
 
 
 def diagnose(sums: StateSums, thinned: Thinned) -> dict:
@@ -43,22 +50,26 @@ def diagnose(sums: StateSums, thinned: Thinned) -> dict:
     """
     if not thinned.wanted:
         return {}
-    series = thinned.stack()
-    if not series.size:
+    count, total, left, sums_of_solved, ratios = 0, 0.0, 0.0, 0.0, []
+    inner = [place for place, k in enumerate(sums.elements) if k % 4 and k // 4]
+    for series in thinned.blocks():
+        solved = sums.inverse @ series
+        left += float(((series - sums.design @ solved) ** 2).sum())
+        count, total = count + series.size, total + float(series.sum())
+        sums_of_solved = sums_of_solved + solved.sum(axis=1)
+        if inner:
+            lit = solved[0] > 0
+            ratios.append(np.sqrt((solved[inner][:, lit] ** 2).sum(axis=0) / np.sqrt(len(inner))) / solved[0, lit])
+    if not count:
         return {"residual": None, "pixels_used": 0}
-    solved = sums.inverse @ series
-    left = series - sums.design @ solved
     told: dict = {
-        "residual": float(np.sqrt((left**2).mean()) / series.mean()) if series.mean() > 0 else None,
+        "residual": float(np.sqrt(left / count) / (total / count)) if total > 0 else None,
         "pixels_used": int(thinned.valid.sum()),
     }
     if sums.elements:
         mean = np.zeros(16)
-        mean[list(sums.elements)] = solved.mean(axis=1)
+        mean[list(sums.elements)] = sums_of_solved
+        known = np.concatenate(ratios)
         told["mueller"] = (mean / mean[0]).reshape(4, 4).tolist() if mean[0] > 0 else None
-        first = np.where(solved[0] > 0, solved[0], np.nan)
-        inner = [place for place, k in enumerate(sums.elements) if k % 4 and k // 4]
-        others = np.sqrt((solved[inner] ** 2).sum(axis=0) / np.sqrt(len(inner))) / first
-        known = others[np.isfinite(others)]
         told["polarisance_median"] = float(np.median(known)) if known.size else None
     return told
