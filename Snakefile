@@ -33,6 +33,7 @@ include: "workflow/rules/reflection.smk"
 include: "workflow/rules/residual.smk"
 include: "workflow/rules/object_render.smk"
 include: "workflow/rules/object_evaluate.smk"
+include: "workflow/rules/object_report.smk"
 include: "workflow/rules/publish.smk"
 
 

@@ -1,4 +1,4 @@
-"""A small scene run through the workflow in a copy of the project, so that code can be edited without harm."""
+"""Small scenes run through the workflow in a copy of the project, so that code can be edited without harm."""
 
 import json
 import os
@@ -18,12 +18,15 @@ SMALL_RENDER = {
     "sequences": [{"name": "moving-light", "frames": 3, "columns": 64}],
 }
 
+SMALL_OBJECT_RENDER = {"views": 6, "between": 1, "film": {"frames_per_step": 1, "columns": 64, "supersampling": 1}}
+
 
 @dataclass
 class Site:
-    """A copy of the project with one tiny simulated scene."""
+    """A copy of the project with one tiny simulated scene, named tiny."""
 
     folder: Path
+    geometry: str = "plane"
 
     def nishiki(self, *arguments: str, check: bool = True) -> subprocess.CompletedProcess:
         """Run the command line inside the copy."""
@@ -41,7 +44,8 @@ class Site:
 
     def configure(self, **settings) -> None:
         """Write the configuration: small pictures, and these settings over them."""
-        values = {"scenes": "config/scenes.tsv", "render": SMALL_RENDER, **settings}
+        small = {"render": SMALL_RENDER} if self.geometry == "plane" else {"object_render": SMALL_OBJECT_RENDER}
+        values = {"scenes": "config/scenes.tsv", **small, **settings}
         (self.folder / "config/config.yaml").write_text(yaml.safe_dump(values))
 
     def would_run(self) -> list[str]:
@@ -54,10 +58,10 @@ class Site:
         ]
 
     def stages(self) -> tuple[str, ...]:
-        """Stages of the chain."""
-        from nishiki.stages import CHAIN
+        """Stages of the scene's chain."""
+        from nishiki.stages import chain_of
 
-        return tuple(CHAIN)
+        return tuple(chain_of(self.geometry))
 
     def run_facts(self) -> dict[str, tuple[str, str]]:
         """Key and time of the last run of each stage."""
@@ -69,27 +73,48 @@ class Site:
         }
 
 
-@pytest.fixture(scope="session")
-def finished_site(tmp_path_factory) -> Site:
-    """The scene simulated and run once."""
-    folder = tmp_path_factory.mktemp("site")
+def finished(folder: Path, geometry: str, preset: str) -> Site:
+    """A copy of the project in `folder`, with a scene simulated and run once."""
     for name in COPIED:
         source = PROJECT / name
         ignore = shutil.ignore_patterns("*.pyc")
         shutil.copytree(source, folder / name, ignore=ignore) if source.is_dir() else shutil.copy2(
             source, folder / name
         )
-    site = Site(folder)
+    site = Site(folder, geometry)
     (folder / "config/scenes.tsv").write_text("scene\tcapture\ttruth\ntiny\tcaptures/tiny\tcaptures/tiny-truth\n")
     site.configure()
-    site.nishiki("simulate", "--output", "captures/tiny", "--truth", "captures/tiny-truth", "--preset", "tiny")
+    site.nishiki("simulate", "--output", "captures/tiny", "--truth", "captures/tiny-truth", "--preset", preset)
     site.nishiki("run")
     return site
 
 
+@pytest.fixture(scope="session")
+def finished_site(tmp_path_factory) -> Site:
+    """A painting, simulated and run once."""
+    return finished(tmp_path_factory.mktemp("site"), "plane", "tiny")
+
+
+@pytest.fixture(scope="session")
+def finished_object(tmp_path_factory) -> Site:
+    """An object on a turntable, simulated and run once."""
+    return finished(tmp_path_factory.mktemp("object"), "turntable", "object-tiny")
+
+
 @pytest.fixture
 def site(finished_site):
-    """The finished scene; configuration and code are put back afterwards."""
+    """The finished painting; configuration and code are put back afterwards."""
+    yield from put_back(finished_site)
+
+
+@pytest.fixture
+def object_site(finished_object):
+    """The finished object; configuration and code are put back afterwards."""
+    yield from put_back(finished_object)
+
+
+def put_back(finished_site: Site):
+    """Lend a finished scene, and undo what was done to its configuration and code."""
     saved = finished_site.folder / "saved"
     shutil.copytree(finished_site.folder / "workflow", saved / "workflow")
     shutil.copytree(finished_site.folder / "config", saved / "config")

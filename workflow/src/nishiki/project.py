@@ -20,6 +20,7 @@ from nishiki.settings.mesh import MeshSettings
 from nishiki.settings.normals import NormalsSettings
 from nishiki.settings.object_evaluate import ObjectEvaluateSettings
 from nishiki.settings.object_render import ObjectRenderSettings
+from nishiki.settings.object_report import ObjectReportSettings
 from nishiki.settings.polarise import PolariseSettings
 from nishiki.settings.reflection import ReflectionSettings
 from nishiki.settings.render import RenderSettings
@@ -62,6 +63,7 @@ class StageSettings(Closed):
     residual: ResidualSettings = ResidualSettings()
     object_render: ObjectRenderSettings = ObjectRenderSettings()
     object_evaluate: ObjectEvaluateSettings = ObjectEvaluateSettings()
+    object_report: ObjectReportSettings = ObjectReportSettings()
 
 
 class Configuration(StageSettings):

@@ -14,6 +14,7 @@ from nishiki.settings.mesh import MeshSettings
 from nishiki.settings.normals import NormalsSettings
 from nishiki.settings.object_evaluate import ObjectEvaluateSettings
 from nishiki.settings.object_render import ObjectRenderSettings
+from nishiki.settings.object_report import ObjectReportSettings
 from nishiki.settings.polarise import PolariseSettings
 from nishiki.settings.reflection import ReflectionSettings
 from nishiki.settings.render import RenderSettings
@@ -211,6 +212,17 @@ TURNTABLE = (
         needs_colour=True,
         libraries=("numpy", "numba", "zarr", "opencv-contrib-python-headless"),
         memory_mb=lambda pixels, observations: 2000 + pixels * 160 // 2**20,
+    ),
+    Stage(
+        ObjectReportSettings,
+        "one page that tells everything",
+        geometry="turntable",
+        product="report",
+        requires=("ingest",),
+        wants=lambda settings: ("polarise",),
+        uses=("cameras", "mesh", "texels", "reflection", "residual", "object_render", "object_evaluate"),
+        libraries=("numpy", "jinja2", "zarr", "opencv-contrib-python-headless"),
+        memory_mb=_whole_image(64),
     ),
 )
 CHAIN: dict[str, Stage] = {stage.name: stage for stage in (*PLANE, *TURNTABLE)}
