@@ -91,14 +91,14 @@ def sample_view(
     each of them shows lies no further in front of or behind the texel than the texel's own tangent plane comes or goes
     within `tolerance` pixels, plus `tolerance` pixels of the surface's size (against ties of a surface with itself).
     """
-    index = np.flatnonzero(inside)
-    points = positions.reshape(-1, 3)[index]
+    least = np.cos(np.radians(grazing_deg))
+    towards = normals.reshape(-1, 3)
+    index = turned_to(positions.reshape(-1, 3), towards, inside.reshape(-1), camera.centre, least)
+    points, towards = positions.reshape(-1, 3)[index], towards[index]
     pixels, depths = camera.project(points)
     rotation, inverse = np.ascontiguousarray(camera.rotation), np.linalg.inv(camera.intrinsics)
     seen = np.empty(len(points), np.bool_)
-    least = np.cos(np.radians(grazing_deg))
-    towards = normals.reshape(-1, 3)[index]
-    see(points, camera.centre, towards, pixels, depths, rotation, inverse, depth, usable, tolerance, least, seen)
+    see(points, camera.centre, towards, pixels, depths, rotation, inverse, depth, usable, tolerance, seen)
     visible = np.zeros(inside.size, np.bool_)
     visible[index] = seen
     found = []
@@ -110,7 +110,26 @@ def sample_view(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def see(points, centre, normals, pixels, depths, rotation, inverse, depth, usable, tolerance, least, seen):
+def turned_to(points, normals, inside, centre, least):
+    """Numbers of the texels that are inside and face the camera's centre, the cosine above `least`."""
+    found = np.empty(len(points), np.int64)
+    count = 0
+    for i in range(len(points)):
+        if not inside[i]:
+            continue
+        towards, length = 0.0, 0.0
+        for k in range(3):
+            ray = centre[k] - points[i, k]
+            towards += normals[i, k] * ray
+            length += ray * ray
+        if towards > least * np.sqrt(length):
+            found[count] = i
+            count += 1
+    return found[:count].copy()
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def see(points, centre, normals, pixels, depths, rotation, inverse, depth, usable, tolerance, seen):
     """See `sample_view`: fills seen (n,) for texels at points (n, 3)."""
     rows, columns = depth.shape
     footprint = np.sqrt(abs(inverse[0, 0] * inverse[1, 1]))
@@ -119,13 +138,9 @@ def see(points, centre, normals, pixels, depths, rotation, inverse, depth, usabl
         x, y, z = pixels[i, 0], pixels[i, 1], depths[i]
         if not z > 0 or not (0 <= x <= columns - 1 and 0 <= y <= rows - 1):
             continue
-        towards, length = 0.0, 0.0
+        towards = 0.0
         for k in range(3):
-            ray = centre[k] - points[i, k]
-            towards += normals[i, k] * ray
-            length += ray * ray
-        if not towards > least * np.sqrt(length):
-            continue
+            towards += normals[i, k] * (centre[k] - points[i, k])
         n0, n1 = 0.0, 0.0
         for k in range(3):
             n0 += rotation[0, k] * normals[i, k]
