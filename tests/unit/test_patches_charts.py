@@ -7,10 +7,12 @@ import trimesh
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
 from nishiki.patches.adjacency import across_edges, borders, components, smoothed, smoothed_vertices, spread
+from nishiki.patches.atlas import build_atlas
 from nishiki.patches.charts import make_charts
 from nishiki.patches.density import sampling_density, texels_per_unit
 from nishiki.patches.flatten import frame_along, overlapping
 from nishiki.patches.quality import stretch_percentiles, weighted_percentiles
+from nishiki.patches.rebuild import rebuild_atlas
 from nishiki.patches.turn import probe_spacing, turning
 
 UP, FRONT = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
@@ -184,9 +186,22 @@ def test_turning_and_spacing():
 
 def test_percentiles_and_stretch():
     assert weighted_percentiles(np.array([5.0, 1, 3]), np.array([1.0, 1, 2]), (0, 25, 50, 75, 100)) == [1, 1, 3, 3, 5]
-    from nishiki.patches.atlas import build_atlas
-
     mesh = Mesh.of(np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
     plane = -mesh.vertices[mesh.triangles][..., [1, 0]] * [1, -1]
     atlas = build_atlas(plane, np.zeros(2, np.int32), np.array([[30.0, 10.0]]), size=8)
     np.testing.assert_allclose(stretch_percentiles(mesh, atlas), 3.0, rtol=1e-4)
+
+
+def test_an_atlas_follows_from_its_charts():
+    """What a renderer is sent of an atlas is enough to make the same one."""
+    mesh, cameras = ball(4, noise=0.03), around(5)
+    up, front = turning(cameras)
+    charts = make_charts(mesh, up=up, front=front, spacing=0.01)
+    assert charts.smoothing_rounds > 0
+    density = sampling_density(mesh, charts.plane, cameras, percentile=90)
+    scale = texels_per_unit(density, charts.plane, charts.chart, texels_per_pixel=1.0)
+    atlas = build_atlas(charts.plane, charts.chart, scale, size=32)
+    rounds = charts.smoothing_rounds
+    again = rebuild_atlas(mesh, cameras, atlas.chart, atlas.texels_per_unit, smoothing_rounds=rounds, size=32)
+    for name in atlas.__dataclass_fields__:
+        np.testing.assert_array_equal(getattr(again, name), getattr(atlas, name))

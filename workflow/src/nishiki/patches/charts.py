@@ -82,11 +82,8 @@ def cut(
     below which a piece is merged, of the whole surface; steepest_deg: largest angle between a triangle and its chart.
     """
     neighbours = across_edges(mesh.triangles)
-    faces, true_faces = face_vectors(vertices, mesh.triangles), face_vectors(mesh.vertices, mesh.triangles)
-    areas, true_areas = (np.linalg.norm(v, axis=1) / 2 for v in (faces, true_faces))
-    usable = has_area(areas) & has_area(true_areas)
-    normals = np.where(usable[:, None], faces / np.where(usable, 2 * areas, 1)[:, None], 0.0)
-    areas = np.where(usable, areas, 0.0)
+    normals, areas = unit_normals(mesh, vertices)
+    usable = areas > 0
     labels = nearest_direction(vertices, normals, areas, neighbours, up=up, front=front, smoothing=range_of_normals)
     labels = components(np.where(usable, labels, -1).astype(np.int32), neighbours)
     lengths = edge_lengths(vertices[mesh.triangles])
@@ -117,6 +114,16 @@ def cut(
     frames = frame_along(directions_of(labels, normals, areas), up=up, front=front)
     plane = flatten(vertices[mesh.triangles], labels, frames)
     return Charts(labels, frames, plane, rounds, int((~usable).sum()), *totals)
+
+
+def unit_normals(mesh: Mesh, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit normals (f, 3) and areas (f,) float64 of the triangles between smoothed vertices (v, 3); 0 where a triangle
+    has no area, smoothed or not."""
+    faces, true_faces = face_vectors(vertices, mesh.triangles), face_vectors(mesh.vertices, mesh.triangles)
+    areas, true_areas = (np.linalg.norm(v, axis=1) / 2 for v in (faces, true_faces))
+    usable = has_area(areas) & has_area(true_areas)
+    normals = np.where(usable[:, None], faces / np.where(usable, 2 * areas, 1)[:, None], 0.0)
+    return normals, np.where(usable, areas, 0.0)
 
 
 def has_area(areas: np.ndarray) -> np.ndarray:
