@@ -15,6 +15,7 @@ EXPOSURE_S = "0.25"
 # Options of the painting that mean something else, or nothing, on a turntable.
 FOREIGN = ("scene", "relief", "relief_gain", "gloss", "roughness", "body", "pitch_mm", "rings", "ring_lights", "no_top")
 FOREIGN += ("checks", "distance_mm", "lamp_diameter_deg", "channels")
+OWN = ("views", "mesh_noise_mm", "triangles", "scan_triangles")  # options that mean something on a turntable only
 
 
 def settings_from(options, defaults) -> TurntableSettings:
@@ -23,6 +24,8 @@ def settings_from(options, defaults) -> TurntableSettings:
         if getattr(options, name) != getattr(defaults, name):
             option = f"--{name.replace('_', '-')}"
             raise UserError(f"{option} belongs to the plane scenes, found with --preset {options.preset}; leave it out")
+    if options.lights_as == "direction":
+        raise UserError("--lights-as: on a turntable expected position or camera, found direction; choose one")
     values = dict(PRESETS[options.preset])
     for name in ("rows", "columns", "views", "triangles", "scan_triangles", "mesh_noise_mm"):
         if getattr(options, name) is not None:

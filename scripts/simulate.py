@@ -138,6 +138,10 @@ def parser() -> argparse.ArgumentParser:
 
 def settings_from(options) -> SimulationSettings:
     """The settings that the command line asks for."""
+    if options.lights_as == "camera" or any(getattr(options, name) is not None for name in _turntable.OWN):
+        raise UserError(
+            f"options of the turntable with --preset {options.preset}: expected one of {', '.join(OBJECTS)}"
+        )
     rows, columns = PRESETS[options.preset]
     return SimulationSettings(
         rows=options.rows or rows,

@@ -8,14 +8,16 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from nishiki.simulate.randomness import hash_uint, subkey, uniform
+from nishiki.simulate.randomness import subkey
 from nishiki.simulate.rows import over_rows
-from nishiki.simulate.turntable.materials import NUMBERS, describe
-from nishiki.simulate.turntable.rays import STACK, Tree, nearest
+from nishiki.simulate.turntable.materials import describe
+from nishiki.simulate.turntable.rays import Tree, cast
 from nishiki.simulate.turntable.surface import Surface
 
 OFFSET_MM = 0.02  # rays start so far above the surface
 _SMOOTHEST = 0.28  # the mirror image of the surroundings is at least so blurred: there are few rays a vertex
+_FACE_SAMPLES = 4
+_RAYS = 1 << 19  # at a time
 
 
 @dataclass(frozen=True)
@@ -43,13 +45,19 @@ def look_around(surface: Surface, tree: Tree, *, directions: int, seed: int) -> 
     """Send rays from every vertex; average the materials about it."""
     count = len(surface.vertices)
     toward = cosine_directions(directions)
-    random = np.random.default_rng(subkey(seed, "turntable directions"))
-    spin = random.uniform(0.0, 2.0 * math.pi, count)
+    spin = np.random.default_rng(subkey(seed, "turntable directions")).uniform(0.0, 2.0 * math.pi, count)
     seen = np.empty((count, directions), np.int32)
-    over_rows(
-        _look, count, surface.vertices, surface.normals, surface.triangles, tree.boxes, tree.links, tree.triangles,
-        tree.order, toward, spin, OFFSET_MM, seen,
-    )  # fmt: skip
+    batch = max(_RAYS // directions, 1)
+    for start in range(0, count, batch):
+        some = slice(start, min(start + batch, count))
+        normals = surface.normals[some]
+        rays = np.empty((len(normals), directions, 3))
+        over_rows(_spread, len(rays), normals, toward, spin[some], rays)
+        origins = np.repeat(surface.vertices[some] + OFFSET_MM * normals, directions, axis=0)
+        hits = cast(tree, origins, rays.reshape(-1, 3))
+        weights = np.column_stack([1.0 - hits.weights.sum(axis=1), hits.weights])
+        corner = surface.triangles[hits.triangle, weights.argmax(axis=1)]
+        seen[some] = np.where(hits.triangle >= 0, corner, -1).reshape(-1, directions)
     albedo, shine = _mean_materials(surface, subkey(seed, "turntable paint"))
     return Surroundings(seen, toward, spin, albedo, shine, surface.normals)
 
@@ -70,57 +78,29 @@ def _turned(toward, d, c, s, n, f):
     return u * f[0] + v * f[3] + w * n[0], u * f[1] + v * f[4] + w * n[1], u * f[2] + v * f[5] + w * n[2]
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _look(start, stop, vertices, normals, faces, boxes, links, triangles, order, toward, spin, offset, seen):
-    stack = np.empty(STACK, np.int32)
+@numba.njit(cache=True, nogil=True)
+def _spread(start, stop, normals, toward, spin, out):
     for p in range(start, stop):
         n = normals[p]
         f = frame_about(n[0], n[1], n[2])
         c, s = math.cos(spin[p]), math.sin(spin[p])
-        ox, oy, oz = (
-            vertices[p, 0] + offset * n[0],
-            vertices[p, 1] + offset * n[1],
-            vertices[p, 2] + offset * n[2],
-        )
         for d in range(toward.shape[0]):
-            dx, dy, dz = _turned(toward, d, c, s, n, f)
-            _, hit, u, v = nearest(boxes, links, triangles, stack, ox, oy, oz, dx, dy, dz, 1e9, False)
-            if hit < 0:
-                seen[p, d] = -1
-                continue
-            corner = 1 if u >= v and u >= 1.0 - u - v else (2 if v >= 1.0 - u - v else 0)
-            seen[p, d] = faces[order[hit], corner]
-
-
-@numba.njit(cache=True, nogil=True)
-def _face_materials(start, stop, vertices, normals, parts, faces, key, out):
-    m, slope, mixed = np.empty(NUMBERS), np.empty(2), np.empty(parts.shape[1])
-    for f in range(start, stop):
-        for sample in range(4):
-            bits = hash_uint(np.uint64(f), np.uint64(sample))
-            a, b = uniform(bits, np.uint64(1)), uniform(bits, np.uint64(2))
-            if a + b > 1.0:
-                a, b = 1.0 - a, 1.0 - b
-            i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
-            c = 1.0 - a - b
-            for q in range(mixed.size):
-                mixed[q] = c * parts[i, q] + a * parts[j, q] + b * parts[k, q]
-            p = c * vertices[i] + a * vertices[j] + b * vertices[k]
-            n = normals[i]
-            describe(mixed, p[0], p[1], p[2], n[0], n[1], n[2], key, m, slope)
-            for q in range(3):
-                out[f, q] += 0.25 * m[q]
-            out[f, 3] += 0.25 * 0.5 * (m[6] + m[7])
-            out[f, 4] += 0.25 if m[3] > 0.0 else 0.0
+            out[p, d, 0], out[p, d, 1], out[p, d, 2] = _turned(toward, d, c, s, n, f)
 
 
 def _mean_materials(surface: Surface, key: int) -> tuple[np.ndarray, np.ndarray]:
     """Albedo (v, 3) and (roughness, share of metal) (v, 2), means over the triangles at each vertex by area."""
     faces = np.zeros((len(surface.triangles), 5))
-    over_rows(
-        _face_materials, len(faces), surface.vertices, surface.normals, surface.parts, surface.triangles,
-        np.uint64(key), faces,
-    )  # fmt: skip
+    random = np.random.default_rng(key)
+    for _ in range(_FACE_SAMPLES):
+        weights = random.dirichlet((1.0, 1.0, 1.0), len(faces))
+        parts, points, normals = (
+            np.einsum("fc,fca->fa", weights, values[surface.triangles])
+            for values in (surface.parts, surface.vertices, surface.normals)
+        )
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        m = describe(parts, points, normals, key=key)
+        faces += np.column_stack([m[:, :3], 0.5 * (m[:, 6] + m[:, 7]), m[:, 3] > 0.0]) / _FACE_SAMPLES
     a, b, c = (surface.vertices[surface.triangles[:, corner]] for corner in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     sums = np.zeros((len(surface.vertices), 6))

@@ -10,7 +10,8 @@ import math
 import numba
 import numpy as np
 
-from nishiki.simulate.randomness import hash_uint, plane_noise, uniform
+from nishiki.simulate.randomness import hash_uint, uniform
+from nishiki.simulate.rows import over_rows
 from nishiki.simulate.turntable.noise import crack_distance, solid_fractal, solid_noise
 from nishiki.simulate.turntable.shape import ANIMAL, BODY, FLUTES, FRUIT, HANDLES, LID, ROPE
 
@@ -63,7 +64,7 @@ def _flower(m, key, u, v, size):
         return False
     first = int(6.0 * uniform(bits, np.uint64(6)))
     enamel = _ENAMELS[first]
-    pale = 0.75 - 0.6 * r / edge + 0.35 * (plane_noise(bits, 9.0 * turn, 0.5 * r) - 0.5)
+    pale = 0.75 - 0.6 * r / edge + 0.35 * (solid_noise(bits, 9.0 * turn, 0.5 * r, 0.0) - 0.5)
     _set(m, enamel[0], enamel[1], enamel[2], 0.16)
     _mix(m, 0.72, 0.66, 0.55, min(max(pale, 0.0), 0.85))
     if r < 0.42 * edge:  # a second ring of petals, and the heart
@@ -144,7 +145,7 @@ def _woven(m, key, around, s, slope):
     over = (i + j) % 2 == 0
     along, across = (fa, fb) if over else (fb, fa)
     dye = uniform(hash_uint(key, np.uint64(np.int64(j if over else i) + 900)), np.uint64(1))
-    grain = plane_noise(key + np.uint64(9), (a if over else b) * 0.8, (b if over else a) * 9.0)
+    grain = solid_noise(key + np.uint64(9), (a if over else b) * 0.8, (b if over else a) * 9.0, 0.0)
     shade = (1.0 - 0.75 * (2.0 * along) ** 4) * (1.0 - 0.55 * (2.0 * across) ** 6)
     shade *= (0.65 + 0.55 * dye) * (0.75 + 0.5 * grain)
     _set(m, 0.44 * shade, 0.29 * shade, 0.13 * shade, 0.32)
@@ -200,7 +201,7 @@ def _lacquer(m, key, x, z):
     _set(m, 0.022, 0.015, 0.012, 0.13)
     r, turn = math.hypot(x, z), math.atan2(z, x)
     fleck = crack_distance(key + np.uint64(40), x / 1.5, z / 1.5)
-    amount = plane_noise(key + np.uint64(41), x / 11.0, z / 11.0)
+    amount = solid_noise(key + np.uint64(41), x / 11.0, z / 11.0, 0.0)
     if fleck > 0.46 - 0.20 * amount:
         _gild(m, 0.45, 0.45)
     place = turn / 6.283185307179586 * 7.0
@@ -274,7 +275,7 @@ def _fruit(m, key, x, y, z):
 
 
 @numba.njit(cache=True)
-def describe(parts, x, y, z, nx, ny, nz, key, m, slope):
+def _describe(parts, x, y, z, nx, ny, nz, key, m, slope):
     """The material at (x, y, z) into m; parts (6,): distances from the parts; slope (2,) is scratch."""
     part, least = BODY, 1e300
     for k in range(parts.size):
@@ -322,10 +323,14 @@ def _texture(m, key, x, y, z, nx, ny, nz, slope, ring):
         length = math.sqrt(tx * tx + ty * ty + tz * tz)
     tx, ty, tz = tx / length, ty / length, tz / length
     bx, by, bz = ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx
-    bump_u = 0.03 * (solid_noise(key + np.uint64(80), x / 1.3, y / 1.3, z / 1.3) - 0.5)
-    bump_v = 0.03 * (solid_noise(key + np.uint64(81), x / 1.3, y / 1.3, z / 1.3) - 0.5)
-    bump_u += 0.10 * (solid_noise(key + np.uint64(82), x / 6.0, y / 6.0, z / 6.0) - 0.5) - 0.35 * slope[0]
-    bump_v += 0.10 * (solid_noise(key + np.uint64(83), x / 6.0, y / 6.0, z / 6.0) - 0.5) - 0.35 * slope[1]
+    bump_u, bump_v = -0.35 * slope[0], -0.35 * slope[1]
+    for fine in range(2):
+        scale, strength = (1.3, 0.03) if fine else (6.0, 0.10)
+        for side in range(2):
+            value = strength * (
+                solid_noise(key + np.uint64(80 + 2 * fine + side), x / scale, y / scale, z / scale) - 0.5
+            )
+            bump_u, bump_v = (bump_u + value, bump_v) if side else (bump_u, bump_v + value)
     px, py, pz = nx + bump_u * tx + bump_v * bx, ny + bump_u * ty + bump_v * by, nz + bump_u * tz + bump_v * bz
     length = math.sqrt(px * px + py * py + pz * pz)
     px, py, pz = px / length, py / length, pz / length
@@ -334,3 +339,21 @@ def _texture(m, key, x, y, z, nx, ny, nz, slope, ring):
     length = math.sqrt(tx * tx + ty * ty + tz * tz)
     m[9], m[10], m[11] = px, py, pz
     m[12], m[13], m[14] = tx / length, ty / length, tz / length
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _describe_all(start, stop, parts, points, normals, key, out):
+    slope = np.empty(2)
+    for p in range(start, stop):
+        x, n = points[p], normals[p]
+        _describe(parts[p], x[0], x[1], x[2], n[0], n[1], n[2], key, out[p], slope)
+
+
+def describe(parts: np.ndarray, points: np.ndarray, normals: np.ndarray, *, key: int) -> np.ndarray:
+    """Materials (n, NUMBERS) float64 at points (n, 3), mm; parts (n, parts): distances from the parts; normals (n, 3):
+    unit, of the smooth surface."""
+    out = np.zeros((len(points), NUMBERS))
+    if len(points):
+        arrays = (np.ascontiguousarray(a, np.float64) for a in (parts, points, normals))
+        over_rows(_describe_all, len(points), *arrays, np.uint64(key), out)
+    return out

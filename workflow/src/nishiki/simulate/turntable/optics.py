@@ -6,8 +6,10 @@ All values are relative to a perfect white diffuser that faces the lamp: π · f
 import math
 
 import numba
+import numpy as np
 
 from nishiki.simulate.reflection import fresnel
+from nishiki.simulate.rows import over_rows
 
 INDEX = 1.5  # of glazes and lacquer
 
@@ -45,15 +47,13 @@ def rough_matter(n_l, n_v, l_v, sigma):
     return n_l * passing * (a + b * max(side, 0.0))
 
 
-@numba.njit(cache=True)
 def metal_fresnel(cosine, straight):
-    """Schlick's approximation (1994) for a metal whose reflectance at normal incidence is `straight`."""
-    x = 1.0 - min(max(cosine, 0.0), 1.0)
-    return straight + (1.0 - straight) * x * x * x * x * x
+    """Schlick's approximation (1994) for a surface whose reflectance at normal incidence is `straight`; any shapes."""
+    return straight + (1.0 - straight) * (1.0 - np.clip(cosine, 0.0, 1.0)) ** 5
 
 
 @numba.njit(cache=True)
-def reflect(m, lx, ly, lz, vx, vy, vz, body, gloss):
+def _reflect(m, lx, ly, lz, vx, vy, vz, body, gloss):
     """Body and mirror reflection (3,) each of the material m (materials.py) for unit directions to light and view."""
     nx, ny, nz = m[9], m[10], m[11]
     n_l, n_v = nx * lx + ny * ly + nz * lz, nx * vx + ny * vy + nz * vz
@@ -76,8 +76,24 @@ def reflect(m, lx, ly, lz, vx, vy, vz, body, gloss):
         m[6],
         m[7],
     )
-    cosine = min(hx * vx + hy * vy + hz * vz, 1.0)
-    glass = fresnel(max(cosine, 0.0), INDEX)
+    cosine = min(max(hx * vx + hy * vy + hz * vz, 0.0), 1.0)
+    glass, grazing = fresnel(cosine, INDEX), (1.0 - cosine) ** 5
     for c in range(3):
         body[c] = m[c] * matter
-        gloss[c] = shape * (metal_fresnel(cosine, m[3 + c]) if m[3] > 0.0 else glass)
+        gloss[c] = shape * (m[3 + c] + (1.0 - m[3 + c]) * grazing if m[3] > 0.0 else glass)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _reflect_all(start, stop, materials, lights, views, body, gloss):
+    for p in range(start, stop):
+        s, v = lights[p], views[p]
+        _reflect(materials[p], s[0], s[1], s[2], v[0], v[1], v[2], body[p], gloss[p])
+
+
+def reflected(materials: np.ndarray, lights: np.ndarray, views: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Body and mirror reflection (n, 3) of materials (n, NUMBERS) for unit directions to light and view (n, 3)."""
+    body, gloss = np.zeros((len(materials), 3)), np.zeros((len(materials), 3))
+    if len(materials):
+        arrays = (np.ascontiguousarray(a, np.float64) for a in (materials, lights, views))
+        over_rows(_reflect_all, len(materials), *arrays, body, gloss)
+    return body, gloss

@@ -57,7 +57,7 @@ def make_optics(view: Viewpoint, settings: TurntableSettings) -> Optics:
     random = np.random.default_rng(subkey(settings.seed, "turntable polariser"))
     waves = random.uniform(-1.0, 1.0, (3, 5)) * 0.012
     shape = np.stack([u + 0 * v, v + 0 * u, u * v, u * u - 0.3 + 0 * v, v * v - 0.3 + 0 * u], axis=-1)
-    beta = np.array(BETA) * (1.0 + shape @ waves.T)
+    beta = np.array(BETA) * (1.0 + np.einsum("ijk,ck->ijc", shape, waves))
     # Points of the board: along the rays through the pixels, in the plane through the axis across the optical axis.
     right, down, into = view.rotation
     reach = float(into @ (np.array(AIM_MM) - view.centre))
@@ -67,7 +67,7 @@ def make_optics(view: Viewpoint, settings: TurntableSettings) -> Optics:
     to_lamp = view.lamp - points
     square = np.sum(to_lamp**2, axis=-1)
     board = BOARD_REFLECTANCE * np.sum((view.lamp - np.array(AIM_MM)) ** 2) / square
-    return Optics(sensitivity, beta, board * -(to_lamp @ into) / np.sqrt(square))
+    return Optics(sensitivity, beta, board * -np.sum(to_lamp * into, axis=-1) / np.sqrt(square))
 
 
 def blurred(image: np.ndarray) -> np.ndarray:

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-STACK = 64
-_LEAF, _BINS = 4, 12
+from nishiki.simulate.rows import over_rows
+
+_STACK, _LEAF = 256, 4
 
 
 @dataclass(frozen=True)
@@ -23,95 +24,59 @@ class Tree:
     order: np.ndarray
 
 
+@dataclass(frozen=True)
+class Hits:
+    """triangle (n,) int32: in the mesh, -1 where nothing is met; distance (n,) float64; weights (n, 2) float64 of the
+    triangle's second and third corner."""
+
+    triangle: np.ndarray
+    distance: np.ndarray
+    weights: np.ndarray
+
+
 def make_tree(vertices: np.ndarray, triangles: np.ndarray) -> Tree:
-    """Tree of boxes over a mesh, split where the surface area heuristic is least over 12 bins (Wald 2007)."""
+    """Tree of boxes over a mesh; each is split where the surface area heuristic is least (MacDonald & Booth 1990)."""
     corners = np.asarray(vertices, np.float64)[triangles]
-    low, high = corners.min(axis=1), corners.max(axis=1)
-    boxes, links = np.empty((2 * len(triangles), 6)), np.zeros((2 * len(triangles), 2), np.int32)
-    order = np.arange(len(triangles), dtype=np.int32)
-    used = _build(low, high, 0.5 * (low + high), order, boxes, links)
+    bounds = np.concatenate([corners.min(axis=1), -corners.max(axis=1)], axis=1)  # both are minima so
+    centres = corners.mean(axis=1)
+    boxes, links, leaves = [None], [None], []
+    waiting, placed = [(0, np.arange(len(triangles)))], 0
+    while waiting:
+        node, members = waiting.pop()
+        boxes[node] = bounds[members].min(axis=0)
+        parts = _split(bounds, centres, members) if len(members) > _LEAF else None
+        if parts is None:
+            links[node] = (placed, len(members))
+            placed += len(members)
+            leaves.append(members)
+            continue
+        links[node] = (len(boxes), 0)
+        waiting += [(len(boxes) + 1, parts[1]), (len(boxes), parts[0])]
+        boxes += [None, None]
+        links += [None, None]
+    order = np.concatenate(leaves).astype(np.int32)
     packed = np.concatenate([corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=1)
-    return Tree(boxes[:used].copy(), links[:used].copy(), np.ascontiguousarray(packed[order]), order)
+    boxes = np.array(boxes) * np.array([1, 1, 1, -1, -1, -1])
+    return Tree(boxes, np.array(links, np.int32), np.ascontiguousarray(packed[order]), order)
 
 
-@numba.njit(cache=True)
-def _bound(order, first, count, low, high, box):
-    for axis in range(3):
-        box[axis], box[axis + 3] = 1e300, -1e300
-    for k in range(first, first + count):
-        for axis in range(3):
-            box[axis] = min(box[axis], low[order[k], axis])
-            box[axis + 3] = max(box[axis + 3], high[order[k], axis])
+def _split(bounds: np.ndarray, centres: np.ndarray, members: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The two shares of the triangles whose boxes have the least area times number, along the longest axis."""
+    axis = np.ptp(centres[members], axis=0).argmax()
+    members = members[np.argsort(centres[members, axis], kind="stable")]
+    sorted_bounds = bounds[members]
+    before = _half_areas(np.minimum.accumulate(sorted_bounds[:-1], axis=0))
+    after = _half_areas(np.minimum.accumulate(sorted_bounds[:0:-1], axis=0)[::-1])
+    count = np.arange(1, len(members))
+    place = int(np.argmin(before * count + after * count[::-1])) + 1
+    # A slice of one triangle after another would make the tree too deep for the stack of a ray.
+    place = min(max(place, len(members) // 16 + 1), len(members) - len(members) // 16 - 1)
+    return members[:place], members[place:]
 
 
-@numba.njit(cache=True)
-def _half_area(box):
-    x, y, z = box[3] - box[0], box[4] - box[1], box[5] - box[2]
+def _half_areas(bounds: np.ndarray) -> np.ndarray:
+    x, y, z = (-bounds[:, 3:] - bounds[:, :3]).T
     return x * y + y * z + z * x
-
-
-@numba.njit(cache=True)
-def _best_split(order, first, count, low, high, centre, bins, sums):
-    """Axis and position of the cheapest of the bin borders; axis -1 where all centres coincide."""
-    best_axis, best_place, best_cost = -1, 0.0, 1e300
-    for axis in range(3):
-        least, most = 1e300, -1e300
-        for k in range(first, first + count):
-            least, most = min(least, centre[order[k], axis]), max(most, centre[order[k], axis])
-        if most - least < 1e-12:
-            continue
-        sums[:] = 0
-        bins[:, :3], bins[:, 3:] = 1e300, -1e300
-        scale = _BINS * (1.0 - 1e-9) / (most - least)
-        for k in range(first, first + count):
-            b = int((centre[order[k], axis] - least) * scale)
-            sums[b] += 1
-            for j in range(3):
-                bins[b, j] = min(bins[b, j], low[order[k], j])
-                bins[b, j + 3] = max(bins[b, j + 3], high[order[k], j])
-        for border in range(1, _BINS):
-            cost = 0.0
-            for side in range(2):
-                box, n = np.array([1e300, 1e300, 1e300, -1e300, -1e300, -1e300]), 0
-                for b in range(0 if side == 0 else border, border if side == 0 else _BINS):
-                    n += sums[b]
-                    for j in range(3):
-                        box[j], box[j + 3] = min(box[j], bins[b, j]), max(box[j + 3], bins[b, j + 3])
-                cost = cost + n * _half_area(box) if n else 1e300
-            if cost < best_cost:
-                best_axis, best_place, best_cost = axis, least + border / scale, cost
-    return best_axis, best_place
-
-
-@numba.njit(cache=True)
-def _build(low, high, centre, order, boxes, links):
-    bins, sums = np.empty((_BINS, 6)), np.empty(_BINS, np.int64)
-    stack = np.empty((256, 3), np.int64)
-    stack[0] = np.array([0, 0, order.size])
-    depth, used = 1, 1
-    while depth:
-        depth -= 1
-        node, first, count = stack[depth]
-        _bound(order, first, count, low, high, boxes[node])
-        middle = first
-        if count > _LEAF:
-            axis, place = _best_split(order, first, count, low, high, centre, bins, sums)
-            if axis >= 0:
-                for k in range(first, first + count):
-                    if centre[order[k], axis] < place:
-                        order[k], order[middle] = order[middle], order[k]
-                        middle += 1
-            if middle == first or middle == first + count:
-                middle = first + count // 2
-        if middle == first:
-            links[node, 0], links[node, 1] = first, count
-            continue
-        links[node, 0], links[node, 1] = used, 0
-        stack[depth, 0], stack[depth, 1], stack[depth, 2] = used, first, middle - first
-        stack[depth + 1, 0], stack[depth + 1, 1], stack[depth + 1, 2] = used + 1, middle, first + count - middle
-        depth += 2
-        used += 2
-    return used
 
 
 @numba.njit(cache=True)
@@ -151,10 +116,10 @@ def _inverse(d):
 
 
 @numba.njit(cache=True)
-def nearest(boxes, links, triangles, stack, ox, oy, oz, dx, dy, dz, far, any_hit):
+def _nearest(boxes, links, triangles, stack, ox, oy, oz, dx, dy, dz, far, any_hit):
     """First hit of a ray nearer than `far`: distance, triangle in the tree's order (-1: none), weights of corners 1, 2.
 
-    stack (STACK,) int32 is scratch. any_hit : return the first hit found, whichever it is (for shadows).
+    stack (_STACK,) int32 is scratch. any_hit : return the first hit found, whichever it is (for shadows).
     """
     ix, iy, iz = _inverse(dx), _inverse(dy), _inverse(dz)
     best, found, best_u, best_v = far, -1, 0.0, 0.0
@@ -188,3 +153,33 @@ def nearest(boxes, links, triangles, stack, ox, oy, oz, dx, dy, dz, far, any_hit
             depth -= 1
             following = stack[depth]
         node = following
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _cast(start, stop, boxes, links, triangles, order, origins, directions, far, any_hit, triangle, distance, weights):
+    stack = np.empty(_STACK, np.int32)
+    for ray in range(start, stop):
+        o, d = origins[ray], directions[ray]
+        t, found, u, v = _nearest(boxes, links, triangles, stack, o[0], o[1], o[2], d[0], d[1], d[2], far[ray], any_hit)
+        triangle[ray] = order[found] if found >= 0 else -1
+        distance[ray], weights[ray, 0], weights[ray, 1] = t, u, v
+
+
+def cast(
+    tree: Tree, origins: np.ndarray, directions: np.ndarray, *, far: np.ndarray | float = 1e9, any_hit: bool = False
+) -> Hits:
+    """First hits of rays (n, 3), (n, 3) nearer than `far`, in multiples of their directions.
+
+    any_hit : stop at the first hit found, whichever it is (for shadows: only whether there is one means something).
+    """
+    count = len(directions)
+    directions = np.ascontiguousarray(directions, np.float64)
+    origins = np.array(np.broadcast_to(origins, directions.shape), np.float64, order="C")
+    far = np.array(np.broadcast_to(far, count), np.float64)
+    hits = Hits(np.empty(count, np.int32), np.empty(count), np.empty((count, 2)))
+    if count:
+        over_rows(
+            _cast, count, tree.boxes, tree.links, tree.triangles, tree.order, origins, directions, far, any_hit,
+            hits.triangle, hits.distance, hits.weights,
+        )  # fmt: skip
+    return hits

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numba
@@ -11,14 +10,16 @@ import numpy as np
 from nishiki.simulate.randomness import hash_uint, subkey, uniform
 from nishiki.simulate.rows import over_rows
 from nishiki.simulate.turntable.interreflection import OFFSET_MM, Surroundings, bounced, look_around, mirrored
-from nishiki.simulate.turntable.materials import NUMBERS, describe
-from nishiki.simulate.turntable.optics import INDEX, metal_fresnel, reflect
-from nishiki.simulate.turntable.rays import STACK, Tree, make_tree, nearest
+from nishiki.simulate.turntable.materials import describe
+from nishiki.simulate.turntable.optics import INDEX, metal_fresnel, reflected
+from nishiki.simulate.turntable.rays import Hits, Tree, cast, make_tree
 from nishiki.simulate.turntable.settings import LAMP_RADIUS_MM, TurntableSettings
 from nishiki.simulate.turntable.surface import Surface, make_surface
 from nishiki.simulate.turntable.viewpoints import AIM_MM, Viewpoint
 
 _LAMP_POINTS = 8  # lamp points a vertex, for the light that bounces
+_RAYS = 1 << 18  # at a time
+_GOLDEN = 0.6180339887498949
 
 
 @dataclass(frozen=True)
@@ -38,8 +39,8 @@ class Light:
     diffuse : (rows, columns, 3) float32, light that has lost its polarisation (body, bounced light, the object's mirror
     image in itself). specular : likewise, the lamp's mirror reflection. coverage : (rows, columns) float32, share of
     the pixel that the object fills. depth : mm along the optical axis; normals : (rows, columns, 3), unit, of the
-    smooth surface in the object's frame; albedo : (rows, columns, 3); part : uint8 (255 = none), all float32 and means
-    over the samples that meet the object (part: the first), 0 where none does.
+    smooth surface in the object's frame; albedo : (rows, columns, 3): float32, means over the samples that meet the
+    object, 0 where none does. part : (rows, columns) uint8, of the first sample; 255 = none.
     """
 
     diffuse: np.ndarray
@@ -51,6 +52,23 @@ class Light:
     part: np.ndarray
 
 
+@dataclass(frozen=True)
+class _Points:
+    """Where rays met the object: pixel (n,), its number in the pixel (n,), numbers (n, 4) in [0, 1), points, unit
+    normals, directions of the rays (n, 3), distance (n,), parts (n, parts), indirect irradiance and image (n, 3)."""
+
+    pixel: np.ndarray
+    sample: np.ndarray
+    numbers: np.ndarray
+    points: np.ndarray
+    normals: np.ndarray
+    rays: np.ndarray
+    depth: np.ndarray
+    parts: np.ndarray
+    bounce: np.ndarray
+    image: np.ndarray
+
+
 def make_scene(settings: TurntableSettings) -> Scene:
     """The object that the settings describe; the same for any number of threads."""
     surface = make_surface(settings.triangles)
@@ -59,136 +77,12 @@ def make_scene(settings: TurntableSettings) -> Scene:
     return Scene(surface, tree, around, subkey(settings.seed, "turntable paint"))
 
 
-@numba.njit(cache=True)
-def lamp_point(lamp, x, y, z, radius, a, b):
-    """Direction and distance from (x, y, z) to a point of the lamp's disc, which faces the object; a, b in [0, 1)."""
-    dx, dy, dz = lamp[0] - x, lamp[1] - y, lamp[2] - z
-    length = math.sqrt(dx * dx + dy * dy + dz * dz)
-    # Two directions across the light: any pair will do, for the disc is round.
-    ux, uy, uz = dz / length, 0.0, -dx / length
-    flat = math.sqrt(ux * ux + uz * uz)
-    ux, uz = ux / flat, uz / flat
-    wx, wy, wz = (dy * uz - dz * uy) / length, (dz * ux - dx * uz) / length, (dx * uy - dy * ux) / length
-    r, turn = radius * math.sqrt(a), 6.283185307179586 * b
-    p, q = r * math.cos(turn), r * math.sin(turn)
-    dx, dy, dz = dx + p * ux + q * wx, dy + p * uy + q * wy, dz + p * uz + q * wz
-    length = math.sqrt(dx * dx + dy * dy + dz * dz)
-    return dx / length, dy / length, dz / length, length
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _irradiate(start, stop, vertices, normals, boxes, links, triangles, lamp, radius, reference, points, offset, out):
-    """Irradiance of every vertex by the lamp, shadows included; 1 for a surface at the axis that faces the lamp."""
-    stack = np.empty(STACK, np.int32)
-    for p in range(start, stop):
-        n, total = normals[p], 0.0
-        x, y, z = vertices[p, 0] + offset * n[0], vertices[p, 1] + offset * n[1], vertices[p, 2] + offset * n[2]
-        for k in range(points):
-            turn = (k * 0.6180339887498949) % 1.0
-            lx, ly, lz, length = lamp_point(lamp, x, y, z, radius, (k + 0.5) / points, turn)
-            cosine = n[0] * lx + n[1] * ly + n[2] * lz
-            if cosine <= 0.0:
-                continue
-            if nearest(boxes, links, triangles, stack, x, y, z, lx, ly, lz, length, True)[1] < 0:
-                total += cosine * reference / (length * length)
-        out[p] = total / points
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _see(
-    start, stop, columns, samples, vertices, normals, parts, faces, boxes, links, triangles, order, rotation, centre,
-    lens, lamp, radius, reference, offset, indirect, mirror, key, diffuse, specular, coverage, depth, geometry, albedo,
-    part,
-):  # fmt: skip
-    stack = np.empty(STACK, np.int32)
-    m, slope, mixed = np.empty(NUMBERS), np.empty(2), np.empty(parts.shape[1])
-    body, gloss, n, bounce, image = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    share = 1.0 / (samples * samples)
-    for row in range(start, stop):
-        for column in range(columns):
-            bits = hash_uint(np.uint64(key), np.uint64(row * columns + column))
-            first = True
-            for sample in range(samples * samples):
-                a, b = uniform(bits, np.uint64(4 * sample)), uniform(bits, np.uint64(4 * sample + 1))
-                u = (column - 0.5 + (sample % samples + a) / samples - lens[1]) / lens[0]
-                v = (row - 0.5 + (sample // samples + b) / samples - lens[2]) / lens[0]
-                length = math.sqrt(1.0 + u * u + v * v)
-                dx = (rotation[0, 0] * u + rotation[1, 0] * v + rotation[2, 0]) / length
-                dy = (rotation[0, 1] * u + rotation[1, 1] * v + rotation[2, 1]) / length
-                dz = (rotation[0, 2] * u + rotation[1, 2] * v + rotation[2, 2]) / length
-                t, hit, w1, w2 = nearest(
-                    boxes, links, triangles, stack, centre[0], centre[1], centre[2], dx, dy, dz, 1e9, False
-                )
-                if hit < 0:
-                    continue
-                i, j, k = faces[order[hit], 0], faces[order[hit], 1], faces[order[hit], 2]
-                w0 = 1.0 - w1 - w2
-                for q in range(3):
-                    n[q] = w0 * normals[i, q] + w1 * normals[j, q] + w2 * normals[k, q]
-                    bounce[q] = w0 * indirect[i, q] + w1 * indirect[j, q] + w2 * indirect[k, q]
-                    image[q] = w0 * mirror[i, q] + w1 * mirror[j, q] + w2 * mirror[k, q]
-                for q in range(mixed.size):
-                    mixed[q] = w0 * parts[i, q] + w1 * parts[j, q] + w2 * parts[k, q]
-                size = math.sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2])
-                n[0], n[1], n[2] = n[0] / size, n[1] / size, n[2] / size
-                x, y, z = centre[0] + t * dx, centre[1] + t * dy, centre[2] + t * dz
-                describe(mixed, x, y, z, n[0], n[1], n[2], key, m, slope)
-                # The lamp's share of this sample: one point of its disc, the disc being covered by the pixel's samples.
-                turn = (uniform(bits, np.uint64(2)) + sample * 0.6180339887498949) % 1.0
-                ring = (sample + uniform(bits, np.uint64(4 * sample + 3))) * share
-                x0, y0, z0 = x + offset * n[0], y + offset * n[1], z + offset * n[2]
-                lx, ly, lz, away = lamp_point(lamp, x0, y0, z0, radius, ring, turn)
-                strength = reference / (away * away)
-                facing = n[0] * lx + n[1] * ly + n[2] * lz
-                body[0] = body[1] = body[2] = gloss[0] = gloss[1] = gloss[2] = 0.0
-                if facing > 0.0:
-                    shadow = nearest(boxes, links, triangles, stack, x0, y0, z0, lx, ly, lz, away, True)[1]
-                    if shadow < 0:
-                        reflect(m, lx, ly, lz, -dx, -dy, -dz, body, gloss)
-                cosine = max(-(m[9] * dx + m[10] * dy + m[11] * dz), 0.0)
-                # Schlick for the surroundings' image too: its rays come from many sides, the exact curve gains nothing.
-                glass = metal_fresnel(cosine, ((INDEX - 1.0) / (INDEX + 1.0)) ** 2)
-                for q in range(3):
-                    shine = metal_fresnel(cosine, m[3 + q]) if m[3] > 0.0 else glass
-                    light = body[q] * strength + m[q] * bounce[q] * (1.0 - glass) + shine * image[q]
-                    diffuse[row, column, q] += np.float32(share * light)
-                    specular[row, column, q] += np.float32(share * strength * gloss[q])
-                    albedo[row, column, q] += np.float32(m[q])
-                    geometry[row, column, q] += np.float32(n[q])
-                depth[row, column] += np.float32(t / length)
-                coverage[row, column] += np.float32(1.0)
-                if first:
-                    first = False
-                    nearest_part = 0
-                    for q in range(1, mixed.size):
-                        if mixed[q] < mixed[nearest_part]:
-                            nearest_part = q
-                    part[row, column] = nearest_part
-            if coverage[row, column] > 0.0:
-                met = coverage[row, column]
-                depth[row, column] /= met
-                length = math.sqrt(
-                    geometry[row, column, 0] ** 2 + geometry[row, column, 1] ** 2 + geometry[row, column, 2] ** 2
-                )
-                for q in range(3):
-                    albedo[row, column, q] /= met
-                    geometry[row, column, q] /= np.float32(max(length, 1e-12))
-                coverage[row, column] = met * share
-
-
 def see(scene: Scene, view: Viewpoint, settings: TurntableSettings) -> Light:
     """The light of one view; pixels are means over their area, without blur and noise."""
-    surface, tree = scene.surface, scene.tree
-    reference = float(np.sum((view.lamp - AIM_MM) ** 2))
-    direct = np.empty(len(surface.vertices))
-    over_rows(
-        _irradiate, len(direct), surface.vertices, surface.normals, tree.boxes, tree.links, tree.triangles,
-        view.lamp, LAMP_RADIUS_MM, reference, _LAMP_POINTS, OFFSET_MM, direct,
-    )  # fmt: skip
-    indirect, radiosity = bounced(scene.around, direct, settings.bounces)
+    indirect, radiosity = bounced(scene.around, irradiance(scene, view), settings.bounces)
     mirror = np.zeros_like(indirect)
     if settings.bounces:
-        mirror = mirrored(surface, scene.around, radiosity, view.centre)
+        mirror = mirrored(scene.surface, scene.around, radiosity, view.centre)
     shape = (settings.rows, settings.columns)
     light = Light(
         *(np.zeros((*shape, 3), np.float32) for _ in range(2)),
@@ -196,11 +90,137 @@ def see(scene: Scene, view: Viewpoint, settings: TurntableSettings) -> Light:
         *(np.zeros((*shape, 3), np.float32) for _ in range(2)),
         np.full(shape, 255, np.uint8),
     )
-    lens = np.array([view.focal, *view.principal])
-    over_rows(
-        _see, settings.rows, settings.columns, settings.samples, surface.vertices, surface.normals, surface.parts,
-        surface.triangles, tree.boxes, tree.links, tree.triangles, tree.order, view.rotation, view.centre, lens,
-        view.lamp, LAMP_RADIUS_MM, reference, OFFSET_MM, indirect, mirror, np.uint64(scene.key), light.diffuse,
-        light.specular, light.coverage, light.depth, light.normals, light.albedo, light.part,
-    )  # fmt: skip
+    band = max(_RAYS // (settings.columns * settings.samples**2), 1)
+    for start in range(0, settings.rows, band):
+        rows = slice(start, min(start + band, settings.rows))
+        met = _aim(scene, view, settings, rows, np.hstack([indirect, mirror]))
+        _collect(met, *_shade(scene, view, settings, met), settings, Light(*(a[rows] for a in vars(light).values())))
     return light
+
+
+def lamp_rays(points: np.ndarray, lamp: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit directions (n, 3) and distances (n,) from points to points of the lamp's disc, which faces them.
+
+    a, b in [0, 1) choose the point: share of the disc's area inside its radius, and the angle as a share of a turn.
+    """
+    to_lamp = lamp - points
+    straight = to_lamp / np.linalg.norm(to_lamp, axis=1, keepdims=True)
+    # Two directions across the light: any pair will do, for the disc is round.
+    u = np.column_stack([straight[:, 2], np.zeros(len(points)), -straight[:, 0]])
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    w = np.cross(straight, u)
+    r, turn = LAMP_RADIUS_MM * np.sqrt(a), 2.0 * np.pi * b
+    rays = to_lamp + (r * np.cos(turn))[:, None] * u + (r * np.sin(turn))[:, None] * w
+    distance = np.linalg.norm(rays, axis=1)
+    return rays / distance[:, None], distance
+
+
+def reference(view: Viewpoint) -> float:
+    """Squared distance (mm²) at which the lamp gives irradiance 1: that of the axis."""
+    return float(np.sum((view.lamp - np.array(AIM_MM)) ** 2))
+
+
+def irradiance(scene: Scene, view: Viewpoint) -> np.ndarray:
+    """Irradiance (v,) of every vertex by the lamp, with shadows; 1 for a surface at the axis that faces it."""
+    surface = scene.surface
+    origins, total = surface.vertices + OFFSET_MM * surface.normals, np.zeros(len(surface.vertices))
+    for point in range(_LAMP_POINTS):
+        a, b = (np.full(len(total), x) for x in ((point + 0.5) / _LAMP_POINTS, point * _GOLDEN % 1.0))
+        rays, distance = lamp_rays(origins, view.lamp, a, b)
+        cosine = np.einsum("ij,ij->i", surface.normals, rays)
+        facing = np.flatnonzero(cosine > 0.0)
+        free = cast(scene.tree, origins[facing], rays[facing], far=distance[facing], any_hit=True).triangle < 0
+        lit = facing[free]
+        total[lit] += cosine[lit] * reference(view) / distance[lit] ** 2
+    return total / _LAMP_POINTS
+
+
+@numba.njit(cache=True, nogil=True)
+def _numbers(start, stop, key, first, samples, out):
+    for pixel in range(start, stop):
+        bits = hash_uint(np.uint64(key), np.uint64(first + pixel))
+        for sample in range(samples):
+            out[pixel, sample, 0] = uniform(bits, np.uint64(4 * sample + 4))
+            out[pixel, sample, 1] = uniform(bits, np.uint64(4 * sample + 5))
+            out[pixel, sample, 2] = uniform(bits, np.uint64(1))  # the same for the pixel: it turns the lamp's pattern
+            out[pixel, sample, 3] = uniform(bits, np.uint64(4 * sample + 6))
+
+
+def _aim(scene, view, settings, rows: slice, vertex_light: np.ndarray) -> _Points:
+    """Rays through stratified random places of the pixels of some rows, and where they meet the object."""
+    side, columns = settings.samples, settings.columns
+    count = (rows.stop - rows.start) * columns
+    numbers = np.empty((count, side * side, 4))
+    over_rows(_numbers, count, np.uint64(scene.key), rows.start * columns, side * side, numbers)
+    pixel, sample = np.divmod(np.arange(count * side * side), side * side)
+    numbers = numbers.reshape(-1, 4)
+    u = pixel % columns - 0.5 + (sample % side + numbers[:, 0]) / side
+    v = rows.start + pixel // columns - 0.5 + (sample // side + numbers[:, 1]) / side
+    u, v = ((a - middle) / view.focal for a, middle in zip((u, v), view.principal, strict=True))
+    right, down, into = view.rotation
+    rays = u[:, None] * right + v[:, None] * down + into
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    hits = cast(scene.tree, view.centre, rays)
+    met = np.flatnonzero(hits.triangle >= 0)
+    hits = Hits(hits.triangle[met], hits.distance[met], hits.weights[met])
+    rays = rays[met]
+    corners = scene.surface.triangles[hits.triangle]
+    weights = np.column_stack([1.0 - hits.weights.sum(axis=1), hits.weights])
+    values = np.hstack([scene.surface.normals, scene.surface.parts, vertex_light])
+    mixed = sum(weights[:, corner, None] * values[corners[:, corner]] for corner in range(3))
+    return _Points(
+        pixel[met],
+        sample[met],
+        numbers[met],
+        view.centre + hits.distance[:, None] * rays,
+        mixed[:, :3] / np.linalg.norm(mixed[:, :3], axis=1, keepdims=True),
+        rays,
+        hits.distance * np.einsum("ij,j->i", rays, into),
+        mixed[:, 3:-6],
+        mixed[:, -6:-3],
+        mixed[:, -3:],
+    )
+
+
+def _shade(scene, view, settings, met: _Points) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Diffuse and specular light (n, 3) of every sample to the camera, and its albedo (n, 3)."""
+    m = describe(met.parts, met.points, met.normals, key=scene.key)
+    # One point of the lamp's disc a sample; together the pixel's samples cover the disc (a sunflower pattern).
+    ring = (met.sample + met.numbers[:, 3]) / settings.samples**2
+    origins = met.points + OFFSET_MM * met.normals
+    rays, distance = lamp_rays(origins, view.lamp, ring, (met.numbers[:, 2] + met.sample * _GOLDEN) % 1.0)
+    facing = np.flatnonzero(np.einsum("ij,ij->i", met.normals, rays) > 0.0)
+    free = cast(scene.tree, origins[facing], rays[facing], far=distance[facing], any_hit=True).triangle < 0
+    lit = facing[free]
+    body, gloss = np.zeros((len(m), 3)), np.zeros((len(m), 3))
+    body[lit], gloss[lit] = reflected(m[lit], rays[lit], -met.rays[lit])
+    strength = (reference(view) / distance**2)[:, None]
+    # Schlick for the surroundings' image too: its light comes from many sides, the exact curve gains nothing.
+    cosine = -np.einsum("ij,ij->i", m[:, 9:12], met.rays)[:, None]
+    glass = metal_fresnel(cosine, ((INDEX - 1.0) / (INDEX + 1.0)) ** 2)
+    shine = np.where(m[:, 3:4] > 0.0, metal_fresnel(cosine, m[:, 3:6]), glass)
+    diffuse = body * strength + m[:, :3] * met.bounce * (1.0 - glass) + shine * met.image
+    return diffuse, gloss * strength, m[:, :3]
+
+
+def _collect(met: _Points, diffuse, specular, albedo, settings, out: Light) -> None:
+    """Means over the pixels of some rows, into `out`."""
+    shape = out.coverage.shape
+    count = np.bincount(met.pixel, minlength=out.coverage.size)
+
+    def total(values):
+        columns = values.T if values.ndim > 1 else values[None]
+        sums = [np.bincount(met.pixel, column, out.coverage.size) for column in columns]
+        return np.stack(sums, axis=-1).reshape(*shape, *values.shape[1:])
+
+    count = count.reshape(shape)
+    some = np.maximum(count, 1)
+    out.coverage[:] = count / settings.samples**2
+    out.diffuse[:] = total(diffuse) / settings.samples**2
+    out.specular[:] = total(specular) / settings.samples**2
+    out.albedo[:] = total(albedo) / some[..., None]
+    out.depth[:] = total(met.depth) / some
+    normals = total(met.normals)
+    out.normals[:] = normals / np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
+    pixels, first = np.unique(met.pixel, return_index=True)
+    out.part.reshape(-1)[pixels] = met.parts[first].argmin(axis=1)

@@ -18,6 +18,7 @@ WHITE_RATIO = (0.86, 1.0, 0.78)  # what a white gives in each channel, the large
 STRAY = 0.0015  # light scattered inside the lens, of a white's
 CLOTH = 0.004  # the black cloth behind the object, of a white's
 BOARD_REFLECTANCE = 0.98
+LEAST_TRIANGLES = 3500  # with fewer, thin parts fall apart
 
 
 @dataclass(frozen=True)
@@ -53,8 +54,8 @@ class TurntableSettings:
             ("columns", self.columns, 16, 20000),
             ("views", self.views, 2, 3600),
             ("seed", self.seed, 0, 2**53),
-            ("triangles", self.triangles, 1000, 5_000_000),
-            ("scan_triangles", self.scan_triangles or 1000, 1000, 5_000_000),
+            ("triangles", self.triangles, LEAST_TRIANGLES, 5_000_000),
+            ("scan_triangles", self.scan_triangles or LEAST_TRIANGLES, LEAST_TRIANGLES, 5_000_000),
             ("samples", self.samples, 1, 8),
             ("directions", self.directions, 16, 4096),
             ("bounces", self.bounces, 0, 4),
