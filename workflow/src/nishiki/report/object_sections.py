@@ -78,7 +78,7 @@ def cameras_section(cameras: dict[str, Any], centres: np.ndarray, names: list[st
         "source": cameras.get("source"),
         "unit": cameras.get("unit"),
         "radius": circle.get("radius"),
-        "off_plane": circle.get("off_plane"),
+        "off_plane": None if circle.get("off_plane") is None else 100 * round(circle["off_plane"], 9),
         "least_step": min(steps, default=None),
         "largest_step": max(steps, default=None),
         "errors": errors,

@@ -1,0 +1,337 @@
+"""The page of a turntable scene: with everything, with the least, and its parts."""
+
+import html.parser
+import importlib.util
+import json
+import re
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from nishiki.artifact import ArtifactWriter
+from nishiki.geometry.camera import Camera
+from nishiki.geometry.cameras_file import save_cameras
+from nishiki.patches.atlas import Atlas
+from nishiki.progress import Progress
+from nishiki.reflection.flags import TexelFlag
+from nishiki.reflection.store import ParameterMaps, ParameterWriter
+from nishiki.reflection.tile import Parameters
+from nishiki.report.object_atlas import averaged, sheet, shelves, tile_places
+from nishiki.report.object_plots import bytes_bars, rate_curve, turn_plot
+from nishiki.report.object_sections import cameras_section, facts, geometry_section, glance
+from nishiki.settings.cameras import CamerasSettings
+from nishiki.settings.ingest import IngestSettings
+from nishiki.settings.mesh import MeshSettings
+from nishiki.settings.object_evaluate import ObjectEvaluateSettings
+from nishiki.settings.object_render import ObjectRenderSettings
+from nishiki.settings.object_report import ObjectReportSettings
+from nishiki.settings.polarise import PolariseSettings
+from nishiki.settings.reflection import ReflectionSettings
+from nishiki.settings.residual import ResidualSettings
+from nishiki.settings.texels import TexelsSettings
+from nishiki.stage import Context
+
+PROJECT = Path(__file__).resolve().parents[2]
+STAMP = {"scene": "small", "stage": "object_report", "key": "0" * 12, "version": "0.1.0"}
+TITLE = 'Jar <b>&"quoted"</b>'
+VIEWS = ["000", "001", "002", "003"]
+
+
+def script():
+    """The stage's script as a module."""
+    if str(PROJECT / "scripts") not in sys.path:
+        sys.path.insert(0, str(PROJECT / "scripts"))
+    spec = importlib.util.spec_from_file_location("script_object_report", PROJECT / "scripts" / "object_report.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def artifact(root, settings, fill):
+    with ArtifactWriter(root / settings.STAGE / ("a" * 12)) as writer:
+        manifest = {
+            **STAMP,
+            "stage": settings.STAGE,
+            "key": "a" * 12,
+            "diagnostics": fill(writer) or {},
+            "settings": json.loads(settings.model_dump_json()),
+            "upstream": {},
+            "code": "c0de",
+            "libraries": {"numpy": "2"},
+        }
+        return writer.finish(manifest, {})
+
+
+def ring():
+    cameras = []
+    for k, name in enumerate(VIEWS):
+        turn = np.pi / 2 * k
+        rotation = np.array([[np.cos(turn), 0, -np.sin(turn)], [0, -1, 0], [-np.sin(turn), 0, -np.cos(turn)]])
+        cameras.append(Camera(name, np.eye(3), rotation, np.array([0.0, 0, 100]), 20, 30))
+    return cameras
+
+
+def ingest(_):
+    return {
+        "capture": {
+            "title": TITLE,
+            "camera": {"encoding": "linear", "bits": 12, "model": None},
+            "lights": {"kind": "camera"},
+            "turntable": {"full_turn": True},
+            "creator": "somebody",
+        },
+        "views": VIEWS,
+        "states": ["off", "on"],
+        "rows": 20,
+        "columns": 30,
+        "channels": ["red", "green", "blue"],
+        "warnings": ["view 002 is dark"],
+    }
+
+
+def cameras_of(writer):
+    settings = dict(unit="mm", full_turn=True, source="matrices", reprojection_px=[None] * 4)
+    save_cameras(writer.path("cameras.json"), ring(), **settings)
+    return {
+        "source": "boards",
+        "unit": "mm",
+        "circle": {
+            "axis": [0, 1, 0],
+            "centre": [0, 0, 0],
+            "radius": 100.0,
+            "off_plane": 1e-17,
+            "steps_deg": [90.0] * 4,
+        },
+        "reprojection_px": {"000": 0.25, "001": 0.5, "002": None},
+    }
+
+
+def atlas(size=8):
+    """Two charts: of 1 x 2 cells with one tile missing, and of 1 x 1."""
+    return Atlas(
+        size,
+        np.zeros(0, np.int32),
+        np.zeros((0, 3, 2), np.float32),
+        np.array([[0, 1, 2], [2, 1, 1]], np.int32),
+        np.array([0, -1, 1], np.int32),
+        np.array([0, 1], np.int32),
+        np.array([[0, 0], [0, 0]], np.int32),
+        np.ones((2, 2)),
+    )
+
+
+def texels_of(writer):
+    atlas().save(writer.path("atlas.npz"))
+
+
+def reflection_of(writer):
+    out = ParameterWriter(writer.folder, tiles=2, size=8, channels=3, stamp=STAMP)
+    rng = np.random.default_rng(0)
+    for tile in range(2):
+        flags = np.zeros((8, 8), np.uint8)
+        flags[0] = TexelFlag.OUTSIDE
+        kd, ks = rng.random((2, 8, 8, 3), np.float32)
+        out.write(tile, Parameters(kd, ks, np.full((8, 8), 0.2, np.float32), flags))
+    shares = {"highlight_share": 0.5, "filled_share": 0.25, "unseen_share": 0.0}
+    return {**shares, "median_sigma": 0.2, "lighting": "camera", "texels": 112, "samples": 999, "psnr_db": 34.56}
+
+
+def residual_of(_):
+    curve = [{"bytes": 1000 * k, "psnr_db": 30.0 + k, "step": 0.1, "kept": k} for k in (3, 1, 2)]
+    return {
+        "psnr_db": 44.4, "model_psnr_db": 30.1, "kept": 123, "kept_of_all": 0.01, "kept_of_visible": 0.03, "tiles": 2,
+        "empty_tiles": 1, "step": 0.01, "bits_per_pixel": 0.5, "pixels": 900, "bytes": {"total": 3000}, "curve": curve,
+    }  # fmt: skip
+
+
+def evaluation_of(writer):
+    picture = np.full((5, 7, 3), 90, np.uint8)
+    np.savez(writer.path("compare-000.npz"), photograph=picture, rendered=picture, model=picture, error=picture)
+    figures = {"views": 3, "mean_psnr_db": 41.5, "worst_psnr_db": 40.0, "pooled_psnr_db": 41.0, "mean_similarity": 0.9}
+    figures |= {"mean_covered_psnr_db": 42.0, "uncovered_pixels": 3, "pixels": 900}
+    row = {"view": "000", "light": "", "left_out": False, "picture": "decoded", "against": "photograph", "pixels": 9}
+    row |= {"psnr_db": 41.5, "covered_psnr_db": 42.0, "similarity": None, "uncovered_pixels": 3}
+    sizes = {"mesh_triangles": 500, "residual_parameters": 200, "residual_total": 3000, "total": 3700}
+    evaluation = {
+        "figures": {"captured": figures, "left_out_interpolated": {**figures, "mean_psnr_db": 33.25}},
+        "left_out": {"views": ["003"], "used": "interpolated"},
+        "rows": [row],
+        "encoding": "linear",
+        "bytes": sizes,
+        "pictures": [{"view": "000", "left_out": False, "file": "compare-000.png", "arrays": "compare-000.npz"}],
+    }
+    writer.path("evaluation.json").write_text(json.dumps(evaluation))
+    return {"psnr": evaluation["figures"], "bytes": sizes, "bits_per_object_pixel": 0.75}
+
+
+def render_of(writer):
+    done, data = cv2.imencode(".png", np.full((6, 8, 3), 120, np.uint8))
+    assert done
+    for name in ("view-000", "view-003-predicted", "between-000-001"):
+        writer.path(f"{name}.png").write_bytes(data.tobytes())
+    writer.path("turn.mp4").write_bytes(b"\0" * 2000)
+    pictures = {name: {"pixels": 9} for name in ("view-000", "view-003-predicted", "between-000-001")}
+    return {"pictures": pictures, "video": {"frames": 12, "file": "turn.mp4"}, "notes": ["a note"]}
+
+
+def mesh_of(_):
+    fit = {"iou_mean": 0.987, "iou_least": 0.98, "iou_held_out": None}
+    return {"triangles": 1234, "vertices": 619, "watertight": True, "cleaned": {"degenerate": 2}, "fit": fit}
+
+
+def polarise_of(_):
+    view = {"diffuse": 0.04, "specular": 0.008, "negative": 0.3, "doubtful": 0.01}
+    return {"by_view": [view, {**view, "diffuse": 0.06}], "boards": {"lamp": {"channel": [0.4, 0.41, 0.37]}}}
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory):
+    root = tmp_path_factory.mktemp("artifacts")
+    made = [
+        artifact(root, IngestSettings(), ingest),
+        artifact(root, CamerasSettings(), cameras_of),
+        artifact(root, MeshSettings(), mesh_of),
+        artifact(root, PolariseSettings(), polarise_of),
+        artifact(root, TexelsSettings(hold_out=("003",)), texels_of),
+        artifact(root, ReflectionSettings(width="texel"), reflection_of),
+        artifact(root, ResidualSettings(), residual_of),
+        artifact(root, ObjectRenderSettings(), render_of),
+        artifact(root, ObjectEvaluateSettings(), evaluation_of),
+    ]
+    return {item.stage: item for item in made}
+
+
+def page_of(folder, inputs, **settings):
+    with ArtifactWriter(folder) as writer:
+        context = Context(inputs, ObjectReportSettings(**settings), writer, None, None, STAMP, Progress("test"))
+        diagnostics = script().run(context)
+        text = writer.path("report.html").read_text(encoding="utf-8")
+    assert diagnostics["bytes"] == len(text.encode())
+    assert diagnostics["stages"] == sorted(inputs)
+    return text
+
+
+class Checker(html.parser.HTMLParser):
+    """Counts open tags and gathers outside references."""
+
+    VOID = ("meta", "img", "br", "link", "circle", "path", "line", "rect", "hr", "stop")
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.references, self.ids = [], [], []
+
+    def handle_starttag(self, tag, attributes):
+        values = dict(attributes)
+        self.references += [values[name] for name in ("src", "href") if name in values]
+        self.ids += [values["id"]] if "id" in values else []
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        if tag not in self.VOID:
+            assert self.open.pop() == tag
+
+
+def test_the_whole_page(inputs, tmp_path):
+    text = page_of(tmp_path / "one", inputs, left_out={"separate": "not asked for"})
+    checker = Checker()
+    checker.feed(text)
+    assert checker.open == []
+    anchors = {reference[1:] for reference in checker.references if reference.startswith("#")}
+    assert anchors <= set(checker.ids)
+    outside = [r for r in checker.references if not r.startswith(("#", "data:"))]
+    assert outside == []
+    assert '<b>&"quoted"' not in text
+    assert "Jar &lt;b&gt;" in text
+    for expected in ("41.5", "33.2", "44.4", "34.6", "view 002 is dark", "0.987", "Between views 000 and 001",
+                     "View 003 (left out, predicted)", "not asked for", "a note", "1 setting changed", "0.400",
+                     "11.5", "somebody", "12 frames", "1 of 2 tiles", "0.375"):  # fmt: skip
+        assert expected in text, expected
+    assert text.count("(left out)</title>") == 1
+    assert len(re.findall(r"<video", text)) == 1
+    assert page_of(tmp_path / "two", inputs, left_out={"separate": "not asked for"}) == text
+
+
+def test_the_least(inputs, tmp_path):
+    few = {name: inputs[name] for name in ("ingest", "cameras")}
+    text = page_of(tmp_path / "few", few, title="Another")
+    checker = Checker()
+    checker.feed(text)
+    assert "<h1>Another</h1>" in text
+    for section in ("model", "residual", "comparison", "views", "separation", "rendered"):
+        assert section not in checker.ids
+    assert {"geometry", "cameras", "made", "verify"} <= set(checker.ids)
+
+
+def test_a_large_video_is_named_not_carried(inputs, tmp_path):
+    text = page_of(tmp_path / "video", inputs, video_mb=0.001)
+    assert "<video" not in text
+    assert "object_render/aaaaaaaaaaaa/turn.mp4" in text
+
+
+def test_parameters_round_trip(inputs):
+    maps = ParameterMaps(inputs["reflection"].folder)
+    assert (maps.tiles, maps.size, maps.channels) == (2, 8, 3)
+    part = maps.read(1)
+    assert part.kd.shape == (8, 8, 3)
+    assert part.flags[0, 0] == TexelFlag.OUTSIDE
+    assert np.all(part.sigma == np.float32(0.2))
+
+
+def test_charts_do_not_overlap_on_the_sheet():
+    rng = np.random.default_rng(0)
+    charts = [(int(r), int(c)) for r, c in rng.integers(1, 7, (40, 2))]
+    places, height = shelves(charts, 12)
+    taken = np.zeros((height, 12), int)
+    for (row, column), (rows, columns) in zip(places, charts, strict=True):
+        assert column + columns <= 12
+        taken[row : row + rows, column : column + columns] += 1
+    assert taken.max() == 1
+    assert taken.sum() == sum(r * c for r, c in charts)
+
+
+def test_sheet_holds_every_tile_once():
+    made = sheet(lambda tile: np.full((8, 8, 1), float(tile + 1)), atlas(), 21)
+    places, (rows, columns) = tile_places(atlas())
+    side = made.shape[0] // rows
+    assert made.shape == (rows * side, columns * side, 1)
+    for tile, (row, column) in enumerate(places):
+        assert np.all(made[row * side : (row + 1) * side, column * side : (column + 1) * side] == tile + 1)
+    assert np.isnan(made).sum() == (rows * columns - 2) * side**2
+
+
+def test_averages_leave_out_what_is_not_known():
+    values = np.arange(49.0).reshape(7, 7, 1)
+    np.testing.assert_allclose(averaged(values, 1), values.mean(), rtol=1e-6)
+    values[0] = np.nan
+    np.testing.assert_allclose(averaged(values, 1)[0, 0, 0], np.nanmean(values), rtol=1e-6)
+    assert averaged(values, 7).shape == (7, 7, 1)
+    assert np.isnan(averaged(np.full((7, 7, 2), np.nan), 3)).all()
+
+
+def test_drawings():
+    centres = np.array([camera.centre for camera in ring()])
+    drawing = turn_plot(centres, VIEWS, {"001"})
+    places = [tuple(map(float, found)) for found in re.findall(r'<circle cx="([\d.]+)" cy="([\d.]+)" r="4"', drawing)]
+    assert len(places) == 3
+    radii = [np.hypot(x - 170, y - 170) for x, y in places]
+    np.testing.assert_allclose(radii, radii[0], atol=0.2)
+    assert drawing.count("left out") == 1
+    assert turn_plot(np.zeros((1, 3)), ["a"], set()).startswith("<svg")
+    assert "total" not in bytes_bars({"total": 10, "residual": 4})
+    assert bytes_bars({}) == ""
+    assert "model alone" in rate_curve(residual_of(None)["curve"], 30.0)
+
+
+def test_sections_of_little():
+    assert geometry_section({"triangles": 5})["rows"] == [("triangles", 5)]
+    assert glance({}) == []
+    section = cameras_section({}, np.zeros((2, 3)), ["a", "b"], set())
+    assert section["mean_error"] is None
+    assert section["least_step"] is None
+    told = ingest(None)
+    told["capture"] = {"camera": {}, "lights": None, "turntable": {}}
+    assert ("Lighting", "not stated; fitted") in facts(told)
