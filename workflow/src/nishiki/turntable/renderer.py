@@ -124,14 +124,15 @@ class ObjectRenderer:
         places[present] = np.arange(len(present))
         first, order = by_tile(places[tile], len(present) + 1)
         slots = {int(number): k for k, number in enumerate(present)}
-        prepared = Prepared(shot, raster, pixels, s, t, slots, first, order)
+        lamps = [self.lighting.lamp(shot.camera, light) for light, _ in shot.lights]
+        prepared = Prepared(shot, raster, pixels, s, t, slots, first, order, lamps)
         prepared.values = np.zeros((len(shot.lights), len(self.parts), len(pixels), self.channels), np.float32)
         return prepared
 
     def _finish(self, batch: list[Prepared]) -> Iterator[Picture]:
         if not self.model_only:
             self.depths.prepare(
-                [self.cameras[v] for p in batch if len(p.shot.fallback.views) > 1 for v in p.shot.fallback.views]
+                [self.cameras[v] for prepared in batch if len(prepared.mixture[0]) > 1 for v in prepared.mixture[0]]
             )
         tiles = sorted({tile for prepared in batch for tile in prepared.slots})
         if self.threads > 1 and len(tiles) > 1:
@@ -153,34 +154,32 @@ class ObjectRenderer:
                 continue
             order = prepared.order[prepared.first[slot] : prepared.first[slot + 1]]
             chosen, place = asked_for(prepared.s, prepared.t, order, self.atlas.size)
-            for k, (light, _) in enumerate(prepared.shot.lights):
-                for part, texels in enumerate(self._texels(prepared.shot, light, flat, chosen)):
+            for k, lamp in enumerate(prepared.lamps):
+                base = prepared.shot.lights[k][0] * len(self.cameras)
+                for part, texels in enumerate(self._texels(prepared, lamp, base, flat, chosen)):
                     look_up(texels, place, self.atlas.size, prepared.s, prepared.t, order, prepared.values[k, part])
 
-    def _texels(self, shot: Shot, light: int, flat: Tile, chosen: np.ndarray) -> list[np.ndarray]:
-        """(m, channels) float32 of each part: chosen texels of a tile as this camera sees them under one light,
-        encoded."""
+    def _texels(self, prepared: Prepared, lamp, base: int, flat: Tile, chosen: np.ndarray) -> list[np.ndarray]:
+        """(m, channels) float32 of each part: chosen texels of a tile as this camera sees them under one lamp, encoded.
+
+        base: number of the light's first observation.
+        """
         positions, normals = flat.positions[chosen], flat.normals[chosen]
-        lamp = self.lighting.lamp(shot.camera, light)
         parameters = (values[chosen] for values in flat.parameters)
-        modelled = predict(*parameters, positions, normals, shot.camera.centre, lamp)
+        modelled = predict(*parameters, positions, normals, prepared.shot.camera.centre, lamp)
         if len(self.parts) == 1:
             modelled = [modelled[0] + modelled[1]]
         coded = [encode(values, self.encoding) for values in modelled]
         if flat.residual is None:
             return coded
-        base = light * len(self.cameras)
-        if len(shot.fallback.views) == 1 and len(shot.views.views) == 1:
+        views, weights, fallback = prepared.mixture
+        if len(views) == 1:
             for values, residual in zip(coded, flat.residual, strict=True):
-                values += residual[base + shot.views.views[0]][chosen]
+                values += residual[base + views[0]][chosen]
             return coded
-        views = np.union1d(shot.views.views, shot.fallback.views)
-        weights, fallback = (
-            np.array([n.weights[n.views == v].sum() for v in views], np.float32) for n in (shot.views, shot.fallback)
-        )
         seen = np.stack([self.depths.visible(positions, normals, self.cameras[v]) for v in views])
         for values, residual in zip(coded, flat.residual, strict=True):
-            mix(residual, base + views.astype(np.int64), chosen, seen, weights, fallback, values)
+            mix(residual, base + views, chosen, seen, weights, fallback, values)
         return coded
 
     def _tile(self, tile: int) -> Tile:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -53,7 +54,18 @@ class Prepared:
     slots: dict[int, int]  # tile -> place in `first`
     first: np.ndarray
     order: np.ndarray
+    lamps: list  # of the shot's lights, as this camera has them
     values: np.ndarray = field(init=False)  # (lights, parts, pixels, channels): in the capture's encoding
+
+    @cached_property
+    def mixture(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Views (n,) int64 whose residual takes part, their weights and fallback weights (n,) float32."""
+        shot = self.shot
+        views = np.union1d(shot.views.views, shot.fallback.views).astype(np.int64)
+        weights, fallback = (
+            np.array([n.weights[n.views == v].sum() for v in views], np.float32) for n in (shot.views, shot.fallback)
+        )
+        return views, weights, fallback
 
 
 @dataclass(frozen=True)
