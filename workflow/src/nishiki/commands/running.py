@@ -97,4 +97,28 @@ def test(options: argparse.Namespace, rest: list[str]) -> int:
         import pytest  # noqa: F401
     except ImportError:
         raise UserError("pytest is not installed; remove .venv and call ./nishiki test again") from None
+    install_for_meshlab()
     return subprocess.run([sys.executable, "-m", "pytest", *rest], cwd=PROJECT, check=False).returncode
+
+
+def install_for_meshlab() -> None:
+    """Install the system libraries that pymeshlab's filters need, where that is allowed: as root on Debian or Ubuntu.
+
+    Elsewhere, or where it fails, a message names the command; the tests that need the filters are then skipped.
+    """
+    import shutil
+
+    from nishiki.geometry.meshlab import APT_LINE, missing_filters
+
+    if not missing_filters():
+        return
+    apt = shutil.which("apt-get")
+    if apt and hasattr(os, "geteuid") and os.geteuid() == 0:
+        environment = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
+        for arguments in (["update"], APT_LINE.split()[1:]):
+            command = [apt, "-qq", "-y", *arguments]
+            done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+        if done.returncode == 0:
+            return
+        print(f"{APT_LINE} failed: {done.stderr.strip().splitlines()[-1:] or ''}", file=sys.stderr)
+    print(f"pymeshlab lacks filters, tests of range scans are skipped. Remedy: {APT_LINE}", file=sys.stderr)

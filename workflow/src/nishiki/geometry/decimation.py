@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 
 JIT = {"cache": True, "nogil": True, "error_model": "numpy"}
-STIFF = 1e-3
+STIFF = 1e-6
 """Share of a plane's own quadric that pulls a corner towards where it was: settles flat places."""
 
 
@@ -23,7 +23,7 @@ def _plane(a, b, c, out):
     x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
     length = np.sqrt(x * x + y * y + z * z)
     if length <= 0.0:
-        out[:] = 0.0
+        out[0], out[1], out[2] = 0.0, 0.0, 0.0
         return 0.0
     out[0], out[1], out[2] = x / length, y / length, z / length
     return 0.5 * length
@@ -59,7 +59,9 @@ def _value(q, x, y, z):
 @njit(**JIT)
 def _best(first, second, a, b, out):
     """Place (into out) of smallest error for the sum of two quadrics, drawn weakly to the middle of a and b; error."""
-    q = first + second
+    q = np.empty(10)
+    for k in range(10):
+        q[k] = first[k] + second[k]
     pull = STIFF * (q[0] + q[3] + q[5]) + 1e-300
     mx, my, mz = 0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 0.5 * (a[2] + b[2])
     xx, yy, zz = q[0] + pull, q[3] + pull, q[5] + pull
@@ -182,11 +184,19 @@ def _push(costs, items, size, cost, a, b, version_a, version_b):
         above = (place - 1) // 2
         if not _before(cost, a, b, costs[above], items[above, 0], items[above, 1]):
             break
-        costs[place], items[place] = costs[above], items[above]
+        _carry(costs, items, above, place)
         place = above
     costs[place] = cost
     items[place, 0], items[place, 1], items[place, 2], items[place, 3] = a, b, version_a, version_b
     return size + 1
+
+
+@njit(**JIT)
+def _carry(costs, items, start, end):
+    # Single numbers: slices of arrays cost seconds of compiling.
+    costs[end] = costs[start]
+    for k in range(4):
+        items[end, k] = items[start, k]
 
 
 @njit(**JIT)
@@ -212,9 +222,9 @@ def _pop(costs, items, size):
             below = right
         if not _before(costs[below], items[below, 0], items[below, 1], cost, a, b):
             break
-        costs[place], items[place] = costs[below], items[below]
+        _carry(costs, items, below, place)
         place = below
-    costs[place], items[place] = cost, items[size]
+    _carry(costs, items, size, place)
     return size
 
 
@@ -222,8 +232,8 @@ def _pop(costs, items, size):
 def collapse(vertices, faces, target):
     """Collapse edges until `target` triangles are left or no edge may collapse. Changes both arrays.
 
-    vertices (v, 3) float64, faces (f, 3) int64 of a surface (two triangles an edge at most). Returns alive (f,) bool and
-    the largest error of a collapse that was made (area times squared distance).
+    vertices (v, 3) float64, faces (f, 3) int64 of a surface (two triangles an edge at most). Returns alive (f,) bool
+    and the largest error of a collapse that was made (area times squared distance).
     """
     count = vertices.shape[0]
     quadrics = np.zeros((count, 10))
@@ -270,8 +280,10 @@ def collapse(vertices, faces, target):
         if _turns(b, a, place, vertices, head, following, faces, alive, old, new, spot):
             continue
         worst = max(worst, cost)
-        vertices[a] = place
-        quadrics[a] += quadrics[b]
+        for k in range(3):
+            vertices[a, k] = place[k]
+        for k in range(10):
+            quadrics[a, k] += quadrics[b, k]
         version[b] = -1
         last, node = -1, head[b]
         while node >= 0:
@@ -302,12 +314,15 @@ def collapse(vertices, faces, target):
 @njit(**JIT)
 def _wider(costs):
     out = np.empty(2 * costs.shape[0] + 1024)
-    out[: costs.shape[0]] = costs
+    for i in range(costs.shape[0]):
+        out[i] = costs[i]
     return out
 
 
 @njit(**JIT)
 def _wider_items(items):
     out = np.empty((2 * items.shape[0] + 1024, 4), np.int64)
-    out[: items.shape[0]] = items
+    for i in range(items.shape[0]):
+        for k in range(4):
+            out[i, k] = items[i, k]
     return out

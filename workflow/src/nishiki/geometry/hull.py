@@ -89,8 +89,8 @@ def field_of(silhouettes: list[np.ndarray | None], cameras: list[Camera], *, fin
             continue
         if silhouette.shape != (camera.rows, camera.columns):
             raise UserError(
-                f"view {camera.name!r}: expected a silhouette of {camera.rows} x {camera.columns} pixels as its camera, "
-                f"found {silhouette.shape}"
+                f"view {camera.name!r}: expected a silhouette of {camera.rows} x {camera.columns} pixels as its "
+                f"camera, found {silhouette.shape}"
             )
         area = _area_of(silhouette, camera)
         stride = max(1, int(finest_px))

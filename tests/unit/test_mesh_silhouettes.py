@@ -1,0 +1,135 @@
+"""Silhouettes of painted bodies whose true outline is known, before backgrounds of several kinds."""
+
+import cv2
+import numpy as np
+import pytest
+from turned_cameras import box, sphere, turn
+
+from nishiki.geometry.hull import carve
+from nishiki.geometry.outlines import agreement, known_from, outline_of, shaded
+from nishiki.geometry.silhouettes import at_half_cover, display, live_area, segment
+
+ROWS, COLUMNS = 240, 320
+
+
+def body_mask():
+    """A ring with an arm: one part, one hole."""
+    fine = np.zeros((4 * ROWS, 4 * COLUMNS), np.uint8)
+    cv2.circle(fine, (640, 480), 300, 1, -1)
+    cv2.circle(fine, (620, 500), 110, 0, -1)
+    cv2.rectangle(fine, (900, 440), (1150, 500), 1, -1)
+    return fine
+
+
+def photograph(background, body, *, seed=0, shadow=0.0, noise=2.0):
+    """sRGB picture of the body: smooth background, texture on the body, edges mixed in linear light, noise; and the
+    truth: at least half a pixel covered."""
+    rng = np.random.default_rng(seed)
+    cover = cv2.resize(body_mask().astype(np.float32), (COLUMNS, ROWS), interpolation=cv2.INTER_AREA)
+    x, y = np.meshgrid(np.linspace(-1, 1, COLUMNS), np.linspace(-1, 1, ROWS))
+    behind = np.asarray(background, float) * (1 + 0.15 * x + 0.1 * y)[..., None]
+    behind *= (1 - shadow * np.exp(-((x - 0.1) ** 2 + (y - 0.8) ** 2) / 0.05))[..., None]
+    texture = cv2.GaussianBlur(rng.normal(size=(ROWS, COLUMNS)), (0, 0), 2)
+    front = np.asarray(body, float) * (1 + 1.2 * texture)[..., None].clip(0.4, 2)
+    light = np.clip(front * cover[..., None] + behind * (1 - cover[..., None]), 0, 1)
+    light = cv2.GaussianBlur(light, (0, 0), 0.7)
+    coded = 255 * np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    return np.clip(np.round(coded + noise * rng.normal(size=coded.shape)), 0, 255).astype(np.uint8), cover >= 0.5
+
+
+CASES = {
+    "blue": ((0.10, 0.13, 0.45), (0.5, 0.25, 0.08)),
+    "green": ((0.08, 0.4, 0.1), (0.5, 0.3, 0.25)),
+    "dark": ((0.004, 0.004, 0.004), (0.3, 0.3, 0.28)),
+    "bright": ((0.8, 0.8, 0.8), (0.15, 0.12, 0.1)),
+}
+
+
+@pytest.mark.parametrize("named", [False, True])
+@pytest.mark.parametrize("kind", CASES)
+def test_outline_is_where_the_body_ends(kind, named):
+    picture, truth = photograph(*CASES[kind])
+    found = segment(picture, background=kind if named else "auto")
+    assert agreement(found.mask, truth) > 0.985
+    assert found.parts == 1
+    assert found.holes > 500
+    assert found.separation > 2
+    outline = cv2.dilate(truth.astype(np.uint8), np.ones((5, 5))) - cv2.erode(truth.astype(np.uint8), np.ones((5, 5)))
+    assert (found.mask == truth)[outline == 0].mean() > 0.9995
+
+
+def test_a_shadow_on_a_coloured_cloth_is_background():
+    picture, truth = photograph(*CASES["blue"], shadow=0.6)
+    assert agreement(segment(picture).mask, truth) > 0.98
+
+
+def test_black_strips_of_a_camera_are_no_object():
+    picture, truth = photograph(*CASES["blue"])
+    picture[:, -12:] = 3
+    picture[:4] = 2
+    rows, columns = live_area(picture)
+    assert (rows.start, rows.stop, columns.start, columns.stop) == (4, ROWS, 0, COLUMNS - 12)
+    assert agreement(segment(picture).mask, truth) > 0.98
+
+
+def test_dust_goes_and_large_pictures_keep_their_detail():
+    picture, truth = photograph(*CASES["blue"])
+    picture[20:23, 30:34] = 250
+    found = segment(picture)
+    assert found.dropped >= 6
+    assert not found.mask[15:30, 25:40].any()
+    large = cv2.resize(picture, (4 * COLUMNS, 4 * ROWS), interpolation=cv2.INTER_CUBIC)
+    whole = cv2.resize(truth.astype(np.float32), (4 * COLUMNS, 4 * ROWS), interpolation=cv2.INTER_LINEAR) > 0.5
+    assert agreement(segment(large).mask, whole) > 0.98
+
+
+def test_what_other_views_know_is_heeded():
+    picture, truth = photograph(*CASES["blue"])
+    picture[150:200, 20:60] = (200, 180, 40)  # another thing in the picture
+    outside = np.zeros(truth.shape, bool)
+    outside[140:210, 10:66] = True
+    assert segment(picture).mask[160:190, 30:50].all()
+    assert agreement(segment(picture, outside=outside).mask, truth) > 0.985
+
+
+def test_half_cover_moves_an_outline_that_was_drawn_too_wide():
+    picture, truth = photograph(*CASES["blue"], noise=0.5)
+    wide = cv2.dilate(truth.astype(np.uint8), np.ones((3, 3))) > 0
+    assert agreement(wide, truth) < 0.97
+    assert agreement(at_half_cover(picture, wide), truth) > 0.985
+
+
+def test_display_of_one_channel_and_of_darkness():
+    assert display(np.zeros((5, 6, 3), np.float32)).max() == 0
+    grey = display(np.linspace(0, 0.01, 30, dtype=np.float32).reshape(5, 6, 1))
+    assert grey.shape == (5, 6, 3)
+    assert grey.max() > 230
+    assert (grey[..., 0] == grey[..., 2]).all()
+
+
+def test_hull_that_forgives_finds_the_view_that_is_wrong():
+    cameras = turn()
+    masks = [sphere(camera, radius=0.5) for camera in cameras]
+    masks[5][40:60, 5:25] = True  # a thing that no other view confirms
+    masks[8][:, 80:] &= False  # half of the body missed
+    loose = carve(masks, cameras, cells=48, misses=2)
+    told = [known_from(loose.mesh, camera, mask, loose.cell) for camera, mask in zip(cameras, masks, strict=True)]
+    assert [place for place, (_, _, wrong) in enumerate(told) if wrong] == [5, 8]
+    inside, outside, _ = told[5]
+    assert outside[45:55, 8:22].all()
+    assert not (inside & outside).any()
+    assert told[8][0][60, 90]
+
+
+def test_outline_and_shading_of_a_mesh():
+    import trimesh
+
+    from nishiki.geometry.mesh import Mesh
+
+    block = trimesh.creation.box((1.0, 0.7, 1.2))
+    mesh = Mesh.of(block.vertices, block.faces)
+    for camera in turn(5):
+        assert agreement(outline_of(mesh, camera), box(camera)) > 0.999
+        picture = shaded(mesh, camera)
+        assert (picture[~outline_of(mesh, camera)] == 20).all()
+        assert picture[outline_of(mesh, camera)].min() >= 30

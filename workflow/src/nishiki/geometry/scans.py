@@ -1,0 +1,305 @@
+"""Several range scans of one object, brought together and merged into one surface.
+
+Pairs are aligned by iterated closest points (P. J. Besl and N. D. McKay, A method for registration of 3-D shapes, IEEE
+Trans. PAMI 14(2), 1992) with distances to the tangent plane (Y. Chen and G. Medioni, Object modelling by registration
+of multiple range images, Image and Vision Computing 10(3), 1992), on the closest part of the points only, as scans
+overlap only partly (D. Chetverikov et al., The trimmed iterative closest point algorithm, ICPR 2002).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from nishiki.errors import UserError
+
+POINTS = 4000
+"""Points of a scan that are used to align it."""
+COARSE_POINTS = 400
+STARTS = 72
+NORMAL_NEIGHBOURS = 12
+GOOD_ENOUGH, WORST = 0.4, 1.5
+"""Residual of two aligned scans, in spacings of the thinned points: below the first the given place is taken without a
+search, above the second they do not fit."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A rigid motion: x goes to rotation x + translation. rotation (3, 3), translation (3,) float64."""
+
+    rotation: np.ndarray
+    translation: np.ndarray
+
+    @classmethod
+    def none(cls) -> Motion:
+        """The motion that moves nothing."""
+        return cls(np.eye(3), np.zeros(3))
+
+    def apply(self, points: np.ndarray) -> np.ndarray:
+        """Points (n, 3), moved."""
+        return points @ self.rotation.T + self.translation
+
+    def after(self, first: Motion) -> Motion:
+        """This motion after another one."""
+        return Motion(self.rotation @ first.rotation, self.rotation @ first.translation + self.translation)
+
+
+@dataclass(frozen=True)
+class Registered:
+    """motions: of each scan into the frame of the first; residual (n,): root mean square distance to the tangent planes
+    of the others over the overlapping part, world's unit (0 for a single scan); order: in which scans were added; moved:
+    scans whose given place was not good enough and that were searched for from many starts."""
+
+    motions: tuple[Motion, ...]
+    residual: np.ndarray
+    order: tuple[int, ...]
+    moved: tuple[int, ...]
+
+    def as_dict(self) -> dict:
+        """Plain data, for JSON."""
+        return {
+            "motions": [np.column_stack([motion.rotation, motion.translation]).tolist() for motion in self.motions],
+            "residual": [float(value) for value in self.residual],
+            "order": list(self.order),
+            "searched": list(self.moved),
+        }
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """Thinned points of a scan with their normals (signs without meaning), and the mean distance to a neighbour."""
+
+    points: np.ndarray
+    normals: np.ndarray
+    spacing: float
+
+    @cached_property
+    def tree(self):
+        """Search tree of the points."""
+        from scipy.spatial import cKDTree
+
+        return cKDTree(self.points)
+
+
+def cloud_of(points: np.ndarray, *, most: int = POINTS) -> Cloud:
+    """About `most` points of a scan, evenly over its surface (one per cell of a grid), with normals by principal axes
+    of their neighbours among all points."""
+    from scipy.spatial import cKDTree
+
+    chosen = thinned(points, most)
+    _, near = cKDTree(points).query(chosen, k=min(NORMAL_NEIGHBOURS, len(points)))
+    around = points[near]
+    around = around - around.mean(axis=1, keepdims=True)
+    _, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))
+    distance, _ = cKDTree(chosen).query(chosen, k=2)
+    return Cloud(chosen, axes[:, :, 0], float(np.median(distance[:, 1])))
+
+
+def thinned(points: np.ndarray, most: int) -> np.ndarray:
+    """One point, the first, of each cell of a cubic grid so fine that about `most` cells are filled."""
+    if len(points) <= most:
+        return points
+    low, extent = points.min(axis=0), np.ptp(points, axis=0).max() or 1.0
+    coarse, fine = 1.0, float(len(points))
+    for _ in range(40):
+        cells = np.sqrt(coarse * fine)
+        _, first = np.unique(np.floor((points - low) / extent * cells).astype(np.int64), axis=0, return_index=True)
+        coarse, fine = (cells, fine) if len(first) < most else (coarse, cells)
+        if abs(len(first) - most) < 0.05 * most:
+            break
+    return points[np.sort(first)]
+
+
+def register(scans: list[np.ndarray], *, overlap: float = 0.5) -> Registered:
+    """Motions that bring scans, list of (n, 3) points, together in the frame of the first.
+
+    overlap: part of a scan's points that the others have too. Where the given places already fit after alignment
+    (residual below 0.4 spacings of the thinned points), they are the start; else 72 rotations about the centroids
+    are tried. Scans are added one by one, the one that fits best first; then all are aligned once more against all
+    others. Raises UserError where a scan fits nowhere.
+    """
+    clouds = [cloud_of(points) for points in scans]
+    motions: dict[int, Motion] = {0: Motion.none()}
+    order, searched = [0], []
+    while len(motions) < len(scans):
+        target = _joined(clouds, motions)
+        found = []
+        for index in sorted(set(range(len(scans))) - set(motions)):
+            motion, residual = align(clouds[index], target, Motion.none(), overlap=overlap)
+            found.append((residual, index, motion))
+        residual, index, motion = min(found, key=lambda item: item[:2])
+        if residual > GOOD_ENOUGH * clouds[index].spacing:
+            found = [(*_search(clouds[i], target, overlap), i) for _, i, _ in found]
+            motion, residual, index = min(found, key=lambda item: item[1:])
+            searched.append(index)
+            if residual > WORST * clouds[index].spacing:
+                raise UserError(
+                    f"scans: scan {index + 1} fits none of the others (residual {residual:.3g}, points "
+                    f"{clouds[index].spacing:.3g} apart). Remedy: scans need a common part of at least "
+                    f"{overlap:.0%} (setting overlap); or align them in MeshLab and give them in one frame"
+                )
+        motions[index] = motion
+        order.append(index)
+    residuals = _together(clouds, motions, overlap)
+    return Registered(tuple(motions[i] for i in range(len(scans))), residuals, tuple(order), tuple(searched))
+
+
+def _joined(clouds: list[Cloud], motions: dict[int, Motion], without: int | None = None) -> Cloud:
+    chosen = [index for index in sorted(motions) if index != without]
+    return Cloud(
+        np.concatenate([motions[i].apply(clouds[i].points) for i in chosen]),
+        np.concatenate([clouds[i].normals @ motions[i].rotation.T for i in chosen]),
+        float(np.median([clouds[i].spacing for i in chosen])),
+    )
+
+
+def _together(clouds: list[Cloud], motions: dict[int, Motion], overlap: float, rounds: int = 3) -> np.ndarray:
+    """Each scan against all others in turn, the first held; changes motions, returns the residuals."""
+    residuals = np.zeros(len(clouds))
+    for _ in range(rounds if len(clouds) > 1 else 0):
+        for index in range(len(clouds)):
+            target = _joined(clouds, motions, without=index)
+            motion, residuals[index] = align(
+                clouds[index], target, motions[index], overlap=overlap, steps=0 if index == 0 else 15
+            )
+            motions[index] = motion
+    return residuals
+
+
+def _search(cloud: Cloud, target: Cloud, overlap: float) -> tuple[Motion, float]:
+    """Best of many rotations about the centroids, aligned coarsely with few points, the best five finely."""
+    few = Cloud(thinned(cloud.points, COARSE_POINTS), np.empty((0, 3)), cloud.spacing)
+    middle, aim = cloud.points.mean(axis=0), target.points.mean(axis=0)
+    tried = []
+    for number, rotation in enumerate(rotations(STARTS)):
+        start = Motion(rotation, aim - rotation @ middle)
+        motion, residual = align(few, target, start, overlap=overlap, steps=15)
+        tried.append((residual, number, motion))
+    best = sorted(tried, key=lambda item: item[:2])[:5]
+    fine = [align(cloud, target, motion, overlap=overlap) for _, _, motion in best]
+    return min(fine, key=lambda item: item[1])
+
+
+def rotations(count: int) -> list[np.ndarray]:
+    """(3, 3) rotations evenly over all, the first the identity: a spiral of unit quaternions (M. Alexa, Super-Fibonacci
+    spirals, CVPR 2022)."""
+    from scipy.spatial.transform import Rotation
+
+    phi, psi = np.sqrt(2.0), 1.533751168755204288118041
+    s = np.arange(count - 1) + 0.5
+    t, d = s / (count - 1), 2 * np.pi * s
+    r, big = np.sqrt(t), np.sqrt(1 - t)
+    alpha, beta = d / phi, d / psi
+    quaternions = np.column_stack([r * np.sin(alpha), r * np.cos(alpha), big * np.sin(beta), big * np.cos(beta)])
+    return [np.eye(3), *Rotation.from_quat(quaternions).as_matrix()]
+
+
+def align(cloud: Cloud, target: Cloud, start: Motion, *, overlap: float, steps: int = 40) -> tuple[Motion, float]:
+    """Motion of a cloud onto a target by trimmed closest points, and the root mean square distance (to the points'
+    tangent planes, bounded below by a tenth of the distance to the points) over the closest part `overlap`."""
+    keep = max(6, int(overlap * len(cloud.points)))
+    motion = start
+    for step in range(steps + 1):
+        moved = motion.apply(cloud.points)
+        distance, near = target.tree.query(moved)
+        chosen = np.argpartition(distance, keep - 1)[:keep]
+        chosen.sort()
+        points, normals = moved[chosen], target.normals[near[chosen]]
+        gaps = np.einsum("ij,ij->i", points - target.points[near[chosen]], normals)
+        if step == steps:
+            break
+        centre = points.mean(axis=0)
+        size = float(np.sqrt(((points - centre) ** 2).sum(axis=1).mean())) or 1.0
+        system = np.column_stack([np.cross((points - centre) / size, normals), normals])
+        # A sphere or a plane leaves directions open: a weak pull to stay keeps them still.
+        matrix = system.T @ system + 1e-6 * len(points) * np.eye(6)
+        change = -np.linalg.solve(matrix, system.T @ gaps)
+        turn = _turn(change[:3] / size)
+        motion = Motion(turn, centre - turn @ centre + change[3:]).after(motion)
+        if np.abs(change).max() < 1e-6 * size:
+            break
+    return motion, float(np.sqrt((np.maximum(np.abs(gaps), 0.1 * distance[chosen]) ** 2).mean()))
+
+
+def _turn(vector: np.ndarray) -> np.ndarray:
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.from_rotvec(vector).as_matrix()
+
+
+def merge(
+    scans: list[np.ndarray], faces: list[np.ndarray | None], *, cells: int = 256
+) -> tuple[np.ndarray, np.ndarray, dict]:
+    """One surface through registered scans: vertices (v, 3), triangles (f, 3), and figures.
+
+    A single scan with triangles stays as it is. Else screened Poisson reconstruction (M. Kazhdan and H. Hoppe, ACM
+    Trans. Graphics 32(3), 2013) on about `cells` cells along the longest side; what lies further than three of them
+    from any point is a guess and is left out. Raises UserError where pymeshlab cannot do it.
+    """
+    from scipy.spatial import cKDTree
+
+    if len(scans) == 1 and faces[0] is not None:
+        return scans[0], faces[0], {"merged": False, "guessed_triangles": 0}
+    points, normals = np.concatenate(scans), []
+    for each, triangles in zip(scans, faces, strict=True):
+        normals.append(_scan_normals(each, triangles))
+    if any(found is None for found in normals):
+        normals = [_outward_normals(each, points.mean(axis=0)) for each in scans]
+    vertices, triangles = _poisson(points, np.concatenate(normals), cells)
+    cell = float(np.ptp(points, axis=0).max()) / cells
+    distance, _ = cKDTree(points).query(vertices)
+    spacing, _ = cKDTree(points).query(points[:: max(1, len(points) // 5000)], k=4)
+    reach = 3 * max(cell, float(np.median(spacing[:, 3])))
+    sure = (distance <= reach)[triangles].all(axis=1)
+    return vertices, triangles[sure], {"merged": True, "guessed_triangles": int((~sure).sum())}
+
+
+def _scan_normals(points: np.ndarray, triangles: np.ndarray | None) -> np.ndarray | None:
+    """Normals of a scan's own triangles; None without."""
+    from nishiki.geometry.mesh import vertex_normals
+
+    return None if triangles is None else vertex_normals(points, triangles).astype(np.float64)
+
+
+def _outward_normals(points: np.ndarray, centre: np.ndarray) -> np.ndarray:
+    """Normals of a cloud by principal axes, turned alike along the shortest links between neighbours (H. Hoppe et al.,
+    Surface reconstruction from unorganized points, SIGGRAPH 1992), as a whole away from the centre."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
+    from scipy.spatial import cKDTree
+
+    _distance, near = cKDTree(points).query(points, k=min(NORMAL_NEIGHBOURS, len(points)))
+    around = points[near] - points[near].mean(axis=1, keepdims=True)
+    normals = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))[1][:, :, 0]
+    first, second = np.repeat(np.arange(len(points)), near.shape[1] - 1), near[:, 1:].reshape(-1)
+    differ = 1.0001 - np.abs(np.einsum("ij,ij->i", normals[first], normals[second]))
+    graph = coo_matrix((differ, (first, second)), (len(points),) * 2).tocsr()
+    tree = minimum_spanning_tree(graph.maximum(graph.T))
+    parts, labels = connected_components(tree, directed=False)
+    for part in range(parts):
+        mine = np.flatnonzero(labels == part)
+        order, parents = breadth_first_order(tree, mine[0], directed=False)
+        for point in order[1:]:
+            if normals[point] @ normals[parents[point]] < 0:
+                normals[point] = -normals[point]
+        if np.einsum("ij,ij->", normals[mine], points[mine] - centre) < 0:
+            normals[mine] = -normals[mine]
+    return normals
+
+
+def _poisson(points: np.ndarray, normals: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray]:
+    """Screened Poisson surface of oriented points by MeshLab."""
+    import pymeshlab
+
+    from nishiki.geometry.meshlab import mesh_set
+
+    work = mesh_set()
+    # MeshLab computes in float32: around the origin and of size one it loses least.
+    centre, size = points.mean(axis=0), float(np.ptp(points, axis=0).max()) or 1.0
+    work.add_mesh(pymeshlab.Mesh(vertex_matrix=(points - centre) / size, v_normals_matrix=normals))
+    depth = int(np.clip(np.ceil(np.log2(1.1 * cells)), 4, 11))
+    work.generate_surface_reconstruction_screened_poisson(depth=depth, threads=1, preclean=False)
+    found = work.current_mesh()
+    return found.vertex_matrix() * size + centre, found.face_matrix().astype(np.int64)
