@@ -105,11 +105,10 @@ def timed(name: str, data: Observed, scipy_count: int) -> None:
     """Lines on one set of texels."""
     texels = len(data.texel)
     fit = first_fit(data)
-    few = slice(0, scipy_count)
+    few = slice(0, min(scipy_count, texels))
     part = Observed(*(getattr(data, field)[few] for field in data.__dataclass_fields__))
     seconds = fastest(lambda: first_fit(data), 5)
     sigma = np.where(fit.information > 0, np.exp(fit.log_sigma), 0.2).astype(np.float32)
-    solved = strengths(part, sigma[few], fit.ks[few], 0.0)
     again = fastest(lambda: strengths(data, sigma, fit.ks, 1.0), 5)
     slow, found, reports = scipy_seconds(data, min(scipy_count, texels), True)
     differences, *_ = scipy_seconds(data, min(scipy_count, texels), False)
@@ -118,19 +117,19 @@ def timed(name: str, data: Observed, scipy_count: int) -> None:
     reference = slow / min(scipy_count, texels) * 1e6
     mine = seconds / texels * 1e6
     width = reports[:, 0] / np.sqrt(2 * np.log(2))
-    good = np.isfinite(width) & (width > 0)
+    both = np.isfinite(width) & (width > 0) & (fit.information[few] > 0)  # a width was determined
+    compared = Observed(*(getattr(part, field)[both] for field in part.__dataclass_fields__))
     report(
         **shared, method="variable_projection", us_per_texel=round(mine, 3), default=True,
         us_per_texel_strengths=round(again / texels * 1e6, 3), ratio_to_scipy=round(reference / mine, 1),
         ratio_to_scipy_differences=round(differences / min(scipy_count, texels) * 1e6 / mine, 1),
         highlight_share=round(float(np.mean(fit.information > 0)), 4),
-        rms=explained(part, solved.kd, solved.ks, sigma[few]),
+        rms=explained(compared, fit.kd[few][both], fit.ks[few][both], sigma[few][both]), compared=int(both.sum()),
     )  # fmt: skip
-    theirs = Observed(*(getattr(part, field)[good[: len(part.texel)]] for field in part.__dataclass_fields__))
     report(
         **shared, method="scipy_least_squares", us_per_texel=round(reference, 1), default=False,
         us_per_texel_differences=round(differences / min(scipy_count, texels) * 1e6, 1), ratio_to_scipy=1.0,
-        rms=explained(theirs, found[good, :, 1], found[good, :, 0], width[good]),
+        rms=explained(compared, found[both, :, 1], found[both, :, 0], width[both]), compared=int(both.sum()),
     )  # fmt: skip
 
 
