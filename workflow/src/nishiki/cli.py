@@ -47,7 +47,8 @@ def _parser() -> argparse.ArgumentParser:
         sub.set_defaults(call=lambda options, rest: _call(function, options, rest))
         return sub
 
-    command("demo", "running:demo", "simulate a painting, run the whole workflow on it, name the report")
+    sub = command("demo", "running:demo", "simulate a painting, run the whole workflow on it, name the report")
+    sub.add_argument("--object", action="store_true", help="an object on a turntable in place of the painting")
     command("test", "running:test", "run the tests; further arguments go to pytest")
     sub = command("run", "running:run", "make everything that the configuration asks for; further arguments: snakemake")
     sub.add_argument("--configfile", default="config/config.yaml", help="configuration (default %(default)s)")
@@ -84,7 +85,8 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--link", action="store_true", help="hard links instead of copies, on the same disk")
     sub.add_argument("--open", action="store_true", help="do not seal yet: camera curves and the like will be added")
     sub.add_argument("--roi", nargs=4, type=int, metavar=("ROW", "COLUMN", "ROWS", "COLUMNS"), help="crop")
-    command("compile", "running:compile_kernels", "compile all kernels, by running a tiny scene somewhere else")
+    sub = command("compile", "running:compile_kernels", "compile all kernels, by running tiny scenes somewhere else")
+    sub.add_argument("--plane", action="store_true", help="only what paintings need")
     command("simulate", "running:simulate", "photograph a simulated painting or turntable object; --help tells more")
     command("schema", "inspecting:schema", "print the JSON schema of config.yaml")
     return parser

@@ -11,7 +11,7 @@ from pathlib import Path
 from nishiki.errors import UserError
 
 PROJECT = Path(__file__).resolve().parents[4]
-DEMO_CAPTURE, DEMO_TRUTH = Path("captures/painting"), Path("captures/painting-truth")
+DEMOS = {"painting": ("painting", "config/config.yaml"), "jar": ("object", "config/object.yaml")}
 
 
 def run(options: argparse.Namespace, rest: list[str]) -> int:
@@ -52,24 +52,32 @@ def _tell(flow, seconds: float) -> None:
 
 
 def demo(options: argparse.Namespace, rest: list[str]) -> int:
-    """Simulate the painting where it is not there yet, then run the configuration as it is shipped."""
+    """Simulate the painting, or the object on a turntable, where it is not there yet; then run the configuration."""
     os.chdir(PROJECT)
-    if not DEMO_CAPTURE.is_dir() or not DEMO_TRUTH.is_dir():
-        status = simulate(options, ["--output", str(DEMO_CAPTURE), "--truth", str(DEMO_TRUTH)])
+    name = "jar" if options.object else "painting"
+    preset, configuration = DEMOS[name]
+    capture, truth = Path(f"captures/{name}"), Path(f"captures/{name}-truth")
+    if not capture.is_dir() or not truth.is_dir():
+        status = simulate(options, ["--output", str(capture), "--truth", str(truth), "--preset", preset])
         if status:
             return status
-    return run(argparse.Namespace(configfile="config/config.yaml", cores="all"), rest)
+    return run(argparse.Namespace(configfile=configuration, cores="all"), rest)
 
 
 def compile_kernels(options: argparse.Namespace, rest: list[str]) -> int:
-    """Run a tiny simulated scene in a temporary folder: every kernel that it needs is compiled and kept."""
+    """Run tiny simulated scenes in a temporary folder: every kernel that they need is compiled and kept."""
+    scenes = {"plane": "tiny"} if options.plane else {"plane": "tiny", "turntable": "object-tiny"}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        (folder / "scenes.tsv").write_text("scene\tcapture\ttruth\ntiny\tcapture\ttruth\n")
+        rows = "".join(f"{scene}\t{scene}\t{scene}-truth\n" for scene in scenes)
+        (folder / "scenes.tsv").write_text("scene\tcapture\ttruth\n" + rows)
         (folder / "config.yaml").write_text("scenes: scenes.tsv\n")
         environment = {key: value for key, value in os.environ.items() if key != "PYTHONDONTWRITEBYTECODE"}
         for arguments in (
-            ["simulate", "--output", "capture", "--truth", "truth", "--preset", "tiny"],
+            *(
+                ["simulate", "--output", scene, "--truth", f"{scene}-truth", "--preset", preset]
+                for scene, preset in scenes.items()
+            ),
             ["run", "--configfile", "config.yaml"],
         ):
             done = subprocess.run(
