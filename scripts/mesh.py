@@ -12,7 +12,7 @@ from nishiki.geometry.cleaning import clean
 from nishiki.geometry.hull import carve
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.mesh_files import read_points, read_triangles, write_ply
-from nishiki.geometry.outlines import agreement, known_from, outline_of
+from nishiki.geometry.outlines import agreement, contradicted, known_from, outline_of
 from nishiki.geometry.silhouettes import display, segment
 from nishiki.geometry.surface import Lighter, fewest_triangles, shape_of, smoothed, snapped, without_small_parts
 from nishiki.ingest.views import Views
@@ -121,11 +121,12 @@ def find_masks(
     changed = []
     if settings.consistency and missing and sum(used) > 3:
         loose = carve(kept(masks, used), cameras, cells=COARSE_CELLS, misses=min(4, max(1, settings.misses)))
-        for place in context.progress.over(missing, "consistency"):
-            inside, outside, contradicted = known_from(loose.mesh, cameras[place], masks[place], loose.cell)
-            if contradicted:
+        known = [known_from(loose.mesh, cameras[place], masks[place], loose.cell) for place in missing]
+        for place, each, wrong in zip(missing, known, contradicted(known), strict=True):
+            if wrong:
                 picture = picture_of(views, views.views[place])
-                masks[place] = segment(picture, background=background, inside=inside, outside=outside).mask
+                found = segment(picture, background=background, inside=each.inside, outside=each.outside)
+                masks[place] = found.mask
                 changed.append(views.views[place])
     return masks, {"given": len(masks) - len(missing), "background": background, "again": changed, "views": facts}
 

@@ -127,27 +127,49 @@ def _area_of(silhouette: np.ndarray, camera: Camera) -> tuple[slice, slice]:
     return span(rows, silhouette.shape[0]), span(columns, silhouette.shape[1])
 
 
-def bounding_box(silhouettes: list[np.ndarray | None], cameras: list[Camera]) -> np.ndarray:
+def bounding_box(silhouettes: list[np.ndarray | None], cameras: list[Camera], *, misses: int = 0) -> np.ndarray:
     """(2, 3) float64: lowest and highest corner of all points that project into the silhouettes' convex outlines.
 
     Each edge of a convex outline spans a plane with the camera's centre; the smallest and largest x, y and z within all
     these planes are six linear programs, exact for any cameras, without a first guess. An outline's edge along the
-    picture's border bounds nothing. Raises UserError where the cameras have no such point in common, or no bounded set.
+    picture's border bounds nothing. misses: the box also holds what lies outside one view's outline; for more than one,
+    the views that bind it most are set aside in turn. Raises UserError where the cameras have no such point in common,
+    or no bounded set.
     """
-    from scipy.optimize import linprog
-
-    planes = np.concatenate(
-        [_planes(mask, camera) for mask, camera in zip(silhouettes, cameras, strict=True) if mask is not None]
-    )
+    planes = [_planes(mask, camera) for mask, camera in zip(silhouettes, cameras, strict=True) if mask is not None]
     middle = np.mean([camera.centre for camera in cameras], axis=0)
     size = max(np.linalg.norm(camera.centre - middle) for camera in cameras) or 1.0
+    if not misses:
+        return _extent(planes, middle, size)
+    box = None
+    for _ in range(min(misses, len(planes) - 2)):
+        freed, failure = [], None
+        for place in range(len(planes)):
+            try:
+                freed.append((_extent(planes[:place] + planes[place + 1 :], middle, size), place))
+            except UserError as error:
+                failure = error
+        if not freed:
+            raise failure
+        for found, _ in freed:
+            box = found if box is None else np.array([np.minimum(box[0], found[0]), np.maximum(box[1], found[1])])
+        binding = max(freed, key=lambda item: float(np.prod(item[0][1] - item[0][0])))[1]
+        planes = planes[:binding] + planes[binding + 1 :]
+    return _extent(planes, middle, size) if box is None else box
+
+
+def _extent(planes: list[np.ndarray], middle: np.ndarray, size: float) -> np.ndarray:
+    """(2, 3): extent of what lies within all planes, in steps of size from the middle (for the solver's sake)."""
+    from scipy.optimize import linprog
+
+    joined = np.concatenate(planes)
     box = np.empty((2, 3))
     for axis in range(3):
         for end, sign in enumerate((1.0, -1.0)):
             found = linprog(
                 sign * np.eye(3)[axis],
-                A_ub=-planes[:, :3] * size,
-                b_ub=planes[:, :3] @ middle + planes[:, 3],
+                A_ub=-joined[:, :3] * size,
+                b_ub=joined[:, :3] @ middle + joined[:, 3],
                 bounds=[(None, None)] * 3,
                 method="highs",
             )
@@ -216,7 +238,7 @@ def carve(
     """
     if not 0 <= misses <= MOST_MISSES:
         raise ValueError(f"misses: expected 0 to {MOST_MISSES}, found {misses}")
-    box = bounding_box(silhouettes, cameras) if box is None else np.asarray(box, np.float64)
+    box = bounding_box(silhouettes, cameras, misses=misses) if box is None else np.asarray(box, np.float64)
     cell = float((box[1] - box[0]).max()) / cells
     origin = box[0] - 2.5 * cell
     shape = tuple(int(n) for n in np.ceil((box[1] - box[0]) / cell) + 6)

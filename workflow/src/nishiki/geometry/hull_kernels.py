@@ -85,12 +85,13 @@ def at_points(poses, lenses, frames, buffer, points, misses, out):
 
 
 @njit(**JIT)
-def _block(poses, lenses, frames, buffer, lowest, side, misses, spot):
+def _block(poses, lenses, frames, buffer, lowest, side, margin, misses, spot):
     """-1: the cube is outside for more than `misses` views; 1: inside for all; 0: some of its points must be asked.
 
     A cube before the camera lies within the convex hull of its projected corners, so within the circle around its
     projected centre that holds them; a distance map changes by no more than the way gone (a tenth and a pixel are
-    allowed for lens distortion and for the smoothing of the map).
+    allowed for lens distortion and for the smoothing of the map). Points nearer to the surface than margin (world's unit)
+    are always asked: the surface is found between their values.
     """
     outside, inside = 0, True
     half = 0.5 * side
@@ -98,6 +99,7 @@ def _block(poses, lenses, frames, buffer, lowest, side, misses, spot):
         _project(poses[view], lenses[view], lowest[0] + half, lowest[1] + half, lowest[2] + half, spot)
         before = spot[2] > 0.0
         column, row = spot[0], spot[1]
+        extra = margin * lenses[view, 10] / spot[2] if before else 0.0
         reach = 0.0
         leaves = False
         frame = frames[view]
@@ -121,7 +123,7 @@ def _block(poses, lenses, frames, buffer, lowest, side, misses, spot):
             inside = False
             continue
         value = _distance(buffer, frame, column, row)
-        reach = 1.1 * reach + 1.0 + frame[5]
+        reach = 1.1 * (reach + extra) + 1.0 + frame[5]
         if value < reach:
             inside = False
         if value < -reach:
@@ -146,7 +148,7 @@ def fill_slab(poses, lenses, frames, buffer, origin, cell, block, misses, band, 
                 lowest[0] = origin[0] + cell * i0
                 lowest[1] = origin[1] + cell * j0
                 lowest[2] = origin[2] + cell * k0
-                kind = _block(poses, lenses, frames, buffer, lowest, cell * (block - 1), misses, spot)
+                kind = _block(poses, lenses, frames, buffer, lowest, cell * (block - 1), 2.0 * cell, misses, spot)
                 asked += kind == 0
                 for i in range(i0, min(i0 + block, last)):
                     for j in range(j0, min(j0 + block, ny)):

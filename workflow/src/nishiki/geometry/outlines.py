@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from nishiki.geometry.camera import Camera
@@ -35,12 +37,22 @@ def shaded(mesh: Mesh, camera: Camera) -> np.ndarray:
     return np.where(seen >= 0, 30 + 225 * np.sqrt(light[seen]), 20).astype(np.uint8)
 
 
-def known_from(loose: Mesh, camera: Camera, mask: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray, bool]:
-    """What a hull that forgives single views says of one view: pixels inside, pixels outside, and whether the view's
-    mask contradicts it in more than 2 in 1000 of its pixels.
+@dataclass(frozen=True)
+class Known:
+    """What the other views say of one view. inside, outside (rows, columns) bool: pixels on the object, off it; beyond:
+    pixels of its mask that lie outside, lost: pixels inside that its mask lacks, of the mask's pixels."""
 
-    loose: hull carved with one miss allowed, which holds the object whatever one mask says. Both bounds leave room for
-    its grid (cell, world's unit) and for outlines that only this view sees.
+    inside: np.ndarray
+    outside: np.ndarray
+    beyond: float
+    lost: float
+
+
+def known_from(loose: Mesh, camera: Camera, mask: np.ndarray, cell: float) -> Known:
+    """What a hull that forgives single views says of one view and its mask (rows, columns) bool.
+
+    loose: hull carved with one miss allowed at least, which holds the object whatever one mask says. Both bounds leave
+    room for its grid (cell, world's unit) and for the outline itself.
     """
     import cv2
 
@@ -51,5 +63,15 @@ def known_from(loose: Mesh, camera: Camera, mask: np.ndarray, cell: float) -> tu
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
     outside = cv2.dilate(covered.astype(np.uint8), kernel) == 0
     inside = cv2.erode(covered.astype(np.uint8), kernel) > 0
-    wrong = int((mask & outside).sum()) + int((~mask & inside).sum())
-    return inside, outside, wrong > CONTRADICTED * mask.sum()
+    size = max(1, int(mask.sum()))
+    return Known(inside, outside, int((mask & outside).sum()) / size, int((~mask & inside).sum()) / size)
+
+
+def contradicted(known: list[Known]) -> list[bool]:
+    """Which masks the other views contradict: more than 2 in 1000 of its pixels are confirmed by no other view, or it
+    lacks that much and four times the median of all views more.
+
+    Between few views the forgiving hull is thicker than the object in every one of them: only the odd one is wrong.
+    """
+    usual = float(np.median([each.lost for each in known])) if known else 0.0
+    return [each.beyond > CONTRADICTED or each.lost > CONTRADICTED + 4 * usual for each in known]

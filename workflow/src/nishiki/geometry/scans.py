@@ -49,8 +49,8 @@ class Motion:
 @dataclass(frozen=True)
 class Registered:
     """motions: of each scan into the frame of the first; residual (n,): root mean square distance to the tangent planes
-    of the others over the overlapping part, world's unit (0 for a single scan); order: in which scans were added; moved:
-    scans whose given place was not good enough and that were searched for from many starts."""
+    of the others over the overlapping part, world's unit (0 for a single scan); order: in which scans were added;
+    moved: scans whose given place was not good enough and that were searched for from many starts."""
 
     motions: tuple[Motion, ...]
     residual: np.ndarray

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nishiki.geometry.silhouette_kernels import nearest_colour
+
 BORDER = 0.06
 """Width of the border that is taken for background, of the picture's shorter side."""
 CLUSTERS = 8
@@ -18,6 +20,8 @@ NEAR = 1.5
 """Distance (in spreads of the background) below which a hole is background."""
 LOWEST_LEVEL, HIGHEST_LEVEL = 1.5, 6.0
 REACH_PX = 2
+SHADOW = 0.55
+"""Cube root of the smallest share of the light that a shadow leaves."""
 WORKING_PIXELS = 1_000_000
 """Larger pictures are segmented at a coarser scale, then refined along the outline only."""
 
@@ -69,12 +73,12 @@ def segment(
     seeds = [None if known is None else _resized(known, small.shape[:2]) for known in (inside, outside)]
     colours = background_colours(small, background)
     distance = background_distance(small, colours)
-    mask = _cut(small, distance, *seeds)
-    mask, parts, dropped, holes = tidy(mask, distance)
+    mask, dropped = _cut(small, distance, *seeds)
+    mask, parts, crumbs, holes = tidy(mask, distance)
     separation = _separation(mask, distance)
     if shrink < 1:
-        mask = _finer(picture, mask, colours)
-    return Silhouette(mask, separation, parts, dropped, holes)
+        mask = _finer(picture, mask, shrink)
+    return Silhouette(mask, separation, parts, dropped + crumbs, holes)
 
 
 def _resized(mask: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
@@ -151,7 +155,7 @@ def background_colours(picture: np.ndarray, background: str) -> Colours:
         covariance = 4 * covariance + np.diag([3.0, 2.0, 2.0]) ** 2
         centres.append(mine.mean(axis=0))
         inverses.append(np.linalg.inv(covariance))
-    centres = np.array(centres)
+    centres = np.array(centres, np.float64)
     coloured = np.hypot(centres[:, 1], centres[:, 2]) > 0.15 * centres[:, 0]
     return Colours(centres, np.array(inverses), coloured, area)
 
@@ -177,13 +181,8 @@ def background_distance(picture: np.ndarray, colours: Colours) -> np.ndarray:
     """
     lab = _lab(picture)
     nearest = np.full(lab.shape[:2], np.float32(100.0))
-    for centre, inverse, coloured in zip(colours.centres, colours.inverses, colours.coloured, strict=True):
-        centre, inverse = centre.astype(np.float32), inverse.astype(np.float32)
-        lowest = 0.55 if coloured else 1.0
-        scale = np.clip(lab @ (inverse @ centre) / (centre @ inverse @ centre), lowest, 1.0)
-        off = lab - scale[..., None] * centre
-        squares = np.einsum("rci,ij,rcj->rc", off, inverse, off, optimize=True)
-        np.minimum(nearest, np.sqrt(np.maximum(squares, 0)), out=nearest)
+    lowest = np.where(colours.coloured, SHADOW, 1.0)
+    nearest_colour(lab.reshape(-1, 3), colours.centres, colours.inverses, lowest, nearest.reshape(-1))
     rows, columns = colours.area
     nearest[: rows.start] = nearest[rows.stop :] = 0
     nearest[:, : columns.start] = nearest[:, columns.stop :] = 0
@@ -214,15 +213,15 @@ def _cut(picture: np.ndarray, distance: np.ndarray, inside: np.ndarray | None, o
         mask &= ~outside
     if inside is not None:
         mask |= inside & (smooth > NEAR)
-    mask, *_ = tidy(mask, distance)
-    return at_half_cover(picture, mask)
+    mask, _, dropped, _ = tidy(mask, distance)
+    return at_half_cover(picture, mask), dropped
 
 
-def at_half_cover(picture: np.ndarray, mask: np.ndarray) -> np.ndarray:
+def at_half_cover(picture: np.ndarray, mask: np.ndarray, *, reach: int = REACH_PX) -> np.ndarray:
     """Mask whose outline runs where the object covers half a pixel.
 
     Lenses and video mix the colours of both sides over a few pixels, and a small share of the object suffices to look
-    unlike the background. Within two pixels of the outline the share is estimated from the mean colours a little
+    unlike the background. Within `reach` pixels of the outline the share is estimated from the mean colours a little
     further inside and outside; where the object is too thin to have an inside, the mask stays.
     """
     import cv2
@@ -230,14 +229,14 @@ def at_half_cover(picture: np.ndarray, mask: np.ndarray) -> np.ndarray:
     from nishiki.ingest.encoding import decode
 
     light = decode(picture.astype(np.float32) / 255, "srgb")
-    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * REACH_PX + 1, 2 * REACH_PX + 1))
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
     solid = mask.astype(np.uint8)
     inner, outer = cv2.erode(solid, kernel), 1 - cv2.dilate(solid, kernel)
     band = (inner == 0) & (outer == 0)
     sides = []
     for side in (inner, outer):
-        weight = cv2.GaussianBlur(side.astype(np.float32), (0, 0), 1.5 * REACH_PX)
-        total = cv2.GaussianBlur(light * side[..., None].astype(np.float32), (0, 0), 1.5 * REACH_PX)
+        weight = cv2.GaussianBlur(side.astype(np.float32), (0, 0), 1.5 * reach)
+        total = cv2.GaussianBlur(light * side[..., None].astype(np.float32), (0, 0), 1.5 * reach)
         sides.append((total / np.maximum(weight, 1e-6)[..., None], weight > 0.03))
     (front, has_front), (back, has_back) = sides
     across = front - back
@@ -293,18 +292,9 @@ def _separation(mask: np.ndarray, distance: np.ndarray) -> float:
     return float(np.median(distance[within]) - np.median(distance[beyond]))
 
 
-def _finer(picture: np.ndarray, mask: np.ndarray, colours: Colours) -> np.ndarray:
-    """Mask at the picture's own resolution: along the outline each pixel goes by its own colour."""
+def _finer(picture: np.ndarray, mask: np.ndarray, shrink: float) -> np.ndarray:
+    """Mask at the picture's own resolution: the coarse outline, moved to where half a pixel is covered."""
     import cv2
 
-    rows, columns = picture.shape[:2]
-    soft = cv2.resize(mask.astype(np.float32), (columns, rows), interpolation=cv2.INTER_LINEAR)
-    scale = np.array([rows / mask.shape[0], columns / mask.shape[1]])
-    area = tuple(
-        slice(round(part.start * s), round(part.stop * s)) for part, s in zip(colours.area, scale, strict=True)
-    )
-    large = Colours(colours.centres, colours.inverses, colours.coloured, area)
-    band = np.zeros((rows, columns), bool)
-    band[:] = (soft > 0.02) & (soft < 0.98)
-    near = cv2.GaussianBlur(background_distance(picture, large), (0, 0), 1.0)
-    return np.where(band, near > LOWEST_LEVEL, soft > 0.5)
+    soft = cv2.resize(mask.astype(np.float32), picture.shape[1::-1], interpolation=cv2.INTER_LINEAR)
+    return at_half_cover(picture, soft > 0.5, reach=int(np.ceil((REACH_PX + 1) / shrink)))
