@@ -43,8 +43,6 @@ def content_of(context: Context) -> dict:
     inputs, settings = context.inputs, context.settings
     told = {name: artifact.diagnostics for name, artifact in inputs.items()}
     evaluation = evaluation_of(inputs.get("object_evaluate"))
-    cameras = load_cameras(inputs["cameras"].path("cameras.json"))
-    names = [camera.name for camera in cameras]
     held_out = set(inputs["texels"].settings["hold_out"]) if "texels" in inputs else set()
     chain = chain_of("turntable")
     widest = settings.picture_columns
@@ -52,7 +50,7 @@ def content_of(context: Context) -> dict:
         "title": settings.title or told["ingest"]["capture"].get("title") or context.stamp["scene"],
         "scene": context.stamp["scene"],
         "stamp": context.stamp,
-        "views": names,
+        "views": len(told["ingest"]["views"]),
         "facts": sections.facts(told["ingest"]),
         "warnings": list(told["ingest"].get("warnings") or []),
         "glance": sections.glance(told),
@@ -64,9 +62,7 @@ def content_of(context: Context) -> dict:
         "separation": separation(inputs.get("polarise"), widest),
         "geometry": sections.geometry_section(told["mesh"]) if "mesh" in told else None,
         "preview": first_picture(inputs.get("mesh"), PREVIEWS, widest),
-        "cameras": sections.cameras_section(
-            told["cameras"], np.array([camera.centre for camera in cameras]), names, held_out
-        ),
+        "cameras": turn(inputs.get("cameras"), held_out),
         "left_out": settings.left_out,
         "records": [
             stage_record(inputs[name].manifest, chain[name].settings, chain[name].does)
@@ -74,6 +70,15 @@ def content_of(context: Context) -> dict:
             if name in inputs
         ],
     }
+
+
+def turn(artifact: Artifact | None, held_out: set[str]) -> dict | None:
+    """The cameras seen from above and their errors; None where nothing told where they were."""
+    if artifact is None:
+        return None
+    cameras = load_cameras(artifact.path("cameras.json"))
+    centres = np.array([camera.centre for camera in cameras])
+    return sections.cameras_section(artifact.diagnostics, centres, [camera.name for camera in cameras], held_out)
 
 
 def evaluation_of(artifact: Artifact | None) -> dict | None:

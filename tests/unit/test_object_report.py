@@ -261,9 +261,17 @@ def test_the_least(inputs, tmp_path):
     checker = Checker()
     checker.feed(text)
     assert "<h1>Another</h1>" in text
-    for section in ("model", "residual", "comparison", "views", "separation", "rendered"):
+    for section in ("model", "residual", "comparison", "views", "separation", "rendered", "geometry"):
         assert section not in checker.ids
-    assert {"geometry", "cameras", "made", "verify"} <= set(checker.ids)
+    assert {"cameras", "made", "verify"} <= set(checker.ids)
+
+
+def test_a_series_from_one_place_has_no_cameras(inputs, tmp_path):
+    text = page_of(tmp_path / "series", {name: inputs[name] for name in ("ingest", "polarise")})
+    checker = Checker()
+    checker.feed(text)
+    assert "cameras" not in checker.ids
+    assert {"separation", "made", "verify"} <= set(checker.ids)
 
 
 def test_a_large_video_is_named_not_carried(inputs, tmp_path):
