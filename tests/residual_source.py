@@ -1,6 +1,7 @@
 """The sphere's tiles as the residual's coder wants them."""
 
 import numpy as np
+from turned_sphere import camera_of
 
 from nishiki.geometry.camera import Camera
 from nishiki.ingest.encoding import encode
@@ -8,7 +9,6 @@ from nishiki.reflection.lighting import Lighting
 from nishiki.residual.parameters import Maps
 from nishiki.residual.prediction import Surface
 from nishiki.residual.tile_code import Pixels, Scene
-from turned_sphere import camera_of
 
 
 class SphereSource:

@@ -16,7 +16,7 @@ FAMILIES = ("haar", "db2", "db3", "sym4", "coif1", "bior4.4", "bior2.2")
 
 
 def block(wavelet="db2", *, size=16, levels=3, views=6, lights=1, kind="cosine", mirrored=False):
-    plane = plane_transform(wavelet, size, levels, mirrored=mirrored)
+    plane = plane_transform(wavelet, size, size, levels, mirrored=mirrored)
     return Block(plane, view_matrix(kind, views), view_matrix("cosine", lights))
 
 
@@ -34,7 +34,7 @@ def reference_plane(image, wavelet, levels):
 @pytest.mark.parametrize("dtype", [np.float64, np.float32])
 def test_planes_are_those_of_pywavelets(wavelet, dtype):
     image = np.random.default_rng(0).standard_normal((32, 32))
-    plane = plane_transform(wavelet, 32, 3)
+    plane = plane_transform(wavelet, 32, 32, 3)
     found = Block(plane, np.eye(1), np.eye(1)).forward(image.astype(dtype)[None, None, None])[0, 0, 0]
     expected = reference_plane(image, wavelet, 3) * plane.gains
     assert found.dtype == dtype
@@ -95,8 +95,8 @@ def test_mirrored_ends_pass_a_constant_and_a_ramp():
 
 
 def test_sizes_that_cannot_be_halved_stop_early():
-    assert plane_transform("db2", 24, 9).levels == 3
-    assert plane_transform("db2", 15, 4).levels == 0
+    assert plane_transform("db2", 24, 40, 9).levels == 3
+    assert plane_transform("db2", 15, 16, 4).levels == 0
     values = np.random.default_rng(4).standard_normal((1, 1, 2, 15, 15))
     transform = block(size=15, levels=4, views=2)
     np.testing.assert_allclose(transform.inverse(transform.forward(values)), values, atol=1e-12)
@@ -105,9 +105,9 @@ def test_sizes_that_cannot_be_halved_stop_early():
 
 def test_wrong_families_are_told():
     with pytest.raises(UserError, match="wavelet"):
-        plane_transform("daubechies", 16, 2)
+        plane_transform("daubechies", 16, 16, 2)
     with pytest.raises(UserError, match="symmetric"):
-        plane_transform("db2", 16, 2, mirrored=True)
+        plane_transform("db2", 16, 16, 2, mirrored=True)
     with pytest.raises(UserError, match="orthonormal"):
         view_matrix("bior4.4", 8)
 
@@ -144,7 +144,7 @@ def test_look_up_and_its_adjoint():
     rng = np.random.default_rng(5)
     observation, s, t = rng.integers(0, 4, 300), *(rng.uniform(0, 11, (2, 300)).astype(np.float32))
     s[:4], t[:4] = [0, 11, 0, 11], [0, 0, 11, 11]
-    feet = Footprints.of(observation, s, t, observations=4, size=12)
+    feet = Footprints.of(observation, s, t, (4, 12, 12))
     texels = rng.standard_normal((2, 4, 12, 12))
     seen = np.empty((2, 300))
     seen[:, feet.order] = feet.look_up(texels)

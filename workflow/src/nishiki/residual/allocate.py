@@ -1,7 +1,7 @@
 """One quantiser step for the whole object, found for a target: bytes, PSNR, bits per pixel, or a kept fraction.
 
-Every tile is solved at the same step, so that a bit buys the same error everywhere. Passes over all tiles are few: what is
-sought is smooth and monotone in the logarithm of the step, so a secant finds it.
+Every tile is solved at the same step, so that a bit buys the same error everywhere. Passes over all tiles are few:
+what is sought is smooth and monotone in the logarithm of the step, so a secant finds it.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import numpy as np
 from nishiki.residual.colour import principal_channels
 from nishiki.residual.design import Design
 from nishiki.residual.entropy import Coded, Model, encode
+from nishiki.residual.extent import Extent
 from nishiki.residual.parameters import Maps
 from nishiki.residual.prediction import Surface
 from nishiki.residual.tile_code import (
@@ -30,6 +31,8 @@ from nishiki.residual.tile_code import (
     see,
 )
 from nishiki.residual.training import pack, train
+
+NOTHING = Extent(0, 0, 0, 0, 8, 8)
 
 
 class Source(Protocol):
@@ -84,12 +87,12 @@ class Point:
 
 @dataclass(frozen=True)
 class EncodedObject:
-    """design, models (parameters, residual) and, per tile, arcs (start, length) and streams (parameters, then one for each
+    """design, models (parameters, residual) and, per tile, extents and streams (parameters, then one for each
     component; b"" where nothing is stored); pixels, errors as in `CodedTile`, summed; curve: passes visited."""
 
     design: Design
     models: tuple[Model, Model]
-    arcs: np.ndarray
+    extents: list[Extent]
     streams: list[tuple[bytes, ...]]
     pixels: int
     error: float
@@ -106,7 +109,7 @@ class EncodedObject:
 
 @dataclass(frozen=True)
 class Pilot:
-    """What one look at all tiles gives: the refined parameters, the design with its colours and means, typical weights."""
+    """What one look at all tiles gives: refined parameters, the design with its colours and means, typical weights."""
 
     refined: list[Refined | None]
     design: Design
@@ -137,18 +140,15 @@ def pilot(source: Source, scene: Scene, design: Design, effort: Effort, *, threa
     """Refine the parameters of every tile; colours, means and typical weights from all of them."""
 
     def work(tile: int):
-        seen = see(source.pixels(tile), design)
+        seen = see(source.pixels(tile), source.surface(tile), design)
         if seen is None:
             return None, None
-        surface = source.surface(tile)
-        refined = refine_tile(seen, source.maps(tile), surface, scene, design, effort)
+        refined = refine_tile(seen, source.maps(tile), scene, design, effort)
         moments = []
         for index, component in enumerate(design.components):
             left = seen.values[index]
             if design.model:
-                left = left - seen.feet.look_up(
-                    model_of(refined.maps, seen.observations, surface, scene, design, component)
-                )
+                left = left - seen.feet.look_up(model_of(refined.maps, seen, scene, design, component))
             moments.append(left.astype(np.float64) @ left.T.astype(np.float64))
         return refined, moments
 
@@ -210,9 +210,8 @@ def one_pass(
     def work(tile: int):
         if found.refined[tile] is None:
             return None
-        seen = see(source.pixels(tile), design)
-        arguments = (source.surface(tile), scene, design, effort, found.typical)
-        coded = encode_tile(seen, found.refined[tile], *arguments)
+        seen = see(source.pixels(tile), source.surface(tile), design)
+        coded = encode_tile(seen, found.refined[tile], scene, design, effort, found.typical)
         blocks = (coded.parameters, *coded.residual)
         empty = np.zeros(0, np.int32)
         light = replace(coded, parameters=empty, residual=())
@@ -220,28 +219,30 @@ def one_pass(
 
     results = list(over(work, range(source.tiles), threads, progress, f"tiles at step {step:.4g}"))
     tiles: list[CodedTile] = [r[0] for r in results if r is not None]
+    extents = [NOTHING if r is None else r[0].extent for r in results]
     models, streams = code_streams(
-        [None if r is None else r[2] for r in results], design, threads=threads, rounds=rounds
+        [None if r is None else r[2] for r in results], extents, design, threads=threads, rounds=rounds
     )
-    arcs = np.array([(0, 0) if r is None else (r[0].start, r[0].length) for r in results], np.int64).reshape(-1, 2)
     sums = [sum(getattr(t, name) for t in tiles) for name in ("pixels", "error", "model_error", "zero_error")]
     kept = sum(r[1] for r in results if r is not None)
-    return EncodedObject(design, models, arcs, streams, *sums, kept, [])
+    return EncodedObject(design, models, extents, streams, *sums, kept, [])
 
 
 def code_streams(
-    blocks: list[tuple[Sparse, ...] | None], design: Design, *, threads: int, rounds: int
+    blocks: list[tuple[Sparse, ...] | None], extents: list[Extent], design: Design, *, threads: int, rounds: int
 ) -> tuple[tuple[Model, Model], list[tuple[bytes, ...]]]:
     """Entropy coding of all tiles after `rounds` of training; tiles of zeros become b""."""
     parts = 1 + len(design.components)
-    levels = (design.parameter_plane.levels, *(design.plane.levels for _ in design.components))
+
+    def levels(part: int, extent: Extent) -> int:
+        return (design.plane if part else design.parameter_plane)(extent).levels
 
     def code(kind: int, model: Model, part: int):
         def work(tile: int) -> Coded | None:
             held = blocks[tile]
             if held is None or not len(held[part].places):
                 return None
-            return encode(held[part].full(), levels[part], model)
+            return encode(held[part].full(), levels(part, extents[tile]), model)
 
         return list(over(work, range(len(blocks)), threads))
 

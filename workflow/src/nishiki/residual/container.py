@@ -2,7 +2,7 @@
 
     magic (4) | length of header (4, little endian) | header, start states, index, compressed | streams, tile by tile
 
-The index holds, per tile, its arc and the length of each stream; a tile without streams takes no byte beyond it.
+The index holds, per tile, its extent and the length of each stream; a tile without streams takes no byte beyond it.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from nishiki.errors import UserError
 from nishiki.residual.allocate import EncodedObject
 from nishiki.residual.design import Design
 from nishiki.residual.entropy import Model
+from nishiki.residual.extent import Extent
 from nishiki.residual.training import pack, unpack
 
 MAGIC = b"NWT1"
@@ -25,11 +26,11 @@ MAGIC = b"NWT1"
 
 @dataclass(frozen=True)
 class Contents:
-    """design, models and, per tile, arcs (tiles, 2) and lengths (tiles, streams); offset: of the first stream."""
+    """design, models and, per tile, extents and lengths (tiles, streams); offset: of the first stream."""
 
     design: Design
     models: tuple[Model, Model]
-    arcs: np.ndarray
+    extents: list[Extent]
     lengths: np.ndarray
     offset: int
 
@@ -46,7 +47,8 @@ def pack_object(encoded: EncodedObject) -> tuple[bytes, dict[str, int]]:
     lengths = np.array([[len(s) for s in tile] for tile in encoded.streams], np.uint32).reshape(
         len(encoded.streams), -1
     )
-    index = zlib.compress(_planes(encoded.arcs.astype(np.uint16)) + _planes(lengths), 9)
+    extents = np.array([e.row_of_numbers() for e in encoded.extents], np.uint16).reshape(-1, 6)
+    index = zlib.compress(_planes(extents) + _planes(lengths), 9)
     header = zlib.compress(header, 9)
     counts = struct.pack("<7I", len(header), len(states[0]), len(states[1]), len(index), *lengths.shape, 0)
     head = counts + header + states[0] + states[1] + index
@@ -85,9 +87,10 @@ def unpack_head(data: bytes) -> Contents:
     except (zlib.error, ValueError) as error:
         raise UserError(f"residual: header damaged ({error}); run the stage again") from None
     tiles, streams = sizes[4:6]
-    arcs = _whole(raw[: 4 * tiles], np.uint16, (tiles, 2)).astype(np.int64)
-    lengths = _whole(raw[4 * tiles :], np.uint32, (tiles, streams)).astype(np.int64)
-    return Contents(design, (unpack(parts[1]), unpack(parts[2])), arcs, lengths, end)
+    numbers = _whole(raw[: 12 * tiles], np.uint16, (tiles, 6))
+    extents = [Extent(*(int(v) for v in row)) for row in numbers]
+    lengths = _whole(raw[12 * tiles :], np.uint32, (tiles, streams)).astype(np.int64)
+    return Contents(design, (unpack(parts[1]), unpack(parts[2])), extents, lengths, end)
 
 
 def _planes(values: np.ndarray) -> bytes:

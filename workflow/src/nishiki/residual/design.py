@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, field, fields
 import numpy as np
 
 from nishiki.errors import UserError
+from nishiki.residual.extent import Extent
 from nishiki.residual.observations import view_matrix
 from nishiki.residual.transform import Block, Plane, plane_transform
 
@@ -59,27 +60,31 @@ class Design:
             raise UserError(f"residual: header with unexpected or missing entries {wrong}; run the stage again")
         return cls(**{name: _tuples(value) for name, value in values.items()})
 
-    @property
-    def plane(self) -> Plane:
+    def plane(self, extent: Extent) -> Plane:
         """Transform of the residual's planes."""
-        return plane_transform(self.wavelet, self.tile_size, self.levels, mirrored=self.mirrored)
+        return plane_transform(self.wavelet, extent.rows, extent.columns, self.levels, mirrored=self.mirrored)
 
-    @property
-    def parameter_plane(self) -> Plane:
+    def parameter_plane(self, extent: Extent) -> Plane:
         """Transform of the parameters' planes."""
-        return plane_transform(
-            self.parameter_wavelet, self.tile_size, self.parameter_levels, mirrored=self.parameter_mirrored
-        )
+        levels, mirrored = self.parameter_levels, self.parameter_mirrored
+        return plane_transform(self.parameter_wavelet, extent.rows, extent.columns, levels, mirrored=mirrored)
 
-    def block(self, views: int) -> Block:
-        """Transform of a tile that spans `views` views."""
-        return Block(
-            self.plane, view_matrix(self.view_transform, views), view_matrix(self.light_transform, self.lights)
-        )
+    def block(self, extent: Extent) -> Block:
+        """Transform of a tile."""
+        along_lights = view_matrix(self.light_transform, self.lights)
+        return Block(self.plane(extent), view_matrix(self.view_transform, extent.length), along_lights)
 
-    def shape(self, views: int) -> tuple[int, int, int, int, int]:
-        """Of a block that spans `views` views: (channels, lights, views, T, T)."""
-        return self.channels, self.lights, views, self.tile_size, self.tile_size
+    def shape(self, extent: Extent) -> tuple[int, int, int, int, int]:
+        """Of a tile's block: (channels, lights, views, rows, columns)."""
+        return self.channels, self.lights, extent.length, extent.rows, extent.columns
+
+    def residual_shape(self, extent: Extent) -> tuple[int, int, int, int]:
+        """Of a tile's coded residual: (channels, lights * views, rows, columns)."""
+        return self.channels, self.lights * extent.length, extent.rows, extent.columns
+
+    def parameter_shape(self, extent: Extent) -> tuple[int, int, int, int]:
+        """Of a tile's coded parameters: (channels, 3, rows, columns)."""
+        return self.channels, len(GROUPS), extent.rows, extent.columns
 
     def mix(self, component: int) -> np.ndarray:
         """(C, C) float64: new channels from old, of one component."""

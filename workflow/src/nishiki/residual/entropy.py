@@ -1,6 +1,6 @@
-"""Coding of a tile's quantised coefficients: coarse bands first, each value under what is known of its neighbours.
+"""Coding of a tile's quantised coefficients: coarse bands first, each under what is known of its neighbours.
 
-A block (channels, frequencies, T, T) of integers is sent band by band from the coarsest plane band to the finest; inside
+A block (channels, frequencies, rows, columns) of integers is sent band by band from the coarsest to the finest; inside
 a band frequency by frequency and channel by channel, so that a decoder may stop after any band. A band of one
 frequency and channel that is all zero costs one flag. Otherwise each coefficient sends zero or not, its sign, and its
 magnitude in unary. Contexts are neighbours in the plane, the parent in the coarser band, the frequency before, the
@@ -68,23 +68,21 @@ class Coded:
     weights: np.ndarray
 
 
-def bands_of(size: int, levels: int) -> np.ndarray:
-    """(bands, 6) int64: row, column, side, level (1 finest), orientation (0 coarsest, 1 columns, 2 rows, 3 both), and the
-    band of the parent or -1; coarse to fine."""
-    side = size >> levels
-    rows = [(0, 0, side, levels + 1 if levels else 1, 0, -1)]
+def bands_of(rows: int, columns: int, levels: int) -> np.ndarray:
+    """(bands, 7) int64: first row and column, rows, columns, level (1 finest), orientation (0 coarsest, 1 columns, 2
+    rows, 3 both), and the band of the parent or -1; coarse to fine."""
+    out = [(0, 0, rows >> levels, columns >> levels, levels + 1, 0, -1)]
     for level in range(levels, 0, -1):
-        side = size >> level
-        for orientation, (row, column) in enumerate(((0, side), (side, 0), (side, side)), start=1):
-            parent = len(rows) - 3 if level < levels else -1
-            rows.append((row, column, side, level, orientation, parent))
-    return np.array(rows, np.int64)
+        h, w = rows >> level, columns >> level
+        for orientation, (row, column) in enumerate(((0, w), (h, 0), (h, w)), start=1):
+            parent = len(out) - 3 if level < levels else -1
+            out.append((row, column, h, w, level, orientation, parent))
+    return np.array(out, np.int64)
 
 
 def encode(values: np.ndarray, levels: int, model: Model) -> Coded:
-    """Bytes of integers (channels, frequencies, T, T) int32."""
-    size = values.shape[-1]
-    bands = bands_of(size, levels)
+    """Bytes of integers (channels, frequencies, rows, columns) int32."""
+    bands = bands_of(*values.shape[-2:], levels)
     data = np.empty(4 * values.size + 4096, np.uint8)
     ends = np.zeros(len(bands), np.int64)
     chance, seen, weights = model.chance.copy(), model.seen.copy(), model.weights.copy()
@@ -95,8 +93,8 @@ def encode(values: np.ndarray, levels: int, model: Model) -> Coded:
 
 
 def decode(data: bytes, shape: tuple[int, int, int, int], levels: int, model: Model, *, drop: int = 0) -> np.ndarray:
-    """Inverse of `encode`: (channels, frequencies, T, T) int32; the `drop` finest levels stay zero and are not read."""
-    bands = bands_of(shape[-1], levels)
+    """Inverse of `encode`: (channels, frequencies, rows, columns) int32; the `drop` finest levels stay zero, unread."""
+    bands = bands_of(*shape[-2:], levels)
     wanted = len(bands) - 3 * min(drop, levels)
     values = np.zeros(shape, np.int32)
     chance, seen, weights = model.chance.copy(), model.seen.copy(), model.weights.copy()
@@ -136,7 +134,7 @@ def code_block(values, bands, wanted, chance, seen, tally, weights, tables, data
 @njit(cache=True, nogil=True, error_model="numpy")
 def _any(plane, band):
     for i in range(band[0], band[0] + band[2]):
-        for j in range(band[1], band[1] + band[2]):
+        for j in range(band[1], band[1] + band[3]):
             if plane[i, j] != 0:
                 return 1
     return 0
@@ -155,15 +153,15 @@ def place_class(k, c, level, orientation):
 @njit(cache=True, nogil=True, error_model="numpy")
 def code_flag(some, filled, bands, b, k, c, chance, seen, tally, weights, tables, state, data, decoding):
     """Whether the band has any coefficient at this frequency and channel."""
-    parent = bands[b, 5]
+    parent = bands[b, 6]
     before = filled[b, k - 1, c] if k > 0 else 2
     earlier = filled[b, k - 2, c] if k > 1 else 1
     above = filled[parent, k, c] if parent >= 0 else 2
     beside = filled[b, k, c - 1] if c > 0 else 2
-    turned = filled[b - 1, k, c] if bands[b, 4] > 1 else 2
+    turned = filled[b - 1, k, c] if bands[b, 5] > 1 else 2
     contexts = np.empty(INPUTS, np.int64)
-    contexts[0] = OFFSETS[0] + ((before * 3 + above) * 4 + beside) * 8 + min(bands[b, 3], 7)
-    contexts[1] = OFFSETS[1] + place_class(k, c, bands[b, 3], bands[b, 4])
+    contexts[0] = OFFSETS[0] + ((before * 3 + above) * 4 + beside) * 8 + min(bands[b, 4], 7)
+    contexts[1] = OFFSETS[1] + place_class(k, c, bands[b, 4], bands[b, 5])
     contexts[2] = OFFSETS[2] + ((turned * 3 + before) * 2 + earlier) * 2 + min(c, 1)
     return code_mixed(some, contexts, 3, 0, chance, seen, tally, weights, tables, state, data, decoding)
 
@@ -171,15 +169,15 @@ def code_flag(some, filled, bands, b, k, c, chance, seen, tally, weights, tables
 @njit(cache=True, nogil=True, error_model="numpy")
 def _around(plane, band, i, j):
     """Twice the magnitude at (i, j) of a band plus those of its four neighbours inside the band."""
-    r, c, side = band[0], band[1], band[2]
+    r, c = band[0], band[1]
     total = 2 * abs(plane[r + i, c + j])
     if i > 0:
         total += abs(plane[r + i - 1, c + j])
-    if i + 1 < side:
+    if i + 1 < band[2]:
         total += abs(plane[r + i + 1, c + j])
     if j > 0:
         total += abs(plane[r + i, c + j - 1])
-    if j + 1 < side:
+    if j + 1 < band[3]:
         total += abs(plane[r + i, c + j + 1])
     return total
 
@@ -207,7 +205,7 @@ def _fine_grade(value):
 def code_plane(values, filled, bands, b, k, c, chance, seen, tally, weights, tables, state, data, decoding):
     """Code one band of one frequency and channel, row by row."""
     band = bands[b]
-    r, q, side, level, orientation, parent = band
+    r, q, height, width, level, orientation, parent = band
     plane = values[c, k]
     place = place_class(k, c, level, orientation)
     contexts = np.empty(INPUTS, np.int64)
@@ -217,12 +215,12 @@ def code_plane(values, filled, bands, b, k, c, chance, seen, tally, weights, tab
     has_turned = orientation > 1 and (filled[b - 1, k, c] == 1 or (orientation == 3 and filled[b - 2, k, c] == 1))
     grain = min(level, 7)
     turn = 0 if orientation == 0 else 1 if orientation < 3 else 2
-    for i in range(side):
-        for j in range(side):
+    for i in range(height):
+        for j in range(width):
             w = abs(plane[r + i, q + j - 1]) if j > 0 else 0
             n = abs(plane[r + i - 1, q + j]) if i > 0 else 0
             nw = abs(plane[r + i - 1, q + j - 1]) if i > 0 and j > 0 else 0
-            ne = abs(plane[r + i - 1, q + j + 1]) if i > 0 and j + 1 < side else 0
+            ne = abs(plane[r + i - 1, q + j + 1]) if i > 0 and j + 1 < width else 0
             far = (abs(plane[r + i, q + j - 2]) if j > 1 else 0) + (abs(plane[r + i - 2, q + j]) if i > 1 else 0)
             above = _around(plane, bands[parent], i >> 1, j >> 1) if has_parent else 0
             before = _around(values[c, k - 1], band, i, j) if has_before else 0

@@ -1,4 +1,4 @@
-"""Texel-domain coding as the paper counts it: keep the k largest coefficients, invisible samples filled by themselves."""
+"""Texel-domain coding as the paper counts it: the k largest coefficients; invisible samples fill themselves."""
 
 from __future__ import annotations
 

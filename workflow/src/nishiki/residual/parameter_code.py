@@ -5,22 +5,25 @@ from __future__ import annotations
 import numpy as np
 
 from nishiki.residual.design import Design
+from nishiki.residual.extent import Extent
 from nishiki.residual.parameters import WIDTH_FLOOR, Maps, Weights
 from nishiki.residual.quantise import quantise
 from nishiki.residual.solve import Operator, solve
 from nishiki.residual.transform import Block
 
-ITERATIONS = 30
+ITERATIONS = 60
 
 
-def encode_parameters(maps: Maps, weights: Weights, typical: tuple[float, ...], design: Design, threshold: float):
-    """(C, 3, T, T) int32: kd, ks and log sigma (channel 0) as multiples of their steps.
+def encode_parameters(
+    maps: Maps, weights: Weights, typical: tuple[float, ...], design: Design, extent: Extent, threshold: float
+):
+    """(C, 3, rows, columns) int32: kd, ks and log sigma (channel 0) as multiples of their steps; of cropped maps.
 
     typical: weight of a typical texel for each group; texels weigh in with their own up to that, so that what the
     pictures do not show is filled with whatever is cheapest. threshold: in steps.
     """
-    out = np.zeros((design.channels, 3, design.tile_size, design.tile_size), np.int32)
-    block = Block(design.parameter_plane, np.eye(1), np.eye(1))
+    out = np.zeros(design.parameter_shape(extent), np.int32)
+    block = Block(design.parameter_plane(extent), np.eye(1), np.eye(1))
     groups = zip(_planes(maps), (weights.kd, weights.ks, weights.sigma[..., None]), typical, strict=True)
     for group, (values, weight, usual) in enumerate(groups):
         mix, mean = design.parameter_mix(group), design.parameter_mean(group)
@@ -40,9 +43,9 @@ def _solve_planes(planes: np.ndarray, share: np.ndarray, block: Block, step: flo
     return quantise(found.coefficients, step)[:, 0, 0]
 
 
-def decode_parameters(values: np.ndarray, design: Design) -> Maps:
-    """Maps of integers (C, 3, T, T); K_d and K_s are held at 0 and above, sigma above 0.001 rad and below 1e3."""
-    block = Block(design.parameter_plane, np.eye(1), np.eye(1))
+def decode_parameters(values: np.ndarray, design: Design, extent: Extent) -> Maps:
+    """Cropped maps of integers (C, 3, rows, columns); K_d and K_s are held at 0 and above, sigma above 0.001 rad and below 1e3."""
+    block = Block(design.parameter_plane(extent), np.eye(1), np.eye(1))
     planes = []
     for group in range(3):
         count = 1 if group == 2 else design.channels

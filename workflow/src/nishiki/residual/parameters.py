@@ -8,7 +8,7 @@ texture goes, once instead of once a view.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -42,28 +42,31 @@ class Weights:
 
 @dataclass(frozen=True)
 class Factors:
-    """What multiplies K_d and K_s in each observation: irradiance (C, M, T, T), lobe (M, T, T); lobe_slope (M, T, T):
-    derivative of the lobe by log sigma."""
+    """The model apart from its parameters, in each observation: irradiance (C, M, rows, columns) multiplies K_d;
+    strength * exp(-squared_angle / (2 sigma^2)), both (M, rows, columns), multiplies K_s."""
 
     irradiance: np.ndarray
-    lobe: np.ndarray
-    lobe_slope: np.ndarray
+    strength: np.ndarray
+    squared_angle: np.ndarray
+
+    def lobe(self, sigma: np.ndarray) -> np.ndarray:
+        """(M, rows, columns): what multiplies K_s."""
+        return self.strength * np.exp(self.squared_angle * (-0.5 / sigma.astype(np.float32) ** 2))
 
 
-def model_factors(sigma: np.ndarray, channels: int, surface: Surface, centres, lamps: Sequence[Lamp]) -> Factors:
-    """Factors of a tile for every observation, from the model itself with K_d = K_s = 1."""
-    size = sigma.shape[0]
-    ones = np.ones((size, size, channels), np.float32)
-    irradiance = np.empty((channels, len(lamps), size, size), np.float32)
-    lobe = np.empty((len(lamps), size, size), np.float32)
-    wider = np.empty_like(lobe)
+def model_factors(channels: int, surface: Surface, centres, lamps: Sequence[Lamp]) -> Factors:
+    """Factors of a tile for every observation, from the model itself with K_d = K_s = 1 and lobes of known width."""
+    shape = surface.inside.shape
+    ones = np.ones((*shape, channels), np.float32)
+    irradiance = np.empty((channels, len(lamps), *shape), np.float32)
+    strength, wide = np.empty((2, len(lamps), *shape), np.float32)
     for o, (centre, lamp) in enumerate(zip(centres, lamps, strict=True)):
-        diffuse, specular = predict(ones, ones, sigma, surface.positions, surface.normals, centre, lamp)
-        irradiance[:, o], lobe[o] = np.moveaxis(diffuse, -1, 0), specular[..., 0]
-        wider[o] = predict(ones, ones, sigma * np.float32(1.01), surface.positions, surface.normals, centre, lamp)[1][
-            ..., 0
-        ]
-    return Factors(irradiance, lobe, (wider - lobe) / np.float32(np.log(1.01)))
+        arguments = (surface.positions, surface.normals, centre, lamp)
+        diffuse, specular = predict(ones, ones, np.full(shape, np.inf, np.float32), *arguments)
+        irradiance[:, o], strength[o] = np.moveaxis(diffuse, -1, 0), specular[..., 0]
+        wide[o] = predict(ones, ones, np.ones(shape, np.float32), *arguments)[1][..., 0]
+    ratio = np.where(strength > 0, wide / np.where(strength > 0, strength, 1), 1)
+    return Factors(irradiance, strength, np.maximum(-2 * np.log(ratio), 0).astype(np.float32))
 
 
 def slope(linear: np.ndarray, encoding: str) -> np.ndarray:
@@ -82,37 +85,58 @@ def refine(
     encoding: str,
     *,
     iterations: int,
-    move_ks: bool = True,
+    move: tuple[bool, bool, bool] = (True, True, False),
 ) -> Maps:
-    """K_d and K_s whose picture is nearest to pixel values (C, n) in the capture's encoding, from the given ones.
+    """K_d, K_s and sigma whose picture is nearest to pixel values (C, n) in the capture's encoding, from the given ones.
 
-    Accelerated gradient with each texel's own step; values stay at 0 or above. Texels that no pixel sees stay as given.
+    Accelerated gradient with each texel's own step; K_d, K_s stay at 0 or above. Texels that no pixel sees stay as given.
+    move: which of the three; a width that follows every pixel's noise costs more than it explains.
     """
-    kd, ks = (np.moveaxis(a, -1, 0).astype(np.float32) for a in (maps.kd, maps.ks))
+    held = [np.moveaxis(maps.kd, -1, 0), np.moveaxis(maps.ks, -1, 0), np.log(np.clip(maps.sigma, WIDTH_FLOOR, 1e3))]
+    held = [a.astype(np.float32) for a in held]
     weights = texel_weights(maps, factors, feet, encoding)
-    pace_d, pace_s = (_pace(np.moveaxis(w, -1, 0)) for w in (weights.kd, weights.ks))
-    ahead_d, ahead_s, momentum = kd, ks, 1.0
+    paces = [_pace(w) for w in (np.moveaxis(weights.kd, -1, 0), np.moveaxis(weights.ks, -1, 0), weights.sigma)]
+    ahead, momentum = held, 1.0
     for _ in range(iterations):
-        linear = factors.irradiance * ahead_d[:, None] + factors.lobe[None] * ahead_s[:, None]
-        left = values - feet.look_up(encode(linear, encoding))
-        back = feet.spread(left) * slope(linear, encoding)
-        new_d = np.maximum(ahead_d + pace_d * np.sum(back * factors.irradiance, axis=1), 0)
-        new_s = np.maximum(ahead_s + pace_s * np.sum(back * factors.lobe[None], axis=1), 0) if move_ks else ks
+        gradients = _gradients(ahead, factors, feet, values, encoding)
+        new = [
+            at + pace * gradient if moved else at
+            for at, pace, gradient, moved in zip(ahead, paces, gradients, move, strict=True)
+        ]
+        new = [np.maximum(new[0], 0), np.maximum(new[1], 0), np.clip(new[2], held[2] - 0.25, held[2] + 0.25)]
         following = (1 + np.sqrt(1 + 4 * momentum**2)) / 2
         factor = np.float32((momentum - 1) / following)
-        ahead_d, ahead_s = new_d + factor * (new_d - kd), new_s + factor * (new_s - ks)
-        kd, ks, momentum = new_d, new_s, following
-    return replace(maps, kd=np.moveaxis(kd, 0, -1), ks=np.moveaxis(ks, 0, -1))
+        ahead = [n + factor * (n - h) for n, h in zip(new, held, strict=True)]
+        ahead[2] = np.clip(ahead[2], np.log(WIDTH_FLOOR), np.log(np.float32(1e3)))
+        held, momentum = new, following
+    return Maps(np.moveaxis(held[0], 0, -1), np.moveaxis(held[1], 0, -1), np.exp(held[2]))
+
+
+def _gradients(at: list[np.ndarray], factors: Factors, feet: Footprints, values: np.ndarray, encoding: str):
+    """Downhill directions of half the squared error of the pictures by kd, ks, log sigma."""
+    kd, ks, width = at
+    sigma = np.exp(width)
+    lobe = factors.lobe(sigma)
+    linear = factors.irradiance * kd[:, None] + lobe[None] * ks[:, None]
+    left = values - feet.look_up(encode(linear, encoding))
+    back = feet.spread(left)
+    if encoding != "linear":
+        back *= slope(linear, encoding)
+    to_lobe = np.einsum("comn,cmn->omn", back, ks)
+    by_width = np.sum(to_lobe * lobe * factors.squared_angle, axis=0) / sigma**2
+    return np.sum(back * factors.irradiance, axis=1), np.einsum("comn,omn->cmn", back, lobe), by_width
 
 
 def texel_weights(maps: Maps, factors: Factors, feet: Footprints, encoding: str) -> Weights:
     """Diagonal of the error's curvature at the given parameters, off-diagonal terms added (so that it bounds it)."""
     density = feet.density()
     kd, ks = np.moveaxis(maps.kd, -1, 0), np.moveaxis(maps.ks, -1, 0)
-    rise = slope(factors.irradiance * kd[:, None] + factors.lobe[None] * ks[:, None], encoding) ** 2 * density[None]
+    lobe = factors.lobe(maps.sigma)
+    rise = slope(factors.irradiance * kd[:, None] + lobe[None] * ks[:, None], encoding) ** 2 * density[None]
     by_d = np.sum(rise * factors.irradiance**2, axis=1)
-    by_s = np.sum(rise * factors.lobe[None] ** 2, axis=1)
-    by_w = np.sum(rise * (factors.lobe_slope[None] * ks[:, None]) ** 2, axis=(0, 1))
+    by_s = np.sum(rise * lobe[None] ** 2, axis=1)
+    bend = lobe * factors.squared_angle / maps.sigma**2
+    by_w = np.sum(rise * (bend[None] * ks[:, None]) ** 2, axis=(0, 1))
     return Weights(np.moveaxis(by_d, 0, -1), np.moveaxis(by_s, 0, -1), by_w)
 
 

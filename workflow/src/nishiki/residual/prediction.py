@@ -40,8 +40,7 @@ def predict_texels(
 
     centres (observations, 3). component: "total", "diffuse" or "specular".
     """
-    size, channels = kd.shape[0], kd.shape[-1]
-    out = np.empty((channels, len(lamps), size, size), np.float32)
+    out = np.empty((kd.shape[-1], len(lamps), *sigma.shape), np.float32)
     for o, (centre, lamp) in enumerate(zip(centres, lamps, strict=True)):
         parts = predict(kd, ks, sigma, surface.positions, surface.normals, centre, lamp)
         total = {"total": sum(parts), "diffuse": parts[0], "specular": parts[1]}[component]

@@ -1,4 +1,4 @@
-"""Adaptive binary arithmetic coding: one routine that encodes or decodes a bit under a mixture of learnt probabilities.
+"""Adaptive binary arithmetic coding: one routine encodes or decodes a bit under a mixture of learnt probabilities.
 
 Carry-free range coder with 32-bit bounds (as in M. Mahoney's lpaq, 2007, after Rissanen and Langdon 1979); probabilities
 of several contexts are mixed in the logistic domain by weights that follow the coding cost (M. Mahoney, Adaptive

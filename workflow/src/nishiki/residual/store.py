@@ -15,7 +15,6 @@ from nishiki.errors import UserError
 from nishiki.residual.allocate import EncodedObject
 from nishiki.residual.container import head_length, pack_object, unpack_head
 from nishiki.residual.entropy import decode
-from nishiki.residual.observations import arc_views
 from nishiki.residual.parameter_code import decode_parameters
 from nishiki.residual.tile_code import decode_residual
 
@@ -27,14 +26,15 @@ CHUNK = 1 << 16
 def write_residual(folder: Path, encoded: EncodedObject, *, stamp: dict[str, str], report: dict) -> dict[str, int]:
     """Write `residual.zarr` and `residual.json` into a folder; bytes by part.
 
-    The array is one-dimensional, uint8, in chunks of 64 KiB with a CRC-32C each: coded bytes do not compress further. The
+    The array is one-dimensional, uint8, in equal chunks of at most 64 KiB with a CRC-32C each: coded bytes do
+    not compress further, and a last chunk that is not full would be stored in full. The
     report holds the SHA-256 of the array's metadata, which no chunk's checksum covers.
     """
     data, parts = pack_object(encoded)
     array = zarr.create_array(
         Path(folder) / STORE,
         shape=(len(data),),
-        chunks=(min(CHUNK, len(data)),),
+        chunks=(-(-len(data) // -(-len(data) // CHUNK)),),
         dtype="uint8",
         filters=None,
         compressors=[Crc32cCodec()],
@@ -78,22 +78,22 @@ class Residual:
         self._lock, self._chunk = threading.Lock(), (-1, b"")
         self._contents = unpack_head(self._read(0, head_length(self._read(0, 8))))
         self.design = self._contents.design
-        self.tiles, self.size = len(self._contents.arcs), self.design.tile_size
+        self.tiles, self.size = len(self._contents.extents), self.design.tile_size
         self.channels = self.design.channels
         self.observations = self.design.views * self.design.lights
 
     def parameters(self, tile: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """kd, ks (T, T, C), sigma (T, T) float32, as the encoder's own prediction used them."""
-        shape = (self.channels, 3, self.size, self.size)
-        stream = self._stream(tile, 0)
-        if self.design.model and self._contents.arcs[tile, 1]:
-            values = (
-                decode(stream, shape, self.design.parameter_plane.levels, self._contents.models[0]) if stream else 0
-            )
-            maps = decode_parameters(np.broadcast_to(values, shape), self.design)
-            return maps.kd, maps.ks, maps.sigma
-        zero = np.zeros((self.size, self.size, self.channels), np.float32)
-        return zero, zero.copy(), np.ones((self.size, self.size), np.float32)
+        kd, ks = np.zeros((2, self.size, self.size, self.channels), np.float32)
+        sigma = np.ones((self.size, self.size), np.float32)
+        extent, design = self._contents.extents[tile], self.design
+        if design.model and extent.length:
+            shape, stream = design.parameter_shape(extent), self._stream(tile, 0)
+            levels = design.parameter_plane(extent).levels
+            values = decode(stream, shape, levels, self._contents.models[0]) if stream else np.zeros(shape, np.int32)
+            maps = decode_parameters(values, design, extent)
+            kd[extent.texels], ks[extent.texels], sigma[extent.texels] = maps.kd, maps.ks, maps.sigma
+        return kd, ks, sigma
 
     def decode(self, tile: int, *, level: int = 0, component: str | None = None) -> np.ndarray:
         """(M, T, T, C) float32: the residual in the capture's encoding, zero in views that do not see the tile.
@@ -101,16 +101,15 @@ class Residual:
         level: so many of the finest bands are left out (and not even read): a blurred preview. component: one of
         `design.components`; their sum by default.
         """
-        design, (start, length) = self.design, self._contents.arcs[tile]
+        design, extent = self.design, self._contents.extents[tile]
         out = np.zeros((self.observations, self.size, self.size, self.channels), np.float32)
-        shape = (self.channels, design.lights * int(length), self.size, self.size)
-        views = arc_views(int(start), int(length), design.views)
-        places = (np.arange(design.lights)[:, None] * design.views + views[None]).reshape(-1)
+        places = extent.observations(design.views, design.lights)
         for index, name in enumerate(design.components):
             stream = self._stream(tile, 1 + index) if component in (None, name) else b""
             if stream:
-                integers = decode(stream, shape, design.plane.levels, self._contents.models[1], drop=level)
-                out[places] += np.moveaxis(decode_residual(integers, index, design, int(length)), 0, -1)
+                shape, levels = design.residual_shape(extent), design.plane(extent).levels
+                integers = decode(stream, shape, levels, self._contents.models[1], drop=level)
+                out[places, *extent.texels] += np.moveaxis(decode_residual(integers, index, design, extent), 0, -1)
         return out
 
     def empty(self, tile: int) -> bool:

@@ -9,8 +9,8 @@ import numpy as np
 
 from nishiki.reflection.lighting import Lamp
 from nishiki.residual.design import Design
+from nishiki.residual.extent import Extent, extent_of
 from nishiki.residual.interpolate import Footprints
-from nishiki.residual.observations import arc_views, visible_arc
 from nishiki.residual.parameter_code import decode_parameters, encode_parameters
 from nishiki.residual.parameters import Maps, Weights, model_factors, refine, texel_weights
 from nishiki.residual.prediction import Surface, predict_texels
@@ -43,7 +43,7 @@ class Effort:
     rounding: fraction added before the whole part is taken."""
 
     iterations: int = 30
-    refinements: int = 30
+    refinements: int = 12
     threshold: float = 0.8
     dead_zone: float = 0.6
     rounding: float = 0.42
@@ -51,14 +51,13 @@ class Effort:
 
 @dataclass(frozen=True)
 class CodedTile:
-    """parameters (C, 3, T, T) int32; residual: per component (C, lights * length, T, T) int32; start, length: arc of
-    views; pixels; error, model_error, zero_error: sums of squares over pixels and channels of the decoded tile, of its
+    """parameters (C, 3, rows, columns) int32; residual: per component (C, lights * views, rows, columns) int32;
+    extent; pixels; error, model_error, zero_error: sums of squares over pixels and channels of the decoded tile, of its
     model alone, and of the pictures themselves."""
 
     parameters: np.ndarray
     residual: tuple[np.ndarray, ...]
-    start: int
-    length: int
+    extent: Extent
     pixels: int
     error: float
     model_error: float
@@ -80,46 +79,45 @@ class Refined:
 
 @dataclass(frozen=True)
 class Seen:
-    """What pixels see of a tile: its arc of views, the observations of the block, footprints in it, and the pixel values
-    (C, n) of each component in the order of the footprints."""
+    """What pixels see of a tile: its extent, the observations of the block, the surface in the extent, footprints in the
+    block, and the pixel values (C, n) of each component in the order of the footprints."""
 
-    start: int
-    length: int
+    extent: Extent
     observations: np.ndarray
+    surface: Surface
     feet: Footprints
     values: tuple[np.ndarray, ...]
 
 
-def arc_observations(design: Design, start: int, length: int) -> np.ndarray:
-    """(lights * length,) int64: observations of a block, in its order."""
-    views = arc_views(start, length, design.views)
-    return (np.arange(design.lights)[:, None] * design.views + views[None]).reshape(-1)
-
-
-def see(pixels: Pixels, design: Design) -> Seen | None:
-    """Find the arc and sort the pixels; None where no pixel sees the tile."""
+def see(pixels: Pixels, surface: Surface, design: Design) -> Seen | None:
+    """Find the extent and sort the pixels; None where no pixel sees the tile."""
     seen = np.bincount(pixels.observation % design.views, minlength=design.views) > 0
     if not seen.any():
         return None
-    start, length = visible_arc(seen, full_turn=design.full_turn) if design.arcs else (0, design.views)
-    observations = arc_observations(design, start, length)
+    used = surface.inside.copy()
+    s, t = (np.clip(v.astype(int), 0, design.tile_size - 2) for v in (pixels.s, pixels.t))
+    for i in (0, 1):
+        for j in (0, 1):
+            used[s + i, t + j] = True
+    extent = extent_of(seen, used, full_turn=design.full_turn, arcs=design.arcs)
+    observations = extent.observations(design.views, design.lights)
     place = np.full(design.lights * design.views, -1)
     place[observations] = np.arange(len(observations))
-    feet = Footprints.of(
-        place[pixels.observation], pixels.s, pixels.t, observations=len(observations), size=design.tile_size
-    )
+    shape = (len(observations), extent.rows, extent.columns)
+    feet = Footprints.of(place[pixels.observation], pixels.s - extent.row, pixels.t - extent.column, shape)
     values = tuple(np.ascontiguousarray(v.T[:, feet.order], np.float32) for v in pixels.values)
-    return Seen(start, length, observations, feet, values)
+    cropped = Surface(*(a[extent.texels] for a in (surface.positions, surface.normals, surface.inside)))
+    return Seen(extent, observations, cropped, feet, values)
 
 
-def refine_tile(seen: Seen, maps: Maps, surface: Surface, scene: Scene, design: Design, effort: Effort) -> Refined:
+def refine_tile(seen: Seen, maps: Maps, scene: Scene, design: Design, effort: Effort) -> Refined:
     """Parameters of a tile such that the pictures of the model are right; zero where the design has no model."""
-    maps = Maps(*(np.nan_to_num(a.astype(np.float32)) for a in (maps.kd, maps.ks, maps.sigma)))
+    maps = Maps(*(np.nan_to_num(a[seen.extent.texels].astype(np.float32)) for a in (maps.kd, maps.ks, maps.sigma)))
     if not design.model:
         zero = np.zeros_like(maps.kd)
         return Refined(Maps(zero, zero, np.ones_like(maps.sigma)), Weights(zero, zero, zero[..., 0]))
     centres, lamps = scene.centres[seen.observations], [scene.lamps[o] for o in seen.observations]
-    factors = model_factors(maps.sigma, design.channels, surface, centres, lamps)
+    factors = model_factors(design.channels, seen.surface, centres, lamps)
     whole = seen.values[0] if len(seen.values) == 1 else sum(seen.values)
     maps = refine(maps, factors, seen.feet, whole, design.encoding, iterations=effort.refinements)
     return Refined(maps, texel_weights(maps, factors, seen.feet, design.encoding))
@@ -128,26 +126,25 @@ def refine_tile(seen: Seen, maps: Maps, surface: Surface, scene: Scene, design: 
 def encode_tile(
     seen: Seen,
     refined: Refined,
-    surface: Surface,
     scene: Scene,
     design: Design,
     effort: Effort,
     typical: tuple[float, ...],
 ) -> CodedTile:
     """Integers of a tile at the design's steps: parameters first, then the residual against what they decode to."""
-    parameters = np.zeros((design.channels, 3, design.tile_size, design.tile_size), np.int32)
+    parameters = np.zeros(design.parameter_shape(seen.extent), np.int32)
     maps = refined.maps
     if design.model:
-        parameters = encode_parameters(maps, refined.weights, typical, design, effort.threshold)
-        maps = decode_parameters(parameters, design)
-    shape, block = design.shape(seen.length), design.block(seen.length)
+        parameters = encode_parameters(maps, refined.weights, typical, design, seen.extent, effort.threshold)
+        maps = decode_parameters(parameters, design, seen.extent)
+    shape, block = design.shape(seen.extent), design.block(seen.extent)
     operator = Operator.of_pixels(seen.feet)
     residual, errors = [], np.zeros(3)
     for index, component in enumerate(design.components):
         values = seen.values[index]
         left = values
         if design.model:
-            left = values - seen.feet.look_up(model_of(maps, seen.observations, surface, scene, design, component))
+            left = values - seen.feet.look_up(model_of(maps, seen, scene, design, component))
         data = (design.mix(index) @ left).astype(np.float32)
         found = solve(
             data, operator, block, shape, threshold=effort.threshold * design.step, iterations=effort.iterations
@@ -155,20 +152,20 @@ def encode_tile(
         integers = quantise(found.coefficients, design.step, dead_zone=effort.dead_zone, rounding=effort.rounding)
         after = data - operator.look(samples_of(block, (integers * np.float32(design.step)).astype(np.float32)))
         errors += [float(np.sum(a.astype(np.float64) ** 2)) for a in (after, data, values)]
-        residual.append(integers.reshape(design.channels, -1, *shape[-2:]))
+        residual.append(integers.reshape(design.residual_shape(seen.extent)))
     pixels = seen.values[0].shape[1] * len(design.components)
-    return CodedTile(parameters, tuple(residual), seen.start, seen.length, pixels, *errors)
+    return CodedTile(parameters, tuple(residual), seen.extent, pixels, *errors)
 
 
-def model_of(maps: Maps, observations: np.ndarray, surface: Surface, scene: Scene, design: Design, component: str):
-    """(C, observations, T, T) float32: the model's texels in some observations, in the capture's encoding."""
-    lamps = [scene.lamps[o] for o in observations]
-    arguments = (surface, scene.centres[observations], lamps, design.encoding)
+def model_of(maps: Maps, seen: Seen, scene: Scene, design: Design, component: str) -> np.ndarray:
+    """(C, observations, rows, columns) float32: the model's texels in a block, in the capture's encoding."""
+    lamps = [scene.lamps[o] for o in seen.observations]
+    arguments = (seen.surface, scene.centres[seen.observations], lamps, design.encoding)
     return predict_texels(maps.kd, maps.ks, maps.sigma, *arguments, component=component)
 
 
-def decode_residual(integers: np.ndarray, component: int, design: Design, length: int) -> np.ndarray:
-    """(C, lights * length, T, T) float32 texels of integers (C, lights * length, T, T)."""
-    coefficients = (integers * np.float32(design.step)).astype(np.float32).reshape(design.shape(length))
-    samples = samples_of(design.block(length), coefficients)
+def decode_residual(integers: np.ndarray, component: int, design: Design, extent: Extent) -> np.ndarray:
+    """(C, lights * views, rows, columns) float32 texels of integers of that shape."""
+    coefficients = (integers * np.float32(design.step)).astype(np.float32).reshape(design.shape(extent))
+    samples = samples_of(design.block(extent), coefficients)
     return np.tensordot(design.mix(component).T.astype(np.float32), samples, 1)

@@ -10,9 +10,10 @@ from nishiki.errors import UserError
 from nishiki.residual.entropy import CONTEXTS, GROUPS, Coded, Model
 from nishiki.residual.range_coder import INPUTS
 
-CONFIDENCE = np.array([0, 1, 2, 4, 8, 16, 32, 64], np.int64)
-LOGIT_STEPS = 12
-WEIGHT_UNIT = 2048
+CONFIDENCE = np.array([0, 4, 12, 24], np.int64)
+LOGIT_STEPS = 2  # finer steps save fewer bytes of the tiles than they cost in the header
+WEIGHT_UNIT = 4096
+RARE = 80  # contexts used less often in the whole object are left untrained
 
 
 def train(coded: list[Coded], *, share: float = 0.25, limit: int = 24) -> Model:
@@ -29,10 +30,10 @@ def train(coded: list[Coded], *, share: float = 0.25, limit: int = 24) -> Model:
     logit = np.log((tally[:, 1] + 0.4) / (tally[:, 0] + 0.4))
     sure = np.minimum(uses / len(coded) * share, limit)
     grade = np.searchsorted(CONFIDENCE, sure, side="right") - 1
-    logits = np.where(uses > 0, np.clip(np.round(logit * LOGIT_STEPS), -110, 110), 127).astype(np.int8)
+    logits = np.where(uses > RARE, np.clip(np.round(logit * LOGIT_STEPS), -110, 110), 127).astype(np.int8)
     mean = np.mean([part.weights for part in coded], axis=0)
     weights = np.clip(np.round(mean / WEIGHT_UNIT), -127, 127).astype(np.int8)
-    return _model_of(logits, np.where(uses > 0, grade, 0).astype(np.uint8), weights)
+    return _model_of(logits, np.where(uses > RARE, grade, 0).astype(np.uint8), weights)
 
 
 def _model_of(logits: np.ndarray, grades: np.ndarray, weights: np.ndarray) -> Model:
@@ -44,12 +45,16 @@ def _model_of(logits: np.ndarray, grades: np.ndarray, weights: np.ndarray) -> Mo
 
 
 def pack(model: Model) -> bytes:
-    """A trained model as bytes, compressed."""
+    """A trained model as bytes, compressed; no bytes for an untrained one."""
+    if not model.rounded:
+        return b""
     return zlib.compress(b"".join(part.tobytes() for part in model.rounded), 9)
 
 
 def unpack(data: bytes) -> Model:
     """Inverse of `pack`. UserError where the bytes are not those of a model of this version."""
+    if not data:
+        return Model.untrained()
     try:
         raw = zlib.decompress(data)
     except zlib.error as error:

@@ -1,6 +1,6 @@
 """Orthonormal separable transform of a tile over (u, v, observation): O section 4.1, with boundaries that lose none.
 
-Coefficients lie as the samples do, (channel, light, view, T, T): planes in Mallat's order (coarsest band in a corner),
+Coefficients lie as the samples do, (channel, light, view, row, column): planes in Mallat's order (coarsest band in a corner),
 the observation axis by frequency. The basis vectors have unit length, also those of the biorthogonal families (their
 gains are divided out), so that one quantiser step means the same error everywhere. For an orthonormal family the
 inverse is the transpose and the energy of what is left out is the error (Parseval).
@@ -18,92 +18,92 @@ from nishiki.residual.filters import SparseRows, filter_bank, level_matrix, leve
 
 
 @dataclass(frozen=True)
-class Plane:
-    """The transform of a T x T plane: per level, finest first, analysis, synthesis and adjoint synthesis by rows.
+class Axis:
+    """One axis of a plane transform: per level, finest first, analysis, synthesis and adjoint synthesis by rows; smooth,
+    detail: (length, length >> level + 1) float64, the basis vectors of the low and the high band."""
 
-    smooth, detail: per level, (T, T >> level + 1) float64, columns are the one-axis basis vectors of its low and high
-    band; gains (T, T) float64: lengths of the basis planes before they are brought to 1; bound: largest singular value
-    of the synthesis, squared.
-    """
-
-    size: int
-    levels: int
+    length: int
     analysis: tuple[SparseRows, ...]
     synthesis: tuple[SparseRows, ...]
     adjoint: tuple[SparseRows, ...]
     smooth: tuple[np.ndarray, ...]
     detail: tuple[np.ndarray, ...]
+
+
+@dataclass(frozen=True)
+class Plane:
+    """The transform of planes of (rows, columns) texels.
+
+    gains (rows, columns) float64: lengths of the basis planes before they are brought to 1; bound: largest singular value
+    of the synthesis, squared.
+    """
+
+    down: Axis
+    across: Axis
+    levels: int
     gains: np.ndarray
     bound: float
     orthonormal: bool
 
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.down.length, self.across.length
 
-@lru_cache(maxsize=32)
-def plane_transform(wavelet: str, size: int, levels: int, *, mirrored: bool = False) -> Plane:
-    """The transform of planes of `size` texels a side; fewer levels than asked where `size` cannot be halved more."""
-    levels = levels_of(size, levels)
+
+@lru_cache(maxsize=64)
+def plane_transform(wavelet: str, rows: int, columns: int, levels: int, *, mirrored: bool = False) -> Plane:
+    """The transform of planes of some size; fewer levels than asked where a side cannot be halved so often."""
+    levels = min(levels_of(rows, levels), levels_of(columns, levels))
     orthonormal = filter_bank(wavelet)[2] and not mirrored
-    analysis, synthesis, adjoint = [], [], []
+    down, across = (_axis(wavelet, n, levels, orthonormal=orthonormal, mirrored=mirrored) for n in (rows, columns))
+    plane = Plane(down, across, levels, np.ones((rows, columns)), 1.0, orthonormal)
+    if orthonormal:
+        return plane
+    gains = np.sqrt(squared_lengths(plane, np.ones((1, rows, columns)))[0])
+    plane = replace(plane, gains=gains)
+    return replace(plane, bound=_largest_gain(plane))
+
+
+@lru_cache(maxsize=64)
+def _axis(wavelet: str, length: int, levels: int, *, orthonormal: bool, mirrored: bool) -> Axis:
+    analysis, synthesis, adjoint, smooth, detail, so_far = [], [], [], [], [], np.eye(length)
     for level in range(levels):
-        matrix = level_matrix(wavelet, size >> level, mirrored=mirrored)
+        matrix = level_matrix(wavelet, length >> level, mirrored=mirrored)
         inverse = matrix.T if orthonormal else np.linalg.inv(matrix)
         inverse = np.where(np.abs(inverse) < 1e-14, 0.0, inverse)
         analysis.append(SparseRows.of(matrix))
         synthesis.append(SparseRows.of(inverse))
         adjoint.append(SparseRows.of(inverse.T))
-    smooth, detail = _bases(wavelet, size, levels, orthonormal=orthonormal, mirrored=mirrored)
-    plane = Plane(
-        size,
-        levels,
-        tuple(analysis),
-        tuple(synthesis),
-        tuple(adjoint),
-        tuple(smooth),
-        tuple(detail),
-        np.ones((size, size)),
-        1.0,
-        orthonormal,
-    )
-    if orthonormal:
-        return plane
-    gains = np.sqrt(squared_lengths(plane, np.ones((1, size, size)))[0])
-    plane = replace(plane, gains=gains)
-    return replace(plane, bound=_largest_gain(plane))
-
-
-def _bases(wavelet: str, size: int, levels: int, *, orthonormal: bool, mirrored: bool):
-    smooth, detail, so_far = [], [], np.eye(size)
-    for level in range(levels):
-        matrix = level_matrix(wavelet, size >> level, mirrored=mirrored)
-        inverse = matrix.T if orthonormal else np.linalg.inv(matrix)
-        half = size >> level + 1
+        half = length >> level + 1
         detail.append(so_far @ inverse[:, half:])
         so_far = so_far @ inverse[:, :half]
         smooth.append(so_far)
-    return smooth, detail
+    return Axis(length, *(tuple(part) for part in (analysis, synthesis, adjoint, smooth, detail)))
 
 
 def squared_lengths(plane: Plane, weight: np.ndarray) -> np.ndarray:
-    """(n, T, T) float64: for every basis plane s before normalising, the sum of weight * s**2; weight (n, T, T).
+    """(n, rows, columns) float64: for every basis plane s before normalising, the sum of weight * s**2.
 
     With the density of pixels as weight this estimates the curvature of the error in each coefficient.
     """
     out = np.array(weight, np.float64)
     for level in range(plane.levels):
-        half = plane.size >> level + 1
-        low, high = plane.smooth[level] ** 2, plane.detail[level] ** 2
+        parts = [(axis.smooth[level] ** 2, axis.detail[level] ** 2) for axis in (plane.down, plane.across)]
+        (low, high), (left, right) = parts
+        h, w = low.shape[1], left.shape[1]
         rows_low, rows_high = low.T @ weight, high.T @ weight
-        out[:, :half, :half] = rows_low @ low
-        out[:, :half, half : 2 * half] = rows_low @ high
-        out[:, half : 2 * half, :half] = rows_high @ low
-        out[:, half : 2 * half, half : 2 * half] = rows_high @ high
+        out[:, :h, :w] = rows_low @ left
+        out[:, :h, w : 2 * w] = rows_low @ right
+        out[:, h : 2 * h, :w] = rows_high @ left
+        out[:, h : 2 * h, w : 2 * w] = rows_high @ right
     return out
 
 
 def _largest_gain(plane: Plane) -> float:
     """Power iteration on synthesis and adjoint, with one per cent on top; the start vector is fixed."""
     transform = Block(plane, np.eye(1), np.eye(1))
-    vector = np.random.default_rng(0).standard_normal((1, 1, 1, plane.size, plane.size))
+    vector = np.random.default_rng(0).standard_normal((1, 1, 1, *plane.shape))
     norm = 1.0
     for _ in range(60):
         vector = transform.adjoint(transform.inverse(vector / np.linalg.norm(vector)))
@@ -112,49 +112,52 @@ def _largest_gain(plane: Plane) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def apply_rows(index, weight, source, target, size):
-    """target[i, :size] = sum over k of weight[i, k] source[index[i, k], :size]: one level along the first axis."""
-    for i in range(size):
+def apply_rows(index, weight, source, target, rows, columns):
+    """target[i, :columns] = sum over k of weight[i, k] source[index[i, k], :columns]: one level along the first axis."""
+    for i in range(rows):
         out = target[i]
         first, row = weight[i, 0], source[index[i, 0]]
-        for j in range(size):
+        for j in range(columns):
             out[j] = first * row[j]
         for k in range(1, index.shape[1]):
             factor = weight[i, k]
             if factor != 0:
                 row = source[index[i, k]]
-                for j in range(size):
+                for j in range(columns):
                     out[j] += factor * row[j]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _transpose(source, target, size):
-    for i in range(size):
-        for j in range(size):
+def _transpose(source, target, rows, columns):
+    for i in range(rows):
+        for j in range(columns):
             target[j, i] = source[i, j]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def plane_level(planes, index, weight, size, scratch, skip_zero):
-    """One level of all planes (n, T, T), in place, on their corner of `size` texels; scratch (2, T, T)."""
+def plane_level(planes, down_index, down_weight, across_index, across_weight, scratch):
+    """One level of all planes (n, rows, columns), in place, on the corner that the level covers.
+
+    scratch (2, side, side), side the longer of rows and columns. Planes that are all zero there stay so.
+    """
     first, second = scratch[0], scratch[1]
+    rows, columns = down_index.shape[0], across_index.shape[0]
     for n in range(planes.shape[0]):
         plane = planes[n]
-        if skip_zero:
-            empty = True
-            for i in range(size):
-                for j in range(size):
-                    if plane[i, j] != 0:
-                        empty = False
-                        break
-                if not empty:
+        empty = True
+        for i in range(rows):
+            for j in range(columns):
+                if plane[i, j] != 0:
+                    empty = False
                     break
-            if empty:
-                continue
-        apply_rows(index, weight, plane, first, size)
-        _transpose(first, second, size)
-        apply_rows(index, weight, second, first, size)
-        _transpose(first, plane, size)
+            if not empty:
+                break
+        if empty:
+            continue
+        apply_rows(down_index, down_weight, plane, first, rows, columns)
+        _transpose(first, second, rows, columns)
+        apply_rows(across_index, across_weight, second, first, columns, rows)
+        _transpose(first, plane, columns, rows)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -181,12 +184,16 @@ def apply_axis(matrix, source, target):
                         out[j] += factor * row[j]
 
 
-def _levels(planes: np.ndarray, rows: tuple[SparseRows, ...], plane: Plane, *, finest_first: bool, skip: bool) -> None:
-    scratch = np.empty((2, plane.size, plane.size), planes.dtype)
-    levels = range(plane.levels) if finest_first else range(plane.levels - 1, -1, -1)
+def _levels(planes: np.ndarray, plane: Plane, kind: str) -> None:
+    """All levels in place; kind: analysis and adjoint go from the finest level on, synthesis from the coarsest."""
+    side = max(plane.shape)
+    scratch = np.empty((2, side, side), planes.dtype)
+    down, across = getattr(plane.down, kind), getattr(plane.across, kind)
+    levels = range(plane.levels - 1, -1, -1) if kind == "synthesis" else range(plane.levels)
     for level in levels:
-        weight = rows[level].weight.astype(planes.dtype)
-        plane_level(planes, rows[level].index, weight, plane.size >> level, scratch, skip)
+        parts = (down[level], across[level])
+        arguments = [a for part in parts for a in (part.index, part.weight.astype(planes.dtype))]
+        plane_level(planes, *arguments, scratch)
 
 
 def along(matrix: np.ndarray, values: np.ndarray, axis: int) -> np.ndarray:
@@ -202,7 +209,7 @@ def along(matrix: np.ndarray, values: np.ndarray, axis: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Block:
-    """Transform of a tile's block (channels, lights, views, T, T): orthonormal matrices of the light and view axes
+    """Transform of a tile's block (channels, lights, views, rows, columns): orthonormal matrices of the light and view axes
     (rows are basis vectors) and the transform of the planes."""
 
     plane: Plane
@@ -210,10 +217,10 @@ class Block:
     lights: np.ndarray
 
     def forward(self, values: np.ndarray) -> np.ndarray:
-        """Coefficients of samples (channels, lights, views, T, T), float32 or float64."""
+        """Coefficients of samples (channels, lights, views, rows, columns), float32 or float64."""
         out = np.array(along(self.lights, along(self.views, values, 2), 1), copy=True)
         planes = out.reshape(-1, *out.shape[-2:])
-        _levels(planes, self.plane.analysis, self.plane, finest_first=True, skip=True)
+        _levels(planes, self.plane, "analysis")
         return out if self.plane.orthonormal else out * self._gains(out.dtype)
 
     def inverse(self, coefficients: np.ndarray) -> np.ndarray:
@@ -221,13 +228,13 @@ class Block:
         out = np.array(coefficients, copy=True)
         if not self.plane.orthonormal:
             out /= self._gains(out.dtype)
-        _levels(out.reshape(-1, *out.shape[-2:]), self.plane.synthesis, self.plane, finest_first=False, skip=True)
+        _levels(out.reshape(-1, *out.shape[-2:]), self.plane, "synthesis")
         return along(self.views.T, along(self.lights.T, out, 1), 2)
 
     def adjoint(self, values: np.ndarray) -> np.ndarray:
         """Transpose of `inverse`: the gradient with respect to the coefficients; `forward` where orthonormal."""
         out = np.array(along(self.lights, along(self.views, values, 2), 1), copy=True)
-        _levels(out.reshape(-1, *out.shape[-2:]), self.plane.adjoint, self.plane, finest_first=True, skip=True)
+        _levels(out.reshape(-1, *out.shape[-2:]), self.plane, "adjoint")
         return out if self.plane.orthonormal else out / self._gains(out.dtype)
 
     def bound(self) -> float:

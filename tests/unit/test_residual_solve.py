@@ -1,0 +1,173 @@
+"""Sparse solving: the texel and the image domain, refinement of parameters, paper's counting."""
+
+import numpy as np
+import pytest
+
+from nishiki.residual.colour import fixed_channels, principal_channels
+from nishiki.residual.extent import extent_of
+from nishiki.residual.fill import keep_largest, largest
+from nishiki.residual.interpolate import Footprints
+from nishiki.residual.observations import view_matrix
+from nishiki.residual.parameters import Maps, model_factors, refine, slope, texel_weights
+from nishiki.residual.prediction import Surface, predict_texels
+from nishiki.residual.solve import Operator, samples_of, solve
+from nishiki.residual.transform import Block, plane_transform
+
+
+def block_of(views=6, size=16, wavelet="db2", lights=1):
+    plane = plane_transform(wavelet, size, size, 3)
+    return Block(plane, view_matrix("cosine", views), view_matrix("cosine", lights))
+
+
+def smooth_block(rng, block, shape, count=40):
+    """Samples of a few strong coefficients."""
+    coefficients = np.zeros(shape)
+    places = rng.choice(coefficients.size // 8, count, replace=False)
+    coefficients.ravel()[places] = rng.choice([-1, 1], count) * rng.uniform(1, 3, count)
+    return coefficients, block.inverse(coefficients)
+
+
+def test_without_a_threshold_the_pictures_are_met():
+    rng = np.random.default_rng(0)
+    block, shape = block_of(views=4, size=8), (2, 1, 4, 8, 8)
+    feet = Footprints.of(rng.integers(0, 4, 900), *rng.uniform(0, 7, (2, 900)).astype(np.float32), (4, 8, 8))
+    data = rng.standard_normal((2, 900))
+    found = solve(data, Operator.of_pixels(feet), block, shape, threshold=0.0, iterations=400)
+    texels, *_ = np.linalg.lstsq(_matrix(feet, 256), data.T, rcond=None)
+    least = np.sum((data.T - _matrix(feet, 256) @ texels) ** 2)
+    assert found.error == pytest.approx(least, rel=1e-3)
+
+
+def _matrix(feet, texels):
+    return np.stack([feet.look_up(row.reshape(1, *feet.shape))[0] for row in np.eye(texels)], axis=1)
+
+
+def test_hidden_samples_cost_nothing():
+    """A third of the samples is seen; the few coefficients that made them come back, also where nothing is seen."""
+    rng = np.random.default_rng(1)
+    block, shape = block_of(), (1, 1, 6, 16, 16)
+    _, samples = smooth_block(rng, block, shape, count=12)
+    visible = rng.random((6, 16, 16)) < 0.35
+    operator = Operator.of_mask(visible)
+    data = operator.look(samples.reshape(1, 6, 16, 16))
+    found = solve(data, operator, block, shape, threshold=0.2, iterations=300)
+    assert np.count_nonzero(found.coefficients) < 30
+    np.testing.assert_allclose(samples_of(block, found.coefficients), samples.reshape(1, 6, 16, 16), atol=0.05)
+    direct = block.forward(np.where(visible, samples, 0))
+    assert np.count_nonzero(np.abs(direct) > 0.2) > 3 * np.count_nonzero(found.coefficients)
+
+
+def test_nothing_seen_gives_nothing():
+    operator = Operator.of_mask(np.zeros((6, 16, 16), bool))
+    found = solve(
+        np.zeros((1, 6, 16, 16), np.float32), operator, block_of(), (1, 1, 6, 16, 16), threshold=0.1, iterations=5
+    )
+    assert not found.coefficients.any()
+    assert found.error == 0
+
+
+def test_keeping_the_largest_loses_the_discarded_energy():
+    rng = np.random.default_rng(2)
+    blocks = [block_of(), block_of(views=7)]
+    residuals = [rng.standard_normal((2, 1, views, 16, 16)) for views in (6, 7)]
+    seen = [np.ones((1, views, 16, 16), bool) for views in (6, 7)]
+    kept = keep_largest(residuals, seen, blocks, count=2000, rounds=0)
+    assert sum(np.count_nonzero(c) for c in kept.coefficients) == 2000
+    assert kept.error == pytest.approx(kept.discarded, rel=1e-9)
+    single = keep_largest([r.astype(np.float32) for r in residuals], seen, blocks, count=2000, rounds=0)
+    assert single.error == pytest.approx(single.discarded, rel=1e-5)
+    everything = keep_largest(residuals, seen, blocks, count=10**7, rounds=0)
+    assert everything.error < 1e-18
+
+
+def test_rounds_of_filling_lower_the_error():
+    rng = np.random.default_rng(3)
+    block, shape = block_of(), (1, 1, 6, 16, 16)
+    _, samples = smooth_block(rng, block, shape, count=60)
+    seen = rng.random((1, 6, 16, 16)) < 0.4
+    errors = [keep_largest([samples], [seen], [block], count=80, rounds=rounds).error for rounds in (0, 4, 12)]
+    assert errors[0] > 1.3 * errors[1] > 1.3 * errors[2]
+
+
+def test_threshold_of_counts():
+    values = [np.array([3.0, -1.0]), np.array([2.0, 0.5])]
+    assert largest(values, 2) == 2.0
+    assert largest(values, 0) == np.inf
+    assert largest(values, 9) == 0.0
+
+
+def sphere_patch(size=12):
+    i, j = np.meshgrid(np.linspace(-0.4, 0.4, size), np.linspace(-0.4, 0.4, size), indexing="ij")
+    points = np.stack([j, -i, np.sqrt(1 - i**2 - j**2)], axis=-1).astype(np.float32)
+    return Surface(points, points, np.ones((size, size), bool))
+
+
+@pytest.mark.parametrize("encoding", ["linear", "srgb"])
+def test_refined_parameters_make_the_pictures_right(encoding):
+    from residual_source import scene_of
+
+    rng = np.random.default_rng(4)
+    surface, scene = sphere_patch(), scene_of(24)
+    views = [0, 1, 2, 3, 21, 22, 23]
+    centres, lamps = scene.centres[views], [scene.lamps[v] for v in views]
+    truth = Maps(*(rng.uniform(0.1, 0.6, (12, 12, 3)).astype(np.float32) for _ in range(2)), np.full((12, 12), 0.2))
+    truth = Maps(truth.kd, truth.ks * 0.3, truth.sigma.astype(np.float32))
+    texels = predict_texels(truth.kd, truth.ks, truth.sigma, surface, centres, lamps, encoding)
+    feet = Footprints.of(rng.integers(0, 7, 3000), *rng.uniform(0, 11, (2, 3000)).astype(np.float32), (7, 12, 12))
+    values = feet.look_up(texels)
+    blurred = Maps(np.full_like(truth.kd, truth.kd.mean()), np.full_like(truth.ks, truth.ks.mean()), truth.sigma)
+    factors = model_factors(3, surface, centres, lamps)
+    again = predict_texels(truth.kd, truth.ks, truth.sigma, surface, centres, lamps, "linear")
+    lobe = factors.lobe(truth.sigma)
+    built = factors.irradiance * np.moveaxis(truth.kd, -1, 0)[:, None] + lobe * np.moveaxis(truth.ks, -1, 0)[:, None]
+    np.testing.assert_allclose(built, again, atol=2e-5)
+
+    def error(maps):
+        found = predict_texels(maps.kd, maps.ks, maps.sigma, surface, centres, lamps, encoding)
+        return float(np.mean((feet.look_up(found) - values) ** 2))
+
+    refined = refine(blurred, factors, feet, values, encoding, iterations=60)
+    assert error(refined) < 0.02 * error(blurred)
+    assert (refined.kd >= 0).all()
+    weights = texel_weights(truth, factors, feet, encoding)
+    for name, change in (("kd", 1e-2), ("ks", 1e-2)):
+        moved = getattr(truth, name).copy()
+        moved[5, 5, 1] += change
+        changed = Maps(**{**truth.__dict__, name: moved})
+        rise = error(changed) * values.size / change**2
+        assert rise <= 1.1 * getattr(weights, name)[5, 5, 1]
+
+
+def test_slope_of_the_encoding():
+    from nishiki.ingest.encoding import encode
+
+    at = np.array([0.001, 0.01, 0.2, 0.9])
+    steps = (encode(at + 1e-7, "srgb") - encode(at - 1e-7, "srgb")) / 2e-7
+    np.testing.assert_allclose(slope(at, "srgb"), steps, rtol=1e-5)
+    assert (slope(at, "linear") == 1).all()
+
+
+def test_colours_are_orthonormal_and_sorted():
+    rng = np.random.default_rng(5)
+    data = rng.standard_normal((3, 500)) * np.array([[0.1], [3.0], [1.0]])
+    rows = principal_channels(data @ data.T)
+    np.testing.assert_allclose(rows @ rows.T, np.eye(3), atol=1e-5)
+    energy = np.sum((rows @ data) ** 2, axis=1)
+    assert (np.diff(energy) < 0).all()
+    np.testing.assert_array_equal(principal_channels(np.zeros((2, 2))), np.eye(2))
+    np.testing.assert_allclose(fixed_channels(4) @ fixed_channels(4).T, np.eye(4), atol=1e-12)
+
+
+def test_extents():
+    inside = np.zeros((64, 64), bool)
+    inside[40:61, 3:9] = True
+    seen = np.zeros(36, bool)
+    seen[[34, 35, 0, 2]] = True
+    extent = extent_of(seen, inside, full_turn=True, arcs=True)
+    assert (extent.start, extent.length) == (34, 5)
+    assert (extent.rows, extent.columns) == (32, 8)
+    assert inside[extent.texels].sum() == inside.sum()
+    np.testing.assert_array_equal(extent.observations(36, 2)[:6], [34, 35, 0, 1, 2, 70])
+    whole = extent_of(seen, np.ones((20, 20), bool), full_turn=True, arcs=False)
+    assert (whole.length, whole.rows, whole.columns) == (36, 20, 20)
+    assert extent_of(np.zeros(4, bool), inside, full_turn=True, arcs=True).length == 0

@@ -1,0 +1,172 @@
+"""The whole path on a small object: pixels to bytes to pictures; targets, determinism, damage, held-out views."""
+
+import json
+
+import numpy as np
+import pytest
+from residual_source import SphereSource, scene_of
+from turned_sphere import tiles_of_sphere
+
+from nishiki.errors import UserError
+from nishiki.residual.allocate import at_step, find_step, one_pass, over, pilot, point_of, psnr
+from nishiki.residual.container import pack_object, unpack_head
+from nishiki.residual.design import Design
+from nishiki.residual.interpolate import Footprints
+from nishiki.residual.prediction import predict_texels
+from nishiki.residual.store import STORE, Residual, write_residual
+from nishiki.residual.tile_code import Effort
+
+VIEWS = 12
+EFFORT = Effort(iterations=12, refinements=8)
+
+
+@pytest.fixture(scope="module")
+def sphere():
+    return tiles_of_sphere(views=VIEWS, pixels=40, size=24, around=6, high=2, sub=2)[:4]
+
+
+def design(**changes):
+    values = {"tile_size": 24, "views": VIEWS, "lights": 1, "channels": 3, "full_turn": True, "encoding": "linear"}
+    return Design(**{**values, **changes})
+
+
+def encoded(tiles, *, step=0.03, without=(), threads=2, **changes):
+    source, scene = SphereSource(tiles, without=without, encoding=changes.get("encoding", "linear")), scene_of(VIEWS)
+    found = pilot(source, scene, design(**changes), EFFORT, threads=threads)
+    return one_pass(source, scene, found, EFFORT, step, threads=threads), source, scene
+
+
+def squared_error(residual, source, scene, *, level=0, encoding="linear"):
+    total, count = 0.0, 0
+    for tile in range(source.tiles):
+        kd, ks, sigma = residual.parameters(tile)
+        texels = np.moveaxis(residual.decode(tile, level=level), -1, 0)
+        if residual.design.model:
+            surface = source.surface(tile)
+            texels = texels + predict_texels(kd, ks, sigma, surface, scene.centres, scene.lamps, encoding)
+        pixels = source.pixels(tile)
+        feet = Footprints.of(pixels.observation, pixels.s, pixels.t, (VIEWS, source.size, source.size))
+        left = feet.look_up(np.ascontiguousarray(texels)) - pixels.values[0].T[:, feet.order]
+        total, count = total + float(np.sum(left.astype(float) ** 2)), count + left.size
+    return total, count
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"encoding": "srgb"},
+        {"model": False},
+        {"wavelet": "bior4.4", "mirrored": True, "view_transform": "none", "arcs": False},
+    ],
+)
+def test_pictures_of_the_decoder_are_those_of_the_encoder(sphere, tmp_path, changes):
+    result, source, scene = encoded(sphere, **changes)
+    parts = write_residual(tmp_path, result, stamp={"scene": "s"}, report={})
+    stored = sum(p.stat().st_size for p in (tmp_path / STORE).rglob("*") if p.is_file())
+    assert parts["total"] == stored == sum(v for k, v in parts.items() if k != "total")
+    residual = Residual(tmp_path)
+    total, count = squared_error(residual, source, scene, encoding=changes.get("encoding", "linear"))
+    assert count == result.pixels * 3
+    assert total == pytest.approx(result.error, rel=2e-3)
+    assert result.error < 0.9 * result.model_error
+    coarse, _ = squared_error(residual, source, scene, level=1, encoding=changes.get("encoding", "linear"))
+    assert total < coarse
+    assert Design.from_dict(json.loads(json.dumps(residual.design.as_dict()))) == residual.design
+
+
+def test_the_model_pays(sphere):
+    with_model, without = encoded(sphere, step=0.04)[0], encoded(sphere, step=0.04, model=False)[0]
+    better = psnr(with_model.error, with_model.pixels * 3) - psnr(without.error, without.pixels * 3)
+    saved = np.log2(without.bytes / with_model.bytes)
+    assert better + 3 * saved > 0.5
+
+
+def test_bytes_do_not_depend_on_threads_or_order(sphere):
+    one, many = encoded(sphere, threads=1)[0], encoded(sphere, threads=3)[0]
+    assert pack_object(one) == pack_object(many)
+
+
+def test_a_held_out_view_is_not_spoilt_by_the_residual_that_fills_it(sphere, tmp_path):
+    result, _, scene = encoded(sphere, step=0.01, without=(3,))
+    write_residual(tmp_path, result, stamp={}, report={})
+    residual = Residual(tmp_path)
+    errors = np.zeros(2)
+    for number, tile in enumerate(sphere):
+        mine = tile.observation == 3
+        if not mine.any():
+            continue
+        model = predict_texels(
+            *residual.parameters(number), SphereSource(sphere).surface(number), scene.centres, scene.lamps, "linear"
+        )
+        feet = Footprints.of(tile.observation[mine], tile.s[mine], tile.t[mine], (VIEWS, 24, 24))
+        values = tile.values[mine].T[:, feet.order]
+        for k, texels in enumerate((model, model + np.moveaxis(residual.decode(number), -1, 0))):
+            errors[k] += np.sum((feet.look_up(np.ascontiguousarray(texels)) - values) ** 2)
+    assert errors[1] < 1.15 * errors[0]
+
+
+def test_every_flipped_bit_is_noticed(sphere, tmp_path):
+    result, source, scene = encoded(sphere, step=0.05)
+    write_residual(tmp_path, result, stamp={"scene": "s"}, report={})
+    expected = squared_error(Residual(tmp_path), source, scene)
+    rng = np.random.default_rng(0)
+    files = sorted(p for p in (tmp_path / STORE).rglob("*") if p.is_file())
+    noticed = 0
+    for trial in range(60):
+        path = files[trial % len(files)]
+        sound = path.read_bytes()
+        damaged = bytearray(sound)
+        damaged[rng.integers(len(sound))] ^= 1 << rng.integers(8)
+        path.write_bytes(bytes(damaged))
+        with pytest.raises(UserError, match="damaged"):
+            squared_error(Residual(tmp_path), source, scene)
+        noticed += 1
+        path.write_bytes(sound)
+    assert noticed == 60
+    assert squared_error(Residual(tmp_path), source, scene) == expected
+
+
+def test_missing_stores_are_told(tmp_path):
+    with pytest.raises(UserError, match="no residual here"):
+        Residual(tmp_path)
+    with pytest.raises(UserError, match="begin with"):
+        unpack_head(b"nonsense")
+
+
+def test_nothing_is_stored_where_the_model_suffices(sphere, tmp_path):
+    result, _, _ = encoded(sphere, step=30.0)
+    write_residual(tmp_path, result, stamp={}, report={})
+    residual = Residual(tmp_path)
+    assert all(residual.empty(tile) for tile in range(residual.tiles))
+    assert residual.bytes["residual"] == 0
+    assert not residual.decode(0).any()
+    assert residual.stored(1) == (0, 0)
+
+
+def test_search_meets_its_target(sphere):
+    source, scene = SphereSource(sphere), scene_of(VIEWS)
+    found = pilot(source, scene, design(), EFFORT, threads=2)
+
+    def run(step):
+        return one_pass(source, scene, found, EFFORT, step, threads=2)
+
+    def size(point):
+        return np.log(point.bytes)
+
+    reached = find_step(run, size, np.log(9000), start=0.02, tolerance=0.03, passes=8)
+    assert reached.bytes == pytest.approx(9000, rel=0.03)
+    assert point_of(reached).bytes in [point.bytes for point in reached.curve]
+    quality = find_step(run, lambda p: p.psnr_db / 8.6859, 34 / 8.6859, start=0.02, tolerance=0.01, passes=8)
+    assert point_of(quality).psnr_db == pytest.approx(34, abs=0.1)
+
+
+def test_parameter_steps_follow_the_weights():
+    steps = at_step(design(), 0.02, (4.0, 0.0, 1.0))
+    assert steps.parameter_steps[0] == pytest.approx(0.01)
+    assert all(np.isfinite(steps.parameter_steps))
+
+
+def test_work_comes_back_in_order():
+    assert list(over(lambda n: n * n, range(20), 3)) == [n * n for n in range(20)]
+    assert psnr(0.0, 10) == 200.0
