@@ -143,7 +143,7 @@ def slow(made, camera, light, shares):
     out = np.zeros((camera.rows, camera.columns, 3))
     for place in zip(*np.nonzero(tile >= 0), strict=True):
         out[place] = decode(bilinear(textures[tile[place]], float(s[place]), float(t[place])), made.encoding)
-    return out, raster.triangle >= 0
+    return np.maximum(out, 0), raster.triangle >= 0
 
 
 @pytest.mark.parametrize("encoding", ["srgb", "linear"])
@@ -241,6 +241,19 @@ def test_pictures_do_not_depend_on_batches_threads_or_cache(monkeypatch):
     made = make(threads=4)
     for want, picture in zip(plain, made.render([made.captured(k) for k in range(4)]), strict=True):
         np.testing.assert_array_equal(picture.linear, want)
+
+
+def test_pictures_are_clipped_to_what_the_capture_could_hold():
+    residual = DomeResidual(2 * len(ANGLES), scale=2.0)
+    free, bound = make(residual=residual, ceiling=None), make(residual=residual, ceiling=0.7)
+    wild, tame = free.view(1), bound.view(1)
+    assert wild.linear.min() == 0
+    assert wild.linear.max() > 2
+    np.testing.assert_array_equal(tame.linear[tame.covered], np.minimum(wild.linear[wild.covered], np.float32(0.7)))
+    assert 0 <= tame.linear.min()
+    assert tame.linear.max() <= np.float32(0.7)
+    both = next(bound.render([lit_by(bound.captured(1), ((0, 1.0), (1, 1.0)))]))
+    assert 0.7 < both.linear.max() <= np.float32(1.4)
 
 
 def test_nothing_in_view_gives_an_empty_picture():

@@ -11,11 +11,13 @@ from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.cameras_file import load_cameras
 from nishiki.geometry.mesh import Mesh
+from nishiki.ingest.views import Views
 from nishiki.patches.atlas import Atlas
 from nishiki.patches.store import Texels
 from nishiki.patches.surface import Surface, texel_points, texel_triangles
 from nishiki.reflection.lighting import Lighting
 from nishiki.residual.store import Residual
+from nishiki.turntable.photographs import ceiling
 from nishiki.turntable.renderer import ObjectRenderer
 
 
@@ -34,10 +36,11 @@ class DecodedObject:
     full_turn: bool
     views: tuple[str, ...]
     lights: tuple[str, ...]
+    ceiling: float | None
 
     @classmethod
     def open(cls, inputs: Mapping[str, Artifact]) -> DecodedObject:
-        """From the artifacts of cameras, mesh, texels, reflection and residual."""
+        """From the artifacts of cameras, mesh, texels, reflection and residual; ingest gives the ceiling alone."""
         texels = Texels(inputs["texels"].folder)
         lighting = json.loads(inputs["reflection"].path("reflection.json").read_text())["lighting"]
         atlas = texels.atlas
@@ -60,6 +63,7 @@ class DecodedObject:
             texels.full_turn,
             tuple(texels.views),
             tuple(texels.lights),
+            ceiling(Views(inputs["ingest"].folder)) if "ingest" in inputs else None,
         )
 
     def renderer(self, *, mesh: Mesh | None = None, **options) -> ObjectRenderer:
@@ -80,6 +84,7 @@ class DecodedObject:
             encoding=self.encoding,
             full_turn=self.full_turn,
             channels=self.channels,
+            ceiling=self.ceiling,
             **options,
         )
 

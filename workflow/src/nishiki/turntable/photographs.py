@@ -8,7 +8,18 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.artifact import Artifact
+from nishiki.errors import UserError
 from nishiki.ingest.views import Views
+
+
+def ceiling(views: Views) -> float | None:
+    """Largest linear value that a photograph of this capture can hold; None for floating-point frames."""
+    if views.dtype.kind != "u":
+        return None
+    import zarr
+
+    group = zarr.open_group(views.path, mode="r")
+    return float(group["lut"][...].max() * group["gain"][...].max() * max(views.attributes["scale"]))
 
 
 class Photographs:
@@ -17,6 +28,11 @@ class Photographs:
 
     def __init__(self, inputs: Mapping[str, Artifact]):
         self.views = Views(inputs["ingest"].folder)
+        if len(self.views.states) > 1 and "off" not in self.views.states and "polarise" not in inputs:
+            raise UserError(
+                f"{inputs['ingest'].folder}: every photograph was taken through a polariser, expected the artifact of "
+                "polarise beside it. Remedy: give it among the inputs"
+            )
         self.components = None
         if "polarise" in inputs:
             from nishiki.separation.components import Components

@@ -41,7 +41,9 @@ class ObjectRenderer:
     mesh, atlas, cameras (of the captured views), residual and lighting as their rooms give them; geometry(tile) ->
     positions (T, T, 3), normals (T, T, 3), inside (T, T); encoding: of the capture; without: views that were left out
     of the fit and may not lend their residual to others; level > 0: a preview from the coarse part of the residual;
-    model_only: without the residual; rim: pixels by which values are carried on beyond the surface's edge.
+    model_only: without the residual; rim: pixels by which values are carried on beyond the surface's edge; ceiling:
+    largest linear value that the capture could hold (None: any).  What was saturated or never seen is not bound by any
+    photograph, and a lobe can grow there without limit: pictures are clipped to 0 .. ceiling, as the camera's were.
     """
 
     def __init__(
@@ -61,6 +63,7 @@ class ObjectRenderer:
         level: int = 0,
         model_only: bool = False,
         rim: int = 2,
+        ceiling: float | None = None,
         threads: int | None = None,
     ):
         self.mesh, self.atlas, self.cameras = mesh, atlas, list(cameras)
@@ -68,7 +71,7 @@ class ObjectRenderer:
         self.encoding, self.channels = encoding, channels
         self.turn = fit_turn(self.cameras, full_turn=full_turn)
         self.without, self.method, self.level = without, method, level
-        self.model_only, self.rim = model_only, rim
+        self.model_only, self.rim, self.ceiling = model_only, rim, ceiling
         self.threads = threads or os.cpu_count() or 1
         self.parts = coded_parts(residual, encoding)
         self.depths = DepthMaps(mesh)
@@ -216,12 +219,15 @@ class ObjectRenderer:
     def _picture(self, prepared: Prepared) -> Picture:
         raster, shot = prepared.raster, prepared.shot
         linear = np.zeros((raster.triangle.size, self.channels), np.float32)
+        highest = np.inf if self.ceiling is None else self.ceiling
         for values, (_, weight) in zip(prepared.values, shot.lights, strict=True):
-            for part in values:
-                linear[prepared.pixels] += np.float32(weight) * to_linear(part, self.encoding)
+            light = sum(to_linear(part, self.encoding) for part in values)
+            linear[prepared.pixels] += np.float32(weight) * np.clip(light, 0, highest, dtype=np.float32)
         linear = linear.reshape(*raster.triangle.shape, self.channels)
         covered = raster.triangle >= 0
         reached = extend(linear, covered, rings=self.rim)
+        highest *= sum(abs(weight) for _, weight in shot.lights)
+        np.clip(linear, 0, highest, out=linear, where=(reached & ~covered)[..., None])
         return Picture(linear, covered, reached, raster.triangle, raster.barycentric, raster.depth)
 
     def normals(self, picture: Picture, camera: Camera) -> np.ndarray:
