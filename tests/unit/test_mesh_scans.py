@@ -129,3 +129,27 @@ def test_missing_filters_are_named_with_the_remedy(monkeypatch):
 
 def test_body_of_the_tests_is_closed():
     assert shape_of(body(3)).watertight
+
+
+@pytest.mark.parametrize(("user", "status"), [(1000, 0), (0, 0), (0, 100)])
+def test_the_test_command_installs_what_meshlab_needs_where_it_may(monkeypatch, capsys, user, status):
+    import subprocess
+    from types import SimpleNamespace
+
+    from nishiki.commands import running
+
+    called = []
+
+    def command(arguments, **_):
+        called.append(arguments[1:])
+        return SimpleNamespace(returncode=status, stderr="no network\n")
+
+    monkeypatch.setattr("nishiki.geometry.meshlab.missing_filters", lambda: FILTERS)
+    monkeypatch.setattr("shutil.which", lambda name: f"/usr/bin/{name}")
+    monkeypatch.setattr("os.geteuid", lambda: user)
+    monkeypatch.setattr(subprocess, "run", command)
+    running.install_for_meshlab()
+    said = capsys.readouterr().err
+    assert called == ([] if user else [["-qq", "-y", "update"], ["-qq", "-y", *APT_LINE.split()[1:]]])
+    assert (APT_LINE in said) == (user != 0 or status != 0)
+    assert ("no network" in said) == (status != 0)

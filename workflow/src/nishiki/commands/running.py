@@ -128,5 +128,5 @@ def install_for_meshlab() -> None:
             done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
         if done.returncode == 0:
             return
-        print(f"{APT_LINE} failed: {done.stderr.strip().splitlines()[-1:] or ''}", file=sys.stderr)
+        print(f"{APT_LINE} failed: {done.stderr.strip()}", file=sys.stderr)
     print(f"pymeshlab lacks filters, tests of range scans are skipped. Remedy: {APT_LINE}", file=sys.stderr)

@@ -90,8 +90,8 @@ def _block(poses, lenses, frames, buffer, lowest, side, margin, misses, spot):
 
     A cube before the camera lies within the convex hull of its projected corners, so within the circle around its
     projected centre that holds them; a distance map changes by no more than the way gone (a tenth and a pixel are
-    allowed for lens distortion and for the smoothing of the map). Points nearer to the surface than margin (world's unit)
-    are always asked: the surface is found between their values.
+    allowed for lens distortion and for the smoothing of the map). Points nearer to the surface than margin (world's
+    unit) are always asked: the surface is found between their values.
     """
     outside, inside = 0, True
     half = 0.5 * side
