@@ -198,9 +198,9 @@ TURNTABLE = (
         "captured and in-between views, and a turn as video",
         geometry="turntable",
         product="render",
-        requires=("mesh", "cameras", "texels", "reflection", "residual"),
+        requires=("ingest", "mesh", "cameras", "texels", "reflection", "residual"),
         needs_colour=True,
-        libraries=("numpy", "numba", "zarr", "OpenEXR", "opencv-contrib-python-headless", "av"),
+        libraries=("numpy", "scipy", "numba", "zarr", "pywavelets", "OpenEXR", "opencv-contrib-python-headless", "av"),
         memory_mb=lambda pixels, observations: 2000 + pixels * 160 // 2**20,
     ),
     Stage(
@@ -209,8 +209,9 @@ TURNTABLE = (
         geometry="turntable",
         product="evaluate",
         requires=("ingest", "mesh", "cameras", "texels", "reflection", "residual"),
+        wants=lambda settings: ("polarise",),
         needs_colour=True,
-        libraries=("numpy", "numba", "zarr", "opencv-contrib-python-headless"),
+        libraries=("numpy", "scipy", "numba", "zarr", "pywavelets", "opencv-contrib-python-headless"),
         memory_mb=lambda pixels, observations: 2000 + pixels * 160 // 2**20,
     ),
     Stage(
