@@ -70,6 +70,14 @@ def test_an_open_surface_faces_the_cameras():
         assert defects.turned_parts == (faces is not upper)
 
 
+def test_a_body_with_a_hole_is_turned_by_what_the_cameras_see():
+    found = trimesh.creation.icosphere(3, 0.6)
+    holed = found.faces[found.triangles_center[:, 2] > -0.5]
+    for faces in (holed, holed[:, ::-1]):
+        mesh, _ = clean(found.vertices + np.array([0.0, 0.0, 0.2]), faces, cameras=turn(5))
+        assert (np.einsum("ij,ij->i", mesh.normals, mesh.vertices - [0.0, 0.0, 0.2]) > 0).all()
+
+
 def test_edges_of_more_than_two_triangles_keep_the_largest_two():
     vertices, faces = cube()
     edge = faces[0, :2]

@@ -9,6 +9,7 @@ import numpy as np
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh, face_vectors
 from nishiki.geometry.surface import parts_of
+from nishiki.patches.raster import rasterise
 
 
 @dataclass(frozen=True)
@@ -37,8 +38,8 @@ class Defects:
 def clean(vertices: np.ndarray, triangles: np.ndarray, *, cameras: list[Camera] | None = None) -> tuple[Mesh, Defects]:
     """A mesh whose edges have two triangles at most, all turned outwards, and what had to be changed for it.
 
-    vertices (v, 3) finite, triangles (f, 3) integer. Outwards: positive volume of closed parts; of open parts, towards
-    the cameras. Raises ValueError where no triangle is left.
+    vertices (v, 3) finite, triangles (f, 3) integer. Outwards: positive volume of closed parts; of open parts, the side
+    that the cameras see. Raises ValueError where no triangle is left.
     """
     vertices = np.asarray(vertices, np.float64)
     triangles = np.asarray(triangles, np.int64)
@@ -195,12 +196,22 @@ def outwards(vertices: np.ndarray, triangles: np.ndarray, cameras: list[Camera])
     centre = np.stack([np.bincount(mine, weights=middle[:, k], minlength=parts) for k in range(3)], axis=1)
     centre /= np.bincount(mine, minlength=parts)[:, None]
     volume = np.bincount(mine, weights=np.einsum("ij,ij->i", normals, middle - centre[mine]), minlength=parts)
-    towards = np.zeros(parts)
-    for camera in cameras:
-        view = camera.centre - middle
-        view /= np.maximum(np.linalg.norm(view, axis=1, keepdims=True), 1e-300)
-        towards += np.bincount(mine, weights=np.einsum("ij,ij->i", normals, view), minlength=parts)
-    wrong = np.where(closed | (towards == 0), volume < 0, towards < 0)
+    seen = np.zeros(parts)
+    if not closed.all():
+        seen = np.bincount(mine, weights=facing(vertices, triangles, cameras), minlength=parts)
+    wrong = np.where(closed | (seen == 0), volume < 0, seen < 0)
     out = triangles.copy()
     out[wrong[mine]] = out[wrong[mine]][:, ::-1]
     return out, int(wrong.sum())
+
+
+def facing(vertices: np.ndarray, triangles: np.ndarray, cameras: list[Camera]) -> np.ndarray:
+    """(f,) float64: pixels that show each triangle's face less those that show its back, over up to 12 cameras."""
+    mesh = Mesh.of(vertices, triangles)
+    normals, middle = face_vectors(vertices, triangles), vertices[triangles].mean(axis=1)
+    total = np.zeros(len(triangles))
+    for camera in cameras[:: max(1, len(cameras) // 12)]:
+        shown = rasterise(mesh, camera).triangle
+        pixels = np.bincount(shown[shown >= 0], minlength=len(triangles))
+        total += pixels * np.sign(np.einsum("ij,ij->i", normals, camera.centre - middle))
+    return total
