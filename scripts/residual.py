@@ -140,7 +140,7 @@ def search(run_pass, settings: ResidualSettings, counts: dict[str, int]) -> Enco
         return math.log(max(1, point.kept if settings.target.startswith("kept") else point.bytes))
 
     goal = settings.amount / 8.6859 if settings.target == "psnr" else math.log(max(1.0, goals[settings.target]))
-    return find_step(run_pass, value, goal, start=0.02, tolerance=settings.tolerance, passes=settings.passes)
+    return find_step(run_pass, value, goal, start=0.04, tolerance=settings.tolerance, passes=settings.passes)
 
 
 def diagnostics(encoded: EncodedObject, counts: dict[str, int]) -> dict:

@@ -25,7 +25,8 @@ class Footprints:
 
     @classmethod
     def of(cls, observation: np.ndarray, s: np.ndarray, t: np.ndarray, shape: tuple[int, int, int]) -> Footprints:
-        """shape: (observations, rows, columns) of the block; s, t (n,) row and column in [0, rows - 1], [0, columns - 1]."""
+        """shape: (observations, rows, columns) of the block; s, t (n,) row and column in [0, rows - 1], [0, columns -
+        1]."""
         _, rows, columns = shape
         row = np.clip(s.astype(np.int64), 0, rows - 2)
         column = np.clip(t.astype(np.int64), 0, columns - 2)
@@ -44,14 +45,16 @@ class Footprints:
         return out
 
     def spread(self, values: np.ndarray) -> np.ndarray:
-        """Adjoint of `look_up`: (channels, observations, rows, columns) sums of values (channels, n) by their weights."""
+        """Adjoint of `look_up`: (channels, observations, rows, columns) sums of values (channels, n) by their
+        weights."""
         channels = values.shape[0]
         out = np.zeros((channels, int(np.prod(self.shape))), values.dtype)
         bilinear_adjoint(np.ascontiguousarray(values), self.corner, self.down, self.right, self.shape[2], out)
         return out.reshape(channels, *self.shape)
 
     def density(self) -> np.ndarray:
-        """(observations, rows, columns) float32: weight that pixels give each texel; its maximum bounds the norm of A^T A."""
+        """(observations, rows, columns) float32: weight that pixels give each texel; its maximum bounds the norm of A^T
+        A."""
         return self.spread(np.ones((1, len(self.corner)), np.float32))[0]
 
 

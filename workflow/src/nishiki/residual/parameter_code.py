@@ -44,7 +44,8 @@ def _solve_planes(planes: np.ndarray, share: np.ndarray, block: Block, step: flo
 
 
 def decode_parameters(values: np.ndarray, design: Design, extent: Extent) -> Maps:
-    """Cropped maps of integers (C, 3, rows, columns); K_d and K_s are held at 0 and above, sigma above 0.001 rad and below 1e3."""
+    """Cropped maps of integers (C, 3, rows, columns); K_d and K_s are held at 0 and above, sigma above 0.001 rad and
+    below 1e3."""
     block = Block(design.parameter_plane(extent), np.eye(1), np.eye(1))
     planes = []
     for group in range(3):

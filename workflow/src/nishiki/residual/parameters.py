@@ -1,8 +1,9 @@
-"""Reflection parameters as the coder stores them: solved for in the pictures, then coded by what they do to a prediction.
+"""Reflection parameters as the coder stores them: solved for in the pictures, then coded by what they do to a
+prediction.
 
-K_d and K_s enter the model linearly. Values fitted to point-sampled texels are blurred twice by interpolation; here they
-are corrected until the *picture* of the model is right, through the renderer's own look-up. That is where most of the
-texture goes, once instead of once a view.
+K_d and K_s enter the model linearly. Values fitted to point-sampled texels are blurred twice by interpolation; here
+they are corrected until the *picture* of the model is right, through the renderer's own look-up. That is where most of
+the texture goes, once instead of once a view.
 """
 
 from __future__ import annotations
@@ -32,8 +33,8 @@ class Maps:
 
 @dataclass(frozen=True)
 class Weights:
-    """How much the squared error of the pictures grows with each texel's squared change: kd, ks (T, T, C) per unit, sigma
-    (T, T) per unit of log sigma."""
+    """How much the squared error of the pictures grows with each texel's squared change: kd, ks (T, T, C) per unit,
+    sigma (T, T) per unit of log sigma."""
 
     kd: np.ndarray
     ks: np.ndarray
@@ -87,10 +88,11 @@ def refine(
     iterations: int,
     move: tuple[bool, bool, bool] = (True, True, False),
 ) -> Maps:
-    """K_d, K_s and sigma whose picture is nearest to pixel values (C, n) in the capture's encoding, from the given ones.
+    """K_d, K_s and sigma whose picture is nearest to pixel values (C, n) in the capture's encoding, from the given
+    ones.
 
-    Accelerated gradient with each texel's own step; K_d, K_s stay at 0 or above. Texels that no pixel sees stay as given.
-    move: which of the three; a width that follows every pixel's noise costs more than it explains.
+    Accelerated gradient with each texel's own step; K_d, K_s stay at 0 or above. Texels that no pixel sees stay as
+    given. move: which of the three; a width that follows every pixel's noise costs more than it explains.
     """
     held = [np.moveaxis(maps.kd, -1, 0), np.moveaxis(maps.ks, -1, 0), np.log(np.clip(maps.sigma, WIDTH_FLOOR, 1e3))]
     held = [a.astype(np.float32) for a in held]

@@ -1,9 +1,9 @@
 """Adaptive binary arithmetic coding: one routine encodes or decodes a bit under a mixture of learnt probabilities.
 
-Carry-free range coder with 32-bit bounds (as in M. Mahoney's lpaq, 2007, after Rissanen and Langdon 1979); probabilities
-of several contexts are mixed in the logistic domain by weights that follow the coding cost (M. Mahoney, Adaptive
-weighing of context models for lossless data compression, 2005). All arithmetic is in integers, so that a decoder on any
-machine repeats what the encoder computed.
+Carry-free range coder with 32-bit bounds (as in M. Mahoney's lpaq, 2007, after Rissanen and Langdon 1979);
+probabilities of several contexts are mixed in the logistic domain by weights that follow the coding cost (M. Mahoney,
+Adaptive weighing of context models for lossless data compression, 2005). All arithmetic is in integers, so that a
+decoder on any machine repeats what the encoder computed.
 
 State of a coder, int64: [low, high, place in the bytes, code word]. A context's probability of a one has 22 bits
 in `chance`; `seen` counts how often it was used, up to a limit, and sets how fast it learns.

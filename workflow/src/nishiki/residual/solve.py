@@ -1,11 +1,11 @@
 """Sparse coefficients whose picture is the captured one: iterative thresholding through the renderer's look-up.
 
-Minimises |y - A S c|^2 + price * (coefficients that are not zero), A the bilinear look-up at the pixels (or, in the texel
-domain, the mask of visible samples), S the inverse transform. Where no pixel looks the data say nothing, so whatever is
-cheapest stands there: invisible samples cost nothing. Accelerated proximal gradient (A. Beck and M. Teboulle, A fast
-iterative shrinkage-thresholding algorithm, SIAM J. Imaging Sciences 2, 2009) with the hard threshold of a price on
-non-zeros (T. Blumensath and M. Davies, Iterative thresholding for sparse approximations, J. Fourier Anal. Appl. 14,
-2008); the threshold falls to its final value, so that strong coefficients explain what they can first.
+Minimises |y - A S c|^2 + price * (coefficients that are not zero), A the bilinear look-up at the pixels (or, in the
+texel domain, the mask of visible samples), S the inverse transform. Where no pixel looks the data say nothing, so
+whatever is cheapest stands there: invisible samples cost nothing. Accelerated proximal gradient (A. Beck and M.
+Teboulle, A fast iterative shrinkage-thresholding algorithm, SIAM J. Imaging Sciences 2, 2009) with the hard threshold
+of a price on non-zeros (T. Blumensath and M. Davies, Iterative thresholding for sparse approximations, J. Fourier Anal.
+Appl. 14, 2008); the threshold falls to its final value, so that strong coefficients explain what they can first.
 """
 
 from __future__ import annotations

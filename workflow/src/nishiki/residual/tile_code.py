@@ -79,8 +79,8 @@ class Refined:
 
 @dataclass(frozen=True)
 class Seen:
-    """What pixels see of a tile: its extent, the observations of the block, the surface in the extent, footprints in the
-    block, and the pixel values (C, n) of each component in the order of the footprints."""
+    """What pixels see of a tile: its extent, the observations of the block, the surface in the extent, footprints in
+    the block, and the pixel values (C, n) of each component in the order of the footprints."""
 
     extent: Extent
     observations: np.ndarray

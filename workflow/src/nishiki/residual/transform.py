@@ -1,8 +1,8 @@
 """Orthonormal separable transform of a tile over (u, v, observation): O section 4.1, with boundaries that lose none.
 
-Coefficients lie as the samples do, (channel, light, view, row, column): planes in Mallat's order (coarsest band in a corner),
-the observation axis by frequency. The basis vectors have unit length, also those of the biorthogonal families (their
-gains are divided out), so that one quantiser step means the same error everywhere. For an orthonormal family the
+Coefficients lie as the samples do, (channel, light, view, row, column): planes in Mallat's order (coarsest band in a
+corner), the observation axis by frequency. The basis vectors have unit length, also those of the biorthogonal families
+(their gains are divided out), so that one quantiser step means the same error everywhere. For an orthonormal family the
 inverse is the transpose and the energy of what is left out is the error (Parseval).
 """
 
@@ -19,8 +19,8 @@ from nishiki.residual.filters import SparseRows, filter_bank, level_matrix, leve
 
 @dataclass(frozen=True)
 class Axis:
-    """One axis of a plane transform: per level, finest first, analysis, synthesis and adjoint synthesis by rows; smooth,
-    detail: (length, length >> level + 1) float64, the basis vectors of the low and the high band."""
+    """One axis of a plane transform: per level, finest first, analysis, synthesis and adjoint synthesis by rows;
+    smooth, detail: (length, length >> level + 1) float64, the basis vectors of the low and the high band."""
 
     length: int
     analysis: tuple[SparseRows, ...]
@@ -34,8 +34,8 @@ class Axis:
 class Plane:
     """The transform of planes of (rows, columns) texels.
 
-    gains (rows, columns) float64: lengths of the basis planes before they are brought to 1; bound: largest singular value
-    of the synthesis, squared.
+    gains (rows, columns) float64: lengths of the basis planes before they are brought to 1; bound: largest singular
+    value of the synthesis, squared.
     """
 
     down: Axis
@@ -113,7 +113,8 @@ def _largest_gain(plane: Plane) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def apply_rows(index, weight, source, target, rows, columns):
-    """target[i, :columns] = sum over k of weight[i, k] source[index[i, k], :columns]: one level along the first axis."""
+    """target[i, :columns] = sum over k of weight[i, k] source[index[i, k], :columns]: one level along the first
+    axis."""
     for i in range(rows):
         out = target[i]
         first, row = weight[i, 0], source[index[i, 0]]
@@ -209,8 +210,8 @@ def along(matrix: np.ndarray, values: np.ndarray, axis: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Block:
-    """Transform of a tile's block (channels, lights, views, rows, columns): orthonormal matrices of the light and view axes
-    (rows are basis vectors) and the transform of the planes."""
+    """Transform of a tile's block (channels, lights, views, rows, columns): orthonormal matrices of the light and view
+    axes (rows are basis vectors) and the transform of the planes."""
 
     plane: Plane
     views: np.ndarray
