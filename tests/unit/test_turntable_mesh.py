@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
-from nishiki.turntable.compact_mesh import decode_mesh, encode_mesh, grid_step, shift
+from nishiki.turntable.compact_mesh import decode_mesh, encode_mesh, grid_step, own_step, shift
 from nishiki.turntable.connectivity import twins_of
 from nishiki.turntable.range_coder import decode_integers, encode_integers
 
@@ -130,6 +130,17 @@ def test_the_step_moves_no_vertex_too_far():
     assert 0.005 < shift(mesh.vertices, moved, [camera]) <= 0.05
     coarser = np.round(mesh.vertices / (2 * step)) * 2 * step
     assert shift(mesh.vertices, coarser, [camera]) > 0.05
+
+
+def test_a_mesh_on_a_grid_is_coded_on_that_grid():
+    mesh = sphere()
+    intrinsics = np.array([[900.0, 0, 320], [0, 900, 240], [0, 0, 1]])
+    camera = Camera("a", intrinsics, np.eye(3), np.array([0, 0, 4.0]), 480, 640)
+    needed = grid_step(mesh, [camera])
+    assert own_step(mesh, [camera]) == needed
+    for step in (needed * 8, needed, needed / 4):
+        snapped = Mesh.of(np.round(mesh.vertices / step) * step, mesh.triangles)
+        assert own_step(snapped, [camera]) == step
 
 
 def test_bad_bytes_are_refused():

@@ -203,10 +203,10 @@ def shift(points: np.ndarray, moved: np.ndarray, cameras: list[Camera]) -> float
 
 def own_step(mesh: Mesh, cameras: list[Camera]) -> float:
     """The step to code a mesh with: that of the grid its vertices lie on, so that nothing changes, where there is one
-    up to 16 times finer than needed; else that of `grid_step`."""
+    at most 16 times finer than needed; else that of `grid_step`."""
     needed = grid_step(mesh, cameras)
     points = np.asarray(mesh.vertices, np.float64)[np.unique(mesh.triangles)]
-    for halvings in range(5):
+    for halvings in range(-10, 5):
         step = needed * 0.5**halvings
         if np.array_equal(np.round(points / step) * step, points):
             return step
