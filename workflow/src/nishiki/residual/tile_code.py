@@ -44,7 +44,7 @@ class Effort:
 
     iterations: int = 30
     refinements: int = 12
-    threshold: float = 0.8
+    threshold: float = 0.6
     dead_zone: float = 0.6
     rounding: float = 0.42
 

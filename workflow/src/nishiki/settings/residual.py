@@ -35,6 +35,6 @@ class ResidualSettings(Closed):
     arcs: bool = Field(True, description="a tile's block spans only the views that see it")
     iterations: int = Field(30, ge=0, le=500, description="of the solver, per tile and pass")
     refinements: int = Field(12, ge=0, le=500, description="of the parameters in the pictures; 0: as fitted to texels")
-    threshold: float = Field(0.8, ge=0, le=4, description="of the solver, in quantiser steps")
+    threshold: float = Field(0.6, ge=0, le=4, description="of the solver, in quantiser steps")
     parameter_share: float = Field(1.0, gt=0, description="parameter steps against those of equal effect on pictures")
     hold_out: tuple[str, ...] = Field((), description="views left out of the residual; filled in by the plan")
