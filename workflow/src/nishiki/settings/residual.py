@@ -15,8 +15,8 @@ class ResidualSettings(Closed):
 
     target: Literal["bits_per_pixel", "bytes", "psnr", "kept", "kept_of_all", "step"] = Field(
         "bits_per_pixel",
-        description="what `amount` means: bits for each object pixel of each picture; bytes of the store; dB inside the "
-        "silhouette; coefficients kept as a fraction of the visible samples, or of all; the quantiser step itself",
+        description="what `amount` means: bits for each object pixel of each picture; bytes of the store; dB inside "
+        "the silhouette; coefficients kept as a fraction of the visible samples, or of all; the quantiser step itself",
     )
     amount: float = Field(0.5, gt=0, description="the target's value; parameters and start states count")
     tolerance: float = Field(0.02, gt=0, lt=1, description="relative error of bytes or kept, in dB / 8.7 of psnr")
