@@ -40,7 +40,7 @@ def test_a_film_setting_reruns_pictures_and_report_only(object_site):
 
 
 def test_a_painting_setting_reruns_nothing(object_site):
-    object_site.configure(normals={"method": "least_squares"})
+    object_site.configure(normals={"solver": "least_squares"})
     assert object_site.would_run() == []
 
 

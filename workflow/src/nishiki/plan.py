@@ -69,7 +69,7 @@ def make_plan(scene: Scene, facts: SceneFacts) -> Plan:
     stages: dict[str, PlannedStage] = {}
     for name in chain:
         if name in wanted:
-            if "left_out" in type(settings[name]).model_fields:
+            if chain[name].asked_as == "report":
                 settings[name] = settings[name].model_copy(update={"left_out": dict(left_out)})
             stages[name] = _planned(name, settings[name], stages, facts)
     return Plan(scene, facts, stages, left_out, held_out)
