@@ -25,6 +25,9 @@ PROGRAMS = {
     "render": (["--data", "simulated"], "Rendering", "render.md"),
     "fossil": (["--data", "{data}"], "Whole runs on a 12-megapixel capture", None),
     "overhead": (["--data", "simulated"], "Overhead of the workflow", None),
+    "texels": ([], "Texels of a surface", "texels.md"),
+    "texel_fit": ([], "Reflection of texels", "reflection.md"),
+    "residual": (["--data", "{data}/oxford_dino"], "Coded residual of a turntable", "residual.md"),
 }
 SHOWN = {"spectra": {"camera": "Canon 60D", "illuminant": "A"}}  # of long results; the others stay in the JSON lines
 INTRODUCTION = """\
@@ -73,6 +76,8 @@ def cell(value: object) -> str:
         return f"{value:.4g}"
     if isinstance(value, list):
         return ", ".join(cell(item) for item in value)
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {cell(item)}" for name, item in value.items())
     return str(value)
 
 
