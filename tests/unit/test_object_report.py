@@ -21,7 +21,13 @@ from nishiki.reflection.store import ParameterMaps, ParameterWriter
 from nishiki.reflection.tile import Parameters
 from nishiki.report.object_atlas import averaged, sheet, shelves, tile_places
 from nishiki.report.object_plots import bytes_bars, rate_curve, turn_plot
-from nishiki.report.object_sections import cameras_section, facts, geometry_section, glance
+from nishiki.report.object_sections import (
+    cameras_section,
+    facts,
+    geometry_section,
+    glance,
+    separation_section,
+)
 from nishiki.settings.cameras import CamerasSettings
 from nishiki.settings.ingest import IngestSettings
 from nishiki.settings.mesh import MeshSettings
@@ -272,6 +278,12 @@ def test_a_series_from_one_place_has_no_cameras(inputs, tmp_path):
     checker.feed(text)
     assert "cameras" not in checker.ids
     assert {"separation", "made", "verify"} <= set(checker.ids)
+
+
+def test_a_separation_without_boards_tells_of_none():
+    section = separation_section({**polarise_of(None), "boards": {"": None}}, [])
+    assert section["boards"] == {}
+    assert separation_section(polarise_of(None), [])["boards"] == {"lamp": [0.4, 0.41, 0.37]}
 
 
 def test_a_large_video_is_named_not_carried(inputs, tmp_path):

@@ -118,7 +118,7 @@ def test_rays_agree_with_every_triangle_tried():
     random = np.random.default_rng(3)
     count = 120
     directions = random.standard_normal((count, 3))
-    origins = random.uniform(-60, 60, (count, 3)) + [0, 70, 0]
+    origins = random.uniform(-60, 60, (count, 3)) + np.array([0, 70, 0])
     origins[::2] -= 300 * directions[::2]
     found = cast(tree, origins, directions)
     a, b, c = (surface.vertices[surface.triangles[:, k]] for k in range(3))

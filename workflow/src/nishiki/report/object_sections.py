@@ -112,10 +112,12 @@ def separation_section(polarise: dict[str, Any], pictures: list[tuple[str, Pictu
         values = [view[name] for view in views if view.get(name) is not None]
         return float(np.mean(values)) if values else None
 
-    boards = {light or "lamp": board.get("channel") for light, board in (polarise.get("boards") or {}).items()}
+    boards = polarise.get("boards") or {}
     return {
         "method": polarise.get("method"),
-        "boards": {name: values for name, values in boards.items() if values},
+        "boards": {
+            light or "lamp": board["channel"] for light, board in boards.items() if board and board.get("channel")
+        },
         "diffuse": mean("diffuse"),
         "specular": mean("specular"),
         "negative": mean("negative"),
