@@ -7,63 +7,31 @@ from pathlib import Path
 from typing import Literal
 
 import yaml
-from pydantic import Field
+from pydantic import Field, create_model
 
 from nishiki.closed import Closed, parse
 from nishiki.errors import UserError
-from nishiki.settings.brdf import BrdfSettings
-from nishiki.settings.cameras import CamerasSettings
-from nishiki.settings.evaluate import EvaluateSettings
-from nishiki.settings.height import HeightSettings
-from nishiki.settings.ingest import IngestSettings
-from nishiki.settings.mesh import MeshSettings
-from nishiki.settings.normals import NormalsSettings
-from nishiki.settings.object_evaluate import ObjectEvaluateSettings
-from nishiki.settings.object_render import ObjectRenderSettings
-from nishiki.settings.object_report import ObjectReportSettings
-from nishiki.settings.polarise import PolariseSettings
-from nishiki.settings.reflection import ReflectionSettings
-from nishiki.settings.render import RenderSettings
-from nishiki.settings.report import ReportSettings
-from nishiki.settings.residual import ResidualSettings
-from nishiki.settings.separate import SeparateSettings
-from nishiki.settings.spectra import SpectraSettings
-from nishiki.settings.texels import TexelsSettings
-from nishiki.stages import PRODUCTS
+from nishiki.stages import CHAIN, PRODUCTS
 
-Product = Literal[
-    "separate", "normals", "height", "spectra", "brdf", "cameras", "mesh", "texels", "reflection", "residual",
-    "render", "evaluate", "report",
-]  # fmt: skip
 COLUMNS = ("scene", "capture", "truth", "products", "settings")
 
 
-class StageSettings(Closed):
-    """Settings of the stages; everything has a default."""
+class Shared(Closed):
+    """What several stages of a scene are told."""
 
     hold_out: Literal["auto", "none"] | tuple[str, ...] = Field(
         "auto",
         description="lights (views of a turntable) left out of every fit and predicted instead; auto: some, where "
         "nothing else checks",
     )
-    ingest: IngestSettings = IngestSettings()
-    separate: SeparateSettings = SeparateSettings()
-    normals: NormalsSettings = NormalsSettings()
-    height: HeightSettings = HeightSettings()
-    spectra: SpectraSettings = SpectraSettings()
-    brdf: BrdfSettings = BrdfSettings()
-    render: RenderSettings = RenderSettings()
-    evaluate: EvaluateSettings = EvaluateSettings()
-    report: ReportSettings = ReportSettings()
-    polarise: PolariseSettings = PolariseSettings()
-    cameras: CamerasSettings = CamerasSettings()
-    mesh: MeshSettings = MeshSettings()
-    texels: TexelsSettings = TexelsSettings()
-    reflection: ReflectionSettings = ReflectionSettings()
-    residual: ResidualSettings = ResidualSettings()
-    object_render: ObjectRenderSettings = ObjectRenderSettings()
-    object_evaluate: ObjectEvaluateSettings = ObjectEvaluateSettings()
-    object_report: ObjectReportSettings = ObjectReportSettings()
+
+
+StageSettings = create_model(
+    "StageSettings",
+    __base__=Shared,
+    __doc__="Settings of the stages; everything has a default.",
+    **{name: (stage.settings, stage.settings()) for name, stage in CHAIN.items()},
+)
 
 
 class Configuration(StageSettings):
@@ -71,7 +39,7 @@ class Configuration(StageSettings):
 
     scenes: str = Field("config/scenes.tsv", description="scene table: scene, capture, truth, products, settings")
     results: str = Field("results", description="folder of the results")
-    products: tuple[Product, ...] = Field(
+    products: tuple[Literal[PRODUCTS], ...] = Field(
         ("render", "evaluate", "report"), min_length=1, description="what is wanted, where a scene does not say"
     )
 

@@ -1,0 +1,127 @@
+"""Stages of an object on a turntable."""
+
+from nishiki.chain import SceneFacts, Stage
+from nishiki.chains.common import no_method, whole_image
+from nishiki.closed import Closed
+from nishiki.settings.cameras import CamerasSettings
+from nishiki.settings.mesh import MeshSettings
+from nishiki.settings.object_evaluate import ObjectEvaluateSettings
+from nishiki.settings.object_render import ObjectRenderSettings
+from nishiki.settings.object_report import ObjectReportSettings
+from nishiki.settings.polarise import PolariseSettings
+from nishiki.settings.reflection import ReflectionSettings
+from nishiki.settings.residual import ResidualSettings
+from nishiki.settings.texels import TexelsSettings
+
+
+def _no_polarisers(facts: SceneFacts, settings: Closed) -> str | None:
+    if len(facts.states) < 2:
+        return "the photographs show one polariser state only"
+    return no_method(facts, settings)
+
+
+def _no_poses(facts: SceneFacts, settings: Closed) -> str | None:
+    return None if facts.has_poses else "the capture has no camera matrices, no board pictures and no correspondences"
+
+
+TURNTABLE = (
+    Stage(
+        PolariseSettings,
+        "diffuse and specular parts, by the state of the polarisers",
+        geometry="turntable",
+        product="separate",
+        requires=("ingest",),
+        lacks=_no_polarisers,
+        needs_colour=True,
+        libraries=("numpy", "scipy", "numba", "zarr", "opencv-contrib-python-headless"),
+        memory_mb=whole_image(400),
+    ),
+    Stage(
+        CamerasSettings,
+        "where each view was taken from",
+        geometry="turntable",
+        requires=("ingest",),
+        lacks=_no_poses,
+        libraries=("numpy", "scipy", "opencv-contrib-python-headless"),
+        memory_mb=whole_image(64),
+    ),
+    Stage(
+        MeshSettings,
+        "the surface, from a file, range scans or silhouettes",
+        geometry="turntable",
+        requires=("ingest", "cameras"),
+        needs_colour=True,
+        libraries=(
+            "numpy",
+            "scipy",
+            "numba",
+            "zarr",
+            "opencv-contrib-python-headless",
+            "scikit-image",
+            "trimesh",
+            "pymeshlab",
+        ),
+        memory_mb=lambda pixels, observations: 2000 + pixels * observations // 2**20,
+    ),
+    Stage(
+        TexelsSettings,
+        "what every view shows of every patch of the surface",
+        geometry="turntable",
+        requires=("ingest", "cameras", "mesh"),
+        wants=lambda settings: ("polarise",),
+        needs_colour=True,
+        libraries=("numpy", "numba", "zarr", "opencv-contrib-python-headless"),
+        memory_mb=lambda pixels, observations: 1500 + pixels * 200 // 2**20,
+    ),
+    Stage(
+        ReflectionSettings,
+        "Lambert and Torrance-Sparrow parameters of every texel",
+        geometry="turntable",
+        requires=("ingest", "texels"),
+        needs_colour=True,
+        libraries=("numpy", "scipy", "numba", "zarr"),
+        memory_mb=lambda pixels, observations: 2000,
+    ),
+    Stage(
+        ResidualSettings,
+        "captured minus model, as coded wavelet coefficients",
+        geometry="turntable",
+        requires=("texels", "reflection"),
+        needs_colour=True,
+        libraries=("numpy", "scipy", "numba", "zarr", "pywavelets"),
+        memory_mb=lambda pixels, observations: 2500,
+        minutes=lambda pixels, observations: 20 + pixels * observations // 500_000,
+    ),
+    Stage(
+        ObjectRenderSettings,
+        "captured and in-between views, and a turn as video",
+        geometry="turntable",
+        product="render",
+        requires=("ingest", "mesh", "cameras", "texels", "reflection", "residual"),
+        needs_colour=True,
+        libraries=("numpy", "scipy", "numba", "zarr", "pywavelets", "OpenEXR", "opencv-contrib-python-headless", "av"),
+        memory_mb=lambda pixels, observations: 2000 + pixels * 160 // 2**20,
+    ),
+    Stage(
+        ObjectEvaluateSettings,
+        "errors of rendered views against photographs, truth and views left out",
+        geometry="turntable",
+        product="evaluate",
+        requires=("ingest", "mesh", "cameras", "texels", "reflection", "residual"),
+        wants=lambda settings: ("polarise",),
+        needs_colour=True,
+        libraries=("numpy", "scipy", "numba", "zarr", "pywavelets", "opencv-contrib-python-headless"),
+        memory_mb=lambda pixels, observations: 2000 + pixels * 160 // 2**20,
+    ),
+    Stage(
+        ObjectReportSettings,
+        "one page that tells everything",
+        geometry="turntable",
+        product="report",
+        requires=("ingest",),
+        wants=lambda settings: ("polarise",),
+        uses=("cameras", "mesh", "texels", "reflection", "residual", "object_render", "object_evaluate"),
+        libraries=("numpy", "jinja2", "zarr", "opencv-contrib-python-headless"),
+        memory_mb=whole_image(64),
+    ),
+)
