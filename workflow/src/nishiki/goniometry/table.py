@@ -1,0 +1,111 @@
+"""Measured reflectances of cloths, and their normal-incidence part on the whole hemisphere."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+from nishiki.goniometry.directions import angles
+from nishiki.goniometry.grid import coefficients, evaluate
+
+Symmetry = Literal["quarter", "half", "none"]
+WEAVES = ("plain", "twill", "satin", "unknown")
+NORMAL_DEG = 1.0
+
+
+@dataclass(frozen=True)
+class BasicReflectance:
+    """BRDF at normal incidence over the whole view hemisphere, on a regular grid.
+
+    theta (nt,) float64, radians, 0 to pi/2 in equal steps, both included; phi (np,) radians, 0 to 2 pi in equal steps,
+    the last excluded, an even number; values (regions, nt, np, channels) float64, sr^-1, positive; measured (nt, np)
+    bool: a measured direction, or its mirror image, lies within the cell; False: interpolated; extrapolated (nt, np)
+    bool: no measured direction farther out in its azimuth (grazing views).
+    """
+
+    theta: np.ndarray
+    phi: np.ndarray
+    values: np.ndarray
+    measured: np.ndarray
+    extrapolated: np.ndarray | None = None
+
+    def evaluate(self, outgoing: np.ndarray, region: int = 0) -> np.ndarray:
+        """Values (..., channels) float64, sr^-1, at unit vectors (..., 3); 0 below the horizon.
+
+        Bicubic spline of the logarithm, periodic in phi, continued through the pole: positive and smooth everywhere.
+        """
+        return evaluate(self._coefficients[region], np.asarray(outgoing, np.float64))
+
+    @cached_property
+    def _coefficients(self) -> tuple[np.ndarray, ...]:
+        return tuple(coefficients(values) for values in self.values)
+
+
+@dataclass(frozen=True)
+class ReflectanceSet:
+    """What a goniometer measured: one BRDF value for each pair of directions, region and channel.
+
+    incident, outgoing (n, 3) float64: unit vectors away from the cloth, x weft, y warp, z normal; values
+    (n, regions, channels) float64, sr^-1, 0 where not valid; noise: likewise, standard deviation of the mean, 0 where
+    unknown; valid (n, regions) bool; basic: the normal-incidence part on the hemisphere, None until it is made (see
+    `hemisphere.complete`).
+    """
+
+    incident: np.ndarray
+    outgoing: np.ndarray
+    values: np.ndarray
+    noise: np.ndarray
+    valid: np.ndarray
+    regions: tuple[str, ...]
+    channels: tuple[str, ...]
+    symmetry: Symmetry = "quarter"
+    weave: str = "unknown"
+    normal_deg: float = NORMAL_DEG
+    basic: BasicReflectance | None = field(default=None, repr=False)
+
+    @classmethod
+    def of(cls, incident: np.ndarray, outgoing: np.ndarray, values: np.ndarray, **known) -> ReflectanceSet:
+        """A set from arrays alone; values (n,), (n, channels) or (n, regions, channels), the rest by default.
+
+        known: any other field. Directions are normalised. ValueError where shapes disagree or values are not finite.
+        """
+        incident, outgoing = (_normalised(np.asarray(d, np.float64)) for d in (incident, outgoing))
+        values = np.asarray(values, np.float64)
+        values = values[:, None, None] if values.ndim == 1 else values[:, None, :] if values.ndim == 2 else values
+        if incident.shape != outgoing.shape or incident.shape[0] != values.shape[0] or not np.isfinite(values).all():
+            raise ValueError(f"directions {incident.shape}, {outgoing.shape} and finite values {values.shape} needed")
+        _, regions, channels = values.shape
+        names = ("grey",) if channels == 1 else ("red", "green", "blue") if channels == 3 else ()
+        filled = {
+            "noise": np.zeros_like(values),
+            "valid": np.ones(values.shape[:2], bool),
+            "regions": ("cloth",) if regions == 1 else tuple(f"region {i + 1}" for i in range(regions)),
+            "channels": names or tuple(f"channel {i + 1}" for i in range(channels)),
+        }
+        return cls(incident, outgoing, values, **{**filled, **known})
+
+    def __len__(self) -> int:
+        return len(self.incident)
+
+    @property
+    def normal_incidence(self) -> np.ndarray:
+        """(n,) bool: lit along the normal, within normal_deg."""
+        return angles(self.incident)[0] < np.radians(self.normal_deg)
+
+    def take(self, chosen: np.ndarray) -> ReflectanceSet:
+        """The measurements chosen (indices, or (n,) bool); `basic` is kept, for it may be of all."""
+        rows = {name: getattr(self, name)[chosen] for name in ("incident", "outgoing", "values", "noise", "valid")}
+        rest = {
+            name: getattr(self, name) for name in ("regions", "channels", "symmetry", "weave", "normal_deg", "basic")
+        }
+        return ReflectanceSet(**rows, **rest)
+
+
+def _normalised(directions: np.ndarray) -> np.ndarray:
+    length = np.linalg.norm(directions, axis=-1, keepdims=True)
+    if directions.ndim != 2 or directions.shape[1] != 3 or not (np.isfinite(length) & (length > 0)).all():
+        raise ValueError(f"expected unit vectors (n, 3), found an array {directions.shape}")
+    return directions / length
