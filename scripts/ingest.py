@@ -7,8 +7,11 @@ import zarr
 
 import _project  # noqa: F401
 from nishiki.capture.folder import Capture, load_capture
+from nishiki.capture.goniometer import GoniometerCapture
 from nishiki.capture.seal import capture_digest
 from nishiki.capture.turntable import TurntableCapture
+from nishiki.ingest.goniometer_store import STORE as WINDOWS
+from nishiki.ingest.goniometer_store import write_goniometer
 from nishiki.ingest.store import STORE, write_observations
 from nishiki.ingest.views_attributes import geometry_sources
 from nishiki.ingest.views_store import STORE as VIEWS
@@ -20,10 +23,12 @@ from nishiki.stage import Context, run_stage
 
 
 def run(context: Context) -> dict:
-    """Decode every photograph once, check it against the seal, and write the observations or the views."""
+    """Decode every photograph once, check it against the seal, and write observations, views or measurements."""
     capture = load_capture(context.capture)
     if capture.geometry == "turntable":
         return run_views(capture, context)
+    if capture.geometry == "goniometer":
+        return run_goniometer(capture, context)
     result = write_observations(capture, context.output.folder, settings=context.settings, progress=context.progress)
     stamp_store(context, STORE)
     write_curves(capture, context)
@@ -40,12 +45,21 @@ def run_views(capture: TurntableCapture, context: Context) -> dict:
     return {"capture": capture.settings.model_dump(mode="json"), **result.as_dict()}
 
 
+def run_goniometer(capture: GoniometerCapture, context: Context) -> dict:
+    """The windows of a goniometer's photographs, or its table."""
+    result = write_goniometer(capture, context.output.folder, settings=context.settings, progress=context.progress)
+    if capture.table is None:
+        stamp_store(context, WINDOWS)
+    write_curves(capture, context)
+    return {"capture": capture.settings.model_dump(mode="json"), **result.as_dict()}
+
+
 def stamp_store(context: Context, store: str) -> None:
     """Say inside the store where it comes from."""
     zarr.open_group(context.output.folder / store, mode="r+").attrs["stamp"] = context.stamp
 
 
-def write_curves(capture: Capture | TurntableCapture, context: Context) -> None:
+def write_curves(capture: Capture | TurntableCapture | GoniometerCapture, context: Context) -> None:
     """curves.npz: illuminant (61,) and sensitivities (channels, 61) on 400-700/5 nm, those that the capture has."""
     curves = {}
     for name in ("illuminant", "sensitivities"):

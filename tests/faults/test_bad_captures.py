@@ -213,7 +213,7 @@ BROKEN = {
     "pitch not finite": (keys(pixel_pitch_mm=float("nan")), "wrong-value", "pixel_pitch_mm"),
     "positions without pitch": (keys(lights={"file": "lights.lp", "kind": "position_mm"}), "wrong-value", "pitch"),
     "channel named twice": (keys(camera={"channels": ["red", "red", "blue"]}), "wrong-value", "distinct"),
-    "goniometer": (keys(geometry="goniometer"), "geometry-unsupported", "goniometer"),
+    "lamps of a goniometer": (keys(geometry="goniometer"), "unknown-key", "lights"),
     "YAML tag": (whole("capture.yaml", "!!python/object/apply:os.system ['ls']\n"), "yaml-invalid", "YAML"),
     "invalid YAML": (whole("capture.yaml", "format: 1\n  camera: [\n"), "yaml-invalid", "line"),
     "key twice": (text("capture.yaml", "title: Test plane", "title: a\ntitle: b"), "yaml-invalid", "twice"),

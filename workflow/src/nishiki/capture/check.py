@@ -10,6 +10,8 @@ import numpy as np
 
 from nishiki.capture.folder import Capture, examine
 from nishiki.capture.frames import Frame
+from nishiki.capture.goniometer import GoniometerCapture
+from nishiki.capture.goniometer_check import goniometer_files, look_at_windows
 from nishiki.capture.headers import ImageHeader, read_header
 from nishiki.capture.images import expect_channels, read_labels, read_mask
 from nishiki.capture.problems import CaptureError, Problem, error, warning
@@ -43,7 +45,8 @@ def check_capture(
         problems += _unlisted(capture)
         headers = {}
         problems += _header_problems(capture, headers)
-        look = _look_round if capture.geometry == "turntable" else _look_at_plane
+        looks = {"turntable": _look_round, "goniometer": look_at_windows}
+        look = looks.get(capture.geometry, _look_at_plane)
         problems += look(capture, headers, level == "full", progress or (lambda file: None))
     distinct = list(dict.fromkeys(problems))
     return sorted(distinct, key=lambda p: p.severity != "error")
@@ -68,8 +71,10 @@ def _attempt(work: Callable[[], list[Problem]]) -> list[Problem]:
         return list(e.problems)
 
 
-def _listed(capture: Capture | TurntableCapture) -> set[str]:
+def _listed(capture: Capture | TurntableCapture | GoniometerCapture) -> set[str]:
     """Every file that the capture's tables name."""
+    if capture.geometry == "goniometer":
+        return goniometer_files(capture)
     if capture.geometry == "turntable":
         return listed_files(capture)
     settings = capture.settings
@@ -78,7 +83,7 @@ def _listed(capture: Capture | TurntableCapture) -> set[str]:
     return {Path(name).as_posix() for name in named if name}
 
 
-def _unlisted(capture: Capture | TurntableCapture) -> list[Problem]:
+def _unlisted(capture: Capture | TurntableCapture | GoniometerCapture) -> list[Problem]:
     """Files in the payload that nothing names: harmless, but perhaps a forgotten photograph."""
     payload = capture.payload
     files = (p.relative_to(payload).as_posix() for p in payload.rglob("*") if p.is_file())
@@ -98,7 +103,9 @@ def _same_directions(capture: Capture) -> list[Problem]:
     return [warning("light-same", file, what.format(names[i], names[j])) for i, j in pairs]
 
 
-def _header_problems(capture: Capture | TurntableCapture, headers: dict[str, ImageHeader]) -> list[Problem]:
+def _header_problems(
+    capture: Capture | TurntableCapture | GoniometerCapture, headers: dict[str, ImageHeader]
+) -> list[Problem]:
     """Sizes, depths and channels of all photographs against the first that can be read."""
     problems: list[Problem] = []
     for frame in capture.frames:

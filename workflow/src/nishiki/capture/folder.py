@@ -12,7 +12,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from nishiki.capture.frames import Frame, inside, read_frames
+from nishiki.capture.frames import DIALECTS, Frame, inside, read_frames
+from nishiki.capture.goniometer import GoniometerCapture, examine_goniometer
 from nishiki.capture.lights import Lights, direction_problems, read_lights
 from nishiki.capture.problems import CaptureError, Problem, error, raise_errors, warning
 from nishiki.capture.schema import NAMED_ILLUMINANTS, CaptureFile, Session, geometry_named, read_capture_file
@@ -20,7 +21,6 @@ from nishiki.capture.spectra_tables import Curves, read_curves
 from nishiki.capture.turntable import TurntableCapture, examine_turntable
 
 T = TypeVar("T")
-GEOMETRIES = ("plane", "turntable")  # those that can be processed so far
 
 
 @dataclass(frozen=True)
@@ -92,8 +92,9 @@ def payload_of(root: Path) -> Path:
     raise CaptureError(error("capture-missing", str(root), "folder holds no capture.yaml", remedy=remedy))
 
 
-def load_capture(root: Path | str) -> Capture | TurntableCapture:
-    """Read and check a capture folder, by its geometry a Capture or a TurntableCapture; no photograph is opened.
+def load_capture(root: Path | str) -> Capture | TurntableCapture | GoniometerCapture:
+    """Read and check a capture folder, by its geometry a Capture, TurntableCapture or GoniometerCapture; no photograph
+    is opened.
 
     Raises CaptureError (a UserError) that holds every error found, not only the first.
     """
@@ -102,7 +103,7 @@ def load_capture(root: Path | str) -> Capture | TurntableCapture:
     return capture
 
 
-def examine(root: Path) -> tuple[Capture | TurntableCapture | None, list[Problem]]:
+def examine(root: Path) -> tuple[Capture | TurntableCapture | GoniometerCapture | None, list[Problem]]:
     """The capture (None where its tables cannot be read) and everything found wrong in its tables."""
     problems: list[Problem] = []
 
@@ -117,14 +118,12 @@ def examine(root: Path) -> tuple[Capture | TurntableCapture | None, list[Problem
     if payload is None:
         return None, problems
     settings = attempt(lambda: read_capture_file(payload / "capture.yaml"))
-    turntable = (settings.geometry if settings else geometry_named(payload / "capture.yaml")) == "turntable"
-    frames = attempt(lambda: read_frames(payload / "frames.csv", turntable=turntable))
+    geometry = settings.geometry if settings else geometry_named(payload / "capture.yaml")
+    geometry = geometry if geometry in tuple(DIALECTS) else "plane"
+    listed = not (settings and geometry == "goniometer" and settings.goniometer.table)  # a table has no photographs
+    frames = attempt(lambda: read_frames(payload / "frames.csv", geometry=geometry)) if listed else ()
     if settings is None:
         return None, problems
-    if settings.geometry not in GEOMETRIES:
-        remedy = f"Only {', '.join(GEOMETRIES)} captures can be processed so far"
-        what = f"geometry '{settings.geometry}' is not supported yet"
-        problems.append(error("geometry-unsupported", "capture.yaml", what, remedy=remedy))
 
     def named(file: str | None, key: str) -> Path | None:
         return attempt(lambda: inside(payload, file, f"capture.yaml {key}")) if file else None
@@ -134,9 +133,9 @@ def examine(root: Path) -> tuple[Capture | TurntableCapture | None, list[Problem
     label = settings.camera.sensitivities
     sensitivities = attempt(lambda: read_curves(curves, names=names, label=label)) if curves else None
     illuminant = _illuminant(settings, named, attempt)
-    if turntable:
-        spectra = sensitivities, illuminant
-        capture, found = examine_turntable(root, payload, settings, frames, spectra, attempt)
+    if geometry != "plane":
+        look = examine_turntable if geometry == "turntable" else examine_goniometer
+        capture, found = look(root, payload, settings, frames, (sensitivities, illuminant), attempt)
         return capture, problems + found
     lights_path = named(settings.lights.file, "lights.file")
     lights = attempt(lambda: read_lights(lights_path, kind=settings.lights.kind)) if lights_path else None

@@ -16,13 +16,22 @@ LIT_ROLES = ("sample", "check", "white")
 COLUMNS = ("file", "role", "light", "exposure_s", "view")
 TURNTABLE_ROLES = ("sample", "white", "dark", "board")
 TURNTABLE_COLUMNS = ("file", "role", "view", "light", "polariser", "exposure_s", "silhouette")
+GONIOMETER_ROLES = ("sample", "white", "dark")
+GONIOMETER_COLUMNS = ("file", "role", "theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg", "exposure_s")
+ANGLE_COLUMNS = GONIOMETER_COLUMNS[2:6]
+DIALECTS = {
+    "plane": (ROLES, COLUMNS),
+    "turntable": (TURNTABLE_ROLES, TURNTABLE_COLUMNS),
+    "goniometer": (GONIOMETER_ROLES, GONIOMETER_COLUMNS),
+}
 
 
 @dataclass(frozen=True)
 class Frame:
     """One photograph. file: as written, relative to the payload; light: its lamp's name ('' for dark and flat).
 
-    polariser: state of the polarisers ('' for none); silhouette: picture of the object's outline in this view, or ''.
+    polariser: state of the polarisers ('' for none); silhouette: picture of the object's outline in this view, or '';
+    angles_deg: theta_i, phi_i, theta_r, phi_r of a goniometer, None where not given.
     """
 
     file: str
@@ -35,13 +44,14 @@ class Frame:
     polariser: str = ""
     silhouette: str = ""
     silhouette_path: Path | None = None
+    angles_deg: tuple[float | None, ...] = (None, None, None, None)
 
 
-def read_frames(table: Path, *, turntable: bool = False) -> tuple[Frame, ...]:
-    """Parse frames.csv of a plane, or of a turntable; CaptureError lists all mistakes.
+def read_frames(table: Path, *, geometry: str = "plane") -> tuple[Frame, ...]:
+    """Parse frames.csv of a plane, a turntable or a goniometer; CaptureError lists all mistakes.
 
     Kinds: frames-missing, frames-unreadable, unknown-column, role-unknown, light-empty, exposure-invalid,
-    frame-duplicate, outside-folder, image-missing, frames-none, polariser-unknown, silhouette-role.
+    frame-duplicate, outside-folder, image-missing, frames-none, polariser-unknown, silhouette-role, angle-invalid.
     """
     try:
         text = table.read_text(encoding="utf-8-sig")
@@ -52,7 +62,8 @@ def read_frames(table: Path, *, turntable: bool = False) -> tuple[Frame, ...]:
     lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
     reader = csv.DictReader(lines, skipinitialspace=True)
     columns = [(c or "").strip() for c in reader.fieldnames or []]
-    _check_columns(columns, table.name, TURNTABLE_COLUMNS if turntable else COLUMNS)
+    roles, known = DIALECTS[geometry]
+    _check_columns(columns, table.name, known)
     reader.fieldnames = columns
     problems: list[Problem] = []
     frames: list[Frame] = []
@@ -64,8 +75,11 @@ def read_frames(table: Path, *, turntable: bool = False) -> tuple[Frame, ...]:
             problems.append(error("frames-unreadable", where, "wrong number of values", expected=expected))
             continue
         cells = {k: v.strip() for k, v in row.items()}
-        frame = _frame(cells, table.parent, number, where, problems, TURNTABLE_ROLES if turntable else ROLES)
-        frame = _round_about(frame, cells, table.parent, where, problems) if turntable else frame
+        frame = _frame(cells, table.parent, number, where, problems, roles)
+        if geometry == "turntable":
+            frame = _round_about(frame, cells, table.parent, where, problems)
+        elif geometry == "goniometer":
+            frame = replace(frame, angles_deg=tuple(_angle(cells, key, where, problems) for key in ANGLE_COLUMNS))
         if frame.file in seen:
             what = f"'{frame.file}' is listed twice (also row {seen[frame.file]})"
             problems.append(error("frame-duplicate", where, what, remedy="Keep one row a photograph"))
@@ -133,6 +147,23 @@ def _round_about(frame: Frame, row: dict[str, str], payload: Path, where: str, p
         remedy = "Give the silhouette in the row of a sample frame of the view"
         problems.append(error("silhouette-role", where, what, found=outline, remedy=remedy))
     return replace(frame, polariser=state, silhouette=outline, silhouette_path=path)
+
+
+def _angle(row: dict[str, str], key: str, where: str, problems: list[Problem]) -> float | None:
+    """Degrees of one cell; None where it is empty, or cannot be an angle, which is told."""
+    text = row.get(key, "")
+    if not text:
+        return None
+    least, most = (0.0, 90.0) if key.startswith("theta") else (-360.0, 360.0)
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if least <= value <= most and (value < 90 or not key.startswith("theta")):
+        return value
+    expected = "degrees from the normal, 0 to below 90" if key.startswith("theta") else "degrees, -360 to 360"
+    problems.append(error("angle-invalid", where, key, expected=expected, found=repr(text)))
+    return None
 
 
 def inside(payload: Path, file: str, where: str) -> Path:

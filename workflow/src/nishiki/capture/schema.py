@@ -128,14 +128,18 @@ class _UniqueKeyLoader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):
 
 
 def read_capture_file(path: Path) -> Session:
-    """Parse capture.yaml, by its geometry a CaptureFile or a TurntableFile; a CaptureError lists every mistake in it.
+    """Parse capture.yaml, by its geometry a CaptureFile, TurntableFile or GoniometerFile; a CaptureError lists every
+    mistake in it.
 
     Kinds: yaml-missing, yaml-invalid, unknown-key, missing-key, wrong-value.
     """
+    from nishiki.capture.goniometer_schema import GoniometerFile
     from nishiki.capture.turntable_schema import TurntableFile
 
     parsed = read_mapping(path)
-    return validate(TurntableFile if parsed.get("geometry") == "turntable" else CaptureFile, parsed, path.name)
+    models = {"turntable": TurntableFile, "goniometer": GoniometerFile}
+    geometry = parsed.get("geometry")
+    return validate(models.get(geometry, CaptureFile) if isinstance(geometry, str) else CaptureFile, parsed, path.name)
 
 
 def geometry_named(path: Path) -> str | None:

@@ -1,0 +1,93 @@
+"""Whether the frames of a goniometer capture belong together: directions, white boards, exposure times."""
+
+from __future__ import annotations
+
+import math
+
+from nishiki.capture.frames import Frame
+from nishiki.capture.problems import Problem, error, warning
+
+TABLE = "frames.csv"
+SAME_DEG = 0.1  # directions nearer than this are one
+NORMAL_DEG = 1.0
+STEEPEST_WHITE_DEG = 85.0
+FEWEST_NORMAL = 12
+
+
+def goniometer_problems(frames: tuple[Frame, ...]) -> list[Problem]:
+    """Everything wrong with how the table's frames fit together."""
+    samples, whites = ([f for f in frames if f.role == role] for role in ("sample", "white"))
+    problems = [p for frame in frames for p in _angle_problems(frame)]
+    if not samples:
+        remedy = "Photographs of the cloth have the role sample"
+        problems.append(error("samples-none", TABLE, "no photograph of the cloth", remedy=remedy))
+    if not whites:
+        what = "no white frame: a reflectance is the cloth's light over that of a white board"
+        remedy = "Photograph a diffuse white board in the cloth's place, at least once"
+        problems.append(error("white-missing", TABLE, what, remedy=remedy))
+    problems += _exposure_problems([*samples, *whites])
+    if not any(p.severity == "error" for p in problems):
+        problems += _spread_problems(samples, whites)
+    return problems
+
+
+def _angle_problems(frame: Frame) -> list[Problem]:
+    """Angles that a frame of this role needs or cannot have."""
+    where, (theta_i, phi_i, theta_r, phi_r) = f"{TABLE} row {frame.row}", frame.angles_deg
+    if frame.role == "dark":
+        return []
+    if frame.role == "sample" and None in frame.angles_deg:
+        remedy = "Give theta_i_deg, phi_i_deg, theta_r_deg and phi_r_deg in degrees; phi is 0 where theta is 0"
+        return [error("angle-missing", where, "a sample frame needs its four angles", remedy=remedy)]
+    if theta_i is None or phi_i is None:
+        remedy = "Give theta_i_deg and phi_i_deg; the view may be left out, a board does not depend on it"
+        return [error("angle-missing", where, "a white frame needs the direction of its light", remedy=remedy)]
+    if (theta_r is None) != (phi_r is None):
+        remedy = "Give both theta_r_deg and phi_r_deg, or neither"
+        return [error("angle-missing", where, "half a direction of view", remedy=remedy)]
+    if frame.role == "white" and theta_i > STEEPEST_WHITE_DEG:
+        expected, found = f"at most {STEEPEST_WHITE_DEG:g} degrees", f"{theta_i:g}"
+        what = "the board is grazed by its light"
+        remedy = "Photograph it at a smaller theta_i_deg: the cosine of the angles brings it to the others"
+        return [error("white-grazing", where, what, expected=expected, found=found, remedy=remedy)]
+    return []
+
+
+def _exposure_problems(lit: list[Frame]) -> list[Problem]:
+    """An exposure time for some lit frames but not for all cannot be used."""
+    without = [f for f in lit if f.exposure_s is None]
+    if not without or len(without) == len(lit):
+        return []
+    found = f"{len(without)} of {len(lit)} rows without, the first in row {without[0].row}"
+    remedy = "Give exposure_s for every sample and white frame, or for none"
+    return [error("exposure-partial", TABLE, "exposure_s", found=found, remedy=remedy)]
+
+
+def _spread_problems(samples: list[Frame], whites: list[Frame]) -> list[Problem]:
+    """What the later stages will miss, although the capture can be read."""
+    problems = []
+    normal = [f for f in samples if f.angles_deg[0] < NORMAL_DEG]
+    if len(normal) < FEWEST_NORMAL:
+        expected, found = f"{FEWEST_NORMAL} views or more with theta_i below {NORMAL_DEG:g} degree", f"{len(normal)}"
+        what = "few views of the cloth lit along its normal; the weave and the BRDF are found from them"
+        problems.append(warning("normal-few", TABLE, what, expected=expected, found=found))
+    boards = {w.angles_deg[:2] for w in whites}
+    lights = {f.angles_deg[:2] for f in samples}
+    alone = {light for light in lights if not any(same_direction(light, board) for board in boards)}
+    apart = [f for f in samples if f.angles_deg[:2] in alone]
+    if apart:
+        what = "no white frame under the same light: another board's light is used, by the cosine of the angles"
+        found = f"{len(apart)} of {len(samples)} sample frames, the first in row {apart[0].row}"
+        remedy = "Photograph the board once for every direction of light where the lamp's distance or strength changes"
+        problems.append(warning("white-cosine", TABLE, what, found=found, remedy=remedy))
+    return problems
+
+
+def same_direction(a: tuple[float | None, ...], b: tuple[float | None, ...]) -> bool:
+    """Whether two (theta, phi) in degrees are one direction, within 0.1 degree; False where one is not given."""
+    if None in a or None in b:
+        return False
+    x, y = ([math.radians(angle) for angle in pair] for pair in (a, b))
+    # half chord of the sphere: exact for small angles
+    half = math.sin((x[0] - y[0]) / 2) ** 2 + math.sin(x[0]) * math.sin(y[0]) * math.sin((x[1] - y[1]) / 2) ** 2
+    return half < math.sin(math.radians(SAME_DEG / 2)) ** 2
