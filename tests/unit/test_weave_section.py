@@ -1,0 +1,385 @@
+"""The weave sections: masking in closed form against visibility found by casting rays over the explicit profile."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numba import njit
+
+from nishiki.weave.bistatic import lit_and_visible, plane_angles, visible_by_slope
+from nishiki.weave.section import WarpSection, WeftSection
+
+# --- the slow obvious reference: pieces of the profile, rays cast against every one of them ---
+
+LINE, ARC = 0.0, 1.0
+
+
+def pieces_of(section):
+    """Straight pieces (0, x, z, x, z) and arcs (1, centre, angles from the vertical) of a period; period; radius.
+
+    Written down from the drawing, not from the package's own list.
+    """
+    a, flank, radius = section.theta_a, section.l, section.r
+    flat, yarns = getattr(section, "m", 0.0), round(getattr(section, "n", 1))
+    contact = getattr(section, "contact", np.pi / 2)
+    half = flank * np.cos(a) + radius * np.sin(a)
+    top = flank * np.sin(a) + radius * (1 - np.cos(a))
+    cloth, x = [], 0.0
+    for hump in range(2):
+        row, gap = (yarns, flat) if hump == 0 else (1, 0.0)
+        cloth.append((LINE, x, 0.0, x + flank * np.cos(a), flank * np.sin(a)))
+        centre = x + half
+        for k in range(row):
+            left, right = (a if k == 0 else contact), (a if k == row - 1 else contact)
+            cloth.append((ARC, centre, top - radius, -left, 0.0))
+            if gap > 0:
+                cloth.append((LINE, centre, top, centre + gap, top))
+                centre += gap
+            cloth.append((ARC, centre, top - radius, 0.0, right))
+            centre += 2 * radius * np.sin(contact) if k < row - 1 else 0.0
+        x = centre + half
+        cloth.append((LINE, x - flank * np.cos(a), flank * np.sin(a), x, 0.0))
+    return np.array(cloth), x, radius
+
+
+@njit
+def along(piece, radius, u):
+    """Point and outward normal of one piece at u in 0..1."""
+    if piece[0] == LINE:
+        dx, dz = piece[3] - piece[1], piece[4] - piece[2]
+        size = max(np.hypot(dx, dz), 1e-300)
+        return piece[1] + u * dx, piece[2] + u * dz, -dz / size, dx / size
+    angle = piece[3] + u * (piece[4] - piece[3])
+    sine, cosine = np.sin(angle), np.cos(angle)
+    return piece[1] + radius * sine, piece[2] + radius * cosine, sine, cosine
+
+
+@njit
+def cast(cloth, period, radius, own, u, theta):
+    """Is the point seen from theta (signed)? Its ray against the cloth one period to either side.
+
+    One period suffices: a blocker further away, moved towards the point by whole periods, stands higher above the ray.
+    """
+    x, z, nx, nz = along(cloth[own], radius, u)
+    rx, rz = np.sin(theta), np.cos(theta)
+    if nx * rx + nz * rz <= 0:
+        return False
+    for shift in (-period, 0.0, period):
+        for k in range(len(cloth)):
+            piece = cloth[k]
+            if k == own and shift == 0.0:
+                continue  # a convex piece hides none of its own points but those that are turned away
+            wx, wz = x - piece[1] - shift, z - piece[2]
+            if piece[0] == LINE:
+                dx, dz = piece[3] - piece[1], piece[4] - piece[2]
+                det = rx * dz - rz * dx
+                if abs(det) > 1e-300 and (wz * dx - wx * dz) / det > 1e-9 and 0 < (wz * rx - wx * rz) / det < 1:
+                    return False
+                continue
+            b = wx * rx + wz * rz
+            inside = b * b - (wx * wx + wz * wz - radius**2)
+            if inside <= 0:
+                continue
+            for root in (-np.sqrt(inside), np.sqrt(inside)):
+                distance = root - b
+                angle = np.arctan2(wx + distance * rx, wz + distance * rz)
+                if distance > 1e-9 and piece[3] < angle < piece[4]:
+                    return False
+    return True
+
+
+@njit
+def seen_from_all(cloth, period, radius, own, u, angles):
+    for theta in angles:
+        if not cast(cloth, period, radius, own, u, theta):
+            return False
+    return True
+
+
+@njit
+def share(cloth, lengths, period, radius, angles, start):
+    """Changes of visibility along each piece found between the points `start` and bisected to 1e-12."""
+    visible = 0.0
+    for own in range(len(cloth)):
+        here = seen_from_all(cloth, period, radius, own, start[0], angles)
+        shown = start[0] if here else 0.0
+        for k in range(1, start.size):
+            low, high = start[k - 1], start[k]
+            there = seen_from_all(cloth, period, radius, own, high, angles)
+            if there != here:
+                for _ in range(40):
+                    middle = 0.5 * (low + high)
+                    if seen_from_all(cloth, period, radius, own, middle, angles) == here:
+                        low = middle
+                    else:
+                        high = middle
+            else:
+                low = high
+            shown += (low - start[k - 1]) * here + (start[k] - low) * there
+            here = there
+        visible += lengths[own] * (shown + (1.0 - start[-1]) * here)
+    return visible / lengths.sum()
+
+
+ENDS = np.geomspace(1e-9, 0.02, 12)
+START = np.concatenate([ENDS, np.linspace(0.03, 0.97, 30), 1 - ENDS[::-1]])
+
+
+def lengths_of(cloth, radius):
+    straight = np.hypot(cloth[:, 3] - cloth[:, 1], cloth[:, 4] - cloth[:, 2])
+    return np.where(cloth[:, 0] == LINE, straight, radius * (cloth[:, 4] - cloth[:, 3]))
+
+
+def brute_force(section, *angles):
+    """Share of the section's length that is seen from every one of the angles."""
+    cloth, period, radius = pieces_of(section)
+    return share(cloth, lengths_of(cloth, radius), period, radius, np.array(angles, float), START)
+
+
+def random_section(rng):
+    a = rng.uniform(0.02, 1.55)
+    flank, radius = (0.0 if rng.random() < 0.05 else 10 ** rng.uniform(-2, 1)), 10 ** rng.uniform(-1.5, 1)
+    if rng.random() < 0.5:
+        return WarpSection(a, flank, radius, 0.0 if rng.random() < 0.2 else 10 ** rng.uniform(-2, 1.5))
+    return WeftSection(
+        a, flank, radius, int(rng.integers(1, 9)), np.pi / 2 if rng.random() < 0.7 else rng.uniform(0.1, 1.5)
+    )
+
+
+def random_angle(rng, section):
+    """Even, grazing to 1e-4, or on either side of the angle at which a flank turns away."""
+    kind = rng.random()
+    if kind < 0.5:
+        return rng.uniform(0, np.pi / 2)
+    if kind < 0.8:
+        return np.pi / 2 - 10 ** rng.uniform(-4, -0.5)
+    return np.clip(np.pi / 2 - section.theta_a + rng.choice([-1, 1]) * 10 ** rng.uniform(-4, -2), 0, np.pi / 2 - 1e-4)
+
+
+def test_masking_is_brute_force_visibility_at_1000_random_geometries_and_angles():
+    rng = np.random.default_rng(20)
+    worst = 0.0
+    for _ in range(1000):
+        section = random_section(rng)
+        theta = random_angle(rng, section)
+        found, expected = float(section.masking(theta)), brute_force(section, theta)
+        worst = max(worst, abs(found - expected))
+        assert abs(found - expected) < 1e-6, (section, theta, found, expected)
+    assert worst < 1e-8
+
+
+def test_lit_and_visible_is_brute_force_for_two_directions():
+    rng = np.random.default_rng(21)
+    for _ in range(150):
+        section = random_section(rng)
+        pair = [random_angle(rng, section) * rng.choice([-1, 1]) for _ in range(2)]
+        found = float(lit_and_visible(section, *pair))
+        assert abs(found - brute_force(section, *pair)) < 1e-6, (section, pair)
+        assert found == float(lit_and_visible(section, *pair[::-1]))
+
+
+def test_reference_sees_through_a_hole_and_is_blind_behind_a_wall():
+    ridge = WarpSection(np.pi / 4, 1.0, 0.0)  # saw teeth of 45 degrees
+    assert brute_force(ridge, 0.0) == pytest.approx(1, abs=1e-12)
+    assert brute_force(ridge, np.pi / 4 - 1e-4) == pytest.approx(1, abs=1e-9)
+    t = np.deg2rad(30)  # the ray from one ridge meets the next flank at height s sin 45 = ...
+    hidden = np.sin(np.pi / 4 - t) / np.sin(np.pi / 4 + t)
+    assert brute_force(ridge, np.pi / 2 - t) == pytest.approx((1 - hidden) / 2, abs=1e-9)
+
+
+# --- properties ---
+
+sections = st.one_of(
+    st.builds(
+        WarpSection,
+        st.floats(0.001, 1.57),
+        st.floats(0, 1e6),
+        st.floats(1e-6, 1e6),
+        st.floats(0, 1e6),
+    ),
+    st.builds(
+        WeftSection,
+        st.floats(0.001, 1.57),
+        st.floats(0, 1e6),
+        st.floats(1e-6, 1e6),
+        st.floats(1, 50),
+        st.floats(0.01, np.pi / 2),
+    ),
+)
+ANGLES = np.concatenate([np.linspace(0, np.pi / 2, 400), np.pi / 2 - np.geomspace(1e-15, 1e-2, 60)])
+
+
+@settings(max_examples=300, deadline=None)
+@given(sections)
+def test_masking_is_one_from_above_and_never_rises(section):
+    theta = np.sort(ANGLES)
+    g = section.masking(theta)
+    assert g[0] == pytest.approx(1, abs=1e-12)
+    assert np.all((g >= 0) & (g <= 1))
+    assert np.max(np.diff(g)) < 1e-9
+    assert np.array_equal(g, section.masking(-theta))
+    assert section.masking(np.pi / 2 + 0.01) == 0
+
+
+@settings(max_examples=100, deadline=None)
+@given(sections)
+def test_masking_is_continuous_except_where_a_flank_turns_away(section):
+    """The only step is 2 l / length at theta_r = pi/2 - theta_a; two near angles elsewhere differ by little.
+
+    G is continuous, not Lipschitz: its slope is infinite at 90 degrees (t2 = 2 arcsin sqrt), and steep behind it where
+    l is large against r. Steps are therefore looked for by halving an interval 50 times.
+    """
+    low, high = np.linspace(0, np.pi / 2, 60)[:-1], np.linspace(0, np.pi / 2, 60)[1:]
+    edge = np.pi / 2 - section.theta_a
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        g = section.masking(np.stack([low, middle, high]))
+        left = g[0] - g[1] > g[1] - g[2]
+        low, high = np.where(left, low, middle), np.where(left, middle, high)
+    step = section.masking(low) - section.masking(high)
+    there = (low - 1e-12 <= edge) & (edge <= high + 1e-12)
+    expected = np.where(there, 2 * section.l / section.length, 0.0)
+    assert np.max(np.abs(step - expected)) < 1e-4, (section, low[np.argmax(np.abs(step - expected))])
+
+
+def test_known_values():
+    """Flank at 45 degrees, all lengths 1, by hand; and the contact formula as it is usually written."""
+    section = WarpSection(np.pi / 4, 1.0, 1.0, 2.0)
+    arc = np.pi / 4
+    assert section.length == pytest.approx(4 + 4 * arc + 2)
+    assert section.period == pytest.approx(8 * np.sqrt(0.5) + 2)
+    assert section.height == pytest.approx(1.0)
+    t = np.deg2rad(20)
+    shade = (np.sin(arc - t) + 1 - np.cos(arc - t)) / np.sin(arc + t)
+    assert section.masking(np.pi / 2 - t) == pytest.approx((2 * (1 - shade) + 2 * arc + 2 * t + 2) / section.length)
+    assert section.masking(np.pi / 2) == pytest.approx(2 / section.length)
+    theta = np.linspace(0, 1.5, 7)
+    row, single = WeftSection(0.5, 1.0, 1.0, 4), WeftSection(0.5, 1.0, 1.0, 1)
+    contacts = row.masking(theta) * row.length - single.masking(theta) * single.length
+    expected = 3 * ((np.pi / 2 - theta) + theta + np.arcsin(2 * np.cos(theta) - 1))
+    np.testing.assert_allclose(contacts, expected, atol=1e-12)
+
+
+def test_the_printed_length_of_a_contact_would_not_give_one_from_above():
+    """2 a' for a contact (as printed) against the arcs that it shows from above, pi r'."""
+    section = WeftSection(0.9, 0.4, 1.0, 4)
+    printed = 4 * (section.l + section.r * section.theta_a) * 1.0 + 3 * 2 * section.r * section.theta_a
+    assert section.length / printed > 1.1
+    assert section.masking(0.0) == 1
+
+
+@settings(max_examples=50, deadline=None)
+@given(sections, st.floats(1e-3, 1e3))
+def test_lengths_matter_only_by_their_ratios(section, factor):
+    np.testing.assert_allclose(section.scaled(factor).masking(ANGLES), section.masking(ANGLES), atol=1e-9)
+
+
+# --- profile ---
+
+
+@pytest.mark.parametrize(
+    "section", [WarpSection(0.6, 0.7, 1.3, 2.0), WeftSection(1.1, 0.3, 0.8, 4), WeftSection(0.4, 0, 1, 3, 0.7)]
+)
+def test_profile_has_the_section_s_length_period_and_unit_normals(section):
+    points, normals = section.profile(20000)
+    steps = np.hypot(*np.diff(points, axis=0).T)
+    assert steps.sum() == pytest.approx(section.length, rel=1e-7)
+    assert points[0] == pytest.approx([0, 0])
+    assert points[-1] == pytest.approx([section.period, 0], abs=1e-9 * section.period)
+    np.testing.assert_allclose(np.hypot(*normals.T), 1, atol=1e-12)
+    across = np.diff(points, axis=0) / np.maximum(steps, 1e-12)[:, None]
+    middle = 0.5 * (normals[1:] + normals[:-1])
+    smooth = np.hypot(*(normals[1:] - normals[:-1]).T) < 0.01
+    assert np.max(np.abs(np.sum(across * middle, axis=1))[smooth & (steps > 1e-9)]) < 1e-5
+    assert points[:, 1].max() == pytest.approx(section.height, rel=1e-6)
+
+
+def test_impossible_sections_are_refused():
+    for make in (
+        lambda: WarpSection(0.0, 1, 1),
+        lambda: WarpSection(np.pi / 2, 1, 1),
+        lambda: WarpSection(0.5, 0, 0),
+        lambda: WarpSection(0.5, 1, 1, -1),
+        lambda: WeftSection(0.5, 1, 1, 0.5),
+        lambda: WeftSection(0.5, 1, np.nan),
+        lambda: WeftSection(0.5, 1, 1, 2, 1.6),
+    ):
+        with pytest.raises(ValueError, match="expected"):
+            make()
+
+
+# --- two directions ---
+
+
+def test_light_along_the_normal_is_masking_and_below_the_horizon_nothing():
+    section = WeftSection(0.8, 0.5, 1.0, 4)
+    theta = np.linspace(-1.57, 1.57, 101)
+    np.testing.assert_array_equal(lit_and_visible(section, 0.0, theta), section.masking(theta))
+    both = lit_and_visible(section, theta[:, None], theta[None])
+    assert both.shape == (101, 101)
+    np.testing.assert_array_equal(both, both.T)
+    assert np.all(both <= np.minimum(section.masking(theta)[:, None], section.masking(theta)[None]) + 1e-15)
+    np.testing.assert_allclose(np.diag(both), section.masking(theta), atol=1e-15)  # lamp at the camera: no shadow seen
+    assert lit_and_visible(section, 0.3, 1.6) == 0
+    assert np.all(visible_by_slope(section, 1.6, 0.0, theta) == 0)
+
+
+@njit
+def slope_reference(cloth, lengths, period, radius, theta_i, theta_r, slope, spread, samples):
+    """Share of the facets of one slope from a dense profile: a Gaussian of slopes at every point, rays cast."""
+    whole = visible = 0.0
+    for own in range(len(cloth)):
+        for k in range(samples):
+            u = (k + 0.5) / samples
+            _, _, nx, nz = along(cloth[own], radius, u)
+            weight = np.exp(-0.5 * ((np.arctan2(nx, nz) - slope) / spread) ** 2) * lengths[own]
+            whole += weight
+            if cast(cloth, period, radius, own, u, theta_i) and cast(cloth, period, radius, own, u, theta_r):
+                visible += weight
+    return visible / whole
+
+
+@pytest.mark.parametrize("section", [WarpSection(0.6, 0.7, 1.3, 2.0), WeftSection(0.9, 0.3, 0.8, 4)])
+def test_share_by_slope_is_that_of_a_dense_profile(section):
+    rng = np.random.default_rng(3)
+    for _ in range(8):
+        i, o = rng.uniform(-1.5, 1.5, 2)
+        slope, spread = rng.uniform(-1.2, 1.2), rng.uniform(0.05, 0.4)
+        found = float(visible_by_slope(section, i, o, slope, spread=spread))
+        cloth, period, radius = pieces_of(section)
+        lengths = lengths_of(cloth, radius)
+        expected = slope_reference(cloth, lengths, period, radius, i, o, slope, spread, 5000)
+        assert found == pytest.approx(expected, abs=4e-4)
+
+
+def test_share_by_slope_without_spread_is_the_limit_of_a_small_one():
+    section = WeftSection(0.7, 0.0, 1.0, 4)  # no flank: the density of slopes is finite everywhere
+    for i, o in ((0.2, 1.2), (-0.4, 1.0), (0.0, 1.4)):
+        slopes = np.array([-0.63, -0.31, 0.05, 0.21, 0.43])
+        exact = visible_by_slope(section, i, o, slopes)
+        near = visible_by_slope(section, i, o, slopes, spread=1e-4)
+        assert np.mean(np.abs(exact - near) < 1e-3) > 0.7  # they differ only next to the edge of what is seen
+    assert visible_by_slope(WarpSection(0.5, 1, 1, 1), 0.0, 1.5, 0.0) == 1  # the flat top
+    assert visible_by_slope(WarpSection(0.5, 1, 1, 1), 0.0, 1.4, 0.5) < 1  # facing flank, partly hidden
+    assert visible_by_slope(WarpSection(0.5, 1, 1, 1), 0.0, 1.4, -0.5) == 0  # flank turned away
+    assert visible_by_slope(WarpSection(0.5, 1, 1, 1), 0.0, 1.4, -1.4) == 0  # steeper than all: as the steepest
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    sections, st.floats(-1.6, 1.6), st.floats(-1.6, 1.6), st.floats(-1.6, 1.6), st.sampled_from([0.0, 1e-3, 0.1, 2.0])
+)
+def test_share_by_slope_is_a_share(section, i, o, slope, spread):
+    found = float(visible_by_slope(section, i, o, slope, spread=spread))
+    assert 0 <= found <= 1
+    assert found == float(visible_by_slope(section, o, i, slope, spread=spread))
+    assert found == pytest.approx(float(visible_by_slope(section, -i, -o, -slope, spread=spread)), abs=1e-12)
+
+
+def test_plane_angles():
+    directions = np.array([[0, 0, 1.0], [1, 0, 1], [0, -1, 1], [0.3, 0.4, 0.0]])
+    x, y = plane_angles(directions)
+    np.testing.assert_allclose(x, [0, np.pi / 4, 0, np.pi / 2])
+    np.testing.assert_allclose(y, [0, 0, -np.pi / 4, np.pi / 2])
+    with pytest.raises(ValueError, match="spread"):
+        visible_by_slope(WarpSection(0.5, 1, 1), 0, 0, 0, spread=-1)
