@@ -146,7 +146,8 @@ def mirrored(vertices: np.ndarray, triangles: np.ndarray, mirror: list[int] | No
 
 def merge_scans(context: Context, views: Views, cameras: list[Camera], mirror: list[int] | None):
     """Range scans registered to the first and merged, in the cameras' world."""
-    from nishiki.geometry.scans import merge, register
+    from nishiki.geometry.merging import merge
+    from nishiki.geometry.scans import register
 
     folder, settings = context.inputs["ingest"], context.settings
     scans = [read_points(folder.path(name)) for name in views.geometry["scans"]]

@@ -6,9 +6,10 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from nishiki.errors import UserError
+from nishiki.geometry.merging import merge
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.meshlab import APT_LINE, FILTERS, mesh_set, missing_filters
-from nishiki.geometry.scans import Motion, cloud_of, merge, register, rotations, thinned
+from nishiki.geometry.scans import Motion, cloud_of, register, rotations, thinned
 from nishiki.geometry.surface import distances, shape_of, without_small_parts
 
 
@@ -110,6 +111,17 @@ def test_merged_scans_are_the_body_again(filters, triangles):
     assert np.percentile(distances(mesh.vertices, whole), 95) < 0.25
     # Towards the outside, as the scans' triangles.
     assert np.median(np.einsum("ij,ij->i", mesh.normals, mesh.vertices)) > 0
+
+
+def test_scans_coarser_than_the_cells_are_merged_without_holes(filters):
+    # What lies inside a measured triangle was measured, even where the merged surface's cells are far smaller.
+    whole = body(3)
+    scans = scans_of(whole, 6, np.random.default_rng(7), 0.0)
+    vertices, found, facts = merge([points for points, _ in scans], [faces for _, faces in scans], cells=128)
+    mesh = Mesh.of(vertices, found)
+    covered = np.concatenate([points[faces].mean(axis=1) for points, faces in scans])
+    assert distances(covered, mesh).max() < 0.1
+    assert facts["guessed_triangles"] < 0.1 * len(found)
 
 
 def test_one_scan_with_triangles_stays_as_it_is():

@@ -11,7 +11,7 @@ class MeshSettings(Closed):
     """Where the object's surface comes from, and how many triangles it gets."""
 
     STAGE: ClassVar[str] = "mesh"
-    VERSION: ClassVar[int] = 1
+    VERSION: ClassVar[int] = 2
 
     source: Literal["auto", "file", "scans", "silhouettes"] = Field(
         "auto", description="of the surface; auto: the first of these that the capture has"
