@@ -10,9 +10,10 @@ from nishiki.closed import Closed
 class SceneFacts:
     """What a plan has to know of a scene before anything is read from its photographs.
 
-    geometry: plane (one view, many lights) or turntable (many views); views, states (of polarisers): of a turntable;
-    has_poses: matrices, boards or correspondences tell where its cameras were. truth_sha256: empty where there is no
-    truth.
+    geometry: plane (one view, many lights), turntable (many views) or goniometer (many pairs of directions); views,
+    states (of polarisers): of a turntable; has_poses: matrices, boards or correspondences tell where its cameras were;
+    measurements: pairs of directions of a goniometer, frontal: of these, lit along the normal of the cloth.
+    truth_sha256: empty where there is no truth.
     """
 
     capture_digest: str
@@ -27,11 +28,13 @@ class SceneFacts:
     views: tuple[str, ...] = ()
     states: tuple[str, ...] = ()
     has_poses: bool = False
+    measurements: int = 0
+    frontal: int = 0
 
     @property
     def observations(self) -> int:
-        """Photographs of the object that a fit sees: lights, times views on a turntable."""
-        return max(len(self.lights), 1) * max(len(self.views), 1)
+        """Photographs of the object that a fit sees: lights, times views on a turntable; pairs of directions."""
+        return self.measurements or max(len(self.lights), 1) * max(len(self.views), 1)
 
     @property
     def series(self) -> tuple[str, ...]:

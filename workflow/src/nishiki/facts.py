@@ -1,6 +1,7 @@
 """What a plan has to know of a scene, read from the capture's small files only."""
 
 from nishiki.capture.folder import Capture, load_capture
+from nishiki.capture.goniometer import GoniometerCapture, goniometer_facts
 from nishiki.capture.headers import read_header
 from nishiki.capture.seal import capture_digest
 from nishiki.capture.turntable import TurntableCapture, turntable_facts
@@ -21,6 +22,8 @@ def scene_facts(scene: Scene) -> SceneFacts:
             f"scene {scene.name!r}: capture {scene.capture} is not sealed. Remedy: ./nishiki seal {scene.capture}"
         )
     truth = truth_digest(scene.truth) if scene.truth else ""
+    if isinstance(capture, GoniometerCapture):
+        return _of_goniometer(scene, capture, truth)
     if isinstance(capture, TurntableCapture):
         return _of_turntable(scene, capture, truth)
     return _of_plane(scene, capture, truth)
@@ -54,6 +57,23 @@ def _of_turntable(scene: Scene, capture: TurntableCapture, truth: str) -> SceneF
         views=found.views,
         states=found.states,
         has_poses=found.cameras or found.view_boards or found.correspondences,
+    )
+
+
+def _of_goniometer(scene: Scene, capture: GoniometerCapture, truth: str) -> SceneFacts:
+    found = goniometer_facts(capture)
+    return SceneFacts(
+        capture_digest=capture_digest(scene.capture),
+        lights=(),
+        check_lights=(),
+        channels=found.channels,
+        pixels=found.pixels,
+        has_sensitivities=found.has_sensitivities,
+        has_illuminant=found.has_illuminant,
+        truth_sha256=truth,
+        geometry="goniometer",
+        measurements=found.measurements,
+        frontal=found.normal,
     )
 
 

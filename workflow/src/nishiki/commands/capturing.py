@@ -8,6 +8,7 @@ from nishiki.progress import Progress
 
 TO_COMPLETE = {
     "plane": "camera sensitivities, illuminant, pixel_pitch_mm",
+    "goniometer": "goniometer.white_reflectance, goniometer.symmetry, goniometer.weave",
     "turntable": "lights, turntable.mesh, turntable.unit, turntable.background",
 }
 

@@ -36,7 +36,9 @@ def plan(options: argparse.Namespace, rest: list[str]) -> None:
 
 
 def _series(facts: SceneFacts) -> str:
-    """How many lights, or views under how many lights, and polariser states."""
+    """How many lights, or views under how many lights, and polariser states, or pairs of directions."""
+    if facts.geometry == "goniometer":
+        return f"{facts.measurements} pairs of directions, {facts.frontal} of them lit along the normal"
     if facts.geometry != "turntable":
         return f"{len(facts.lights)} lights"
     states = f", {len(facts.states)} polariser states" if len(facts.states) > 1 else ""
