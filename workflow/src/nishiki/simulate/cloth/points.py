@@ -1,0 +1,124 @@
+"""Points of the yarns' surface that light can reach, each with its frame and the area for which it stands."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from nishiki.simulate.cloth.geometry import Solids, Yarns, escapes, frame_at, inside
+from nishiki.simulate.cloth.settings import ClothSettings
+from nishiki.simulate.randomness import subkey
+from nishiki.simulate.rows import over_rows
+
+_R2 = (0.7548776662466927, 0.5698402909980532)  # Roberts' sequence in two dimensions: 1/p, 1/p², p³ = p + 1
+_PROBES = 48
+_LIFT = 2e-3  # of the spacing: rays start so far above the surface
+
+
+@dataclass(frozen=True)
+class SurfacePoints:
+    """place : (n, 3) mm, a little above the surface. frame : (n, 6) normal and filament direction. area : (n,) mm².
+    kind : (n,) 0 warp, 1 weft."""
+
+    place: np.ndarray
+    frame: np.ndarray
+    area: np.ndarray
+    kind: np.ndarray
+
+
+def make_points(solids: Solids, settings: ClothSettings, *, candidates: int) -> SurfacePoints:
+    """About `candidates` points spread evenly over all sides of all yarns; those are kept that at least one of 48
+    directions of the upper hemisphere reaches (others are inside of yarns that touch, or below the cloth)."""
+    systems = (solids.warp, solids.weft)
+    sizes = [len(yarns.shape) * yarns.length * _contour(yarns.exponent, yarns.shape[0])[2] for yarns in systems]
+    random = np.random.default_rng(subkey(settings.seed, "cloth points"))
+    parts = []
+    for kind, (yarns, size) in enumerate(zip(systems, sizes, strict=True)):
+        each = max(int(candidates * size / sum(sizes) / len(yarns.shape)), 16)
+        parts += [_on_yarn(yarns, yarn, kind, each, random) for yarn in range(len(yarns.shape))]
+    place, area, which = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+    frame = np.empty((len(place), 6))
+    twist = np.radians([settings.warp.twist_deg, settings.weft.twist_deg])
+    lift = _LIFT * min(settings.warp.spacing_mm, settings.weft.spacing_mm)
+    seen = np.zeros(len(place), np.uint8)
+    over_rows(
+        _finish, len(place), place, which, solids.numbers, solids.free, twist, lift, probes(), frame, seen
+    )  # fmt: skip
+    kept = seen > 0
+    return SurfacePoints(place[kept], frame[kept], area[kept], np.where(which[kept] > 0, 0, 1))
+
+
+def probes() -> np.ndarray:
+    """(48, 3) directions spread evenly over the upper hemisphere."""
+    k = np.arange(_PROBES) + 0.5
+    z, turn = k / _PROBES, k * math.pi * (3.0 - math.sqrt(5.0))
+    r = np.sqrt(1.0 - z * z)
+    return np.column_stack([r * np.cos(turn), r * np.sin(turn), z])
+
+
+def _contour(exponent: float, shape: np.ndarray, steps: int = 720):
+    """(u, ζ) round a section, finely, with the length (mm) from the start, and the whole length."""
+    angle = np.linspace(0.0, 2.0 * math.pi, steps + 1)
+    u = np.cos(angle)
+    zeta = np.sign(np.sin(angle)) * np.sqrt(np.maximum(1.0 - np.abs(u) ** exponent, 0.0))
+    zeta[[0, steps // 2, steps]] = 0.0
+    length = np.concatenate([[0.0], np.cumsum(np.hypot(shape[1] * np.diff(u), shape[2] * np.diff(zeta)))])
+    return np.column_stack([u, zeta]), length, length[-1]
+
+
+def _on_yarn(yarns: Yarns, yarn: int, kind: int, count: int, random):
+    """Points (count, 3), areas and `which` (see geometry.inside) of one yarn."""
+    contour, length, total = _contour(yarns.exponent, yarns.shape[yarn])
+    start = random.uniform(0.0, 1.0, 2)
+    index = np.arange(count)
+    s, t = ((start[axis] + index * _R2[axis]) % 1.0 for axis in range(2))
+    offset, a, b = yarns.shape[yarn]
+    u, zeta = (np.interp(s * total, length, contour[:, axis]) for axis in range(2))
+    # Rate along the contour from the neighbours, half a degree on either side.
+    ahead = [np.interp((s * total + step) % total, length, contour[:, 0]) for step in (-total / 720, total / 720)]
+    rate_v = np.clip(a * (ahead[1] - ahead[0]) / (2.0 * total / 720), -1.0, 1.0)
+    zeta = np.sign(zeta) * np.sqrt(np.maximum(1.0 - np.abs(u) ** yarns.exponent, 0.0))
+    samples = yarns.path.shape[1]
+    place = t * samples
+    low = np.floor(place).astype(int) % samples
+    f = (place - np.floor(place))[:, None]
+    height, slope, roll, turn = (yarns.path[yarn, low] * (1 - f) + yarns.path[yarn, (low + 1) % samples] * f).T
+    v, rise = a * u, slope + turn * a * u
+    # Sides of the area element: (v', 0, z') along the contour and (0, 1, rise) along the yarn.
+    up = np.sqrt(1.0 - rate_v**2) * np.where(u > 0.0, 1.0, -1.0) + roll * rate_v
+    area = np.sqrt(up**2 + rate_v**2 * (1.0 + rise**2)) * total * yarns.length / count
+    sideways = (yarn + 0.5) * yarns.spacing + offset + v
+    along, z = t * yarns.length, height + roll * v + b * zeta
+    columns = (sideways, along, z) if kind == 0 else (along, sideways, z)
+    return np.column_stack(columns), area, np.full(count, 1 + yarn if kind == 0 else -1 - yarn)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def turned_frame(x, y, z, which, numbers, twist, f):
+    """Fill f with the normal and the filament direction, which is the yarn's turned by the twist about the normal."""
+    nx, ny, nz, tx, ty, tz = frame_at(x, y, z, which, numbers)
+    angle = twist[0] if which > 0 else twist[1]
+    c, s = math.cos(angle), math.sin(angle)
+    bx, by, bz = ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx
+    f[0], f[1], f[2] = nx, ny, nz
+    f[3], f[4], f[5] = c * tx + s * bx, c * ty + s * by, c * tz + s * bz
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _finish(start, stop, place, which, numbers, free, twist, lift, directions, frame, seen):
+    for p in range(start, stop):
+        f = frame[p]
+        turned_frame(place[p, 0], place[p, 1], place[p, 2], which[p], numbers, twist, f)
+        for axis in range(3):
+            place[p, axis] += lift * f[axis]
+        x, y, z = place[p, 0], place[p, 1], place[p, 2]
+        if inside(x, y, z, numbers) != 0:
+            continue
+        for k in range(directions.shape[0]):
+            dx, dy, dz = directions[k, 0], directions[k, 1], directions[k, 2]
+            if f[0] * dx + f[1] * dy + f[2] * dz > 0.0 and escapes(x, y, z, dx, dy, dz, numbers, free):
+                seen[p] = 1
+                break

@@ -1,0 +1,190 @@
+"""BRDF of a simulated cloth: which points light and camera reach, by rays among the yarns, and what these reflect.
+
+ρ(i, o) = 1/(A cosθ_i cosθ_o) ∫ V(i) V(o) (n·i)⁺ (n·o)⁺ f(i, o) dS over the yarns' surface above the area A of the plane, and
+the same over paths that meet the yarns several times. Both parts are symmetric in i and o.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from nishiki.simulate.cloth.chains import Chains, Ends, make_chains
+from nishiki.simulate.cloth.filament import body, facets, in_frame
+from nishiki.simulate.cloth.geometry import Solids, escapes, make_solids
+from nishiki.simulate.cloth.points import SurfacePoints, make_points
+from nishiki.simulate.cloth.settings import ClothSettings
+from nishiki.simulate.rows import over_rows
+
+_DIRECTIONS = 256  # held at a time
+
+
+@dataclass(frozen=True)
+class Cloth:
+    """A cloth ready to be lit: its settings, solids, the points of its surface, and the paths between them."""
+
+    settings: ClothSettings
+    solids: Solids
+    points: SurfacePoints
+    chains: Chains | None
+
+    @property
+    def dye(self) -> np.ndarray:
+        """(2, channels) albedo of the body of warp and weft."""
+        return np.array([self.settings.warp.dye, self.settings.weft.dye])
+
+    @property
+    def surface(self) -> np.ndarray:
+        """(2, 3) roughness along and across the filaments, and refractive index, of warp and weft."""
+        s = self.settings
+        return np.array([[yarn.along, yarn.across, s.index] for yarn in (s.warp, s.weft)])
+
+
+def make_cloth(settings: ClothSettings, *, candidates: int = 100_000, chains: int = 40_000, bounces: int = 2) -> Cloth:
+    """Yarns, points and paths. candidates : points before those that nothing reaches are left out. chains : random
+    walks. bounces : how often light may meet the yarns after the first time, 0 to 3."""
+    solids = make_solids(settings)
+    points = make_points(solids, settings, candidates=candidates)
+    paths = make_chains(solids, points, settings, count=chains, bounces=bounces) if bounces and chains else None
+    return Cloth(settings, solids, points, paths)
+
+
+def trace(settings: ClothSettings | Cloth, incident, outgoing, **quality) -> np.ndarray:
+    """BRDF (n, channels) in 1/sr for pairs of directions; `quality` as in `make_cloth`.
+
+    incident, outgoing : (n, 3) or (3,) unit vectors away from the cloth, x along the weft, y along the warp, z up.
+    0 where either is not above the horizon. Deterministic: the same settings give the same values.
+    """
+    cloth = settings if isinstance(settings, Cloth) else make_cloth(settings, **quality)
+    incident, outgoing = np.broadcast_arrays(
+        np.atleast_2d(np.asarray(incident, float)), np.atleast_2d(np.asarray(outgoing, float))
+    )
+    values = np.zeros((len(incident), cloth.dye.shape[1]))
+    up = np.flatnonzero((incident[:, 2] > 1e-6) & (outgoing[:, 2] > 1e-6))
+    lamps, lamp = _distinct(incident[up])
+    views, view = _distinct(outgoing[up])
+    for first in range(0, len(lamps), _DIRECTIONS):
+        of_lamps = (lamp >= first) & (lamp < first + _DIRECTIONS)
+        from_lamps = seen_from(cloth, lamps[first : first + _DIRECTIONS])
+        for other in range(0, len(views), _DIRECTIONS):
+            pairs = np.flatnonzero(of_lamps & (view >= other) & (view < other + _DIRECTIONS))
+            if len(pairs):
+                to_views = seen_from(cloth, views[other : other + _DIRECTIONS])
+                index = np.column_stack([lamp[pairs] - first, view[pairs] - other])
+                values[up[pairs]] = pair_values(cloth, from_lamps, to_views, index)
+    return values
+
+
+def _distinct(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The different directions (to 1e-9), and for each row which of them it is."""
+    _, first, index = np.unique(np.round(directions, 9), axis=0, return_index=True, return_inverse=True)
+    return np.ascontiguousarray(directions[first]), index.reshape(-1)
+
+
+@dataclass(frozen=True)
+class Reach:
+    """What some directions (d, 3) reach: lit (d, points) float32, n·d where the point is reached, else 0; first, last
+    (d, channels, chains) float32, or None: light that enters a path at either end."""
+
+    directions: np.ndarray
+    lit: np.ndarray
+    first: np.ndarray | None
+    last: np.ndarray | None
+
+
+def seen_from(cloth: Cloth, directions: np.ndarray) -> Reach:
+    """Trace rays from all points, and from the ends of all paths, in some directions."""
+    directions = np.ascontiguousarray(directions)
+    points, chains = cloth.points, cloth.chains
+    lit = np.empty((len(directions), len(points.area)), np.float32)
+    over_rows(
+        _reach, len(directions), directions, points.place, points.frame, cloth.solids.numbers, cloth.solids.free, lit
+    )
+    if chains is None:
+        return Reach(directions, lit, None, None)
+    return Reach(directions, lit, *(_enter(cloth, directions, end) for end in (chains.first, chains.last)))
+
+
+def _enter(cloth: Cloth, directions: np.ndarray, ends: Ends) -> np.ndarray:
+    out = np.empty((len(directions), cloth.dye.shape[1], len(ends.kind)), np.float32)
+    over_rows(
+        _ends, len(directions), directions, ends.place, ends.frame, ends.kind, ends.toward,
+        cloth.solids.numbers, cloth.solids.free, cloth.surface, cloth.dye, out,
+    )  # fmt: skip
+    return out
+
+
+def pair_values(cloth: Cloth, lamps: Reach, views: Reach, index: np.ndarray) -> np.ndarray:
+    """BRDF (pairs, channels): index (pairs, 2) says which lamp and which view belong together."""
+    parts = np.empty((len(index), 4))
+    points = cloth.points
+    over_rows(
+        _direct, len(index), index, lamps.directions, views.directions, lamps.lit, views.lit,
+        points.frame, points.area, points.kind, cloth.surface, parts,
+    )  # fmt: skip
+    values = parts[:, :2].sum(axis=1)[:, None] + parts[:, 2:] @ cloth.dye
+    if cloth.chains is not None:
+        values = values + _bounced(cloth, lamps, views, index)
+    cosines = lamps.directions[index[:, 0], 2] * views.directions[index[:, 1], 2]
+    return values / (cloth.solids.area * cosines[:, None])
+
+
+def _bounced(cloth: Cloth, lamps: Reach, views: Reach, index: np.ndarray) -> np.ndarray:
+    """(pairs, channels): both ends of every path take turns as the lamp's."""
+    out = np.empty((len(index), cloth.dye.shape[1]))
+    for channel in range(out.shape[1]):
+        weight = (0.5 * cloth.chains.weight[:, channel]).astype(np.float32)
+        matrix = (lamps.first[:, channel] * weight) @ views.last[:, channel].T
+        matrix += (lamps.last[:, channel] * weight) @ views.first[:, channel].T
+        out[:, channel] = matrix[index[:, 0], index[:, 1]]
+    return out
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _reach(start, stop, directions, place, frame, numbers, free, lit):
+    for d in range(start, stop):
+        dx, dy, dz = directions[d, 0], directions[d, 1], directions[d, 2]
+        for p in range(place.shape[0]):
+            cosine = frame[p, 0] * dx + frame[p, 1] * dy + frame[p, 2] * dz
+            if cosine > 0.0 and escapes(place[p, 0], place[p, 1], place[p, 2], dx, dy, dz, numbers, free):
+                lit[d, p] = cosine
+            else:
+                lit[d, p] = 0.0
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _ends(start, stop, directions, place, frame, kind, toward, numbers, free, surface, dye, out):
+    for d in range(start, stop):
+        dx, dy, dz = directions[d, 0], directions[d, 1], directions[d, 2]
+        for p in range(place.shape[0]):
+            out[d, :, p] = 0.0
+            f = frame[p]
+            ix, iy, iz = in_frame(dx, dy, dz, f)
+            if iz > 0.0 and escapes(place[p, 0], place[p, 1], place[p, 2], dx, dy, dz, numbers, free):
+                ox, oy, oz = in_frame(toward[p, 0], toward[p, 1], toward[p, 2], f)
+                k = kind[p]
+                mirror = facets(ix, iy, iz, ox, oy, oz, surface[k, 0], surface[k, 1], surface[k, 2])
+                white = body(iz, oz, surface[k, 2])
+                for channel in range(out.shape[1]):
+                    out[d, channel, p] = iz * (mirror + dye[k, channel] * white)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _direct(start, stop, index, lamps, views, lit, seen, frame, area, kind, surface, parts):
+    """parts (pairs, 4): mirror reflection of warp and weft, reflection of white bodies of warp and weft."""
+    for n in range(start, stop):
+        lamp, view = index[n, 0], index[n, 1]
+        sx, sy, sz = lamps[lamp, 0], lamps[lamp, 1], lamps[lamp, 2]
+        tx, ty, tz = views[view, 0], views[view, 1], views[view, 2]
+        parts[n] = 0.0
+        for p in range(area.shape[0]):
+            share = float(lit[lamp, p]) * float(seen[view, p])
+            if share > 0.0:
+                f, k = frame[p], kind[p]
+                ix, iy, iz = in_frame(sx, sy, sz, f)
+                ox, oy, oz = in_frame(tx, ty, tz, f)
+                mirror = facets(ix, iy, iz, ox, oy, oz, surface[k, 0], surface[k, 1], surface[k, 2])
+                parts[n, k] += share * area[p] * mirror
+                parts[n, 2 + k] += share * area[p] * body(iz, oz, surface[k, 2])
