@@ -167,7 +167,10 @@ def _write_codes(
         write_chunk(chunk_path(path / "codes", i, 0), block, compression="zstd")
     if hot:
         what = "photographs of the cloth have saturated pixels"
-        found, remedy = f"{hot} of {len(frames) - len(levels)}", "Photograph them again with a shorter exposure_s beside the longer"
+        found, remedy = (
+            f"{hot} of {len(frames) - len(levels)}",
+            "Photograph them again with a shorter exposure_s beside the longer",
+        )
         problems.append(warning("some-saturated", "frames.csv", what, found=found, remedy=remedy))
     return _Found(hot, cold, tuple(levels), tuple(problems))
 

@@ -1,0 +1,199 @@
+"""The normal-incidence reflectance on the whole hemisphere: symmetry, interpolation, what is measured, what is not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from nishiki.errors import UserError
+from nishiki.goniometry.directions import disc, unit
+from nishiki.goniometry.scattered import fit_linear, fit_spline, unfold
+from nishiki.goniometry.symmetry import images, reduced
+from nishiki.goniometry.table import BasicReflectance, ReflectanceSet
+
+Method = Literal["spline", "thin_plate", "linear"]
+MOST_POINTS = 1500  # of one eigenvalue problem; more views are averaged over small cells
+WITHIN = 0.75  # of the grid's step, a little more than half its diagonal: a view that near measures the node
+FEWEST = 6
+
+
+@dataclass(frozen=True)
+class Interpolation:
+    """basic: the grid; left_out (regions,): relative error of the views, each predicted from the others, as the root
+    mean square of the logarithm, None for the linear method; smoothing (regions,): chosen by it; points (regions,):
+    views of the reduced hemisphere that entered; measured, extrapolated: shares of the hemisphere's solid angle."""
+
+    basic: BasicReflectance
+    left_out: tuple[float | None, ...]
+    smoothing: tuple[float | None, ...]
+    points: tuple[int, ...]
+    measured: float
+    extrapolated: float
+
+
+def complete(
+    measured: ReflectanceSet, *, grid_deg: float = 3.0, method: Method = "spline"
+) -> tuple[ReflectanceSet, Interpolation]:
+    """The set with its `basic` filled in from the views at normal incidence. UserError where they are too few."""
+    rows = np.flatnonzero(measured.normal_incidence)
+    chosen = [rows[measured.valid[rows, r]] for r in range(len(measured.regions))]
+    for name, usable in zip(measured.regions, chosen, strict=True):
+        if len(usable) < FEWEST:
+            raise UserError(
+                f"region '{name}': {len(usable)} usable views at normal incidence, expected at least {FEWEST} with "
+                f"theta_i below {measured.normal_deg:g} degrees. Remedy: photograph the cloth lit along its normal "
+                "from more directions, or raise normal_deg."
+            )
+    parts = [
+        interpolate(
+            measured.outgoing[usable],
+            measured.values[usable, r],
+            measured.noise[usable, r],
+            symmetry=measured.symmetry,
+            grid_deg=grid_deg,
+            method=method,
+        )
+        for r, usable in enumerate(chosen)
+    ]
+    first = parts[0].basic
+    basic = BasicReflectance(
+        first.theta,
+        first.phi,
+        np.concatenate([part.basic.values for part in parts]),
+        np.logical_and.reduce([part.basic.measured for part in parts]),
+        np.logical_or.reduce([part.basic.extrapolated for part in parts]),
+    )
+    weights = solid_angles(basic)
+    found = Interpolation(
+        basic,
+        tuple(part.left_out[0] for part in parts),
+        tuple(part.smoothing[0] for part in parts),
+        tuple(part.points[0] for part in parts),
+        float((weights * basic.measured).sum()),
+        float((weights * basic.extrapolated).sum()),
+    )
+    return replace(plain(measured), basic=basic), found
+
+
+def plain(measured: ReflectanceSet) -> ReflectanceSet:
+    """The same values as a ReflectanceSet proper, whatever subclass they came in."""
+    names = ("incident", "outgoing", "values", "noise", "valid", "regions", "channels", "symmetry", "weave")
+    return ReflectanceSet(
+        **{name: getattr(measured, name) for name in names}, normal_deg=measured.normal_deg, basic=measured.basic
+    )
+
+
+def interpolate(
+    outgoing: np.ndarray,
+    values: np.ndarray,
+    noise: np.ndarray,
+    *,
+    symmetry: str = "quarter",
+    grid_deg: float = 3.0,
+    method: Method = "spline",
+) -> Interpolation:
+    """BRDF values (n, channels) > 0 at views (n, 3), light along the normal, on a regular grid of one region.
+
+    Logarithms are interpolated on the azimuthal equidistant disc, where neither the pole nor the azimuth has a seam,
+    by a kernel that has the symmetry; so the result is positive, smooth and symmetric. Beyond the outermost views
+    (seen from their centre) the value at the edge is kept. noise (n, channels): standard deviations, 0 where unknown.
+    """
+    folds = images(symmetry)[:, [0, 1], [0, 1]]
+    views = reduced(np.tile([0.0, 0.0, 1.0], (len(outgoing), 1)), outgoing, symmetry)[1]
+    points, logs, sigma = gathered(disc(views), values, noise)
+    theta, phi = grid_axes(grid_deg)
+    nodes = unit(theta[:, None], phi[None, :])
+    places = disc(nodes).reshape(-1, 2)
+    try:
+        inside = within_hull(places, unfold(points, logs, folds)[0])
+        if method == "linear":
+            predict, left_out, smoothing = fit_linear(points, logs, folds), None, None
+        else:
+            predict = fit_spline(points, logs, sigma, folds, kernel="cubic" if method == "spline" else "thin_plate")
+            left_out, smoothing = float(np.sqrt((predict.left_out**2).mean())), predict.smoothing
+    except ValueError as e:
+        raise UserError(
+            f"the views at normal incidence cannot be interpolated ({e}). Remedy: photograph views in several "
+            "azimuths, not in one plane only."
+        ) from None
+    grid = np.exp(predict(inside)).reshape(*nodes.shape[:2], values.shape[1])
+    grid[0] = grid[0].mean(axis=0)
+    measured = near_a_view(nodes, views, symmetry, np.radians(WITHIN * np.degrees(theta[1])))
+    beyond = (np.linalg.norm(inside - places, axis=1) > 1e-6).reshape(nodes.shape[:2])
+    basic = BasicReflectance(theta, phi, grid[None], measured, beyond & ~measured)
+    weights = solid_angles(basic)
+    shares = float((weights * basic.measured).sum()), float((weights * basic.extrapolated).sum())
+    return Interpolation(basic, (left_out,), (smoothing,), (len(points),), *shares)
+
+
+def grid_axes(grid_deg: float) -> tuple[np.ndarray, np.ndarray]:
+    """theta from 0 to pi/2 and phi round the azimuth (even number, quarter symmetric) in steps of about grid_deg."""
+    steps = max(8, round(90 / grid_deg))
+    return np.linspace(0, np.pi / 2, steps + 1), np.arange(4 * steps) * (np.pi / 2 / steps)
+
+
+def gathered(places: np.ndarray, values: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Points (m, 2), mean logarithms (m, channels) and their standard deviation (m,): repeats of a place averaged,
+    and, above MOST_POINTS, the views of small cells of the disc."""
+    logs = np.log(values)
+    relative = (noise / values).mean(axis=1)
+    cell = 1e-6
+    while True:
+        _, group = np.unique(np.round(places / cell), axis=0, return_inverse=True)
+        group = group.ravel()
+        if group.max() < MOST_POINTS:
+            break
+        cell = max(2 * cell, 0.002)
+    count = np.bincount(group).astype(np.float64)
+
+    def mean(of: np.ndarray) -> np.ndarray:
+        return np.bincount(group, of) / count
+
+    points = np.column_stack([mean(places[:, k]) for k in (0, 1)])
+    averaged = np.column_stack([mean(logs[:, k]) for k in range(logs.shape[1])])
+    return points, averaged, np.sqrt(mean(relative**2) / count)
+
+
+def within_hull(places: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Places (m, 2) brought to the edge of the convex hull of the points, towards their centre, where outside.
+
+    ValueError where all points lie in one line.
+    """
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        hull = ConvexHull(points)
+    except QhullError:
+        raise ValueError("all of them lie in one plane") from None
+    centre = points[hull.vertices].mean(axis=0)
+    normals, offsets = hull.equations[:, :2], hull.equations[:, 2]
+    outward = (places - centre) @ normals.T
+    room = -(normals @ centre + offsets)  # > 0: from the centre to each edge
+    reach = np.where(outward > 0, room / np.maximum(outward, 1e-300), np.inf).min(axis=1)
+    return centre + (places - centre) * np.minimum(1.0, reach)[:, None]
+
+
+def near_a_view(nodes: np.ndarray, views: np.ndarray, symmetry: str, within: float) -> np.ndarray:
+    """(nt, np) bool: a view or one of its images lies within this angle of the node."""
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(np.concatenate([views @ image.T for image in images(symmetry)]))
+    return tree.query(nodes.reshape(-1, 3))[0].reshape(nodes.shape[:2]) <= 2 * np.sin(within / 2)
+
+
+def solid_angles(basic: BasicReflectance) -> np.ndarray:
+    """(nt, np): share of the hemisphere's solid angle that belongs to each node; they add up to 1."""
+    edges = np.concatenate([[0.0], (basic.theta[1:] + basic.theta[:-1]) / 2, [np.pi / 2]])
+    band = np.cos(edges[:-1]) - np.cos(edges[1:])
+    return np.repeat(band[:, None] / len(basic.phi), len(basic.phi), axis=1)
+
+
+def directional_albedo(basic: BasicReflectance) -> np.ndarray:
+    """(regions, channels): share of the light along the normal that leaves the cloth, integral of rho cos(theta).
+
+    The midpoint rule over the grid's cells; above 1 is impossible and points to the white board's reflectance.
+    """
+    weights = 2 * np.pi * solid_angles(basic) * np.cos(basic.theta)[:, None]
+    return np.einsum("tp,rtpc->rc", weights, basic.values)

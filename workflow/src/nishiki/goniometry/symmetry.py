@@ -1,0 +1,40 @@
+"""Symmetry planes of a weave: which directions show the same reflectance."""
+
+from __future__ import annotations
+
+import numpy as np
+
+IMAGES = {
+    "quarter": ((1, 1), (-1, 1), (1, -1), (-1, -1)),  # mirror planes through weft and normal, warp and normal
+    "half": ((1, 1), (-1, -1)),  # a half turn about the normal: what a twill's diagonal leaves
+    "none": ((1, 1),),
+}
+ON_PLANE = 1e-9
+
+
+def images(symmetry: str) -> np.ndarray:
+    """(k, 3, 3) float64: matrices that take a pair of directions to those with the same reflectance, the first the
+    identity."""
+    return np.array([np.diag([x, y, 1.0]) for x, y in IMAGES[symmetry]])
+
+
+def reduced(incident: np.ndarray, outgoing: np.ndarray, symmetry: str) -> tuple[np.ndarray, np.ndarray]:
+    """The pairs (n, 3), (n, 3) brought to one representative each.
+
+    quarter: light with x >= 0 and y >= 0; half: light with y > 0, or y = 0 and x >= 0. Where the light does not tell
+    (it lies in a symmetry plane, or along the normal) the view does.
+    """
+    incident, outgoing = (np.asarray(d, np.float64) for d in (incident, outgoing))
+    if symmetry == "quarter":
+        sign = np.ones_like(incident)
+        for axis in (0, 1):
+            told = np.where(np.abs(incident[:, axis]) > ON_PLANE, incident[:, axis], outgoing[:, axis])
+            sign[:, axis] = np.where(told < 0, -1.0, 1.0)
+        return incident * sign, outgoing * sign
+    if symmetry == "half":
+        across = np.hypot(incident[:, 0], incident[:, 1]) > ON_PLANE
+        x, y = (np.where(across, incident[:, a], outgoing[:, a]) for a in (0, 1))
+        turned = (y < -ON_PLANE) | ((np.abs(y) <= ON_PLANE) & (x < 0))
+        sign = np.where(turned[:, None], np.array([-1.0, -1.0, 1.0]), 1.0)
+        return incident * sign, outgoing * sign
+    return incident, outgoing
