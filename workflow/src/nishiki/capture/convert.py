@@ -12,6 +12,7 @@ from typing import Literal
 import numpy as np
 import yaml
 
+from nishiki.capture.goniometer_convert import recognise_table, refuse_for_table, write_table_capture
 from nishiki.capture.headers import read_header
 from nishiki.capture.layouts import Layout, has_lamps, photographs_in, recognise
 from nishiki.capture.problems import CaptureError, Problem, error, warning
@@ -46,19 +47,23 @@ def convert(
     region: tuple[int, int, int, int] | None = None,
     link: bool = False,
 ) -> Conversion:
-    """Make the capture folder `target`, which must not exist, from a folder of photographs.
+    """Make the capture folder `target`, which must not exist, from a folder of photographs or a table of reflectances.
 
     white: folder of the white board's photographs, matched by name or, if as many, by order (for a turntable: named by
     their polariser state); dark: folder of dark frames; checks: lights kept for evaluation; encoding: of the
     photographs, None for what is usual; region: row, column, rows, columns; mask: picture of the object, for a
     turntable the folder of the silhouettes; link: hard links instead of copies (same disk; then never edit either).
     The folder appears whole or not at all. Raises CaptureError (target-exists, option-unusable, and those of
-    `recognise` and `recognise_round`).
+    `recognise`, `recognise_round`, `recognise_table` and `read_table`).
     """
     source, target = Path(source), Path(target)
     if target.exists():
         remedy = "Choose another name; nothing is overwritten"
         raise CaptureError(error("target-exists", str(target), "target exists", remedy=remedy))
+    table = recognise_table(source) if lights_file is None else None
+    if table is not None:
+        refuse_for_table(mask=mask, white=white, dark=dark, check=checks, encoding=encoding, roi=region)
+        return _of_table(target, table, title, link)
     found = recognise_round(source) if lights_file is None and source.is_dir() and not has_lamps(source) else None
     if found is not None:
         refuse_for_round(checks, region)
@@ -85,6 +90,19 @@ def convert(
         raise CaptureError(error("light-unknown", str(source), "no such light to keep for evaluation", found=named))
     notes = _whole(target, lambda p: _write(p, layout, source, white, dark, checks, encoding, title, region, link))
     return Conversion(target, layout.name, len(layout.photographs), (*layout.warnings, *notes))
+
+
+def _of_table(target: Path, table: Path, title: str | None, link: bool) -> Conversion:
+    """The capture of a table of reflectances; `photographs` counts its measurements."""
+    counted: list[int] = []
+
+    def write(partial: Path) -> list[Problem]:
+        count, notes = write_table_capture(partial, table, title=title, link=link)
+        counted.append(count)
+        return notes
+
+    notes = _whole(target, write)
+    return Conversion(target, "table of reflectances", counted[0], tuple(notes), "goniometer")
 
 
 def _whole(target: Path, write: Callable[[Path], list[Problem]]) -> list[Problem]:

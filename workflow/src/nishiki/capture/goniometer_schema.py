@@ -17,14 +17,15 @@ class Goniometer(Closed):
 
     table: reflectances instead of photographs. white_reflectance: of the board, a number or one a channel. crop_px:
     side of the central window that is kept of every photograph. regions: label picture of the cloth as seen along its
-    normal; upright: what points up in an oblique photograph, the cloth's warp or the plane through normal and camera.
+    normal, region_names: label of each name; upright: what points up in an oblique photograph, the cloth's warp or the
+    plane through normal and camera.
     """
 
     table: str | None = None
     white_reflectance: Reflectance | tuple[Reflectance, ...] = 1.0
     crop_px: Annotated[int, Field(strict=True, ge=1, le=4096)] = 64
     regions: str | None = None
-    region_names: dict[Label, str] = Field(default_factory=dict)
+    region_names: dict[str, Label] = Field(default_factory=dict)
     regions_pitch_mm: Positive | None = None
     pixel_pitch_mm: Positive | None = None
     upright: Literal["cloth", "arm"] = "cloth"
@@ -33,9 +34,9 @@ class Goniometer(Closed):
 
     @field_validator("region_names")
     @classmethod
-    def _distinct(cls, names: dict[int, str]) -> dict[int, str]:
-        if len(set(names.values())) != len(names) or any(not n.strip() for n in names.values()):
-            raise ValueError("region names must be distinct and not empty")
+    def _distinct(cls, names: dict[str, int]) -> dict[str, int]:
+        if len(set(names.values())) != len(names) or any(not n.strip() for n in names):
+            raise ValueError("each name has a label of its own and is not empty")
         return names
 
     @model_validator(mode="after")

@@ -8,8 +8,8 @@ from nishiki.progress import Progress
 
 TO_COMPLETE = {
     "plane": "camera sensitivities, illuminant, pixel_pitch_mm",
-    "goniometer": "goniometer.white_reflectance, goniometer.symmetry, goniometer.weave",
     "turntable": "lights, turntable.mesh, turntable.unit, turntable.background",
+    "goniometer": "goniometer.symmetry, goniometer.weave",
 }
 
 
@@ -60,16 +60,17 @@ def convert(options: argparse.Namespace, rest: list[str]) -> None:
         region=tuple(options.roi) if options.roi else None,
         link=options.link,
     )
+    things = "measurements" if made.geometry == "goniometer" else "photographs"
     for problem in made.warnings:
         print(f"warning: {problem}", file=sys.stderr)
     if options.open:
         print(
-            f"{made.folder}: {made.photographs} photographs ({made.layout}); not sealed: complete capture.yaml "
+            f"{made.folder}: {made.photographs} {things} ({made.layout}); not sealed: complete capture.yaml "
             f"({TO_COMPLETE[made.geometry]}; see docs/capture-folder.md), then ./nishiki seal {made.folder}"
         )
         return
     digest = seal_capture(Path(options.capture), progress=Progress(f"seal {options.capture}").tell)
-    print(f"{made.folder}: {made.photographs} photographs ({made.layout}), sealed, digest {digest[:12]}")
+    print(f"{made.folder}: {made.photographs} {things} ({made.layout}), sealed, digest {digest[:12]}")
 
 
 def _path(text: str | None) -> Path | None:

@@ -132,9 +132,9 @@ def region_labels(capture: GoniometerCapture, size: tuple[int, int]) -> np.ndarr
     present = set(np.unique(labels).tolist()) - {0}
     if not present:
         raise CaptureError(error("regions-empty", block.regions, "no pixel has a label", remedy="Labels count from 1"))
-    lost = sorted(set(block.region_names) - present)
+    lost = [f"{label} ({name})" for name, label in block.region_names.items() if label not in present]
     if lost:
-        found = ", ".join(f"{label} ({block.region_names[label]})" for label in lost)
+        found = ", ".join(lost)
         what, remedy = "a region that is named has no pixel", "Correct the label picture or goniometer.region_names"
         raise CaptureError(error("regions-name", block.regions, what, found=found, remedy=remedy))
     return labels
@@ -272,7 +272,7 @@ def _write_names(
         "white_reflectance": (reader.weights @ np.array(capture.settings.white_reflectance)).tolist(),
     }
     regions = {
-        "region_names": {str(label): name for label, name in block.region_names.items()},
+        "region_names": {str(label): name for name, label in block.region_names.items()},
         "regions_pitch_mm": block.regions_pitch_mm,
         "pixel_pitch_mm": block.pixel_pitch_mm,
         "upright": block.upright,

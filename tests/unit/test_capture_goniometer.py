@@ -1,0 +1,284 @@
+"""Goniometer captures: tables, facts, conversion of measured tables, seal, check, and every way to get them wrong."""
+
+import shutil
+
+import numpy as np
+import pytest
+from captures import edit_text, edit_yaml, write_frame
+from goniometer_captures import HEADING, cloth, directions, edit_goniometer, make_goniometer, make_table, quarter_views
+
+from nishiki.capture.check import check_capture
+from nishiki.capture.convert import convert
+from nishiki.capture.folder import load_capture
+from nishiki.capture.goniometer import goniometer_facts
+from nishiki.capture.goniometer_rules import same_direction
+from nishiki.capture.goniometer_tables import read_table
+from nishiki.capture.problems import CaptureError
+from nishiki.capture.seal import seal
+from nishiki.cli import main
+from nishiki.errors import UserError
+from nishiki.ingest.goniometer_store import write_goniometer
+from nishiki.settings.ingest import IngestSettings
+
+OBLIQUE = [(30.0, 90.0, t, p) for t in (0.0, 30.0) for p in (0.0, 90.0, 270.0)]
+
+
+def test_facts_of_photographs(tmp_path):
+    normal = [(0.0, 0.0, t, p) for t, p in quarter_views()]
+    folder = make_goniometer(tmp_path / "c", samples=normal + OBLIQUE, whites=[(0, 0, "", ""), (30, 90, 0, 0)])
+    facts = goniometer_facts(load_capture(folder))
+    assert facts.geometry == "goniometer"
+    assert (facts.measurements, facts.normal, facts.oblique, facts.incidences) == (35, 29, 6, 2)
+    assert (facts.pixels, facts.channels) == (256, 3)
+    assert (facts.symmetry, facts.weave) == ("quarter", "satin")
+    assert not facts.table
+    assert not facts.regions
+    kinds = {p.kind for p in check_capture(folder, level="full") if p.kind != "image-repeated"}
+    assert kinds == set()  # far from the lobe the even test frames are the same files
+
+
+def test_facts_of_a_table_and_of_regions(tmp_path):
+    facts = goniometer_facts(load_capture(make_table(tmp_path / "t")))
+    assert (facts.table, facts.pixels, facts.measurements, facts.normal) == (True, 1, 58, 29)
+    folder = make_goniometer(tmp_path / "c", goniometer={"regions": "regions.png", "region_names": {"ground": 1}})
+    write_frame(folder / "regions.png", np.ones((20, 24, 1)), np.uint8)
+    facts = goniometer_facts(load_capture(folder))
+    assert facts.regions
+    assert facts.pixels == 480
+
+
+def test_a_capture_is_the_same_before_and_after_sealing(tmp_path):
+    folder = make_goniometer(tmp_path / "c")
+    before = load_capture(folder).angles_deg
+    seal(folder)
+    capture = load_capture(folder)
+    assert capture.sealed
+    assert capture.angles_deg == before
+    assert not [p for p in check_capture(folder, level="full") if p.severity == "error"]
+
+
+def test_csv_and_cornell_tables_hold_the_same_numbers(tmp_path):
+    """The one written with angles in degrees, the columns in any order, the other with angles in radians."""
+    angles = np.array([(10.0, 0.0, 20.0, -30.0), (10.0, 180.0, 89.0, 359.0), (0.0, 0.0, 0.0, 0.0)])
+    values = np.array([[0.1, 0.2], [0.3, 0.4], [1.5, 2.5e-3]])
+    lines = ["# by hand", "theta_r_deg, phi_r_deg,450 nm,theta_i_deg,phi_i_deg,550 nm", ""]
+    lines += [f"{a[2]},{a[3]},{v[0]},{a[0]},{a[1]},{v[1]}" for a, v in zip(angles, values, strict=True)]
+    (tmp_path / "a.csv").write_text("\n".join(lines))
+    numbers = np.concatenate([np.radians(angles), values], axis=1)
+    rows = "\n".join(" ".join(f"{x:.12f}" for x in row) for row in numbers)
+    (tmp_path / "b.brdf").write_text(f"# heading\n\n# num wls\n2\n\n# wls\n450\n550\n# values\n{rows}\n")
+    a, b = read_table(tmp_path / "a.csv", "a.csv"), read_table(tmp_path / "b.brdf", "b.brdf")
+    assert a.channels == b.channels == ("450 nm", "550 nm")
+    np.testing.assert_array_equal(a.values, values)
+    np.testing.assert_allclose(b.values, values, atol=1e-12)
+    np.testing.assert_array_equal(np.column_stack([a.incident_deg, a.outgoing_deg]), angles)
+    np.testing.assert_allclose(np.column_stack([b.incident_deg, b.outgoing_deg]), angles, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "same"),
+    [((0, 0), (0, 137), True), ((30, 359.99), (30, 0), True), ((30, 0.05), (30, 0), True), ((30, 0.3), (30, 0), False),
+     ((30, 0), (30.05, 0), True), ((30, 0), (30.2, 0), False), ((0.05, 0), (0.04, 180), True),
+     ((None, 0), (0, 0), False)],
+)  # fmt: skip
+def test_directions_are_one_within_a_tenth_of_a_degree(a, b, same):
+    assert same_direction(a, b) == same
+
+
+def test_a_table_is_converted_sealed_and_read_again(tmp_path, capsys):
+    source = make_table(tmp_path / "s") / "reflectances.csv"
+    made = convert(source, tmp_path / "c", title="My satin")
+    assert (made.geometry, made.photographs) == ("goniometer", 58)
+    assert {p.kind for p in made.warnings} == {"symmetry-assumed"}
+    capture = load_capture(tmp_path / "c")
+    assert capture.settings.title == "My satin"
+    assert (tmp_path / "c/reflectances.csv").read_bytes() == source.read_bytes()
+    np.testing.assert_allclose(capture.table.values, cloth(*directions(capture.angles_deg)))
+    (tmp_path / "folder").mkdir()
+    shutil.copy(source, tmp_path / "folder/one.csv")
+    (tmp_path / "folder/notes.csv").write_text("a,b\n1,2\n")
+    with pytest.raises(SystemExit) as ended:
+        main(["convert", str(tmp_path / "folder"), str(tmp_path / "d")])
+    assert ended.value.code == 0
+    assert "58 measurements" in capsys.readouterr().out
+    assert load_capture(tmp_path / "d").sealed
+
+
+def test_conversion_refuses_what_it_cannot_know(tmp_path):
+    source = make_table(tmp_path / "s")
+    with pytest.raises(CaptureError, match=r"white.*no photographs"):
+        convert(source / "reflectances.csv", tmp_path / "c", white=tmp_path)
+    shutil.copy(source / "reflectances.csv", source / "second.csv")
+    with pytest.raises(CaptureError, match=r"several tables.*Convert one"):
+        convert(source, tmp_path / "c")
+    (source / "second.csv").write_text("theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg,grey\n0,0,95,0,1\n")
+    with pytest.raises(CaptureError, match="angle"):
+        convert(source / "second.csv", tmp_path / "c")
+    assert not (tmp_path / "c").exists()
+
+
+def text(name, old, new):
+    return lambda folder: edit_text(folder / name, old, new)
+
+
+def block(**changes):
+    return lambda folder: edit_goniometer(folder, **changes)
+
+
+def picture(name, value, dtype=np.uint16, shape=(20, 24, 3)):
+    return lambda folder: write_frame(folder / name, np.full(shape, value), dtype)
+
+
+def regions(values=None, *, shape=(20, 24), **more):
+    def change(folder):
+        labels = np.ones(shape) if values is None else values
+        write_frame(folder / "regions.png", labels[..., None], np.uint8)
+        edit_goniometer(folder, regions="regions.png", **more)
+
+    return change
+
+
+BROKEN = {
+    "no photograph of the cloth": (lambda f: (f / "frames.csv").write_text(f"{HEADING}\nwhite/w0.png,white,0,0,,,\n"),
+                                   "samples-none", "role sample"),
+    "no white frame": (text("frames.csv", "white/w0.png,white,0,0,,,\n", ""), "white-missing", "diffuse white board"),
+    "angle missing": (text("frames.csv", "s3.png,sample,0.0,0.0,18.75,", "s3.png,sample,0.0,0.0,,"), "angle-missing",
+                      "row 5"),
+    "light of a board missing": (text("frames.csv", "w0.png,white,0,0", "w0.png,white,,"), "angle-missing", "light"),
+    "half a view": (text("frames.csv", "w0.png,white,0,0,,", "w0.png,white,0,0,10,"), "angle-missing", "half"),
+    "angle that is no number": (text("frames.csv", "s3.png,sample,0.0", "s3.png,sample,zero"), "angle-invalid", "zero"),
+    "angle not finite": (text("frames.csv", "s3.png,sample,0.0", "s3.png,sample,nan"), "angle-invalid", "below 90"),
+    "view below the cloth": (text("frames.csv", "s28.png,sample,0.0,0.0,75.0", "s28.png,sample,0.0,0.0,105.0"),
+                             "angle-invalid", "theta_r_deg"),
+    "horizontal light": (text("frames.csv", "s3.png,sample,0.0", "s3.png,sample,90"), "angle-invalid", "90"),
+    "azimuth of two turns": (text("frames.csv", "s3.png,sample,0.0,0.0", "s3.png,sample,0.0,720"), "angle-invalid",
+                             "-360 to 360"),
+    "board grazed": (text("frames.csv", "w0.png,white,0,0", "w0.png,white,88,0"), "white-grazing", "85"),
+    "unknown column": (text("frames.csv", "theta_i_deg", "theta_in_deg"), "unknown-column", "theta_i_deg"),
+    "role of a plane": (text("frames.csv", "s3.png,sample", "s3.png,check"), "role-unknown", "sample | white | dark"),
+    "exposure of one frame": (text("frames.csv", "18.75,15.0,", "18.75,15.0,0.5"), "exposure-partial", "rows without"),
+    "photograph missing": (lambda f: (f / "frames/s3.png").unlink(), "image-missing", "s3.png"),
+    "unknown key": (block(crop=12), "unknown-key", "goniometer.crop"),
+    "block of a plane": (lambda f: edit_yaml(f, white={"reflectance": 0.9}), "wrong-value", "white_reflectance"),
+    "reflectance above what is possible": (block(white_reflectance=99), "wrong-value", "white_reflectance"),
+    "reflectances of two channels": (block(white_reflectance=[0.9, 0.9]), "wrong-value", "2 values for 3"),
+    "unknown weave": (block(weave="denim"), "wrong-value", "satin"),
+    "unknown symmetry": (block(symmetry="full"), "wrong-value", "quarter"),
+    "window of nothing": (block(crop_px=0), "wrong-value", "crop_px"),
+    "names without regions": (block(region_names={"a": 1}), "wrong-value", "region_names"),
+    "two names of one region": (regions(region_names={"a": 1, "b": 1}), "wrong-value", "label of its own"),
+    "one pitch of two": (regions(pixel_pitch_mm=0.1), "wrong-value", "regions_pitch_mm"),
+    "table and regions": (regions(table="t.csv"), "wrong-value", "no regions"),
+    "table missing": (block(table="t.csv"), "image-missing", "t.csv"),
+    "table and photographs": (lambda f: (shutil.copy(make_table(f.parent / "t") / "reflectances.csv", f / "t.csv"),
+                                         edit_goniometer(f, table="t.csv")), "frames-unexpected", "Remove frames.csv"),
+    "regions missing": (block(regions="r.png"), "image-missing", "r.png"),
+    "file outside": (block(regions="../r.png"), "outside-folder", "goniometer.regions"),
+}  # fmt: skip
+CONTENT = {
+    "regions of another size": (regions(shape=(19, 24)), "regions-size", "20 x 24 as the frames"),
+    "regions without a label": (regions(np.zeros((20, 24))), "regions-empty", "no pixel"),
+    "region that is named and nowhere": (regions(region_names={"a": 1, "b": 7}), "regions-name", "7 (b)"),
+    "board saturated": (picture("white/w0.png", 65535), "white-saturated", "less"),
+    "board dark": (picture("white/w0.png", 300), "white-dark", "longer"),
+    "codes beyond the bits": (lambda f: edit_yaml(f, camera={"channels": ["red", "green", "blue"], "bits": 12}),
+                              "bits-exceeded", "4095"),
+    "frame of another size": (picture("frames/s3.png", 3000, shape=(20, 22, 3)), "image-size", "s3.png"),
+    "frame of another depth": (picture("frames/s3.png", 90, np.uint8), "image-depth", "s3.png"),
+    "frame of one channel": (picture("frames/s3.png", 3000, shape=(20, 24, 1)), "channels-differ", "s3.png"),
+    "frame cut": (lambda f: (f / "frames/s3.png").write_bytes((f / "frames/s3.png").read_bytes()[:-30]),
+                  "image-truncated", "s3.png"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BROKEN, ids=lambda name: name)
+def test_broken_tables_are_refused_with_file_and_remedy(tmp_path, case):
+    change, kind, words = BROKEN[case]
+    folder = make_goniometer(tmp_path / "c")
+    change(folder)
+    with pytest.raises(CaptureError) as caught:
+        load_capture(folder)
+    problems = [p for p in caught.value.problems if p.kind == kind]
+    assert problems, caught.value
+    assert words in str(problems[0])
+    assert problems[0].file
+    assert [p for p in check_capture(folder) if p.kind == kind]
+
+
+@pytest.mark.parametrize("case", CONTENT, ids=lambda name: name)
+def test_broken_photographs_are_found_by_check_and_by_ingest(tmp_path, case):
+    change, kind, words = CONTENT[case]
+    folder = make_goniometer(tmp_path / "c")
+    change(folder)
+    found = [p for p in check_capture(folder, level="full") if p.kind == kind]
+    assert found
+    assert words in str(found[0])
+    with pytest.raises(UserError, match=str(found[0].file)):
+        write_goniometer(load_capture(folder), tmp_path, settings=IngestSettings())
+
+
+HEAD = "theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg,grey\n"
+TABLES = {
+    "column missing": ("theta_i_deg,phi_i_deg,theta_r_deg,grey\n0,0,0,1\n", "table-columns", "phi_r_deg"),
+    "no channel": ("theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg\n0,0,0,1\n", "table-columns", "column a channel"),
+    "channel twice": (HEAD.replace("grey", "a,a") + "0,0,0,0,1,1\n", "table-columns", "each once"),
+    "empty": ("", "table-columns", "first line"),
+    "heading alone": (HEAD, "table-empty", "row"),
+    "row too short": (HEAD + "0,0,0,0,1\n0,0,0,0\n", "table-unreadable", "line 3"),
+    "word for a number": (HEAD + "0,0,0,0,bright\n", "table-unreadable", "bright"),
+    "not finite": (HEAD + "0,0,0,0,nan\n", "table-value", "not finite"),
+    "below the horizon": (HEAD + "# a remark\n0,0,0,0,1\n0,0,91,0,1\n", "angle-invalid", "line 4"),
+    "nothing but zeros": (HEAD + "0,0,0,0,0\n0,0,9,0,-1\n", "table-value", "above 0"),
+}
+
+
+@pytest.mark.parametrize("case", TABLES, ids=lambda name: name)
+def test_broken_reflectances_are_refused_with_line_and_remedy(tmp_path, case):
+    rows, kind, words = TABLES[case]
+    with pytest.raises(CaptureError) as caught:
+        load_capture(make_table(tmp_path / "t", rows=rows))
+    assert {p.kind for p in caught.value.problems} == {kind}
+    assert words in str(caught.value)
+    assert "reflectances.csv" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [("2\n400 500\n0 0 0 0 1 1\n0 0 0 0 1\n", "ends early"), ("two\n", "number of wavelengths"),
+     ("2.5\n400 500\n", "number of wavelengths"), ("# nothing\n", "number of wavelengths"), ("9\n400\n", "the first 9"),
+     ("1\n400\n0 0 3 0 1\n", "below 90")],
+)  # fmt: skip
+def test_broken_cornell_tables(tmp_path, content, words):
+    (tmp_path / "x.brdf").write_text(content)
+    with pytest.raises(CaptureError, match=words):
+        read_table(tmp_path / "x.brdf", "x.brdf")
+
+
+def test_what_is_worth_a_warning(tmp_path):
+    samples = [(45.0, 0.0, t, p) for t, p in quarter_views()]
+    folder = make_goniometer(tmp_path / "c", samples=samples)
+    kinds = {p.kind: str(p) for p in check_capture(folder)}
+    assert set(kinds) == {"normal-few", "white-cosine"}
+    assert "29 of 29" in kinds["white-cosine"]
+    write_frame(folder / "frames/s3.png", np.full((20, 24, 3), 65535.0))
+    (folder / "forgotten.png").write_bytes(b"x")
+    kinds = {p.kind: str(p) for p in check_capture(folder, level="full")}
+    assert {"some-saturated", "file-unlisted"} <= set(kinds)
+    assert "1 of 29: frames/s3.png" in kinds["some-saturated"]
+    dim = make_table(tmp_path / "t", rows=HEAD + "0,0,0,0,1\n0,0,9,0,0\n")
+    assert [p.kind for p in check_capture(dim, level="full")] == ["table-dark"]
+
+
+@pytest.mark.data
+def test_measured_tables_are_converted_and_checked(data, tmp_path):
+    tables = sorted(data.glob("*/*.brdf"))
+    assert tables, "no table of reflectances in the data"
+    for table in tables:
+        made = convert(table, tmp_path / table.stem)
+        capture = load_capture(tmp_path / table.stem)
+        assert made.photographs == len(capture.table.values) > 1000
+        assert len(capture.channels) == 31
+        assert capture.channels[0] == "400 nm"
+        facts = goniometer_facts(capture)
+        assert (facts.normal, facts.incidences) == (0, 8)
+        assert not [p for p in check_capture(tmp_path / table.stem, level="full") if p.severity == "error"]
