@@ -1,0 +1,46 @@
+"""From radiance to the display: exposure, and a soft shoulder in place of hard clipping."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nishiki.render.display import DisplayImage, display_image
+from nishiki.spectra.colour import srgb_matrix
+
+_WEIGHTS = np.float32([0.2126, 0.7152, 0.0722])  # luminance of linear sRGB, IEC 61966-2-1
+
+
+def exposure_for(linear: np.ndarray, coverage: np.ndarray, *, level: float = 0.8, percentile: float = 98.0) -> float:
+    """Factor that brings the bright parts of a picture to `level` of the display's white; 1 where it is black."""
+    shown = linear[coverage > 0.5] @ _WEIGHTS
+    top = float(np.percentile(shown, percentile)) if shown.size else 0.0
+    return level / top if top > 0 else 1.0
+
+
+def shoulder(linear: np.ndarray, *, start: float = 0.6) -> np.ndarray:
+    """Linear sRGB (..., 3) with luminances above `start` bent so that they reach 1 only at infinity.
+
+    y -> start + (1 - start) t / (1 + t), t = (y - start) / (1 - start): value and slope go on at `start`. Channels
+    share one factor, which keeps the hue; what then still exceeds 1 in a channel is drawn towards grey of the same
+    luminance.
+    """
+    y = np.maximum(linear @ _WEIGHTS, 0)[..., None]
+    t = np.maximum(y - start, 0) / (1 - start)
+    bent = np.where(y > start, start + (1 - start) * t / (1 + t), y)
+    out = linear * (bent / np.maximum(y, 1e-12))
+    top = out.max(axis=-1, keepdims=True)
+    grey = np.where(top > 1, (1 - bent) / np.maximum(top - bent, 1e-12), 1)
+    return bent + (out - bent) * np.clip(grey, 0, 1)
+
+
+def developed(
+    linear: np.ndarray, coverage: np.ndarray, *, exposure: float = 1.0, soft: bool = True, background: float = 1.0
+) -> DisplayImage:
+    """8-bit picture of linear sRGB (rows, columns, 3), of which `coverage` is surface, over an even grey background."""
+    values = linear * np.float32(exposure)
+    clipped = float(np.mean((values > 1.001).any(axis=-1)))
+    shown = shoulder(values) if soft else values
+    behind = background / 12.92 if background <= 0.04045 else ((background + 0.055) / 1.055) ** 2.4
+    mixed = shown + np.float32(behind) * (1 - coverage[..., None])
+    image = display_image((mixed @ np.linalg.inv(srgb_matrix()).T).astype(np.float32))
+    return DisplayImage(image.pixels, clipped, image.clipped_low)
