@@ -11,6 +11,7 @@ from nishiki.goniometry.hemisphere import Interpolation, complete, directional_a
 from nishiki.goniometry.normalise import Averaged, average_repeats
 from nishiki.goniometry.readings import Readings, Regions, read_all
 from nishiki.goniometry.store import write_reflectances
+from nishiki.goniometry.symmetry import departure
 from nishiki.goniometry.table import ReflectanceSet
 from nishiki.ingest.goniometer import Measurements
 from nishiki.settings.reflectance import ReflectanceSettings
@@ -113,6 +114,10 @@ def diagnostics(
     """Plain values for the manifest."""
     values = measured.values[measured.valid]
     noise = measured.noise[measured.valid]
+    apart = [
+        departure(measured.incident[ok], measured.outgoing[ok], measured.values[ok, r], measured.symmetry)
+        for r, ok in enumerate(measured.valid.T)
+    ]
     known = noise > 0
     report = {
         "directions": len(measured),
@@ -123,6 +128,8 @@ def diagnostics(
         "channels": list(measured.channels),
         "symmetry": measured.symmetry,
         "weave": measured.weave,
+        "symmetry_departure": [found for found, _ in apart],
+        "symmetry_images": [count for _, count in apart],
         "unusable": (~measured.valid).sum(axis=0).tolist(),
         "least": float(values.min()) if values.size else None,
         "greatest": float(values.max()) if values.size else None,

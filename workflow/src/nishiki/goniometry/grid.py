@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 
 MARGIN = 4  # nodes added on every side, so that the spline's ends are far from where it is used
+RUN_OUT = 24  # rows that the straight line beyond the horizon is followed: the filter forgets by 0.27 a row
 FLOOR = 1e-9  # of the largest value: smaller ones, zeros among them, have no usable logarithm
 
 
@@ -22,18 +23,18 @@ def coefficients(values: np.ndarray) -> np.ndarray:
     least = np.maximum(values.max(axis=(0, 1)), 1e-300) * FLOOR
     logs = np.log(np.maximum(values, least))
     logs[0] = logs[0].mean(axis=0)  # one value at the pole, whatever the azimuth
-    beyond_pole = np.roll(logs[1 : MARGIN + 1], around // 2, axis=1)[::-1]
-    step = np.arange(1, MARGIN + 1)[:, None, None]
-    beyond_horizon = logs[-1] + step * (logs[-1] - logs[-2])
-    tall = np.concatenate([beyond_pole, logs, beyond_horizon])
-    return _filtered(np.concatenate([tall[:, -MARGIN:], tall, tall[:, :MARGIN]], axis=1), around)
+    step = np.arange(1, RUN_OUT + 1)[:, None, None]
+    half = np.concatenate([logs, logs[-1] + step * (logs[-1] - logs[-2])])
+    # from horizon to horizon through the pole: there the spline is as smooth as anywhere
+    arc = np.concatenate([np.roll(half[1:], around // 2, axis=1)[::-1], half])
+    return _filtered(arc, around, len(half) - 1 - MARGIN, nt + 2 * MARGIN)
 
 
-def _filtered(padded: np.ndarray, around: int) -> np.ndarray:
+def _filtered(arc: np.ndarray, around: int, first: int, rows: int) -> np.ndarray:
     """Spline coefficients along both axes; round the azimuth the filter is exactly periodic."""
     from scipy.ndimage import spline_filter1d
 
-    inner = spline_filter1d(padded, 3, axis=0, mode="mirror")[:, MARGIN : MARGIN + around]
+    inner = spline_filter1d(arc, 3, axis=0, mode="mirror")[first : first + rows]
     # on a circle the filter [1/6, 4/6, 1/6] is a division in the Fourier domain
     response = (2 + np.cos(2 * np.pi * np.fft.rfftfreq(around))) / 3
     turned = np.fft.irfft(np.fft.rfft(inner, axis=1) / response[None, :, None], n=around, axis=1)

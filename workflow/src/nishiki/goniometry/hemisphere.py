@@ -139,13 +139,10 @@ def gathered(places: np.ndarray, values: np.ndarray, noise: np.ndarray) -> tuple
     and, above MOST_POINTS, the views of small cells of the disc."""
     logs = np.log(values)
     relative = (noise / values).mean(axis=1)
-    cell = 1e-6
-    while True:
-        _, group = np.unique(np.round(places / cell), axis=0, return_inverse=True)
-        group = group.ravel()
-        if group.max() < MOST_POINTS:
-            break
-        cell = max(2 * cell, 0.002)
+    group, cell = same_places(places), 0.002
+    while group.max() >= MOST_POINTS:
+        _, group = np.unique(np.floor(places / cell), axis=0, return_inverse=True)
+        group, cell = group.ravel(), 1.5 * cell
     count = np.bincount(group).astype(np.float64)
 
     def mean(of: np.ndarray) -> np.ndarray:
@@ -154,6 +151,17 @@ def gathered(places: np.ndarray, values: np.ndarray, noise: np.ndarray) -> tuple
     points = np.column_stack([mean(places[:, k]) for k in (0, 1)])
     averaged = np.column_stack([mean(logs[:, k]) for k in range(logs.shape[1])])
     return points, averaged, np.sqrt(mean(relative**2) / count)
+
+
+def same_places(places: np.ndarray) -> np.ndarray:
+    """Group (n,) of each place: those nearer than a millionth of the disc's radius are one."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    pairs = cKDTree(places).query_pairs(1e-6, output_type="ndarray")
+    links = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(places), len(places)))
+    return connected_components(links, directed=False)[1]
 
 
 def within_hull(places: np.ndarray, points: np.ndarray) -> np.ndarray:

@@ -89,17 +89,31 @@ def fit_spline(
 
 
 def fit_linear(points: np.ndarray, logs: np.ndarray, folds: np.ndarray) -> Predictor:
-    """Linear on the triangles of the points and their images; the nearest point's value outside them."""
+    """Linear on the triangles of the points and their images; the nearest point's value outside them.
+
+    Triangles over symmetric points need not be symmetric, so places are folded first.
+    """
     from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
     unfolded, repeated = unfold(points, logs, folds)
     inside, nearest = LinearNDInterpolator(unfolded, repeated), NearestNDInterpolator(unfolded, repeated)
 
     def predict(places: np.ndarray) -> np.ndarray:
+        places = folded(places, folds)
         values = inside(places)
         return np.where(np.isfinite(values), values, nearest(places))
 
     return predict
+
+
+def folded(places: np.ndarray, folds: np.ndarray) -> np.ndarray:
+    """Places (m, 2) brought to the part of the disc that the symmetry leaves: one of the images of each."""
+    if len(folds) == 4:
+        return np.abs(places)
+    if len(folds) == 2:
+        x, y = places.T
+        return places * np.where((y < 0) | ((y == 0) & (x < 0)), -1.0, 1.0)[:, None]
+    return places
 
 
 def unfold(points: np.ndarray, logs: np.ndarray, folds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

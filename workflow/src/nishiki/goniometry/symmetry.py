@@ -38,3 +38,22 @@ def reduced(incident: np.ndarray, outgoing: np.ndarray, symmetry: str) -> tuple[
         sign = np.where(turned[:, None], np.array([-1.0, -1.0, 1.0]), 1.0)
         return incident * sign, outgoing * sign
     return incident, outgoing
+
+
+def departure(incident: np.ndarray, outgoing: np.ndarray, values: np.ndarray, symmetry: str) -> tuple[float, int]:
+    """How far measurements of directions that the symmetry makes one differ: root mean square of their logarithms about
+    the mean of each, and how many there are. values (n, channels) > 0; (0, 0) where no direction has an image.
+    """
+    if len(values) == 0 or symmetry == "none":
+        return 0.0, 0
+    pairs = np.round(np.concatenate(reduced(incident, outgoing, symmetry), axis=1), 5) + 0.0
+    _, group = np.unique(pairs, axis=0, return_inverse=True)
+    group = group.ravel()
+    count = np.bincount(group)
+    logs = np.log(values)
+    means = np.stack([np.bincount(group, logs[:, k]) for k in range(logs.shape[1])], axis=1) / count[:, None]
+    several = count[group] > 1
+    if not several.any():
+        return 0.0, 0
+    freedom = several.sum() - (count > 1).sum()
+    return float(np.sqrt(((logs - means[group])[several] ** 2).mean(axis=1).sum() / freedom)), int(several.sum())
