@@ -147,6 +147,8 @@ def main() -> None:
         for run in runs:
             subprocess.run([*common, *run], check=True)
         return
+    if options.output:
+        Path(options.output).mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=options.output) as temporary:
         cameras = around(2, 20_000)
         warm = Path(temporary) / "warm"
