@@ -1,0 +1,38 @@
+"""Settings of weave."""
+
+from typing import ClassVar, Literal
+
+from pydantic import Field
+
+from nishiki.closed import Closed
+
+
+class WeaveSettings(Closed):
+    """Cross-sections of a cloth from its reflectances in the planes of warp and weft."""
+
+    STAGE: ClassVar[str] = "weave"
+    VERSION: ClassVar[int] = 1
+
+    reading: Literal["paper", "shaded"] = Field(
+        "shaded",
+        description="what the section does with light: paper: masking alone (W eq. 15); shaded: each visible piece "
+        "reflects by its own slope",
+    )
+    lobe: Literal["gauss", "ggx"] = Field(
+        "ggx", description="form of the gloss: gauss: W's exp(-x²/a²); ggx: long tails"
+    )
+    contact_deg: float | None = Field(
+        None, gt=8.0, le=90.0, description="steepest slope where yarns touch; 90: circles, as the paper; null: fitted"
+    )
+    refractive_index: float | None = Field(
+        1.5, gt=1.2, lt=2.2, description="of the fibres; null: fitted (it and k_s can hardly be told apart)"
+    )
+    oblique: bool = Field(False, description="use lamps off the normal as well, where they lie in the planes")
+    relative_error: float = Field(
+        0.02, gt=0.0, le=1.0, description="error of the data and of the model, relative to the value, beside the noise"
+    )
+    confidence: float = Field(0.95, gt=0.5, lt=1.0, description="of the intervals")
+    harness: int | None = Field(None, ge=2, le=16, description="yarns of a repeat, for the surface; null: from n")
+    spacing_ratio: float | None = Field(
+        None, gt=0.1, lt=10.0, description="spacing of weft yarns over warp yarns; null: valleys equally deep"
+    )

@@ -1,0 +1,212 @@
+"""Fit of the weave model (W section 4) to reflectances in the two symmetry planes.
+
+Unknowns: theta_a and the ratios of lengths of both sections, the widths of both gloss lobes, and the strengths k_s, k_d
+(eliminated). See `search` for how the jumps in theta_a are dealt with.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nishiki.weave.descent import UNKNOWNS
+from nishiki.weave.identify import Identifiability, identify
+from nishiki.weave.intervals import noise_variance, profile_intervals
+from nishiki.weave.planes import Plane
+from nishiki.weave.reading import GAUSS, GGX, PAPER, SHADED, SIZE, columns_of, shape_of
+from nishiki.weave.search import Problem, at_bounds, search
+from nishiki.weave.section import HALF_PI, WarpSection, WeftSection
+
+READINGS = {"paper": PAPER, "shaded": SHADED}
+LOBES = {"gauss": GAUSS, "ggx": GGX}
+START_INDEX = 1.5
+
+
+@dataclass(frozen=True)
+class WeaveModel:
+    """Both sections and what their surface does with light.
+
+    weft, warp: sections, each scaled to a period of 1. a_weft, a_warp: widths of D = exp(-theta_h^2 / a^2) (W's e and
+    a). index: refractive index. k_s, k_d (channels,): strengths of gloss and body (k_d stands for W's k_d d), one pair
+    for both planes. reading: "paper" or "shaded"; lobe: "gauss" (W's) or "ggx".
+    """
+
+    weft: WeftSection
+    warp: WarpSection
+    a_weft: float
+    a_warp: float
+    index: float
+    k_s: np.ndarray
+    k_d: np.ndarray
+    reading: str = "paper"
+    lobe: str = "gauss"
+
+    @property
+    def f0(self) -> float:
+        """Reflectance at normal incidence, ((n - 1) / (n + 1))^2."""
+        return ((self.index - 1.0) / (self.index + 1.0)) ** 2
+
+    def parts(self, plane: str, theta_i, theta_r) -> tuple[np.ndarray, np.ndarray]:
+        """Gloss and body (..., channels) sr^-1 in one plane ("weft", "warp") at signed angles (...,), radians."""
+        section, width = (self.weft, self.a_weft) if plane == "weft" else (self.warp, self.a_warp)
+        reading = READINGS[self.reading] + LOBES[self.lobe]
+        both = columns_of(section.shape, width, theta_i, theta_r, f0=self.f0, reading=reading)
+        return both[..., :1] * (self.k_s * self.f0), both[..., 1:] * self.k_d
+
+    def predict(self, plane: str, theta_i, theta_r) -> np.ndarray:
+        """Reflectance (..., channels) sr^-1: W eq. 15 (reading "paper"), or its shaded form."""
+        gloss, body = self.parts(plane, theta_i, theta_r)
+        return gloss + body
+
+    def parameters(self) -> dict[str, float]:
+        """All parameters by name, strengths as means over channels; lengths in periods."""
+        return {
+            **{f"{name}_weft": value for name, value in self.weft.as_dict().items()},
+            **{f"{name}_warp": value for name, value in self.warp.as_dict().items()},
+            "a_weft": self.a_weft,
+            "a_warp": self.a_warp,
+            "index": self.index,
+            "k_s": float(np.mean(self.k_s)),
+            "k_d": float(np.mean(self.k_d)),
+        }
+
+
+@dataclass(frozen=True)
+class WeaveFit:
+    """A fitted model and how good it is.
+
+    rms_rel: per plane, root of the summed squares of the misfit over those of the data (mean over channels). variance:
+    of the residuals over sigma. intervals: name -> (low, high), see `intervals.profile_intervals`. at_bounds: unknowns
+    that ended at the end of their range.
+    """
+
+    model: WeaveModel
+    rms_rel: dict[str, float]
+    variance: float
+    intervals: dict[str, tuple[float, float]]
+    identifiability: Identifiability
+    at_bounds: list[str]
+
+
+def fit_weave(
+    weft: Plane,
+    warp: Plane,
+    *,
+    reading: str = "shaded",
+    lobe: str = "ggx",
+    contact: float | None = None,
+    index: float | None = START_INDEX,
+    confidence: float = 0.95,
+    intervals: bool = True,
+) -> WeaveFit:
+    """The weave model that explains both planes best; deterministic.
+
+    reading : "paper" (W eq. 15) or "shaded". lobe : "gauss" (W's) or "ggx". contact : angle of the weft section's
+    contacts; None: searched. index : refractive index; None: searched (it and k_s can hardly be told apart).
+    confidence : of the intervals. intervals : False leaves them out (empty), for speed.
+    """
+    problem, start = _problem(weft, warp, READINGS[reading] + LOBES[lobe], contact, index)
+    p, cost = search(problem, start)
+    model = model_of(p, weft, warp, reading, lobe)
+    variance = noise_variance(problem, cost)
+    found = profile_intervals(problem, p, cost, confidence=confidence, variance=variance) if intervals else {}
+    return WeaveFit(
+        model=model,
+        rms_rel={name: _rms(model, name, plane) for name, plane in (("weft", weft), ("warp", warp))},
+        variance=variance,
+        intervals=found,
+        identifiability=_identifiability(model, weft, warp, problem, variance),
+        at_bounds=at_bounds(p, problem.free),
+    )
+
+
+def _problem(weft: Plane, warp: Plane, reading, contact, index) -> tuple[Problem, np.ndarray]:
+    start = np.array([0.5, 0.5, 0.5, -1.0, HALF_PI] * 2 + [2 * np.log((START_INDEX - 1) / (START_INDEX + 1))])
+    if index is not None:
+        start[-1] = 2 * np.log((index - 1) / (index + 1))
+    free = [
+        *range(4),
+        *([4] if contact is None else []),
+        *range(SIZE, SIZE + 4),
+        *([2 * SIZE] if index is None else []),
+    ]
+    start[4] = HALF_PI if contact is None else contact
+    problem = Problem(
+        theta_i=np.concatenate([weft.theta_i, warp.theta_i]),
+        theta_r=np.concatenate([weft.theta_r, warp.theta_r]),
+        split=weft.theta_r.size,
+        y=np.concatenate([weft.mean, warp.mean]),
+        weight=1.0 / np.concatenate([weft.sigma, warp.sigma]),
+        shared=True,
+        reading=reading,
+        free=np.array(free),
+    )
+    assert start.size == UNKNOWNS
+    return problem, start
+
+
+def sections_of(p: np.ndarray) -> tuple[WeftSection, WarpSection]:
+    """Both sections, scaled to a period of 1, from the solver's unknowns."""
+    theta_a, length, radius, _, yarns, contact = shape_of(p[:SIZE], 0)
+    weft = WeftSection(theta_a, length, radius, yarns, contact)
+    warp = WarpSection(*shape_of(p[SIZE : 2 * SIZE], 1)[:4])
+    return weft.scaled(1 / weft.period), warp.scaled(1 / warp.period)
+
+
+def model_of(p: np.ndarray, weft: Plane, warp: Plane, reading: str, lobe: str) -> WeaveModel:
+    """The model at the solver's unknowns; strengths of each channel by non-negative least squares over both planes."""
+    from scipy.optimize import nnls
+
+    f0 = float(np.exp(p[-1]))
+    rows, values = [], []
+    for k, plane in enumerate((weft, warp)):
+        q = p[k * SIZE : (k + 1) * SIZE]
+        kind = READINGS[reading] + LOBES[lobe]
+        both = columns_of(shape_of(q, k), np.exp(q[3]), plane.theta_i, plane.theta_r, f0=f0, reading=kind)
+        rows.append(both / plane.sigma[:, None])
+        values.append(plane.values / plane.sigma[:, None])
+    matrix, values = np.concatenate(rows), np.concatenate(values)
+    strengths = np.array([nnls(matrix, column)[0] for column in values.T])
+    root = np.sqrt(f0)
+    return WeaveModel(
+        *sections_of(p),
+        a_weft=float(np.exp(p[3])),
+        a_warp=float(np.exp(p[SIZE + 3])),
+        index=float((1 + root) / (1 - root)),
+        k_s=strengths[:, 0] / f0,
+        k_d=strengths[:, 1],
+        reading=reading,
+        lobe=lobe,
+    )
+
+
+def _rms(model: WeaveModel, name: str, plane: Plane) -> float:
+    missed = model.predict(name, plane.theta_i, plane.theta_r).mean(axis=-1) - plane.mean
+    return float(np.sqrt(np.sum(missed**2) / max(np.sum(plane.mean**2), 1e-300)))
+
+
+def _identifiability(model: WeaveModel, weft: Plane, warp: Plane, problem: Problem, variance: float) -> Identifiability:
+    """Of all physical parameters, also those that were held."""
+    known = model.parameters()
+    if problem.free[problem.free < SIZE].size == 4:
+        known.pop("contact_weft")
+
+    def predict(values):
+        return np.concatenate([_predict(model, values, k, plane) for k, plane in enumerate((weft, warp))])
+
+    return identify(predict, known, problem.weight, variance=variance)
+
+
+def _predict(model: WeaveModel, values: dict[str, float], k: int, plane: Plane) -> np.ndarray:
+    """Reflectance (n,) of one plane for parameters by name; lengths need no common scale."""
+    if k == 0:
+        contact = values.get("contact_weft", model.weft.contact)
+        section = (values[f"{name}_weft"] for name in ("theta_a", "l", "r"))
+        theta_a, length, radius = section
+        shape, width = (theta_a, length, radius, 0.0, values["n_weft"], contact), values["a_weft"]
+    else:
+        shape = (*(values[f"{name}_warp"] for name in ("theta_a", "l", "r", "m")), 1.0, HALF_PI)
+        width = values["a_warp"]
+    f0 = ((values["index"] - 1) / (values["index"] + 1)) ** 2
+    reading = READINGS[model.reading] + LOBES[model.lobe]
+    both = columns_of(shape, width, plane.theta_i, plane.theta_r, f0=f0, reading=reading)
+    return both @ [values["k_s"] * f0, values["k_d"]]

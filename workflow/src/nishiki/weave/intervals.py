@@ -1,0 +1,101 @@
+"""How well a weave fit is determined: profile likelihood of each unknown."""
+
+import numpy as np
+
+from nishiki.weave.descent import descend
+from nishiki.weave.reading import PARAMETERS, PLANES, SIZE
+from nishiki.weave.search import Problem, bounds, in_cell
+
+ROUNDS, WIDENINGS, HALVINGS = 40, 24, 12
+
+
+def noise_variance(problem: Problem, cost: float, *, known: bool = False) -> float:
+    """Variance of the weighted residuals: that of the fit, not below 1 where the noise is known."""
+    strengths = 2 if problem.shared else 4
+    freedom = max(problem.y.size - problem.free.size - strengths, 1)
+    return max(cost / freedom, 1.0) if known else cost / freedom
+
+
+def profile_intervals(problem: Problem, p, cost: float, *, confidence: float, variance: float) -> dict:
+    """name -> (low, high) of every unknown, as it is reported: theta_a, contact (radians), a_weft, a_warp (the lobes'
+    widths), index, flank_weft, flank_warp = l / (l + a), flat_warp and contacts_weft, the flat top's and the contacts'
+    share of the section's length."""
+    found = {}
+    for at in problem.free:
+        ends = profile_interval(problem, p, cost, int(at), confidence=confidence, variance=variance)
+        name, form = _reported(int(at))
+        found[name] = tuple(sorted(float(form(end)) for end in ends))
+    return found
+
+
+def _reported(at: int):
+    """Name of an unknown in reports, and its value there as a function of the solver's."""
+    if at == 2 * SIZE:
+        return "index", lambda v: (1 + np.exp(v / 2)) / (1 - np.exp(v / 2))
+    plane, name = PLANES[at // SIZE], PARAMETERS[at % SIZE]
+    if name == "log_width":
+        return f"a_{plane}", np.exp
+    if name == "humps":
+        return ("contacts_weft" if plane == "weft" else "flat_warp"), lambda v: 1 - v
+    return f"{name}_{plane}", float
+
+
+def profile_interval(problem: Problem, p, cost: float, at: int, *, confidence: float, variance: float):
+    """Lowest and highest value of unknown `at` for which the others can still explain the data.
+
+    The sum of squares, minimised over all other unknowns, may rise by variance F(confidence; 1, freedom). Walks
+    outwards in growing steps, then halves; where theta_a is walked, the bounds follow it from cell to cell.
+    """
+    from scipy.stats import f
+
+    freedom = max(problem.y.size - problem.free.size - 2, 1)
+    allowed = cost + variance * float(f.ppf(confidence, 1, freedom))
+    low, high = bounds()
+    rest = np.ascontiguousarray(problem.free[problem.free != at])
+    edges = [problem.edges(plane) for plane in (0, 1)]
+    ends = []
+    for sign, limit in ((-1.0, low[at]), (1.0, high[at])):
+        inside, best, step = p[at], p.copy(), 1e-4 * (high[at] - low[at])
+        outside = None
+        for _ in range(WIDENINGS):
+            value = inside + sign * step
+            value = max(value, limit) if sign < 0 else min(value, limit)
+            found = _held(problem, best, at, value, rest, edges, low, high)
+            if found[1] > allowed:
+                outside = value
+                break
+            inside, best, step = value, found[0], 1.8 * step
+            if value == limit:
+                break
+        for _ in range(HALVINGS if outside is not None else 0):
+            value = 0.5 * (inside + outside)
+            found = _held(problem, best, at, value, rest, edges, low, high)
+            if found[1] > allowed:
+                outside = value
+            else:
+                inside, best = value, found[0]
+        ends.append(float(inside))
+    return ends[0], ends[1]
+
+
+def _held(problem: Problem, p, at, value, rest, edges, low, high):
+    """Best of all others with one unknown held; a plane's theta_a stays in its cell or moves to a neighbouring one."""
+    start = p.copy()
+    start[at] = value
+    best = None
+    places = [
+        int(np.clip(np.searchsorted(edges[k], start[k * SIZE], "right") - 1, 0, len(edges[k]) - 2)) for k in (0, 1)
+    ]
+    for dx, dy in ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1)):
+        cell = places[0] + dx, places[1] + dy
+        if (dx and at == 0) or (dy and at == SIZE):
+            continue  # its cell is given
+        if not all(0 <= cell[k] < len(edges[k]) - 1 for k in (0, 1)):
+            continue
+        inside = in_cell(*in_cell(low, high, edges[0], 0, cell[0]), edges[1], 1, cell[1])
+        first = np.clip(start, *inside)
+        first[at] = value
+        found = descend(first, *inside, rest, *problem.data, ROUNDS, 1e-6)
+        if best is None or found[1] < best[1]:
+            best = found
+    return best

@@ -1,0 +1,126 @@
+"""The weave model on disk: `weave.json`, one entry a region, and what is drawn from it."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.errors import UserError
+from nishiki.weave.brdf import WeaveBrdf
+from nishiki.weave.fit import LOBES, READINGS, WeaveFit, WeaveModel
+from nishiki.weave.planes import Plane
+from nishiki.weave.section import WarpSection, WeftSection
+
+NAME = "weave.json"
+FORMAT = 1
+
+
+def describe(fit: WeaveFit, planes: tuple[Plane, Plane], *, weave: str, harness: int) -> dict:
+    """One region's entry: sections, parameters, intervals, curves of the fit beside the measured values."""
+    model = fit.model
+    return {
+        "weave": weave,
+        "harness": harness,
+        "reading": model.reading,
+        "lobe": model.lobe,
+        "weft": model.weft.as_dict(),
+        "warp": model.warp.as_dict(),
+        "a_weft": model.a_weft,
+        "a_warp": model.a_warp,
+        "index": model.index,
+        "k_s": model.k_s.tolist(),
+        "k_d": model.k_d.tolist(),
+        "rms_rel": fit.rms_rel,
+        "variance": fit.variance,
+        "intervals": {name: list(ends) for name, ends in fit.intervals.items()},
+        "identifiability": asdict(fit.identifiability),
+        "at_bounds": fit.at_bounds,
+        "curves": {name: curves(model, name, plane) for name, plane in zip(("weft", "warp"), planes, strict=True)},
+    }
+
+
+def curves(model: WeaveModel, name: str, plane: Plane) -> dict:
+    """Measured and fitted reflectance of one plane, mean over channels: degrees, sr^-1."""
+    gloss, body = model.parts(name, plane.theta_i, plane.theta_r)
+    return {
+        "theta_i_deg": np.round(np.degrees(plane.theta_i), 4).tolist(),
+        "theta_r_deg": np.round(np.degrees(plane.theta_r), 4).tolist(),
+        "measured": plane.mean.tolist(),
+        "sigma": plane.sigma.tolist(),
+        "gloss": gloss.mean(axis=-1).tolist(),
+        "body": body.mean(axis=-1).tolist(),
+        "interpolated": not plane.measured,
+    }
+
+
+def write_weave(folder: Path, regions: dict[str, dict]) -> None:
+    """Write the entries of `describe` by region; the first is the default."""
+    text = json.dumps({"format": FORMAT, "regions": regions}, indent=1, allow_nan=False)
+    (Path(folder) / NAME).write_text(text + "\n")
+
+
+class Weave:
+    """The weave model of one region of an artifact."""
+
+    def __init__(self, folder: Path | str, region: str | int = 0):
+        """region : name, or number in order. UserError where the file is missing, of another format, or the region."""
+        path = Path(folder) / NAME
+        try:
+            stored = json.loads(path.read_text())
+            names = list(stored["regions"])
+            self.region = names[region] if isinstance(region, int) else region
+            self.details = stored["regions"][self.region]
+        except (OSError, ValueError, KeyError, IndexError, TypeError) as e:
+            raise UserError(f"{path}: expected a weave model of region {region!r} ({e!r}); run weave first") from None
+        if stored.get("format") != FORMAT:
+            raise UserError(f"{path}: expected format {FORMAT}, found {stored.get('format')}; run weave again")
+        self.regions = tuple(names)
+
+    @property
+    def model(self) -> WeaveModel:
+        """Sections, widths, strengths."""
+        d = self.details
+        return WeaveModel(
+            WeftSection(**d["weft"]),
+            WarpSection(**d["warp"]),
+            d["a_weft"],
+            d["a_warp"],
+            d["index"],
+            np.array(d["k_s"]),
+            np.array(d["k_d"]),
+            d["reading"],
+            d["lobe"],
+        )
+
+    @property
+    def weft(self) -> WeftSection:
+        """Section along the weft."""
+        return self.model.weft
+
+    @property
+    def warp(self) -> WarpSection:
+        """Section along the warp."""
+        return self.model.warp
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """All parameters by name; see WeaveModel.parameters."""
+        return self.model.parameters()
+
+    def brdf(self) -> WeaveBrdf:
+        """The model as a BRDF of the whole hemisphere."""
+        return brdf_of(self.model)
+
+
+def brdf_of(model: WeaveModel) -> WeaveBrdf:
+    """The model as a BRDF of the whole hemisphere."""
+    return WeaveBrdf(
+        diffuse=np.asarray(model.k_d, float),
+        specular=np.asarray(model.k_s, float) * model.f0,
+        weft=np.array(model.weft.shape),
+        warp=np.array(model.warp.shape),
+        width=np.array([model.a_weft, model.a_warp]),
+        index=model.index,
+        reading=READINGS[model.reading] + LOBES[model.lobe],
+    )
