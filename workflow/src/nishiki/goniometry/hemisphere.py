@@ -44,7 +44,7 @@ def complete(
             raise UserError(
                 f"region '{name}': {len(usable)} usable views at normal incidence, expected at least {FEWEST} with "
                 f"theta_i below {measured.normal_deg:g} degrees. Remedy: photograph the cloth lit along its normal "
-                "from more directions, or raise normal_deg."
+                "from more directions, or raise normal_deg, or set interpolation to none to keep the table alone."
             )
     parts = [
         interpolate(

@@ -17,7 +17,7 @@ class ReflectanceSettings(Closed):
     saturated_share: float = Field(
         0.0, ge=0, le=0.5, description="share of the window's pixels that may be saturated before it is not used"
     )
-    normal_deg: float = Field(1.0, gt=0, le=10, description="light within this angle of the normal counts as along it")
+    normal_deg: float = Field(1.0, gt=0, le=15, description="light within this angle of the normal counts as along it")
     grid_deg: float = Field(3.0, ge=1, le=10, description="step of the hemisphere's grid, degrees")
     interpolation: Literal["spline", "thin_plate", "linear", "none"] = Field(
         "spline",
