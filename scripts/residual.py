@@ -15,6 +15,7 @@ from nishiki.residual.allocate import EncodedObject, Point, find_step, one_pass,
 from nishiki.residual.design import Design
 from nishiki.residual.parameters import Maps
 from nishiki.residual.prediction import Surface
+from nishiki.residual.pursuit import Pursuit
 from nishiki.residual.store import write_residual
 from nishiki.residual.tile_code import Effort, Pixels, Scene
 from nishiki.settings.residual import ResidualSettings
@@ -28,7 +29,12 @@ def run(context: Context) -> dict:
     reflection = context.inputs["reflection"].folder
     source = ArtifactSource(texels, ParameterMaps(reflection), settings)
     scene = scene_of(texels, json.loads((reflection / "reflection.json").read_text())["lighting"])
-    effort = Effort(settings.iterations, settings.refinements, settings.threshold)
+    effort = Effort(
+        pursuit=Pursuit(rounds=settings.rounds, inner=settings.inner),
+        price=settings.price,
+        refinements=settings.refinements,
+        threshold=settings.threshold,
+    )
     design, threads = design_of(texels, source.components, settings), os.cpu_count() or 1
     found = pilot(source, scene, design, effort, threads=threads, progress=context.progress)
     counts = source.counts()
@@ -140,7 +146,7 @@ def search(run_pass, settings: ResidualSettings, counts: dict[str, int]) -> Enco
         return math.log(max(1, point.kept if settings.target.startswith("kept") else point.bytes))
 
     goal = settings.amount / 8.6859 if settings.target == "psnr" else math.log(max(1.0, goals[settings.target]))
-    return find_step(run_pass, value, goal, start=0.04, tolerance=settings.tolerance, passes=settings.passes)
+    return find_step(run_pass, value, goal, start=0.08, tolerance=settings.tolerance, passes=settings.passes)
 
 
 def diagnostics(encoded: EncodedObject, counts: dict[str, int]) -> dict:

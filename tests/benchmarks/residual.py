@@ -68,7 +68,7 @@ def _environment() -> dict:
     return {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
 
 
-def texel_rows(inputs: dict) -> Iterator[dict]:
+def texel_rows(inputs: dict, every: int) -> Iterator[dict]:
     """Rows of the texel domain."""
     from residual_texels import curves
 
@@ -78,7 +78,7 @@ def texel_rows(inputs: dict) -> Iterator[dict]:
 
     lighting = json.loads(inputs["reflection"].path("reflection.json").read_text())["lighting"]
     folder = inputs["reflection"].folder
-    yield from curves(Texels(inputs["texels"].folder), ParameterMaps(folder), Lighting.from_dict(lighting))
+    yield from curves(Texels(inputs["texels"].folder), ParameterMaps(folder), Lighting.from_dict(lighting), every=every)
 
 
 def picture_rows(inputs: dict, work: Path, amounts: list[float], codecs: bool) -> Iterator[dict]:
@@ -107,6 +107,7 @@ def main() -> None:
     )
     parser.add_argument("--domain", choices=("both", "texels", "pictures"), default="both")
     parser.add_argument("--no-codecs", action="store_true", help="only this system's own variants")
+    parser.add_argument("--every", type=int, default=1, help="domain texels: of so many patches one")
     options = parser.parse_args()
     name = options.object or options.data.resolve().name
     with tempfile.TemporaryDirectory() as folder:
@@ -114,7 +115,7 @@ def main() -> None:
         inputs = artifacts_of(options.data, work)
         lines = []
         if options.domain != "pictures":
-            lines.append(texel_rows(inputs))
+            lines.append(texel_rows(inputs, options.every))
         if options.domain != "texels":
             lines.append(picture_rows(inputs, work, options.bits, not options.no_codecs))
         for part in lines:

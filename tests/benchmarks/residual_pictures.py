@@ -18,6 +18,7 @@ from codecs_of_pictures import IMAGE_CODECS, VIDEO_CODECS, filled
 from nishiki.artifact import Artifact, open_artifact
 from nishiki.ingest.encoding import encode
 from nishiki.ingest.views import Views
+from nishiki.patches.store import Texels
 from nishiki.turntable.cost import cost_of
 from nishiki.turntable.decoded_object import DecodedObject
 from nishiki.turntable.photographs import Photographs
@@ -58,7 +59,7 @@ def photographs(inputs: Mapping[str, Artifact], covered: np.ndarray) -> Pictures
     views = Views(inputs["ingest"].folder)
     values, inside = [], []
     for light in range(len(views.lights)):
-        for view in range(len(views.views)):
+        for view in kept_views(inputs):
             linear, valid = source.read(view, light)
             outline = source.silhouette(view)
             shown = covered[len(values)] if outline is None else outline
@@ -73,11 +74,17 @@ def photographs(inputs: Mapping[str, Artifact], covered: np.ndarray) -> Pictures
     return Pictures(np.array(values)[:, *crop], inside[:, *crop], crop, bits)
 
 
+def kept_views(inputs: Mapping[str, Artifact]) -> list[int]:
+    """Views that were not left out: those that every method stores."""
+    texels = Texels(inputs["texels"].folder)
+    return [place for place, view in enumerate(texels.views) if view not in texels.hold_out]
+
+
 def coded_objects(inputs: dict[str, Artifact], work: Path, amounts: list[float]) -> Iterator[tuple[str, float, dict]]:
     """Run the residual stage for every variant and target: (method, bits asked for, inputs with its artifact)."""
     for method, settings in VARIANTS.items():
         for amount in amounts:
-            chosen = {"target": "bits_per_pixel", "amount": amount, **settings}
+            chosen = {"target": "bits_per_pixel", "amount": amount, "tolerance": 0.05, **settings}
             folders = [str(inputs[name].folder) for name in ("ingest", "texels", "reflection")]
             command = [sys.executable, str(PROJECT / "scripts/residual.py"), "--settings", json.dumps(chosen)]
             target = work / f"{method}-{amount}"
@@ -85,14 +92,10 @@ def coded_objects(inputs: dict[str, Artifact], work: Path, amounts: list[float])
             yield method, amount, {**inputs, "residual": open_artifact(next(target.iterdir()))}
 
 
-def rendered(decoded: DecodedObject, *, model_only: bool = False) -> tuple[np.ndarray, np.ndarray]:
-    """All captured views in the capture's encoding, and where the surface is seen."""
+def rendered(decoded: DecodedObject, kept: list[int], *, model_only: bool = False) -> tuple[np.ndarray, np.ndarray]:
+    """Captured views in the capture's encoding, and where the surface is seen."""
     renderer = decoded.renderer(model_only=model_only)
-    shots = [
-        renderer.captured(view, light=light)
-        for light in range(len(decoded.lights))
-        for view in range(len(decoded.views))
-    ]
+    shots = [renderer.captured(view, light=light) for light in range(len(decoded.lights)) for view in kept]
     values, covered = [], []
     for picture in renderer.render(shots):
         values.append(encode(picture.linear, decoded.encoding).astype(np.float32))
@@ -122,7 +125,7 @@ def our_rows(inputs: dict[str, Artifact], work: Path, amounts: list[float]) -> I
     for method, _, found in coded_objects(inputs, work, amounts):
         decoded = DecodedObject.open(found)
         start = perf_counter()
-        values, covered = rendered(decoded)
+        values, covered = rendered(decoded, kept_views(inputs))
         seconds = perf_counter() - start
         pictures = pictures or photographs(inputs, covered)
         cost = cost_of(
@@ -141,7 +144,7 @@ def our_rows(inputs: dict[str, Artifact], work: Path, amounts: list[float]) -> I
         )  # fmt: skip
         if method == "wavelet_texture" and found["residual"].settings["amount"] == amounts[0]:
             start = perf_counter()
-            alone, _ = rendered(decoded, model_only=True)
+            alone, _ = rendered(decoded, kept_views(inputs), model_only=True)
             spent = perf_counter() - start
             without = {name: size for name, size in cost.parts.items() if not name.startswith("residual")}
             size = sum(without.values()) + decoded.residual.bytes.get("parameters", 0)
@@ -170,12 +173,14 @@ def codec_rows(pictures: Pictures) -> Iterator[dict]:
 
 
 def at_bits(rows: list[dict], method: str, bits: float) -> float | None:
-    """PSNR of a method at a rate, interpolated over the logarithm of the rate; None outside of what was measured."""
+    """PSNR of a method at a rate, linear in the logarithm of the rate; None more than 10 % outside of what was
+    measured."""
     points = sorted((r["bits_per_pixel"], r["psnr_db"]) for r in rows if r["method"] == method)
-    if len(points) < 2 or not points[0][0] <= bits <= points[-1][0]:
+    if len(points) < 2 or not 0.9 * points[0][0] <= bits <= 1.1 * points[-1][0]:
         return None
-    rates, decibels = zip(*points, strict=True)
-    return float(np.interp(np.log(bits), np.log(rates), decibels))
+    last = min(max(1, int(np.searchsorted([p[0] for p in points], bits))), len(points) - 1)
+    (low, at_low), (high, at_high) = points[last - 1 : last + 1]
+    return float(at_low + (at_high - at_low) * np.log(bits / low) / np.log(high / low))
 
 
 def gains(rows: list[dict]) -> Iterator[dict]:

@@ -36,13 +36,15 @@ class Stack:
     inside: np.ndarray
 
 
-def stacks(texels: Texels, parameters: ParameterMaps, lighting: Lighting, component: str) -> Iterator[Stack]:
-    """Every patch with its model."""
+def stacks(
+    texels: Texels, parameters: ParameterMaps, lighting: Lighting, component: str, every: int
+) -> Iterator[Stack]:
+    """Every patch, or every so-manieth, with its model."""
     lights, views = len(texels.lights), len(texels.views)
     cameras = list(texels.cameras)
     lamps = [lighting.lamp(cameras[v], light) for light in range(lights) for v in range(views)]
     centres = np.array([cameras[v].centre for _ in range(lights) for v in range(views)])
-    for tile in range(texels.tiles):
+    for tile in range(0, texels.tiles, every):
         positions, normals, inside = texels.geometry(tile)
         visible = texels.visible(tile) & inside
         maps = parameters.read(tile)
@@ -98,7 +100,7 @@ def wavelets(patches: list[Stack], method: Method) -> Iterator[dict]:
         moments = sum(np.einsum("clvij,dlvij->cd", r, r, dtype=np.float64) for r in residuals)
         mix = principal_channels(moments)
     residuals = [np.tensordot(mix, r, 1).astype(np.float32) for r in residuals]
-    plane = plane_transform(method.wavelet, size, method.levels)
+    plane = plane_transform(method.wavelet, size, size, method.levels)
     block = Block(plane, view_matrix(method.views, views), view_matrix("cosine", lights))
     visible = [patch.visible for patch in patches]
     for counted, share, count in budgets(patches):
@@ -164,10 +166,12 @@ def model_only(patches: list[Stack]) -> dict:
     return row("model_only", "all", 0.0, psnr(error, samples(patches)[1]), 0.0, perf_counter())
 
 
-def curves(texels: Texels, parameters: ParameterMaps, lighting: Lighting, component: str = "total") -> Iterator[dict]:
-    """All rows of the texel domain of one component."""
-    patches = list(stacks(texels, parameters, lighting, component))
-    yield model_only(patches)
+def curves(
+    texels: Texels, parameters: ParameterMaps, lighting: Lighting, component: str = "total", *, every: int = 1
+) -> Iterator[dict]:
+    """All rows of the texel domain of one component; every: of so many patches one."""
+    patches = list(stacks(texels, parameters, lighting, component, every))
+    yield {**model_only(patches), "patches": len(patches)}
     for method in METHODS:
         yield from wavelets(patches, method)
     yield from eigen(patches)

@@ -13,11 +13,12 @@ from nishiki.residual.container import pack_object, unpack_head
 from nishiki.residual.design import Design
 from nishiki.residual.interpolate import Footprints
 from nishiki.residual.prediction import predict_texels
+from nishiki.residual.pursuit import Pursuit
 from nishiki.residual.store import STORE, Residual, write_residual
-from nishiki.residual.tile_code import Effort
+from nishiki.residual.tile_code import Effort, Typical
 
 VIEWS = 12
-EFFORT = Effort(iterations=12, refinements=8)
+EFFORT = Effort(pursuit=Pursuit(rounds=4, inner=4), refinements=8)
 
 
 @pytest.fixture(scope="module")
@@ -157,12 +158,12 @@ def test_search_meets_its_target(sphere):
     reached = find_step(run, size, np.log(9000), start=0.02, tolerance=0.03, passes=8)
     assert reached.bytes == pytest.approx(9000, rel=0.03)
     assert point_of(reached).bytes in [point.bytes for point in reached.curve]
-    quality = find_step(run, lambda p: p.psnr_db / 8.6859, 34 / 8.6859, start=0.02, tolerance=0.01, passes=8)
-    assert point_of(quality).psnr_db == pytest.approx(34, abs=0.1)
+    quality = find_step(run, lambda p: p.psnr_db / 8.6859, 34 / 8.6859, start=0.02, tolerance=0.02, passes=8)
+    assert point_of(quality).psnr_db == pytest.approx(34, abs=0.2)
 
 
 def test_parameter_steps_follow_the_weights():
-    steps = at_step(design(), 0.02, (4.0, 0.0, 1.0))
+    steps = at_step(design(), 0.02, Typical((4.0, 0.0, 1.0), 1.0))
     assert steps.parameter_steps[0] == pytest.approx(0.01)
     assert all(np.isfinite(steps.parameter_steps))
 

@@ -25,6 +25,7 @@ from nishiki.residual.tile_code import (
     Pixels,
     Refined,
     Scene,
+    Typical,
     encode_tile,
     model_of,
     refine_tile,
@@ -113,7 +114,7 @@ class Pilot:
 
     refined: list[Refined | None]
     design: Design
-    typical: tuple[float, ...]
+    typical: Typical
 
 
 def over(work: Callable, items: Sequence, threads: int, progress: Callable | None = None, what: str = "") -> Iterable:
@@ -142,7 +143,7 @@ def pilot(source: Source, scene: Scene, design: Design, effort: Effort, *, threa
     def work(tile: int):
         seen = see(source.pixels(tile), source.surface(tile), design)
         if seen is None:
-            return None, None
+            return None, None, np.zeros(2)
         refined = refine_tile(seen, source.maps(tile), scene, design, effort)
         moments = []
         for index, component in enumerate(design.components):
@@ -150,16 +151,19 @@ def pilot(source: Source, scene: Scene, design: Design, effort: Effort, *, threa
             if design.model:
                 left = left - seen.feet.look_up(model_of(refined.maps, seen, scene, design, component))
             moments.append(left.astype(np.float64) @ left.T.astype(np.float64))
-        return refined, moments
+        density = seen.feet.density().astype(np.float64)
+        return refined, moments, np.array([np.sum(density**2), np.sum(density)])
 
-    refined, moments = zip(*over(work, range(source.tiles), threads, progress, "parameters"), strict=True)
+    refined, moments, densities = zip(*over(work, range(source.tiles), threads, progress, "parameters"), strict=True)
     total = [sum((m[k] for m in moments if m is not None), np.zeros((design.channels,) * 2)) for k in _range(design)]
     colour = tuple(_tuple(principal_channels(moment)) for moment in total)
     design = replace(design, colour=colour)
+    squares, whole = np.sum(densities, axis=0)
+    density = float(squares / whole) if whole else 1.0
     if not design.model:
-        return Pilot(list(refined), design, (0.0, 0.0, 0.0))
-    design, typical = _parameter_statistics([r for r in refined if r is not None], design)
-    return Pilot(list(refined), design, typical)
+        return Pilot(list(refined), design, Typical((0.0, 0.0, 0.0), density))
+    design, weights = _parameter_statistics([r for r in refined if r is not None], design)
+    return Pilot(list(refined), design, Typical(weights, density))
 
 
 def _range(design: Design) -> range:
@@ -192,9 +196,9 @@ def _usual(weight: np.ndarray) -> float:
     return float(np.sum(weight.astype(float) ** 2) / max(np.sum(weight, dtype=float), 1e-30))
 
 
-def at_step(design: Design, step: float, typical: tuple[float, ...], *, parameter_share: float = 1.0) -> Design:
+def at_step(design: Design, step: float, typical: Typical, *, parameter_share: float = 1.0) -> Design:
     """The design with its steps: an error of one parameter step does to the pictures what one residual step does."""
-    steps = [parameter_share * step / np.sqrt(max(w, 1e-12)) for w in typical]
+    steps = [parameter_share * step * np.sqrt(typical.density / max(w, 1e-12)) for w in typical.parameters]
     limits = ((1e-6, 1.0), (1e-6, 1.0), (0.02, 1.0))
     rounded = tuple(float(f"{np.clip(s, *limit):.4g}") for s, limit in zip(steps, limits, strict=True))
     return replace(design, step=float(f"{step:.5g}"), parameter_steps=rounded)

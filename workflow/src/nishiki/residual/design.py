@@ -31,7 +31,7 @@ class Design:
     full_turn: bool
     encoding: str
     components: tuple[str, ...] = ("total",)
-    wavelet: str = "sym4"
+    wavelet: str = "bior4.4"
     levels: int = 4
     mirrored: bool = False
     view_transform: str = "db2"

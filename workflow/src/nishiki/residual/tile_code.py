@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -14,8 +15,10 @@ from nishiki.residual.interpolate import Footprints
 from nishiki.residual.parameter_code import decode_parameters, encode_parameters
 from nishiki.residual.parameters import Maps, Weights, model_factors, refine, texel_weights
 from nishiki.residual.prediction import Surface, predict_texels
+from nishiki.residual.pursuit import Pursuit, curvatures, pursue
 from nishiki.residual.quantise import quantise
-from nishiki.residual.solve import Operator, samples_of, solve
+from nishiki.residual.rate import expected_bits
+from nishiki.residual.solve import Operator, samples_of
 
 
 @dataclass(frozen=True)
@@ -39,14 +42,25 @@ class Scene:
 
 @dataclass(frozen=True)
 class Effort:
-    """iterations of the residual's solver and of the parameters' refinement; threshold, dead_zone: in steps;
+    """pursuit: of the residual's solver; price: of a bit, in squared steps at a typical pixel; refinements: of the
+    parameters in the pictures; threshold: of the parameters, in their steps; dead_zone: of the residual, in steps;
     rounding: fraction added before the whole part is taken."""
 
-    iterations: int = 30
+    pursuit: Pursuit = field(default_factory=Pursuit)
+    price: float = 0.05
     refinements: int = 12
     threshold: float = 0.6
-    dead_zone: float = 0.6
+    dead_zone: float = 0.5
     rounding: float = 0.42
+
+
+@dataclass(frozen=True)
+class Typical:
+    """What holds for typical texels of the object. parameters: weights of kd, ks (mean over channels) and log sigma, as
+    in `Weights`; density: the weight that pixels give the texels they look at."""
+
+    parameters: tuple[float, float, float]
+    density: float
 
 
 @dataclass(frozen=True)
@@ -129,16 +143,19 @@ def encode_tile(
     scene: Scene,
     design: Design,
     effort: Effort,
-    typical: tuple[float, ...],
+    typical: Typical,
 ) -> CodedTile:
     """Integers of a tile at the design's steps: parameters first, then the residual against what they decode to."""
     parameters = np.zeros(design.parameter_shape(seen.extent), np.int32)
     maps = refined.maps
     if design.model:
-        parameters = encode_parameters(maps, refined.weights, typical, design, seen.extent, effort.threshold)
+        weights, arguments = refined.weights, (design, seen.extent, effort.threshold)
+        parameters = encode_parameters(maps, weights, typical.parameters, *arguments)
         maps = decode_parameters(parameters, design, seen.extent)
     shape, block = design.shape(seen.extent), design.block(seen.extent)
     operator = Operator.of_pixels(seen.feet)
+    curvature, price = curvatures(block, seen.feet.density()), effort.price * design.step**2 * typical.density
+    bits = partial(expected_bits, step=design.step, levels=block.plane.levels)
     residual, errors = [], np.zeros(3)
     for index, component in enumerate(design.components):
         values = seen.values[index]
@@ -146,9 +163,7 @@ def encode_tile(
         if design.model:
             left = values - seen.feet.look_up(model_of(maps, seen, scene, design, component))
         data = (design.mix(index) @ left).astype(np.float32)
-        found = solve(
-            data, operator, block, shape, threshold=effort.threshold * design.step, iterations=effort.iterations
-        )
+        found = pursue(data, operator, block, shape, curvature, price=price, bits=bits, effort=effort.pursuit)
         integers = quantise(found.coefficients, design.step, dead_zone=effort.dead_zone, rounding=effort.rounding)
         after = data - operator.look(samples_of(block, (integers * np.float32(design.step)).astype(np.float32)))
         errors += [float(np.sum(a.astype(np.float64) ** 2)) for a in (after, data, values)]

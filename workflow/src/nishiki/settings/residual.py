@@ -11,7 +11,7 @@ class ResidualSettings(Closed):
     """What the reflection model does not explain, as wavelet coefficients."""
 
     STAGE: ClassVar[str] = "residual"
-    VERSION: ClassVar[int] = 1
+    VERSION: ClassVar[int] = 2
 
     target: Literal["bits_per_pixel", "bytes", "psnr", "kept", "kept_of_all", "step"] = Field(
         "bits_per_pixel",
@@ -25,7 +25,7 @@ class ResidualSettings(Closed):
         "total", description="auto: diffuse and specular coded apart where polarisation separated them; total: together"
     )
     model: bool = Field(True, description="false: image-based, nothing is subtracted (a baseline)")
-    wavelet: str = Field("sym4", description="of the tile's planes: haar, db2 (the paper's), sym4, bior4.4, ...")
+    wavelet: str = Field("bior4.4", description="of the tile's planes: haar, db2 (the paper's), sym4, bior4.4, ...")
     levels: int = Field(4, ge=0, le=8, description="halvings of the tile's planes")
     mirrored: bool = Field(False, description="mirrored ends in place of periodic ones (bior2.2, bior4.4)")
     view_transform: str = Field(
@@ -33,8 +33,12 @@ class ResidualSettings(Closed):
     )
     light_transform: str = Field("cosine", description="along the lights, likewise")
     arcs: bool = Field(True, description="a tile's block spans only the views that see it")
-    iterations: int = Field(30, ge=0, le=500, description="of the solver, per tile and pass")
+    rounds: int = Field(6, ge=0, le=100, description="of the solver, per tile and pass: choices of the coefficients")
+    inner: int = Field(5, ge=0, le=100, description="conjugate gradient steps of the solver after each choice")
+    price: float = Field(
+        0.05, ge=0, le=4, description="squared error that a bit is worth, in squared quantiser steps at a typical pixel"
+    )
     refinements: int = Field(12, ge=0, le=500, description="of the parameters in the pictures; 0: as fitted to texels")
-    threshold: float = Field(0.6, ge=0, le=4, description="of the solver, in quantiser steps")
-    parameter_share: float = Field(1.0, gt=0, description="parameter steps against those of equal effect on pictures")
+    threshold: float = Field(0.6, ge=0, le=4, description="smallest coefficient of the parameters, in their steps")
+    parameter_share: float = Field(1.2, gt=0, description="parameter steps against those of equal effect on pictures")
     hold_out: tuple[str, ...] = Field((), description="views left out of the residual; filled in by the plan")
