@@ -1,0 +1,145 @@
+"""The weave on a cloth's page: sections, parameters with their intervals, measured against fitted reflectance."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from nishiki.report.pictures import Picture, encoded
+from nishiki.report.svg import PALETTE, Curve, chart
+
+MEANINGS = {
+    "theta_a": "slope of the straight flanks, degrees",
+    "l": "length of a flank",
+    "r": "radius of the arcs",
+    "m": "length of the flat top",
+    "n": "yarns that lie side by side in a float",
+    "contact": "steepest slope where yarns touch, degrees",
+    "a": "width of the gloss",
+    "index": "refractive index",
+    "k_s": "strength of the gloss, mean of the channels",
+    "k_d": "strength of the light from within, mean of the channels",
+}
+ANGLES = ("theta_a", "contact")
+
+
+def weave_section(
+    stored: dict[str, Any],
+    told: dict[str, Any],
+    drawings: dict[str, str],
+    pictures: dict[str, Picture],
+    confidence: float,
+) -> list[dict]:
+    """Regions of weave.json as the page shows them.
+
+    told: diagnostics of the stage by region; drawings: SVG text by file name; pictures by file name.
+    """
+    regions = stored.get("regions") or {}
+    return [
+        {
+            "region": name,
+            "text": summary(entry),
+            "parameters": parameters((told.get("regions") or {}).get(name) or {}),
+            "confidence": confidence,
+            "drawings": [
+                {"svg": drawings[file], "name": f"Section along the {plane}", "caption": section_words(entry[plane])}
+                for plane in ("weft", "warp")
+                if (file := f"section_{plane}{suffix(name, regions)}.svg") in drawings
+            ],
+            "pictures": [
+                {
+                    "picture": pictures[file],
+                    "name": "The surface",
+                    "caption": f"{entry['weave']}, as fitted, from above: the weft runs to the right.",
+                }
+                for file in (f"weave{suffix(name, regions)}.png",)
+                if file in pictures
+            ],
+            "curves": [curve(entry["curves"][plane], plane) for plane in ("weft", "warp") if plane in entry["curves"]],
+            "notes": notes(entry),
+        }
+        for name, entry in regions.items()
+    ]
+
+
+def tile_picture(data: bytes, widest: int) -> Picture:
+    """The upper part of a PNG of a repeating surface, about as high as wide: a long repeat would fill the page."""
+    import cv2
+
+    codes = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    if codes is None:
+        raise ValueError("not a picture")
+    rows, columns = codes.shape[:2]
+    codes = codes[: min(rows, columns)]
+    if columns > widest:
+        codes = cv2.resize(codes, (widest, round(len(codes) * widest / columns)), interpolation=cv2.INTER_AREA)
+    return encoded(codes[..., ::-1])
+
+
+def suffix(name: str, regions: dict) -> str:
+    """End of the names of a region's files."""
+    return f"_{name}" if len(regions) > 1 else ""
+
+
+def summary(entry: dict[str, Any]) -> str:
+    """The fit in a sentence."""
+    errors = entry["rms_rel"]
+    return (
+        f"A {entry['weave']} of {entry['harness']} yarns a repeat: cross-sections found from the reflectance in the "
+        f"planes of weft and warp. What the fit leaves unexplained is {100 * errors['weft']:.1f} % of the reflectance "
+        f"along the weft and {100 * errors['warp']:.1f} % along the warp."
+    )
+
+
+def section_words(section: dict[str, float]) -> str:
+    """Main numbers of a section."""
+    text = f"flanks at {np.degrees(section['theta_a']):.1f}°"
+    return f"{text}, {section['n']:.2g} yarns side by side." if "n" in section else f"{text}."
+
+
+def parameters(told: dict[str, Any]) -> list[dict]:
+    """Value, interval and meaning of each parameter."""
+    rows = []
+    for name, value in (told.get("parameters") or {}).items():
+        stem, _, plane = name.rpartition("_")
+        kind = stem if plane in ("weft", "warp") else name
+        low, high = (told.get("intervals") or {}).get(name) or (None, None)
+        factor = 180 / np.pi if kind in ANGLES else 1.0
+        low, value, high = (None if v is None else factor * v for v in (low, value, high))
+        meaning = MEANINGS.get(kind, "")
+        meaning += f", {plane}" if plane in ("weft", "warp") and meaning else ""
+        rows.append({"name": name, "value": value, "low": low, "high": high, "meaning": meaning})
+    return rows
+
+
+def curve(values: dict[str, Any], plane: str) -> dict:
+    """Measured and fitted reflectance at normal incidence (or at the first incidence there is) of one plane."""
+    theta_i, theta_r = np.array(values["theta_i_deg"]), np.array(values["theta_r_deg"])
+    first = theta_i[np.argmin(np.abs(theta_i))] if len(theta_i) else 0.0
+    rows = np.flatnonzero(np.abs(theta_i - first) < 0.5)
+    rows = rows[np.argsort(theta_r[rows], kind="stable")]
+    angle = theta_r[rows]
+    measured, gloss, body = (np.array(values[name])[rows] for name in ("measured", "gloss", "body"))
+    curves = [
+        Curve("interpolated" if values["interpolated"] else "measured", angle, measured, colour="#22262b", dots=True),
+        Curve("fitted", angle, gloss + body),
+        Curve("of which from within", angle, body, colour=PALETTE[1], dashed=True),
+    ]
+    svg = chart(curves, x_label="view, degrees", y_label="BRDF, 1/sr", title=f"reflectance in the plane of the {plane}")
+    return {"svg": svg, "heading": f"Plane of the {plane}", "caption": f"light at {abs(first):.0f}°."}
+
+
+def notes(entry: dict[str, Any]) -> list[str]:
+    """What the data cannot tell."""
+    found = entry.get("identifiability") or {}
+    texts = []
+    if found.get("free"):
+        texts.append(f"No measurement of this kind can tell: {'; '.join(found['free'])}.")
+    if found.get("weak"):
+        texts.append(
+            f"Least well determined: {found['weak']}, to {100 * found['weak_error']:.2g} % (one standard deviation)."
+        )
+    if entry.get("at_bounds"):
+        texts.append(f"At the end of their range: {', '.join(entry['at_bounds'])}.")
+    return texts
