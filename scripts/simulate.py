@@ -1,15 +1,17 @@
 #!/usr/bin/env python3
-"""Simulate the capture of a painting, a tray of sphere caps, or a jar on a turntable: photographs, and the truth apart.
+"""Simulate the capture of a painting, of sphere caps, of a jar on a turntable, of a cloth: photographs and the truth.
 
     python scripts/simulate.py --output captures/painting --truth captures/painting-truth
     python scripts/simulate.py --output captures/small --truth captures/small-truth --preset tiny
     python scripts/simulate.py --output captures/tray --truth captures/tray-truth --scene spheres --gloss satin --seed 7
     python scripts/simulate.py --output captures/jar --truth captures/jar-truth --preset object
+    python scripts/simulate.py --output captures/satin --truth captures/satin-truth --preset satin
 
 The capture folder is what a studio would hand over: photographs of the object and of a white board under each lamp,
 dark frames, and tables of the lamps, of the camera's sensitivities and of the lamp's spectrum. The truth folder holds
 what no studio knows: normals, height, spectra, roughness, shadows, and noise-free colours under the check lights. A
-turntable capture holds two pictures a view (circular polarisers not crossed and crossed), camera matrices and a scan.
+turntable capture holds two pictures a view (circular polarisers not crossed and crossed), camera matrices and a scan;
+that of a cloth small photographs from a gonioreflectometer.
 """
 
 import argparse
@@ -24,8 +26,11 @@ import numpy as np
 
 import _project  # noqa: F401  (puts the package on the path)
 import _turntable
+import _woven
 from nishiki.capture.seal import seal
 from nishiki.errors import UserError
+from nishiki.simulate.cloth.presets import PRESETS as CLOTHS
+from nishiki.simulate.cloth.presets import GoniometerSettings
 from nishiki.simulate.settings import (
     BODIES,
     PRESETS,
@@ -48,12 +53,13 @@ OPTIONS = {
         (
             "preset",
             "painting 384×512 (default), tiny 64×96, large 1536×2048, full 3000×4000; on a turntable: object "
-            "36 views of 384×384, object-tiny 12 of 96×96, object-large 36 of 3000×4000",
-            {"choices": (*PRESETS, *OBJECTS), "default": "painting"},
+            "36 views of 384×384, object-tiny 12 of 96×96, object-large 36 of 3000×4000; cloths: satin, twill, plain "
+            "5940 photographs of 48×48, satin-tiny 144 of 24×24",
+            {"choices": (*PRESETS, *OBJECTS, *CLOTHS), "default": "painting"},
         ),
         ("rows", "camera pixels, instead of the preset's", _COUNT),
         ("columns", "camera pixels, instead of the preset's", _COUNT),
-        ("pitch-mm", "size of a camera pixel on the object (0.2)", {**_NUMBER, "default": 0.2}),
+        ("pitch-mm", "size of a camera pixel on the object (0.2; cloths 0.25)", {**_NUMBER, "default": 0.2}),
         ("supersampling", "points a pixel in each direction (2; object 4)", _COUNT),
     ),
     "object": (
@@ -106,15 +112,29 @@ OPTIONS = {
         ("triangles", "of the object, instead of the preset's", _COUNT),
         ("scan-triangles", "of the scan, where not the object's own", _COUNT),
     ),
+    "cloth": (
+        ("harness", "yarns of a repeat (satin 5: 5 and 7 to 10 or 12; twill 4)", _COUNT),
+        ("flatness", "exponent of the warp's section, 2 = ellipse (satin about 2.6)", _NUMBER),
+        ("arch-deg", "steepest slope of the arch of a float (satin 8)", _NUMBER),
+        ("filaments", "roughness along and across them (silk)", {"choices": _woven.CHOICES["filaments"]}),
+        ("dye", "of the first cloth (black)", {"choices": _woven.CHOICES["dye"]}),
+        ("two-cloths", "a second one beside the first, weft on top, dyed gold, with a picture of the regions", _FLAG),
+    ),
 }
 
 
 def main(arguments: list[str] | None = None) -> int:
     options = parser().parse_args(arguments)
     try:
+        defaults = parser().parse_args(["--output", "", "--truth", ""])
+        given = [name for name in _woven.OWN if getattr(options, name) != getattr(defaults, name)]
+        if given and options.preset not in CLOTHS:
+            option = f"--{given[0].replace('_', '-')}"
+            raise UserError(f"{option} with --preset {options.preset}: expected one of {', '.join(CLOTHS)}")
         if options.preset in OBJECTS:
-            defaults = parser().parse_args(["--output", "", "--truth", ""])
             settings = _turntable.settings_from(options, defaults)
+        elif options.preset in CLOTHS:
+            settings = _woven.settings_from(options, defaults)
         else:
             settings = settings_from(options)
         simulate(settings, Path(options.output), Path(options.truth), options)
@@ -173,7 +193,9 @@ def settings_from(options) -> SimulationSettings:
     )
 
 
-def simulate(settings: SimulationSettings | TurntableSettings, output: Path, truth: Path, options) -> None:
+def simulate(
+    settings: SimulationSettings | TurntableSettings | GoniometerSettings, output: Path, truth: Path, options
+) -> None:
     """Make both folders under temporary names, then rename them: a killed run leaves no half capture."""
     for folder in (output, truth):
         if folder.exists() or folder.is_symlink():
@@ -191,6 +213,8 @@ def simulate(settings: SimulationSettings | TurntableSettings, output: Path, tru
             drafts[-1].mkdir()
         if isinstance(settings, TurntableSettings):
             _turntable.write_all(settings, *drafts, options, Progress(), write_image, write_csv)
+        elif isinstance(settings, GoniometerSettings):
+            _woven.write_all(settings, *drafts, options, Progress(), write_image, write_csv)
         else:
             lights_as = options.lights_as or "direction"
             write_all(settings, *drafts, image_format=image_format, lights_as=lights_as)

@@ -1,7 +1,7 @@
 """Light that meets the yarns more than once: paths from point to point inside the cloth, traced once for all lamps.
 
-A path is a chain of 2 to 4 points with what the inner points pass on; the light that enters at its one end and leaves at
-its other is the product of two factors, one for the lamp's direction and one for the camera's. Either end may be the
+A path is a chain of 2 to 4 points with what the inner points pass on; light that enters at one end and leaves at the
+other is the product of two factors, one for the lamp's direction and one for the camera's. Either end may be the
 lamp's, so that the result is reciprocal to the last bit but rounding.
 """
 
@@ -23,9 +23,10 @@ from nishiki.simulate.rows import over_rows
 
 @dataclass(frozen=True)
 class Ends:
-    """One end of each chain. place (n, 3) mm, frame (n, 6), kind (n,), toward (n, 3): unit direction to the next
-    point."""
+    """One end of each chain. point : (n,) which of the surface points it is, -1 = none. place (n, 3) mm, frame (n, 6),
+    kind (n,), toward (n, 3): unit direction to the next point."""
 
+    point: np.ndarray
     place: np.ndarray
     frame: np.ndarray
     kind: np.ndarray
@@ -65,9 +66,10 @@ def make_chains(solids: Solids, points: SurfacePoints, settings: ClothSettings, 
     )  # fmt: skip
     walk, step = np.nonzero(kind >= 0)
     start = chosen[walk]
-    first = Ends(points.place[start], points.frame[start], points.kind[start].astype(np.int64), toward[walk, step, :3])
+    first = Ends(start, points.place[start], points.frame[start], points.kind[start], toward[walk, step, :3])
     found = ends[walk, step]
-    last = Ends(found[:, :3].copy(), found[:, 3:].copy(), kind[walk, step].astype(np.int64), toward[walk, step, 3:])
+    none, kind = np.full(len(start), -1), kind[walk, step].astype(np.int64)
+    last = Ends(none, found[:, :3].copy(), found[:, 3:].copy(), kind, toward[walk, step, 3:])
     return Chains(first, last, weight[walk, step] * (math.pi * share[-1] / count), step + 2)
 
 

@@ -31,7 +31,7 @@ def facets(ix, iy, iz, ox, oy, oz, along, across, index):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def body(iz, oz, index):
-    """Reflection of a perfectly white body below the smooth mean surface, 1/sr: Lambert's law times both transmissions."""
+    """Reflection of a perfectly white body below the smooth surface, 1/sr: Lambert's law times both transmissions."""
     if iz <= 0.0 or oz <= 0.0:
         return 0.0
     return (1.0 - fresnel(iz, index)) * (1.0 - fresnel(oz, index)) / math.pi

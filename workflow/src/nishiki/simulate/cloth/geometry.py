@@ -1,8 +1,8 @@
 """The yarns as solids: swept, flattened sections, periodic in x and y; points inside, rays that meet them.
 
 x along the weft, y along the warp, z up; lengths in mm. A yarn's section in a plane across it is the set
-|ζ|² + |u|^e < 1 with u = v/a (v from the centre line) and ζ = (z − z_c − roll·v)/b. The compiled functions take the solids
-as `Solids.numbers` and `Solids.free`.
+|ζ|² + |u|^e < 1 with u = v/a (v from the centre line) and ζ = (z − z_c − roll·v)/b. The compiled functions take the
+solids as `Solids.numbers` and `Solids.free`.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def _heights(warp: Yarns, weft: Yarns) -> tuple[float, float, float]:
 def make_solids(settings: ClothSettings) -> Solids:
     """The yarns of one irregular cell. At a crossing warp and weft touch: their amplitudes add up to the sum of their
     half thicknesses, `warp_crimp` of it being the warp's."""
-    pattern = weave_pattern(settings.weave, settings.harness, settings.step)
+    pattern = weave_pattern(settings.weave, settings.harness, settings.step, face=settings.face)
     pattern = np.tile(pattern, (settings.repeats, settings.repeats))
     contact = 0.5 * (settings.warp.thickness_mm + settings.weft.thickness_mm)
     warp, weft = settings.warp_crimp * contact, (1.0 - settings.warp_crimp) * contact
@@ -240,7 +240,7 @@ def _free_at(x, y, z, numbers, free):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def first_hit(x, y, z, dx, dy, dz, numbers, free):
-    """Distance along a unit direction to the first yarn, and which (see `inside`); (−1, 0) where the ray leaves the cloth.
+    """Distance along a unit direction to the first yarn, and which (see `inside`); (−1, 0) where the ray meets none.
 
     Where yarns may be near, even steps of 0.12 thicknesses and a bisection: a chord shorter than a step may be missed,
     which is a penetration of less than 0.002 thicknesses.
@@ -308,7 +308,7 @@ def _yarn_frame(v, along, z, spacing, length, system, numbers):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def frame_at(x, y, z, which, numbers):
-    """Normal n and yarn direction t (unit, perpendicular to n): (n_x, n_y, n_z, t_x, t_y, t_z); `which` as in `inside`."""
+    """Normal n and yarn direction t, unit and perpendicular: (n_x, n_y, n_z, t_x, t_y, t_z); `which` as in `inside`."""
     if which > 0:
         nx, ny, nz, slope = _yarn_frame(x, y, z, numbers[0], numbers[11] * numbers[1], 5, numbers)
         tx, ty, tz = 0.0, 1.0, slope

@@ -1,7 +1,7 @@
 """The way of a yarn through the cloth: arcs and straight parts over and under the crossing yarns.
 
-After Peirce, The geometry of cloth structure, J. Textile Institute 28(3), 1937: a yarn follows arcs round the yarns that
-it crosses and is straight between them. Floats may arch above.
+After Peirce, The geometry of cloth structure, J. Textile Institute 28(3), 1937: a yarn follows arcs round those that it
+crosses and is straight between them. Floats may arch above.
 """
 
 from __future__ import annotations

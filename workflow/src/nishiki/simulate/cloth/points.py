@@ -14,7 +14,9 @@ from nishiki.simulate.randomness import subkey
 from nishiki.simulate.rows import over_rows
 
 _R2 = (0.7548776662466927, 0.5698402909980532)  # Roberts' sequence in two dimensions: 1/p, 1/p², p³ = p + 1
-_PROBES = 48
+_LEVELS_DEG = (2.0, 6.0, 15.0, 40.0, 75.0)  # elevation of the directions that test how free a point lies
+_EVERY = (1, 1, 2, 3, 3)  # of the points that are reached first at that level one in so many is kept
+_AZIMUTHS = 8
 _LIFT = 2e-3  # of the spacing: rays start so far above the surface
 
 
@@ -30,8 +32,12 @@ class SurfacePoints:
 
 
 def make_points(solids: Solids, settings: ClothSettings, *, candidates: int) -> SurfacePoints:
-    """About `candidates` points spread evenly over all sides of all yarns; those are kept that at least one of 48
-    directions of the upper hemisphere reaches (others are inside of yarns that touch, or below the cloth)."""
+    """Points chosen among `candidates` that are spread evenly over all sides of all yarns.
+
+    What the lowest of 40 directions reaches, at the tops, is all that light at grazing angles meets, and is little: all
+    its points are kept, of others one in 2 or 3, which then stands for the area of as many. Points that no direction
+    reaches are left out (they are inside of yarns that touch, or below the cloth).
+    """
     systems = (solids.warp, solids.weft)
     sizes = [len(yarns.shape) * yarns.length * _contour(yarns.exponent, yarns.shape[0])[2] for yarns in systems]
     random = np.random.default_rng(subkey(settings.seed, "cloth points"))
@@ -43,20 +49,29 @@ def make_points(solids: Solids, settings: ClothSettings, *, candidates: int) -> 
     frame = np.empty((len(place), 6))
     twist = np.radians([settings.warp.twist_deg, settings.weft.twist_deg])
     lift = _LIFT * min(settings.warp.spacing_mm, settings.weft.spacing_mm)
-    seen = np.zeros(len(place), np.uint8)
+    level = np.empty(len(place), np.uint8)
     over_rows(
-        _finish, len(place), place, which, solids.numbers, solids.free, twist, lift, probes(), frame, seen
+        _finish, len(place), place, which, solids.numbers, solids.free, twist, lift, probes(), _AZIMUTHS, frame, level
     )  # fmt: skip
-    kept = seen > 0
+    kept = []
+    for number, every in enumerate(_EVERY):
+        some = np.flatnonzero(level == number)
+        if len(some) < 8 * every:
+            every = 1
+        kept.append(some[random.integers(every) :: every])
+        area[some] *= len(some) / max(len(kept[-1]), 1)
+    kept = np.sort(np.concatenate(kept))
     return SurfacePoints(place[kept], frame[kept], area[kept], np.where(which[kept] > 0, 0, 1))
 
 
 def probes() -> np.ndarray:
-    """(48, 3) directions spread evenly over the upper hemisphere."""
-    k = np.arange(_PROBES) + 0.5
-    z, turn = k / _PROBES, k * math.pi * (3.0 - math.sqrt(5.0))
-    r = np.sqrt(1.0 - z * z)
-    return np.column_stack([r * np.cos(turn), r * np.sin(turn), z])
+    """(40, 3) directions: rings of 8 azimuths, the lowest first; each second ring is turned by half a step."""
+    rings = []
+    for number, level in enumerate(np.radians(_LEVELS_DEG)):
+        turn = 2.0 * math.pi / _AZIMUTHS * (np.arange(_AZIMUTHS) + 0.5 * (number % 2))
+        z = np.full(_AZIMUTHS, math.sin(level))
+        rings.append(np.column_stack([math.cos(level) * np.cos(turn), math.cos(level) * np.sin(turn), z]))
+    return np.concatenate(rings)
 
 
 def _contour(exponent: float, shape: np.ndarray, steps: int = 720):
@@ -108,17 +123,19 @@ def turned_frame(x, y, z, which, numbers, twist, f):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _finish(start, stop, place, which, numbers, free, twist, lift, directions, frame, seen):
+def _finish(start, stop, place, which, numbers, free, twist, lift, directions, azimuths, frame, level):
+    """Frames; points are lifted above the surface. level : the lowest ring that reaches the point, 255 = none."""
     for p in range(start, stop):
         f = frame[p]
         turned_frame(place[p, 0], place[p, 1], place[p, 2], which[p], numbers, twist, f)
         for axis in range(3):
             place[p, axis] += lift * f[axis]
         x, y, z = place[p, 0], place[p, 1], place[p, 2]
+        level[p] = 255
         if inside(x, y, z, numbers) != 0:
             continue
         for k in range(directions.shape[0]):
             dx, dy, dz = directions[k, 0], directions[k, 1], directions[k, 2]
             if f[0] * dx + f[1] * dy + f[2] * dz > 0.0 and escapes(x, y, z, dx, dy, dz, numbers, free):
-                seen[p] = 1
+                level[p] = k // azimuths
                 break

@@ -1,11 +1,13 @@
 """BRDF of a simulated cloth: which points light and camera reach, by rays among the yarns, and what these reflect.
 
-ρ(i, o) = 1/(A cosθ_i cosθ_o) ∫ V(i) V(o) (n·i)⁺ (n·o)⁺ f(i, o) dS over the yarns' surface above the area A of the plane, and
-the same over paths that meet the yarns several times. Both parts are symmetric in i and o.
+ρ(i, o) = 1/(A cosθ_i cosθ_o) ∫ V(i) V(o) (n·i)⁺ (n·o)⁺ f(i, o) dS over the yarns' surface above an area A, and the same
+over paths that meet the yarns several times. Both parts are symmetric in i and o.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numba
@@ -18,7 +20,10 @@ from nishiki.simulate.cloth.points import SurfacePoints, make_points
 from nishiki.simulate.cloth.settings import ClothSettings
 from nishiki.simulate.rows import over_rows
 
-_DIRECTIONS = 256  # held at a time
+_DIRECTIONS = 64  # held at a time
+_STRONG = 0.05  # ends that pass on less than this (1/sr) are traced by lot, at least one in
+_LOT = 8.0
+_GOLDEN = 0.6180339887498949
 
 
 @dataclass(frozen=True)
@@ -42,7 +47,7 @@ class Cloth:
         return np.array([[yarn.along, yarn.across, s.index] for yarn in (s.warp, s.weft)])
 
 
-def make_cloth(settings: ClothSettings, *, candidates: int = 100_000, chains: int = 40_000, bounces: int = 2) -> Cloth:
+def make_cloth(settings: ClothSettings, *, candidates: int = 150_000, chains: int = 60_000, bounces: int = 2) -> Cloth:
     """Yarns, points and paths. candidates : points before those that nothing reaches are left out. chains : random
     walks. bounces : how often light may meet the yarns after the first time, 0 to 3."""
     solids = make_solids(settings)
@@ -62,6 +67,15 @@ def trace(settings: ClothSettings | Cloth, incident, outgoing, **quality) -> np.
         np.atleast_2d(np.asarray(incident, float)), np.atleast_2d(np.asarray(outgoing, float))
     )
     values = np.zeros((len(incident), cloth.dye.shape[1]))
+    for rows, lamps, views, index in blocks(cloth, incident, outgoing):
+        values[rows] = pair_values(cloth, lamps, views, index)
+    return values
+
+
+def blocks(cloth: Cloth, incident: np.ndarray, outgoing: np.ndarray) -> Iterator[tuple]:
+    """Pairs of directions (n, 3) in blocks that share their rays: (rows, lamps, views, index), which rows of the pairs
+    these are, what their lamps and views reach, and which of these belong together, (pairs, 2). Pairs with a direction
+    not above the horizon are left out."""
     up = np.flatnonzero((incident[:, 2] > 1e-6) & (outgoing[:, 2] > 1e-6))
     lamps, lamp = _distinct(incident[up])
     views, view = _distinct(outgoing[up])
@@ -72,9 +86,7 @@ def trace(settings: ClothSettings | Cloth, incident, outgoing, **quality) -> np.
             pairs = np.flatnonzero(of_lamps & (view >= other) & (view < other + _DIRECTIONS))
             if len(pairs):
                 to_views = seen_from(cloth, views[other : other + _DIRECTIONS])
-                index = np.column_stack([lamp[pairs] - first, view[pairs] - other])
-                values[up[pairs]] = pair_values(cloth, from_lamps, to_views, index)
-    return values
+                yield up[pairs], from_lamps, to_views, np.column_stack([lamp[pairs] - first, view[pairs] - other])
 
 
 def _distinct(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -104,13 +116,13 @@ def seen_from(cloth: Cloth, directions: np.ndarray) -> Reach:
     )
     if chains is None:
         return Reach(directions, lit, None, None)
-    return Reach(directions, lit, *(_enter(cloth, directions, end) for end in (chains.first, chains.last)))
+    return Reach(directions, lit, *(_enter(cloth, directions, lit, end) for end in (chains.first, chains.last)))
 
 
-def _enter(cloth: Cloth, directions: np.ndarray, ends: Ends) -> np.ndarray:
+def _enter(cloth: Cloth, directions: np.ndarray, lit: np.ndarray, ends: Ends) -> np.ndarray:
     out = np.empty((len(directions), cloth.dye.shape[1], len(ends.kind)), np.float32)
     over_rows(
-        _ends, len(directions), directions, ends.place, ends.frame, ends.kind, ends.toward,
+        _ends, len(directions), directions, lit, ends.point, ends.place, ends.frame, ends.kind, ends.toward,
         cloth.solids.numbers, cloth.solids.free, cloth.surface, cloth.dye, out,
     )  # fmt: skip
     return out
@@ -125,15 +137,17 @@ def pair_values(cloth: Cloth, lamps: Reach, views: Reach, index: np.ndarray) -> 
         points.frame, points.area, points.kind, cloth.surface, parts,
     )  # fmt: skip
     values = parts[:, :2].sum(axis=1)[:, None] + parts[:, 2:] @ cloth.dye
-    if cloth.chains is not None:
-        values = values + _bounced(cloth, lamps, views, index)
+    values = values + bounced(cloth, lamps, views, index)
     cosines = lamps.directions[index[:, 0], 2] * views.directions[index[:, 1], 2]
     return values / (cloth.solids.area * cosines[:, None])
 
 
-def _bounced(cloth: Cloth, lamps: Reach, views: Reach, index: np.ndarray) -> np.ndarray:
-    """(pairs, channels): both ends of every path take turns as the lamp's."""
-    out = np.empty((len(index), cloth.dye.shape[1]))
+def bounced(cloth: Cloth, lamps: Reach, views: Reach, index: np.ndarray) -> np.ndarray:
+    """Light that met the yarns more than once, (pairs, channels) mm²/sr: both ends of every path take turns as the
+    lamp's. Over the cell's area and both cosines it is a BRDF."""
+    out = np.zeros((len(index), cloth.dye.shape[1]))
+    if cloth.chains is None:
+        return out
     for channel in range(out.shape[1]):
         weight = (0.5 * cloth.chains.weight[:, channel]).astype(np.float32)
         matrix = (lamps.first[:, channel] * weight) @ views.last[:, channel].T
@@ -155,20 +169,28 @@ def _reach(start, stop, directions, place, frame, numbers, free, lit):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _ends(start, stop, directions, place, frame, kind, toward, numbers, free, surface, dye, out):
+def _ends(start, stop, directions, lit, point, place, frame, kind, toward, numbers, free, surface, dye, out):
+    """What enters each path from each direction. Where the end is a surface point its ray is known. Of other ends the
+    weak ones are drawn by lot and count for more in turn: the same ones in all directions, so that nothing flickers."""
     for d in range(start, stop):
         dx, dy, dz = directions[d, 0], directions[d, 1], directions[d, 2]
         for p in range(place.shape[0]):
             out[d, :, p] = 0.0
-            f = frame[p]
+            f, k, share = frame[p], kind[p], 1.0
             ix, iy, iz = in_frame(dx, dy, dz, f)
-            if iz > 0.0 and escapes(place[p, 0], place[p, 1], place[p, 2], dx, dy, dz, numbers, free):
-                ox, oy, oz = in_frame(toward[p, 0], toward[p, 1], toward[p, 2], f)
-                k = kind[p]
-                mirror = facets(ix, iy, iz, ox, oy, oz, surface[k, 0], surface[k, 1], surface[k, 2])
-                white = body(iz, oz, surface[k, 2])
-                for channel in range(out.shape[1]):
-                    out[d, channel, p] = iz * (mirror + dye[k, channel] * white)
+            if iz <= 0.0 or (point[p] >= 0 and lit[d, point[p]] == 0.0):
+                continue
+            ox, oy, oz = in_frame(toward[p, 0], toward[p, 1], toward[p, 2], f)
+            mirror = facets(ix, iy, iz, ox, oy, oz, surface[k, 0], surface[k, 1], surface[k, 2])
+            if point[p] < 0:
+                share = min(max(iz * mirror / _STRONG, 1.0 / _LOT), 1.0)
+                if p * _GOLDEN - math.floor(p * _GOLDEN) >= share:
+                    continue
+                if not escapes(place[p, 0], place[p, 1], place[p, 2], dx, dy, dz, numbers, free):
+                    continue
+            white = body(iz, oz, surface[k, 2])
+            for channel in range(out.shape[1]):
+                out[d, channel, p] = iz * (mirror + dye[k, channel] * white) / share
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -31,12 +31,12 @@ class YarnSettings:
 class ClothSettings:
     """Everything that decides how a simulated cloth reflects.
 
-    weave : plain, twill or satin (both with the warp on top mostly). harness : yarns of a repeat (plain: 2).
+    weave : plain, twill or satin. face : warp or weft, which is on top mostly. harness : yarns of a repeat (plain: 2).
     step : shift of the binding from one yarn to the next. warp_crimp : share of the warp in the sum of both amplitudes,
     which is that of two yarns that touch. bend : shape of the way from one side to the other: 0 straight with
     kinks, 1 two arcs without a straight part. rest : share of a crossing's length on which a yarn lies level.
     arch_deg : steepest slope of the arch of a float. irregularity : 0 = all yarns alike; 1 = as in a filament cloth.
-    repeats : the irregular cell holds repeats × repeats repeats of the weave. index : refractive index of the filaments.
+    repeats : the irregular cell holds repeats × repeats repeats of the weave. index : refractive, of the filaments.
     """
 
     weave: str
@@ -52,11 +52,14 @@ class ClothSettings:
     repeats: int = 2
     index: float = 1.57
     seed: int = 1
+    face: str = "warp"
     channels: tuple[str, ...] = field(default=("red", "green", "blue"))
 
     def __post_init__(self):
         if self.weave not in ("plain", "twill", "satin"):
             raise UserError(f"simulation: weave expected plain, twill or satin, found {self.weave!r}; choose one")
+        if self.face not in ("warp", "weft"):
+            raise UserError(f"simulation: face expected warp or weft, found {self.face!r}; choose one")
         rows = [
             ("harness", self.harness, 2, 16),
             ("warp_crimp", self.warp_crimp, 0.05, 0.95),
@@ -81,7 +84,7 @@ class ClothSettings:
             ]
             if len(yarn.dye) != len(self.channels):
                 raise UserError(
-                    f"simulation: {name} dye expected {len(self.channels)} numbers (one a channel), found {len(yarn.dye)}"
+                    f"simulation: {name} dye expected {len(self.channels)} numbers (channels), found {len(yarn.dye)}"
                 )
         for name, value, low, high in rows:
             if not low <= value <= high:
