@@ -21,7 +21,7 @@ from nishiki.goniometry.hemisphere import (
     solid_angles,
     within_hull,
 )
-from nishiki.goniometry.scattered import fit_linear, fit_spline, symmetric_kernel, trend_terms, unfold
+from nishiki.goniometry.scattered import fit_linear, fit_spline, folded, symmetric_kernel, trend_terms, unfold
 from nishiki.goniometry.store import Reflectances, write_reflectances
 from nishiki.goniometry.symmetry import departure, images, reduced
 from nishiki.goniometry.table import BasicReflectance, ReflectanceSet
@@ -195,6 +195,15 @@ def test_linear_is_exact_at_the_points_and_nearest_outside():
     np.testing.assert_allclose(predict(np.array([[0.25, 0.0], [-0.25, 0.0], [0.9, 0.9]]))[:, 0], [0.25, 0.25, 1.0])
     unfolded, repeated = unfold(points, logs, FOLDS["quarter"])
     assert len(unfolded) == len(repeated) == 9
+
+
+@pytest.mark.parametrize("folds", [*FOLDS.values(), np.array([[1, 1], [1, -1]]), np.array([[1, 1], [-1, 1]])])
+def test_folding_keeps_one_of_the_images(folds):
+    places = np.array([[0.3, -0.2], [-0.3, 0.2], [0.0, -0.5], [-0.4, 0.0], [-0.1, -0.9]])
+    kept = folded(places, folds)
+    for fold in folds:
+        np.testing.assert_array_equal(folded(places * fold, folds), kept)
+    assert all(any((p * fold == k).all() for fold in folds) for p, k in zip(places, kept, strict=True))
 
 
 @pytest.mark.parametrize("method", ["spline", "thin_plate", "linear"])

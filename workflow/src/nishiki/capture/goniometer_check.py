@@ -12,7 +12,7 @@ from nishiki.capture.problems import CaptureError, Problem, error, warning
 from nishiki.capture.seal import sha256_of
 from nishiki.ingest.blocks import block_edges
 from nishiki.ingest.frames import FrameReader
-from nishiki.ingest.goniometer_store import code_problems, region_labels, white_level, windowed
+from nishiki.ingest.goniometer_frames import code_problems, region_labels, white_level, windowed
 from nishiki.ingest.reference import DarkField, measure_darks
 
 CHECK_BLOCK = 16

@@ -107,13 +107,13 @@ def fit_linear(points: np.ndarray, logs: np.ndarray, folds: np.ndarray) -> Predi
 
 
 def folded(places: np.ndarray, folds: np.ndarray) -> np.ndarray:
-    """Places (m, 2) brought to the part of the disc that the symmetry leaves: one of the images of each."""
-    if len(folds) == 4:
-        return np.abs(places)
-    if len(folds) == 2:
-        x, y = places.T
-        return places * np.where((y < 0) | ((y == 0) & (x < 0)), -1.0, 1.0)[:, None]
-    return places
+    """Places (m, 2) brought to one of their images: that with the greatest x, then the greatest y."""
+    best = places
+    for fold in folds:
+        image = places * fold
+        better = (image[:, 0] > best[:, 0]) | ((image[:, 0] == best[:, 0]) & (image[:, 1] > best[:, 1]))
+        best = np.where(better[:, None], image, best)
+    return best
 
 
 def unfold(points: np.ndarray, logs: np.ndarray, folds: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
