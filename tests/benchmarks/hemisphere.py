@@ -2,11 +2,10 @@
 
     hemisphere.py [--data FOLDER] [--rounds N]
 
-Every table of reflectances found in or below FOLDER (`.brdf`, or `.csv` with the columns of a capture's table), whatever
-its name: for each direction of light with at least 60 views, the share `left_out` of them is predicted from the
-others. Light along the normal: with the symmetry of two mirror planes; oblique light: with the plane of incidence as
-the only mirror. Without --data, or where FOLDER holds no table: a smooth elongated lobe and a narrow one, without
-noise and with 3 %.
+Every table of reflectances found in or below FOLDER (`.brdf`, or `.csv` with a capture's columns), all of its
+directions of light with at least 60 views: the share `left_out` of the views is predicted from the others. Light along
+the normal: with the symmetry of two mirror planes; oblique light: with the plane of incidence as the only mirror.
+Without --data, or where FOLDER holds no table: an elongated lobe and a narrow one, without noise and with 3 %.
 
 Keys: table, incidence_deg, azimuth_deg, views, left_out, method, rms_rel (root of the cosine-weighted squared error
 over that of the values), rms_log (of the logarithm), fit_s (fit and prediction, the median), default.
