@@ -81,12 +81,12 @@ def texel_rows(inputs: dict, every: int) -> Iterator[dict]:
     yield from curves(Texels(inputs["texels"].folder), ParameterMaps(folder), Lighting.from_dict(lighting), every=every)
 
 
-def picture_rows(inputs: dict, work: Path, amounts: list[float], codecs: bool) -> Iterator[dict]:
+def picture_rows(inputs: dict, work: Path, asked, codecs: bool) -> Iterator[dict]:
     """Rows of the picture domain, and the gains at equal bytes."""
     from residual_pictures import codec_rows, gains, our_rows
 
     rows, compared = [], None
-    for line, pictures in our_rows(inputs, work, amounts):
+    for line, pictures in our_rows(inputs, work, asked):
         compared = pictures
         rows.append(line)
         yield line
@@ -99,16 +99,22 @@ def picture_rows(inputs: dict, work: Path, amounts: list[float], codecs: bool) -
 
 def main() -> None:
     """Parse, run, print."""
+    from residual_pictures import VARIANTS, Asked
+
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, required=True, help="capture, photographs, or results/SCENE/current")
     parser.add_argument("--object", default="", help="name in the lines (default: of the folder)")
     parser.add_argument(
         "--bits", type=float, nargs="*", default=[0.15, 0.3, 0.55], help="bits a pixel of residual and parameters"
     )
+    parser.add_argument("--steps", type=float, nargs="*", help="instead: quantiser steps, one pass each")
+    parser.add_argument("--methods", nargs="*", choices=tuple(VARIANTS), default=tuple(VARIANTS))
     parser.add_argument("--domain", choices=("both", "texels", "pictures"), default="both")
     parser.add_argument("--no-codecs", action="store_true", help="only this system's own variants")
     parser.add_argument("--every", type=int, default=1, help="domain texels: of so many patches one")
     options = parser.parse_args()
+    target, amounts = ("step", options.steps) if options.steps else ("bits_per_pixel", options.bits)
+    asked = Asked(tuple(options.methods), target, tuple(amounts))
     name = options.object or options.data.resolve().name
     with tempfile.TemporaryDirectory() as folder:
         work = Path(folder)
@@ -117,7 +123,7 @@ def main() -> None:
         if options.domain != "pictures":
             lines.append(texel_rows(inputs, options.every))
         if options.domain != "texels":
-            lines.append(picture_rows(inputs, work, options.bits, not options.no_codecs))
+            lines.append(picture_rows(inputs, work, asked, not options.no_codecs))
         for part in lines:
             for line in part:
                 print(json.dumps({"object": name, **line}), flush=True)
