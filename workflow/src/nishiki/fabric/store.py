@@ -14,6 +14,7 @@ KINDS = {  # where the class of a kind is
     "bard_great_circle": "nishiki.fabric.bard:GreatCircleBard",
     "bard_scaled": "nishiki.fabric.bard:ScaledBard",
     "facets": "nishiki.fabric.facets:FacetBrdf",
+    "yarn_facets": "nishiki.fabric.yarn_facets:YarnFacets",
     "weave": "nishiki.weave.brdf:WeaveBrdf",
     "ward": "nishiki.fabric.peers:Ward",
     "ashikhmin_shirley": "nishiki.fabric.peers:AshikhminShirley",
