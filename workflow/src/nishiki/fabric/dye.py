@@ -11,7 +11,7 @@ a(i) + albedo (1 - a(i)), at most 1 if the gloss' is (Kelemen and Szirmay-Kalos,
 specular-matte BRDF model with importance sampling, 2001).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from typing import ClassVar
 
 import numpy as np
@@ -20,6 +20,15 @@ from nishiki.fabric.interface import azimuth, halves, only_above, polar
 from nishiki.fabric.measures import directional_albedo
 
 THETAS, PHIS = 16, 24  # grid of the stored directional albedo
+
+
+WITHIN = ("diffuse", "body", "lambert")  # fields that hold the light from within
+
+
+def gloss_of(brdf):
+    """The model without its light from within: a black cloth of the same yarns. A model without such a part is itself."""
+    own = {field.name: getattr(brdf, field.name) for field in fields(brdf) if field.name in WITHIN}
+    return replace(brdf, **{name: np.zeros_like(value) for name, value in own.items()}) if own else brdf
 
 
 @dataclass(frozen=True)
