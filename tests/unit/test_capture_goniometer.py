@@ -1,6 +1,8 @@
 """Goniometer captures: tables, facts, conversion of measured tables, seal, check, and every way to get them wrong."""
 
+import re
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -205,6 +207,14 @@ def test_broken_tables_are_refused_with_file_and_remedy(tmp_path, case):
     assert [p for p in check_capture(folder) if p.kind == kind]
 
 
+def test_frames_are_not_blamed_where_only_the_yaml_is_broken(tmp_path):
+    folder = make_goniometer(tmp_path / "c")
+    edit_text(folder / "capture.yaml", "format: 1", "format: [")
+    with pytest.raises(CaptureError) as caught:
+        load_capture(folder)
+    assert [p.kind for p in caught.value.problems] == ["yaml-invalid"]
+
+
 @pytest.mark.parametrize("case", CONTENT, ids=lambda name: name)
 def test_broken_photographs_are_found_by_check_and_by_ingest(tmp_path, case):
     change, kind, words = CONTENT[case]
@@ -267,6 +277,22 @@ def test_what_is_worth_a_warning(tmp_path):
     assert "1 of 29: frames/s3.png" in kinds["some-saturated"]
     dim = make_table(tmp_path / "t", rows=HEAD + "0,0,0,0,1\n0,0,9,0,0\n")
     assert [p.kind for p in check_capture(dim, level="full")] == ["table-dark"]
+
+
+def test_the_example_of_the_documentation_is_a_sound_capture(tmp_path):
+    """What the page shows as capture.yaml and frames.csv is what the reader accepts."""
+    page = (Path(__file__).resolve().parents[2] / "docs/capture-folder.md").read_text().split("## Goniometers")[1]
+    blocks = dict(re.findall(r"```\w*\n# (capture\.yaml|frames\.csv)\n(.*?)```", page, re.DOTALL))
+    assert set(blocks) == {"capture.yaml", "frames.csv"}
+    for name, content in blocks.items():
+        (tmp_path / name).write_text(content)
+    for i, line in enumerate(blocks["frames.csv"].splitlines()[1:]):
+        file = line.split(",")[0]
+        level = (2000 if file.startswith("white") else 100 if file.startswith("dark") else 800) + 50 * i
+        write_frame(tmp_path / file, np.full((20, 24, 3), float(level)))
+    assert [p.kind for p in check_capture(tmp_path, level="full")] == ["normal-few"]  # the page shows three of 540
+    facts = goniometer_facts(load_capture(tmp_path))
+    assert (facts.normal, facts.oblique, facts.weave) == (3, 1, "satin")
 
 
 @pytest.mark.data

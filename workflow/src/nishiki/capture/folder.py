@@ -12,7 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from nishiki.capture.frames import DIALECTS, Frame, inside, read_frames
+from nishiki.capture.frames import DIALECTS, Frame, dialect_of, inside, read_frames
 from nishiki.capture.goniometer import GoniometerCapture, examine_goniometer
 from nishiki.capture.lights import Lights, direction_problems, read_lights
 from nishiki.capture.problems import CaptureError, Problem, error, raise_errors, warning
@@ -119,7 +119,7 @@ def examine(root: Path) -> tuple[Capture | TurntableCapture | GoniometerCapture 
         return None, problems
     settings = attempt(lambda: read_capture_file(payload / "capture.yaml"))
     geometry = settings.geometry if settings else geometry_named(payload / "capture.yaml")
-    geometry = geometry if geometry in tuple(DIALECTS) else "plane"
+    geometry = geometry if geometry in tuple(DIALECTS) else dialect_of(payload / "frames.csv")
     listed = not (settings and geometry == "goniometer" and settings.goniometer.table)  # a table has no photographs
     frames = attempt(lambda: read_frames(payload / "frames.csv", geometry=geometry)) if listed else ()
     if settings is None:

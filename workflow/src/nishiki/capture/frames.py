@@ -91,6 +91,13 @@ def read_frames(table: Path, *, geometry: str = "plane") -> tuple[Frame, ...]:
     return tuple(frames)
 
 
+def dialect_of(table: Path) -> str:
+    """The geometry that a frames.csv looks as if it were of, where capture.yaml does not tell: plane or goniometer."""
+    text = table.read_text(encoding="utf-8-sig", errors="replace") if table.is_file() else ""
+    lines = (line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#"))
+    return "goniometer" if ANGLE_COLUMNS[0] in next(lines, "") else "plane"
+
+
 def _check_columns(columns: list[str], file: str, known: tuple[str, ...]) -> None:
     problems = []
     for name in [c for c in columns if c not in known]:

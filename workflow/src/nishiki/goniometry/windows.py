@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from nishiki.goniometry.directions import unit
 
@@ -34,10 +35,12 @@ def read_window(linear: np.ndarray, usable: np.ndarray, saturated: np.ndarray) -
     count = int(chosen.sum())
     if count == 0:
         return Reading(np.zeros(channels), np.zeros(channels), 0, 0.0)
-    _, tile = np.unique(tile.ravel()[chosen], return_inverse=True)
+    tile = tile.ravel()[chosen]
     values = linear.reshape(-1, channels)[chosen].astype(np.float64)
     share = np.bincount(tile) / count
-    sums = np.stack([np.bincount(tile, values[:, k]) for k in range(channels)], axis=1)
+    kept = share > 0
+    sums = np.stack([np.bincount(tile, values[:, k])[kept] for k in range(channels)], axis=1)
+    share = share[kept]
     mean = sums.sum(axis=0) / count
     tiles = len(share)
     if tiles > 1:
@@ -87,14 +90,32 @@ def regions_in_view(
     """
     right, up = axes_of(theta_r, phi_r, upright)
     to_cloth = np.linalg.inv(np.array([right[:2], up[:2]]))  # (right, up) of the picture to (weft, warp) of the cloth
-    rows, columns = (np.arange(n) - (n - 1) / 2 for n in shape)
-    found = None
-    for down, across in ((0, 0), (-1, -1), (-1, 1), (1, -1), (1, 1)):
-        u, w = np.meshgrid(columns + across, -(rows + down))
-        x, y = (scale * (to_cloth[k, 0] * u + to_cloth[k, 1] * w) for k in (0, 1))
-        row = np.rint((labels.shape[0] - 1) / 2 - y).astype(np.int64)
-        column = np.rint((labels.shape[1] - 1) / 2 + x).astype(np.int64)
-        inside = (row >= 0) & (row < labels.shape[0]) & (column >= 0) & (column < labels.shape[1])
-        here = np.where(inside, labels[np.where(inside, row, 0), np.where(inside, column, 0)], 0)
-        found = here if found is None else np.where(found == here, found, 0)
-    return found.astype(np.uint16)
+    found = np.empty(shape, np.uint16)
+    _project(np.ascontiguousarray(labels, np.uint16), scale * to_cloth, found)
+    return found
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _project(labels, to_cloth, out):
+    """Fill out (rows, columns) with the label that a pixel and its four corners fall on, 0 where they differ."""
+    rows, columns = out.shape
+    for row in range(rows):
+        for column in range(columns):
+            u, w = column - (columns - 1) / 2, (rows - 1) / 2 - row
+            label = _label_at(labels, to_cloth, u, w)
+            for across in (-1, 1):
+                for up in (-1, 1):
+                    if label != 0 and _label_at(labels, to_cloth, u + across, w + up) != label:
+                        label = 0
+            out[row, column] = label
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _label_at(labels, to_cloth, u, w):
+    """Label at a place of the picture, in its pixels to the right and up from the middle; 0 outside the labels."""
+    rows, columns = labels.shape
+    row = np.floor((rows - 1) / 2 - (to_cloth[1, 0] * u + to_cloth[1, 1] * w) + 0.5)
+    column = np.floor((columns - 1) / 2 + to_cloth[0, 0] * u + to_cloth[0, 1] * w + 0.5)
+    if 0 <= row < rows and 0 <= column < columns:
+        return np.int64(labels[int(row), int(column)])
+    return np.int64(0)
