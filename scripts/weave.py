@@ -67,6 +67,7 @@ def report(fit: WeaveFit, weave: str, harness: int, measured: list[bool]) -> dic
         "rms_rel": fit.rms_rel,
         "free": fit.identifiability.free,
         "weak": fit.identifiability.weak,
+        "weak_error": fit.identifiability.weak_error,
         "at_bounds": fit.at_bounds,
         "measured": all(measured),
     }

@@ -13,16 +13,16 @@ class WeaveSettings(Closed):
     STAGE: ClassVar[str] = "weave"
     VERSION: ClassVar[int] = 1
 
-    reading: Literal["paper", "shaded"] = Field(
+    reading: Literal["paper", "shaded", "yarns"] = Field(
         "shaded",
         description="what the section does with light: paper: masking alone (W eq. 15); shaded: each visible piece "
-        "reflects by its own slope",
+        "reflects by its own slope; yarns: and warp and weft scatter along and across their own way",
     )
     lobe: Literal["gauss", "ggx"] = Field(
-        "ggx", description="form of the gloss: gauss: W's exp(-x²/a²); ggx: long tails"
+        "gauss", description="form of the gloss: gauss: W's exp(-x²/a²); ggx: long tails"
     )
     contact_deg: float | None = Field(
-        None, gt=8.0, le=90.0, description="steepest slope where yarns touch; 90: circles, as the paper; null: fitted"
+        90.0, gt=8.0, le=90.0, description="steepest slope where yarns touch; 90: circles, as the paper; null: fitted"
     )
     refractive_index: float | None = Field(
         1.5, gt=1.2, lt=2.2, description="of the fibres; null: fitted (it and k_s can hardly be told apart)"
@@ -32,7 +32,12 @@ class WeaveSettings(Closed):
         0.02, gt=0.0, le=1.0, description="error of the data and of the model, relative to the value, beside the noise"
     )
     confidence: float = Field(0.95, gt=0.5, lt=1.0, description="of the intervals")
-    harness: int | None = Field(None, ge=2, le=16, description="yarns of a repeat, for the surface; null: from n")
+    harness: int | None = Field(
+        None,
+        ge=2,
+        le=16,
+        description="yarns of a repeat (n = harness - 1); null: the best of those usual for the weave",
+    )
     spacing_ratio: float | None = Field(
         None, gt=0.1, lt=10.0, description="spacing of weft yarns over warp yarns; null: valleys equally deep"
     )

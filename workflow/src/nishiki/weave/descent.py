@@ -35,14 +35,14 @@ def strengths(a, b, y):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def residuals(p, theta_i, theta_r, split, y, weight, shared, reading, work, out):
-    """out (n,) = weight (model - y); rows 0..split are the weft plane's, the rest the warp's. Returns sum of squares.
+def residuals(p, rows, split, y, weight, shared, reading, work, out):
+    """out (n,) = weight (model - y); rows: see reading.rows_of; 0..split lie in the weft plane. Returns sum of squares.
 
     shared: one pair of strengths for both planes, else one for each. work: (n, 2).
     """
     f0, n = exp(p[2 * SIZE]), y.size
-    fill_columns(shape_of(p[:SIZE], 0), exp(p[3]), theta_i[:split], theta_r[:split], f0, reading, work[:split])
-    fill_columns(shape_of(p[SIZE:], 1), exp(p[SIZE + 3]), theta_i[split:], theta_r[split:], f0, reading, work[split:])
+    weft, warp = shape_of(p[:SIZE], 0), shape_of(p[SIZE:], 1)
+    fill_columns(weft, warp, exp(p[3]), exp(p[SIZE + 3]), rows, f0, reading, work)
     for k in range(n):
         work[k, 0] *= weight[k]
         work[k, 1] *= weight[k]
@@ -60,29 +60,29 @@ def residuals(p, theta_i, theta_r, split, y, weight, shared, reading, work, out)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def costs(points, theta_i, theta_r, split, y, weight, shared, reading):
+def costs(points, rows, split, y, weight, shared, reading):
     """Sum of squares (points,) at every row of points (points, UNKNOWNS)."""
     work, out, found = np.empty((y.size, 2)), np.empty(y.size), np.empty(len(points))
     for k in range(len(points)):
-        found[k] = residuals(points[k], theta_i, theta_r, split, y, weight, shared, reading, work, out)
+        found[k] = residuals(points[k], rows, split, y, weight, shared, reading, work, out)
     return found
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def jacobian(p, low, high, free, theta_i, theta_r, split, y, weight, shared, reading):
+def jacobian(p, low, high, free, rows, split, y, weight, shared, reading):
     """Residuals (n,), Jacobian (n, free) of the projected residual, sum of squares; steps stay within the bounds."""
     n, m = y.size, free.size
     work, here, there, back = np.empty((n, 2)), np.empty(n), np.empty(n), np.empty(n)
-    cost = residuals(p, theta_i, theta_r, split, y, weight, shared, reading, work, here)
+    cost = residuals(p, rows, split, y, weight, shared, reading, work, here)
     out, q = np.empty((n, m)), p.copy()
     for j in range(m):
         at = free[j]
         step = 1e-6 * max(high[at] - low[at], 1e-9)
         up, down = min(p[at] + step, high[at]), max(p[at] - step, low[at])
         q[at] = up
-        residuals(q, theta_i, theta_r, split, y, weight, shared, reading, work, there)
+        residuals(q, rows, split, y, weight, shared, reading, work, there)
         q[at] = down
-        residuals(q, theta_i, theta_r, split, y, weight, shared, reading, work, back)
+        residuals(q, rows, split, y, weight, shared, reading, work, back)
         q[at] = p[at]
         for k in range(n):
             out[k, j] = (there[k] - back[k]) / (up - down) if up > down else 0.0
@@ -90,8 +90,40 @@ def jacobian(p, low, high, free, theta_i, theta_r, split, y, weight, shared, rea
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def descend(p, low, high, free, theta_i, theta_r, split, y, weight, shared, reading, rounds, tolerance):
-    """Levenberg-Marquardt with bounds: steps are clipped, unknowns at a bound that push outwards are held.
+def _step(p, low, high, free, normal, gradient, scale, damping):
+    """The damped step from p; unknowns that it would carry over a bound stop there, and the others are solved anew."""
+    m = free.size
+    fixed, move = np.zeros(m, np.bool_), np.zeros(m)
+    for _ in range(m):
+        matrix, right = normal.copy(), -gradient
+        for j in range(m):
+            matrix[j, j] += damping + 1e-14 if matrix[j, j] > 0.0 else 1.0
+        for j in range(m):
+            if fixed[j]:
+                right -= matrix[:, j] * (move[j] * scale[j])
+        for j in range(m):
+            if fixed[j]:
+                matrix[j, :] = 0.0
+                matrix[:, j] = 0.0
+                matrix[j, j], right[j] = 1.0, move[j] * scale[j]
+        move = np.linalg.solve(matrix, right) / scale
+        clear = True
+        for j in range(m):
+            at = free[j]
+            if not fixed[j] and not low[at] <= p[at] + move[j] <= high[at]:
+                move[j] = (low[at] if p[at] + move[j] < low[at] else high[at]) - p[at]
+                fixed[j], clear = True, False
+        if clear:
+            break
+    q = p.copy()
+    for j in range(m):
+        q[free[j]] = min(max(p[free[j]] + move[j], low[free[j]]), high[free[j]])
+    return q
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def descend(p, low, high, free, rows, split, y, weight, shared, reading, rounds, tolerance):
+    """Levenberg-Marquardt with bounds: unknowns at a bound that push outwards are held.
 
     Returns (p, sum of squares). Ends when a step gains less than `tolerance` of the sum or none is found.
     """
@@ -99,7 +131,7 @@ def descend(p, low, high, free, theta_i, theta_r, split, y, weight, shared, read
     n = y.size
     work, trial = np.empty((n, 2)), np.empty(n)
     damping = 1e-3
-    here, slopes, cost = jacobian(p, low, high, free, theta_i, theta_r, split, y, weight, shared, reading)
+    here, slopes, cost = jacobian(p, low, high, free, rows, split, y, weight, shared, reading)
     for _ in range(rounds):
         gradient, normal = slopes.T @ here, slopes.T @ slopes
         for j in range(free.size):
@@ -109,26 +141,24 @@ def descend(p, low, high, free, theta_i, theta_r, split, y, weight, shared, read
                 normal[:, j] = 0.0
                 gradient[j] = 0.0
         scale = np.sqrt(np.diag(normal))
+        least = 1e-30 * scale.max()
         for j in range(free.size):
-            scale[j] = scale[j] if scale[j] > 0.0 else 1.0
+            if not scale[j] > least:  # no effect: held
+                normal[j, :] = 0.0
+                normal[:, j] = 0.0
+                gradient[j], scale[j] = 0.0, 1.0
         normal, gradient = normal / np.outer(scale, scale), gradient / scale
         gained = 0.0
         while damping < 1e10:
-            matrix = normal.copy()
-            for j in range(free.size):
-                matrix[j, j] += damping + 1e-14 if matrix[j, j] > 0.0 else 1.0
-            move = np.linalg.solve(matrix, -gradient) / scale
-            q = p.copy()
-            for j in range(free.size):
-                q[free[j]] = min(max(p[free[j]] + move[j], low[free[j]]), high[free[j]])
-            found = residuals(q, theta_i, theta_r, split, y, weight, shared, reading, work, trial)
+            q = _step(p, low, high, free, normal, gradient, scale, damping)
+            found = residuals(q, rows, split, y, weight, shared, reading, work, trial)
             if found < cost:
                 gained, p, damping = cost - found, q, max(damping * 0.2, 1e-12)
                 break
             damping *= 4.0
         if gained <= tolerance * cost or gained == 0.0:
             return p, min(cost, cost - gained)
-        here, slopes, cost = jacobian(p, low, high, free, theta_i, theta_r, split, y, weight, shared, reading)
+        here, slopes, cost = jacobian(p, low, high, free, rows, split, y, weight, shared, reading)
         if sqrt(cost) < 1e-15 * sqrt(n):
             break
     return p, cost

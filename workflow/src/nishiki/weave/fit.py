@@ -12,13 +12,14 @@ from nishiki.weave.descent import UNKNOWNS
 from nishiki.weave.identify import Identifiability, identify
 from nishiki.weave.intervals import noise_variance, profile_intervals
 from nishiki.weave.planes import Plane
-from nishiki.weave.reading import GAUSS, GGX, PAPER, SHADED, SIZE, columns_of, shape_of
+from nishiki.weave.reading import GAUSS, GGX, PAPER, SHADED, SIZE, YARNS, columns, plane_rows, shape_of
 from nishiki.weave.search import Problem, at_bounds, search
 from nishiki.weave.section import HALF_PI, WarpSection, WeftSection
 
-READINGS = {"paper": PAPER, "shaded": SHADED}
+READINGS = {"paper": PAPER, "shaded": SHADED, "yarns": YARNS}
 LOBES = {"gauss": GAUSS, "ggx": GGX}
 START_INDEX = 1.5
+NOTHING = 1e-6  # a length over the period, or a strength, that is left out of what is told apart
 
 
 @dataclass(frozen=True)
@@ -27,7 +28,7 @@ class WeaveModel:
 
     weft, warp: sections, each scaled to a period of 1. a_weft, a_warp: widths of D = exp(-theta_h^2 / a^2) (W's e and
     a). index: refractive index. k_s, k_d (channels,): strengths of gloss and body (k_d stands for W's k_d d), one pair
-    for both planes. reading: "paper" or "shaded"; lobe: "gauss" (W's) or "ggx".
+    for both planes. reading: "paper", "shaded" or "yarns" (see `reading`); lobe: "gauss" (W's) or "ggx".
     """
 
     weft: WeftSection
@@ -47,9 +48,8 @@ class WeaveModel:
 
     def parts(self, plane: str, theta_i, theta_r) -> tuple[np.ndarray, np.ndarray]:
         """Gloss and body (..., channels) sr^-1 in one plane ("weft", "warp") at signed angles (...,), radians."""
-        section, width = (self.weft, self.a_weft) if plane == "weft" else (self.warp, self.a_warp)
-        reading = READINGS[self.reading] + LOBES[self.lobe]
-        both = columns_of(section.shape, width, theta_i, theta_r, f0=self.f0, reading=reading)
+        rows = plane_rows(0 if plane == "weft" else 1, theta_i, theta_r)
+        both = _columns(self, rows)
         return both[..., :1] * (self.k_s * self.f0), both[..., 1:] * self.k_d
 
     def predict(self, plane: str, theta_i, theta_r) -> np.ndarray:
@@ -92,19 +92,22 @@ def fit_weave(
     warp: Plane,
     *,
     reading: str = "shaded",
-    lobe: str = "ggx",
-    contact: float | None = None,
+    lobe: str = "gauss",
+    contact: float | None = HALF_PI,
+    harness: int | None = None,
     index: float | None = START_INDEX,
     confidence: float = 0.95,
     intervals: bool = True,
 ) -> WeaveFit:
     """The weave model that explains both planes best; deterministic.
 
-    reading : "paper" (W eq. 15) or "shaded". lobe : "gauss" (W's) or "ggx". contact : angle of the weft section's
-    contacts; None: searched. index : refractive index; None: searched (it and k_s can hardly be told apart).
+    reading : "paper" (W eq. 15), "shaded" or "yarns". lobe : "gauss" (W's) or "ggx". contact : angle of the weft
+    section's contacts; None: searched. harness : yarns of a repeat, of which one is bound, where the weave is known:
+    then n = harness - 1; None: searched. index : refractive index; None: searched (it and k_s can hardly be told
+    apart).
     confidence : of the intervals. intervals : False leaves them out (empty), for speed.
     """
-    problem, start = _problem(weft, warp, READINGS[reading] + LOBES[lobe], contact, index)
+    problem, start = _problem(weft, warp, READINGS[reading] + LOBES[lobe], contact, harness, index)
     p, cost = search(problem, start)
     model = model_of(p, weft, warp, reading, lobe)
     variance = noise_variance(problem, cost)
@@ -119,28 +122,25 @@ def fit_weave(
     )
 
 
-def _problem(weft: Plane, warp: Plane, reading, contact, index) -> tuple[Problem, np.ndarray]:
+def _problem(weft: Plane, warp: Plane, reading: int, contact, harness, index) -> tuple[Problem, np.ndarray]:
     start = np.array([0.5, 0.5, 0.5, -1.0, HALF_PI] * 2 + [2 * np.log((START_INDEX - 1) / (START_INDEX + 1))])
+    assert start.size == UNKNOWNS
     if index is not None:
         start[-1] = 2 * np.log((index - 1) / (index + 1))
-    free = [
-        *range(4),
-        *([4] if contact is None else []),
-        *range(SIZE, SIZE + 4),
-        *([2 * SIZE] if index is None else []),
-    ]
+    if harness is not None:
+        start[2] = -harness
     start[4] = HALF_PI if contact is None else contact
+    touching = contact is None and harness != 2  # single yarns have no contact
+    searched = [*[True] * 2, harness is None, True, touching, *[True] * 4, False, index is None]
     problem = Problem(
-        theta_i=np.concatenate([weft.theta_i, warp.theta_i]),
-        theta_r=np.concatenate([weft.theta_r, warp.theta_r]),
+        rows=_rows(weft, warp),
         split=weft.theta_r.size,
         y=np.concatenate([weft.mean, warp.mean]),
         weight=1.0 / np.concatenate([weft.sigma, warp.sigma]),
         shared=True,
         reading=reading,
-        free=np.array(free),
+        free=np.flatnonzero(searched),
     )
-    assert start.size == UNKNOWNS
     return problem, start
 
 
@@ -157,14 +157,10 @@ def model_of(p: np.ndarray, weft: Plane, warp: Plane, reading: str, lobe: str) -
     from scipy.optimize import nnls
 
     f0 = float(np.exp(p[-1]))
-    rows, values = [], []
-    for k, plane in enumerate((weft, warp)):
-        q = p[k * SIZE : (k + 1) * SIZE]
-        kind = READINGS[reading] + LOBES[lobe]
-        both = columns_of(shape_of(q, k), np.exp(q[3]), plane.theta_i, plane.theta_r, f0=f0, reading=kind)
-        rows.append(both / plane.sigma[:, None])
-        values.append(plane.values / plane.sigma[:, None])
-    matrix, values = np.concatenate(rows), np.concatenate(values)
+    sigma = np.concatenate([weft.sigma, warp.sigma])[:, None]
+    values = np.concatenate([weft.values, warp.values]) / sigma
+    shapes, widths = (shape_of(p[:SIZE], 0), shape_of(p[SIZE:], 1)), np.exp(p[[3, SIZE + 3]])
+    matrix = columns(*shapes, widths, _rows(weft, warp), f0=f0, reading=READINGS[reading] + LOBES[lobe]) / sigma
     strengths = np.array([nnls(matrix, column)[0] for column in values.T])
     root = np.sqrt(f0)
     return WeaveModel(
@@ -186,27 +182,33 @@ def _rms(model: WeaveModel, name: str, plane: Plane) -> float:
 
 def _identifiability(model: WeaveModel, weft: Plane, warp: Plane, problem: Problem, variance: float) -> Identifiability:
     """Of all physical parameters, also those that were held."""
-    known = model.parameters()
-    if problem.free[problem.free < SIZE].size == 4:
-        known.pop("contact_weft")
+    known = {name: value for name, value in model.parameters().items() if value > NOTHING}
+    if 4 not in problem.free:
+        known.pop("contact_weft", None)
+
+    rows, kind = _rows(weft, warp), READINGS[model.reading] + LOBES[model.lobe]
 
     def predict(values):
-        return np.concatenate([_predict(model, values, k, plane) for k, plane in enumerate((weft, warp))])
+        return _predict(model, values, rows, kind)
 
     return identify(predict, known, problem.weight, variance=variance)
 
 
-def _predict(model: WeaveModel, values: dict[str, float], k: int, plane: Plane) -> np.ndarray:
-    """Reflectance (n,) of one plane for parameters by name; lengths need no common scale."""
-    if k == 0:
-        contact = values.get("contact_weft", model.weft.contact)
-        section = (values[f"{name}_weft"] for name in ("theta_a", "l", "r"))
-        theta_a, length, radius = section
-        shape, width = (theta_a, length, radius, 0.0, values["n_weft"], contact), values["a_weft"]
-    else:
-        shape = (*(values[f"{name}_warp"] for name in ("theta_a", "l", "r", "m")), 1.0, HALF_PI)
-        width = values["a_warp"]
-    f0 = ((values["index"] - 1) / (values["index"] + 1)) ** 2
+def _rows(weft: Plane, warp: Plane) -> np.ndarray:
+    return np.concatenate([plane_rows(k, plane.theta_i, plane.theta_r) for k, plane in enumerate((weft, warp))])
+
+
+def _columns(model: WeaveModel, rows: np.ndarray) -> np.ndarray:
     reading = READINGS[model.reading] + LOBES[model.lobe]
-    both = columns_of(shape, width, plane.theta_i, plane.theta_r, f0=f0, reading=reading)
-    return both @ [values["k_s"] * f0, values["k_d"]]
+    widths = (model.a_weft, model.a_warp)
+    return columns(model.weft.shape, model.warp.shape, widths, rows, f0=model.f0, reading=reading)
+
+
+def _predict(model: WeaveModel, values: dict[str, float], rows: np.ndarray, reading: int) -> np.ndarray:
+    """Reflectance (n,) for parameters by name; lengths need no common scale."""
+    contact = values.get("contact_weft", model.weft.contact)
+    weft = (*(values.get(f"{name}_weft", 0.0) for name in ("theta_a", "l", "r")), 0.0, values["n_weft"], contact)
+    warp = (*(values.get(f"{name}_warp", 0.0) for name in ("theta_a", "l", "r", "m")), 1.0, HALF_PI)
+    f0 = ((values["index"] - 1) / (values["index"] + 1)) ** 2
+    both = columns(weft, warp, (values["a_weft"], values["a_warp"]), rows, f0=f0, reading=reading)
+    return both @ [values.get("k_s", 0.0) * f0, values.get("k_d", 0.0)]

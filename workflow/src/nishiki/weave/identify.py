@@ -5,17 +5,19 @@ from dataclasses import dataclass
 import numpy as np
 
 NULL = 1e-7  # singular value over the largest below which no measurement, however exact, would tell
+WEAK = 0.1
 LEAST = 0.05  # share of a direction's largest part from which a parameter is named
 
 
 @dataclass(frozen=True)
 class Identifiability:
-    """free: products of powers that change nothing; weak: the combination that the data determine least, with the
-    relative change of it that is one standard deviation; singular: values over the largest, falling."""
+    """free: products of powers that change nothing. weak: those that the data see, but determine to no better than
+    WEAK, the worst first, and weak_error the relative change that is one standard deviation. singular: values of the
+    Jacobian over the largest, falling."""
 
     free: list[str]
-    weak: str
-    weak_error: float
+    weak: list[str]
+    weak_error: list[float]
     singular: list[float]
 
 
@@ -23,7 +25,7 @@ def identify(predict, parameters: dict[str, float], weight: np.ndarray, *, varia
     """From the Jacobian of the weighted prediction in the logarithms of the parameters.
 
     predict(dict) -> (n,) reflectances; parameters: by name, those that are 0 cannot be changed by a factor and are left
-    out; weight (n,) = 1 / sigma; variance: of the weighted residuals.
+    out; weight (n,) = 1 / sigma; variance: of the weighted residuals, used where above 1.
     """
     names = [name for name, value in parameters.items() if value > 0]
     slopes = np.stack([_slope(predict, parameters, name) for name in names], axis=1) * weight[:, None]
@@ -31,12 +33,12 @@ def identify(predict, parameters: dict[str, float], weight: np.ndarray, *, varia
     singular = np.concatenate([singular, np.zeros(len(names) - len(singular))])
     largest = max(float(singular[0]), 1e-300)
     seen = singular > NULL * largest
-    last = int(np.flatnonzero(seen)[-1]) if seen.any() else 0
-    error = float(np.sqrt(variance) / singular[last]) if seen.any() else 0.0
+    spread = np.sqrt(max(variance, 1.0))
+    weak = [k for k in np.flatnonzero(seen)[::-1] if spread / singular[k] > WEAK]
     return Identifiability(
         free=[_product(row, names) for row in _reduced(rows[~seen])],
-        weak=_product(rows[last], names),
-        weak_error=error,
+        weak=[_product(rows[k], names) for k in weak],
+        weak_error=[float(f"{spread / singular[k]:.3g}") for k in weak],
         singular=[float(f"{value / largest:.3g}") if value > NULL * largest else 0.0 for value in singular],
     )
 

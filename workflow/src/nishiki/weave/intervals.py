@@ -4,7 +4,7 @@ import numpy as np
 
 from nishiki.weave.descent import descend
 from nishiki.weave.reading import PARAMETERS, PLANES, SIZE
-from nishiki.weave.search import Problem, bounds, in_cell
+from nishiki.weave.search import Problem, bounds, cell_of, clipped, in_cell
 
 ROUNDS, WIDENINGS, HALVINGS = 40, 24, 12
 
@@ -79,23 +79,26 @@ def profile_interval(problem: Problem, p, cost: float, at: int, *, confidence: f
 
 
 def _held(problem: Problem, p, at, value, rest, edges, low, high):
-    """Best of all others with one unknown held; a plane's theta_a stays in its cell or moves to a neighbouring one."""
+    """Best of all others with one unknown held; a theta_a that ends at the border of its cell tries the next one."""
     start = p.copy()
     start[at] = value
-    best = None
-    places = [
-        int(np.clip(np.searchsorted(edges[k], start[k * SIZE], "right") - 1, 0, len(edges[k]) - 2)) for k in (0, 1)
-    ]
-    for dx, dy in ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1)):
-        cell = places[0] + dx, places[1] + dy
-        if (dx and at == 0) or (dy and at == SIZE):
+    cell = [cell_of(edges[k], start[k * SIZE]) for k in (0, 1)]
+    best = _in(problem, start, rest, edges, cell, low, high)
+    for k in (0, 1):
+        if at == k * SIZE:
             continue  # its cell is given
-        if not all(0 <= cell[k] < len(edges[k]) - 1 for k in (0, 1)):
-            continue
-        inside = in_cell(*in_cell(low, high, edges[0], 0, cell[0]), edges[1], 1, cell[1])
-        first = np.clip(start, *inside)
-        first[at] = value
-        found = descend(first, *inside, rest, *problem.data, ROUNDS, 1e-6)
-        if best is None or found[1] < best[1]:
-            best = found
+        theta_a, ends = best[0][k * SIZE], edges[k][cell[k] : cell[k] + 2]
+        move = -1 if theta_a <= ends[0] + 1e-9 else 1 if theta_a >= ends[1] - 1e-9 else 0
+        if move and 0 <= cell[k] + move < len(edges[k]) - 1:
+            cell[k] += move
+            found = _in(problem, best[0], rest, edges, cell, low, high)
+            if found[1] < best[1]:
+                best = found
+            else:
+                cell[k] -= move
     return best
+
+
+def _in(problem: Problem, p, rest, edges, cell, low, high):
+    inside = in_cell(*in_cell(low, high, edges[0], 0, cell[0]), edges[1], 1, cell[1])
+    return descend(clipped(p, rest, *inside), *inside, rest, *problem.data, ROUNDS, 1e-6)

@@ -1,10 +1,18 @@
-"""What a woven section reflects in its plane: a gloss and a body column, each linear in its strength.
+"""What a woven cloth reflects: a gloss and a body column, each linear in its strength, from its two sections.
 
-Two readings of one section. `paper`: W eq. 15, rho = k_s D F G / cos(theta_r) + k_d d G, in which the section enters by
-its masking alone. `shaded`: every piece of the section that is lit and seen reflects by its own slope, the gloss by
-facets that scatter about it, D(theta_h - slope), the body by Lambert's law; integrated over these pieces in closed
-form. Light off the normal: G is the share that is lit and seen, the gloss is divided by cos(theta_i) as well. For light
-and view along the normal both columns are 1 without the Fresnel term, so a strength is its part of rho: k_s F0, k_d d.
+A direction in space sees a section as its projection on the section's plane does, so each column is made of a factor of
+the weft plane (x, z) and one of the warp plane (y, z). Three readings of the same sections:
+
+* paper: W eq. 15, rho = k_s D F G / cos(theta_r) + k_d d G; a section enters by its masking alone.
+* shaded: every piece of a section that is lit and seen reflects by its own slope, the gloss by facets that scatter
+  about it, D(theta_h - slope), the body by Lambert's law; integrated over these pieces in closed form.
+* yarns: shaded, and the pieces are those of yarns. In the weft section the row of yarns is the warp's, cut across, and
+  the single hump a weft yarn along its way; in the warp section the hump with the flat top is a warp yarn along its
+  way, the other one a weft yarn cut across. Fibres scatter differently along and across a yarn: the lobe's two widths
+  are those across (where the others have the weft plane's) and along (the warp plane's).
+
+Light off the normal: G is the share that is lit and seen, the gloss is divided by cos(theta_i) as well. For light and
+view along the normal both columns are 1 without the Fresnel term, so a strength is its part of rho: k_s F0, k_d d.
 
 The lobe D is W's exp(-x^2 / a^2), or that of GGX in the plane (Walter et al., EGSR 2007), whose tails are those of
 fibres: 1 / (cos^2 x + sin^2 x / a^2)^2.
@@ -19,9 +27,10 @@ from nishiki.weave.visibility import HALF_PI, share_seen, side_lengths
 
 PARAMETERS = ("theta_a", "flank", "humps", "log_width", "contact")  # of one plane; see shape_of
 PLANES = ("weft", "warp")  # 0, 1
-PAPER, SHADED = 0, 2  # a reading's number is one of these plus one of the lobes'
+PAPER, SHADED, YARNS = 0, 2, 4  # a reading's number is one of these plus one of the lobes'
 GAUSS, GGX = 0, 1
 SIZE = len(PARAMETERS)
+TINY = 1e-150  # a gloss column that is no more along the normal stands for nothing that is seen
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -29,10 +38,13 @@ def shape_of(p, plane):
     """(theta_a, l, r, m, n, contact) of one plane's parameters, scaled to l + r theta_a = 1.
 
     p = (theta_a, flank = l / (l + a), humps = share of the length outside of flat top or contacts, log of the lobe's
-    width, contact): all within bounds and of like size, whatever the lengths are.
+    width, contact): all within bounds and of like size, whatever the lengths are. humps = -h < 0 (weft): n = h - 1, the
+    yarns of a repeat of which one is bound.
     """
     theta_a, flank, humps, contact = p[0], p[1], p[2], p[4]
     radius = (1.0 - flank) / theta_a
+    if humps < 0.0:
+        return (theta_a, flank, radius, 0.0, -humps - 1.0, contact)
     rest = 4.0 * (1.0 - humps) / humps
     if plane == 1:
         return (theta_a, flank, radius, rest, 1.0, HALF_PI)
@@ -76,55 +88,127 @@ def _ggx_until(x, width):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def pieces(shape, width, kind, theta_i, theta_r, half):
-    """Gloss (without Fresnel) and body of the pieces lit and seen, both times cos(theta_i) cos(theta_r), unscaled.
+def pieces(shape, first_width, second_width, kind, theta_i, theta_r, half):
+    """Gloss (without Fresnel) and body of the pieces lit and seen, times cos(theta_i) cos(theta_r), over the period.
 
-    half: angle of the half vector; in the plane it lies midway.
+    Returns (gloss, body) of the first hump with its flat top or contacts, then of the second. The lobe's width is that
+    of each hump; half: angle of the half vector, which in the plane lies midway.
     """
-    theta_a, radius, flat, rows = shape[0], shape[2], shape[3], shape[4] - 1.0
-    apart, middle = cos(theta_i - theta_r), theta_i + theta_r
+    theta_a, length, radius, flat, yarns, contact = shape
+    rows, apart, middle = yarns - 1.0, cos(theta_i - theta_r), theta_i + theta_r
     lit, seen = side_lengths(shape, theta_i), side_lengths(shape, theta_r)
-    arc = radius * theta_a
-    gloss, body = flat * lobe(half, width, kind), flat * cos(theta_i) * cos(theta_r)
+    arc, same = radius * theta_a, first_width == second_width
+    hump_gloss = other_gloss = hump_body = 0.0
+    gloss, body = flat * lobe(half, first_width, kind), flat * cos(theta_i) * cos(theta_r)
     for k in range(2):
         side = 1.0 if k == 0 else -1.0
         outer, inner = min(lit[k], seen[k]), min(lit[k + 2], seen[k + 2])
-        straight = 2.0 * max(outer - arc, 0.0)
-        gloss += straight * lobe(half - side * theta_a, width, kind)
-        body += straight * cos(theta_i - side * theta_a) * cos(theta_r - side * theta_a)
-        for j in range(2):
-            angle = (min(outer, arc) / radius if radius > 0.0 else 0.0) if j == 0 else inner
-            weight = 2.0 * radius if j == 0 else rows * radius
-            ends = (half - angle, half) if side > 0.0 else (half, half + angle)
-            gloss += weight * lobe_integral(ends[0], ends[1], width, kind)
-            # integral of cos(theta_i - side x) cos(theta_r - side x) over 0..angle
-            turned = sin(angle) * cos(angle - side * middle)
-            body += 0.5 * weight * (angle * apart + turned)
-    return gloss, body
+        straight, angle = max(outer - arc, 0.0), (min(outer, arc) / radius if radius > 0.0 else 0.0)
+        low, high = (half - angle, half) if k == 0 else (half, half + angle)
+        steep = half - side * theta_a
+        hump_gloss += straight * lobe(steep, first_width, kind)
+        hump_gloss += radius * lobe_integral(low, high, first_width, kind)
+        if not same:
+            other_gloss += straight * lobe(steep, second_width, kind)
+            other_gloss += radius * lobe_integral(low, high, second_width, kind)
+        hump_body += straight * cos(theta_i - side * theta_a) * cos(theta_r - side * theta_a)
+        # integral of cos(theta_i - side x) cos(theta_r - side x) over 0..angle
+        hump_body += 0.5 * radius * (angle * apart + sin(angle) * cos(angle - side * middle))
+        if rows > 0.0:
+            low, high = (half - inner, half) if k == 0 else (half, half + inner)
+            gloss += rows * radius * lobe_integral(low, high, first_width, kind)
+            body += 0.5 * rows * radius * (inner * apart + sin(inner) * cos(inner - side * middle))
+    other_gloss = hump_gloss if same else other_gloss
+    wide = 4.0 * (length * cos(theta_a) + radius * sin(theta_a)) + flat + 2.0 * rows * radius * sin(contact)
+    return (gloss + hump_gloss) / wide, (body + hump_body) / wide, other_gloss / wide, hump_body / wide
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def fill_columns(shape, width, theta_i, theta_r, f0, reading, out):
-    """out (n, 2): gloss and body column of a section, shape (theta_a, l, r, m, n, contact), at signed angles (n,)."""
-    kind = reading % 2
-    above = pieces(shape, width, kind, 0.0, 0.0, 0.0) if reading >= SHADED else (1.0, 1.0)
-    for k in range(theta_r.size):
-        i, r = theta_i[k], theta_r[k]
-        fresnel, slant = schlick(f0, cos(0.5 * (r - i))), cos(i) * cos(r)
-        if reading >= SHADED:
-            gloss, body = pieces(shape, width, kind, i, r, 0.5 * (i + r))
-            out[k, 0] = fresnel * gloss / (above[0] * slant) if above[0] > 0.0 else 0.0
-            out[k, 1] = body / (above[1] * slant)
-        else:
-            seen = share_seen(shape, i, r)
-            out[k, 0] = lobe(0.5 * (i + r), width, kind) * fresnel * seen / slant
-            out[k, 1] = seen
+def second_share(shape):
+    """Share of the period that the second hump takes."""
+    theta_a, length, radius, flat, yarns, contact = shape
+    hump = 2.0 * (length * cos(theta_a) + radius * sin(theta_a))
+    return hump / (2.0 * hump + flat + 2.0 * (yarns - 1.0) * radius * sin(contact))
 
 
-def columns_of(shape, width: float, theta_i, theta_r, *, f0: float, reading: int) -> np.ndarray:
-    """Gloss and body column (..., 2) of a section at signed angles (...,), radians from the normal, below pi/2."""
-    theta_i, theta_r = np.broadcast_arrays(np.asarray(theta_i, np.float64), np.asarray(theta_r, np.float64))
-    out = np.empty((theta_r.size, 2))
-    flat = (np.ascontiguousarray(angle).reshape(-1) for angle in (theta_i, theta_r))
-    fill_columns(tuple(map(float, shape)), float(width), *flat, f0, reading, out)
-    return out.reshape(*theta_r.shape, 2)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _plane_factor(shape, width, reading, above, i, r, half):
+    """Gloss (times cos i cos r) and body factor of one plane, paper and shaded reading; 1 along the normal."""
+    if i == 0.0 and r == 0.0 and half == 0.0:
+        return 1.0, 1.0
+    if reading < SHADED:
+        seen = share_seen(shape, i, r)
+        return lobe(half, width, reading % 2) * seen, seen
+    a, b, c, d = pieces(shape, width, width, reading % 2, i, r, half)
+    gloss = (a + c) / above[0] if above[0] > TINY else 0.0
+    return gloss, (b + d) / (above[1] * cos(i) * cos(r))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _yarn_factors(weft, warp, across, along, kind, row):
+    """Gloss (times cos i cos r) and body of both systems of yarns together, unscaled."""
+    x = pieces(weft, across, along, kind, row[0], row[1], row[2])
+    y = pieces(warp, along, across, kind, row[3], row[4], row[5])
+    weft_share_x, weft_share_y = second_share(weft), second_share(warp)
+    # each section tells how its own part of the surface is spread, the geometric mean of both how large that part is
+    up = sqrt(weft_share_x * weft_share_y)
+    first = (1.0 - up) / ((1.0 - weft_share_x) * (1.0 - weft_share_y))
+    second = up / (weft_share_x * weft_share_y)
+    slant = cos(row[0]) * cos(row[1]) * cos(row[3]) * cos(row[4])
+    return first * x[0] * y[0] + second * x[2] * y[2], (first * x[1] * y[1] + second * x[3] * y[3]) / slant
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def fill_columns(weft, warp, across, along, rows, f0, reading, out):
+    """out (n, 2): gloss and body column of two sections (theta_a, l, r, m, n, contact) in the directions of `rows`,
+    see rows_of; across, along: widths of the lobes, in the other readings those of the weft and the warp plane."""
+    kind, straight = reading % 2, np.zeros(9)
+    if reading >= YARNS:
+        above = _yarn_factors(weft, warp, across, along, kind, straight)
+    elif reading >= SHADED:
+        a, b, c, d = pieces(weft, across, across, kind, 0.0, 0.0, 0.0)
+        above_x = (a + c, b + d)
+        a, b, c, d = pieces(warp, along, along, kind, 0.0, 0.0, 0.0)
+        above_y = (a + c, b + d)
+    else:
+        above_x = above_y = (1.0, 1.0)
+    for k in range(len(rows)):
+        row = rows[k]
+        fresnel = schlick(f0, row[8]) / (row[6] * row[7])
+        if reading >= YARNS:
+            gloss, body = _yarn_factors(weft, warp, across, along, kind, row)
+            out[k, 0] = fresnel * gloss / above[0] if above[0] > TINY else 0.0
+            out[k, 1] = body / above[1]
+            continue
+        x = _plane_factor(weft, across, reading, above_x, row[0], row[1], row[2])
+        y = _plane_factor(warp, along, reading, above_y, row[3], row[4], row[5])
+        out[k, 0], out[k, 1] = fresnel * x[0] * y[0], x[1] * y[1]
+
+
+def rows_of(incident, outgoing) -> np.ndarray:
+    """(n, 9) of unit vectors (n, 3) above the horizon: angles of light, view and half vector in the weft plane, the
+    same in the warp plane, cosines of light and view with the normal, of light with the half vector."""
+    incident, outgoing = np.broadcast_arrays(np.asarray(incident, float), np.asarray(outgoing, float))
+    middle = incident + outgoing
+    length = np.linalg.norm(middle, axis=-1)
+    angles = [np.arctan2(d[..., axis], d[..., 2]) for axis in (0, 1) for d in (incident, outgoing, middle)]
+    return np.stack([*angles, incident[..., 2], outgoing[..., 2], np.minimum(0.5 * length, 1.0)], axis=-1)
+
+
+def plane_rows(plane: int, theta_i, theta_r) -> np.ndarray:
+    """rows_of directions in one plane (0 weft, 1 warp) at signed angles (n,), radians."""
+    theta_i, theta_r = np.broadcast_arrays(np.asarray(theta_i, float), np.asarray(theta_r, float))
+    rows = np.zeros((*theta_r.shape, 9))
+    rows[..., 3 * plane], rows[..., 3 * plane + 1] = theta_i, theta_r
+    rows[..., 3 * plane + 2] = 0.5 * (theta_i + theta_r)
+    rows[..., 6], rows[..., 7], rows[..., 8] = np.cos(theta_i), np.cos(theta_r), np.cos(0.5 * (theta_r - theta_i))
+    return rows
+
+
+def columns(weft, warp, widths, rows: np.ndarray, *, f0: float, reading: int) -> np.ndarray:
+    """Gloss and body column (..., 2) of two sections' shapes for rows (..., 9); see fill_columns."""
+    flat = np.ascontiguousarray(rows.reshape(-1, 9))
+    out = np.empty((len(flat), 2))
+    shapes = (tuple(map(float, weft)), tuple(map(float, warp)))
+    fill_columns(*shapes, float(widths[0]), float(widths[1]), flat, float(f0), reading, out)
+    return out.reshape(*rows.shape[:-1], 2)

@@ -19,17 +19,18 @@ TABLE = {"flank": (0.03, 0.3, 0.6, 0.9), "humps": (0.08, 0.3, 0.6, 0.97), "width
 NAMES = (*(f"{name}_{plane}" for plane in PLANES for name in PARAMETERS), "log_f0")
 CONTACTS = (0.5, 0.9, 1.3)
 CELLS, STARTS, KEPT = 60, 4, 4
-HALVING = ((100, 6), (40, 12), (16, 40))  # descents that go on, and their rounds
-ROUNDS, TOLERANCE = 60, 1e-10
+HALVING = ((90, 6), (30, 12), (12, 30))  # descents that go on, and their rounds
+WITHIN = (0.2, 0.5, 0.8)
+AGAIN = ((24, 6), (8, 15))  # the same, when a plane is searched beside what was found for the other one
+ROUNDS, TOLERANCE, RETURNS = 60, 1e-10, 3
 
 
 @dataclass(frozen=True)
 class Problem:
-    """Reflectances in both planes, weft first: theta_i, theta_r (n,) radians, signed, y (n,), weight (n,) = 1 / sigma;
-    the first `split` are in the weft plane. shared: one pair of strengths. free: unknowns that are searched."""
+    """Reflectances in both planes, weft first: rows (n, 9) as reading.rows_of, y (n,), weight (n,) = 1 / sigma; the
+    first `split` are in the weft plane. shared: one pair of strengths. free: unknowns that are searched."""
 
-    theta_i: np.ndarray
-    theta_r: np.ndarray
+    rows: np.ndarray
     split: int
     y: np.ndarray
     weight: np.ndarray
@@ -40,19 +41,19 @@ class Problem:
     @property
     def data(self) -> tuple:
         """What the compiled functions take."""
-        return self.theta_i, self.theta_r, self.split, self.y, self.weight, self.shared, self.reading
+        return self.rows, self.split, self.y, self.weight, self.shared, self.reading
 
     def only(self, plane: int) -> "Problem":
         """One plane's data and unknowns."""
-        rows = slice(0, self.split) if plane == 0 else slice(self.split, None)
+        part = slice(0, self.split) if plane == 0 else slice(self.split, None)
         free = self.free[(self.free // SIZE == plane) & (self.free < 2 * SIZE)]
-        kept = {name: getattr(self, name)[rows].copy() for name in ("theta_i", "theta_r", "y", "weight")}
+        kept = {name: getattr(self, name)[part].copy() for name in ("rows", "y", "weight")}
         return replace(self, **kept, split=self.split if plane == 0 else 0, free=free)
 
     def edges(self, plane: int) -> np.ndarray:
         """Ends of the intervals of one plane's theta_a in which the model is smooth; see `cells`."""
-        rows = slice(0, self.split) if plane == 0 else slice(self.split, None)
-        return cells(np.concatenate([self.theta_i[rows], self.theta_r[rows]]))
+        part = slice(0, self.split) if plane == 0 else slice(self.split, None)
+        return cells(self.rows[part, 3 * plane : 3 * plane + 2].ravel())
 
 
 def bounds() -> tuple[np.ndarray, np.ndarray]:
@@ -80,32 +81,35 @@ def in_cell(low, high, edges, plane: int, cell: int):
 
 def starts(edges: np.ndarray, plane: int, start: np.ndarray, free_contact: bool) -> np.ndarray:
     """The coarse table (cells, points, UNKNOWNS) of one plane; the other plane's unknowns as in `start`."""
-    contacts = CONTACTS if free_contact else start[plane * SIZE + 4 : plane * SIZE + 5]
-    grid = np.meshgrid(
-        TABLE["flank"], TABLE["humps"], np.log(TABLE["width"]), contacts, (0.5,), indexing="ij"
-    )  # the middle of a cell stands for it
+    own = start[plane * SIZE : (plane + 1) * SIZE]
+    humps, contacts = (TABLE["humps"] if own[2] > 0 else own[2:3]), (CONTACTS if free_contact else own[4:5])
+    grid = np.meshgrid(TABLE["flank"], humps, np.log(TABLE["width"]), contacts, indexing="ij")
     rows = np.stack([g.ravel() for g in grid], axis=-1)
     out = np.broadcast_to(start, (len(edges) - 1, len(rows), UNKNOWNS)).copy()
     middle = 0.5 * (edges[:-1] + edges[1:])
     out[..., plane * SIZE] = middle[:, None]
-    out[..., plane * SIZE + 1 : plane * SIZE + 5] = rows[:, :4]
+    out[..., plane * SIZE + 1 : plane * SIZE + 5] = rows
     return out
 
 
-def search_plane(problem: Problem, plane: int, start: np.ndarray) -> list[tuple[float, int, np.ndarray]]:
-    """Best (sum of squares, cell, unknowns) of one plane alone, at most KEPT of them, best first."""
-    alone, (low, high) = problem.only(plane), bounds()
+def search_plane(problem: Problem, plane: int, start: np.ndarray, *, alone: bool = True):
+    """Best (sum of squares, cell, unknowns) of one plane's unknowns, at most KEPT of them, best first.
+
+    alone : against this plane's data only, with strengths of its own; False: against all data, the other plane's
+    unknowns as in `start`.
+    """
+    part = problem.only(plane)
+    data, (low, high) = (part if alone else problem).data, bounds()
     edges = problem.edges(plane)
-    table = starts(edges, plane, start, plane * SIZE + 4 in alone.free)
-    found = costs(table.reshape(-1, UNKNOWNS), *alone.data).reshape(table.shape[:2])
+    table = starts(edges, plane, start, plane * SIZE + 4 in part.free)
+    found = costs(table.reshape(-1, UNKNOWNS), *data).reshape(table.shape[:2])
     order = np.argsort(found, axis=1, kind="stable")[:, :STARTS]
     running = [(found[cell, k], cell, table[cell, k]) for cell in range(len(table)) for k in order[cell]]
-    for left, rounds in HALVING:
+    for left, rounds in HALVING if alone else AGAIN:
         running = sorted(running, key=lambda item: item[:2])[:left]
         ended = []
         for _, cell, p in running:
-            inside = in_cell(low, high, edges, plane, cell)
-            p, cost = descend(p, *inside, alone.free, *alone.data, rounds, 1e-7)
+            p, cost = descend(p, *in_cell(low, high, edges, plane, cell), part.free, *data, rounds, 1e-7)
             ended.append((float(cost), int(cell), p))
         running = ended
     best: dict[int, tuple[float, int, np.ndarray]] = {}
@@ -115,28 +119,56 @@ def search_plane(problem: Problem, plane: int, start: np.ndarray) -> list[tuple[
 
 
 def search(problem: Problem, start: np.ndarray) -> tuple[np.ndarray, float]:
-    """Unknowns and sum of squares of the whole problem: both planes' best cells together, then their neighbours."""
-    low, high = bounds()
-    edges = [problem.edges(plane) for plane in (0, 1)]
+    """Unknowns and sum of squares of the whole problem.
+
+    Each plane alone; their best cells together, and the neighbours of these; then each plane's cells once more beside
+    what was found for the other one, until nothing is gained.
+    """
     alone = [search_plane(problem, plane, start) for plane in (0, 1)]
+    pairs = [np.concatenate([p[:SIZE], q[SIZE:]]) for _, _, p in alone[0] for _, _, q in alone[1]]
+    p, cost = _settle(problem, pairs)
+    for _ in range(RETURNS):
+        again = [item[2] for plane in (0, 1) for item in search_plane(problem, plane, p, alone=False)]
+        found = _settle(problem, again)
+        if found[1] >= cost * (1 - 1e-6):
+            return p, cost
+        p, cost = found
+    return p, cost
+
+
+def _settle(problem: Problem, candidates: list[np.ndarray]) -> tuple[np.ndarray, float]:
+    """Best descent of all unknowns from the candidates, in their own cells and then in the neighbouring ones."""
+    (low, high), edges = bounds(), [problem.edges(plane) for plane in (0, 1)]
     tried: dict[tuple[int, int], tuple[float, np.ndarray]] = {}
 
     def attempt(weft: int, warp: int, p: np.ndarray) -> None:
-        if not (0 <= weft < len(edges[0]) - 1 and 0 <= warp < len(edges[1]) - 1) or (weft, warp) in tried:
+        if not (0 <= weft < len(edges[0]) - 1 and 0 <= warp < len(edges[1]) - 1):
             return
         inside = in_cell(*in_cell(low, high, edges[0], 0, weft), edges[1], 1, warp)
-        p, cost = descend(np.clip(p, *inside), *inside, problem.free, *problem.data, ROUNDS, TOLERANCE)
-        tried[weft, warp] = float(cost), p
+        p = clipped(p, problem.free, *inside)
+        p, cost = descend(p, *inside, problem.free, *problem.data, ROUNDS, TOLERANCE)
+        if (weft, warp) not in tried or cost < tried[weft, warp][0]:
+            tried[weft, warp] = float(cost), p
 
-    for _, weft, p in alone[0]:
-        for _, warp, q in alone[1]:
-            attempt(weft, warp, np.concatenate([p[:SIZE], q[SIZE:]]))
+    for p in candidates:
+        attempt(cell_of(edges[0], p[0]), cell_of(edges[1], p[SIZE]), p)
     while True:
         (weft, warp), (cost, p) = min(tried.items(), key=lambda item: (item[1][0], item[0]))
         for dx, dy in ((-1, 0), (1, 0), (0, -1), (0, 1)):
-            attempt(weft + dx, warp + dy, p)
-        if min(item[0] for item in tried.values()) >= cost:
+            if (weft + dx, warp + dy) not in tried:
+                attempt(weft + dx, warp + dy, p)
+        for plane, cell in ((0, weft), (1, warp)):
+            for share in WITHIN:  # the valley may be narrow and bent: from elsewhere in the cell
+                q = p.copy()
+                q[plane * SIZE] = edges[plane][cell] + share * (edges[plane][cell + 1] - edges[plane][cell])
+                attempt(weft, warp, q)
+        if min(item[0] for item in tried.values()) >= cost * (1 - 1e-6):
             return p, cost
+
+
+def cell_of(edges: np.ndarray, theta_a: float) -> int:
+    """Number of the cell that theta_a lies in."""
+    return int(np.clip(np.searchsorted(edges, theta_a, "right") - 1, 0, len(edges) - 2))
 
 
 def at_bounds(p: np.ndarray, free: np.ndarray) -> list[str]:
@@ -144,3 +176,10 @@ def at_bounds(p: np.ndarray, free: np.ndarray) -> list[str]:
     low, high = bounds()
     near = 1e-6 * (high - low)
     return [NAMES[k] for k in free if p[k] <= low[k] + near[k] or p[k] >= high[k] - near[k]]
+
+
+def clipped(p: np.ndarray, free: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """The searched unknowns brought within bounds; those that are held stay as they are."""
+    p = p.copy()
+    p[free] = np.clip(p[free], low[free], high[free])
+    return p
