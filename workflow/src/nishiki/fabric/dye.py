@@ -26,7 +26,7 @@ WITHIN = ("diffuse", "body", "lambert")  # fields that hold the light from withi
 
 
 def gloss_of(brdf):
-    """The model without its light from within: a black cloth of the same yarns. A model without such a part is itself."""
+    """The model without its light from within: a black cloth of the same yarns; itself where it has none."""
     own = {field.name: getattr(brdf, field.name) for field in fields(brdf) if field.name in WITHIN}
     return replace(brdf, **{name: np.zeros_like(value) for name, value in own.items()}) if own else brdf
 

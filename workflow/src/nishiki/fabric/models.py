@@ -30,12 +30,15 @@ class Fitted:
     facts: dict = field(default_factory=dict)
 
 
-def fit_models(measured: Measured, basic, names, *, oblique: int = 20, index: float = 1.5) -> dict[str, Fitted]:
+def fit_models(
+    measured: Measured, basic, names, *, oblique: int = 20, index: float = 1.5, chosen: np.ndarray | None = None
+) -> dict[str, Fitted]:
     """Fit the models named to one region.
 
     basic: a `goniometry.table.BasicReflectance` of it as a function of views and its grid, (evaluate, values (nt, np,
     channels)), or None where nothing was measured at normal incidence (then only the peers can be had).  oblique: how
-    many oblique measurements may be used; the choice of `choose_oblique` serves all models that take any.
+    many oblique measurements may be used; the choice of `choose_oblique` serves all models that take any.  chosen: their
+    rows, where they are chosen already.
     """
     valid = np.flatnonzero(np.isfinite(measured.values).all(axis=1))
     normal = valid[measured.normal[valid]]
@@ -45,8 +48,10 @@ def fit_models(measured: Measured, basic, names, *, oblique: int = 20, index: fl
             f"{', '.join(needs)}: expected the reflectances of normal incidence on a grid, found none. Remedy: measure "
             f"with light along the normal and interpolate, or fit only {', '.join(PEERS)}"
         )
-    first = None if basic is None else fit_normal(measured.take(normal))
-    chosen = _oblique(measured, valid, first, oblique)
+    asked = chosen is None and oblique > 0 and any(name in PEERS for name in names)
+    first = fit_normal(measured.take(normal)) if basic is not None and (asked or DEFAULT in names) else None
+    if chosen is None:
+        chosen = _oblique(measured, valid, first, oblique)
     rows = np.concatenate([normal, chosen])
     out = {}
     for name in names:

@@ -97,7 +97,7 @@ def hump(slope: float, power: float, side: int, share: np.ndarray):
     if side == ALONG:
         q = gammaincinv(a, share)
         return slope * q**a, share / 2, -slope * gamma(b) / gamma(a) / 2 * gammainc(b, q)
-    v = betaincinv(a, b, share)
+    v = np.minimum(betaincinv(a, b, share), 1 - 1e-15)  # a slope of 1e15 is upright
     # beta(2/k, 1/k) = beta(1/k, 2/k): the height is the same integral with its ends exchanged
     return slope * (v / (1 - v)) ** a, share / 2, -slope / 2 * betainc(b, a, v) * beta(b, a) / beta(a, b)
 

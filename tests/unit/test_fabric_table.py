@@ -1,0 +1,118 @@
+"""Sampled tables and exports, peers recovered from their own values, the facet reading of a known distribution."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from nishiki.fabric.facets import SEEN, TILTS, TURNS, read_facets, smith_masking
+from nishiki.fabric.interface import halves
+from nishiki.fabric.measures import hemisphere, prediction_error, reciprocity_error
+from nishiki.fabric.peer_fit import fit_peer, peer_of
+from nishiki.fabric.peers import Ggx
+from nishiki.fabric.store import load_brdf, save_brdf
+from nishiki.fabric.table import TableBrdf, goniometer_rows, pair, pair_angles, utia_planes
+from nishiki.fabric.yarn_fit import Measured
+from nishiki.goniometry.grid import evaluate
+
+GLOSSY = Ggx(np.array([0.2]), np.array([1.0]), 0.3, 0.5, 1.5)
+
+
+def direction(theta_deg, phi_deg):
+    t, p = np.radians(np.broadcast_arrays(np.asarray(theta_deg, float), np.asarray(phi_deg, float)))
+    return np.stack([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)], axis=-1)
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.floats(0, 89), st.floats(0, 359), st.floats(0, 89), st.floats(0, 359))
+def test_pair_angles_are_the_inverse_of_pair(theta_i, phi_i, theta_r, phi_r):
+    incident, outgoing = direction(theta_i, phi_i), direction(theta_r, phi_r)
+    found = pair(*pair_angles(incident, outgoing))
+    straight = np.allclose(found[0], incident, atol=1e-9) and np.allclose(found[1], outgoing, atol=1e-9)
+    swapped = np.allclose(found[1], incident, atol=1e-9) and np.allclose(found[0], outgoing, atol=1e-9)
+    assert straight or swapped
+
+
+def test_table_is_reciprocal_and_close_to_what_it_was_sampled_from(tmp_path):
+    table = TableBrdf.sample(GLOSSY)
+    assert reciprocity_error(table) < 1e-12
+    views = hemisphere(10, 20)[0]
+    for light in (direction(0, 0), direction(40, 20), direction(65, 100)):
+        error = prediction_error(views, GLOSSY.evaluate(light, views), table.evaluate(light, views))
+        assert error.rms_rel < 0.03
+    assert np.all(table.evaluate(direction(20, 0), direction([91, 150], 10)) == 0)
+    assert np.all(np.isfinite(table.evaluate(direction(89.9999, 0), views)))
+    save_brdf(tmp_path / "table.npz", table)
+    assert np.array_equal(load_brdf(tmp_path / "table.npz").values, table.values)
+
+
+def test_rows_are_those_of_a_capture():
+    rows = goniometer_rows(GLOSSY, incident_deg=[(0, 0), (30, 90)], outgoing_deg=[(10, 20), (40, 50), (60, 0)])
+    assert rows.shape == (6, 5)
+    assert rows[4, :4].tolist() == [30, 90, 40, 50]
+    assert rows[4, 4] == pytest.approx(GLOSSY.evaluate(direction(30, 90), direction(40, 50))[0])
+
+
+def test_utia_planes_are_ordered_channel_light_view():
+    planes = utia_planes(GLOSSY)
+    assert planes.shape == (3, 6, 48, 6, 48)
+    assert planes.nbytes == 288 * 288 * 3 * 8
+    expected = GLOSSY.evaluate(direction(30, 15.0), direction(60, 187.5))[0]
+    assert planes[1, 2, 2, 4, 25] == pytest.approx(expected)
+
+
+def measurements(brdf):
+    views = hemisphere(8, 16)[0]
+    lights = [direction(0, 0), direction(35, 10), direction(60, 100)]
+    incident = np.repeat(lights, len(views), axis=0)
+    outgoing = np.tile(views, (3, 1))
+    return Measured(incident, outgoing, brdf.evaluate(incident, outgoing), incident[:, 2] > 0.9999, False)
+
+
+@pytest.mark.parametrize(
+    ("kind", "x"), [("ward", [-1.6, -0.7]), ("ggx", [-1.5, -0.6, -0.65]), ("ashikhmin_shirley", [3.5, 1.5, -2.9])]
+)
+def test_peers_are_recovered_from_their_own_values(kind, x):
+    truth = peer_of(kind, np.array(x), np.array([0.1, 0.4]), np.array([0.8, 0.8]))
+    data = measurements(truth)
+    found = fit_peer(kind, data, np.arange(len(data.values)))
+    assert np.allclose(found.fit.x[:2], x[:2], atol=0.05)
+    assert np.allclose(found.brdf.diffuse, truth.diffuse, rtol=0.05)
+    views = hemisphere(10, 20)[0]
+    light = direction(50, 60)
+    error = prediction_error(views, truth.evaluate(light, views), found.brdf.evaluate(light, views))
+    assert error.rms_rel < 0.02
+
+
+def test_smith_masking_of_ggx_is_the_closed_form():
+    alpha = 0.4
+    tilt, turn = np.linspace(0, np.pi / 2, TILTS), np.arange(TURNS) * 2 * np.pi / TURNS
+    grid = np.stack(np.meshgrid(tilt, turn, indexing="ij"), axis=-1)
+    normals = direction(np.degrees(grid[..., 0]), np.degrees(grid[..., 1]))
+    z2 = normals[..., 2] ** 2
+    density = alpha**2 / (np.pi * (z2 * (alpha**2 - 1) + 1) ** 2)
+    found = smith_masking(density, normals, tilt)
+    tan2 = np.tan(tilt[:-4]) ** 2
+    expected = 2 / (1 + np.sqrt(1 + alpha**2 * tan2))
+    assert np.allclose(found[:-4], expected[:, None], rtol=0.02)
+
+
+def test_facets_of_a_known_distribution_are_read():
+    truth = Ggx(np.zeros(1), np.ones(1), 0.25, 0.4, 1.5)
+    read = read_facets(lambda views: truth.evaluate(np.array([0, 0, 1.0]), views), index=1.5, diffuse=0.0)
+    views = direction([0, 20, 40, 60, 80], 30)
+    normal = np.array([0.0, 0, 1])
+    assert np.allclose(read.evaluate(normal, views), truth.evaluate(normal, views), rtol=0.02)
+    g = halves(normal, views)
+    x, y, z = np.moveaxis(g.h, -1, 0)
+    density = 1 / (np.pi * 0.1 * ((x / 0.25) ** 2 + (y / 0.4) ** 2 + z * z) ** 2)
+    found = evaluate(read._splines[0], g.h)[:4, 0]
+    assert np.allclose(found[:3], density[:3], rtol=0.12)
+    assert found[3] == pytest.approx(density[3], rel=0.35)  # the steep facets' share in the masking is not known
+    assert pytest.approx(np.pi / 4) == SEEN
+    assert reciprocity_error(read) < 1e-9
+    views = hemisphere(8, 16)[0]
+    for theta, most in ((15, 0.05), (45, 0.12)):
+        light = direction(theta, 50)
+        error = prediction_error(views, truth.evaluate(light, views), read.evaluate(light, views))
+        assert error.rms_rel < most
