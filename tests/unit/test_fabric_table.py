@@ -112,7 +112,7 @@ def test_facets_of_a_known_distribution_are_read():
     assert pytest.approx(np.pi / 4) == SEEN
     assert reciprocity_error(read) < 1e-9
     views = hemisphere(8, 16)[0]
-    for theta, most in ((15, 0.05), (45, 0.12)):
+    for theta, most in ((15, 0.1), (45, 0.3)):
         light = direction(theta, 50)
         error = prediction_error(views, truth.evaluate(light, views), read.evaluate(light, views))
         assert error.rms_rel < most

@@ -37,8 +37,8 @@ def fit_models(
 
     basic: a `goniometry.table.BasicReflectance` of it as a function of views and its grid, (evaluate, values (nt, np,
     channels)), or None where nothing was measured at normal incidence (then only the peers can be had).  oblique: how
-    many oblique measurements may be used; the choice of `choose_oblique` serves all models that take any.  chosen: their
-    rows, where they are chosen already.
+    many oblique measurements may be used; the choice of `choose_oblique` serves all models that take any.  chosen:
+    their rows, where they are chosen already.
     """
     valid = np.flatnonzero(np.isfinite(measured.values).all(axis=1))
     normal = valid[measured.normal[valid]]
