@@ -10,10 +10,10 @@ from nishiki.render.output import write_png
 from nishiki.settings.weave import WeaveSettings
 from nishiki.stage import Context, run_stage
 from nishiki.weave.drawing import draw_section
-from nishiki.weave.fit import WeaveFit, fit_weave
+from nishiki.weave.fit import WeaveFit, fit_usual
 from nishiki.weave.planes import planes_of
 from nishiki.weave.store import describe, write_weave
-from nishiki.weave.surface import harness_of, make_surface, shade
+from nishiki.weave.surface import USUAL, harness_of, make_surface, shade
 
 
 def run(context: Context) -> dict:
@@ -27,8 +27,9 @@ def run(context: Context) -> dict:
             reflectances, region=number, relative_error=settings.relative_error, oblique=settings.oblique
         )
         contact = None if settings.contact_deg is None else float(np.radians(settings.contact_deg))
-        fit = fit_weave(
+        fit = fit_usual(
             *planes,
+            USUAL[reflectances.weave] if settings.harness is None else (settings.harness,),
             reading=settings.reading,
             lobe=settings.lobe,
             contact=contact,
@@ -36,7 +37,7 @@ def run(context: Context) -> dict:
             confidence=settings.confidence,
         )
         weave, harness = harness_of(fit.model.weft, reflectances.weave)
-        harness = settings.harness or harness
+        harness = settings.harness if settings.harness is not None else harness
         regions[name] = describe(fit, planes, weave=weave, harness=harness)
         picture(context, fit, f"_{name}" if len(reflectances.regions) > 1 else "", weave, harness)
         diagnostics[name] = report(fit, weave, harness, [plane.measured for plane in planes])

@@ -122,6 +122,15 @@ def fit_weave(
     )
 
 
+def fit_usual(weft: Plane, warp: Plane, harnesses: tuple[int | None, ...], **settings) -> WeaveFit:
+    """The best of the fits with each of these numbers of yarns a repeat (None: searched); settings as in fit_weave."""
+    if len(harnesses) == 1:
+        return fit_weave(weft, warp, harness=harnesses[0], **settings)
+    tried = [fit_weave(weft, warp, harness=h, **{**settings, "intervals": False}) for h in harnesses]
+    best = harnesses[int(np.argmin([fit.variance for fit in tried]))]
+    return fit_weave(weft, warp, harness=best, **settings)
+
+
 def _problem(weft: Plane, warp: Plane, reading: int, contact, harness, index) -> tuple[Problem, np.ndarray]:
     start = np.array([0.5, 0.5, 0.5, -1.0, HALF_PI] * 2 + [2 * np.log((START_INDEX - 1) / (START_INDEX + 1))])
     assert start.size == UNKNOWNS
