@@ -54,7 +54,7 @@ OPTIONS = {
             "preset",
             "painting 384×512 (default), tiny 64×96, large 1536×2048, full 3000×4000; on a turntable: object "
             "36 views of 384×384, object-tiny 12 of 96×96, object-large 36 of 3000×4000; cloths: satin, twill, plain "
-            "5940 photographs of 48×48, satin-tiny 144 of 24×24",
+            "5940 photographs of 48×48, satin-tiny 176 of 24×24",
             {"choices": (*PRESETS, *OBJECTS, *CLOTHS), "default": "painting"},
         ),
         ("rows", "camera pixels, instead of the preset's", _COUNT),

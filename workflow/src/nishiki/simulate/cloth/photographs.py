@@ -13,7 +13,7 @@ from nishiki.simulate.cloth.directions import unit
 from nishiki.simulate.cloth.filament import body, facets, in_frame
 from nishiki.simulate.cloth.presets import GoniometerSettings
 from nishiki.simulate.cloth.reflectance import Cloth, blocks, bounced
-from nishiki.simulate.randomness import subkey
+from nishiki.simulate.randomness import subkey, uniform
 from nishiki.simulate.rows import over_rows
 from nishiki.simulate.sensor import expose
 
@@ -22,7 +22,8 @@ STOPS = (-3, 8)  # exposures are base · 2^k
 BRIGHTEST = 0.85  # share of full scale that the brightest pixel of a photograph may reach
 TINT = (0.86, 1.0, 0.78)  # what a white gives in each channel, the largest = 1
 BINS_A_YARN = 2
-_SAMPLES = 4  # a pixel in each direction
+_SAMPLES = 24  # a pixel
+_R2 = (0.7548776662466927, 0.5698402909980532)  # Roberts' sequence in two dimensions: 1/p, 1/p², p³ = p + 1
 
 
 @dataclass(frozen=True)
@@ -105,22 +106,28 @@ def on_sensor(cells: list[np.ndarray], cloths, angles_deg: np.ndarray, settings:
     to_cloth = np.linalg.inv(np.array([right[:2], up[:2]]))
     sizes = np.array([[cloth.solids.weft.length, cloth.solids.warp.length] for cloth in cloths])
     out = np.empty((settings.rows, settings.columns, cells[0].shape[2]))
-    args = (to_cloth, settings.pitch_mm, sizes, cells[0], cells[-1], len(cells) > 1, out)
+    key = np.uint64(subkey(settings.seed, "cloth pixels"))
+    args = (key, to_cloth, settings.pitch_mm, sizes, cells[0], cells[-1], len(cells) > 1, out)
     over_rows(_project, settings.rows, *args)
     return out
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _project(start, stop, to_cloth, pitch, sizes, ground, figure, two, out):
+def _project(start, stop, key, to_cloth, pitch, sizes, ground, figure, two, out):
+    """Means over a point sequence in each pixel, shifted at random from pixel to pixel: the period of the cloth and a
+    regular grid of samples would beat against each other."""
     rows, columns, channels = out.shape
-    share = 1.0 / (_SAMPLES * _SAMPLES)
+    share = 1.0 / _SAMPLES
     for row in range(start, stop):
         for column in range(columns):
             for channel in range(channels):
                 out[row, column, channel] = 0.0
-            for sample in range(_SAMPLES * _SAMPLES):
-                u = pitch * (column + (sample % _SAMPLES + 0.5) / _SAMPLES - 0.5 * columns)
-                w = pitch * (0.5 * rows - row - (sample // _SAMPLES + 0.5) / _SAMPLES)
+            place = np.uint64(2 * (row * columns + column))
+            a, b = uniform(key, place), uniform(key, place + np.uint64(1))
+            for _ in range(_SAMPLES):
+                a, b = a + _R2[0], b + _R2[1]
+                a, b = a - math.floor(a), b - math.floor(b)
+                u, w = pitch * (column + a - 0.5 * columns), pitch * (0.5 * rows - row - b)
                 x, y = to_cloth[0, 0] * u + to_cloth[0, 1] * w, to_cloth[1, 0] * u + to_cloth[1, 1] * w
                 k = 1 if two and x > 0.0 else 0
                 cell = figure if k == 1 else ground
