@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from nishiki.errors import UserError
 from nishiki.simulate.cloth.directions import hemisphere_views, quarter_views, session, unit
 from nishiki.simulate.cloth.filament import body, facets, in_frame
-from nishiki.simulate.cloth.geometry import escapes, first_hit, inside
 from nishiki.simulate.cloth.path import SAMPLES, centre_line, make_descent
 from nishiki.simulate.cloth.pattern import weave_pattern
 from nishiki.simulate.cloth.points import turned_frame
 from nishiki.simulate.cloth.presets import make_settings
+from nishiki.simulate.cloth.rays import escapes, first_hit, inside
 from nishiki.simulate.cloth.reflectance import make_cloth, seen_from, trace
 from nishiki.simulate.cloth.sections import highest, sections
 from nishiki.simulate.reflection import ggx_gloss
@@ -148,6 +148,20 @@ def test_rays_against_short_even_steps(satin):
             far += abs(t - expected) > 0.05 * numbers[4]
     assert wrong <= 3
     assert far <= 3
+
+
+def test_what_is_told_to_be_free_is_free(satin):
+    solids, random = satin.solids, np.random.default_rng(4)
+    levels, rows, columns = solids.free.shape
+    low, high = solids.numbers[2:4]
+    sizes = np.array([solids.weft.length / columns, solids.warp.length / rows, (high - low) / levels])
+    place = np.argwhere(solids.free > 0.2 * sizes.min())
+    assert len(place) > 1000
+    for k, j, i in place[random.integers(len(place), size=400)]:
+        start = (np.array([i, j, k]) + random.uniform(0.0, 1.0, 3)) * sizes + [0.0, 0.0, low]
+        away = random.standard_normal((40, 3))
+        away *= solids.free[k, j, i] / np.linalg.norm(away, axis=1, keepdims=True)
+        assert all(inside(*p, solids.numbers) == 0 for p in start + away)
 
 
 @settings(max_examples=40, deadline=None)

@@ -14,8 +14,9 @@ import numba
 import numpy as np
 
 from nishiki.simulate.cloth.filament import body, facets, in_frame
-from nishiki.simulate.cloth.geometry import Solids, first_hit
+from nishiki.simulate.cloth.geometry import Solids
 from nishiki.simulate.cloth.points import SurfacePoints, turned_frame
+from nishiki.simulate.cloth.rays import first_hit
 from nishiki.simulate.cloth.settings import ClothSettings
 from nishiki.simulate.randomness import subkey, uniform
 from nishiki.simulate.rows import over_rows

@@ -8,8 +8,8 @@ import numba
 import numpy as np
 
 from nishiki.simulate.cloth.filament import body, facets, in_frame
-from nishiki.simulate.cloth.geometry import escapes, first_hit
 from nishiki.simulate.cloth.points import turned_frame
+from nishiki.simulate.cloth.rays import escapes, first_hit
 from nishiki.simulate.cloth.reflectance import Cloth
 from nishiki.simulate.rows import over_rows
 

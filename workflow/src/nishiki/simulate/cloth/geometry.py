@@ -1,4 +1,4 @@
-"""The yarns as solids: swept, flattened sections, periodic in x and y; points inside, rays that meet them.
+"""The yarns as solids: swept, flattened sections, periodic in x and y.
 
 x along the weft, y along the warp, z up; lengths in mm. A yarn's section in a plane across it is the set
 |ζ|² + |u|^e < 1 with u = v/a (v from the centre line) and ζ = (z − z_c − roll·v)/b. The compiled functions take the
@@ -10,17 +10,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
 from nishiki.simulate.cloth.path import SAMPLES, Descent, centre_line
 from nishiki.simulate.cloth.pattern import weave_pattern
+from nishiki.simulate.cloth.rays import POWERS, fill_voxels
 from nishiki.simulate.cloth.settings import ClothSettings, YarnSettings
 from nishiki.simulate.randomness import subkey
 from nishiki.simulate.rows import over_rows
 
-_POWERS = 1024
-_BISECTIONS = 14
 _STEP = 0.12  # of the thinner yarn's thickness
 _ACROSS, _UP = 20, 28  # voxels a yarn, and in the cloth's height, of the map of free distances
 
@@ -110,21 +108,12 @@ def _free_distances(warp: Yarns, weft: Yarns) -> np.ndarray:
     numbers = _pack(warp, weft)
     sizes = np.array([(numbers[3] - numbers[2]) / _UP, weft.spacing / _ACROSS, warp.spacing / _ACROSS])
     empty = np.empty(counts, np.uint8)
-    over_rows(_fill, counts[0], sizes, numbers, empty)
+    over_rows(fill_voxels, counts[0], sizes, numbers, empty)
     margin = _ACROSS  # distances beyond the cloth's height are of no use: the period need only be extended a little
     padded = np.pad(empty, ((0, 0), (margin, margin), (margin, margin)), mode="wrap")
     distance = distance_transform_edt(padded, sampling=sizes)[:, margin:-margin, margin:-margin]
     reach = 0.9 * margin * sizes[1:].min()
     return np.clip(distance - np.linalg.norm(sizes), 0.0, reach).astype(np.float32)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _fill(start, stop, sizes, numbers, empty):
-    for k in range(start, stop):
-        z = numbers[2] + (k + 0.5) * sizes[0]
-        for j in range(empty.shape[1]):
-            for i in range(empty.shape[2]):
-                empty[k, j, i] = inside((i + 0.5) * sizes[2], (j + 0.5) * sizes[1], z, numbers) == 0
 
 
 def _system(settings: ClothSettings, yarn: YarnSettings, crossed: float, on_top, amplitude: float, random) -> Yarns:
@@ -152,7 +141,7 @@ def _system(settings: ClothSettings, yarn: YarnSettings, crossed: float, on_top,
     shape[:, 0] = np.clip(0.02 * uneven * yarn.spacing_mm * random.standard_normal(count), -0.9 * free, 0.9 * free)
     shape[:, 1] = np.minimum(half * (1.0 + 0.03 * uneven * random.uniform(-1.0, 1.0, count)), half + 0.1 * free)
     shape[:, 2] = thickness * (1.0 + 0.05 * uneven * random.uniform(-1.0, 1.0, count))
-    power = np.linspace(0.0, 1.0, _POWERS + 1) ** yarn.flatness
+    power = np.linspace(0.0, 1.0, POWERS + 1) ** yarn.flatness
     return Yarns(yarn.spacing_mm, length, shape, path, yarn.flatness, power, descent)
 
 
@@ -167,157 +156,3 @@ def _waves(random, count: int, samples: int, length: float) -> np.ndarray:
         curve = curve + a * np.cos(wave * t + p)
         slope = slope - a * wave * np.sin(wave * t + p) * (2.0 * math.pi / length)
     return np.stack([curve, slope], axis=-1)
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _whole(value):
-    """Largest integer not above a value."""
-    whole = int(value)
-    return whole - 1 if value < whole else whole
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _yarn_of(v, spacing, count):
-    """Yarn of the slot at sideways place v, and the place from the slot's middle."""
-    slot = _whole(v / spacing)
-    return slot - count * _whole(slot / count), v - (slot + 0.5) * spacing
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _knots(along, length, yarn, system, numbers):
-    """Where the two samples of a path about a place begin in `numbers`, and the share of the second."""
-    samples = int(numbers[system + 1])
-    place = along / length * samples
-    low = _whole(place)
-    first = low - samples * _whole(low / samples)
-    second = first + 1 if first + 1 < samples else 0
-    start = int(numbers[system + 4]) + 4 * samples * yarn
-    return start + 4 * first, start + 4 * second, place - low
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _in_yarn(v, along, z, spacing, length, system, numbers):
-    """Number of the yarn at sideways place v and place `along`, or -1 where the point is in none."""
-    yarn, u = _yarn_of(v, spacing, int(numbers[system]))
-    shape = int(numbers[system + 3]) + 3 * yarn
-    u -= numbers[shape]
-    side = abs(u) / numbers[shape + 1]
-    if side >= 1.0:
-        return -1
-    k, n, f = _knots(along, length, yarn, system, numbers)
-    height = numbers[k] + f * (numbers[n] - numbers[k])
-    roll = numbers[k + 2] + f * (numbers[n + 2] - numbers[k + 2])
-    zeta = (z - height - roll * u) / numbers[shape + 2]
-    if zeta * zeta >= 1.0:
-        return -1
-    q = side * _POWERS
-    m = int(q)
-    power = int(numbers[system + 5]) + m
-    reach = numbers[power] + (q - m) * (numbers[power + 1] - numbers[power])
-    return yarn if zeta * zeta + reach < 1.0 else -1
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def inside(x, y, z, numbers):
-    """0 where (x, y, z) lies in no yarn, 1 + k in warp yarn k, −1 − k in weft yarn k."""
-    k = _in_yarn(x, y, z, numbers[0], numbers[11] * numbers[1], 5, numbers)
-    if k >= 0:
-        return 1 + k
-    k = _in_yarn(y, x, z, numbers[1], numbers[5] * numbers[0], 11, numbers)
-    return -1 - k if k >= 0 else 0
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _free_at(x, y, z, numbers, free):
-    """Distance (mm) that is free of yarns about a point between the lowest and the highest z."""
-    k = int((z - numbers[2]) / (numbers[3] - numbers[2]) * free.shape[0])
-    if k < 0 or k >= free.shape[0]:
-        return 0.0
-    u, v = x / (numbers[0] * numbers[5]), y / (numbers[1] * numbers[11])
-    i, j = int((u - _whole(u)) * free.shape[2]), int((v - _whole(v)) * free.shape[1])
-    return float(free[k, min(j, free.shape[1] - 1), min(i, free.shape[2] - 1)])
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def first_hit(x, y, z, dx, dy, dz, numbers, free):
-    """Distance along a unit direction to the first yarn, and which (see `inside`); (−1, 0) where the ray meets none.
-
-    Where yarns may be near, even steps of 0.12 thicknesses and a bisection: a chord shorter than a step may be missed,
-    which is a penetration of less than 0.002 thicknesses.
-    """
-    low, high, step = numbers[2], numbers[3], numbers[4]
-    t = 0.0
-    if z > high:
-        if dz >= 0.0:
-            return -1.0, 0
-        t = (high - z) / dz
-    near = t
-    while True:
-        h = z + t * dz
-        if (dz >= 0.0 and h > high) or (dz <= 0.0 and h < low):
-            return -1.0, 0
-        ahead = _free_at(x + t * dx, y + t * dy, h, numbers, free)
-        if ahead < step:
-            found = inside(x + t * dx, y + t * dy, h, numbers)
-            if found != 0:
-                break
-            ahead = step
-        near = t
-        t += ahead
-    far = t
-    for _ in range(_BISECTIONS):
-        middle = 0.5 * (near + far)
-        other = inside(x + middle * dx, y + middle * dy, z + middle * dz, numbers)
-        if other != 0:
-            far, found = middle, other
-        else:
-            near = middle
-    return near, found
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def escapes(x, y, z, dx, dy, dz, numbers, free):
-    """Whether the ray from a point in a unit direction with dz > 0 leaves the cloth."""
-    high, step = numbers[3], numbers[4]
-    while z <= high:
-        ahead = _free_at(x, y, z, numbers, free)
-        if ahead < step:
-            if inside(x, y, z, numbers) != 0:
-                return False
-            ahead = step
-        x, y, z = x + ahead * dx, y + ahead * dy, z + ahead * dz
-    return True
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _yarn_frame(v, along, z, spacing, length, system, numbers):
-    """Outward normal, not normalised (sideways, along, up), and slope of the yarn at a point of its surface."""
-    yarn, u = _yarn_of(v, spacing, int(numbers[system]))
-    shape = int(numbers[system + 3]) + 3 * yarn
-    u -= numbers[shape]
-    a, b, exponent = numbers[shape + 1], numbers[shape + 2], numbers[system + 2]
-    k, n, f = _knots(along, length, yarn, system, numbers)
-    height = numbers[k] + f * (numbers[n] - numbers[k])
-    slope = numbers[k + 1] + f * (numbers[n + 1] - numbers[k + 1])
-    roll = numbers[k + 2] + f * (numbers[n + 2] - numbers[k + 2])
-    turn = numbers[k + 3] + f * (numbers[n + 3] - numbers[k + 3])
-    up = 2.0 * (z - height - roll * u) / (b * b)
-    across = math.copysign(exponent * min(abs(u) / a, 1.0) ** (exponent - 1.0) / a, u) - up * roll
-    return across, -up * (slope + turn * u), up, slope + turn * u
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def frame_at(x, y, z, which, numbers):
-    """Normal n and yarn direction t, unit and perpendicular: (n_x, n_y, n_z, t_x, t_y, t_z); `which` as in `inside`."""
-    if which > 0:
-        nx, ny, nz, slope = _yarn_frame(x, y, z, numbers[0], numbers[11] * numbers[1], 5, numbers)
-        tx, ty, tz = 0.0, 1.0, slope
-    else:
-        ny, nx, nz, slope = _yarn_frame(y, x, z, numbers[1], numbers[5] * numbers[0], 11, numbers)
-        tx, ty, tz = 1.0, 0.0, slope
-    length = math.sqrt(nx * nx + ny * ny + nz * nz)
-    nx, ny, nz = nx / length, ny / length, nz / length
-    dot = nx * tx + ny * ty + nz * tz  # 0 up to rounding on the surface itself
-    tx, ty, tz = tx - dot * nx, ty - dot * ny, tz - dot * nz
-    length = math.sqrt(tx * tx + ty * ty + tz * tz)
-    return nx, ny, nz, tx / length, ty / length, tz / length

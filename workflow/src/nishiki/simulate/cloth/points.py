@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from nishiki.simulate.cloth.geometry import Solids, Yarns, escapes, frame_at, inside
+from nishiki.simulate.cloth.geometry import Solids, Yarns
+from nishiki.simulate.cloth.rays import escapes, frame_at, inside
 from nishiki.simulate.cloth.settings import ClothSettings
 from nishiki.simulate.randomness import subkey
 from nishiki.simulate.rows import over_rows

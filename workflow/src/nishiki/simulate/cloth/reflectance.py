@@ -15,8 +15,9 @@ import numpy as np
 
 from nishiki.simulate.cloth.chains import Chains, Ends, make_chains
 from nishiki.simulate.cloth.filament import body, facets, in_frame
-from nishiki.simulate.cloth.geometry import Solids, escapes, make_solids
+from nishiki.simulate.cloth.geometry import Solids, make_solids
 from nishiki.simulate.cloth.points import SurfacePoints, make_points
+from nishiki.simulate.cloth.rays import escapes
 from nishiki.simulate.cloth.settings import ClothSettings
 from nishiki.simulate.rows import over_rows
 

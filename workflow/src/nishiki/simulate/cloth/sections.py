@@ -5,7 +5,8 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from nishiki.simulate.cloth.geometry import Solids, Yarns, inside
+from nishiki.simulate.cloth.geometry import Solids, Yarns
+from nishiki.simulate.cloth.rays import inside
 from nishiki.simulate.cloth.reflectance import Cloth, seen_from
 
 _OUTLINE = 96
