@@ -110,6 +110,7 @@ def main() -> None:
     parser.add_argument("--steps", type=float, nargs="*", help="instead: quantiser steps, one pass each")
     parser.add_argument("--methods", nargs="*", choices=tuple(VARIANTS), default=tuple(VARIANTS))
     parser.add_argument("--domain", choices=("both", "texels", "pictures"), default="both")
+    parser.add_argument("--work", type=Path, help="keep the coded objects in this folder")
     parser.add_argument("--no-codecs", action="store_true", help="only this system's own variants")
     parser.add_argument("--every", type=int, default=1, help="domain texels: of so many patches one")
     options = parser.parse_args()
@@ -117,7 +118,8 @@ def main() -> None:
     asked = Asked(tuple(options.methods), target, tuple(amounts))
     name = options.object or options.data.resolve().name
     with tempfile.TemporaryDirectory() as folder:
-        work = Path(folder)
+        work = options.work or Path(folder)
+        work.mkdir(parents=True, exist_ok=True)
         inputs = artifacts_of(options.data, work)
         lines = []
         if options.domain != "pictures":
