@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nishiki.fabric.facets import SEEN, TILTS, TURNS, read_facets, smith_masking
+from nishiki.fabric.facets import TILTS, TURNS, read_facets, smith_masking
 from nishiki.fabric.interface import halves
 from nishiki.fabric.measures import hemisphere, prediction_error, reciprocity_error
 from nishiki.fabric.peer_fit import fit_peer, peer_of
@@ -107,12 +107,10 @@ def test_facets_of_a_known_distribution_are_read():
     x, y, z = np.moveaxis(g.h, -1, 0)
     density = 1 / (np.pi * 0.1 * ((x / 0.25) ** 2 + (y / 0.4) ** 2 + z * z) ** 2)
     found = evaluate(read._splines[0], g.h)[:4, 0]
-    assert np.allclose(found[:3], density[:3], rtol=0.12)
-    assert found[3] == pytest.approx(density[3], rel=0.35)  # the steep facets' share in the masking is not known
-    assert pytest.approx(np.pi / 4) == SEEN
+    assert np.allclose(found[:4], density[:4], rtol=0.06)
     assert reciprocity_error(read) < 1e-9
     views = hemisphere(8, 16)[0]
-    for theta, most in ((15, 0.1), (45, 0.3)):
+    for theta, most in ((15, 0.03), (45, 0.15)):
         light = direction(theta, 50)
         error = prediction_error(views, truth.evaluate(light, views), read.evaluate(light, views))
         assert error.rms_rel < most

@@ -27,8 +27,8 @@ from nishiki.goniometry.grid import coefficients, evaluate
 
 TILTS, TURNS = 61, 48  # grid of D: 1.5 by 7.5 degrees
 ROUNDS = 8
-SEEN = np.pi / 4  # steepest facet read, at the view on the horizon
-FITTED = np.radians(8.0)  # of the seen ones, those that tell how D goes on
+SEEN = np.radians(43.6)  # steepest facet read: views beyond 87 degrees are extrapolated
+FITTED = np.radians(12.0)  # of the seen ones, those that tell how D goes on
 _LAST = 89.0  # degrees; tan^2 beyond is not needed
 
 
