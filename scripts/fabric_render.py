@@ -6,16 +6,16 @@ import numpy as np
 
 import _project  # noqa: F401
 from nishiki.drape.cloth import Cloth, Support, drape
+from nishiki.drape.dyes import dyed
 from nishiki.drape.frame import Picture
 from nishiki.drape.mesh_store import read_surface
 from nishiki.drape.models import FabricModels
 from nishiki.drape.scene import Brdf, Surface
 from nishiki.drape.sheet import sheet
-from nishiki.drape.studio import Lighting, gloss_alone, linear_colour, studio, tubes, turning
+from nishiki.drape.studio import Lighting, linear_colour, studio, tubes, turning
 from nishiki.drape.tangent import from_direction, from_texture
 from nishiki.drape.tone import developed, exposure_for
 from nishiki.errors import UserError
-from nishiki.fabric.dye import Dyed
 from nishiki.render.output import write_exr, write_png, write_video
 from nishiki.settings.fabric_render import FabricRenderSettings
 from nishiki.spectra.colour import srgb_matrix
@@ -38,7 +38,7 @@ def run(context: Context) -> dict:
     place = {"elevation": np.radians(view.elevation_deg), "azimuth": np.radians(view.azimuth_deg)}
     size = {"rows": view.rows, "columns": view.columns, "distance": view.distance}
     stage = studio([surface], lights_of(settings), **place, **size, **room(settings))
-    cloths = dyed(brdf, settings)
+    cloths = dyed(brdf, {name: linear_colour(colour) for name, colour in settings.dyes.items()})
     named, takes = {}, []
     if settings.as_measured:
         named |= {"drape": len(takes)}
@@ -49,6 +49,7 @@ def run(context: Context) -> dict:
     for name, cloth in cloths.items():
         named[f"drape-dye-{name}"] = len(takes)
         takes.append(stage.take(cloth))
+    context.progress.tell(f"{len(takes)} pictures of {view.columns} x {view.rows} pixels")
     made = stage.render(takes, supersampling=settings.supersampling, shadows=settings.shadows) if takes else []
     exposure = settings.exposure
     if exposure == "auto":
@@ -123,12 +124,6 @@ def room(settings: FabricRenderSettings) -> dict:
     return {"level": settings.around, "reflectance": settings.paper}
 
 
-def dyed(brdf: Brdf, settings: FabricRenderSettings) -> dict[str, Brdf]:
-    """The cloth's gloss over each dye."""
-    gloss = gloss_alone(brdf)
-    return {name: Dyed.of(gloss, linear_colour(colour)) for name, colour in settings.dyes.items()}
-
-
 def swatches(context: Context, brdf: Brdf, cloths: dict[str, Brdf], exposure: float) -> dict:
     """Cylinders: warp upright, oblique and around, as measured or in the first dye."""
     settings = context.settings
@@ -151,6 +146,7 @@ def save(context: Context, name: str, picture: Picture, exposure: float) -> dict
     write_png(path(f"{name}.png"), image.pixels, stamp=context.stamp)
     return {
         "samples": picture.samples,
+        "evaluated": picture.evaluated,
         "above_white": image.clipped_high,
         "bent_normals": picture.bent,
         "shadowed": picture.shadowed,

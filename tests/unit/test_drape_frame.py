@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from nishiki.drape.around import Surroundings, lookup, openness, shares
+from nishiki.drape.dyes import dyed, gloss_alone, share_of, together
 from nishiki.drape.frame import Take, render
 from nishiki.drape.local import disc_point
 from nishiki.drape.scene import Around, Lamp, Matte, Scene, Surface
 from nishiki.drape.sheet import cylinder, paper, sheet, swatch
-from nishiki.drape.studio import gloss_alone, linear_colour
+from nishiki.drape.studio import linear_colour
 from nishiki.drape.view import framed, look_at
 from nishiki.errors import UserError
 from nishiki.fabric.peers import Ward
@@ -76,8 +77,9 @@ def slow(scene, brdf, lamp, view):
 def test_against_a_loop_over_all_triangles():
     scene = Scene.of([wavy()])
     lamp = Lamp(direction=(-0.9, 0.4, 0.6), colour=(1.0, 0.8, 0.6), radius=0.0)
-    view = camera(20)
+    view = camera(14)
     fast = render(scene, [Take((WARD,), (1.0,))], [lamp], view, supersampling=1)[0]
+    assert fast.evaluated <= fast.samples
     expected = slow(scene, WARD, lamp, view)
     assert 0 < fast.shadowed < 1
     wrong = np.abs(fast.linear - expected).max(axis=2) > 1e-5 * expected.max()
@@ -117,11 +119,44 @@ def test_takes_share_everything_and_add_up():
     assert np.array_equal(alone.linear, left.linear)
 
 
+def test_shared_values_differ_little_from_each_sample_its_own():
+    scene = Scene.of([wavy()])
+    lamp = Lamp(direction=(-0.9, 0.4, 0.6), radius=0.1)
+    arguments = (scene, [Take((WARD,), (1.0,))], [lamp], camera(60))
+    own = render(*arguments, supersampling=3, within=0.0)[0]
+    shared = render(*arguments, supersampling=3)[0]
+    assert shared.evaluated < 0.4 * own.evaluated
+    assert own.evaluated <= own.samples
+    assert np.sqrt(np.mean((own.linear - shared.linear) ** 2)) < 0.012 * np.sqrt(np.mean(own.linear**2))
+    assert np.abs(own.linear - shared.linear).max() < 0.05 * own.linear.max()
+
+
+def test_dyes_share_their_gloss_and_are_what_the_dichromatic_model_says():
+    from nishiki.fabric.dye import Dyed
+
+    colours = {"red": (0.5, 0.05, 0.1), "blue": (0.05, 0.1, 0.5)}
+    made = dyed(WARD, colours)
+    assert made["red"].gloss is made["blue"].gloss
+    rng = np.random.default_rng(4)
+    incident, outgoing = rng.normal(size=(2, 400, 3)) * [1, 1, 0.5] + [0, 0, 1]
+    incident, outgoing = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in (incident, outgoing))
+    found = together([made["red"], WARD, made["blue"]], incident, outgoing)
+    assert np.allclose(found[0], made["red"].evaluate(incident, outgoing))
+    assert np.allclose(found[1], WARD.evaluate(incident, outgoing))
+    for name, values in (("red", found[0]), ("blue", found[2])):
+        exact = Dyed.of(gloss_alone(WARD), colours[name]).evaluate(incident, outgoing)
+        assert np.abs(values - exact).max() < 0.02 * exact.max()
+    # Of even light a dyed cloth returns a + albedo (1 - a).
+    assert np.abs(share_of(made["red"]) - shares(made["red"])).max() < 0.03
+    assert dyed(WARD, {}) == {}
+
+
 def test_bands_do_not_show(monkeypatch):
     scene = Scene.of([wavy()])
     lamp = Lamp(direction=(-0.9, 0.4, 0.6), radius=0.1)
     arguments = (scene, [Take((WARD,), (1.0,))], [lamp], camera(30))
     whole = render(*arguments, supersampling=3)[0]
+    assert render(*arguments, supersampling=3)[0].linear.tobytes() == whole.linear.tobytes()
     monkeypatch.setattr("nishiki.drape.frame.BAND_SAMPLES", 1000)
     monkeypatch.setattr("nishiki.drape.frame.AT_ONCE", 77)
     banded = render(*arguments, supersampling=3)[0]

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 from numba import njit
 
@@ -12,8 +14,8 @@ from nishiki.drape.local import LIFT, Samples
 from nishiki.drape.scene import Around, Brdf, Scene, three
 from nishiki.render.threads import over_rows
 
-THETAS, PHIS = 16, 24
-"""Grid of view directions at which the reflected share of even light is tabulated."""
+THETAS, PHIS, LIGHTS = 10, 16, (14, 28)
+"""Grid of view directions at which the reflected share of even light is tabulated, and rings and sectors of light."""
 
 
 @dataclass(frozen=True)
@@ -49,20 +51,33 @@ class Surroundings:
         return sky * lookup(table, samples.outgoing) * free / (1 - back * (1 - free))
 
 
+def grid_views() -> np.ndarray:
+    """(THETAS + 1, PHIS + 1, 3): views of the grid; phi = 2 pi repeats phi = 0, the last theta is 87 degrees."""
+    theta = np.minimum(np.arange(THETAS + 1) / THETAS * np.pi / 2, np.radians(87.0))
+    theta, phi = np.meshgrid(theta, np.arange(PHIS + 1) / PHIS * 2 * np.pi, indexing="ij")
+    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
+
+
 def shares(brdf: Brdf) -> np.ndarray:
-    """(THETAS + 1, PHIS + 1, 3): what a cloth sends to each view direction of even light, as a share; phi = 2 pi
-    repeats phi = 0. Integrated over 20 x 40 directions of equal projected area, at most 1."""
-    radius2, turn = (np.arange(20) + 0.5) / 20, (np.arange(40) + 0.5) / 40 * 2 * np.pi
+    """(THETAS + 1, PHIS + 1, 3): what a cloth sends to each view of the grid of even light, as a share, at most 1.
+
+    Integrated over LIGHTS directions of equal projected area.
+    """
+    rings, sectors = LIGHTS
+    radius2, turn = (np.arange(rings) + 0.5) / rings, (np.arange(sectors) + 0.5) / sectors * 2 * np.pi
     r, p = np.sqrt(radius2)[:, None], turn[None]
-    lights = np.stack(
-        [r * np.cos(p), r * np.sin(p), np.broadcast_to(np.sqrt(1 - radius2)[:, None], (20, 40))], axis=-1
-    ).reshape(-1, 3)
-    theta = np.minimum(np.arange(THETAS + 1) / THETAS * np.pi / 2, np.radians(88.0))
-    phi = np.arange(PHIS) / PHIS * 2 * np.pi
+    up = np.broadcast_to(np.sqrt(1 - radius2)[:, None], LIGHTS)
+    lights = np.stack([r * np.cos(p), r * np.sin(p), up], axis=-1).reshape(-1, 3)
+    views = grid_views()
     table = np.empty((THETAS + 1, PHIS + 1, 3))
-    for k, t in enumerate(theta):
-        views = np.stack([np.sin(t) * np.cos(phi), np.sin(t) * np.sin(phi), np.full(PHIS, np.cos(t))], axis=-1)
-        table[k, :PHIS] = np.pi * three(brdf.evaluate(lights[None], views[:, None])).mean(axis=1)
+
+    def fill(k: int) -> None:
+        values = brdf.evaluate(lights[None], views[k, :PHIS, None])
+        table[k, :PHIS] = np.pi * three(values).mean(axis=1)
+
+    with ThreadPoolExecutor(numba.get_num_threads()) as pool:
+        for _ in pool.map(fill, range(THETAS + 1)):
+            pass  # reading the results passes on an exception
     table[:, PHIS] = table[:, 0]
     return np.clip(table, 0, 1)
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 
-from nishiki.drape.around import Surroundings, shares
+from nishiki.drape.around import Surroundings
+from nishiki.drape.dyes import share_of, together
 from nishiki.drape.local import Samples, gather, lit
-from nishiki.drape.scene import Brdf, Lamp, Scene, three
+from nishiki.drape.scene import Brdf, Lamp, Scene
 from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera
 from nishiki.patches.raster import rasterise
@@ -16,8 +19,12 @@ from nishiki.turntable.turn import scaled
 
 BAND_SAMPLES = 1 << 20
 """Samples held at a time."""
-AT_ONCE = 1 << 16
+AT_ONCE = 1 << 14
 """Directions that a BRDF is given at a time."""
+WITHIN = np.radians(2.0)
+"""Samples of a pixel whose frames differ by less than this share their BRDF value."""
+LEAST_COSINE = 0.05
+"""A sample that the lamp reaches at a lower angle than this does not stand for others."""
 
 
 @dataclass(frozen=True)
@@ -34,12 +41,13 @@ class Take:
 class Picture:
     """linear (rows, columns, 3) float32: radiance relative to a white that faces a lamp of colour 1, mean over the
     whole pixel (0 where nothing is); coverage (rows, columns) float32: part of the pixel that shows a surface;
-    samples: points shaded; bent: share of them whose normal was turned towards the eye; shadowed: share of the
-    lamps' light on them that other surfaces took away."""
+    samples: points shaded; evaluated: places of the BRDF computed for all takes; bent: share of them whose normal
+    was turned towards the eye; shadowed: share of the lamps' light on them that other surfaces took away."""
 
     linear: np.ndarray
     coverage: np.ndarray
     samples: int
+    evaluated: int
     bent: float
     shadowed: float
 
@@ -50,6 +58,7 @@ class _Tally:
     bent: int = 0
     reaching: float = 0.0
     blocked: float = 0.0
+    evaluated: int = 0
 
 
 def render(
@@ -61,6 +70,7 @@ def render(
     surroundings: Surroundings | None = None,
     supersampling: int = 3,
     shadows: bool = True,
+    within: float = WITHIN,
 ) -> list[Picture]:
     """The scene from a camera, once for every take; what they share (visibility, shadows, BRDF values) is computed
     once.
@@ -69,6 +79,8 @@ def render(
     lamp's visibility, one point of its disc for each sample. supersampling squared samples a pixel, even mean.
     Channels: three are shown as linear sRGB, any other number as the grey of their mean. Bytes do not depend on the
     number of threads.
+
+    within: radians; the BRDF is evaluated once for the samples of a pixel whose frames differ by less, see `gather`.
     """
     _check(scene, takes, lamps, supersampling)
     fine = scaled(camera, supersampling)
@@ -79,7 +91,7 @@ def render(
     for first in range(0, camera.rows, height):
         stop = min(first + height, camera.rows)
         raster = rasterise(scene.mesh, fine, rows=(first * supersampling, stop * supersampling))
-        samples = gather(scene, raster, fine, supersampling)
+        samples = gather(scene, raster, fine, supersampling, within=within)
         if not len(samples.pixel):
             continue
         colours = np.zeros((len(takes), len(samples.pixel), 3))
@@ -95,7 +107,7 @@ def render(
         coverage[first:stop] = covered.reshape(shape)
     shadowed = tally.blocked / tally.reaching if tally.reaching > 0 else 0.0
     bent = tally.bent / max(1, tally.samples)
-    return [Picture(one, coverage, tally.samples, bent, shadowed) for one in linear]
+    return [Picture(one, coverage, tally.samples, tally.evaluated, bent, shadowed) for one in linear]
 
 
 def _check(scene: Scene, takes: list[Take], lamps: list[Lamp], supersampling: int) -> None:
@@ -110,11 +122,9 @@ def _check(scene: Scene, takes: list[Take], lamps: list[Lamp], supersampling: in
             )
 
 
-def _parts(samples: Samples, material: int, wanted: np.ndarray | None = None):
-    """Rows of the samples of a material, in portions."""
-    rows = np.flatnonzero((samples.material == material) if wanted is None else (samples.material == material) & wanted)
-    for start in range(0, len(rows), AT_ONCE):
-        yield rows[start : start + AT_ONCE]
+def _parts(rows: np.ndarray) -> list[np.ndarray]:
+    """Rows in portions."""
+    return [rows[start : start + AT_ONCE] for start in range(0, len(rows), AT_ONCE)]
 
 
 def _add_lamps(colours, scene, takes, lamps, samples: Samples, shadows: bool, tally: _Tally) -> None:
@@ -125,17 +135,40 @@ def _add_lamps(colours, scene, takes, lamps, samples: Samples, shadows: bool, ta
         light = lit(scene, samples, lamp, shadows)
         tally.reaching += float(light.before.sum())
         tally.blocked += float(light.before.sum() - light.strength.sum())
+        reached = light.strength > 0
+        stands = np.where(light.incident[samples.stands, 2] > LEAST_COSINE, samples.stands, np.arange(len(reached)))
         for material in range(int(scene.material.max()) + 1):
+            rows = np.flatnonzero(reached & (samples.material == material))
             brdfs = {id(take.materials[material]): take.materials[material] for take in takes if take.lamps[number]}
-            for rows in _parts(samples, material, light.strength > 0):
-                strength = np.pi * light.strength[rows, None] * np.asarray(lamp.colour)
-                values = {
-                    key: three(brdf.evaluate(light.incident[rows], samples.outgoing[rows])) * strength
-                    for key, brdf in brdfs.items()
-                }
-                for k, take in enumerate(takes):
-                    if take.lamps[number]:
-                        colours[k, rows] += take.lamps[number] * values[id(take.materials[material])]
+            if not brdfs or not len(rows):
+                continue
+            values, where = _values(list(brdfs.values()), light.incident, samples.outgoing, stands[rows])
+            tally.evaluated += len(values[0])
+            strength = np.pi * light.strength[rows, None] * np.asarray(lamp.colour)
+            found = dict(zip(brdfs, values, strict=True))
+            for k, take in enumerate(takes):
+                if take.lamps[number]:
+                    colours[k, rows] += take.lamps[number] * found[id(take.materials[material])][where] * strength
+
+
+def _values(brdfs: list[Brdf], incident: np.ndarray, outgoing: np.ndarray, wanted: np.ndarray):
+    """Each BRDF at the distinct samples among those wanted, (m, 3) each, and their places there (n,).
+
+    Portions are shared among threads: models are compiled or array code, which lets others run beside it.
+    """
+    distinct, where = np.unique(wanted, return_inverse=True)
+    out = [np.empty((len(distinct), 3)) for _ in brdfs]
+
+    def fill(start: int) -> None:
+        rows = distinct[start : start + AT_ONCE]
+        i, o = np.ascontiguousarray(incident[rows]), np.ascontiguousarray(outgoing[rows])
+        for values, one in zip(out, together(brdfs, i, o), strict=True):
+            values[start : start + AT_ONCE] = one
+
+    with ThreadPoolExecutor(numba.get_num_threads()) as pool:
+        for _ in pool.map(fill, range(0, len(distinct), AT_ONCE)):
+            pass  # reading the results passes on an exception
+    return out, where.reshape(-1)
 
 
 def _add_around(colours, takes, samples: Samples, surroundings: Surroundings, tables: dict) -> None:
@@ -143,6 +176,6 @@ def _add_around(colours, takes, samples: Samples, surroundings: Surroundings, ta
     for k, take in enumerate(takes):
         for material, brdf in enumerate(take.materials):
             if take.around and id(brdf) not in tables:
-                tables[id(brdf)] = shares(brdf)
-            for rows in _parts(samples, material) if take.around else ():
+                tables[id(brdf)] = share_of(brdf)
+            for rows in _parts(np.flatnonzero(samples.material == material)) if take.around else ():
                 colours[k, rows] += take.around * surroundings.radiance(tables[id(brdf)], samples.take(rows))

@@ -25,7 +25,8 @@ class Samples:
     that of the pixel in the picture times a_pixel, the samples a pixel has, plus that of the sample in its pixel;
     triangle (n,) int32, weights (n, 2) float32 of its corners 0 and 1; material (n,); back (n,) bool: seen from
     behind; place (n, 3) float64; frame (n, 3, 3): weft, warp, normal, turned to the eye; outgoing (n, 3): the eye
-    in this frame; bent: how many normals were turned."""
+    in this frame; stands (n,): the sample whose BRDF value serves for this one, itself included;
+    bent: how many normals were turned."""
 
     pixel: np.ndarray
     number: np.ndarray
@@ -36,13 +37,19 @@ class Samples:
     place: np.ndarray
     frame: np.ndarray
     outgoing: np.ndarray
+    stands: np.ndarray
     bent: int
     a_pixel: int
 
     def take(self, rows: np.ndarray) -> Samples:
         """Some of them."""
         names = ("pixel", "number", "triangle", "weights", "material", "back", "place", "frame", "outgoing")
-        return Samples(**{name: getattr(self, name)[rows] for name in names}, bent=0, a_pixel=self.a_pixel)
+        return Samples(
+            **{name: getattr(self, name)[rows] for name in names},
+            stands=np.arange(len(rows)),
+            bent=0,
+            a_pixel=self.a_pixel,
+        )
 
 
 @dataclass(frozen=True)
@@ -55,8 +62,12 @@ class Light:
     before: np.ndarray
 
 
-def gather(scene: Scene, raster: Raster, camera: Camera, supersampling: int) -> Samples:
-    """The points behind a band of a picture's samples and their frames."""
+def gather(scene: Scene, raster: Raster, camera: Camera, supersampling: int, *, within: float = 0.0) -> Samples:
+    """The points behind a band of a picture's samples and their frames.
+
+    within: radians; samples of a pixel, of one material and side, share a BRDF value with one whose normal and weft are
+    this near. 0: each has its own.
+    """
     rows, columns = np.nonzero(raster.triangle >= 0)
     triangle = raster.triangle[rows, columns]
     weights = raster.barycentric[rows, columns]
@@ -87,20 +98,25 @@ def gather(scene: Scene, raster: Raster, camera: Camera, supersampling: int) -> 
             ),
             count,
         )
-    within = (rows % supersampling) * supersampling + columns % supersampling
-    number = (
-        (rows + raster.first_row) // supersampling * np.int64(across) + columns // supersampling
-    ) * a_pixel + within
+    inside = (rows % supersampling) * supersampling + columns % supersampling
+    number = ((rows + raster.first_row) // supersampling * np.int64(across) + columns // supersampling) * a_pixel
+    number += inside
+    material = scene.material[triangle]
+    stands = np.arange(count)
+    if within > 0 and count:
+        groups = pixel * 2 * (int(material.max()) + 1) + 2 * material + back
+        _share(np.argsort(groups, kind="stable"), groups, frame, np.cos(within), stands)
     return Samples(
         pixel,
         number,
         triangle,
         weights,
-        scene.material[triangle],
+        material,
         back,
         place,
         frame,
         outgoing,
+        stands,
         int(bent.sum()),
         a_pixel,
     )
@@ -185,6 +201,36 @@ def _frames(vertices, normals, wefts, corners, triangle, weights, eye, first, la
         frame[k, 1, 2] = n[0] * t[1] - n[1] * t[0]
         for m in range(3):
             outgoing[k, m] = frame[k, m, 0] * view[0] + frame[k, m, 1] * view[1] + frame[k, m, 2] * view[2]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _share(order, groups, frame, cosine, stands):
+    """Let a sample be stood for by the first one of its group, of those that stand for themselves, whose normal and
+    weft are within the cosine; where there is none, it stands for itself. Middle samples come first."""
+    first = 0
+    while first < len(order):
+        last = first + 1
+        while last < len(order) and groups[order[last]] == groups[order[first]]:
+            last += 1
+        count = last - first
+        for step in range(count):
+            # from the middle outwards: m, m + 1, m - 1, m + 2, ..
+            reach = (step + 1) // 2
+            here = order[first + (count // 2 + (reach if step % 2 == 1 else -reach)) % count]
+            stands[here] = here
+            for before in range(step):
+                reach = (before + 1) // 2
+                other = order[first + (count // 2 + (reach if before % 2 == 1 else -reach)) % count]
+                if stands[other] != other:
+                    continue
+                normal, weft = 0.0, 0.0
+                for m in range(3):
+                    normal += frame[here, 2, m] * frame[other, 2, m]
+                    weft += frame[here, 0, m] * frame[other, 0, m]
+                if normal >= cosine and weft >= cosine:
+                    stands[here] = other
+                    break
+        first = last
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

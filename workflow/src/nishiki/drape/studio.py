@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -136,13 +136,6 @@ def tubes(*, radius: float = 0.11, height: float = 0.42, gap: float = 0.07) -> l
         cylinder(radius, height, centre=((k - 1) * step, 0.0, 0.0), turn=-turn)
         for k, turn in enumerate((0.0, np.pi / 4, np.pi / 2))
     ]
-
-
-def gloss_alone(brdf: Brdf) -> Brdf:
-    """A model without the light from within, where it tells the two apart (field `diffuse`); else the model."""
-    if is_dataclass(brdf) and any(field.name == "diffuse" for field in fields(brdf)):
-        return replace(brdf, diffuse=np.zeros_like(np.asarray(brdf.diffuse, float)))
-    return brdf
 
 
 def linear_colour(code: str) -> tuple[float, float, float]:

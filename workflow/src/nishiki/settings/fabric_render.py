@@ -1,12 +1,14 @@
 """Settings of fabric_render."""
 
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
 from nishiki.closed import Closed
 
 COLOUR = r"^#[0-9a-fA-F]{6}$"
+Colour = Annotated[str, Field(pattern=COLOUR)]
+Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$")]
 
 
 class ClothSettings(Closed):
@@ -39,8 +41,8 @@ class ViewSettings(Closed):
     elevation_deg: float = Field(21, ge=-10, le=89)
     azimuth_deg: float = Field(12, ge=-360, le=360, description="from the front, to the right")
     distance: float = Field(2.2, ge=0.8, le=100, description="in extents of the surface")
-    rows: int = Field(720, ge=16, le=8192)
-    columns: int = Field(720, ge=16, le=8192)
+    rows: int = Field(640, ge=16, le=8192)
+    columns: int = Field(640, ge=16, le=8192)
 
 
 class LampSettings(Closed):
@@ -81,9 +83,9 @@ class FabricRenderSettings(Closed):
     cloth: ClothSettings = Field(ClothSettings(), description="the draped cloth")
     mesh: MeshSettings | None = Field(None, description="a surface from a file instead; null: the draped cloth")
     view: ViewSettings = Field(ViewSettings(), description="camera of the draped pictures")
-    lights: dict[str, LampSettings] = Field(LAMPS, description="lamps by name; a picture under each, and under all")
+    lights: dict[Name, LampSettings] = Field(LAMPS, description="lamps by name; a picture under each, and under all")
     around: float = Field(0.16, ge=0, le=100, description="radiance of the room above, a third of it below; white 1")
-    dyes: dict[str, str] = Field(
+    dyes: dict[Name, Colour] = Field(
         DYES, description="dyes by name, sRGB colour of the dye under a gloss that takes no light; a picture in each"
     )
     as_measured: bool = Field(True, description="also pictures in the cloth's own colour")
@@ -92,7 +94,7 @@ class FabricRenderSettings(Closed):
         0.42, ge=0, le=1, description="reflectance of the paper it stands on; 0: none, and alpha in EXR"
     )
     shadows: bool = Field(True, description="cast shadows")
-    supersampling: int = Field(4, ge=1, le=16, description="samples along each side of a pixel")
+    supersampling: int = Field(3, ge=1, le=16, description="samples along each side of a pixel")
     exposure: float | Literal["auto"] = Field(
         "auto", description="factor of the PNG pictures; auto: from the picture under all lamps; EXR stays as it is"
     )
