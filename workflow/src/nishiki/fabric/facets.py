@@ -37,6 +37,7 @@ class FacetBrdf(ArrayFields):
     """rho_d + F D G2 / (4 cos cos)."""
 
     KIND: ClassVar[str] = "facets"
+    RECIPROCAL: ClassVar[bool] = True
     density: np.ndarray  # (TILTS, TURNS) D, 1 / sr; tilt 0 .. pi/2, azimuth 0 .. 2 pi
     masking: np.ndarray  # (TILTS, TURNS) G1 by the direction
     diffuse: np.ndarray  # (channels,) rho_d, 1 / sr

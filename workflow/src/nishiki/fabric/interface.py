@@ -15,7 +15,7 @@ import numpy as np
 class FabricBrdf(Protocol):
     """The interface."""
 
-    KIND: ClassVar[str]
+    KIND: ClassVar[str]  # a class that is reciprocal by construction says so: RECIPROCAL = True
 
     @property
     def channels(self) -> int:

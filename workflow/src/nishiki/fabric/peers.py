@@ -23,6 +23,7 @@ from nishiki.fabric.interface import ArrayFields, Halves, halves, only_above
 class _LambertAndLobe(ArrayFields):
     """diffuse / pi + specular * lobe."""
 
+    RECIPROCAL: ClassVar[bool] = True
     diffuse: np.ndarray  # (channels,) albedo of the Lambert term
     specular: np.ndarray  # (channels,) factor of the lobe
 

@@ -74,7 +74,9 @@ class TableBrdf(ArrayFields):
         for k, theta in enumerate(theta_h):
             incident, outgoing = pair(theta, phi_h[:, None, None], theta_d[:, None], phi_d)
             incident, outgoing = _raised(incident), _raised(outgoing)
-            values[k] = (brdf.evaluate(incident, outgoing) + brdf.evaluate(outgoing, incident)) / 2
+            values[k] = brdf.evaluate(incident, outgoing)
+            if not getattr(brdf, "RECIPROCAL", False):
+                values[k] = (values[k] + brdf.evaluate(outgoing, incident)) / 2
         return cls(values)
 
     def evaluate(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
