@@ -51,22 +51,29 @@ def run(context: Context) -> dict:
         takes.append(stage.take(cloth))
     context.progress.tell(f"{len(takes)} pictures of {view.columns} x {view.rows} pixels")
     made = stage.render(takes, supersampling=settings.supersampling, shadows=settings.shadows) if takes else []
-    exposure = settings.exposure
-    if exposure == "auto":
-        exposure = exposure_for(made[0].linear, made[0].coverage) if made else 1.0
-    pictures = {name: save(context, name, made[k], exposure) for name, k in named.items()}
+    own = exposed(settings, [made[k] for name, k in named.items() if name == "drape"])
+    dyes = exposed(settings, [made[k] for name, k in named.items() if name.startswith("drape-dye-")])
+    pictures = {
+        name: save(context, name, made[k], dyes if name.startswith("drape-dye-") else own) for name, k in named.items()
+    }
     if settings.swatches:
-        pictures |= swatches(context, brdf, cloths, exposure)
-    video, notes = film(context, surface, next(iter(cloths.values()), brdf), exposure)
+        context.progress.tell("cylinders")
+        pictures |= swatches(context, brdf, cloths)
+    video, notes = film(context, surface, next(iter(cloths.values()), brdf))
     return {
         "region": settings.region or models.regions[0],
         "model": settings.model or models.default,
         "surface": shape,
-        "exposure": exposure,
+        "exposure": {"own": own, "dyes": dyes},
         "pictures": pictures,
         "video": video,
         "notes": notes,
     }
+
+
+def exposed(settings: FabricRenderSettings, pictures: list[Picture]) -> float:
+    """The factor of the PNG pictures."""
+    return exposure_for(pictures) if settings.exposure == "auto" else settings.exposure
 
 
 def surface_of(settings: FabricRenderSettings) -> tuple[Surface, dict]:
@@ -124,7 +131,7 @@ def room(settings: FabricRenderSettings) -> dict:
     return {"level": settings.around, "reflectance": settings.paper}
 
 
-def swatches(context: Context, brdf: Brdf, cloths: dict[str, Brdf], exposure: float) -> dict:
+def swatches(context: Context, brdf: Brdf, cloths: dict[str, Brdf]) -> dict:
     """Cylinders: warp upright, oblique and around, as measured or in the first dye."""
     settings = context.settings
     columns, rows = settings.view.columns, round(settings.view.columns * 0.62)
@@ -134,7 +141,7 @@ def swatches(context: Context, brdf: Brdf, cloths: dict[str, Brdf], exposure: fl
     )  # fmt: skip
     shown = brdf if settings.as_measured else next(iter(cloths.values()), brdf)
     made = stage.render([stage.take(shown)], supersampling=settings.supersampling, shadows=settings.shadows)
-    return {"cylinders": save(context, "cylinders", made[0], exposure)}
+    return {"cylinders": save(context, "cylinders", made[0], exposed(settings, made))}
 
 
 def save(context: Context, name: str, picture: Picture, exposure: float) -> dict:
@@ -154,19 +161,19 @@ def save(context: Context, name: str, picture: Picture, exposure: float) -> dict
     }
 
 
-def film(context: Context, surface: Surface, brdf: Brdf, exposure: float) -> tuple[dict, list[str]]:
+def film(context: Context, surface: Surface, brdf: Brdf) -> tuple[dict, list[str]]:
     """The video: what was written, and notes."""
     wanted = context.settings.film
     if wanted is None:
         return {}, []
-    frames = context.progress.through(frames_of(context, surface, brdf, exposure), wanted.frames, "frame")
+    frames = context.progress.through(frames_of(context, surface, brdf), wanted.frames, "frame")
     written = write_video(
         context.output.path("film.mp4"), frames, frames_per_second=wanted.frames_per_second, stamp=context.stamp
     )
     return {"frames": written.frames, "file": written.path.name}, [written.note] if written.note else []
 
 
-def frames_of(context: Context, surface: Surface, brdf: Brdf, exposure: float):
+def frames_of(context: Context, surface: Surface, brdf: Brdf):
     """Frames (rows, columns, 3) uint8; a turn of the cloth is one of camera and lamps about it."""
     settings, wanted = context.settings, context.settings.film
     rows = round(wanted.columns * settings.view.rows / settings.view.columns)
@@ -177,9 +184,11 @@ def frames_of(context: Context, surface: Surface, brdf: Brdf, exposure: float):
         [surface], lights_of(settings), elevation=np.radians(view.elevation_deg), azimuth=np.radians(view.azimuth_deg),
         distance=view.distance, rows=rows, columns=wanted.columns, wall=False, **room(settings),
     )  # fmt: skip
+    exposure = None
     for angle in turning(wanted.frames):
         now = stage.turned(angle) if wanted.moves == "turn" else stage.lit_from(angle)
         picture = now.render([now.take(brdf)], supersampling=wanted.supersampling, shadows=settings.shadows)[0]
+        exposure = exposure or exposed(settings, [picture])
         yield developed(picture.linear, picture.coverage, exposure=exposure, soft=settings.tone == "soft").pixels
 
 

@@ -147,7 +147,9 @@ def test_dyes_share_their_gloss_and_are_what_the_dichromatic_model_says():
         exact = Dyed.of(gloss_alone(WARD), colours[name]).evaluate(incident, outgoing)
         assert np.abs(values - exact).max() < 0.02 * exact.max()
     # Of even light a dyed cloth returns a + albedo (1 - a).
-    assert np.abs(share_of(made["red"]) - shares(made["red"])).max() < 0.03
+    apart = np.abs(share_of(made["red"]) - shares(made["red"]))
+    assert apart[:-2].max() < 0.01
+    assert apart.max() < 0.06  # at grazing views the sum over the light is coarse
     assert dyed(WARD, {}) == {}
 
 

@@ -3,6 +3,7 @@
 import importlib.util
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -11,6 +12,7 @@ import pytest
 
 from nishiki.artifact import ArtifactWriter, open_artifact
 from nishiki.closed import parse
+from nishiki.drape.frame import Picture
 from nishiki.drape.mesh_store import read_surface
 from nishiki.drape.models import FabricModels
 from nishiki.drape.tone import developed, exposure_for, shoulder
@@ -173,7 +175,14 @@ def test_tone():
     assert shown.max() <= 1 + 1e-9
     assert shown.min() >= 0
     assert np.array_equal(shown.argmax(axis=1), colours.argmax(axis=1))
-    assert exposure_for(np.full((4, 4, 3), 0.2, np.float32), np.ones((4, 4))) == pytest.approx(4, rel=1e-3)
-    assert exposure_for(np.zeros((4, 4, 3), np.float32), np.ones((4, 4))) == 1
+    cloth = np.zeros((4, 4), np.float32)
+    cloth[:2] = 1
+    linear = np.full((4, 4, 3), 0.2, np.float32)
+    shown = Picture(linear, np.ones((4, 4), np.float32), cloth, 16, 16, 0.0, 0.0)
+    assert exposure_for([shown]) == pytest.approx(3.5, rel=1e-3)
+    linear[2:] = 0.38  # the paper is brighter, and bounds the exposure
+    assert exposure_for([shown]) == pytest.approx(2.5, rel=1e-3)
+    assert exposure_for([replace(shown, linear=0 * linear)]) == 1
+    assert exposure_for([]) == 1
     image = developed(np.full((2, 2, 3), 0.25, np.float32), np.full((2, 2), 0.0, np.float32), soft=False)
     assert np.all(image.pixels == 255)

@@ -40,12 +40,14 @@ class Take:
 @dataclass(frozen=True)
 class Picture:
     """linear (rows, columns, 3) float32: radiance relative to a white that faces a lamp of colour 1, mean over the
-    whole pixel (0 where nothing is); coverage (rows, columns) float32: part of the pixel that shows a surface;
-    samples: points shaded; evaluated: places of the BRDF computed for all takes; bent: share of them whose normal
-    was turned towards the eye; shadowed: share of the lamps' light on them that other surfaces took away."""
+    whole pixel (0 where nothing is); coverage (rows, columns) float32: part of the pixel that shows a surface,
+    cloth: that shows material 0; samples: points shaded; evaluated: places of the BRDF computed for all takes;
+    bent: share of them whose normal was turned towards the eye; shadowed: share of the lamps' light on them that
+    other surfaces took away."""
 
     linear: np.ndarray
     coverage: np.ndarray
+    cloth: np.ndarray
     samples: int
     evaluated: int
     bent: float
@@ -85,7 +87,7 @@ def render(
     _check(scene, takes, lamps, supersampling)
     fine = scaled(camera, supersampling)
     linear = np.zeros((len(takes), camera.rows, camera.columns, 3), np.float32)
-    coverage = np.zeros((camera.rows, camera.columns), np.float32)
+    coverage, cloth = np.zeros((2, camera.rows, camera.columns), np.float32)
     tally, tables = _Tally(), {}
     height = max(1, BAND_SAMPLES // (fine.columns * supersampling))
     for first in range(0, camera.rows, height):
@@ -105,9 +107,11 @@ def render(
                 linear[take, first:stop, :, channel] = (sums / supersampling**2).reshape(shape)
         covered = np.bincount(samples.pixel, minlength=size) / supersampling**2
         coverage[first:stop] = covered.reshape(shape)
+        covered = np.bincount(samples.pixel, weights=samples.material == 0, minlength=size) / supersampling**2
+        cloth[first:stop] = covered.reshape(shape)
     shadowed = tally.blocked / tally.reaching if tally.reaching > 0 else 0.0
     bent = tally.bent / max(1, tally.samples)
-    return [Picture(one, coverage, tally.samples, tally.evaluated, bent, shadowed) for one in linear]
+    return [Picture(one, coverage, cloth, tally.samples, tally.evaluated, bent, shadowed) for one in linear]
 
 
 def _check(scene: Scene, takes: list[Take], lamps: list[Lamp], supersampling: int) -> None:

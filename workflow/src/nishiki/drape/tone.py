@@ -4,17 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 
+from nishiki.drape.frame import Picture
 from nishiki.render.display import DisplayImage, display_image
 from nishiki.spectra.colour import srgb_matrix
 
 _WEIGHTS = np.float32([0.2126, 0.7152, 0.0722])  # luminance of linear sRGB, IEC 61966-2-1
 
 
-def exposure_for(linear: np.ndarray, coverage: np.ndarray, *, level: float = 0.8, percentile: float = 98.0) -> float:
-    """Factor that brings the bright parts of a picture to `level` of the display's white; 1 where it is black."""
-    shown = linear[coverage > 0.5] @ _WEIGHTS
-    top = float(np.percentile(shown, percentile)) if shown.size else 0.0
-    return level / top if top > 0 else 1.0
+def exposure_for(pictures: list[Picture], *, level: float = 0.7, rest: float = 0.95) -> float:
+    """One factor for several pictures: the brightest cloth comes to `level` of the display's white, unless what else is
+    in the pictures would then exceed `rest`. Judged by the 98th percentile; 1 where all is black."""
+    tops = []
+    for picture in pictures:
+        shown = picture.linear @ _WEIGHTS
+        parts = (shown[picture.cloth > 0.9], level), (shown[picture.coverage > 0.5], rest)
+        tops += [float(np.percentile(values, 98)) / wanted for values, wanted in parts if values.size]
+    top = max(tops, default=0.0)
+    return 1 / top if top > 0 else 1.0
 
 
 def shoulder(linear: np.ndarray, *, start: float = 0.6) -> np.ndarray:

@@ -91,12 +91,13 @@ class FabricRenderSettings(Closed):
     as_measured: bool = Field(True, description="also pictures in the cloth's own colour")
     swatches: bool = Field(True, description="also three cylinders, warp upright, oblique and around")
     paper: float = Field(
-        0.42, ge=0, le=1, description="reflectance of the paper it stands on; 0: none, and alpha in EXR"
+        0.14, ge=0, le=1, description="reflectance of the paper it stands on; 0: none, and alpha in EXR"
     )
     shadows: bool = Field(True, description="cast shadows")
     supersampling: int = Field(3, ge=1, le=16, description="samples along each side of a pixel")
     exposure: float | Literal["auto"] = Field(
-        "auto", description="factor of the PNG pictures; auto: from the picture under all lamps; EXR stays as it is"
+        "auto",
+        description="factor of the PNG pictures; auto: one for the own colour, one for the dyes; not in EXR",
     )
     tone: Literal["soft", "linear"] = Field("soft", description="of the PNG: highlights bent softly, or clipped")
     film: FilmSettings | None = Field(None, description="a video; null: none")
