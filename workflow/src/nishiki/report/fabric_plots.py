@@ -12,6 +12,7 @@ MODEL_NAMES = {
     "bard_linear": "BARD, linear",
     "bard_great_circle": "BARD, great circle",
     "bard_scaled": "BARD, best factor",
+    "yarn_facets": "facets on yarns",
     "facets": "facet reading",
     "weave": "weave model",
     "ward": "Ward",

@@ -17,7 +17,7 @@ from nishiki.report.fabric_plots import (
 
 TEMPLATE = "fabric.html.j2"
 INCIDENCES_DEG = (0, 30, 60)
-SHOWN_MODELS = ("facets", "weave", "bard_linear", "ggx")
+SHOWN_MODELS = ("yarn_facets", "bard_great_circle", "weave", "ggx")
 CURVES_OPEN = 6
 
 
