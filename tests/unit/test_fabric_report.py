@@ -99,7 +99,7 @@ def weave_of(writer):
     entry = {
         "weave": "satin", "harness": 5, "weft": {"theta_a": 0.5, "n": 4.0}, "warp": {"theta_a": 0.2, "m": 0.3},
         "rms_rel": {"weft": 0.0321, "warp": 0.05}, "curves": {"weft": plane, "warp": plane},
-        "identifiability": {"free": ["l_warp · r_warp"], "weak": "k_s · index", "weak_error": 0.5},
+        "identifiability": {"free": ["l_warp · r_warp"], "weak": ["k_s · index"], "weak_error": [0.5]},
         "at_bounds": ["index"],
     }  # fmt: skip
     writer.path("weave.json").write_text(json.dumps({"format": 1, "regions": {"cloth": entry}}))

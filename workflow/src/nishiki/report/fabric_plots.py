@@ -49,10 +49,10 @@ def error_chart(models: dict[str, dict], default: str) -> str:
     if not curves:
         return ""
     ends = [x for curve in curves for x in (curve.x.min(), curve.x.max())]
-    room = (min(ends) - 2, max(ends) + 2)
+    room = (min(ends) - 2, max(ends) + 2 + 0.4 * (max(ends) - min(ends)))  # the legend stands on the right
     return chart(
         curves, x_label="incidence, degrees", y_label="relative RMS error", title="error against incidence",
-        x_range=room, y_range=(0.0, min(1.5, 1.3 * top)),
+        x_range=room, y_range=(0.0, min(1.5, 1.1 * top)), width=640, height=340,
     )  # fmt: skip
 
 

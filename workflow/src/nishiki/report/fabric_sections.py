@@ -18,7 +18,8 @@ from nishiki.report.fabric_plots import (
 TEMPLATE = "fabric.html.j2"
 INCIDENCES_DEG = (0, 30, 60)
 SHOWN_MODELS = ("yarn_facets", "bard_great_circle", "weave", "ggx")
-CURVES_OPEN = 6
+STEEPEST_DEG = 80
+"""Steepest view of the drawn lobes: at grazing views a cloth can be so bright that nothing else would be seen."""
 
 
 def facts(reflectance: dict[str, Any], capture: dict[str, Any]) -> list[tuple[str, str]]:
@@ -69,6 +70,7 @@ def errors_section(evaluation: dict[str, Any] | None) -> list[dict]:
         return []
     sections = []
     for region, found in evaluation["regions"].items():
+        found = {**found, "models": default_first(found["models"], evaluation["default"])}
         held = {model: entry["held_out"]["by_incidence"] for model, entry in found["models"].items()}
         angles = sorted({angle for part in held.values() for angle in part}, key=float)
         table = [
@@ -99,6 +101,16 @@ def errors_section(evaluation: dict[str, Any] | None) -> list[dict]:
             }
         )
     return sections
+
+
+def default_first(models: dict[str, Any], default: str) -> dict[str, Any]:
+    """Models with the default one first, the rest by error on what was held out, least first."""
+
+    def order(name: str) -> tuple:
+        error = mean_of((models[name].get("held_out") or {}).get("by_incidence") or {})
+        return name != default, float("inf") if error is None else error, name
+
+    return {name: models[name] for name in sorted(models, key=order)}
 
 
 def mean_of(parts: dict[str, dict]) -> float | None:
@@ -152,7 +164,7 @@ def lobes_section(brdf, normal, name: str) -> dict:
     for (degrees, plane), part in predicted.items():
         where = "along the normal" if degrees == 0 else f"at {degrees}° in the plane of the {plane}"
         discs.append({"picture": disc_picture(part, inside, low, high), "name": f"Model, light {where}"})
-    angle = np.radians(np.arange(-89, 90))
+    angle = np.radians(np.arange(-STEEPEST_DEG, STEEPEST_DEG + 1))
     planes = []
     for plane, azimuth in (("warp", np.pi / 2), ("weft", 0.0)):
         along = np.stack([np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), np.cos(angle)], axis=1)

@@ -137,9 +137,9 @@ def notes(entry: dict[str, Any]) -> list[str]:
     if found.get("free"):
         texts.append(f"No measurement of this kind can tell: {'; '.join(found['free'])}.")
     if found.get("weak"):
-        texts.append(
-            f"Least well determined: {found['weak']}, to {100 * found['weak_error']:.2g} % (one standard deviation)."
-        )
+        pairs = zip(found["weak"], found["weak_error"], strict=True)
+        weak = "; ".join(f"{name} to {100 * error:.2g} %" for name, error in pairs)
+        texts.append(f"Least well determined (one standard deviation): {weak}.")
     if entry.get("at_bounds"):
         texts.append(f"At the end of their range: {', '.join(entry['at_bounds'])}.")
     return texts
