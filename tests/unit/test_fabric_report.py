@@ -190,7 +190,7 @@ def test_the_whole_page(inputs, tmp_path):
     assert '<b>&"quoted"' not in text
     assert "Robe &lt;b&gt;" in text
     for expected in ("facet reading", "BARD, best factor (has seen these)", "0.123", "25 %, 3.5°", "Gold", "Red",
-                     "Light left alone", "A satin of 5 yarns a repeat", "3.2 %", "l_warp · r_warp", "28.6", "43",
+                     "Light left alone", "A satin of 5 yarns a repeat", "3.2 %", "l_warp · r_warp", "r_warp: not; k_s · index: to 25 %", "28.6", "43",
                      "not asked for", "a note", "taken for the fit", "Light at 30°, plane of the warp", "87.50", "96",
                      "0.250", "Coverage", "1.23"):  # fmt: skip
         assert expected in text, expected

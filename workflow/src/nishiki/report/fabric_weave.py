@@ -22,6 +22,8 @@ MEANINGS = {
     "k_d": "strength of the light from within, mean of the channels",
 }
 ANGLES = ("theta_a", "contact")
+SHOWN_WEAK = 3
+"""Combinations of parameters named as badly determined."""
 
 
 def weave_section(
@@ -136,10 +138,15 @@ def notes(entry: dict[str, Any]) -> list[str]:
     texts = []
     if found.get("free"):
         texts.append(f"No measurement of this kind can tell: {'; '.join(found['free'])}.")
-    if found.get("weak"):
-        pairs = zip(found["weak"], found["weak_error"], strict=True)
-        weak = "; ".join(f"{name} to {100 * error:.2g} %" for name, error in pairs)
-        texts.append(f"Least well determined (one standard deviation): {weak}.")
+    pairs = list(zip(several(found.get("weak")), several(found.get("weak_error")), strict=True))[:SHOWN_WEAK]
+    if pairs:
+        told = "; ".join(f"{name}: {'not' if error > 1 else f'to {100 * error:.2g} %'}" for name, error in pairs)
+        texts.append(f"Least well determined combinations (one standard deviation): {told}.")
     if entry.get("at_bounds"):
         texts.append(f"At the end of their range: {', '.join(entry['at_bounds'])}.")
     return texts
+
+
+def several(value) -> list:
+    """A list, of one where it is none of these, empty where there is nothing."""
+    return value if isinstance(value, list) else [value] if value else []
