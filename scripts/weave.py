@@ -10,7 +10,7 @@ from nishiki.render.output import write_png
 from nishiki.settings.weave import WeaveSettings
 from nishiki.stage import Context, run_stage
 from nishiki.weave.drawing import draw_section
-from nishiki.weave.fit import WeaveFit, fit_usual
+from nishiki.weave.fit import WeaveFit, fit_weave
 from nishiki.weave.planes import planes_of
 from nishiki.weave.store import describe, write_weave
 from nishiki.weave.surface import USUAL, harness_of, make_surface, shade
@@ -27,9 +27,9 @@ def run(context: Context) -> dict:
             reflectances, region=number, relative_error=settings.relative_error, oblique=settings.oblique
         )
         contact = None if settings.contact_deg is None else float(np.radians(settings.contact_deg))
-        fit = fit_usual(
+        fit = fit_weave(
             *planes,
-            USUAL[reflectances.weave] if settings.harness is None else (settings.harness,),
+            harness=USUAL[reflectances.weave] if settings.harness is None else settings.harness,
             reading=settings.reading,
             lobe=settings.lobe,
             contact=contact,

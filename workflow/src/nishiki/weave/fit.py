@@ -94,7 +94,7 @@ def fit_weave(
     reading: str = "shaded",
     lobe: str = "gauss",
     contact: float | None = HALF_PI,
-    harness: int | None = None,
+    harness: int | tuple[int, ...] | None = None,
     index: float | None = START_INDEX,
     confidence: float = 0.95,
     intervals: bool = True,
@@ -103,12 +103,17 @@ def fit_weave(
 
     reading : "paper" (W eq. 15), "shaded" or "yarns". lobe : "gauss" (W's) or "ggx". contact : angle of the weft
     section's contacts; None: searched. harness : yarns of a repeat, of which one is bound, where the weave is known:
-    then n = harness - 1; None: searched. index : refractive index; None: searched (it and k_s can hardly be told
-    apart).
-    confidence : of the intervals. intervals : False leaves them out (empty), for speed.
+    then n = harness - 1; several: whichever fits best; None: n is searched. index : refractive index; None: searched
+    (it and k_s can hardly be told apart). confidence : of the intervals. intervals : False leaves them out (empty),
+    for speed.
     """
-    problem, start = _problem(weft, warp, READINGS[reading] + LOBES[lobe], contact, harness, index)
-    p, cost = search(problem, start)
+    best = None
+    for yarns in harness if isinstance(harness, tuple) else (harness,):
+        problem, start = _problem(weft, warp, READINGS[reading] + LOBES[lobe], contact, yarns, index)
+        p, cost = search(problem, start)
+        if best is None or cost < best[2]:
+            best = problem, p, cost
+    problem, p, cost = best
     model = model_of(p, weft, warp, reading, lobe)
     variance = noise_variance(problem, cost)
     found = profile_intervals(problem, p, cost, confidence=confidence, variance=variance) if intervals else {}
@@ -120,15 +125,6 @@ def fit_weave(
         identifiability=_identifiability(model, weft, warp, problem, variance),
         at_bounds=at_bounds(p, problem.free),
     )
-
-
-def fit_usual(weft: Plane, warp: Plane, harnesses: tuple[int | None, ...], **settings) -> WeaveFit:
-    """The best of the fits with each of these numbers of yarns a repeat (None: searched); settings as in fit_weave."""
-    if len(harnesses) == 1:
-        return fit_weave(weft, warp, harness=harnesses[0], **settings)
-    tried = [fit_weave(weft, warp, harness=h, **{**settings, "intervals": False}) for h in harnesses]
-    best = harnesses[int(np.argmin([fit.variance for fit in tried]))]
-    return fit_weave(weft, warp, harness=best, **settings)
 
 
 def _problem(weft: Plane, warp: Plane, reading: int, contact, harness, index) -> tuple[Problem, np.ndarray]:

@@ -6,7 +6,7 @@ from nishiki.weave.descent import descend
 from nishiki.weave.reading import PARAMETERS, PLANES, SIZE
 from nishiki.weave.search import Problem, bounds, cell_of, clipped, in_cell
 
-ROUNDS, WIDENINGS, HALVINGS = 40, 24, 12
+ROUNDS, WIDENINGS, HALVINGS = 25, 16, 7
 
 
 def noise_variance(problem: Problem, cost: float, *, known: bool = False) -> float:
@@ -64,7 +64,7 @@ def profile_interval(problem: Problem, p, cost: float, at: int, *, confidence: f
             if found[1] > allowed:
                 outside = value
                 break
-            inside, best, step = value, found[0], 1.8 * step
+            inside, best, step = value, found[0], 3.0 * step
             if value == limit:
                 break
         for _ in range(HALVINGS if outside is not None else 0):
@@ -101,4 +101,4 @@ def _held(problem: Problem, p, at, value, rest, edges, low, high):
 
 def _in(problem: Problem, p, rest, edges, cell, low, high):
     inside = in_cell(*in_cell(low, high, edges[0], 0, cell[0]), edges[1], 1, cell[1])
-    return descend(clipped(p, rest, *inside), *inside, rest, *problem.data, ROUNDS, 1e-6)
+    return descend(clipped(p, rest, *inside), *inside, rest, *problem.data, ROUNDS, 1e-5)

@@ -13,7 +13,7 @@ import numpy as np
 
 from nishiki.weave.section import WarpSection, WeftSection
 
-USUAL = {"plain": (2,), "twill": (3, 4), "satin": (5, 8), "unknown": (None,)}  # yarns of a repeat
+USUAL = {"plain": (2,), "twill": (3, 4), "satin": (5, 8), "unknown": None}  # yarns of a repeat
 
 
 @dataclass(frozen=True)
