@@ -134,27 +134,9 @@ def lobes(artifact: Artifact | None, measured: Reflectances, region: str) -> dic
 
 
 def models(artifact: Artifact | None, region: str) -> dict | None:
-    """What each model's fit says of itself, as one table: the plain numbers that are told of any of them."""
-    if artifact is None:
-        return None
-    found = FabricModels(artifact.folder)
-    told = {name: found.facts(region, name) for name in found.names(region)}
-    plain = {
-        key
-        for facts in told.values()
-        for key, value in facts.items()
-        if isinstance(value, int | float) and not isinstance(value, bool)
-    }
-    columns = sorted(plain)
-    rows = [
-        {
-            "model": model_name(name),
-            "default": name == found.default,
-            "values": [facts.get(key) if isinstance(facts.get(key), int | float) else None for key in columns],
-        }
-        for name, facts in told.items()
-    ]
-    return {"columns": [key.replace("_", " ") for key in columns], "rows": rows} if columns else None
+    """What each model is as physics: reciprocity and the greatest albedo, as the stage fabric reports them."""
+    told = {} if artifact is None else (artifact.diagnostics.get("regions") or {}).get(region) or {}
+    return sections.models_section(told, artifact.diagnostics["default"]) if told else None
 
 
 def weave(artifact: Artifact | None, widest: int) -> list[dict]:

@@ -85,6 +85,8 @@ def fabric_of(writer):
     told = {name: {"used": [0, 1], "seconds": None, "albedo": 0.25, "words": "x"} for name in ("facets", "ward")}
     text = json.dumps({"default": "facets", "regions": ["cloth"], "models": {"cloth": told}})
     writer.path("fabric.json").write_text(text)
+    facts = {"used": 564, "reciprocity_error": 0.01234, "albedo_max": {"0": 0.25, "60": 1.75}}
+    return {"default": "facets", "regions": {"cloth": {"facets": facts, "ward": {"used": 3}}}}
 
 
 def png(shape=(6, 8)):
@@ -99,7 +101,7 @@ def weave_of(writer):
     entry = {
         "weave": "satin", "harness": 5, "weft": {"theta_a": 0.5, "n": 4.0}, "warp": {"theta_a": 0.2, "m": 0.3},
         "rms_rel": {"weft": 0.0321, "warp": 0.05}, "curves": {"weft": plane, "warp": plane},
-        "identifiability": {"free": ["l_warp · r_warp"], "weak": ["k_s · index"], "weak_error": [0.5]},
+        "identifiability": {"free": ["l_warp · r_warp"], "weak": ["r_warp", "k_s · index"], "weak_error": [12.0, 0.25]},
         "at_bounds": ["index"],
     }  # fmt: skip
     writer.path("weave.json").write_text(json.dumps({"format": 1, "regions": {"cloth": entry}}))
@@ -190,9 +192,10 @@ def test_the_whole_page(inputs, tmp_path):
     assert '<b>&"quoted"' not in text
     assert "Robe &lt;b&gt;" in text
     for expected in ("facet reading", "BARD, best factor (has seen these)", "0.123", "25 %, 3.5°", "Gold", "Red",
-                     "Light left alone", "A satin of 5 yarns a repeat", "3.2 %", "l_warp · r_warp", "r_warp: not; k_s · index: to 25 %", "28.6", "43",
+                     "Light left alone", "A satin of 5 yarns a repeat", "3.2 %", "l_warp · r_warp",
+                     "r_warp: not; k_s · index: to 25 %", "28.6", "43",
                      "not asked for", "a note", "taken for the fit", "Light at 30°, plane of the warp", "87.50", "96",
-                     "0.250", "Coverage", "1.23"):  # fmt: skip
+                     "0.250", "1.75", "0.0123", "Coverage", "1.23"):  # fmt: skip
         assert expected in text, expected
     assert len(re.findall(r"<video", text)) == 1
     assert page_of(tmp_path / "two", inputs, title=TITLE, left_out={"ingest": "not asked for"}) == text

@@ -182,6 +182,18 @@ def light(degrees: float, azimuth: float) -> np.ndarray:
     return np.array([np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)])
 
 
+def models_section(told: dict[str, dict], default: str) -> dict:
+    """Reciprocity and albedo of each model, told by the stage fabric."""
+    angles = sorted({angle for facts in told.values() for angle in facts.get("albedo_max") or {}}, key=float)
+    rows = []
+    for name in sorted(told, key=lambda name: (name != default, name)):
+        albedo = told[name].get("albedo_max") or {}
+        values = [told[name].get("used"), told[name].get("reciprocity_error"), *(albedo.get(angle) for angle in angles)]
+        rows.append({"model": model_name(name), "default": name == default, "values": values})
+    columns = ["measurements used", "reciprocity error", *(f"albedo, light at {angle}°" for angle in angles)]
+    return {"columns": columns, "rows": rows}
+
+
 def coverage_rows(reflectance: dict[str, Any]) -> list[dict]:
     """Coverage of each direction of light."""
     return [
