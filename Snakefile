@@ -34,6 +34,12 @@ include: "workflow/rules/residual.smk"
 include: "workflow/rules/object_render.smk"
 include: "workflow/rules/object_evaluate.smk"
 include: "workflow/rules/object_report.smk"
+include: "workflow/rules/reflectance.smk"
+include: "workflow/rules/weave.smk"
+include: "workflow/rules/fabric.smk"
+include: "workflow/rules/fabric_render.smk"
+include: "workflow/rules/fabric_evaluate.smk"
+include: "workflow/rules/fabric_report.smk"
 include: "workflow/rules/publish.smk"
 
 

@@ -17,8 +17,13 @@ SMALL_RENDER = {
     "pictures": [{"name": "daylight"}],
     "sequences": [{"name": "moving-light", "frames": 3, "columns": 64}],
 }
-
+SMALL_FABRIC_RENDER = {"view": {"rows": 72, "columns": 72}, "cloth": {"points": 33}, "supersampling": 1}
 SMALL_OBJECT_RENDER = {"views": 6, "between": 1, "film": {"frames_per_step": 1, "columns": 64, "supersampling": 1}}
+SMALL = {
+    "plane": {"render": SMALL_RENDER},
+    "turntable": {"object_render": SMALL_OBJECT_RENDER},
+    "goniometer": {"fabric_render": SMALL_FABRIC_RENDER},
+}
 
 
 @dataclass
@@ -44,8 +49,7 @@ class Site:
 
     def configure(self, **settings) -> None:
         """Write the configuration: small pictures, and these settings over them."""
-        small = {"render": SMALL_RENDER} if self.geometry == "plane" else {"object_render": SMALL_OBJECT_RENDER}
-        values = {"scenes": "config/scenes.tsv", **small, **settings}
+        values = {"scenes": "config/scenes.tsv", **SMALL[self.geometry], **settings}
         (self.folder / "config/config.yaml").write_text(yaml.safe_dump(values))
 
     def would_run(self) -> list[str]:
@@ -101,6 +105,12 @@ def finished_object(tmp_path_factory) -> Site:
     return finished(tmp_path_factory.mktemp("object"), "turntable", "object-tiny")
 
 
+@pytest.fixture(scope="session")
+def finished_fabric(tmp_path_factory) -> Site:
+    """A cloth on a gonioreflectometer, simulated and run once."""
+    return finished(tmp_path_factory.mktemp("fabric"), "goniometer", "satin-tiny")
+
+
 @pytest.fixture
 def site(finished_site):
     """The finished painting; configuration and code are put back afterwards."""
@@ -111,6 +121,12 @@ def site(finished_site):
 def object_site(finished_object):
     """The finished object; configuration and code are put back afterwards."""
     yield from put_back(finished_object)
+
+
+@pytest.fixture
+def fabric_site(finished_fabric):
+    """The finished cloth; configuration and code are put back afterwards."""
+    yield from put_back(finished_fabric)
 
 
 def put_back(finished_site: Site):

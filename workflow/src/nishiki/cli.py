@@ -48,7 +48,9 @@ def _parser() -> argparse.ArgumentParser:
         return sub
 
     sub = command("demo", "running:demo", "simulate a painting, run the whole workflow on it, name the report")
-    sub.add_argument("--object", action="store_true", help="an object on a turntable in place of the painting")
+    which = sub.add_mutually_exclusive_group()
+    which.add_argument("--object", action="store_true", help="an object on a turntable in place of the painting")
+    which.add_argument("--fabric", action="store_true", help="a satin on a gonioreflectometer in place of the painting")
     command("test", "running:test", "run the tests; further arguments go to pytest")
     sub = command("run", "running:run", "make everything that the configuration asks for; further arguments: snakemake")
     sub.add_argument("--configfile", default="config/config.yaml", help="configuration (default %(default)s)")
@@ -87,7 +89,7 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--roi", nargs=4, type=int, metavar=("ROW", "COLUMN", "ROWS", "COLUMNS"), help="crop")
     sub = command("compile", "running:compile_kernels", "compile all kernels, by running tiny scenes somewhere else")
     sub.add_argument("--plane", action="store_true", help="only what paintings need")
-    command("simulate", "running:simulate", "photograph a simulated painting or turntable object; --help tells more")
+    command("simulate", "running:simulate", "photograph a simulated painting, object or cloth; --help tells more")
     command("schema", "inspecting:schema", "print the JSON schema of config.yaml")
     return parser
 

@@ -106,6 +106,9 @@ def _filled(name: str, scene: Scene, facts: SceneFacts, held_out: tuple[str, ...
         update["curves_sha256"] = {table: _digest_of(table, "illuminant") for table in tables}
     if name == "spectra" and settings.training != "synthetic":
         update["training_sha256"] = _digest_of(settings.training, "spectra.training")
+    if name == "fabric_render" and settings.mesh is not None and not settings.mesh.sha256:
+        digest = _digest_of(settings.mesh.file, "fabric_render.mesh.file")
+        update["mesh"] = settings.mesh.model_copy(update={"sha256": digest})
     return settings.model_copy(update=update)
 
 

@@ -1,10 +1,11 @@
 """The one table that declares the chains; plan, keys, rules, resources and documentation derive from it."""
 
 from nishiki.chain import Stage
+from nishiki.chains.goniometer import GONIOMETER
 from nishiki.chains.plane import PLANE
 from nishiki.chains.turntable import TURNTABLE
 
-CHAIN: dict[str, Stage] = {stage.name: stage for stage in (*PLANE, *TURNTABLE)}
+CHAIN: dict[str, Stage] = {stage.name: stage for stage in (*PLANE, *TURNTABLE, *GONIOMETER)}
 PRODUCTS = tuple(dict.fromkeys(stage.asked_as for stage in CHAIN.values() if stage.name != "ingest"))
 
 

@@ -11,7 +11,13 @@ from pathlib import Path
 from nishiki.errors import UserError
 
 PROJECT = Path(__file__).resolve().parents[4]
-DEMOS = {"painting": ("painting", "config/config.yaml"), "jar": ("object", "config/object.yaml")}
+DEMOS = {
+    "painting": ("painting", "config/config.yaml"),
+    "jar": ("object", "config/object.yaml"),
+    "satin": ("satin", "config/fabric.yaml"),
+}
+TINY = {"plane": "tiny", "turntable": "object-tiny", "goniometer": "satin-tiny"}
+"""A small simulated scene for each geometry."""
 
 
 def run(options: argparse.Namespace, rest: list[str]) -> int:
@@ -52,9 +58,9 @@ def _tell(flow, seconds: float) -> None:
 
 
 def demo(options: argparse.Namespace, rest: list[str]) -> int:
-    """Simulate the painting, or the object on a turntable, where it is not there yet; then run the configuration."""
+    """Simulate the painting, object or cloth, where it is not there yet; then run the configuration."""
     os.chdir(PROJECT)
-    name = "jar" if options.object else "painting"
+    name = "jar" if options.object else "satin" if options.fabric else "painting"
     preset, configuration = DEMOS[name]
     capture, truth = Path(f"captures/{name}"), Path(f"captures/{name}-truth")
     if not capture.is_dir() or not truth.is_dir():
@@ -66,7 +72,7 @@ def demo(options: argparse.Namespace, rest: list[str]) -> int:
 
 def compile_kernels(options: argparse.Namespace, rest: list[str]) -> int:
     """Run tiny simulated scenes in a temporary folder: every kernel that they need is compiled and kept."""
-    scenes = {"plane": "tiny"} if options.plane else {"plane": "tiny", "turntable": "object-tiny"}
+    scenes = {"plane": "tiny"} if options.plane else TINY
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         rows = "".join(f"{scene}\t{scene}\t{scene}-truth\n" for scene in scenes)

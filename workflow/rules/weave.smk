@@ -1,0 +1,15 @@
+rule weave:
+    input:
+        upstream("weave"),
+    output:
+        artifact("weave"),
+    conda:
+        "../../envs/fabric.yaml"
+    threads: 2
+    resources:
+        mem_mb=memory_of("weave"),
+        runtime=minutes_of("weave"),
+    params:
+        **params_of("weave"),
+    shell:
+        RUN_STAGE
