@@ -56,7 +56,7 @@ GONIOMETER = (
         product="render",
         requires=("fabric",),
         needs_colour=True,
-        libraries=("numpy", "numba", "OpenEXR", "opencv-contrib-python-headless", "av"),
+        libraries=("numpy", "scipy", "numba", "trimesh", "OpenEXR", "opencv-contrib-python-headless", "av"),
         memory_mb=lambda pixels, observations: 1500,
         minutes=lambda pixels, observations: 15,
     ),
