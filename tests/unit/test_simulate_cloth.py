@@ -19,7 +19,7 @@ from nishiki.simulate.cloth.presets import make_settings
 from nishiki.simulate.cloth.rays import escapes, first_hit, inside
 from nishiki.simulate.cloth.reflectance import make_cloth, seen_from, trace
 from nishiki.simulate.cloth.sections import highest, sections
-from nishiki.simulate.reflection import ggx_gloss
+from nishiki.simulate.reflection import fresnel
 
 QUALITY = {"candidates": 30_000, "chains": 12_000}
 
@@ -179,12 +179,31 @@ def test_facets_are_reciprocal_and_finite(angles, along, across):
     assert body(i[2], o[2], 1.5) == pytest.approx(body(o[2], i[2], 1.5), rel=1e-12)
 
 
-def test_round_facets_are_those_of_the_varnish():
-    for angles in ((0, 0, 0, 0), (30, 10, 40, 200), (70, 0, 75, 180), (80, 0, 10, 90)):
-        i, o = unit(*angles[:2]), unit(*angles[2:])
-        h = (i + o) / np.linalg.norm(i + o)
-        expected = ggx_gloss(i[2], o[2], h[2], float(o @ h), 0.3, 1.5) / (math.pi * i[2])
-        assert facets(*i, *o, 0.3, 0.3, 1.5) == pytest.approx(expected, rel=1e-12)
+@pytest.mark.parametrize("angles", [(0, 0, 0, 0), (30, 10, 40, 200), (70, 0, 75, 180), (80, 0, 10, 90)])
+def test_facets_are_normally_distributed_slopes(angles):
+    """Against the density of slopes and Smith's integral over it, with the Jacobian of reflection written out."""
+    along, across, index = 0.2, 0.4, 1.5
+    i, o = unit(*angles[:2]), unit(*angles[2:])
+    h = (i + o) / np.linalg.norm(i + o)
+    slopes = -h[:2] / h[2]
+    deviation = np.array([along, across]) / math.sqrt(2.0)
+    density = math.prod(
+        math.exp(-0.5 * (m / s) ** 2) / (s * math.sqrt(2 * math.pi)) for m, s in zip(slopes, deviation, strict=True)
+    )
+    by_solid_angle = density / h[2] ** 4  # of normals, over the projected area
+
+    def smith(d):
+        sine = math.hypot(d[0], d[1])
+        if sine == 0.0:
+            return 0.0
+        s = math.hypot(d[0] * deviation[0], d[1] * deviation[1]) / sine
+        m = np.linspace(d[2] / sine, d[2] / sine + 12 * s, 200_001)
+        p = np.exp(-0.5 * (m / s) ** 2) / (s * math.sqrt(2 * math.pi))
+        return float(np.trapezoid((m * sine - d[2]) * p, m)) / d[2]
+
+    masked = 1.0 / (1.0 + smith(i) + smith(o))
+    expected = fresnel(float(i @ h), index) * by_solid_angle * masked / (4.0 * i[2] * o[2])
+    assert facets(*i, *o, along, across, index) == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.parametrize("theta", [0.0, 40.0, 75.0])
@@ -295,7 +314,7 @@ def _albedo(cloth, theta):
 
 
 def test_albedo_stays_below_one_and_grows_with_every_bounce():
-    """Bodies that absorb nothing, hardly any mirror reflection: what is missing is on its way or went through."""
+    """Bodies that absorb little, hardly any mirror reflection: what is missing is on its way or went through."""
     white = make_settings("satin", repeats=1, index=1.05)
     white = replace(white, warp=replace(white.warp, dye=(1.0,) * 3), weft=replace(white.weft, dye=(1.0,) * 3))
     for theta in (0.0, 60.0):
@@ -304,7 +323,7 @@ def test_albedo_stays_below_one_and_grows_with_every_bounce():
             for bounces in range(4)
         ]
         assert (np.diff(albedo) > 0.0).all()
-        assert 0.75 < albedo[0] < albedo[-1] <= 1.0
+        assert 0.45 < albedo[0] < albedo[-1] <= 1.0
         assert np.diff(albedo)[-1] < 0.5 * np.diff(albedo)[0]
 
 

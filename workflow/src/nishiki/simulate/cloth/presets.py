@@ -20,7 +20,7 @@ DYES = {
     "gold": (0.55, 0.36, 0.08),
     "raw": (0.62, 0.57, 0.48),
 }
-# GGX roughness along and across the filaments: continuous bright filaments, silk-like, spun.
+# Roughness along and across the filaments: continuous bright filaments, silk-like, spun.
 FILAMENTS = {"bright": (0.08, 0.26), "silk": (0.12, 0.30), "spun": (0.24, 0.42)}
 # harness, step; warp: spacing, thickness, flatness; weft likewise; share of the crimp in the warp, bend, arch.
 _WEAVES = {

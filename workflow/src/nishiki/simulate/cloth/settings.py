@@ -13,8 +13,8 @@ class YarnSettings:
 
     spacing_mm : from yarn to yarn. fill : width of a yarn over the spacing, below 1. thickness_mm : full thickness.
     flatness : exponent e of the section (2z/thickness)² + |2v/width|^e = 1; 2 is an ellipse, more has a flatter top.
-    along, across : GGX roughness of the filaments' facets along and across the filaments. twist_deg : angle between
-    filaments and yarn on the surface. dye : albedo of the body per channel, 0 to 1.
+    along, across : roughness (√2 times the slopes' deviation) of the filaments' facets along and across the filaments.
+    twist_deg : angle between filaments and yarn on the surface. dye : albedo of the body per channel, 0 to 1.
     """
 
     spacing_mm: float
