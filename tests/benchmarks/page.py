@@ -30,7 +30,10 @@ PROGRAMS = {
     "residual": (["--data", "{data}/oxford_dino"], "Coded residual of a turntable", "residual.md"),
     "fabric": (["--data", "captures/satin"], "Reflection of a cloth (the satin of the demo)", "fabric.md"),
 }
-SHOWN = {"spectra": {"camera": "Canon 60D", "illuminant": "A"}, "fabric": {"azimuth": "all"}}  # of long results; the others stay in the JSON lines
+SHOWN = {
+    "spectra": {"camera": "Canon 60D", "illuminant": "A"},
+    "fabric": {"azimuth": "all"},
+}  # of long results; the others stay in the JSON lines
 INTRODUCTION = """\
 # Benchmarks
 
