@@ -99,7 +99,8 @@ def flat(points, corners, *, rows=12, columns=12) -> tuple[Mesh, Camera]:
 def test_a_fan_covers_every_pixel_exactly_once(seed, lattice):
     rng = np.random.default_rng(seed)
     count = int(rng.integers(3, 9))
-    angles = 2 * np.pi * (np.arange(count) + rng.uniform(-0.3, 0.3, count)) / count
+    jitter = 0.2 if count == 3 else 0.3  # neighbours less than half a turn apart: triangles of a fan do not overlap
+    angles = 2 * np.pi * (np.arange(count) + rng.uniform(-jitter, jitter, count)) / count
     ring = 4.5 + 4 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     points = np.vstack([[[4.5, 4.5]], ring])
     if lattice:  # corners on pixel centres: every tie of the edge rule occurs

@@ -119,7 +119,7 @@ def share_of_slope(shape, lit, seen, slope):
     steepest = max(theta_a, contact) if rows > 0.0 else theta_a
     steep = min(steep, steepest)
     if length > 0.0 and steep == theta_a:
-        return max(outer - radius * theta_a, 0.0) / length
+        return min(max(outer - radius * theta_a, 0.0) / length, 1.0)
     weight = (2.0 if steep <= theta_a else 0.0) + (rows if steep <= contact else 0.0)
     visible = 0.0
     if steep <= theta_a and outer >= radius * steep:
