@@ -34,15 +34,15 @@ def board_ratio(
 
     Raises UserError where a channel's ratio as a whole is below `least`, or the board is dark.
     """
-    over, under = (
-        np.nan_to_num(np.asarray(each, np.float64), nan=0.0, posinf=0.0, neginf=0.0) for each in (over, under)
-    )
+    over, under = np.asarray(over, np.float64), np.asarray(under, np.float64)
+    known = np.isfinite(over) & np.isfinite(under)  # a value that is missing in one must not count in the other
+    over, under = np.where(known, over, 0.0), np.where(known, under, 0.0)
     bright = np.percentile(under, 99, axis=(0, 1))
     if (bright <= 0).any():
         raise UserError(
             f"{what}: the white board is dark in channel {int(np.argmin(bright))}. Remedy: photograph it again"
         )
-    lit = (under > LIT * bright) & (over >= 0)
+    lit = known & (under > LIT * bright) & (over >= 0)
     top, bottom = (np.where(lit, each, 0.0) for each in (over, under))
     channel = top.sum(axis=(0, 1)) / bottom.sum(axis=(0, 1))
     if (channel < least).any():
@@ -60,8 +60,8 @@ def board_ratio(
         filled = cells[2] >= FILLED * _cells(np.ones(lit.shape), block)
         blocks = np.where(filled, cells[0] / np.where(filled, cells[1], 1.0), channel)
         covered = float(filled.mean())
-        known = (blocks / channel)[filled]
-        spread = tuple(np.percentile(known, (5, 95)).tolist()) if known.size else spread
+        shares = (blocks / channel)[filled]
+        spread = tuple(np.percentile(shares, (5, 95)).tolist()) if shares.size else spread
     field = _between(blocks, over.shape[:2], block)
     low = field < least
     field = np.where(low, np.nan, field).astype(np.float32)

@@ -40,7 +40,7 @@ def sum_planes(
             planes, valid = np.zeros((len(weights), *values.shape), np.float32), np.ones(good.shape, bool)
         if not column.any():
             continue
-        valid &= good
+        valid &= good & np.isfinite(values).all(axis=-1)
         add_weighted(planes, np.ascontiguousarray(values, np.float32), np.asarray(column, np.float32))
     return planes, valid
 
@@ -85,8 +85,7 @@ def components(
     a picture, NaN where it is unknown (those pixels become invalid). crossed, pairs: I_d = 2 crossed, I_s = parallel -
     crossed. linear: I_d = 2 (a - b), I_s = 2 b; b is the amplitude of each pixel, or, with a phase (radians), the
     amplitude at that common angle, which may be negative. mueller: I_s = (m11 + sense m22) / 2, I_d = m00 - I_s.
-    gain: factor on both, broadcasts; NaN where unknown. The squares of `linear` leave float32 beyond 1e-19 and 1e19,
-    outside what cameras give.
+    gain: factor on both, broadcasts; NaN where unknown.
     """
     if (beta is None) == (sums.method == "circular"):
         raise ValueError("circular polarisation needs beta, other methods take none")
@@ -138,8 +137,8 @@ def finish_band(planes, valid, field, to_diffuse, to_specular, kind, diffuse, sp
                     d = planes[1, y, x, k] / factor
                     s = planes[0, y, x, k] - d
                 elif kind == AMPLITUDE:
-                    c, i = planes[1, y, x, k], planes[2, y, x, k]
-                    b = np.float32(2.0) * np.sqrt(c * c + i * i)
+                    c, i = np.float64(planes[1, y, x, k]), np.float64(planes[2, y, x, k])
+                    b = np.float32(2.0 * np.sqrt(c * c + i * i))
                     d, s = (np.float32(2.0) * planes[0, y, x, k] - b) * factor, b * factor
                 else:
                     for p in range(count):

@@ -72,7 +72,10 @@ def _plain(method: str, states: tuple[str, ...], weights: np.ndarray, **rest) ->
 def _angles(states: tuple[str, ...]) -> np.ndarray:
     try:
         angles = [[float(part) for part in state.split("/")] for state in states]
-        return np.array(angles, np.float64).reshape(len(states), len(angles[0]))
+        table = np.array(angles, np.float64).reshape(len(states), len(angles[0]))
+        if not np.isfinite(table).all() or table.shape[1] > 2:
+            raise ValueError("no angles")
+        return table
     except ValueError:
         raise UserError(
             f"polariser states {', '.join(map(repr, states[:6]))}: expected off and on, analyser angles, or "
