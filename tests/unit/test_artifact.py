@@ -136,3 +136,31 @@ def test_manifest_lists_bytes_and_digests(target):
     files = json.loads((target / MANIFEST).read_text())["files"]
     assert files["sub/values.bin"]["bytes"] == 4
     assert files["empty.bin"]["sha256"] == "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855"
+
+
+def test_opening_finds_swapped_chunks_by_their_checksums_and_other_files_by_their_digests(target):
+    with ArtifactWriter(target) as output:
+        for name in ("a.zarr/c/0", "a.zarr/c/1", "a.zarr/zarr.json", "notes.json"):
+            output.path(name).write_bytes(name.encode().rjust(20)[::-1] + name[-3:].encode())
+        described = {"scene": "s", "stage": "normals", "key": KEY, "settings": {}, "upstream": {}, "diagnostics": {}}
+        output.finish(described, {})
+    open_artifact(target)
+    first, second = (target / "a.zarr/c" / name for name in "01")
+    swap(first, second)
+    with pytest.raises(UserError, match=r"a.zarr/c/0 \(SHA-256 differs\)"):
+        open_artifact(target)
+    swap(first, second)
+    for name in ("a.zarr/zarr.json", "notes.json"):
+        path = target / name
+        sound = path.read_bytes()
+        path.write_bytes(b"x" + sound[1:])
+        with pytest.raises(UserError, match=name):
+            open_artifact(target)
+        assert open_artifact(target, contents=False).path(name) == path
+        path.write_bytes(sound)
+
+
+def swap(first, second):
+    content = first.read_bytes()
+    first.write_bytes(second.read_bytes())
+    second.write_bytes(content)

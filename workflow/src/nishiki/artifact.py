@@ -77,10 +77,12 @@ class Artifact:
         return self.folder / name
 
 
-def open_artifact(folder: Path) -> Artifact:
-    """Open a finished artifact after a quick check: all listed files are there with their sizes.
+def open_artifact(folder: Path, *, contents: bool = True) -> Artifact:
+    """Open a finished artifact after a check: all listed files are there with their sizes.
 
-    Raises UserError naming each missing or truncated file, with the remedy.
+    contents: check the SHA-256 of every file too, and of a chunk of a Zarr store its last four bytes: they are the
+    checksum that reading it verifies, so that a stage never builds on a flipped bit or on a chunk of another place.
+    Raises UserError naming each missing, truncated or damaged file, with the remedy.
     """
     folder = Path(folder)
     if folder.name == MANIFEST:
@@ -91,6 +93,12 @@ def open_artifact(folder: Path) -> Artifact:
         for name, entry in manifest["files"].items()
         if (size := _size(folder / name)) != entry["bytes"]
     ]
+    if contents and not wrong:
+        wrong = [
+            f"{name} (SHA-256 differs)"
+            for name, entry in manifest["files"].items()
+            if not _looks_sound(folder / name, entry)
+        ]
     if wrong:
         shown = "; ".join(wrong[:5]) + (f"; and {len(wrong) - 5} more" if len(wrong) > 5 else "")
         raise UserError(f"{folder}: files differ from {MANIFEST}: {shown}. Remedy: delete this folder and run again.")
@@ -109,6 +117,23 @@ def _read_manifest(folder: Path) -> dict[str, Any]:
     if missing or manifest["format"] != FORMAT:
         raise UserError(f"{path}: not an artifact manifest of format {FORMAT}. Remedy: delete this folder, run again.")
     return manifest
+
+
+def _is_chunk(name: str) -> bool:
+    """Whether a file is a chunk of a Zarr store: all that we write end with a checksum (CRC-32C, or that of zstd)."""
+    parts = name.split("/")
+    return any(part.endswith(".zarr") for part in parts[:-1]) and parts[-1] != "zarr.json"
+
+
+def _looks_sound(path: Path, entry: dict[str, Any]) -> bool:
+    return _tail(path) == entry["tail"] if "tail" in entry else file_digest(path) == entry["sha256"]
+
+
+def _tail(path: Path) -> str:
+    """The last four bytes of a file, hexadecimal."""
+    with open(path, "rb") as handle:
+        handle.seek(-4, os.SEEK_END)
+        return handle.read(4).hex()
 
 
 def _size(path: Path) -> int | None:
@@ -182,14 +207,18 @@ class ArtifactWriter:
         files = {}
         for name, path in _files(self.folder):
             files[name] = {"bytes": path.stat().st_size, "sha256": file_digest(path)}
+            if _is_chunk(name) and files[name]["bytes"] >= 4:
+                files[name]["tail"] = _tail(path)
         manifest = {"format": FORMAT, **manifest, "files": files}
         (self.folder / RUN).write_text(json.dumps(run, indent=1, sort_keys=True) + "\n")
         text = json.dumps(manifest, indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
         (self.folder / MANIFEST).write_text(text, encoding="utf-8")
         _flush(self.folder)
-        _retire(self.target, self.folder)
+        old = _retire(self.target, self.folder)
         os.rename(self.folder, self.target)
         _flush_folder(self.target.parent)
+        if old:
+            shutil.rmtree(old, ignore_errors=True)
         return Artifact(self.target, manifest)
 
 
@@ -201,17 +230,22 @@ def _remove_dead_partials(target: Path) -> None:
             shutil.rmtree(path, ignore_errors=True)
 
 
-def _retire(target: Path, successor: Path) -> None:
-    """Move a finished artifact out of the way, under a name that tells its digest; drop a torn folder or an equal."""
+def _retire(target: Path, successor: Path) -> Path | None:
+    """Move what stands at the artifact's place out of the way, whole; its new path where it can go afterwards.
+
+    A finished artifact with another content is kept, under a name that tells its digest; a torn one or an equal can go.
+    """
     if not target.exists():
-        return
+        return None
     manifest = target / MANIFEST
     if manifest.is_file() and file_digest(manifest) != file_digest(successor / MANIFEST):
         aside = target.with_name(f"{target.name}.superseded-{file_digest(manifest)[:8]}")
         if not aside.exists():
             os.rename(target, aside)
-            return
-    shutil.rmtree(target)
+            return None
+    old = target.with_name(f".{target.name}.old.{os.getpid()}.partial")
+    os.rename(target, old)
+    return old
 
 
 def _flush(folder: Path) -> None:

@@ -52,7 +52,7 @@ def stage_state(flow: Workflow, scene: str, stage: str) -> tuple[str, list[str]]
     if not path.is_file():
         return "run", [f"no artifact for key {path.parent.name}", *_nearest(path.parent, flow, scene, stage)]
     try:
-        found = open_artifact(path.parent)
+        found = open_artifact(path.parent, contents=False)
     except UserError as error:
         return "run", [str(error)]
     reasons = []
@@ -74,7 +74,7 @@ def _upstream_reasons(flow: Workflow, scene: str, stage: str, found: Artifact) -
         state, _ = stage_state(flow, scene, upstream)
         if state == "run":
             reasons.append(f"{upstream} will run before it")
-        elif open_artifact(path).digest != found.manifest["upstream"][upstream]["digest"]:
+        elif open_artifact(path, contents=False).digest != found.manifest["upstream"][upstream]["digest"]:
             reasons.append(f"{upstream} was made again since, with another result")
     return reasons
 
