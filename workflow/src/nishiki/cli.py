@@ -62,7 +62,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     _with_scene(sub)
     sub.add_argument("--keys", nargs=2, metavar="KEY", help="two keys of one stage: what differs between them")
-    sub = command("verify", "inspecting:verify", "recompute every digest; name each damaged, missing or foreign file")
+    sub = command("verify", "archiving:verify", "recompute every digest; name each damaged, missing or foreign file")
     sub.add_argument("folders", nargs="*", help="results, scene, stage or artifact folders (default: results)")
     sub.add_argument("--capture", action="append", default=[], help="a sealed capture to verify as well")
     sub = command("check", "capturing:check", "everything that is wrong with a capture, in one pass")
