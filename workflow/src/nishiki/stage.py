@@ -1,6 +1,7 @@
 """The frame around every stage's script: arguments in, checked inputs, one artifact out."""
 
 import argparse
+import errno
 import json
 import os
 import platform
@@ -50,6 +51,32 @@ def run_stage(
     except UserError as error:
         print(f"nishiki {settings_model.STAGE}: {error}", file=sys.stderr)
         raise SystemExit(2) from None
+    except (OSError, MemoryError) as error:
+        message = _of_the_machine(error)
+        if message is None:
+            raise
+        print(f"nishiki {settings_model.STAGE}: {message}. Nothing finished is lost.", file=sys.stderr)
+        raise SystemExit(2) from None
+
+
+OF_THE_MACHINE = {
+    errno.ENOSPC: "Remedy: free space there and run again",
+    errno.EDQUOT: "Remedy: free space within the quota and run again",
+    errno.EROFS: "Remedy: make it writable, or name another folder with the key results, and run again",
+    errno.EACCES: "Remedy: see to its permissions and run again",
+    errno.EPERM: "Remedy: see to its permissions and run again",
+    errno.EIO: "Remedy: look after the disk, then ./nishiki verify, and run again",
+    errno.EMFILE: "Remedy: raise the limit of open files (ulimit -n) and run again",
+}
+
+
+def _of_the_machine(error: OSError | MemoryError) -> str | None:
+    """What to tell of a machine that lacks space, permission or memory; None for other errors, which are bugs."""
+    if isinstance(error, MemoryError):
+        return f"not enough memory ({error or 'the limit is reached'}). Remedy: more memory, or smaller tiles"
+    remedy = OF_THE_MACHINE.get(error.errno)
+    where = f" ({error.filename})" if error.filename else ""
+    return f"{os.strerror(error.errno)}{where}. {remedy}" if remedy else None
 
 
 def _arguments(model: type[Closed], description: str) -> argparse.Namespace:

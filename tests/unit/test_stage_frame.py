@@ -1,0 +1,42 @@
+"""The frame around a stage's script: what it tells of a machine that lacks something."""
+
+import errno
+import os
+import re
+import sys
+
+import pytest
+
+from nishiki.settings.height import HeightSettings
+from nishiki.stage import run_stage
+
+
+def stage(monkeypatch, tmp_path, error):
+    def run(context):
+        context.output.path("half.bin").write_bytes(b"half")
+        raise error
+
+    monkeypatch.setattr(sys, "argv", ["height.py", "--output", str(tmp_path / "height")])
+    run_stage(HeightSettings, run, "text")
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "c/0"), r"No space left.*c/0.*free space"),
+        (OSError(errno.EROFS, os.strerror(errno.EROFS)), "Read-only file system.*writable"),
+        (MemoryError("cannot allocate 9 GiB"), "not enough memory.*9 GiB"),
+    ],
+)
+def test_a_machine_that_lacks_something_is_told_in_one_line(monkeypatch, tmp_path, capsys, error, said):
+    with pytest.raises(SystemExit) as ended:
+        stage(monkeypatch, tmp_path, error)
+    assert ended.value.code == 2
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert re.search(said, line)
+    assert list((tmp_path / "height").iterdir()) == []
+
+
+def test_other_errors_are_bugs_and_keep_their_trace(monkeypatch, tmp_path):
+    with pytest.raises(FileNotFoundError):
+        stage(monkeypatch, tmp_path, FileNotFoundError(errno.ENOENT, "no such file"))
