@@ -2,7 +2,7 @@
 
 import csv
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -12,8 +12,11 @@ from pydantic import Field, create_model
 from nishiki.closed import Closed, parse
 from nishiki.errors import UserError
 from nishiki.stages import CHAIN, PRODUCTS
+from nishiki.sweep.settings import SweepName, SweepSettings
 
 COLUMNS = ("scene", "capture", "truth", "products", "settings")
+SWEEPS = "sweeps"
+"""Folder of the results that holds the pages and timings of sweeps."""
 
 
 class Shared(Closed):
@@ -23,6 +26,11 @@ class Shared(Closed):
         "auto",
         description="lights (views of a turntable) left out of every fit and predicted instead; auto: some, where "
         "nothing else checks",
+    )
+    leave_out: Literal["auto", "nothing"] = Field(
+        "auto",
+        description="nothing: every product, photograph and channel, asked for or not, and every package loaded; "
+        "for measuring what leaving out saves (docs/leaving-out.md)",
     )
 
 
@@ -42,6 +50,10 @@ class Configuration(StageSettings):
     products: tuple[Literal[PRODUCTS], ...] = Field(
         ("render", "evaluate", "report"), min_length=1, description="what is wanted, where a scene does not say"
     )
+    sweeps: dict[SweepName, SweepSettings] = Field(
+        {}, description="sweeps by name: settings to vary, and what to measure; made by ./nishiki sweep NAME"
+    )
+    sweep: str = Field("", description="the sweep to make: a name, or a file; filled in by ./nishiki sweep")
 
 
 @dataclass(frozen=True)
@@ -116,6 +128,8 @@ def _scene(row: dict[str, str], configuration: Configuration, values: dict, tabl
     name = row["scene"].strip()
     if not name or not name.replace("-", "").replace("_", "").isalnum() or not name.isascii():
         raise UserError(f"{table}: scene name {name!r}: use letters, digits, - and _ only")
+    if name == SWEEPS:
+        raise UserError(f"{table}: a scene cannot be called {name!r}: this folder of the results holds the sweeps")
     capture = row.get("capture", "").strip()
     if not capture:
         raise UserError(f"{table}: scene {name!r} names no capture folder")
@@ -139,6 +153,12 @@ def _own(row: dict[str, str], configuration: Configuration, values: dict) -> Sta
     own = load_yaml(Path(path))
     shared = {key: value for key, value in values.items() if key in StageSettings.model_fields}
     return parse(StageSettings, _merged(shared, own), path)
+
+
+def scene_with(scene: Scene, overrides: dict, where: str) -> Scene:
+    """A scene with some settings changed: blocks by stage over its own. Raises UserError naming `where` and the key."""
+    own = scene.settings.model_dump(exclude_unset=True, include=set(StageSettings.model_fields))
+    return replace(scene, settings=parse(StageSettings, _merged(own, overrides), where))
 
 
 def _merged(below: dict, above: dict) -> dict:

@@ -1,7 +1,9 @@
 """What the rules ask of the plans: keys to paths, inputs, parameters and resources. Knows nothing of Snakemake."""
 
+import math
 import os
 import shlex
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
@@ -9,9 +11,15 @@ from nishiki.artifact import MANIFEST
 from nishiki.errors import UserError
 from nishiki.facts import scene_facts
 from nishiki.plan import Plan, PlannedStage, make_plan
-from nishiki.project import load_project
+from nishiki.project import SWEEPS, load_project
 from nishiki.provenance import canonical, code_digest, library_version
 from nishiki.stages import CHAIN
+from nishiki.sweep_plan import TIMINGS, PlannedSweep, PlannedVariant, SceneSweep, plan_sweep
+
+SHORT_SECONDS = 120
+"""Stages that are expected to take less than this share a job of a cluster with their neighbours."""
+TIME_MARGIN = 4
+"""Time limit over expected time."""
 
 
 class Workflow:
@@ -23,22 +31,52 @@ class Workflow:
         self.results = str(self.project.results)
         if only and only not in self.project.scenes:
             raise UserError(f"no scene {only!r} in the scene table; scenes: {', '.join(self.project.scenes)}")
-        self.plans: dict[str, Plan] = {
-            name: make_plan(scene, scene_facts(scene))
-            for name, scene in self.project.scenes.items()
-            if only in (None, name)
-        }
+        self.sweep: PlannedSweep | None = None
+        self.plans: dict[str, Plan] = {}
+        self._stages: dict[tuple[str, str, str], PlannedStage] = {}
+        if self.project.configuration.sweep:
+            self._plan_sweep(self.project.configuration.sweep)
+            return
+        for name, scene in self.project.scenes.items():
+            if only in (None, name):
+                self.plans[name] = make_plan(scene, scene_facts(scene))
+                self._remember(self.plans[name])
+
+    def _plan_sweep(self, named: str) -> None:
+        """Plans of all variants; a scene's own plan is that of its first variant, the scene as it is configured."""
+        self.sweep = plan_sweep(named, self.project, scene_facts)
+        for swept in self.sweep.scenes:
+            self.plans[swept.scene] = swept.variants[0].plan
+            for variant in swept.variants:
+                self._remember(variant.plan)
+
+    def _remember(self, plan: Plan) -> None:
+        self._stages |= {(plan.scene.name, name, planned.key): planned for name, planned in plan.stages.items()}
 
     def stage(self, scene: str, stage: str, key: str) -> PlannedStage:
-        """The planned stage of a scene that has this key."""
-        planned = self.plans[scene].stages.get(stage) if scene in self.plans else None
-        if planned is None or planned.key != key:
+        """The planned stage of a scene that has this key, in whichever of the scene's plans."""
+        planned = self._stages.get((scene, stage, key))
+        if planned is None:
             raise UserError(f"{self.results}/{scene}/{stage}/{key}: not part of the present configuration")
         return planned
 
+    def planned(self, sweeps: Sequence[str] = ()) -> set[tuple[str, str, str]]:
+        """(scene, stage, key) of everything that the configuration asks for: its scenes, its blocks of sweeps, and
+        these sweeps of files of their own."""
+        found = set(self._stages)
+        for named in (*self.project.configuration.sweeps, *sweeps):
+            for swept in plan_sweep(named, self.project, scene_facts).scenes:
+                for variant in swept.variants:
+                    found |= {(swept.scene, name, stage.key) for name, stage in variant.plan.stages.items()}
+        return found
+
+    def path(self, scene: str, stage: str, key: str) -> str:
+        """Path of the manifest of an artifact."""
+        return f"{self.results}/{scene}/{stage}/{key}/{MANIFEST}"
+
     def artifact(self, scene: str, stage: str) -> str:
         """Path of the manifest of a stage's artifact."""
-        return f"{self.results}/{self.plans[scene].folder(stage)}/{MANIFEST}"
+        return self.path(scene, stage, self.plans[scene].stages[stage].key)
 
     def artifacts(self, scene: str) -> list[str]:
         """Manifests of all stages of a scene."""
@@ -46,8 +84,8 @@ class Workflow:
 
     def inputs(self, scene: str, stage: str, key: str) -> list[str]:
         """Manifests of the artifacts that a stage reads."""
-        planned = self.stage(scene, stage, key)
-        return [self.artifact(scene, upstream) for upstream in planned.upstream if upstream in CHAIN]
+        upstream = self.stage(scene, stage, key).upstream
+        return [self.path(scene, name, above) for name, above in upstream.items() if name in CHAIN]
 
     def source(self, scene: str, stage: str) -> str:
         """Arguments that name what lies outside the results: the capture, the truth."""
@@ -72,15 +110,76 @@ class Workflow:
         """Stages and keys of a scene, as canonical JSON."""
         return canonical({name: planned.key for name, planned in self.plans[scene].stages.items()})
 
-    def memory_mb(self, scene: str, stage: str) -> int:
-        """Memory that a stage may take, from its cost model."""
-        facts = self.plans[scene].facts
-        return CHAIN[stage].memory_mb(facts.pixels, facts.observations)
+    def sweep_path(self, name: str) -> str:
+        """Path of a file of the sweep's results."""
+        return f"{self.results}/{SWEEPS}/{self.sweep.name if self.sweep else '-'}/{name}"
 
-    def minutes(self, scene: str, stage: str) -> int:
-        """Minutes that a stage may take, from its cost model."""
+    def timing(self, scene: str, stage: str, key: str, number: int | str) -> str:
+        """Path of what one repeat of a stage recorded."""
+        return f"{self.results}/{SWEEPS}/{TIMINGS}/{scene}/{stage}/{key}/{number}.json"
+
+    def timings(self, swept: SceneSweep, variant: PlannedVariant) -> dict[str, list[str]]:
+        """Records of all repeats of the counted stages of a variant, by stage."""
+        numbers = range(1, self.sweep.settings.repeats + 1)
+        planned = variant.plan.stages
+        return {
+            name: [self.timing(swept.scene, name, planned[name].key, number) for number in numbers]
+            for name in swept.counted
+            if name in planned
+        }
+
+    def evaluation(self, swept: SceneSweep, variant: PlannedVariant) -> str:
+        """Manifest of the evaluation of a variant."""
+        return self.path(swept.scene, swept.evaluation, variant.plan.stages[swept.evaluation].key)
+
+    def sweep_inputs(self) -> list[str]:
+        """Everything that the page of the sweep is made from."""
+        pairs = [(swept, variant) for swept in self.sweep.scenes for variant in swept.variants] if self.sweep else []
+        found = [self.evaluation(*pair) for pair in pairs]
+        found += [path for pair in pairs for paths in self.timings(*pair).values() for path in paths]
+        return list(dict.fromkeys(found))
+
+    def sweep_text(self) -> str:
+        """What the page of the sweep depends on besides its inputs: its settings, and the variants' names and keys."""
+        if self.sweep is None:
+            return ""
+        variants = {
+            swept.scene: [[variant.names, self.evaluation(swept, variant)] for variant in swept.variants]
+            for swept in self.sweep.scenes
+        }
+        return canonical({"settings": self.sweep.settings.model_dump(mode="json"), "variants": variants})
+
+    def memory_mb(self, scene: str, stage: str, attempt: int = 1) -> int:
+        """Memory that a stage may take, in MiB: its cost model, half as much again at each further attempt."""
+        return math.ceil(CHAIN[stage].cost.memory_mb(*self._size(scene)) * 1.5 ** (attempt - 1))
+
+    def seconds(self, scene: str, stage: str) -> float:
+        """Processor time that a stage is expected to take, in seconds."""
+        return CHAIN[stage].cost.processor_seconds(*self._size(scene))
+
+    def minutes(self, scene: str, stage: str, attempt: int = 1) -> int:
+        """Time limit of a stage for a scheduler, in minutes: slower machines and waiting for disks are allowed for."""
+        return math.ceil((2 + TIME_MARGIN * self.seconds(scene, stage) / 60) * 2 ** (attempt - 1))
+
+    def group(self, scene: str, stage: str, key: str) -> str | None:
+        """Name of the group of short stages that a cluster runs as one job; None for a long stage.
+
+        A group holds the short stages between two long ones, so that no path leaves a group and comes back to it.
+        """
+        return None if self._is_long(scene, stage) else f"part{self._part(scene, stage, key)}"
+
+    def _is_long(self, scene: str, stage: str) -> bool:
+        return self.seconds(scene, stage) > SHORT_SECONDS
+
+    def _part(self, scene: str, stage: str, key: str) -> int:
+        """Number of long stages on the longest way from the capture to a stage."""
+        upstream = {name: above for name, above in self.stage(scene, stage, key).upstream.items() if name in CHAIN}
+        return max((self._part(scene, *item) + self._is_long(scene, item[0]) for item in upstream.items()), default=0)
+
+    def _size(self, scene: str) -> tuple[int, int]:
+        """Pixels of a photograph, and samples of all photographs."""
         facts = self.plans[scene].facts
-        return CHAIN[stage].minutes(facts.pixels, facts.observations)
+        return facts.pixels, facts.pixels * facts.observations
 
     def relative_results(self) -> str:
         """Results folder relative to the working folder, for messages."""

@@ -1,0 +1,90 @@
+"""Repeat: run a stage once more on the same inputs, into a folder that is thrown away, and record what it took.
+
+Everything after -- are the arguments of the stage's script, but for --output.
+"""
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import _project
+from nishiki.artifact import MANIFEST, Artifact, open_artifact
+from nishiki.sweep.machine import processor
+
+RECORDED = ("seconds", "cpu_seconds", "peak_memory_mib", "host", "platform", "python", "cpus", "finished")
+
+
+def main() -> None:
+    """Arguments in, one small JSON file out."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--first", type=Path, required=True, help="artifact.json of the first run")
+    parser.add_argument("--threads", type=int, required=True, help="threads that the stage may use")
+    parser.add_argument("--output", type=Path, required=True, help="JSON file to make")
+    parser.add_argument("rest", nargs="+", metavar="ARGUMENT", help="arguments of the stage's script")
+    arguments = parser.parse_args()
+    first = open_artifact(arguments.first)
+    folder = arguments.output.parent / f".{arguments.output.stem}.{os.getpid()}.repeat"
+    try:
+        status, record = repeat(first, folder, arguments.rest, arguments.threads)
+        if status:
+            raise SystemExit(status)
+        write(arguments.output, record)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def repeat(first: Artifact, folder: Path, rest: list[str], threads: int) -> tuple[int, dict]:
+    """Exit status of the stage's script, and what its run took; whether its artifact has the bytes of the first."""
+    names = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+    load = os.getloadavg()[0]
+    target = folder / first.key / MANIFEST
+    script = _project.PROJECT / "scripts" / f"{first.stage}.py"
+    done = subprocess.run(
+        [sys.executable, str(script), *rest, "--output", str(target)],
+        env={**os.environ, **dict.fromkeys(names, str(threads))},
+        check=False,
+    )
+    if done.returncode:
+        return done.returncode, {}
+    again = open_artifact(target)
+    different = differing(first, again)
+    return 0, {
+        "scene": first.manifest["scene"],
+        "stage": first.stage,
+        "key": first.key,
+        "digest": again.digest,
+        "same": not different,
+        "different": different,
+        "bytes": sum(entry["bytes"] for entry in again.manifest["files"].values()),
+        "files": len(again.manifest["files"]),
+        "threads": threads,
+        "load_before": round(load, 2),
+        "processor": processor(),
+        **{name: again.run[name] for name in RECORDED},
+    }
+
+
+def differing(first: Artifact, again: Artifact) -> list[str]:
+    """What differs between two artifacts of one key: names of files, or of parts of the manifest."""
+    if first.digest == again.digest:
+        return []
+    a, b = first.manifest["files"], again.manifest["files"]
+    files = [name for name in sorted({*a, *b}) if a.get(name) != b.get(name)]
+    parts = [name for name in sorted({*first.manifest, *again.manifest} - {"files"})]
+    return files + [f"{name} (manifest)" for name in parts if first.manifest.get(name) != again.manifest.get(name)]
+
+
+def write(path: Path, record: dict) -> None:
+    """Write the record so that it appears whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    partial.write_text(json.dumps(record, indent=1, sort_keys=True) + "\n")
+    os.replace(partial, path)
+
+
+if __name__ == "__main__":
+    main()

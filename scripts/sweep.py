@@ -1,0 +1,136 @@
+"""Sweep: table, page and drawings of error against run time, from the evaluations and timed repeats of all variants."""
+
+import argparse
+import csv
+import io
+import json
+import os
+from pathlib import Path
+
+import _project
+from nishiki.artifact import open_artifact
+from nishiki.errors import UserError
+from nishiki.stage import PROJECT_VERSION
+from nishiki.sweep.content import scene_content, sweep_content, table_rows
+from nishiki.sweep.measures import as_measure, candidates, paths_in, value_of
+from nishiki.sweep.page import render_sweep
+from nishiki.sweep.settings import MeasureSettings
+from nishiki.sweep.summary import VariantRow, variant_row
+from nishiki.sweep_plan import PlannedVariant, SceneSweep
+from nishiki.workflow import Workflow
+
+
+def main() -> None:
+    """Arguments in; sweep.html, sweep.csv and the drawings out, and sweep.json when they are all there."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--configuration", required=True, metavar="JSON", help="configuration, with the sweep's name")
+    parser.add_argument("--output", type=Path, required=True, help="sweep.json to make")
+    arguments = parser.parse_args()
+    try:
+        flow = Workflow(json.loads(arguments.configuration), folder=_project.PROJECT)
+        content = content_of(flow)
+    except UserError as error:
+        raise SystemExit(f"nishiki sweep: {error}") from None
+    folder = arguments.output.parent
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, text in files_of(content).items():
+        write(folder / name, text)
+    write(arguments.output, json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+
+
+def content_of(flow: Workflow) -> dict:
+    """Everything that the page tells."""
+    sweep = flow.sweep
+    scenes = []
+    for swept in sweep.scenes:
+        measures, errors = errors_of(flow, swept)
+        rows = [row_of(flow, swept, variant, errors[variant.name]) for variant in swept.variants]
+        scenes.append(
+            scene_content(
+                swept.scene,
+                rows,
+                measures,
+                axis=sweep.settings.axis,
+                counted=swept.counted,
+                evaluation=swept.evaluation,
+            )
+        )
+    title = sweep.settings.title or f"Sweep {sweep.name}"
+    return sweep_content(sweep.name, title, PROJECT_VERSION, sweep.settings, scenes)
+
+
+def errors_of(flow: Workflow, swept: SceneSweep) -> tuple[list[MeasureSettings], dict[str, list[float]]]:
+    """The sweep's measures, or the usual one that the evaluations hold, and their values for every variant."""
+    found = {variant.name: evaluation_of(flow, swept, variant) for variant in swept.variants}
+    settings = {
+        variant.name: {name: stage.settings for name, stage in variant.plan.stages.items()}
+        for variant in swept.variants
+    }
+
+    def values(measure: MeasureSettings) -> dict[str, float | None]:
+        return {name: value_of(measure, sources, settings[name]) for name, sources in found.items()}
+
+    asked = [as_measure(given) for given in flow.sweep.settings.error]
+    if not asked:
+        usual = candidates(flow.sweep.settings.stage, swept.facts.geometry)
+        asked = [next((one for one in usual if None not in values(one).values()), usual[-1])]
+    table = {name: [] for name in found}
+    for measure in asked:
+        for name, value in values(measure).items():
+            if value is None:
+                known = ", ".join(paths_in(found[name][0])[:40])
+                raise UserError(
+                    f"the evaluation of {swept.scene}, variant {name!r}, has no figure {measure.path!r}. Remedy: name "
+                    f"another one under `error`; its diagnostics hold: {known}"
+                )
+            table[name].append(value)
+    return asked, table
+
+
+def evaluation_of(flow: Workflow, swept: SceneSweep, variant: PlannedVariant) -> list[dict]:
+    """Where a measure is looked for: the evaluation's diagnostics, then evaluation.json."""
+    artifact = open_artifact(Path(flow.evaluation(swept, variant)))
+    return [artifact.diagnostics, json.loads(artifact.path("evaluation.json").read_text(encoding="utf-8"))]
+
+
+def row_of(flow: Workflow, swept: SceneSweep, variant: PlannedVariant, errors: list[float]) -> VariantRow:
+    """What one variant came to."""
+    records = {
+        stage: [json.loads(Path(path).read_text()) for path in paths]
+        for stage, paths in flow.timings(swept, variant).items()
+    }
+    settings = flow.sweep.settings
+    default = settings.default or swept.variants[0].names[0]
+    return variant_row(
+        variant.name,
+        variant.names,
+        variant.changes,
+        errors,
+        records,
+        keys={stage: variant.plan.stages[stage].key for stage in records},
+        default=default in variant.names,
+        paper=settings.paper in variant.names,
+        peer=bool(set(settings.peers) & set(variant.names)),
+    )
+
+
+def files_of(content: dict) -> dict[str, str]:
+    """Texts of the page, the table and the drawings, by file name."""
+    rows = table_rows(content)
+    table = io.StringIO()
+    writer = csv.DictWriter(table, list(dict.fromkeys(key for row in rows for key in row)), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    drawings = {plot["file"]: plot["svg"] for scene in content["scenes"] for plot in scene["plots"]}
+    return {**drawings, "sweep.csv": table.getvalue(), "sweep.html": render_sweep(content)}
+
+
+def write(path: Path, text: str) -> None:
+    """Write a file so that it appears whole."""
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    partial.write_text(text, encoding="utf-8")
+    os.replace(partial, path)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,66 @@
+# Sweeps: each timed repeat is a job of its own, alone on the machine; the page is made when all are there.
+RUN_REPEAT = (
+    "python "
+    + os.path.join(PROJECT_FOLDER, "scripts")
+    + "/repeat.py --first {params.first:q} --threads {params.threads} --output {output:q} -- "
+    "--scene {wildcards.scene} {params.source} --settings {params.settings:q}"
+    " --code {params.code} --libraries {params.libraries:q} --inputs {params.inputs:q}"
+)
+
+
+def usual_threads(wildcards):
+    """Threads that the stage's own rule would get here."""
+    declared = workflow.get_rule(wildcards.stage).resources["_cores"]
+    return min(declared, workflow.cores) if isinstance(declared, int) else 1
+
+
+rule repeat:
+    input:
+        lambda wildcards: FLOW.inputs(wildcards.scene, wildcards.stage, wildcards.key),
+        first=lambda wildcards: FLOW.path(
+            wildcards.scene, wildcards.stage, wildcards.key
+        ),
+    output:
+        update(FLOW.timing("{scene}", "{stage}", "{key}", "{number}")),
+    wildcard_constraints:
+        stage="[a-z_]+",
+        number="[0-9]+",
+    conda:
+        "../../envs/painting.yaml"
+    threads: lambda wildcards: workflow.cores
+    resources:
+        mem_mb=lambda wildcards: FLOW.memory_mb(wildcards.scene, wildcards.stage),
+        runtime=lambda wildcards: FLOW.minutes(wildcards.scene, wildcards.stage),
+    params:
+        settings=lambda wildcards: canonical(
+            FLOW.stage(wildcards.scene, wildcards.stage, wildcards.key).settings
+        ),
+        source=lambda wildcards: FLOW.source(wildcards.scene, wildcards.stage),
+        code=lambda wildcards: FLOW.code(wildcards.stage),
+        libraries=lambda wildcards: FLOW.libraries(wildcards.stage),
+        first=lambda wildcards: FLOW.path(
+            wildcards.scene, wildcards.stage, wildcards.key
+        ),
+        inputs=lambda wildcards: FLOW.inputs(
+            wildcards.scene, wildcards.stage, wildcards.key
+        ),
+        threads=usual_threads,
+    shell:
+        RUN_REPEAT
+
+
+rule sweep:
+    input:
+        FLOW.sweep_inputs(),
+    output:
+        update(FLOW.sweep_path("sweep.json")),
+    conda:
+        "../../envs/painting.yaml"
+    params:
+        configuration=canonical(config),
+        plan=FLOW.sweep_text(),
+        code=FLOW.code("sweep"),
+    shell:
+        "python "
+        + os.path.join(PROJECT_FOLDER, "scripts")
+        + "/sweep.py --configuration {params.configuration:q} --output {output:q}"

@@ -1,0 +1,70 @@
+"""The command that makes sweeps: error against run time over variants of settings."""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+from nishiki.commands.running import PROJECT, profile_arguments
+from nishiki.errors import UserError
+
+
+def sweep(options: argparse.Namespace, rest: list[str]) -> int:
+    """Make each sweep: all variants, timed repeats, table and page. Exit status 1 where a stage failed or a repeat gave
+    other bytes than its first run."""
+    return max(_one(named, options, rest) for named in options.sweeps)
+
+
+def _one(named: str, options: argparse.Namespace, rest: list[str]) -> int:
+    from nishiki.project import load_yaml
+    from nishiki.sweep_plan import configuration_of
+    from nishiki.workflow import Workflow
+
+    path = Path(named)
+    given = configuration_of(path) if path.suffix in (".yaml", ".yml") else None
+    configfile = options.configfile or given or "config/config.yaml"
+    values = load_yaml(Path(configfile))
+    if not isinstance(values, dict):
+        raise UserError(f"{configfile}: expected a block of keys and values, found {type(values).__name__}")
+    flow = Workflow({**values, "sweep": named}, folder=PROJECT)
+    tell_plan(flow)
+    target = flow.sweep_path("sweep.json")
+    command = [sys.executable, "-m", "snakemake", "--snakefile", str(PROJECT / "Snakefile"), "--configfile", configfile]
+    command += profile_arguments(options.profile, options.cores)
+    command += [*rest, "--config", f"sweep={json.dumps(named)}", "--", target]
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    status = subprocess.run(command, check=False, env=environment).returncode
+    if status or "--dry-run" in rest or "-n" in rest:
+        return 1 if status else 0
+    return tell_result(Path(target))
+
+
+def tell_plan(flow) -> None:
+    """How many variants of which scenes, which stages are timed, how many stages will be made."""
+    for swept in flow.sweep.scenes:
+        timed = sum(len(paths) for variant in swept.variants for paths in flow.timings(swept, variant).values())
+        print(
+            f"{flow.sweep.name}: {swept.scene}: {len(swept.variants)} variants, figures from {swept.evaluation}, "
+            f"timed: {', '.join(swept.counted)} ({timed} runs)"
+        )
+
+
+def tell_result(path: Path) -> int:
+    """The advice of a finished sweep, and where its page is; 1 where a repeat gave other bytes."""
+    content = json.loads(path.read_text(encoding="utf-8"))
+    status = 0
+    for scene in content["scenes"]:
+        for measure, lines in zip(scene["measures"], scene["advice"], strict=True):
+            print(f"{scene['scene']}, {measure['label']}:")
+            for line in lines:
+                print(f"    {line}")
+        for row in scene["rows"]:
+            if not row["reproducible"]:
+                status = 1
+                print(
+                    f"{scene['scene']}: {row['name']}: not reproducible: {', '.join(row['different'])}", file=sys.stderr
+                )
+    print(path.with_name("sweep.html"))
+    return status

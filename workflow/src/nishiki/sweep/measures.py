@@ -1,0 +1,91 @@
+"""Error measures: figures of an evaluation, found by dotted paths."""
+
+import math
+import re
+from typing import Any
+
+from nishiki.errors import UserError
+from nishiki.sweep.settings import MeasureSettings
+
+NORMALS = MeasureSettings(path="normals_mean_deg", label="mean angular error of the normals", unit="°")
+HEIGHT = MeasureSettings(path="height_rms_mm", label="rms error of the height", unit="mm")
+SPECTRA = MeasureSettings(path="reflectance_rmse_mean", label="rms error of the spectral reflectance")
+RELIGHTING = MeasureSettings(path="relighting_de00_mean", label="ΔE00 of lights that no fit saw")
+LEFT_OUT = MeasureSettings(
+    path="psnr.left_out_interpolated.mean_psnr_db", label="PSNR of views left out", unit="dB", better="higher"
+)
+CAPTURED = MeasureSettings(
+    path="psnr.captured.mean_psnr_db", label="PSNR of the captured views", unit="dB", better="higher"
+)
+CLOTH = MeasureSettings(
+    path="regions.*.rms_rel.{fabric.model}.*", label="relative rms error of measurements that no fit saw"
+)
+USUAL = {
+    "plane": (NORMALS, RELIGHTING),
+    "turntable": (LEFT_OUT, CAPTURED),
+    "goniometer": (CLOTH,),
+}
+USUAL_OF_STAGE = {
+    "height": (HEIGHT, RELIGHTING),
+    "spectra": (SPECTRA, RELIGHTING),
+    "brdf": (RELIGHTING,),
+}
+"""Measures in the order of preference: the first one that the evaluation holds is taken."""
+
+
+def candidates(stage: str, geometry: str) -> tuple[MeasureSettings, ...]:
+    """Measures usual for a sweep of `stage` on captures of this geometry, in the order of preference."""
+    return (*USUAL_OF_STAGE.get(stage, ()), *USUAL[geometry])
+
+
+def as_measure(given: str | MeasureSettings) -> MeasureSettings:
+    """A measure from its path alone: one of the usual ones where the path is theirs."""
+    if isinstance(given, MeasureSettings):
+        return given
+    known = (*USUAL_OF_STAGE.values(), *USUAL.values())
+    return next((measure for group in known for measure in group if measure.path == given), MeasureSettings(path=given))
+
+
+def value_of(measure: MeasureSettings, sources: list[dict[str, Any]], settings: dict[str, Any]) -> float | None:
+    """The figure in the first of `sources` that holds its path: the mean over everything that a * stands for.
+
+    settings : of the variant, by stage, for {stage.setting} in the path. None where no source has the path.
+    """
+    path = re.sub(r"\{([a-z_.]+)\}", lambda match: str(_at(settings, match[1].split("."))), measure.path)
+    for source in sources:
+        values = _values(source, path.split("."))
+        if values:
+            return math.fsum(values) / len(values)
+    return None
+
+
+def _at(block: Any, parts: list[str]) -> Any:
+    for part in parts:
+        if not isinstance(block, dict) or part not in block:
+            raise UserError(f"an error measure names the setting {'.'.join(parts)}, which the variant does not have")
+        block = block[part]
+    return block
+
+
+def _values(block: Any, parts: list[str]) -> list[float]:
+    """All finite numbers at a path; [] where one of its branches is missing or is no number."""
+    if not parts:
+        number = isinstance(block, int | float) and not isinstance(block, bool) and math.isfinite(block)
+        return [float(block)] if number else []
+    if isinstance(block, list):
+        block = dict(enumerate(block)) if parts[0] == "*" else {str(k): item for k, item in enumerate(block)}
+    if not isinstance(block, dict):
+        return []
+    if parts[0] != "*":
+        return _values(block[parts[0]], parts[1:]) if parts[0] in block else []
+    found = [_values(item, parts[1:]) for item in block.values()]
+    return [value for values in found for value in values] if all(found) else []
+
+
+def paths_in(block: Any, prefix: str = "") -> list[str]:
+    """All dotted paths of numbers in nested dictionaries, for messages."""
+    if isinstance(block, dict):
+        return [
+            path for key, item in block.items() for path in paths_in(item, f"{prefix}.{key}" if prefix else str(key))
+        ]
+    return [prefix] if isinstance(block, int | float) and not isinstance(block, bool) else []
