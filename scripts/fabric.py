@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 
 import _project  # noqa: F401
+from nishiki.economy.decision import Decision, economy
+from nishiki.economy.views import static_choice, with_normal_rows
 from nishiki.errors import UserError
 from nishiki.fabric.measures import directional_albedo, incidences, prediction_error, reciprocity_error
 from nishiki.fabric.models import Fitted, fit_models
@@ -15,7 +17,9 @@ from nishiki.fabric.table import TableBrdf, goniometer_rows, utia_planes
 from nishiki.fabric.weights import solid_angles
 from nishiki.fabric.yarn_fit import Measured
 from nishiki.goniometry.directions import unit
+from nishiki.goniometry.hemisphere import complete
 from nishiki.goniometry.store import Reflectances
+from nishiki.goniometry.table import ReflectanceSet
 from nishiki.settings.fabric import FabricSettings
 from nishiki.stage import Context, run_stage
 from nishiki.weave.store import Weave
@@ -32,7 +36,7 @@ EXPORT_VIEWS_DEG = [(0.0, 0.0), *((t, p) for t in np.arange(5.0, 90.0, 5.0) for 
 def run(context: Context) -> dict:
     """Fit every model of every region; write the models, the default's exports and fabric.json."""
     settings = context.settings
-    reflectances = Reflectances(context.inputs["reflectance"].folder)
+    reflectances, decision = used_measurements(context)
     names = tuple(dict.fromkeys((settings.model, *settings.compare)))
     told, diagnostics = {}, {}
     for number, region in enumerate(reflectances.regions):
@@ -50,7 +54,21 @@ def run(context: Context) -> dict:
     stored = {"format": FORMAT, "default": settings.model, "regions": list(reflectances.regions), "models": told}
     text = json.dumps(stored, indent=1, sort_keys=True, allow_nan=False)
     context.output.path("fabric.json").write_text(text + "\n")
-    return {"default": settings.model, "regions": diagnostics}
+    return {"default": settings.model, "regions": diagnostics, "economy": economy(decision)}
+
+
+def used_measurements(context: Context) -> tuple[ReflectanceSet, Decision | None]:
+    """The reflectances with the views of normal incidence that fits may use, the hemisphere completed from those."""
+    artifact = context.inputs["reflectance"]
+    measured = Reflectances(artifact.folder)
+    rows, decision = static_choice(measured, context.settings.measurements)
+    if rows is None:
+        return measured, decision
+    fewer = with_normal_rows(measured, rows)
+    if measured.basic is not None:
+        made = {"grid_deg": artifact.settings["grid_deg"], "method": artifact.settings["interpolation"]}
+        fewer = complete(fewer, **made)[0]
+    return fewer, decision
 
 
 def fits(context: Context, reflectances, measured: Measured, number: int, names) -> dict[str, Fitted]:

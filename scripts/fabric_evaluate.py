@@ -54,7 +54,8 @@ def region(context: Context, measured: Reflectances, models: FabricModels, name:
     number = measured.regions.index(name)
     valid = np.flatnonzero(measured.valid[:, number])
     used = {model: np.intersect1d(models.used(name, model), valid) for model in models.names(name)}
-    references = {model for model, rows in used.items() if len(rows) == len(valid)}
+    oblique = valid[~measured.normal_incidence[valid]]
+    references = {model for model, rows in used.items() if uses_all(rows, valid) or uses_all(rows, oblique)}
     seen = np.unique(np.concatenate([rows for model, rows in used.items() if model not in references] or [valid[:0]]))
     held_out = np.setdiff1d(valid, seen)
     found, predicted = {}, {}
@@ -76,6 +77,11 @@ def region(context: Context, measured: Reflectances, models: FabricModels, name:
         "models": found,
         "curves": curves(measured, number, predicted, valid, held_out, context.settings.curves),
     }
+
+
+def uses_all(used: np.ndarray, rows: np.ndarray) -> bool:
+    """Whether a fit used every one of these rows, and there are some."""
+    return len(rows) > 0 and bool(np.isin(rows, used).all())
 
 
 def judged(measured: Reflectances, number: int, predicted: np.ndarray, rows: np.ndarray) -> dict:

@@ -5,6 +5,9 @@ from collections import Counter
 import numpy as np
 
 import _project  # noqa: F401
+from nishiki.economy.decision import Decision, economy
+from nishiki.economy.lights import static_choice
+from nishiki.errors import UserError
 from nishiki.ingest.observations import Observations
 from nishiki.ingest.parcels import Parcel, parcels
 from nishiki.maps import Maps, MapWriter
@@ -37,7 +40,12 @@ def run(context: Context) -> dict:
     frames = Observations(context.inputs["ingest"].folder)
     separate = context.inputs.get("separate")
     selection = Maps(separate.folder) if separate else None
-    lights = frames.fit_lights(context.settings.hold_out)
+    if separate and separate.settings["lights"] != context.settings.lights:
+        raise UserError(
+            f"normals.lights: {context.settings.lights}, expected {separate.settings['lights']} as the artifact of "
+            "separate was made with. Remedy: give both stages the same, or run both through the workflow."
+        )
+    lights, decision = fit_lights(frames, selection, context.settings)
     arrays = create_maps(context, frames)
     gloss = scene_gloss(frames, selection, lights, context.settings)
     profile = gloss.profile if wanted(gloss, context.settings) else None
@@ -63,7 +71,19 @@ def run(context: Context) -> dict:
         **percentiles(np.concatenate(sigmas)),
         "refined": profile is not None,
         **({} if gloss is None else gloss.described),
+        "economy": economy(decision),
     }
+
+
+def fit_lights(
+    frames: Observations, selection: Maps | None, settings: NormalsSettings
+) -> tuple[np.ndarray, Decision | None]:
+    """Indices of the lights of the fit: those that separate chose; chosen here where separate was left out."""
+    if selection is not None:
+        return np.array([frames.lights.index(name) for name in selection.group.attrs["lights"]], np.int64), None
+    lights = frames.fit_lights(settings.hold_out)
+    chosen, decision = static_choice(frames.directions[lights], settings.lights)
+    return lights[chosen], decision
 
 
 def wanted(gloss: SceneGloss | None, settings: NormalsSettings) -> bool:

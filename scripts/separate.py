@@ -3,6 +3,8 @@
 import numpy as np
 
 import _project  # noqa: F401
+from nishiki.economy.decision import economy
+from nishiki.economy.lights import static_choice
 from nishiki.ingest.observations import Observations
 from nishiki.ingest.parcels import parcels
 from nishiki.maps import MapWriter
@@ -15,8 +17,11 @@ def run(context: Context) -> dict:
     """Select the lights band by band; usable lights are kept as one bit each."""
     frames = Observations(context.inputs["ingest"].folder)
     lights = frames.fit_lights(context.settings.hold_out)
+    chosen_rows, decision = static_choice(frames.directions[lights], context.settings.lights)
+    lights = lights[chosen_rows]
     rows, columns = frames.shape
     maps = MapWriter(context.output.folder, rows=rows, columns=columns, band_rows=frames.band_rows, stamp=context.stamp)
+    maps.group.attrs["lights"] = [frames.lights[j] for j in lights]
     usable = maps.create("usable", (-(-len(lights) // 8),), dtype="uint8", meaning="bit j of byte i: light 8 i + j")
     highlights = maps.create("highlights", dtype="uint16", unit="lights")
     shadows = maps.create("shadows", dtype="uint16", unit="lights")
@@ -49,6 +54,7 @@ def run(context: Context) -> dict:
         "highlight_fraction": float(totals[1] / samples),
         "shadow_fraction": float(totals[2] / samples),
         "valid_fraction": float(totals[3] / samples),
+        "economy": economy(decision),
     }
 
 

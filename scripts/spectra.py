@@ -7,8 +7,11 @@ import numpy as np
 
 import _project  # noqa: F401
 from nishiki.capture.spectra_tables import read_curves
+from nishiki.economy.bases import Bases, decided, output_bases, principal_bases
+from nishiki.economy.decision import Decision, economy
 from nishiki.maps import Maps, MapWriter
 from nishiki.settings.spectra import SpectraSettings
+from nishiki.spectra.basis import channel_weights
 from nishiki.spectra.estimate import SpectralEstimator, estimate_spectra, fit_estimator
 from nishiki.spectra.training import measured_reflectances, synthetic_reflectances
 from nishiki.stage import Context, run_stage
@@ -18,7 +21,9 @@ def run(context: Context) -> dict:
     """Fit the estimator once, then apply it band by band."""
     settings = context.settings
     training = synthetic_reflectances() if settings.training == "synthetic" else measured_set(Path(settings.training))
-    estimator = fit(context, training)
+    estimator, decision = fit(context, training)
+    if decision:
+        context.progress.tell(str(decision))
     np.savez(context.output.path("estimator.npz"), **estimator.to_arrays())
     maps = Maps(context.inputs["normals"].folder)
     reflectance = maps.group["reflectance"]
@@ -42,21 +47,27 @@ def run(context: Context) -> dict:
         "training_rmse": float(estimator.training_rmse),
         "training_spectra": len(training),
         **{f"flagged_{name}": count for name, count in counts.items()},
+        "economy": economy(decision),
     }
 
 
-def fit(context: Context, training: np.ndarray) -> SpectralEstimator:
-    """The estimator for this capture's lamp and camera."""
+def fit(context: Context, training: np.ndarray) -> tuple[SpectralEstimator, Decision | None]:
+    """The estimator for this capture's lamp and camera, and what was decided of its bases."""
     curves = np.load(context.inputs["ingest"].path("curves.npz"))
     settings = context.settings
-    return fit_estimator(
-        training,
-        curves["illuminant"],
-        curves["sensitivities"],
-        method=settings.method,
-        bases=None if settings.method == "paper" else settings.bases,
-        noise=settings.noise,
-    )
+    lamp, camera = curves["illuminant"], curves["sensitivities"]
+    found: list[Bases] = []
+
+    def enough(estimates: np.ndarray, mean_square: float) -> int:
+        found.append(output_bases(estimates, mean_square))
+        return found[-1].count
+
+    bases = settings.bases if settings.bases != "auto" else enough
+    if settings.bases == "auto" and settings.method == "paper":
+        found.append(principal_bases(training, channel_weights(lamp, camera), noise=settings.noise))
+        bases = found[-1].count
+    estimator = fit_estimator(training, lamp, camera, method=settings.method, bases=bases, noise=settings.noise)
+    return estimator, decided(found[-1], method=settings.method) if found else None
 
 
 def measured_set(path: Path) -> np.ndarray:

@@ -4,9 +4,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from nishiki.chain import SceneFacts
+from nishiki.chain import SceneFacts, Stage
+from nishiki.chains.packages import EXTRAS, idle_reason, packages_of
+from nishiki.chains.parts import left_parts
 from nishiki.closed import Closed
 from nishiki.errors import UserError
+from nishiki.ingest.choice import LIGHT
 from nishiki.project import Scene
 from nishiki.provenance import file_digest, stage_key
 from nishiki.stages import CHAIN, chain_of
@@ -27,13 +30,18 @@ class PlannedStage:
 
 @dataclass(frozen=True)
 class Plan:
-    """Stages of a scene in the order of the flow, and what is left out with the reason."""
+    """Stages of a scene in the order of the flow, and what is left out with the reason.
+
+    packages: of each stage, those of its libraries that it loads in this scene; idle: heavy packages that none does.
+    """
 
     scene: Scene
     facts: SceneFacts
     stages: dict[str, PlannedStage]
     left_out: dict[str, str] = field(default_factory=dict)
     held_out: tuple[str, ...] = ()
+    packages: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    idle: dict[str, str] = field(default_factory=dict)
 
     def folder(self, stage: str) -> str:
         """Path of a stage's artifact below the results folder."""
@@ -50,7 +58,8 @@ def make_plan(scene: Scene, facts: SceneFacts) -> Plan:
     settings = {name: _filled(name, scene, facts, held_out) for name in chain}
     left_out: dict[str, str] = {}
     wanted: set[str] = set()
-    for product in scene.products:
+    products = scene.products if scene.settings.leave_out == "auto" else _all_products(chain)
+    for product in products:
         stage = next((name for name in chain if product in (name, chain[name].product)), None)
         if stage is None:
             left_out[product] = f"captures of a {facts.geometry} have no such stage"
@@ -61,18 +70,53 @@ def make_plan(scene: Scene, facts: SceneFacts) -> Plan:
     for name in chain:
         if name not in wanted and name not in left_out:
             left_out[name] = "no product asked for needs it"
-    if settings["ingest"].channels == "auto":
-        colour = any(chain[name].needs_colour for name in wanted) and facts.channels > 1
-        settings["ingest"] = settings["ingest"].model_copy(update={"channels": "all" if colour else "luminance"})
-        if not colour and facts.channels > 1:
-            left_out["colour"] = "no product asked for needs more than luminance: one channel is decoded and kept"
+    settings["ingest"], reasons = _read_by_ingest(scene, facts, settings, wanted, held_out)
+    left_out |= reasons
     stages: dict[str, PlannedStage] = {}
     for name in chain:
         if name in wanted:
             if chain[name].asked_as == "report":
                 settings[name] = settings[name].model_copy(update={"left_out": dict(left_out)})
             stages[name] = _planned(name, settings[name], stages, facts)
-    return Plan(scene, facts, stages, left_out, held_out)
+    packages = {name: packages_of(chain[name], facts, settings) for name in stages}
+    return Plan(scene, facts, stages, left_out, held_out, packages, _idle(chain, packages, facts, settings))
+
+
+def _all_products(chain: dict[str, Stage]) -> tuple[str, ...]:
+    """Every product of a chain, those first that pull in others, so that reasons to leave out name the cause."""
+    return tuple(stage.asked_as for name, stage in reversed(chain.items()) if name != "ingest")
+
+
+def _read_by_ingest(
+    scene: Scene, facts: SceneFacts, settings: dict[str, Closed], wanted: set[str], held_out: tuple[str, ...]
+) -> tuple[Closed, dict[str, str]]:
+    """Settings of ingest: the channels that the wanted stages need, and no part of the capture that none looks at."""
+    own, reasons, everything = settings["ingest"], {}, scene.settings.leave_out == "nothing"
+    if own.channels == "auto":
+        colour = (everything or any(CHAIN[name].needs_colour for name in wanted)) and facts.channels > 1
+        own = own.model_copy(update={"channels": "all" if colour else "luminance"})
+        if not colour and facts.channels > 1:
+            reasons["colour"] = "no product asked for needs more than luminance: one channel is decoded and kept"
+    if everything:
+        return own, reasons
+    without, why = left_parts(facts, settings, wanted, scene.products)
+    if held_out and facts.geometry == "plane" and "evaluate" not in wanted:
+        without += tuple(f"{LIGHT}{name}" for name in held_out)
+        why[f"{len(held_out)} photographs under the lights held out"] = "only evaluate looks at them"
+    return own.model_copy(update={"without": without}), reasons | why
+
+
+def _idle(
+    chain: dict[str, Stage], packages: dict[str, tuple[str, ...]], facts: SceneFacts, settings: dict[str, Closed]
+) -> dict[str, str]:
+    """Optional packages of the chain that no stage of the plan loads, and why."""
+    loaded, idle = {name for names in packages.values() for name in names}, {}
+    for stage in chain.values():
+        for package in stage.libraries:
+            if package in EXTRAS and package not in loaded and package not in idle:
+                reason = idle_reason(stage.name, package, facts, settings) if stage.name in packages else None
+                idle[package] = reason or f"{stage.name} is not in the plan"
+    return idle
 
 
 def held_out_of(choice: str | tuple[str, ...], scene: Scene, facts: SceneFacts) -> tuple[str, ...]:
@@ -101,6 +145,8 @@ def _filled(name: str, scene: Scene, facts: SceneFacts, held_out: tuple[str, ...
     settings = getattr(scene.settings, name)
     known = {"hold_out": held_out, "truth_sha256": facts.truth_sha256}
     update = {key: value for key, value in known.items() if key in type(settings).model_fields}
+    if name == "separate":
+        update["lights"] = scene.settings.normals.lights
     if name == "render":
         tables = sorted(table for table in illuminants(settings) if table.lower().endswith(".csv"))
         update["curves_sha256"] = {table: _digest_of(table, "illuminant") for table in tables}

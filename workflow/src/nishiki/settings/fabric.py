@@ -5,6 +5,7 @@ from typing import ClassVar, Literal
 from pydantic import Field
 
 from nishiki.closed import Closed
+from nishiki.settings.counts import Measurements
 
 Model = Literal[
     "yarn_facets",
@@ -35,6 +36,9 @@ class FabricSettings(Closed):
         ge=0,
         le=2000,
         description="most oblique measurements that a fit may use, chosen by what they tell; 0: normal incidence alone",
+    )
+    measurements: Measurements = Field(
+        "all", description="views of normal incidence that a fit uses: all, or so many evenly spread ones"
     )
     index: float = Field(1.5, gt=1, le=3, description="refractive index of the model facets, which takes it as given")
     export: tuple[Literal["table", "csv", "utia"], ...] = Field(

@@ -5,6 +5,7 @@ from typing import ClassVar, Literal
 from pydantic import Field
 
 from nishiki.closed import Closed
+from nishiki.settings.counts import Lights
 
 
 class NormalsSettings(Closed):
@@ -15,6 +16,9 @@ class NormalsSettings(Closed):
 
     solver: Literal["default", "lobe", "lobes", "least_squares"] = Field(
         "default", description="see docs/stages/normals.md"
+    )
+    lights: Lights = Field(
+        "all", description="lights of the fit (separate follows): all, or so many evenly spread ones"
     )
     refine: Literal["auto", "gloss", "none"] = Field(
         "auto", description="fit normals, reflectance and gloss together; auto: where few lights show gloss that counts"

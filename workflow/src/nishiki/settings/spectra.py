@@ -5,6 +5,7 @@ from typing import ClassVar, Literal
 from pydantic import Field
 
 from nishiki.closed import Closed
+from nishiki.settings.counts import Bases
 
 
 class SpectraSettings(Closed):
@@ -16,7 +17,9 @@ class SpectraSettings(Closed):
     method: Literal["local", "wiener", "paper"] = Field(
         "local", description="paper: three bases, inverse of H (P eq. 8)"
     )
-    bases: int = Field(8, ge=2, le=16, description="number of basis functions (paper: always 3)")
+    bases: Bases = Field(
+        "auto", description="number of basis functions; auto: as many as camera and lamp support (docs/economy.md)"
+    )
     noise: float = Field(0.005, gt=0, le=1, description="standard deviation of a response, relative to white")
     training: str = Field("synthetic", description="synthetic, or a CSV: wavelength_nm, then one reflectance a column")
     training_sha256: str = Field("", description="digest of the training file; filled in by the plan")

@@ -17,7 +17,15 @@ import numpy as np
 from nishiki.errors import UserError
 from nishiki.spectra import kernels
 from nishiki.spectra.basis import channel_weights, checked_spectra
-from nishiki.spectra.fitting import LINEAR_GAMUT_EXCESS, Parts, Problem, correction_table, fit_paper, fit_regression
+from nishiki.spectra.fitting import (
+    LINEAR_GAMUT_EXCESS,
+    BasesRule,
+    Parts,
+    Problem,
+    correction_table,
+    fit_paper,
+    fit_regression,
+)
 from nishiki.spectra.kernels import ILL_CONDITIONED, NEGATIVE_RESPONSE, NOT_FINITE, OUTSIDE_TRAINING, OUTSIDE_UNIT
 from nishiki.spectra.local import response_space
 
@@ -107,7 +115,7 @@ def fit_estimator(
     sensitivities: np.ndarray,
     *,
     method: str = "local",
-    bases: int | None = None,
+    bases: int | BasesRule | None = None,
     noise: float = 0.005,
     white_width: float = 0.05,
     centres: int = 256,
@@ -125,7 +133,7 @@ def fit_estimator(
     method : `"paper"` (principal bases and matrix inverse, P eq. 8), `"wiener"` (linear with training covariance and
         noise), `"local"` (Wiener plus the kernel correction of `nishiki.spectra.local`).
     bases : paper: number of principal bases (default 3, at most N). Others: size K of the output basis, the constant
-        included (default 8, wiener at most N + 1).
+        included (default 8, wiener at most N + 1), or a rule that gives it (`nishiki.spectra.fitting.BasesRule`).
     noise : standard deviation of a response, white = 1; >= 0.
     white_width : the perfect white returns S = 1 exactly; the correction that sees to it fades as a Gaussian of this
         width (root mean square over channels) round the white response. 0: none, the method as it is.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -68,7 +69,13 @@ def fit_paper(problem: Problem, bases: int | None, *, white: bool, condition_lim
     return Parts(basis, linear, of_white, None, error, condition, cut, error**0.5)
 
 
-def fit_regression(problem: Problem, bases: int | None, local: tuple[int, float, float | None] | None) -> Parts:
+BasesRule = Callable[[np.ndarray, float], int]
+"""Number of output bases from the estimates (M, 61) of the training spectra and their mean-square error."""
+
+
+def fit_regression(
+    problem: Problem, bases: int | BasesRule | None, local: tuple[int, float, float | None] | None
+) -> Parts:
     """Wiener's estimator, with the local correction if `local` = (centres, radius, ridge) is given."""
     channels = problem.weights.shape[0]
     dense = wiener_map(problem.weights, problem.spectra, noise=problem.noise)
@@ -87,11 +94,12 @@ def fit_regression(problem: Problem, bases: int | None, local: tuple[int, float,
             ridge=ridge,
         )
         estimates = estimates + evaluate_correction(correction, problem.space, problem.responses)[0]
-    count = bases if bases is not None else (8 if local else min(channels + 1, 8))
+    squared = correction.left_out_rmse**2 if correction else far
+    count = bases(estimates, squared) if callable(bases) else bases
+    count = count if count is not None else (8 if local else min(channels + 1, 8))
     basis = output_basis(estimates, count)
     onto = np.linalg.pinv(basis).T  # (K, 61)
     lost = float(np.mean((estimates - estimates @ onto.T @ basis) ** 2))
-    squared = correction.left_out_rmse**2 if correction else far
     if correction:
         correction = replace(
             correction, weights=correction.weights @ onto.T, variance=correction.variance + lost, far_variance=far

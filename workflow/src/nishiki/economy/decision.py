@@ -1,0 +1,50 @@
+"""What a measured decision says of itself, in a stage's diagnostics and in its log."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Decision:
+    """One thing left out, or kept, because of a measured criterion.
+
+    what: the name it has in the diagnostics; decision: what was decided, in words; criterion: what was measured, in
+    words; measured: its value, None where a setting decided; limit: what it was compared with, None likewise; loss:
+    what leaving it out costs, with its unit; override: the setting that decides otherwise.
+    """
+
+    what: str
+    decision: str
+    criterion: str
+    measured: float | None
+    limit: float | None
+    loss: str
+    override: str
+
+    def as_dict(self) -> dict[str, dict]:
+        """{what: plain values}, to be merged into the block `economy` of a stage's diagnostics."""
+        named = {
+            name: getattr(self, name) for name in ("decision", "criterion", "measured", "limit", "loss", "override")
+        }
+        return {self.what: {name: _plain(value) for name, value in named.items()}}
+
+    def __str__(self) -> str:
+        """One line of the log."""
+        numbers = ""
+        if self.measured is not None:
+            numbers = f" ({self.criterion}: {self.measured:.4g}"
+            numbers += f", limit {self.limit:.4g})" if self.limit is not None else ")"
+        return f"{self.what}: {self.decision}{numbers}; loss: {self.loss}; {self.override}"
+
+
+def economy(*decisions: Decision | None) -> dict[str, dict]:
+    """The block `economy` of a stage's diagnostics; None where there was nothing to decide."""
+    block: dict[str, dict] = {}
+    for decision in decisions:
+        if decision is not None:
+            block |= decision.as_dict()
+    return block
+
+
+def _plain(value):
+    """Floats with six digits: more would only differ from machine to machine."""
+    return float(f"{value:.6g}") if isinstance(value, float) else value
