@@ -54,7 +54,8 @@ def _parser() -> argparse.ArgumentParser:
     command("test", "running:test", "run the tests; further arguments go to pytest")
     sub = command("run", "running:run", "make everything that the configuration asks for; further arguments: snakemake")
     sub.add_argument("--configfile", default="config/config.yaml", help="configuration (default %(default)s)")
-    sub.add_argument("--cores", default="all", help="processors to use (default: all)")
+    sub.add_argument("--cores", help="processors to use (default: all; on a cluster: as many as it gives)")
+    sub.add_argument("--profile", default="default", help="slurm for a cluster, or a folder of Snakemake's options")
     sub = command("plan", "inspecting:plan", "what will run, what is left out and why")
     _with_scene(sub)
     sub = command(
