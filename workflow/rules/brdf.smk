@@ -3,6 +3,8 @@ rule brdf:
         upstream("brdf"),
     output:
         artifact("brdf"),
+    group:
+        group_of("brdf")
     conda:
         "../../envs/painting.yaml"
     threads: 2

@@ -3,6 +3,8 @@ rule cameras:
         upstream("cameras"),
     output:
         artifact("cameras"),
+    group:
+        group_of("cameras")
     conda:
         "../../envs/object.yaml"
     threads: 1

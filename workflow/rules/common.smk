@@ -53,8 +53,19 @@ def params_of(stage):
 
 
 def memory_of(stage):
-    return lambda wildcards: FLOW.memory_mb(wildcards.scene, stage)
+    """Memory by the cost model, half as much again at each further attempt."""
+    return lambda wildcards, attempt: FLOW.memory_mb(wildcards.scene, stage, attempt)
 
 
 def minutes_of(stage):
-    return lambda wildcards: FLOW.minutes(wildcards.scene, stage)
+    """Time limit by the cost model, twice as long at each further attempt."""
+    return lambda wildcards, attempt: FLOW.minutes(wildcards.scene, stage, attempt)
+
+
+def group_of(stage):
+    """Jobs of one scene that a cluster runs as one; no group on this machine."""
+    return lambda wildcards: (
+        FLOW.group(wildcards.scene, stage, wildcards.key)
+        if workflow.non_local_exec
+        else None
+    )

@@ -3,6 +3,8 @@ rule evaluate:
         upstream("evaluate"),
     output:
         artifact("evaluate"),
+    group:
+        group_of("evaluate")
     conda:
         "../../envs/painting.yaml"
     threads: 2

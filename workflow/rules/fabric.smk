@@ -3,6 +3,8 @@ rule fabric:
         upstream("fabric"),
     output:
         artifact("fabric"),
+    group:
+        group_of("fabric")
     conda:
         "../../envs/fabric.yaml"
     threads: 2

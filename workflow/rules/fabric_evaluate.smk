@@ -3,6 +3,8 @@ rule fabric_evaluate:
         upstream("fabric_evaluate"),
     output:
         artifact("fabric_evaluate"),
+    group:
+        group_of("fabric_evaluate")
     conda:
         "../../envs/fabric.yaml"
     threads: 1

@@ -3,6 +3,8 @@ rule fabric_render:
         upstream("fabric_render"),
     output:
         artifact("fabric_render"),
+    group:
+        group_of("fabric_render")
     conda:
         "../../envs/fabric.yaml"
     threads: 2

@@ -3,6 +3,8 @@ rule fabric_report:
         upstream("fabric_report"),
     output:
         artifact("fabric_report"),
+    group:
+        group_of("fabric_report")
     conda:
         "../../envs/fabric.yaml"
     threads: 1

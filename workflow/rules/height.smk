@@ -3,6 +3,8 @@ rule height:
         upstream("height"),
     output:
         artifact("height"),
+    group:
+        group_of("height")
     conda:
         "../../envs/painting.yaml"
     threads: 1

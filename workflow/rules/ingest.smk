@@ -3,6 +3,8 @@ rule ingest:
         upstream("ingest"),
     output:
         artifact("ingest"),
+    group:
+        group_of("ingest")
     conda:
         "../../envs/painting.yaml"
     threads: 2

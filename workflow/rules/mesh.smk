@@ -3,6 +3,8 @@ rule mesh:
         upstream("mesh"),
     output:
         artifact("mesh"),
+    group:
+        group_of("mesh")
     conda:
         "../../envs/object.yaml"
     threads: 2

@@ -3,6 +3,8 @@ rule normals:
         upstream("normals"),
     output:
         artifact("normals"),
+    group:
+        group_of("normals")
     conda:
         "../../envs/painting.yaml"
     threads: 2

@@ -3,6 +3,8 @@ rule object_evaluate:
         upstream("object_evaluate"),
     output:
         artifact("object_evaluate"),
+    group:
+        group_of("object_evaluate")
     conda:
         "../../envs/object.yaml"
     threads: 2

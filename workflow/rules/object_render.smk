@@ -3,6 +3,8 @@ rule object_render:
         upstream("object_render"),
     output:
         artifact("object_render"),
+    group:
+        group_of("object_render")
     conda:
         "../../envs/object.yaml"
     threads: 2

@@ -3,6 +3,8 @@ rule object_report:
         upstream("object_report"),
     output:
         artifact("object_report"),
+    group:
+        group_of("object_report")
     conda:
         "../../envs/object.yaml"
     threads: 1

@@ -3,6 +3,8 @@ rule polarise:
         upstream("polarise"),
     output:
         artifact("polarise"),
+    group:
+        group_of("polarise")
     conda:
         "../../envs/object.yaml"
     threads: 2

@@ -3,6 +3,8 @@ rule reflectance:
         upstream("reflectance"),
     output:
         artifact("reflectance"),
+    group:
+        group_of("reflectance")
     conda:
         "../../envs/fabric.yaml"
     threads: 1

@@ -3,6 +3,8 @@ rule reflection:
         upstream("reflection"),
     output:
         artifact("reflection"),
+    group:
+        group_of("reflection")
     conda:
         "../../envs/object.yaml"
     threads: 2

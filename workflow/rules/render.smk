@@ -3,6 +3,8 @@ rule render:
         upstream("render"),
     output:
         artifact("render"),
+    group:
+        group_of("render")
     conda:
         "../../envs/painting.yaml"
     threads: 2

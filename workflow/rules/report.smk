@@ -3,6 +3,8 @@ rule report:
         upstream("report"),
     output:
         artifact("report"),
+    group:
+        group_of("report")
     conda:
         "../../envs/painting.yaml"
     threads: 1

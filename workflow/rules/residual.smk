@@ -3,6 +3,8 @@ rule residual:
         upstream("residual"),
     output:
         artifact("residual"),
+    group:
+        group_of("residual")
     conda:
         "../../envs/object.yaml"
     threads: 2

@@ -3,6 +3,8 @@ rule separate:
         upstream("separate"),
     output:
         artifact("separate"),
+    group:
+        group_of("separate")
     conda:
         "../../envs/painting.yaml"
     threads: 2

@@ -3,6 +3,8 @@ rule spectra:
         upstream("spectra"),
     output:
         artifact("spectra"),
+    group:
+        group_of("spectra")
     conda:
         "../../envs/painting.yaml"
     threads: 1

@@ -3,6 +3,8 @@ rule texels:
         upstream("texels"),
     output:
         artifact("texels"),
+    group:
+        group_of("texels")
     conda:
         "../../envs/object.yaml"
     threads: 2

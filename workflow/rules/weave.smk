@@ -3,6 +3,8 @@ rule weave:
         upstream("weave"),
     output:
         artifact("weave"),
+    group:
+        group_of("weave")
     conda:
         "../../envs/fabric.yaml"
     threads: 2

@@ -43,6 +43,31 @@ class SceneFacts:
 
 
 @dataclass(frozen=True)
+class Cost:
+    """What a stage takes at its default settings: a part of its own, one for each pixel, one for each sample.
+
+    A sample is one pixel of one photograph, all channels together. Memory is the peak of the resident memory, time is
+    processor time of all threads with compiled kernels. The numbers are upper limits of measurements, at most about
+    twice what was measured (tests/benchmarks/cost_models.py).
+    """
+
+    mib: float = 400.0
+    bytes_per_pixel: float = 0.0
+    bytes_per_sample: float = 0.0
+    seconds: float = 5.0
+    us_per_pixel: float = 0.0
+    us_per_sample: float = 0.0
+
+    def memory_mb(self, pixels: int, samples: int) -> float:
+        """Peak resident memory in MiB."""
+        return self.mib + (pixels * self.bytes_per_pixel + samples * self.bytes_per_sample) / 2**20
+
+    def processor_seconds(self, pixels: int, samples: int) -> float:
+        """Expected processor time in seconds, at most."""
+        return self.seconds + (pixels * self.us_per_pixel + samples * self.us_per_sample) * 1e-6
+
+
+@dataclass(frozen=True)
 class Stage:
     """One stage of the chain.
 
@@ -50,7 +75,7 @@ class Stage:
     read where the plan has them anyway. lacks: a reason why the capture cannot feed the stage, or None.
     geometry: the captures that it is for, None: all. product: the name under which a scene asks for it, where that is
     not its own: a plane's and a turntable's `render` are different stages with one name for the user.
-    memory_mb: (pixels, observations) -> peak resident memory; minutes: likewise, generous.
+    cost: memory and time as measured, for whoever plans or schedules.
     """
 
     settings: type[Closed]
@@ -63,8 +88,7 @@ class Stage:
     product: str = ""
     needs_colour: bool = False
     libraries: tuple[str, ...] = ("numpy", "numba", "zarr")
-    memory_mb: Callable[[int, int], int] = lambda pixels, observations: 700
-    minutes: Callable[[int, int], int] = lambda pixels, observations: 5 + pixels * observations // 20_000_000
+    cost: Cost = Cost()
 
     @property
     def name(self) -> str:

@@ -171,6 +171,7 @@ class Workflow:
     def _is_long(self, scene: str, stage: str) -> bool:
         return self.seconds(scene, stage) > SHORT_SECONDS
 
+    @cache  # noqa: B019
     def _part(self, scene: str, stage: str, key: str) -> int:
         """Number of long stages on the longest way from the capture to a stage."""
         upstream = {name: above for name, above in self.stage(scene, stage, key).upstream.items() if name in CHAIN}

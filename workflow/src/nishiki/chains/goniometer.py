@@ -1,7 +1,6 @@
 """Stages of a cloth on a gonioreflectometer."""
 
-from nishiki.chain import SceneFacts, Stage
-from nishiki.chains.common import whole_image
+from nishiki.chain import Cost, SceneFacts, Stage
 from nishiki.closed import Closed
 from nishiki.settings.fabric import FabricSettings
 from nishiki.settings.fabric_evaluate import FabricEvaluateSettings
@@ -47,7 +46,7 @@ GONIOMETER = (
         wants=lambda settings: ("weave",) * ("weave" in (settings.model, *settings.compare)),
         needs_colour=True,
         libraries=("numpy", "scipy", "numba"),
-        minutes=lambda pixels, observations: 10 + observations // 1000,
+        cost=Cost(seconds=60),
     ),
     Stage(
         FabricRenderSettings,
@@ -57,8 +56,7 @@ GONIOMETER = (
         requires=("fabric",),
         needs_colour=True,
         libraries=("numpy", "scipy", "numba", "trimesh", "OpenEXR", "opencv-contrib-python-headless", "av"),
-        memory_mb=lambda pixels, observations: 1500,
-        minutes=lambda pixels, observations: 15,
+        cost=Cost(mib=1500, seconds=120),
     ),
     Stage(
         FabricEvaluateSettings,
@@ -79,6 +77,6 @@ GONIOMETER = (
         wants=lambda settings: ("weave",),
         uses=("fabric", "fabric_render", "fabric_evaluate"),
         libraries=("numpy", "jinja2", "zarr", "opencv-contrib-python-headless"),
-        memory_mb=whole_image(64),
+        cost=Cost(mib=500, bytes_per_pixel=64),
     ),
 )

@@ -1,7 +1,7 @@
 """Stages of a flat object under many lights."""
 
-from nishiki.chain import SceneFacts, Stage
-from nishiki.chains.common import no_method, whole_image
+from nishiki.chain import Cost, SceneFacts, Stage
+from nishiki.chains.common import no_method
 from nishiki.closed import Closed
 from nishiki.settings.brdf import BrdfSettings
 from nishiki.settings.evaluate import EvaluateSettings
@@ -51,7 +51,7 @@ PLANE = (
         "height by integration of the normals",
         requires=("normals",),
         libraries=("numpy", "scipy", "numba", "zarr"),
-        memory_mb=whole_image(96),
+        cost=Cost(mib=500, bytes_per_pixel=96),
     ),
     Stage(
         SpectraSettings,
@@ -75,7 +75,7 @@ PLANE = (
         wants=lambda settings: ("height",) * settings.cast_shadows + ("spectra", "brdf"),
         needs_colour=True,
         libraries=("numpy", "numba", "zarr", "OpenEXR", "opencv-contrib-python-headless", "av"),
-        memory_mb=whole_image(160),
+        cost=Cost(mib=500, bytes_per_pixel=160),
     ),
     Stage(
         EvaluateSettings,
@@ -85,7 +85,7 @@ PLANE = (
         lacks=_nothing_to_compare,
         needs_colour=True,
         libraries=("numpy", "scipy", "numba", "zarr"),
-        memory_mb=whole_image(160),
+        cost=Cost(mib=500, bytes_per_pixel=160),
     ),
     Stage(
         ReportSettings,
@@ -93,6 +93,6 @@ PLANE = (
         requires=("ingest", "normals"),
         uses=("separate", "height", "spectra", "brdf", "render", "evaluate"),
         libraries=("numpy", "jinja2", "zarr", "opencv-contrib-python-headless"),
-        memory_mb=whole_image(64),
+        cost=Cost(mib=500, bytes_per_pixel=64),
     ),
 )

@@ -1,7 +1,7 @@
 """Stages of an object on a turntable."""
 
-from nishiki.chain import SceneFacts, Stage
-from nishiki.chains.common import no_method, whole_image
+from nishiki.chain import Cost, SceneFacts, Stage
+from nishiki.chains.common import no_method
 from nishiki.closed import Closed
 from nishiki.settings.cameras import CamerasSettings
 from nishiki.settings.mesh import MeshSettings
@@ -34,7 +34,7 @@ TURNTABLE = (
         lacks=_no_polarisers,
         needs_colour=True,
         libraries=("numpy", "scipy", "numba", "zarr", "opencv-contrib-python-headless"),
-        memory_mb=whole_image(400),
+        cost=Cost(mib=500, bytes_per_pixel=400),
     ),
     Stage(
         CamerasSettings,
@@ -43,7 +43,7 @@ TURNTABLE = (
         requires=("ingest",),
         lacks=_no_poses,
         libraries=("numpy", "scipy", "opencv-contrib-python-headless"),
-        memory_mb=whole_image(64),
+        cost=Cost(mib=500, bytes_per_pixel=64),
     ),
     Stage(
         MeshSettings,
@@ -61,7 +61,7 @@ TURNTABLE = (
             "trimesh",
             "pymeshlab",
         ),
-        memory_mb=lambda pixels, observations: 2000 + pixels * observations // 2**20,
+        cost=Cost(mib=2000, bytes_per_sample=1),
     ),
     Stage(
         TexelsSettings,
@@ -71,7 +71,7 @@ TURNTABLE = (
         wants=lambda settings: ("polarise",),
         needs_colour=True,
         libraries=("numpy", "numba", "zarr", "opencv-contrib-python-headless"),
-        memory_mb=lambda pixels, observations: 1500 + pixels * 200 // 2**20,
+        cost=Cost(mib=1500, bytes_per_pixel=200),
     ),
     Stage(
         ReflectionSettings,
@@ -80,7 +80,7 @@ TURNTABLE = (
         requires=("ingest", "texels"),
         needs_colour=True,
         libraries=("numpy", "scipy", "numba", "zarr"),
-        memory_mb=lambda pixels, observations: 2000,
+        cost=Cost(mib=2000),
     ),
     Stage(
         ResidualSettings,
@@ -89,8 +89,7 @@ TURNTABLE = (
         requires=("texels", "reflection"),
         needs_colour=True,
         libraries=("numpy", "scipy", "numba", "zarr", "pywavelets"),
-        memory_mb=lambda pixels, observations: 2500,
-        minutes=lambda pixels, observations: 20 + pixels * observations // 500_000,
+        cost=Cost(mib=2500, seconds=60, us_per_sample=30),
     ),
     Stage(
         ObjectRenderSettings,
@@ -100,7 +99,7 @@ TURNTABLE = (
         requires=("ingest", "mesh", "cameras", "texels", "reflection", "residual"),
         needs_colour=True,
         libraries=("numpy", "scipy", "numba", "zarr", "pywavelets", "OpenEXR", "opencv-contrib-python-headless", "av"),
-        memory_mb=lambda pixels, observations: 2000 + pixels * 160 // 2**20,
+        cost=Cost(mib=2000, bytes_per_pixel=160),
     ),
     Stage(
         ObjectEvaluateSettings,
@@ -111,7 +110,7 @@ TURNTABLE = (
         wants=lambda settings: ("polarise",),
         needs_colour=True,
         libraries=("numpy", "scipy", "numba", "zarr", "pywavelets", "opencv-contrib-python-headless"),
-        memory_mb=lambda pixels, observations: 2000 + pixels * 160 // 2**20,
+        cost=Cost(mib=2000, bytes_per_pixel=160),
     ),
     Stage(
         ObjectReportSettings,
@@ -122,6 +121,6 @@ TURNTABLE = (
         wants=lambda settings: ("polarise",),
         uses=("cameras", "mesh", "texels", "reflection", "residual", "object_render", "object_evaluate"),
         libraries=("numpy", "jinja2", "zarr", "opencv-contrib-python-headless"),
-        memory_mb=whole_image(64),
+        cost=Cost(mib=500, bytes_per_pixel=64),
     ),
 )

@@ -32,12 +32,9 @@ def run(options: argparse.Namespace, rest: list[str]) -> int:
         "snakemake",
         "--snakefile",
         str(PROJECT / "Snakefile"),
-        "--workflow-profile",
-        str(PROJECT / "workflow/profiles/default"),
         "--configfile",
         options.configfile,
-        "--cores",
-        options.cores,
+        *profile_arguments(options.profile, options.cores),
         *rest,
     ]
     start = time.monotonic()
@@ -47,6 +44,33 @@ def run(options: argparse.Namespace, rest: list[str]) -> int:
     if status == 0 and "--dry-run" not in rest and "-n" not in rest:
         _tell(flow, time.monotonic() - start)
     return 1 if status else 0
+
+
+def profile_arguments(name: str, cores: str | None) -> list[str]:
+    """Snakemake's arguments for a shipped profile or a profile folder, and for the processors of a local one.
+
+    Raises UserError where there is no such profile, or where the plugin that it needs is not installed.
+    """
+    import importlib.util
+
+    from nishiki.project import load_yaml
+
+    shipped = PROJECT / "workflow/profiles"
+    folder = shipped / name if (shipped / name).is_dir() else Path(name)
+    if not (folder / "config.yaml").is_file():
+        known = ", ".join(sorted(path.name for path in shipped.iterdir()))
+        raise UserError(f"--profile {name}: no such profile; known: {known}, or a folder that holds a config.yaml")
+    arguments = ["--workflow-profile", str(folder)]
+    executor = str(load_yaml(folder / "config.yaml").get("executor", "local"))
+    if executor != "local":
+        plugin = f"snakemake_executor_plugin_{executor.replace('-', '_')}"
+        if importlib.util.find_spec(plugin) is None:
+            raise UserError(
+                f"--profile {name}: the plugin for {executor} is not installed. Remedy: "
+                f".uv/bin/uv sync --locked --inexact --extra {executor}"
+            )
+        return arguments + (["--cores", cores] if cores else [])
+    return [*arguments, "--cores", cores or "all"]
 
 
 def _tell(flow, seconds: float) -> None:
@@ -67,7 +91,7 @@ def demo(options: argparse.Namespace, rest: list[str]) -> int:
         status = simulate(options, ["--output", str(capture), "--truth", str(truth), "--preset", preset])
         if status:
             return status
-    return run(argparse.Namespace(configfile=configuration, cores="all"), rest)
+    return run(argparse.Namespace(configfile=configuration, cores=None, profile="default"), rest)
 
 
 def compile_kernels(options: argparse.Namespace, rest: list[str]) -> int:
