@@ -16,7 +16,8 @@ from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
 from nishiki.errors import UserError
 from nishiki.ingest.observations import Observations
-from nishiki.ingest.store import IngestSettings, rows_of_band, write_observations
+from nishiki.ingest.store import IngestSettings, write_observations
+from nishiki.ingest.tiles import rows_of_band
 
 ROWS, COLUMNS = 24, 32
 TEXTURE = 0.5 * (0.8 + 0.2 * np.random.default_rng(1).random((ROWS, COLUMNS, 3)))

@@ -1,7 +1,7 @@
 """What a stage is, and what a plan has to know of a scene: the types of the one table in `nishiki.stages`."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 
 from nishiki.closed import Closed
 
@@ -13,7 +13,10 @@ class SceneFacts:
     geometry: plane (one view, many lights), turntable (many views) or goniometer (many pairs of directions); views,
     states (of polarisers): of a turntable; has_poses: matrices, boards or correspondences tell where its cameras were;
     measurements: pairs of directions of a goniometer, frontal: of these, lit along the normal of the cloth.
-    truth_sha256: empty where there is no truth.
+    truth_sha256: empty where there is no truth. given: what a turntable's capture comes with (matrices, boards,
+    correspondences, silhouettes of all views); parts: number of files of each part that a scene may do without (see
+    `nishiki.chains.parts`); suffixes: of the photographs' names, in small letters; table: reflectances instead of
+    photographs.
     """
 
     capture_digest: str
@@ -30,6 +33,10 @@ class SceneFacts:
     has_poses: bool = False
     measurements: int = 0
     frontal: int = 0
+    given: tuple[str, ...] = ()
+    parts: Mapping[str, int] = field(default_factory=dict)
+    suffixes: tuple[str, ...] = ()
+    table: bool = False
 
     @property
     def observations(self) -> int:

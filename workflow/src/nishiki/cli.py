@@ -56,8 +56,9 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--configfile", default="config/config.yaml", help="configuration (default %(default)s)")
     sub.add_argument("--cores", help="processors to use (default: all; on a cluster: as many as it gives)")
     sub.add_argument("--profile", default="default", help="slurm for a cluster, or a folder of Snakemake's options")
-    sub = command("plan", "inspecting:plan", "what will run, what is left out and why")
+    sub = command("plan", "planning:plan", "what will run, be read and be loaded; what is left out and why")
     _with_scene(sub)
+    sub.add_argument("--json", action="store_true", help="one JSON object a scene and line")
     sub = command(
         "explain", "inspecting:explain", "why each stage of a scene would run or not; or what differs between keys"
     )

@@ -1,10 +1,11 @@
 """What a plan has to know of a scene, read from the capture's small files only."""
 
 from nishiki.capture.folder import Capture, load_capture
+from nishiki.capture.frames import Frame
 from nishiki.capture.goniometer import GoniometerCapture, goniometer_facts
 from nishiki.capture.headers import read_header
 from nishiki.capture.seal import capture_digest
-from nishiki.capture.turntable import TurntableCapture, turntable_facts
+from nishiki.capture.turntable import TurntableCapture, TurntableFacts, turntable_facts
 from nishiki.chain import SceneFacts
 from nishiki.errors import UserError
 from nishiki.project import Scene
@@ -36,6 +37,8 @@ def _of_plane(scene: Scene, capture: Capture, truth: str) -> SceneFacts:
         check_lights=tuple(frame.light for frame in capture.observed if frame.role == "check"),
         channels=len(capture.settings.camera.channels),
         pixels=_pixels(capture),
+        parts={role: len(capture.frames_of(role)) for role in ("check", "flat")},
+        suffixes=_suffixes(capture.frames),
         has_sensitivities=capture.sensitivities is not None,
         has_illuminant=capture.illuminant is not None,
         truth_sha256=truth,
@@ -57,6 +60,9 @@ def _of_turntable(scene: Scene, capture: TurntableCapture, truth: str) -> SceneF
         views=found.views,
         states=found.states,
         has_poses=found.cameras or found.view_boards or found.correspondences,
+        given=_given(found),
+        parts=_turntable_parts(capture),
+        suffixes=_suffixes(capture.frames),
     )
 
 
@@ -74,7 +80,39 @@ def _of_goniometer(scene: Scene, capture: GoniometerCapture, truth: str) -> Scen
         geometry="goniometer",
         measurements=found.measurements,
         frontal=found.normal,
+        parts={} if found.table or not found.normal else {"oblique": found.oblique},
+        suffixes=_suffixes(capture.frames),
+        table=found.table,
     )
+
+
+def _given(found: TurntableFacts) -> tuple[str, ...]:
+    there = {
+        "matrices": found.cameras,
+        "boards": found.view_boards,
+        "correspondences": found.correspondences,
+        "silhouettes": found.silhouettes,
+    }
+    return tuple(name for name, is_there in there.items() if is_there)
+
+
+def _turntable_parts(capture: TurntableCapture) -> dict[str, int]:
+    """Number of files of each part that a scene may do without."""
+    observed = capture.observed
+    first = [f for f in observed if f.polariser == capture.states[0]]
+    return {
+        "states": len(observed) - len(first),
+        "white_states": sum(bool(f.polariser) for f in capture.frames_of("white")),
+        "photographs": len(first),
+        "calibration": len(capture.frames_of("board")),
+        "silhouettes": len({f.silhouette for f in capture.frames if f.silhouette}),
+        "mesh": int(capture.mesh is not None),
+        "scans": len(capture.scans),
+    }
+
+
+def _suffixes(frames: tuple[Frame, ...]) -> tuple[str, ...]:
+    return tuple(sorted({f.path.suffix.lower() for f in frames}))
 
 
 def _pixels(capture: Capture) -> int:

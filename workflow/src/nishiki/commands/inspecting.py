@@ -1,11 +1,10 @@
-"""Commands that look and change nothing: plan, explain, schema."""
+"""Commands that look and change nothing: explain, schema; and the state of a stage."""
 
 import argparse
 import json
 from pathlib import Path
 
 from nishiki.artifact import MANIFEST, Artifact, open_artifact
-from nishiki.chain import SceneFacts
 from nishiki.errors import UserError
 from nishiki.plan import Plan
 from nishiki.project import Configuration, load_yaml
@@ -18,32 +17,6 @@ PROJECT = Path(__file__).resolve().parents[4]
 
 def _workflow(options: argparse.Namespace) -> Workflow:
     return Workflow(load_yaml(options.configfile), folder=PROJECT, only=options.scene)
-
-
-def plan(options: argparse.Namespace, rest: list[str]) -> None:
-    """Print, per scene, the stages with their keys and state, and what is left out with the reason."""
-    flow = _workflow(options)
-    for name, made in flow.plans.items():
-        facts = made.facts
-        print(f"{name}: {facts.pixels / 1e6:.2f} Mpx, {_series(facts)}, {facts.channels} channels")
-        for stage, planned in made.stages.items():
-            state, _ = stage_state(flow, name, stage)
-            print(f"  {stage:15} {planned.key}  {state:8} {CHAIN[stage].does}")
-        if made.held_out:
-            print(f"  held out of every fit and predicted instead: {', '.join(made.held_out)}")
-        for left, why in made.left_out.items():
-            print(f"  without {left}: {why}")
-
-
-def _series(facts: SceneFacts) -> str:
-    """How many lights, or views under how many lights, and polariser states, or pairs of directions."""
-    if facts.geometry == "goniometer":
-        return f"{facts.measurements} pairs of directions, {facts.frontal} of them lit along the normal"
-    if facts.geometry != "turntable":
-        return f"{len(facts.lights)} lights"
-    states = f", {len(facts.states)} polariser states" if len(facts.states) > 1 else ""
-    lights = f" under {len(facts.lights)} lights" if len(facts.lights) > 1 else ""
-    return f"{len(facts.views)} views{lights}{states}"
 
 
 def stage_state(flow: Workflow, scene: str, stage: str) -> tuple[str, list[str]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -53,15 +53,19 @@ class FrameReader:
     digests: dict[str, str]
 
     @classmethod
-    def of(cls, capture: Capture, channels: Channels, *, prove: bool = True) -> FrameReader:
+    def of(
+        cls, capture: Capture, channels: Channels, *, prove: bool = True, unopened: Collection[str] = ()
+    ) -> FrameReader:
         """Look at the first photograph's header, and prove that a sealed capture's tables are as they were sealed.
 
-        prove=False: without any proof. CaptureError where the header or the region cannot be used, or a file changed.
+        prove=False: without any proof; unopened: files that are left out, which are not proven either. CaptureError
+        where the header or the region cannot be used, or a file changed.
         """
         if channels not in ("all", "luminance", "green"):
             raise ValueError(f"channels {channels!r}: all, luminance or green")
-        digests, photographs = sealed_digests(capture.root) if prove else {}, {f.file for f in capture.frames}
-        for name in sorted(digests.keys() - photographs):  # tables, spectra, mask: small
+        digests = sealed_digests(capture.root) if prove else {}
+        others = {f.file for f in capture.frames} | set(unopened)
+        for name in sorted(digests.keys() - others):  # tables, spectra, mask: small
             expect_sealed(inside(capture.payload, name, "manifest-sha256.txt"), name, digests)
         first = capture.observed[0]
         header = read_header(first.path, name=first.file)

@@ -15,6 +15,7 @@ from nishiki.capture.goniometer import GoniometerCapture
 from nishiki.capture.problems import Problem, warning
 from nishiki.capture.seal import expect_sealed, sealed_digests
 from nishiki.ingest.blocks import block_edges
+from nishiki.ingest.choice import chosen
 from nishiki.ingest.chunks import chunk_path, create_array, write_chunk
 from nishiki.ingest.frames import FrameReader
 from nishiki.ingest.goniometer_frames import code_problems, region_labels, white_level, windowed
@@ -31,6 +32,7 @@ class Settings(Protocol):
 
     channels: Literal["auto", "all", "luminance", "green"]
     white_block: int
+    without: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,8 @@ def write_goniometer(
     folder = Path(folder)
     if capture.table is not None:
         return _write_table(capture, folder)
+    choice = chosen(capture, settings.without)
+    capture = choice.capture
     done, total = [0], len(capture.frames)
 
     def tick(file: str) -> None:
@@ -78,7 +82,8 @@ def write_goniometer(
         if progress:
             progress(done[0], total, file)
 
-    reader = windowed(FrameReader.of(capture, "all" if settings.channels == "auto" else settings.channels), capture)
+    channels = "all" if settings.channels == "auto" else settings.channels
+    reader = windowed(FrameReader.of(capture, channels, unopened=choice.files), capture)
     edges = tuple(block_edges(n, settings.white_block) for n in reader.region[2:])
     import zarr
 

@@ -160,6 +160,9 @@ class Observations:
         codes = np.empty((len(chosen), stop - start, right - left, len(self.channels)), self.dtype)
         for number in range(start // self.band_rows, -(-stop // self.band_rows)):
             top = number * self.band_rows
+            if not self.mask[top : top + self.band_rows].any():  # ingest keeps no chunk where the object is not
+                codes[:, max(top - start, 0) : top + self.band_rows - start] = 0
+                continue
             inner = slice(max(start - top, 0), min(stop - top, self.band_rows))
             outer = slice(top + inner.start - start, top + inner.stop - start)
             for j, light in enumerate(chosen):

@@ -14,10 +14,12 @@ from nishiki.capture.frames import Frame
 from nishiki.capture.images import read_labels, read_mask
 from nishiki.capture.problems import CaptureError, Problem, error, warning
 from nishiki.ingest.blocks import block_edges
+from nishiki.ingest.choice import chosen
 from nishiki.ingest.chunks import chunk_path, create_array, write_chunk
 from nishiki.ingest.decode import count_unusable
 from nishiki.ingest.frames import FrameReader
 from nishiki.ingest.reference import DarkField, Gains, measure_darks, measure_gains
+from nishiki.ingest.tiles import bands_with_object, rows_of_band
 
 STORE = "frames.zarr"
 FORMAT = 1
@@ -33,17 +35,19 @@ class Settings(Protocol):
     white_block: int
     tile_mib: int
     compression: Literal["none", "zstd"]
+    without: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class IngestSettings:
     """channels: which to keep; white_block: pixels of a gain block (1: per pixel, as in P eq. 3); tile_mib: float
-    memory of one band over all lights; compression of the stored codes."""
+    memory of one band over all lights; compression of the stored codes; without: parts that are not opened."""
 
     channels: Literal["all", "luminance", "green"] = "all"
     white_block: int = 16
     tile_mib: int = 128
     compression: Literal["none", "zstd"] = "none"
+    without: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -75,12 +79,6 @@ class IngestDiagnostics:
         return asdict(self)
 
 
-def rows_of_band(lights: int, rows: int, columns: int, channels: int, tile_mib: int) -> int:
-    """Rows of a band whose float32 observations fit into tile_mib MiB: a multiple of 8, at least 8."""
-    fit = (tile_mib << 20) // max(1, lights * columns * channels * 4)
-    return int(min(max(8, fit // 8 * 8), -(-rows // 8) * 8))
-
-
 def write_observations(
     capture: Capture,
     folder: Path | str,
@@ -94,8 +92,10 @@ def write_observations(
     (a UserError) for photographs that cannot be used.
     """
     settings = settings or IngestSettings()
+    choice = chosen(capture, settings.without)
+    capture = choice.capture
     tick = _Ticker(progress, len(capture.frames_of("dark")) + len(capture.frames_of("white")) + len(capture.observed))
-    reader = FrameReader.of(capture, settings.channels)
+    reader = FrameReader.of(capture, settings.channels, unopened=choice.files)
     mask = mask_of(capture, reader)
     _, _, rows, columns = reader.region
     edges = block_edges(rows, settings.white_block), block_edges(columns, settings.white_block)
@@ -167,17 +167,21 @@ def regions_of(capture: Capture, reader: FrameReader) -> np.ndarray | None:
 def _write_frames(
     path: Path, group, reader: FrameReader, mask: np.ndarray, band_rows: int, compression: str, tick: Callable
 ) -> tuple[np.ndarray, list[Problem]]:
-    """Every observed frame into its chunks; returns counts (lights, 4) and what was found in the frames."""
+    """Every observed frame into its chunks; returns counts (lights, 4) and what was found in the frames.
+
+    Bands of rows without a pixel of the object have no chunk.
+    """
     _, _, rows, columns = reader.region
     observed, count = reader.capture.observed, len(reader.names)
     shape, chunk = (len(observed), rows, columns, count), (1, band_rows, columns, count)
     create_array(group, "codes", shape, chunk, reader.dtype, compression=compression)
     counts, problems = np.zeros((len(observed), 4), np.int64), []
+    bands = bands_with_object(mask, band_rows)
     for j, (frame, codes) in enumerate(reader.read_all(observed)):
         *tally, highest = count_unusable(codes, mask, reader.saturated, reader.clip)
         counts[j] = tally
         problems += frame_problems(frame, counts[j], float(highest), reader)
-        for band in range(-(-rows // band_rows)):
+        for band in bands:
             part = codes[band * band_rows : (band + 1) * band_rows]
             if len(part) < band_rows:  # chunks are whole: the last one is padded
                 part = np.concatenate([part, np.zeros((band_rows - len(part), columns, count), codes.dtype)])

@@ -14,6 +14,7 @@ from nishiki.capture.images import read_mask
 from nishiki.capture.problems import CaptureError, Problem, error, warning
 from nishiki.capture.turntable import TurntableCapture
 from nishiki.ingest.blocks import block_edges
+from nishiki.ingest.choice import chosen
 from nishiki.ingest.chunks import chunk_path, create_array, write_chunk
 from nishiki.ingest.decode import count_unusable
 from nishiki.ingest.encoding import encode
@@ -34,6 +35,7 @@ class Settings(Protocol):
 
     channels: Literal["auto", "all", "luminance", "green"]
     white_block: int
+    without: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -80,14 +82,16 @@ def write_views(
     white boards of one polariser state. Raises CaptureError (a UserError) for photographs that cannot be used.
     """
     channels = "all" if settings.channels == "auto" else settings.channels
-    done, total = [0], len(capture.frames)
+    choice = chosen(capture, settings.without)
+    capture, opened = choice.capture, "photographs" not in choice.skipped
+    done, total = [0], len(capture.frames) - (0 if opened else len(capture.observed))
 
     def tick(file: str) -> None:
         done[0] += 1
         if progress:
             progress(done[0], total, file)
 
-    reader = FrameReader.of(capture, channels)
+    reader = FrameReader.of(capture, channels, unopened=choice.files)
     edges = tuple(block_edges(n, settings.white_block) for n in (reader.rows, reader.columns))
     import zarr
 
@@ -96,7 +100,7 @@ def write_views(
     outlines = _write_silhouettes(path, group, capture, reader)
     darks = measure_darks(reader, edges, tick)
     whites = measure_whites(reader, darks, edges, tick)
-    counts, problems = _write_codes(path, group, reader, outlines, tick)
+    counts, problems = _write_codes(path, group, reader, outlines, tick, opened=opened)
     boards = _write_boards(path, group, reader, darks, whites, edges, tick)
     _write_calibration(path, group, reader, tick)
     defect = darks.defect | whites.defect
@@ -135,12 +139,17 @@ def expect_silhouette(frame: Frame, size: tuple[int, int]) -> np.ndarray:
 
 
 def _write_codes(
-    path: Path, group, reader: FrameReader, outlines: list[str], tick: Tick
+    path: Path, group, reader: FrameReader, outlines: list[str], tick: Tick, *, opened: bool
 ) -> tuple[np.ndarray, list[Problem]]:
-    """Every frame of the object into its chunk; counts (frames, 4) and what was found in the frames."""
+    """Every frame of the object into its chunk; counts (frames, 4) and what was found in the frames.
+
+    opened: False where nothing of the plan looks at them: the array is described and stays empty.
+    """
     observed = reader.capture.observed
     size = (reader.rows, reader.columns, len(reader.names))
     create_array(group, "codes", (len(observed), *size), (1, *size), reader.dtype, compression="zstd")
+    if not opened:
+        return np.zeros((0, 4), np.int64), []
     counts, problems = np.zeros((len(observed), 4), np.int64), []
     whole = np.ones(size[:2], np.uint8)
     for i, (frame, codes) in enumerate(reader.read_all(observed)):

@@ -11,7 +11,7 @@ class IngestSettings(Closed):
     """Photographs to linear, white-normalised observations."""
 
     STAGE: ClassVar[str] = "ingest"
-    VERSION: ClassVar[int] = 1
+    VERSION: ClassVar[int] = 2
 
     channels: Literal["auto", "all", "luminance", "green"] = Field(
         "auto", description="channels to keep; auto: all where a product needs colour, luminance otherwise"
@@ -21,3 +21,6 @@ class IngestSettings(Closed):
     )
     tile_mib: int = Field(128, ge=8, le=4096, description="memory for one tile of all lights as float32, MiB")
     compression: Literal["none", "zstd"] = Field("none", description="zstd: a third of the bytes, twice the time")
+    without: tuple[str, ...] = Field(
+        (), description="parts of the capture that no stage of the plan looks at, not opened; filled in by the plan"
+    )

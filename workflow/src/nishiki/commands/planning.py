@@ -1,0 +1,140 @@
+"""The command plan: what will run, what will be read and loaded, what is left out and why."""
+
+import argparse
+import json
+from typing import Any
+
+from nishiki.capture.folder import load_capture
+from nishiki.chain import SceneFacts
+from nishiki.chains.packages import EXTRAS, PURPOSE, install_command, installed
+from nishiki.commands.inspecting import PROJECT, stage_state
+from nishiki.plan import Plan
+from nishiki.project import load_yaml
+from nishiki.reading import reading_of
+from nishiki.stages import CHAIN
+from nishiki.workflow import Workflow
+
+
+def plan(options: argparse.Namespace, rest: list[str]) -> None:
+    """Print, per scene, stages with their costs, what is read of the capture, packages, and what is left out and why.
+
+    With --json one JSON object a scene and line.
+    """
+    flow = Workflow(load_yaml(options.configfile), folder=PROJECT, only=options.scene)
+    for name in flow.plans:
+        told = scene_plan(flow, name)
+        print(json.dumps(told, sort_keys=True) if options.json else text_of(told))
+
+
+def scene_plan(flow: Workflow, name: str) -> dict[str, Any]:
+    """Everything that the plan of a scene says, as plain values."""
+    made = flow.plans[name]
+    ingest = made.stages["ingest"].settings
+    parts = {key: ingest[key] for key in ("without", "channels", "tile_mib")}
+    reading = reading_of(load_capture(made.scene.capture), **parts)
+    loaded = tuple(dict.fromkeys(p for names in made.packages.values() for p in names if p in EXTRAS))
+    missing = tuple(package for package in loaded if not installed(package))
+    return {
+        "scene": name,
+        "geometry": made.facts.geometry,
+        "what": described(made.facts),
+        "stages": [_stage(flow, made, name, stage) for stage in made.stages],
+        "reads": reading.as_dict(),
+        "optional_packages": {
+            "loaded": list(loaded),
+            "not_loaded": dict(made.idle),
+            "missing": {package: install_command((package,)) for package in missing},
+        },
+        "held_out": list(made.held_out),
+        "left_out": dict(made.left_out),
+    }
+
+
+def _stage(flow: Workflow, made: Plan, scene: str, stage: str) -> dict[str, Any]:
+    state, reasons = stage_state(flow, scene, stage)
+    return {
+        "stage": stage,
+        "key": made.stages[stage].key,
+        "state": state,
+        "reasons": reasons,
+        "does": CHAIN[stage].does,
+        "memory_mb": flow.memory_mb(scene, stage),
+        "seconds": round(flow.seconds(scene, stage), 1),
+        "packages": list(made.packages[stage]),
+    }
+
+
+def described(facts: SceneFacts) -> str:
+    """One line on a capture: its size and how many lights, views, polariser states or pairs of directions it has."""
+    channels = f"{facts.channels} channel{'s' * (facts.channels > 1)}"
+    if facts.geometry == "goniometer":
+        of = "a table of" if facts.table else f"windows of {facts.pixels} pixels,"
+        lit = f"{facts.frontal} of them lit along the normal"
+        return f"{of} {facts.measurements} pairs of directions, {lit}, {channels}"
+    size = f"{facts.pixels / 1e6:.2f} Mpx" if facts.pixels >= 10_000 else f"{facts.pixels} pixels"
+    if facts.geometry != "turntable":
+        return f"{size}, {len(facts.lights)} lights, {channels}"
+    states = f", {len(facts.states)} polariser states" if len(facts.states) > 1 else ""
+    lights = f" under {len(facts.lights)} lights" if len(facts.lights) > 1 else ""
+    return f"{size}, {len(facts.views)} views{lights}{states}, {channels}"
+
+
+def text_of(told: dict[str, Any]) -> str:
+    """The plan of a scene for reading."""
+    width = max(len(stage["stage"]) for stage in told["stages"])
+    lines = [f"{told['scene']}: {told['what']}"]
+    for stage in told["stages"]:
+        cost = f"{stage['memory_mb']:6} MiB {_duration(stage['seconds']):>7}"
+        lines.append(f"  {stage['stage']:{width}}  {stage['key']}  {stage['state']:4}  {cost}  {stage['does']}")
+    lines += _total_lines(told["stages"]) + _read_lines(told["reads"]) + _package_lines(told["optional_packages"])
+    if told["held_out"]:
+        lines.append(f"  held out of every fit and predicted instead: {', '.join(told['held_out'])}")
+    lines += [f"  without {left}: {why}" for left, why in told["left_out"].items()]
+    return "\n".join(lines)
+
+
+def _total_lines(stages: list[dict[str, Any]]) -> list[str]:
+    to_run = [stage for stage in stages if stage["state"] == "run"]
+    if not to_run:
+        return ["  nothing to run: every stage is done"]
+    memory, seconds = max(stage["memory_mb"] for stage in to_run), sum(stage["seconds"] for stage in to_run)
+    return [
+        f"  {len(to_run)} of {len(stages)} stages to run: at most {memory} MiB and {_duration(seconds)} of one core"
+    ]
+
+
+def _duration(seconds: float) -> str:
+    """Seconds, minutes or hours, whichever reads best."""
+    for unit, size in (("h", 3600), ("min", 60)):
+        if seconds >= 2 * size:
+            return f"{seconds / size:.0f} {unit}"
+    return f"{seconds:.0f} s"
+
+
+def _read_lines(reads: dict[str, Any]) -> list[str]:
+    """Files, channels and tiles: how many of how many."""
+    rows = [*reads["files"], {**reads["total"], "what": "all files"}]
+    lines = [
+        f"  reads {row['read']:>5} of {row['of']:>5}  {row['what']:34} {_size(row['bytes_read'], row['bytes_of'])}"
+        for row in rows
+    ]
+    read, of = reads["channels"]
+    lines.append(f"  keeps {read:>5} of {of:>5}  channels")
+    if reads["tiles"]:
+        read, of = reads["tiles"]
+        lines.append(f"  keeps {read:>5} of {of:>5}  tiles (bands of rows times lights)")
+    return lines
+
+
+def _size(read: int, of: int) -> str:
+    unit, size = ("GB", 1e9) if of >= 1e9 else ("MB", 1e6) if of >= 1e5 else ("kB", 1e3)
+    return f"{read / size:.2f} of {of / size:.2f} {unit}"
+
+
+def _package_lines(packages: dict[str, Any]) -> list[str]:
+    loaded = [f"{name} ({PURPOSE[name]})" for name in packages["loaded"]]
+    lines = [f"  optional packages loaded: {', '.join(loaded) or 'none'}"]
+    if packages["not_loaded"]:
+        names = [f"{name} ({why})" for name, why in packages["not_loaded"].items()]
+        lines.append(f"  not loaded: {', '.join(names)}")
+    return lines + [f"  {name} is not installed. Remedy: {how}" for name, how in packages["missing"].items()]
