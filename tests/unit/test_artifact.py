@@ -5,18 +5,30 @@ import os
 
 import pytest
 
-from nishiki.artifact import MANIFEST, ArtifactWriter, open_artifact, verify_artifact
+from nishiki.archive.survey import verify_artifact
+from nishiki.artifact import MANIFEST, ArtifactWriter, open_artifact, run_text
 from nishiki.errors import UserError
+from nishiki.processes import host, identity
+from nishiki.provenance import stage_key
 
-KEY = "0123456789ab"
+CAPTURE = "5" * 64
+KEY = stage_key("normals", 1, {}, {"capture": CAPTURE})
+DESCRIBED = {
+    "scene": "s",
+    "stage": "normals",
+    "key": KEY,
+    "format_version": 1,
+    "settings": {},
+    "upstream": {"capture": {"digest": CAPTURE}},
+    "diagnostics": {},
+}
 
 
 def write(target, content=b"data", code="c1"):
     with ArtifactWriter(target) as output:
         output.path("sub/values.bin").write_bytes(content)
         output.path("empty.bin").write_bytes(b"")
-        manifest = {"scene": "s", "stage": "normals", "key": target.name, "settings": {}, "upstream": {}, "code": code}
-        return output.finish({**manifest, "diagnostics": {}}, {"seconds": 1.0})
+        return output.finish({**DESCRIBED, "code": code}, {"seconds": 1.0})
 
 
 @pytest.fixture
@@ -36,11 +48,51 @@ def test_the_same_content_gives_the_same_manifest(target, tmp_path):
     assert first == second
 
 
-def test_run_facts_are_no_part_of_the_digest(target):
+def test_run_facts_are_no_part_of_the_digest(target, tmp_path):
     before = write(target).digest
-    (target / "run.json").write_text("{}")
+    path = target / "run.json"
+    path.write_text(run_text({"seconds": 2.0}, (target / MANIFEST).read_bytes()))
     assert verify_artifact(target) == []
     assert open_artifact(target).digest == before
+    path.unlink()
+    assert open_artifact(target).run == {}
+    assert [(damage.kind, damage.path) for damage in verify_artifact(target)] == [("missing", path)]
+
+
+@pytest.mark.parametrize("name", [MANIFEST, "run.json"])
+def test_every_bit_flip_in_the_manifest_and_beside_it_is_found_by_verify_and_by_whoever_opens(target, name):
+    write(target)
+    path = target / name
+    sound = path.read_bytes()
+    for bit in range(0, 8 * len(sound), 13):
+        flipped = bytearray(sound)
+        flipped[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(flipped)
+        assert verify_artifact(target), bit
+        with pytest.raises(UserError, match="Remedy"):
+            open_artifact(target)
+    path.write_bytes(sound)
+    assert verify_artifact(target) == []
+
+
+def test_a_manifest_beside_the_files_of_another_is_refused(target):
+    write(target, content=b"old!")
+    old = (target / MANIFEST).read_bytes()
+    write(target, content=b"new!")
+    (target / MANIFEST).write_bytes(old)
+    with pytest.raises(UserError, match="not the manifest that was written with it"):
+        open_artifact(target, contents=False)
+
+
+@pytest.mark.parametrize("name", ["../x", "/etc/passwd", "a//b", "a/../../b", "", ".", "a/./b", "a\0b"])
+def test_a_manifest_that_names_files_outside_is_refused(target, name):
+    write(target)
+    manifest = json.loads((target / MANIFEST).read_text())
+    manifest["files"][name] = manifest["files"].pop("empty.bin")
+    (target / MANIFEST).write_text(json.dumps(manifest))
+    with pytest.raises(UserError, match="outside of the artifact"):
+        open_artifact(target)
+    assert any("outside" in damage.detail for damage in verify_artifact(target))
 
 
 @pytest.mark.parametrize(
@@ -79,7 +131,7 @@ def test_an_artifact_under_another_key_is_damage(target):
     write(target)
     moved = target.with_name("f" * 12)
     target.rename(moved)
-    assert [damage.kind for damage in verify_artifact(moved)] == ["damaged"]
+    assert [damage.kind for damage in verify_artifact(moved)] == ["wrong-key"]
 
 
 @pytest.mark.parametrize("spoil", ["truncate", "unlink"])
@@ -122,13 +174,13 @@ def test_an_equal_successor_leaves_one(target):
 
 def test_leftovers_of_a_dead_process_are_removed_and_those_of_a_living_one_kept(target):
     target.parent.mkdir(parents=True)
-    dead = target.parent / f".{KEY}.999999999.partial"
-    living = target.parent / f".{KEY}.{os.getppid()}.partial"
-    dead.mkdir()
-    living.mkdir()
+    parent = os.getppid()
+    dead = [f"{host()}.999999999-5", "999999999", f"{host()}.{parent}-1", f"old.{host()}.999999999-5"]
+    living = [f"{host()}.{identity(parent)}", str(parent), "another-host.999999999-5"]
+    for name in (*dead, *living):
+        (target.parent / f".{KEY}.{name}.partial").mkdir()
     write(target)
-    assert not dead.exists()
-    assert living.exists()
+    assert {path.name for path in target.parent.glob(".*")} == {f".{KEY}.{name}.partial" for name in living}
 
 
 def test_manifest_lists_bytes_and_digests(target):
@@ -142,8 +194,7 @@ def test_opening_finds_swapped_chunks_by_their_checksums_and_other_files_by_thei
     with ArtifactWriter(target) as output:
         for name in ("a.zarr/c/0", "a.zarr/c/1", "a.zarr/zarr.json", "notes.json"):
             output.path(name).write_bytes(name.encode().rjust(20)[::-1] + name[-3:].encode())
-        described = {"scene": "s", "stage": "normals", "key": KEY, "settings": {}, "upstream": {}, "diagnostics": {}}
-        output.finish(described, {})
+        output.finish(DESCRIBED, {})
     open_artifact(target)
     first, second = (target / "a.zarr/c" / name for name in "01")
     swap(first, second)

@@ -2,11 +2,16 @@
 
 import pytest
 
-from nishiki.artifact import MANIFEST, ArtifactWriter, verify_artifact
+from nishiki.archive.survey import verify_artifact
+from nishiki.artifact import MANIFEST, ArtifactWriter
+from nishiki.provenance import stage_key
 from nishiki.soundness import set_aside_unsound, unsound_artifacts
 
-KEYS = {"ingest": "0" * 12, "normals": "1" * 12, "render": "2" * 12}
+CAPTURE = "5" * 64
 READS = {"ingest": (), "normals": ("ingest",), "render": ("ingest", "normals")}
+KEYS: dict[str, str] = {}
+for name, reads in READS.items():
+    KEYS[name] = stage_key(name, 1, {}, {other: KEYS[other] for other in reads} or {"capture": CAPTURE})
 
 
 def write(folder, stage, content=b"values"):
@@ -14,7 +19,8 @@ def write(folder, stage, content=b"values"):
     with ArtifactWriter(folder / stage / KEYS[stage]) as output:
         output.path("values.bin").write_bytes(content)
         described = {"scene": "s", "stage": stage, "key": KEYS[stage], "settings": {}, "diagnostics": {}}
-        output.finish({**described, "upstream": upstream}, {})
+        upstream = upstream or {"capture": {"digest": CAPTURE}}
+        output.finish({**described, "format_version": 1, "upstream": upstream}, {})
 
 
 def artifact_digest(folder, name):

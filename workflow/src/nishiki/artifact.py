@@ -2,10 +2,12 @@
 
 An artifact is a folder `results/<scene>/<stage>/<key>/`. Its `artifact.json` lists every file with its size and SHA-256
 beside the settings, the upstream artifacts with their digests, the code digest and the library versions; it is
-deterministic, so two runs can be compared byte for byte. Facts of one run (times, memory, host) are in `run.json`.
-The folder is written beside its final place and renamed whole, so a reader sees all of it or nothing.
+deterministic, so two runs can be compared byte for byte. Facts of one run (times, memory, host) are in `run.json`,
+which vouches for the manifest and for itself by their digests. The folder is written beside its final place and renamed
+whole, so a reader sees all of it or nothing. `nishiki.archive` looks after many artifacts: verifies, prunes, packs.
 """
 
+import hashlib
 import json
 import os
 import shutil
@@ -15,23 +17,23 @@ from pathlib import Path
 from typing import Any
 
 from nishiki.errors import UserError
-from nishiki.provenance import file_digest
+from nishiki.processes import host, identity, is_alive, owner, owner_of
+from nishiki.provenance import canonical, file_digest
 
 FORMAT = 1
 MANIFEST = "artifact.json"
 RUN = "run.json"
-
-
-@dataclass(frozen=True)
-class Damage:
-    """One file of an artifact that is not what the manifest says."""
-
-    path: Path
-    kind: str  # damaged | missing | foreign
-    detail: str
-
-    def __str__(self) -> str:
-        return f"{self.kind}: {self.path} ({self.detail})"
+ENTRIES = {
+    "format": int,
+    "scene": str,
+    "stage": str,
+    "key": str,
+    "settings": dict,
+    "upstream": dict,
+    "files": dict,
+    "diagnostics": dict,
+}
+"""What every manifest holds."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +103,8 @@ def open_artifact(folder: Path, *, contents: bool = True) -> Artifact:
         ]
     if wrong:
         shown = "; ".join(wrong[:5]) + (f"; and {len(wrong) - 5} more" if len(wrong) > 5 else "")
-        raise UserError(f"{folder}: files differ from {MANIFEST}: {shown}. Remedy: delete this folder and run again.")
+        remedy = "Remedy: ./nishiki verify --set-aside, then run again."
+        raise UserError(f"{folder}: files differ from {MANIFEST}: {shown}. {remedy}")
     return Artifact(folder, manifest)
 
 
@@ -109,14 +112,71 @@ def _read_manifest(folder: Path) -> dict[str, Any]:
     path = folder / MANIFEST
     if not path.is_file():
         raise UserError(f"{folder}: no finished artifact here ({MANIFEST} is missing). Remedy: run the stage again.")
+    data = path.read_bytes()
     try:
-        manifest = json.loads(path.read_bytes())
+        manifest = parse_manifest(data)
     except ValueError as error:
-        raise UserError(f"{path}: not valid JSON ({error}). Remedy: delete this folder and run again.") from None
-    missing = {"format", "scene", "stage", "key", "settings", "upstream", "files", "diagnostics"} - set(manifest)
-    if missing or manifest["format"] != FORMAT:
-        raise UserError(f"{path}: not an artifact manifest of format {FORMAT}. Remedy: delete this folder, run again.")
+        raise UserError(f"{path}: {error}. Remedy: delete this folder and run again.") from None
+    run = folder / RUN
+    if run.is_file() and (wrong := run_problem(run.read_bytes(), data)):
+        raise UserError(f"{run}: {wrong}. Remedy: delete this folder and run again.")
     return manifest
+
+
+def parse_manifest(data: bytes) -> dict[str, Any]:
+    """Manifest of an artifact from its bytes. Raises ValueError with the reason where it is none.
+
+    Every file has a size, a digest and a name inside the folder: whoever follows the names stays in it.
+    """
+    try:
+        manifest = json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"not valid JSON ({error})") from None
+    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
+        raise ValueError(f"not an artifact manifest of format {FORMAT}")
+    wrong = [name for name, kind in ENTRIES.items() if not isinstance(manifest.get(name), kind)]
+    if wrong:
+        raise ValueError(f"not an artifact manifest: {wrong[0]} is missing or of a wrong kind")
+    for name, entry in manifest["files"].items():
+        if not is_inside(name):
+            raise ValueError(f"names a file outside of the artifact: {name!r}")
+        if not (isinstance(entry, dict) and isinstance(entry.get("bytes"), int) and is_digest(entry.get("sha256"))):
+            raise ValueError(f"no size or no SHA-256 of {name!r}")
+    if any(not isinstance(entry, dict) for entry in manifest["upstream"].values()):
+        raise ValueError("upstream is not a block of artifacts")
+    return manifest
+
+
+def is_inside(name: str) -> bool:
+    """Whether a relative name with `/` stays inside its folder: no empty part, no `.` or `..`, not absolute."""
+    return "\0" not in name and not {"", ".", ".."} & set(name.split("/"))
+
+
+def is_digest(text: Any) -> bool:
+    """Whether this is a SHA-256 as 64 lower-case hexadecimal digits."""
+    return isinstance(text, str) and len(text) == 64 and not text.strip("0123456789abcdef")
+
+
+def run_text(run: dict[str, Any], manifest: bytes) -> str:
+    """Text of run.json: the facts of the run, the manifest's digest, and a digest of all of that."""
+    facts = {**run, "manifest_sha256": hashlib.sha256(manifest).hexdigest()}
+    facts["sha256"] = hashlib.sha256(canonical(facts).encode()).hexdigest()
+    return json.dumps(facts, indent=1, sort_keys=True) + "\n"
+
+
+def run_problem(data: bytes, manifest: bytes) -> str | None:
+    """What is wrong with run.json beside the bytes of a manifest; None where all of both is as it was written."""
+    try:
+        facts = json.loads(data)
+        found = facts["manifest_sha256"]
+        again = run_text({name: value for name, value in facts.items() if name != "sha256"}, manifest).encode()
+    except (ValueError, RecursionError, TypeError, KeyError):
+        return "damaged: it does not vouch for the manifest"
+    if data == again:
+        return None
+    if found != hashlib.sha256(manifest).hexdigest():
+        return f"{MANIFEST} or {RUN} is damaged: this is not the manifest that was written with it"
+    return "damaged: its digest of itself differs"
 
 
 def _is_chunk(name: str) -> bool:
@@ -140,30 +200,6 @@ def _size(path: Path) -> int | None:
     return path.stat().st_size if path.is_file() else None
 
 
-def verify_artifact(folder: Path) -> list[Damage]:
-    """Recompute every digest of an artifact; each damaged, missing or foreign file, an empty list if it is sound."""
-    folder = Path(folder)
-    try:
-        manifest = _read_manifest(folder)
-    except UserError as error:
-        return [Damage(folder / MANIFEST, "missing" if not (folder / MANIFEST).exists() else "damaged", str(error))]
-    found = []
-    if manifest["key"] != folder.name.split(".")[0]:
-        found.append(Damage(folder / MANIFEST, "damaged", f"says key {manifest['key']}, folder is {folder.name}"))
-    for name, entry in manifest["files"].items():
-        path = folder / name
-        size = _size(path)
-        if size is None:
-            found.append(Damage(path, "missing", f"expected {entry['bytes']} bytes"))
-        elif size != entry["bytes"]:
-            found.append(Damage(path, "damaged", f"{size} bytes, expected {entry['bytes']}"))
-        elif (digest := file_digest(path)) != entry["sha256"]:
-            found.append(Damage(path, "damaged", f"sha256 {digest[:12]}…, expected {entry['sha256'][:12]}…"))
-    listed = set(manifest["files"]) | {MANIFEST, RUN}
-    found += [Damage(path, "foreign", "not in the manifest") for name, path in _files(folder) if name not in listed]
-    return found
-
-
 def _files(folder: Path) -> Iterator[tuple[str, Path]]:
     """Each file below `folder` with its name relative to it, in a fixed order; links count as files."""
     for root, folders, names in os.walk(folder):
@@ -182,7 +218,7 @@ class ArtifactWriter:
     def __init__(self, target: Path):
         self.target = Path(target)
         self.target.parent.mkdir(parents=True, exist_ok=True)
-        self.folder = self.target.parent / f".{self.target.name}.{os.getpid()}.partial"
+        self.folder = self.target.parent / f".{self.target.name}.{owner()}.partial"
         _remove_dead_partials(self.target)
         self.folder.mkdir()
 
@@ -210,9 +246,10 @@ class ArtifactWriter:
             if _is_chunk(name) and files[name]["bytes"] >= 4:
                 files[name]["tail"] = _tail(path)
         manifest = {"format": FORMAT, **manifest, "files": files}
-        (self.folder / RUN).write_text(json.dumps(run, indent=1, sort_keys=True) + "\n")
         text = json.dumps(manifest, indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
-        (self.folder / MANIFEST).write_text(text, encoding="utf-8")
+        data = text.encode("utf-8")
+        (self.folder / RUN).write_text(run_text(run, data))
+        (self.folder / MANIFEST).write_bytes(data)
         _flush(self.folder)
         old = _retire(self.target, self.folder)
         os.rename(self.folder, self.target)
@@ -223,10 +260,10 @@ class ArtifactWriter:
 
 
 def _remove_dead_partials(target: Path) -> None:
-    """Remove what killed runs of this very artifact left behind; those of living processes stay."""
+    """Remove what killed runs of this very artifact left behind on this machine; those of living processes stay."""
     for path in target.parent.glob(f".{target.name}.*.partial"):
-        owner = path.name.split(".")[-2]
-        if not Path("/proc", owner).exists() or owner == str(os.getpid()):
+        at, process = owner_of(path.name)
+        if at in ("", host()) and (not is_alive(process) or process == identity()):
             shutil.rmtree(path, ignore_errors=True)
 
 
@@ -243,7 +280,7 @@ def _retire(target: Path, successor: Path) -> Path | None:
         if not aside.exists():
             os.rename(target, aside)
             return None
-    old = target.with_name(f".{target.name}.old.{os.getpid()}.partial")
+    old = target.with_name(f".{target.name}.old.{owner()}.partial")
     os.rename(target, old)
     return old
 

@@ -21,7 +21,7 @@ def main(arguments: list[str] | None = None) -> None:
     """Parse and run. Exit status 0: done; 1: a stage failed or damage was found; 2: bad input, told in one line."""
     parser = _parser()
     options, rest = parser.parse_known_args(arguments)
-    if rest and options.command not in ("run", "demo", "test", "simulate"):
+    if rest and options.command not in ("run", "sweep", "demo", "test", "simulate"):
         parser.error(f"unknown arguments: {' '.join(rest)}")
     if not hasattr(options, "call"):
         parser.print_help()
@@ -56,6 +56,13 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--configfile", default="config/config.yaml", help="configuration (default %(default)s)")
     sub.add_argument("--cores", help="processors to use (default: all; on a cluster: as many as it gives)")
     sub.add_argument("--profile", default="default", help="slurm for a cluster, or a folder of Snakemake's options")
+    sub = command(
+        "sweep", "sweeping:sweep", "error against run time over variants of settings; further arguments: snakemake"
+    )
+    sub.add_argument("sweeps", nargs="+", metavar="SWEEP", help="files, or names of blocks of `sweeps`")
+    sub.add_argument("--configfile", help="configuration (default: the one that the file names, config/config.yaml)")
+    sub.add_argument("--cores", help="processors to use (default: all)")
+    sub.add_argument("--profile", default="default", help="slurm for a cluster, or a folder of Snakemake's options")
     sub = command("plan", "planning:plan", "what will run, be read and be loaded; what is left out and why")
     _with_scene(sub)
     sub.add_argument("--json", action="store_true", help="one JSON object a scene and line")
@@ -67,6 +74,10 @@ def _parser() -> argparse.ArgumentParser:
     sub = command("verify", "archiving:verify", "recompute every digest; name each damaged, missing or foreign file")
     sub.add_argument("folders", nargs="*", help="results, scene, stage or artifact folders (default: results)")
     sub.add_argument("--capture", action="append", default=[], help="a sealed capture to verify as well")
+    sub.add_argument("--json", action="store_true", help="one JSON object a line: each problem, last the summary")
+    sub.add_argument("--threads", type=int, default=0, help="threads that read (default: one a processor)")
+    text = "rename each artifact with a problem, so that the next run makes it again"
+    sub.add_argument("--set-aside", action="store_true", help=text)
     sub = command("check", "capturing:check", "everything that is wrong with a capture, in one pass")
     sub.add_argument("captures", nargs="+", help="capture folders")
     sub.add_argument("--quick", action="store_true", help="read headers and tables only, not every pixel")

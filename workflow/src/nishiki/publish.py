@@ -6,7 +6,10 @@ import shutil
 from pathlib import Path
 
 from nishiki.artifact import MANIFEST
+from nishiki.processes import owner
 from nishiki.provenance import file_digest
+
+INDEX = "index.json"
 
 DELIVERABLES = {
     "report": ("*.html",),
@@ -33,8 +36,9 @@ def publish(current: Path, *, scene: str, stages: dict[str, str]) -> Path:
     current: results/<scene>/current; stages: names and keys. The folder is built beside its place and swapped in.
     """
     folder = current.parent
-    partial = folder / f".current.{os.getpid()}.partial"
-    shutil.rmtree(partial, ignore_errors=True)
+    partial, old = (folder / f".current{what}.{owner()}.partial" for what in ("", ".old"))
+    for path in (partial, old):
+        shutil.rmtree(path, ignore_errors=True)
     partial.mkdir(parents=True)
     artifacts = {}
     for stage, key in stages.items():
@@ -43,8 +47,15 @@ def publish(current: Path, *, scene: str, stages: dict[str, str]) -> Path:
         for pattern in DELIVERABLES.get(stage, ()):
             for path in sorted((folder / stage / key).glob(pattern)):
                 os.symlink(os.path.join("..", stage, key, path.name), partial / path.name)
-    index = {"scene": scene, "artifacts": artifacts}
-    (partial / "index.json").write_text(json.dumps(index, indent=1, sort_keys=True) + "\n")
-    shutil.rmtree(current, ignore_errors=True)
+    (partial / INDEX).write_text(index_text(scene, artifacts))
+    # Moved away whole: killed here, there is no folder, and the next run publishes; never one that lacks links.
+    if current.exists() or current.is_symlink():
+        os.rename(current, old)
     os.rename(partial, current)
+    shutil.rmtree(old, ignore_errors=True)
     return current
+
+
+def index_text(scene: str, artifacts: dict[str, dict[str, str]]) -> str:
+    """Text of the index: of every stage the key and the digest of its artifact."""
+    return json.dumps({"scene": scene, "artifacts": artifacts}, indent=1, sort_keys=True) + "\n"

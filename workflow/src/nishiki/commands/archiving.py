@@ -2,64 +2,72 @@
 
 import argparse
 import json
+import os
+import sys
+from collections.abc import Iterable
+from dataclasses import asdict
 from pathlib import Path
 
-from nishiki.artifact import MANIFEST, verify_artifact
+from nishiki.archive.audit import Counts, Found, audit, find_artifacts
+from nishiki.archive.damage import Damage, shown
 from nishiki.errors import UserError
-from nishiki.provenance import file_digest
+from nishiki.progress import Progress
 
 
 def verify(options: argparse.Namespace, rest: list[str]) -> int:
     """Verify every artifact below the folders; exit status 1 where anything is damaged, missing or foreign."""
     folders = [Path(folder) for folder in options.folders or ["results"]]
-    missing = [folder for folder in folders if not folder.is_dir()]
-    if missing:
-        raise UserError(f"{missing[0]}: folder not found")
-    artifacts = sorted({path for folder in folders for path in _artifact_folders(folder)})
-    damages = [damage for path in artifacts for damage in verify_artifact(path)]
-    damages += _lost_upstreams(artifacts)
-    for damage in damages:
-        print(damage)
-    count = 0
+    for folder in folders:
+        if not folder.is_dir():
+            raise UserError(f"{folder}: folder not found")
+    counts = Counts()
+    found = find_artifacts(folders)
+    threads = options.threads or len(os.sched_getaffinity(0))
+    unsound = _told(audit(found, counts, threads=threads, tell=Progress("verify")), options.json)
     for capture in options.capture:
         from nishiki.capture.seal import verify_seal
 
-        problems = verify_seal(Path(capture))
-        count += len(problems)
-        for problem in problems:
-            print(problem)
-    total = len(damages) + count
-    print(f"{len(artifacts)} artifacts verified: {'sound' if not total else f'{total} problems'}")
-    return 1 if total else 0
+        for problem in verify_seal(Path(capture)):
+            counts.problems += 1
+            _tell(Damage(Path(capture), "damaged", str(problem)), options.json)
+    _summary(found, counts, options.json)
+    if options.set_aside:
+        _set_aside(unsound)
+    return 1 if counts.problems else 0
 
 
-def _artifact_folders(folder: Path) -> list[Path]:
-    """Artifact folders at or below a folder: results/scene/stage/key, entered at any level; links are not followed."""
-    if (folder / MANIFEST).is_file() or _is_key(folder.name):
-        return [folder]
-    found = []
-    for child in sorted(folder.iterdir()):
-        if child.is_dir() and not child.is_symlink() and child.name != "current" and not child.name.startswith("."):
-            found += _artifact_folders(child)
-    return found
+def _told(damages: Iterable[Damage], as_json: bool) -> set[Path]:
+    """Tell each damage; folders of the artifacts that have one."""
+    unsound = set()
+    for damage in damages:
+        _tell(damage, as_json)
+        if damage.artifact is not None:
+            unsound.add(damage.artifact)
+    return unsound
 
 
-def _is_key(name: str) -> bool:
-    return len(name) == 12 and set(name) <= set("0123456789abcdef")
+def _tell(damage: Damage, as_json: bool) -> None:
+    if as_json:
+        print(json.dumps({name: str(value or "") for name, value in asdict(damage).items()}))
+    else:
+        print(damage)
 
 
-def _lost_upstreams(artifacts: list[Path]) -> list[str]:
-    """Artifacts whose recorded upstream artifact stands there with another digest."""
-    lost = []
-    for folder in artifacts:
-        if not (folder / MANIFEST).is_file() or "superseded" in folder.name:
-            continue
-        try:
-            upstreams = json.loads((folder / MANIFEST).read_text()).get("upstream", {})
-        except ValueError:
-            continue
-        for name, entry in upstreams.items():
-            path = folder.parents[1] / name / str(entry.get("key")) / MANIFEST
-            if path.is_file() and file_digest(path) != entry["digest"]:
-                lost.append(f"stale: {folder} was made from another version of {path.parent}; run again")
-    return lost
+def _summary(found: Found, counts: Counts, as_json: bool) -> None:
+    if as_json:
+        others = {"unfinished": len(found.unfinished), "set_aside": len(found.aside)}
+        print(json.dumps({**asdict(counts), **others, "sound": not counts.problems}))
+        return
+    state = f"{counts.problems} problems" if counts.problems else "sound"
+    print(f"{counts.artifacts} artifacts verified, {counts.files} files, {counts.bytes / 1e9:.3f} GB: {state}")
+    if found.unfinished or found.aside:
+        unfinished, aside = len(found.unfinished), len(found.aside)
+        print(f"not audited: {unfinished} unfinished folders, {aside} set aside; see ./nishiki prune")
+
+
+def _set_aside(unsound: set[Path]) -> None:
+    from nishiki.soundness import set_aside
+
+    for folder in sorted(unsound):
+        if folder.is_dir() and not folder.is_symlink() and "." not in folder.name:
+            print(f"set aside: {shown(folder)} as {shown(set_aside(folder).name)}", file=sys.stderr)

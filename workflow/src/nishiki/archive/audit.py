@@ -1,0 +1,145 @@
+"""Auditing many artifacts: files are read by several threads, memory does not grow with the bytes that are read."""
+
+import os
+import re
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TypeVar
+
+from nishiki.archive.damage import Damage
+from nishiki.archive.publication import check_publication
+from nishiki.archive.references import References
+from nishiki.archive.survey import Survey, read_portion, survey_artifact
+from nishiki.archive.tree import FolderTree
+from nishiki.artifact import MANIFEST
+
+ARTIFACT_NAME = re.compile(r"[0-9a-f]{12}(\.superseded-[0-9a-f]{8})?")
+UNFINISHED = (".partial", ".pruned")
+CURRENT = "current"
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+@dataclass
+class Found:
+    """What stands below some folders: artifacts, published links, stray links, unfinished and set-aside folders."""
+
+    artifacts: list[Path] = field(default_factory=list)
+    publications: list[Path] = field(default_factory=list)
+    damages: list[Damage] = field(default_factory=list)
+    unfinished: list[Path] = field(default_factory=list)
+    aside: list[Path] = field(default_factory=list)
+
+
+@dataclass
+class Counts:
+    """What was audited so far."""
+
+    artifacts: int = 0
+    files: int = 0
+    bytes: int = 0
+    problems: int = 0
+
+
+def find_artifacts(folders: Iterable[Path]) -> Found:
+    """Everything to audit at or below folders: results, a scene, a stage or an artifact. No link is followed."""
+    found = Found()
+    todo = [Path(folder) for folder in folders]
+    while todo:
+        _look(todo.pop(), found, todo)
+    for items in (found.artifacts, found.publications, found.unfinished, found.aside):
+        items[:] = sorted(set(items))
+    return found
+
+
+def _look(folder: Path, found: Found, todo: list[Path]) -> None:
+    if ARTIFACT_NAME.fullmatch(folder.name) or (folder / MANIFEST).is_file():
+        found.artifacts.append(folder)
+        return
+    if folder.name == CURRENT and (folder / "index.json").exists():
+        found.publications.append(folder)
+        return
+    try:
+        with os.scandir(folder) as entries:
+            inner = list(entries)
+    except OSError as error:
+        found.damages.append(Damage(folder, "unreadable", str(error.strerror)))
+        return
+    for entry in inner:
+        path = folder / entry.name
+        if entry.is_symlink():
+            told = f"not followed, to {os.readlink(path)}; verify its target itself"
+            found.damages.append(Damage(path, "link", told))
+        elif not entry.is_dir(follow_symlinks=False):
+            continue
+        elif ".set-aside-" in entry.name:
+            found.aside.append(path)
+        elif entry.name.startswith("."):
+            found.unfinished += [path] if entry.name.endswith(UNFINISHED) else []
+        elif entry.name == CURRENT:
+            found.publications.append(path)
+        else:
+            todo.append(path)
+
+
+def audit(found: Found, counts: Counts, *, threads: int, tell: Callable[[int, int, str], None]) -> Iterator[Damage]:
+    """Every damage of what was found, while it is found, always in the same order.
+
+    tell: called with artifacts done, their number, and what was done last. Held in memory: a few portions of files at
+    a time, and of every artifact its place, digest and upstream artifacts.
+    """
+    references = References()
+    yield from _counted(found.damages, counts)
+    with ThreadPoolExecutor(threads) as pool:
+        surveys = in_order(pool, lambda folder: survey_artifact(FolderTree(folder)), found.artifacts, 4 * threads)
+        portions = _portions(surveys, references, counts, len(found.artifacts), tell)
+        for damages in in_order(pool, _of_portion, portions, 4 * threads):
+            yield from _counted(damages, counts)
+        yield from _counted(references.problems(), counts)
+        publications = in_order(pool, lambda folder: check_publication(folder, references), found.publications, threads)
+        for damages in publications:
+            yield from _counted(damages, counts)
+
+
+def _of_portion(work: tuple[Survey, list]) -> list[Damage]:
+    survey, portion = work
+    return read_portion(survey, portion) if portion else survey.damages
+
+
+def _portions(
+    surveys: Iterable[Survey], references: References, counts: Counts, total: int, tell: Callable[[int, int, str], None]
+) -> Iterator[tuple[Survey, list]]:
+    """Work for the threads: of every artifact what its survey found (an empty portion), then its files."""
+    for survey in surveys:
+        counts.artifacts += 1
+        counts.files += survey.files
+        counts.bytes += survey.bytes
+        references.add(survey)
+        if survey.damages:
+            yield survey, []
+        for portion in survey.batches():
+            yield survey, portion
+        tell(counts.artifacts, total, f"{counts.bytes / 1e9:.2f} GB, {counts.problems} problems")
+
+
+def _counted(damages: Iterable[Damage], counts: Counts) -> Iterator[Damage]:
+    for damage in damages:
+        counts.problems += 1
+        yield damage
+
+
+def in_order(
+    pool: ThreadPoolExecutor, work: Callable[[Item], Result], items: Iterable[Item], ahead: int
+) -> Iterator[Result]:
+    """Results of `work` in the order of the items, of which at most `ahead` are under way."""
+    waiting: deque[Future[Result]] = deque()
+    for item in items:
+        waiting.append(pool.submit(work, item))
+        if len(waiting) > ahead:
+            yield waiting.popleft().result()
+    while waiting:
+        yield waiting.popleft().result()

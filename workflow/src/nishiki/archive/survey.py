@@ -1,0 +1,198 @@
+"""One artifact against its contract: what names, sizes and manifests tell, and which files are to be read."""
+
+import hashlib
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from nishiki.archive.damage import Damage
+from nishiki.archive.tree import FolderTree, Listing, Tree
+from nishiki.artifact import MANIFEST, RUN, is_digest, parse_manifest, run_problem
+from nishiki.provenance import stage_key
+
+BATCH_BYTES = 64 * 2**20
+BATCH_FILES = 256
+CAPTURE = "capture"
+KEY = re.compile(r"[0-9a-f]{12}")
+
+
+@dataclass
+class Survey:
+    """What is known of one artifact before its files are read.
+
+    digest: SHA-256 of its manifest; to_read: files in the right number of bytes, with the digests that they should
+    have; upstream: stage -> (key, digest of the manifest), for the first stage "capture" -> ("", digest).
+    """
+
+    tree: Tree
+    below: str
+    damages: list[Damage] = field(default_factory=list)
+    digest: str = ""
+    scene: str = ""
+    stage: str = ""
+    key: str = ""
+    upstream: dict[str, tuple[str, str]] = field(default_factory=dict)
+    to_read: list[tuple[str, int, str]] = field(default_factory=list)
+    files: int = 0
+    bytes: int = 0
+
+    @property
+    def folder(self) -> Path:
+        """Where the artifact lies."""
+        return self.tree.root / self.below if self.below else self.tree.root
+
+    def add(self, name: str, kind: str, detail: str) -> None:
+        """Note one damage."""
+        self.damages.append(Damage(self.folder / name, kind, detail, self.folder))
+
+    def named(self, name: str) -> str:
+        """Name of a file of the artifact inside the tree."""
+        return f"{self.below}/{name}" if self.below else name
+
+    def batches(self) -> Iterator[list[tuple[str, int, str]]]:
+        """The files to read, in portions for one worker each."""
+        portion: list[tuple[str, int, str]] = []
+        total = 0
+        for item in self.to_read:
+            portion.append(item)
+            total += item[1]
+            if total >= BATCH_BYTES or len(portion) >= BATCH_FILES:
+                yield portion
+                portion, total = [], 0
+        if portion:
+            yield portion
+
+
+def survey_artifact(tree: Tree, below: str = "", *, name: str | None = None) -> Survey:
+    """Survey of the artifact in a folder of a tree; `name`: of that folder, where the tree does not know it."""
+    found = Survey(tree, below)
+    listing = tree.listing(below)
+    for kind, things in (("unreadable", listing.unreadable), ("foreign", listing.others)):
+        for file, detail in things.items():
+            found.add(file, kind, detail)
+    for link, target in listing.links.items():
+        found.add(link, "link", f"an artifact holds files, not links; to {target}")
+    manifest = _manifest(found, listing)
+    if manifest is None:
+        return found
+    _check_names(found, manifest, name or found.folder.name)
+    _check_files(found, manifest, listing)
+    _note_upstream(found, manifest)
+    return found
+
+
+def _manifest(found: Survey, listing: Listing) -> dict[str, Any] | None:
+    if MANIFEST not in listing.files:
+        if MANIFEST not in listing.links:
+            found.add(MANIFEST, "missing", "no finished artifact here; run the stage again")
+        return None
+    try:
+        data = found.tree.read(found.named(MANIFEST))
+        manifest = parse_manifest(data)
+    except OSError as error:
+        found.add(MANIFEST, "unreadable", str(error.strerror))
+        return None
+    except ValueError as error:
+        found.add(MANIFEST, "damaged", str(error))
+        return None
+    found.digest = hashlib.sha256(data).hexdigest()
+    _check_run(found, listing, data)
+    return manifest
+
+
+def _check_run(found: Survey, listing: Listing, manifest: bytes) -> None:
+    if RUN not in listing.files:
+        if RUN not in listing.links:
+            found.add(RUN, "missing", "facts of the run, and the digest of the manifest")
+        return
+    try:
+        wrong = run_problem(found.tree.read(found.named(RUN)), manifest)
+    except OSError as error:
+        found.add(RUN, "unreadable", str(error.strerror))
+        return
+    except ValueError as error:
+        wrong = str(error)
+    if wrong:
+        found.add(RUN, "damaged", wrong)
+
+
+def _check_names(found: Survey, manifest: dict[str, Any], name: str) -> None:
+    """The folder's name, and the key against what it stands for: stage, format version, settings, upstream keys."""
+    found.scene, found.stage, found.key = manifest["scene"], manifest["stage"], manifest["key"]
+    if found.key != name.split(".")[0]:
+        found.add(MANIFEST, "wrong-key", f"says key {found.key}, folder is {name}")
+    expected = name.partition(".superseded-")[2]
+    if expected and not found.digest.startswith(expected):
+        found.add(MANIFEST, "wrong-key", f"folder is {name}, digest is {found.digest[:8]}")
+    try:
+        reads = {stage: entry["digest" if stage == CAPTURE else "key"] for stage, entry in manifest["upstream"].items()}
+        key = stage_key(found.stage, manifest["format_version"], manifest["settings"], reads)
+    except (KeyError, TypeError, ValueError, RecursionError) as error:
+        found.add(MANIFEST, "wrong-key", f"no key follows from it ({type(error).__name__}: {error})")
+        return
+    if key != found.key:
+        found.add(MANIFEST, "wrong-key", f"says key {found.key}; its settings and upstream artifacts give {key}")
+
+
+def _note_upstream(found: Survey, manifest: dict[str, Any]) -> None:
+    """The upstream artifacts, after a look at their names: a path is made of them."""
+    for stage, entry in manifest["upstream"].items():
+        key, digest = entry.get("key", ""), entry.get("digest")
+        named = key == "" if stage == CAPTURE else stage.isidentifier() and KEY.fullmatch(str(key))
+        if named and is_digest(digest):
+            found.upstream[stage] = (key, digest)
+        else:
+            found.add(MANIFEST, "damaged", f"does not name an upstream artifact: {stage} {key}")
+    if not manifest["upstream"]:
+        found.add(MANIFEST, "damaged", "names neither a capture nor an upstream artifact")
+
+
+def _check_files(found: Survey, manifest: dict[str, Any], listing: Listing) -> None:
+    files = manifest["files"]
+    for name, entry in files.items():
+        size = listing.files.get(name)
+        if size is None:
+            if name not in listing.links:
+                found.add(name, "missing", f"expected {entry['bytes']} bytes")
+            continue
+        if size != entry["bytes"]:
+            where = next((o for o, e in files.items() if e["bytes"] == size and _is(found, name, e["sha256"])), None)
+            kind, detail = ("swapped", f"content of {where}") if where else ("damaged", f"{size} bytes")
+            found.add(name, kind, f"{detail}, expected {entry['bytes']} bytes")
+            continue
+        found.to_read.append((name, size, entry["sha256"]))
+    for name in listing.files:
+        if name not in files and name not in (MANIFEST, RUN):
+            found.add(name, "foreign", "not in the manifest")
+    found.files, found.bytes = len(files), sum(entry["bytes"] for entry in files.values())
+
+
+def _is(found: Survey, name: str, sha256: str) -> bool:
+    try:
+        return found.tree.digest(found.named(name)) == sha256
+    except OSError:
+        return False
+
+
+def read_portion(survey: Survey, portion: list[tuple[str, int, str]]) -> list[Damage]:
+    """Digest a portion of an artifact's files; what is not as listed."""
+    found = []
+    for name, _, sha256 in portion:
+        try:
+            digest = survey.tree.digest(survey.named(name))
+        except OSError as error:
+            found.append(Damage(survey.folder / name, "unreadable", str(error.strerror), survey.folder))
+            continue
+        if digest != sha256:
+            other = next((name for name, _, listed in survey.to_read if listed == digest), None)
+            kind, detail = ("swapped", f"content of {other}") if other else ("damaged", f"sha256 {digest[:12]}…")
+            found.append(Damage(survey.folder / name, kind, f"{detail}, expected {sha256[:12]}…", survey.folder))
+    return found
+
+
+def verify_artifact(folder: Path) -> list[Damage]:
+    """Recompute every digest of one artifact, and its key; each damage, an empty list if it is sound."""
+    survey = survey_artifact(FolderTree(Path(folder)))
+    return survey.damages + [damage for portion in survey.batches() for damage in read_portion(survey, portion)]

@@ -1,0 +1,162 @@
+"""Files below a folder, or inside a ZIP file, seen without following any link."""
+
+import hashlib
+import os
+import stat
+import zipfile
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import BinaryIO, Protocol
+
+LARGEST_TEXT = 256 * 2**20
+"""Bytes of the largest manifest that is read; one of a million files has about 150 MB."""
+BLOCK = 2**18
+
+
+@dataclass
+class Listing:
+    """What stands below a folder: sizes of regular files, targets of links, other things, what cannot be read."""
+
+    files: dict[str, int] = field(default_factory=dict)
+    links: dict[str, str] = field(default_factory=dict)
+    others: dict[str, str] = field(default_factory=dict)
+    unreadable: dict[str, str] = field(default_factory=dict)
+
+
+class Tree(Protocol):
+    """Files under relative names with `/`."""
+
+    root: Path
+
+    def listing(self, below: str = "") -> Listing:
+        """Everything below a folder of the tree, names relative to that folder."""
+
+    def read(self, name: str) -> bytes:
+        """Content of a small file. Raises OSError; ValueError for one that is larger than LARGEST_TEXT."""
+
+    def digest(self, name: str) -> str:
+        """SHA-256 of a file, read in blocks. Raises OSError."""
+
+
+@dataclass(frozen=True)
+class FolderTree:
+    """Files below a folder. Links are listed, never followed; only the folder itself may be reached through one."""
+
+    root: Path
+
+    def listing(self, below: str = "") -> Listing:
+        """Everything below a folder of the tree, names relative to that folder, in a fixed order."""
+        found = Listing()
+        folders = [""]
+        start = os.path.join(self.root, below) if below else str(self.root)
+        while folders:
+            folder = folders.pop()
+            try:
+                with os.scandir(os.path.join(start, folder) if folder else start) as entries:
+                    inner = sorted(entries, key=lambda entry: entry.name)
+            except OSError as error:
+                found.unreadable[folder or "."] = str(error.strerror)
+                continue
+            names = [(f"{folder}/{entry.name}" if folder else entry.name, entry) for entry in inner]
+            folders += [name for name, entry in reversed(names) if _sort_in(found, name, entry)]
+        return found
+
+    def read(self, name: str) -> bytes:
+        """Content of a small file. Raises OSError; ValueError for one that is larger than LARGEST_TEXT."""
+        with _open(os.path.join(self.root, name)) as handle:
+            return _read(handle, os.fstat(handle.fileno()).st_size)
+
+    def digest(self, name: str) -> str:
+        """SHA-256 of a file, read in blocks. Raises OSError."""
+        with _open(os.path.join(self.root, name)) as handle:
+            return _digest(handle)
+
+
+def _sort_in(found: Listing, name: str, entry: os.DirEntry) -> bool:
+    """Note one entry of a folder; True where it is a folder to look into."""
+    if entry.is_symlink():
+        found.links[name] = os.readlink(entry.path)
+    elif entry.is_dir(follow_symlinks=False):
+        return True
+    elif entry.is_file(follow_symlinks=False):
+        found.files[name] = entry.stat(follow_symlinks=False).st_size
+    else:
+        found.others[name] = stat.filemode(entry.stat(follow_symlinks=False).st_mode)
+    return False
+
+
+def _open(path: str) -> BinaryIO:
+    """A regular file for reading; a link in its place, or a pipe put there meanwhile, is an OSError."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+    if not stat.S_ISREG(os.fstat(descriptor).st_mode):
+        os.close(descriptor)
+        raise OSError(22, "not a regular file", path)
+    return os.fdopen(descriptor, "rb", buffering=0)
+
+
+def _read(handle: BinaryIO, size: int) -> bytes:
+    if size > LARGEST_TEXT:
+        raise ValueError(f"{size} bytes, larger than any manifest")
+    data = bytearray()
+    while block := handle.read(BLOCK):
+        data += block
+        if len(data) > LARGEST_TEXT:
+            raise ValueError("larger than any manifest")
+    return bytes(data)
+
+
+def _digest(handle: BinaryIO) -> str:
+    digest = hashlib.sha256()
+    while block := handle.read(BLOCK):
+        digest.update(block)
+    return digest.hexdigest()
+
+
+class ZipTree:
+    """Files inside a ZIP file, read where they are: nothing is unpacked."""
+
+    def __init__(self, root: Path):
+        self.root = root
+        self.archive = zipfile.ZipFile(root)
+        self.members = {}
+        self.repeated: list[str] = []
+        for member in self.archive.infolist():
+            if member.filename in self.members:
+                self.repeated.append(member.filename)
+            self.members[member.filename] = member
+
+    def listing(self, below: str = "") -> Listing:
+        """Everything below a folder of the tree, names relative to that folder, in a fixed order."""
+        found = Listing()
+        prefix = f"{below}/" if below else ""
+        for name, member in sorted(self.members.items()):
+            if not name.startswith(prefix) or member.is_dir():
+                continue
+            mode = member.external_attr >> 16
+            if stat.S_ISLNK(mode):
+                found.links[name[len(prefix) :]] = "(inside a ZIP file)"
+            elif member.compress_type != zipfile.ZIP_STORED or member.flag_bits & 1:
+                found.others[name[len(prefix) :]] = "compressed or encrypted"
+            else:
+                found.files[name[len(prefix) :]] = member.file_size
+        return found
+
+    def read(self, name: str) -> bytes:
+        """Content of a small file. Raises OSError; ValueError for one that is larger than LARGEST_TEXT."""
+        member = self._member(name)
+        with self.archive.open(member) as handle:
+            return _read(handle, member.file_size)
+
+    def digest(self, name: str) -> str:
+        """SHA-256 of a file, read in blocks. Raises OSError."""
+        try:
+            with self.archive.open(self._member(name)) as handle:
+                return _digest(handle)
+        except zipfile.BadZipFile as error:
+            raise OSError(5, str(error), name) from None
+
+    def _member(self, name: str) -> zipfile.ZipInfo:
+        member = self.members.get(name)
+        if member is None or member.compress_type != zipfile.ZIP_STORED or member.flag_bits & 1:
+            raise OSError(2, "no such file stored in the ZIP file", name)
+        return member

@@ -1,0 +1,73 @@
+"""Who a process is: a host, a process number, and the moment of its start, so that a number used again is not mistaken.
+
+Process numbers are given out again, after a restart of the machine to quite other programs. Number and start (in clock
+ticks since the machine started) together name one process; neither depends on the time of day.
+"""
+
+import os
+import platform
+import re
+from functools import cache
+from pathlib import Path
+
+START_FIELD = 22  # of /proc/<pid>/stat, counted from one
+AFTER_NAME = 3  # first field after the name, which may hold spaces and brackets
+
+
+@cache
+def host() -> str:
+    """Name of this machine, made of letters, digits and hyphens."""
+    return re.sub(r"[^A-Za-z0-9-]", "-", platform.node()) or "unnamed"
+
+
+def boot() -> str:
+    """Name that this machine's kernel gave itself when it started; empty where it has none."""
+    return _text(Path("/proc/sys/kernel/random/boot_id"))
+
+
+def machine() -> str:
+    """Name that this machine keeps over restarts; empty where it has none, as in many containers."""
+    return _text(Path("/etc/machine-id"))
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text().strip()
+    except OSError:
+        return ""
+
+
+def start_ticks(pid: int) -> int | None:
+    """When a process started, in clock ticks since the machine did; None where there is no such process."""
+    try:
+        fields = Path("/proc", str(pid), "stat").read_bytes().rpartition(b")")[2].split()
+    except OSError:
+        return None
+    return int(fields[START_FIELD - AFTER_NAME]) if fields[0] not in (b"Z", b"X") else None
+
+
+def identity(pid: int | None = None) -> str:
+    """`<pid>-<start ticks>` of a process, of this one where none is given."""
+    pid = os.getpid() if pid is None else pid
+    return f"{pid}-{start_ticks(pid)}"
+
+
+def is_alive(name: str) -> bool:
+    """Whether the process of this identity lives on this machine; a bare number is taken as any start."""
+    pid, _, ticks = name.partition("-")
+    if not pid.isdigit():
+        return False
+    found = start_ticks(int(pid))
+    return found is not None and (not ticks or ticks == str(found))
+
+
+def owner() -> str:
+    """`<host>.<identity>` of this process, as it stands in the names of unfinished folders."""
+    return f"{host()}.{identity()}"
+
+
+def owner_of(name: str) -> tuple[str, str]:
+    """Host (may be empty) and identity in the name of an unfinished folder, `.<what>.<host>.<identity>.<suffix>`."""
+    parts = name.split(".")
+    named = len(parts) > 4 and not re.fullmatch(r"[0-9a-f]{12}|old|current", parts[-3])
+    return parts[-3] if named else "", parts[-2] if len(parts) > 2 else ""
