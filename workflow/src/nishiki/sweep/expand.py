@@ -59,16 +59,15 @@ def _grid(sweep: SweepSettings, stages: Collection[str]) -> list[Variant]:
 
 def nested(settings: dict[str, Any], stage: str, stages: Collection[str], where: str) -> dict[str, Any]:
     """Dotted settings as blocks: {"normals.solver": "lobe"} and, of the stage normals, {"solver": "lobe"} become
-    {"normals": {"solver": "lobe"}}. Raises UserError where one key is given twice."""
+    {"normals": {"solver": "lobe"}}, as does that itself. Raises UserError where one key is given twice."""
     result: dict[str, Any] = {}
     for key, value in settings.items():
         parts = key.split(".")
-        if parts[0] not in stages:
+        block_of_stage = len(parts) == 1 and isinstance(value, dict)
+        if parts[0] not in stages or (len(parts) == 1 and not block_of_stage):
             parts = [stage, *parts]
-        if len(parts) == 1:
-            if not isinstance(value, dict):
-                raise UserError(f"{where}: {key} is a stage; expected a block of its settings, found {value!r}")
-            value, parts = dict(value), parts
+        elif block_of_stage:
+            value = dict(value)
         block = result
         for part in parts[:-1]:
             block = block.setdefault(part, {})

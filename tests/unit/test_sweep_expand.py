@@ -1,0 +1,72 @@
+"""Sweeps: from the block to its variants, and bad blocks."""
+
+import pytest
+
+from nishiki.closed import parse
+from nishiki.errors import UserError
+from nishiki.stages import CHAIN
+from nishiki.sweep.expand import AS_CONFIGURED, expand, nested
+from nishiki.sweep.settings import SweepSettings
+
+
+def variants(**block):
+    return expand(parse(SweepSettings, {"stage": "normals", **block}, "x.yaml"), stages=CHAIN, where="x.yaml")
+
+
+def test_a_grid_is_all_combinations_in_the_order_of_its_keys():
+    found = variants(vary={"solver": ["lobe", "lobes"], "separate.method": ["refit", "none"]})
+    assert [variant.name for variant in found] == [
+        AS_CONFIGURED,
+        "solver=lobe, separate.method=refit",
+        "solver=lobe, separate.method=none",
+        "solver=lobes, separate.method=refit",
+        "solver=lobes, separate.method=none",
+    ]
+    assert found[2].overrides == {"normals": {"solver": "lobe"}, "separate": {"method": "none"}}
+
+
+def test_named_variants_change_several_settings_at_once():
+    found = variants(
+        variants={"paper": {"separate.method": "threshold", "solver": "least_squares", "separate.w1": 1.3}}
+    )
+    assert found[1].overrides == {
+        "separate": {"method": "threshold", "w1": 1.3},
+        "normals": {"solver": "least_squares"},
+    }
+
+
+def test_the_stage_s_own_prefix_is_left_out_of_names_and_values_are_told():
+    found = variants(vary={"normals.refine": [None], "separate.keep": [[0.2, 0.8]], "normals.x": [True]})
+    assert found[1].name == "refine=none, separate.keep=0.2/0.8, x=yes"
+
+
+def test_a_setting_called_like_a_stage_is_a_setting_and_a_block_is_a_stage():
+    assert nested({"reflectance": "mean"}, "normals", CHAIN, "x") == {"normals": {"reflectance": "mean"}}
+    assert nested({"reflectance": {"window_px": 8}}, "normals", CHAIN, "x") == {"reflectance": {"window_px": 8}}
+    assert nested({"cloth.points": 65}, "fabric_render", CHAIN, "x") == {"fabric_render": {"cloth": {"points": 65}}}
+
+
+@pytest.mark.parametrize(
+    ("block", "message"),
+    [
+        ({}, "nothing to vary"),
+        ({"vary": {"solver": []}}, "vary.solver"),
+        ({"vary": {"solver": "lobe"}}, "vary.solver"),
+        (
+            {"variants": {"a": {"solver": "lobe"}}, "paper": "b"},
+            "paper names no variant 'b'; variants: as configured, a",
+        ),
+        ({"variants": {"a": {"solver": "lobe"}}, "peers": ["c"]}, "peers names no variant 'c'"),
+        ({"vary": {"solver": ["lobe"]}, "variants": {"solver=lobe": {}}}, "two variants are called 'solver=lobe'"),
+        ({"variants": {"a": {"solver": "lobe", "normals.solver": "lobes"}}}, "normals.solver is given twice"),
+        ({"variants": {"a": {"solver": "lobe", "solver.x": 1}}}, "inside a setting that has a value"),
+        ({"variants": {"a": {"solver": "lobe"}}, "repeat": 2}, "did you mean 'repeats'"),
+        ({"variants": {"a": {"solver": "lobe"}}, "repeats": 0}, "repeats"),
+        ({"variants": {"a": {"solver": "lobe"}}, "error": [{"path": "x", "better": "more"}]}, "error.0"),
+        ({"variants": {"a": {"solver": "lobe"}}, "axis": "hours"}, "axis"),
+    ],
+)
+def test_bad_blocks_are_told_with_file_and_key(block, message):
+    with pytest.raises(UserError, match=r"x\.yaml") as told:
+        variants(**block)
+    assert message in str(told.value)

@@ -1,0 +1,54 @@
+"""Sweeps: figures found by their paths."""
+
+import pytest
+
+from nishiki.errors import UserError
+from nishiki.sweep.measures import NORMALS, as_measure, candidates, paths_in, value_of
+from nishiki.sweep.settings import MeasureSettings
+
+DIAGNOSTICS = {
+    "a": {"b": 2.0, "text": "x", "yes": True},
+    "regions": {"x": {"m": {"15": 1.0, "30": 3.0}}, "y": {"m": {"15": 5.0}}},
+}
+
+
+def value(path, sources=(DIAGNOSTICS,), settings=None):
+    return value_of(MeasureSettings(path=path), list(sources), settings or {})
+
+
+def test_paths_stars_and_settings():
+    assert value("a.b") == 2.0
+    assert value("regions.*.m.15") == 3.0
+    assert value("regions.x.m.*") == 2.0
+    assert value("regions.*.{fabric.model}.*", settings={"fabric": {"model": "m"}}) == 3.0
+
+
+@pytest.mark.parametrize("path", ["a.c", "a", "a.text", "a.yes", "regions.*.m.30", "a.b.c", "none"])
+def test_what_is_not_there_or_no_number_is_none(path):
+    assert value(path) is None
+
+
+def test_the_first_source_that_has_it_counts_and_lists_are_numbered():
+    rows = {"rows": [{"e": 1.0}, {"e": 2.0}], "a": {"b": 9.0}}
+    assert value("a.b", [DIAGNOSTICS, rows]) == 2.0
+    assert value("rows.1.e", [DIAGNOSTICS, rows]) == 2.0
+    assert value("rows.*.e", [DIAGNOSTICS, rows]) == 1.5
+
+
+def test_values_that_are_not_finite_are_none():
+    assert value("a", [{"a": float("nan")}]) is None
+
+
+def test_a_setting_that_the_variant_lacks_is_told():
+    with pytest.raises(UserError, match=r"fabric\.model"):
+        value("{fabric.model}")
+
+
+def test_usual_measures():
+    assert as_measure("normals_mean_deg") is NORMALS
+    assert as_measure("x.y") == MeasureSettings(path="x.y")
+    assert candidates("normals", "plane")[0] is NORMALS
+    assert candidates("spectra", "plane")[0].path == "reflectance_rmse_mean"
+    assert candidates("residual", "turntable")[0].better == "higher"
+    assert paths_in(DIAGNOSTICS)[0] == "a.b"
+    assert "regions.y.m.15" in paths_in(DIAGNOSTICS)
