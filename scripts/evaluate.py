@@ -133,7 +133,7 @@ def against_truth(truth: Truth, scene: Scene, out: MapWriter) -> dict:
     found = {"normals": None, "height": None, "reflectance": None}
     if truth.normals is not None:
         errors = normal_errors(scene.model.normals, truth.normals, flags=scene.flags, mask=scene.frames.mask)
-        out.write("angular_error", errors.map_deg, unit="degrees")
+        out.write("angular_error", errors.map_deg, unit="degrees", nan="outside what truth and estimate share")
         found["normals"] = errors.as_dict()
     has_height = truth.height_mm is not None and scene.height is not None and scene.height_unit == "mm"
     if has_height:
@@ -149,7 +149,7 @@ def against_truth(truth: Truth, scene: Scene, out: MapWriter) -> dict:
             pixels=scene.frames.mask & scene.known,
             regions=truth.regions,
         )
-        out.write("reflectance_de00", errors.de00_map, unit="CIEDE2000 under D65")
+        out.write("reflectance_de00", errors.de00_map, unit="CIEDE2000 under D65", nan="no truth or no estimate here")
         found["reflectance"] = {**errors.as_dict(), "region_names": list(truth.region_names)}
     return found
 
@@ -202,7 +202,7 @@ def one_light(context: Context, scene: Scene, truth: Truth, out: MapWriter, j: i
     if known_truth:
         score["truth"] = compare_pictures(known_truth, pictures, views, comparison.classes)
     np.savez(context.output.path(f"preview_{j:03d}.npz"), **previews.arrays())
-    out.write(f"de00_{j:03d}", comparison.de00_map, unit="CIEDE2000", light=name)
+    out.write(f"de00_{j:03d}", comparison.de00_map, unit="CIEDE2000", light=name, nan=f"not compared: classes_{j:03d}")
     out.write(f"classes_{j:03d}", comparison.classes, meaning={str(k): v for k, v in NAMES.items()}, light=name)
     return score, comparison.de00_map
 

@@ -80,6 +80,20 @@ def _section(title: str, cases: list[Case]) -> list[str]:
     return [f"### {title}", "", *_table(head, rows), ""]
 
 
+def _limits() -> list[str]:
+    """What the run stops for: the table of `nishiki.limits_table`."""
+    from nishiki.limits_table import LIMITS
+
+    rows = [
+        [stage, f"`{limit.name}`", limit.meaning, limit.stated, limit.why, limit.remedy]
+        for stage, limits in LIMITS.items()
+        for limit in limits
+        if limit.stated
+    ]
+    head = ["stage", "limit", "figure", "expected", "why there", "remedy"]
+    return ["## Limits", "", (HERE / "limits.md").read_text(encoding="utf-8").rstrip(), "", *_table(head, rows), ""]
+
+
 def _standing() -> dict[str, list[str]]:
     """Sections of the page as it stands: title to lines."""
     found: dict[str, list[str]] = {}
@@ -99,7 +113,7 @@ def page(cases: list[Case], only: set[str]) -> str:
         title = TITLES[room]
         stays = room not in only and title in standing
         lines += standing[title] if stays else _section(title, [item for item in cases if item.room == room])
-    lines += ["## Cases that failed when they were first written", ""]
+    lines += [*_limits(), "## Cases that failed when they were first written", ""]
     lines += _table(["case", "seen", "mended by"], [[row["case"], row["seen"], row["mended"]] for row in found()])
     return "\n".join(lines) + "\n"
 

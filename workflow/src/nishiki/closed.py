@@ -3,15 +3,35 @@
 import difflib
 from typing import Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from nishiki.errors import UserError
+from nishiki.limits import names_of
 
 
 class Closed(BaseModel):
     """Base of every settings model: frozen, no unknown keys, no silent conversion of strings to numbers."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=False, allow_inf_nan=False)
+
+
+class Guarded(Closed):
+    """Base of the settings of a stage: its result is checked against the limits of `nishiki.limits`."""
+
+    allow: tuple[str, ...] = Field(
+        (), description="names of limits (docs/stability.md) that the result may exceed; otherwise the run stops there"
+    )
+
+    @field_validator("allow")
+    @classmethod
+    def _known_limits(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        known = names_of(cls.STAGE)
+        for name in names:
+            if name not in known:
+                near = difflib.get_close_matches(name, known, n=1)
+                hint = f"did you mean {near[0]!r}?" if near else f"there are: {', '.join(known) or 'none'}"
+                raise ValueError(f"no limit of {cls.STAGE} is called {name!r}; {hint}")
+        return tuple(sorted(set(names)))
 
 
 Model = TypeVar("Model", bound=Closed)

@@ -22,7 +22,8 @@ class MapWriter:
         self.group = zarr.create_group(Path(folder) / STORE, attributes={"stamp": stamp})
 
     def create(self, name: str, trailing: tuple[int, ...] = (), *, dtype: str = "float32", **attributes) -> zarr.Array:
-        """An array (rows, columns, *trailing); `attributes` say unit and meaning."""
+        """An array (rows, columns, *trailing); `attributes` say unit and meaning; `nan`, what a NaN means in it: an
+        array without this attribute may not hold one (`nishiki.finite`)."""
         rows, columns = self.shape
         return self.group.create_array(
             name,

@@ -16,6 +16,8 @@ from typing import Any
 from nishiki.artifact import MANIFEST, Artifact, ArtifactWriter, open_artifact
 from nishiki.closed import Closed, parse
 from nishiki.errors import UserError
+from nishiki.finite import expect_finite
+from nishiki.limits import check
 from nishiki.progress import Progress
 from nishiki.provenance import canonical, stage_key
 
@@ -137,6 +139,8 @@ def _run(
             Progress(f"{arguments.scene}/{model.STAGE}"),
         )
         diagnostics = run(context)
+        check(model.STAGE, diagnostics, settings.allow)
+        expect_finite(output.folder, model.STAGE)
         manifest = {
             **stamp,
             "format_version": model.VERSION,

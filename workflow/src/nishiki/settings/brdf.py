@@ -4,14 +4,14 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from nishiki.closed import Closed
+from nishiki.closed import Guarded
 
 
-class BrdfSettings(Closed):
+class BrdfSettings(Guarded):
     """Torrance-Sparrow parameters of a scene or of each region."""
 
     STAGE: ClassVar[str] = "brdf"
-    VERSION: ClassVar[int] = 1
+    VERSION: ClassVar[int] = 2
 
     method: Literal["robust", "paper"] = Field("robust", description="paper: brightest light, Levenberg-Marquardt")
     smoothing_px: float = Field(
@@ -21,5 +21,8 @@ class BrdfSettings(Closed):
     max_slope_deg: float = Field(50, gt=0, le=90, description="steeper pixels are left out of the fit")
     lobes: Literal["auto", 1, 2] = Field(
         "auto", description="specular lobes; auto: a second, wider one where it is significant; paper: always 1"
+    )
+    specular: Literal["auto", "keep", "drop"] = Field(
+        "auto", description="auto: left out where a sample shows no gloss (docs/economy.md); method paper: always kept"
     )
     hold_out: tuple[str, ...] = Field((), description="lights left out of the fit; filled in by the plan")

@@ -4,10 +4,10 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from nishiki.closed import Closed
+from nishiki.closed import Guarded
 
 
-class CamerasSettings(Closed):
+class CamerasSettings(Guarded):
     """Where each view's camera stood, and its lens."""
 
     STAGE: ClassVar[str] = "cameras"

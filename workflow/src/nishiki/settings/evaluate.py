@@ -4,10 +4,10 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from nishiki.closed import Closed
+from nishiki.closed import Guarded
 
 
-class EvaluateSettings(Closed):
+class EvaluateSettings(Guarded):
     """Comparison with truth where there is one, otherwise with lights that the fit never saw."""
 
     STAGE: ClassVar[str] = "evaluate"

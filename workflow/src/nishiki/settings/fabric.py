@@ -4,7 +4,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from nishiki.closed import Closed
+from nishiki.closed import Guarded
 from nishiki.settings.counts import Measurements
 
 Model = Literal[
@@ -20,7 +20,7 @@ Model = Literal[
 ]
 
 
-class FabricSettings(Closed):
+class FabricSettings(Guarded):
     """The BRDF of the whole hemisphere of every region, from normal incidence and a few oblique measurements."""
 
     STAGE: ClassVar[str] = "fabric"

@@ -4,10 +4,10 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from nishiki.closed import Closed
+from nishiki.closed import Guarded
 
 
-class FabricEvaluateSettings(Closed):
+class FabricEvaluateSettings(Guarded):
     """The cloth's models against measurements that their fits did not see."""
 
     STAGE: ClassVar[str] = "fabric_evaluate"

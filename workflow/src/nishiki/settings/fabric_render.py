@@ -4,7 +4,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
-from nishiki.closed import Closed
+from nishiki.closed import Closed, Guarded
 
 COLOUR = r"^#[0-9a-fA-F]{6}$"
 Colour = Annotated[str, Field(pattern=COLOUR)]
@@ -72,7 +72,7 @@ LAMPS = {
 DYES = {"red": "#b01e3c", "indigo": "#2b4a7f", "gold": "#c9992f"}
 
 
-class FabricRenderSettings(Closed):
+class FabricRenderSettings(Guarded):
     """Pictures of the cloth: draped, from two lights, in three dyes, and on cylinders."""
 
     STAGE: ClassVar[str] = "fabric_render"

@@ -4,10 +4,10 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from nishiki.closed import Closed
+from nishiki.closed import Guarded
 
 
-class FabricReportSettings(Closed):
+class FabricReportSettings(Guarded):
     """One HTML file on a cloth that opens offline."""
 
     STAGE: ClassVar[str] = "fabric_report"

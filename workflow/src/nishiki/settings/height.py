@@ -4,10 +4,10 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from nishiki.closed import Closed
+from nishiki.closed import Guarded
 
 
-class HeightSettings(Closed):
+class HeightSettings(Guarded):
     """Integration of the normals."""
 
     STAGE: ClassVar[str] = "height"

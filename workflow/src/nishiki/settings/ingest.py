@@ -4,10 +4,10 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from nishiki.closed import Closed
+from nishiki.closed import Guarded
 
 
-class IngestSettings(Closed):
+class IngestSettings(Guarded):
     """Photographs to linear, white-normalised observations."""
 
     STAGE: ClassVar[str] = "ingest"

@@ -4,10 +4,10 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from nishiki.closed import Closed
+from nishiki.closed import Guarded
 
 
-class MeshSettings(Closed):
+class MeshSettings(Guarded):
     """Where the object's surface comes from, and how many triangles it gets."""
 
     STAGE: ClassVar[str] = "mesh"

@@ -4,11 +4,11 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from nishiki.closed import Closed
+from nishiki.closed import Guarded
 from nishiki.settings.counts import Lights
 
 
-class NormalsSettings(Closed):
+class NormalsSettings(Guarded):
     """Photometric stereo on the selected lights (P 3.3), and the reflectance of each channel."""
 
     STAGE: ClassVar[str] = "normals"

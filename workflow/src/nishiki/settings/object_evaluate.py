@@ -4,10 +4,10 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from nishiki.closed import Closed
+from nishiki.closed import Guarded
 
 
-class ObjectEvaluateSettings(Closed):
+class ObjectEvaluateSettings(Guarded):
     """The decoded object against its photographs, and what it costs."""
 
     STAGE: ClassVar[str] = "object_evaluate"

@@ -4,7 +4,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from nishiki.closed import Closed
+from nishiki.closed import Closed, Guarded
 
 
 class FilmSettings(Closed):
@@ -16,7 +16,7 @@ class FilmSettings(Closed):
     supersampling: int = Field(2, ge=1, le=4, description="samples along each side of a pixel")
 
 
-class ObjectRenderSettings(Closed):
+class ObjectRenderSettings(Guarded):
     """Pictures of the decoded object, and a video of it turning."""
 
     STAGE: ClassVar[str] = "object_render"

@@ -4,10 +4,10 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from nishiki.closed import Closed
+from nishiki.closed import Guarded
 
 
-class ObjectReportSettings(Closed):
+class ObjectReportSettings(Guarded):
     """One HTML file on a turntable scene that opens offline."""
 
     STAGE: ClassVar[str] = "object_report"

@@ -4,10 +4,10 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from nishiki.closed import Closed
+from nishiki.closed import Guarded
 
 
-class PolariseSettings(Closed):
+class PolariseSettings(Guarded):
     """Diffuse and specular components of every view, from its polariser states."""
 
     STAGE: ClassVar[str] = "polarise"

@@ -4,10 +4,10 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from nishiki.closed import Closed
+from nishiki.closed import Guarded
 
 
-class ReflectanceSettings(Closed):
+class ReflectanceSettings(Guarded):
     """Goniometer photographs to reflectances of the cloth, completed at normal incidence."""
 
     STAGE: ClassVar[str] = "reflectance"

@@ -4,10 +4,10 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from nishiki.closed import Closed
+from nishiki.closed import Guarded
 
 
-class ReflectionSettings(Closed):
+class ReflectionSettings(Guarded):
     """Lambert and the simplified Torrance-Sparrow model at every texel of an object."""
 
     STAGE: ClassVar[str] = "reflection"

@@ -4,7 +4,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from nishiki.closed import Closed
+from nishiki.closed import Closed, Guarded
 
 
 class LightSettings(Closed):
@@ -48,7 +48,7 @@ class SequenceSettings(Closed):
     columns: int = Field(640, ge=16, le=4096, description="width of the video")
 
 
-class RenderSettings(Closed):
+class RenderSettings(Guarded):
     """Pictures and sequences to make."""
 
     STAGE: ClassVar[str] = "render"

@@ -4,10 +4,10 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from nishiki.closed import Closed
+from nishiki.closed import Guarded
 
 
-class ReportSettings(Closed):
+class ReportSettings(Guarded):
     """One HTML file that opens offline."""
 
     STAGE: ClassVar[str] = "report"

@@ -4,10 +4,10 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from nishiki.closed import Closed
+from nishiki.closed import Guarded
 
 
-class ResidualSettings(Closed):
+class ResidualSettings(Guarded):
     """What the reflection model does not explain, as wavelet coefficients."""
 
     STAGE: ClassVar[str] = "residual"

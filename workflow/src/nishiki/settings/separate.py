@@ -4,11 +4,11 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from nishiki.closed import Closed
+from nishiki.closed import Guarded
 from nishiki.settings.counts import Lights
 
 
-class SeparateSettings(Closed):
+class SeparateSettings(Guarded):
     """Which lights show a pixel's diffuse reflection: neither highlight nor shadow."""
 
     STAGE: ClassVar[str] = "separate"

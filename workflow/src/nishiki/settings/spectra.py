@@ -4,11 +4,11 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from nishiki.closed import Closed
+from nishiki.closed import Guarded
 from nishiki.settings.counts import Bases
 
 
-class SpectraSettings(Closed):
+class SpectraSettings(Guarded):
     """Spectral reflectance from the camera's response."""
 
     STAGE: ClassVar[str] = "spectra"

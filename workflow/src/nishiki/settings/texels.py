@@ -4,10 +4,10 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from nishiki.closed import Closed
+from nishiki.closed import Guarded
 
 
-class TexelsSettings(Closed):
+class TexelsSettings(Guarded):
     """How the surface is cut into charts and tiles, how densely it is sampled, and what counts as visible."""
 
     STAGE: ClassVar[str] = "texels"

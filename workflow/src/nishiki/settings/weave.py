@@ -4,10 +4,10 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from nishiki.closed import Closed
+from nishiki.closed import Guarded
 
 
-class WeaveSettings(Closed):
+class WeaveSettings(Guarded):
     """Cross-sections of a cloth from its reflectances in the planes of warp and weft."""
 
     STAGE: ClassVar[str] = "weave"

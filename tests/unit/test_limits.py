@@ -1,0 +1,46 @@
+"""The limits: every one has a reason and a remedy that names settings which exist; every figure is read somewhere."""
+
+import re
+
+import pytest
+
+from nishiki.limits import check, names_of, readings
+from nishiki.limits_table import LIMITS
+from nishiki.stages import CHAIN
+
+STATED = [(stage, limit) for stage, limits in LIMITS.items() for limit in limits if limit.stated]
+
+
+@pytest.mark.parametrize(("stage", "limit"), STATED, ids=lambda value: getattr(value, "name", value))
+def test_a_limit_has_a_reason_and_a_remedy_with_settings_that_exist(stage, limit):
+    assert limit.why
+    assert limit.remedy
+    for other, setting in re.findall(r"\b([a-z_]+)\.([a-z]\w+)", limit.remedy):
+        if other in CHAIN:
+            assert setting in CHAIN[other].settings.model_fields, f"{other}.{setting}"
+
+
+def test_names_are_unique_and_every_stage_exists():
+    for stage, limits in LIMITS.items():
+        assert stage in CHAIN
+        assert len({limit.name for limit in limits}) == len(limits)
+
+
+def test_the_setting_allow_knows_the_limits():
+    for name, stage in CHAIN.items():
+        known = names_of(name)
+        assert stage.settings(allow=known).allow == tuple(sorted(known))
+        with pytest.raises(ValueError, match="no limit of"):
+            stage.settings(allow=("nothing",))
+
+
+def test_the_figures_of_a_registration_that_failed_stop_the_run():
+    """Figures of six range scans of a simulated jar that a registration had put in the wrong place."""
+    mesh = {"fit": {"iou_mean": 0.2635}, "area": 10377.8, "scans": {"residual": [0.0125, 0.0122]}}
+    texels = {"visible_share": 0.0027, "silhouette_uncovered_share": 0.7363, "object_pixels": 5000}
+    assert [each.limit.name for each in readings("mesh", mesh) if each.beyond] == ["silhouette_overlap"]
+    assert [each.limit.name for each in readings("texels", texels) if each.beyond] == [
+        "visible_share",
+        "uncovered_share",
+    ]
+    check("texels", texels, ("visible_share", "uncovered_share"))
