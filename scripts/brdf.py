@@ -5,17 +5,23 @@ import json
 import numpy as np
 
 import _project  # noqa: F401
+from _sample import sample
 from nishiki.brdf.brightest_light import brightest_light_samples, thin
 from nishiki.brdf.levenberg_marquardt import fit_lobe
-from nishiki.brdf.parameters import described, described_brightest
+from nishiki.brdf.parameters import described, described_brightest, of_equal_lobes, without_gloss
 from nishiki.brdf.scene import fit_scene
 from nishiki.brdf.specular_histogram import SpecularHistogram
+from nishiki.economy.decision import Decision, economy
+from nishiki.economy.gloss import Evidence, decided, gloss_evidence
 from nishiki.ingest.observations import Observations
 from nishiki.ingest.parcels import parcels
 from nishiki.maps import Maps, MapWriter
 from nishiki.normals.flags import NO_ESTIMATE
+from nishiki.normals.gloss_profile import LADDER, GlossProfile, specular_samples
 from nishiki.settings.brdf import BrdfSettings
 from nishiki.stage import Context, run_stage
+
+SAMPLE_PIXELS = 5000  # that decide whether the scene shows gloss
 
 
 def run(context: Context) -> dict:
@@ -24,10 +30,9 @@ def run(context: Context) -> dict:
     maps = Maps(context.inputs["normals"].folder)
     labels = frames.regions
     if context.settings.method == "paper":
-        regions = fit_brightest(context, frames, maps, labels)
+        regions, decision = fit_brightest(context, frames, maps, labels), None
     else:
-        histogram = gather(context, frames, maps, labels)
-        regions = [described(fit) for fit in fit_scene(histogram, lobes=context.settings.lobes)]
+        regions, decision = fit_glossy(context, frames, maps, labels)
     parameters = {"method": context.settings.method, "regions": regions}
     text = json.dumps(parameters, indent=1, sort_keys=True, allow_nan=False)
     context.output.path("parameters.json").write_text(text + "\n")
@@ -41,7 +46,57 @@ def run(context: Context) -> dict:
         "regions": len(regions),
         "gamma_deg": [np.degrees(region["gamma"]).tolist() for region in regions],
         **{name: [region[name] for region in regions] for name in ("beta", "residual", "samples", "flags")},
+        "economy": economy(decision),
     }
+
+
+def fit_glossy(
+    context: Context, frames: Observations, maps: Maps, labels: np.ndarray | None
+) -> tuple[list[dict], Decision]:
+    """Every region that shows gloss fitted to all its pixels, the others Lambert alone; and what was decided."""
+    settings = context.settings
+    if settings.specular == "auto":
+        evidence = gloss_of_regions(context, frames, maps, labels)
+    else:
+        keep = settings.specular == "keep"
+        evidence = [Evidence(keep, "set", 0.0, 0.0, 0.0, 0.0, 0)] * (1 if labels is None else int(labels.max()) + 1)
+    decision = decided(evidence, settings.specular)
+    context.progress.tell(str(decision))
+    regions = [without_gloss(settings.refractive_index, found.samples) for found in evidence]
+    if any(found.keep for found in evidence):
+        histogram = gather(context, frames, maps, labels, np.array([found.keep for found in evidence]))
+        fitted = [described(fit) for fit in fit_scene(histogram, lobes=settings.lobes)]
+        regions = [own if found.keep else none for own, none, found in zip(fitted, regions, evidence, strict=True)]
+    return of_equal_lobes(regions), decision
+
+
+def gloss_of_regions(context: Context, frames: Observations, maps: Maps, labels: np.ndarray | None) -> list[Evidence]:
+    """Evidence of gloss of each region, from a sample of the scene's pixels."""
+    settings = context.settings
+    lights = frames.fit_lights(settings.hold_out)
+    nothing = GlossProfile(np.zeros(LADDER.size), LADDER, settings.refractive_index, 0.0)
+    parts = []
+    for piece in sample(frames, lights, SAMPLE_PIXELS):
+        normals, known = piece.of(maps.read("normals", piece.band)), piece.of(maps.read("flags", piece.band))
+        flat = normals[..., 2] < np.cos(np.radians(settings.max_slope_deg))
+        reflectance = piece.of(maps.read("reflectance", piece.band)).mean(axis=-1)[..., None]
+        everywhere = np.broadcast_to(((known & NO_ESTIMATE) == 0) & ~flat, piece.valid.shape)
+        samples = specular_samples(
+            piece.observations[..., None], piece.parcel.directions, normals, reflectance, nothing, valid=everywhere
+        )
+        sigma = np.broadcast_to(piece.of(maps.read("sigma", piece.band)) / np.sqrt(2), piece.valid.shape)
+        region = np.zeros(everywhere.shape, int) if labels is None else piece.of(labels[piece.band]) + 0 * everywhere
+        parts.append([values.ravel() for values in (*samples, piece.valid, sigma, region)])
+    phi, residual, attenuation, usable, sigma, region = (np.concatenate(values) for values in zip(*parts, strict=True))
+    count = 1 if labels is None else int(labels.max()) + 1
+    chosen = [region == k for k in range(count)]
+    return [
+        gloss_evidence(
+            phi[own], residual[own], attenuation[own], usable[own],
+            sigma=sigma[own], refractive_index=settings.refractive_index,
+        )
+        for own in chosen
+    ]  # fmt: skip
 
 
 def fit_brightest(context: Context, frames: Observations, maps: Maps, labels: np.ndarray | None) -> list[dict]:
@@ -82,8 +137,10 @@ def published_fit(samples: list, refractive_index: float) -> dict:
     return described_brightest(phi, value, attenuation, fitted, refractive_index)
 
 
-def gather(context: Context, frames: Observations, maps: Maps, labels: np.ndarray | None) -> SpecularHistogram:
-    """Specular samples of every usable observation, by angle between normal and half vector."""
+def gather(
+    context: Context, frames: Observations, maps: Maps, labels: np.ndarray | None, glossy: np.ndarray
+) -> SpecularHistogram:
+    """Specular samples of every usable observation of the glossy regions, by angle between normal and half vector."""
     settings = context.settings
     lights = frames.fit_lights(settings.hold_out)
     regions = 1 if labels is None else int(labels.max()) + 1
@@ -93,7 +150,8 @@ def gather(context: Context, frames: Observations, maps: Maps, labels: np.ndarra
         observations, valid = frames.read(band, lights=lights, channel="mean")
         normals = maps.read("normals", band)
         left_out = ((maps.read("flags", band) & NO_ESTIMATE) != 0) | (normals[..., 2] < lowest)
-        region = np.where(left_out, -1, 0 if labels is None else labels[band])
+        own = np.zeros(left_out.shape, int) if labels is None else labels[band]
+        region = np.where(left_out | ~glossy[own], -1, own)
         reflectance, sigma = maps.read("reflectance", band).mean(axis=-1), maps.read("sigma", band)
         for parcel in parcels(frames, band, lights):
             area = parcel.rows, parcel.columns

@@ -5,8 +5,8 @@ from collections import Counter
 import numpy as np
 
 import _project  # noqa: F401
+from _lights import choose_lights
 from nishiki.economy.decision import Decision, economy
-from nishiki.economy.lights import static_choice
 from nishiki.errors import UserError
 from nishiki.ingest.observations import Observations
 from nishiki.ingest.parcels import Parcel, parcels
@@ -82,7 +82,7 @@ def fit_lights(
     if selection is not None:
         return np.array([frames.lights.index(name) for name in selection.group.attrs["lights"]], np.int64), None
     lights = frames.fit_lights(settings.hold_out)
-    chosen, decision = static_choice(frames.directions[lights], settings.lights)
+    chosen, decision = choose_lights(frames, lights, settings)
     return lights[chosen], decision
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 
 import _project  # noqa: F401
+from _lights import choose_lights
 from nishiki.economy.decision import economy
-from nishiki.economy.lights import static_choice
 from nishiki.ingest.observations import Observations
 from nishiki.ingest.parcels import parcels
 from nishiki.maps import MapWriter
@@ -17,8 +17,10 @@ def run(context: Context) -> dict:
     """Select the lights band by band; usable lights are kept as one bit each."""
     frames = Observations(context.inputs["ingest"].folder)
     lights = frames.fit_lights(context.settings.hold_out)
-    chosen_rows, decision = static_choice(frames.directions[lights], context.settings.lights)
-    lights = lights[chosen_rows]
+    rows_used, decision = choose_lights(frames, lights, context.settings)
+    lights = lights[rows_used]
+    if decision:
+        context.progress.tell(str(decision))
     rows, columns = frames.shape
     maps = MapWriter(context.output.folder, rows=rows, columns=columns, band_rows=frames.band_rows, stamp=context.stamp)
     maps.group.attrs["lights"] = [frames.lights[j] for j in lights]

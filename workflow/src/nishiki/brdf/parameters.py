@@ -2,7 +2,9 @@
 
 import numpy as np
 
-from nishiki.brdf.scene import TorranceSparrowFit
+from nishiki.brdf.scene import GAMMA_BOUNDS, TorranceSparrowFit
+
+NO_GLOSS = "no gloss: Lambert"
 
 
 def described(fit: TorranceSparrowFit) -> dict:
@@ -25,6 +27,34 @@ def described(fit: TorranceSparrowFit) -> dict:
             "fitted": fit.fitted.tolist(),
         },
     }
+
+
+def without_gloss(refractive_index: float, samples: int) -> dict:
+    """A region that is Lambert alone: a lobe of strength 0, nothing fitted; samples: that were looked at."""
+    return {
+        "beta": [0.0],
+        "gamma": [GAMMA_BOUNDS[1]],
+        "refractive_index": refractive_index,
+        "standard_errors": None,
+        "residual": 0.0,
+        "samples": samples,
+        "rejected": 0.0,
+        "flags": [NO_GLOSS],
+        "profile": {"phi": [], "value": [], "count": [], "fitted": []},
+    }
+
+
+def of_equal_lobes(regions: list[dict]) -> list[dict]:
+    """The regions with lobes of strength 0 added, so that all have as many."""
+    most = max(len(region["beta"]) for region in regions)
+    return [
+        {
+            **region,
+            "beta": region["beta"] + [0.0] * (most - len(region["beta"])),
+            "gamma": region["gamma"] + region["gamma"][-1:] * (most - len(region["gamma"])),
+        }
+        for region in regions
+    ]
 
 
 def described_brightest(
