@@ -4,7 +4,7 @@ import argparse
 import sys
 
 from nishiki.errors import UserError
-from nishiki.stage import PROJECT_VERSION
+from nishiki.version import PROJECT_VERSION
 
 DESCRIPTION = """\
 From photographs under controlled light to the appearance of an object, with provenance.

@@ -5,11 +5,12 @@ from pathlib import Path
 from typing import Any
 
 from nishiki.chain import SceneFacts, Stage
-from nishiki.chains.packages import EXTRAS, idle_reason, packages_of
+from nishiki.chains.packages import idle_reason, packages_of
 from nishiki.chains.parts import left_parts
 from nishiki.closed import Closed
 from nishiki.errors import UserError
 from nishiki.ingest.choice import LIGHT
+from nishiki.packages import EXTRAS
 from nishiki.project import Scene
 from nishiki.provenance import file_digest, stage_key
 from nishiki.stages import CHAIN, chain_of

@@ -4,10 +4,7 @@ import argparse
 import errno
 import json
 import os
-import platform
-import resource
 import sys
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,10 +15,11 @@ from nishiki.closed import Closed, parse
 from nishiki.errors import UserError
 from nishiki.finite import expect_finite
 from nishiki.limits import check
+from nishiki.packages import load_all
 from nishiki.progress import Progress
 from nishiki.provenance import canonical, stage_key
-
-PROJECT_VERSION = "0.1.0"
+from nishiki.run_facts import RunFacts
+from nishiki.version import PROJECT_VERSION
 
 
 @dataclass(frozen=True)
@@ -95,6 +93,9 @@ def _arguments(model: type[Closed], description: str) -> argparse.Namespace:
     parser.add_argument("--code", default="", help="digest of the code, recorded in the artifact")
     parser.add_argument("--libraries", default="{}", metavar="JSON", help="library versions, recorded in the artifact")
     parser.add_argument(
+        "--load-everything", action="store_true", help="import every heavy package, to measure the cost"
+    )
+    parser.add_argument(
         "--output",
         type=Path,
         required=True,
@@ -116,7 +117,9 @@ def _run(
     arguments: argparse.Namespace,
     digest_of_capture: Callable[[Path], str] | None,
 ) -> None:
-    clock, cpu = time.perf_counter(), time.process_time()
+    facts = RunFacts()
+    if arguments.load_everything:
+        load_all()
     settings = parse(model, _json(arguments.settings, "--settings"), f"settings of {model.STAGE}")
     inputs = {artifact.stage: artifact for artifact in map(open_artifact, map(Path, arguments.inputs))}
     upstream = {name: artifact.key for name, artifact in inputs.items()}
@@ -151,7 +154,7 @@ def _run(
             "libraries": _json(arguments.libraries, "--libraries"),
             "diagnostics": diagnostics,
         }
-        output.finish(manifest, _facts(clock, cpu, arguments))
+        output.finish(manifest, facts.finish(arguments.capture))
 
 
 def _json(text: str, where: str) -> dict[str, Any]:
@@ -174,20 +177,3 @@ def _target(output: Path, key: str) -> Path:
             "were planned; run again."
         )
     return output.parent
-
-
-def _facts(clock: float, cpu: float, arguments: argparse.Namespace) -> dict[str, Any]:
-    """Facts of this run: what cannot be the same in the next one."""
-    usage = resource.getrusage(resource.RUSAGE_SELF)
-    return {
-        "seconds": round(time.perf_counter() - clock, 3),
-        "cpu_seconds": round(time.process_time() - cpu, 3),
-        "process_cpu_seconds": round(usage.ru_utime + usage.ru_stime, 3),
-        "peak_memory_mib": round(usage.ru_maxrss / 1024, 1),
-        "finished": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
-        "host": platform.node(),
-        "platform": platform.platform(),
-        "python": platform.python_version(),
-        "cpus": os.cpu_count(),
-        "capture": str(arguments.capture or ""),
-    }

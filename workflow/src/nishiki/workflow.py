@@ -88,13 +88,14 @@ class Workflow:
         return [self.path(scene, name, above) for name, above in upstream.items() if name in CHAIN]
 
     def source(self, scene: str, stage: str) -> str:
-        """Arguments that name what lies outside the results: the capture, the truth."""
+        """Arguments that name what lies outside the results: the capture, the truth; and that force all packages in."""
         of = self.plans[scene].scene
+        everything = ["--load-everything"] if of.settings.leave_out == "nothing" else []
         if stage == "ingest":
-            return f"--capture {shlex.quote(str(of.capture))}"
+            return shlex.join(["--capture", str(of.capture), *everything])
         if CHAIN[stage].asked_as == "evaluate" and of.truth:
-            return f"--truth {shlex.quote(str(of.truth))}"
-        return ""
+            return shlex.join(["--truth", str(of.truth), *everything])
+        return shlex.join(everything)
 
     @cache  # noqa: B019  one Workflow a process
     def code(self, stage: str) -> str:

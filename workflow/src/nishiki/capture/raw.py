@@ -8,13 +8,14 @@ import numpy as np
 
 from nishiki.capture.headers import ImageHeader
 from nishiki.capture.problems import CaptureError, error
+from nishiki.packages import install_command
 
 
 def _rawpy(name: str):
     try:
         import rawpy
     except ImportError as e:
-        remedy = "Install the extra 'raw' (uv sync --extra raw), or develop to 16-bit linear TIFF first"
+        remedy = f"Install it with {install_command(('rawpy',))}, or develop to 16-bit linear TIFF first"
         raise CaptureError(error("raw-support", name, "camera raw needs the package rawpy", remedy=remedy)) from e
     return rawpy
 

@@ -1,38 +1,11 @@
-"""Heavy packages: in which scenes a stage loads them, how they are installed, and whether they are there."""
+"""In which scenes a stage loads a heavy package, and why not in the others."""
 
 from collections.abc import Callable, Mapping
-from importlib.util import find_spec
 
 from nishiki.capture.headers import RAW_SUFFIXES
 from nishiki.chain import SceneFacts, Stage
 from nishiki.chains.parts import surface_of
 from nishiki.closed import Closed
-
-MODULES = {
-    "OpenEXR": "OpenEXR",
-    "av": "av",
-    "jinja2": "jinja2",
-    "numba": "numba",
-    "numpy": "numpy",
-    "opencv-contrib-python-headless": "cv2",
-    "pymeshlab": "pymeshlab",
-    "pywavelets": "pywt",
-    "rawpy": "rawpy",
-    "scikit-image": "skimage",
-    "scipy": "scipy",
-    "trimesh": "trimesh",
-    "zarr": "zarr",
-}
-"""Package as it is installed, to the module that is imported."""
-EXTRAS = {"rawpy": "raw", "av": "video", "trimesh": "mesh", "pymeshlab": "mesh", "scikit-image": "mesh"}
-"""Packages that are no part of the least installation, and the extra that brings them."""
-PURPOSE = {
-    "rawpy": "camera raw",
-    "av": "video",
-    "trimesh": "mesh files",
-    "pymeshlab": "range scans",
-    "scikit-image": "a surface from silhouettes",
-}
 
 Reason = Callable[[SceneFacts, Mapping[str, Closed]], str | None]
 
@@ -82,14 +55,3 @@ def idle_reason(stage: str, package: str, facts: SceneFacts, settings: Mapping[s
     """Why a stage does not load one of its libraries in this scene; None where it does."""
     found = IDLE.get((stage, package))
     return found(facts, settings) if found else None
-
-
-def installed(package: str) -> bool:
-    """Whether a package can be imported; nothing is loaded."""
-    return find_spec(MODULES.get(package, package)) is not None
-
-
-def install_command(packages: tuple[str, ...]) -> str:
-    """The command that installs what is missing beside what is there."""
-    extras = sorted({EXTRAS[name] for name in packages if name in EXTRAS})
-    return f"./nishiki install --extras {' '.join(extras)}"

@@ -6,8 +6,8 @@ from typing import Any
 
 from nishiki.capture.folder import load_capture
 from nishiki.chain import SceneFacts
-from nishiki.chains.packages import EXTRAS, PURPOSE, install_command, installed
 from nishiki.commands.inspecting import PROJECT, stage_state
+from nishiki.packages import EXTRAS, PURPOSE, install_command, installed
 from nishiki.plan import Plan
 from nishiki.project import load_yaml
 from nishiki.reading import reading_of

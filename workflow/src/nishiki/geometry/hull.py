@@ -18,6 +18,7 @@ from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.hull_kernels import MOST_MISSES, at_points, fill_slab
 from nishiki.geometry.mesh import Mesh
+from nishiki.packages import optional
 
 BLOCK = 8
 """Grid points along a cube that is decided at once where it can be."""
@@ -274,6 +275,7 @@ def _fill(field: Field, volume: np.ndarray, origin: np.ndarray, cell: float, mis
 def surface_of(volume: np.ndarray, origin: np.ndarray, cell: float) -> Mesh:
     """Mesh of the zero level of volume (x, y, z), positive inside, by marching cubes (Lewiner et al., Efficient
     implementation of marching cubes' cases with topological guarantees, J. Graphics Tools 8(2), 2003)."""
+    optional("scikit-image")
     from skimage.measure import marching_cubes
 
     vertices, triangles, _, _ = marching_cubes(volume, 0.0, spacing=(cell,) * 3, gradient_direction="descent")

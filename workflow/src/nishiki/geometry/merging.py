@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from nishiki.packages import optional
+
 NORMAL_NEIGHBOURS = 12
 """Points around a point by whose principal axes it gets its normal, in clouds without triangles."""
 
@@ -39,6 +41,7 @@ def _filled(points: np.ndarray, triangles: np.ndarray | None, longest: float) ->
     too, however far its corners are apart."""
     if triangles is None or not len(triangles):
         return points, None
+    optional("trimesh")
     from trimesh.remesh import subdivide_to_size
 
     edges = np.linalg.norm(points[triangles] - points[np.roll(triangles, 1, axis=1)], axis=2)
@@ -92,9 +95,9 @@ def _outward_normals(points: np.ndarray, centre: np.ndarray) -> np.ndarray:
 
 def _poisson(points: np.ndarray, normals: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray]:
     """Screened Poisson surface of oriented points by MeshLab."""
-    import pymeshlab
-
     from nishiki.geometry.meshlab import mesh_set
+
+    pymeshlab = optional("pymeshlab")
 
     work = mesh_set()
     # MeshLab computes in float32: around the origin and of size one it loses least.

@@ -6,6 +6,7 @@ Without the system library libOpenGL, pymeshlab imports but lacks every filter o
 from __future__ import annotations
 
 from nishiki.errors import UserError
+from nishiki.packages import optional
 
 FILTERS = ("generate_surface_reconstruction_screened_poisson", "compute_normal_for_point_clouds")
 """Filters that this project calls."""
@@ -25,13 +26,12 @@ def missing_filters() -> tuple[str, ...]:
 
 
 def mesh_set():
-    """An empty pymeshlab.MeshSet. Raises UserError where filters are missing."""
+    """An empty pymeshlab.MeshSet. Raises UserError where the package or filters of it are missing."""
+    pymeshlab = optional("pymeshlab")
     missing = missing_filters()
     if missing:
         raise UserError(
             f"pymeshlab lacks {', '.join(missing)}: its plugins need system libraries that are not installed. Remedy: "
             f"`{APT_LINE}` on Debian and Ubuntu (then start again), or give a finished mesh instead of scans"
         )
-    import pymeshlab
-
     return pymeshlab.MeshSet()

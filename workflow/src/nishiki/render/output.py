@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.errors import UserError
+from nishiki.packages import install_command
 from nishiki.render.display import normals_as_colours
 from nishiki.spectra.colour import xyz_to_srgb_linear
 
@@ -161,9 +162,9 @@ def write_video(
     except ImportError:
         other = path.with_suffix(".png")
         count = write_animated_png(other, frames, frames_per_second=frames_per_second, stamp=stamp)
-        return VideoWritten(
-            other, count, "PyAV is not installed (extra: video), so an animated PNG was written in place of an MP4"
-        )
+        how = install_command(("av",))
+        note = f"PyAV is not installed, so an animated PNG was written in place of an MP4. Remedy: {how}"
+        return VideoWritten(other, count, note)
     unfinished, count, shape = _unfinished(path), 0, None
     options = {"fflags": "+bitexact", "movflags": "+faststart"}
     with av.open(str(unfinished), "w", format="mp4", options=options) as container:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nishiki.packages import optional
 from nishiki.simulate.rows import over_rows
 from nishiki.simulate.turntable.shape import HIGH, LOW, PARTS, sample_layers, settle
 
@@ -50,6 +51,7 @@ def scanned(surface: Surface, *, noise_mm: float, seed: int) -> tuple[np.ndarray
 
 
 def _march(spacing: float) -> tuple[np.ndarray, np.ndarray]:
+    optional("scikit-image")
     from skimage.measure import marching_cubes
 
     shape = [int(np.ceil((high - low) / spacing)) + 1 for low, high in zip(LOW, HIGH, strict=True)]

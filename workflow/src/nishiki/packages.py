@@ -1,0 +1,71 @@
+"""Heavy packages: their modules, the extras that install them, and which of them this process has loaded."""
+
+import importlib
+import sys
+from importlib.util import find_spec
+from types import ModuleType
+
+from nishiki.errors import UserError
+
+MODULES = {
+    "OpenEXR": "OpenEXR",
+    "av": "av",
+    "jinja2": "jinja2",
+    "numba": "numba",
+    "numpy": "numpy",
+    "opencv-contrib-python-headless": "cv2",
+    "pymeshlab": "pymeshlab",
+    "pywavelets": "pywt",
+    "rawpy": "rawpy",
+    "scikit-image": "skimage",
+    "scipy": "scipy",
+    "trimesh": "trimesh",
+    "zarr": "zarr",
+}
+"""Package as it is installed, to the module that is imported."""
+EXTRAS = {"rawpy": "raw", "av": "video", "trimesh": "mesh", "pymeshlab": "mesh", "scikit-image": "mesh"}
+"""Packages that are no part of the least installation, and the extra that brings them."""
+PURPOSE = {
+    "rawpy": "camera raw",
+    "av": "video",
+    "trimesh": "mesh files",
+    "pymeshlab": "range scans",
+    "scikit-image": "a surface from silhouettes",
+}
+PARTS_OF_SCIPY = ("fft", "interpolate", "io", "linalg", "ndimage", "optimize", "sparse", "spatial", "special", "stats")
+
+
+def loaded() -> tuple[str, ...]:
+    """Heavy packages that this process has loaded.
+
+    scipy counts where one of its parts is there: numba imports the empty top of it to see its version.
+    """
+    found = {name: module in sys.modules for name, module in MODULES.items()}
+    found["scipy"] = any(f"scipy.{part}" in sys.modules for part in PARTS_OF_SCIPY)
+    return tuple(sorted(name for name, there in found.items() if there))
+
+
+def load_all() -> None:
+    """Import every heavy package that is installed, whether it is needed or not (to measure what that costs)."""
+    for name in [*MODULES.values(), *(f"scipy.{part}" for part in PARTS_OF_SCIPY)]:
+        if installed(name):
+            importlib.import_module(name)
+
+
+def installed(package: str) -> bool:
+    """Whether a package can be imported; nothing of it is loaded."""
+    return find_spec(MODULES.get(package, package).partition(".")[0]) is not None
+
+
+def optional(package: str) -> ModuleType:
+    """A package that an extra installs. Raises UserError with the command to install it where it is not there."""
+    try:
+        return importlib.import_module(MODULES[package])
+    except ImportError:
+        need = f"{PURPOSE[package]} needs the package {package}, which is not installed"
+        raise UserError(f"{need}. Remedy: {install_command((package,))}") from None
+
+
+def install_command(packages: tuple[str, ...]) -> str:
+    """The command that installs what is missing beside what is there."""
+    return f"./nishiki install --extras {' '.join(sorted({EXTRAS[name] for name in packages}))}"
