@@ -272,6 +272,7 @@ def test_the_command_tells_each_problem_and_ends_with_status_1(results, capsys):
 
 def test_unfinished_folders_are_counted_and_never_audited(results, capsys):
     (results / "scene-00000/report/.0123456789ab.host.1-1.partial").mkdir()
+    (results / "sweeps/timings/scene-00000/report/0123456789ab").mkdir(parents=True)
     with pytest.raises(SystemExit) as ended:
         main(["verify", str(results)])
     assert ended.value.code == 0

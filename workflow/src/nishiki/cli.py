@@ -56,6 +56,7 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--configfile", default="config/config.yaml", help="configuration (default %(default)s)")
     sub.add_argument("--cores", help="processors to use (default: all; on a cluster: as many as it gives)")
     sub.add_argument("--profile", default="default", help="slurm for a cluster, or a folder of Snakemake's options")
+    _with_gone(sub)
     sub = command(
         "sweep", "sweeping:sweep", "error against run time over variants of settings; further arguments: snakemake"
     )
@@ -63,6 +64,7 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--configfile", help="configuration (default: the one that the file names, config/config.yaml)")
     sub.add_argument("--cores", help="processors to use (default: all)")
     sub.add_argument("--profile", default="default", help="slurm for a cluster, or a folder of Snakemake's options")
+    _with_gone(sub)
     sub = command("plan", "planning:plan", "what will run, be read and be loaded; what is left out and why")
     _with_scene(sub)
     sub.add_argument("--json", action="store_true", help="one JSON object a scene and line")
@@ -110,6 +112,11 @@ def _parser() -> argparse.ArgumentParser:
 def _with_scene(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("scene", nargs="?", help="name of a scene (default: all)")
     sub.add_argument("--configfile", default="config/config.yaml", help="configuration (default %(default)s)")
+
+
+def _with_gone(sub: argparse.ArgumentParser) -> None:
+    text = "a machine on which no run is alive any more, though its record says no end (repeatable)"
+    sub.add_argument("--host-is-gone", action="append", default=[], metavar="HOST", help=text)
 
 
 def _call(function: str, options: argparse.Namespace, rest: list[str]) -> int | None:

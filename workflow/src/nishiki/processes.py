@@ -7,6 +7,10 @@ ticks since the machine started) together name one process; neither depends on t
 import os
 import platform
 import re
+import signal
+import time
+from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
@@ -28,6 +32,14 @@ def boot() -> str:
 def machine() -> str:
     """Name that this machine keeps over restarts; empty where it has none, as in many containers."""
     return _text(Path("/etc/machine-id"))
+
+
+def namespace() -> str:
+    """Name of the set of processes that this one can see; another one inside another container."""
+    try:
+        return os.readlink("/proc/self/ns/pid")
+    except OSError:
+        return ""
 
 
 def _text(path: Path) -> str:
@@ -71,3 +83,39 @@ def owner_of(name: str) -> tuple[str, str]:
     parts = name.split(".")
     named = len(parts) > 4 and not re.fullmatch(r"[0-9a-f]{12}|old|current", parts[-3])
     return parts[-3] if named else "", parts[-2] if len(parts) > 2 else ""
+
+
+def marked(variable: str, value: str) -> list[int]:
+    """Processes of this machine, of this user, that were started with an environment variable of this value.
+
+    Whatever a process starts inherits its environment: children are found even where their parents are gone.
+    """
+    wanted = f"{variable}={value}".encode()
+    found = [pid for pid in pids() if pid != os.getpid() and wanted in _environment(pid)]
+    return [pid for pid in found if start_ticks(pid) is not None]
+
+
+def pids() -> list[int]:
+    """Numbers of all processes that this one can see."""
+    return [int(name) for name in os.listdir("/proc") if name.isdigit()]
+
+
+def _environment(pid: int) -> list[bytes]:
+    try:
+        return Path("/proc", str(pid), "environ").read_bytes().split(b"\0")
+    except OSError:
+        return []
+
+
+def stop(find: Callable[[], list[int]], *, patience_s: float = 5.0) -> list[int]:
+    """End the processes that `find` names, and those that it names afterwards; whichever are left at the end."""
+    for number, seconds in ((signal.SIGTERM, patience_s), (signal.SIGKILL, patience_s)):
+        until = time.monotonic() + seconds
+        while (found := find()) and time.monotonic() < until:
+            for pid in found:
+                with suppress(ProcessLookupError, PermissionError):
+                    os.kill(pid, number)
+            time.sleep(0.1)
+        if not found:
+            return []
+    return find()

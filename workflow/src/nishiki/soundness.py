@@ -27,23 +27,26 @@ class Unsound:
         return f"{self.folder}: {self.why}"
 
 
-def unsound_artifacts(plans: dict[str, list[tuple[str, Path, tuple[str, ...]]]]) -> list[Unsound]:
+def unsound_artifacts(
+    plans: dict[str, list[tuple[str, Path, tuple[str, ...]]]], *, contents: bool = False
+) -> list[Unsound]:
     """Torn and stale artifacts of some scenes, in the order of the flow.
 
     plans: scene -> stages in the order of the flow, each its name, its folder, and the names of its upstream stages.
     Torn: files missing or of the wrong size, or no readable manifest. Stale: an upstream artifact that stands there is
-    not the one that it was made from. Sizes are looked at, not contents: that is what `./nishiki verify` does.
+    not the one that it was made from. Sizes are looked at; contents: what a stage checks of its inputs too, as after a
+    power cut; `./nishiki verify` reads everything.
     """
-    return [found for stages in plans.values() for found in _of_scene(stages)]
+    return [found for stages in plans.values() for found in _of_scene(stages, contents)]
 
 
-def _of_scene(stages: list[tuple[str, Path, tuple[str, ...]]]) -> Iterator[Unsound]:
+def _of_scene(stages: list[tuple[str, Path, tuple[str, ...]]], contents: bool) -> Iterator[Unsound]:
     sound: dict[str, str] = {}
     for name, folder, upstream in stages:
         if not folder.exists():
             continue
         try:
-            artifact = open_artifact(folder, contents=False)
+            artifact = open_artifact(folder, contents=contents)
         except UserError as error:
             yield Unsound(folder, str(error).removeprefix(f"{folder}: "))
             continue
@@ -72,10 +75,10 @@ def set_aside(folder: Path) -> Path:
 
 
 def set_aside_unsound(
-    plans: dict[str, list[tuple[str, Path, tuple[str, ...]]]], tell: Callable[[str], None]
+    plans: dict[str, list[tuple[str, Path, tuple[str, ...]]]], tell: Callable[[str], None], *, contents: bool = False
 ) -> list[Unsound]:
     """Set every torn or stale artifact aside and tell each; what was found."""
-    found = unsound_artifacts(plans)
+    found = list({item.folder: item for item in unsound_artifacts(plans, contents=contents)}.values())
     for item in found:
         target = set_aside(item.folder)
         tell(f"set aside and made again: {item}; kept as {target.name}")

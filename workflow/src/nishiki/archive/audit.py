@@ -19,6 +19,8 @@ from nishiki.artifact import MANIFEST
 ARTIFACT_NAME = re.compile(r"[0-9a-f]{12}(\.superseded-[0-9a-f]{8})?")
 UNFINISHED = (".partial", ".pruned")
 CURRENT = "current"
+SWEEPS = "sweeps"
+"""Pages and timings of sweeps: no artifacts, though some folders there are named by keys."""
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -82,7 +84,7 @@ def _look(folder: Path, found: Found, todo: list[Path]) -> None:
             found.unfinished += [path] if entry.name.endswith(UNFINISHED) else []
         elif entry.name == CURRENT:
             found.publications.append(path)
-        else:
+        elif entry.name != SWEEPS:
             todo.append(path)
 
 

@@ -22,6 +22,7 @@ TINY = {"plane": "tiny", "turntable": "object-tiny", "goniometer": "satin-tiny"}
 
 def run(options: argparse.Namespace, rest: list[str]) -> int:
     """Run the workflow on the configuration; the plan is checked first, so that bad input is told in one line."""
+    from nishiki.commands.engine import LOOKS_ONLY, call_engine
     from nishiki.project import load_yaml
     from nishiki.workflow import Workflow
 
@@ -38,10 +39,8 @@ def run(options: argparse.Namespace, rest: list[str]) -> int:
         *rest,
     ]
     start = time.monotonic()
-    # Every stage is a process: without compiled bytecode each would compile the same imports again.
-    environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
-    status = subprocess.run(command, check=False, env=environment).returncode
-    if status == 0 and "--dry-run" not in rest and "-n" not in rest:
+    status = call_engine(flow, command, gone=options.host_is_gone)
+    if status == 0 and not LOOKS_ONLY & set(rest):
         _tell(flow, time.monotonic() - start)
     return 1 if status else 0
 
@@ -91,7 +90,8 @@ def demo(options: argparse.Namespace, rest: list[str]) -> int:
         status = simulate(options, ["--output", str(capture), "--truth", str(truth), "--preset", preset])
         if status:
             return status
-    return run(argparse.Namespace(configfile=configuration, cores=None, profile="default"), rest)
+    options = argparse.Namespace(configfile=configuration, cores=None, profile="default", host_is_gone=[])
+    return run(options, rest)
 
 
 def compile_kernels(options: argparse.Namespace, rest: list[str]) -> int:

@@ -2,8 +2,6 @@
 
 import argparse
 import json
-import os
-import subprocess
 import sys
 from pathlib import Path
 
@@ -18,6 +16,7 @@ def sweep(options: argparse.Namespace, rest: list[str]) -> int:
 
 
 def _one(named: str, options: argparse.Namespace, rest: list[str]) -> int:
+    from nishiki.commands.engine import LOOKS_ONLY, call_engine
     from nishiki.project import load_yaml
     from nishiki.sweep_plan import configuration_of
     from nishiki.workflow import Workflow
@@ -34,9 +33,8 @@ def _one(named: str, options: argparse.Namespace, rest: list[str]) -> int:
     command = [sys.executable, "-m", "snakemake", "--snakefile", str(PROJECT / "Snakefile"), "--configfile", configfile]
     command += profile_arguments(options.profile, options.cores)
     command += [*rest, "--config", f"sweep={json.dumps(named)}", "--", target]
-    environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
-    status = subprocess.run(command, check=False, env=environment).returncode
-    if status or "--dry-run" in rest or "-n" in rest:
+    status = call_engine(flow, command, gone=options.host_is_gone)
+    if status or LOOKS_ONLY & set(rest):
         return 1 if status else 0
     return tell_result(Path(target))
 
