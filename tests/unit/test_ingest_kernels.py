@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nishiki.capture.problems import CaptureError
-from nishiki.ingest.blocks import block_edges, block_levels, cells, count_outliers, positions
+from nishiki.ingest.block_kernels import block_levels, count_outliers
+from nishiki.ingest.blocks import block_edges, cells, positions
 from nishiki.ingest.decode import count_unusable, decode, to_luma
 from nishiki.ingest.linearise import check_linearity, code_table, saturation_code, srgb_to_linear
 from nishiki.ingest.white import white_field

@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 
 from nishiki.capture.folder import load_capture
 from nishiki.errors import UserError
+from nishiki.ingest.blocks import grid_of, picture_edges
 from nishiki.ingest.linearise import code_table, srgb_to_linear, straight_scale
 from nishiki.ingest.views import Views, decode, encode
 from nishiki.ingest.views_decode import view_values
 from nishiki.ingest.views_store import write_views
-from nishiki.ingest.views_white import grid_of, picture_edges
 from nishiki.settings.ingest import IngestSettings
 
 ROWS, COLUMNS, TOP = 20, 24, 4095
@@ -206,7 +206,10 @@ def test_calibration_pictures_are_grey_and_named(tmp_path):
 def test_the_script_copies_geometry_and_stamps(tmp_path):
     """By hand as a user calls it: the artifact holds the views, the files of the geometry, and where they come from."""
     folder = make_turntable(tmp_path / "c", views=3)
-    ply = "ply\nformat ascii 1.0\nelement vertex 3\nelement face 1\nend_header\n0\n0\n0\n3 0 1 2\n"
+    ply = (
+        "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nelement face 1\n"
+        "property list uchar int vertex_indices\nend_header\n0\n0\n0\n3 0 1 2\n"
+    )
     (folder / "a").mkdir()
     for name in ("object.PLY", "scan.ply", "a/scan.ply"):
         (folder / name).write_text(ply + f"# {name}\n")

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit, prange, types
 from numba.extending import overload
 
-from nishiki.ingest.blocks import linear_value
+from nishiki.ingest.block_kernels import linear_value
 
 
 @njit(cache=True, parallel=True, error_model="numpy")

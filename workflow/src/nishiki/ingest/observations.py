@@ -12,8 +12,8 @@ import numpy as np
 from nishiki.errors import UserError
 from nishiki.ingest.blocks import block_edges, cells, positions
 from nishiki.ingest.chunks import chunk_path, read_chunk
-from nishiki.ingest.decode import decode
 from nishiki.ingest.linearise import straight_scale
+from nishiki.stored import open_group
 
 FORMAT = 1
 
@@ -28,12 +28,10 @@ class Observations:
 
     def __init__(self, folder: Path | str):
         """Open `frames.zarr`, or the folder that holds it. UserError where it is none."""
-        import zarr
-
         path = Path(folder)
         path = path if path.name.endswith(".zarr") else path / "frames.zarr"
         try:
-            group = zarr.open_group(path, mode="r", zarr_format=3)
+            group = open_group(path)
             stored = dict(group.attrs)
             self._codes = group["codes"]
         except (FileNotFoundError, KeyError) as e:
@@ -126,6 +124,8 @@ class Observations:
         mask, no defect, gain known, finite, saturated in no channel, above the lowest code in at least one of the
         channels read. A perfect white diffuser that faces the lamp has value 1. Values that cannot be formed are 0.
         """
+        from nishiki.ingest.decode import decode  # who asks for names and masks alone needs no compiled code
+
         chosen = np.arange(len(self.lights)) if lights is None else np.asarray(lights, np.int64)
         first, last = self._channel_range(channel)
         codes, start = self.codes(band, lights=chosen, columns=columns)

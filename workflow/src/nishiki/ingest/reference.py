@@ -9,11 +9,11 @@ import numpy as np
 
 from nishiki.capture.frames import Frame
 from nishiki.capture.problems import Problem, warning
-from nishiki.ingest.blocks import block_levels, count_outliers
+from nishiki.ingest.block_kernels import block_levels, count_outliers
+from nishiki.ingest.blocks import Edges
 from nishiki.ingest.frames import FrameReader
 from nishiki.ingest.white import WhiteField, white_field
 
-Edges = tuple[np.ndarray, np.ndarray]
 HOT = 0.02  # of full scale above its block in the dark
 DEAD = 0.1  # of its block's level on the white board
 SAME_EXPOSURE = 0.01

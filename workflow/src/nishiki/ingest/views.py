@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.errors import UserError
+from nishiki.ingest.blocks import grid_of, on_one_grid, picture_edges
 from nishiki.ingest.chunks import chunk_path, read_chunk
 from nishiki.ingest.encoding import decode, encode
 from nishiki.ingest.linearise import straight_scale
-from nishiki.ingest.views_decode import view_values
-from nishiki.ingest.views_white import grid_of, on_one_grid, picture_edges
+from nishiki.stored import open_group
 
 __all__ = ["Views", "decode", "encode"]
 FORMAT = 1
@@ -33,12 +33,10 @@ class Views:
 
     def __init__(self, folder: Path | str):
         """Open `views.zarr`, or the folder that holds it. UserError where it is none."""
-        import zarr
-
         path = Path(folder)
         path = path if path.name.endswith(".zarr") else path / "views.zarr"
         try:
-            group = zarr.open_group(path, mode="r", zarr_format=3)
+            group = open_group(path)
             stored = dict(group.attrs)
             self.dtype = np.dtype(group["codes"].dtype)
         except (FileNotFoundError, KeyError) as e:
@@ -79,6 +77,8 @@ class Views:
         without polariser, else full scale at the longest exposure time. Valid: finite, no defect, gain known, saturated
         in no channel; code 0 is a valid measurement. A saturated sample keeps its value; what cannot be formed is 0.
         """
+        from nishiki.ingest.views_decode import view_values  # who asks for cameras alone needs no compiled code
+
         frame = self.index(view, state=state, light=light)
         codes = self.codes(view, state=state, light=light)
         gain = self._gain[frame // (len(self.views) * len(self.states))] * np.float32(self.attributes["scale"][frame])

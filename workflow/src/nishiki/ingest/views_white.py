@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from nishiki.capture.problems import Problem
-from nishiki.ingest.blocks import block_edges, cells, count_outliers, positions
+from nishiki.ingest.block_kernels import count_outliers
+from nishiki.ingest.blocks import grid_of, on_one_grid
 from nishiki.ingest.frames import FrameReader
 from nishiki.ingest.linearise import straight_scale
 from nishiki.ingest.reference import DEAD, DarkField, Edges
@@ -111,23 +112,3 @@ def mean_boards(
             total += part
             tick(frame.file)
         yield total / np.float32(len(frames))
-
-
-def on_one_grid(gain: np.ndarray, dark: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Gain and dark level (r, c, channels) float32 on one grid of blocks."""
-    shape = np.broadcast_shapes(gain.shape, dark.shape)
-    return tuple(np.ascontiguousarray(np.broadcast_to(f, shape), dtype=np.float32) for f in (gain, dark))
-
-
-def grid_of(nodes: tuple[int, int], shape: tuple[int, int], edges: Edges) -> tuple[np.ndarray, ...]:
-    """Rows, row weights, cells and column weights of a whole picture (see `view_values`) for a field of these nodes."""
-    if nodes == (1, 1):
-        edges = tuple(np.array([0, n]) for n in shape)
-    rows, row_weights = positions(edges[0], 0, shape[0])
-    _, column_weights = positions(edges[1], 0, shape[1])
-    return rows, row_weights, cells(edges[1], 0, shape[1]), column_weights
-
-
-def picture_edges(shape: tuple[int, int], block: int) -> Edges:
-    """Edges of the blocks of a picture."""
-    return tuple(block_edges(n, block) for n in shape)

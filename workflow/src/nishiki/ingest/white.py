@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nishiki.capture.problems import CaptureError, Problem, error, warning
-from nishiki.ingest.blocks import block_levels
+from nishiki.ingest.block_kernels import block_levels
 
 TOO_DARK = 0.02  # of full scale: below it noise and rounding are several percent of the board
 BAD_SHARE = 0.25  # of a block's samples
