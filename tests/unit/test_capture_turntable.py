@@ -23,7 +23,10 @@ from nishiki.capture.turntable import turntable_facts
 from nishiki.cli import main
 from nishiki.geometry.camera import Camera
 
-PLY = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nelement face 1\nend_header\n"
+PLY = (
+    "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nelement face 1\n"
+    "property list uchar int vertex_indices\nend_header\n0\n1\n2\n3 0 1 2\n"
+)
 
 
 def test_facts_of_a_plain_turntable(tmp_path):

@@ -10,6 +10,8 @@ import numpy as np
 import zarr
 from zarr.codecs import ZstdCodec
 
+from nishiki.stored import open_group
+
 STORE = "maps.zarr"
 
 
@@ -45,7 +47,7 @@ class Maps:
     """The maps of one artifact, for reading."""
 
     def __init__(self, folder: Path):
-        self.group = zarr.open_group(Path(folder) / STORE, mode="r")
+        self.group = open_group(Path(folder) / STORE)
 
     def __contains__(self, name: str) -> bool:
         return name in self.group

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.capture.problems import CaptureError, Problem, error, raise_errors
+from nishiki.capture.tables import cells_of, expect_rows, label_problems, reading, table_lines
 from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera
 
@@ -30,13 +30,14 @@ class Turn:
 def read_cameras(path: Path, name: str) -> dict[str, np.ndarray]:
     """Projection matrices (3, 4) float64 by view, from columns view, p11 ... p34 (row by row).
 
-    Raises CaptureError with every mistake: cameras-missing, cameras-unreadable, cameras-columns, camera-values,
-    camera-not-finite, camera-singular, camera-duplicate.
+    Raises CaptureError with every mistake: cameras-missing, cameras-unreadable, cameras-many, cameras-columns,
+    camera-values, camera-not-finite, camera-singular, camera-duplicate, name-unusable.
     """
     matrices: dict[str, np.ndarray] = {}
     problems: list[Problem] = []
     rows = _rows(path, name, "cameras")
     expected = "view, then the 12 numbers p11 ... p34 of the 3x4 matrix, row by row"
+    expect_rows(len(rows) - 1, "views", name, "cameras")
     if not rows or [c.casefold() for c in rows[0][1]] != ["view", *MATRIX_COLUMNS]:
         found = ",".join(rows[0][1])[:90] if rows else "no heading"
         raise CaptureError(error("cameras-columns", name, "columns", expected=expected, found=found))
@@ -48,6 +49,7 @@ def read_cameras(path: Path, name: str) -> dict[str, np.ndarray]:
             problems.append(error("camera-values", where, "camera matrix", expected="12 numbers", found=found))
             continue
         view, matrix = cells[0], np.array(values).reshape(3, 4)
+        problems += label_problems(view, "view", where)
         if view in matrices:
             what = f"view '{view}' has two cameras"
             problems.append(error("camera-duplicate", where, what, remedy="Keep one row a view"))
@@ -132,15 +134,8 @@ def turn_of(centres: np.ndarray) -> Turn:
 
 def _rows(path: Path, name: str, kind: str) -> list[tuple[int, list[str]]]:
     """Lines of a table that are neither empty nor comments, with their numbers."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError as e:
-        raise CaptureError(error(f"{kind}-missing", name, "file is missing")) from e
-    except UnicodeDecodeError as e:
-        raise CaptureError(error(f"{kind}-unreadable", name, "not UTF-8 text")) from e
-    lines = enumerate(text.splitlines(), start=1)
-    kept = [(number, line) for number, line in lines if line.strip() and not line.lstrip().startswith("#")]
-    return [(number, [cell.strip() for cell in next(csv.reader([line]))]) for number, line in kept]
+    with reading(name, kind):
+        return [(number, cells_of(line)) for number, line in table_lines(path, name)]
 
 
 def _numbers(cells: list[str]) -> list[float] | None:

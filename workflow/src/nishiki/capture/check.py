@@ -15,7 +15,8 @@ from nishiki.capture.goniometer_check import goniometer_files, look_at_windows
 from nishiki.capture.headers import ImageHeader, read_header
 from nishiki.capture.images import expect_channels, read_labels, read_mask
 from nishiki.capture.problems import CaptureError, Problem, error, warning
-from nishiki.capture.seal import sha256_of, verify_seal
+from nishiki.capture.seal import payload_files, sha256_of, verify_seal
+from nishiki.capture.tables import refusal
 from nishiki.capture.turntable import TurntableCapture
 from nishiki.capture.turntable_check import listed_files, silhouette_problems, turntable_content_problems
 from nishiki.ingest.blocks import block_edges
@@ -23,6 +24,7 @@ from nishiki.ingest.decode import count_unusable
 from nishiki.ingest.frames import FrameReader, region_of
 from nishiki.ingest.reference import DarkField, board_field, measure_darks
 from nishiki.ingest.store import frame_problems
+from nishiki.outside import Refused, walk
 
 SAME_DIRECTION = np.cos(np.radians(0.1))
 CHECK_BLOCK = 16
@@ -41,6 +43,8 @@ def check_capture(
     problems = list(problems)
     if (root / "bagit.txt").is_file():
         problems += _attempt(lambda: verify_seal(root, digests=level == "full"))
+    elif root.is_dir():
+        problems += _attempt(lambda: _strange_entries(root))
     if capture is not None:
         problems += _unlisted(capture)
         headers = {}
@@ -64,11 +68,19 @@ def _look_round(capture: TurntableCapture, headers: dict, whole: bool, tick: Cal
     return problems + (turntable_content_problems(capture, tick) if whole else [])
 
 
+def _strange_entries(root: Path) -> list[Problem]:
+    """Links that lead out, pipes, devices and names that could not be sealed."""
+    payload_files(root)
+    return []
+
+
 def _attempt(work: Callable[[], list[Problem]]) -> list[Problem]:
     try:
         return work()
     except CaptureError as e:
         return list(e.problems)
+    except Refused as e:
+        return [refusal(e, "file-refused")]
 
 
 def _listed(capture: Capture | TurntableCapture | GoniometerCapture) -> set[str]:
@@ -86,7 +98,7 @@ def _listed(capture: Capture | TurntableCapture | GoniometerCapture) -> set[str]
 def _unlisted(capture: Capture | TurntableCapture | GoniometerCapture) -> list[Problem]:
     """Files in the payload that nothing names: harmless, but perhaps a forgotten photograph."""
     payload = capture.payload
-    files = (p.relative_to(payload).as_posix() for p in payload.rglob("*") if p.is_file())
+    files = (name for name, entry in walk(payload) if entry.is_file())
     own = {"bagit.txt", "bag-info.txt", "manifest-sha256.txt", "tagmanifest-sha256.txt"}
     remedy = "List it in frames.csv, or move it out of the capture"
     extra = sorted(set(files) - _listed(capture) - own)

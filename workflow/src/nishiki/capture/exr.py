@@ -3,27 +3,30 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
+from nishiki.capture.exr_header import read_parts
 from nishiki.capture.headers import ImageHeader
 
 _COLOURS = {"red": ("R", "red"), "green": ("G", "green"), "blue": ("B", "blue"), "grey": ("Y", "L"), "gray": ("Y", "L")}
 
 
-def exr_header(path: Path) -> ImageHeader:
-    """Header of the first part. RuntimeError or ValueError where the file is damaged."""
-    import OpenEXR
+def exr_header(file: BinaryIO) -> ImageHeader:
+    """Header of the first part; ValueError, EOFError or struct.error where the file is damaged.
 
-    with OpenEXR.File(str(path), separate_channels=True, header_only=True) as file:
-        header = file.header()
-        low, high = header["dataWindow"]
-        names = tuple(channel.name for channel in header["channels"])
-    columns, rows = int(high[0]) - int(low[0]) + 1, int(high[1]) - int(low[1]) + 1
-    if columns < 1 or rows < 1:
-        raise ValueError(f"data window {low} to {high}")
+    The library decodes all parts: those after the first may not be larger than it (views, layers).
+    """
+    first, *others = read_parts(file)
+    if sum(part.stored_bytes for part in others) > 8 * max(first.stored_bytes, 1):
+        raise ValueError("the file's further parts are much larger than its first")
+    names = tuple(sorted(name for name, _, _ in first.channels))
     alpha = "A" in names and len(names) > 1
-    return ImageHeader("exr", rows, columns, len(names), "float32", alpha, names=names)
+    return ImageHeader(
+        "exr", first.rows, first.columns, len(names), "float32", alpha, names=names,
+        stored_bytes=sum(part.stored_bytes for part in (first, *others)), ratio=first.ratio,
+    )  # fmt: skip
 
 
 def read_exr(path: Path, wanted: tuple[str, ...]) -> np.ndarray:

@@ -7,18 +7,22 @@ import math
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 
+from nishiki.bounds import bound
 from nishiki.capture.frames import DIALECTS, Frame, dialect_of, inside, read_frames
 from nishiki.capture.goniometer import GoniometerCapture, examine_goniometer
 from nishiki.capture.lights import Lights, direction_problems, read_lights
 from nishiki.capture.problems import CaptureError, Problem, error, raise_errors, warning
 from nishiki.capture.schema import NAMED_ILLUMINANTS, CaptureFile, Session, geometry_named, read_capture_file
 from nishiki.capture.spectra_tables import Curves, read_curves
+from nishiki.capture.tables import expect_rows, reading, table_lines
 from nishiki.capture.turntable import TurntableCapture, examine_turntable
+from nishiki.outside import leads_out
 
 T = TypeVar("T")
 
@@ -74,7 +78,7 @@ class Capture:
 def payload_of(root: Path) -> Path:
     """The folder that holds capture.yaml: root, or root/data.
 
-    Raises CaptureError: folder-missing, folder-empty, capture-missing, seal-interrupted.
+    Raises CaptureError: folder-missing, folder-empty, capture-missing, outside-folder, seal-interrupted.
     """
     if not root.is_dir():
         half = root.with_name(root.name + ".sealing")
@@ -84,7 +88,12 @@ def payload_of(root: Path) -> Path:
             raise CaptureError(error("seal-interrupted", str(root), what, found=half.name, remedy=remedy))
         raise CaptureError(error("folder-missing", str(root), "no such capture folder"))
     for payload in (root / "data", root):
-        if (payload / "capture.yaml").is_file():
+        description = payload / "capture.yaml"
+        if description.is_file():
+            if leads_out(description, root):
+                found, remedy = str(description.resolve()), "Copy the file itself into the capture folder"
+                what = "link out of the folder"
+                raise CaptureError(error("outside-folder", str(description), what, found=found, remedy=remedy))
             return payload
     if not any(root.iterdir()):
         raise CaptureError(error("folder-empty", str(root), "capture folder is empty"))
@@ -121,7 +130,7 @@ def examine(root: Path) -> tuple[Capture | TurntableCapture | GoniometerCapture 
     geometry = settings.geometry if settings else geometry_named(payload / "capture.yaml")
     geometry = geometry if geometry in tuple(DIALECTS) else dialect_of(payload / "frames.csv")
     listed = not (settings and geometry == "goniometer" and settings.goniometer.table)  # a table has no photographs
-    frames = attempt(lambda: read_frames(payload / "frames.csv", geometry=geometry)) if listed else ()
+    frames = attempt(lambda: read_frames(_table_of(payload), geometry=geometry)) if listed else ()
     if settings is None:
         return None, problems
 
@@ -152,6 +161,12 @@ def examine(root: Path) -> tuple[Capture | TurntableCapture | GoniometerCapture 
     return capture, problems + list(lights.warnings)
 
 
+def _table_of(payload: Path) -> Path:
+    """frames.csv, which must lie in the folder itself where it is there."""
+    table = payload / "frames.csv"
+    return inside(payload, table.name, "capture folder") if table.is_symlink() else table
+
+
 def _illuminant(settings: Session, named: Callable, attempt: Callable) -> Curves | str | None:
     """The name of a CIE illuminant, or a curve from the file."""
     value = settings.illuminant
@@ -173,14 +188,15 @@ def _illuminant(settings: Session, named: Callable, attempt: Callable) -> Curves
 def read_intensities(path: Path, lights: Lights, channels: tuple[str, ...]) -> np.ndarray:
     """Radiometric scale of each light (lights, channels) float64 > 0 from a table with columns light and the channels.
 
-    Raises CaptureError (kinds intensities-unreadable, intensities-invalid, intensities-light).
+    Raises CaptureError (kinds intensities-unreadable, intensities-many, intensities-invalid, intensities-light).
     """
-    text = path.read_text(encoding="utf-8-sig", errors="replace")
-    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
-    rows = csv.DictReader(lines, skipinitialspace=True)
-    if sorted(rows.fieldnames or []) != sorted(("light", *channels)):
-        found = ",".join(rows.fieldnames or [])
-        expected = f"light,{','.join(channels)}"
+    with reading(path.name, "intensities"):
+        lines = (line for _, line in table_lines(path, path.name))
+        reader = csv.DictReader(lines, skipinitialspace=True)
+        names, rows = reader.fieldnames or [], list(islice(reader, bound("lights") + 1))
+    expect_rows(len(rows), "lights", path.name, "intensities")
+    if sorted(names) != sorted(("light", *channels)):
+        found, expected = ",".join(names)[:80], f"light,{','.join(channels)}"
         raise CaptureError(error("intensities-unreadable", path.name, "columns", expected=expected, found=found))
     table = np.full((len(lights.names), len(channels)), np.nan)
     problems = []

@@ -5,11 +5,17 @@ from __future__ import annotations
 import csv
 import difflib
 import math
+import os
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 
+from nishiki.bounds import bound
+from nishiki.capture.lights import light_name
 from nishiki.capture.polariser import parse_state
 from nishiki.capture.problems import CaptureError, Problem, error, raise_errors
+from nishiki.capture.tables import expect_rows, label_problems, reading, table_lines
+from nishiki.outside import leads_out, name_fault
 
 ROLES = ("sample", "check", "white", "dark", "flat")
 LIT_ROLES = ("sample", "check", "white")
@@ -19,6 +25,7 @@ TURNTABLE_COLUMNS = ("file", "role", "view", "light", "polariser", "exposure_s",
 GONIOMETER_ROLES = ("sample", "white", "dark")
 GONIOMETER_COLUMNS = ("file", "role", "theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg", "exposure_s")
 ANGLE_COLUMNS = GONIOMETER_COLUMNS[2:6]
+TOLD = 20  # unknown columns that are named
 DIALECTS = {
     "plane": (ROLES, COLUMNS),
     "turntable": (TURNTABLE_ROLES, TURNTABLE_COLUMNS),
@@ -50,25 +57,23 @@ class Frame:
 def read_frames(table: Path, *, geometry: str = "plane") -> tuple[Frame, ...]:
     """Parse frames.csv of a plane, a turntable or a goniometer; CaptureError lists all mistakes.
 
-    Kinds: frames-missing, frames-unreadable, unknown-column, role-unknown, light-empty, exposure-invalid,
-    frame-duplicate, outside-folder, image-missing, frames-none, polariser-unknown, silhouette-role, angle-invalid.
+    Kinds: frames-missing, frames-unreadable, frames-many, unknown-column, role-unknown, light-empty, name-unusable,
+    exposure-invalid, frame-duplicate, outside-folder, image-missing, frames-none, polariser-unknown, silhouette-role,
+    angle-invalid.
     """
-    try:
-        text = table.read_text(encoding="utf-8-sig")
-    except FileNotFoundError as e:
-        raise CaptureError(error("frames-missing", table.name, "file is missing")) from e
-    except UnicodeDecodeError as e:
-        raise CaptureError(error("frames-unreadable", table.name, "not UTF-8 text", found=str(e))) from e
-    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
-    reader = csv.DictReader(lines, skipinitialspace=True)
-    columns = [(c or "").strip() for c in reader.fieldnames or []]
-    roles, known = DIALECTS[geometry]
-    _check_columns(columns, table.name, known)
-    reader.fieldnames = columns
+    with reading(table.name, "frames"):
+        lines = (line for _, line in table_lines(table, table.name))
+        reader = csv.DictReader(lines, skipinitialspace=True)
+        columns = [(c or "").strip() for c in reader.fieldnames or []]
+        roles, known = DIALECTS[geometry]
+        _check_columns(columns, table.name, known)
+        reader.fieldnames = columns
+        rows = list(islice(reader, bound("frames") + 1))
+    expect_rows(len(rows), "frames", table.name, "frames")
     problems: list[Problem] = []
     frames: list[Frame] = []
     seen: dict[str, int] = {}
-    for number, row in enumerate(reader, start=2):
+    for number, row in enumerate(rows, start=2):
         where = f"{table.name} row {number}"
         if None in row or None in row.values():
             expected = f"{len(columns)} values"
@@ -93,14 +98,17 @@ def read_frames(table: Path, *, geometry: str = "plane") -> tuple[Frame, ...]:
 
 def dialect_of(table: Path) -> str:
     """The geometry that a frames.csv looks as if it were of, where capture.yaml does not tell: plane or goniometer."""
-    text = table.read_text(encoding="utf-8-sig", errors="replace") if table.is_file() else ""
-    lines = (line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#"))
-    return "goniometer" if ANGLE_COLUMNS[0] in next(lines, "") else "plane"
+    try:
+        with reading(table.name, "frames"):
+            _, heading = next(table_lines(table, table.name), (0, ""))
+    except CaptureError:
+        return "plane"
+    return "goniometer" if ANGLE_COLUMNS[0] in heading else "plane"
 
 
 def _check_columns(columns: list[str], file: str, known: tuple[str, ...]) -> None:
     problems = []
-    for name in [c for c in columns if c not in known]:
+    for name in [c for c in columns if c not in known][:TOLD]:
         near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
         remedy = f"Did you mean '{near[0]}'?" if near else f"Known columns: {', '.join(known)}"
         problems.append(error("unknown-column", file, f"unknown column '{name}'", remedy=remedy))
@@ -109,7 +117,7 @@ def _check_columns(columns: list[str], file: str, known: tuple[str, ...]) -> Non
             found = ",".join(columns)[:80]
             problems.append(error("frames-unreadable", file, f"column '{name}' is missing", found=found))
     if len(set(columns)) != len(columns):
-        problems.append(error("frames-unreadable", file, "a column appears twice", found=",".join(columns)))
+        problems.append(error("frames-unreadable", file, "a column appears twice", found=",".join(columns)[:80]))
     raise_errors(problems)
 
 
@@ -123,6 +131,8 @@ def _frame(
         problems.append(
             error("light-empty", where, f"a {role} frame needs its light", remedy="Name it as in the lights")
         )
+    problems += label_problems(row.get("view", ""), "view", where)
+    problems += label_problems(light_name(light), "light", where)
     seconds = None
     if exposure:
         try:
@@ -178,14 +188,18 @@ def inside(payload: Path, file: str, where: str) -> Path:
 
     Absolute names, '..' and links that lead out are refused: a capture must be whole when it is moved or archived.
     """
-    parts = Path(file).parts
     remedy = "Put the file into the capture folder and name it relative to capture.yaml, with forward slashes"
-    if not file or Path(file).is_absolute() or ".." in parts or "\\" in file or file[1:2] == ":":
-        raise CaptureError(error("outside-folder", where, "file name", found=repr(file), remedy=remedy))
+    fault = name_fault(file)
+    if fault:
+        raise CaptureError(error("outside-folder", where, fault, found=repr(file[:200]), remedy=remedy))
     path = payload / file
-    if not path.is_file():
+    try:
+        there = path.is_file()
+    except OSError as e:
+        raise CaptureError(error("image-missing", where, f"'{file}' cannot be reached", found=str(e.strerror))) from e
+    if not there:
         raise CaptureError(error("image-missing", where, f"'{file}' is missing"))
-    if not path.resolve().is_relative_to(payload.resolve()):
-        found = f"'{file}' leads to {path.resolve()}"
+    if leads_out(path, payload):
+        found = f"'{file}' leads to {os.path.realpath(path)}"
         raise CaptureError(error("outside-folder", where, "link out of the folder", found=found, remedy=remedy))
     return path

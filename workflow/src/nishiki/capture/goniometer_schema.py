@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, field_validator, model_validator
 
 from nishiki.capture.schema import Closed, Positive, Session
+from nishiki.outside import is_label
 
 Reflectance = Annotated[float, Field(gt=0, le=1.1)]
 Label = Annotated[int, Field(ge=1, le=65535)]
@@ -37,6 +38,9 @@ class Goniometer(Closed):
     def _distinct(cls, names: dict[str, int]) -> dict[str, int]:
         if len(set(names.values())) != len(names) or any(not n.strip() for n in names):
             raise ValueError("each name has a label of its own and is not empty")
+        wrong = [name for name in names if not is_label(name)]
+        if wrong:
+            raise ValueError(f"{wrong[0][:60]!r} cannot be part of a file name: at most 100 characters, no slashes")
         return names
 
     @model_validator(mode="after")

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-import csv
+from array import array
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from nishiki.bounds import bound
 from nishiki.capture.problems import CaptureError, Problem, error, raise_errors, warning
+from nishiki.capture.tables import cells_of, expect_rows, reading, table_lines
 
 ANGLES = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
 SHOWN = 5  # wrong rows told of one kind
+TOLD = 20  # rows that cannot be read, before reading stops
+Lines = Iterator[tuple[int, str]]
 
 
 @dataclass(frozen=True)
@@ -29,13 +34,13 @@ class ReflectanceTable:
 def read_table(path: Path, name: str) -> ReflectanceTable:
     """Read `.brdf` (Cornell: angles in radians, a value a wavelength) or CSV.
 
-    Raises CaptureError with all mistakes: table-unreadable, table-columns, table-empty, angle-invalid, table-value.
+    Raises CaptureError with all mistakes: table-missing, table-unreadable, table-many, table-columns, table-empty,
+    angle-invalid, table-value.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as e:
-        raise CaptureError(error("table-unreadable", name, "not UTF-8 text", remedy="Save it as UTF-8")) from e
-    return _checked(*(_cornell if path.suffix.lower() == ".brdf" else _csv)(text, name), name)
+    with reading(name, "table"):
+        lines = table_lines(path, name, limit="reflectances_bytes")
+        found = (_cornell if path.suffix.lower() == ".brdf" else _csv)(lines, name)
+    return _checked(*found, name)
 
 
 def is_table(path: Path) -> bool:
@@ -44,16 +49,18 @@ def is_table(path: Path) -> bool:
         return True
     if path.suffix.lower() != ".csv":
         return False
-    with path.open(encoding="utf-8-sig", errors="replace") as file:
-        lines = (line for line in file if line.strip() and not line.lstrip().startswith("#"))
-        return set(ANGLES) <= {cell.strip() for cell in next(lines, "").split(",")}
+    try:
+        with reading(path.name, "table"):
+            _, heading = next(table_lines(path, path.name, limit="reflectances_bytes"), (0, ""))
+    except CaptureError:
+        return False
+    return set(ANGLES) <= {cell.strip() for cell in heading.split(",")}
 
 
-def _csv(text: str, name: str) -> tuple[np.ndarray, tuple[str, ...], list[int]]:
+def _csv(lines: Lines, name: str) -> tuple[np.ndarray, tuple[str, ...], array]:
     """Rows (n, 4 + channels), angles in degrees first; channel names; line number of each row."""
-    lines = [(i, t) for i, t in enumerate(text.splitlines(), start=1) if t.strip() and not t.lstrip().startswith("#")]
-    rows = [[cell.strip() for cell in row] for row in csv.reader(t for _, t in lines)]
-    heading = rows[0] if rows else []
+    heading = cells_of(next(lines, (0, ""))[1])
+    expect_rows(len(heading), "table_columns", name, "table")
     channels = tuple(cell for cell in heading if cell not in ANGLES)
     missing = [angle for angle in ANGLES if angle not in heading]
     if missing or not channels or len(set(heading)) != len(heading) or "" in heading:
@@ -61,32 +68,38 @@ def _csv(text: str, name: str) -> tuple[np.ndarray, tuple[str, ...], list[int]]:
         remedy = "Name the columns in the first line"
         raise CaptureError(error("table-columns", name, "columns", expected=expected, found=found, remedy=remedy))
     order = [heading.index(column) for column in (*ANGLES, *channels)]
-    numbers, problems = [], []
-    for (line, _), row in zip(lines[1:], rows[1:], strict=True):
+    numbers, places, problems = array("d"), array("q"), []
+    for line, text in lines:
         try:
+            row = cells_of(text)
             if len(row) != len(heading):
                 raise ValueError(f"{len(row)} values")
-            numbers.append([float(row[i]) for i in order])
+            numbers.extend([float(row[i]) for i in order])
+            places.append(line)
         except ValueError as e:
-            expected = f"{len(heading)} numbers"
-            problems.append(error("table-unreadable", f"{name} line {line}", "row", expected=expected, found=str(e)))
+            expected, found = f"{len(heading)} numbers", str(e)[:80]
+            problems.append(error("table-unreadable", f"{name} line {line}", "row", expected=expected, found=found))
+            if len(problems) > TOLD:
+                break
+        expect_rows(len(numbers), "reflectances_values", name, "table")
     raise_errors(problems)
-    return np.array(numbers).reshape(-1, len(order)), channels, [line for line, _ in lines[1:]]
+    return np.frombuffer(numbers).reshape(-1, len(order)), channels, places
 
 
-def _cornell(text: str, name: str) -> tuple[np.ndarray, tuple[str, ...], list[int]]:
+def _cornell(lines: Lines, name: str) -> tuple[np.ndarray, tuple[str, ...], array]:
     """The number of wavelengths, the wavelengths in nm, then rows of four angles in radians and the values."""
-    cells, lines = [], []
-    for number, line in enumerate(text.splitlines(), start=1):
-        here = line.split("#")[0].split()
-        cells += here
-        lines += [number] * len(here)
+    numbers, places = array("d"), array("q")
     try:
-        values = np.array([float(cell) for cell in cells])
+        for number, line in lines:
+            here = [float(cell) for cell in line.split("#")[0].split()]
+            numbers.extend(here)
+            places.extend([number] * len(here))
+            expect_rows(len(numbers), "reflectances_values", name, "table")
+        values = np.frombuffer(numbers)
+        if not len(values) or not 1 <= values[0] <= min(bound("table_columns"), len(values) - 1) or values[0] % 1:
+            raise ValueError(f"{len(values)} numbers" + (f", the first {values[0]:g}" if len(values) else ""))
         count = int(values[0])
-        if count < 1 or count != values[0] or len(values) < 1 + count:
-            raise ValueError(f"{len(values)} numbers, the first {values[0]:g}")
-    except (ValueError, IndexError) as e:
+    except ValueError as e:
         expected = "the number of wavelengths, the wavelengths, then rows of angles and values"
         raise CaptureError(error("table-unreadable", name, "table", expected=expected, found=str(e)[:80])) from e
     rest, wide = values[1 + count :], 4 + count
@@ -98,10 +111,10 @@ def _cornell(text: str, name: str) -> tuple[np.ndarray, tuple[str, ...], list[in
         )
     rows = rest.reshape(-1, wide).copy()
     rows[:, :4] = np.degrees(rows[:, :4])
-    return rows, tuple(f"{nm:g} nm" for nm in values[1 : 1 + count]), lines[1 + count :: wide]
+    return rows, tuple(f"{nm:g} nm" for nm in values[1 : 1 + count]), places[1 + count :: wide]
 
 
-def _checked(rows: np.ndarray, channels: tuple[str, ...], lines: list[int], name: str) -> ReflectanceTable:
+def _checked(rows: np.ndarray, channels: tuple[str, ...], lines: array, name: str) -> ReflectanceTable:
     """The table, if it has rows of possible angles and finite values."""
     if not len(rows):
         raise CaptureError(error("table-empty", name, "no reflectances in it", remedy="Add a row for each measurement"))

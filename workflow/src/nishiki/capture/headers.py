@@ -1,22 +1,24 @@
 """Size, depth and kind of a photograph from its first bytes, before anything large is allocated.
 
-A damaged or hostile header may claim any size; what it claims is compared with what the file can hold and with fixed
-bounds, and only then is the file decoded.
+A damaged or hostile header may claim any size; what it claims is compared with what the file can hold and with the
+bounds of `nishiki.bounds`, and only then is the file decoded.
 """
 
 from __future__ import annotations
 
+import os
 import struct
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Literal
 
+from nishiki.bounds import BOUNDS, bound, remedy
 from nishiki.capture.problems import CaptureError, Problem, error
+from nishiki.capture.tables import refusal
+from nishiki.outside import Refused, open_regular
 
-MAX_PIXELS = 1 << 29  # 537 megapixels: above the largest multi-shot cameras
-MAX_SIDE = 1 << 17
-MAX_BYTES = 1 << 33  # decoded
-DEFLATE_BOUND = 1040  # deflate cannot shrink more than 1032:1, so a larger claim is damage or a decompression bomb
+DEFLATE_RATIO = 1040  # deflate cannot shrink more than 1032:1, so a larger claim is damage or a decompression bomb
+JPEG_RATIO = 3000  # a progressive JPEG of one even grey needs one bit for 64 samples, or for 768 with coarse colour
 
 Kind = Literal["png", "jpeg", "tiff", "exr", "raw"]
 Sample = Literal["uint8", "uint16", "float32"]
@@ -29,7 +31,11 @@ IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr"}) |
 
 @dataclass(frozen=True)
 class ImageHeader:
-    """What a photograph says of itself. channels: as decoded, alpha included; pages: TIFF pages of equal size."""
+    """What a photograph says of itself. channels: as decoded, alpha included; pages: TIFF pages of equal size.
+
+    stored_bytes: of all samples before compression, 0 where not known; ratio: how many times smaller than these the
+    file can be at most, 0 where there is no bound.
+    """
 
     kind: Kind
     rows: int
@@ -39,6 +45,8 @@ class ImageHeader:
     alpha: bool = False
     pages: int = 1
     names: tuple[str, ...] = ()
+    stored_bytes: int = 0
+    ratio: int = 0
 
     @property
     def decoded_bytes(self) -> int:
@@ -52,7 +60,7 @@ def read_header(path: Path, *, name: str | None = None) -> ImageHeader:
     """
     name = name or path.name
     try:
-        with path.open("rb") as file:
+        with os.fdopen(open_regular(path, name), "rb") as file:
             start = file.read(32)
             if path.suffix.lower() in RAW_SUFFIXES:
                 from nishiki.capture.raw import read_raw_header
@@ -61,8 +69,10 @@ def read_header(path: Path, *, name: str | None = None) -> ImageHeader:
             else:
                 header = _parse(file, start, path, name)
             bytes_on_disk = file.seek(0, 2)
-    except (FileNotFoundError, IsADirectoryError) as e:
+    except FileNotFoundError as e:
         raise CaptureError(error("image-missing", name, "file is missing")) from e
+    except Refused as e:
+        raise CaptureError(refusal(e, "image-unreadable")) from e
     problem = _absurd(header, bytes_on_disk, name)
     if problem:
         raise CaptureError(problem)
@@ -82,8 +92,8 @@ def _parse(file: BinaryIO, start: bytes, path: Path, name: str) -> ImageHeader:
         if start.startswith(b"\x76\x2f\x31\x01"):
             from nishiki.capture.exr import exr_header
 
-            return exr_header(path)
-    except (struct.error, IndexError, KeyError, ValueError, EOFError, OSError, RuntimeError) as e:
+            return exr_header(file)
+    except (struct.error, IndexError, KeyError, ValueError, EOFError, OSError, OverflowError) as e:
         what = "image header is damaged or cut off"
         raise CaptureError(error("image-truncated", name, what, found=str(e) or type(e).__name__)) from e
     expected = "PNG, JPEG, TIFF, OpenEXR or camera raw"
@@ -94,13 +104,19 @@ def _absurd(header: ImageHeader, bytes_on_disk: int, name: str) -> Problem | Non
     size = f"{header.rows} x {header.columns} x {header.channels}"
     if min(header.rows, header.columns, header.channels) < 1:
         return error("image-absurd", name, "image without pixels", found=size)
-    too_big = max(header.rows, header.columns) > MAX_SIDE or header.rows * header.columns > MAX_PIXELS
-    if too_big or header.decoded_bytes > MAX_BYTES:
-        expected = f"at most {MAX_PIXELS} pixels, {MAX_SIDE} a side, {MAX_BYTES >> 30} GiB decoded"
-        return error("image-absurd", name, "image header claims an absurd size", expected=expected, found=size)
-    packed = header.kind == "png"
-    if packed and header.decoded_bytes // 16 > DEFLATE_BOUND * bytes_on_disk:
-        # a sixteenth: one-bit samples decode to eight bits or more
+    claims = {
+        "image_side": max(header.rows, header.columns),
+        "image_pixels": header.rows * header.columns,
+        "image_bytes": max(header.decoded_bytes, header.stored_bytes),
+        "image_file_bytes": bytes_on_disk,
+        "memory_bytes": 2 * header.decoded_bytes + bytes_on_disk,
+    }
+    for limit, claimed in claims.items():
+        if claimed > bound(limit):
+            what, unit = "image header claims an absurd size", BOUNDS[limit].unit
+            expected, found = f"at most {bound(limit)} {unit}", f"{size}, {claimed} {unit}"
+            return error("image-absurd", name, what, expected=expected, found=found, remedy=remedy(limit))
+    if header.ratio and header.stored_bytes > header.ratio * bytes_on_disk:
         found = f"{size} in {bytes_on_disk} bytes"
         return error("image-absurd", name, "image cannot hold the size that its header claims", found=found)
     return None
@@ -112,8 +128,14 @@ def _png(file: BinaryIO) -> ImageHeader:
     if tag != b"IHDR" or length != 13:
         raise ValueError("no IHDR chunk")
     columns, rows, depth, colour = struct.unpack(">IIBB", file.read(10))
+    if depth not in (1, 2, 4, 8, 16):
+        raise ValueError(f"samples of {depth} bits")
     channels = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}[colour]
-    return ImageHeader("png", rows, columns, channels, "uint16" if depth == 16 else "uint8", alpha=colour in (4, 6))
+    sample = "uint16" if depth == 16 else "uint8"
+    stored = rows * (columns * (1 if colour == 3 else channels) * depth // 8)
+    return ImageHeader(
+        "png", rows, columns, channels, sample, alpha=colour in (4, 6), stored_bytes=stored, ratio=DEFLATE_RATIO
+    )
 
 
 def _jpeg(file: BinaryIO) -> ImageHeader:
@@ -132,5 +154,8 @@ def _jpeg(file: BinaryIO) -> ImageHeader:
             depth, rows, columns, channels = struct.unpack(">BHHB", file.read(6))
             if depth != 8 or channels not in (1, 3):
                 raise ValueError(f"JPEG of {depth} bits and {channels} components; 8 bits and 1 or 3 are read")
-            return ImageHeader("jpeg", rows, columns, channels, "uint8")
+            stored = rows * columns * channels
+            return ImageHeader("jpeg", rows, columns, channels, "uint8", stored_bytes=stored, ratio=JPEG_RATIO)
+        if length < 2:
+            raise ValueError(f"JPEG segment of {length} bytes")
         file.seek(length - 2, 1)

@@ -12,6 +12,7 @@ from nishiki.capture.headers import ImageHeader, read_header
 from nishiki.capture.problems import CaptureError, error
 
 Region = tuple[int, int, int, int]  # row, column, rows, columns
+MOST_SCANS = 200  # of a JPEG; progressive ones have about ten
 
 
 def read_codes(
@@ -38,8 +39,8 @@ def read_codes(
     else:
         try:
             codes = _decode(path, header, channels, luma and header.kind == "jpeg")
-        except (ValueError, RuntimeError, OSError, EOFError, zlib.error, struct.error) as e:
-            found = str(e) or type(e).__name__
+        except Exception as e:  # whatever a damaged file makes a decoder stumble over, its own error classes included
+            found = (str(e) or type(e).__name__)[:300]
             remedy = "Copy the file again from the camera or the archive"
             raise CaptureError(error("image-truncated", name, "cannot be decoded", found=found, remedy=remedy)) from e
     if codes.shape[:2] != (header.rows, header.columns):
@@ -183,13 +184,17 @@ def check_png(data: np.ndarray) -> None:
 
 
 def check_jpeg(data: np.ndarray) -> None:
-    """EOFError unless the end marker follows the scan: decoders fill what is missing with grey.
+    """EOFError unless the end marker follows the scan: decoders fill what is missing with grey. ValueError where it has
+    more scans than any encoder writes: each is a pass over the whole picture, however few bytes it has.
 
     Within the coded scan 0xFF is never followed by 0xD9, so an end marker after the start of scan is the real one.
     """
     stored = data.tobytes()
-    if stored.find(b"\xff\xd9", _scan_start(stored)) < 0:
+    start = _scan_start(stored)
+    if stored.find(b"\xff\xd9", start) < 0:
         raise EOFError(f"JPEG ends after {len(stored)} bytes, without its end marker")
+    if stored.count(b"\xff\xda", start) > MOST_SCANS:
+        raise ValueError(f"JPEG of more than {MOST_SCANS} scans")
 
 
 def _scan_start(stored: bytes) -> int:

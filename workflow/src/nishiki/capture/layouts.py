@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import math
+import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from nishiki.bounds import bound
+from nishiki.capture.frames import inside
 from nishiki.capture.headers import IMAGE_SUFFIXES, read_header
 from nishiki.capture.images import read_codes
 from nishiki.capture.lights import Lights, light_name, lights_from_vectors, read_lights
 from nishiki.capture.probes import direction_from_sphere, mean_direction
-from nishiki.capture.problems import CaptureError, Problem, error, warning
+from nishiki.capture.problems import CaptureError, Problem, error, raise_errors, warning
+from nishiki.capture.tables import expect_rows, reading, table_lines
+from nishiki.outside import NAME_BYTES, is_plain, leads_out, read_text
 
 MASK_WORD = re.compile(r"(^|[._\- ])mask([._\- ]|$)", re.IGNORECASE)
 PROBE_DATA = "circle_data.txt"
@@ -34,13 +40,30 @@ class Layout:
 
 def natural_key(path: Path) -> list:
     """Sort key in which cat.2 comes before cat.10."""
-    return [int(part) if part.isdigit() else part.casefold() for part in re.split(r"(\d+)", path.name)]
+    return [int(part) if part.isdecimal() else part.casefold() for part in re.split(r"([0-9]+)", path.name)]
 
 
 def photographs_in(folder: Path) -> list[Path]:
-    """Pictures of a folder that are no masks, in natural order."""
+    """Pictures of a folder that are no masks, in natural order.
+
+    CaptureError (outside-folder, name-unusable) where one is a link that leads out of the folder, or its name cannot
+    be that of a file in a capture.
+    """
     found = (p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file())
-    return sorted((p for p in found if not MASK_WORD.search(p.stem)), key=natural_key)
+    chosen = sorted((p for p in found if not MASK_WORD.search(p.stem)), key=natural_key)
+    raise_errors(problem for path in chosen for problem in source_problems(path, folder))
+    return chosen
+
+
+def source_problems(path: Path, folder: Path) -> list[Problem]:
+    """Whether a file may be taken over from a folder: what a link elsewhere shows is no part of that folder."""
+    if not is_plain(path.name) or len(os.fsencode(path.name)) > NAME_BYTES:
+        what, remedy = "name of a photograph", f"Rename it: at most {NAME_BYTES} bytes of UTF-8, no control characters"
+        return [error("name-unusable", path.name, what, found=repr(path.name[:60]), remedy=remedy)]
+    if leads_out(path, folder):
+        found, remedy = os.path.realpath(path), "Copy the folder with its links followed (cp -rL) and convert the copy"
+        return [error("outside-folder", path.name, "link out of the folder", found=found, remedy=remedy)]
+    return []
 
 
 def recognise(source: Path, *, lights_file: Path | None = None, mask: Path | None = None) -> Layout:
@@ -81,6 +104,7 @@ def has_lamps(source: Path) -> bool:
 
 def _find_mask(source: Path) -> Path | None:
     masks = [p for p in source.iterdir() if p.suffix.lower() in (".png", ".tif", ".tiff") and MASK_WORD.search(p.stem)]
+    raise_errors(problem for path in masks for problem in source_problems(path, source))
     return masks[0] if len(masks) == 1 else None
 
 
@@ -114,18 +138,18 @@ def _diligent(source: Path, mask: Path | None) -> Layout:
     names = source / "filenames.txt"
     present = photographs_in(source)
     if names.is_file():
-        listed = [source / light.strip() for light in names.read_text().split("\n") if light.strip()]
-        gone = [p.name for p in listed if not p.is_file()]
-        if gone:
-            what = f"photographs of filenames.txt are missing: {', '.join(gone[:5])}"
-            raise CaptureError(error("photograph-missing", str(source), what))
-        present = listed
+        with reading(names.name, "lights"):
+            listed = [line.strip() for _, line in table_lines(names, names.name)]
+        expect_rows(len(listed), "lights", names.name, "lights")
+        present = [inside(source, name, names.name) for name in listed]
     _expect_count(source, present, len(bare.names))
     intensities = None
     scales = source / "light_intensities.txt"
     if scales.is_file():
         try:
-            intensities = np.loadtxt(scales, ndmin=2)
+            with reading(scales.name, "intensities"):
+                lines = [line for _, line in table_lines(scales, scales.name)]
+            intensities = np.loadtxt(lines or [""], ndmin=2) if lines else np.zeros((0, 1))
         except ValueError as e:
             raise CaptureError(error("intensities-unreadable", scales.name, "not a table of numbers")) from e
         if len(intensities) != len(present) or not (np.isfinite(intensities) & (intensities > 0)).all():
@@ -152,9 +176,7 @@ def _with_spheres(source: Path, probes: list[Path], mask: Path | None) -> Layout
     for probe in probes:
         pictures = [p for p in photographs_in(probe) if numbered.search(p.stem)]
         _expect_count(probe, pictures, len(photographs))
-        column, row, radius = np.loadtxt(probe / PROBE_DATA).ravel()[:3]
-        # the circle is given in coordinates that count from 1
-        spheres.append([direction_from_sphere(_grey(p), (row - 1, column - 1), radius) for p in pictures])
+        spheres.append([_towards_lamp(p, *_circle(probe)) for p in pictures])
     notes, vectors = [], []
     for i, photograph in enumerate(photographs):
         mean, angle = mean_direction(np.array([sphere[i] for sphere in spheres]))
@@ -165,6 +187,34 @@ def _with_spheres(source: Path, probes: list[Path], mask: Path | None) -> Layout
             notes.append(warning("probes-disagree", photograph.name, what, found=found))
     lights = lights_from_vectors([p.stem for p in photographs], np.array(vectors), file="mirror spheres")
     return Layout("mirror spheres", tuple(photographs), lights, None, mask, (*notes, *lights.warnings))
+
+
+def _circle(probe: Path) -> tuple[float, float, float]:
+    """Row, column (from 0) and radius in pixels of a mirror sphere; its file counts from 1."""
+    file = f"{probe.name}/{PROBE_DATA}"
+    try:
+        with reading(file, "probe"):
+            text = read_text(probe / PROBE_DATA, "table_bytes", name=file)
+        column, row, radius = (float(word) for word in text.replace(",", " ").split()[:3])
+    except ValueError as e:
+        raise CaptureError(error("probe-unreadable", file, "circle", expected="column, row and radius")) from e
+    if not all(map(math.isfinite, (column, row, radius))) or not 1 <= radius <= bound("image_side"):
+        found = f"{column:g}, {row:g}, {radius:g}"
+        expected = "finite column and row, a radius of at least 1 pixel"
+        raise CaptureError(error("probe-unreadable", file, "circle", expected=expected, found=found))
+    return row - 1, column - 1, radius
+
+
+def _towards_lamp(path: Path, row: float, column: float, radius: float) -> np.ndarray:
+    """Direction of the lamp that a mirror sphere shows. CaptureError (probe-unreadable) where it shows none."""
+    picture = _grey(path)
+    if not (0 <= row < picture.shape[0] and 0 <= column < picture.shape[1]):
+        found, expected = f"row {row:g}, column {column:g}", f"within {picture.shape[0]} x {picture.shape[1]}"
+        raise CaptureError(error("probe-unreadable", path.name, "mirror sphere", expected=expected, found=found))
+    try:
+        return direction_from_sphere(picture, (row, column), radius)
+    except ValueError as e:
+        raise CaptureError(error("probe-unreadable", path.name, "mirror sphere", found=str(e))) from e
 
 
 def _grey(path: Path) -> np.ndarray:

@@ -8,15 +8,21 @@ are not of unit length, byte-order marks and blank lines. All are read; what can
 from __future__ import annotations
 
 import csv
+import io
 import math
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
+from nishiki.bounds import bound
 from nishiki.capture.problems import CaptureError, Problem, error, raise_errors, warning
+from nishiki.capture.tables import expect_rows, label_problems, reading
+from nishiki.outside import read_bytes
 
 IMAGE_SUFFIX = re.compile(r"\.(png|tiff?|jpe?g|exr|bmp|dng|cr[23w]|nef|arw|raf|orf|rw2|pef|srw)$", re.IGNORECASE)
 COPLANAR_RATIO = 1e-3  # smallest / largest singular value of the direction matrix
@@ -56,17 +62,18 @@ def read_lights(path: Path, *, kind: str = "direction", frontal: bool = True) ->
 
     kind: 'direction' (unit vectors; other lengths are normalised, with a warning) or 'position_mm'; frontal: refuse
     lamps in or behind the object's plane (z <= 0), which an object in the round may well have.
-    Raises CaptureError with every mistake found (kinds: lights-missing, lights-unreadable, lights-count, light-zero,
-    light-not-finite, light-behind, light-duplicate, lights-none).
+    Raises CaptureError with every mistake found (kinds: lights-missing, lights-unreadable, lights-many, lights-count,
+    light-zero, light-not-finite, light-behind, light-duplicate, name-unusable, lights-none).
     """
-    try:
-        text = path.read_bytes().decode("utf-8-sig")
-    except FileNotFoundError as e:
-        raise CaptureError(error("lights-missing", path.name, "lights file is missing")) from e
-    except UnicodeDecodeError:
-        text = path.read_bytes().decode("latin-1")  # file names in an old code page; the numbers are ASCII anyway
-    parse = _parse_table if path.suffix.lower() == ".csv" else _parse_list
-    names, vectors = parse(text, path.name, counted=path.suffix.lower() not in (".csv", ".txt"))
+    with reading(path.name, "lights"):
+        content = read_bytes(path, "table_bytes", name=path.name)
+        try:
+            text = content.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            text = content.decode("latin-1")  # file names in an old code page; the numbers are ASCII anyway
+        parse = _parse_table if path.suffix.lower() == ".csv" else _parse_list
+        names, vectors = parse(text, path.name, counted=path.suffix.lower() not in (".csv", ".txt"))
+    expect_rows(len(names), "lights", path.name, "lights")
     return lights_from_vectors(
         names, np.array(vectors, dtype=np.float64).reshape(-1, 3), file=path.name, kind=kind, frontal=frontal
     )
@@ -79,7 +86,8 @@ def lights_from_vectors(
     problems: list[Problem] = []
     if len(vectors) == 0:
         problems.append(error("lights-none", file, "no lights", expected="at least 3 lights"))
-    lengths = np.sqrt((vectors**2).sum(axis=1))
+    with np.errstate(over="ignore", invalid="ignore"):
+        lengths = np.sqrt((vectors**2).sum(axis=1))
     called = [str(i + 1) if name is None else light_name(name) for i, name in enumerate(names)]
     for i, (vector, length) in enumerate(zip(vectors, lengths, strict=True)):
         # the origin of a turntable's positions is the camera, where a lamp may well be
@@ -91,6 +99,7 @@ def lights_from_vectors(
             what = f"light '{name}' appears twice (numbers {seen[name] + 1} and {i + 1})"
             problems.append(error("light-duplicate", file, what, remedy="Remove or rename one"))
         seen.setdefault(name, i)
+        problems += label_problems(name, "light", file)
     raise_errors(problems)
     uneven = np.abs(lengths - 1) > 0.01
     if kind == "direction" and uneven.any():
@@ -133,10 +142,10 @@ def direction_problems(directions: np.ndarray, file: str) -> list[Problem]:
 
 def _parse_list(text: str, file: str, *, counted: bool) -> tuple[list[str | None], list[list[float]]]:
     """`.lp` (counted) or a bare list of vectors, one a line."""
-    lines = [(i + 1, line.strip()) for i, line in enumerate(text.splitlines())]
-    lines = [(i, line) for i, line in lines if line and not line.startswith(("#", "//"))]
+    lines = list(islice(_kept(text), bound("lights") + 2))  # the first may be the count
+    expect_rows(len(lines) - 1, "lights", file, "lights")
     declared = None
-    if lines and re.fullmatch(r"\d+", lines[0][1]):
+    if lines and re.fullmatch(r"[0-9]{1,18}", lines[0][1]):
         declared = int(lines.pop(0)[1])
     elif counted:
         found = lines[0][1][:40] if lines else "an empty file"
@@ -162,6 +171,13 @@ def _parse_list(text: str, file: str, *, counted: bool) -> tuple[list[str | None
     if any(n is None for n in names) and any(n is not None for n in names):
         raise CaptureError(error("lights-unreadable", file, "some lines have a file name and some have none"))
     return names, vectors
+
+
+def _kept(text: str) -> Iterator[tuple[int, str]]:
+    """Lines that are neither empty nor comments, with their numbers from 1."""
+    for number, line in enumerate(io.StringIO(text, newline=None), start=1):
+        if line.strip() and not line.strip().startswith(("#", "//")):
+            yield number, line.strip()
 
 
 def _parse_line(line: str) -> tuple[str | None, list[float]] | None:
@@ -201,16 +217,16 @@ def _name_before(line: str, tokens: list[str]) -> str | None:
 
 def _parse_table(text: str, file: str, *, counted: bool) -> tuple[list[str | None], list[list[float]]]:
     """lights.csv: light,x,y,z or light,azimuth_deg,polar_deg (azimuth from x towards y; polar from the normal)."""
-    rows = csv.DictReader([line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")])
+    rows = csv.DictReader(line for _, line in _kept(text))
     columns = [c.strip() for c in rows.fieldnames or []]
     rows.fieldnames = columns
     cartesian, angular = ["light", "x", "y", "z"], ["light", "azimuth_deg", "polar_deg"]
     if sorted(columns) not in (sorted(cartesian), sorted(angular)):
         expected = f"{','.join(cartesian)} or {','.join(angular)}"
-        found = ",".join(columns)
+        found = ",".join(columns)[:80]
         raise CaptureError(error("lights-unreadable", file, "wrong columns", expected=expected, found=found))
     names, vectors, problems = [], [], []
-    for i, row in enumerate(rows, start=2):
+    for i, row in enumerate(islice(rows, bound("lights") + 1), start=2):
         keys = cartesian[1:] if "x" in columns else angular[1:]
         values = [_number((row[k] or "").strip()) for k in keys]
         if None in row or not (row["light"] or "").strip() or any(v is None for v in values):

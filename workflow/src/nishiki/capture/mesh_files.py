@@ -6,6 +6,9 @@ import re
 from pathlib import Path
 
 from nishiki.capture.problems import CaptureError, error
+from nishiki.capture.tables import refusal
+from nishiki.geometry.mesh_heading import expect_mesh_file
+from nishiki.outside import Refused
 
 MESHES = (".ply", ".obj")
 HEADING = 1 << 16
@@ -25,15 +28,25 @@ def expect_mesh(path: Path, file: str, where: str, *, scan: bool) -> None:
     if path.suffix.lower() == ".obj":
         if not re.search(rb"^v\s", start, re.MULTILINE):
             raise CaptureError(error("mesh-unreadable", where, "OBJ file without vertices", found=file))
+        _expect_whole(path, file)
         return
     end = start.find(b"end_header")
     if not start.startswith(b"ply") or end < 0:
         found = f"{start[:8]!r}"
         what = "not a PLY file, or its heading is damaged"
         raise CaptureError(error("mesh-unreadable", where, what, expected="ply ... end_header", found=found))
-    counts = {name: int(count) for name, count in re.findall(rb"element\s+(\w+)\s+(\d+)", start[:end])}
+    counts = {name: int(count) for name, count in re.findall(rb"element\s+(\w+)\s+(\d{1,18})", start[:end])}
     for name in (b"vertex",) if scan else (b"vertex", b"face"):
         if not counts.get(name):
             what, found = f"PLY file without {name.decode()} elements", file
             remedy = "Give a surface of triangles under turntable.mesh, or points under turntable.scans"
             raise CaptureError(error("mesh-empty", where, what, found=found, remedy=remedy))
+    _expect_whole(path, file)
+
+
+def _expect_whole(path: Path, file: str) -> None:
+    """CaptureError (mesh-unreadable) where the file is too large, or cannot hold what its heading claims."""
+    try:
+        expect_mesh_file(path, file)
+    except Refused as e:
+        raise CaptureError(refusal(e, "mesh-unreadable")) from e

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
-from nishiki.errors import UserError
+from nishiki.errors import UserError, printable
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Problem:
         facts += [f"found {self.found}"] if self.found else []
         text = f"{self.file}: {self.what}" if self.file else self.what
         text += f": {', '.join(facts)}" if facts else ""
-        return f"{text}. {self.remedy}" if self.remedy else text
+        return printable(f"{text}. {self.remedy}" if self.remedy else text)
 
 
 class CaptureError(UserError):

@@ -25,8 +25,10 @@ def read_raw_header(path: Path, name: str) -> ImageHeader:
     rawpy = _rawpy(name)
     try:
         with rawpy.imread(str(path)) as raw:
-            return ImageHeader("raw", raw.sizes.height, raw.sizes.width, 3, "uint16")
-    except rawpy.LibRawError as e:
+            sizes = raw.sizes
+            stored = 2 * sizes.raw_height * sizes.raw_width
+            return ImageHeader("raw", sizes.height, sizes.width, 3, "uint16", stored_bytes=stored)
+    except Exception as e:  # LibRaw's own errors, and what its binding makes of a file that is none
         raise CaptureError(error("image-unreadable", name, "camera raw cannot be read", found=str(e))) from e
 
 
@@ -52,5 +54,5 @@ def read_raw(path: Path, name: str) -> np.ndarray:
                 user_wb=[1.0, 1.0, 1.0, 1.0],
                 user_flip=0,
             )
-    except rawpy.LibRawError as e:
+    except Exception as e:
         raise CaptureError(error("image-truncated", name, "camera raw cannot be developed", found=str(e))) from e

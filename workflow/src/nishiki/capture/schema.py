@@ -10,7 +10,10 @@ from typing import Annotated, Any, Literal, TypeVar, get_args
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from nishiki import plain_yaml
 from nishiki.capture.problems import CaptureError, Problem, error
+from nishiki.capture.tables import refusal
+from nishiki.outside import Refused, is_plain, read_text
 
 FORMAT = 1
 NAMED_ILLUMINANTS = ("A", "D50", "D55", "D65", "E", *(f"F{i}" for i in range(1, 13)))
@@ -37,8 +40,8 @@ class Camera(Closed):
     @field_validator("channels")
     @classmethod
     def _distinct(cls, names: tuple[str, ...]) -> tuple[str, ...]:
-        if len(set(names)) != len(names) or any(not n.strip() for n in names):
-            raise ValueError("channel names must be distinct and not empty")
+        if len(set(names)) != len(names) or any(not n.strip() or len(n) > 100 or not is_plain(n) for n in names):
+            raise ValueError("channel names must be distinct and not empty, of at most 100 printable characters")
         return names
 
 
@@ -112,7 +115,7 @@ class CaptureFile(Session):
         return self
 
 
-class _UniqueKeyLoader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):
+class _UniqueKeyLoader(plain_yaml.SafeLoader):
     """Safe YAML in which a key that appears twice is an error instead of the last one winning silently."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
@@ -153,11 +156,12 @@ def geometry_named(path: Path) -> str | None:
 def read_mapping(path: Path) -> dict:
     """Keys and values of a plain YAML file. CaptureError: yaml-missing, yaml-invalid."""
     try:
-        content = path.read_text(encoding="utf-8-sig")
-        parsed = yaml.load(content, Loader=_UniqueKeyLoader)
+        parsed = plain_yaml.load(read_text(path, "settings_bytes"), _UniqueKeyLoader)
     except FileNotFoundError as e:
         remedy = "Write one, or make a capture folder from photographs with the convert command"
         raise CaptureError(error("yaml-missing", path.name, "file is missing", remedy=remedy)) from e
+    except Refused as e:
+        raise CaptureError(refusal(e, "yaml-invalid")) from e
     except (yaml.YAMLError, UnicodeDecodeError) as e:
         mark = getattr(e, "problem_mark", None)
         where = f"{path.name} line {mark.line + 1}" if mark else path.name

@@ -11,6 +11,8 @@ from datetime import date as Date
 from pathlib import Path
 
 from nishiki.capture.problems import CaptureError, Problem, error, raise_errors
+from nishiki.capture.tables import refusal
+from nishiki.outside import Refused, is_plain, leads_out, open_regular, read_bytes, walk
 
 MANIFEST, TAG_MANIFEST = "manifest-sha256.txt", "tagmanifest-sha256.txt"
 TAGS = ("bagit.txt", "bag-info.txt", MANIFEST)
@@ -30,16 +32,41 @@ class Entry:
 def sha256_of(path: Path) -> str:
     """SHA-256 of a file, 64 hexadecimal digits."""
     digest = hashlib.sha256()
-    with path.open("rb") as file:
+    with os.fdopen(open_regular(path, path.name), "rb") as file:
         while block := file.read(BLOCK):
             digest.update(block)
     return digest.hexdigest()
 
 
 def payload_files(folder: Path) -> Iterator[Path]:
-    """Regular files below a folder, in the order of their relative names; links to folders are not followed."""
-    found = [Path(base) / name for base, _, names in os.walk(folder) for name in names]
-    return iter(sorted(found, key=lambda path: path.relative_to(folder).as_posix()))
+    """Regular files below a folder, in the order of their relative names; links to folders are not followed.
+
+    CaptureError (seal-link, file-special, name-unusable) for links that lead out of the folder or nowhere, for pipes
+    and devices, which could be read for ever, and for names that are not UTF-8.
+    """
+    found, problems = [], []
+    for name, entry in walk(folder):
+        path = Path(entry.path)
+        problem = _strange(name, entry, folder)
+        if problem is not None:
+            problems.append(problem)
+        elif not path.is_dir():
+            found.append((name, path))
+    raise_errors(problems)
+    return iter(path for _, path in sorted(found))
+
+
+def _strange(name: str, entry: os.DirEntry, folder: Path) -> Problem | None:
+    """Why an entry of a capture folder is no file that may be read and listed; None where it is one."""
+    if not is_plain(name.replace("\n", "").replace("\r", "")):
+        remedy = "Rename the file; a manifest holds names in UTF-8, without control characters"
+        return error("name-unusable", name, "file name with control characters, or not UTF-8", remedy=remedy)
+    if entry.is_symlink() and (not os.path.exists(entry.path) or leads_out(Path(entry.path), folder)):
+        found, remedy = f"leads to {os.path.realpath(entry.path)}", "Replace the link by a copy of its file"
+        return error("seal-link", name, "link that leads out of the folder or nowhere", found=found, remedy=remedy)
+    if not entry.is_file() and not entry.is_dir():
+        return error("file-special", name, "neither a file nor a folder", remedy="Remove it from the capture folder")
+    return None
 
 
 def payload_digests(folder: Path, *, known: dict[str, Entry] | None = None) -> dict[str, Entry]:
@@ -62,18 +89,33 @@ def manifest_text(digests: dict[str, str]) -> str:
 
 
 def read_manifest(path: Path) -> dict[str, str]:
-    """Digest by name from a manifest. CaptureError (seal-manifest) where a line is none."""
+    """Digest by name from a manifest. CaptureError (seal-manifest) where a line is none, or it cannot be read."""
     entries, problems = {}, []
-    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+    for number, line in enumerate(_manifest_lines(path), start=1):
         match = re.fullmatch(r"([0-9a-fA-F]{64})[ \t]+\*?(.+)", line)
-        if match is None or match[2].startswith("/") or ".." in match[2].split("/"):
-            expected = "64 hexadecimal digits and a name inside the bag"
+        wrong = match is None or match[2].startswith("/") or ".." in match[2].split("/")
+        if wrong or _decode(match[2]) in entries:
+            expected = "64 hexadecimal digits and a name inside the bag, each name once"
             where = f"{path.name} line {number}"
             problems.append(error("seal-manifest", where, "line", expected=expected, found=line[:80]))
             continue
         entries[_decode(match[2])] = match[1].lower()
     raise_errors(problems)
     return entries
+
+
+def _manifest_lines(path: Path) -> list[str]:
+    """Lines of a manifest; only line feeds end them, as names may hold any other character."""
+    try:
+        if leads_out(path, path.parent):
+            what, remedy = "link out of the folder", "Copy the file itself into the folder"
+            raise CaptureError(error("seal-manifest", path.name, what, found=os.path.realpath(path), remedy=remedy))
+        lines = read_bytes(path, "manifest_bytes", name=path.name).decode("utf-8").split("\n")
+    except (FileNotFoundError, UnicodeDecodeError) as e:
+        raise CaptureError(error("seal-manifest", path.name, "cannot be read as UTF-8 text", found=str(e))) from e
+    except Refused as e:
+        raise CaptureError(refusal(e, "seal-manifest")) from e
+    return [line.removesuffix("\r") for line in (lines[:-1] if not lines[-1] else lines)]
 
 
 def capture_digest(root: Path, *, known: dict[str, Entry] | None = None) -> str:
@@ -101,6 +143,7 @@ def seal(root: Path, *, progress: Callable[[str], None] | None = None) -> str:
     half = root.with_name(root.name + ".sealing")
     if not root.exists() and (half / "data").is_dir():
         # Killed between the two renames: the payload is whole; the tag files are made anew in case they are not.
+        _refuse_links(half)
         _write_tags(half, half / "data", progress)
         os.rename(half, root)
         return capture_digest(root)
@@ -172,8 +215,12 @@ def verify_seal(root: Path, *, digests: bool = True) -> list[Problem]:
             problems.append(error("seal-missing", name, "file of the seal is missing"))
     if problems:
         return problems
-    listed = read_manifest(root / MANIFEST)
-    present = {p.relative_to(root).as_posix(): p for p in payload_files(root / "data")}
+    try:
+        _refuse_links(root)
+        listed = read_manifest(root / MANIFEST)
+        present = {p.relative_to(root).as_posix(): p for p in payload_files(root / "data")}
+    except CaptureError as e:
+        return list(e.problems)
     remedy = "Restore it from a backup; a sealed capture must stay as it was"
     for name in sorted(set(listed) - set(present)):
         problems.append(error("seal-missing", name, "listed in the manifest but missing", remedy=remedy))
@@ -189,7 +236,11 @@ def verify_seal(root: Path, *, digests: bool = True) -> list[Problem]:
                 error("seal-changed", name, what, expected=expected, found=f"{found[:12]}...", remedy=remedy)
             )
     if (root / TAG_MANIFEST).is_file():
-        for name, digest in read_manifest(root / TAG_MANIFEST).items():
+        try:
+            tags = read_manifest(root / TAG_MANIFEST)
+        except CaptureError as e:
+            return [*problems, *e.problems]
+        for name, digest in tags.items():
             if not (root / name).is_file() or sha256_of(root / name) != digest:
                 problems.append(error("seal-changed", name, "file of the seal changed after sealing", remedy=remedy))
     return problems
@@ -209,7 +260,8 @@ def _write_tags(bag: Path, payload: Path, progress: Callable[[str], None] | None
     tags = {n: hashlib.sha256(t.encode()).hexdigest() for n, t in {**texts, "bagit.txt": BAGIT}.items()}
     for name, text in {**texts, TAG_MANIFEST: manifest_text(tags), "bagit.txt": BAGIT}.items():
         temporary = bag / f".{name}.part"
-        with temporary.open("w", encoding="utf-8", newline="\n") as file:
+        temporary.unlink(missing_ok=True)  # never written through: it may be a link that leads elsewhere
+        with temporary.open("x", encoding="utf-8", newline="\n") as file:
             file.write(text)
             file.flush()
             os.fsync(file.fileno())
@@ -219,13 +271,13 @@ def _write_tags(bag: Path, payload: Path, progress: Callable[[str], None] | None
 
 def _refuse_links(root: Path) -> None:
     """A bag holds files: a link, even one inside the folder, may break when the bag is copied."""
-    walked = (Path(base) / name for base, folders, files in os.walk(root) for name in (*folders, *files))
-    links = [path.relative_to(root).as_posix() for path in walked if path.is_symlink()]
+    links = [name for name, entry in walk(root) if entry.is_symlink()]
     if links:
         remedy = "Replace each link by a copy of its file"
         raise CaptureError(
-            [error("seal-link", name, "link in a capture to be sealed", remedy=remedy) for name in links]
+            [error("seal-link", name, "link in a sealed capture, or one to be sealed", remedy=remedy) for name in links]
         )
+    payload_files(root)
 
 
 def _sync_folder(folder: Path) -> None:

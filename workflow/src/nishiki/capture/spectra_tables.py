@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.capture.problems import CaptureError, error, raise_errors
+from nishiki.capture.tables import expect_rows, reading, table_lines
 
 FIRST_NM, LAST_NM = 400.0, 700.0
 
@@ -26,8 +27,8 @@ def read_curves(path: Path, *, names: tuple[str, ...] | None = None, label: str 
     """Read wavelength_nm and one column a curve, covering 400-700 nm.
 
     names: the columns wanted, in this order (None: all). Raises CaptureError with all mistakes: spectra-missing,
-    spectra-unreadable, spectra-columns, spectra-not-finite, spectra-negative, spectra-order, spectra-range,
-    spectra-zero.
+    spectra-unreadable, spectra-many, spectra-columns, spectra-not-finite, spectra-negative, spectra-order,
+    spectra-range, spectra-zero.
     """
     label = label or path.name
     header, rows = _table(path, label)
@@ -50,16 +51,11 @@ def read_curves(path: Path, *, names: tuple[str, ...] | None = None, label: str 
 
 
 def _table(path: Path, label: str) -> tuple[list[str], list[list[str]]]:
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError as e:
-        raise CaptureError(error("spectra-missing", label, "file is missing")) from e
-    except UnicodeDecodeError as e:
-        raise CaptureError(error("spectra-unreadable", label, "not UTF-8 text")) from e
-    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
-    rows = [[v.strip() for v in row] for row in csv.reader(lines)]
+    with reading(label, "spectra"):
+        rows = [[v.strip() for v in row] for row in csv.reader(line for _, line in table_lines(path, label))]
     if not rows:
         raise CaptureError(error("spectra-unreadable", label, "empty file"))
+    expect_rows(len(rows[0]), "table_columns", label, "spectra")
     uneven = [i for i, row in enumerate(rows, start=1) if len(row) != len(rows[0])]
     if uneven:
         what = f"row {uneven[0]} has another number of values than the heading"

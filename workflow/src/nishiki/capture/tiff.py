@@ -16,14 +16,18 @@ import numpy as np
 
 from nishiki.capture.headers import ImageHeader
 
+_NUMBERS = frozenset((1, 3, 4, 6, 8, 9, 13, 16, 18))  # kinds of field that hold whole numbers
 _TYPES = {1: "B", 2: "c", 3: "H", 4: "I", 5: "II", 6: "b", 8: "h", 9: "i", 11: "f", 12: "d", 13: "I", 16: "Q", 18: "Q"}
 _WIDTH, _LENGTH, _BITS, _COMPRESSION, _PHOTOMETRIC, _STRIPS, _SAMPLES = 256, 257, 258, 259, 262, 273, 277
 _ROWS_PER_STRIP, _STRIP_BYTES, _PLANAR, _PREDICTOR = 278, 279, 284, 317
 _TILE_WIDTH, _TILE_LENGTH, _TILES, _TILE_BYTES, _EXTRA, _FORMAT = 322, 323, 324, 325, 338, 339
 _READ = {_WIDTH, _LENGTH, _BITS, _COMPRESSION, _PHOTOMETRIC, _STRIPS, _SAMPLES, _ROWS_PER_STRIP, _STRIP_BYTES, _PLANAR}
+_MANY = {_STRIPS, _STRIP_BYTES, _TILES, _TILE_BYTES}
 _READ |= {_PREDICTOR, _TILE_WIDTH, _TILE_LENGTH, _TILES, _TILE_BYTES, _EXTRA, _FORMAT}
 _DEFLATE = (8, 32946)
 MAX_PAGES = 256
+MOST_PIECES = 1 << 18  # strips or tiles of a page
+PACKED_RATIO = 4000  # LZW: codes of 12 bits for at most 4096 bytes, deflate 1032
 
 
 @dataclass(frozen=True)
@@ -35,9 +39,9 @@ class Directory:
 
     def one(self, field: int, default: int | None = None) -> int:
         values = self.fields.get(field)
-        if values is None and default is None:
+        if not values and default is None:
             raise ValueError(f"TIFF field {field} is missing")
-        return int(values[0]) if values is not None else default
+        return int(values[0]) if values else default
 
     @property
     def channels(self) -> int:
@@ -72,6 +76,7 @@ def tiff_header(file: BinaryIO) -> ImageHeader:
     pages = read_directories(file)
     first = pages[0]
     shapes = {(p.one(_LENGTH), p.one(_WIDTH), p.channels, p.sample) for p in pages}
+    packed = {p.one(_COMPRESSION, 1) for p in pages} != {1}
     if len(shapes) != 1:
         raise ValueError(f"TIFF pages of different size or depth: {sorted(shapes)[:3]}")
     end = file.seek(0, 2)
@@ -81,7 +86,22 @@ def tiff_header(file: BinaryIO) -> ImageHeader:
             raise EOFError(f"image data beyond the end of the file ({end} bytes)")
     alpha = first.channels in (2, 4) and first.fields.get(_EXTRA, (0,))[0] in (1, 2)
     rows, columns, channels, sample = shapes.pop()
-    return ImageHeader("tiff", rows, columns, channels * len(pages), sample, alpha and len(pages) == 1, len(pages))
+    return ImageHeader(
+        "tiff", rows, columns, channels * len(pages), sample, alpha and len(pages) == 1, len(pages),
+        stored_bytes=sum(map(_stored_bytes, pages)), ratio=PACKED_RATIO if packed else 1,
+    )  # fmt: skip
+
+
+def _stored_bytes(page: Directory) -> int:
+    """Of a page's samples before compression. ValueError where its pieces are out of proportion to it."""
+    rows, columns, samples = page.one(_LENGTH), page.one(_WIDTH), page.one(_SAMPLES, 1)
+    if page.one(_TILE_WIDTH, 0) > columns + 65536 or page.one(_TILE_LENGTH, 0) > rows + 65536:
+        raise ValueError(f"TIFF tiles of {page.one(_TILE_LENGTH, 0)} x {page.one(_TILE_WIDTH, 0)} samples")
+    if _TILES in page.fields and min(page.one(_TILE_WIDTH, 0), page.one(_TILE_LENGTH, 0)) < 1:
+        raise ValueError("TIFF tiles without a size")
+    if page.one(_ROWS_PER_STRIP, 1) < 1:
+        raise ValueError("TIFF strips without rows")
+    return rows * (columns * samples * page.one(_BITS, 1) // 8)
 
 
 def read_directories(file: BinaryIO) -> list[Directory]:
@@ -106,6 +126,8 @@ def read_directories(file: BinaryIO) -> list[Directory]:
 
 def _read_directory(file: BinaryIO, offset: int, order: str, big: bool) -> tuple[dict[int, tuple], int]:
     count_format, entry_format, inline = ("Q", "HHQ8s", 8) if big else ("H", "HHI4s", 4)
+    if offset >= 1 << 62:
+        raise ValueError(f"TIFF directory at byte {offset}")
     file.seek(offset)
     (count,) = struct.unpack(order + count_format, file.read(struct.calcsize("=" + count_format)))
     if count > 4096:
@@ -116,12 +138,17 @@ def _read_directory(file: BinaryIO, offset: int, order: str, big: bool) -> tuple
     fields = {}
     for i in range(count):
         tag, kind, values, data = struct.unpack(order + entry_format, entries[i * size : (i + 1) * size])
-        if tag not in _READ | {254} or kind not in _TYPES or values > 1 << 24:
+        if tag not in _READ | {254} or kind not in _NUMBERS:
             continue
+        if values > (MOST_PIECES if tag in _MANY else 1 << 12):
+            raise ValueError(f"TIFF field {tag} of {values} values")
         code = _TYPES[kind] * values
         length = struct.calcsize("=" + code)
         if length > inline:
-            file.seek(struct.unpack(order + ("Q" if big else "I"), data)[0])
+            place = struct.unpack(order + ("Q" if big else "I"), data)[0]
+            if place >= 1 << 62:
+                raise ValueError(f"TIFF field {tag} lies at byte {place}")
+            file.seek(place)
             data = file.read(length)
         fields[tag] = struct.unpack(order + code, data[:length])
     return fields, following
@@ -164,6 +191,8 @@ def decode_tiff_page(data: bytes, page: Directory) -> np.ndarray:
         piece_rows = height if _TILES in page.fields else min(height, rows - top)
         needed = piece_rows * width * depth * dtype.itemsize
         block = data[offset : offset + count]
+        if needed > 4 * out.nbytes + (1 << 24):
+            raise ValueError(f"TIFF piece of {needed} bytes in an image of {out.nbytes}")
         block = zlib.decompressobj().decompress(block, needed) if compression in _DEFLATE else block[:needed]
         if len(block) != needed:
             raise ValueError("TIFF image data are cut off")

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import io
 import re
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
+from nishiki.bounds import bound
 from nishiki.capture.cameras import camera_centre, camera_problems, turn_of
 from nishiki.capture.headers import IMAGE_SUFFIXES
 from nishiki.capture.layouts import natural_key, photographs_in
+from nishiki.capture.matlab import read_matlab
 from nishiki.capture.polariser import parse_state
 from nishiki.capture.problems import CaptureError, Problem, error, raise_errors, warning
 from nishiki.capture.seal import sha256_of
+from nishiki.capture.tables import expect_rows, reading, refusal
+from nishiki.outside import Refused, read_text
 
 STATES = re.compile(r"(\d+(?:\.\d+)?)_(\d+(?:\.\d+)?)")
 FEWEST_STATES = 3
@@ -77,14 +83,14 @@ def _matrices_in(path: Path) -> np.ndarray | None:
 
     None where the file has no such variable. CaptureError (cameras-unreadable) where it is no MATLAB file of level 5.
     """
-    from scipy.io import loadmat
-
     try:
-        stored = loadmat(path).get("P")
-    except Exception as e:  # a damaged file makes the reader fail in any of a dozen ways
+        stored = read_matlab(path, ("P",)).get("P")
+    except ValueError as e:
         remedy = "Save it with -v7 in MATLAB, or write cameras.csv by hand"
         what = "MATLAB file cannot be read"
-        raise CaptureError(error("cameras-unreadable", path.name, what, found=str(e)[:80], remedy=remedy)) from e
+        raise CaptureError(error("cameras-unreadable", path.name, what, found=str(e)[:120], remedy=remedy)) from e
+    except Refused as e:
+        raise CaptureError(refusal(e, "cameras-unreadable")) from e
     if stored is None:
         return None
     if stored.dtype == object:
@@ -100,7 +106,8 @@ def _matrices_in(path: Path) -> np.ndarray | None:
             where = f"{path.name} P{{{i + 1}}}"
             problems.append(error("camera-values", where, "camera matrix", expected="3 x 4 numbers", found=found))
     raise_errors(problems)
-    return np.array(cells, np.float64)
+    expect_rows(len(cells), "views", path.name, "cameras")
+    return np.array(cells, np.float64).reshape(-1, 3, 4)
 
 
 def _numbered(source: Path, photographs: list[Path], matrices: np.ndarray, path: Path) -> RoundLayout:
@@ -128,17 +135,27 @@ def _numbered(source: Path, photographs: list[Path], matrices: np.ndarray, path:
 
 def _is_camera_list(path: Path) -> bool:
     """A count, then as many lines of a picture's name and 21 numbers."""
-    if path.stat().st_size > 1 << 22:
+    try:
+        lines = _camera_lines(path)
+    except CaptureError:
         return False
-    lines = [line.split() for line in path.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
-    if len(lines) < 2 or len(lines[0]) != 1 or not lines[0][0].isdigit():
+    if len(lines) < 2 or len(lines[0]) != 1 or not re.fullmatch(r"[0-9]{1,9}", lines[0][0]):
         return False
     return Path(lines[1][0]).suffix.lower() in IMAGE_SUFFIXES and len(lines[1]) > 12
 
 
+def _camera_lines(path: Path) -> list[list[str]]:
+    """Words of the lines that are not empty, those beyond the bound of views left out."""
+    with reading(path.name, "cameras"):
+        text = read_text(path, "table_bytes", errors="replace")
+    kept = (line.split() for line in io.StringIO(text, newline=None) if line.strip())
+    return list(islice(kept, bound("views") + 2))
+
+
 def _middlebury(source: Path, path: Path) -> RoundLayout:
     """Lines `name k11 ... k33 r11 ... r33 t1 t2 t3`: the camera is K [R t]."""
-    lines = [line.split() for line in path.read_text(encoding="utf-8", errors="replace").splitlines() if line.strip()]
+    lines = _camera_lines(path)
+    expect_rows(len(lines) - 1, "views", path.name, "cameras")
     problems, notes, photographs, matrices = [], [], [], []
     present = {p.name: p for p in source.iterdir() if p.is_file()}
     for number, cells in enumerate(lines[1:], start=2):

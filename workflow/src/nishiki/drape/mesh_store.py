@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,7 +9,9 @@ import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.geometry.mesh import Mesh
-from nishiki.geometry.mesh_files import read_triangles
+from nishiki.geometry.mesh_files import load_geometry, read_triangles
+from nishiki.packages import optional
+from nishiki.provenance import file_digest
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ def read_surface(path: Path, *, sha256: str = "", smooth: bool = True) -> FileSu
     """
     path = Path(path)
     vertices, triangles = read_triangles(path)
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    digest = file_digest(path)
     if sha256 and digest != sha256:
         raise UserError(f"{path}: expected the file with SHA-256 {sha256}, found {digest}. Remedy: correct mesh.sha256")
     uv = _texture(path, len(vertices))
@@ -41,11 +42,10 @@ def read_surface(path: Path, *, sha256: str = "", smooth: bool = True) -> FileSu
 
 def _texture(path: Path, count: int) -> np.ndarray | None:
     """Texture coordinates (count, 2), one pair a vertex as the reader splits them at seams, or None."""
-    import trimesh
+    trimesh = optional("trimesh")
 
     with open(path, "rb") as stream:
-        kind = path.suffix.lower().lstrip(".")
-        found = trimesh.load(stream, file_type=kind, process=False, maintain_order=True, skip_materials=True)
+        found = load_geometry(stream, path.suffix.lower().lstrip("."))
     parts = list(found.geometry.values()) if isinstance(found, trimesh.Scene) else [found]
     known = [getattr(getattr(part, "visual", None), "uv", None) for part in parts]
     if any(uv is None for uv in known):

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.errors import UserError
+from nishiki.stored import load_arrays
 
 KINDS = {  # where the class of a kind is
     "bard_linear": "nishiki.fabric.bard:LinearBard",
@@ -46,11 +47,7 @@ def save_brdf(path: Path, brdf) -> None:
 
 def load_brdf(path: Path):
     """Read a BRDF that `save_brdf` wrote; raises UserError where the file is none."""
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-    except (OSError, ValueError, zipfile.BadZipFile) as error:
-        raise UserError(f"{path}: expected a stored BRDF (.npz), found a file that cannot be read ({error})") from None
+    arrays = load_arrays(path, name=f"{path}: expected a stored BRDF (.npz)")
     if _KIND not in arrays:
         raise UserError(f"{path}: expected a stored BRDF with its kind, found arrays {sorted(arrays)}")
     return class_of(str(arrays.pop(_KIND))).from_arrays(arrays)

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from nishiki.stored import load_arrays
+
 
 @dataclass(frozen=True)
 class Mesh:
@@ -31,8 +33,8 @@ class Mesh:
     @classmethod
     def load(cls, path: Path) -> Mesh:
         """Read what `save` wrote."""
-        with np.load(path) as arrays:
-            return cls(arrays["vertices"], arrays["triangles"], arrays["normals"])
+        arrays = load_arrays(path)
+        return cls(arrays["vertices"], arrays["triangles"], arrays["normals"])
 
 
 def face_vectors(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.geometry.mesh import Mesh
+from nishiki.geometry.mesh_heading import expect_mesh_file
+from nishiki.packages import optional
 
 
 def read_triangles(path: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -40,17 +43,40 @@ def read_points(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
     return vertices, triangles if len(triangles) else None
 
 
+class _Nothing:
+    """Finds no file: pictures and materials that a mesh names may lie anywhere on the disk, and none is used."""
+
+    file_name = None
+
+    def get(self, name: str) -> bytes:
+        raise FileNotFoundError(name)
+
+    __getitem__ = get
+
+
+def load_geometry(stream: BinaryIO, kind: str):
+    """What trimesh finds in an open file of this kind, 'ply' or 'obj', vertices in the file's order; no other file is
+    opened, whatever the mesh names. Any error of the library may come."""
+    trimesh = optional("trimesh")
+
+    options = {"process": False, "maintain_order": True, "skip_materials": True}
+    return trimesh.load(stream, file_type=kind, resolver=_Nothing(), **options)
+
+
 def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    import trimesh
+    trimesh = optional("trimesh")
 
     kind = Path(path).suffix.lower().lstrip(".")
     if kind not in ("ply", "obj"):
         raise UserError(f"{path}: expected a .ply or .obj file. Remedy: convert it, for example with MeshLab")
     try:
+        expect_mesh_file(path, str(path))
         with open(path, "rb") as stream:
-            found = trimesh.load(stream, file_type=kind, process=False, maintain_order=True, skip_materials=True)
+            found = load_geometry(stream, kind)
     except FileNotFoundError:
         raise UserError(f"{path}: file not found") from None
+    except UserError:
+        raise
     except Exception as error:  # whatever a damaged file makes the reader stumble over
         raise UserError(f"{path}: damaged {kind.upper()} file ({error}). Remedy: export the mesh again") from None
     if isinstance(found, trimesh.Scene):

@@ -10,6 +10,8 @@ import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.goniometry.table import BasicReflectance, ReflectanceSet
+from nishiki.outside import read_json
+from nishiki.stored import load_arrays
 
 ARRAYS, NAMES = "reflectance.npz", "reflectance.json"
 FORMAT = 1
@@ -42,10 +44,8 @@ class Reflectances(ReflectanceSet):
         """Read `reflectance.npz` and `reflectance.json`. UserError where they are missing or of another format."""
         folder = Path(folder)
         try:
-            names = json.loads((folder / NAMES).read_text())
-            with np.load(folder / ARRAYS, allow_pickle=False) as stored:
-                arrays = {name: stored[name] for name in stored.files}
-        except (FileNotFoundError, ValueError, OSError) as e:
+            names, arrays = read_json(folder / NAMES), load_arrays(folder / ARRAYS)
+        except UserError as e:
             raise UserError(f"{folder}: no reflectances that can be read here ({e}); run reflectance first") from e
         if names.get("format") != FORMAT:
             found = names.get("format")

@@ -13,6 +13,7 @@ from nishiki.errors import UserError
 from nishiki.ingest.blocks import block_edges, positions
 from nishiki.ingest.chunks import chunk_path, read_chunk
 from nishiki.ingest.goniometer_store import FORMAT, NAMES, STORE, TABLE
+from nishiki.stored import load_arrays, open_group
 
 
 @dataclass(frozen=True)
@@ -71,8 +72,8 @@ class Measurements:
     @cached_property
     def table(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """incident_deg, outgoing_deg (n, 2) and values (n, channels) of a given table."""
-        with np.load(self.folder / TABLE, allow_pickle=False) as stored:
-            return stored["incident_deg"], stored["outgoing_deg"], stored["values"]
+        stored = load_arrays(self.folder / TABLE)
+        return stored["incident_deg"], stored["outgoing_deg"], stored["values"]
 
     @cached_property
     def white_reflectance(self) -> np.ndarray:
@@ -115,10 +116,8 @@ class Measurements:
 
     @cached_property
     def _group(self):
-        import zarr
-
         try:
-            return zarr.open_group(self.folder / STORE, mode="r", zarr_format=3)
+            return open_group(self.folder / STORE)
         except FileNotFoundError as e:
             raise UserError(f"{self.folder}: {STORE} is missing; run ingest again") from e
 

@@ -8,6 +8,8 @@ from pathlib import Path
 import numba
 import numpy as np
 
+from nishiki.stored import load_arrays
+
 MARGIN = 0.5
 """Texels between a chart and the border of its grid, at least: look-ups then never need a texel beyond it."""
 
@@ -55,8 +57,8 @@ class Atlas:
     @classmethod
     def load(cls, path: Path) -> Atlas:
         """Read what `save` wrote."""
-        with np.load(path) as arrays:
-            return cls(int(arrays["size"]), **{name: arrays[name] for name in arrays.files if name != "size"})
+        arrays = load_arrays(path)
+        return cls(int(arrays.pop("size")), **arrays)
 
 
 def build_atlas(plane: np.ndarray, chart: np.ndarray, texels_per_unit: np.ndarray, *, size: int) -> Atlas:

@@ -12,6 +12,7 @@ import zarr
 from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera
 from nishiki.patches.atlas import Atlas
+from nishiki.stored import open_group
 
 STORE = "texels.zarr"
 ATLAS = "atlas.npz"
@@ -45,7 +46,7 @@ class Texels:
         """Open the artifact's folder. UserError where it holds no texels of this format."""
         self.folder = Path(folder)
         try:
-            self._group = zarr.open_group(self.folder / STORE, mode="r", zarr_format=3)
+            self._group = open_group(self.folder / STORE)
             stored = dict(self._group.attrs)
         except FileNotFoundError as error:
             raise UserError(f"{self.folder}: no texels here; run the stage texels first") from error

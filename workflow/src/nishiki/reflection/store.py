@@ -7,6 +7,7 @@ import zarr
 from zarr.codecs import ZstdCodec
 
 from nishiki.reflection.tile import Parameters
+from nishiki.stored import open_group
 
 STORE = "parameters.zarr"
 NAMES = ("kd", "ks", "sigma", "flags")
@@ -38,7 +39,7 @@ class ParameterMaps:
     """The parameters of one artifact, for reading."""
 
     def __init__(self, folder: Path):
-        group = zarr.open_group(Path(folder) / STORE, mode="r")
+        group = open_group(Path(folder) / STORE)
         self._arrays = {name: group[name] for name in NAMES}
         self.tiles, self.size = self._arrays["sigma"].shape[:2]
         self.channels = self._arrays["kd"].shape[-1]

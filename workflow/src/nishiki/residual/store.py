@@ -17,6 +17,7 @@ from nishiki.residual.container import head_length, pack_object, unpack_head
 from nishiki.residual.entropy import decode
 from nishiki.residual.parameter_code import decode_parameters
 from nishiki.residual.tile_code import decode_residual
+from nishiki.stored import open_array
 
 STORE = "residual.zarr"
 REPORT = "residual.json"
@@ -74,7 +75,7 @@ class Residual:
         if hashlib.sha256(metadata).hexdigest() != self.report.get("metadata_sha256"):
             raise UserError(f"{folder / STORE}/zarr.json is damaged; run the stage residual again")
         self.folder, self.bytes = folder, dict(self.report["bytes"])
-        self._array = zarr.open_array(folder / STORE, mode="r", zarr_format=3)
+        self._array = open_array(folder / STORE)
         self._lock, self._chunk = threading.Lock(), (-1, b"")
         self._contents = unpack_head(self._read(0, head_length(self._read(0, 8))))
         self.design = self._contents.design

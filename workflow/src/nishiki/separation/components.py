@@ -9,6 +9,7 @@ import numpy as np
 from nishiki.errors import UserError
 from nishiki.ingest.chunks import chunk_path, create_array, read_chunk, write_chunk
 from nishiki.separation.polarisation import SeparatedView
+from nishiki.stored import open_group
 
 STORE = "components.zarr"
 FORMAT = 1
@@ -68,12 +69,10 @@ class Components:
 
     def __init__(self, folder: Path | str):
         """Open `components.zarr`, or the folder that holds it. UserError where it is none."""
-        import zarr
-
         path = Path(folder)
         self.path = path if path.name == STORE else path / STORE
         try:
-            stored = dict(zarr.open_group(self.path, mode="r", zarr_format=3).attrs)
+            stored = dict(open_group(self.path).attrs)
         except (FileNotFoundError, KeyError) as error:
             raise UserError(f"{self.path}: no components here; run polarise first") from error
         if stored.get("format") != FORMAT:

@@ -8,8 +8,11 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
+from nishiki import plain_yaml
+from nishiki.capture.matlab import read_matlab
 from nishiki.closed import Closed, parse
 from nishiki.errors import UserError
+from nishiki.outside import read_text
 from nishiki.separation.mueller import Arm, retardance_of
 
 MATLAB = ("k_1_g", "k_2_g", "k_1_a", "k_2_a")
@@ -40,16 +43,14 @@ def read_instrument(path: Path) -> InstrumentFile:
         import yaml
 
         try:
-            values = yaml.safe_load(path.read_text())
+            values = plain_yaml.load(read_text(path, "settings_bytes"))
         except (OSError, ValueError, yaml.YAMLError) as error:
             raise UserError(f"{path.name}: cannot be read ({error}). Remedy: check turntable.calibration") from None
         return parse(InstrumentFile, values, path.name)
-    from scipy.io import loadmat
-
     try:
-        values = loadmat(path)
-        k = [float(np.asarray(values[name]).ravel()[0]) for name in MATLAB]
-    except (OSError, ValueError, KeyError, IndexError, NotImplementedError) as error:
+        values = read_matlab(path, MATLAB)
+        k = [float(values[name].ravel()[0]) for name in MATLAB]
+    except (OSError, ValueError, TypeError, KeyError, IndexError) as error:
         raise UserError(
             f"{path.name}: no calibration of a polarimeter ({error}); expected YAML, or MATLAB with {', '.join(MATLAB)}"
         ) from None

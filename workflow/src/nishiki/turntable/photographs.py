@@ -10,15 +10,14 @@ import numpy as np
 from nishiki.artifact import Artifact
 from nishiki.errors import UserError
 from nishiki.ingest.views import Views
+from nishiki.stored import open_array, open_group
 
 
 def ceiling(views: Views) -> float | None:
     """Largest linear value that a photograph of this capture can hold; None for floating-point frames."""
     if views.dtype.kind != "u":
         return None
-    import zarr
-
-    group = zarr.open_group(views.path, mode="r")
+    group = open_group(views.path)
     return float(group["lut"][...].max() * group["gain"][...].max() * max(views.attributes["scale"]))
 
 
@@ -41,10 +40,7 @@ class Photographs:
         self.outlines = None
         path = inputs["mesh"].path("silhouettes.zarr")
         if path.is_dir():
-            import zarr
-
-            stored = zarr.open(path, mode="r")
-            self.outlines = stored if isinstance(stored, zarr.Array) else stored["silhouettes"]
+            self.outlines = open_array(path)
 
     def read(self, view: int, light: int) -> tuple[np.ndarray, np.ndarray]:
         """Linear (rows, columns, channels) float32 and validity (rows, columns): light of any polarisation.
@@ -71,9 +67,7 @@ class ObjectTruth:
     """truth.zarr of a simulated turntable capture."""
 
     def __init__(self, folder: Path, photographs: Photographs):
-        import zarr
-
-        self.group = zarr.open_group(folder / "truth.zarr", mode="r")
+        self.group = open_group(folder / "truth.zarr")
         self.normalised = bool(photographs.views.attributes["white_board"])
         self.names = list(self.group.attrs["views"])
 
