@@ -80,6 +80,13 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--threads", type=int, default=0, help="threads that read (default: one a processor)")
     text = "rename each artifact with a problem, so that the next run makes it again"
     sub.add_argument("--set-aside", action="store_true", help=text)
+    sub = command("prune", "pruning:prune", "list what of the results no configuration references; --delete removes it")
+    sub.add_argument("--configfile", action="append", help="configuration (repeatable; default config/config.yaml)")
+    sub.add_argument("--sweep", action="append", default=[], help="file of a sweep to keep (repeatable)")
+    sub.add_argument("--unnamed", action="store_true", help="also scenes and sweeps that no given configuration names")
+    sub.add_argument("--delete", action="store_true", help="remove what is listed")
+    sub.add_argument("--json", action="store_true", help="one JSON object a line: each folder, last the sum")
+    _with_gone(sub)
     sub = command("check", "capturing:check", "everything that is wrong with a capture, in one pass")
     sub.add_argument("captures", nargs="+", help="capture folders")
     sub.add_argument("--quick", action="store_true", help="read headers and tables only, not every pixel")
