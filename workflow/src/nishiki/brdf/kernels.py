@@ -76,11 +76,11 @@ def lobe_coordinates_scalar(nx, ny, nz, lx, ly, lz, vx, vy, vz, widest, refracti
     A renderer with several lobes sums beta_k 2^-(phi^2 / gamma_k^2) itself and multiplies once.  `widest`: the largest
     half width, radians.  (0, 0) where n . l <= 0 or n . v <= 0, and where that lobe is below 2^-60 of its peak.
     """
-    cos_i = float(nx) * lx + float(ny) * ly + float(nz) * lz
-    cos_r = float(nx) * vx + float(ny) * vy + float(nz) * vz
+    cos_i = np.float64(nx) * lx + np.float64(ny) * ly + np.float64(nz) * lz
+    cos_r = np.float64(nx) * vx + np.float64(ny) * vy + np.float64(nz) * vz
     if not (cos_i > 0.0 and cos_r > 0.0):
         return 0.0, 0.0
-    hx, hy, hz = float(lx) + vx, float(ly) + vy, float(lz) + vz
+    hx, hy, hz = np.float64(lx) + vx, np.float64(ly) + vy, np.float64(lz) + vz
     cx, cy, cz = ny * hz - nz * hy, nz * hx - nx * hz, nx * hy - ny * hx
     length2 = hx * hx + hy * hy + hz * hz
     sin2 = (cx * cx + cy * cy + cz * cz) / length2
@@ -103,8 +103,8 @@ def specular_scalar(nx, ny, nz, lx, ly, lz, vx, vy, vz, gamma, refractive_index)
 
     `gamma` radians > 0, `refractive_index` >= 1.  0 where n . l <= 0 or n . v <= 0, and where D is below 2^-60.
     """
-    phi2, factor = lobe_coordinates_scalar(nx, ny, nz, lx, ly, lz, vx, vy, vz, float(gamma), refractive_index)
+    phi2, factor = lobe_coordinates_scalar(nx, ny, nz, lx, ly, lz, vx, vy, vz, np.float64(gamma), refractive_index)
     if factor == 0.0:
         return 0.0
-    ratio = 1.0 / float(gamma)
+    ratio = 1.0 / np.float64(gamma)
     return np.exp2(-(phi2 * ratio) * ratio) * factor

@@ -187,7 +187,7 @@ def _add_tile(
                 region = regions[r, c]
                 if region < 0 or not usable[k, r, c]:
                     continue
-                nx, ny, nz = float(normals[r, c, 0]), float(normals[r, c, 1]), float(normals[r, c, 2])
+                nx, ny, nz = np.float64(normals[r, c, 0]), np.float64(normals[r, c, 1]), np.float64(normals[r, c, 2])
                 cos_i = nx * lights[k, 0] + ny * lights[k, 1] + nz * lights[k, 2]
                 cos_r = nx * view[0] + ny * view[1] + nz * view[2]
                 if not (cos_i > 0.0 and cos_r > 0.0):
@@ -197,8 +197,8 @@ def _add_tile(
                 sin2 = (cx * cx + cy * cy + cz * cz) / length2
                 phi2 = phi_squared(min(0.5, 0.5 * sin2 / (1.0 + cos_phi)))
                 a = f * masking_over_cos_r_scalar(cos_phi, cos_i, cos_r, cos_q)
-                z = (float(observations[k, r, c]) - float(albedo[r, c]) * cos_i) / a
-                s = float(sigma[r, c])
+                z = (np.float64(observations[k, r, c]) - np.float64(albedo[r, c]) * cos_i) / a
+                s = np.float64(sigma[r, c])
                 if np.isfinite(z + s) and a > 0.0:
                     _put(phi2, z, a, s, value_unit, weights[region], values[region], rows[region])
 

@@ -3,7 +3,7 @@
 TOO_FEW_LIGHTS = 1  # fewer than three usable lights: no estimate
 COPLANAR_LIGHTS = 2  # the usable lights lie in one plane with the origin: no estimate
 ILL_CONDITIONED = 4  # estimate kept, but the condition of the normal matrix exceeds the bound
-NO_SIGNAL = 8  # every usable sample is zero or the fit has no positive albedo: no estimate
+NO_SIGNAL = 8  # every usable sample is zero, or float32 cannot hold the albedo of the fit: no estimate
 FACES_AWAY = 16  # estimate kept, but it points away from the camera, which cannot be seen
 NO_REDUNDANCY = 32  # as many lights as unknowns: no residual, so sigma is unknown (set to pi / 2)
 FILLED = 64  # the normal was taken from neighbours

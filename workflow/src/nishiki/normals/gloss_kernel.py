@@ -39,11 +39,12 @@ from nishiki.normals.gloss_prediction import (
     predict,
     tangents,
 )
-from nishiki.normals.least_squares import eigenvalues
+from nishiki.normals.least_squares import LARGEST, eigenvalues
 
 LARGEST_STEP = 0.3  # radians
 DAMPINGS = 5
 SETTLED = 1e-3  # radians
+NOTHING = 1e-300  # keeps sums of no weight from 0 / 0: weights are inverse squares of radiances of any unit
 AT_LEAST = 4  # lit samples; three unknowns in the common level, and one to spare
 
 
@@ -51,13 +52,13 @@ AT_LEAST = 4  # lit samples; three unknowns in the common level, and one to spar
 def strengths(y, rows, rho):
     """Weighted least-squares reflectance of each component at fixed normal."""
     body, gloss, level, colour = rows[BODY], rows[GLOSS], rows[W_LEVEL], rows[W_COLOUR]
-    value, above, below = y[0], 0.0, 1e-30
+    value, above, below = y[0], 0.0, NOTHING
     for j in range(body.size):
         v = level[j] * body[j]
         above += v * (value[j] - gloss[j])
         below += v * body[j]
     rho[0] = above / below
-    below = 1e-30
+    below = NOTHING
     for j in range(body.size):
         below += colour[j] * body[j] * body[j]
     for k in range(1, rho.size):
@@ -112,7 +113,7 @@ def gauss_newton(y, rows, rho, out):
     body, body_s, body_t, gloss = rows[BODY], rows[BODY_S], rows[BODY_T], rows[GLOSS]
     gloss_s, gloss_t, level, colour = rows[GLOSS_S], rows[GLOSS_T], rows[W_LEVEL], rows[W_COLOUR]
     h0 = h1 = h2 = g0 = g1 = p = q = 0.0
-    a, value, strength = 1e-30, y[0], rho[0]
+    a, value, strength = NOTHING, y[0], rho[0]
     for j in range(body.size):
         w, b = level[j], body[j]
         s, t = strength * body_s[j] + gloss_s[j], strength * body_t[j] + gloss_t[j]
@@ -128,7 +129,7 @@ def gauss_newton(y, rows, rho, out):
         g1 += wt * r
     h0, h1, h2 = h0 - p * p / a, h1 - p * q / a, h2 - q * q / a
     # the other components share weights and, but for their reflectance, slopes
-    bb, bs, bt, ss, st, tt = 1e-30, 0.0, 0.0, 0.0, 0.0, 0.0
+    bb, bs, bt, ss, st, tt = NOTHING, 0.0, 0.0, 0.0, 0.0, 0.0
     for j in range(body.size):
         w, b, s, t = colour[j], body[j], body_s[j], body_t[j]
         bb += w * b * b
@@ -260,9 +261,10 @@ def describe(y, known, lights, rows, rho, equations, max_condition, p, scalars, 
     det = equations[0] * equations[2] - equations[1] * equations[1]
     variance = (equations[0] + equations[2]) / det if det > 0.0 else np.inf
     variance *= max(chi / max(freedom, 1), 1.0)
-    scalars[1, p] = min(np.sqrt(variance), 0.5 * np.pi)
+    sigma = np.sqrt(variance)
+    scalars[1, p] = sigma if sigma < 0.5 * np.pi else 0.5 * np.pi  # also where it is no number
     scalars[2, p] = min(condition, 3e38)
-    scalars[3, p] = np.sqrt(squared / max(weight, 1e-30) / rho.size)
+    scalars[3, p] = min(np.sqrt(squared / max(weight, 1e-30) / rho.size), LARGEST)
     used[p] = count
     flags[p] = bits.ILL_CONDITIONED if condition > max_condition else 0
 
@@ -299,7 +301,7 @@ def refine_pixels(
     padded = (count + LANES - 1) // LANES * LANES
     rows, y, known = np.zeros((ROWS, padded)), np.zeros((channels, padded)), np.zeros(count, np.bool_)
     rows[VAR_LEVEL], rows[VAR_COLOUR] = 1.0, 1.0
-    rho, n, best_n = np.empty(channels), np.empty(3), np.empty(3)
+    rho, colour, n, best_n = np.empty(channels), np.empty(channels), np.empty(3), np.empty(3)
     work = np.empty(18)
     tolerance = settings[TOLERANCE]
     for p in range(first, last):
@@ -329,18 +331,21 @@ def refine_pixels(
         lit = 0
         for j in range(count):
             lit += rows[LIT, j] > 0.0
-        if lit < AT_LEAST or not np.isfinite(n[0] + n[1] + n[2] + rho.sum() + value):
-            flags[p] |= bits.FALLBACK
-            continue
         level = 0.0
-        for i in range(3):
-            normals[p, i] = n[i]
         for i in range(channels):
             total = 0.0
             for k in range(channels):
                 total += rotation[k, i] * rho[k]
-            reflectance[p, i] = max(total, 0.0)
-            level += max(total, 0.0)
+            colour[i] = max(total, 0.0)
+            level += colour[i]
+        sound = np.isfinite(n[0] + n[1] + n[2] + rho.sum() + value) and value <= LARGEST
+        if lit < AT_LEAST or not (sound and level <= LARGEST):
+            flags[p] |= bits.FALLBACK
+            continue
+        for i in range(3):
+            normals[p, i] = n[i]
+        for i in range(channels):
+            reflectance[p, i] = colour[i]
         scalars[0, p] = level / channels
         cost[p] = value
         gauss_newton(y, rows, rho, work[9:14])

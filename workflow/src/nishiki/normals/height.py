@@ -17,6 +17,8 @@ from nishiki.normals.poisson import conjugate_gradients, divergence, edge_gradie
 METHODS = ("auto", "dct", "weighted")
 LEAST_NZ = 0.05  # normals that are steeper (87 degrees) count as this steep: slopes stay finite
 LEAST_WEIGHT = 1e-3  # a steep pixel keeps this much say, so that it stays tied to its neighbours
+NOT_UNIT = 0.02  # of the squared length, as where normals are shaded
+PITCHES = (1e-12, 1e12)  # beyond, heights and their squares leave float32
 SINGLE_ABOVE = 4_000_000  # pixels above which the work arrays are float32: half the memory, heights to about 1e-5
 
 
@@ -59,7 +61,7 @@ def integrate_normals(normals, *, valid=None, pixel_pitch=1.0, method="auto", to
         "weighted": only valid pixels, weighted by nz^4, the inverse variance of a slope for equal angular errors.
         "auto": "dct" where every pixel is valid and none is steeper than 80 degrees, else "weighted".
 
-    Raises UserError on shapes that do not fit, a pitch that is not positive, no valid pixel, and unknown methods.
+    Raises UserError on shapes that do not fit, a pitch out of 1e-12 .. 1e12, no valid pixel, and unknown methods.
     """
     normals, valid = checked_normals(normals, valid, pixel_pitch)
     if method not in METHODS:
@@ -84,17 +86,21 @@ def integrate_normals(normals, *, valid=None, pixel_pitch=1.0, method="auto", to
 
 
 def checked_normals(normals, valid, pixel_pitch):
-    """Normals and mask of matching shape, or a UserError; normals that are not finite are not valid."""
+    """Normals and mask of matching shape, or a UserError; normals that are not of unit length are not valid."""
     normals = np.asarray(normals)
     if normals.ndim != 3 or normals.shape[2] != 3:
         raise UserError(f"height: expected normals of shape (rows, columns, 3), found {normals.shape}")
-    finite = np.isfinite(normals).all(axis=-1)
-    valid = finite if valid is None else np.asarray(valid, dtype=bool)
+    with np.errstate(over="ignore", invalid="ignore"):
+        unit = np.abs(np.einsum("rci,rci->rc", normals, normals) - 1) < NOT_UNIT  # false for NaN
+    valid = unit if valid is None else np.asarray(valid, dtype=bool)
     if valid.shape != normals.shape[:2]:
         raise UserError(f"height: expected a mask of shape {normals.shape[:2]} as the normals, found {valid.shape}")
-    if not (np.isfinite(pixel_pitch) and pixel_pitch > 0):
-        raise UserError(f"height: expected a pixel pitch above 0, found {pixel_pitch}; give the distance of two pixels")
-    valid = valid & finite
+    if not PITCHES[0] <= pixel_pitch <= PITCHES[1]:
+        raise UserError(
+            f"height: expected a pixel pitch above 0 ({PITCHES[0]:g} to {PITCHES[1]:g}), found {pixel_pitch}; "
+            "give the distance of two pixels in a unit that suits it"
+        )
+    valid = valid & unit
     if not valid.any():
         raise UserError(f"height: expected valid normals, found none among {valid.size} pixels; see the normals' flags")
     return normals, valid

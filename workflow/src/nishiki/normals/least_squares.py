@@ -7,6 +7,7 @@ from nishiki.normals import flags as bits
 
 BLOCK = 64
 COPLANAR = 1e12  # condition above which double precision cannot tell the normal matrix from a singular one
+LEAST_ALBEDO, LARGEST = 1e-45, 3.4028234e38  # of float32, subnormal numbers included
 TERMS = 10  # six products of the direction, three of the right-hand side, the sum of squares
 
 
@@ -14,7 +15,9 @@ TERMS = 10  # six products of the direction, three of the right-hand side, the s
 def eigenvalues(a, b, c, d, e, f):
     """Smallest and largest eigenvalue of the symmetric matrix [[a, b, c], [b, d, e], [c, e, f]].
 
-    The trigonometric form of the cubic's roots (O. K. Smith, Eigenvalues of a symmetric 3 x 3 matrix, CACM 1961).
+    The trigonometric form of the cubic's roots (O. K. Smith, Eigenvalues of a symmetric 3 x 3 matrix, CACM 1961). Where
+    the two small ones lie close together (lights in a narrow cone) that form keeps half of the digits: the smallest is
+    then taken from the matrix across the eigenvector of the largest, to a rounding of the largest.
     """
     mean = (a + d + f) / 3.0
     off = b * b + c * c + e * e
@@ -25,15 +28,55 @@ def eigenvalues(a, b, c, d, e, f):
     b, c, e = b / spread, c / spread, e / spread
     half = 0.5 * (a * (d * f - e * e) - b * (b * f - c * e) + c * (b * e - c * d))
     angle = np.arccos(min(1.0, max(-1.0, half))) / 3.0
-    return mean + 2.0 * spread * np.cos(angle + 2.0 * np.pi / 3.0), mean + 2.0 * spread * np.cos(angle)
+    largest = 2.0 * np.cos(angle)
+    if half > 0.0:
+        return mean + spread * smaller_root(a, b, c, d, e, f, largest), mean + spread * largest
+    return mean + 2.0 * spread * np.cos(angle + 2.0 * np.pi / 3.0), mean + spread * largest
+
+
+@njit(cache=True, error_model="numpy")
+def smaller_root(a, b, c, d, e, f, largest):
+    """Smallest eigenvalue of a symmetric matrix of trace 0, from its largest one, which is far from the others."""
+    # the eigenvector is across the rows of the matrix less the largest: the longest of their three products
+    p, q, r = a - largest, d - largest, f - largest
+    x, y, z = b * e - c * q, b * c - p * e, p * q - b * b
+    u, v, w = q * r - e * e, c * e - b * r, b * e - c * q
+    if u * u + v * v + w * w > x * x + y * y + z * z:
+        x, y, z = u, v, w
+    u, v, w = c * e - b * r, p * r - c * c, b * c - p * e
+    if u * u + v * v + w * w > x * x + y * y + z * z:
+        x, y, z = u, v, w
+    length = np.sqrt(x * x + y * y + z * z)
+    x, y, z = x / length, y / length, z / length
+    sign = 1.0 if z >= 0.0 else -1.0
+    k = -1.0 / (sign + z)
+    s0, s1, s2 = 1.0 + sign * x * x * k, sign * x * y * k, -sign * x
+    t0, t1, t2 = x * y * k, sign + y * y * k, -y
+    h0, h1, h2 = a * s0 + b * s1 + c * s2, b * s0 + d * s1 + e * s2, c * s0 + e * s1 + f * s2
+    g0, g1, g2 = a * t0 + b * t1 + c * t2, b * t0 + d * t1 + e * t2, c * t0 + e * t1 + f * t2
+    ss, tt, st = s0 * h0 + s1 * h1 + s2 * h2, t0 * g0 + t1 * g1 + t2 * g2, t0 * h0 + t1 * h1 + t2 * h2
+    return 0.5 * (ss + tt) - np.sqrt(0.25 * (ss - tt) ** 2 + st * st)
 
 
 @njit(cache=True, error_model="numpy")
 def inverse(a, b, c, d, e, f):
-    """The six different elements of the inverse of a symmetric 3 x 3 matrix, by cofactors."""
-    c00, c01, c02 = d * f - e * e, c * e - b * f, b * e - c * d
-    det = a * c00 + b * c01 + c * c02
-    return c00 / det, c01 / det, c02 / det, (a * f - c * c) / det, (b * c - a * e) / det, (a * d - b * b) / det
+    """The six different elements of the inverse of a symmetric positive 3 x 3 matrix, by L D L^T.
+
+    Sums of squares over the pivots: its error grows with the condition, that of cofactors with the condition squared.
+    """
+    l10, l20 = b / a, c / a
+    second = d - l10 * b
+    l21 = (e - l20 * b) / second
+    third = f - l20 * c - l21 * (e - l20 * b)
+    k = l10 * l21 - l20
+    return (
+        1.0 / a + l10 * l10 / second + k * k / third,
+        -l10 / second - k * l21 / third,
+        k / third,
+        1.0 / second + l21 * l21 / third,
+        -l21 / third,
+        1.0 / third,
+    )
 
 
 @njit(cache=True, error_model="numpy")
@@ -54,9 +97,11 @@ def conditioned(t, count):
     if count < 3:
         return np.inf, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     least, largest = eigenvalues(t[0], t[1], t[2], t[3], t[4], t[5])
-    if not least > largest / COPLANAR:
+    m = inverse(t[0], t[1], t[2], t[3], t[4], t[5])
+    # a pivot that rounding has made 0 or negative says the same as a smallest eigenvalue that is lost in it
+    if not (least > largest / COPLANAR and m[0] > 0.0 and m[3] > 0.0 and m[5] > 0.0):
         return np.inf, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    return largest / least, inverse(t[0], t[1], t[2], t[3], t[4], t[5])
+    return largest / least, m
 
 
 @njit(cache=True, error_model="numpy")
@@ -79,14 +124,15 @@ def write_pixel(t, condition, m, count, weight, max_condition, p, normals, scala
         y = m[1] * t[6] + m[3] * t[7] + m[4] * t[8]
         z = m[2] * t[6] + m[4] * t[7] + m[5] * t[8]
         length = np.sqrt(x * x + y * y + z * z)
-        if length > 0.0:
+        if LEAST_ALBEDO <= length <= LARGEST:
             flag |= bits.FACES_AWAY if z <= 0.0 else 0
             flag |= bits.ILL_CONDITIONED if condition > max_condition else 0
-            squares = max(t[9] - (x * t[6] + y * t[7] + z * t[8]), 0.0)
+            # a projection leaves neither less than nothing nor more than there was, whatever the rounding
+            squares = min(max(t[9] - (x * t[6] + y * t[7] + z * t[8]), 0.0), t[9])
             x, y, z = x / length, y / length, z / length
             normals[p, 0], normals[p, 1], normals[p, 2] = x, y, z
             scalars[0, p] = length
-            scalars[3, p] = np.sqrt(squares / weight)
+            scalars[3, p] = min(np.sqrt(squares / weight), LARGEST)
             if count > 3:
                 scalars[1, p] = angular_sigma(m, x, y, z, length, squares / (count - 3.0))
             else:
@@ -121,8 +167,8 @@ def solve_weighted(observations, weights, products, max_condition, normals, scal
             yy, yz, zz = products[j, 3], products[j, 4], products[j, 5]
             x, y, z = products[j, 6], products[j, 7], products[j, 8]
             for p in range(width):
-                w = float(weight[p])
-                value = float(row[p]) if w > 0 else 0.0
+                w = np.float64(weight[p])
+                value = np.float64(row[p]) if w > 0 else 0.0
                 weighted = w * value
                 sums[p] += w * xx
                 sums[p + BLOCK] += w * xy
@@ -167,7 +213,7 @@ def solve_shared(observations, products, max_condition, normals, scalars, lights
         for j in range(lights):
             x, y, z = products[j, 6], products[j, 7], products[j, 8]
             for p in range(width):
-                value = float(observations[j, start + p])
+                value = np.float64(observations[j, start + p])
                 sums[0, p] += value * x
                 sums[1, p] += value * y
                 sums[2, p] += value * z

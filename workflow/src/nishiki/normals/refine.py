@@ -4,10 +4,11 @@ import numpy as np
 from numba import njit, prange
 
 from nishiki.normals import flags as bits
-from nishiki.normals.least_squares import eigenvalues
+from nishiki.normals.least_squares import LARGEST, LEAST_ALBEDO, eigenvalues
 from nishiki.normals.lobe import LANES, SUMS, cholesky_solve, descend, raised
 
 WIDTH = 0.25  # standard deviation expected of b and d, relative to the albedo, where the samples scatter much
+FARTHEST = 1e12  # times the albedo
 CHUNK = 256  # pixels that share one set of work arrays
 
 
@@ -149,9 +150,10 @@ def refine(observations, usable, known, vectors, settings, max_condition, normal
             for j in range(lights):
                 may = known[j, 0] if shared_known else known[j, p]
                 use = usable[j, 0] if shared_usable else usable[j, p]
-                value[j] = observations[j, p] / albedo if may else np.float32(0.0)
+                # so far outside of the albedo that only its sign matters: its square has to fit into float32
+                value[j] = min(max(observations[j, p] / albedo, -FARTHEST), FARTHEST) if may else 0.0
                 allowed[j] = may
-                first[j] = use
+                first[j] = use if may else 0
             start = (float(normals[p, 0]), float(normals[p, 1]), float(normals[p, 2]))
             spread = float(scalars[3, p]) / albedo
             scale = noise + spread
@@ -199,7 +201,9 @@ def store(
     sums, _, matrix, step, _ = work
     diffuse = terms[0] + terms[1] * sums[10] / max(sums[9], 1e-30)  # mean of a + b c over the samples, weighted c^2
     variance = tangential_variance(sums, prior, matrix, step)
-    if not (variance > 0.0 and diffuse > 0.0 and kept > 5.0):
+    residual = np.sqrt(sums[20] / kept) * albedo
+    told = variance > 0.0 and kept > 5.0 and residual <= LARGEST  # false for NaN
+    if not (told and LEAST_ALBEDO <= diffuse * albedo <= LARGEST):
         flags[p] |= bits.FALLBACK
         return
     condition = normal_matrix_condition(weight, vectors)
@@ -207,7 +211,7 @@ def store(
     scalars[0, p] = diffuse * albedo
     scalars[1, p] = min(np.sqrt(variance * sums[20] / (kept - 5.0)), 0.5 * np.pi)
     scalars[2, p] = min(condition, 3e38)
-    scalars[3, p] = np.sqrt(sums[20] / kept) * albedo
+    scalars[3, p] = residual
     lights_used[p] = int(kept)
     flag = flags[p] & ~(bits.ILL_CONDITIONED | bits.FACES_AWAY | bits.NO_REDUNDANCY)
     if condition > max_condition:

@@ -15,7 +15,7 @@ COSINE_FLOOR = 0.02
 class DiffuseReflectance:
     """reflectance (rows, columns, channels) float32, perfect white = 1; lights_used (rows, columns) uint16.
 
-    Where no selected light reaches a pixel the reflectance is 0 and lights_used is 0.
+    Where no selected light reaches a pixel, or the sums leave float32, the reflectance is 0 and lights_used is 0.
     """
 
     reflectance: np.ndarray
@@ -75,6 +75,10 @@ def _accumulate(observations, directions, normals, usable, mean, reflectance, us
                     for k in range(channels):
                         reflectance[p, k] += factor * observations[j, p, k]
         for p in range(first, last):
-            if used[p]:
-                for k in range(channels):
-                    reflectance[p, k] /= weight[p - first]
+            known = used[p] > 0
+            for k in range(channels):
+                reflectance[p, k] /= weight[p - first] if known else np.float32(1)
+                known = known and np.isfinite(reflectance[p, k])
+            if not known:
+                reflectance[p, :] = 0
+                used[p] = 0

@@ -74,14 +74,15 @@ def estimate_normals(
     """Normals and albedo from I = albedo * max(n . l, 0) on the usable samples (P section 3).
 
     observations (lights, rows, columns) relative to the white reference; directions (lights, 3) unit vectors to the
-    lights; usable (lights, rows, columns) bool, from `nishiki.separation.lights.select_diffuse`, None for all; weights
-    (lights,) or (lights, rows, columns), not negative, or None; max_condition: bound on the condition number of the
-    weighted 3 x 3 normal matrix above which a pixel is flagged.
+    lights; usable (lights, rows, columns) bool, from `nishiki.separation.lights.select_diffuse`, None for all; what is
+    not `valid` (likewise bool, None for all) enters no fit, chosen or not; weights (lights,) or (lights, rows,
+    columns), not negative, or None; max_condition: bound on the condition number of the weighted 3 x 3 normal matrix
+    above which a pixel is flagged.
 
     solver, "default" being "lobe"
         "least_squares": ordinary (weighted) least squares on the usable samples.
         "lobe": from there, a reflectance with a diffuse fall-off and a gloss lobe (`nishiki.normals.lobe`), choosing
-        the samples again among those of `valid` (lights, rows, columns) bool, None for those of `usable`; noise: the
+        the samples again among those of `valid`, if None those of `usable`; noise: the
         observations' noise relative to the albedo; exponent: 2, 4, 8, 16 or 32, of the lobe. Takes no weights.
         "lobes": the same with the exponents 2, 4, 8 and 16 in turn, and at each pixel the one that leaves least over.
 
@@ -93,7 +94,7 @@ def estimate_normals(
         solver = "lobe"
     stack, directions = checked_stack(observations, directions)
     shape = np.shape(observations)
-    factors = sample_weights(stack, usable, weights, shape)
+    factors = sample_weights(stack, both(usable, valid), weights, shape)
     outputs = lambertian(stack, directions, factors, max_condition)
     if solver in ("lobe", "lobes"):
         if weights is not None:
@@ -172,6 +173,13 @@ def direction_products(directions):
     """(lights, 9): xx, xy, xz, yy, yz, zz, x, y, z of each direction, as the kernels add them up."""
     x, y, z = directions.T
     return np.ascontiguousarray(np.stack([x * x, x * y, x * z, y * y, y * z, z * z, x, y, z], axis=1))
+
+
+def both(usable, valid):
+    """Samples that are chosen and valid; None stands for all."""
+    if usable is None or valid is None or usable is valid or np.shape(usable) != np.shape(valid):
+        return valid if usable is None else usable  # shapes that differ are an error found later
+    return np.asarray(usable, dtype=np.bool_) & np.asarray(valid, dtype=np.bool_)
 
 
 def sample_weights(stack, usable, weights, shape):

@@ -32,7 +32,7 @@ def _sweep_line(start, surface, slope, step, hull_at, hull_height, out):
         share = at - row
         if row < 0 or row >= rows or (share > 0.0 and row + 1 >= rows):
             continue
-        height = float(surface[row, column])
+        height = np.float64(surface[row, column])
         if share > 0.0:
             height = (1.0 - share) * height + share * surface[row + 1, column]
         if not np.isfinite(height):
@@ -119,7 +119,7 @@ def _march_pixel(row, column, surface, pitch, to_column, to_row, lowest, highest
             r0 = int(np.round(r))
             share = max(0.0, c - c0)
             other = surface[r0, min(c0 + 1, columns - 1)]
-        here = float(surface[r0, c0])
+        here = np.float64(surface[r0, c0])
         height = here if share < 1e-8 else (1.0 - share) * here + share * other
         value = (height / pitch - start) / distance
         if value > tangent:  # false for NaN
