@@ -11,7 +11,7 @@ RUN_REPEAT = (
 def usual_threads(wildcards):
     """Threads that the stage's own rule would get here."""
     declared = workflow.get_rule(wildcards.stage).resources["_cores"]
-    return min(declared, workflow.cores) if isinstance(declared, int) else 1
+    return min(int(getattr(declared, "value", declared)), workflow.cores)
 
 
 rule repeat:
