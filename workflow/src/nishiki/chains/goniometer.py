@@ -76,7 +76,7 @@ GONIOMETER = (
         requires=("ingest", "reflectance"),
         wants=lambda settings: ("weave",),
         uses=("fabric", "fabric_render", "fabric_evaluate"),
-        libraries=("numpy", "jinja2", "zarr", "opencv-contrib-python-headless"),
+        libraries=("numpy", "jinja2", "numba", "opencv-contrib-python-headless"),
         cost=Cost(mib=500, bytes_per_pixel=64),
     ),
 )

@@ -42,7 +42,7 @@ TURNTABLE = (
         geometry="turntable",
         requires=("ingest",),
         lacks=_no_poses,
-        libraries=("numpy", "scipy", "opencv-contrib-python-headless"),
+        libraries=("numpy", "scipy", "zarr", "opencv-contrib-python-headless"),
         cost=Cost(mib=500, bytes_per_pixel=64),
     ),
     Stage(
@@ -120,7 +120,7 @@ TURNTABLE = (
         requires=("ingest",),
         wants=lambda settings: ("polarise",),
         uses=("cameras", "mesh", "texels", "reflection", "residual", "object_render", "object_evaluate"),
-        libraries=("numpy", "jinja2", "zarr", "opencv-contrib-python-headless"),
+        libraries=("numpy", "jinja2", "numba", "zarr", "opencv-contrib-python-headless"),
         cost=Cost(mib=500, bytes_per_pixel=64),
     ),
 )

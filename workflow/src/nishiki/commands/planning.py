@@ -7,6 +7,7 @@ from typing import Any
 from nishiki.capture.folder import load_capture
 from nishiki.chain import SceneFacts
 from nishiki.commands.inspecting import PROJECT, stage_state
+from nishiki.errors import UserError
 from nishiki.packages import EXTRAS, PURPOSE, install_command, installed
 from nishiki.plan import Plan
 from nishiki.project import load_yaml
@@ -48,6 +49,18 @@ def scene_plan(flow: Workflow, name: str) -> dict[str, Any]:
         "held_out": list(made.held_out),
         "left_out": dict(made.left_out),
     }
+
+
+def expect_packages(flow: Workflow) -> None:
+    """UserError where a stage that would run needs a package that is not installed; video has a way without it."""
+    for name, made in flow.plans.items():
+        for stage, packages in made.packages.items():
+            missing = tuple(p for p in packages if p in EXTRAS and p != "av" and not installed(p))
+            if missing and stage_state(flow, name, stage)[0] == "run":
+                need = " and ".join(f"{p} ({PURPOSE[p]})" for p in missing)
+                raise UserError(
+                    f"scene {name!r}: {stage} needs {need}, not installed. Remedy: {install_command(missing)}"
+                )
 
 
 def _stage(flow: Workflow, made: Plan, scene: str, stage: str) -> dict[str, Any]:

@@ -23,10 +23,12 @@ TINY = {"plane": "tiny", "turntable": "object-tiny", "goniometer": "satin-tiny"}
 def run(options: argparse.Namespace, rest: list[str]) -> int:
     """Run the workflow on the configuration; the plan is checked first, so that bad input is told in one line."""
     from nishiki.commands.engine import LOOKS_ONLY, call_engine
+    from nishiki.commands.planning import expect_packages
     from nishiki.project import load_yaml
     from nishiki.workflow import Workflow
 
     flow = Workflow(load_yaml(options.configfile), folder=PROJECT)
+    expect_packages(flow)
     command = [
         sys.executable,
         "-m",
@@ -66,7 +68,7 @@ def profile_arguments(name: str, cores: str | None) -> list[str]:
         if importlib.util.find_spec(plugin) is None:
             raise UserError(
                 f"--profile {name}: the plugin for {executor} is not installed. Remedy: "
-                f".uv/bin/uv sync --locked --inexact --extra {executor}"
+                f"./nishiki install --extras {executor}"
             )
         return arguments + (["--cores", cores] if cores else [])
     return [*arguments, "--cores", cores or "all"]
