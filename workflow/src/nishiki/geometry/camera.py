@@ -13,6 +13,7 @@ import numpy as np
 from nishiki.errors import UserError
 
 NO_DISTORTION = (0.0, 0.0, 0.0, 0.0, 0.0)
+ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
@@ -42,10 +43,13 @@ class Camera:
         if matrix.shape != (3, 4) or not np.isfinite(matrix).all():
             raise UserError(f"view {name!r}: expected a finite 3x4 projection matrix, found shape {matrix.shape}")
         left = matrix[:, :3]
-        scale = np.linalg.norm(left[2])
-        if scale == 0 or np.linalg.cond(left / scale) > 1e12:
+        largest = np.abs(left[2]).max()  # first, so that squares and determinants stay in range at any scale
+        matrix = matrix / largest if largest > 0 else matrix
+        matrix = matrix / (np.linalg.norm(matrix[2, :3]) or 1.0)
+        left = matrix[:, :3]
+        if largest == 0 or np.linalg.cond(left) > 1e12:
             raise UserError(f"view {name!r}: the projection matrix is singular; expected a camera at a finite place")
-        matrix = matrix * (np.sign(np.linalg.det(left)) / scale)
+        matrix = matrix * np.sign(np.linalg.det(left))
         flip = np.eye(3)[::-1]
         orthogonal, triangular = np.linalg.qr((flip @ matrix[:, :3]).T)
         upper, rotation = flip @ triangular.T @ flip, flip @ orthogonal.T
@@ -67,10 +71,13 @@ class Camera:
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Pixels (n, 2) (column, row) and depths (n,) of world points (n, 3), float64.
 
-        Points at or behind the camera have depth <= 0 and pixels that mean nothing.
+        Points at or behind the camera have depth <= 0 and pixels that mean nothing. A depth that is rounding of the sum
+        it comes from (below 1e-12 of its terms) is 0.
         """
-        seen = np.asarray(points, np.float64) @ self.rotation.T + self.translation
-        depth = seen[:, 2]
+        points = np.asarray(points, np.float64)
+        seen = points @ self.rotation.T + self.translation
+        terms = np.abs(points) @ np.abs(self.rotation[2]) + abs(self.translation[2])
+        depth = np.where(np.abs(seen[:, 2]) > ROUNDING * terms, seen[:, 2], 0.0)
         plane = seen[:, :2] / np.where(depth > 0, depth, 1.0)[:, None]
         if any(self.distortion):
             plane = distort(plane, self.distortion)

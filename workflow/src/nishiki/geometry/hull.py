@@ -103,9 +103,13 @@ def field_of(silhouettes: list[np.ndarray | None], cameras: list[Camera], *, fin
         names.append(camera.name)
         poses.append(np.column_stack([camera.rotation, camera.translation]).ravel())
         lenses.append(_lens(camera))
-    if len(names) < 2:
-        raise UserError(f"expected silhouettes in two views at least, found {len(names)}; give masks or a background")
+    _expect_two(len(names))
     return Field(tuple(names), np.array(poses), np.array(lenses), np.array(frames, np.int64), np.concatenate(maps))
+
+
+def _expect_two(found: int) -> None:
+    if found < 2:
+        raise UserError(f"expected silhouettes in two views at least, found {found}; give masks or a background")
 
 
 def _lens(camera: Camera) -> list[float]:
@@ -138,6 +142,7 @@ def bounding_box(silhouettes: list[np.ndarray | None], cameras: list[Camera], *,
     or no bounded set.
     """
     planes = [_planes(mask, camera) for mask, camera in zip(silhouettes, cameras, strict=True) if mask is not None]
+    _expect_two(len(planes))
     middle = np.mean([camera.centre for camera in cameras], axis=0)
     size = max(np.linalg.norm(camera.centre - middle) for camera in cameras) or 1.0
     if not misses:
@@ -160,7 +165,23 @@ def bounding_box(silhouettes: list[np.ndarray | None], cameras: list[Camera], *,
 
 
 def _extent(planes: list[np.ndarray], middle: np.ndarray, size: float) -> np.ndarray:
-    """(2, 3): extent of what lies within all planes, in steps of size from the middle (for the solver's sake)."""
+    """(2, 3): extent of what lies within all planes; the cameras' middle and the size of their ring are the start.
+
+    The solver's tolerance is absolute: solved again in units of the box that was found, which can be small beside the
+    cameras' distance.
+    """
+    box = _solved(planes, middle, size)
+    for _ in range(2):
+        half = float((box[1] - box[0]).max()) / 2
+        if half > 0.1 * size:
+            break
+        middle, size = box.mean(axis=0), max(half, 1e-9 * size)
+        box = _solved(planes, middle, size)
+    return box
+
+
+def _solved(planes: list[np.ndarray], middle: np.ndarray, size: float) -> np.ndarray:
+    """(2, 3): see `_extent`; positions in steps of size from the middle."""
     from scipy.optimize import linprog
 
     joined = np.concatenate(planes)
@@ -169,8 +190,8 @@ def _extent(planes: list[np.ndarray], middle: np.ndarray, size: float) -> np.nda
         for end, sign in enumerate((1.0, -1.0)):
             found = linprog(
                 sign * np.eye(3)[axis],
-                A_ub=-joined[:, :3] * size,
-                b_ub=joined[:, :3] @ middle + joined[:, 3],
+                A_ub=-joined[:, :3],
+                b_ub=(joined[:, :3] @ middle + joined[:, 3]) / size,
                 bounds=[(None, None)] * 3,
                 method="highs",
             )

@@ -53,7 +53,7 @@ def estimate_pose(
     MSAC), then Levenberg-Marquardt on the points within outlier_px, until they stay the same. Draws are fixed: equal
     input gives equal output.
 
-    Raises UserError, naming the view and what to do: fewer than 4 points; points on a line; fewer than 4, or less than
+    Raises UserError, naming the view and what to do: fewer than 4 points; points on a line; fewer than 5, or less than
     half of them, agree with one pose; points behind the camera; flat points with two poses that fit equally well.
     """
     sight = Sight(sight.name, np.asarray(sight.points, np.float64), np.asarray(sight.pixels, np.float64))
@@ -64,7 +64,8 @@ def estimate_pose(
     if start is None:
         raise UserError(f"view {sight.name!r}: no camera sees these {len(sight.points)} points there. {REMEDY}")
     vector, inliers = _settle(sight, lens, start, outlier_px)
-    if inliers.sum() < max(LEAST_POINTS, len(inliers) / 2):
+    # Some camera sees any four points where they are: one more must confirm it, where there is one.
+    if inliers.sum() < max(min(LEAST_POINTS + 1, len(inliers)), len(inliers) / 2):
         raise UserError(
             f"view {sight.name!r}: only {int(inliers.sum())} of {len(inliers)} correspondences agree with one "
             "camera within "

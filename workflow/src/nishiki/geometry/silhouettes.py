@@ -140,6 +140,7 @@ def background_colours(picture: np.ndarray, background: str) -> Colours:
     if fitting.sum() > 50:
         samples = samples[fitting]
     samples = np.ascontiguousarray(samples[:: max(1, len(samples) // 20000)])
+    samples = np.repeat(samples, 2, axis=0) if len(samples) == 1 else samples  # one row is read as one column
     clusters = min(CLUSTERS, len(samples))
     cv2.setRNGSeed(1)
     stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 0.1)
