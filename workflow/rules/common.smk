@@ -1,6 +1,7 @@
 # What every rule is made of: paths, inputs, parameters and resources, all derived from the plans.
 import json
 import os
+import shlex
 import sys
 
 PROJECT_FOLDER = workflow.basedir
@@ -11,7 +12,7 @@ from nishiki.provenance import canonical
 from nishiki.workflow import Workflow
 from snakemake.exceptions import WorkflowError
 
-shell.prefix(f"export PATH={os.path.dirname(sys.executable)}:$PATH; ")
+shell.prefix(f"export PATH={shlex.quote(os.path.dirname(sys.executable))}:$PATH; ")
 
 try:
     FLOW = Workflow(config, folder=PROJECT_FOLDER)
@@ -21,10 +22,14 @@ except UserError as error:
 PLANS = FLOW.plans
 RESULTS = FLOW.results
 
+# Quoted for the shell, its braces for Snakemake.
+SCRIPTS = shlex.quote(os.path.join(PROJECT_FOLDER, "scripts"))
+SCRIPTS = SCRIPTS.replace("{", "{{").replace("}", "}}")
+
 # The one command of all stages; {rule} names the script.
 RUN_STAGE = (
     "NUMBA_NUM_THREADS={threads} OMP_NUM_THREADS={threads} OPENBLAS_NUM_THREADS={threads} python "
-    + os.path.join(PROJECT_FOLDER, "scripts")
+    + SCRIPTS
     + "/{rule}.py --scene {wildcards.scene} {params.source} --settings {params.settings:q}"
     " --code {params.code} --libraries {params.libraries:q} --inputs {input:q} --output {output:q}"
 )

@@ -75,8 +75,8 @@ class Artifact:
         return json.loads(path.read_text()) if path.is_file() else {}
 
     def path(self, name: str) -> Path:
-        """Full path of a file of the artifact."""
-        return self.folder / name
+        """Full path of a file of the artifact. UserError where the name leads out of it."""
+        return self.folder / _expect_inside(name)
 
 
 def open_artifact(folder: Path, *, contents: bool = True) -> Artifact:
@@ -150,6 +150,12 @@ def parse_manifest(data: bytes) -> dict[str, Any]:
 def is_inside(name: str) -> bool:
     """Whether a relative name with `/` stays inside its folder: no empty part, no `.` or `..`, not absolute."""
     return "\0" not in name and not {"", ".", ".."} & set(name.split("/"))
+
+
+def _expect_inside(name: str) -> str:
+    if not is_inside(name):
+        raise UserError(f"{name!r}: expected the name of a file inside an artifact. Remedy: rename what it is called by")
+    return name
 
 
 def is_digest(text: Any) -> bool:
@@ -229,8 +235,8 @@ class ArtifactWriter:
         shutil.rmtree(self.folder, ignore_errors=True)
 
     def path(self, name: str) -> Path:
-        """Where to write a file of the artifact."""
-        path = self.folder / name
+        """Where to write a file of the artifact. UserError where the name, which data may have given, leads out."""
+        path = self.folder / _expect_inside(name)
         path.parent.mkdir(parents=True, exist_ok=True)
         return path
 

@@ -2,6 +2,7 @@
 
 import csv
 import os
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -9,8 +10,10 @@ from typing import Literal
 import yaml
 from pydantic import Field, create_model
 
+from nishiki import plain_yaml
 from nishiki.closed import Closed, parse
 from nishiki.errors import UserError
+from nishiki.outside import is_plain, read_text
 from nishiki.stages import CHAIN, PRODUCTS
 from nishiki.sweep.settings import SweepName, SweepSettings
 
@@ -46,7 +49,7 @@ class Configuration(StageSettings):
     """The whole of config/config.yaml."""
 
     scenes: str = Field("config/scenes.tsv", description="scene table: scene, capture, truth, products, settings")
-    results: str = Field("results", description="folder of the results")
+    results: str = Field("results", description="folder of the results", min_length=1, pattern=r"^[^{}\x00-\x1f]+$")
     products: tuple[Literal[PRODUCTS], ...] = Field(
         ("render", "evaluate", "report"), min_length=1, description="what is wanted, where a scene does not say"
     )
@@ -81,15 +84,13 @@ class Project:
 
 
 def load_yaml(path: Path) -> dict:
-    """A YAML file as plain data (no tags, no code). Raises UserError naming file, line and remedy."""
+    """A YAML file as plain data (see `plain_yaml`). Raises UserError naming file, line and remedy."""
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        return plain_yaml.load(read_text(path, "settings_bytes", name=str(path))) or {}
     except FileNotFoundError:
         raise UserError(f"{path}: file not found") from None
     except UnicodeDecodeError as error:
         raise UserError(f"{path}: expected UTF-8 text ({error.reason} at byte {error.start})") from None
-    try:
-        return yaml.load(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader)) or {}
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         line = f", line {mark.line + 1}" if mark else ""
@@ -114,20 +115,26 @@ def load_project(values: dict | None = None, *, path: Path = Path("config/config
 
 def _read_scenes(configuration: Configuration, values: dict, table: Path) -> list[Scene]:
     try:
-        lines = table.read_text(encoding="utf-8-sig").splitlines()
+        lines = read_text(table, "scenes_bytes", name=str(table)).splitlines()
+        rows = list(csv.reader((line for line in lines if line.strip() and not line.startswith("#")), delimiter="\t"))
     except FileNotFoundError:
         raise UserError(f"{table}: scene table not found (named by the key scenes)") from None
-    rows = csv.reader((line for line in lines if line.strip() and not line.startswith("#")), delimiter="\t")
-    header = tuple(next(rows, ()))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise UserError(f"{table}: expected a tab-separated table in UTF-8 ({error})") from None
+    header = tuple(rows[0]) if rows else ()
     if not {"scene", "capture"} <= set(header) <= set(COLUMNS):
-        raise UserError(f"{table}: expected tab-separated columns {', '.join(COLUMNS)}, found {', '.join(header)}")
-    return [_scene(dict(zip(header, row, strict=False)), configuration, values, table) for row in rows]
+        found = ", ".join(header)[:200]
+        raise UserError(f"{table}: expected tab-separated columns {', '.join(COLUMNS)}, found {found}")
+    return [_scene(dict(zip(header, row, strict=False)), configuration, values, table) for row in rows[1:]]
 
 
 def _scene(row: dict[str, str], configuration: Configuration, values: dict, table: Path) -> Scene:
-    name = row["scene"].strip()
-    if not name or not name.replace("-", "").replace("_", "").isalnum() or not name.isascii():
-        raise UserError(f"{table}: scene name {name!r}: use letters, digits, - and _ only")
+    name = row.get("scene", "").strip()
+    if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_-]{0,99}", name):
+        raise UserError(f"{table}: scene name {name[:120]!r}: use letters, digits, - and _ only, no - in front")
+    for key, value in row.items():
+        if not is_plain(value):
+            raise UserError(f"{table}: scene {name!r}: {key} has control characters, found {value[:120]!r}")
     if name == SWEEPS:
         raise UserError(f"{table}: a scene cannot be called {name!r}: this folder of the results holds the sweeps")
     capture = row.get("capture", "").strip()
@@ -151,6 +158,8 @@ def _own(row: dict[str, str], configuration: Configuration, values: dict) -> Sta
     if not path:
         return configuration
     own = load_yaml(Path(path))
+    if not isinstance(own, dict):
+        raise UserError(f"{path}: expected a block of keys and values, found {type(own).__name__}")
     shared = {key: value for key, value in values.items() if key in StageSettings.model_fields}
     return parse(StageSettings, _merged(shared, own), path)
 

@@ -92,9 +92,9 @@ class Workflow:
         of = self.plans[scene].scene
         everything = ["--load-everything"] if of.settings.leave_out == "nothing" else []
         if stage == "ingest":
-            return shlex.join(["--capture", str(of.capture), *everything])
+            return shlex.join(["--capture", _no_option(of.capture), *everything])
         if CHAIN[stage].asked_as == "evaluate" and of.truth:
-            return shlex.join(["--truth", str(of.truth), *everything])
+            return shlex.join(["--truth", _no_option(of.truth), *everything])
         return shlex.join(everything)
 
     @cache  # noqa: B019  one Workflow a process
