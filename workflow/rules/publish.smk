@@ -14,6 +14,4 @@ rule publish:
         stages=lambda wildcards: FLOW.stages_text(wildcards.scene),
         code=lambda wildcards: FLOW.code("publish"),
     shell:
-        "python "
-        + os.path.join(PROJECT_FOLDER, "scripts")
-        + "/publish.py --scene {wildcards.scene} --stages {params.stages:q} --output {output:q}"
+        "python " + SCRIPTS + "/publish.py --scene {wildcards.scene} --stages {params.stages:q} --output {output:q}"

@@ -1,7 +1,7 @@
 # Sweeps: each timed repeat is a job of its own, alone on the machine; the page is made when all are there.
 RUN_REPEAT = (
     "python "
-    + os.path.join(PROJECT_FOLDER, "scripts")
+    + SCRIPTS
     + "/repeat.py --first {params.first:q} --threads {params.threads} --output {output:q} -- "
     "--scene {wildcards.scene} {params.source} --settings {params.settings:q}"
     " --code {params.code} --libraries {params.libraries:q} --inputs {params.inputs:q}"
@@ -62,5 +62,5 @@ rule sweep:
         code=FLOW.code("sweep"),
     shell:
         "python "
-        + os.path.join(PROJECT_FOLDER, "scripts")
+        + SCRIPTS
         + "/sweep.py --configuration {params.configuration:q} --output {output:q}"

@@ -203,7 +203,7 @@ def _tail(path: Path) -> str:
 
 
 def _size(path: Path) -> int | None:
-    return path.stat().st_size if path.is_file() else None
+    return path.stat().st_size if path.is_file() and not path.is_symlink() else None
 
 
 def _files(folder: Path) -> Iterator[tuple[str, Path]]:

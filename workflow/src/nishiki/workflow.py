@@ -186,3 +186,8 @@ class Workflow:
     def relative_results(self) -> str:
         """Results folder relative to the working folder, for messages."""
         return os.path.relpath(self.results)
+
+
+def _no_option(path: Path) -> str:
+    """A path as an argument that cannot be taken for an option."""
+    return f"./{path}" if str(path).startswith("-") else str(path)
