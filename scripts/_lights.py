@@ -4,12 +4,12 @@ import numpy as np
 
 from _sample import sample
 from nishiki.economy.decision import Decision
-from nishiki.economy.lights import FEWEST, LightSample, measured_choice, static_choice
+from nishiki.economy.lights import FEWEST, LightSample, measured_choice, not_worth, static_choice
 from nishiki.ingest.observations import Observations
 from nishiki.normals.solve import NormalField, estimate_normals
 from nishiki.separation.lights import select_diffuse
 
-PIXELS = 2000
+PIXELS = 1200
 
 
 def choose_lights(frames: Observations, lights: np.ndarray, settings) -> tuple[np.ndarray, Decision | None]:
@@ -19,6 +19,9 @@ def choose_lights(frames: Observations, lights: np.ndarray, settings) -> tuple[n
         return np.arange(len(lights)), None
     if settings.lights != "auto":
         return static_choice(directions, settings.lights)
+    pixels = int(np.count_nonzero(frames.mask))
+    if skipped := not_worth(len(lights), pixels):
+        return np.arange(len(lights)), skipped
     pieces = sample(frames, lights, PIXELS)
     samples = [LightSample(piece.observations, piece.valid, piece.parcel.directions) for piece in pieces]
     return measured_choice(directions, samples, solver_of(settings))

@@ -7,6 +7,7 @@ import numpy as np
 import _project  # noqa: F401
 from _lights import choose_lights
 from nishiki.economy.decision import Decision, economy
+from nishiki.economy.refinement import clearly_matt, decided, thinned
 from nishiki.errors import UserError
 from nishiki.ingest.observations import Observations
 from nishiki.ingest.parcels import Parcel, parcels
@@ -17,6 +18,7 @@ from nishiki.normals.gloss_profile import GlossProfile
 from nishiki.normals.gloss_scene import FEW_LIGHTS, GlossTile, SceneGloss, fit_scene_gloss
 from nishiki.normals.reflectance import diffuse_reflectance
 from nishiki.normals.solve import estimate_normals
+from nishiki.scatter import Scattered
 from nishiki.settings.normals import NormalsSettings
 from nishiki.stage import Context, run_stage
 
@@ -35,7 +37,7 @@ SAMPLE_BANDS, SAMPLE_PIXELS = 12, 20_000  # of the scene, for its gloss
 SMALL_PARCEL = 1024  # pixels
 
 
-def run(context: Context) -> dict:
+def work(context: Context) -> dict:
     """Solve band by band; memory does not grow with the number of rows."""
     frames = Observations(context.inputs["ingest"].folder)
     separate = context.inputs.get("separate")
@@ -49,9 +51,12 @@ def run(context: Context) -> dict:
     arrays = create_maps(context, frames)
     gloss = scene_gloss(frames, selection, lights, context.settings)
     profile = gloss.profile if wanted(gloss, context.settings) else None
+    refinement = decided(gloss, context.settings.refine)
+    if refinement:
+        context.progress.tell(str(refinement))
     counts: Counter[str] = Counter()
     sigmas = []
-    for band in context.progress.over(frames.bands(), "band"):
+    for band in context.progress.over(context.share(frames.bands()), "band"):
         observations, valid = frames.read(band, lights=lights)
         usable = read_usable(selection, band, len(lights), valid)
         found = {name: np.empty((*valid.shape[1:], *array.shape[2:]), array.dtype) for name, array in arrays.items()}
@@ -65,14 +70,21 @@ def run(context: Context) -> dict:
         inside = frames.mask[band]
         counts.update(count_flags(found["flags"], inside))
         sigmas.append(found["sigma"][inside & ((found["flags"] & bits.NO_ESTIMATE) == 0)][::17])
-    return {
+    same = {
         "lights": [frames.lights[j] for j in lights],
-        **dict(counts),
-        **percentiles(np.concatenate(sigmas)),
         "refined": profile is not None,
         **({} if gloss is None else gloss.described),
-        "economy": economy(decision),
+        "economy": economy(decision, refinement),
     }
+    return {"same": same, "counts": dict(counts), "sigma": np.concatenate([np.empty(0, np.float32), *sigmas])}
+
+
+def told(context: Context, tallies: list[dict]) -> dict:
+    """Counts of pixels and of flags; uncertainty over a sample of the pixels."""
+    counts: Counter[str] = Counter()
+    for tally in tallies:
+        counts.update(tally["counts"])
+    return {**dict(counts), **percentiles(np.concatenate([tally["sigma"] for tally in tallies])), **tallies[0]["same"]}
 
 
 def fit_lights(
@@ -119,7 +131,13 @@ def scene_gloss(
             if chosen.size:
                 picked = [pick(array[area], chosen) for array in (observations, usable, valid)]
                 tiles.append(gloss_tile(*picked, parcel, settings))
-    return fit_scene_gloss(tiles, refractive_index=settings.refractive_index) if tiles else None
+    if not tiles:
+        return None
+    if settings.refine == "auto" and (fewer := thinned(tiles)):
+        first = fit_scene_gloss(fewer, refractive_index=settings.refractive_index)
+        if clearly_matt(first):
+            return first
+    return fit_scene_gloss(tiles, refractive_index=settings.refractive_index)
 
 
 def pick(array: np.ndarray, chosen: np.ndarray) -> np.ndarray:
@@ -233,4 +251,4 @@ def percentiles(sigma: np.ndarray) -> dict[str, float | None]:
 
 
 if __name__ == "__main__":
-    run_stage(NormalsSettings, run, __doc__)
+    run_stage(NormalsSettings, Scattered(work, told), __doc__)

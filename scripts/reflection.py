@@ -7,12 +7,17 @@ from dataclasses import asdict
 import numpy as np
 
 import _project  # noqa: F401
+from nishiki.economy.decision import Decision, economy
+from nishiki.economy.object_gloss import decided, unseen_gain
 from nishiki.errors import UserError
 from nishiki.ingest.views import Views
 from nishiki.patches.store import Texels
+from nishiki.reflection.lambert_object import fit_lambert
 from nishiki.reflection.lighting import Lighting
+from nishiki.reflection.model import GRAZING, factors
 from nishiki.reflection.object_fit import fit_object
-from nishiki.reflection.settle import sample_texels, settle
+from nishiki.reflection.settle import Sample, sample_texels, settle
+from nishiki.reflection.stack import slope_of_srgb
 from nishiki.reflection.store import ParameterWriter
 from nishiki.reflection.tile import Capture, Tile
 from nishiki.settings.reflection import ReflectionSettings
@@ -38,21 +43,54 @@ def run(context: Context) -> dict:
         context.output.folder, tiles=texels.tiles, size=texels.size, channels=channels(texels), stamp=context.stamp
     )
     context.progress.tell(f"{texels.tiles} tiles, {len(cameras)} observations")
-    fit = fit_object(
-        read,
-        numbers,
-        capture,
-        out.write,
-        width=settings.width,
-        method=settings.method,
-        apart=settings.components == "apart",
-        threads=os.cpu_count() or 1,
-    )
+    specular, decision = shows_gloss(sample, capture, settings.specular)
+    context.progress.tell(str(decision))
+    if specular:
+        fit = fit_object(
+            read,
+            numbers,
+            capture,
+            out.write,
+            width=settings.width,
+            method=settings.method,
+            apart=settings.components == "apart",
+            threads=os.cpu_count() or 1,
+        )
+    else:
+        fit = fit_lambert(read, numbers, capture, out.write, threads=os.cpu_count() or 1)
     used = settings.components if separated else "total"
     report = {"lighting": lighting.as_dict(), "found": found, "fit": asdict(fit), "components": used}
+    report["specular"] = specular
     text = json.dumps(report, indent=1, sort_keys=True, allow_nan=False)
     context.output.path("reflection.json").write_text(text + "\n")
-    return {"lighting": lighting.kind, **found, **asdict(fit), "components": used, "width": settings.width}
+    return {
+        "lighting": lighting.kind,
+        **found,
+        **asdict(fit),
+        "components": used,
+        "width": settings.width,
+        "economy": economy(decision),
+    }
+
+
+def shows_gloss(sample: Sample, capture: Capture, setting: str) -> tuple[bool, Decision]:
+    """Whether the specular part is fitted, by the setting or by a sample of texels, and what was decided."""
+    if setting != "auto":
+        return setting == "keep", decided(None, setting)
+    shape = sample.visible.shape
+    diffuse, attenuation, alpha, weights = (np.zeros(shape, np.float32) for _ in range(4))
+    for o, (centre, lamp) in enumerate(zip(capture.centres, capture.lamps, strict=True)):
+        irradiance, angles = factors(sample.positions, sample.normals, centre, lamp, 1)
+        facing = np.maximum(angles[:, 1], 0)
+        diffuse[:, o], alpha[:, o] = irradiance[:, 0], np.sqrt(angles[:, 2])
+        attenuation[:, o] = angles[:, 0] / np.maximum(facing, GRAZING)
+        weights[:, o] = sample.visible[:, o] * facing
+    weights *= np.isfinite(sample.values).all(axis=-1)
+    values = np.nan_to_num(sample.values)
+    if capture.encoding == "srgb":
+        weights *= slope_of_srgb(values.mean(axis=-1)) ** 2
+    found = unseen_gain(values, diffuse, attenuation, alpha, weights)
+    return found.keep, decided(found, setting)
 
 
 def channels(texels: Texels) -> int:

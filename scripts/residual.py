@@ -28,12 +28,14 @@ def run(context: Context) -> dict:
     texels = Texels(context.inputs["texels"].folder)
     reflection = context.inputs["reflection"].folder
     source = ArtifactSource(texels, ParameterMaps(reflection), settings)
-    scene = scene_of(texels, json.loads((reflection / "reflection.json").read_text())["lighting"])
+    fitted = json.loads((reflection / "reflection.json").read_text())
+    scene = scene_of(texels, fitted["lighting"])
     effort = Effort(
         pursuit=Pursuit(rounds=settings.rounds, inner=settings.inner),
         price=settings.price,
         refinements=settings.refinements,
         threshold=settings.threshold,
+        gloss=fitted["specular"],
     )
     design, threads = design_of(texels, source.components, settings), os.cpu_count() or 1
     found = pilot(source, scene, design, effort, threads=threads, progress=context.progress)

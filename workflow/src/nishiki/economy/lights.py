@@ -10,7 +10,8 @@ from nishiki.economy.spread import spread_order
 from nishiki.normals import flags as bits
 from nishiki.normals.solve import NormalField
 
-LIMIT_DEG = 0.5  # by which half of the normals may move
+LIMIT_DEG = 0.2  # by which half of the normals may move
+WORTH = 30_000_000  # samples (lights x pixels) from which the choice costs less than the lights that it saves
 FEWEST = 32
 """Lights that are always kept: up to 24 the joint fit begins, and selection needs samples beside gloss and shadow."""
 OVERRIDE = "normals.lights: all, auto or a number"
@@ -46,6 +47,16 @@ def static_choice(directions: np.ndarray, setting: int) -> tuple[np.ndarray, Dec
         OVERRIDE,
     )
     return chosen, decision
+
+
+def not_worth(lights: int, pixels: int) -> Decision | None:
+    """The decision to take all lights without looking, where the fit costs no more than the choice; else None."""
+    if lights <= FEWEST or lights * pixels >= WORTH:
+        return None
+    criterion = "samples (lights x pixels), below which the choice costs more than it saves"
+    return Decision(
+        "lights", f"all {lights} lights", criterion, float(lights * pixels), float(WORTH), "nothing", OVERRIDE
+    )
 
 
 def measured_choice(

@@ -168,7 +168,10 @@ def _predict(
             positions[p, 0], positions[p, 1], positions[p, 2], nx, ny, nz, centre, form, vector, reference
         )
         lobe = _ZERO
-        if cos_i > _ZERO and cos_r > _ZERO:
+        glossy = False
+        for c in range(channels):
+            glossy = glossy or ks[p, c] != _ZERO
+        if glossy and cos_i > _ZERO and cos_r > _ZERO:
             lobe = strength / (cos_r if cos_r > _GRAZING else _GRAZING) * _lobe(alpha2, sigma[p])
         lit = cos_i * strength if cos_i > _ZERO else _ZERO
         for c in range(channels):

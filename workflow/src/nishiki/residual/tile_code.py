@@ -44,7 +44,7 @@ class Scene:
 class Effort:
     """pursuit: of the residual's solver; price: of a bit, in squared steps at a typical pixel; refinements: of the
     parameters in the pictures; threshold: of the parameters, in their steps; dead_zone: of the residual, in steps;
-    rounding: fraction added before the whole part is taken."""
+    rounding: fraction added before the whole part is taken; gloss: whether K_s is moved in the pictures at all."""
 
     pursuit: Pursuit = field(default_factory=Pursuit)
     price: float = 0.05
@@ -52,6 +52,7 @@ class Effort:
     threshold: float = 0.6
     dead_zone: float = 0.5
     rounding: float = 0.42
+    gloss: bool = True
 
 
 @dataclass(frozen=True)
@@ -133,7 +134,8 @@ def refine_tile(seen: Seen, maps: Maps, scene: Scene, design: Design, effort: Ef
     centres, lamps = scene.centres[seen.observations], [scene.lamps[o] for o in seen.observations]
     factors = model_factors(design.channels, seen.surface, centres, lamps)
     whole = seen.values[0] if len(seen.values) == 1 else sum(seen.values)
-    maps = refine(maps, factors, seen.feet, whole, design.encoding, iterations=effort.refinements)
+    moved = (True, effort.gloss, False)
+    maps = refine(maps, factors, seen.feet, whole, design.encoding, iterations=effort.refinements, move=moved)
     return Refined(maps, texel_weights(maps, factors, seen.feet, design.encoding))
 
 

@@ -18,7 +18,9 @@ class NormalsSettings(Guarded):
         "default", description="see docs/stages/normals.md"
     )
     lights: Lights = Field(
-        "all", description="lights of the fit (separate follows): all, or so many evenly spread ones"
+        "auto",
+        description="lights of the fit (separate follows): all; so many evenly spread ones; auto: as many as normals "
+        "need, in captures of some size (docs/economy.md)",
     )
     refine: Literal["auto", "gloss", "none"] = Field(
         "auto", description="fit normals, reflectance and gloss together; auto: where few lights show gloss that counts"

@@ -11,7 +11,7 @@ class ReflectionSettings(Guarded):
     """Lambert and the simplified Torrance-Sparrow model at every texel of an object."""
 
     STAGE: ClassVar[str] = "reflection"
-    VERSION: ClassVar[int] = 1
+    VERSION: ClassVar[int] = 2
 
     width: Literal["smooth", "texel", "object"] = Field(
         "smooth",
@@ -30,6 +30,9 @@ class ReflectionSettings(Guarded):
         "auto",
         description="where polarisation separated them: auto: sigma from the specular part, strengths from the total; "
         "apart: K_d from the diffuse, K_s from the specular part (the paper's); total: not used",
+    )
+    specular: Literal["auto", "keep", "drop"] = Field(
+        "auto", description="auto: Lambert alone where a sample of texels shows no gloss (docs/economy.md)"
     )
     falloff: Literal["auto", "none", "inverse_square"] = Field(
         "auto", description="of a lamp at a place, over the depth of the object; auto: whichever fits better"
