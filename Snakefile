@@ -41,12 +41,15 @@ include: "workflow/rules/fabric_render.smk"
 include: "workflow/rules/fabric_evaluate.smk"
 include: "workflow/rules/fabric_report.smk"
 include: "workflow/rules/publish.smk"
+include: "workflow/rules/part.smk"
 include: "workflow/rules/sweep.smk"
 
 
 rule all:
     default_target: True
     input:
-        [f"{RESULTS}/{scene}/current/index.json" for scene in PLANS],
+        lambda wildcards: [f"{RESULTS}/{scene}/current/index.json" for scene in PLANS],
         # Each artifact is asked for: Snakemake would not make one again that is missing below an index that is there.
-        [manifest for scene in PLANS for manifest in FLOW.artifacts(scene)],
+        lambda wildcards: [
+            manifest for scene in PLANS for manifest in FLOW.artifacts(scene)
+        ],

@@ -8,12 +8,13 @@ from nishiki.economy.decision import economy
 from nishiki.ingest.observations import Observations
 from nishiki.ingest.parcels import parcels
 from nishiki.maps import MapWriter
+from nishiki.scatter import Scattered
 from nishiki.separation.lights import select_diffuse
 from nishiki.settings.separate import SeparateSettings
 from nishiki.stage import Context, run_stage
 
 
-def run(context: Context) -> dict:
+def work(context: Context) -> dict:
     """Select the lights band by band; usable lights are kept as one bit each."""
     frames = Observations(context.inputs["ingest"].folder)
     lights = frames.fit_lights(context.settings.hold_out)
@@ -29,7 +30,7 @@ def run(context: Context) -> dict:
     shadows = maps.create("shadows", dtype="uint16", unit="lights")
     totals = np.zeros(4, dtype=np.int64)
     settings = context.settings
-    for band in context.progress.over(frames.bands(), "band"):
+    for band in context.progress.over(context.share(frames.bands()), "band"):
         observations, valid = frames.read(band, lights=lights, channel="mean")
         chosen = np.empty_like(valid)
         counts = np.empty((2, *valid.shape[1:]), np.uint16)
@@ -49,16 +50,17 @@ def run(context: Context) -> dict:
         usable[band] = np.moveaxis(np.packbits(chosen, axis=0, bitorder="little"), 0, -1)
         highlights[band], shadows[band] = counts
         totals += [a.sum(dtype=np.int64) for a in (chosen, *counts, valid)]
-    samples = rows * columns * len(lights)
-    return {
-        "lights": [frames.lights[j] for j in lights],
-        "usable_fraction": float(totals[0] / samples),
-        "highlight_fraction": float(totals[1] / samples),
-        "shadow_fraction": float(totals[2] / samples),
-        "valid_fraction": float(totals[3] / samples),
-        "economy": economy(decision),
-    }
+    same = {"lights": [frames.lights[j] for j in lights], "economy": economy(decision)}
+    return {"same": same, "samples": rows * columns * len(lights), "totals": totals.tolist()}
+
+
+def told(context: Context, tallies: list[dict]) -> dict:
+    """Fractions of all samples."""
+    totals = np.sum([tally["totals"] for tally in tallies], axis=0)
+    names = ("usable", "highlight", "shadow", "valid")
+    fractions = {f"{name}_fraction": float(n / tallies[0]["samples"]) for name, n in zip(names, totals, strict=True)}
+    return {**tallies[0]["same"], **fractions}
 
 
 if __name__ == "__main__":
-    run_stage(SeparateSettings, run, __doc__)
+    run_stage(SeparateSettings, Scattered(work, told), __doc__)

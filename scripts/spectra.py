@@ -10,6 +10,7 @@ from nishiki.capture.spectra_tables import read_curves
 from nishiki.economy.bases import Bases, decided, output_bases, principal_bases
 from nishiki.economy.decision import Decision, economy
 from nishiki.maps import Maps, MapWriter
+from nishiki.scatter import Scattered
 from nishiki.settings.spectra import SpectraSettings
 from nishiki.spectra.basis import channel_weights
 from nishiki.spectra.estimate import SpectralEstimator, estimate_spectra, fit_estimator
@@ -17,7 +18,7 @@ from nishiki.spectra.training import measured_reflectances, synthetic_reflectanc
 from nishiki.stage import Context, run_stage
 
 
-def run(context: Context) -> dict:
+def work(context: Context) -> dict:
     """Fit the estimator once, then apply it band by band."""
     settings = context.settings
     training = synthetic_reflectances() if settings.training == "synthetic" else measured_set(Path(settings.training))
@@ -35,20 +36,28 @@ def run(context: Context) -> dict:
     sigma = out.create("sigma", unit="rms over the bands, reflectance")
     flags = out.create("flags", dtype="uint8", unit="bits, see docs/stages/spectra.md")
     counts: Counter[str] = Counter()
-    for start in context.progress.over(range(0, rows, band_rows), "band"):
+    for start in context.progress.over(context.share(range(0, rows, band_rows)), "band"):
         band = slice(start, min(rows, start + band_rows))
         field = estimate_spectra(reflectance[band], estimator)
         coefficients[band], sigma[band], flags[band] = field.coefficients, field.sigma, field.flags
         counts.update(field.counts)
-    return {
+    same = {
         "method": estimator.method,
         "bases": len(basis),
         "condition": float(estimator.condition),
         "training_rmse": float(estimator.training_rmse),
         "training_spectra": len(training),
-        **{f"flagged_{name}": count for name, count in counts.items()},
         "economy": economy(decision),
     }
+    return {"same": same, "counts": {name: int(count) for name, count in counts.items()}}
+
+
+def told(context: Context, tallies: list[dict]) -> dict:
+    """The estimator, and the pixels with each flag."""
+    counts: Counter[str] = Counter()
+    for tally in tallies:
+        counts.update(tally["counts"])
+    return {**tallies[0]["same"], **{f"flagged_{name}": count for name, count in counts.items()}}
 
 
 def fit(context: Context, training: np.ndarray) -> tuple[SpectralEstimator, Decision | None]:
@@ -77,4 +86,4 @@ def measured_set(path: Path) -> np.ndarray:
 
 
 if __name__ == "__main__":
-    run_stage(SpectraSettings, run, __doc__)
+    run_stage(SpectraSettings, Scattered(work, told), __doc__)

@@ -9,13 +9,14 @@ sys.path.insert(0, os.path.join(PROJECT_FOLDER, "workflow", "src"))
 
 from nishiki.errors import UserError
 from nishiki.provenance import canonical
+from nishiki.scheduling import PARTS
 from nishiki.workflow import Workflow
 from snakemake.exceptions import WorkflowError
 
 shell.prefix(f"export PATH={shlex.quote(os.path.dirname(sys.executable))}:$PATH; ")
 
 try:
-    FLOW = Workflow(config, folder=PROJECT_FOLDER)
+    FLOW = Workflow(config, folder=PROJECT_FOLDER, lazy=True)
 except UserError as error:
     raise WorkflowError(str(error)) from None
 
@@ -33,6 +34,11 @@ RUN_STAGE = (
     + "/{rule}.py --scene {wildcards.scene} {params.source} --settings {params.settings:q}"
     " --code {params.code} --libraries {params.libraries:q} --inputs {input:q} --output {output:q}"
 )
+# The same of one part of a divided stage.
+RUN_PART = (
+    RUN_STAGE.replace("{rule}", "{wildcards.stage}")
+    + " --part {wildcards.number}/{wildcards.total}"
+)
 
 
 def artifact(stage):
@@ -41,8 +47,11 @@ def artifact(stage):
 
 
 def upstream(stage):
-    """Input function: artifacts that a stage of a scene reads."""
-    return lambda wildcards: FLOW.inputs(wildcards.scene, stage, wildcards.key)
+    """Input function: artifacts that a stage of a scene reads, and its own parts where it is divided."""
+    return lambda wildcards: (
+        FLOW.inputs(wildcards.scene, stage, wildcards.key)
+        + FLOW.part_paths(wildcards.scene, stage, wildcards.key)
+    )
 
 
 def params_of(stage):
@@ -57,9 +66,18 @@ def params_of(stage):
     }
 
 
+# Inside a job of a cluster two processes of Snakemake wait for the stage.
+ENGINE_MB = 300
+
+
 def memory_of(stage):
     """Memory by the cost model, half as much again at each further attempt."""
-    return lambda wildcards, attempt: FLOW.memory_mb(wildcards.scene, stage, attempt)
+    return lambda wildcards, attempt: job_memory(wildcards.scene, stage, attempt)
+
+
+def job_memory(scene, stage, attempt):
+    own = ENGINE_MB if workflow.non_local_exec else 0
+    return FLOW.memory_mb(scene, stage, attempt) + own
 
 
 def minutes_of(stage):

@@ -82,7 +82,7 @@ class Stage:
     read where the plan has them anyway. lacks: a reason why the capture cannot feed the stage, or None.
     geometry: the captures that it is for, None: all. product: the name under which a scene asks for it, where that is
     not its own: a plane's and a turntable's `render` are different stages with one name for the user.
-    cost: memory and time as measured, for whoever plans or schedules.
+    cost: memory and time as measured, for whoever plans or schedules; scatter: its work can be divided over jobs.
     """
 
     settings: type[Closed]
@@ -96,6 +96,7 @@ class Stage:
     needs_colour: bool = False
     libraries: tuple[str, ...] = ("numpy", "numba", "zarr")
     cost: Cost = Cost()
+    scatter: bool = False
 
     @property
     def name(self) -> str:

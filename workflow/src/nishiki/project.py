@@ -5,7 +5,7 @@ import os
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import yaml
 from pydantic import Field, create_model
@@ -18,6 +18,7 @@ from nishiki.stages import CHAIN, PRODUCTS
 from nishiki.sweep.settings import SweepName, SweepSettings
 
 COLUMNS = ("scene", "capture", "truth", "products", "settings")
+SCATTERED = tuple(name for name, stage in CHAIN.items() if stage.scatter)
 SWEEPS = "sweeps"
 """Folder of the results that holds the pages and timings of sweeps."""
 
@@ -34,6 +35,11 @@ class Shared(Closed):
         "auto",
         description="nothing: every product, photograph and channel, asked for or not, and every package loaded; "
         "for measuring what leaving out saves (docs/leaving-out.md)",
+    )
+    scatter: Literal["none", "auto"] | dict[Literal[SCATTERED], Annotated[int, Field(ge=1, le=256)]] = Field(
+        "none",
+        description="parts that a stage is divided into, each a job: {normals: 4}; auto: of about a quarter of an "
+        "hour; the results have the same keys and bytes (docs/cluster.md)",
     )
 
 

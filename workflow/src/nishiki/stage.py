@@ -5,10 +5,10 @@ import errno
 import json
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from nishiki.artifact import MANIFEST, Artifact, ArtifactWriter, open_artifact
 from nishiki.closed import Closed, parse
@@ -19,7 +19,10 @@ from nishiki.packages import load_all
 from nishiki.progress import Progress
 from nishiki.provenance import canonical, stage_key
 from nishiki.run_facts import RunFacts
+from nishiki.scatter import Part, Scattered, in_order
 from nishiki.version import PROJECT_VERSION
+
+Item = TypeVar("Item")
 
 
 @dataclass(frozen=True)
@@ -33,6 +36,12 @@ class Context:
     truth: Path | None
     stamp: dict[str, str]
     progress: Progress
+    part: Part | None = None  # of a divided stage: the share that this job does
+    parts: tuple[Artifact, ...] = ()  # of a divided stage: what the one that joins them is given
+
+    def share(self, items: Sequence[Item]) -> Sequence[Item]:
+        """Those of the bands (or other equal pieces of work) that this job does: all, unless it is a part."""
+        return self.part.share(items) if self.part else items
 
 
 def run_stage(
@@ -89,6 +98,7 @@ def _arguments(model: type[Closed], description: str) -> argparse.Namespace:
     parser.add_argument("--inputs", nargs="*", default=[], metavar="FOLDER", help="artifacts of the upstream stages")
     parser.add_argument("--capture", type=Path, help="capture folder (ingest only)")
     parser.add_argument("--truth", type=Path, help="folder of the truth (evaluate)")
+    parser.add_argument("--part", metavar="N/M", help="do only this share of the work; --output: folder of the part")
     parser.add_argument("--settings", default="{}", metavar="JSON", help="settings of this stage; the rest by default")
     parser.add_argument("--code", default="", help="digest of the code, recorded in the artifact")
     parser.add_argument("--libraries", default="{}", metavar="JSON", help="library versions, recorded in the artifact")
@@ -121,15 +131,14 @@ def _run(
     if arguments.load_everything:
         load_all()
     settings = parse(model, _json(arguments.settings, "--settings"), f"settings of {model.STAGE}")
-    inputs = {artifact.stage: artifact for artifact in map(open_artifact, map(Path, arguments.inputs))}
-    upstream = {name: artifact.key for name, artifact in inputs.items()}
-    if digest_of_capture:
-        if arguments.capture is None:
-            raise UserError("--capture is needed: the sealed capture folder")
-        upstream = {"capture": digest_of_capture(arguments.capture)}
+    inputs, parts = _opened(arguments.inputs)
+    upstream = _upstream(inputs, arguments.capture, digest_of_capture)
     values = settings.model_dump(mode="json")
     key = stage_key(model.STAGE, model.VERSION, values, upstream)
-    target = _target(arguments.output, key)
+    read = {name: {"key": item.key, "digest": item.digest} for name, item in inputs.items()}
+    parts = in_order(parts, key=key, code=arguments.code, upstream=read) if parts else ()
+    part = _part(arguments.part, run, model.STAGE)
+    target = arguments.output if part else _target(arguments.output, key)
     stamp = {"scene": arguments.scene, "stage": model.STAGE, "key": key, "version": PROJECT_VERSION}
     with ArtifactWriter(target) as output:
         context = Context(
@@ -140,21 +149,50 @@ def _run(
             arguments.truth,
             stamp,
             Progress(f"{arguments.scene}/{model.STAGE}"),
+            part,
+            parts,
         )
         diagnostics = run(context)
-        check(model.STAGE, diagnostics, settings.allow)
+        if not part:
+            check(model.STAGE, diagnostics, settings.allow)
         expect_finite(output.folder, model.STAGE)
         manifest = {
             **stamp,
+            **({"part": arguments.part} if part else {}),
             "format_version": model.VERSION,
             "settings": json.loads(canonical(values)),
-            "upstream": {name: {"key": item.key, "digest": item.digest} for name, item in inputs.items()}
-            or {"capture": {"digest": upstream["capture"]}},
+            "upstream": read or {"capture": {"digest": upstream["capture"]}},
             "code": arguments.code,
             "libraries": _json(arguments.libraries, "--libraries"),
             "diagnostics": diagnostics,
         }
         output.finish(manifest, facts.finish(arguments.capture))
+
+
+def _opened(folders: list[str]) -> tuple[dict[str, Artifact], list[Artifact]]:
+    """Upstream artifacts by stage, and the parts of the stage itself."""
+    opened = [open_artifact(Path(folder)) for folder in folders]
+    inputs = {artifact.stage: artifact for artifact in opened if "part" not in artifact.manifest}
+    return inputs, [artifact for artifact in opened if "part" in artifact.manifest]
+
+
+def _upstream(
+    inputs: dict[str, Artifact], capture: Path | None, digest_of_capture: Callable[[Path], str] | None
+) -> dict[str, str]:
+    """Keys of the upstream artifacts; of the first stage, the digest of the capture."""
+    if not digest_of_capture:
+        return {name: artifact.key for name, artifact in inputs.items()}
+    if capture is None:
+        raise UserError("--capture is needed: the sealed capture folder")
+    return {"capture": digest_of_capture(capture)}
+
+
+def _part(text: str | None, run: Callable[[Context], dict[str, Any]], stage: str) -> Part | None:
+    if text is None:
+        return None
+    if not isinstance(run, Scattered):
+        raise UserError(f"--part: {stage} cannot be divided")
+    return Part.parse(text)
 
 
 def _json(text: str, where: str) -> dict[str, Any]:

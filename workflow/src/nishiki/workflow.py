@@ -1,52 +1,83 @@
 """What the rules ask of the plans: keys to paths, inputs, parameters and resources. Knows nothing of Snakemake."""
 
-import math
 import os
 import shlex
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 
 from nishiki.artifact import MANIFEST
+from nishiki.chain import SceneFacts
 from nishiki.errors import UserError
-from nishiki.facts import scene_facts
+from nishiki.facts_cache import remembered_facts
 from nishiki.plan import Plan, PlannedStage, make_plan
-from nishiki.project import SWEEPS, load_project
+from nishiki.project import SWEEPS, Scene, load_project
 from nishiki.provenance import canonical, code_digest, library_version
+from nishiki.scheduling import Scheduling
 from nishiki.stages import CHAIN
 from nishiki.sweep_plan import TIMINGS, PlannedSweep, PlannedVariant, SceneSweep, plan_sweep
 
-SHORT_SECONDS = 120
-"""Stages that are expected to take less than this share a job of a cluster with their neighbours."""
-TIME_MARGIN = 4
-"""Time limit over expected time."""
+
+class Plans(Mapping):
+    """Plans by scene, each made when it is first asked for: a job of one scene among thousands needs one."""
+
+    def __init__(self, names: list[str], make: Callable[[str], Plan]):
+        self._names, self._make = dict.fromkeys(names), make
+
+    def __getitem__(self, name: str) -> Plan:
+        if self._names[name] is None:
+            self._names[name] = self._make(name)
+        return self._names[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._names
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
 
 
-class Workflow:
+class Workflow(Scheduling):
     """All plans of a configuration, and what follows from them for the rules."""
 
-    def __init__(self, configuration: dict | None = None, *, folder: str | Path = ".", only: str | None = None):
+    def __init__(
+        self,
+        configuration: dict | None = None,
+        *,
+        folder: str | Path = ".",
+        only: str | None = None,
+        lazy: bool = False,
+    ):
+        """Plan all scenes, or one of them; lazy: each when it is first asked for. Raises UserError for bad input."""
         self.folder = Path(folder)
         self.project = load_project(configuration)
         self.results = str(self.project.results)
         if only and only not in self.project.scenes:
             raise UserError(f"no scene {only!r} in the scene table; scenes: {', '.join(self.project.scenes)}")
         self.sweep: PlannedSweep | None = None
-        self.plans: dict[str, Plan] = {}
         self._stages: dict[tuple[str, str, str], PlannedStage] = {}
+        self.plans: Mapping[str, Plan] = Plans([only] if only else list(self.project.scenes), self._plan)
         if self.project.configuration.sweep:
             self._plan_sweep(self.project.configuration.sweep)
-            return
-        for name, scene in self.project.scenes.items():
-            if only in (None, name):
-                self.plans[name] = make_plan(scene, scene_facts(scene))
-                self._remember(self.plans[name])
+        elif not lazy:
+            dict(self.plans)
+
+    def _facts(self, scene: Scene) -> SceneFacts:
+        return remembered_facts(scene, self.project.results)
+
+    def _plan(self, name: str) -> Plan:
+        scene = self.project.scenes[name]
+        plan = make_plan(scene, self._facts(scene))
+        self._remember(plan)
+        return plan
 
     def _plan_sweep(self, named: str) -> None:
         """Plans of all variants; a scene's own plan is that of its first variant, the scene as it is configured."""
-        self.sweep = plan_sweep(named, self.project, scene_facts)
+        self.sweep = plan_sweep(named, self.project, self._facts)
+        self.plans = {swept.scene: swept.variants[0].plan for swept in self.sweep.scenes}
         for swept in self.sweep.scenes:
-            self.plans[swept.scene] = swept.variants[0].plan
             for variant in swept.variants:
                 self._remember(variant.plan)
 
@@ -55,6 +86,7 @@ class Workflow:
 
     def stage(self, scene: str, stage: str, key: str) -> PlannedStage:
         """The planned stage of a scene that has this key, in whichever of the scene's plans."""
+        self.plans.get(scene)  # made, where it is not yet
         planned = self._stages.get((scene, stage, key))
         if planned is None:
             raise UserError(f"{self.results}/{scene}/{stage}/{key}: not part of the present configuration")
@@ -63,9 +95,10 @@ class Workflow:
     def planned(self, sweeps: Sequence[str] = ()) -> set[tuple[str, str, str]]:
         """(scene, stage, key) of everything that the configuration asks for: its scenes, its blocks of sweeps, and
         these sweeps of files of their own."""
+        dict(self.plans)  # made, where they are not yet
         found = set(self._stages)
         for named in (*self.project.configuration.sweeps, *sweeps):
-            for swept in plan_sweep(named, self.project, scene_facts).scenes:
+            for swept in plan_sweep(named, self.project, self._facts).scenes:
                 for variant in swept.variants:
                     found |= {(swept.scene, name, stage.key) for name, stage in variant.plan.stages.items()}
         return found
@@ -149,39 +182,6 @@ class Workflow:
             for swept in self.sweep.scenes
         }
         return canonical({"settings": self.sweep.settings.model_dump(mode="json"), "variants": variants})
-
-    def memory_mb(self, scene: str, stage: str, attempt: int = 1) -> int:
-        """Memory that a stage may take, in MiB: its cost model, half as much again at each further attempt."""
-        return math.ceil(CHAIN[stage].cost.memory_mb(*self._size(scene)) * 1.5 ** (attempt - 1))
-
-    def seconds(self, scene: str, stage: str) -> float:
-        """Processor time that a stage is expected to take, in seconds."""
-        return CHAIN[stage].cost.processor_seconds(*self._size(scene))
-
-    def minutes(self, scene: str, stage: str, attempt: int = 1) -> int:
-        """Time limit of a stage for a scheduler, in minutes: slower machines and waiting for disks are allowed for."""
-        return math.ceil((2 + TIME_MARGIN * self.seconds(scene, stage) / 60) * 2 ** (attempt - 1))
-
-    def group(self, scene: str, stage: str, key: str) -> str | None:
-        """Name of the group of short stages that a cluster runs as one job; None for a long stage.
-
-        A group holds the short stages between two long ones, so that no path leaves a group and comes back to it.
-        """
-        return None if self._is_long(scene, stage) else f"part{self._part(scene, stage, key)}"
-
-    def _is_long(self, scene: str, stage: str) -> bool:
-        return self.seconds(scene, stage) > SHORT_SECONDS
-
-    @cache  # noqa: B019
-    def _part(self, scene: str, stage: str, key: str) -> int:
-        """Number of long stages on the longest way from the capture to a stage."""
-        upstream = {name: above for name, above in self.stage(scene, stage, key).upstream.items() if name in CHAIN}
-        return max((self._part(scene, *item) + self._is_long(scene, item[0]) for item in upstream.items()), default=0)
-
-    def _size(self, scene: str) -> tuple[int, int]:
-        """Pixels of a photograph, and samples of all photographs."""
-        facts = self.plans[scene].facts
-        return facts.pixels, facts.pixels * facts.observations
 
     def relative_results(self) -> str:
         """Results folder relative to the working folder, for messages."""

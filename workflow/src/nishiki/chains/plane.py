@@ -39,12 +39,19 @@ PLANE = (
         geometry=None,
         libraries=("numpy", "numba", "zarr", "opencv-contrib-python-headless", "OpenEXR", "rawpy"),
     ),
-    Stage(SeparateSettings, "lights that show only diffuse reflection", requires=("ingest",), lacks=no_method),
+    Stage(
+        SeparateSettings,
+        "lights that show only diffuse reflection",
+        requires=("ingest",),
+        lacks=no_method,
+        scatter=True,
+    ),
     Stage(
         NormalsSettings,
         "normals and diffuse reflectance",
         requires=("ingest",),
         wants=lambda settings: ("separate",),
+        scatter=True,
     ),
     Stage(
         HeightSettings,
@@ -60,6 +67,7 @@ PLANE = (
         lacks=_no_spectra,
         needs_colour=True,
         libraries=("numpy", "scipy", "numba", "zarr"),
+        scatter=True,
     ),
     Stage(
         BrdfSettings,

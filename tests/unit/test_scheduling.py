@@ -1,0 +1,90 @@
+"""Groups and parts of jobs: no way leaves a group and comes back; costs follow the table."""
+
+from types import SimpleNamespace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from nishiki.plan import PlannedStage
+from nishiki.scheduling import SHORT_SECONDS, Scheduling
+from nishiki.stages import CHAIN, chain_of
+
+PLANE = tuple(chain_of("plane"))
+
+
+class Fixed(Scheduling):
+    """One scene of a plane chain in which these stages take these seconds."""
+
+    results = "results"
+
+    def __init__(self, seconds: dict[str, float], scatter="none"):
+        upstream = {name: CHAIN[name].requires + CHAIN[name].uses for name in PLANE}
+        stages = {
+            name: PlannedStage(name, name, {}, {above: above for above in upstream[name] if above in PLANE})
+            for name in PLANE
+        }
+        scene = SimpleNamespace(settings=SimpleNamespace(scatter=scatter))
+        self.plans = {"x": SimpleNamespace(stages=stages, scene=scene)}
+        self.given = seconds
+
+    def stage(self, scene, stage, key):
+        return self.plans[scene].stages[stage]
+
+    def seconds(self, scene, stage, share=1.0):
+        return self.given.get(stage, 1.0) * share
+
+
+def ways(flow, stage):
+    """Every way from a stage up to the capture, as stages."""
+    above = flow.stage("x", stage, stage).upstream
+    yield from ([stage, *rest] for name in above for rest in ways(flow, name)) if above else [[stage]]
+
+
+@given(st.sets(st.sampled_from(PLANE)), st.sampled_from(["none", {"normals": 3}, {"normals": 2, "separate": 9}]))
+def test_no_way_leaves_a_group_and_comes_back(long, scatter):
+    flow = Fixed(dict.fromkeys(long, 10 * SHORT_SECONDS), scatter)
+    for stage in PLANE:
+        for way in ways(flow, stage):
+            groups = []
+            for name in way:  # a divided stage is two jobs on the way: the one that joins, then its parts
+                groups.append(flow.group("x", name, name))
+                if flow.parts("x", name) > 1:
+                    groups.append(flow.group("x", name, name, part=True))
+            for group in set(groups) - {None}:
+                places = [n for n, other in enumerate(groups) if other == group]
+                assert places == list(range(places[0], places[-1] + 1))
+
+
+def test_short_stages_share_a_job_and_long_ones_have_their_own():
+    flow = Fixed({"normals": SHORT_SECONDS + 1})
+    assert flow.group("x", "normals", "normals") is None
+    assert flow.group("x", "ingest", "ingest") == flow.group("x", "separate", "separate") == "level0"
+    assert flow.group("x", "spectra", "spectra") == flow.group("x", "report", "report") == "level1"
+
+
+def test_parts_of_a_divided_stage():
+    flow = Fixed({"normals": 10 * SHORT_SECONDS}, {"normals": 2})
+    assert flow.part_paths("x", "normals", "k") == [f"results/.parts/x/normals/k/{n}-of-2" for n in (1, 2)]
+    assert flow.part_paths("x", "height", "k") == []
+    assert flow.group("x", "normals", "normals", part=True) is None
+    assert flow.group("x", "normals", "normals") == flow.group("x", "height", "height") == "level1"
+
+
+def test_auto_divides_what_can_be_divided_and_takes_long():
+    flow = Fixed({"normals": 3600.0, "separate": 60.0, "height": 1e5, "spectra": 1e9}, "auto")
+    assert {name: flow.parts("x", name) for name in PLANE if flow.parts("x", name) > 1} == {"normals": 4, "spectra": 64}
+
+
+@pytest.mark.parametrize("stage", CHAIN.values(), ids=CHAIN)
+def test_a_further_attempt_gets_more(stage):
+    pixels, observations = 12_000_000, 40
+
+    class One(Scheduling):
+        plans = {"x": SimpleNamespace(facts=SimpleNamespace(pixels=pixels, observations=observations))}  # noqa: RUF012
+
+    flow = One()
+    first, second = (flow.memory_mb("x", stage.name, attempt) for attempt in (1, 2))
+    assert second == pytest.approx(1.5 * first, abs=2)
+    assert flow.minutes("x", stage.name, 2) >= 2 * flow.minutes("x", stage.name, 1) - 2
+    assert flow.minutes("x", stage.name) * 60 >= 4 * flow.seconds("x", stage.name)
