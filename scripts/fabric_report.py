@@ -9,6 +9,7 @@ from nishiki.goniometry.store import Reflectances
 from nishiki.report import fabric_sections as sections
 from nishiki.report.fabric_plots import model_name
 from nishiki.report.fabric_weave import tile_picture, weave_section
+from nishiki.report.left_out_section import left_out_section
 from nishiki.report.page import render_page
 from nishiki.report.pictures import data_uri, file_picture
 from nishiki.report.provenance import stage_record
@@ -52,7 +53,7 @@ def content_of(context: Context) -> dict:
             "svg": text_of(inputs["reflectance"], "coverage.svg"),
             "rows": sections.coverage_rows(read_json(inputs["reflectance"], "reflectance.json") or {}),
         },
-        "left_out": settings.left_out,
+        "left_out": left_out_section(settings.left_out, {name: told[name] for name in ORDER if name in told}),
         "records": records(inputs),
     }
 

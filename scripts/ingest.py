@@ -10,12 +10,14 @@ from nishiki.capture.folder import Capture, load_capture
 from nishiki.capture.goniometer import GoniometerCapture
 from nishiki.capture.seal import capture_digest
 from nishiki.capture.turntable import TurntableCapture
+from nishiki.ingest.choice import chosen
 from nishiki.ingest.goniometer_store import STORE as WINDOWS
 from nishiki.ingest.goniometer_store import write_goniometer
 from nishiki.ingest.store import STORE, write_observations
 from nishiki.ingest.views_attributes import geometry_sources
 from nishiki.ingest.views_store import STORE as VIEWS
 from nishiki.ingest.views_store import write_views
+from nishiki.reading import reading_of
 from nishiki.settings.ingest import IngestSettings
 from nishiki.spectra.colour import illuminant as cie_illuminant
 from nishiki.spectra.sampling import resample
@@ -32,17 +34,17 @@ def run(context: Context) -> dict:
     result = write_observations(capture, context.output.folder, settings=context.settings, progress=context.progress)
     stamp_store(context, STORE)
     write_curves(capture, context)
-    return {"capture": capture.settings.model_dump(mode="json"), **result.as_dict()}
+    return {**described(capture, context), **result.as_dict()}
 
 
 def run_views(capture: TurntableCapture, context: Context) -> dict:
     """The views of a turntable or of a polarisation series, and copies of the files of its geometry."""
     result = write_views(capture, context.output.folder, settings=context.settings, progress=context.progress)
-    for source, name in geometry_sources(capture):
+    for source, name in geometry_sources(chosen(capture, context.settings.without).capture):
         shutil.copyfile(source, context.output.path(name))
     stamp_store(context, VIEWS)
     write_curves(capture, context)
-    return {"capture": capture.settings.model_dump(mode="json"), **result.as_dict()}
+    return {**described(capture, context), **result.as_dict()}
 
 
 def run_goniometer(capture: GoniometerCapture, context: Context) -> dict:
@@ -51,7 +53,14 @@ def run_goniometer(capture: GoniometerCapture, context: Context) -> dict:
     if capture.table is None:
         stamp_store(context, WINDOWS)
     write_curves(capture, context)
-    return {"capture": capture.settings.model_dump(mode="json"), **result.as_dict()}
+    return {**described(capture, context), **result.as_dict()}
+
+
+def described(capture: Capture | TurntableCapture | GoniometerCapture, context: Context) -> dict:
+    """What the capture says of itself, and what was read of it."""
+    own = context.settings
+    read = reading_of(capture, without=own.without, channels=own.channels, tile_mib=own.tile_mib)
+    return {"capture": capture.settings.model_dump(mode="json"), "read": read.as_dict()}
 
 
 def stamp_store(context: Context, store: str) -> None:

@@ -14,6 +14,7 @@ from nishiki.report.appearance_section import appearance_section
 from nishiki.report.capture_section import capture_section
 from nishiki.report.colour_section import colour_section
 from nishiki.report.gloss_section import gloss_section
+from nishiki.report.left_out_section import left_out_section
 from nishiki.report.page import render_page
 from nishiki.report.provenance import stage_record
 from nishiki.report.relighting_section import relighting_section
@@ -83,7 +84,9 @@ def content_of(context: Context) -> dict:
         if parameters is None
         else gloss_section(parameters, true_gamma=((evaluation or {}).get("gloss") or {}).get("true_gamma_rad")),
         "evaluation": evaluation,
-        "left_out": settings.left_out,
+        "left_out": left_out_section(
+            settings.left_out, {name: inputs[name].diagnostics for name in CHAIN if name in inputs}
+        ),
         "records": records,
         "with_truth": any((evaluation or {}).get(name) for name in ("normals", "height", "reflectance")),
     }

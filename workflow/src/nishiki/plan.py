@@ -73,14 +73,15 @@ def make_plan(scene: Scene, facts: SceneFacts) -> Plan:
             left_out[name] = "no product asked for needs it"
     settings["ingest"], reasons = _read_by_ingest(scene, facts, settings, wanted, held_out)
     left_out |= reasons
+    packages = {name: packages_of(chain[name], facts, settings) for name in chain if name in wanted}
+    idle = _idle(chain, packages, facts, settings)
     stages: dict[str, PlannedStage] = {}
-    for name in chain:
-        if name in wanted:
-            if chain[name].asked_as == "report":
-                settings[name] = settings[name].model_copy(update={"left_out": dict(left_out)})
-            stages[name] = _planned(name, settings[name], stages, facts)
-    packages = {name: packages_of(chain[name], facts, settings) for name in stages}
-    return Plan(scene, facts, stages, left_out, held_out, packages, _idle(chain, packages, facts, settings))
+    for name in packages:
+        if chain[name].asked_as == "report":
+            told = left_out | {f"package {package}": why for package, why in idle.items()}
+            settings[name] = settings[name].model_copy(update={"left_out": told})
+        stages[name] = _planned(name, settings[name], stages, facts)
+    return Plan(scene, facts, stages, left_out, held_out, packages, idle)
 
 
 def _all_products(chain: dict[str, Stage]) -> tuple[str, ...]:

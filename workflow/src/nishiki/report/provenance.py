@@ -6,7 +6,7 @@ from typing import Any
 from nishiki.closed import Closed
 from nishiki.provenance import canonical
 
-PLANNED = ("hold_out", "truth_sha256", "training_sha256", "left_out")
+PLANNED = ("hold_out", "without", "truth_sha256", "training_sha256", "left_out")
 """Settings that the plan fills in; a user does not write them."""
 
 

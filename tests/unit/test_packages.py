@@ -1,0 +1,140 @@
+"""Heavy packages: declared where they are loaded, loaded where they are needed, and told of where they are missing."""
+
+import ast
+import functools
+import importlib
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from nishiki.chains.packages import IDLE
+from nishiki.errors import UserError
+from nishiki.packages import EXTRAS, MODULES, install_command, installed, loaded, optional
+from nishiki.provenance import SOURCE
+from nishiki.stages import CHAIN
+
+PROJECT = Path(__file__).resolve().parents[2]
+LIGHT = {"numpy"}
+NAMES = {module: name for name, module in MODULES.items()}
+PLACES = {
+    "av": {"output.py"},
+    "pymeshlab": {"merging.py", "meshlab.py"},
+    "rawpy": {"raw.py"},
+    "scikit-image": {"hull.py", "surface.py"},
+    "trimesh": {"merging.py", "mesh_files.py", "mesh_store.py"},
+}
+"""The modules that take a package of an extra. A new one: say in chains/packages.py which scenes load it."""
+
+
+@functools.cache
+def imported(path: Path, *, at_start: bool) -> frozenset[str]:
+    """Heavy packages that a module imports: at its top level, or anywhere."""
+    text = path.read_text(encoding="utf-8")
+    if not any(name in text for name in (*NAMES, *EXTRAS)):
+        return frozenset()
+    tree = ast.parse(text)
+    found = set()
+    for node in tree.body if at_start else ast.walk(tree):
+        if isinstance(node, ast.Import):
+            found |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            found.add(node.module.split(".")[0])
+        elif isinstance(node, ast.Call) and getattr(node.func, "id", "") == "optional" and not at_start:
+            found |= {MODULES.get(item.value, "") for item in node.args if isinstance(item, ast.Constant)}
+    return frozenset(NAMES[module] for module in found & set(NAMES))
+
+
+@functools.cache
+def of_project(path: Path) -> tuple[Path, ...]:
+    """Modules of this project that a module imports at its top level."""
+    found = []
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+        if isinstance(node, ast.ImportFrom) and node.module:
+            names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+        places = [SOURCE.joinpath(*name.split(".")).with_suffix(".py") for name in names]
+        places += [PROJECT / "scripts" / f"{name}.py" for name in names]
+        found += [place for place in places if place.is_file()]
+    return tuple(found)
+
+
+def at_start(path: Path) -> dict[str, str]:
+    """Heavy packages that importing a module loads, and one of the modules that ask for each."""
+    seen, queue = set(), [path]
+    while queue:
+        module = queue.pop()
+        if module not in seen:
+            seen.add(module)
+            queue += of_project(module)
+    return {package: module.name for module in seen for package in imported(module, at_start=True)}
+
+
+@pytest.mark.parametrize("stage", CHAIN.values(), ids=CHAIN)
+def test_importing_a_stage_loads_no_package_that_it_has_not_declared(stage):
+    found = at_start(PROJECT / "scripts" / f"{stage.name}.py")
+    assert not {package: where for package, where in found.items() if package not in {*stage.libraries, *LIGHT}}
+
+
+def test_only_compiled_kernels_and_stores_are_imported_before_they_are_needed():
+    modules = [*SOURCE.rglob("*.py"), *(PROJECT / "scripts").glob("*.py")]
+    eager = {path.name: imported(path, at_start=True) - LIGHT - {"numba", "zarr"} for path in modules}
+    assert not {name: found for name, found in eager.items() if found}
+
+
+def test_optional_packages_are_taken_where_this_list_says():
+    places = {package: set() for package in EXTRAS}
+    for path in [*SOURCE.rglob("*.py"), *(PROJECT / "scripts").glob("*.py")]:
+        for package in imported(path, at_start=False) & set(EXTRAS):
+            places[package].add(path.name)
+    assert places == PLACES
+
+
+@pytest.mark.parametrize("command", ["nishiki.cli", "nishiki.commands.planning"])
+def test_the_command_line_loads_nothing_heavy(command):
+    code = f"import sys; sys.path.insert(0, {str(SOURCE)!r}); import {command}; from nishiki.packages import loaded"
+    done = subprocess.run(
+        [sys.executable, "-c", f"{code}; print(*loaded())"], capture_output=True, text=True, check=True
+    )
+    assert set(done.stdout.split()) <= (set() if command.endswith("cli") else LIGHT)
+
+
+def test_conditions_are_of_declared_libraries():
+    assert not [(stage, package) for stage, package in IDLE if package not in CHAIN[stage].libraries]
+    assert set(EXTRAS) <= set(MODULES)
+
+
+def test_every_optional_package_that_a_stage_declares_has_a_condition():
+    declared = {(stage.name, package) for stage in CHAIN.values() for package in stage.libraries if package in EXTRAS}
+    assert declared <= set(IDLE)
+
+
+def test_a_missing_extra_is_told_with_the_command_that_installs_it(monkeypatch):
+    monkeypatch.setitem(MODULES, "trimesh", "trimesh_that_nobody_has")
+    assert not installed("trimesh")
+    with pytest.raises(UserError, match=r"\./nishiki install --extras mesh"):
+        optional("trimesh")
+
+
+def test_one_command_installs_all_that_is_missing():
+    assert install_command(("rawpy", "trimesh", "pymeshlab")) == "./nishiki install --extras mesh raw"
+
+
+def test_extras_are_those_of_the_project_file():
+    import tomllib
+
+    extras = tomllib.loads((PROJECT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    for package, extra in EXTRAS.items():
+        assert any(line.startswith(package) for line in extras[extra])
+    launcher = (PROJECT / "nishiki").read_text()
+    assert all(f" {extra} " in launcher.replace('"', " ") for extra in extras)
+
+
+def test_an_empty_top_of_scipy_is_not_counted(monkeypatch):
+    for name in [name for name in sys.modules if name.startswith("scipy")]:
+        monkeypatch.delitem(sys.modules, name)
+    importlib.import_module("scipy")
+    assert "scipy" not in loaded()
+    importlib.import_module("scipy.fft")
+    assert "scipy" in loaded()
