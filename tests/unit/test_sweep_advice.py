@@ -43,6 +43,14 @@ def test_off_the_front_says_what_is_ahead():
     ]
 
 
+def test_off_the_front_still_says_what_else_saves_time_or_errs_less():
+    lines = said(point("ahead", 9.0, 4.3, spread=0.01), point("quick", 2.0, 5.0), point("best", 40.0, 3.9))
+    assert lines[1:] == [
+        "To save time: quick: a fifth of the time for 0.6° more.",
+        "For less error: best: 4 times the time and 0.5° less.",
+    ]
+
+
 def test_within_the_spread_is_said():
     (line,) = said(point("same", 9.9, 4.4))
     assert "on the front within the spread" in line

@@ -11,7 +11,15 @@ RUN_REPEAT = (
 def usual_threads(wildcards):
     """Threads that the stage's own rule would get here."""
     declared = workflow.get_rule(wildcards.stage).resources["_cores"]
-    return min(int(getattr(declared, "value", declared)), workflow.cores)
+    return min(int(getattr(declared, "value", declared)), all_cores(wildcards))
+
+
+def all_cores(wildcards):
+    """All processors of this machine, so that a repeat runs alone; on a cluster, which has no such number, two."""
+    try:
+        return workflow.cores
+    except WorkflowError:
+        return 2
 
 
 rule repeat:
@@ -27,7 +35,7 @@ rule repeat:
         number="[0-9]+",
     conda:
         "../../envs/painting.yaml"
-    threads: lambda wildcards: workflow.cores
+    threads: all_cores
     resources:
         mem_mb=lambda wildcards: FLOW.memory_mb(wildcards.scene, wildcards.stage),
         runtime=lambda wildcards: FLOW.minutes(wildcards.scene, wildcards.stage),

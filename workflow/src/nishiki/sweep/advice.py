@@ -16,22 +16,22 @@ def advice(
     unit : of the loss; higher : more of the measure is better (the losses are then its negatives)
     axis : the time meant, `time` or `CPU time`
     """
-    others = [point for point in points if point is not default]
     best = [points[k] for k in front(points)]
-    said = [_standing(default, others, best, unit, higher, axis)]
-    if default in best:
-        said += _faster(default, best, unit, higher, axis)
-        said += _better(default, best, unit, higher, axis)
+    winners, clear = beaten_by(default, [point for point in points if point is not default])
+    winners = winners[:2]
+    said = [_standing(default, winners, clear, unit, higher, axis)]
+    rest = [point for point in best if point not in winners]
+    said += _faster(default, rest, unit, higher, axis)
+    said += _better(default, rest, unit, higher, axis, last_word=not winners)
     if paper is not None and paper is not default:
         said.append(f"The paper's method ({paper.name}): {compared(paper, default, unit, higher, axis)}.")
     return said
 
 
-def _standing(default: Point, others: list[Point], best: list[Point], unit: str, higher: bool, axis: str) -> str:
-    if default in best:
+def _standing(default: Point, winners: list[Point], clear: bool, unit: str, higher: bool, axis: str) -> str:
+    if not winners:
         return f"The default ({default.name}) is on the front: no variant is both faster and better."
-    winners, clear = beaten_by(default, others)
-    texts = [f"{point.name} ({compared(point, default, unit, higher, axis)})" for point in winners[:2]]
+    texts = [f"{point.name} ({compared(point, default, unit, higher, axis)})" for point in winners]
     if not clear:
         return (
             f"The default ({default.name}) is on the front within the spread of the repeats; by the medians alone "
@@ -50,10 +50,11 @@ def _faster(default: Point, best: list[Point], unit: str, higher: bool, axis: st
     return [f"To save time: {point.name}: {compared(point, default, unit, higher, axis)}." for point in shown]
 
 
-def _better(default: Point, best: list[Point], unit: str, higher: bool, axis: str) -> list[str]:
+def _better(default: Point, best: list[Point], unit: str, higher: bool, axis: str, *, last_word: bool) -> list[str]:
+    """The front's variants that err less: the cheapest, and the best of all where that is another one."""
     better = [point for point in best if point.loss < default.loss]
     if not better:
-        return ["No variant is better at any price."]
+        return ["No variant is better at any price."] * last_word
     first = min(better, key=lambda point: (point.time, point.loss))
     least = min(better, key=lambda point: (point.loss, point.time))
     shown = [first] + [least] * (least is not first)

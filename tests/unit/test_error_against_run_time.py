@@ -1,0 +1,46 @@
+"""The page of error against run time is what its program makes of the stored lines."""
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+import yaml
+
+PROGRAM = Path(__file__).resolve().parents[1] / "benchmarks/error_against_run_time.py"
+
+
+@pytest.fixture(scope="module")
+def program():
+    spec = importlib.util.spec_from_file_location("error_against_run_time", PROGRAM)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_page_and_drawings_follow_from_the_stored_lines(program):
+    made = program.page()
+    assert len(made) > 1
+    assert [path.name for path, text in made.items() if path.read_text(encoding="utf-8") != text] == []
+    assert {path.name for path in program.DRAWINGS.iterdir()} == {path.name for path in made if path.suffix == ".svg"}
+
+
+def test_every_default_is_on_its_front_or_the_page_says_why_not(program):
+    notes = yaml.safe_load(program.NOTES.read_text())
+    for subject in program.SUBJECTS.values():
+        for part in subject.parts:
+            scene = program.stored(part)
+            off = scene and "off" in [program.standing(scene, k) for k in range(len(scene["measures"]))]
+            assert not off or notes[part.name]["default"]
+
+
+def test_every_part_is_a_valid_sweep_of_a_shipped_file(program):
+    from nishiki.closed import parse
+    from nishiki.stages import CHAIN
+    from nishiki.sweep.expand import expand
+    from nishiki.sweep.settings import SweepSettings
+
+    for subject in program.SUBJECTS.values():
+        for part in subject.parts:
+            sweep = parse(SweepSettings, program.sweep_of(part), part.name)
+            assert 4 <= len(expand(sweep, stages=CHAIN, where=part.name)) <= 12
+            assert sweep.axis == "cpu_seconds"
