@@ -81,15 +81,23 @@ def bands_of(rows: int, columns: int, levels: int) -> np.ndarray:
 
 
 def encode(values: np.ndarray, levels: int, model: Model) -> Coded:
-    """Bytes of integers (channels, frequencies, rows, columns) int32."""
+    """Bytes of integers (channels, frequencies, rows, columns) int32, magnitudes below 2^31."""
+    values = np.ascontiguousarray(values, np.int32)
+    found, length = _encoded(values, levels, model, 4 * values.size + 4096)
+    if length > 4 * values.size + 4096:  # large magnitudes everywhere; the coder says what they take
+        found, _ = _encoded(values, levels, model, length)
+    return found
+
+
+def _encoded(values: np.ndarray, levels: int, model: Model, size: int) -> tuple[Coded, int]:
+    """Coded into a buffer of `size` bytes, and the bytes that it takes: the coding is void where these are more."""
     bands = bands_of(*values.shape[-2:], levels)
-    data = np.empty(4 * values.size + 4096, np.uint8)
+    data = np.empty(size, np.uint8)
     ends = np.zeros(len(bands), np.int64)
     chance, seen, weights = model.chance.copy(), model.seen.copy(), model.weights.copy()
     tally = np.zeros((CONTEXTS, 2), np.int64)
-    values = np.ascontiguousarray(values, np.int32)
     length = code_block(values, bands, len(bands), chance, seen, tally, weights, TABLES, data, False, ends)
-    return Coded(data[:length].tobytes(), np.minimum(ends, length), tally, weights)
+    return Coded(data[:length].tobytes(), np.minimum(ends, length), tally, weights), length
 
 
 def decode(data: bytes, shape: tuple[int, int, int, int], levels: int, model: Model, *, drop: int = 0) -> np.ndarray:
@@ -293,7 +301,8 @@ def code_rest(size, state, data, decoding):
         while (rest >> (bits + 1)) > 0:
             bits += 1
     length = 0
-    while code_bit(1 if length < bits else 0, 32768, state, data, decoding):
+    # Magnitudes have 31 bits: a longer run of ones is no stream of ours, and zeros beyond its end would never stop.
+    while length < 31 and code_bit(1 if length < bits else 0, 32768, state, data, decoding):
         length += 1
     value = 1
     for k in range(length - 1, -1, -1):

@@ -40,7 +40,10 @@ STRETCH, SQUASH, RATE = _stretch_table(), _squash_table(), _rate_table()
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def code_bit(bit, p_one, state, data, decoding):
-    """Encode `bit`, or decode and return one, with probability p_one / 65536 of a one; data (n,) uint8."""
+    """Encode `bit`, or decode and return one, with probability p_one / 65536 of a one; data (n,) uint8.
+
+    Bytes beyond the end of data are counted and not written (`finish` tells how many it takes).
+    """
     low, high = state[LOW], state[HIGH]
     middle = low + ((high - low) >> 16) * p_one + ((((high - low) & 0xFFFF) * p_one) >> 16)
     if decoding:
@@ -54,7 +57,7 @@ def code_bit(bit, p_one, state, data, decoding):
         if decoding:
             following = data[place] if place < data.shape[0] else 0
             state[WORD] = ((state[WORD] << 8) & WHOLE) | following
-        else:
+        elif place < data.shape[0]:
             data[place] = high >> 24
         state[PLACE] = place + 1
         low = (low << 8) & WHOLE
@@ -75,12 +78,17 @@ def begin(state, data, decoding):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def finish(state, data):
-    """Write the shortest byte string inside the last interval; number of bytes, zeros at the end left out."""
+    """Write the shortest byte string inside the last interval; number of bytes, zeros at the end left out.
+
+    More than data holds: nothing can be used, so many bytes are needed.
+    """
     low, high, place = state[LOW], state[HIGH], state[PLACE]
     for kept in range(5):
         shift = 32 - 8 * kept
         value = ((low + (1 << shift) - 1) >> shift) << shift
         if value <= high:
+            if place + kept > data.shape[0]:
+                return place + kept
             for k in range(kept):
                 data[place + k] = (value >> (24 - 8 * k)) & 255
             place += kept
