@@ -65,7 +65,7 @@ def compared(configfile: Path) -> list[dict]:
                     "peak_memory_mib": run["peak_memory_mib"],
                     "model_memory_mib": memory,
                     "memory_ratio": round(memory / run["peak_memory_mib"], 2),
-                    "fixed": round(CHAIN[stage].cost.mib / memory, 2),
+                    "fixed": round(CHAIN[stage].cost(plan.facts).mib / memory, 2),
                     "processor_s": run["process_cpu_seconds"],
                     "model_s": round(seconds, 1),
                     "time_ratio": round(seconds / run["process_cpu_seconds"], 2),

@@ -6,7 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from nishiki.chain import SceneFacts
 from nishiki.plan import PlannedStage
+from nishiki.project import StageSettings
 from nishiki.scheduling import SHORT_SECONDS, Scheduling
 from nishiki.stages import CHAIN, chain_of
 
@@ -78,12 +80,10 @@ def test_auto_divides_what_can_be_divided_and_takes_long():
 
 @pytest.mark.parametrize("stage", CHAIN.values(), ids=CHAIN)
 def test_a_further_attempt_gets_more(stage):
-    pixels, observations = 12_000_000, 40
-
-    class One(Scheduling):
-        plans = {"x": SimpleNamespace(facts=SimpleNamespace(pixels=pixels, observations=observations))}  # noqa: RUF012
-
-    flow = One()
+    lights = tuple(f"L{number}" for number in range(40))
+    facts = SceneFacts("", lights, (), 3, 12_000_000, True, True, "", geometry=stage.geometry or "plane")
+    flow = Scheduling()
+    flow.plans = {"x": SimpleNamespace(facts=facts, scene=SimpleNamespace(settings=StageSettings()))}
     first, second = (flow.memory_mb("x", stage.name, attempt) for attempt in (1, 2))
     assert second == pytest.approx(1.5 * first, abs=2)
     assert flow.minutes("x", stage.name, 2) >= 2 * flow.minutes("x", stage.name, 1) - 2

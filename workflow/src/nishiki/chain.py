@@ -53,23 +53,26 @@ class SceneFacts:
 class Cost:
     """What a stage takes at its default settings: a part of its own, one for each pixel, one for each sample.
 
-    A sample is one pixel of one photograph, all channels together. Memory is the peak of the resident memory, time is
-    processor time of all threads with compiled kernels. The numbers are upper limits of measurements, at most about
-    twice what was measured (tests/benchmarks/cost_models.py).
+    A sample is one pixel of one photograph, all channels together. tiles: memory in tiles, of the stages that hold one
+    tile of the observations at a time. Memory is the peak of the resident memory, time is processor time of all
+    threads with compiled kernels. The numbers are upper limits of measurements, at most about twice what was measured
+    (tests/benchmarks/cost_models.py, docs/cluster.md).
     """
 
     mib: float = 400.0
     bytes_per_pixel: float = 0.0
     bytes_per_sample: float = 0.0
+    tiles: float = 0.0
     seconds: float = 5.0
     us_per_pixel: float = 0.0
     us_per_sample: float = 0.0
 
-    def memory_mb(self, pixels: int, samples: int) -> float:
-        """Peak resident memory in MiB."""
-        return self.mib + (pixels * self.bytes_per_pixel + samples * self.bytes_per_sample) / 2**20
+    def memory_mb(self, pixels: int, samples: int, *, tile_mib: float = 0.0) -> float:
+        """Peak resident memory in MiB; tile_mib: of one tile of all observations, as float32."""
+        growing = (pixels * self.bytes_per_pixel + samples * self.bytes_per_sample) / 2**20
+        return self.mib + growing + self.tiles * tile_mib
 
-    def processor_seconds(self, pixels: int, samples: int) -> float:
+    def processor_seconds(self, pixels: float, samples: float) -> float:
         """Expected processor time in seconds, at most."""
         return self.seconds + (pixels * self.us_per_pixel + samples * self.us_per_sample) * 1e-6
 
@@ -82,7 +85,8 @@ class Stage:
     read where the plan has them anyway. lacks: a reason why the capture cannot feed the stage, or None.
     geometry: the captures that it is for, None: all. product: the name under which a scene asks for it, where that is
     not its own: a plane's and a turntable's `render` are different stages with one name for the user.
-    cost: memory and time as measured, for whoever plans or schedules; scatter: its work can be divided over jobs.
+    cost: memory and time as measured, of a scene of this kind, for whoever plans or schedules. scatter: its work can be
+    divided over jobs.
     """
 
     settings: type[Closed]
@@ -95,7 +99,7 @@ class Stage:
     product: str = ""
     needs_colour: bool = False
     libraries: tuple[str, ...] = ("numpy", "numba", "zarr")
-    cost: Cost = Cost()
+    cost: Callable[[SceneFacts], Cost] = lambda facts: Cost()
     scatter: bool = False
 
     @property

@@ -28,12 +28,16 @@ class Scheduling:
 
     def memory_mb(self, scene: str, stage: str, attempt: int = 1) -> int:
         """Memory that a stage, or a part of it, may take, in MiB; half as much again at each further attempt."""
-        return math.ceil(CHAIN[stage].cost.memory_mb(*self._size(scene)) * 1.5 ** (attempt - 1))
+        plan = self.plans[scene]
+        pixels, samples = self._size(scene)
+        tile = min(plan.scene.settings.ingest.tile_mib, samples * plan.facts.channels * 4 / 2**20)
+        memory = CHAIN[stage].cost(plan.facts).memory_mb(pixels, samples, tile_mib=tile)
+        return math.ceil(memory * 1.5 ** (attempt - 1))
 
     def seconds(self, scene: str, stage: str, share: float = 1.0) -> float:
         """Processor time that a share of a stage's work is expected to take, in seconds."""
         pixels, samples = self._size(scene)
-        return CHAIN[stage].cost.processor_seconds(pixels * share, samples * share)
+        return CHAIN[stage].cost(self.plans[scene].facts).processor_seconds(pixels * share, samples * share)
 
     def minutes(self, scene: str, stage: str, attempt: int = 1, share: float = 1.0) -> int:
         """Time limit for a scheduler, in minutes: slower machines and waiting for disks are allowed for."""

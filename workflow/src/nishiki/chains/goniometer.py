@@ -28,6 +28,7 @@ GONIOMETER = (
         requires=("ingest",),
         needs_colour=True,
         libraries=("numpy", "scipy", "numba", "zarr", "opencv-contrib-python-headless"),
+        cost=lambda facts: Cost(mib=220, bytes_per_sample=8, seconds=1.8, us_per_sample=1.2),
     ),
     Stage(
         WeaveSettings,
@@ -37,6 +38,7 @@ GONIOMETER = (
         lacks=_no_normal_incidence,
         needs_colour=True,
         libraries=("numpy", "scipy", "numba", "opencv-contrib-python-headless"),
+        cost=lambda facts: Cost(mib=480, seconds=30),
     ),
     Stage(
         FabricSettings,
@@ -46,7 +48,7 @@ GONIOMETER = (
         wants=lambda settings: ("weave",) * ("weave" in (settings.model, *settings.compare)),
         needs_colour=True,
         libraries=("numpy", "scipy", "numba"),
-        cost=Cost(seconds=60),
+        cost=lambda facts: Cost(mib=400, seconds=12, us_per_sample=5),
     ),
     Stage(
         FabricRenderSettings,
@@ -56,7 +58,7 @@ GONIOMETER = (
         requires=("fabric",),
         needs_colour=True,
         libraries=("numpy", "scipy", "numba", "trimesh", "OpenEXR", "opencv-contrib-python-headless", "av"),
-        cost=Cost(mib=1500, seconds=120),
+        cost=lambda facts: Cost(mib=900, seconds=95),
     ),
     Stage(
         FabricEvaluateSettings,
@@ -67,6 +69,7 @@ GONIOMETER = (
         lacks=_seen_from_one_light_only,
         needs_colour=True,
         libraries=("numpy", "scipy", "numba"),
+        cost=lambda facts: Cost(mib=230, seconds=2, us_per_sample=0.3),
     ),
     Stage(
         FabricReportSettings,
@@ -77,6 +80,6 @@ GONIOMETER = (
         wants=lambda settings: ("weave",),
         uses=("fabric", "fabric_render", "fabric_evaluate"),
         libraries=("numpy", "jinja2", "numba", "opencv-contrib-python-headless"),
-        cost=Cost(mib=500, bytes_per_pixel=64),
+        cost=lambda facts: Cost(mib=260, seconds=5.5),
     ),
 )

@@ -13,6 +13,8 @@ from nishiki.settings.report import ReportSettings
 from nishiki.settings.separate import SeparateSettings
 from nishiki.settings.spectra import SpectraSettings
 
+FEW_LIGHTS = 24  # as in nishiki.normals.gloss_scene, which is not loaded for planning
+
 
 def _no_spectra(facts: SceneFacts, settings: Closed) -> str | None:
     missing = [
@@ -32,12 +34,26 @@ def _nothing_to_compare(facts: SceneFacts, settings: Closed) -> str | None:
     return "there is no truth, the capture has no check lights and no light is held out (set hold_out)"
 
 
+def _ingest_cost(facts: SceneFacts) -> Cost:
+    if facts.geometry == "plane":
+        return Cost(mib=400, seconds=2.2, us_per_sample=0.65)
+    return Cost(mib=400, seconds=2.2, us_per_sample=2)
+
+
+def _normals_cost(facts: SceneFacts) -> Cost:
+    """With few lights the gloss is fitted together with the normals."""
+    if len(facts.lights) <= FEW_LIGHTS:
+        return Cost(mib=400, tiles=2.2, bytes_per_pixel=8, seconds=2.8, us_per_pixel=9, us_per_sample=0.02)
+    return Cost(mib=400, tiles=2.2, bytes_per_pixel=8, seconds=2.8, us_per_pixel=1, us_per_sample=0.04)
+
+
 PLANE = (
     Stage(
         IngestSettings,
         "photographs to linear, white-normalised observations",
         geometry=None,
         libraries=("numpy", "numba", "zarr", "opencv-contrib-python-headless", "OpenEXR", "rawpy"),
+        cost=_ingest_cost,
     ),
     Stage(
         SeparateSettings,
@@ -45,6 +61,7 @@ PLANE = (
         requires=("ingest",),
         lacks=no_method,
         scatter=True,
+        cost=lambda facts: Cost(mib=300, tiles=2.0, seconds=2.5, us_per_pixel=2, us_per_sample=0.12),
     ),
     Stage(
         NormalsSettings,
@@ -52,13 +69,14 @@ PLANE = (
         requires=("ingest",),
         wants=lambda settings: ("separate",),
         scatter=True,
+        cost=_normals_cost,
     ),
     Stage(
         HeightSettings,
         "height by integration of the normals",
         requires=("normals",),
         libraries=("numpy", "scipy", "numba", "zarr"),
-        cost=Cost(mib=500, bytes_per_pixel=96),
+        cost=lambda facts: Cost(mib=200, bytes_per_pixel=96, seconds=1.4, us_per_pixel=36),
     ),
     Stage(
         SpectraSettings,
@@ -68,6 +86,7 @@ PLANE = (
         needs_colour=True,
         libraries=("numpy", "scipy", "numba", "zarr"),
         scatter=True,
+        cost=lambda facts: Cost(mib=270, tiles=0.5, seconds=2.2, us_per_pixel=8),
     ),
     Stage(
         BrdfSettings,
@@ -75,6 +94,7 @@ PLANE = (
         requires=("ingest", "normals"),
         needs_colour=True,
         libraries=("numpy", "scipy", "numba", "zarr"),
+        cost=lambda facts: Cost(mib=260, tiles=0.9, seconds=2.2, us_per_pixel=6, us_per_sample=0.02),
     ),
     Stage(
         RenderSettings,
@@ -83,7 +103,7 @@ PLANE = (
         wants=lambda settings: ("height",) * settings.cast_shadows + ("spectra", "brdf"),
         needs_colour=True,
         libraries=("numpy", "numba", "zarr", "OpenEXR", "opencv-contrib-python-headless", "av"),
-        cost=Cost(mib=500, bytes_per_pixel=160),
+        cost=lambda facts: Cost(mib=380, bytes_per_pixel=160, seconds=4, us_per_pixel=30),
     ),
     Stage(
         EvaluateSettings,
@@ -93,7 +113,7 @@ PLANE = (
         lacks=_nothing_to_compare,
         needs_colour=True,
         libraries=("numpy", "scipy", "numba", "zarr"),
-        cost=Cost(mib=500, bytes_per_pixel=160),
+        cost=lambda facts: Cost(mib=390, bytes_per_pixel=160, seconds=2.8, us_per_pixel=16),
     ),
     Stage(
         ReportSettings,
@@ -101,6 +121,6 @@ PLANE = (
         requires=("ingest", "normals"),
         uses=("separate", "height", "spectra", "brdf", "render", "evaluate"),
         libraries=("numpy", "jinja2", "zarr", "opencv-contrib-python-headless"),
-        cost=Cost(mib=500, bytes_per_pixel=64),
+        cost=lambda facts: Cost(mib=230, bytes_per_pixel=16, seconds=2, us_per_pixel=8),
     ),
 )

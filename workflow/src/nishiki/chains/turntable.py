@@ -34,7 +34,7 @@ TURNTABLE = (
         lacks=_no_polarisers,
         needs_colour=True,
         libraries=("numpy", "scipy", "numba", "zarr", "opencv-contrib-python-headless"),
-        cost=Cost(mib=500, bytes_per_pixel=400),
+        cost=lambda facts: Cost(mib=240, bytes_per_pixel=400, seconds=2.5, us_per_pixel=16, us_per_sample=1.4),
     ),
     Stage(
         CamerasSettings,
@@ -43,7 +43,7 @@ TURNTABLE = (
         requires=("ingest",),
         lacks=_no_poses,
         libraries=("numpy", "scipy", "zarr", "opencv-contrib-python-headless"),
-        cost=Cost(mib=500, bytes_per_pixel=64),
+        cost=lambda facts: Cost(mib=200, seconds=1.5),
     ),
     Stage(
         MeshSettings,
@@ -61,7 +61,7 @@ TURNTABLE = (
             "trimesh",
             "pymeshlab",
         ),
-        cost=Cost(mib=2000, bytes_per_sample=1),
+        cost=lambda facts: Cost(mib=600, bytes_per_sample=1, seconds=14, us_per_sample=3.4),
     ),
     Stage(
         TexelsSettings,
@@ -71,7 +71,7 @@ TURNTABLE = (
         wants=lambda settings: ("polarise",),
         needs_colour=True,
         libraries=("numpy", "numba", "zarr", "opencv-contrib-python-headless"),
-        cost=Cost(mib=1500, bytes_per_pixel=200),
+        cost=lambda facts: Cost(mib=320, bytes_per_sample=16, seconds=4.5, us_per_sample=5),
     ),
     Stage(
         ReflectionSettings,
@@ -80,7 +80,7 @@ TURNTABLE = (
         requires=("ingest", "texels"),
         needs_colour=True,
         libraries=("numpy", "scipy", "numba", "zarr"),
-        cost=Cost(mib=2000),
+        cost=lambda facts: Cost(mib=330, bytes_per_sample=40, seconds=3.5, us_per_sample=6.8),
     ),
     Stage(
         ResidualSettings,
@@ -89,7 +89,7 @@ TURNTABLE = (
         requires=("texels", "reflection"),
         needs_colour=True,
         libraries=("numpy", "scipy", "numba", "zarr", "pywavelets"),
-        cost=Cost(mib=2500, seconds=60, us_per_sample=30),
+        cost=lambda facts: Cost(mib=340, bytes_per_sample=22, seconds=14, us_per_sample=36),
     ),
     Stage(
         ObjectRenderSettings,
@@ -99,7 +99,7 @@ TURNTABLE = (
         requires=("ingest", "mesh", "cameras", "texels", "reflection", "residual"),
         needs_colour=True,
         libraries=("numpy", "scipy", "numba", "zarr", "pywavelets", "OpenEXR", "opencv-contrib-python-headless", "av"),
-        cost=Cost(mib=2000, bytes_per_pixel=160),
+        cost=lambda facts: Cost(mib=450, bytes_per_sample=115, seconds=4, us_per_sample=9.5),
     ),
     Stage(
         ObjectEvaluateSettings,
@@ -110,7 +110,7 @@ TURNTABLE = (
         wants=lambda settings: ("polarise",),
         needs_colour=True,
         libraries=("numpy", "scipy", "numba", "zarr", "pywavelets", "opencv-contrib-python-headless"),
-        cost=Cost(mib=2000, bytes_per_pixel=160),
+        cost=lambda facts: Cost(mib=380, bytes_per_sample=90, seconds=5, us_per_sample=3),
     ),
     Stage(
         ObjectReportSettings,
@@ -121,6 +121,6 @@ TURNTABLE = (
         wants=lambda settings: ("polarise",),
         uses=("cameras", "mesh", "texels", "reflection", "residual", "object_render", "object_evaluate"),
         libraries=("numpy", "jinja2", "numba", "zarr", "opencv-contrib-python-headless"),
-        cost=Cost(mib=500, bytes_per_pixel=64),
+        cost=lambda facts: Cost(mib=230, bytes_per_sample=1, seconds=1.8, us_per_sample=0.2),
     ),
 )
