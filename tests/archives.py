@@ -70,10 +70,12 @@ def content(seed: str, size: int) -> bytes:
     return (block * (size // len(block) + 1))[:size]
 
 
-def write_scene(scene: Path, *, file_bytes: int = 400, published: bool = True, **settings: dict) -> dict[str, Artifact]:
-    """A scene of eight artifacts; settings: of the stages that differ from the default."""
+def write_scene(
+    scene: Path, *, capture: str = "", file_bytes: int = 400, published: bool = True, **settings: dict
+) -> dict[str, Artifact]:
+    """A scene of eight artifacts; capture: digest of what they go back to; settings: of stages, if not default."""
     made: dict[str, Artifact] = {}
-    capture = hashlib.sha256(scene.name.encode()).hexdigest()
+    capture = capture or hashlib.sha256(scene.name.encode()).hexdigest()
     for stage, reads in READS.items():
         upstream = {name: made[name] for name in reads}
         made[stage] = write_artifact(

@@ -43,7 +43,7 @@ def unsound_artifacts(
 def _of_scene(stages: list[tuple[str, Path, tuple[str, ...]]], contents: bool) -> Iterator[Unsound]:
     sound: dict[str, str] = {}
     for name, folder, upstream in stages:
-        if not folder.exists():
+        if not folder.exists() or not any(folder.iterdir()):  # Snakemake makes the folder before the stage starts
             continue
         try:
             artifact = open_artifact(folder, contents=contents)

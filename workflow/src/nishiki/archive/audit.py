@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
+from nishiki.archive.crate_metadata import METADATA
 from nishiki.archive.damage import Damage
 from nishiki.archive.publication import check_publication
 from nishiki.archive.references import References
@@ -31,6 +32,7 @@ class Found:
     """What stands below some folders: artifacts, published links, stray links, unfinished and set-aside folders."""
 
     artifacts: list[Path] = field(default_factory=list)
+    crates: list[Path] = field(default_factory=list)
     publications: list[Path] = field(default_factory=list)
     damages: list[Damage] = field(default_factory=list)
     unfinished: list[Path] = field(default_factory=list)
@@ -53,14 +55,18 @@ def find_artifacts(folders: Iterable[Path]) -> Found:
     todo = [Path(folder) for folder in folders]
     while todo:
         _look(todo.pop(), found, todo)
-    for items in (found.artifacts, found.publications, found.unfinished, found.aside):
+    for items in (found.artifacts, found.crates, found.publications, found.unfinished, found.aside):
         items[:] = sorted(set(items))
     return found
 
 
 def _look(folder: Path, found: Found, todo: list[Path]) -> None:
     if ARTIFACT_NAME.fullmatch(folder.name) or (folder / MANIFEST).is_file():
-        found.artifacts.append(folder)
+        # Snakemake makes the folder of an output before its stage starts: an empty one is not lost, but not begun.
+        (found.artifacts if any(folder.iterdir()) else found.unfinished).append(folder)
+        return
+    if (folder / METADATA).is_file():
+        found.crates.append(folder)
         return
     if folder.name == CURRENT and (folder / "index.json").exists():
         found.publications.append(folder)

@@ -69,6 +69,8 @@ def judge(folder: Path, finished: list[Finished], pruning: Pruning, hosts: set[s
         judge_unfinished(folder, pruning, hosts)
     elif ASIDE.fullmatch(name):
         pruning.remove.append(Item(folder, "set aside", size_of(folder)))
+    elif FINISHED.fullmatch(name) and not any(folder.iterdir()):
+        pruning.remove.append(Item(folder, "empty: its stage was never finished"))
     elif not FINISHED.fullmatch(name):
         pruning.left_alone.append(Item(folder, "not the name of an artifact"))
     else:

@@ -3,7 +3,10 @@
 import hashlib
 import os
 import stat
+import struct
 import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO, Protocol
@@ -112,6 +115,15 @@ def _digest(handle: BinaryIO) -> str:
     return digest.hexdigest()
 
 
+@contextmanager
+def _broken_as_oserror(name: str) -> Iterator[None]:
+    """What a broken ZIP file makes its reader raise, as the error of a file that cannot be read."""
+    try:
+        yield
+    except (zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError, struct.error) as error:
+        raise OSError(5, str(error), name) from None
+
+
 class ZipTree:
     """Files inside a ZIP file, read where they are: nothing is unpacked."""
 
@@ -144,16 +156,13 @@ class ZipTree:
     def read(self, name: str) -> bytes:
         """Content of a small file. Raises OSError; ValueError for one that is larger than LARGEST_TEXT."""
         member = self._member(name)
-        with self.archive.open(member) as handle:
+        with _broken_as_oserror(name), self.archive.open(member) as handle:
             return _read(handle, member.file_size)
 
     def digest(self, name: str) -> str:
         """SHA-256 of a file, read in blocks. Raises OSError."""
-        try:
-            with self.archive.open(self._member(name)) as handle:
-                return _digest(handle)
-        except zipfile.BadZipFile as error:
-            raise OSError(5, str(error), name) from None
+        with _broken_as_oserror(name), self.archive.open(self._member(name)) as handle:
+            return _digest(handle)
 
     def _member(self, name: str) -> zipfile.ZipInfo:
         member = self.members.get(name)

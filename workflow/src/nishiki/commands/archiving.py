@@ -9,6 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from nishiki.archive.audit import Counts, Found, audit, find_artifacts
+from nishiki.archive.crate_audit import CrateAudit, audit_crate, is_crate
 from nishiki.archive.damage import Damage, shown
 from nishiki.errors import UserError
 from nishiki.progress import Progress
@@ -18,11 +19,16 @@ def verify(options: argparse.Namespace, rest: list[str]) -> int:
     """Verify every artifact below the folders; exit status 1 where anything is damaged, missing or foreign."""
     folders = [Path(folder) for folder in options.folders or ["results"]]
     for folder in folders:
-        if not folder.is_dir():
-            raise UserError(f"{folder}: folder not found")
+        if not folder.is_dir() and not is_crate(folder):
+            raise UserError(f"{folder}: neither a folder nor a ZIP file")
     counts = Counts()
-    found = find_artifacts(folders)
     threads = options.threads or len(os.sched_getaffinity(0))
+    found = find_artifacts(folder for folder in folders if not is_crate(folder))
+    crates = [*(folder for folder in folders if is_crate(folder)), *found.crates]
+    for crate in crates:
+        counts.problems += _verify_crate(crate, threads, options.json)
+    if crates and not found.artifacts and not options.capture:
+        return 1 if counts.problems else 0
     unsound = _told(audit(found, counts, threads=threads, tell=Progress("verify")), options.json)
     for capture in options.capture:
         from nishiki.capture.seal import verify_seal
@@ -34,6 +40,26 @@ def verify(options: argparse.Namespace, rest: list[str]) -> int:
     if options.set_aside:
         _set_aside(unsound)
     return 1 if counts.problems else 0
+
+
+def _verify_crate(path: Path, threads: int, as_json: bool) -> int:
+    """Verify a packed scene; the number of problems."""
+    audited = CrateAudit(path)
+    problems = 0
+    for damage in audit_crate(audited, threads=threads, tell=Progress(f"verify {shown(path.name)}")):
+        problems += 1
+        _tell(damage, as_json)
+    if as_json:
+        print(json.dumps({**asdict(audited), "root": str(path), "problems": problems, "sound": not problems}))
+        return problems
+    raw = "with its photographs" if audited.photographs else "without its photographs"
+    state = f"{problems} problems" if problems else "sound"
+    print(
+        f"{shown(path)}: scene {shown(audited.scene)}, {len(audited.stages)} results from capture "
+        f"{audited.capture[:12]} ({raw}), {audited.files} files, {audited.bytes / 1e9:.3f} GB: {state}; "
+        f"digest {audited.digest}"
+    )
+    return problems
 
 
 def _told(damages: Iterable[Damage], as_json: bool) -> set[Path]:

@@ -1,0 +1,233 @@
+"""Auditing a packed scene where nothing else is there: no results, no configuration, perhaps no photographs.
+
+A crate may come from a stranger: nothing is written, no link is followed, no name leads outside, and no file is held in
+memory but manifests of a bounded size.
+"""
+
+import hashlib
+import json
+import re
+import struct
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+from zipfile import BadZipFile
+
+from nishiki.archive.audit import in_order
+from nishiki.archive.crate_metadata import METADATA
+from nishiki.archive.crate_names import MANIFEST, parse_manifest_text
+from nishiki.archive.damage import Damage
+from nishiki.archive.survey import CAPTURE, Survey, survey_artifact
+from nishiki.archive.tree import FolderTree, Listing, Tree, ZipTree
+from nishiki.artifact import MANIFEST as ARTIFACT
+from nishiki.artifact import is_inside
+
+ARTIFACT_FOLDER = re.compile(r"(artifacts/[a-z_0-9]+/([0-9a-f]{12}))/")
+SEAL = "capture/manifest-sha256.txt"
+PORTION = 64
+
+
+@dataclass
+class CrateAudit:
+    """What an audit of a crate has found so far."""
+
+    root: Path
+    digest: str = ""
+    scene: str = ""
+    capture: str = ""
+    photographs: bool = False
+    files: int = 0
+    bytes: int = 0
+    stages: list[str] = field(default_factory=list)
+
+    def damage(self, name: str, kind: str, detail: str) -> Damage:
+        """One damage of the crate."""
+        return Damage(self.root / name if name else self.root, kind, detail)
+
+
+def is_crate(path: Path) -> bool:
+    """Whether this is a packed scene: a folder with a crate's description, or a ZIP file."""
+    return (path.is_dir() and (path / METADATA).is_file()) or (path.is_file() and path.suffix.lower() == ".zip")
+
+
+def audit_crate(audit: CrateAudit, *, threads: int, tell: Callable[[int, int, str], None]) -> Iterator[Damage]:
+    """Every damage of a crate: files, links, manifests, keys, the way from the capture to every result."""
+    try:
+        tree = ZipTree(audit.root) if audit.root.is_file() else FolderTree(audit.root)
+    except (BadZipFile, OSError, ValueError, NotImplementedError, struct.error) as error:
+        yield audit.damage("", "unreadable", f"not a ZIP file that can be read: {error}")
+        return
+    listing = tree.listing()
+    yield from _shape(audit, tree, listing)
+    try:
+        data = tree.read(MANIFEST)
+        listed = parse_manifest_text(data)
+    except (OSError, ValueError) as error:
+        yield audit.damage(MANIFEST, "damaged" if MANIFEST in listing.files else "missing", str(error))
+        return
+    audit.digest = hashlib.sha256(data).hexdigest()
+    yield from _names(audit, listing, listed)
+    found: dict[str, str] = {}
+    yield from _contents(audit, tree, listing, listed, found, threads, tell)
+    surveys = _surveys(tree, listing)
+    for survey in surveys:
+        yield from _artifact(survey, found)
+    yield from _chain(audit, surveys)
+    yield from _capture(audit, tree, listing, listed, surveys)
+    yield from _description(audit, tree, surveys)
+
+
+def _shape(audit: CrateAudit, tree: Tree, listing: Listing) -> Iterator[Damage]:
+    for name, target in listing.links.items():
+        yield audit.damage(name, "link", f"a crate holds files, not links; to {target}")
+    for name, what in listing.others.items():
+        yield audit.damage(name, "foreign", what)
+    for name, why in listing.unreadable.items():
+        yield audit.damage(name, "unreadable", why)
+    if isinstance(tree, ZipTree):
+        for name in tree.repeated:
+            yield audit.damage(name, "foreign", "stands in the ZIP file more than once")
+        for name in tree.members:
+            if not is_inside(name.rstrip("/")):
+                yield audit.damage("", "foreign", f"a name that leads outside: {name}")
+        if sum(listing.files.values()) > audit.root.stat().st_size:
+            yield audit.damage("", "damaged", "files overlap inside the ZIP file")
+
+
+def _names(audit: CrateAudit, listing: Listing, listed: dict[str, str]) -> Iterator[Damage]:
+    present = {*listing.files, *listing.links, *listing.others}
+    for name in sorted(set(listed) - present):
+        yield audit.damage(name, "missing", f"listed in {MANIFEST}")
+    for name in sorted(set(listing.files) - set(listed) - {MANIFEST}):
+        yield audit.damage(name, "foreign", f"not in {MANIFEST}")
+
+
+def _contents(
+    audit: CrateAudit,
+    tree: Tree,
+    listing: Listing,
+    listed: dict[str, str],
+    found: dict[str, str],
+    threads: int,
+    tell: Callable[[int, int, str], None],
+) -> Iterator[Damage]:
+    """Digest every listed file once; `found` is filled with what they are."""
+    names = [name for name in sorted(listed) if name in listing.files]
+    portions = [names[start : start + PORTION] for start in range(0, len(names), PORTION)]
+    # A ZIP file is one file handle: several threads would only wait for each other.
+    with ThreadPoolExecutor(1 if isinstance(tree, ZipTree) else threads) as pool:
+        for digests in in_order(pool, lambda portion: [_digest(tree, name) for name in portion], portions, 4 * threads):
+            for name, digest, error in digests:
+                audit.files += 1
+                audit.bytes += listing.files[name]
+                found[name] = digest
+                if error:
+                    yield audit.damage(name, "unreadable", error)
+                elif digest != listed[name]:
+                    yield audit.damage(name, "damaged", f"sha256 {digest[:12]}…, expected {listed[name][:12]}…")
+            tell(audit.files, len(names), f"{audit.bytes / 1e9:.2f} GB")
+
+
+def _digest(tree: Tree, name: str) -> tuple[str, str, str]:
+    try:
+        return name, tree.digest(name), ""
+    except OSError as error:
+        return name, "", str(error.strerror)
+
+
+def _surveys(tree: Tree, listing: Listing) -> list[Survey]:
+    everything = [*listing.files, *listing.links, *listing.others]
+    folders = sorted({(match[1], match[2]) for name in everything if (match := ARTIFACT_FOLDER.match(name))})
+    return [survey_artifact(tree, folder, name=key) for folder, key in folders]
+
+
+def _artifact(survey: Survey, found: dict[str, str]) -> Iterator[Damage]:
+    """An artifact against its own manifest; its files were read before."""
+    yield from survey.damages
+    for name, _, sha256 in survey.to_read:
+        digest = found.get(survey.named(name))
+        if digest is not None and digest != sha256:
+            yield Damage(survey.folder / name, "damaged", f"not what its {ARTIFACT} says", survey.folder)
+    if survey.stage and survey.stage != survey.folder.parent.name:
+        yield Damage(survey.folder, "misplaced", f"made by stage {survey.stage}", survey.folder)
+
+
+def _chain(audit: CrateAudit, surveys: list[Survey]) -> Iterator[Damage]:
+    """Every result was made from results in the crate, and the first from one capture; of one scene."""
+    digests = {(survey.stage, survey.key): survey.digest for survey in surveys}
+    captures: set[str] = set()
+    for survey in surveys:
+        audit.stages.append(survey.stage)
+        for stage, (key, digest) in survey.upstream.items():
+            if stage == CAPTURE:
+                captures.add(digest)
+            elif (stage, key) not in digests:
+                yield Damage(survey.folder, "incomplete", f"made from {stage}/{key}, which is not in the crate")
+            elif digests[stage, key] != digest:
+                yield Damage(survey.folder, "stale", f"made from another version of {stage}/{key}")
+    scenes = {survey.scene for survey in surveys if survey.scene}
+    audit.scene = next(iter(sorted(scenes)), "")
+    audit.capture = next(iter(sorted(captures)), "")
+    if not surveys:
+        yield audit.damage("artifacts", "incomplete", "the crate holds no result")
+    if len(scenes) > 1:
+        yield audit.damage("artifacts", "misplaced", f"results of several scenes: {', '.join(sorted(scenes))}")
+    if len(captures) > 1 or (surveys and not captures):
+        yield audit.damage("artifacts", "incomplete", f"the results go back to {len(captures)} captures, expected one")
+
+
+def _capture(
+    audit: CrateAudit, tree: Tree, listing: Listing, listed: dict[str, str], surveys: list[Survey]
+) -> Iterator[Damage]:
+    """The seal of the capture is the one that the results go back to; its files are all there, or none."""
+    try:
+        sealed = parse_seal(tree.read(SEAL))
+    except (OSError, ValueError) as error:
+        yield audit.damage(SEAL, "missing" if SEAL not in listing.files else "damaged", str(error))
+        return
+    from nishiki.capture.seal import manifest_text
+
+    digest = hashlib.sha256(manifest_text(sealed).encode()).hexdigest()
+    if audit.capture and digest != audit.capture:
+        yield audit.damage(SEAL, "damaged", f"capture {digest[:12]}…, the results were made from {audit.capture[:12]}…")
+    present = {name.removeprefix("capture/") for name in listing.files if name.startswith("capture/data/")}
+    audit.photographs = bool(present)
+    for name in sorted(set(sealed) - present) if present else ():
+        yield audit.damage(f"capture/{name}", "missing", "listed in the seal of the capture")
+    for name in sorted(present):
+        if name not in sealed:
+            yield audit.damage(f"capture/{name}", "foreign", "not in the seal of the capture")
+        elif listed.get(f"capture/{name}") != sealed[name]:
+            yield audit.damage(f"capture/{name}", "damaged", "changed after sealing")
+
+
+def parse_seal(data: bytes) -> dict[str, str]:
+    """Digest by name from the manifest of a bag. Raises ValueError where a line is none or a name leads outside."""
+    found = {}
+    for number, line in enumerate(data.decode("utf-8").splitlines(), start=1):
+        match = re.fullmatch(r"([0-9a-fA-F]{64})[ \t]+\*?(.+)", line)
+        if match is None or not is_inside(match[2]):
+            raise ValueError(f"line {number}: expected 64 hexadecimal digits and a name inside the bag")
+        name = re.sub(r"%(25|0[dD]|0[aA])", lambda code: chr(int(code[1], 16)), match[2])
+        found[name] = match[1].lower()
+    return found
+
+
+def _description(audit: CrateAudit, tree: Tree, surveys: list[Survey]) -> Iterator[Damage]:
+    """The description names every result, and what each was made from."""
+    try:
+        graph = json.loads(tree.read(METADATA))["@graph"]
+        entities = {str(entity["@id"]): entity for entity in graph}
+        for survey in surveys:
+            folder = f"{survey.below}/"
+            told = entities.get(folder, {}).get("identifier")
+            made = {entry["@id"] for entry in entities.get(f"#run-{survey.stage}", {}).get("object", [])}
+            above = {
+                "capture/" if stage == CAPTURE else f"artifacts/{stage}/{key}/"
+                for stage, (key, _) in survey.upstream.items()
+            }
+            if told != f"sha256:{survey.digest}" or not above <= made:
+                yield audit.damage(METADATA, "damaged", f"does not describe {folder} as it is")
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        yield audit.damage(METADATA, "damaged", f"not a description of a crate ({type(error).__name__})")

@@ -1,0 +1,212 @@
+"""Packing one scene: everything that its results were made from, in one folder that explains and proves itself.
+
+Every file is read once, while it is copied; one that is not what its manifest says stops the packing. The same
+artifacts give the same bytes: names are sorted, and no time is written that the artifacts do not record.
+"""
+
+import hashlib
+import json
+import os
+import shutil
+import zipfile
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from nishiki.archive.crate_metadata import METADATA, PackedCapture, PackedStage, metadata
+from nishiki.archive.crate_names import MANIFEST, manifest_text
+from nishiki.archive.tree import FolderTree
+from nishiki.artifact import MANIFEST as ARTIFACT
+from nishiki.artifact import RUN, Artifact
+from nishiki.errors import UserError
+
+CODE = ("Snakefile", "LICENSE", "pyproject.toml", "uv.lock", "workflow", "scripts", "envs")
+"""What of the project is packed: what runs, and the lock of its libraries."""
+CODE_SUFFIXES = {"", ".py", ".smk", ".yaml", ".txt", ".toml", ".lock", ".csv", ".npz", ".json", ".j2", ".sh", ".md"}
+BLOCK = 2**20
+ZIP_DATE = (1980, 1, 1, 0, 0, 0)
+Tell = Callable[[int, int, str], None]
+
+
+@dataclass
+class Crate:
+    """A folder that is being filled: digest and size of every file written, by its name."""
+
+    root: Path
+    files: dict[str, tuple[int, str]] = field(default_factory=dict)
+
+    def copy(self, source: Path, name: str, sha256: str = "") -> None:
+        """Copy a file; UserError where its content has not the digest that it should have."""
+        target = self._place(name)
+        digest, size = hashlib.sha256(), 0
+        descriptor = os.open(source, os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
+        with os.fdopen(descriptor, "rb") as reader, open(target, "wb") as writer:
+            while block := reader.read(BLOCK):
+                digest.update(block)
+                writer.write(block)
+                size += len(block)
+        if sha256 and digest.hexdigest() != sha256:
+            raise UserError(
+                f"{source}: its content is not what was recorded. Remedy: ./nishiki verify names all damage"
+            )
+        self.files[name] = (size, digest.hexdigest())
+
+    def write(self, name: str, text: str) -> None:
+        """Write a file of text."""
+        data = text.encode("utf-8")
+        self._place(name).write_bytes(data)
+        self.files[name] = (len(data), hashlib.sha256(data).hexdigest())
+
+    def _place(self, name: str) -> Path:
+        target = self.root / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        return target
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What is to be packed. artifacts: in the order of the flow; capture: the sealed folder; about: what capture.yaml
+    says of title, people and rights; facts: what the plan tells besides, as plain data; does: stages in words."""
+
+    name: str
+    version: str
+    artifacts: list[Artifact]
+    capture: Path
+    capture_digest: str
+    about: dict[str, str | None]
+    facts: dict[str, Any]
+    does: dict[str, str]
+
+
+def pack(scene: Scene, project: Path, target: Path, *, with_capture: bool, tell: Tell) -> str:
+    """Write the crate of a scene to a new folder and return the digest that names all of it.
+
+    project: folder of the workflow's code. Raises UserError where the target exists, or an artifact or the capture is
+    damaged. Built beside its place and renamed whole.
+    """
+    if os.path.lexists(target):
+        raise UserError(f"{target} exists already. Remedy: give another --output, or remove it")
+    partial = target.with_name(f".{target.name}.{os.getpid()}.partial")
+    shutil.rmtree(partial, ignore_errors=True)
+    partial.mkdir(parents=True)
+    try:
+        crate = Crate(partial)
+        stages = [_copy_artifact(crate, scene, item, project) for item in _told(scene.artifacts, tell)]
+        capture = _copy_capture(crate, scene, with_capture, tell)
+        _copy_code(crate, project)
+        crate.write("scene.json", _json({"scene": scene.name, **scene.facts}))
+        crate.write("README.md", _readme(scene, stages, capture))
+        others = ["README.md", "scene.json", MANIFEST]
+        others += [name for name in ("code/LICENSE", "code/uv.lock") if name in crate.files]
+        crate.write(METADATA, _json(metadata(scene.name, scene.version, capture, stages, others)))
+        text = manifest_text({name: sha256 for name, (_, sha256) in crate.files.items()})
+        crate.write(MANIFEST, text)
+        os.rename(partial, target)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+    return crate.files[MANIFEST][1]
+
+
+def _told(artifacts: list[Artifact], tell: Tell) -> Iterator[Artifact]:
+    for number, item in enumerate(artifacts):
+        tell(number, len(artifacts), f"copying {item.stage}")
+        yield item
+
+
+def _copy_artifact(crate: Crate, scene: Scene, item: Artifact, project: Path) -> PackedStage:
+    from nishiki.provenance import code_digest
+
+    folder = f"artifacts/{item.stage}/{item.key}"
+    for name, entry in sorted(item.manifest["files"].items()):
+        crate.copy(item.path(name), f"{folder}/{name}", entry["sha256"])
+    for name in (ARTIFACT, RUN):
+        crate.copy(item.path(name), f"{folder}/{name}")
+    run = item.run
+    if not {"finished", "seconds"} <= set(run):
+        raise UserError(
+            f"{item.path(RUN)}: says not when the stage ran. Remedy: ./nishiki verify --set-aside, run again"
+        )
+    script = project / "scripts" / f"{item.stage}.py"
+    same = script.is_file() and code_digest(script) == item.manifest.get("code")
+    files = {name: crate.files[f"{folder}/{name}"] for name in (ARTIFACT, RUN)}
+    return PackedStage(item.manifest, run, same, scene.does.get(item.stage, item.stage), files)
+
+
+def _copy_capture(crate: Crate, scene: Scene, with_capture: bool, tell: Tell) -> PackedCapture:
+    from nishiki.capture.seal import MANIFEST as SEAL
+    from nishiki.capture.seal import TAG_MANIFEST, TAGS, read_manifest
+
+    listed = read_manifest(scene.capture / SEAL)
+    for name in (*TAGS, TAG_MANIFEST):
+        if (scene.capture / name).is_file():
+            crate.copy(scene.capture / name, f"capture/{name}")
+    total = 0
+    for number, (name, sha256) in enumerate(sorted(listed.items()) if with_capture else ()):
+        tell(number, len(listed), f"copying the capture, {total / 1e9:.2f} GB")
+        crate.copy(scene.capture / name, f"capture/{name}", sha256)
+        total += crate.files[f"capture/{name}"][0]
+    return PackedCapture(scene.capture_digest, scene.about, with_capture, len(listed), total)
+
+
+def _copy_code(crate: Crate, project: Path) -> None:
+    for name in CODE:
+        path = project / name
+        if not path.exists():  # a copy of the project need not have its lock or its licence
+            continue
+        inner = FolderTree(path).listing().files if path.is_dir() else {"": 0}
+        for file in sorted(inner):
+            parts = file.split("/")
+            if any(part.startswith((".", "__pycache__")) for part in parts if part):
+                continue
+            if os.path.splitext(file)[1] in CODE_SUFFIXES:
+                crate.copy(path / file if file else path, f"code/{name}/{file}" if file else f"code/{name}")
+
+
+def _json(value: Any) -> str:
+    return json.dumps(value, indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _readme(scene: Scene, stages: list[PackedStage], capture: PackedCapture) -> str:
+    """What a finder of the folder has to know, without any tool of this project."""
+    photographs = (
+        "`capture/` holds the photographs, sealed as a BagIt bag."
+        if capture.included
+        else "`capture/` holds the manifest of the photographs, which are kept elsewhere: their names and SHA-256."
+    )
+    rows = "\n".join(f"| `{stage.folder}` | {stage.does} |" for stage in stages)
+    return f"""# {scene.about.get("title") or scene.name}
+
+One digitised scene with everything that it was made from, as a Workflow Run RO-Crate (`{METADATA}` describes it).
+
+{photographs} `code/` holds the workflow, `scene.json` what was asked for. Every folder below `artifacts/` is one
+result; its `artifact.json` names its files with their SHA-256, its settings, and the results that it was made from.
+
+| folder | what |
+|---|---|
+{rows}
+
+Is everything still what it was? `sha256sum --check {MANIFEST}` compares the files; `./nishiki verify FOLDER` of the
+workflow also follows the way from the photographs to every result, and computes every key again.
+"""
+
+
+def write_zip(folder: Path, target: Path) -> None:
+    """The folder's files in a ZIP file, stored, in the order of their names, all with one date; written whole."""
+    if os.path.lexists(target):
+        raise UserError(f"{target} exists already. Remedy: give another --output, or remove it")
+    partial = target.with_name(f".{target.name}.{os.getpid()}.partial")
+    try:
+        with zipfile.ZipFile(partial, "w", zipfile.ZIP_STORED) as archive:
+            for name in _names(folder):
+                entry = zipfile.ZipInfo(name, ZIP_DATE)
+                entry.create_system, entry.external_attr = 3, 0o100644 << 16
+                with open(folder / name, "rb") as reader, archive.open(entry, "w", force_zip64=True) as writer:
+                    shutil.copyfileobj(reader, writer, BLOCK)
+        os.rename(partial, target)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def _names(folder: Path) -> Iterable[str]:
+    return sorted(FolderTree(folder).listing().files)

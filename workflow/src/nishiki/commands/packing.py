@@ -1,0 +1,77 @@
+"""The command that packs one scene as a crate."""
+
+import argparse
+from pathlib import Path
+
+from nishiki.archive.damage import shown
+from nishiki.archive.pack import Scene, pack, write_zip
+from nishiki.artifact import Artifact, open_artifact
+from nishiki.errors import UserError
+from nishiki.plan import Plan
+from nishiki.progress import Progress
+from nishiki.stage import PROJECT_VERSION
+from nishiki.stages import CHAIN
+from nishiki.workflow import Workflow
+
+PROJECT = Path(__file__).resolve().parents[4]
+ABOUT = ("title", "creator", "date", "object_id", "rights", "notes")
+
+
+def pack_scene(options: argparse.Namespace, rest: list[str]) -> int:
+    """Pack a finished scene: a folder, and a ZIP file of it where asked for."""
+    from nishiki.project import load_yaml
+
+    target = Path(options.output)
+    flow = Workflow(load_yaml(options.configfile), folder=PROJECT, only=options.scene)
+    (name,) = flow.plans
+    scene = _scene(flow, name, flow.plans[name])
+    tell = Progress(f"pack {name}")
+    digest = pack(scene, PROJECT, target, with_capture=not options.without_capture, tell=tell)
+    print(f"{shown(target)}: {len(scene.artifacts)} results; digest {digest}")
+    if options.zip:
+        archive = target.with_name(f"{target.name}.zip")
+        write_zip(target, archive)
+        print(shown(archive))
+    return 0
+
+
+def _scene(flow: Workflow, name: str, plan: Plan) -> Scene:
+    from nishiki.capture.folder import payload_of
+    from nishiki.capture.schema import read_capture_file
+
+    capture = plan.scene.capture
+    described = read_capture_file(payload_of(capture) / "capture.yaml")
+    stages = {
+        stage: {"key": planned.key, "settings": planned.settings, "upstream": planned.upstream}
+        for stage, planned in plan.stages.items()
+    }
+    return Scene(
+        name=name,
+        version=PROJECT_VERSION,
+        artifacts=_artifacts(flow, name, plan),
+        capture=capture,
+        capture_digest=plan.facts.capture_digest,
+        about={key: getattr(described, key) for key in ABOUT},
+        facts={
+            "products": list(plan.scene.products),
+            "stages": stages,
+            "left_out": dict(plan.left_out),
+            "held_out": list(plan.held_out),
+            "truth_sha256": plan.facts.truth_sha256,
+        },
+        does={stage: CHAIN[stage].does for stage in plan.stages},
+    )
+
+
+def _artifacts(flow: Workflow, name: str, plan: Plan) -> list[Artifact]:
+    """The artifacts of a scene, each made from the others. Raises UserError where a run has to come first."""
+    found: dict[str, Artifact] = {}
+    for stage in plan.stages:
+        try:
+            found[stage] = open_artifact(Path(flow.artifact(name, stage)))
+        except UserError as error:
+            raise UserError(f"{name} is not finished: {error}") from None
+        for above, entry in found[stage].manifest["upstream"].items():
+            if above in found and found[above].digest != entry.get("digest"):
+                raise UserError(f"{found[stage].folder}: made from another {above}. Remedy: ./nishiki run first")
+    return list(found.values())
