@@ -34,6 +34,7 @@ from nishiki.settings.evaluate import EvaluateSettings
 from nishiki.spectra.colour import illuminant
 from nishiki.spectra.training import synthetic_reflectances
 from nishiki.stage import Context, run_stage
+from nishiki.stored import load_arrays, open_group
 
 
 def run(context: Context) -> dict:
@@ -77,7 +78,7 @@ class Scene:
                 np.array(spectra.attributes("coefficients")["basis"]),
             )
         curves = inputs["ingest"].path("curves.npz")
-        self.curves = dict(np.load(curves)) if curves.is_file() else {}
+        self.curves = load_arrays(curves) if curves.is_file() else {}
         self.camera = self._camera()
 
     def _camera(self) -> CameraColour:
@@ -110,9 +111,7 @@ def read_truth(context: Context, frames: Observations) -> Truth:
         )
     region = tuple(frames.attributes["region_of_interest"])
     if (path / "truth.zarr").is_dir():
-        import zarr
-
-        group = zarr.open_group(path / "truth.zarr", mode="r")
+        group = open_group(path / "truth.zarr")
         return truth_from(
             {name: group[name] for name in group.array_keys()},
             shape=frames.shape,
@@ -124,8 +123,7 @@ def read_truth(context: Context, frames: Observations) -> Truth:
         raise UserError(
             f"{path}: expected truth.zarr or one .npz with an array named normals, found {len(tables)} .npz files"
         )
-    with np.load(tables[0]) as arrays:
-        return truth_from(dict(arrays), shape=frames.shape, region=region)
+    return truth_from(load_arrays(tables[0]), shape=frames.shape, region=region)
 
 
 def against_truth(truth: Truth, scene: Scene, out: MapWriter) -> dict:

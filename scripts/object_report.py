@@ -21,6 +21,7 @@ from nishiki.report.provenance import stage_record
 from nishiki.settings.object_report import ObjectReportSettings
 from nishiki.stage import Context, run_stage
 from nishiki.stages import chain_of
+from nishiki.stored import load_arrays
 
 SHOWN = 6
 PREVIEWS = ("preview.png", "mesh.png")
@@ -134,8 +135,7 @@ def comparisons(artifact: Artifact | None, evaluation: dict | None) -> list[dict
     for entry in (evaluation or {}).get("pictures") or []:
         data = contents(artifact, entry["arrays"])
         if data is not None:
-            with np.load(io.BytesIO(data)) as stored:
-                arrays[entry["arrays"]] = dict(stored)
+            arrays[entry["arrays"]] = load_arrays(io.BytesIO(data), name=entry["arrays"])
     return sections.comparisons(evaluation, arrays)
 
 

@@ -2,8 +2,6 @@
 
 import json
 
-import numpy as np
-
 import _project  # noqa: F401
 from nishiki.artifact import Artifact
 from nishiki.evaluate.camera_colour import CameraColour, assumed_colour, fitted_colour
@@ -24,6 +22,7 @@ from nishiki.settings.report import ReportSettings
 from nishiki.spectra.training import synthetic_reflectances
 from nishiki.stage import Context, run_stage
 from nishiki.stages import CHAIN
+from nishiki.stored import load_arrays
 
 
 def run(context: Context) -> dict:
@@ -100,7 +99,7 @@ def read_json(artifact: Artifact | None, name: str) -> dict | None:
 def camera_of(ingest: Artifact, channels: int) -> CameraColour:
     """Map from the camera's channels to XYZ, fitted where the capture has sensitivities and a lamp spectrum."""
     path = ingest.path("curves.npz")
-    curves = dict(np.load(path)) if path.is_file() else {}
+    curves = load_arrays(path) if path.is_file() else {}
     if "sensitivities" not in curves or "illuminant" not in curves or len(curves["sensitivities"]) != channels:
         return assumed_colour(channels)
     return fitted_colour(synthetic_reflectances(), curves["illuminant"], curves["sensitivities"])
@@ -123,7 +122,8 @@ def relighting(evaluate: Artifact | None, maps: Maps | None, evaluation: dict | 
     if evaluation is None or not evaluation["lights"]:
         return None
     previews = {
-        light["index"]: np.load(evaluate.path(f"preview_{light['index']:03d}.npz")) for light in evaluation["lights"]
+        light["index"]: load_arrays(evaluate.path(f"preview_{light['index']:03d}.npz"))
+        for light in evaluation["lights"]
     }
     return relighting_section(evaluation, maps, previews, widest=widest)
 

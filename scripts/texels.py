@@ -18,6 +18,7 @@ from nishiki.patches.turn import probe_spacing, turning
 from nishiki.patches.write import TexelsWriter
 from nishiki.settings.texels import TexelsSettings
 from nishiki.stage import Context, run_stage
+from nishiki.stored import open_array
 
 
 def run(context: Context) -> dict:
@@ -68,10 +69,7 @@ def open_silhouettes(path: Path):
     """A function of the view's number: silhouette (rows, columns) bool, or None where there are none."""
     if not path.exists():
         return lambda index: None
-    import zarr
-
-    stored = zarr.open(path, mode="r")
-    stored = stored if isinstance(stored, zarr.Array) else stored["silhouettes"]
+    stored = open_array(path)
     return lambda index: stored[index] != 0
 
 

@@ -13,7 +13,7 @@ from nishiki.capture.check import check_capture
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
 from nishiki.capture.goniometer import goniometer_facts
-from nishiki.capture.goniometer_rules import same_direction
+from nishiki.capture.goniometer_rules import SAME_DEG, nearest
 from nishiki.capture.goniometer_tables import read_table
 from nishiki.capture.problems import CaptureError
 from nishiki.capture.seal import seal
@@ -80,11 +80,21 @@ def test_csv_and_cornell_tables_hold_the_same_numbers(tmp_path):
 @pytest.mark.parametrize(
     ("a", "b", "same"),
     [((0, 0), (0, 137), True), ((30, 359.99), (30, 0), True), ((30, 0.05), (30, 0), True), ((30, 0.3), (30, 0), False),
-     ((30, 0), (30.05, 0), True), ((30, 0), (30.2, 0), False), ((0.05, 0), (0.04, 180), True),
-     ((None, 0), (0, 0), False)],
+     ((30, 0), (30.05, 0), True), ((30, 0), (30.2, 0), False), ((0.05, 0), (0.04, 180), True)],
 )  # fmt: skip
 def test_directions_are_one_within_a_tenth_of_a_degree(a, b, same):
-    assert same_direction(a, b) == same
+    assert (nearest([a], [(80.0, 10.0), b])[0] < SAME_DEG) == same
+    assert (nearest([b], [a])[0] < SAME_DEG) == same
+
+
+def test_nearest_directions_against_every_pair():
+    rng = np.random.default_rng(3)
+    some, others = (list(zip(rng.uniform(0, 90, n), rng.uniform(-360, 360, n), strict=True)) for n in (300, 7))
+    vectors = [directions([(t, p, t, p) for t, p in group])[0] for group in (some, others)]
+    angles = [[np.arctan2(np.linalg.norm(np.cross(u, v)), u @ v) for v in vectors[1]] for u in vectors[0]]
+    expected = np.degrees(angles).min(axis=1)
+    np.testing.assert_allclose(nearest(some, others), expected, atol=1e-9)
+    assert np.isinf(nearest(some, [])).all()
 
 
 def test_a_table_is_converted_sealed_and_read_again(tmp_path, capsys):

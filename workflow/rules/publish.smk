@@ -14,4 +14,6 @@ rule publish:
         stages=lambda wildcards: FLOW.stages_text(wildcards.scene),
         code=lambda wildcards: FLOW.code("publish"),
     shell:
-        "python " + SCRIPTS + "/publish.py --scene {wildcards.scene} --stages {params.stages:q} --output {output:q}"
+        "python "
+        + SCRIPTS
+        + "/publish.py --scene {wildcards.scene} --stages {params.stages:q} --output {output:q}"

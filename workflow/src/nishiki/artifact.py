@@ -154,7 +154,7 @@ def is_inside(name: str) -> bool:
 
 def _expect_inside(name: str) -> str:
     if not is_inside(name):
-        raise UserError(f"{name!r}: expected the name of a file inside an artifact. Remedy: rename what it is called by")
+        raise UserError(f"{name!r}: expected a file name inside an artifact. Remedy: rename what it is called by.")
     return name
 
 

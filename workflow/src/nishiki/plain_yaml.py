@@ -12,6 +12,7 @@ import yaml
 
 from nishiki.bounds import bound
 
+LONGEST_BITS = 1024
 SafeLoader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
@@ -26,10 +27,25 @@ def load(text: str, loader: type = SafeLoader) -> Any:
     """
     try:
         _look_through(text)
-        return yaml.load(text, Loader=loader)
+        found = yaml.load(text, Loader=loader)
+        _expect_numbers(found)
+        return found
     except (ValueError, OverflowError, RecursionError, TypeError) as error:
         # dates and numbers that do not exist (2024-13-45, an integer of 5000 digits), texts that are not Unicode
         raise Unwanted(None, None, str(error)[:200] or type(error).__name__, None) from None
+
+
+def _expect_numbers(found: Any) -> None:
+    """ValueError for whole numbers too long to be written out (Python refuses to), which hexadecimal ones can be."""
+    pending = [found]
+    while pending:
+        value = pending.pop()
+        if isinstance(value, int) and value.bit_length() > LONGEST_BITS:
+            raise ValueError(f"a whole number of {value.bit_length()} bits")
+        if isinstance(value, dict):
+            pending += [*value.keys(), *value.values()]
+        elif isinstance(value, list):
+            pending += value
 
 
 def _look_through(text: str) -> None:

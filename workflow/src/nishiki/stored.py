@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import math
 import os
-import stat
 import struct
 import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -81,6 +82,8 @@ def _expect_node(folder: Path) -> None:
 
 
 def _expect_array(folder: Path, node: dict[str, Any]) -> None:
+    import zarr
+
     file = str(folder / METADATA)
     try:
         shape, chunk = node["shape"], node["chunk_grid"]["configuration"]["chunk_shape"]
@@ -104,13 +107,20 @@ def _expect_array(folder: Path, node: dict[str, Any]) -> None:
     expect_bound(math.prod(shape) * item, "store_array_bytes", file)
     expect_bound(math.prod(counts), "store_chunks", file)
     expect_memory(math.prod(chunk) * item, file)
-    chunks = _expect_chunks(folder, math.prod(chunk) * item, packed="zstd" in codecs)
-    if chunks * 100 < math.prod(counts):  # those that are missing are made up when the array is read
+    chunks = _expect_chunks(folder, math.prod(chunk) * item, packed="zstd" in codecs, check=4 * ("crc32c" in codecs))
+    if 100 * chunks + 1000 < math.prod(counts):  # those that are missing would be made up, one by one
+        expected, found = f"{math.prod(counts)} chunks", f"{chunks}"
+        raise Refused(file, "most of an array is missing", expected=expected, found=found, remedy=REMEDY)
+    if 100 * chunks < math.prod(counts):
         expect_memory(math.prod(shape) * item, file)
+    _opened(zarr.open_array, folder)
 
 
-def _expect_chunks(folder: Path, unpacked: int, *, packed: bool) -> int:
-    """How many chunk files an array has; Refused where one would unpack to more than the array says."""
+def _expect_chunks(folder: Path, unpacked: int, *, packed: bool, check: int) -> int:
+    """How many chunk files an array has; Refused where one would unpack to more than the array says.
+
+    check: bytes of the checksum after what is packed.
+    """
     place, count = folder / "c", 0
     if not place.exists():
         return 0
@@ -118,7 +128,8 @@ def _expect_chunks(folder: Path, unpacked: int, *, packed: bool) -> int:
         count += 1
         if packed:
             with os.fdopen(open_regular(entry.path, name), "rb") as file:
-                claimed = zstd_content_size(file.read())
+                data = file.read()
+                claimed = zstd_content_size(data[: len(data) - check])
         else:
             claimed = entry.stat(follow_symlinks=False).st_size
         if claimed is None or claimed > unpacked + 16:  # checksums inside the packed part
@@ -206,9 +217,13 @@ def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
         return np.lib.format.read_array(stream, allow_pickle=False)
 
 
-def is_regular(path: Path) -> bool:
-    """Whether a path is a file itself, no link to one."""
+@contextmanager
+def understood(where: Path | str) -> Iterator[None]:
+    """UserError in place of what entries that are missing or of a wrong kind make a reader stumble over."""
     try:
-        return stat.S_ISREG(path.lstat().st_mode)
-    except OSError:
-        return False
+        yield
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        found = f"{type(error).__name__}: {str(error)[:120]}"
+        raise UserError(
+            f"{where}: what describes the data is damaged, or of another program ({found}). {REMEDY}"
+        ) from None

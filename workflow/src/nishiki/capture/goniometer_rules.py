@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+import numpy as np
 
 from nishiki.capture.frames import Frame
 from nishiki.capture.problems import Problem, error, warning
@@ -71,9 +71,9 @@ def _spread_problems(samples: list[Frame], whites: list[Frame]) -> list[Problem]
         expected, found = f"{FEWEST_NORMAL} views or more with theta_i below {NORMAL_DEG:g} degree", f"{len(normal)}"
         what = "few views of the cloth lit along its normal; the weave and the BRDF are found from them"
         problems.append(warning("normal-few", TABLE, what, expected=expected, found=found))
-    boards = {w.angles_deg[:2] for w in whites}
-    lights = {f.angles_deg[:2] for f in samples}
-    alone = {light for light in lights if not any(same_direction(light, board) for board in boards)}
+    lights = sorted({f.angles_deg[:2] for f in samples})
+    apart_deg = nearest(lights, sorted({w.angles_deg[:2] for w in whites}))
+    alone = {light for light, angle in zip(lights, apart_deg, strict=True) if angle >= SAME_DEG}
     apart = [f for f in samples if f.angles_deg[:2] in alone]
     if apart:
         what = "no white frame under the same light: another board's light is used, by the cosine of the angles"
@@ -83,11 +83,17 @@ def _spread_problems(samples: list[Frame], whites: list[Frame]) -> list[Problem]
     return problems
 
 
-def same_direction(a: tuple[float | None, ...], b: tuple[float | None, ...]) -> bool:
-    """Whether two (theta, phi) in degrees are one direction, within 0.1 degree; False where one is not given."""
-    if None in a or None in b:
-        return False
-    x, y = ([math.radians(angle) for angle in pair] for pair in (a, b))
-    # half chord of the sphere: exact for small angles
-    half = math.sin((x[0] - y[0]) / 2) ** 2 + math.sin(x[0]) * math.sin(y[0]) * math.sin((x[1] - y[1]) / 2) ** 2
-    return half < math.sin(math.radians(SAME_DEG / 2)) ** 2
+def nearest(directions: list[tuple[float, float]], others: list[tuple[float, float]]) -> np.ndarray:
+    """Angle in degrees from each direction (theta, phi in degrees) to the nearest of the others, infinite for none."""
+    if not others:
+        return np.full(len(directions), np.inf)
+    found, boards = np.empty(len(directions)), _unit(others)
+    for first in range(0, len(directions), 256):  # a table may hold thousands of each
+        apart = _unit(directions[first : first + 256])[:, None] - boards
+        found[first : first + 256] = np.sqrt((apart**2).sum(axis=2).min(axis=1))
+    return np.degrees(2 * np.arcsin(np.minimum(found / 2, 1.0)))  # from the chord: exact for small angles
+
+
+def _unit(angles_deg: list[tuple[float, float]]) -> np.ndarray:
+    theta, phi = np.radians(np.asarray(angles_deg, np.float64)).T
+    return np.column_stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])

@@ -229,7 +229,11 @@ def _parse_table(text: str, file: str, *, counted: bool) -> tuple[list[str | Non
     for i, row in enumerate(islice(rows, bound("lights") + 1), start=2):
         keys = cartesian[1:] if "x" in columns else angular[1:]
         values = [_number((row[k] or "").strip()) for k in keys]
-        if None in row or not (row["light"] or "").strip() or any(v is None for v in values):
+        if (
+            None in row
+            or not (row["light"] or "").strip()
+            or not all(v is not None and math.isfinite(v) for v in values)
+        ):
             found = ",".join(str(v) for v in row.values())[:60]
             problems.append(error("lights-unreadable", f"{file} line {i}", "row cannot be read", found=found))
             continue

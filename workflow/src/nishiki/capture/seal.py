@@ -92,7 +92,7 @@ def read_manifest(path: Path) -> dict[str, str]:
     """Digest by name from a manifest. CaptureError (seal-manifest) where a line is none, or it cannot be read."""
     entries, problems = {}, []
     for number, line in enumerate(_manifest_lines(path), start=1):
-        match = re.fullmatch(r"([0-9a-fA-F]{64})[ \t]+\*?(.+)", line)
+        match = re.fullmatch(r"([0-9a-fA-F]{64})[ \t]+\*?([^\s*].*)", line)
         wrong = match is None or match[2].startswith("/") or ".." in match[2].split("/")
         if wrong or _decode(match[2]) in entries:
             expected = "64 hexadecimal digits and a name inside the bag, each name once"

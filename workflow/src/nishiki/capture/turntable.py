@@ -60,8 +60,9 @@ class TurntableCapture:
     def observed(self) -> tuple[Frame, ...]:
         """Frames of the object, ordered by light, then view, then polariser state: how observations are numbered."""
         found = {(f.light, f.view, f.polariser): f for f in self.frames_of("sample")}
-        keys = ((i, j, k) for i in self.light_names for j in self.views for k in self.states)
-        return tuple(found[key] for key in keys if key in found)  # of a sound capture all are
+        orders = [{name: i for i, name in enumerate(n)} for n in (self.light_names, self.views, self.states)]
+        known = (key for key in found if all(name in order for name, order in zip(key, orders, strict=True)))
+        return tuple(found[key] for key in sorted(known, key=lambda k: [o[n] for n, o in zip(k, orders, strict=True)]))
 
     def frames_of(self, role: str) -> tuple[Frame, ...]:
         return tuple(f for f in self.frames if f.role == role)

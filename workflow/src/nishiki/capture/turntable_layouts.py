@@ -174,7 +174,8 @@ def _middlebury(source: Path, path: Path) -> RoundLayout:
             continue
         intrinsics, rotation, translation = values[:9].reshape(3, 3), values[9:18].reshape(3, 3), values[18:]
         photographs.append(present[cells[0]])
-        matrices.append(intrinsics @ np.column_stack([rotation, translation]))
+        with np.errstate(over="ignore", invalid="ignore"):  # told where the matrix is looked at
+            matrices.append(intrinsics @ np.column_stack([rotation, translation]))
     if int(lines[0][0]) != len(lines) - 1:
         expected, found = f"{lines[0][0]} as its first line says", f"{len(lines) - 1}"
         problems.append(error("cameras-count", path.name, "cameras", expected=expected, found=found))

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
+from itertools import product
 
 import numpy as np
 
+from nishiki.bounds import bound
+from nishiki.bounds import remedy as bound_remedy
 from nishiki.capture.cameras import camera_centre, turn_of
 from nishiki.capture.frames import Frame
 from nishiki.capture.lights import Lights
@@ -14,6 +17,7 @@ from nishiki.capture.problems import Problem, error, warning
 from nishiki.capture.turntable_schema import TurntableFile
 
 TABLE = "frames.csv"
+TOLD = 100  # photographs that are missing from the grid of views, lights and states
 
 
 def turntable_problems(
@@ -28,6 +32,9 @@ def turntable_problems(
     if not samples:
         remedy = "Photographs of the object have the role sample"
         return [error("samples-none", TABLE, "no photograph of the object", remedy=remedy)]
+    if len(views) > bound("views"):
+        expected, found = f"at most {bound('views')}", f"{len(views)}"
+        return [error("views-many", TABLE, "views", expected=expected, found=found, remedy=bound_remedy("views"))]
     return [
         *_view_problems(frames, views),
         *_light_problems(frames, lights, settings),
@@ -106,20 +113,21 @@ def _grid_problems(samples: list[Frame], views: tuple[str, ...]) -> list[Problem
             problems.append(error("frame-repeated", _row(last[key]), "one frame each", found=found, remedy=remedy))
     if any(p.kind == "polariser-mixed" for p in problems):
         return problems
-    for light in lights:
-        for view in views:
-            lacking = [state for state in states if (light, view, state) not in counts]
-            if len(lacking) == len(states):
-                what = f"view '{view}' has no frame under light '{light}'"
-                remedy = "Photograph every view under every light"
-                problems.append(error("light-missing", TABLE, what, remedy=remedy))
-            elif lacking:
-                found = ", ".join(repr(state) for state in lacking[:4])
-                what, remedy = f"{_said(light, view, None)} lacks a polariser state", "Photograph it in every state"
-                expected = f"{len(states)} states"
-                problems.append(
-                    error("polariser-missing", TABLE, what, expected=expected, found=f"no {found}", remedy=remedy)
-                )
+    for light, view in product(lights, views):
+        if len(problems) > TOLD:
+            break
+        lacking = [state for state in states if (light, view, state) not in counts]
+        if len(lacking) == len(states):
+            what = f"view '{view}' has no frame under light '{light}'"
+            remedy = "Photograph every view under every light"
+            problems.append(error("light-missing", TABLE, what, remedy=remedy))
+        elif lacking:
+            found = ", ".join(repr(state) for state in lacking[:4])
+            what, remedy = f"{_said(light, view, None)} lacks a polariser state", "Photograph it in every state"
+            expected = f"{len(states)} states"
+            problems.append(
+                error("polariser-missing", TABLE, what, expected=expected, found=f"no {found}", remedy=remedy)
+            )
     return problems
 
 
@@ -138,9 +146,9 @@ def _white_problems(frames: tuple[Frame, ...]) -> list[Problem]:
         if frame.polariser and frame.polariser not in states:
             what, remedy = f"no sample frame has the polariser state '{frame.polariser}'", "Correct or remove the row"
             problems.append(error("white-state", _row(frame), what, remedy=remedy))
-    plain = [f for f in whites if not f.polariser]
+    plain = Counter(f.light for f in whites if not f.polariser)
     for light in lights if plain else ():
-        count = sum(f.light == light for f in plain)
+        count = plain[light]
         if count == 0:
             what = f"light '{light}' has no white frame"
             remedy = "Photograph the board under every light, or list no white frames at all"

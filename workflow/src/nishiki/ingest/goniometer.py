@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -13,7 +12,8 @@ from nishiki.errors import UserError
 from nishiki.ingest.blocks import block_edges, positions
 from nishiki.ingest.chunks import chunk_path, read_chunk
 from nishiki.ingest.goniometer_store import FORMAT, NAMES, STORE, TABLE
-from nishiki.stored import load_arrays, open_group
+from nishiki.outside import read_json
+from nishiki.stored import load_arrays, open_group, understood
 
 
 @dataclass(frozen=True)
@@ -49,23 +49,24 @@ class Measurements:
         """Open the artifact of ingest. UserError where it holds no measurements of a goniometer."""
         self.folder = Path(folder)
         try:
-            stored = json.loads((self.folder / NAMES).read_text())
-        except (OSError, ValueError) as e:
+            stored = read_json(self.folder / NAMES)
+        except UserError as e:
             raise UserError(f"{self.folder}: no ingested measurements of a goniometer here; run ingest first") from e
         if stored.get("format") != FORMAT:
             found = stored.get("format")
             raise UserError(f"{self.folder}: measurements of format {found}, expected {FORMAT}; run ingest again")
         self.attributes: dict = stored
-        self.kind: str = stored["kind"]
-        self.channels: tuple[str, ...] = tuple(stored["channels"])
-        self.symmetry: str = stored["symmetry"]
-        self.weave: str = stored["weave"]
-        shots = [
-            (row["role"], Shot(row["file"], tuple(row["angles_deg"]), row["exposure_s"], i))
-            for i, row in enumerate(stored["frames"])
-        ]
-        self.samples: tuple[Shot, ...] = tuple(shot for role, shot in shots if role == "sample")
-        self.whites: tuple[Shot, ...] = tuple(shot for role, shot in shots if role == "white")
+        with understood(self.folder / NAMES):
+            self.kind: str = stored["kind"]
+            self.channels: tuple[str, ...] = tuple(stored["channels"])
+            self.symmetry: str = stored["symmetry"]
+            self.weave: str = stored["weave"]
+            shots = [
+                (row["role"], Shot(row["file"], tuple(row["angles_deg"]), row["exposure_s"], i))
+                for i, row in enumerate(stored["frames"])
+            ]
+            self.samples: tuple[Shot, ...] = tuple(shot for role, shot in shots if role == "sample")
+            self.whites: tuple[Shot, ...] = tuple(shot for role, shot in shots if role == "white")
         self._block = lru_cache(maxsize=2)(self._read_block)
         self._dark = lru_cache(maxsize=8)(self._dark_level)
 

@@ -13,7 +13,7 @@ from nishiki.errors import UserError
 from nishiki.ingest.blocks import block_edges, cells, positions
 from nishiki.ingest.chunks import chunk_path, read_chunk
 from nishiki.ingest.linearise import straight_scale
-from nishiki.stored import open_group
+from nishiki.stored import open_group, understood
 
 FORMAT = 1
 
@@ -41,20 +41,21 @@ class Observations:
                 f"{path}: ingested frames of format {stored.get('format')}, expected {FORMAT}; run ingest again"
             )
         self.path = path
-        self.attributes = stored
-        self.lights: tuple[str, ...] = tuple(stored["lights"])
-        self.files: tuple[str, ...] = tuple(stored["files"])
-        self.roles: tuple[str, ...] = tuple(stored["roles"])
-        self.directions = np.array(stored["directions"], np.float64)
-        positions_mm = stored["positions_mm"]
-        self.positions_mm = None if positions_mm is None else np.array(positions_mm, np.float64)
-        self.channels: tuple[str, ...] = tuple(stored["channels"])
-        self.shape: tuple[int, int] = tuple(self._codes.shape[1:3])
-        self.dtype = np.dtype(self._codes.dtype)
-        self.band_rows: int = stored["band_rows"]
-        self.pixel_pitch_mm: float | None = stored["pixel_pitch_mm"]
-        self.image_centre: tuple[float, float] = tuple(stored["image_centre"])
-        self.white_board: bool = stored["white_board"]
+        with understood(path):
+            self.attributes = stored
+            self.lights: tuple[str, ...] = tuple(stored["lights"])
+            self.files: tuple[str, ...] = tuple(stored["files"])
+            self.roles: tuple[str, ...] = tuple(stored["roles"])
+            self.directions = np.array(stored["directions"], np.float64)
+            positions_mm = stored["positions_mm"]
+            self.positions_mm = None if positions_mm is None else np.array(positions_mm, np.float64)
+            self.channels: tuple[str, ...] = tuple(stored["channels"])
+            self.shape: tuple[int, int] = tuple(self._codes.shape[1:3])
+            self.dtype = np.dtype(self._codes.dtype)
+            self.band_rows: int = stored["band_rows"]
+            self.pixel_pitch_mm: float | None = stored["pixel_pitch_mm"]
+            self.image_centre: tuple[float, float] = tuple(stored["image_centre"])
+            self.white_board: bool = stored["white_board"]
         self._group = group
 
     def indices(self, role: Literal["sample", "check"]) -> np.ndarray:

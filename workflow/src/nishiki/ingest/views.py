@@ -13,7 +13,7 @@ from nishiki.ingest.blocks import grid_of, on_one_grid, picture_edges
 from nishiki.ingest.chunks import chunk_path, read_chunk
 from nishiki.ingest.encoding import decode, encode
 from nishiki.ingest.linearise import straight_scale
-from nishiki.stored import open_group
+from nishiki.stored import open_group, understood
 
 __all__ = ["Views", "decode", "encode"]
 FORMAT = 1
@@ -46,21 +46,22 @@ class Views:
                 f"{path}: ingested views of format {stored.get('format')}, expected {FORMAT}; run ingest again"
             )
         self.path, self._group, self.attributes = path, group, stored
-        self.views: tuple[str, ...] = tuple(stored["views"])
-        self.lights: tuple[str, ...] = tuple(stored["lights"])
-        self.states: tuple[str, ...] = tuple(stored["states"])
-        self.channels: tuple[str, ...] = tuple(stored["channels"])
-        self.shape: tuple[int, int] = tuple(stored["shape"])
-        self.encoding: str = stored["encoding"]
-        self.full_turn: bool = stored["full_turn"]
-        self.unit: str = stored["unit"]
-        self.unit_mm: float | None = stored["unit_mm"]
-        self.board_description: dict | None = stored["board"]
-        self.intrinsics: dict | None = stored["intrinsics"]
-        self.geometry: dict = stored["geometry"]
-        lamp, matrices = stored["lamp"], stored["matrices"]
-        self.lamp = {**lamp, "vectors": None if lamp["vectors"] is None else np.array(lamp["vectors"], np.float64)}
-        self.matrices = None if matrices is None else {view: np.array(m) for view, m in matrices.items()}
+        with understood(path):
+            self.views: tuple[str, ...] = tuple(stored["views"])
+            self.lights: tuple[str, ...] = tuple(stored["lights"])
+            self.states: tuple[str, ...] = tuple(stored["states"])
+            self.channels: tuple[str, ...] = tuple(stored["channels"])
+            self.shape: tuple[int, int] = tuple(stored["shape"])
+            self.encoding: str = stored["encoding"]
+            self.full_turn: bool = stored["full_turn"]
+            self.unit: str = stored["unit"]
+            self.unit_mm: float | None = stored["unit_mm"]
+            self.board_description: dict | None = stored["board"]
+            self.intrinsics: dict | None = stored["intrinsics"]
+            self.geometry: dict = stored["geometry"]
+            lamp, matrices = stored["lamp"], stored["matrices"]
+            self.lamp = {**lamp, "vectors": None if lamp["vectors"] is None else np.array(lamp["vectors"], np.float64)}
+            self.matrices = None if matrices is None else {view: np.array(m) for view, m in matrices.items()}
 
     def index(self, view: str | int, *, state: str | None = None, light: str | None = None) -> int:
         """Number of a stored frame; state, light: None for the first. UserError where there is none of that name."""

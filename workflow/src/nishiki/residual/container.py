@@ -22,6 +22,7 @@ from nishiki.residual.extent import Extent
 from nishiki.residual.training import pack, unpack
 
 MAGIC = b"NWT1"
+MOST_DESIGN = 1 << 24  # bytes of the description, inflated
 
 
 @dataclass(frozen=True)
@@ -74,6 +75,8 @@ def head_length(first: bytes) -> int:
 def unpack_head(data: bytes) -> Contents:
     """Inverse of `pack_object` but for the streams; data: at least the first `head_length` bytes."""
     end = head_length(data)
+    if len(data) < 36:
+        raise UserError(f"residual: header of {end} bytes expected, found {len(data)}; run the stage again")
     sizes = struct.unpack("<7I", data[8:36])
     parts, at = [], 36
     for size in sizes[:4]:
@@ -82,15 +85,24 @@ def unpack_head(data: bytes) -> Contents:
     if at != end or len(data) < end:
         raise UserError(f"residual: header of {end} bytes expected, found {at}; run the stage again")
     try:
-        design = Design.from_dict(json.loads(zlib.decompress(parts[0])))
-        raw = zlib.decompress(parts[3])
-    except (zlib.error, ValueError) as error:
+        tiles, streams = sizes[4:6]
+        design = Design.from_dict(json.loads(_inflated(parts[0], MOST_DESIGN)))
+        raw = _inflated(parts[3], tiles * (12 + 4 * streams))
+    except (zlib.error, ValueError, KeyError, TypeError, RecursionError) as error:
         raise UserError(f"residual: header damaged ({error}); run the stage again") from None
-    tiles, streams = sizes[4:6]
     numbers = _whole(raw[: 12 * tiles], np.uint16, (tiles, 6))
     extents = [Extent(*(int(v) for v in row)) for row in numbers]
     lengths = _whole(raw[12 * tiles :], np.uint32, (tiles, streams)).astype(np.int64)
     return Contents(design, (unpack(parts[1]), unpack(parts[2])), extents, lengths, end)
+
+
+def _inflated(data: bytes, most: int) -> bytes:
+    """Deflated bytes, at most so many: a few of a stranger's could unfold to any number."""
+    stream = zlib.decompressobj()
+    found = stream.decompress(data, max(most, 1))
+    if not stream.eof or len(found) > most:
+        raise ValueError(f"cut off, or larger than {most} bytes")
+    return found
 
 
 def _planes(values: np.ndarray) -> bytes:
