@@ -1,0 +1,207 @@
+"""What a plan leaves out of a scene, and why: parts of the capture, colour, packages; and how the command says it."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from nishiki.chain import SceneFacts
+from nishiki.chains.parts import LOOKS_AT, PARTS
+from nishiki.commands import planning
+from nishiki.errors import UserError
+from nishiki.plan import Plan, make_plan
+from nishiki.project import Scene, StageSettings
+from nishiki.report.left_out_section import left_out_section
+from nishiki.stages import CHAIN
+
+PLANE = SceneFacts(
+    capture_digest="0" * 64,
+    lights=tuple(f"l{number}" for number in range(9)),
+    check_lights=("c1", "c2"),
+    channels=3,
+    pixels=1000,
+    has_sensitivities=True,
+    has_illuminant=True,
+    truth_sha256="",
+    parts={"check": 2, "flat": 0},
+    suffixes=(".png",),
+)
+OBJECT = replace(
+    PLANE,
+    lights=("",),
+    check_lights=(),
+    geometry="turntable",
+    views=tuple(f"v{number}" for number in range(12)),
+    states=("off", "on"),
+    has_poses=True,
+    given=("matrices", "silhouettes"),
+    parts={
+        "states": 12,
+        "white_states": 4,
+        "photographs": 12,
+        "calibration": 3,
+        "silhouettes": 12,
+        "mesh": 1,
+        "scans": 2,
+    },
+)
+CLOTH = replace(
+    PLANE, lights=(), check_lights=(), geometry="goniometer", measurements=100, frontal=40, parts={"oblique": 60}
+)
+
+
+def planned(facts: SceneFacts, *products: str, **settings) -> Plan:
+    scene = Scene("s", Path("captures/s"), None, products, StageSettings.model_validate(settings))
+    return make_plan(scene, facts)
+
+
+def without(plan: Plan) -> tuple[str, ...]:
+    return tuple(plan.stages["ingest"].settings["without"])
+
+
+@pytest.mark.parametrize(
+    ("facts", "products", "settings", "expected"),
+    [
+        (PLANE, ["render", "evaluate", "report"], {}, ()),
+        (PLANE, ["render", "report"], {}, ("check",)),
+        (replace(PLANE, parts={"check": 2, "flat": 3}), ["evaluate"], {}, ("flat",)),
+        (PLANE, ["normals"], {"hold_out": ["l3", "l5"]}, ("check", "light l3", "light l5")),
+        (PLANE, ["evaluate"], {"hold_out": ["l3", "l5"]}, ()),
+        (OBJECT, ["report", "evaluate", "render"], {}, ("calibration", "scans")),
+        (OBJECT, ["separate"], {}, ("calibration", "silhouettes", "mesh", "scans")),
+        (OBJECT, ["render"], {"polarise": {"method": "none"}}, ("states", "white_states", "calibration", "scans")),
+        (OBJECT, ["cameras"], {}, tuple(name for name in PARTS if name in OBJECT.parts)),
+        (OBJECT, ["render"], {"mesh": {"source": "scans"}}, ("calibration", "mesh")),
+        (OBJECT, ["render"], {"mesh": {"source": "silhouettes"}}, ("calibration", "mesh", "scans")),
+        (OBJECT, ["render"], {"cameras": {"source": "boards"}}, ("scans",)),
+        (CLOTH, ["render", "evaluate", "report"], {}, ()),
+        (CLOTH, ["weave", "report"], {}, ("oblique",)),
+        (CLOTH, ["reflectance"], {}, ()),
+        # light within normal_deg counts as along the normal, and lies among what ingest takes for oblique
+        (CLOTH, ["weave"], {"reflectance": {"normal_deg": 5}}, ()),
+        (CLOTH, ["fabric"], {"fabric": {"oblique": 0}}, ()),
+        (CLOTH, ["fabric"], {"fabric": {"oblique": 0, "compare": ["ward"]}}, ("oblique",)),
+        (CLOTH, ["render", "evaluate"], {"fabric": {"oblique": 0, "compare": []}}, ()),
+    ],
+)
+def test_parts_that_no_stage_of_the_plan_looks_at(facts, products, settings, expected):
+    found = planned(facts, *products, **settings)
+    assert without(found) == expected
+    reasons = [why for name, why in found.left_out.items() if name[0].isdigit()]
+    assert len(reasons) == len(expected) - max(0, sum(name.startswith("light ") for name in expected) - 1)
+    assert all(reasons)
+
+
+def test_photographs_through_one_polariser_are_all_that_there_is():
+    """Where no state is without polariser, other stages read the first of them with the rest."""
+    facts = replace(OBJECT, states=("lin0:0", "lin0:90"))
+    assert "states" not in without(planned(facts, "texels", polarise={"method": "none"}))
+
+
+def test_everything_can_be_forced_on():
+    for facts in (PLANE, OBJECT, CLOTH):
+        found = planned(facts, "normals", "cameras", "weave", leave_out="nothing", hold_out="none")
+        assert without(found) == ()
+        assert found.stages["ingest"].settings["channels"] == "all"
+        assert len(found.stages) > 6
+    assert "evaluate" in planned(PLANE, "normals", leave_out="nothing").stages
+
+
+def test_the_report_is_told_of_parts_and_packages():
+    told = planned(PLANE, "normals", "report").stages["report"].settings["left_out"]
+    assert told["2 photographs under check lights"] == "only evaluate looks at them"
+    assert told["package rawpy"] == "no photograph is camera raw"
+    assert told["package av"] == "render is not in the plan"
+
+
+@pytest.mark.parametrize(
+    ("facts", "settings", "loaded"),
+    [
+        (PLANE, {}, {"av"}),
+        (PLANE, {"render": {"sequences": []}}, set()),
+        (replace(PLANE, suffixes=(".cr2",)), {"render": {"sequences": []}}, {"rawpy"}),
+        (OBJECT, {}, {"av", "trimesh"}),
+        (OBJECT, {"object_render": {"film": None}, "mesh": {"source": "silhouettes"}}, {"scikit-image"}),
+        (OBJECT, {"mesh": {"source": "scans"}}, {"av", "trimesh", "pymeshlab"}),
+        (CLOTH, {}, set()),
+        (CLOTH, {"fabric_render": {"film": {"moves": "turn"}}}, {"av"}),
+    ],
+)
+def test_optional_packages_of_a_scene(facts, settings, loaded):
+    found = planned(facts, "render", "evaluate", "report", **settings)
+    optional = {"rawpy", "av", "trimesh", "pymeshlab", "scikit-image"}
+    assert {package for names in found.packages.values() for package in names} & optional == loaded
+    chain = {package for stage in CHAIN.values() if stage.serves(facts.geometry) for package in stage.libraries}
+    assert set(found.idle) == (chain & optional) - loaded
+
+
+def test_exr_photographs_need_no_opencv_in_ingest():
+    found = planned(replace(PLANE, suffixes=(".exr",)), "normals")
+    assert "OpenEXR" in found.packages["ingest"]
+    assert "opencv-contrib-python-headless" not in found.packages["ingest"]
+
+
+def test_stages_of_the_table_of_parts_exist():
+    assert set(LOOKS_AT) <= set(CHAIN)
+
+
+@pytest.mark.parametrize(
+    ("facts", "text"),
+    [
+        (PLANE, "1000 pixels, 9 lights, 3 channels"),
+        (replace(PLANE, pixels=2_500_000, channels=1), "2.50 Mpx, 9 lights, 1 channel"),
+        (replace(OBJECT, pixels=40_000), "0.04 Mpx, 12 views, 2 polariser states, 3 channels"),
+        (CLOTH, "windows of 1000 pixels, 100 pairs of directions, 40 of them lit along the normal, 3 channels"),
+        (replace(CLOTH, table=True), "a table of 100 pairs of directions, 40 of them lit along the normal, 3 channels"),
+    ],
+)  # fmt: skip
+def test_a_capture_in_one_line(facts, text):
+    assert planning.described(facts) == text
+
+
+@pytest.mark.parametrize(("seconds", "text"), [(0.4, "0 s"), (59, "59 s"), (130, "2 min"), (9000, "2 h")])
+def test_durations(seconds, text):
+    assert planning._duration(seconds) == text
+
+
+class _Flow:
+    """A workflow of one plan of which nothing has been made."""
+
+    def __init__(self, plan: Plan):
+        self.plans = {"s": plan}
+
+
+def test_a_missing_package_stops_the_run_with_the_command_that_installs_it(monkeypatch):
+    flow = _Flow(planned(OBJECT, "render"))
+    monkeypatch.setattr(planning, "stage_state", lambda flow, scene, stage: ("run", []))
+    planning.expect_packages(flow)
+    monkeypatch.setattr(planning, "installed", lambda package: package not in ("trimesh", "av"))
+    with pytest.raises(UserError, match=r"mesh needs trimesh .*Remedy: \./nishiki install --extras mesh"):
+        planning.expect_packages(flow)
+    monkeypatch.setattr(planning, "stage_state", lambda flow, scene, stage: ("done", []))
+    planning.expect_packages(flow)
+
+
+def test_section_of_the_report():
+    read = {
+        "files": [{"what": "white boards", "read": 3, "of": 5, "bytes_read": 3_000_000, "bytes_of": 5_000_000}],
+        "total": {"what": "files", "read": 3, "of": 5, "bytes_read": 3_000_000, "bytes_of": 5_000_000},
+        "channels": [1, 3],
+        "tiles": None,
+    }
+    entry = {
+        "decision": "left out",
+        "criterion": "gloss",
+        "measured": 0.1,
+        "limit": 0.2,
+        "loss": "none",
+        "override": "x: y",
+    }
+    section = left_out_section(
+        {"b": "2", "a": "1"}, {"ingest": {"read": read}, "brdf": {"economy": {"the_lobe": entry}}}
+    )
+    assert section["planned"] == [("a", "1"), ("b", "2")]
+    assert [row["megabytes_read"] for row in section["files"]] == [3.0, 3.0]
+    assert section["kept"] == [("channels", 1, 3)]
+    assert section["decided"] == [{"stage": "brdf", "what": "the lobe", **entry}]
+    assert left_out_section({}, {})["files"] == []
