@@ -213,3 +213,10 @@ def test_nothing_left_out_is_the_capture_itself(tmp_path):
         choice = chosen(capture)
         assert choice.skipped == {}
         assert choice.capture == replace(capture)
+
+
+def test_a_missing_frames_table_is_told_with_a_remedy(tmp_path):
+    folder = make_capture(tmp_path / "c")
+    (folder / "frames.csv").unlink()
+    with pytest.raises(CaptureError, match=r"frames.csv: file is missing.*\./nishiki convert"):
+        load_capture(folder)

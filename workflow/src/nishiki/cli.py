@@ -101,9 +101,15 @@ def _parser() -> argparse.ArgumentParser:
     )
     sub.add_argument("captures", nargs="+", help="capture folders")
     sub = command(
-        "convert", "capturing:convert", "turn photographs, with their lights or cameras, into a sealed capture folder"
+        "convert",
+        "capturing:convert",
+        "turn photographs, with their lights or cameras, or a goniometer's table, into a sealed capture folder",
     )
-    sub.add_argument("source", help="folder of photographs with an .lp file, camera matrices, or polariser angles")
+    sub.add_argument(
+        "source",
+        help="folder of photographs with an .lp file, camera matrices, or polariser angles; or a table of reflectances "
+        "of a cloth by direction (.csv, .txt)",
+    )
     sub.add_argument("capture", help="capture folder to make; must not exist")
     sub.add_argument("--title", help="title of the object")
     sub.add_argument("--encoding", choices=("linear", "srgb"), help="of the photographs (default: srgb for JPEG)")

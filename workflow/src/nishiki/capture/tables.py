@@ -15,13 +15,17 @@ from nishiki.outside import Refused, is_label, read_bytes
 LABEL = "Use a name of at most 100 characters without slashes, line ends and control characters"
 
 
+MISSING_FRAMES = "Write it, a row a photograph with its file and role, or make a capture folder with ./nishiki convert"
+
+
 @contextmanager
 def reading(name: str, kind: str) -> Iterator[None]:
     """Tell what goes wrong in reading the file `name` as CaptureErrors KIND-missing and KIND-unreadable."""
     try:
         yield
     except FileNotFoundError as e:
-        raise CaptureError(error(f"{kind}-missing", name, "file is missing")) from e
+        remedy = MISSING_FRAMES if kind == "frames" else "Put the file there, or take its name out of capture.yaml"
+        raise CaptureError(error(f"{kind}-missing", name, "file is missing", remedy=remedy)) from e
     except UnicodeDecodeError as e:
         found = f"{e.reason} at byte {e.start}"
         raise CaptureError(error(f"{kind}-unreadable", name, "not UTF-8 text", found=found)) from e
