@@ -8,7 +8,7 @@ import numpy as np
 
 import _project  # noqa: F401
 from nishiki.economy.decision import Decision, economy
-from nishiki.economy.views import static_choice, with_normal_rows
+from nishiki.economy.views import measured_choice, static_choice, with_normal_rows
 from nishiki.errors import UserError
 from nishiki.fabric.measures import directional_albedo, incidences, prediction_error, reciprocity_error
 from nishiki.fabric.models import Fitted, fit_models
@@ -61,12 +61,18 @@ def used_measurements(context: Context) -> tuple[ReflectanceSet, Decision | None
     """The reflectances with the views of normal incidence that fits may use, the hemisphere completed from those."""
     artifact = context.inputs["reflectance"]
     measured = Reflectances(artifact.folder)
-    rows, decision = static_choice(measured, context.settings.measurements)
+    setting = context.settings.measurements
+    made = {"grid_deg": artifact.settings["grid_deg"], "method": artifact.settings["interpolation"]}
+    if setting == "auto":
+        rows, decision = measured_choice(measured, **made) if measured.basic is not None else (None, None)
+    else:
+        rows, decision = static_choice(measured, setting)
+    if decision:
+        context.progress.tell(str(decision))
     if rows is None:
         return measured, decision
     fewer = with_normal_rows(measured, rows)
     if measured.basic is not None:
-        made = {"grid_deg": artifact.settings["grid_deg"], "method": artifact.settings["interpolation"]}
         fewer = complete(fewer, **made)[0]
     return fewer, decision
 

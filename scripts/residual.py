@@ -3,23 +3,28 @@
 import json
 import math
 import os
+from dataclasses import replace
 
 import numpy as np
 
 import _project  # noqa: F401
+from nishiki.economy.decision import economy
+from nishiki.economy.sufficient import Left, decided, model_suffices, what_is_left
 from nishiki.ingest.encoding import encode
 from nishiki.patches.store import Texels
 from nishiki.reflection.lighting import Lighting
 from nishiki.reflection.store import ParameterMaps
-from nishiki.residual.allocate import EncodedObject, Point, find_step, one_pass, pilot, psnr
+from nishiki.residual.allocate import EncodedObject, Pilot, Point, find_step, one_pass, pilot, psnr
 from nishiki.residual.design import Design
 from nishiki.residual.parameters import Maps
 from nishiki.residual.prediction import Surface
 from nishiki.residual.pursuit import Pursuit
 from nishiki.residual.store import write_residual
-from nishiki.residual.tile_code import Effort, Pixels, Scene
+from nishiki.residual.tile_code import Effort, Pixels, Scene, model_of, see
 from nishiki.settings.residual import ResidualSettings
 from nishiki.stage import Context, run_stage
+
+SAMPLE_TILES = 24  # that decide whether the model suffices
 
 
 def run(context: Context) -> dict:
@@ -41,6 +46,13 @@ def run(context: Context) -> dict:
     found = pilot(source, scene, design, effort, threads=threads, progress=context.progress)
     counts = source.counts()
 
+    left = left_by_model(source, scene, found)
+    decision = decided(left, settings.target, settings.amount, settings.sufficient)
+    context.progress.tell(str(decision))
+    alone = settings.sufficient == "auto" and model_suffices(left, settings.target, settings.amount)
+    if alone:
+        effort = replace(effort, pursuit=replace(effort.pursuit, rounds=0))
+
     def run_pass(step: float) -> EncodedObject:
         return one_pass(
             source,
@@ -53,10 +65,27 @@ def run(context: Context) -> dict:
             parameter_share=settings.parameter_share,
         )
 
-    encoded = search(run_pass, settings, counts)
+    encoded = run_pass(left.step) if alone and settings.target != "psnr" else search(run_pass, settings, counts)
     figures = diagnostics(encoded, counts)
     parts = write_residual(context.output.folder, encoded, stamp=context.stamp, report=figures)
-    return {**figures, "bytes": parts, "bits_per_pixel": 8 * parts["total"] / max(1, counts["pixels"])}
+    bits = 8 * parts["total"] / max(1, counts["pixels"])
+    return {**figures, "bytes": parts, "bits_per_pixel": bits, "economy": economy(decision)}
+
+
+def left_by_model(source: "ArtifactSource", scene: Scene, found: Pilot) -> Left:
+    """What the model alone leaves of the pictures, on tiles in even steps."""
+    design, tiles = found.design, []
+    there = [tile for tile in range(source.tiles) if found.refined[tile] is not None]
+    if not design.model:
+        return Left(0.0, 1.0, 0)
+    for tile in there[:: max(1, len(there) // SAMPLE_TILES)]:
+        pixels = source.pixels(tile)
+        seen = see(pixels, source.surface(tile), design)
+        maps, order = found.refined[tile].maps, seen.feet.order
+        for index, component in enumerate(design.components):
+            left = seen.values[index] - seen.feet.look_up(model_of(maps, seen, scene, design, component))
+            tiles.append((left, pixels.observation[order], pixels.s[order], pixels.t[order]))
+    return what_is_left(tiles)
 
 
 class ArtifactSource:

@@ -38,7 +38,9 @@ class FabricSettings(Guarded):
         description="most oblique measurements that a fit may use, chosen by what they tell; 0: normal incidence alone",
     )
     measurements: Measurements = Field(
-        "all", description="views of normal incidence that a fit uses: all, or so many evenly spread ones"
+        "auto",
+        description="views of normal incidence that a fit uses: all; so many evenly spread ones; auto: as many as tell "
+        "the others within 1 % (docs/economy.md)",
     )
     index: float = Field(1.5, gt=1, le=3, description="refractive index of the model facets, which takes it as given")
     export: tuple[Literal["table", "csv", "utia"], ...] = Field(

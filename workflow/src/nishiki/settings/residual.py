@@ -11,7 +11,7 @@ class ResidualSettings(Guarded):
     """What the reflection model does not explain, as wavelet coefficients."""
 
     STAGE: ClassVar[str] = "residual"
-    VERSION: ClassVar[int] = 2
+    VERSION: ClassVar[int] = 3
 
     target: Literal["bits_per_pixel", "bytes", "psnr", "kept", "kept_of_all", "step"] = Field(
         "bits_per_pixel",
@@ -19,6 +19,9 @@ class ResidualSettings(Guarded):
         "the silhouette; coefficients kept as a fraction of the visible samples, or of all; the quantiser step itself",
     )
     amount: float = Field(0.5, gt=0, description="the target's value; parameters and start states count")
+    sufficient: Literal["auto", "never"] = Field(
+        "auto", description="auto: no residual where the model reaches `psnr`, or leaves only noise (docs/economy.md)"
+    )
     tolerance: float = Field(0.02, gt=0, lt=1, description="relative error of bytes or kept, in dB / 8.7 of psnr")
     passes: int = Field(6, ge=1, le=20, description="passes over all tiles that the search may take")
     components: Literal["auto", "total"] = Field(
