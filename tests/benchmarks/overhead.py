@@ -2,9 +2,12 @@
 
     python tests/benchmarks/overhead.py --data simulated
     python tests/benchmarks/overhead.py --data captures/painting --scenes 1 100 1000
+    python tests/benchmarks/overhead.py --data captures/painting --scenes --campaign 4
 
 One scene is simulated (or the capture given is used) and run; then the same results, with Snakemake's records of them,
-are laid out under as many scene names as asked for, and a run with nothing changed is timed.
+are laid out under as many scene names as asked for, and a run with nothing changed is timed. A campaign runs that many
+scenes from nothing, on one processor and on two, and tells which share of the processor time the stages computed,
+which share they loaded libraries, and which share the workflow took.
 """
 
 import argparse
@@ -69,11 +72,36 @@ def multiply(folder: Path, names: list[str]) -> None:
             (records / renamed.decode()).write_text(moved)
 
 
+def campaign(folder: Path, count: int, cores: int) -> dict:
+    """A campaign of scenes from nothing: wall time, and processor time by what it was spent on."""
+    (folder / "campaign.yaml").write_text(SETTINGS.replace("scenes.tsv", "campaign.tsv") + "results: campaign\n")
+    shutil.rmtree(folder / "campaign", ignore_errors=True)
+    wall, cpu, _ = nishiki(folder, "run", "--configfile", "campaign.yaml", "--cores", str(cores))
+    runs = [json.loads(path.read_text()) for path in (folder / "campaign").glob("*/*/*/run.json")]
+    stages = sum(run["process_cpu_seconds"] for run in runs)
+    loading = sum(run["start_cpu_seconds"] for run in runs)
+    return {
+        "case": "campaign from nothing",
+        "scenes": count,
+        "stages": len(runs),
+        "cores": cores,
+        "wall_s": round(wall, 2),
+        "cpu_s": round(cpu, 2),
+        "computing": round((stages - loading) / cpu, 4),
+        "loading": round(loading / cpu, 4),
+        "workflow": round(1 - stages / cpu, 4),
+        "workflow_s_a_job": round((cpu - stages) / (len(runs) + count), 3),
+        "scene_cpu_s": round(stages / count, 1),
+        "default": True,
+    }
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", default="simulated", help="a sealed capture, or simulated (default)")
     parser.add_argument("--scenes", nargs="*", type=int, default=[1, 1000], help="numbers of scenes (default 1 1000)")
     parser.add_argument("--repeats", type=int, default=3, help="runs; the median is printed (default 3)")
+    parser.add_argument("--campaign", type=int, default=0, help="scenes of a campaign that is run from nothing")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -104,7 +132,12 @@ def main() -> None:
                 times.append((wall, cpu))
             wall, cpu = sorted(times)[len(times) // 2]
             case = {"case": "nothing to be done", "scenes": count, "stages": stages * count}
-            print(json.dumps({**case, "wall_s": round(wall, 2), "cpu_s": round(cpu, 2), "default": True}))
+            print(json.dumps({**case, "wall_s": round(wall, 2), "cpu_s": round(cpu, 2), "default": True}), flush=True)
+        if options.campaign:
+            rows = "".join(f"scene{i:05d}\t{capture}\t\n" for i in range(options.campaign))
+            (folder / "campaign.tsv").write_text("scene\tcapture\ttruth\n" + rows)
+            for cores in (1, 2):
+                print(json.dumps(campaign(folder, options.campaign, cores)), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,142 @@
+"""The workflow through a real Slurm, on this machine: the same bytes as a local run, retries with more memory."""
+
+import importlib.metadata
+import json
+import os
+import shutil
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+PROJECT = Path(__file__).resolve().parents[2]
+START = PROJECT / "tests/slurm/start.sh"
+CANNOT = 3  # exit status of start.sh where this machine cannot have a Slurm
+QUICK = ("--slurm-init-seconds-before-status-checks", "2", "--latency-wait", "20")
+
+
+def plugin_folder(folder: Path) -> Path:
+    """Snakemake's plugin for Slurm, in the locked versions, in a folder of its own; empty where it is installed.
+
+    Not in the environment of the tests: every start of Snakemake, in every other test, would be a second slower.
+    """
+    uv = PROJECT / ".uv/bin/uv"
+    export = [uv, "export", "--locked", "--no-default-groups", "--no-hashes", "--no-header", "--no-annotate", "--quiet"]
+    try:
+        text = subprocess.run(
+            [*export, "--extra", "slurm"], cwd=PROJECT, capture_output=True, text=True, check=True
+        ).stdout
+        missing = [line for line in text.splitlines() if "==" in line and not installed(line.split("==")[0])]
+        if missing:
+            subprocess.run(
+                [
+                    uv,
+                    "pip",
+                    "install",
+                    "--quiet",
+                    "--no-deps",
+                    "--python",
+                    sys.executable,
+                    "--target",
+                    folder,
+                    *missing,
+                ],
+                capture_output=True,
+                text=True,
+                check=True,
+            )
+    except (OSError, subprocess.CalledProcessError) as error:
+        pytest.skip(f"Snakemake's plugin for Slurm cannot be installed: {getattr(error, 'stderr', None) or error}")
+    return folder
+
+
+def installed(name: str) -> bool:
+    try:
+        return bool(importlib.metadata.version(name))
+    except importlib.metadata.PackageNotFoundError:
+        return False
+
+
+@pytest.fixture(scope="session")
+def slurm(tmp_path_factory):
+    """A running Slurm, as the environment variables that a run needs; skipped where there can be none."""
+    folder = tmp_path_factory.mktemp("slurm")
+    done = subprocess.run([START, folder], capture_output=True, text=True, check=False)
+    if done.returncode == CANNOT:
+        pytest.skip(done.stderr.strip())
+    try:
+        assert done.returncode == 0, done.stderr
+        plugin = plugin_folder(tmp_path_factory.mktemp("plugin"))
+        yield {"PYTHONPATH": str(plugin)}
+    finally:
+        subprocess.run([START, folder, "stop"], check=False)
+
+
+@dataclass
+class SlurmRun:
+    """A scene's local results, and a run of the same scene through Slurm beside them."""
+
+    site: object
+    environment: dict[str, str]
+    results: str = "results-slurm"
+
+    def start(self, *arguments: str, **settings) -> subprocess.Popen:
+        self.site.configure(results=self.results, **settings)
+        shutil.rmtree(self.site.folder / self.results, ignore_errors=True)
+        path = f"{self.site.folder / 'workflow/src'}:{self.environment['PYTHONPATH']}"
+        command = [sys.executable, "-m", "nishiki", "run", "--profile", "slurm", *QUICK, *arguments]
+        environment = {**os.environ, "PYTHONPATH": path}
+        return subprocess.Popen(
+            command, cwd=self.site.folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        )
+
+    def index(self, results: str) -> dict:
+        """Keys and digests of the artifacts of the scene."""
+        return json.loads((self.site.folder / results / "tiny/current/index.json").read_text())
+
+    def finish(self, started: subprocess.Popen, *, seconds: float = 900) -> str:
+        """What the run told. It must have succeeded, through Slurm."""
+        try:
+            text, _ = started.communicate(timeout=seconds)
+        finally:
+            started.kill()
+        assert started.returncode == 0, text
+        assert "has been submitted with SLURM jobid" in text
+        return text
+
+
+def test_a_scene_in_parts_through_slurm_has_the_bytes_of_a_local_run(slurm, site):
+    run = SlurmRun(site, slurm)
+    text = run.finish(run.start(scatter={"separate": 2, "normals": 3}, products=["spectra"]))
+    assert text.count("(Rule: part)") == 5
+    local, remote = (run.index(results)["artifacts"] for results in ("results", run.results))
+    assert {"ingest", "separate", "normals", "spectra"} == set(remote)
+    assert remote == {stage: local[stage] for stage in remote}
+    assert not list((site.folder / run.results / ".parts").rglob("*.json"))
+
+
+@pytest.mark.skipif(not os.environ.get("NISHIKI_LONG"), reason="takes some minutes: set NISHIKI_LONG=1")
+def test_scenes_of_all_chains_through_slurm_have_the_bytes_of_local_runs(slurm, site, object_site, fabric_site):
+    runs = [SlurmRun(one, slurm) for one in (site, object_site, fabric_site)]
+    for run, started in [(run, run.start()) for run in runs]:
+        run.finish(started)
+        assert run.index(run.results) == run.index("results")
+
+
+@pytest.mark.skipif(not os.environ.get("NISHIKI_LONG"), reason="takes some minutes: set NISHIKI_LONG=1")
+def test_a_job_that_slurm_kills_for_its_memory_is_given_more(slurm, site):
+    """A cost model far too low: the first attempts are killed, a later one is given enough; the bytes are the same."""
+    path = site.folder / "workflow/src/nishiki/chain.py"
+    text = path.read_text()
+    wrong = text.replace("return self.mib + (", "return 10 + 0 * (")
+    assert wrong != text
+    path.write_text(wrong)
+    rules = site.folder / "workflow/rules/common.smk"
+    rules.write_text(rules.read_text().replace("ENGINE_MB = 300", "ENGINE_MB = 240"))
+    run = SlurmRun(site, slurm)
+    told = run.finish(run.start(products=["normals"]))
+    assert "failed, SLURM status is" in told
+    assert "Trying to restart" in told
+    assert set(run.index(run.results)["artifacts"]) == {"ingest", "separate", "normals"}
