@@ -112,16 +112,23 @@ END
     echo "PartitionName=main Nodes=test[1-$nodes] Default=YES MaxTime=120 DefMemPerCPU=500 State=UP"
 }
 
+# Whether this machine has a Slurm that is not ours, or one of ours that runs; what a dead one of ours left is no hindrance.
+occupied() {
+    [ -e "$configuration" ] || return 1
+    grep -qx "ClusterName=nishiki-test" "$configuration" || return 0
+    quickly scontrol ping 2>/dev/null | grep -q "is UP"
+}
+
 all_idle() { [ "$(quickly sinfo -h -N -t idle -o %N | sort -u | wc -l)" = "$nodes" ]; }
 
 start() {
     [ "$(id -u)" = 0 ] || cannot "a test cluster needs root"
-    [ ! -e "$configuration" ] || cannot "this machine has a Slurm of its own ($configuration)"
+    ! occupied || cannot "this machine has a Slurm already ($configuration)"
     mkdir -p "$folder"/{state,run,log}
     packages
     munge_daemon
     configure >"$folder/slurm.conf"
-    ln -s "$folder/slurm.conf" "$configuration"
+    ln -sf "$folder/slurm.conf" "$configuration"
     local node
     slurmctld || cannot "slurmctld does not start: $(tail -n 1 "$folder/log/slurmctld")"
     for node in $(seq "$nodes"); do
