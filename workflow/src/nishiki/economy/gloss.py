@@ -9,7 +9,7 @@ from nishiki.brdf.scene import fit_scene
 from nishiki.brdf.specular_histogram import SpecularHistogram
 from nishiki.economy.decision import Decision
 
-LIMIT = 1.0  # specular radiance of the brightest hundredth, in standard deviations of the samples about Lambert's law
+LIMIT = 1.0  # specular radiance of the brightest hundredth, in standard deviations of the samples about the model
 BRIGHTEST = 0.01
 NEAR = 0.15  # radians from the mirror direction: where a highlight would be looked for, and may be saturated
 SPOILT, BESIDE = 0.05, 2.0  # share of unusable samples there that leaves the question open, and times that elsewhere
@@ -23,7 +23,7 @@ class Evidence:
 
     keep: whether the specular part is worth having; why, in words; ratio: `brightest` / `noise`; brightest: root mean
     square of the fitted specular radiance over the hundredth of the samples where it is largest; everywhere: over all;
-    noise: standard deviation of the samples about Lambert's law, robust; samples.
+    noise: standard deviation of the samples about Lambert's law and that lobe, robust; samples.
     """
 
     keep: bool
@@ -75,6 +75,7 @@ def gloss_evidence(
         return Evidence(False, "no lobe is significant", 0.0, 0.0, 0.0, noise, int(taken.sum()))
     with np.errstate(under="ignore"):
         specular = fit.beta[0] * np.exp2(-((phi[taken] / fit.gamma[0]) ** 2)) * at
+    noise = float(1.4826 * np.median(np.abs(residual[taken] - specular)))  # a wide lobe is no scatter
     strongest = np.sort(specular)[-max(1, int(BRIGHTEST * specular.size)) :]
     brightest, everywhere = (float(np.sqrt(np.mean(values**2))) for values in (strongest, specular))
     ratio = brightest / max(noise, 1e-30)

@@ -85,6 +85,8 @@ def measured_choice(
             break
         number = min(count, number + -(-number // 4))
     saved = number < count
+    if not np.isfinite(moved):  # none fewer was worth checking: what a quarter fewer would cost
+        moved = added_deg(order[: max(fewest, 3 * count // 4)], samples, full)
     if saved:
         loss = f"half of the normals move by less than {moved:.2g} degrees (noise alone predicts {predicted:.2g})"
     else:
@@ -93,7 +95,7 @@ def measured_choice(
         "lights",
         f"{number} of {count} lights" + ", evenly spread" * saved,
         "median angle to the normals of all lights on a sample, degrees",
-        float(moved) if np.isfinite(moved) else float(predicted),
+        float(moved),
         limit_deg,
         loss,
         OVERRIDE,
