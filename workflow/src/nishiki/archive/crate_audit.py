@@ -22,6 +22,7 @@ from nishiki.archive.survey import CAPTURE, Survey, survey_artifact
 from nishiki.archive.tree import FolderTree, Listing, Tree, ZipTree
 from nishiki.artifact import MANIFEST as ARTIFACT
 from nishiki.artifact import is_inside
+from nishiki.outside import name_fault
 
 ARTIFACT_FOLDER = re.compile(r"(artifacts/[a-z_0-9]+/([0-9a-f]{12}))/")
 SEAL = "capture/manifest-sha256.txt"
@@ -89,8 +90,8 @@ def _shape(audit: CrateAudit, tree: Tree, listing: Listing) -> Iterator[Damage]:
         for name in tree.repeated:
             yield audit.damage(name, "foreign", "stands in the ZIP file more than once")
         for name in tree.members:
-            if not is_inside(name.rstrip("/")):
-                yield audit.damage("", "foreign", f"a name that leads outside: {name}")
+            if not is_inside(name.rstrip("/")) or name_fault(name):
+                yield audit.damage("", "foreign", f"a name that may lead outside: {name}")
         if sum(listing.files.values()) > audit.root.stat().st_size:
             yield audit.damage("", "damaged", "files overlap inside the ZIP file")
 

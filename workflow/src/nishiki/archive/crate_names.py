@@ -3,16 +3,18 @@
 import re
 
 from nishiki.artifact import is_inside
+from nishiki.errors import UserError
+from nishiki.outside import name_fault
 
 MANIFEST = "manifest-sha256.txt"
 LINE = re.compile(r"([0-9a-f]{64})  (.+)")
 
 
 def manifest_text(digests: dict[str, str]) -> str:
-    """Lines 'digest  name', sorted by name. Raises ValueError for a name with a line end or a backslash."""
+    """Lines 'digest  name', sorted by name. Raises UserError for a name that not every system can have."""
     for name in digests:
-        if re.search(r"[\r\n\\]", name):
-            raise ValueError(f"a file name with a line end or a backslash cannot be packed: {name!r}")
+        if fault := name_fault(name):
+            raise UserError(f"{name!r}: cannot be packed: {fault}. Remedy: give the file another name")
     return "".join(f"{digests[name]}  {name}\n" for name in sorted(digests))
 
 
@@ -25,9 +27,9 @@ def parse_manifest_text(data: bytes) -> dict[str, str]:
     found = {}
     for number, line in enumerate(text.split("\n")[:-1], start=1):
         match = LINE.fullmatch(line)
-        if match is None or not is_inside(match[2]):
+        if match is None or not is_inside(match[2]) or name_fault(match[2]):
             raise ValueError(f"line {number}: expected 64 hexadecimal digits and a name inside the crate")
         found[match[2]] = match[1]
-    if manifest_text(found).encode("utf-8", "surrogatepass") != data:
+    if manifest_text(found).encode("utf-8") != data:
         raise ValueError("not as it was written: lines are sorted, each name stands once")
     return found

@@ -40,7 +40,7 @@ def decide(
     scenes = {scene for scene, _, _ in planned}
     finished: list[Finished] = []
     for folder in folders_in(results, pruning):
-        if folder.name == SWEEPS:
+        if folder.name == SWEEPS or folder.name.startswith("."):  # what runs keep there while they are at work
             continue
         if folder.name not in scenes and not unnamed:
             pruning.keep.append(Item(folder, "a scene that no given configuration names; --unnamed lists it"))
