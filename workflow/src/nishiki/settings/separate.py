@@ -21,5 +21,5 @@ class SeparateSettings(Guarded):
     w1: float = Field(1.2, gt=0, description="threshold: highlight above w1 times the mean over lights")
     w2: float = Field(0.1, ge=0, description="threshold: shadow below w2 times the mean over lights")
     keep: tuple[float, float] = Field((0.3, 0.7), description="trimmed: ranks kept, as fractions from dark to bright")
-    lights: Lights = Field("all", description="lights of the fit; filled in by the plan from normals.lights")
+    lights: Lights = Field("auto", description="lights of the fit; filled in by the plan from normals.lights")
     hold_out: tuple[str, ...] = Field((), description="lights left out of the fit; filled in by the plan")
