@@ -188,7 +188,7 @@ def test_locks_of_a_dead_run_are_released_and_those_of_others_are_not(start):
     start("b")
     record_of()
     mine = lock_file("results/a/normals/0123456789ab/artifact.json")
-    others = lock_file("results/b/normals/0123456789ab/artifact.json", number=1)
+    others = lock_file("results/b/normals/0123456789ab/artifact.json", "results/sweeps/x/sweep.json", number=1)
     strange = lock_file("elsewhere/a/x", number=2)
     held, told = run_once("a")
     assert held.unclean
@@ -196,6 +196,17 @@ def test_locks_of_a_dead_run_are_released_and_those_of_others_are_not(start):
     assert not mine.exists()
     assert others.exists()
     assert strange.exists()
+
+
+def test_manifests_that_a_killed_run_put_by_are_forgotten(start):
+    start("b")
+    record_of()
+    backups = [Path(".snakemake/backups/results", scene, "normals/x/artifact.json") for scene in "ab"]
+    for path in backups:
+        path.parent.mkdir(parents=True)
+        path.touch()
+    run_once("a")
+    assert [path.exists() for path in backups] == [False, True]
 
 
 def test_a_lock_that_no_record_explains_stays_with_a_remedy():

@@ -5,6 +5,7 @@ names does, where our own registry (`nishiki.running_lock`) knows which scenes a
 """
 
 import os
+import shutil
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -16,17 +17,25 @@ def lock_files(directory: Path) -> list[Path]:
     return sorted((directory / ".snakemake/locks").glob("*.lock"))
 
 
-def names_any(lock: Path, results: str, scenes: Iterable[str]) -> bool:
-    """Whether a lock names anything in these scenes of some results."""
-    inside = tuple(f"{results}/{scene}/" for scene in scenes)
-    return any(name.startswith(inside) for name in _names(lock))
-
-
-def _names(lock: Path) -> list[str]:
+def scenes_named(lock: Path, results: str) -> set[str]:
+    """Scenes of some results in which anything lies that a lock names."""
+    inside = f"{results}/"
     try:
-        return [line for line in lock.read_text().splitlines() if line.strip()]
+        names = lock.read_text().splitlines()
     except FileNotFoundError:
-        return []
+        return set()
+    return {name.removeprefix(inside).split("/", 1)[0] for name in names if name.startswith(inside)}
+
+
+def forget_backups(directory: Path, results: str, scenes: Iterable[str]) -> None:
+    """Remove what Snakemake had put by of a scene's manifests, to restore them where a job fails.
+
+    Where the run was killed they stay there, and would come back when a job of a later run fails.
+    """
+    backups = directory / ".snakemake/backups" / results.lstrip("/")
+    if backups.is_dir():
+        for scene in scenes:
+            shutil.rmtree(backups / scene, ignore_errors=True)
 
 
 def engines(directory: Path, marks: str) -> list[int]:

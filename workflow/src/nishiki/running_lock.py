@@ -173,18 +173,16 @@ def _clear_up(record: Record, alive: set[str], tell: Callable[[str], None]) -> N
         return
     _end_orphans(record, tell)
     directory, results = Path(record.facts["directory"]), record.facts["results"]
-    locks = [
-        lock
-        for lock in engine_locks.lock_files(directory)
-        if engine_locks.names_any(lock, results, (*record.scenes, *SHARED))
-        and not engine_locks.names_any(lock, results, alive)
-    ]
+    mine = record.scenes | set(SHARED)
+    named = {lock: engine_locks.scenes_named(lock, results) for lock in engine_locks.lock_files(directory)}
+    locks = [lock for lock, scenes in named.items() if scenes & mine and not scenes & alive]
     strangers = engine_locks.engines(directory, MARK) if locks else []
     if strangers:
         what = "a Snakemake that ./nishiki did not start is alive there"
         raise UserError(f"{directory}: {what}: process {strangers[0]}. Remedy: wait for its end")
     for lock in locks:
         lock.unlink(missing_ok=True)
+    engine_locks.forget_backups(directory, results, record.scenes - alive)
     if record.state != "ended":
         tell(f"resuming after a run that was killed ({record})")
 
@@ -201,7 +199,9 @@ def _end_orphans(record: Record, tell: Callable[[str], None]) -> None:
 
 def _refuse_strange_locks(results: Path, scenes: set[str]) -> None:
     directory = Path.cwd()
-    locks = [lock for lock in engine_locks.lock_files(directory) if engine_locks.names_any(lock, str(results), scenes)]
+    locks = [
+        lock for lock in engine_locks.lock_files(directory) if engine_locks.scenes_named(lock, str(results)) & scenes
+    ]
     if not locks:
         return
     strangers = engine_locks.engines(directory, MARK)
