@@ -25,6 +25,7 @@ PROGRAMS = {
     "render": (["--data", "simulated"], "Rendering", "render.md"),
     "fossil": (["--data", "{data}"], "Whole runs on a 12-megapixel capture", None),
     "overhead": (["--data", "simulated"], "Overhead of the workflow", None),
+    "leaving_out": ([], "What leaving out saves", "../leaving-out.md"),
     "texels": ([], "Texels of a surface", "texels.md"),
     "texel_fit": ([], "Reflection of texels", "reflection.md"),
     "residual": (["--data", "{data}/oxford_dino"], "Coded residual of a turntable", "residual.md"),

@@ -143,11 +143,12 @@ def _write_codes(
 ) -> tuple[np.ndarray, list[Problem]]:
     """Every frame of the object into its chunk; counts (frames, 4) and what was found in the frames.
 
-    opened: False where nothing of the plan looks at them: the array is described and stays empty.
+    opened: False where nothing of the plan looks at them: then the array holds no frame.
     """
     observed = reader.capture.observed
     size = (reader.rows, reader.columns, len(reader.names))
-    create_array(group, "codes", (len(observed), *size), (1, *size), reader.dtype, compression="zstd")
+    frames = len(observed) if opened else 0
+    create_array(group, "codes", (frames, *size), (1, *size), reader.dtype, compression="zstd")
     if not opened:
         return np.zeros((0, 4), np.int64), []
     counts, problems = np.zeros((len(observed), 4), np.int64), []
