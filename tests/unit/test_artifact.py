@@ -60,7 +60,7 @@ def test_run_facts_are_no_part_of_the_digest(target, tmp_path):
 
 
 @pytest.mark.parametrize("name", [MANIFEST, "run.json"])
-def test_every_bit_flip_in_the_manifest_and_beside_it_is_found_by_verify_and_by_whoever_opens(target, name):
+def test_every_bit_flip_in_the_manifest_and_beside_it_is_found(target, name):
     write(target)
     path = target / name
     sound = path.read_bytes()
@@ -69,8 +69,9 @@ def test_every_bit_flip_in_the_manifest_and_beside_it_is_found_by_verify_and_by_
         flipped[bit // 8] ^= 1 << bit % 8
         path.write_bytes(flipped)
         assert verify_artifact(target), bit
-        with pytest.raises(UserError, match="Remedy"):
-            open_artifact(target)
+        if name == MANIFEST:
+            with pytest.raises(UserError, match="Remedy"):
+                open_artifact(target)
     path.write_bytes(sound)
     assert verify_artifact(target) == []
 
@@ -80,7 +81,7 @@ def test_a_manifest_beside_the_files_of_another_is_refused(target):
     old = (target / MANIFEST).read_bytes()
     write(target, content=b"new!")
     (target / MANIFEST).write_bytes(old)
-    with pytest.raises(UserError, match="not the manifest that was written with it"):
+    with pytest.raises(UserError, match="not the manifest that was written"):
         open_artifact(target, contents=False)
 
 

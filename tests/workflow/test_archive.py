@@ -1,0 +1,119 @@
+"""A finished scene as an archive: resumed after a kill, verified, pruned, packed; no clock is trusted."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import pytest
+
+from nishiki.artifact import MANIFEST, RUN, open_artifact, run_text
+
+
+@pytest.fixture
+def copied(finished_site, tmp_path):
+    """A finished painting of one's own."""
+    folder = tmp_path / "copy"
+    shutil.copytree(finished_site.folder, folder, symlinks=True)
+    yield replace(finished_site, folder=folder)
+    shutil.rmtree(folder)
+
+
+def start(site):
+    """A run in the background, in a process group of its own."""
+    environment = {**os.environ, "PYTHONPATH": str(site.folder / "workflow/src")}
+    with open(site.folder / "run.log", "w") as log:
+        return subprocess.Popen(
+            [sys.executable, "-m", "nishiki", "run"],
+            cwd=site.folder,
+            env=environment,
+            stdout=log,
+            stderr=log,
+            start_new_session=True,
+        )
+
+
+def wait_for(condition, process, seconds=120.0):
+    until = time.monotonic() + seconds
+    while not condition():
+        assert process.poll() is None, "the run ended before it could be disturbed"
+        assert time.monotonic() < until
+        time.sleep(0.02)
+
+
+def stages_listed(site):
+    """Stages of the artifacts that prune would remove."""
+    lines = [json.loads(line) for line in site.nishiki("prune", "--json").stdout.splitlines()]
+    return sorted(line["path"].split("/")[-2] for line in lines if line.get("what") == "remove")
+
+
+def test_a_killed_run_is_resumed_by_one_command_and_a_live_one_is_left_alone(copied):
+    undisturbed = copied.run_facts()
+    copied.configure(height={"method": "weighted"})
+    process = start(copied)
+    try:
+        results = copied.folder / "results/tiny"
+        wait_for(lambda: list(results.glob("height/.*.partial")) or list(results.glob("render/.*.partial")), process)
+        for command in (["run"], ["run", "--unlock"], ["prune", "--delete"]):
+            done = copied.nishiki(*command, check=False)
+            assert (done.returncode, "a run" in done.stderr, "alive" in done.stderr) == (2, True, True), command
+            assert str(process.pid) in done.stderr
+        assert process.poll() is None
+    finally:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+    assert list((copied.folder / ".snakemake/locks").glob("*.lock"))
+    done = copied.nishiki("run")
+    assert "resuming after a run that was killed" in done.stderr
+    assert not list((copied.folder / "results/.runs").glob("*.json"))
+    assert copied.would_run() == []
+    assert "sound" in copied.nishiki("verify").stdout
+    now = copied.run_facts()
+    changed = sorted(stage for stage in now if now[stage] != undisturbed[stage])
+    assert "height" in changed
+    assert not {"ingest", "separate", "normals"} & set(changed)
+    assert stages_listed(copied) == changed
+    copied.nishiki("prune", "--delete")
+    assert stages_listed(copied) == []
+    assert "sound" in copied.nishiki("verify").stdout
+    assert copied.would_run() == []
+
+
+def test_a_clock_that_went_backwards_neither_repeats_nor_skips_anything(copied):
+    manifests = sorted((copied.folder / "results/tiny").glob(f"*/*/{MANIFEST}"))
+    for number, path in enumerate(manifests):  # upstream newer than downstream, and all in the future
+        os.utime(path, (4e9 - number, 4e9 - number))
+    for path in sorted((copied.folder / "results/tiny/ingest").glob(f"*/{MANIFEST}")):
+        os.utime(path, (4.2e9, 4.2e9))
+    assert copied.would_run() == []
+    # evaluate is made again with another result, at a time before that of the report that was made from the old one.
+    (folder,) = [path.parent for path in manifests if path.parts[-3] == "evaluate"]
+    manifest = open_artifact(folder).manifest
+    data = json.dumps({**manifest, "diagnostics": {**manifest["diagnostics"], "another": 1}}).encode()
+    facts = {name: value for name, value in json.loads((folder / RUN).read_text()).items() if "sha256" not in name}
+    (folder / MANIFEST).write_bytes(data)
+    (folder / RUN).write_text(run_text(facts, data))
+    os.utime(folder / MANIFEST, (1e9, 1e9))
+    assert "stale" in copied.nishiki("verify", check=False).stdout
+    copied.nishiki("run")
+    assert "sound" in copied.nishiki("verify").stdout
+    report = open_artifact(next(path.parent for path in manifests if path.parts[-3] == "report"))
+    assert report.manifest["upstream"]["evaluate"]["digest"] == open_artifact(folder).digest
+
+
+def test_a_packed_scene_is_sound_where_nothing_else_is(copied, tmp_path):
+    copied.nishiki("pack", "tiny", "--output", str(tmp_path / "crate"), "--zip")
+    copied.nishiki("pack", "tiny", "--output", str(tmp_path / "small"), "--without-capture")
+    for name in ("crate", "crate.zip", "small"):
+        done = copied.nishiki("verify", "--json", str(tmp_path / name))
+        facts = json.loads(done.stdout)
+        assert (facts["sound"], facts["scene"], sorted(facts["stages"])) == (True, "tiny", sorted(copied.stages()))
+        assert facts["photographs"] == (name != "small")
+    described = json.loads((tmp_path / "crate/ro-crate-metadata.json").read_text())
+    made_by = [entity["description"] for entity in described["@graph"] if entity["@id"].startswith("#run-")]
+    assert len(made_by) == len(copied.stages())
+    assert all("Made by the packed code" in text for text in made_by)
