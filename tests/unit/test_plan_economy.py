@@ -205,3 +205,10 @@ def test_section_of_the_report():
     assert section["kept"] == [("channels", 1, 3)]
     assert section["decided"] == [{"stage": "brdf", "what": "the lobe", **entry}]
     assert left_out_section({}, {})["files"] == []
+
+
+def test_versions_of_packages_that_a_scene_does_not_load_are_no_reason_to_run_again():
+    stages = planned(PLANE, "render", render={"sequences": []}).stages
+    assert "rawpy" in CHAIN["ingest"].libraries
+    assert not {"rawpy", "av", "OpenEXR"} & set(stages["ingest"].packages)
+    assert "av" not in stages["render"].packages

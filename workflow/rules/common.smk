@@ -62,7 +62,9 @@ def params_of(stage):
         ),
         "source": lambda wildcards: FLOW.source(wildcards.scene, stage),
         "code": lambda wildcards: FLOW.code(stage),
-        "libraries": lambda wildcards: FLOW.libraries(stage),
+        "libraries": lambda wildcards: FLOW.libraries(
+            wildcards.scene, stage, wildcards.key
+        ),
     }
 
 

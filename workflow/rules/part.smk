@@ -38,6 +38,8 @@ rule part:
         ),
         source=lambda wildcards: FLOW.source(wildcards.scene, wildcards.stage),
         code=lambda wildcards: FLOW.code(wildcards.stage),
-        libraries=lambda wildcards: FLOW.libraries(wildcards.stage),
+        libraries=lambda wildcards: FLOW.libraries(
+            wildcards.scene, wildcards.stage, wildcards.key
+        ),
     shell:
         RUN_PART

@@ -45,7 +45,9 @@ rule repeat:
         ),
         source=lambda wildcards: FLOW.source(wildcards.scene, wildcards.stage),
         code=lambda wildcards: FLOW.code(wildcards.stage),
-        libraries=lambda wildcards: FLOW.libraries(wildcards.stage),
+        libraries=lambda wildcards: FLOW.libraries(
+            wildcards.scene, wildcards.stage, wildcards.key
+        ),
         first=lambda wildcards: FLOW.path(
             wildcards.scene, wildcards.stage, wildcards.key
         ),

@@ -1,6 +1,6 @@
 """The plan of a scene: which stages run, under which keys, and what is left out and why."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,12 +21,16 @@ HOLD_OUT_FROM = 16
 
 @dataclass(frozen=True)
 class PlannedStage:
-    """One stage of a scene's plan: its key decides where the artifact lies."""
+    """One stage of a scene's plan: its key decides where the artifact lies.
+
+    packages: those of its libraries that it loads in this scene; only their versions can change its result.
+    """
 
     name: str
     key: str
     settings: dict[str, Any]
     upstream: dict[str, str]
+    packages: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -80,7 +84,7 @@ def make_plan(scene: Scene, facts: SceneFacts) -> Plan:
         if chain[name].asked_as == "report":
             told = left_out | {f"package {package}": why for package, why in idle.items()}
             settings[name] = settings[name].model_copy(update={"left_out": told})
-        stages[name] = _planned(name, settings[name], stages, facts)
+        stages[name] = replace(_planned(name, settings[name], stages, facts), packages=packages[name])
     return Plan(scene, facts, stages, left_out, held_out, packages, idle)
 
 

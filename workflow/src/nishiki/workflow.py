@@ -135,10 +135,9 @@ class Workflow(Scheduling):
         """Digest of a stage's code."""
         return code_digest(self.folder / "scripts" / f"{stage}.py")
 
-    @cache  # noqa: B019
-    def libraries(self, stage: str) -> str:
-        """Versions of the libraries that a stage uses."""
-        return canonical({name: library_version(name) for name in CHAIN[stage].libraries})
+    def libraries(self, scene: str, stage: str, key: str) -> str:
+        """Versions of the libraries that a stage loads in this scene."""
+        return canonical({name: library_version(name) for name in self.stage(scene, stage, key).packages})
 
     def stages_text(self, scene: str) -> str:
         """Stages and keys of a scene, as canonical JSON."""

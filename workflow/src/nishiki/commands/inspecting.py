@@ -31,9 +31,8 @@ def stage_state(flow: Workflow, scene: str, stage: str) -> tuple[str, list[str]]
     reasons = []
     if found.manifest["code"] != flow.code(stage):
         reasons.append(f"its code changed: {found.manifest['code'] or '(none)'} -> {flow.code(stage)}")
-    reasons += [
-        f"library {text}" for text in differences(found.manifest["libraries"], json.loads(flow.libraries(stage)))
-    ]
+    versions = json.loads(flow.libraries(scene, stage, path.parent.name))
+    reasons += [f"library {text}" for text in differences(found.manifest["libraries"], versions)]
     reasons += _upstream_reasons(flow, scene, stage, found)
     return ("run" if reasons else "done"), reasons
 
