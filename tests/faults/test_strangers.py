@@ -1,0 +1,843 @@
+"""Captures, tables, pictures, meshes and artifacts of a stranger: none writes outside its folder, runs code or takes
+memory or time without end; each is refused in a line that names the file. What the fuzzing of `tests/fuzz` found is
+here by name."""
+
+import io
+import json
+import os
+import pickle
+import shlex
+import struct
+import subprocess
+import sys
+import time
+import zipfile
+import zlib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+import zarr
+from captures import edit_block, edit_yaml, make_capture, make_turntable, write_frame
+from fuzz.corpus import make_store, matlab, tiff
+from goniometer_captures import HEADING, edit_goniometer, make_goniometer, make_table
+
+from nishiki import plain_yaml
+from nishiki.artifact import Artifact, ArtifactWriter
+from nishiki.bounds import BOUNDS, bound
+from nishiki.capture.check import check_capture
+from nishiki.capture.convert import convert
+from nishiki.capture.folder import load_capture
+from nishiki.capture.frames import inside, read_frames
+from nishiki.capture.goniometer_tables import read_table
+from nishiki.capture.headers import read_header
+from nishiki.capture.images import read_codes
+from nishiki.capture.layouts import natural_key
+from nishiki.capture.lights import read_lights
+from nishiki.capture.matlab import read_matlab
+from nishiki.capture.problems import CaptureError
+from nishiki.capture.schema import read_capture_file
+from nishiki.capture.seal import capture_digest, manifest_text, read_manifest, seal, verify_seal
+from nishiki.capture.turntable_layouts import recognise_round
+from nishiki.errors import UserError, printable
+from nishiki.geometry.mesh_files import read_triangles
+from nishiki.ingest.observations import Observations
+from nishiki.maps import Maps
+from nishiki.outside import name_fault, read_json
+from nishiki.project import load_project, load_yaml
+from nishiki.stored import load_arrays, open_group, zstd_content_size
+from nishiki.workflow import Workflow
+
+PROJECT = Path(__file__).resolve().parents[2]
+OUTSIDE = (
+    "../secret.txt",
+    "/etc/hostname",
+    "a/../../secret.txt",
+    "..\\secret.txt",
+    "C:secret.txt",
+    "a\nb.png",
+    "a\0.png",
+)
+
+
+@pytest.fixture
+def secret(tmp_path):
+    """A file beside the capture that nothing in it may lead to."""
+    path = tmp_path / "secret.txt"
+    path.write_text("0.1 0.2 0.9\n0.3 0.1 0.9\n-0.2 0.1 0.9\n")
+    return path
+
+
+def kinds(folder, level="full"):
+    return {problem.kind for problem in check_capture(folder, level=level)}
+
+
+@pytest.fixture
+def quick():
+    """Fails where a test took more than five seconds of this process's time."""
+    start = time.process_time()
+    yield
+    assert time.process_time() - start < 5
+
+
+# Names and links
+
+
+@pytest.mark.parametrize("name", OUTSIDE)
+def test_names_that_lead_out_are_refused(tmp_path, secret, name):
+    folder = make_capture(tmp_path / "c")
+    with pytest.raises(CaptureError, match="file name"):
+        inside(folder, name, "frames.csv row 2")
+    assert name_fault(name)
+    edit_yaml(folder, mask=name)
+    with pytest.raises(CaptureError):
+        load_capture(folder)
+
+
+def test_a_name_longer_than_a_file_system_takes_is_refused_and_not_looked_for(tmp_path):
+    folder = make_capture(tmp_path / "c")
+    for name in ("x" * 5000 + ".png", "a/" * 3000 + "b.png"):
+        with pytest.raises(CaptureError, match=r"file name|cannot be reached"):
+            inside(folder, name, "frames.csv row 2")
+
+
+@pytest.mark.parametrize("key", ["lights.file", "lights.intensities", "camera.sensitivities", "illuminant", "regions"])
+def test_every_key_of_a_plane_that_names_a_file_stays_inside(tmp_path, secret, key):
+    folder = make_capture(tmp_path / "c")
+    (folder / "link.csv").symlink_to(secret)
+    settings = yaml.safe_load((folder / "capture.yaml").read_text())
+    for name in ("../secret.txt", "link.csv"):
+        block, _, inner = key.rpartition(".")
+        edit_yaml(folder, **({block: {**settings[block], inner: name}} if block else {inner: name}))
+        with pytest.raises(CaptureError) as told:
+            load_capture(folder)
+        assert "outside-folder" in {problem.kind for problem in told.value.problems}
+
+
+@pytest.mark.parametrize("key", ["cameras", "mesh", "correspondences", "intrinsics", "calibration"])
+def test_every_key_of_a_turntable_that_names_a_file_stays_inside(tmp_path, secret, key):
+    folder = make_turntable(tmp_path / "c")
+    (folder / "link.ply").symlink_to(secret)
+    for name in ("../secret.txt", "link.ply"):
+        edit_block(folder, **{key: name})
+        with pytest.raises(CaptureError) as told:
+            load_capture(folder)
+        assert "outside-folder" in {problem.kind for problem in told.value.problems}
+
+
+@pytest.mark.parametrize("file", ["capture.yaml", "frames.csv"])
+def test_the_tables_themselves_are_no_links_out(tmp_path, file):
+    folder = make_capture(tmp_path / "c")
+    (folder / file).rename(tmp_path / "elsewhere")
+    (folder / file).symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(CaptureError, match="link out of the folder"):
+        load_capture(folder)
+
+
+def test_a_folder_that_is_a_link_out_gives_no_photographs(tmp_path):
+    folder = make_capture(tmp_path / "c")
+    (folder / "frames").rename(tmp_path / "elsewhere")
+    (folder / "frames").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(CaptureError, match="link out of the folder"):
+        load_capture(folder)
+    assert "seal-link" in kinds(folder)
+
+
+def test_endless_files_are_not_read(tmp_path, quick):
+    """A link to /dev/zero was hashed for ever; a pipe waited for a writer."""
+    folder = make_capture(tmp_path / "c")
+    os.mkfifo(folder / "pipe.png")
+    (folder / "zero.png").symlink_to("/dev/zero")
+    assert kinds(folder, "quick") >= {"seal-link", "file-special"}
+    with pytest.raises(CaptureError, match="link"):
+        seal(folder)
+    with pytest.raises(CaptureError, match="link"):
+        capture_digest(folder)
+    (folder / "zero.png").unlink()
+    with pytest.raises(CaptureError, match="neither a file nor a folder"):
+        seal(folder)
+
+
+def test_links_put_into_a_sealed_capture_are_told(tmp_path, secret, quick):
+    folder = make_capture(tmp_path / "c")
+    seal(folder)
+    photograph = next((folder / "data/frames").iterdir())
+    photograph.unlink()
+    photograph.symlink_to("/dev/zero")
+    assert {problem.kind for problem in verify_seal(folder)} == {"seal-link"}
+    (folder / "manifest-sha256.txt").unlink()
+    (folder / "manifest-sha256.txt").symlink_to(secret)
+    with pytest.raises(CaptureError, match="link out"):
+        capture_digest(folder)
+
+
+def test_sealing_writes_through_no_link(tmp_path, secret):
+    """An interrupted sealing is finished; one that a stranger prepared had a link in place of a temporary file."""
+    before = secret.read_bytes()
+    half = tmp_path / "c.sealing"
+    make_capture(half / "data")
+    (half / ".bagit.txt.part").symlink_to(secret)
+    with pytest.raises(CaptureError, match="link"):
+        seal(tmp_path / "c")
+    assert secret.read_bytes() == before
+
+
+@pytest.mark.parametrize("name", ["data/../../x", "/etc/hostname", "../x"])
+def test_manifests_name_files_of_the_bag_only(tmp_path, name):
+    path = tmp_path / "manifest-sha256.txt"
+    path.write_text(f"{'0' * 64}  {name}\n")
+    with pytest.raises(CaptureError, match="inside the bag"):
+        read_manifest(path)
+
+
+def test_a_manifest_is_read_as_it_was_written_whatever_the_names(tmp_path):
+    """Line ends of other alphabets split the lines of names that held them; a name in two lines had two digests."""
+    names = {
+        f"data/{middle}.png": "0" * 64 for middle in ("a\u2028b", "a\x85b", "a\x0cb", "a%0Ab", "a\nb", "a\rb", " *")
+    }
+    path = tmp_path / "manifest-sha256.txt"
+    path.write_bytes(manifest_text(names).encode())
+    assert read_manifest(path) == names
+    path.write_text(f"{'0' * 64}  data/a\n{'1' * 64}  data/a\n")
+    with pytest.raises(CaptureError, match="each name once"):
+        read_manifest(path)
+    path.write_text(f"{'0' * 64}  **data/a\n")
+    with pytest.raises(CaptureError, match="line 1"):
+        read_manifest(path)
+
+
+@pytest.mark.parametrize("name", ["../../../x", "a/b", "a\nb", "x" * 300])
+def test_names_that_become_file_names_have_no_folders_in_them(tmp_path, name):
+    """Pictures are called after views, models after regions: such names led out of the results."""
+    turned = make_turntable(tmp_path / "t", views=2)
+    for file in ("frames.csv", "cameras.csv"):
+        text = (turned / file).read_text()
+        (turned / file).write_text(text.replace("v0", '"' + name + '"'))
+    with pytest.raises(CaptureError) as told:
+        load_capture(turned)
+    assert {problem.kind for problem in told.value.problems} & {"name-unusable", "frames-unreadable", "camera-values"}
+    cloth = make_goniometer(tmp_path / "g")
+    edit_goniometer(cloth, regions="r.png", region_names={name: 1})
+    with pytest.raises(CaptureError, match="file name"):
+        load_capture(cloth)
+
+
+def test_no_file_of_an_artifact_lies_outside_it(tmp_path):
+    with ArtifactWriter(tmp_path / "results/s/fabric/0123456789ab") as output:
+        for name in ("../x", "models/../../x", "/tmp/x", "models//x"):
+            with pytest.raises(UserError, match="inside an artifact"):
+                output.path(name)
+        assert output.path("models/cloth/ward.npz").parent.is_dir()
+    with pytest.raises(UserError, match="inside an artifact"):
+        Artifact(tmp_path, {}).path("../x")
+
+
+def test_convert_takes_nothing_from_outside_its_source(tmp_path, secret):
+    source = tmp_path / "photographs"
+    source.mkdir()
+    for i in range(3):
+        write_frame(source / f"{i}.png", np.full((4, 5, 3), 1000.0 * i))
+    (source / "l.lp").write_text("3\n0.png 0.1 0 0.9\n1.png 0 0.1 0.9\n2.png -0.1 -0.1 0.9\n")
+    (source / "2.png").unlink()
+    (source / "2.png").symlink_to(secret)
+    with pytest.raises(CaptureError, match="link out of the folder"):
+        convert(source, tmp_path / "c")
+    (source / "2.png").unlink()
+    (source / "l.lp").rename(source / "light_directions.txt")
+    (source / "light_directions.txt").write_text("0.1 0 0.9\n0 0.1 0.9\n-0.1 -0.1 0.9\n")
+    (source / "filenames.txt").write_text("0.png\n1.png\n../secret.txt\n")
+    with pytest.raises(CaptureError, match="file name"):
+        convert(source, tmp_path / "c")
+    assert not (tmp_path / "c").exists()
+
+
+@pytest.mark.parametrize("name", [b"a\nb.png", b"a\x1b[2Jb.png", b"a\xff.png"])
+def test_photographs_with_names_that_no_table_can_hold(tmp_path, name, capsys):
+    source = tmp_path / "photographs"
+    source.mkdir()
+    write_frame(source / "0.png", np.full((4, 5, 3), 1000.0))
+    (source / "light_directions.txt").write_text("0.1 0 0.9\n")
+    os.rename(source / "0.png", os.fsencode(source) + b"/" + name)
+    with pytest.raises(CaptureError) as told:
+        convert(source, tmp_path / "c")
+    assert told.value.problems[0].kind == "name-unusable"
+    str(told.value).encode()
+    folder = make_capture(tmp_path / "d")
+    with open(os.fsencode(folder) + b"/" + name, "wb"):
+        pass
+    for problem in check_capture(folder, level="quick"):
+        assert printable(str(problem)) == str(problem)
+        print(problem)
+    if name != b"a\nb.png":  # which a manifest can hold
+        with pytest.raises(CaptureError, match="control characters"):
+            seal(folder)
+    else:
+        seal(folder)
+        assert not verify_seal(folder)
+
+
+def test_messages_do_not_speak_to_the_terminal():
+    text = str(UserError("a\x1b[31m\u202eb\ud800\nsecond line"))
+    assert text == "a\\x1b[31m\\u202eb\\ud800\nsecond line"
+
+
+def test_a_mesh_opens_no_other_file(tmp_path, secret):
+    """Materials and textures may be named by any path; none is used, so none is opened."""
+    heading = "ply\nformat ascii 1.0\ncomment TextureFile ../secret.txt\nelement vertex 3\nproperty float x\n"
+    heading += (
+        "property float y\nproperty float z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    (tmp_path / "m").mkdir()
+    (tmp_path / "m/a.ply").write_text(heading + "0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n")
+    (tmp_path / "m/a.obj").write_text(
+        "mtllib ../secret.txt\nusemtl x\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1/1 2/1 3/1\n"
+    )
+    opened = []
+    _watch_opening(opened)
+    for name in ("a.ply", "a.obj"):
+        assert len(read_triangles(tmp_path / "m" / name)[1]) == 1
+    assert not [path for path in opened if "secret" in path]
+    (tmp_path / "m/a.ply").read_bytes()
+    assert any("a.ply" in path for path in opened), "the watch sees what is opened"
+
+
+def _watch_opening(opened: list[str]) -> None:
+    """Audit hooks cannot be taken away again: this one only appends to a list."""
+    sys.addaudithook(lambda event, args: opened.append(str(args[0])) if event == "open" else None)
+
+
+# Code
+
+
+class Bomb:
+    """Unpickled, it writes a file."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return (Path.write_text, (Path(self.path), "ran"))
+
+
+def test_pickles_in_stores_are_not_loaded(tmp_path):
+    """A Zarr store of the older format may name `pickle` as the codec of its chunks: reading a map ran it."""
+    ran = tmp_path / "ran"
+    store = tmp_path / "maps.zarr"
+    (store / "normals").mkdir(parents=True)
+    (store / ".zgroup").write_text('{"zarr_format": 2}')
+    array = {"zarr_format": 2, "shape": [1], "chunks": [1], "dtype": "|O", "fill_value": None, "order": "C"}
+    (store / "normals/.zarray").write_text(json.dumps({**array, "compressor": None, "filters": [{"id": "pickle"}]}))
+    (store / "normals/0").write_bytes(pickle.dumps(np.array([Bomb(ran)], object)))
+    with pytest.raises((UserError, FileNotFoundError)):
+        Maps(tmp_path)
+    zarr.create_group(tmp_path / "both" / "maps.zarr")
+    (store / "normals").rename(tmp_path / "both/maps.zarr/normals")
+    with pytest.raises(UserError, match="older format"):
+        Maps(tmp_path / "both")
+    np.savez(tmp_path / "x.npz", a=np.array([Bomb(ran)], object))
+    with pytest.raises(UserError, match="cannot be read"):
+        load_arrays(tmp_path / "x.npz")
+    assert not ran.exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("a: !!python/object/apply:os.system ['touch ran']\n", "tags"),
+        ("a: !include /etc/passwd\n", "tags"),
+        ("a: &x [1]\nb: *x\n", "anchors"),
+        ("a: " + "[" * 5000 + "]" * 5000 + "\n", "nested"),
+        ("a: 2024-13-45\n", "month"),
+        ("a: " + "1" * 5000 + "\n", "limit|digits"),
+        ("a: 0x" + "f" * 5000 + "\n", "bits"),
+        ('a: "\\ud800"\n', "surrogates|valid|character"),
+        ("a: [" + "1," * 240_000 + "]\n", "more than 100000 values"),
+    ],
+    ids=["code", "include", "alias", "deep", "month 13", "digits", "hexadecimal", "surrogate", "many"],
+)
+def test_yaml_is_plain_data(tmp_path, text, said, quick):
+    path = tmp_path / "capture.yaml"
+    path.write_text(text)
+    with pytest.raises(CaptureError, match=said):
+        read_capture_file(path)
+    with pytest.raises(UserError, match=said):
+        load_yaml(path)
+
+
+def test_a_billion_laughs_are_not_laughed(tmp_path, quick):
+    lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
+    lines += [f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]" for i in range(1, 12)]
+    path = tmp_path / "capture.yaml"
+    path.write_text("format: 1\n" + "\n".join(lines) + "\nlights: *a11\n")
+    with pytest.raises(CaptureError, match=r"line 2.*anchors"):
+        read_capture_file(path)
+    assert plain_yaml.load("a: [1, 2]\nb: 'text & more * !'\n") == {"a": [1, 2], "b": "text & more * !"}
+
+
+def test_the_shell_sees_one_argument_whatever_a_capture_is_called(tmp_path, monkeypatch):
+    """The command of the ingest rule as Snakemake forms it, run by its shell: obeyed, it would make a file."""
+    monkeypatch.chdir(tmp_path)
+    name = "-c a'b\"$(touch ran)`touch ran`;touch ran & {x} {{y}}"
+    make_table(tmp_path / name)
+    seal(tmp_path / name)
+    table = "scene\tcapture\n" + f's\t"{name.replace(chr(34), chr(34) * 2)}"\n'
+    (tmp_path / "scenes.tsv").write_text(table)
+    (tmp_path / "config.yaml").write_text("scenes: scenes.tsv\nresults: out put's\n")
+    flow = Workflow(load_yaml(Path("config.yaml")), folder=PROJECT)
+    arguments = shlex.split(flow.source("s", "ingest"))
+    assert arguments[:2] == ["--capture", f"./{name}"]
+    command = [sys.executable, "-m", "snakemake", "--snakefile", str(PROJECT / "Snakefile"), "--cores", "1", "--quiet"]
+    command += ["--configfile", "config.yaml", "--until", "ingest"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert len(list(Path("out put's/s/ingest").glob("*/artifact.json"))) == 1
+    assert not Path("ran").exists()
+
+
+@pytest.mark.parametrize(
+    ("row", "said"),
+    [
+        ("-rf\tc\n", "no - in front"),
+        ("a/../b\tc\n", "letters, digits"),
+        ("$(x)\tc\n", "letters, digits"),
+        ('a\t"c\x1b[2J"\n', "control characters"),
+        ("a\t" + "c" * 200_000 + "\n", "field larger"),
+        (b"a\t\xff\n", "UTF-8"),
+    ],
+)
+def test_scene_tables(tmp_path, row, said):
+    path = tmp_path / "scenes.tsv"
+    path.write_bytes(b"scene\tcapture\n" + (row if isinstance(row, bytes) else row.encode()))
+    with pytest.raises(UserError, match=said):
+        load_project({"scenes": str(path)})
+
+
+def test_results_are_no_pattern(tmp_path):
+    for name in ("a{scene}", "a\nb", ""):
+        with pytest.raises(UserError, match="results"):
+            load_project({"results": name})
+
+
+# Memory and time
+
+
+def png(rows, columns, depth=8, colour=2):
+    def chunk(tag, data):
+        return struct.pack(">I", len(data)) + tag + data + struct.pack(">I", zlib.crc32(tag + data))
+
+    heading = struct.pack(">IIBBBBB", columns, rows, depth, colour, 0, 0, 0)
+    body = zlib.compress(b"\0" * 100)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", heading) + chunk(b"IDAT", body) + chunk(b"IEND", b"")
+
+
+def jpeg(rows, columns):
+    data = bytearray(cv2.imencode(".jpg", np.zeros((16, 16, 3), np.uint8))[1].tobytes())
+    place = data.index(b"\xff\xc0") + 5
+    data[place : place + 4] = struct.pack(">HH", rows, columns)
+    return bytes(data)
+
+
+def exr(window=(0, 0, 4, 3), *, channels=3, attribute=b"", flags=0):
+    def entry(name, kind, value):
+        return name + b"\0" + kind + b"\0" + struct.pack("<i", len(value)) + value
+
+    listed = b"".join(b"c%04d\0" % i + struct.pack("<iB3xii", 2, 0, 1, 1) for i in range(channels)) + b"\0"
+    heading = entry(b"channels", b"chlist", listed) + entry(b"compression", b"compression", b"\3") + attribute
+    heading += entry(b"dataWindow", b"box2i", struct.pack("<iiii", *window))
+    return b"\x76\x2f\x31\x01" + struct.pack("<I", 2 | flags) + heading + b"\0" + b"\0" * 64
+
+
+def tiff_with(**values):
+    """A small TIFF in which some fields, by number as f258, say something else."""
+    data = bytearray(tiff("plain"))
+    start = struct.unpack("<I", data[4:8])[0]
+    for i in range(struct.unpack("<H", data[start : start + 2])[0]):
+        place = start + 2 + 12 * i
+        tag = struct.unpack("<H", data[place : place + 2])[0]
+        if f"f{tag}" in values:
+            data[place + 8 : place + 12] = struct.pack("<I", values[f"f{tag}"])
+        if f"n{tag}" in values:
+            data[place + 4 : place + 8] = struct.pack("<I", values[f"n{tag}"])
+    return bytes(data)
+
+
+IMAGES = {
+    "png of 4 gigapixels": ("x.png", png(65535, 65535)),
+    "png larger than its file can hold": ("x.png", png(9000, 9000)),
+    "png one pixel high": ("x.png", png(1, 1 << 31)),
+    "png of 16 bits": ("x.png", png(30000, 17000, 16, 6)),
+    "jpeg of 4 gigapixels": ("x.jpg", jpeg(65500, 65500)),
+    "jpeg larger than its file can hold": ("x.jpg", jpeg(20000, 20000)),
+    "tiff of 16 exapixels": ("x.tif", tiff_with(f256=0xFFFFFFFF, f257=0xFFFFFFFF)),
+    "tiff larger than its file": ("x.tif", tiff_with(f256=5000, f257=5000, f278=5000)),
+    "tiff of a million pieces": ("x.tif", tiff_with(n273=1 << 23, n279=1 << 23)),
+    "tiff of many fields": ("x.tif", tiff_with(n258=1 << 24)),
+    "tiff with strips without rows": ("x.tif", tiff_with(f278=0)),
+    "tiff of many samples": ("x.tif", tiff_with(f277=1 << 31)),
+    "exr of 16 exapixels": ("x.exr", exr((-(1 << 31), -(1 << 31), (1 << 31) - 1, (1 << 31) - 1))),
+    "exr larger than its file": ("x.exr", exr((0, 0, 9999, 9999))),
+    "exr of many channels": ("x.exr", exr(channels=5000)),
+    "exr with an attribute of 2 gigabytes": ("x.exr", exr(attribute=b"a\0string\0" + struct.pack("<i", 0x7FFFFFFF))),
+    "exr with an attribute of less than nothing": ("x.exr", exr(attribute=b"a\0string\0" + struct.pack("<i", -5))),
+    "exr of several samples a pixel": ("x.exr", exr(flags=0x800)),
+}
+
+
+@pytest.mark.parametrize("name", IMAGES)
+def test_absurd_pictures_are_refused_before_they_are_decoded(tmp_path, name, quick):
+    file, content = IMAGES[name]
+    path = tmp_path / file
+    path.write_bytes(content)
+    before = _peak_mb()
+    with pytest.raises(CaptureError) as told:
+        read_header(path)
+    assert told.value.problems[0].kind in ("image-absurd", "image-truncated")
+    with pytest.raises(CaptureError):
+        read_codes(path, ("red", "green", "blue"))
+    assert _peak_mb() - before < 200
+
+
+def _peak_mb():
+    import resource
+
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def test_a_tiff_tile_is_no_larger_than_its_picture(tmp_path):
+    """Tiles of 2^31 x 2^31 in a picture of 4 x 5 made the decoder ask for their size."""
+    data = bytearray(tiff("plain"))
+    start = struct.unpack("<I", data[4:8])[0]
+    fields = bytearray(data[start + 2 : -4])
+    fields += struct.pack("<HHII", 322, 4, 1, 1 << 31) + struct.pack("<HHII", 323, 4, 1, 1 << 31)
+    fields += struct.pack("<HHII", 324, 4, 1, 8) + struct.pack("<HHII", 325, 4, 1, 240)
+    path = tmp_path / "x.tif"
+    path.write_bytes(bytes(data[:start]) + struct.pack("<H", len(fields) // 12) + bytes(fields) + b"\0\0\0\0")
+    with pytest.raises(CaptureError, match="tiles"):
+        read_header(path)
+
+
+def test_a_jpeg_of_very_many_scans_is_not_decoded(tmp_path, quick):
+    """Each scan is a pass over the whole picture; an empty one has 14 bytes."""
+    whole = cv2.imencode(".jpg", np.zeros((64, 64, 3), np.uint8), [cv2.IMWRITE_JPEG_PROGRESSIVE, 1])[1].tobytes()
+    place = whole.rindex(b"\xff\xda")
+    path = tmp_path / "x.jpg"
+    path.write_bytes(whole[:-2] + whole[place:-2] * 5000 + b"\xff\xd9")
+    with pytest.raises(CaptureError, match="scans"):
+        read_codes(path, ("red", "green", "blue"))
+
+
+def test_a_bound_is_raised_by_name(tmp_path, monkeypatch):
+    path = tmp_path / "x.png"
+    cv2.imwrite(str(path), np.zeros((100, 100), np.uint8))
+    monkeypatch.setenv("NISHIKI_BOUNDS", "image_pixels=9999")
+    with pytest.raises(CaptureError, match=r"at most 9999 pixels.*NISHIKI_BOUNDS=image_pixels"):
+        read_header(path)
+    monkeypatch.setenv("NISHIKI_BOUNDS", "image_pixels=10000, image_side=100")
+    assert read_header(path).rows == 100
+    for wrong in ("pixels=3", "image_pixels", "image_pixels=-1", "image_pixels=1e9"):
+        monkeypatch.setenv("NISHIKI_BOUNDS", wrong)
+        with pytest.raises(UserError, match="NISHIKI_BOUNDS"):
+            bound("image_pixels")
+
+
+def test_the_page_tells_every_bound():
+    page = (PROJECT / "docs/strangers.md").read_text()
+    missing = [
+        name for name, b in BOUNDS.items() if f"| `{name}` | {b.value:,} {b.unit} |".replace(",", " ") not in page
+    ]
+    assert not missing
+
+
+def zipped(shape, dtype="<f8", body=b""):
+    """An .npz file whose one array claims this shape."""
+    member = io.BytesIO()
+    np.lib.format.write_array_header_1_0(member, {"descr": dtype, "fortran_order": False, "shape": shape})
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("a.npy", member.getvalue() + body)
+    return stream.getvalue()
+
+
+def test_arrays_claim_no_more_than_they_hold(tmp_path, monkeypatch, quick):
+    path = tmp_path / "x.npz"
+    for content in (zipped((1 << 40,)), zipped((-1, 4)), zipped((3,), "|O", pickle.dumps(1)), b"PK\3\4", b""):
+        path.write_bytes(content)
+        with pytest.raises(UserError, match=r"x\.npz"):
+            load_arrays(path)
+    monkeypatch.setenv("NISHIKI_BOUNDS", "arrays_bytes=1000000")
+    path.write_bytes(zipped((1 << 20,), "|u1", b"\0" * (1 << 20)))
+    assert path.stat().st_size < 3000
+    with pytest.raises(UserError, match="larger than is read"):
+        load_arrays(path)
+
+
+def edited(path, **changes):
+    node = json.loads(path.read_text())
+    path.write_text(json.dumps(node | changes))
+
+
+def test_stores_claim_no_more_than_they_hold(tmp_path, quick):
+    chunked = {"name": "regular", "configuration": {"chunk_shape": [1 << 20, 1 << 20]}}
+    zstd, plain = {"name": "zstd", "configuration": {}}, {"name": "bytes", "configuration": {"endian": "little"}}
+    wrong = {
+        "a huge array": {"shape": [1 << 40, 1 << 40]},
+        "a huge chunk": {"shape": [1 << 20, 1 << 20], "chunk_grid": chunked},
+        "an array without its chunks": {"shape": [1 << 22, 5]},
+        "another codec": {"codecs": [plain, {"name": "blosc", "configuration": {}}]},
+        "code as codec": {"codecs": [{"name": "numcodecs.pickle"}, plain]},
+        "many codecs": {"codecs": [plain, *[zstd] * 100]},
+        "objects": {"data_type": "object"},
+        "another kind": {"data_type": {"name": "numpy.datetime64"}},
+        "less than nothing": {"shape": [-1, 5]},
+        "one shape too many": {"shape": [[6], 5]},
+        "an unknown setting": {"codecs": [plain, {"name": "zstd", "configuration": {"threads": 5}}]},
+        "a transformer": {"storage_transformers": [{"name": "x"}]},
+    }
+    for name, changes in wrong.items():
+        make_store(tmp_path / "s.zarr")
+        edited(tmp_path / "s.zarr/a/zarr.json", **changes)
+        with pytest.raises(UserError, match="zarr"):
+            print(name, open_group(tmp_path / "s.zarr"))
+
+
+def test_a_chunk_unpacks_to_no_more_than_its_array_says(tmp_path, quick):
+    """A zstd frame of 20 kilobytes may hold a gigabyte; frames may follow each other, or not tell their size."""
+    from numcodecs.zstd import Zstd
+
+    bomb = bytes(Zstd(level=1).encode(b"\0" * (1 << 24)))
+    assert zstd_content_size(bomb) == 1 << 24
+    assert zstd_content_size(bomb + bomb) == 2 << 24
+    make_store(tmp_path / "s.zarr")
+    chunk = tmp_path / "s.zarr/a/c/0/0"
+    good = chunk.read_bytes()
+    assert zstd_content_size(good) == 4 * 5 * 4
+    for content in (bomb, good + bomb, good[:6], b"\x28\xb5\x2f\xfd\x00\x58" + good[6:], b"\0" * 50):
+        chunk.write_bytes(content)
+        with pytest.raises(UserError, match="chunk of another size"):
+            open_group(tmp_path / "s.zarr")
+    chunk.unlink()
+    chunk.symlink_to("/dev/zero")
+    with pytest.raises(UserError, match="link"):
+        open_group(tmp_path / "s.zarr")
+
+
+@pytest.mark.parametrize("size", [0, 1, 100, 300, 70_000, 200_000, 3 << 20])
+def test_content_size_of_frames(size):
+    from numcodecs.zstd import Zstd
+
+    for data in (b"\0" * size, np.random.default_rng(size).bytes(size)):
+        for checksum in (False, True):
+            assert zstd_content_size(bytes(Zstd(level=3, checksum=checksum).encode(data))) == size
+
+
+@pytest.mark.parametrize("text", ["[" * 200_000, "{}x", "[]", "\xff", '{"a": ' + "1" * 5000 + "}"])
+def test_json_that_is_none(tmp_path, text, quick):
+    (tmp_path / "x.json").write_bytes(text.encode("latin-1"))
+    with pytest.raises(UserError, match="JSON"):
+        read_json(tmp_path / "x.json")
+
+
+def test_frames_of_an_artifact_that_are_described_wrongly(tmp_path):
+    """An entry that was missing in what stands beside the frames was an error of Python."""
+    make_store(tmp_path / "frames.zarr")
+    (tmp_path / "frames.zarr/b").rename(tmp_path / "frames.zarr/codes")
+    edited(tmp_path / "frames.zarr/zarr.json", attributes={"format": 1, "lights": ["a"], "files": 5})
+    with pytest.raises(UserError, match="damaged"):
+        Observations(tmp_path)
+
+
+def mat(cells=None, *, packed=True, size=None):
+    """A MATLAB file with one packed element of zeros, or with a cell array that claims many cells."""
+    heading = b"x" * 124 + struct.pack("<H", 0x0100) + b"IM"
+    body = zlib.compress(b"\0" * (size or 100))
+    if cells:
+        flags, dims = struct.pack("<IIII", 6, 8, 1, 0), struct.pack("<IIii", 5, 8, *cells)
+        inner = flags + dims + struct.pack("<HH4s", 1, 1, b"P")
+        element = struct.pack("<II", 14, len(inner)) + inner
+        body = zlib.compress(element)
+        return heading + (struct.pack("<II", 15, len(body)) + body if packed else element)
+    return heading + struct.pack("<II", 15, len(body)) + body
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (mat((1 << 30, 1 << 30)), "cells"),
+        (mat((1 << 30, 1 << 30), packed=False), "cells"),
+        (mat((-3, 4)), "cells"),
+        (mat(size=1 << 28), "unpack to more"),
+        (b"x" * 124 + struct.pack("<H", 0x0100) + b"IM" + struct.pack("<II", 14, 0xFFFFFFF0), "left"),
+        (b"x" * 128, "level 5"),
+        (b"x" * 124 + struct.pack("<H", 0x0200) + b"IM", "another level"),
+        (b"", "level 5"),
+    ],
+)
+def test_matlab_files_claim_no_more_than_they_hold(tmp_path, content, said, quick):
+    path = tmp_path / "x.mat"
+    path.write_bytes(content)
+    before = _peak_mb()
+    with pytest.raises(ValueError, match=said):
+        read_matlab(path, ("P",))
+    assert _peak_mb() - before < 200
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_matlab_files_as_the_reference_reads_them(tmp_path, packed):
+    from scipy.io import loadmat, savemat
+
+    values = {"a": np.arange(12).reshape(3, 4).astype(np.int16), "b": np.float32(2.5), "P": np.empty((1, 3), object)}
+    values |= {
+        "t": "text",
+        "s": {"inner": 1},
+        "c": np.zeros((2, 3, 4)),
+        "many": np.random.default_rng(1).random((50, 7)),
+    }
+    for i in range(3):
+        values["P"][0, i] = np.random.default_rng(i).random((3, 4))
+    savemat(tmp_path / "x.mat", values, do_compression=packed)
+    expected, found = loadmat(tmp_path / "x.mat"), read_matlab(tmp_path / "x.mat", ("a", "b", "P", "c", "many", "no"))
+    assert set(found) == {"a", "b", "P", "c", "many"}
+    for name in ("a", "b", "c", "many"):
+        np.testing.assert_array_equal(found[name], expected[name])
+    assert found["P"].shape == (1, 3)
+    for mine, theirs in zip(found["P"].ravel(), expected["P"].ravel(), strict=True):
+        np.testing.assert_array_equal(mine, theirs)
+    with pytest.raises(ValueError, match="no numbers"):
+        read_matlab(tmp_path / "x.mat", ("t",))
+    assert matlab(packed=packed)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "text"),
+    [
+        (".ply", "element vertex 4000000000\nproperty float x\n"),
+        (
+            ".ply",
+            "element vertex 3\nproperty float x\nelement face 4000000000\nproperty list uchar int vertex_indices\n",
+        ),
+        (".ply", "element vertex 9999999999999999999999\nproperty float x\n"),
+        (".ply", "element vertex 1000000000\n"),
+        (".ply", "property float x\n"),
+        (".ply", "element vertex 3\n" + "property float x\n" * 300),
+        (".ply", "element vertex 3\nproperty list float int x\n"),
+        (".obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 999999999999\n"),
+        (".obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 2000000000\n"),
+        (".obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf -1 -2 -2000000000\n"),
+    ],
+)
+def test_meshes_claim_no_more_than_they_hold(tmp_path, suffix, text, quick):
+    path = tmp_path / f"x{suffix}"
+    for form in ("ascii", "binary_little_endian"):
+        path.write_text(f"ply\nformat {form} 1.0\n{text}end_header\n0 0 0\n" if suffix == ".ply" else text)
+        before = _peak_mb()
+        with pytest.raises(UserError):
+            read_triangles(path)
+        assert _peak_mb() - before < 300
+
+
+TABLES = {
+    "very many rows": ("a.png,sample,a\n" * 30_000, "frames-many"),
+    "a cell of 200 000 letters": ("x" * 200_000 + ",sample,a\n", "frames-unreadable"),
+    "a quote that never ends": ('"' + "a\n" * 100_000, "frames-unreadable"),
+    "not text": ("\xff\xfe", "frames-unreadable"),
+}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_tables_of_photographs(tmp_path, name, quick):
+    rows, kind = TABLES[name]
+    (tmp_path / "frames.csv").write_bytes(b"file,role,light\n" + rows.encode("latin-1"))
+    with pytest.raises(CaptureError) as told:
+        read_frames(tmp_path / "frames.csv")
+    assert kind in {problem.kind for problem in told.value.problems}
+
+
+def test_tables_larger_than_their_bound_are_not_read(tmp_path, monkeypatch):
+    monkeypatch.setenv("NISHIKI_BOUNDS", "table_bytes=1000,lights=3,reflectances_values=20")
+    (tmp_path / "l.lp").write_text("2000\n" + "0.1 0.2 0.9\n" * 2000)
+    with pytest.raises(CaptureError, match="larger than is read"):
+        read_lights(tmp_path / "l.lp")
+    (tmp_path / "l.txt").write_text("0.1 0.2 0.9\n" * 4)
+    with pytest.raises(CaptureError, match="at most 3 lights"):
+        read_lights(tmp_path / "l.txt")
+    (tmp_path / "r.csv").write_text("theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg,red\n" + "0,0,0,0,1\n" * 5)
+    with pytest.raises(CaptureError, match="larger than is read"):
+        read_table(tmp_path / "r.csv", "r.csv")
+    (tmp_path / "r.brdf").write_text("1 500\n" + "0 0 0 0 1\n" * 5)
+    with pytest.raises(CaptureError, match="larger than is read"):
+        read_table(tmp_path / "r.brdf", "r.brdf")
+
+
+def test_long_lines_take_time_in_proportion(tmp_path, quick):
+    for line in ("a #" * 300_000, "1," * 400_000, "\t" * 900_000 + "x", "\\" * 900_000, "0.1 " * 200_000 + "a"):
+        (tmp_path / "l.lp").write_text(f"1\n{line}\n")
+        with pytest.raises(CaptureError):
+            read_lights(tmp_path / "l.lp")
+    (tmp_path / "m.txt").write_text("0" * 64 + " \t" * 500_000 + "\n")
+    with pytest.raises(CaptureError):
+        read_manifest(tmp_path / "m.txt")
+
+
+def test_a_table_in_which_every_photograph_is_of_another_view_and_light(tmp_path, quick):
+    """3000 views under 3000 lights lack nine million photographs; each was a message of its own."""
+    folder = make_turntable(tmp_path / "t", views=2, cameras=False, silhouettes=False)
+    picture = (folder / "frames/0_0_0.png").read_bytes()
+    rows = ["file,role,view,light"]
+    for i in range(3000):
+        (folder / f"frames/p{i}.png").write_bytes(picture)
+        rows.append(f"frames/p{i}.png,sample,v{i},l{i}")
+    (folder / "frames.csv").write_text("\n".join(rows) + "\n")
+    with pytest.raises(CaptureError) as told:
+        load_capture(folder)
+    assert len(told.value.problems) < 300
+
+
+def test_thousands_of_lights_and_boards_are_compared_at_once(tmp_path, quick):
+    from nishiki.capture.frames import Frame
+    from nishiki.capture.goniometer_rules import goniometer_problems
+
+    frames = []
+    for i in range(4000):
+        light = (i * 0.02, i * 0.07)
+        frames.append(Frame(f"s{i}", tmp_path, "sample", row=i, angles_deg=(*light, 10.0, 10.0)))
+        frames.append(Frame(f"w{i}", tmp_path, "white", row=i, angles_deg=(*light, None, None)))
+    assert {p.kind for p in goniometer_problems(tuple(frames))} <= {"normal-few", "white-grazing", "white-cosine"}
+    assert HEADING
+
+
+# Findings of the fuzzing
+
+
+def test_lights_at_infinite_angles(tmp_path):
+    """`inf` degrees: the sine has no value there (found in lights, table of angles)."""
+    (tmp_path / "l.csv").write_text("light,azimuth_deg,polar_deg\na,10,45\nb,100,inf\n")
+    with pytest.raises(CaptureError, match="row cannot be read"):
+        read_lights(tmp_path / "l.csv")
+
+
+def test_a_count_of_lights_of_5000_digits(tmp_path):
+    (tmp_path / "l.lp").write_text("1" * 5000 + "\n0 0 1\n")
+    with pytest.raises(CaptureError):
+        read_lights(tmp_path / "l.lp")
+
+
+def test_superscripts_are_no_numbers(tmp_path):
+    """'²'.isdigit() is true, int('²') an error: in file names, and in the count of a list of cameras."""
+    assert natural_key(Path("²1.png")) < natural_key(Path("²10.png"))
+    (tmp_path / "a_par.txt").write_text("²\na.png " + "1 " * 21 + "\n")
+    assert recognise_round(tmp_path) is None
+
+
+def test_a_short_row_of_a_scene_table(tmp_path):
+    (tmp_path / "scenes.tsv").write_text("capture\tscene\nonly\n")
+    with pytest.raises(UserError, match="scene name"):
+        load_project({"scenes": str(tmp_path / "scenes.tsv")})
+
+
+def test_settings_of_a_scene_that_are_no_block(tmp_path):
+    (tmp_path / "own.yaml").write_text("- a\n- b\n")
+    (tmp_path / "scenes.tsv").write_text(f"scene\tcapture\tsettings\na\tc\t{tmp_path}/own.yaml\n")
+    with pytest.raises(UserError, match="expected a block"):
+        load_project({"scenes": str(tmp_path / "scenes.tsv")})
