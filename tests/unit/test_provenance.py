@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nishiki import provenance
+from nishiki import provenance, syntax
 from nishiki.provenance import canonical, code_digest, code_files, differences, stage_key
 
 settings = st.recursive(
@@ -85,8 +85,7 @@ def project(tmp_path, monkeypatch):
 
     def digest():
         provenance._imports.cache_clear()
-        provenance._tree.cache_clear()
-        provenance._parsed.cache_clear()
+        syntax.syntax_of.cache_clear()
         return code_digest(script)
 
     return package, script, digest

@@ -6,7 +6,6 @@ The code digest covers the syntax trees of the stage's script and of every modul
 directly or not, without comments and docstrings.
 """
 
-import ast
 import functools
 import hashlib
 import importlib.metadata
@@ -17,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from nishiki.errors import UserError
+from nishiki.syntax import syntax_of
 
 KEY_DIGITS = 12
 SOURCE = Path(__file__).resolve().parents[1]
@@ -75,7 +75,7 @@ def code_digest(script: Path) -> str:
     files = code_files(script)
     for path in files:
         name = path.relative_to(SOURCE) if SOURCE in path.parents else path.name
-        digest.update(f"{name}\0{_tree(path)}\0".encode())
+        digest.update(f"{name}\0{syntax_of(path).tree}\0".encode())
     for path in data_files(files):
         digest.update(f"{path.relative_to(SOURCE)}\0{file_digest(path)}\0".encode())
     return digest.hexdigest()[:KEY_DIGITS]
@@ -97,14 +97,8 @@ def code_files(script: Path) -> list[Path]:
 @functools.cache
 def _imports(path: Path) -> tuple[Path, ...]:
     """Project modules named in any import statement of a file, late imports inside functions included."""
-    names: set[str] = set()
-    for node in ast.walk(_parsed(path)):
-        if isinstance(node, ast.Import):
-            names |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-            names |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
     found = set()
-    for name in names:
+    for name in syntax_of(path).names:
         parts = name.split(".")
         local = path.parent / f"{parts[0]}.py"
         if parts[0] == PACKAGE:
@@ -128,22 +122,6 @@ def data_files(modules: list[Path]) -> list[Path]:
     return sorted(
         item for room in rooms for item in room.iterdir() if item.is_file() and item.suffix not in (".py", ".md")
     )
-
-
-@functools.cache
-def _parsed(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
-
-
-@functools.cache
-def _tree(path: Path) -> str:
-    """Text of a file's syntax tree, without docstrings (comments are no part of the tree)."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
-            if ast.get_docstring(node, clean=False) is not None:
-                node.body = node.body[1:] or [ast.Pass()]
-    return ast.dump(tree, annotate_fields=False)
 
 
 @functools.cache
