@@ -69,7 +69,7 @@ def params_of(stage):
 
 
 # Inside a job of a cluster two processes of Snakemake wait for the stage.
-ENGINE_MB = 300
+ENGINE_MB = 400
 
 
 def memory_of(stage):
@@ -78,8 +78,8 @@ def memory_of(stage):
 
 
 def job_memory(scene, stage, attempt):
-    own = ENGINE_MB if workflow.non_local_exec else 0
-    return FLOW.memory_mb(scene, stage, attempt) + own
+    beside = ENGINE_MB if workflow.non_local_exec else 0
+    return FLOW.memory_mb(scene, stage, attempt, beside=beside)
 
 
 def minutes_of(stage):

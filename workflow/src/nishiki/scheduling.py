@@ -26,13 +26,16 @@ class Scheduling:
         """The planned stage of a scene that has this key."""
         raise NotImplementedError
 
-    def memory_mb(self, scene: str, stage: str, attempt: int = 1) -> int:
-        """Memory that a stage, or a part of it, may take, in MiB; half as much again at each further attempt."""
+    def memory_mb(self, scene: str, stage: str, attempt: int = 1, *, beside: int = 0) -> int:
+        """Memory that a stage, or a part of it, may take, in MiB; half as much again at each further attempt.
+
+        beside: memory of what runs beside the stage in its job.
+        """
         plan = self.plans[scene]
         pixels, samples = self._size(scene)
         tile = min(plan.scene.settings.ingest.tile_mib, samples * plan.facts.channels * 4 / 2**20)
         memory = CHAIN[stage].cost(plan.facts).memory_mb(pixels, samples, tile_mib=tile)
-        return math.ceil(memory * 1.5 ** (attempt - 1))
+        return math.ceil((memory + beside) * 1.5 ** (attempt - 1))
 
     def seconds(self, scene: str, stage: str, share: float = 1.0) -> float:
         """Processor time that a share of a stage's work is expected to take, in seconds."""
