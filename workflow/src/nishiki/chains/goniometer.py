@@ -28,7 +28,7 @@ GONIOMETER = (
         requires=("ingest",),
         needs_colour=True,
         libraries=("numpy", "scipy", "numba", "zarr", "opencv-contrib-python-headless"),
-        cost=lambda facts: Cost(mib=220, bytes_per_sample=8, seconds=1.8, us_per_sample=1.2),
+        cost=lambda facts: Cost(mib=220, bytes_per_sample=2, seconds=1.8, us_per_sample=0.28),
     ),
     Stage(
         WeaveSettings,
@@ -48,7 +48,7 @@ GONIOMETER = (
         wants=lambda settings: ("weave",) * ("weave" in (settings.model, *settings.compare)),
         needs_colour=True,
         libraries=("numpy", "scipy", "numba"),
-        cost=lambda facts: Cost(mib=400, seconds=12, us_per_sample=5),
+        cost=lambda facts: Cost(mib=400, seconds=12, us_per_sample=1.2),
     ),
     Stage(
         FabricRenderSettings,
@@ -69,7 +69,7 @@ GONIOMETER = (
         lacks=_seen_from_one_light_only,
         needs_colour=True,
         libraries=("numpy", "scipy", "numba"),
-        cost=lambda facts: Cost(mib=230, seconds=2, us_per_sample=0.3),
+        cost=lambda facts: Cost(mib=230, seconds=2, us_per_sample=0.05),
     ),
     Stage(
         FabricReportSettings,
