@@ -32,13 +32,13 @@ PURPOSE = {
     "pymeshlab": "range scans",
     "scikit-image": "a surface from silhouettes",
 }
-PARTS_OF_SCIPY = ("fft", "interpolate", "io", "linalg", "ndimage", "optimize", "sparse", "spatial", "special", "stats")
+PARTS_OF_SCIPY = ("fft", "interpolate", "io", "ndimage", "optimize", "sparse", "spatial", "special", "stats")
 
 
 def loaded() -> tuple[str, ...]:
     """Heavy packages that this process has loaded.
 
-    scipy counts where one of its parts is there: numba imports the empty top of it to see its version.
+    scipy counts where a part of it is there that we call: numba takes scipy.linalg for itself, whatever it compiles.
     """
     found = {name: module in sys.modules for name, module in MODULES.items()}
     found["scipy"] = any(f"scipy.{part}" in sys.modules for part in PARTS_OF_SCIPY)

@@ -79,7 +79,7 @@ GONIOMETER = (
         requires=("ingest", "reflectance"),
         wants=lambda settings: ("weave",),
         uses=("fabric", "fabric_render", "fabric_evaluate"),
-        libraries=("numpy", "jinja2", "numba", "opencv-contrib-python-headless"),
+        libraries=("numpy", "scipy", "jinja2", "numba", "opencv-contrib-python-headless"),
         cost=lambda facts: Cost(mib=260, seconds=5.5),
     ),
 )

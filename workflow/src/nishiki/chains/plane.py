@@ -76,6 +76,7 @@ PLANE = (
         "normals and diffuse reflectance",
         requires=("ingest",),
         wants=lambda settings: ("separate",),
+        libraries=("numpy", "scipy", "numba", "zarr"),
         scatter=True,
         cost=_normals_cost,
     ),
