@@ -7,6 +7,7 @@ from nishiki.artifact import Artifact
 from nishiki.drape.models import FabricModels
 from nishiki.goniometry.store import Reflectances
 from nishiki.report import fabric_sections as sections
+from nishiki.report.conditions import conditions
 from nishiki.report.fabric_plots import model_name
 from nishiki.report.fabric_weave import tile_picture, weave_section
 from nishiki.report.left_out_section import left_out_section
@@ -54,6 +55,7 @@ def content_of(context: Context) -> dict:
             "rows": sections.coverage_rows(read_json(inputs["reflectance"], "reflectance.json") or {}),
         },
         "left_out": left_out_section(settings.left_out, {name: told[name] for name in ORDER if name in told}),
+        "conditions": conditions(inputs[name].manifest for name in ORDER if name in inputs),
         "records": records(inputs),
     }
 

@@ -13,6 +13,7 @@ from nishiki.patches.store import ATLAS
 from nishiki.reflection.flags import TexelFlag
 from nishiki.reflection.store import ParameterMaps
 from nishiki.report import object_sections as sections
+from nishiki.report.conditions import conditions
 from nishiki.report.left_out_section import left_out_section
 from nishiki.report.object_atlas import parameter_pictures
 from nishiki.report.page import OBJECT_TEMPLATE, render_page
@@ -66,6 +67,7 @@ def content_of(context: Context) -> dict:
         "preview": first_picture(inputs.get("mesh"), PREVIEWS, widest),
         "cameras": turn(inputs.get("cameras"), held_out),
         "left_out": left_out_section(settings.left_out, {name: told[name] for name in chain if name in told}),
+        "conditions": conditions(inputs[name].manifest for name in chain if name in inputs),
         "records": [
             stage_record(inputs[name].manifest, chain[name].settings, chain[name].does)
             for name in chain

@@ -11,6 +11,7 @@ from nishiki.normals.flags import NO_ESTIMATE
 from nishiki.report.appearance_section import appearance_section
 from nishiki.report.capture_section import capture_section
 from nishiki.report.colour_section import colour_section
+from nishiki.report.conditions import conditions
 from nishiki.report.gloss_section import gloss_section
 from nishiki.report.left_out_section import left_out_section
 from nishiki.report.page import render_page
@@ -86,6 +87,7 @@ def content_of(context: Context) -> dict:
         "left_out": left_out_section(
             settings.left_out, {name: inputs[name].diagnostics for name in CHAIN if name in inputs}
         ),
+        "conditions": conditions(inputs[name].manifest for name in CHAIN if name in inputs),
         "records": records,
         "with_truth": any((evaluation or {}).get(name) for name in ("normals", "height", "reflectance")),
     }

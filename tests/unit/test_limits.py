@@ -6,6 +6,7 @@ import pytest
 
 from nishiki.limits import check, names_of, readings
 from nishiki.limits_table import LIMITS
+from nishiki.report.conditions import conditions
 from nishiki.stages import CHAIN
 
 STATED = [(stage, limit) for stage, limits in LIMITS.items() for limit in limits if limit.stated]
@@ -44,3 +45,13 @@ def test_the_figures_of_a_registration_that_failed_stop_the_run():
         "uncovered_share",
     ]
     check("texels", texels, ("visible_share", "uncovered_share"))
+
+
+def test_the_report_shows_every_figure_beside_its_limit():
+    manifest = {"stage": "height", "settings": {"allow": ["convergence"]}, "diagnostics": {"residual": 0.5, "parts": 2}}
+    rows = {row["meaning"]: row for row in conditions([manifest, {**manifest, "settings": {}, "stage": "render"}])}
+    assert len(rows) == 2
+    solver = rows["relative residual of the linear system of the height"]
+    assert (solver["value"], solver["limit"], solver["state"]) == ("0.5", "at most 0.01", "beyond, allowed")
+    parts = rows["separate parts of the object, each with its own zero"]
+    assert (parts["value"], parts["limit"], parts["state"]) == ("2", "none", "")

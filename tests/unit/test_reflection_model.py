@@ -14,7 +14,7 @@ from nishiki.reflection.fill import fill
 from nishiki.reflection.highlight import fit_highlight, hemisphere
 from nishiki.reflection.lighting import DISTANT, ENVIRONMENT, POINT, Lamp, Lighting
 from nishiki.reflection.model import GRAZING, factors, predict
-from nishiki.reflection.neighbours import Neighbourhood, spread
+from nishiki.reflection.neighbours import Lattice, Neighbourhood, spread
 from nishiki.reflection.stack import observed, slope_of_srgb
 
 EYE = np.eye(3, dtype=np.float32)
@@ -265,21 +265,22 @@ def test_field_of_the_neighbours():
     values = truth + 0.1 * rng.normal(size=truth.shape)
     values[~certain] = 1e6
     precision = np.where(certain, 100.0, 0)
-    halves = [spread(positions[h], values[h], precision[h], 4.0) for h in (slice(0, 9000), slice(9000, None))]
-    field = Neighbourhood(4.0, 2, halves).field(25.0, np.zeros(2))
+    halves = [spread(positions[h], values[h], precision[h], Lattice(4.0)) for h in (slice(0, 9000), slice(9000, None))]
+    field = Neighbourhood(Lattice(4.0), 2, halves).field(25.0, np.zeros(2))
     found = field.at(positions)
     assert np.sqrt(np.mean((found - truth)[positions[:, 2] <= 20] ** 2)) < 0.06
     assert np.abs(found).max() < 1.6
     assert np.abs(found - truth)[positions[:, 2] > 20].mean() < 0.5
-    whole = Neighbourhood(4.0, 2, [spread(positions, values, precision, 4.0)]).field(25.0, np.zeros(2))
+    part = spread(positions, values, precision, Lattice(4.0))
+    whole = Neighbourhood(Lattice(4.0), 2, [part]).field(25.0, np.zeros(2))
     np.testing.assert_allclose(whole.at(positions), found, rtol=1e-5, atol=1e-6)
 
 
 def test_a_field_of_nothing_is_the_default():
     positions = np.random.default_rng(0).normal(size=(50, 3))
-    part = spread(positions, np.full((50, 1), np.nan), np.zeros(50), 1.0)
-    np.testing.assert_allclose(Neighbourhood(1.0, 1, [part]).field(2.0, np.array([0.7])).at(positions), 0.7)
-    np.testing.assert_allclose(Neighbourhood(1.0, 1, []).field(2.0, np.array([0.7])).at(positions), 0.7)
+    part = spread(positions, np.full((50, 1), np.nan), np.zeros(50), Lattice(1.0))
+    np.testing.assert_allclose(Neighbourhood(Lattice(1.0), 1, [part]).field(2.0, np.array([0.7])).at(positions), 0.7)
+    np.testing.assert_allclose(Neighbourhood(Lattice(1.0), 1, []).field(2.0, np.array([0.7])).at(positions), 0.7)
 
 
 def test_observed_gathers_the_visible_only():

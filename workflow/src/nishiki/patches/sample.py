@@ -169,8 +169,10 @@ def bilinear(pixels, seen, index, picture, values):
         if not seen[i]:
             continue
         column, row = min(int(pixels[i, 0]), columns - 1), min(int(pixels[i, 1]), rows - 1)
-        right, below = min(column + 1, columns - 1), min(row + 1, rows - 1)
         u, v = pixels[i, 0] - column, pixels[i, 1] - row
+        # A neighbour without weight is not read: it may be missing.
+        right = column + 1 if u > 0 and column + 1 < columns else column
+        below = row + 1 if v > 0 and row + 1 < rows else row
         for k in range(channels):
             top = (1 - u) * picture[row, column, k] + u * picture[row, right, k]
             bottom = (1 - u) * picture[below, column, k] + u * picture[below, right, k]

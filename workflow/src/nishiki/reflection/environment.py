@@ -44,14 +44,14 @@ def harmonics(normals: np.ndarray) -> np.ndarray:
 def fit_environment(values: np.ndarray, normals: np.ndarray, weights: np.ndarray) -> EnvironmentFit:
     """E of texels: values (n, M, channels), normals (n, M, 3) in the lamp frame of each view, weights (n, M) >= 0.
 
-    Scaled so that E is 1 at most over the normals that were seen.  With fewer than FEWEST texels seen three times E is
-    max(0, z), a lamp at the camera.
+    Scaled so that E is 1 at most over the normals that were seen.  With fewer than FEWEST texels seen three times, or
+    without light, E is max(0, z), a lamp at the camera.
     """
     usable = np.sum(weights > 0, axis=1) >= 3
     values, weights = values[usable].astype(np.float64), weights[usable].astype(np.float64)
     basis = harmonics(normals[usable].astype(np.float64))
     start = np.array([0.5, 0, 0, 0.5, 0, 0, 0, 0, 0])
-    if len(values) < FEWEST:
+    if len(values) < FEWEST or not values.any():
         return EnvironmentFit((0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0), 0.0, 0, len(values))
     e, robust = start, weights
     done, moved = 0, 1.0
@@ -105,8 +105,11 @@ def _step(values: np.ndarray, basis: np.ndarray, weights: np.ndarray, e: np.ndar
 def _tukey(residuals: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Tukey's biweight of the length of each observation's residual, scaled by the median of all."""
     length = np.sqrt(np.sum(residuals**2, axis=-1))
-    scale = 1.4826 * float(np.median(length[weights > 0]))
-    return np.maximum(1 - (length / max(TUKEY * scale, 1e-12)) ** 2, 0) ** 2
+    counted = length[weights > 0]
+    scale = TUKEY * 1.4826 * float(np.median(counted)) if counted.size else 0.0
+    if not scale > 0:  # the median observation fits exactly, at whatever brightness: nothing to scale by
+        return np.ones_like(length)
+    return np.maximum(1 - (length / scale) ** 2, 0) ** 2
 
 
 def residuals(values: np.ndarray, normals: np.ndarray, weights: np.ndarray, coefficients) -> np.ndarray:

@@ -19,11 +19,23 @@ _MIDDLE = 1 << (_BITS - 1)
 
 
 @dataclass(frozen=True)
-class Neighbourhood:
-    """Texels gathered; edge: of the finest lattice's cells, in the object's unit; size: numbers a texel; parts: from
-    `spread`, in the order in which they are to be added."""
+class Lattice:
+    """edge: of the finest lattice's cells, in the object's unit; origin (3,): a place near the object, from which nodes
+    are counted, up to 2^20 each way (farther ones are held at that)."""
 
     edge: float
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def places(self, positions: np.ndarray) -> np.ndarray:
+        """(n, 3) float64 positions in cells from the origin."""
+        return (np.asarray(positions, np.float64).reshape(-1, 3) - self.origin) / self.edge
+
+
+@dataclass(frozen=True)
+class Neighbourhood:
+    """Texels gathered; size: numbers a texel; parts: from `spread`, in the order in which they are to be added."""
+
+    lattice: Lattice
     size: int
     parts: list
 
@@ -37,7 +49,7 @@ class Neighbourhood:
         no texel of the whole object says anything."""
         mean = self.mean(default)
         if not any(len(keys) for keys, _ in self.parts):
-            return Field(self.edge, np.zeros(1, np.int64), mean[None].copy(), mean)
+            return Field(self.lattice, np.zeros(1, np.int64), mean[None].copy(), mean)
         levels = [_merged(*(np.concatenate(part) for part in zip(*self.parts, strict=True)))]
         while len(levels[-1][0]) > 8 and len(levels) < _BITS:
             keys, sums = levels[-1]
@@ -46,32 +58,31 @@ class Neighbourhood:
         for keys, sums in reversed(levels):
             above = mean if parents is None else _looked_up(_unpacked(keys) / 2, *parents)
             parents = keys, (sums[:, 1:] + coarse * above) / (sums[:, :1] + coarse)
-        return Field(self.edge, *parents, mean)
+        return Field(self.lattice, *parents, mean)
 
 
-def spread(positions: np.ndarray, values: np.ndarray, precision: np.ndarray, edge: float) -> tuple:
+def spread(positions: np.ndarray, values: np.ndarray, precision: np.ndarray, lattice: Lattice) -> tuple:
     """A part of a Neighbourhood: texels at positions (n, 3) with values (n, size) and precision (n,) >= 0.
 
     Texels of precision 0 only say where there is surface.
     """
     weight = np.asarray(precision, np.float64)[:, None]
     sums = np.concatenate([weight, weight * np.where(weight > 0, values, 0)], axis=1)
-    return _shared(np.asarray(positions, np.float64) / edge, sums)
+    return _shared(lattice.places(positions), sums)
 
 
 @dataclass(frozen=True)
 class Field:
     """Values on the nodes of a lattice (keys sorted): between them, trilinear."""
 
-    edge: float
+    lattice: Lattice
     keys: np.ndarray
     values: np.ndarray
     mean: np.ndarray
 
     def at(self, positions: np.ndarray) -> np.ndarray:
         """(n, size) float32 at positions (n, 3) that were added; elsewhere the nearest nodes' mean, or the first."""
-        places = np.asarray(positions, np.float64).reshape(-1, 3) / self.edge
-        return _looked_up(places, self.keys, self.values).astype(np.float32)
+        return _looked_up(self.lattice.places(positions), self.keys, self.values).astype(np.float32)
 
 
 def _shared(places: np.ndarray, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

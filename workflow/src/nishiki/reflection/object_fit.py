@@ -19,11 +19,12 @@ import numpy as np
 from nishiki.reflection import texel_fit
 from nishiki.reflection.fill import fill
 from nishiki.reflection.flags import TexelFlag
-from nishiki.reflection.neighbours import Field, Neighbourhood, spread
+from nishiki.reflection.neighbours import Field, Lattice, Neighbourhood, spread
 from nishiki.reflection.tile import Capture, Parameters, Tile
 
 WIDTHS = ("smooth", "texel", "object")
 CELL = 8  # edge of the finest lattice's cells, in texels
+FAR = 1 << 16  # cells from the world's origin: half of it is near
 SCATTER_SIGMA = 0.2  # of log sigma between neighbours: first guess
 SCATTER_KS = 0.5  # of K_s, relative to its mean: first guess
 LEAST_SCATTER = 0.02  # of either
@@ -70,7 +71,7 @@ def fit_object(
     K_s from the total, which is what a picture shows.  The result does not depend on `threads`.
     """
     tiles = list(tiles)
-    edge = CELL * spacing([read(tile) for tile in tiles[:: max(len(tiles) // 6, 1)]])
+    lattice = lattice_of([read(tile) for tile in tiles[:: max(len(tiles) // 6, 1)]])
     with ThreadPoolExecutor(max(threads, 1)) as pool:
 
         def whole(k: int) -> Tile:
@@ -79,10 +80,10 @@ def fit_object(
         def every(function):
             return list(pool.map(function, range(len(tiles))))
 
-        first = every(lambda k: _First.of(read(tiles[k]), capture, method, edge))
-        widths = _Widths.of(first, edge, width)
-        second = every(lambda k: _Second.of(whole(k), capture, widths, first[k], edge))
-        gloss = _Gloss.of(second, first, edge, width)
+        first = every(lambda k: _First.of(read(tiles[k]), capture, method, lattice))
+        widths = _Widths.of(first, lattice, width)
+        second = every(lambda k: _Second.of(whole(k), capture, widths, first[k], lattice))
+        gloss = _Gloss.of(second, first, lattice, width)
 
         def finish(k: int) -> tuple[np.ndarray, float, int]:
             tile = whole(k)
@@ -92,6 +93,15 @@ def fit_object(
 
         finished = every(finish)
     return _described(first, widths, gloss, finished)
+
+
+def lattice_of(tiles: list[Tile]) -> Lattice:
+    """Cells of `CELL` texels, counted from the world's origin, or, far from it, from a multiple of FAR cells near the
+    first texel of these tiles."""
+    edge = CELL * spacing(tiles)
+    first = np.concatenate([tile.positions[tile.inside][:1] for tile in tiles] or [np.empty((0, 3))])[:1]
+    origin = FAR * edge * np.rint(first.astype(float).sum(axis=0) / (FAR * edge))
+    return Lattice(edge, tuple(origin.tolist()))
 
 
 def spacing(tiles: list[Tile]) -> float:
@@ -112,7 +122,7 @@ class _First:
     stride: int
 
     @classmethod
-    def of(cls, tile: Tile, capture: Capture, method: str, edge: float) -> _First:
+    def of(cls, tile: Tile, capture: Capture, method: str, lattice: Lattice) -> _First:
         total, specular = capture.observe(tile)
         fit = texel_fit.first_fit(total, specular, method=method)
         told = fit.information > 0
@@ -122,7 +132,7 @@ class _First:
         values, weights = (np.zeros(tile.inside.size) for _ in range(2))
         values[total.texel], weights[total.texel] = fit.log_sigma, precision
         places = tile.positions.reshape(-1, 3)
-        part = spread(places[surface], values[surface, None], weights[surface], edge)
+        part = spread(places[surface], values[surface, None], weights[surface], lattice)
         stride = max(len(told) // SUBSET, 1)
         return cls(total.texel, fit, part, places[total.texel[::stride]], stride)
 
@@ -136,8 +146,8 @@ class _Widths:
     width: str
 
     @classmethod
-    def of(cls, first: list[_First], edge: float, width: str) -> _Widths:
-        around = Neighbourhood(edge, 1, [f.part for f in first])
+    def of(cls, first: list[_First], lattice: Lattice, width: str) -> _Widths:
+        around = Neighbourhood(lattice, 1, [f.part for f in first])
         default = np.log([DEFAULT_SIGMA])
         guess = around.field(1 / SCATTER_SIGMA**2, default)
         own = np.concatenate([f.fit.log_sigma[:: f.stride] for f in first] or [np.empty(0)])
@@ -169,7 +179,7 @@ class _Second:
     sample: np.ndarray
 
     @classmethod
-    def of(cls, tile: Tile, capture: Capture, widths: _Widths, first: _First, edge: float) -> _Second:
+    def of(cls, tile: Tile, capture: Capture, widths: _Widths, first: _First, lattice: Lattice) -> _Second:
         total, specular = capture.observe(tile)
         places = tile.positions.reshape(-1, 3)
         sigma = widths.sigma(places[first.texel], first.fit.log_sigma, first.fit.information)
@@ -181,7 +191,7 @@ class _Second:
         channels = found.ks.shape[1]
         values, weights = np.zeros((tile.inside.size, channels)), np.zeros(tile.inside.size)
         values[first.texel], weights[first.texel] = found.ks, information
-        part = spread(places[surface], values[surface], weights[surface], edge)
+        part = spread(places[surface], values[surface], weights[surface], lattice)
         keep = slice(None, None, first.stride)
         return cls(part, found.ks[keep], information[keep], first.sample)
 
@@ -197,10 +207,10 @@ class _Gloss:
     width: str
 
     @classmethod
-    def of(cls, second: list[_Second], first: list[_First], edge: float, width: str) -> _Gloss:
+    def of(cls, second: list[_Second], first: list[_First], lattice: Lattice, width: str) -> _Gloss:
         noise = texel_fit.noise_of(np.concatenate([f.fit.residual for f in first] or [np.empty(0)]))
         channels = second[0].ks.shape[1] if second else 1
-        around = Neighbourhood(edge, channels, [s.part for s in second])
+        around = Neighbourhood(lattice, channels, [s.part for s in second])
         mean = around.mean(np.zeros(channels))
         guess = SCATTER_KS * max(float(np.mean(mean)), 1e-30)
         rough = around.field(min((noise / guess) ** 2, MOST_PULL), mean)
@@ -249,7 +259,8 @@ def _third(tile: Tile, capture: Capture, widths: _Widths, gloss: _Gloss, first: 
 def _flags(tile: Tile, seen: np.ndarray, first: _First, untold: np.ndarray) -> np.ndarray:
     flags = np.full(tile.inside.size, TexelFlag.UNSEEN | TexelFlag.NO_HIGHLIGHT | TexelFlag.UNTOLD, np.uint8)
     of_seen = np.where(seen < 2, TexelFlag.ONCE, 0) | np.where(untold, TexelFlag.UNTOLD, 0)
-    flags[first.texel] = of_seen | np.where(first.fit.information > 0, 0, TexelFlag.NO_HIGHLIGHT)
+    of_seen |= np.where(first.fit.information > 0, 0, TexelFlag.NO_HIGHLIGHT)
+    flags[first.texel] = np.where(seen > 0, of_seen, flags[first.texel])
     flags[~tile.inside.ravel()] = TexelFlag.OUTSIDE
     return flags.reshape(tile.inside.shape)
 

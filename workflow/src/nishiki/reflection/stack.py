@@ -39,8 +39,8 @@ class Observed:
 
     @property
     def seen(self) -> np.ndarray:
-        """(points,) int32: observations of each texel."""
-        return np.sum(self.view >= 0, axis=1, dtype=np.int32)
+        """(points,) int32: usable observations of each texel, those with a weight."""
+        return np.sum(self.weights > 0, axis=1, dtype=np.int32)
 
 
 def observed(

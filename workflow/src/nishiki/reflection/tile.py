@@ -68,13 +68,15 @@ class Capture:
         return first, second
 
     def squares(self, parameters: Parameters, tile: Tile) -> tuple[float, int]:
-        """Sum of the squared errors of the model alone in the capture's encoding, and how many samples these are."""
+        """Sum of the squared errors of the model alone in the capture's encoding, and how many samples these are, of
+        those that are finite."""
         total, count = 0.0, 0
         whole = tile.joined.values
         for o in np.flatnonzero(tile.visible.reshape(len(tile.visible), -1).any(axis=1)):
             seen = tile.visible[o] & tile.inside
             error = encode(self.predicted(parameters, tile, o, seen), self.encoding)
             error = error - encode(whole[o][seen], self.encoding)
+            error = error[np.isfinite(error)]
             total += float(np.sum(error.astype(np.float64) ** 2))
             count += error.size
         return total, count
