@@ -7,6 +7,7 @@ import argparse
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -26,7 +27,10 @@ def main() -> None:
     parser.add_argument("--output", type=Path, required=True, help="JSON file to make")
     parser.add_argument("rest", nargs="+", metavar="ARGUMENT", help="arguments of the stage's script")
     arguments = parser.parse_args()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     first = open_artifact(arguments.first)
+    for left in arguments.output.parent.glob(f".{arguments.output.stem}.*.repeat"):  # by a run that was killed
+        shutil.rmtree(left, ignore_errors=True)
     folder = arguments.output.parent / f".{arguments.output.stem}.{os.getpid()}.repeat"
     try:
         status, record = repeat(first, folder, arguments.rest, arguments.threads)

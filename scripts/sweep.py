@@ -12,7 +12,7 @@ from nishiki.artifact import open_artifact
 from nishiki.errors import UserError
 from nishiki.stage import PROJECT_VERSION
 from nishiki.sweep.content import scene_content, sweep_content, table_rows
-from nishiki.sweep.measures import as_measure, candidates, paths_in, value_of
+from nishiki.sweep.measures import as_measure, candidates, compared, paths_in, values_of
 from nishiki.sweep.page import render_sweep
 from nishiki.sweep.settings import MeasureSettings
 from nishiki.sweep.summary import VariantRow, variant_row
@@ -68,7 +68,7 @@ def errors_of(flow: Workflow, swept: SceneSweep) -> tuple[list[MeasureSettings],
     }
 
     def values(measure: MeasureSettings) -> dict[str, float | None]:
-        return {name: value_of(measure, sources, settings[name]) for name, sources in found.items()}
+        return compared({name: values_of(measure, sources, settings[name]) for name, sources in found.items()})
 
     asked = [as_measure(given) for given in flow.sweep.settings.error]
     if not asked:

@@ -246,8 +246,16 @@ def page() -> dict[Path, str]:
             summary += summary_rows(part, scene, subject)
             parts.append(section(part, scene, notes.get(part.name, {}), files))
     head = "| scene | error | default | time | place of the default |\n|---|---|---|---|---|\n"
-    files[PAGE] = "\n".join([INTRODUCTION, machine_text(), head + "\n".join(summary) + "\n", *parts])
+    files[PAGE] = "\n".join([INTRODUCTION, machine_text(), head + "\n".join(summary) + "\n", *missing_text(), *parts])
     return files
+
+
+def missing_text() -> list[str]:
+    """Which subjects have no stored lines yet, and the command that measures them."""
+    names = [name for name, subject in SUBJECTS.items() if not all(stored(part) for part in subject.parts)]
+    if not names:
+        return []
+    return [f"Not measured yet: {', '.join(names)}. The command above with `--only {' '.join(names)}` adds them.\n"]
 
 
 def summary_rows(part: Part, scene: dict, subject: Subject) -> list[str]:

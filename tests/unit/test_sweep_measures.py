@@ -3,7 +3,7 @@
 import pytest
 
 from nishiki.errors import UserError
-from nishiki.sweep.measures import NORMALS, as_measure, candidates, paths_in, value_of
+from nishiki.sweep.measures import NORMALS, as_measure, candidates, compared, paths_in, values_of
 from nishiki.sweep.settings import MeasureSettings
 
 DIAGNOSTICS = {
@@ -13,7 +13,8 @@ DIAGNOSTICS = {
 
 
 def value(path, sources=(DIAGNOSTICS,), settings=None):
-    return value_of(MeasureSettings(path=path), list(sources), settings or {})
+    found = values_of(MeasureSettings(path=path), list(sources), settings or {})
+    return compared({"variant": found})["variant"]
 
 
 def test_paths_stars_and_settings():
@@ -23,9 +24,16 @@ def test_paths_stars_and_settings():
     assert value("regions.*.{fabric.model}.*", settings={"fabric": {"model": "m"}}) == 3.0
 
 
-@pytest.mark.parametrize("path", ["a.c", "a", "a.text", "a.yes", "regions.*.m.30", "a.b.c", "none"])
+@pytest.mark.parametrize("path", ["a.c", "a", "a.text", "a.yes", "a.b.c", "none"])
 def test_what_is_not_there_or_no_number_is_none(path):
     assert value(path) is None
+
+
+def test_variants_are_compared_on_what_all_of_them_have():
+    found = {"a": {("15",): 1.0, ("30",): 3.0}, "b": {("0",): 0.0, ("15",): 2.0, ("30",): 4.0}}
+    assert compared(found) == {"a": 2.0, "b": 3.0}
+    assert compared({**found, "c": {}}) == {"a": 2.0, "b": 3.0, "c": None}
+    assert compared({"a": {("15",): 1.0}, "b": {("0",): 1.0}}) == {"a": None, "b": None}
 
 
 def test_the_first_source_that_has_it_counts_and_lists_are_numbered():

@@ -46,17 +46,28 @@ def as_measure(given: str | MeasureSettings) -> MeasureSettings:
     return next((measure for group in known for measure in group if measure.path == given), MeasureSettings(path=given))
 
 
-def value_of(measure: MeasureSettings, sources: list[dict[str, Any]], settings: dict[str, Any]) -> float | None:
-    """The figure in the first of `sources` that holds its path: the mean over everything that a * stands for.
+def values_of(
+    measure: MeasureSettings, sources: list[dict[str, Any]], settings: dict[str, Any]
+) -> dict[tuple[str, ...], float]:
+    """All figures at the measure's path in the first of `sources` that holds it, by what each * stands for.
 
-    settings : of the variant, by stage, for {stage.setting} in the path. None where no source has the path.
+    settings : of the variant, by stage, for {stage.setting} in the path. Empty where no source has the path.
     """
     path = re.sub(r"\{([a-z_.]+)\}", lambda match: str(_at(settings, match[1].split("."))), measure.path)
-    for source in sources:
-        values = _values(source, path.split("."))
-        if values:
-            return math.fsum(values) / len(values)
-    return None
+    return next((found for source in sources if (found := _values(source, path.split(".")))), {})
+
+
+def compared(found: dict[str, dict[tuple[str, ...], float]]) -> dict[str, float | None]:
+    """One figure for each variant: the mean over what all variants have, so that all are judged on the same.
+
+    found : figures of each variant, as `values_of` gives them. None for a variant that has none, or none in common.
+    """
+    holders = [set(values) for values in found.values() if values]
+    common = sorted(set.intersection(*holders)) if holders else []
+    return {
+        name: math.fsum(values[key] for key in common) / len(common) if values and common else None
+        for name, values in found.items()
+    }
 
 
 def _at(block: Any, parts: list[str]) -> Any:
@@ -67,19 +78,19 @@ def _at(block: Any, parts: list[str]) -> Any:
     return block
 
 
-def _values(block: Any, parts: list[str]) -> list[float]:
-    """All finite numbers at a path; [] where one of its branches is missing or is no number."""
+def _values(block: Any, parts: list[str], stars: tuple[str, ...] = ()) -> dict[tuple[str, ...], float]:
+    """All finite numbers at a path, by the keys that its * stood for; {} where it leads nowhere or to no number."""
     if not parts:
         number = isinstance(block, int | float) and not isinstance(block, bool) and math.isfinite(block)
-        return [float(block)] if number else []
+        return {stars: float(block)} if number else {}
     if isinstance(block, list):
-        block = dict(enumerate(block)) if parts[0] == "*" else {str(k): item for k, item in enumerate(block)}
+        block = {str(k): item for k, item in enumerate(block)}
     if not isinstance(block, dict):
-        return []
+        return {}
     if parts[0] != "*":
-        return _values(block[parts[0]], parts[1:]) if parts[0] in block else []
-    found = [_values(item, parts[1:]) for item in block.values()]
-    return [value for values in found for value in values] if all(found) else []
+        return _values(block[parts[0]], parts[1:], stars) if parts[0] in block else {}
+    found = [_values(item, parts[1:], (*stars, str(key))) for key, item in block.items()]
+    return {key: value for values in found for key, value in values.items()}
 
 
 def paths_in(block: Any, prefix: str = "") -> list[str]:
