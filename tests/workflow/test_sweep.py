@@ -1,0 +1,127 @@
+"""A sweep through the workflow: interrupted and continued, its table and page, bad files."""
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+import yaml
+
+SWEEP = {
+    "stage": "spectra",
+    "variants": {"paper": {"method": "paper"}, "wiener": {"method": "wiener"}},
+    "paper": "paper",
+}
+
+
+def write_sweep(site, **changes):
+    path = site.folder / "config/methods.yaml"
+    path.write_text(yaml.safe_dump({**SWEEP, "repeats": 2, **changes}))
+    return "config/methods.yaml"
+
+
+def timings(site):
+    return sorted((site.folder / "results/sweeps/timings/tiny/spectra").glob("*/*.json"))
+
+
+def interrupted(site, sweep):
+    """Start a sweep, and interrupt it as soon as its third repeat is there; the repeats that were finished then.
+
+    The newest one is left out: Snakemake may not have seen its end."""
+    environment = {**os.environ, "PYTHONPATH": str(site.folder / "workflow/src")}
+    process = subprocess.Popen(
+        [sys.executable, "-m", "nishiki", "sweep", sweep],
+        cwd=site.folder,
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    until = time.monotonic() + 300
+    while len(timings(site)) < 3 and process.poll() is None and time.monotonic() < until:
+        time.sleep(0.05)
+    os.killpg(process.pid, signal.SIGTERM)
+    process.wait(120)
+    while group_lives(process.pid) and time.monotonic() < until + 120:
+        time.sleep(0.05)
+    return dict(sorted(((path, path.stat().st_mtime_ns) for path in timings(site)), key=lambda item: item[1])[:-1])
+
+
+def group_lives(leader):
+    """Whether a process of the group is left."""
+    try:
+        os.killpg(leader, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def test_an_interrupted_sweep_continues_and_tells_error_against_time(site):
+    sweep = write_sweep(site)
+    before = interrupted(site, sweep)
+    assert 1 <= len(before) < 5, before
+    assert not (site.folder / "results/sweeps/methods/sweep.json").exists()
+    current = os.readlink(site.folder / "results/tiny/current/spectra")
+
+    text = site.nishiki("sweep", sweep).stdout
+    assert "The default" in text
+    assert "results/sweeps/methods/sweep.html" in text
+    assert len(timings(site)) == 6
+    assert {path: path.stat().st_mtime_ns for path in before} == before
+    assert not [path for path in (site.folder / "results/sweeps").rglob(".*")]
+    assert os.readlink(site.folder / "results/tiny/current/spectra") == current
+
+    content = json.loads((site.folder / "results/sweeps/methods/sweep.json").read_text())
+    (scene,) = content["scenes"]
+    rows = {row["name"]: row for row in scene["rows"]}
+    assert set(rows) == {"as configured", "paper", "wiener"}
+    assert scene["counted"] == ["spectra"]
+    for row in rows.values():
+        evaluation = json.loads(evaluation_of(site, row).read_text())["diagnostics"]
+        assert row["errors"] == [evaluation["reflectance_rmse_mean"]]
+        recorded = [
+            json.loads(path.read_text()) for path in timings(site) if path.parent.name == row["keys"]["spectra"]
+        ]
+        assert len(recorded) == 2
+        assert row["times"]["seconds"]["median"] == pytest.approx(sum(one["seconds"] for one in recorded) / 2, abs=1e-3)
+        assert all(one["same"] and one["digest"] == digest_of(site, row) for one in recorded)
+    assert rows["paper"]["errors"] > rows["wiener"]["errors"]
+    table = list(csv.DictReader((site.folder / "results/sweeps/methods/sweep.csv").open()))
+    assert [row["variant"] for row in table] == list(rows)
+    assert "<svg" in (site.folder / "results/sweeps/methods/sweep.html").read_text()
+    assert "Nothing to be done" in (lambda done: done.stdout + done.stderr)(site.nishiki("sweep", sweep))
+    assert site.would_run() == []
+
+
+def evaluation_of(site, row):
+    """Manifest of the evaluation that was made from a row's spectra."""
+    for path in (site.folder / "results/tiny/evaluate").glob("*/artifact.json"):
+        if json.loads(path.read_text())["upstream"]["spectra"]["key"] == row["keys"]["spectra"]:
+            return path
+    raise AssertionError(f"no evaluation of {row['name']}")
+
+
+def digest_of(site, row):
+    from nishiki.provenance import file_digest
+
+    return file_digest(site.folder / "results/tiny/spectra" / row["keys"]["spectra"] / "artifact.json")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"variants": {"x": {"methd": "paper"}}, "paper": ""}, "did you mean 'method'"),
+        ({"stage": "spectre"}, "unknown stage 'spectre'"),
+        ({"scenes": ["none"]}, "no scene 'none'"),
+    ],
+)
+def test_a_bad_sweep_is_told_in_one_line_with_status_2(site, changes, message):
+    done = site.nishiki("sweep", write_sweep(site, **changes), check=False)
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert "config/methods.yaml" in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
