@@ -150,7 +150,7 @@ def lights(runs: Runs, data: Path | None):
 def gloss(runs: Runs, data: Path | None):
     """Plane scenes with and without gloss: colour error under lights that no fit has seen, with and without it."""
     for kind in ("varnish", "satin", "matte", "none"):
-        options = ("--preset", "tiny", "--rows", "256", "--columns", "384", "--gloss", kind)
+        options = ("--preset", "tiny", "--gloss", kind)
         capture = runs.simulate(f"painting-{kind}", *options)
         ingest = runs.stage("ingest", capture=capture, channels="all")
         chosen = runs.stage("separate", [ingest])
@@ -162,10 +162,8 @@ def gloss(runs: Runs, data: Path | None):
                 "scene": capture.name,
                 "what": "specular",
                 "setting": setting,
-                "error_de00": diagnostics(judged)["overall"]["de00"]["mean"]
-                if "overall" in diagnostics(judged)
-                else diagnostics(judged),
-                **seconds(fitted, judged),
+                "error_de00": diagnostics(judged)["relighting_de00_mean"],
+                **seconds(fitted),
                 **decided(fitted, "specular"),
             }
 
