@@ -26,11 +26,10 @@ EXCEPTIONS = {
 }
 ALLOWED = (
     "agent that is a Person or Organization",  # who ran the computer is recorded nowhere
-    "singleton array",  # compact form of lists of one, which differs between versions of RO-Crate
     "organizational affiliation",  # capture.yaml asks for a name only
-    "PRONOM identifier",
-    "Contextual Entity` of type `Web Site`",
-    "should not have both",
+    "`publisher` property",  # whoever publishes the crate knows; who packs it does not
+    "The Application SHOULD have a url",  # none is recorded for the project
+    "id SHOULD be an absolute URI",  # scripts and workflow are files of the crate, with relative names
 )
 """Recommendations that are not followed, each with its reason."""
 
