@@ -136,12 +136,13 @@ def simulate(options: argparse.Namespace, rest: list[str]) -> int:
 
 
 def test(options: argparse.Namespace, rest: list[str]) -> int:
-    """Run the tests with pytest."""
+    """Run the tests with pytest; all of them: files side by side, a file's tests in one process."""
     try:
         import pytest  # noqa: F401
     except ImportError:
         raise UserError("pytest is not installed; remove .venv and call ./nishiki test again") from None
     install_for_meshlab()
+    rest = rest or ["-n", str(min(os.cpu_count() or 1, 4)), "--dist", "loadfile"]
     return subprocess.run([sys.executable, "-m", "pytest", *rest], cwd=PROJECT, check=False).returncode
 
 
