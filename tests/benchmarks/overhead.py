@@ -77,7 +77,8 @@ def campaign(folder: Path, count: int, cores: int) -> dict:
     (folder / "campaign.yaml").write_text(SETTINGS.replace("scenes.tsv", "campaign.tsv") + "results: campaign\n")
     shutil.rmtree(folder / "campaign", ignore_errors=True)
     wall, cpu, _ = nishiki(folder, "run", "--configfile", "campaign.yaml", "--cores", str(cores))
-    runs = [json.loads(path.read_text()) for path in (folder / "campaign").glob("*/*/*/run.json")]
+    made = (path for path in (folder / "campaign").glob("*/*/*/run.json") if path.parts[-3] != "current")
+    runs = [json.loads(path.read_text()) for path in made]
     stages = sum(run["process_cpu_seconds"] for run in runs)
     loading = sum(run["start_cpu_seconds"] for run in runs)
     return {
