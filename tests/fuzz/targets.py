@@ -178,7 +178,8 @@ def stores(data: bytes) -> None:
     elif kind == "observations":
         Observations(_observed(content))
     else:
-        paused(make_store, place() / "s.zarr")
+        for name, sound in _sound_store().items():
+            put(f"s.zarr/{name}", sound)
         put({"group": "s.zarr/zarr.json", "array": "s.zarr/a/zarr.json", "chunk": "s.zarr/a/c/0/0"}[kind], content)
         group = open_group(place() / "s.zarr")
         dict(group.attrs)
@@ -186,6 +187,13 @@ def stores(data: bytes) -> None:
             group["a"][...]
         except (KeyError, ValueError, RuntimeError, OSError):
             assert kind in ("chunk", "array", "group")  # a chunk that is damaged: told by its checksum or its codec
+
+
+@cache
+def _sound_store() -> dict[str, bytes]:
+    """The files of the store before one of them is changed."""
+    paused(make_store, place() / "s.zarr")
+    return {name: (place() / "s.zarr" / name).read_bytes() for name in ("zarr.json", "a/zarr.json", "a/c/0/0")}
 
 
 def _observed(attributes: bytes) -> Path:
