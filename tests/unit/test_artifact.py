@@ -184,6 +184,18 @@ def test_leftovers_of_a_dead_process_are_removed_and_those_of_a_living_one_kept(
     assert {path.name for path in target.parent.glob(".*")} == {f".{KEY}.{name}.partial" for name in living}
 
 
+def test_an_artifact_is_dated_no_earlier_than_what_it_was_made_from(target, tmp_path):
+    upstream = tmp_path / "upstream.json"
+    upstream.touch()
+    os.utime(upstream, (4e9, 4e9))  # the clock was set back since
+    with ArtifactWriter(target) as output:
+        output.path("empty.bin").write_bytes(b"")
+        output.finish(DESCRIBED, {}, inputs=[upstream])
+    assert (target / MANIFEST).stat().st_mtime_ns == upstream.stat().st_mtime_ns
+    write(target, content=b"new")
+    assert (target / MANIFEST).stat().st_mtime < 4e9
+
+
 def test_manifest_lists_bytes_and_digests(target):
     write(target)
     files = json.loads((target / MANIFEST).read_text())["files"]

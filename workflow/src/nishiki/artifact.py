@@ -12,7 +12,7 @@ import json
 import os
 import shutil
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -250,7 +250,7 @@ class ArtifactWriter:
         path.parent.mkdir(parents=True, exist_ok=True)
         return path
 
-    def finish(self, manifest: dict[str, Any], run: dict[str, Any]) -> Artifact:
+    def finish(self, manifest: dict[str, Any], run: dict[str, Any], *, inputs: Iterable[Path] = ()) -> Artifact:
         """List and digest the files, write the manifest last, flush to disk and rename into place.
 
         An artifact that stands there already (made by older code under the same settings) is kept beside the new one
@@ -266,6 +266,7 @@ class ArtifactWriter:
         data = text.encode("utf-8")
         (self.folder / RUN).write_text(run_text(run, data))
         (self.folder / MANIFEST).write_bytes(data)
+        date_not_before(self.folder / MANIFEST, inputs)
         _flush(self.folder)
         old = _retire(self.target, self.folder)
         os.rename(self.folder, self.target)
@@ -273,6 +274,14 @@ class ArtifactWriter:
         if old:
             shutil.rmtree(old, ignore_errors=True)
         return Artifact(self.target, manifest)
+
+
+def date_not_before(path: Path, inputs: Iterable[Path]) -> None:
+    """Date a file no earlier than those that it was made from: Snakemake takes an earlier one for a failed job, as it
+    is where the clock was set back in between."""
+    newest = max((item.stat().st_mtime_ns for item in inputs), default=0)
+    if path.stat().st_mtime_ns < newest:
+        os.utime(path, ns=(newest, newest))
 
 
 def _remove_dead_partials(target: Path) -> None:

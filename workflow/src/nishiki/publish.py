@@ -5,7 +5,7 @@ import os
 import shutil
 from pathlib import Path
 
-from nishiki.artifact import MANIFEST
+from nishiki.artifact import MANIFEST, date_not_before
 from nishiki.processes import owner
 from nishiki.provenance import file_digest
 
@@ -48,6 +48,7 @@ def publish(current: Path, *, scene: str, stages: dict[str, str]) -> Path:
             for path in sorted((folder / stage / key).glob(pattern)):
                 os.symlink(os.path.join("..", stage, key, path.name), partial / path.name)
     (partial / INDEX).write_text(index_text(scene, artifacts))
+    date_not_before(partial / INDEX, [folder / stage / key / MANIFEST for stage, key in stages.items()])
     # Moved away whole: killed here, there is no folder, and the next run publishes; never one that lacks links.
     if current.exists() or current.is_symlink():
         os.rename(current, old)

@@ -166,7 +166,8 @@ def _run(
             "libraries": _json(arguments.libraries, "--libraries"),
             "diagnostics": diagnostics,
         }
-        output.finish(manifest, facts.finish(arguments.capture))
+        made_from = [Path(name) if name.endswith(MANIFEST) else Path(name, MANIFEST) for name in arguments.inputs]
+        output.finish(manifest, facts.finish(arguments.capture), inputs=made_from)
 
 
 def _opened(folders: list[str]) -> tuple[dict[str, Artifact], list[Artifact]]:
