@@ -739,6 +739,7 @@ def test_meshes_claim_no_more_than_they_hold(tmp_path, suffix, text, quick):
 
 
 TABLES = {
+    "ten thousand rows whose file is there": ("a.png,sample,a\n" * 10_000, "frame-duplicate"),
     "very many rows": ("a.png,sample,a\n" * 30_000, "frames-many"),
     "a cell of 200 000 letters": ("x" * 200_000 + ",sample,a\n", "frames-unreadable"),
     "a quote that never ends": ('"' + "a\n" * 100_000, "frames-unreadable"),
@@ -749,6 +750,7 @@ TABLES = {
 @pytest.mark.parametrize("name", TABLES)
 def test_tables_of_photographs(tmp_path, name, quick):
     rows, kind = TABLES[name]
+    (tmp_path / "a.png").write_bytes(b"")
     (tmp_path / "frames.csv").write_bytes(b"file,role,light\n" + rows.encode("latin-1"))
     with pytest.raises(CaptureError) as told:
         read_frames(tmp_path / "frames.csv")
