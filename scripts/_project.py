@@ -15,6 +15,7 @@ def use_kernel_cache() -> None:
     numba renews a cached function when the function's own file changes, but not when a function that it inlines from
     another file does: an edit would rerun a stage with the old machine code.
     """
+    os.environ.setdefault("NUMBA_CACHE_LOCATOR_CLASSES", "nishiki.kernel_cache.ByModule,UserProvidedCacheLocator")
     if "NUMBA_CACHE_DIR" in os.environ or not os.access(PROJECT, os.W_OK):
         return
     digest = hashlib.sha256()

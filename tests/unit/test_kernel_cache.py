@@ -1,0 +1,32 @@
+"""Copies of the project share compiled kernels."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+SOURCE = Path(__file__).resolve().parents[2] / "workflow/src"
+CALL = """
+import numpy as np
+from nishiki.weave.visibility import band
+band(0.0, 1.0, 0.5, 0.1)
+print(sum(band.stats.cache_hits.values()), sum(band.stats.cache_misses.values()))
+"""
+
+
+def test_a_copy_of_the_package_uses_the_kernels_of_the_first(tmp_path):
+    copy = tmp_path / "copy"
+    shutil.copytree(SOURCE, copy, ignore=shutil.ignore_patterns("__pycache__"))
+    hits = []
+    for source in (SOURCE, copy):
+        environment = {
+            **os.environ,
+            "PYTHONPATH": str(source),
+            "NUMBA_CACHE_DIR": str(tmp_path / "kernels"),
+            "NUMBA_CACHE_LOCATOR_CLASSES": "nishiki.kernel_cache.ByModule,UserProvidedCacheLocator",
+        }
+        done = subprocess.run([sys.executable, "-c", CALL], env=environment, capture_output=True, text=True, check=True)
+        hits.append(done.stdout.split())
+    assert hits == [["0", "1"], ["1", "0"]]
+    assert [path.name for path in (tmp_path / "kernels").iterdir()] == ["weave.visibility"]
