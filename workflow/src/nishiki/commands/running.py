@@ -20,6 +20,15 @@ TINY = {"plane": "tiny", "turntable": "object-tiny", "goniometer": "satin-tiny"}
 """A small simulated scene for each geometry."""
 
 
+SMALL_PICTURES = """\
+scenes: scenes.tsv
+render: {sequences: [{name: moving-light, frames: 2, columns: 48}]}
+object_render: {views: 4, between: 1, film: {frames_per_step: 1, columns: 48, supersampling: 1}}
+fabric_render: {view: {rows: 48, columns: 48}, cloth: {points: 33}, supersampling: 1}
+"""
+"""Configuration of runs of which only the compiled kernels are wanted."""
+
+
 def run(options: argparse.Namespace, rest: list[str]) -> int:
     """Run the workflow on the configuration; the plan is checked first, so that bad input is told in one line."""
     from nishiki.commands.engine import LOOKS_ONLY, call_engine
@@ -107,7 +116,7 @@ def compile_kernels(options: argparse.Namespace, rest: list[str]) -> int:
         folder = Path(name)
         rows = "".join(f"{scene}\t{scene}\t{scene}-truth\n" for scene in scenes)
         (folder / "scenes.tsv").write_text("scene\tcapture\ttruth\n" + rows)
-        (folder / "config.yaml").write_text("scenes: scenes.tsv\n")
+        (folder / "config.yaml").write_text(SMALL_PICTURES)
         environment = {key: value for key, value in os.environ.items() if key != "PYTHONDONTWRITEBYTECODE"}
         for arguments in (
             *(
