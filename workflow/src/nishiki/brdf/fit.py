@@ -141,24 +141,32 @@ def _judged(arrays, strengths, reports, low, high) -> PointFits:
     lit = reports[:, vp.LIT].astype(np.int32)
     vague = (lit < 2) | (sigma > UNDETERMINED_LOG_GAMMA)
     edge = (gamma <= low * (1 + 1e-4)) | (gamma >= high * (1 - 1e-4))
+    broken = ~(np.isfinite(rss) & np.isfinite(reports[:, vp.RSS_DIFFUSE]) & np.isfinite(strengths).all(axis=(1, 2)))
+    few |= broken  # sums or strengths beyond the float type: nothing can be said of the point
     lost = few | dark
     flags = FitFlag.TOO_FEW * few | FitFlag.NO_HIGHLIGHT * dark
     flags = flags | np.where(lost, 0, FitFlag.UNDETERMINED * vague | FitFlag.AT_BOUND * edge)
-    flags = flags | FitFlag.NOT_FINITE * (used < np.sum(weights > 0, axis=1))
+    flags = flags | FitFlag.NOT_FINITE * (broken | (used < np.sum(weights > 0, axis=1)))
     specular, kd = strengths[..., 0].copy(), strengths[..., 1].copy()
     specular[lost], gamma[lost], sigma = 0, np.nan, np.where(lost, np.nan, sigma)
     kd[lost] = _lambert_alone(amplitude[lost], diffuse[lost], weights[lost])
+    kd[broken] = 0
     squares = np.where(lost, reports[:, vp.RSS_DIFFUSE], rss)
-    residual = reports[:, vp.SCALE] * np.sqrt(squares / np.maximum(used * channels, 1))
+    with np.errstate(over="ignore", invalid="ignore"):
+        residual = reports[:, vp.SCALE] * np.sqrt(squares / np.maximum(used * channels, 1))
+    residual[~np.isfinite(residual)] = 0
     nearest = np.where(reports[:, vp.NEAREST] < 1e14, reports[:, vp.NEAREST], np.inf)
     lit = np.where(lost, 0, lit)
     return PointFits(gamma, specular, kd, residual, sigma, nearest, used, lit, flags.astype(np.uint8))
 
 
 def _lambert_alone(amplitude, diffuse, weights):
-    """K_d of points without a lobe: weighted least squares on the diffuse column, 0 where it is not defined."""
+    """K_d of points without a lobe: weighted least squares on the diffuse column, 0 where it is not defined or beyond
+    the float type."""
     good = np.isfinite(amplitude).all(axis=2) & np.isfinite(diffuse) & np.isfinite(weights)
-    q = np.where(good, np.where(good, weights, 0) * np.where(good, diffuse, 0), 0)
-    top = np.einsum("po,poc->pc", q, np.where(good[..., None], amplitude, 0))
-    bottom = np.einsum("po,po->p", q, np.where(good, diffuse, 0))[:, None]
-    return np.maximum(np.where(bottom > 0, top / np.where(bottom > 0, bottom, 1), 0), 0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        q = np.multiply(np.where(good, weights, 0), np.where(good, diffuse, 0), dtype=np.float64)
+        top = np.einsum("po,poc->pc", q, np.where(good[..., None], amplitude, 0), dtype=np.float64)
+        bottom = np.einsum("po,po->p", q, np.where(good, diffuse, 0), dtype=np.float64)[:, None]
+        found = np.maximum(np.where(bottom > 0, top / np.where(bottom > 0, bottom, 1), 0), 0)
+    return np.where(found <= np.finfo(amplitude.dtype).max, found, 0)

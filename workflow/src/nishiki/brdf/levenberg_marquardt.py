@@ -10,7 +10,13 @@ import numpy as np
 from nishiki.brdf import variable_projection as vp
 
 START_GAMMA = 0.1
+FARTHEST = 2000.0  # 2^-2000 is 0
 _TWO_LN2 = 2.0 * np.log(2.0)
+
+
+def _squared_ratio(phi, log_gamma):
+    """(phi / gamma)^2, held where 2^-ratio is 0 or 1 in float64: the search may pass any width."""
+    return np.minimum((phi / np.exp(np.clip(log_gamma, -50.0, 50.0))) ** 2, FARTHEST)
 
 
 def fit_lobe(phi, amplitude, attenuation, *, start=(1.0, START_GAMMA), analytic=True):
@@ -21,20 +27,18 @@ def fit_lobe(phi, amplitude, attenuation, *, start=(1.0, START_GAMMA), analytic=
     """
     from scipy.optimize import least_squares
 
-    def lobe(p):
-        return attenuation * np.exp2(-((phi / np.exp(p[1])) ** 2))
-
     def residual(p):
-        return p[0] * lobe(p) - amplitude
+        return p[0] * attenuation * np.exp2(-_squared_ratio(phi, p[1])) - amplitude
 
     def jacobian(p):
-        s = lobe(p)
-        return np.stack([s, p[0] * s * _TWO_LN2 * (phi / np.exp(p[1])) ** 2], axis=1)
+        ratio2 = _squared_ratio(phi, p[1])
+        s = attenuation * np.exp2(-ratio2)
+        return np.stack([s, p[0] * s * _TWO_LN2 * ratio2], axis=1)
 
     first = np.array([start[0], np.log(start[1])], float)
     with np.errstate(over="ignore", under="ignore"):
         found = least_squares(residual, first, jac=jacobian if analytic else "2-point", method="lm")
-    beta, gamma = found.x[0], float(np.exp(min(found.x[1], 700.0)))
+    beta, gamma = found.x[0], float(np.exp(np.clip(found.x[1], -50.0, 50.0)))
     variance = 2 * found.cost / max(phi.size - 2, 1)
     normal = found.jac.T @ found.jac
     scale = np.sqrt(np.diag(normal))
@@ -44,7 +48,9 @@ def fit_lobe(phi, amplitude, attenuation, *, start=(1.0, START_GAMMA), analytic=
         covariance = np.full((2, 2), np.inf)
     to_gamma = np.array([1.0, gamma])
     covariance = covariance * np.outer(to_gamma, to_gamma)
-    return float(beta), gamma, covariance, float(np.sqrt(2 * found.cost / phi.size)), bool(found.success)
+    # where the search ran off to no width, or to one so large that none is told, it stops: that is no convergence
+    converged = bool(found.success and np.isfinite(covariance).all() and 1e-6 < gamma < 10)
+    return float(beta), gamma, covariance, float(np.sqrt(2 * found.cost / phi.size)), converged
 
 
 def point_problem(phi, amplitude, attenuation, diffuse, root_weights):
@@ -59,7 +65,7 @@ def point_problem(phi, amplitude, attenuation, diffuse, root_weights):
 
     def parts(p):
         kd, ks = p[:channels], p[channels : 2 * channels]
-        ratio2 = (phi / np.exp(p[-1])) ** 2
+        ratio2 = _squared_ratio(phi, p[-1])
         return kd, ks, root_weights * attenuation * np.exp2(-ratio2), ratio2
 
     def residual(p):

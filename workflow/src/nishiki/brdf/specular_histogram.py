@@ -133,14 +133,16 @@ class SpecularHistogram:
 
 @njit(cache=True, error_model="numpy")
 def _put(phi2, z, a, sigma, value_unit, weights, values, rows):
-    """Add one sample; phi2 is its squared angle."""
+    """Add one sample, unless a^2 or a^2 z leave float64; phi2 is its squared angle."""
+    w = a * a
+    if not (w > 0.0 and np.isfinite(w) and np.isfinite(w * z)):
+        return
     row = min(int(np.arcsinh(np.sqrt(phi2) / PHI_UNIT) / _ROW_STEP), ROWS - 1)
     size = abs(z) / value_unit
     column = 0
     if size > 0.0:
         column = min(max(int(np.floor((np.log10(size) + DECADES) * PER_DECADE)) + 1, 0), _SIDE)
     column = _SIDE + column if z > 0 else _SIDE - column
-    w = a * a
     weights[row, column] += w
     values[row, column] += w * z
     rows[row, PHI2] += w * phi2

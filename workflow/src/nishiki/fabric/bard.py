@@ -21,6 +21,7 @@ from nishiki.fabric.interface import ArrayFields, only_above
 from nishiki.goniometry.grid import coefficients, evaluate
 
 GRAZING_COSINE = float(np.cos(np.radians(89.0)))  # 1 / cos^2 goes on as a constant beyond 89 degrees
+UPRIGHT = 1e-290  # sine of theta_i below which light is along the normal: the digits of its azimuth are lost
 _HALF_PI = np.pi / 2
 
 
@@ -44,13 +45,15 @@ def _frame(incident: np.ndarray, outgoing: np.ndarray):
     """
     incident, outgoing = np.broadcast_arrays(np.asarray(incident, float), np.asarray(outgoing, float))
     across = np.hypot(incident[..., 0], incident[..., 1])
-    tilted = across > 0
+    tilted = across > UPRIGHT
     safe = np.where(tilted, across, 1.0)
     x, y = np.where(tilted, -incident[..., 0] / safe, 1.0), np.where(tilted, -incident[..., 1] / safe, 0.0)
     mirror = np.stack([x, y, np.zeros_like(x)], axis=-1)
     along = np.sum(mirror * outgoing, axis=-1)
-    off = outgoing - along[..., None] * mirror
-    length = np.sqrt(np.sum(off * off, axis=-1))
+    # off R_xy by components across it: exactly perpendicular, however little of V is left beside R_xy
+    side = x * outgoing[..., 1] - y * outgoing[..., 0]
+    off = np.stack([-side * y, side * x, outgoing[..., 2]], axis=-1)
+    length = np.hypot(side, outgoing[..., 2])
     exists = length > 0
     off = np.where(exists[..., None], off / np.where(exists, length, 1.0)[..., None], (0.0, 0.0, 1.0))
     return mirror, np.arctan2(across, incident[..., 2]), np.arctan2(length, along), off
@@ -67,19 +70,19 @@ def linear_view(incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
     """V0 (..., 3) by B eq. 8-9: theta0 = pi/2 - (beta0 / beta)(pi/2 - theta_r), phi0 = (beta0 / beta) phi_r from R_xy.
 
     Exact in the plane of incidence on the mirror's side, where theta0 < 0 means beyond the normal; elsewhere it leaves
-    the great circle.  beta -> 0 has the limit ratio (pi/2) / (pi/2 - theta_i).
+    the great circle.  beta -> 0 is R_xy itself.
     """
     mirror, theta_i, beta, _ = _frame(incident, outgoing)
     outgoing = np.broadcast_to(np.asarray(outgoing, float), mirror.shape)
-    rest = np.maximum(_HALF_PI - theta_i, 1e-9)
-    ratio = np.where(beta > 0, stretched_angle(beta, theta_i) / np.where(beta > 0, beta, 1.0), _HALF_PI / rest)
     sideways = mirror[..., 0] * outgoing[..., 1] - mirror[..., 1] * outgoing[..., 0]
     forward = mirror[..., 0] * outgoing[..., 0] + mirror[..., 1] * outgoing[..., 1]
-    theta_r = np.arctan2(np.hypot(sideways, forward), outgoing[..., 2])
-    theta, phi = _HALF_PI - ratio * (_HALF_PI - theta_r), ratio * np.arctan2(sideways, forward)
+    # elevation and azimuth over beta first: both quotients are bounded, beta0 / beta is not
+    safe, turned = np.where(beta > 0, beta, 1.0), stretched_angle(beta, theta_i)
+    rise = turned * (np.arctan2(outgoing[..., 2], np.hypot(sideways, forward)) / safe)
+    phi = turned * (np.arctan2(sideways, forward) / safe)
     c, s = np.cos(phi), np.sin(phi)
     x, y = mirror[..., 0] * c - mirror[..., 1] * s, mirror[..., 1] * c + mirror[..., 0] * s
-    view = np.stack([np.sin(theta) * x, np.sin(theta) * y, np.cos(theta)], axis=-1)
+    view = np.stack([np.cos(rise) * x, np.cos(rise) * y, np.sin(rise)], axis=-1)
     identity = (theta_i == 0)[..., None]  # exactly itself, whatever the rounding of the turns
     return np.where(identity, outgoing, view)
 

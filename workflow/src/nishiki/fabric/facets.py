@@ -75,6 +75,9 @@ def read_facets(basic, *, index: float = 1.5, diffuse=None, correlated: bool = F
     directions = _unit(grid[..., 0], grid[..., 1])
     views = _unit(np.minimum(2 * grid[..., 0], np.pi / 2), grid[..., 1])
     measured = basic(views)
+    unit = float(measured.max())
+    unit = unit if unit > 0 else 1.0  # everything below is relative to the largest value: the result scales with it
+    measured, diffuse = measured / unit, None if diffuse is None else np.asarray(diffuse, float) / unit
     least = measured.reshape(-1, measured.shape[-1]).min(axis=0)
     diffuse = least if diffuse is None else np.broadcast_to(np.asarray(diffuse, float), least.shape)
     gloss = np.maximum((measured - diffuse).mean(axis=-1), 1e-3 * measured.mean())
@@ -86,7 +89,7 @@ def read_facets(basic, *, index: float = 1.5, diffuse=None, correlated: bool = F
         at_view = evaluate(coefficients(masking[..., None]), views)[..., 0]
         density = _continued(np.maximum(plain / np.clip(at_view, 0.02, 1), 1e-12), tilt, seen)
         masking = smith_masking(density, directions, tilt, facing=facing)
-    return FacetBrdf(density, masking, np.array(diffuse, float), float(index), bool(correlated))
+    return FacetBrdf(density * unit, masking, unit * np.array(diffuse, float), float(index), bool(correlated))
 
 
 def _unit(theta: np.ndarray, phi: np.ndarray) -> np.ndarray:

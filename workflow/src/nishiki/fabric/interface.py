@@ -46,6 +46,20 @@ class ArrayFields:
         return cls(**{name: arrays[name].item() if np.ndim(arrays[name]) == 0 else arrays[name] for name in names})
 
 
+LEAST_COSINE = 1e-9  # of directions above the horizon: nearer ones count as that near, so that quotients stay finite
+
+
+def off_horizon(directions: np.ndarray) -> np.ndarray:
+    """Directions (..., 3) with 0 < z < LEAST_COSINE lifted to it (their length stays 1 to 1e-18); the rest as it is."""
+    directions = np.asarray(directions, float)
+    low = (directions[..., 2] > 0) & (directions[..., 2] < LEAST_COSINE)
+    if not low.any():
+        return directions
+    lifted = directions.copy()
+    lifted[low, 2] = LEAST_COSINE
+    return lifted
+
+
 @dataclass(frozen=True)
 class Halves:
     """Light, view and their half vector h in the cloth's frame; arrays of the directions' broadcast shape (...,)."""
@@ -59,7 +73,7 @@ class Halves:
 
 def halves(incident: np.ndarray, outgoing: np.ndarray) -> Halves:
     """Geometry of unit vectors (..., 3), broadcast against each other."""
-    incident, outgoing = np.broadcast_arrays(np.asarray(incident, float), np.asarray(outgoing, float))
+    incident, outgoing = np.broadcast_arrays(off_horizon(incident), off_horizon(outgoing))
     above = (incident[..., 2] > 0) & (outgoing[..., 2] > 0)
     total = np.where(above[..., None], incident + outgoing, (0.0, 0.0, 1.0))
     # |i + o| is at least i_z + o_z > 0: a half vector exists wherever both are above

@@ -9,7 +9,7 @@ from nishiki.fabric.measures import incidences
 from nishiki.fabric.parametric import ShapeFit, fit_shape
 from nishiki.fabric.peers import AshikhminShirley, Ggx, Ward
 from nishiki.fabric.weights import single
-from nishiki.fabric.yarn_fit import MISS, MISS_OBLIQUE, Measured, normal_weights
+from nishiki.fabric.yarn_fit import MISS, MISS_OBLIQUE, Measured, normal_weights, refuse_black
 
 # Shape parameters as logarithms (the reflectance a logit, the index log(n - 1)): prior centres and spreads, then starts
 PRIORS = {
@@ -57,9 +57,10 @@ def peer_weights(measured: Measured) -> np.ndarray:
 
 
 def fit_peer(kind: str, measured: Measured, rows: np.ndarray, *, evaluations: int = 40) -> PeerFit:
-    """The best of three starts: alike in both directions, and longer either way."""
+    """The best of three starts: alike in both directions, and longer either way. UserError where all is black."""
     rows = np.asarray(rows)[np.isfinite(measured.values[rows]).all(axis=1)]
     chosen = measured.take(rows)
+    refuse_black(chosen)
     centre, spread, starts = (np.asarray(part, float) for part in PRIORS[kind])
     one = np.ones(1)
 

@@ -30,7 +30,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from nishiki.fabric.interface import halves, only_above
+from nishiki.fabric.interface import halves, off_horizon, only_above
 from nishiki.fabric.yarn_kernels import ATOM, HALF_PI, sums
 
 WARP, WEFT = 0, 1
@@ -147,7 +147,7 @@ class YarnFacets:
 
     def parts(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
         """(..., 4) mirror reflection and white body, 1 / sr, of warp and weft, without the correction."""
-        incident, outgoing = np.broadcast_arrays(np.asarray(incident, float), np.asarray(outgoing, float))
+        incident, outgoing = np.broadcast_arrays(off_horizon(incident), off_horizon(outgoing))
         flat = [np.ascontiguousarray(d.reshape(-1, 3)) for d in (incident, outgoing)]
         return shape_parts(self.shape, *flat, compiled=self._compiled).reshape(*incident.shape[:-1], 4)
 

@@ -57,6 +57,15 @@ class Measured:
         return self.values.mean(axis=1)
 
 
+def refuse_black(measured: Measured) -> None:
+    """UserError where no reflectance is above 0, or there is none at all: weights are relative to them."""
+    if not (len(measured.grey) and np.mean(measured.grey) > 0):
+        raise UserError(
+            f"reflection of the cloth: expected reflectances whose mean is above 0, found {len(measured.grey)} of mean "
+            f"{np.mean(measured.grey) if len(measured.grey) else 0:g}. Remedy: expose longer; see reflectance's report"
+        )
+
+
 @dataclass(frozen=True)
 class YarnFit:
     """The BRDF and what its fit says of itself."""
@@ -96,7 +105,8 @@ def levels(brdf, incident: np.ndarray) -> np.ndarray:
 
 
 def fit_normal(measured: Measured, *, evaluations: int = 20) -> ShapeFit:
-    """The shape from normal incidence alone; every row has to be of it."""
+    """The shape from normal incidence alone; every row has to be of it. UserError where all are black."""
+    refuse_black(measured)
     weight = normal_weights(measured)
     limits = np.array([np.inf, LAMBERT])
     parts = parts_of(measured.incident, measured.outgoing)
@@ -121,6 +131,7 @@ def fit_yarn_facets(
             "Remedy: photograph the cloth lit along its normal, or fit ggx, ward or ashikhmin_shirley"
         )
     under = chosen.take(chosen.normal)
+    refuse_black(under)
     fit = first or fit_normal(under, evaluations=evaluations)
     oblique = np.flatnonzero(~chosen.normal)
     if oblique.size:

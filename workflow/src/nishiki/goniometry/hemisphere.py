@@ -38,7 +38,7 @@ def complete(
 ) -> tuple[ReflectanceSet, Interpolation]:
     """The set with its `basic` filled in from the views at normal incidence. UserError where they are too few."""
     rows = np.flatnonzero(measured.normal_incidence)
-    chosen = [rows[measured.valid[rows, r]] for r in range(len(measured.regions))]
+    chosen = [rows[measured.valid[rows, r] & positive(measured.values[rows, r])] for r in range(len(measured.regions))]
     for name, usable in zip(measured.regions, chosen, strict=True):
         if len(usable) < FEWEST:
             raise UserError(
@@ -77,6 +77,11 @@ def complete(
     return replace(plain(measured), basic=basic), found
 
 
+def positive(values: np.ndarray) -> np.ndarray:
+    """(n,) bool: reflectances (n, channels) that have a logarithm in every channel."""
+    return (np.isfinite(values) & (values > 0)).all(axis=-1)
+
+
 def plain(measured: ReflectanceSet) -> ReflectanceSet:
     """The same values as a ReflectanceSet proper, whatever subclass they came in."""
     names = ("incident", "outgoing", "values", "noise", "valid", "regions", "channels", "symmetry", "weave")
@@ -99,7 +104,12 @@ def interpolate(
     Logarithms are interpolated on the azimuthal equidistant disc, where neither the pole nor the azimuth has a seam,
     by a kernel that has the symmetry; so the result is positive, smooth and symmetric. Beyond the outermost views
     (seen from their centre) the value at the edge is kept. noise (n, channels): standard deviations, 0 where unknown.
+    Views with a value that is not above 0 and finite are left out; UserError where too few are left.
     """
+    usable = positive(values)
+    outgoing, values, noise = outgoing[usable], values[usable], noise[usable]
+    if not len(outgoing):
+        raise UserError("the views at normal incidence: expected reflectances above 0, found none; see their exposure")
     folds = images(symmetry)[:, [0, 1], [0, 1]]
     views = reduced(np.tile([0.0, 0.0, 1.0], (len(outgoing), 1)), outgoing, symmetry)[1]
     points, logs, sigma = gathered(disc(views), values, noise)

@@ -23,11 +23,16 @@ def reflectance(
     light: np.ndarray, noise: np.ndarray, white: np.ndarray, white_noise: np.ndarray, white_reflectance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """rho = (L_sample / L_white) rho_white / pi and its standard deviation, sr^-1; all (..., channels), L in any one
-    unit, exposure times divided out. Relative variances add. 0 where the board gave no light."""
+    unit, exposure times divided out. Relative variances add. 0 where the board gave no light, or so little that the
+    quotient leaves float64."""
     known = white > 0
-    scale = np.where(known, white_reflectance / (np.pi * np.where(known, white, 1.0)), 0.0)
-    values = light * scale
-    return values, np.hypot(noise * scale, values * white_noise / np.where(known, white, 1.0))
+    safe = np.where(known, white, 1.0)
+    with np.errstate(over="ignore", invalid="ignore"):
+        scale = np.where(known, white_reflectance / (np.pi * safe), 0.0)
+        values = light * scale
+        deviation = np.hypot(noise * scale, values * (white_noise / safe))
+    finite = np.isfinite(values) & np.isfinite(deviation)
+    return np.where(finite, values, 0.0), np.where(finite, deviation, 0.0)
 
 
 def average_repeats(
@@ -52,6 +57,8 @@ def average_repeats(
     usable = total > 0
     share = weights / np.where(usable, total, 1.0)[group]
     mean, variance = np.zeros((2, len(rows), *values.shape[1:]))
+    # what is not valid may be no number at all: a share of 0 would not take it out
+    values, noise = (np.where(valid[..., None], of, 0.0) for of in (values, noise))
     np.add.at(mean, group, share[..., None] * values)
     np.add.at(variance, group, (share[..., None] * noise) ** 2)
     return Averaged(rows, mean, np.sqrt(variance), usable, np.bincount(group))

@@ -7,9 +7,11 @@ from typing import Literal
 
 import numpy as np
 
+from nishiki.errors import UserError
 from nishiki.goniometry.directions import between, unit
 
 SAME = np.radians(0.1)
+GRAZING = 0.05  # cosine between lamp and board below which a board tells nothing of other incidences
 Rule = Literal["own", "incidence", "cosine"]
 
 
@@ -25,7 +27,7 @@ class Boards:
 
 def assign_boards(sample_deg: np.ndarray, white_deg: np.ndarray) -> list[Boards]:
     """The boards of each sample: those of its own directions, else those of its incidence (a diffuse board looks the
-    same from everywhere), else all of them times cos(theta_i) / cos(theta_W).
+    same from everywhere), else all of them that are not grazed, times cos(theta_i) / cos(theta_W).
 
     sample_deg (n, 4): theta_i, phi_i, theta_r, phi_r; white_deg (m, 4): likewise, NaN for a view that is not given.
     """
@@ -50,4 +52,11 @@ def _of(light: np.ndarray, view: np.ndarray, lights: np.ndarray, views: np.ndarr
         which = np.flatnonzero(chosen)
         if len(which):
             return Boards(rule, which, np.ones(len(which)))
-    return Boards("cosine", np.arange(len(lights)), light[2] / cosines)
+    which = np.flatnonzero(cosines > GRAZING)
+    if not len(which):
+        raise UserError(
+            f"white boards: expected one lit less steeply than {np.degrees(np.arccos(GRAZING)):.0f} degrees, for a "
+            f"sample at another incidence, found none of {len(lights)}. Remedy: photograph the board at the sample's "
+            "incidences"
+        )
+    return Boards("cosine", which, light[2] / cosines[which])

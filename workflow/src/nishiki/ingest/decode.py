@@ -8,6 +8,8 @@ from numba.extending import overload
 
 from nishiki.ingest.block_kernels import linear_value
 
+LARGEST_GAIN, LARGEST_DARK = np.float32(1e30), np.float32(1e6)  # of values that are at most 1 where codes are integers
+
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def decode(
@@ -49,8 +51,8 @@ def decode(
         for k in range(first, last):
             between_blocks(gain[j], k, rows[y], row_weights[y], cells, column_weights, gains)
             between_blocks(dark[j], k, rows[y], row_weights[y], cells, column_weights, darks)
-            if not all_known(gains):
-                drop_unknown(gains, valid[j, y])
+            if not all_known(gains, darks):
+                drop_unknown(gains, darks, valid[j, y])
             target = out[j, y, :, 0 if reduced else k - first]
             scale_row(codes[j, y, :, k], table, scale, gains, darks, share, reduced and k > first, target)
         if not always_finite(codes[j, y, 0, 0]):
@@ -103,18 +105,20 @@ def between_blocks(field, k, row, row_weight, cells, weights, out):
 
 
 @njit(cache=True, error_model="numpy")
-def all_known(gains):
+def all_known(gains, darks):
+    """Whether every gain is above 0 and every product with it stays inside float32; false for NaN."""
     known = True
     for x in range(len(gains)):
-        known &= gains[x] > 0
+        known &= (gains[x] > np.float32(0.0)) & (gains[x] < LARGEST_GAIN) & (abs(darks[x]) < LARGEST_DARK)
     return known
 
 
 @njit(cache=True, error_model="numpy")
-def drop_unknown(gains, valid):
+def drop_unknown(gains, darks, valid):
     for x in range(len(gains)):
-        if not gains[x] > 0:
+        if not (gains[x] > 0 and gains[x] < LARGEST_GAIN and abs(darks[x]) < LARGEST_DARK):
             gains[x] = np.float32(0.0)
+            darks[x] = np.float32(0.0)
             valid[x] = False
 
 

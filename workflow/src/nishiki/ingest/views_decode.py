@@ -32,8 +32,8 @@ def view_values(
             else:
                 between_blocks(gain, k, rows[y], row_weights[y], cells, column_weights, gains)
                 between_blocks(dark, k, rows[y], row_weights[y], cells, column_weights, darks)
-            if not all_known(gains):
-                drop_unknown(gains, valid[y])
+            if not all_known(gains, darks):
+                drop_unknown(gains, darks, valid[y])
             scale_row(codes[y, :, k], table, scale, gains, darks, np.float32(1.0), False, out[y, :, k])
         if not always_finite(codes[y, 0, 0]):
             drop_not_finite(out[y], valid[y])

@@ -59,7 +59,7 @@ def white_field(
     board = levels - dark
     bright_share = float((codes >= saturated).any(axis=2).mean())
     with np.errstate(invalid="ignore"):
-        too_dark = ~(board >= TOO_DARK)
+        too_dark = ~(board >= least_level(codes.dtype, board))
         bad = (too_dark | (unusable > BAD_SHARE)).any(axis=2)
     needed = np.ones(bad.shape, bool) if needed is None else needed
     bad_share = float(bad[needed].mean())
@@ -74,6 +74,14 @@ def white_field(
     good = board[needed & ~bad]
     low, high = np.percentile(good, [5, 95], axis=0)
     return WhiteField(gain.astype(np.float32), np.median(good, axis=0), low / high, bad_share, problems)
+
+
+def least_level(dtype: np.dtype, board: np.ndarray) -> float:
+    """Level from which a board can be divided by: float samples have no full scale, so relative to their brightest."""
+    if np.dtype(dtype).kind == "u":
+        return TOO_DARK
+    known = board[np.isfinite(board)]
+    return max(TOO_DARK * float(known.max(initial=0.0)), float(np.finfo(np.float32).tiny))
 
 
 def _unusable_board(name: str, bright_share: float, board: np.ndarray) -> Problem:

@@ -61,7 +61,7 @@ def refine_normals(
     flags: np.ndarray | None = None,
     reflectance: np.ndarray | None = None,
     max_condition: float = 1e4,
-    noise: float = NOISE,
+    noise: float | None = None,
     model_error: float = MODEL_ERROR,
     second_start: float = SECOND_START,
     threads: int | None = None,
@@ -71,8 +71,9 @@ def refine_normals(
     observations (lights, rows, columns, channels), relative to white; directions (lights, 3) unit; valid (lights, rows,
     columns) bool, None for all; normals (rows, columns, 3) unit, of any solver, to start from; flags (rows, columns)
     uint8: where a bit of NO_ESTIMATE is set nothing is done; reflectance (rows, columns, channels) kept there and where
-    the fit fails, zeros if None; gloss: of `nishiki.normals.gloss_profile`; noise, relative to white; model_error,
-    relative to a pixel's mean level; second_start: cost a value above which a second start is tried; threads: None for
+    the fit fails, zeros if None; gloss: of `nishiki.normals.gloss_profile`; noise, of an observation (0.002 of the
+    gloss' unit if None); model_error, relative to a pixel's mean level; second_start: cost a value above which a second
+    start is tried; threads: None for
     as many as numba is set to use. The result does not depend on threads or tiles.
 
     Raises UserError where shapes do not fit.
@@ -86,6 +87,7 @@ def refine_normals(
         )
     count, pixels, channels = shape[0], shape[1] * shape[2], shape[3]
     valid = np.isfinite(observations).all(axis=-1) & (True if valid is None else valid)
+    noise = NOISE * gloss.unit if noise is None else noise
     fields = empty_fields(pixels, channels, normals, reflectance, flags)
     shared = (
         observations.reshape(count, pixels, channels),

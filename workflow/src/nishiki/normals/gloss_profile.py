@@ -30,13 +30,15 @@ FEWEST = 20  # samples of a row
 class GlossProfile:
     """beta (lobes,) relative to the white reference, gamma (lobes,) radians of chord; F and G are not in it.
 
-    transmission: share (0 to 1) of Schlick's loss 1 - (1 - c)^5 that the body's light suffers on its way in and out.
+    transmission: share (0 to 1) of Schlick's loss 1 - (1 - c)^5 that the body's light suffers on its way in and out;
+    unit: what counts as 1 in the observations, where that is not the white reference (noise is relative to it).
     """
 
     beta: np.ndarray
     gamma: np.ndarray
     refractive_index: float = 1.45
     transmission: float = 1.0
+    unit: float = 1.0
 
     def __post_init__(self):
         good = self.beta.shape == self.gamma.shape and (self.beta >= 0).all() and (self.gamma > 0).all()
@@ -138,4 +140,4 @@ def fit_gloss(histogram: SpecularHistogram, *, transmission: float = 1.0, ladder
         error = np.sqrt((PROFILE_ERROR * value) ** 2 + (PEAK_ERROR * np.abs(value).max()) ** 2 + scatter**2)
         error = np.maximum(error, np.finfo(np.float64).tiny)
         beta, _ = nnls(columns / error[:, None], value / error)
-    return GlossProfile(beta, ladder, histogram.refractive_index, transmission)
+    return GlossProfile(beta, ladder, histogram.refractive_index, transmission, histogram.value_unit)

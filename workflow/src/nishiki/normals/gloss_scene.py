@@ -18,6 +18,8 @@ from nishiki.normals.gloss_profile import LADDER, GlossProfile, fit_gloss, specu
 ROUNDS = 3
 LARGEST_SIGMA = 0.1  # radians: where the normals are worse the blur is no longer a small one
 WORTHWHILE = 0.03  # gain of robust cost a value, from which gloss counts as shown
+TYPICAL = 0.3  # reflectance
+LEVELS = (0.003, 30.0)  # median reflectances that are taken as relative to a white board
 FEW_LIGHTS = 24  # up to here the joint fit pays its time; with more the selection has diffuse samples enough
 
 
@@ -68,10 +70,11 @@ def fit_scene_gloss(
     The body is taken to lie below a dielectric surface (transmission 1) while the gloss is sought; where none is
     significant there is no surface to show it, and the profile returned has no transmission loss either.
     """
-    nothing = GlossProfile(np.zeros(LADDER.size), LADDER, refractive_index)
+    unit = radiance_unit(tiles)
+    nothing = GlossProfile(np.zeros(LADDER.size), LADDER, refractive_index, unit=unit)
     profile, found = nothing, [None] * len(tiles)
     for _ in range(rounds):
-        histogram = SpecularHistogram.empty(refractive_index=refractive_index)
+        histogram = SpecularHistogram.empty(refractive_index=refractive_index, value_unit=unit)
         for tile, fit in zip(tiles, found, strict=True):
             histogram = add_tile(histogram, tile, fit, profile)
         profile = fit_gloss(histogram)
@@ -83,6 +86,17 @@ def fit_scene_gloss(
     if not significant:
         profile = replace(profile, transmission=0.0)
     return SceneGloss(profile, gain, significant, sum(tile.flags.size for tile in tiles), costs)
+
+
+def radiance_unit(tiles: Sequence[GlossTile]) -> float:
+    """1, the white reference, where the tiles' reflectances are of its order; else (no white board) a power of ten.
+
+    Noise and the cells of the histogram are relative to it, so that the unit of the observations does not matter.
+    """
+    levels = [tile.reflectance[tile.reflectance > 0] for tile in tiles]
+    levels = np.concatenate([np.ravel(level) for level in levels]) if levels else np.empty(0)
+    level = float(np.median(levels)) if levels.size else TYPICAL
+    return 1.0 if LEVELS[0] <= level <= LEVELS[1] else float(10.0 ** np.round(np.log10(level / TYPICAL)))
 
 
 def add_tile(histogram, tile: GlossTile, fit: RefinedNormals | None, profile: GlossProfile) -> SpecularHistogram:

@@ -61,7 +61,8 @@ def channel_weights(illuminant: np.ndarray, sensitivities: np.ndarray, *, rule: 
     curves = checked_spectra(sensitivities, "camera sensitivities")
     if np.any(lamp < 0):
         raise UserError(f"illuminant: expected power >= 0, found {lamp.min():g}; correct the table")
-    products = curves * lamp * integration_weights(rule)
+    # only shapes matter: brought to a largest value of 1, no unit of power or response leaves float64
+    products = normalised(curves) * normalised(lamp) * integration_weights(rule)
     totals = products.sum(axis=1)
     blind = np.flatnonzero(~(totals > 1e-12 * max(np.abs(totals).max(), np.finfo(float).tiny)))
     if blind.size:
@@ -70,6 +71,12 @@ def channel_weights(illuminant: np.ndarray, sensitivities: np.ndarray, *, rule: 
             "white reference under this illuminant, found none; leave it out or correct its table or the lamp's"
         )
     return products / totals[:, None]
+
+
+def normalised(curves: np.ndarray) -> np.ndarray:
+    """Curves (..., 61) divided by their largest absolute value; a curve of zeros stays as it is."""
+    top = np.abs(curves).max(axis=-1, keepdims=True)
+    return curves / np.where(top > 0, top, 1.0)
 
 
 def system_matrix(

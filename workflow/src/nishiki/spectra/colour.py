@@ -10,12 +10,13 @@ import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.spectra import cie_tables
-from nishiki.spectra.basis import checked_spectra
+from nishiki.spectra.basis import checked_spectra, normalised
 from nishiki.spectra.sampling import WAVELENGTHS_NM
 
 # IEC 61966-2-1: primaries and the D65 white (0.3127, 0.3290); the matrix is derived below, not copied rounded.
 _SRGB_PRIMARIES_XY = np.array([[0.64, 0.33], [0.30, 0.60], [0.15, 0.06]])
 _SRGB_WHITE_XY = np.array([0.3127, 0.3290])
+LEAST_CONE = 0.01  # response of a lamp's white, relative to that of the white that it is brought to
 # Bradford cone responses: Lam 1985, as in ICC.1:2022 annex E.
 _BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
 
@@ -55,7 +56,7 @@ def xyz_matrix(illuminant: np.ndarray, basis: np.ndarray) -> np.ndarray:
     illuminant : (61,); basis : (K, 61). Sums over the 61 bands as CIE 015:2018 eq. 7 tabulates them. For XYZ of spectra
     themselves use `xyz_from_spectra`. Source: P eq. 19, exact because the diffuse term is linear in sigma.
     """
-    lamp = checked_spectra(illuminant, "illuminant")[0]
+    lamp = normalised(checked_spectra(illuminant, "illuminant")[0])
     weights = cie_1931_cmfs() * lamp
     total = weights[1].sum()
     if not total > 0:
@@ -82,8 +83,15 @@ def srgb_matrix() -> np.ndarray:
 
 
 def adaptation_matrix(white_from: np.ndarray, white_to: np.ndarray) -> np.ndarray:
-    """(3, 3) linear Bradford adaptation: maps XYZ seen under `white_from` (3,) to the match under `white_to` (3,)."""
-    source, target = _BRADFORD @ np.asarray(white_from, float), _BRADFORD @ np.asarray(white_to, float)
+    """(3, 3) linear Bradford adaptation: maps XYZ seen under `white_from` (3,) to the match under `white_to` (3,).
+
+    Under a lamp so narrow that a cone response of its white is negative or almost none, nothing is white to an eye and
+    Bradford's quotients have no meaning: only the luminance is then brought to that of `white_to`.
+    """
+    white_from, white_to = np.asarray(white_from, float), np.asarray(white_to, float)
+    source, target = _BRADFORD @ white_from, _BRADFORD @ white_to
+    if not (source * white_to[1] > LEAST_CONE * target * white_from[1]).all():
+        return np.eye(3) * (white_to[1] / white_from[1])
     return np.linalg.solve(_BRADFORD, (target / source)[:, None] * _BRADFORD)
 
 

@@ -10,7 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from nishiki.fabric.interface import ArrayFields, halves, only_above
+from nishiki.fabric.interface import ArrayFields, halves, off_horizon, only_above
 from nishiki.weave.reading import columns, rows_of
 
 
@@ -40,7 +40,7 @@ class WeaveBrdf(ArrayFields):
     def evaluate(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
         """BRDF, sr^-1: (..., channels) from unit vectors (..., 3) that broadcast; 0 below the horizon."""
         g = halves(incident, outgoing)
-        incident, outgoing = np.broadcast_arrays(np.asarray(incident, float), np.asarray(outgoing, float))
+        incident, outgoing = np.broadcast_arrays(off_horizon(incident), off_horizon(outgoing))
         straight = (0.0, 0.0, 1.0)
         rows = rows_of(*(np.where(g.above[..., None], v, straight) for v in (incident, outgoing)))
         f0 = ((self.index - 1.0) / (self.index + 1.0)) ** 2

@@ -49,6 +49,11 @@ def make_plane(
             f"{theta_r.size}. Remedy: measure views along the warp and along the weft, light along the normal."
         )
     mean = values.mean(axis=1)
+    if not mean.max() > 0:
+        raise UserError(
+            f"weave: expected reflectances above 0, found at most {mean.max():g} among {mean.size}. Remedy: expose "
+            "longer, or check the dark frames"
+        )
     floor = 1e-4 * max(float(np.abs(mean).max()), 1e-300)
     sigma = np.sqrt(np.sum(noise**2, axis=1) / values.shape[1] ** 2 + (relative_error * mean) ** 2 + floor**2)
     order = np.lexsort((theta_r, theta_i))

@@ -18,7 +18,7 @@ The lobe D is W's exp(-x^2 / a^2), or that of GGX in the plane (Walter et al., E
 fibres: 1 / (cos^2 x + sin^2 x / a^2)^2.
 """
 
-from math import atan, cos, erf, exp, pi, sin, sqrt, tan
+from math import atan2, cos, erfc, exp, pi, sin, sqrt, tan
 
 import numpy as np
 from numba import njit
@@ -70,21 +70,26 @@ def lobe(x, width, kind):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def lobe_integral(low, high, width, kind):
-    """Integral of the lobe over low..high."""
-    if kind == GAUSS:
-        return 0.5 * sqrt(pi) * width * (erf(high / width) - erf(low / width))
-    return _ggx_until(high, width) - _ggx_until(low, width)
+    """Integral of the lobe over low..high, never negative: on one side of the middle a difference of tails."""
+    if low < 0.0 and high > 0.0:
+        whole = width * sqrt(pi) if kind == GAUSS else width * (1.0 + width * width) * HALF_PI
+        return whole - _beyond(high, width, kind) - _beyond(-low, width, kind)
+    near, far = (low, high) if low >= 0.0 else (-high, -low)
+    return max(_beyond(near, width, kind) - _beyond(far, width, kind), 0.0)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _ggx_until(x, width):
-    """Integral of the GGX lobe from 0 to x, by s = tan x / width: of (1 + width^2 s^2) / (1 + s^2)^2."""
+def _beyond(x, width, kind):
+    """Integral of the lobe from x >= 0 to its end, to full relative accuracy far out.
+
+    GGX: by s = tan x / width, of (1 + width^2 s^2) / (1 + s^2)^2.
+    """
+    if kind == GAUSS:
+        return 0.5 * sqrt(pi) * width * erfc(x / width)
     if x >= HALF_PI:
-        return 0.5 * width * (1.0 + width * width) * HALF_PI
-    if x <= -HALF_PI:
-        return -0.5 * width * (1.0 + width * width) * HALF_PI
+        return 0.0
     s = tan(x) / width
-    return 0.5 * width * ((1.0 + width * width) * atan(s) + (1.0 - width * width) * s / (1.0 + s * s))
+    return 0.5 * width * ((1.0 + width * width) * atan2(1.0, s) - (1.0 - width * width) * s / (1.0 + s * s))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
