@@ -34,7 +34,7 @@ def facing_length(theta_a, length, radius, theta):
     shade = length * sin(theta_a - t) + 2.0 * radius * turned * turned
     reach = sin(theta_a + t)
     if shade <= length * reach:
-        return arc + length - (shade / reach if reach > 0.0 else 0.0)
+        return max(arc + length - (shade / reach if reach > 0.0 else 0.0), 0.0)  # without an arc 0 but for rounding
     rise = sin(t) * (length * cos(theta_a) / radius + sin(theta_a))
     seen = 2.0 * asin(sqrt(min(rise, 1.0))) - t
     return radius * min(max(seen, 0.0), theta_a)
