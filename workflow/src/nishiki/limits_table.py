@@ -175,7 +175,7 @@ CAMERAS = (
         at("reprojection_worst_px"),
         most=20,
         remedy="check the correspondences and the board of that view, and that cameras and points are of one world",
-        why="boards give 0.1 to 0.5, picked points 1 to 3; 20 pixels smear every texel",
+        why="at 20 pixels every texel is smeared over its neighbours; sound boards and points stay far below",
     ),
     Limit(
         "calibration",
@@ -183,7 +183,7 @@ CAMERAS = (
         at("calibration.rms_px"),
         most=5,
         remedy="photograph the board again, flat, sharp and without gloss; or cameras.distortion with more terms",
-        why="sound boards give 0.1 to 0.5; 5 means another board or another lens",
+        why="at 5 pixels the board or the lens is not the one that is described",
     ),
     Limit(
         "outlier_share",
