@@ -123,7 +123,8 @@ def compile_kernels(options: argparse.Namespace, rest: list[str]) -> int:
                 ["simulate", "--output", scene, "--truth", f"{scene}-truth", "--preset", preset]
                 for scene, preset in scenes.items()
             ),
-            ["run", "--configfile", "config.yaml"],
+            # Compilation has one thread, stages ask for two: as many at a time as there are processors.
+            ["run", "--configfile", "config.yaml", "--cores", str(2 * (os.cpu_count() or 1))],
         ):
             done = subprocess.run(
                 [sys.executable, "-m", "nishiki", *arguments],
