@@ -1,5 +1,8 @@
 """Artifacts that a run must not build on are named, set aside whole, and only those."""
 
+import os
+import time
+
 import pytest
 
 from nishiki.archive.survey import verify_artifact
@@ -85,3 +88,16 @@ def test_two_of_one_content_are_kept_apart(scene):
     assert names[0] == KEYS["ingest"]
     assert names[2].endswith("-2")
     assert verify_artifact(folder) == []
+
+
+def test_dates_follow_the_flow_and_never_lie_in_the_future(scene):
+    times = {"ingest": 4.2e9, "normals": 1e9, "render": 1.1e9}
+    for stage, seconds in times.items():
+        os.utime(scene / stage / KEYS[stage] / MANIFEST, (seconds, seconds))
+    assert set_aside_unsound(planned(scene), pytest.fail) == []
+    dates = [(scene / stage / KEYS[stage] / MANIFEST).stat().st_mtime for stage in KEYS]
+    assert dates == sorted(dates)
+    assert dates[-1] <= time.time()
+    os.utime(scene / "ingest" / KEYS["ingest"] / MANIFEST, (1e9, 1e9))
+    set_aside_unsound(planned(scene), pytest.fail)
+    assert [(scene / stage / KEYS[stage] / MANIFEST).stat().st_mtime for stage in KEYS] == [1e9, *dates[1:]]

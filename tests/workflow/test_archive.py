@@ -61,6 +61,7 @@ def test_a_killed_run_is_resumed_by_one_command_and_a_live_one_is_left_alone(len
     try:
         results = lent.folder / "results/tiny"
         wait_for(lambda: list(results.glob("height/.*.partial")) or list(results.glob("render/.*.partial")), process)
+        os.killpg(process.pid, signal.SIGSTOP)  # alive, and still so when the last of the commands has been asked
         for command in (["run"], ["run", "--unlock"], ["prune", "--delete"]):
             done = lent.nishiki(*command, check=False)
             assert (done.returncode, "a run" in done.stderr, "alive" in done.stderr) == (2, True, True), command

@@ -90,7 +90,8 @@ def test_an_interrupted_sweep_continues_and_tells_error_against_time(site):
         assert row["times"]["seconds"]["median"] == pytest.approx(sum(one["seconds"] for one in recorded) / 2, abs=1e-3)
         assert all(one["same"] and one["digest"] == digest_of(site, row) for one in recorded)
     assert rows["paper"]["errors"] > rows["wiener"]["errors"]
-    table = list(csv.DictReader((site.folder / "results/sweeps/methods/sweep.csv").open()))
+    with (site.folder / "results/sweeps/methods/sweep.csv").open() as file:
+        table = list(csv.DictReader(file))
     assert [row["variant"] for row in table] == list(rows)
     assert "<svg" in (site.folder / "results/sweeps/methods/sweep.html").read_text()
     assert "Nothing to be done" in (lambda done: done.stdout + done.stderr)(site.nishiki("sweep", sweep))

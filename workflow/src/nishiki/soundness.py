@@ -4,7 +4,9 @@ Nothing is deleted: a folder that is set aside keeps its files under `<key>.set-
 know what happened; `./nishiki prune` lists it.
 """
 
+import contextlib
 import os
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -82,4 +84,25 @@ def set_aside_unsound(
     for item in found:
         target = set_aside(item.folder)
         tell(f"set aside and made again: {item}; kept as {target.name}")
+    put_dates_right(plans)
     return found
+
+
+def put_dates_right(plans: dict[str, list[tuple[str, Path, tuple[str, ...]]]]) -> None:
+    """Date manifests neither after now nor before those of their upstream artifacts.
+
+    Digests have said what is sound. Dates mean nothing then, but Snakemake goes by them: where a clock was set back it
+    would make finished artifacts again, and fail every job that has an input from the future.
+    """
+    now = time.time_ns()
+    for stages in plans.values():
+        dates: dict[str, int] = {}
+        for name, folder, upstream in stages:
+            manifest = folder / MANIFEST
+            if not manifest.is_file():
+                continue
+            found = manifest.stat().st_mtime_ns
+            dates[name] = max([min(found, now), *(dates[other] for other in upstream if other in dates)])
+            if dates[name] != found:
+                with contextlib.suppress(OSError):  # results that cannot be written: the run tells of that itself
+                    os.utime(manifest, ns=(dates[name], dates[name]))
