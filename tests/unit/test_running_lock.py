@@ -303,11 +303,25 @@ def test_results_that_cannot_be_written_are_told(somewhere):
         run_once("a")
 
 
-def test_a_termination_reaches_the_engine(start):
+@pytest.mark.parametrize("whole_group", [False, True])
+def test_a_termination_ends_an_engine_whose_own_handler_waits_for_ever(start, whole_group):
+    """As Snakemake's does where the signal comes while its scheduler holds the lock that the handler takes."""
     child = (
-        "import signal,sys,time; signal.signal(15, lambda *_: sys.exit(7)); print('ready', flush=True); time.sleep(60)"
+        "import signal,sys,threading,time; lock=threading.Lock(); signal.signal(15, lambda *_: lock.acquire())\n"
+        "try:\n with lock: print('ready', flush=True); time.sleep(60)\n"
+        "except KeyboardInterrupt: sys.exit(7)"
     )
-    process = start("a", "sys.exit(" + CALL.format(child=child) + ")")
+    heed = "import signal; signal.signal(2, signal.default_int_handler); "
+    process = start("a", heed + "sys.exit(" + CALL.format(child=child) + ")")
+    (os.killpg if whole_group else os.kill)(process.pid, signal.SIGTERM)
+    assert process.wait(timeout=20) == 7
+    assert [record.state for record in records(Path("results"))] == ["ended"]
+
+
+def test_a_termination_reaches_an_engine_that_heeds_no_interrupt(start):
+    """Shells start what stands before & with interrupts ignored."""
+    child = "import signal,sys,time; signal.signal(15, lambda *_: sys.exit(7)); print('ready', flush=True); time.sleep(60)"
+    process = start("a", "import signal; signal.signal(2, signal.SIG_IGN); sys.exit(" + CALL.format(child=child) + ")")
     process.terminate()
     assert process.wait(timeout=20) == 7
     assert [record.state for record in records(Path("results"))] == ["ended"]

@@ -40,6 +40,7 @@ def interrupted(site, sweep):
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
         start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
     )
     until = time.monotonic() + 300
     while len(timings(site)) < 3 and process.poll() is None and time.monotonic() < until:

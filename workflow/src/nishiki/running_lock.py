@@ -37,11 +37,14 @@ class HeldRun:
     def call(self, command: list[str], environment: dict[str, str]) -> int:
         """Run Snakemake as a part of this run and wait for its end; its exit status.
 
-        It gets an interrupt from the terminal by itself and a termination from here, and then ends its jobs in order.
+        It gets an interrupt from the terminal by itself. A termination is passed on as an interrupt, which ends its jobs in
+        order: Snakemake's handler of a termination takes a lock that the very thread may hold, and then waits for ever.
         """
         child = subprocess.Popen(command, env={**environment, MARK: self.facts["id"]}, pass_fds=(self.descriptor,))
         ours = threading.current_thread() is threading.main_thread()
-        before = signal.signal(signal.SIGTERM, lambda *_: child.terminate()) if ours else None
+        heeded = signal.getsignal(signal.SIGINT) != signal.SIG_IGN  # a shell starts what stands before & without it
+        passed_on = signal.SIGINT if heeded else signal.SIGTERM
+        before = signal.signal(signal.SIGTERM, lambda *_: child.send_signal(passed_on)) if ours else None
         try:
             while True:
                 with suppress(KeyboardInterrupt):
