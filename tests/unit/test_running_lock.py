@@ -320,7 +320,8 @@ def test_a_termination_ends_an_engine_whose_own_handler_waits_for_ever(start, wh
 
 def test_a_termination_reaches_an_engine_that_heeds_no_interrupt(start):
     """Shells start what stands before & with interrupts ignored."""
-    child = "import signal,sys,time; signal.signal(15, lambda *_: sys.exit(7)); print('ready', flush=True); time.sleep(60)"
+    child = "import signal,sys,time; signal.signal(15, lambda *_: sys.exit(7)); "
+    child += "print('ready', flush=True); time.sleep(60)"
     process = start("a", "import signal; signal.signal(2, signal.SIG_IGN); sys.exit(" + CALL.format(child=child) + ")")
     process.terminate()
     assert process.wait(timeout=20) == 7

@@ -37,8 +37,8 @@ class HeldRun:
     def call(self, command: list[str], environment: dict[str, str]) -> int:
         """Run Snakemake as a part of this run and wait for its end; its exit status.
 
-        It gets an interrupt from the terminal by itself. A termination is passed on as an interrupt, which ends its jobs in
-        order: Snakemake's handler of a termination takes a lock that the very thread may hold, and then waits for ever.
+        It gets an interrupt from the terminal by itself. A termination is passed on as an interrupt, which ends its
+        jobs in order: Snakemake's own handler takes a lock that the very thread may hold, and then waits for ever.
         """
         child = subprocess.Popen(command, env={**environment, MARK: self.facts["id"]}, pass_fds=(self.descriptor,))
         ours = threading.current_thread() is threading.main_thread()
