@@ -189,7 +189,7 @@ def sweep_of(part: Part) -> dict:
     }
 
 
-def run(name: str, work: Path, data: Path | None) -> None:
+def run(name: str, work: Path, data: Path | None, cores: str) -> None:
     """Sweep one subject and store its lines."""
     subject = SUBJECTS[name]
     truth = capture_of(name, subject, work, data)
@@ -197,7 +197,7 @@ def run(name: str, work: Path, data: Path | None) -> None:
     (work / f"{name}.yaml").write_text(f"scenes: {name}.tsv\n")
     for part in subject.parts:
         (work / f"sweep-{part.name}.yaml").write_text(yaml.safe_dump(sweep_of(part), sort_keys=False))
-        nishiki(work, "sweep", f"sweep-{part.name}.yaml", "--configfile", f"{name}.yaml")
+        nishiki(work, "sweep", f"sweep-{part.name}.yaml", "--configfile", f"{name}.yaml", "--cores", cores)
         (scene,) = json.loads((work / f"results/sweeps/sweep-{part.name}/sweep.json").read_text())["scenes"]
         about = {key: scene[key] for key in ("machines", "load", "axis", "counted", "evaluation", "measures")}
         lines = [about, *({key: row[key] for key in row if key != "ahead"} for row in scene["rows"])]
@@ -337,11 +337,12 @@ def main() -> None:
         "--work", type=Path, default=PROJECT / "results/error-against-run-time", help="captures, results"
     )
     parser.add_argument("--only", nargs="*", choices=SUBJECTS, help="scenes to run (default: all)")
+    parser.add_argument("--cores", default="all", help="processors to use (default: all)")
     parser.add_argument("--from-results", action="store_true", help="run nothing, write the page from stored lines")
     options = parser.parse_args()
     options.work.mkdir(parents=True, exist_ok=True)
     for name in [] if options.from_results else options.only or SUBJECTS:
-        run(name, options.work.resolve(), options.data and options.data.resolve())
+        run(name, options.work.resolve(), options.data and options.data.resolve(), options.cores)
     for path, text in page().items():
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
