@@ -11,15 +11,15 @@ from nishiki.brdf.levenberg_marquardt import fit_lobe
 from nishiki.brdf.parameters import described, described_brightest, of_equal_lobes, without_gloss
 from nishiki.brdf.scene import fit_scene
 from nishiki.brdf.specular_histogram import SpecularHistogram
+from nishiki.contract.maps import Maps, MapWriter
+from nishiki.contract.stage import Context, run_stage
 from nishiki.economy.decision import Decision, economy
 from nishiki.economy.gloss import Evidence, decided, gloss_evidence
 from nishiki.ingest.observations import Observations
 from nishiki.ingest.parcels import parcels
-from nishiki.maps import Maps, MapWriter
 from nishiki.normals.flags import NO_ESTIMATE
 from nishiki.normals.gloss_profile import LADDER, GlossProfile, specular_samples
 from nishiki.settings.brdf import BrdfSettings
-from nishiki.stage import Context, run_stage
 
 SAMPLE_PIXELS = 5000  # that decide whether the scene shows gloss
 

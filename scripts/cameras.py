@@ -6,6 +6,7 @@ import numpy as np
 
 import _project  # noqa: F401
 from nishiki.capture.cameras import read_points
+from nishiki.contract.stage import Context, run_stage
 from nishiki.errors import UserError
 from nishiki.geometry.board import BoardShape, Detection, detect_boards
 from nishiki.geometry.calibration import Calibration, calibrate
@@ -17,7 +18,6 @@ from nishiki.geometry.turn import turn_of
 from nishiki.geometry.turntable_poses import choose_poses
 from nishiki.ingest.views import Views
 from nishiki.settings.cameras import CamerasSettings
-from nishiki.stage import Context, run_stage
 
 
 def run(context: Context) -> dict:

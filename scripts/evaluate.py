@@ -7,8 +7,11 @@ from pathlib import Path
 import numpy as np
 
 import _project  # noqa: F401
-from nishiki.artifact import Artifact
 from nishiki.brdf.parameters import gloss_table
+from nishiki.contract.artifact import Artifact
+from nishiki.contract.maps import Maps, MapWriter
+from nishiki.contract.provenance import truth_digest
+from nishiki.contract.stage import Context, run_stage
 from nishiki.errors import UserError
 from nishiki.evaluate.camera_colour import CameraColour, assumed_colour, fitted_colour
 from nishiki.evaluate.classes import NAMES, classify
@@ -26,15 +29,12 @@ from nishiki.evaluate.table import COLUMNS, rows_of
 from nishiki.evaluate.truth import Truth, truth_from
 from nishiki.ingest.observations import Observations
 from nishiki.ingest.parcels import point_mm
-from nishiki.maps import Maps, MapWriter
 from nishiki.normals.flags import NO_ESTIMATE
-from nishiki.provenance import truth_digest
+from nishiki.outside.stored import load_arrays, open_group
 from nishiki.render.scene import Gloss, Light
 from nishiki.settings.evaluate import EvaluateSettings
 from nishiki.spectra.colour import illuminant
 from nishiki.spectra.training import synthetic_reflectances
-from nishiki.stage import Context, run_stage
-from nishiki.stored import load_arrays, open_group
 
 
 def run(context: Context) -> dict:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 import _project  # noqa: F401
+from nishiki.contract.stage import Context, run_stage
 from nishiki.economy.decision import Decision, economy
 from nishiki.economy.views import measured_choice, static_choice, with_normal_rows
 from nishiki.errors import UserError
@@ -21,7 +22,6 @@ from nishiki.goniometry.hemisphere import complete
 from nishiki.goniometry.store import Reflectances
 from nishiki.goniometry.table import ReflectanceSet
 from nishiki.settings.fabric import FabricSettings
-from nishiki.stage import Context, run_stage
 from nishiki.weave.store import Weave
 
 FORMAT = 1

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 import _project  # noqa: F401
+from nishiki.contract.stage import Context, run_stage
 from nishiki.drape.cloth import Cloth, Support, drape
 from nishiki.drape.dyes import dyed
 from nishiki.drape.frame import Picture
@@ -19,7 +20,6 @@ from nishiki.errors import UserError
 from nishiki.render.output import write_exr, write_png, write_video
 from nishiki.settings.fabric_render import FabricRenderSettings
 from nishiki.spectra.colour import srgb_matrix
-from nishiki.stage import Context, run_stage
 
 AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
 SUPPORTS = {"ball": Support("ball", 0.16, 0.46), "table": Support("table", 0.24, 0.42)}

@@ -3,7 +3,9 @@
 import json
 
 import _project  # noqa: F401
-from nishiki.artifact import Artifact
+from nishiki.chains.stages import CHAIN
+from nishiki.contract.artifact import Artifact
+from nishiki.contract.stage import Context, run_stage
 from nishiki.drape.models import FabricModels
 from nishiki.goniometry.store import Reflectances
 from nishiki.report import fabric_sections as sections
@@ -15,8 +17,6 @@ from nishiki.report.page import render_page
 from nishiki.report.pictures import data_uri, file_picture
 from nishiki.report.provenance import stage_record
 from nishiki.settings.fabric_report import FabricReportSettings
-from nishiki.stage import Context, run_stage
-from nishiki.stages import CHAIN
 
 ORDER = ("ingest", "reflectance", "weave", "fabric", "fabric_render", "fabric_evaluate")
 

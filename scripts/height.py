@@ -3,11 +3,11 @@
 import numpy as np
 
 import _project  # noqa: F401
-from nishiki.maps import Maps, MapWriter
+from nishiki.contract.maps import Maps, MapWriter
+from nishiki.contract.stage import Context, run_stage
 from nishiki.normals import flags as bits
 from nishiki.normals.height import integrate_normals
 from nishiki.settings.height import HeightSettings
-from nishiki.stage import Context, run_stage
 
 
 def run(context: Context) -> dict:

@@ -10,6 +10,7 @@ from nishiki.capture.folder import Capture, load_capture
 from nishiki.capture.goniometer import GoniometerCapture
 from nishiki.capture.seal import capture_digest
 from nishiki.capture.turntable import TurntableCapture
+from nishiki.contract.stage import Context, run_stage
 from nishiki.ingest.choice import chosen
 from nishiki.ingest.goniometer_store import STORE as WINDOWS
 from nishiki.ingest.goniometer_store import write_goniometer
@@ -17,11 +18,10 @@ from nishiki.ingest.store import STORE, write_observations
 from nishiki.ingest.views_attributes import geometry_sources
 from nishiki.ingest.views_store import STORE as VIEWS
 from nishiki.ingest.views_store import write_views
-from nishiki.reading import reading_of
+from nishiki.planning.reading import reading_of
 from nishiki.settings.ingest import IngestSettings
 from nishiki.spectra.colour import illuminant as cie_illuminant
 from nishiki.spectra.sampling import resample
-from nishiki.stage import Context, run_stage
 
 
 def run(context: Context) -> dict:

@@ -5,6 +5,7 @@ from dataclasses import asdict
 import numpy as np
 
 import _project  # noqa: F401
+from nishiki.contract.stage import Context, run_stage
 from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.cameras_file import read_cameras
@@ -18,7 +19,6 @@ from nishiki.geometry.surface import Lighter, fewest_triangles, shape_of, smooth
 from nishiki.ingest.views import Views
 from nishiki.render.output import write_png
 from nishiki.settings.mesh import MeshSettings
-from nishiki.stage import Context, run_stage
 
 COARSE_CELLS = 128
 PREVIEW_ROWS = 480

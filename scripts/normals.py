@@ -6,21 +6,21 @@ import numpy as np
 
 import _project  # noqa: F401
 from _lights import choose_lights
+from nishiki.contract.maps import Maps, MapWriter
+from nishiki.contract.scatter import Scattered
+from nishiki.contract.stage import Context, run_stage
 from nishiki.economy.decision import Decision, economy
 from nishiki.economy.refinement import clearly_matt, decided, thinned
 from nishiki.errors import UserError
 from nishiki.ingest.observations import Observations
 from nishiki.ingest.parcels import Parcel, parcels
-from nishiki.maps import Maps, MapWriter
 from nishiki.normals import flags as bits
 from nishiki.normals.gloss import refine_normals
 from nishiki.normals.gloss_profile import GlossProfile
 from nishiki.normals.gloss_scene import FEW_LIGHTS, GlossTile, SceneGloss, fit_scene_gloss
 from nishiki.normals.reflectance import diffuse_reflectance
 from nishiki.normals.solve import estimate_normals
-from nishiki.scatter import Scattered
 from nishiki.settings.normals import NormalsSettings
-from nishiki.stage import Context, run_stage
 
 MAPS = {
     "normals": ("float32", "unit vector, x right, y up, z to the camera"),

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 
 import _project  # noqa: F401
+from nishiki.contract.provenance import truth_digest
+from nishiki.contract.stage import Context, run_stage
 from nishiki.errors import UserError
 from nishiki.geometry.mesh import Mesh
 from nishiki.ingest.encoding import encode
-from nishiki.provenance import truth_digest
 from nishiki.render.output import write_png
 from nishiki.settings.object_evaluate import ObjectEvaluateSettings
-from nishiki.stage import Context, run_stage
 from nishiki.turntable.comparison import comparison
 from nishiki.turntable.cost import cost_of
 from nishiki.turntable.decoded_object import DecodedObject

@@ -3,11 +3,11 @@
 import numpy as np
 
 import _project  # noqa: F401
+from nishiki.contract.stage import Context, run_stage
 from nishiki.errors import UserError
 from nishiki.render.output import write_exr, write_normals_exr, write_normals_png, write_png, write_video
 from nishiki.settings.object_render import ObjectRenderSettings
 from nishiki.spectra.colour import srgb_matrix
-from nishiki.stage import Context, run_stage
 from nishiki.turntable.decoded_object import DecodedObject
 from nishiki.turntable.display import coverage, on_screen, three_channels
 from nishiki.turntable.film import frames

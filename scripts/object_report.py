@@ -6,8 +6,11 @@ import json
 import numpy as np
 
 import _project  # noqa: F401
-from nishiki.artifact import Artifact
+from nishiki.chains.stages import chain_of
+from nishiki.contract.artifact import Artifact
+from nishiki.contract.stage import Context, run_stage
 from nishiki.geometry.cameras_file import load_cameras
+from nishiki.outside.stored import load_arrays
 from nishiki.patches.atlas import Atlas
 from nishiki.patches.store import ATLAS
 from nishiki.reflection.flags import TexelFlag
@@ -20,9 +23,6 @@ from nishiki.report.page import OBJECT_TEMPLATE, render_page
 from nishiki.report.pictures import data_uri, file_picture
 from nishiki.report.provenance import stage_record
 from nishiki.settings.object_report import ObjectReportSettings
-from nishiki.stage import Context, run_stage
-from nishiki.stages import chain_of
-from nishiki.stored import load_arrays
 
 SHOWN = 6
 PREVIEWS = ("preview.png", "mesh.png")

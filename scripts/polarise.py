@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 import _project  # noqa: F401
+from nishiki.contract.stage import Context, run_stage
 from nishiki.errors import UserError
 from nishiki.ingest.views import Views, encode
 from nishiki.render.output import write_png
@@ -24,7 +25,6 @@ from nishiki.separation.polariser_states import StateSums, sums_of
 from nishiki.separation.series_diagnostics import Thinned, diagnose
 from nishiki.separation.statistics import SeparationStatistics, statistics_of
 from nishiki.settings.polarise import PolariseSettings
-from nishiki.stage import Context, run_stage
 
 
 def run(context: Context) -> dict:

@@ -3,6 +3,7 @@
 import numpy as np
 
 import _project  # noqa: F401
+from nishiki.contract.stage import Context, run_stage
 from nishiki.errors import UserError
 from nishiki.goniometry.coverage import IncidenceCoverage, coverage
 from nishiki.goniometry.coverage_plot import coverage_plot
@@ -15,7 +16,6 @@ from nishiki.goniometry.symmetry import departure
 from nishiki.goniometry.table import ReflectanceSet
 from nishiki.ingest.goniometer import Measurements
 from nishiki.settings.reflectance import ReflectanceSettings
-from nishiki.stage import Context, run_stage
 
 LISTED = 60  # directions of light whose coverage is among the diagnostics; all are in the artifact
 

@@ -7,6 +7,7 @@ from dataclasses import asdict
 import numpy as np
 
 import _project  # noqa: F401
+from nishiki.contract.stage import Context, run_stage
 from nishiki.economy.decision import Decision, economy
 from nishiki.economy.object_gloss import decided, unseen_gain
 from nishiki.errors import UserError
@@ -21,7 +22,6 @@ from nishiki.reflection.stack import slope_of_srgb
 from nishiki.reflection.store import ParameterWriter
 from nishiki.reflection.tile import Capture, Tile
 from nishiki.settings.reflection import ReflectionSettings
-from nishiki.stage import Context, run_stage
 
 
 def run(context: Context) -> dict:

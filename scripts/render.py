@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 
 import _project  # noqa: F401
-from nishiki.artifact import Artifact
 from nishiki.brdf.parameters import gloss_table
 from nishiki.capture.spectra_tables import read_curves
-from nishiki.maps import Maps
+from nishiki.contract.artifact import Artifact
+from nishiki.contract.maps import Maps
+from nishiki.contract.stage import Context, run_stage
 from nishiki.normals.flags import NO_ESTIMATE
 from nishiki.render import requests
 from nishiki.render.display import display_image
@@ -27,7 +28,6 @@ from nishiki.render.sequence import circle_of_directions, light_sequence, moved_
 from nishiki.settings.render import LightSettings, PictureSettings, RenderSettings, SequenceSettings
 from nishiki.spectra.colour import illuminant as cie_illuminant
 from nishiki.spectra.sampling import resample
-from nishiki.stage import Context, run_stage
 
 
 def run(context: Context) -> dict:

@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 
 import _project
-from nishiki.artifact import MANIFEST, Artifact, open_artifact
+from nishiki.contract.artifact import MANIFEST, Artifact, open_artifact
 from nishiki.sweep.machine import processor
 
 RECORDED = ("seconds", "cpu_seconds", "peak_memory_mib", "host", "platform", "python", "cpus", "finished")

@@ -3,11 +3,14 @@
 import json
 
 import _project  # noqa: F401
-from nishiki.artifact import Artifact
+from nishiki.chains.stages import CHAIN
+from nishiki.contract.artifact import Artifact
+from nishiki.contract.maps import Maps
+from nishiki.contract.stage import Context, run_stage
 from nishiki.evaluate.camera_colour import CameraColour, assumed_colour, fitted_colour
 from nishiki.ingest.observations import Observations
-from nishiki.maps import Maps
 from nishiki.normals.flags import NO_ESTIMATE
+from nishiki.outside.stored import load_arrays
 from nishiki.report.appearance_section import appearance_section
 from nishiki.report.capture_section import capture_section
 from nishiki.report.colour_section import colour_section
@@ -21,9 +24,6 @@ from nishiki.report.shape_section import shape_section
 from nishiki.report.summary import at_a_glance, choices
 from nishiki.settings.report import ReportSettings
 from nishiki.spectra.training import synthetic_reflectances
-from nishiki.stage import Context, run_stage
-from nishiki.stages import CHAIN
-from nishiki.stored import load_arrays
 
 
 def run(context: Context) -> dict:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 import _project  # noqa: F401
+from nishiki.contract.stage import Context, run_stage
 from nishiki.economy.decision import economy
 from nishiki.economy.sufficient import Left, decided, model_suffices, what_is_left
 from nishiki.ingest.encoding import encode
@@ -22,7 +23,6 @@ from nishiki.residual.pursuit import Pursuit
 from nishiki.residual.store import write_residual
 from nishiki.residual.tile_code import Effort, Pixels, Scene, model_of, see
 from nishiki.settings.residual import ResidualSettings
-from nishiki.stage import Context, run_stage
 
 SAMPLE_TILES = 24  # that decide whether the model suffices
 

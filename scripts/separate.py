@@ -4,14 +4,14 @@ import numpy as np
 
 import _project  # noqa: F401
 from _lights import choose_lights
+from nishiki.contract.maps import MapWriter
+from nishiki.contract.scatter import Scattered
+from nishiki.contract.stage import Context, run_stage
 from nishiki.economy.decision import economy
 from nishiki.ingest.observations import Observations
 from nishiki.ingest.parcels import parcels
-from nishiki.maps import MapWriter
-from nishiki.scatter import Scattered
 from nishiki.separation.lights import select_diffuse
 from nishiki.settings.separate import SeparateSettings
-from nishiki.stage import Context, run_stage
 
 
 def work(context: Context) -> dict:

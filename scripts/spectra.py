@@ -7,15 +7,15 @@ import numpy as np
 
 import _project  # noqa: F401
 from nishiki.capture.spectra_tables import read_curves
+from nishiki.contract.maps import Maps, MapWriter
+from nishiki.contract.scatter import Scattered
+from nishiki.contract.stage import Context, run_stage
 from nishiki.economy.bases import Bases, decided, output_bases, principal_bases
 from nishiki.economy.decision import Decision, economy
-from nishiki.maps import Maps, MapWriter
-from nishiki.scatter import Scattered
 from nishiki.settings.spectra import SpectraSettings
 from nishiki.spectra.basis import channel_weights
 from nishiki.spectra.estimate import SpectralEstimator, estimate_spectra, fit_estimator
 from nishiki.spectra.training import measured_reflectances, synthetic_reflectances
-from nishiki.stage import Context, run_stage
 
 
 def work(context: Context) -> dict:

@@ -8,16 +8,16 @@ import os
 from pathlib import Path
 
 import _project
-from nishiki.artifact import open_artifact
+from nishiki.contract.artifact import open_artifact
+from nishiki.contract.stage import PROJECT_VERSION
 from nishiki.errors import UserError
-from nishiki.stage import PROJECT_VERSION
+from nishiki.planning.sweep_plan import PlannedVariant, SceneSweep
+from nishiki.planning.workflow import Workflow
 from nishiki.sweep.content import scene_content, sweep_content, table_rows
 from nishiki.sweep.measures import as_measure, candidates, compared, paths_in, values_of
 from nishiki.sweep.page import render_sweep
 from nishiki.sweep.settings import MeasureSettings
 from nishiki.sweep.summary import VariantRow, variant_row
-from nishiki.sweep_plan import PlannedVariant, SceneSweep
-from nishiki.workflow import Workflow
 
 
 def main() -> None:

@@ -5,11 +5,13 @@ from pathlib import Path
 import numpy as np
 
 import _project  # noqa: F401
+from nishiki.contract.stage import Context, run_stage
 from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.cameras_file import load_cameras
 from nishiki.geometry.mesh import Mesh
 from nishiki.ingest.views import Views, encode
+from nishiki.outside.stored import open_array
 from nishiki.patches.atlas import Atlas, build_atlas
 from nishiki.patches.charts import Charts, make_charts
 from nishiki.patches.density import sampling_density, texels_per_unit
@@ -17,8 +19,6 @@ from nishiki.patches.quality import atlas_picture, stretch_percentiles, texels_p
 from nishiki.patches.turn import probe_spacing, turning
 from nishiki.patches.write import TexelsWriter
 from nishiki.settings.texels import TexelsSettings
-from nishiki.stage import Context, run_stage
-from nishiki.stored import open_array
 
 
 def run(context: Context) -> dict:

@@ -3,12 +3,12 @@
 import numpy as np
 
 import _project  # noqa: F401
+from nishiki.contract.stage import Context, run_stage
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.mesh_files import write_ply
 from nishiki.goniometry.store import Reflectances
 from nishiki.render.output import write_png
 from nishiki.settings.weave import WeaveSettings
-from nishiki.stage import Context, run_stage
 from nishiki.weave.drawing import draw_section
 from nishiki.weave.fit import WeaveFit, fit_weave
 from nishiki.weave.planes import planes_of

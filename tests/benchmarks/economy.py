@@ -18,8 +18,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import _project  # noqa: F401
+from nishiki.contract.maps import Maps
 from nishiki.ingest.observations import Observations
-from nishiki.maps import Maps
 
 PROJECT = Path(__file__).resolve().parents[2]
 

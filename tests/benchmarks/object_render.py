@@ -24,7 +24,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import _project
-from nishiki.artifact import open_artifact
+from nishiki.contract.artifact import open_artifact
 from nishiki.patches.raster import rasterise
 from nishiki.turntable.decoded_object import DecodedObject
 

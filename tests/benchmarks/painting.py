@@ -87,7 +87,7 @@ def stage(name, inputs, settings, place, *extra):
 
 def run_method(ingested, truth, settings, place):
     """All stages of one method; their artifacts by name."""
-    from nishiki.provenance import truth_digest
+    from nishiki.contract.provenance import truth_digest
 
     made = {"ingest": ingested}
     for name, needs in STAGES.items():
@@ -173,12 +173,12 @@ def budget(made, truth):
     import zarr
 
     from nishiki.brdf.parameters import gloss_table
+    from nishiki.contract.maps import Maps
     from nishiki.evaluate.classes import classify
     from nishiki.evaluate.prediction import FittedModel, light_of, predict_light
     from nishiki.evaluate.relighting import truth_difference
     from nishiki.evaluate.scene_colour import spectral_colour
     from nishiki.ingest.observations import Observations
-    from nishiki.maps import Maps
     from nishiki.normals.gloss_profile import body_shading
     from nishiki.render.scene import Gloss
 

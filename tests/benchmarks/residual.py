@@ -27,7 +27,7 @@ NEEDED = ("ingest", "cameras", "mesh", "texels", "reflection")
 
 def artifacts_of(data: Path, work: Path) -> dict:
     """Upstream artifacts: those of a run, or of one that is made now."""
-    from nishiki.artifact import open_artifact
+    from nishiki.contract.artifact import open_artifact
 
     current = data if (data / "texels").exists() else run_upstream(data, work)
     names = (*NEEDED, *(("polarise",) if (current / "polarise").exists() else ()))

@@ -15,7 +15,7 @@ from time import perf_counter
 import numpy as np
 from codecs_of_pictures import IMAGE_CODECS, VIDEO_CODECS, filled
 
-from nishiki.artifact import Artifact, open_artifact
+from nishiki.contract.artifact import Artifact, open_artifact
 from nishiki.ingest.encoding import encode
 from nishiki.ingest.views import Views
 from nishiki.patches.store import Texels

@@ -24,9 +24,6 @@ from captures import edit_block, edit_yaml, make_capture, make_turntable, write_
 from fuzz.corpus import make_store, matlab, tiff
 from goniometer_captures import HEADING, edit_goniometer, make_goniometer, make_table
 
-from nishiki import plain_yaml
-from nishiki.artifact import Artifact, ArtifactWriter
-from nishiki.bounds import BOUNDS, bound
 from nishiki.capture.check import check_capture
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
@@ -41,14 +38,17 @@ from nishiki.capture.problems import CaptureError
 from nishiki.capture.schema import read_capture_file
 from nishiki.capture.seal import capture_digest, manifest_text, read_manifest, seal, verify_seal
 from nishiki.capture.turntable_layouts import recognise_round
+from nishiki.contract.artifact import Artifact, ArtifactWriter
+from nishiki.contract.maps import Maps
 from nishiki.errors import UserError, printable
 from nishiki.geometry.mesh_files import read_triangles
 from nishiki.ingest.observations import Observations
-from nishiki.maps import Maps
-from nishiki.outside import name_fault, read_json
-from nishiki.project import load_project, load_yaml
-from nishiki.stored import load_arrays, open_group, zstd_content_size
-from nishiki.workflow import Workflow
+from nishiki.outside import plain_yaml
+from nishiki.outside.bounds import BOUNDS, bound
+from nishiki.outside.files import name_fault, read_json
+from nishiki.outside.stored import load_arrays, open_group, zstd_content_size
+from nishiki.planning.project import load_project, load_yaml
+from nishiki.planning.workflow import Workflow
 
 PROJECT = Path(__file__).resolve().parents[2]
 OUTSIDE = (

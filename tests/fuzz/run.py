@@ -17,7 +17,7 @@ sys.path[:0] = [str(PROJECT / "workflow" / "src"), str(PROJECT / "tests")]
 import atheris  # noqa: E402
 
 READERS = """
-    nishiki.capture nishiki.outside nishiki.stored nishiki.plain_yaml nishiki.project nishiki.closed nishiki.artifact
+    nishiki.capture nishiki.outside nishiki.planning.project nishiki.contract.closed nishiki.contract.artifact
     nishiki.geometry.mesh_files nishiki.geometry.mesh_heading nishiki.separation.instrument
     trimesh.exchange.ply trimesh.exchange.obj
 """.split()

@@ -16,7 +16,6 @@ import numpy as np
 from fuzz.corpus import IMAGES, LIGHTS, MESHES, STORES, TABLES, YAML, corpus, make_store
 from fuzz.watch import paused
 
-from nishiki.artifact import MANIFEST, open_artifact
 from nishiki.capture.cameras import read_cameras, read_points
 from nishiki.capture.folder import examine, read_intensities
 from nishiki.capture.frames import read_frames
@@ -31,13 +30,14 @@ from nishiki.capture.seal import manifest_text, read_manifest
 from nishiki.capture.spectra_tables import read_curves
 from nishiki.capture.turntable_layouts import recognise_round
 from nishiki.capture.turntable_schema import read_intrinsics
+from nishiki.contract.artifact import MANIFEST, open_artifact
 from nishiki.errors import UserError
 from nishiki.geometry.mesh_files import read_points as read_scan
 from nishiki.geometry.mesh_files import read_triangles
 from nishiki.ingest.observations import Observations
-from nishiki.project import load_project, load_yaml
+from nishiki.outside.stored import load_arrays, open_group
+from nishiki.planning.project import load_project, load_yaml
 from nishiki.separation.instrument import read_instrument
-from nishiki.stored import load_arrays, open_group
 
 COLOURS = ("red", "green", "blue")
 

@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from stability.cases import case, worst_over
 from zarr.codecs import Crc32cCodec, ZstdCodec
 
-from nishiki.artifact import open_artifact
-from nishiki.finite import NotFinite, problems
-from nishiki.limits import Limit, at, check, readings
-from nishiki.limits_table import LIMITS
+from nishiki.contract.artifact import open_artifact
+from nishiki.contract.finite import NotFinite, problems
+from nishiki.contract.limits import Limit, at, check, readings
+from nishiki.contract.limits_table import LIMITS
+from nishiki.contract.stage import run_stage
 from nishiki.settings.height import HeightSettings
-from nishiki.stage import run_stage
 
 CODECS = {
     "plain": [],

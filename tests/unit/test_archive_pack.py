@@ -16,12 +16,12 @@ from archives import write_scene
 from nishiki.archive.crate_audit import CrateAudit, audit_crate
 from nishiki.archive.crate_names import MANIFEST, manifest_text, parse_manifest_text
 from nishiki.archive.pack import Scene, pack, write_zip
-from nishiki.artifact import MANIFEST as ARTIFACT
-from nishiki.artifact import run_text
 from nishiki.capture.seal import capture_digest, seal
 from nishiki.cli import main
+from nishiki.contract.artifact import MANIFEST as ARTIFACT
+from nishiki.contract.artifact import run_text
+from nishiki.contract.provenance import file_digest
 from nishiki.errors import UserError
-from nishiki.provenance import file_digest
 
 ABOUT = {
     "title": "Höhe & Tiefe",

@@ -6,10 +6,10 @@ import os
 import pytest
 
 from nishiki.archive.survey import verify_artifact
-from nishiki.artifact import MANIFEST, ArtifactWriter, open_artifact, run_text
+from nishiki.contract.artifact import MANIFEST, ArtifactWriter, open_artifact, run_text
+from nishiki.contract.provenance import stage_key
 from nishiki.errors import UserError
 from nishiki.processes import host, identity
-from nishiki.provenance import stage_key
 
 CAPTURE = "5" * 64
 KEY = stage_key("normals", 1, {}, {"capture": CAPTURE})

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nishiki.artifact import ArtifactWriter, open_artifact
+from nishiki.contract.artifact import ArtifactWriter, open_artifact
+from nishiki.contract.stage import Context
 from nishiki.errors import UserError
 from nishiki.evaluate.fabric import by_incidence, in_plane, judge, plane_name
 from nishiki.fabric.peers import Ward
@@ -19,7 +20,6 @@ from nishiki.goniometry.store import write_reflectances
 from nishiki.goniometry.table import ReflectanceSet
 from nishiki.progress import Progress
 from nishiki.settings.fabric_evaluate import FabricEvaluateSettings
-from nishiki.stage import Context
 
 PROJECT = Path(__file__).resolve().parents[2]
 STAMP = {"scene": "small", "stage": "fabric_evaluate", "key": "0" * 12, "version": "0.1.0"}

@@ -10,8 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
-from nishiki.artifact import ArtifactWriter, open_artifact
-from nishiki.closed import parse
+from nishiki.contract.artifact import ArtifactWriter, open_artifact
+from nishiki.contract.closed import parse
+from nishiki.contract.stage import Context
 from nishiki.drape.frame import Picture
 from nishiki.drape.mesh_store import read_surface
 from nishiki.drape.models import FabricModels
@@ -21,7 +22,6 @@ from nishiki.fabric.peers import Ward
 from nishiki.fabric.store import save_brdf
 from nishiki.progress import Progress
 from nishiki.settings.fabric_render import FabricRenderSettings
-from nishiki.stage import Context
 
 PROJECT = Path(__file__).resolve().parents[2]
 STAMP = {"scene": "small", "stage": "fabric_render", "key": "0" * 12, "version": "0.1.0"}

@@ -11,7 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
-from nishiki.artifact import ArtifactWriter
+from nishiki.contract.artifact import ArtifactWriter
+from nishiki.contract.stage import Context
 from nishiki.fabric.peers import Ward
 from nishiki.fabric.store import save_brdf
 from nishiki.goniometry.directions import unit
@@ -26,7 +27,6 @@ from nishiki.settings.fabric_render import FabricRenderSettings
 from nishiki.settings.fabric_report import FabricReportSettings
 from nishiki.settings.reflectance import ReflectanceSettings
 from nishiki.settings.weave import WeaveSettings
-from nishiki.stage import Context
 
 PROJECT = Path(__file__).resolve().parents[2]
 STAMP = {"scene": "small", "stage": "fabric_report", "key": "0" * 12, "version": "0.1.0"}

@@ -8,11 +8,11 @@ import pytest
 from captures import make_capture, make_turntable
 from goniometer_captures import make_goniometer
 
-from nishiki import facts_cache
 from nishiki.capture.seal import seal
 from nishiki.errors import UserError
-from nishiki.facts import scene_facts
-from nishiki.facts_cache import FOLDER, remembered_facts
+from nishiki.planning import facts_cache
+from nishiki.planning.facts import scene_facts
+from nishiki.planning.facts_cache import FOLDER, remembered_facts
 
 MAKERS = {"plane": make_capture, "turntable": make_turntable, "goniometer": make_goniometer}
 

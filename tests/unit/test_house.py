@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from nishiki.project import Configuration
-from nishiki.stages import CHAIN
+from nishiki.chains.stages import CHAIN
+from nishiki.planning.project import Configuration
 
 PROJECT = Path(__file__).resolve().parents[2]
 PACKAGE = PROJECT / "workflow" / "src" / "nishiki"

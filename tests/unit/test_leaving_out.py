@@ -20,7 +20,7 @@ from nishiki.ingest.store import write_observations
 from nishiki.ingest.tiles import bands_with_object
 from nishiki.ingest.views import Views
 from nishiki.ingest.views_store import write_views
-from nishiki.reading import reading_of
+from nishiki.planning.reading import reading_of
 from nishiki.settings.ingest import IngestSettings
 
 WHOLE = slice(0, 24)

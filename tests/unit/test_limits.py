@@ -4,10 +4,10 @@ import re
 
 import pytest
 
-from nishiki.limits import check, names_of, readings
-from nishiki.limits_table import LIMITS
+from nishiki.chains.stages import CHAIN
+from nishiki.contract.limits import check, names_of, readings
+from nishiki.contract.limits_table import LIMITS
 from nishiki.report.conditions import conditions
-from nishiki.stages import CHAIN
 
 STATED = [(stage, limit) for stage, limits in LIMITS.items() for limit in limits if limit.stated]
 

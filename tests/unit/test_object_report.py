@@ -11,7 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
-from nishiki.artifact import ArtifactWriter
+from nishiki.contract.artifact import ArtifactWriter
+from nishiki.contract.stage import Context
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.cameras_file import save_cameras
 from nishiki.patches.atlas import Atlas
@@ -38,7 +39,6 @@ from nishiki.settings.polarise import PolariseSettings
 from nishiki.settings.reflection import ReflectionSettings
 from nishiki.settings.residual import ResidualSettings
 from nishiki.settings.texels import TexelsSettings
-from nishiki.stage import Context
 
 PROJECT = Path(__file__).resolve().parents[2]
 STAMP = {"scene": "small", "stage": "object_report", "key": "0" * 12, "version": "0.1.0"}

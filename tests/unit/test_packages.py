@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 from nishiki.chains.packages import IDLE
+from nishiki.chains.stages import CHAIN
+from nishiki.contract.provenance import SOURCE
 from nishiki.errors import UserError
 from nishiki.packages import EXTRAS, MODULES, install_command, installed, loaded, optional
-from nishiki.provenance import SOURCE
-from nishiki.stages import CHAIN
 
 PROJECT = Path(__file__).resolve().parents[2]
 LIGHT = {"numpy"}

@@ -5,14 +5,14 @@ from pathlib import Path
 
 import pytest
 
-from nishiki.chain import SceneFacts
+from nishiki.chains.chain import SceneFacts
 from nishiki.chains.parts import LOOKS_AT, PARTS
+from nishiki.chains.stages import CHAIN
 from nishiki.commands import planning
 from nishiki.errors import UserError
-from nishiki.plan import Plan, make_plan
-from nishiki.project import Scene, StageSettings
+from nishiki.planning.plan import Plan, make_plan
+from nishiki.planning.project import Scene, StageSettings
 from nishiki.report.left_out_section import left_out_section
-from nishiki.stages import CHAIN
 
 PLANE = SceneFacts(
     capture_digest="0" * 64,

@@ -11,10 +11,11 @@ import pytest
 from captures import edit_text, write_frame
 from goniometer_captures import WHITE, cloth, directions, edit_goniometer, make_goniometer, make_table, quarter_views
 
-from nishiki.artifact import Artifact, ArtifactWriter
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
-from nishiki.closed import parse
+from nishiki.contract.artifact import Artifact, ArtifactWriter
+from nishiki.contract.closed import parse
+from nishiki.contract.stage import Context
 from nishiki.errors import UserError
 from nishiki.goniometry.directions import angles
 from nishiki.goniometry.store import Reflectances
@@ -24,7 +25,6 @@ from nishiki.ingest.goniometer_store import write_goniometer
 from nishiki.progress import Progress
 from nishiki.settings.ingest import IngestSettings
 from nishiki.settings.reflectance import ReflectanceSettings
-from nishiki.stage import Context
 from reflectance import run
 
 PROJECT = Path(__file__).resolve().parents[2]

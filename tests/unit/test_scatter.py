@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nishiki.artifact import Artifact, ArtifactWriter, open_artifact
+from nishiki.contract.artifact import Artifact, ArtifactWriter, open_artifact
+from nishiki.contract.maps import Maps, MapWriter
+from nishiki.contract.scatter import Part, Scattered, in_order, read_tally, write_tally
 from nishiki.errors import UserError
-from nishiki.maps import Maps, MapWriter
-from nishiki.scatter import Part, Scattered, in_order, read_tally, write_tally
 
 ROWS, BAND = 10, 3
 UPSTREAM = {"ingest": {"key": "0" * 12, "digest": "d"}}

@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nishiki.chain import SceneFacts
-from nishiki.plan import PlannedStage
-from nishiki.project import StageSettings
-from nishiki.scheduling import SHORT_SECONDS, Scheduling
-from nishiki.stages import CHAIN, chain_of
+from nishiki.chains.chain import SceneFacts
+from nishiki.chains.stages import CHAIN, chain_of
+from nishiki.planning.plan import PlannedStage
+from nishiki.planning.project import StageSettings
+from nishiki.planning.scheduling import SHORT_SECONDS, Scheduling
 
 PLANE = tuple(chain_of("plane"))
 

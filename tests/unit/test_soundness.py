@@ -6,9 +6,9 @@ import time
 import pytest
 
 from nishiki.archive.survey import verify_artifact
-from nishiki.artifact import MANIFEST, ArtifactWriter
-from nishiki.provenance import stage_key
-from nishiki.soundness import set_aside_unsound, unsound_artifacts
+from nishiki.contract.artifact import MANIFEST, ArtifactWriter
+from nishiki.contract.provenance import stage_key
+from nishiki.runs.soundness import set_aside_unsound, unsound_artifacts
 
 CAPTURE = "5" * 64
 READS = {"ingest": (), "normals": ("ingest",), "render": ("ingest", "normals")}
@@ -27,7 +27,7 @@ def write(folder, stage, content=b"values"):
 
 
 def artifact_digest(folder, name):
-    from nishiki.provenance import file_digest
+    from nishiki.contract.provenance import file_digest
 
     return file_digest(folder / name / KEYS[name] / MANIFEST)
 

@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
+from nishiki.contract.stage import run_stage
 from nishiki.settings.height import HeightSettings
-from nishiki.stage import run_stage
 
 
 def stage(monkeypatch, tmp_path, error):

@@ -2,9 +2,9 @@
 
 import pytest
 
-from nishiki.closed import parse
+from nishiki.chains.stages import CHAIN
+from nishiki.contract.closed import parse
 from nishiki.errors import UserError
-from nishiki.stages import CHAIN
 from nishiki.sweep.expand import AS_CONFIGURED, expand, nested
 from nishiki.sweep.settings import SweepSettings
 

@@ -3,12 +3,12 @@
 import pytest
 import yaml
 
-from nishiki.chain import SceneFacts
+from nishiki.chains.chain import SceneFacts
 from nishiki.errors import UserError
-from nishiki.plan import make_plan
-from nishiki.project import load_project
+from nishiki.planning.plan import make_plan
+from nishiki.planning.project import load_project
+from nishiki.planning.sweep_plan import configuration_of, plan_sweep
 from nishiki.sweep.expand import AS_CONFIGURED
-from nishiki.sweep_plan import configuration_of, plan_sweep
 
 PLANE = SceneFacts(
     capture_digest="0" * 64,

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from weave_rays import brute_force
 
-from nishiki.artifact import ArtifactWriter, open_artifact
+from nishiki.contract.artifact import ArtifactWriter, open_artifact
 from nishiki.goniometry.store import write_reflectances
 from nishiki.goniometry.table import ReflectanceSet
 from nishiki.weave.drawing import draw_section

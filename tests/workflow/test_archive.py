@@ -10,7 +10,7 @@ import time
 
 import pytest
 
-from nishiki.artifact import MANIFEST, RUN, open_artifact, run_text
+from nishiki.contract.artifact import MANIFEST, RUN, open_artifact, run_text
 
 KEPT = ("results", "config", ".snakemake")
 

@@ -5,8 +5,8 @@ import os
 
 import pytest
 
+from nishiki.chains.stages import CHAIN
 from nishiki.packages import EXTRAS
-from nishiki.stages import CHAIN
 
 LIGHT = {"numpy"}
 

@@ -8,9 +8,9 @@ PROJECT_FOLDER = workflow.basedir
 sys.path.insert(0, os.path.join(PROJECT_FOLDER, "workflow", "src"))
 
 from nishiki.errors import UserError
-from nishiki.provenance import canonical
-from nishiki.scheduling import PARTS
-from nishiki.workflow import Workflow
+from nishiki.contract.provenance import canonical
+from nishiki.planning.scheduling import PARTS
+from nishiki.planning.workflow import Workflow
 from snakemake.exceptions import WorkflowError
 
 shell.prefix(f"export PATH={shlex.quote(os.path.dirname(sys.executable))}:$PATH; ")

@@ -17,8 +17,8 @@ from typing import Any
 from nishiki.archive.crate_metadata import METADATA, PackedCapture, PackedStage, metadata
 from nishiki.archive.crate_names import MANIFEST, manifest_text
 from nishiki.archive.tree import FolderTree
-from nishiki.artifact import MANIFEST as ARTIFACT
-from nishiki.artifact import RUN, Artifact
+from nishiki.contract.artifact import MANIFEST as ARTIFACT
+from nishiki.contract.artifact import RUN, Artifact
 from nishiki.errors import UserError
 
 CODE = ("Snakefile", "LICENSE", "pyproject.toml", "uv.lock", "workflow", "scripts", "envs")
@@ -115,7 +115,7 @@ def _told(artifacts: list[Artifact], tell: Tell) -> Iterator[Artifact]:
 
 
 def _copy_artifact(crate: Crate, scene: Scene, item: Artifact, project: Path) -> PackedStage:
-    from nishiki.provenance import code_digest
+    from nishiki.contract.provenance import code_digest
 
     folder = f"artifacts/{item.stage}/{item.key}"
     for name, entry in sorted(item.manifest["files"].items()):

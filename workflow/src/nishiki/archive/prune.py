@@ -21,9 +21,9 @@ from nishiki.archive.standing import (
     judge_unfinished,
 )
 from nishiki.archive.tree import FolderTree
-from nishiki.project import SWEEPS
-from nishiki.publish import INDEX
-from nishiki.stages import CHAIN
+from nishiki.chains.stages import CHAIN
+from nishiki.contract.publish import INDEX
+from nishiki.planning.project import SWEEPS
 
 CURRENT = "current"
 

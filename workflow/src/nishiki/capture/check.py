@@ -24,7 +24,7 @@ from nishiki.ingest.decode import count_unusable
 from nishiki.ingest.frames import FrameReader, region_of
 from nishiki.ingest.reference import DarkField, board_field, measure_darks
 from nishiki.ingest.store import frame_problems
-from nishiki.outside import Refused, walk
+from nishiki.outside.files import Refused, walk
 
 SAME_DIRECTION = np.cos(np.radians(0.1))
 CHECK_BLOCK = 16

@@ -13,7 +13,6 @@ from typing import TypeVar
 
 import numpy as np
 
-from nishiki.bounds import bound
 from nishiki.capture.frames import DIALECTS, Frame, dialect_of, inside, read_frames
 from nishiki.capture.goniometer import GoniometerCapture, examine_goniometer
 from nishiki.capture.lights import Lights, direction_problems, read_lights
@@ -22,7 +21,8 @@ from nishiki.capture.schema import NAMED_ILLUMINANTS, CaptureFile, Session, geom
 from nishiki.capture.spectra_tables import Curves, read_curves
 from nishiki.capture.tables import expect_rows, reading, table_lines
 from nishiki.capture.turntable import TurntableCapture, examine_turntable
-from nishiki.outside import leads_out
+from nishiki.outside.bounds import bound
+from nishiki.outside.files import leads_out
 
 T = TypeVar("T")
 

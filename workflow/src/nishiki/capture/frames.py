@@ -10,12 +10,12 @@ from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 
-from nishiki.bounds import bound
 from nishiki.capture.lights import light_name
 from nishiki.capture.polariser import parse_state
 from nishiki.capture.problems import CaptureError, Problem, error, raise_errors
 from nishiki.capture.tables import expect_rows, label_problems, reading, table_lines
-from nishiki.outside import leads_out, name_fault
+from nishiki.outside.bounds import bound
+from nishiki.outside.files import leads_out, name_fault
 
 ROLES = ("sample", "check", "white", "dark", "flat")
 LIT_ROLES = ("sample", "check", "white")

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.bounds import bound
 from nishiki.capture.problems import CaptureError, Problem, error, raise_errors, warning
 from nishiki.capture.tables import cells_of, expect_rows, reading, table_lines
+from nishiki.outside.bounds import bound
 
 ANGLES = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
 SHOWN = 5  # wrong rows told of one kind

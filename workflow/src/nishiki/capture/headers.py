@@ -1,7 +1,7 @@
 """Size, depth and kind of a photograph from its first bytes, before anything large is allocated.
 
 A damaged or hostile header may claim any size; what it claims is compared with what the file can hold and with the
-bounds of `nishiki.bounds`, and only then is the file decoded.
+bounds of `nishiki.outside.bounds`, and only then is the file decoded.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Literal
 
-from nishiki.bounds import BOUNDS, bound, remedy
 from nishiki.capture.problems import CaptureError, Problem, error
 from nishiki.capture.tables import refusal
-from nishiki.outside import Refused, open_regular
+from nishiki.outside.bounds import BOUNDS, bound, remedy
+from nishiki.outside.files import Refused, open_regular
 
 DEFLATE_RATIO = 1040  # deflate cannot shrink more than 1032:1, so a larger claim is damage or a decompression bomb
 JPEG_RATIO = 3000  # a progressive JPEG of one even grey needs one bit for 64 samples, or for 768 with coarse colour

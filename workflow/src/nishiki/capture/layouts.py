@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.bounds import bound
 from nishiki.capture.frames import inside
 from nishiki.capture.headers import IMAGE_SUFFIXES, read_header
 from nishiki.capture.images import read_codes
@@ -18,7 +17,8 @@ from nishiki.capture.lights import Lights, light_name, lights_from_vectors, read
 from nishiki.capture.probes import direction_from_sphere, mean_direction
 from nishiki.capture.problems import CaptureError, Problem, error, raise_errors, warning
 from nishiki.capture.tables import expect_rows, reading, table_lines
-from nishiki.outside import NAME_BYTES, is_plain, leads_out, read_text
+from nishiki.outside.bounds import bound
+from nishiki.outside.files import NAME_BYTES, is_plain, leads_out, read_text
 
 MASK_WORD = re.compile(r"(^|[._\- ])mask([._\- ]|$)", re.IGNORECASE)
 PROBE_DATA = "circle_data.txt"

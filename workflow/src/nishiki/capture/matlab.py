@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.bounds import bound
-from nishiki.outside import read_bytes
+from nishiki.outside.bounds import bound
+from nishiki.outside.files import read_bytes
 
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 _MATRIX, _PACKED = 14, 15
@@ -27,7 +27,7 @@ def read_matlab(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
 
     Shapes are MATLAB's (two axes at least). ValueError where it is no such file, is damaged, or holds one of the
     variables as something else (text, complex numbers, sparse matrices, cells in cells); FileNotFoundError;
-    nishiki.outside.Refused where it is larger than is read.
+    nishiki.outside.files.Refused where it is larger than is read.
     """
     data = read_bytes(path, "matlab_bytes", name=path.name)
     if len(data) < _HEADING or data[126:128] not in (b"IM", b"MI"):

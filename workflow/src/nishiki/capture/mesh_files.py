@@ -8,7 +8,7 @@ from pathlib import Path
 from nishiki.capture.problems import CaptureError, error
 from nishiki.capture.tables import refusal
 from nishiki.geometry.mesh_heading import expect_mesh_file
-from nishiki.outside import Refused
+from nishiki.outside.files import Refused
 
 MESHES = (".ply", ".obj")
 HEADING = 1 << 16

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from nishiki.capture.problems import CaptureError, Problem, error, raise_errors
 from nishiki.capture.tables import refusal
-from nishiki.outside import Refused, is_plain, leads_out, open_regular, read_bytes, walk
+from nishiki.outside.files import Refused, is_plain, leads_out, open_regular, read_bytes, walk
 
 MANIFEST, TAG_MANIFEST = "manifest-sha256.txt", "tagmanifest-sha256.txt"
 TAGS = ("bagit.txt", "bag-info.txt", MANIFEST)

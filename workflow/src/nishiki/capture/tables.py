@@ -8,9 +8,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from nishiki.bounds import bound, remedy
 from nishiki.capture.problems import CaptureError, Problem, error
-from nishiki.outside import Refused, is_label, read_bytes
+from nishiki.outside.bounds import bound, remedy
+from nishiki.outside.files import Refused, is_label, read_bytes
 
 LABEL = "Use a name of at most 100 characters without slashes, line ends and control characters"
 

@@ -1,7 +1,7 @@
 """What several chains say of reasons to leave a stage out."""
 
-from nishiki.chain import SceneFacts
-from nishiki.closed import Closed
+from nishiki.chains.chain import SceneFacts
+from nishiki.contract.closed import Closed
 
 
 def no_method(facts: SceneFacts, settings: Closed) -> str | None:

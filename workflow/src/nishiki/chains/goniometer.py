@@ -1,7 +1,7 @@
 """Stages of a cloth on a gonioreflectometer."""
 
-from nishiki.chain import Cost, SceneFacts, Stage
-from nishiki.closed import Closed
+from nishiki.chains.chain import Cost, SceneFacts, Stage
+from nishiki.contract.closed import Closed
 from nishiki.settings.fabric import FabricSettings
 from nishiki.settings.fabric_evaluate import FabricEvaluateSettings
 from nishiki.settings.fabric_render import FabricRenderSettings

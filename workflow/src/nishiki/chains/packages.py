@@ -3,9 +3,9 @@
 from collections.abc import Callable, Mapping
 
 from nishiki.capture.headers import RAW_SUFFIXES
-from nishiki.chain import SceneFacts, Stage
+from nishiki.chains.chain import SceneFacts, Stage
 from nishiki.chains.parts import surface_of
-from nishiki.closed import Closed
+from nishiki.contract.closed import Closed
 
 Reason = Callable[[SceneFacts, Mapping[str, Closed]], str | None]
 

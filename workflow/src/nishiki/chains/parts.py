@@ -7,8 +7,8 @@ always read.
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from nishiki.chain import SceneFacts
-from nishiki.closed import Closed
+from nishiki.chains.chain import SceneFacts
+from nishiki.contract.closed import Closed
 
 Asked = tuple[str, ...]
 Looks = Callable[[SceneFacts, Mapping[str, Closed], Asked], tuple[str, ...]]

@@ -1,8 +1,8 @@
 """Stages of a flat object under many lights."""
 
-from nishiki.chain import Cost, SceneFacts, Stage
+from nishiki.chains.chain import Cost, SceneFacts, Stage
 from nishiki.chains.common import no_method
-from nishiki.closed import Closed
+from nishiki.contract.closed import Closed
 from nishiki.settings.brdf import BrdfSettings
 from nishiki.settings.evaluate import EvaluateSettings
 from nishiki.settings.height import HeightSettings

@@ -1,8 +1,8 @@
 """Stages of an object on a turntable."""
 
-from nishiki.chain import Cost, SceneFacts, Stage
+from nishiki.chains.chain import Cost, SceneFacts, Stage
 from nishiki.chains.common import no_method
-from nishiki.closed import Closed
+from nishiki.contract.closed import Closed
 from nishiki.settings.cameras import CamerasSettings
 from nishiki.settings.mesh import MeshSettings
 from nishiki.settings.object_evaluate import ObjectEvaluateSettings

@@ -92,7 +92,7 @@ def _summary(found: Found, counts: Counts, as_json: bool) -> None:
 
 
 def _set_aside(unsound: set[Path]) -> None:
-    from nishiki.soundness import set_aside
+    from nishiki.runs.soundness import set_aside
 
     for folder in sorted(unsound):
         if folder.is_dir() and not folder.is_symlink() and "." not in folder.name:

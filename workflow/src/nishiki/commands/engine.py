@@ -6,11 +6,11 @@ import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from nishiki.plan import Plan
-from nishiki.run_records import refuse_while_running
-from nishiki.running_lock import registered
-from nishiki.soundness import set_aside_unsound
-from nishiki.workflow import Workflow
+from nishiki.planning.plan import Plan
+from nishiki.planning.workflow import Workflow
+from nishiki.runs.records import refuse_while_running
+from nishiki.runs.running_lock import registered
+from nishiki.runs.soundness import set_aside_unsound
 
 LOOKS_ONLY = {
     *("-n", "--dry-run", "--dryrun", "-S", "--summary", "-D", "--detailed-summary", "--dag", "--d3dag", "--rulegraph"),

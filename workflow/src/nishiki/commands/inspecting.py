@@ -4,13 +4,13 @@ import argparse
 import json
 from pathlib import Path
 
-from nishiki.artifact import MANIFEST, Artifact, open_artifact
+from nishiki.chains.stages import CHAIN
+from nishiki.contract.artifact import MANIFEST, Artifact, open_artifact
+from nishiki.contract.provenance import differences
 from nishiki.errors import UserError
-from nishiki.plan import Plan
-from nishiki.project import Configuration, load_yaml
-from nishiki.provenance import differences
-from nishiki.stages import CHAIN
-from nishiki.workflow import Workflow
+from nishiki.planning.plan import Plan
+from nishiki.planning.project import Configuration, load_yaml
+from nishiki.planning.workflow import Workflow
 
 PROJECT = Path(__file__).resolve().parents[4]
 

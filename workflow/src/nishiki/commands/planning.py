@@ -5,15 +5,15 @@ import json
 from typing import Any
 
 from nishiki.capture.folder import load_capture
-from nishiki.chain import SceneFacts
+from nishiki.chains.chain import SceneFacts
+from nishiki.chains.stages import CHAIN
 from nishiki.commands.inspecting import PROJECT, stage_state
 from nishiki.errors import UserError
 from nishiki.packages import EXTRAS, PURPOSE, install_command, installed
-from nishiki.plan import Plan
-from nishiki.project import load_yaml
-from nishiki.reading import reading_of
-from nishiki.stages import CHAIN
-from nishiki.workflow import Workflow
+from nishiki.planning.plan import Plan
+from nishiki.planning.project import load_yaml
+from nishiki.planning.reading import reading_of
+from nishiki.planning.workflow import Workflow
 
 
 def plan(options: argparse.Namespace, rest: list[str]) -> None:

@@ -33,8 +33,8 @@ def run(options: argparse.Namespace, rest: list[str]) -> int:
     """Run the workflow on the configuration; the plan is checked first, so that bad input is told in one line."""
     from nishiki.commands.engine import LOOKS_ONLY, call_engine
     from nishiki.commands.planning import expect_packages
-    from nishiki.project import load_yaml
-    from nishiki.workflow import Workflow
+    from nishiki.planning.project import load_yaml
+    from nishiki.planning.workflow import Workflow
 
     flow = Workflow(load_yaml(options.configfile), folder=PROJECT)
     expect_packages(flow)
@@ -63,7 +63,7 @@ def profile_arguments(name: str, cores: str | None) -> list[str]:
     """
     import importlib.util
 
-    from nishiki.project import load_yaml
+    from nishiki.planning.project import load_yaml
 
     shipped = PROJECT / "workflow/profiles"
     folder = shipped / name if (shipped / name).is_dir() else Path(name)

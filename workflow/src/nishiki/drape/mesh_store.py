@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
+from nishiki.contract.provenance import file_digest
 from nishiki.errors import UserError
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.mesh_files import load_geometry, read_triangles
 from nishiki.packages import optional
-from nishiki.provenance import file_digest
 
 
 @dataclass(frozen=True)

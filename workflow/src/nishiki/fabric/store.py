@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.errors import UserError
-from nishiki.stored import load_arrays
+from nishiki.outside.stored import load_arrays
 
 KINDS = {  # where the class of a kind is
     "bard_linear": "nishiki.fabric.bard:LinearBard",

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.stored import load_arrays
+from nishiki.outside.stored import load_arrays
 
 
 @dataclass(frozen=True)

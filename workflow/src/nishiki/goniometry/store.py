@@ -10,8 +10,8 @@ import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.goniometry.table import BasicReflectance, ReflectanceSet
-from nishiki.outside import read_json
-from nishiki.stored import load_arrays
+from nishiki.outside.files import read_json
+from nishiki.outside.stored import load_arrays
 
 ARRAYS, NAMES = "reflectance.npz", "reflectance.json"
 FORMAT = 1

@@ -12,8 +12,8 @@ from nishiki.errors import UserError
 from nishiki.ingest.blocks import block_edges, positions
 from nishiki.ingest.chunks import chunk_path, read_chunk
 from nishiki.ingest.goniometer_store import FORMAT, NAMES, STORE, TABLE
-from nishiki.outside import read_json
-from nishiki.stored import load_arrays, open_group, understood
+from nishiki.outside.files import read_json
+from nishiki.outside.stored import load_arrays, open_group, understood
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from nishiki.errors import UserError
 from nishiki.ingest.blocks import block_edges, cells, positions
 from nishiki.ingest.chunks import chunk_path, read_chunk
 from nishiki.ingest.linearise import straight_scale
-from nishiki.stored import open_group, understood
+from nishiki.outside.stored import open_group, understood
 
 FORMAT = 1
 

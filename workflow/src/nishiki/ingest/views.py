@@ -13,7 +13,7 @@ from nishiki.ingest.blocks import grid_of, on_one_grid, picture_edges
 from nishiki.ingest.chunks import chunk_path, read_chunk
 from nishiki.ingest.encoding import decode, encode
 from nishiki.ingest.linearise import straight_scale
-from nishiki.stored import open_group, understood
+from nishiki.outside.stored import open_group, understood
 
 __all__ = ["Views", "decode", "encode"]
 FORMAT = 1

@@ -8,7 +8,7 @@ from pathlib import Path
 import numba
 import numpy as np
 
-from nishiki.stored import load_arrays
+from nishiki.outside.stored import load_arrays
 
 MARGIN = 0.5
 """Texels between a chart and the border of its grid, at least: look-ups then never need a texel beyond it."""

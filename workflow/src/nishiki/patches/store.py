@@ -11,8 +11,8 @@ import zarr
 
 from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera
+from nishiki.outside.stored import open_group
 from nishiki.patches.atlas import Atlas
-from nishiki.stored import open_group
 
 STORE = "texels.zarr"
 ATLAS = "atlas.npz"

@@ -6,8 +6,8 @@ import numpy as np
 import zarr
 from zarr.codecs import ZstdCodec
 
+from nishiki.outside.stored import open_group
 from nishiki.reflection.tile import Parameters
-from nishiki.stored import open_group
 
 STORE = "parameters.zarr"
 NAMES = ("kd", "ks", "sigma", "flags")

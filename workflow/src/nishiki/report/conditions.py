@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from nishiki.limits import readings
+from nishiki.contract.limits import readings
 
 
 def conditions(manifests: Iterable[Mapping[str, Any]]) -> list[dict[str, str]]:

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Any
 
-from nishiki.closed import Closed
-from nishiki.provenance import canonical
+from nishiki.contract.closed import Closed
+from nishiki.contract.provenance import canonical
 
 PLANNED = ("hold_out", "without", "truth_sha256", "training_sha256", "left_out")
 """Settings that the plan fills in; a user does not write them."""

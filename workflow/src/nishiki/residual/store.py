@@ -12,12 +12,12 @@ import zarr
 from zarr.codecs import Crc32cCodec
 
 from nishiki.errors import UserError
+from nishiki.outside.stored import open_array
 from nishiki.residual.allocate import EncodedObject
 from nishiki.residual.container import head_length, pack_object, unpack_head
 from nishiki.residual.entropy import decode
 from nishiki.residual.parameter_code import decode_parameters
 from nishiki.residual.tile_code import decode_residual
-from nishiki.stored import open_array
 
 STORE = "residual.zarr"
 REPORT = "residual.json"

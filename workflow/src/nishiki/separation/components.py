@@ -8,8 +8,8 @@ import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.ingest.chunks import chunk_path, create_array, read_chunk, write_chunk
+from nishiki.outside.stored import open_group
 from nishiki.separation.polarisation import SeparatedView
-from nishiki.stored import open_group
 
 STORE = "components.zarr"
 FORMAT = 1

@@ -8,11 +8,11 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from nishiki import plain_yaml
 from nishiki.capture.matlab import read_matlab
-from nishiki.closed import Closed, parse
+from nishiki.contract.closed import Closed, parse
 from nishiki.errors import UserError
-from nishiki.outside import read_text
+from nishiki.outside import plain_yaml
+from nishiki.outside.files import read_text
 from nishiki.separation.mueller import Arm, retardance_of
 
 MATLAB = ("k_1_g", "k_2_g", "k_1_a", "k_2_a")

@@ -4,7 +4,7 @@ from typing import ClassVar
 
 from pydantic import Field
 
-from nishiki.closed import Guarded
+from nishiki.contract.closed import Guarded
 
 
 class ReportSettings(Guarded):

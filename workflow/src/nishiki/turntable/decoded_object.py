@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from nishiki.artifact import Artifact
+from nishiki.contract.artifact import Artifact
 from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.cameras_file import load_cameras

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.artifact import Artifact
+from nishiki.contract.artifact import Artifact
 from nishiki.errors import UserError
 from nishiki.ingest.views import Views
-from nishiki.stored import open_array, open_group
+from nishiki.outside.stored import open_array, open_group
 
 
 def ceiling(views: Views) -> float | None:

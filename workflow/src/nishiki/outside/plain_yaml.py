@@ -10,7 +10,7 @@ from typing import Any
 
 import yaml
 
-from nishiki.bounds import bound
+from nishiki.outside.bounds import bound
 
 LONGEST_BITS = 1024
 SafeLoader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)

@@ -11,9 +11,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from nishiki.artifact import MANIFEST, Artifact, open_artifact
+from nishiki.contract.artifact import MANIFEST, Artifact, open_artifact
+from nishiki.contract.provenance import file_digest
 from nishiki.errors import UserError
-from nishiki.provenance import file_digest
 
 ASIDE = ".set-aside-"
 

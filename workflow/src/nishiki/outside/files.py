@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from nishiki.bounds import BOUNDS, bound, remedy
 from nishiki.errors import UNSEEN, UserError
+from nishiki.outside.bounds import BOUNDS, bound, remedy
 
 NAME_BYTES = 200  # file systems hold 255; what is made from a file gets a longer name
 

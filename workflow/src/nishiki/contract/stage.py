@@ -10,16 +10,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from nishiki.artifact import MANIFEST, Artifact, ArtifactWriter, open_artifact
-from nishiki.closed import Closed, parse
+from nishiki.contract.artifact import MANIFEST, Artifact, ArtifactWriter, open_artifact
+from nishiki.contract.closed import Closed, parse
+from nishiki.contract.finite import expect_finite
+from nishiki.contract.limits import check
+from nishiki.contract.provenance import canonical, stage_key
+from nishiki.contract.run_facts import RunFacts
+from nishiki.contract.scatter import Part, Scattered, in_order
 from nishiki.errors import UserError
-from nishiki.finite import expect_finite
-from nishiki.limits import check
 from nishiki.packages import load_all
 from nishiki.progress import Progress
-from nishiki.provenance import canonical, stage_key
-from nishiki.run_facts import RunFacts
-from nishiki.scatter import Part, Scattered, in_order
 from nishiki.version import PROJECT_VERSION
 
 Item = TypeVar("Item")

@@ -4,16 +4,16 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from nishiki.chain import SceneFacts, Stage
+from nishiki.chains.chain import SceneFacts, Stage
 from nishiki.chains.packages import idle_reason, packages_of
 from nishiki.chains.parts import left_parts
-from nishiki.closed import Closed
+from nishiki.chains.stages import CHAIN, chain_of
+from nishiki.contract.closed import Closed
+from nishiki.contract.provenance import file_digest, stage_key
 from nishiki.errors import UserError
 from nishiki.ingest.choice import LIGHT
 from nishiki.packages import EXTRAS
-from nishiki.project import Scene
-from nishiki.provenance import file_digest, stage_key
-from nishiki.stages import CHAIN, chain_of
+from nishiki.planning.project import Scene
 
 HOLD_OUT_FROM = 16
 """From this number of lights or views, some are held out where nothing else can check the result."""

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from nishiki.limits import Limit, at, extreme, share
+from nishiki.contract.limits import Limit, at, extreme, share
 
 
 def _regions(told: Mapping[str, Any], name: str) -> list[Any]:

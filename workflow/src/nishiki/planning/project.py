@@ -10,11 +10,11 @@ from typing import Annotated, Literal
 import yaml
 from pydantic import Field, create_model
 
-from nishiki import plain_yaml
-from nishiki.closed import Closed, parse
+from nishiki.chains.stages import CHAIN, PRODUCTS
+from nishiki.contract.closed import Closed, parse
 from nishiki.errors import UserError
-from nishiki.outside import is_plain, read_text
-from nishiki.stages import CHAIN, PRODUCTS
+from nishiki.outside import plain_yaml
+from nishiki.outside.files import is_plain, read_text
 from nishiki.sweep.settings import SweepName, SweepSettings
 
 COLUMNS = ("scene", "capture", "truth", "products", "settings")

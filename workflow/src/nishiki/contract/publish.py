@@ -5,9 +5,9 @@ import os
 import shutil
 from pathlib import Path
 
-from nishiki.artifact import MANIFEST, date_not_before
+from nishiki.contract.artifact import MANIFEST, date_not_before
+from nishiki.contract.provenance import file_digest
 from nishiki.processes import owner
-from nishiki.provenance import file_digest
 
 INDEX = "index.json"
 

@@ -3,8 +3,8 @@
 import math
 from functools import cache
 
-from nishiki.plan import Plan, PlannedStage
-from nishiki.stages import CHAIN
+from nishiki.chains.stages import CHAIN
+from nishiki.planning.plan import Plan, PlannedStage
 
 SHORT_SECONDS = 120
 """Jobs that are expected to take less than this share one job of a cluster with their neighbours."""
@@ -17,7 +17,7 @@ PARTS = ".parts"
 
 
 class Scheduling:
-    """Costs, groups and parts of the jobs of all plans; a part of `nishiki.workflow.Workflow`."""
+    """Costs, groups and parts of the jobs of all plans; a part of `nishiki.planning.workflow.Workflow`."""
 
     plans: dict[str, Plan]
     results: str

@@ -99,14 +99,14 @@ def _leaves(value: Any) -> Iterable[Any]:
 
 def names_of(stage: str) -> tuple[str, ...]:
     """Names that the setting `allow` of a stage takes."""
-    from nishiki.limits_table import LIMITS
+    from nishiki.contract.limits_table import LIMITS
 
     return tuple(limit.name for limit in LIMITS.get(stage, ()) if limit.stated)
 
 
 def readings(stage: str, diagnostics: Mapping[str, Any], allow: Iterable[str] = ()) -> list[Reading]:
     """Every figure of a stage that has a limit or counts flags, in the order of the table."""
-    from nishiki.limits_table import LIMITS
+    from nishiki.contract.limits_table import LIMITS
 
     allow, found = set(allow), []
     for limit in LIMITS.get(stage, ()):

@@ -1,7 +1,7 @@
 """Snakemake's locks: lists of files in `.snakemake/locks`, which stay there where a run is killed.
 
 A lock file holds the names of the inputs or outputs of one run, a name a line. It does not say whose it is; what it
-names does, where our own registry (`nishiki.running_lock`) knows which scenes a run makes.
+names does, where our own registry (`nishiki.runs.running_lock`) knows which scenes a run makes.
 """
 
 import os

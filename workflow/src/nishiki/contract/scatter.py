@@ -16,9 +16,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from nishiki.artifact import Artifact
+from nishiki.contract.artifact import Artifact
+from nishiki.contract.provenance import file_digest
 from nishiki.errors import UserError
-from nishiki.provenance import file_digest
 
 TALLY, TALLY_ARRAYS = "tally.json", "tally.npz"
 Item = TypeVar("Item")

@@ -6,10 +6,10 @@ from nishiki.capture.goniometer import GoniometerCapture, goniometer_facts
 from nishiki.capture.headers import read_header
 from nishiki.capture.seal import capture_digest
 from nishiki.capture.turntable import TurntableCapture, TurntableFacts, turntable_facts
-from nishiki.chain import SceneFacts
+from nishiki.chains.chain import SceneFacts
+from nishiki.contract.provenance import truth_digest
 from nishiki.errors import UserError
-from nishiki.project import Scene
-from nishiki.provenance import truth_digest
+from nishiki.planning.project import Scene
 
 
 def scene_facts(scene: Scene) -> SceneFacts:

@@ -1,6 +1,6 @@
 """The one table that declares the chains; plan, keys, rules, resources and documentation derive from it."""
 
-from nishiki.chain import Stage
+from nishiki.chains.chain import Stage
 from nishiki.chains.goniometer import GONIOMETER
 from nishiki.chains.plane import PLANE
 from nishiki.chains.turntable import TURNTABLE

@@ -13,9 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from nishiki import engine_locks, processes
+from nishiki import processes
 from nishiki.errors import UserError
-from nishiki.run_records import RUNS, Record, here, records, take
+from nishiki.runs import engine_locks
+from nishiki.runs.records import RUNS, Record, here, records, take
 
 MARK = "NISHIKI_RUN"
 """Environment variable that all processes of a run carry."""

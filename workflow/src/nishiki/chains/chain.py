@@ -1,9 +1,9 @@
-"""What a stage is, and what a plan has to know of a scene: the types of the one table in `nishiki.stages`."""
+"""What a stage is, and what a plan has to know of a scene: the types of the one table in `nishiki.chains.stages`."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-from nishiki.closed import Closed
+from nishiki.contract.closed import Closed
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from nishiki.errors import UserError
-from nishiki.outside import Refused, expect_bound, expect_memory, open_regular, read_json, walk
+from nishiki.outside.files import Refused, expect_bound, expect_memory, open_regular, read_json, walk
 
 TYPES = frozenset("bool int8 int16 int32 int64 uint8 uint16 uint32 uint64 float16 float32 float64".split())
 CODECS = frozenset(("bytes", "zstd", "crc32c"))

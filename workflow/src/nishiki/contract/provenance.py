@@ -15,11 +15,11 @@ import unicodedata
 from pathlib import Path
 from typing import Any
 
+from nishiki.contract.syntax import syntax_of
 from nishiki.errors import UserError
-from nishiki.syntax import syntax_of
 
 KEY_DIGITS = 12
-SOURCE = Path(__file__).resolve().parents[1]
+SOURCE = Path(__file__).resolve().parents[2]
 PACKAGE = "nishiki"
 
 

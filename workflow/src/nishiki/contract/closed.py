@@ -5,8 +5,8 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
+from nishiki.contract.limits import names_of
 from nishiki.errors import UserError
-from nishiki.limits import names_of
 
 
 class Closed(BaseModel):
@@ -16,7 +16,7 @@ class Closed(BaseModel):
 
 
 class Guarded(Closed):
-    """Base of the settings of a stage: its result is checked against the limits of `nishiki.limits`."""
+    """Base of the settings of a stage: its result is checked against the limits of `nishiki.contract.limits`."""
 
     allow: tuple[str, ...] = Field(
         (), description="names of limits (docs/stability.md) that the result may exceed; otherwise the run stops there"

@@ -10,7 +10,7 @@ import numpy as np
 import zarr
 from zarr.codecs import ZstdCodec
 
-from nishiki.stored import open_group
+from nishiki.outside.stored import open_group
 
 STORE = "maps.zarr"
 
@@ -25,7 +25,7 @@ class MapWriter:
 
     def create(self, name: str, trailing: tuple[int, ...] = (), *, dtype: str = "float32", **attributes) -> zarr.Array:
         """An array (rows, columns, *trailing); `attributes` say unit and meaning; `nan`, what a NaN means in it: an
-        array without this attribute may not hold one (`nishiki.finite`)."""
+        array without this attribute may not hold one (`nishiki.contract.finite`)."""
         rows, columns = self.shape
         return self.group.create_array(
             name,

@@ -5,13 +5,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from nishiki.chain import SceneFacts
-from nishiki.closed import parse
+from nishiki.chains.chain import SceneFacts
+from nishiki.chains.stages import CHAIN
+from nishiki.contract.closed import parse
+from nishiki.contract.provenance import differences
 from nishiki.errors import UserError
-from nishiki.plan import Plan, make_plan
-from nishiki.project import Project, Scene, Shared, load_yaml, scene_with
-from nishiki.provenance import differences
-from nishiki.stages import CHAIN
+from nishiki.planning.plan import Plan, make_plan
+from nishiki.planning.project import Project, Scene, Shared, load_yaml, scene_with
 from nishiki.sweep.expand import AS_CONFIGURED, Variant, expand, nested
 from nishiki.sweep.settings import SweepSettings
 

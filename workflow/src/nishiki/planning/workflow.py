@@ -6,16 +6,16 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 
-from nishiki.artifact import MANIFEST
-from nishiki.chain import SceneFacts
+from nishiki.chains.chain import SceneFacts
+from nishiki.chains.stages import CHAIN
+from nishiki.contract.artifact import MANIFEST
+from nishiki.contract.provenance import canonical, code_digest, library_version
 from nishiki.errors import UserError
-from nishiki.facts_cache import remembered_facts
-from nishiki.plan import Plan, PlannedStage, make_plan
-from nishiki.project import SWEEPS, Scene, load_project
-from nishiki.provenance import canonical, code_digest, library_version
-from nishiki.scheduling import Scheduling
-from nishiki.stages import CHAIN
-from nishiki.sweep_plan import TIMINGS, PlannedSweep, PlannedVariant, SceneSweep, plan_sweep
+from nishiki.planning.facts_cache import remembered_facts
+from nishiki.planning.plan import Plan, PlannedStage, make_plan
+from nishiki.planning.project import SWEEPS, Scene, load_project
+from nishiki.planning.scheduling import Scheduling
+from nishiki.planning.sweep_plan import TIMINGS, PlannedSweep, PlannedVariant, SceneSweep, plan_sweep
 
 
 class Plans(Mapping):

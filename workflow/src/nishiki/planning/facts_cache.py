@@ -15,10 +15,10 @@ from dataclasses import asdict
 from functools import cache
 from pathlib import Path
 
-from nishiki.chain import SceneFacts
-from nishiki.facts import scene_facts
-from nishiki.project import Scene
-from nishiki.provenance import PACKAGE, SOURCE
+from nishiki.chains.chain import SceneFacts
+from nishiki.contract.provenance import PACKAGE, SOURCE
+from nishiki.planning.facts import scene_facts
+from nishiki.planning.project import Scene
 
 FOLDER = Path(".cache", "facts")
 """Place below the results; names with a dot are no scenes."""

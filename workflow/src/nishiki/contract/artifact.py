@@ -17,9 +17,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from nishiki.contract.provenance import canonical, file_digest
 from nishiki.errors import UserError
 from nishiki.processes import host, identity, is_alive, owner, owner_of
-from nishiki.provenance import canonical, file_digest
 
 FORMAT = 1
 MANIFEST = "artifact.json"
