@@ -17,10 +17,10 @@ from numba import njit
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
 from nishiki.turntable.connectivity import CONTEXTS, describe, follow, twins_of
-from nishiki.turntable.range_coder import SLOTS, decode_integer, decoder, encode_integers
+from nishiki.turntable.integer_code import code_integer, decoder, encode_integers, new_chances
 
 _HEADER = struct.Struct("<4sIIIIi3i")  # magic, vertices, triangles, bytes of triangles, of positions, step, origin
-_MAGIC = b"nms1"
+_MAGIC = b"nms2"
 CONTEXT_SIZES = 14  # contexts of one axis: size of the last residuals
 
 
@@ -165,13 +165,12 @@ def restore(data, triangles, twins, vertices):
     first, found = _corner_lists(triangles, vertices)
     points = np.zeros((vertices, 3), np.int64)
     guess, recent = np.zeros(3, np.int64), np.zeros(3, np.int64)
-    plain = 3 * CONTEXT_SIZES * SLOTS
-    probabilities = np.full(plain + 1, 1 << 11, np.int64)
-    state = decoder(data)
+    chances, state = new_chances(3 * CONTEXT_SIZES), decoder(data)
     for v in range(vertices):
         _expected(v, points, triangles, twins, first, found, guess)
         for axis in range(3):
-            residual = decode_integer(state, data, probabilities, axis * CONTEXT_SIZES + _size(recent[axis]), plain)
+            context = axis * CONTEXT_SIZES + _size(recent[axis])
+            residual = code_integer(0, context, chances, state, data, True)
             points[v, axis] = guess[axis] + residual
             recent[axis] = (recent[axis] + 2 * abs(residual) + 1) // 2
     return points

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from nishiki.geometry.camera import NO_DISTORTION, Camera
-from nishiki.turntable.range_coder import encode_integers
+from nishiki.turntable.integer_code import encode_integers
 from nishiki.turntable.turn import rotation_matrix, rotation_vector
 
 _CHART_NUMBERS = 2  # texels per unit along rows and columns

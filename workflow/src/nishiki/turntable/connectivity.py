@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from nishiki.turntable.range_coder import SLOTS, decode_integer, decoder
+from nishiki.turntable.integer_code import code_integer, decoder, new_chances
 
 NEW, NEXT, PREVIOUS, CLOSE, SPLIT, OPEN, NAMED = 0, 1, -1, 2, -2, 3, -3
 _SYMBOLS = 7
@@ -203,15 +203,13 @@ def follow(data, count, vertices):
     live, stack = np.zeros(size, np.bool_), np.empty(size, np.int64)
     leaves = np.full(max(vertices, 1), -1, np.int64)
     triangles = np.empty((count, 3), np.int32)
-    plain = CONTEXTS * SLOTS
-    probabilities = np.full(plain + 1, 1 << 11, np.int64)
-    state = decoder(data)
+    chances, state = new_chances(CONTEXTS), decoder(data)
     nodes, depth, made, known = 0, 0, 0, 0
     last, before_last = 0, 0
     corners = np.empty(3, np.int64)
     while made < count:
         for k in range(3):
-            back = decode_integer(state, data, probabilities, _NAME, plain)
+            back = code_integer(0, _NAME, chances, state, data, True)
             corners[k] = known - back
             if back == 0:
                 known += 1
@@ -225,7 +223,7 @@ def follow(data, count, vertices):
             if not live[gate]:
                 continue
             context = (last + 3) * _SYMBOLS + before_last + 3
-            symbol = decode_integer(state, data, probabilities, context, plain)
+            symbol = code_integer(0, context, chances, state, data, True)
             before_last, last = last, symbol
             third = np.int64(-1)
             if symbol == NEW:
@@ -236,10 +234,10 @@ def follow(data, count, vertices):
             elif symbol == PREVIOUS:
                 third = start[preceding[gate]]
             elif symbol == SPLIT:
-                distance = decode_integer(state, data, probabilities, _AROUND, plain)
+                distance = code_integer(0, _AROUND, chances, state, data, True)
                 third = _vertex_at(gate, distance, start, following, preceding)
             elif symbol == NAMED:
-                third = known - decode_integer(state, data, probabilities, _NAME, plain)
+                third = known - code_integer(0, _NAME, chances, state, data, True)
             if symbol != OPEN:
                 triangles[made, 0], triangles[made, 1], triangles[made, 2] = end[gate], start[gate], third
                 made += 1
