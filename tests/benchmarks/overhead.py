@@ -133,7 +133,9 @@ def main() -> None:
                 times.append((wall, cpu))
             wall, cpu = sorted(times)[len(times) // 2]
             case = {"case": "nothing to be done", "scenes": count, "stages": stages * count}
-            print(json.dumps({**case, "wall_s": round(wall, 2), "cpu_s": round(cpu, 2), "default": True}), flush=True)
+            peak = round(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024)
+            case |= {"wall_s": round(wall, 2), "cpu_s": round(cpu, 2), "peak_mib": peak, "default": True}
+            print(json.dumps(case), flush=True)
         if options.campaign:
             rows = "".join(f"scene{i:05d}\t{capture}\t\n" for i in range(options.campaign))
             (folder / "campaign.tsv").write_text("scene\tcapture\ttruth\n" + rows)

@@ -43,11 +43,13 @@ def sizes(arena: Arena) -> list[tuple[str, int, int]]:
 
 
 def full_disk(arena: Arena, numbers: random.Random, amount: int) -> Iterator[Outcome]:
-    """For nine times `amount` artifacts, a disk that holds those made before it, and a random part of it."""
+    """For nine times `amount` artifacts, a disk on which those made before it stand, with room for a part of it."""
     steps = sizes(arena)
     for name, before, own in numbers.sample(steps, min(len(steps), 9 * amount)):
         room = (before + int(own * numbers.uniform(0, 0.9))) // 1024 + 40
         with small_disk(arena, room):
+            for earlier in [step for step, size_before, _ in steps if size_before < before]:
+                shutil.copytree(arena.kept / earlier, arena.results / earlier, symlinks=True)
             done = arena.run()
             full = done.returncode != 0
             named = full and "space" in done.stdout.lower()

@@ -1,7 +1,6 @@
 """A short form of the campaign of faults: one small scene, few faults of the kinds that need no second machine."""
 
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -13,7 +12,6 @@ KINDS = ("killed run", "flipped bit", "deleted file", "changed capture")
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not os.environ.get("NISHIKI_LONG"), reason="takes some minutes: set NISHIKI_LONG=1")
 def test_every_fault_is_noticed_and_mended_and_nothing_is_lost():
     arguments = ["--seed", "1", "--kills", "2", "--amount", "1", "--scenes", "plane", "--kinds", *KINDS]
     done = subprocess.run([sys.executable, CAMPAIGN, *arguments], capture_output=True, text=True, check=False)
