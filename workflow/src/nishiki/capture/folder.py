@@ -16,6 +16,7 @@ import numpy as np
 from nishiki.capture.frames import DIALECTS, Frame, dialect_of, inside, read_frames
 from nishiki.capture.goniometer import GoniometerCapture, examine_goniometer
 from nishiki.capture.lights import Lights, direction_problems, read_lights
+from nishiki.capture.photographed import Photographed
 from nishiki.capture.problems import CaptureError, Problem, error, raise_errors, warning
 from nishiki.capture.schema import NAMED_ILLUMINANTS, CaptureFile, Session, geometry_named, read_capture_file
 from nishiki.capture.spectra_tables import Curves, read_curves
@@ -28,18 +29,15 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class Capture:
-    """root: the folder; payload: where capture.yaml lies (root, or root/data of a sealed one).
+class Capture(Photographed):
+    """A flat object under many lamps.
 
-    frames: every photograph, in the order of frames.csv; lights: all lamps of the lights file; intensities
-    (lights, channels) float64 or None; sensitivities: curves in the order of camera.channels, or None; illuminant:
-    curves, the name of a CIE illuminant, or None; warnings: what was tolerated.
+    lights: all lamps of the lights file; intensities (lights, channels) float64 or None; sensitivities: curves in the
+    order of camera.channels, or None; illuminant: curves, the name of a CIE illuminant, or None; warnings: what was
+    tolerated.
     """
 
-    root: Path
-    payload: Path
     settings: CaptureFile
-    frames: tuple[Frame, ...]
     lights: Lights
     intensities: np.ndarray | None
     sensitivities: Curves | None
@@ -47,14 +45,6 @@ class Capture:
     mask: Path | None
     regions: Path | None
     warnings: tuple[Problem, ...]
-
-    @property
-    def geometry(self) -> str:
-        return self.settings.geometry
-
-    @property
-    def sealed(self) -> bool:
-        return (self.root / "bagit.txt").is_file()
 
     @property
     def observed(self) -> tuple[Frame, ...]:
@@ -65,9 +55,6 @@ class Capture:
     def directions(self) -> np.ndarray:
         """(observed, 3) float64: unit direction of each observed frame's lamp."""
         return self.lights.directions[[self.lights.index(f.light) for f in self.observed]]
-
-    def frames_of(self, role: str) -> tuple[Frame, ...]:
-        return tuple(f for f in self.frames if f.role == role)
 
     def white_of(self, light: str) -> Frame | None:
         """The white board's frame under this light."""

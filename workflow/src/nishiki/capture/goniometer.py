@@ -11,35 +11,22 @@ from nishiki.capture.goniometer_rules import NORMAL_DEG, goniometer_problems
 from nishiki.capture.goniometer_schema import GoniometerFile
 from nishiki.capture.goniometer_tables import ReflectanceTable, read_table
 from nishiki.capture.headers import read_header
+from nishiki.capture.photographed import Photographed
 from nishiki.capture.problems import Problem, error
 from nishiki.capture.spectra_tables import Curves
 
 
 @dataclass(frozen=True)
-class GoniometerCapture:
-    """root: the folder; payload: where capture.yaml lies (root, or root/data of a sealed one).
+class GoniometerCapture(Photographed):
+    """frames: none where there is a table; table: the reflectances given instead, or None; regions: label picture of the
+    cloth, or None; warnings: what was tolerated."""
 
-    frames: every photograph, in the order of frames.csv, none where there is a table; table: the reflectances given
-    instead, or None; regions: label picture of the cloth, or None; warnings: what was tolerated.
-    """
-
-    root: Path
-    payload: Path
     settings: GoniometerFile
-    frames: tuple[Frame, ...]
     table: ReflectanceTable | None
     regions: Path | None
     sensitivities: Curves | None
     illuminant: Curves | str | None
     warnings: tuple[Problem, ...]
-
-    @property
-    def geometry(self) -> str:
-        return self.settings.geometry
-
-    @property
-    def sealed(self) -> bool:
-        return (self.root / "bagit.txt").is_file()
 
     @property
     def observed(self) -> tuple[Frame, ...]:
@@ -58,9 +45,6 @@ class GoniometerCapture:
             return [f.angles_deg for f in self.observed]
         rows = zip(self.table.incident_deg.tolist(), self.table.outgoing_deg.tolist(), strict=True)
         return [(*incident, *outgoing) for incident, outgoing in rows]
-
-    def frames_of(self, role: str) -> tuple[Frame, ...]:
-        return tuple(f for f in self.frames if f.role == role)
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from nishiki.capture.frames import Frame, inside
 from nishiki.capture.headers import read_header
 from nishiki.capture.lights import Lights, read_lights
 from nishiki.capture.mesh_files import expect_mesh
+from nishiki.capture.photographed import Photographed
 from nishiki.capture.polariser import kind_of
 from nishiki.capture.problems import Problem
 from nishiki.capture.spectra_tables import Curves
@@ -21,19 +22,16 @@ from nishiki.capture.turntable_schema import Intrinsics, TurntableFile, read_int
 
 
 @dataclass(frozen=True)
-class TurntableCapture:
-    """root: the folder; payload: where capture.yaml lies (root, or root/data of a sealed one).
+class TurntableCapture(Photographed):
+    """An object from many sides.
 
-    frames: every photograph, in the order of frames.csv; views, light_names, states: of the sample frames in the order
-    in which they first appear, ('',) where the column is empty, but 'off' before 'on'; lights: the lamps of the lights
-    file, or None; matrices: (3, 4) float64 by view, or None; points: (n, 5) float64 column, row, x, y, z by view, or
-    None; scans, mesh, calibration: files; warnings: what was tolerated.
+    views, light_names, states: of the sample frames in the order in which they first appear, ('',) where the column is
+    empty, but 'off' before 'on'; lights: the lamps of the lights file, or None; matrices: (3, 4) float64 by view, or
+    None; points: (n, 5) float64 column, row, x, y, z by view, or None; scans, mesh, calibration: files; warnings: what
+    was tolerated.
     """
 
-    root: Path
-    payload: Path
     settings: TurntableFile
-    frames: tuple[Frame, ...]
     views: tuple[str, ...]
     light_names: tuple[str, ...]
     states: tuple[str, ...]
@@ -49,23 +47,12 @@ class TurntableCapture:
     warnings: tuple[Problem, ...]
 
     @property
-    def geometry(self) -> str:
-        return self.settings.geometry
-
-    @property
-    def sealed(self) -> bool:
-        return (self.root / "bagit.txt").is_file()
-
-    @property
     def observed(self) -> tuple[Frame, ...]:
         """Frames of the object, ordered by light, then view, then polariser state: how observations are numbered."""
         found = {(f.light, f.view, f.polariser): f for f in self.frames_of("sample")}
         orders = [{name: i for i, name in enumerate(n)} for n in (self.light_names, self.views, self.states)]
         known = (key for key in found if all(name in order for name, order in zip(key, orders, strict=True)))
         return tuple(found[key] for key in sorted(known, key=lambda k: [o[n] for n, o in zip(k, orders, strict=True)]))
-
-    def frames_of(self, role: str) -> tuple[Frame, ...]:
-        return tuple(f for f in self.frames if f.role == role)
 
     def silhouette_of(self, view: str) -> Frame | None:
         """The frame whose row names the silhouette of this view."""
