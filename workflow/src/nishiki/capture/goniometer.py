@@ -18,8 +18,8 @@ from nishiki.capture.spectra_tables import Curves
 
 @dataclass(frozen=True)
 class GoniometerCapture(Photographed):
-    """frames: none where there is a table; table: the reflectances given instead, or None; regions: label picture of the
-    cloth, or None; warnings: what was tolerated."""
+    """frames: none where there is a table; table: the reflectances given instead, or None; regions: label picture of
+    the cloth, or None; warnings: what was tolerated."""
 
     settings: GoniometerFile
     table: ReflectanceTable | None
