@@ -4,8 +4,10 @@ import importlib.metadata
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -82,14 +84,22 @@ class SlurmRun:
     environment: dict[str, str]
     results: str = "results-slurm"
 
-    def start(self, *arguments: str, **settings) -> subprocess.Popen:
+    def start(self, *arguments: str, keep: bool = False, **settings) -> subprocess.Popen:
+        """Start a run from nothing, or, keep, from what an earlier one left."""
         self.site.configure(results=self.results, **settings)
-        shutil.rmtree(self.site.folder / self.results, ignore_errors=True)
+        if not keep:
+            shutil.rmtree(self.site.folder / self.results, ignore_errors=True)
         path = f"{self.site.folder / 'workflow/src'}:{self.environment['PYTHONPATH']}"
         command = [sys.executable, "-m", "nishiki", "run", "--profile", "slurm", *QUICK, *arguments]
         environment = {**os.environ, "PYTHONPATH": path}
         return subprocess.Popen(
-            command, cwd=self.site.folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+            command,
+            cwd=self.site.folder,
+            env=environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
         )
 
     def index(self, results: str) -> dict:
@@ -138,3 +148,45 @@ def test_a_job_that_slurm_kills_for_its_memory_is_given_more(slurm, site):
     assert "Trying to restart" in told
     assert told.count("has been submitted with SLURM jobid") > 1
     assert set(run.index(run.results)["artifacts"]) == {"ingest", "separate", "normals"}
+
+
+def running_jobs() -> list[str]:
+    """Numbers of the jobs that Slurm has at work."""
+    return subprocess.run(
+        ["squeue", "--noheader", "--states=RUNNING", "--format=%i"], capture_output=True, text=True, check=True
+    ).stdout.split()
+
+
+def wait_for(condition, *, seconds: float = 120.0):
+    """The first true answer."""
+    until = time.monotonic() + seconds
+    while not (found := condition()):
+        assert time.monotonic() < until
+        time.sleep(0.2)
+    return found
+
+
+@pytest.mark.skipif(not os.environ.get("NISHIKI_LONG"), reason="takes some minutes: set NISHIKI_LONG=1")
+def test_a_job_that_slurm_cancels_is_submitted_again(slurm, site):
+    run = SlurmRun(site, slurm)
+    started = run.start()
+    (job, *_) = wait_for(running_jobs)
+    subprocess.run(["scancel", job], check=True)
+    text = run.finish(started)
+    assert "Trying to restart" in text
+    assert run.index(run.results) == run.index("results")
+
+
+@pytest.mark.skipif(not os.environ.get("NISHIKI_LONG"), reason="takes some minutes: set NISHIKI_LONG=1")
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_a_run_that_is_ended_or_killed_while_slurm_works_is_resumed_to_the_same_bytes(slurm, site, number):
+    run = SlurmRun(site, slurm)
+    first = run.start()
+    wait_for(running_jobs)
+    os.killpg(first.pid, number)
+    text, _ = first.communicate(timeout=120)
+    if number == signal.SIGTERM:
+        assert not running_jobs(), text
+    again = run.start(keep=True)
+    run.finish(again)
+    assert run.index(run.results) == run.index("results")
