@@ -111,6 +111,7 @@ def row_of(flow: Workflow, swept: SceneSweep, variant: PlannedVariant, errors: l
         default=default in variant.names,
         paper=settings.paper in variant.names,
         peer=bool(set(settings.peers) & set(variant.names)),
+        apart=bool(set(settings.apart) & set(variant.names)),
     )
 
 

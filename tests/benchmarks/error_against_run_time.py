@@ -183,6 +183,7 @@ def sweep_of(part: Part) -> dict:
         **shipped,
         "variants": {**variants, **part.variants},
         "peers": [name for name in shipped.get("peers", ()) if name not in part.without],
+        "apart": [name for name in shipped.get("apart", ()) if name not in part.without],
         "settings": {**shipped.get("settings", {}), **part.settings},
         "repeats": part.repeats,
         "error": list(part.error),
@@ -317,14 +318,15 @@ def table(scene: dict) -> str:
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
     for row in scene["rows"]:
         time = row["times"][axis]
-        role = " (paper)" if row["paper"] else " (of others)" if row["peer"] else ""
+        roles = {" (paper)": row["paper"], " (of others)": row["peer"], " (not compared)": row["apart"]}
+        role = next((text for text, meant in roles.items() if meant), "")
         cells = [row["name"] + role, *(f"{value:.4g}" for value in row["errors"]), f"{time['median']:.3g}"]
         cells += [
             f"{time['low']:.3g} … {time['high']:.3g}",
             f"{row['peak_memory_mib']:.0f}",
             f"{row['bytes'] / 1e6:.3g}",
         ]
-        cells.append(", ".join("yes" if on else "no" for on in row["ahead"]))
+        cells.append("–" if row["apart"] else ", ".join("yes" if on else "no" for on in row["ahead"]))
         lines.append("| " + " | ".join(f"**{cell}**" if row["default"] else cell for cell in cells) + " |")
     return "\n".join(lines)
 

@@ -21,11 +21,14 @@ def by_stage(arena: Arena) -> dict[str, list[Path]]:
 
 
 def damaged(
-    arena: Arena, numbers: random.Random, amount: int, spoil: Callable[[Path, list[Path], random.Random], str | None]
+    arena: Arena,
+    numbers: random.Random,
+    amount: int,
+    spoil: Callable[[Path, list[Path], random.Random], tuple[Path, ...]],
 ) -> Iterator[Outcome]:
-    """Rounds of damage, one file in every artifact at once; verify must name each, and only those.
+    """Rounds of damage, one file in every artifact at once; verify must name each.
 
-    spoil: (file, all files of the artifact, numbers) -> name of the file to be told, None where it cannot be done.
+    spoil: (file, all files of the artifact, numbers) -> the files that were spoilt, none where it cannot be done.
     """
     for _ in range(amount):
         arena.restore()
@@ -33,13 +36,18 @@ def damaged(
         for stage, files in by_stage(arena).items():
             spoilt = spoil(numbers.choice(files), files, numbers)
             if spoilt:
-                struck[stage] = spoilt
+                struck[stage] = names_of(spoilt)
         told = arena.verify("--set-aside").stdout
-        named = {stage: any(path in line for line in told.splitlines()) for stage, path in struck.items()}
+        named = {stage: any(name in told for name in names) for stage, names in struck.items()}
         last = judged(arena, "all", detected=True, told=told)
         for stage, was_named in named.items():
             yield Outcome(
-                stage.split("/")[1], was_named, last.recovered, 0, last.wrong, "" if was_named else told + struck[stage]
+                stage.split("/")[1],
+                was_named,
+                last.recovered,
+                0,
+                last.wrong,
+                "" if was_named else told + str(struck[stage]),
             )
         if not last.recovered:
             yield last
@@ -48,41 +56,42 @@ def damaged(
 def flipped_bits(arena: Arena, numbers: random.Random, amount: int) -> Iterator[Outcome]:
     """One bit of one file of every artifact, at a random place."""
 
-    def flip(path: Path, files: list[Path], numbers: random.Random) -> str | None:
+    def flip(path: Path, files: list[Path], numbers: random.Random) -> tuple[Path, ...]:
         size = path.stat().st_size
         if not size:
-            return None
+            return ()
         place, bit = numbers.randrange(size), numbers.randrange(8)
         with open(path, "r+b") as file:
             file.seek(place)
             value = file.read(1)[0]
             file.seek(place)
             file.write(bytes([value ^ 1 << bit]))
-        return told_as(path)
+        return (path,)
 
     yield from damaged(arena, numbers, amount, flip)
 
 
-def told_as(path: Path) -> str:
-    """What of a path a message must show: the artifact, for its manifest; else the file below it."""
-    parts = path.parts
-    return "/".join(parts[parts.index("results") :])
+def names_of(spoilt: tuple[Path, ...]) -> list[str]:
+    """What of spoilt files a message must show: one of their names below the results. Where the manifest is among them,
+    it or the facts of the run beside it, as each proves the other."""
+    facts = [path.with_name("run.json") for path in spoilt if path.name == "artifact.json"]
+    return ["/".join(path.parts[path.parts.index("results") :]) for path in (*spoilt, *facts)]
 
 
 def lost_power(arena: Arena, numbers: random.Random, amount: int) -> Iterator[Outcome]:
     """Tails that never reached the disk: cut off, or of the full length and zero."""
 
-    def cut(path: Path, files: list[Path], numbers: random.Random) -> str | None:
+    def cut(path: Path, files: list[Path], numbers: random.Random) -> tuple[Path, ...]:
         size = path.stat().st_size
         keep = numbers.randrange(size) if size else 0
         rest = path.read_bytes()[keep:]
         if not rest.strip(b"\0"):
-            return None
+            return ()
         with open(path, "r+b") as file:
             file.truncate(keep)
             if numbers.random() < 0.5:
                 file.truncate(size)
-        return told_as(path)
+        return (path,)
 
     yield from damaged(arena, numbers, amount, cut)
     yield from unfinished(arena, numbers, amount)
@@ -133,16 +142,16 @@ def deleted_files(arena: Arena, numbers: random.Random, amount: int) -> Iterator
 def swapped_files(arena: Arena, numbers: random.Random, amount: int) -> Iterator[Outcome]:
     """Two files of one artifact change places, of one size where there are such."""
 
-    def swap(path: Path, files: list[Path], numbers: random.Random) -> str | None:
+    def swap(path: Path, files: list[Path], numbers: random.Random) -> tuple[Path, ...]:
         content = path.read_bytes()
         others = [other for other in files if other != path and other.read_bytes() != content]
         alike = [other for other in others if other.stat().st_size == len(content)]
         if not others:
-            return None
+            return ()
         other = numbers.choice(alike or others)
         path.write_bytes(other.read_bytes())
         other.write_bytes(content)
-        return told_as(path)
+        return path, other
 
     yield from damaged(arena, numbers, amount, swap)
 

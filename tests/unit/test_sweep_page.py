@@ -84,6 +84,19 @@ def test_drawing_is_sound_xml_with_a_mark_and_a_tip_for_every_variant():
     assert all(0 <= value <= 640 for value in numbers)
 
 
+def test_a_variant_apart_is_shown_and_neither_beats_nor_is_advised():
+    rows = [
+        row("plain", 4.0, {"normals": [record("normals", 10.0)]}, default=True),
+        row("twice the bytes", 1.0, {"normals": [record("normals", 5.0)]}, apart=True),
+        row("quick", 5.0, {"normals": [record("normals", 2.0)]}),
+    ]
+    made = scene_content("cat", rows, [ERROR], axis="seconds", counted=["normals"], evaluation="evaluate")
+    assert [one["ahead"] for one in made["rows"]] == [(True,), (False,), (True,)]
+    assert not any("twice the bytes" in line for line in made["advice"][0])
+    assert "twice the bytes" in made["plots"][0]["svg"]
+    assert "not compared" in made["plots"][0]["svg"]
+
+
 @pytest.mark.parametrize("values", [[1.0], [0.0, 0.0], [1.0, 1000.0], [-3.0, 5.0], [1e-9, 2e-9], [0.0, 1e6]])
 def test_axes_hold_all_values_and_have_ticks(values):
     axis = axis_over(values, 0.0, 100.0)

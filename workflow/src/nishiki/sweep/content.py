@@ -25,7 +25,7 @@ def scene_content(
     evaluation: str,
 ) -> dict[str, Any]:
     """Everything about one scene of a sweep. rows : all variants, errors in the order of `measures`."""
-    fronts = [front(points_of(rows, k, measure, axis)) for k, measure in enumerate(measures)]
+    fronts = [_front(rows, points_of(rows, k, measure, axis)) for k, measure in enumerate(measures)]
     rows = [replace(row, ahead=tuple(number in found for found in fronts)) for number, row in enumerate(rows)]
     return {
         "scene": scene,
@@ -56,6 +56,12 @@ def points_of(rows: Sequence[VariantRow], number: int, measure: MeasureSettings,
     ]
 
 
+def _front(rows: Sequence[VariantRow], points: Sequence[Point]) -> list[int]:
+    """Indices of the rows on the front; those apart are not compared."""
+    compared = [k for k, row in enumerate(rows) if not row.apart]
+    return [compared[k] for k in front([points[k] for k in compared])]
+
+
 def _plot(scene, rows: list[VariantRow], number: int, measure: MeasureSettings, axis: str, best: list[int]) -> dict:
     marks = [
         Mark(
@@ -64,7 +70,7 @@ def _plot(scene, rows: list[VariantRow], number: int, measure: MeasureSettings, 
             row.times[axis].low,
             row.times[axis].high,
             row.errors[number],
-            kind="default" if row.default else "paper" if row.paper else "peer" if row.peer else "",
+            kind=_kind(row),
             tip=_tip(row, number, measure),
         )
         for row in rows
@@ -82,6 +88,11 @@ def _plot(scene, rows: list[VariantRow], number: int, measure: MeasureSettings, 
     return {"file": f"{scene}.svg" if number == 0 else f"{scene}-{number + 1}.svg", "svg": svg}
 
 
+def _kind(row: VariantRow) -> str:
+    said = {"default": row.default, "paper": row.paper, "peer": row.peer, "apart": row.apart}
+    return next((kind for kind, meant in said.items() if meant), "")
+
+
 def _tip(row: VariantRow, number: int, measure: MeasureSettings) -> str:
     time, cpu = row.times["seconds"], row.times["cpu_seconds"]
     return (
@@ -96,6 +107,7 @@ def _advice(rows: list[VariantRow], number: int, measure: MeasureSettings, axis:
     default = next(point for point, row in zip(points, rows, strict=True) if row.default)
     paper = next((point for point, row in zip(points, rows, strict=True) if row.paper), None)
     higher = measure.better == "higher"
+    points = [point for point, row in zip(points, rows, strict=True) if not row.apart]
     return advice(points, default, paper=paper, unit=measure.unit, higher=higher, axis=SAID_OF_AXES[axis])
 
 
@@ -134,6 +146,7 @@ def _flat(scene: dict[str, Any], row: dict[str, Any]) -> dict[str, Any]:
         "default": row["default"],
         "paper": row["paper"],
         "peer": row["peer"],
+        "apart": row["apart"],
         **ahead,
         "counted": " ".join(scene["counted"]),
         "changes": "; ".join(row["changes"]),

@@ -37,7 +37,7 @@ def expand(sweep: SweepSettings, *, stages: Collection[str], where: str) -> list
         if names.count(name) > 1:
             raise UserError(f"{where}: two variants are called {name!r}; rename the one under `variants`")
     roles = {"default": (sweep.default,) if sweep.default else (), "paper": (sweep.paper,) if sweep.paper else ()}
-    for key, wanted in {**roles, "peers": sweep.peers}.items():
+    for key, wanted in {**roles, "peers": sweep.peers, "apart": sweep.apart}.items():
         for name in wanted:
             if name not in names:
                 raise UserError(f"{where}: {key} names no variant {name!r}; variants: {', '.join(names)}")

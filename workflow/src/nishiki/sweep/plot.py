@@ -13,13 +13,19 @@ LOG_FROM = 8.0
 WIDTH, HEIGHT = 640, 400
 LEFT, RIGHT, TOP, BOTTOM = 66, 18, 14, 74
 FONT = "Source Sans 3,Segoe UI,Roboto,Arial,sans-serif"
-COLOURS = {"default": PALETTE[1], "paper": PALETTE[3], "peer": PALETTE[2], "": PALETTE[0]}
-MEANINGS = {"default": "default", "paper": "the paper's method", "peer": "methods of others", "": "variants"}
+COLOURS = {"default": PALETTE[1], "paper": PALETTE[3], "peer": PALETTE[2], "": PALETTE[0], "apart": SOFT}
+MEANINGS = {
+    "default": "default",
+    "paper": "the paper's method",
+    "peer": "methods of others",
+    "": "variants",
+    "apart": "not compared",
+}
 
 
 @dataclass(frozen=True)
 class Mark:
-    """One variant: x with its spread, y, what it is (default | paper | peer | nothing), and what its tooltip says."""
+    """One variant: x with its spread, y, what it is (default, paper, peer, apart, nothing), what its tooltip says."""
 
     name: str
     x: float
@@ -131,6 +137,8 @@ def shape(kind: str, x: float, y: float, *, ahead: bool = True) -> str:
         return f'<rect x="{x - 5:.1f}" y="{y - 5:.1f}" width="10" height="10" {paint}/>'
     if kind == "peer":
         return f'<path d="M{x:.1f} {y - 6.5:.1f}l6 11h-12z" {paint}/>'
+    if kind == "apart":
+        return f'<path d="M{x - 5:.1f} {y:.1f}h10m-5 -5v10" {paint}/>'
     return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4.5" {paint}/>'
 
 

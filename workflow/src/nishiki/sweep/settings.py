@@ -37,6 +37,9 @@ class SweepSettings(Closed):
     default: str = Field("", description="variant that is the default; empty: the scene as it is configured")
     paper: str = Field("", description="variant that is the paper's method")
     peers: tuple[str, ...] = Field((), description="variants that are methods of others")
+    apart: tuple[str, ...] = Field(
+        (), description="variants that answer another question (other bytes, fewer products): shown, not compared"
+    )
     repeats: int = Field(3, ge=1, le=100, description="timed runs of each variant, each alone on the machine")
     error: tuple[str | MeasureSettings, ...] = Field(
         (), description="error measures, the first one leads; none: the one usual for the stage and the kind of capture"

@@ -46,6 +46,7 @@ class VariantRow:
     default: bool = False
     paper: bool = False
     peer: bool = False
+    apart: bool = False
     ahead: tuple[bool, ...] = field(default=())
 
     def as_dict(self) -> dict[str, Any]:
@@ -64,6 +65,7 @@ def variant_row(
     default: bool,
     paper: bool,
     peer: bool,
+    apart: bool = False,
 ) -> VariantRow:
     """Row of one variant. records : by counted stage, one for each repeat; the same number for every stage."""
     numbers = range(min((len(found) for found in records.values()), default=0))
@@ -92,6 +94,7 @@ def variant_row(
         default=default,
         paper=paper,
         peer=peer,
+        apart=apart,
     )
 
 
