@@ -182,7 +182,7 @@ def _legend(kinds: set[str]) -> list[str]:
     parts, at = [], LEFT + 4.0
     for kind in [kind for kind in MEANINGS if kind in kinds]:
         parts += [shape(kind, at, HEIGHT - 14), _text(at + 11, HEIGHT - 10, MEANINGS[kind], size=11)]
-        at += 30 + 5.8 * len(MEANINGS[kind])
+        at += 20 + 5.2 * len(MEANINGS[kind])
     parts.append(f'<path d="M{at:.1f} {HEIGHT - 14}h22" stroke="{SOFT}" stroke-width="1.4" stroke-dasharray="5 4"/>')
     return [*parts, _text(at + 28, HEIGHT - 10, "front; hollow: off it", size=11)]
 
