@@ -633,6 +633,35 @@ def test_content_size_of_frames(size):
             assert zstd_content_size(bytes(Zstd(level=3, checksum=checksum).encode(data))) == size
 
 
+def test_opening_a_store_reads_the_headers_of_its_blocks_alone(tmp_path):
+    """16 MB that cannot be packed are 130 blocks: a store is opened at every stage, and larger than memory."""
+    from zarr.codecs import ZstdCodec
+
+    array = zarr.create_group(tmp_path / "s.zarr").create_array(
+        "a", shape=(4, 1 << 22), chunks=(2, 1 << 22), dtype="uint8", compressors=[ZstdCodec(checksum=True)]
+    )
+    array[...] = np.random.default_rng(0).integers(0, 256, array.shape, np.uint8)
+    open_group(tmp_path / "s.zarr")  # what is imported for it is read as well
+    before = _bytes_read()
+    open_group(tmp_path / "s.zarr")
+    assert _bytes_read() - before < 1e6
+
+
+def _bytes_read():
+    return int(Path("/proc/self/io").read_text().split("rchar: ")[1].split()[0])
+
+
+def test_a_frame_that_ends_early_is_told_wherever_it_ends():
+    """Its last block may lack bytes, which the codec tells; without the header of a block there is no last block."""
+    from numcodecs.zstd import Zstd
+
+    data = np.random.default_rng(0).bytes(300_000)
+    frame = bytes(Zstd(level=1).encode(data))
+    told = [zstd_content_size(frame[:end]) for end in (*range(1, 40), 131_000, 131_090, 262_160, len(frame) - 1)]
+    assert set(told[:-1]) == {None}
+    assert told[-1] == zstd_content_size(frame) == len(data)
+
+
 @pytest.mark.parametrize("text", ["[" * 200_000, "{}x", "[]", "\xff", '{"a": ' + "1" * 5000 + "}"])
 def test_json_that_is_none(tmp_path, text, quick):
     (tmp_path / "x.json").write_bytes(text.encode("latin-1"))

@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -28,6 +28,8 @@ METADATA = "zarr.json"
 OLD = frozenset((".zarray", ".zgroup", ".zattrs", ".zmetadata"))
 REMEDY = "Run the stage that made it again; stores of other programs are not read"
 _ZSTD_MAGIC, _ZSTD_SKIPPED = 0xFD2FB528, range(0x184D2A50, 0x184D2A60)
+_LONGEST_HEADER = 18  # bytes of a zstd frame: magic number 4, flags 1, window 1, dictionary 4, size 8
+_BUFFER = 512  # bytes read about a header: many small blocks cost no call each, large ones are stepped over
 
 
 def open_group(path: Path | str):
@@ -127,9 +129,8 @@ def _expect_chunks(folder: Path, unpacked: int, *, packed: bool, check: int) -> 
     for name, entry in walk(place, "store_files") if place.is_dir() else ():
         count += 1
         if packed:
-            with os.fdopen(open_regular(entry.path, name), "rb") as file:
-                data = file.read()
-                claimed = zstd_content_size(data[: len(data) - check])
+            with os.fdopen(open_regular(entry.path, name), "rb", buffering=_BUFFER) as file:
+                claimed = _content_size(file, os.fstat(file.fileno()).st_size - check)
         else:
             claimed = entry.stat(follow_symlinks=False).st_size
         if claimed is None or claimed > unpacked + 16:  # checksums inside the packed part
@@ -142,14 +143,21 @@ def _expect_chunks(folder: Path, unpacked: int, *, packed: bool, check: int) -> 
 def zstd_content_size(data: bytes) -> int | None:
     """Bytes that zstd frames unpack to, from their headers (RFC 8878, 3.1.1); None where one does not tell, or is
     damaged."""
+    return _content_size(BytesIO(data), len(data))
+
+
+def _content_size(file: BinaryIO, end: int) -> int | None:
+    """`zstd_content_size` of the first `end` bytes of a file. Only headers are read: that of a block of at most 128 KiB
+    says where the next one is."""
     place, total = 0, 0
     try:
-        while place < len(data):
-            (magic,) = struct.unpack_from("<I", data, place)
+        while place < end:
+            head = _piece(file, place, end)
+            (magic,) = struct.unpack_from("<I", head)
             if magic in _ZSTD_SKIPPED:
-                place += 8 + struct.unpack_from("<I", data, place + 4)[0]
+                place += 8 + struct.unpack_from("<I", head, 4)[0]
                 continue
-            frame = _zstd_frame(data, place) if magic == _ZSTD_MAGIC else None
+            frame = _zstd_frame(file, place, end, head) if magic == _ZSTD_MAGIC else None
             if frame is None:
                 return None
             size, place = frame
@@ -159,24 +167,34 @@ def zstd_content_size(data: bytes) -> int | None:
     return total
 
 
-def _zstd_frame(data: bytes, place: int) -> tuple[int, int] | None:
-    """Content size of the frame at `place` and where the next one begins; None where it does not tell its size."""
-    flags = data[place + 4]
+def _piece(file: BinaryIO, place: int, end: int) -> bytes:
+    """What begins at `place`: as many bytes as the longest header has, fewer where `end` comes first."""
+    if place >= end:
+        return b""
+    file.seek(place)
+    return file.read(min(_LONGEST_HEADER, end - place))
+
+
+def _zstd_frame(file: BinaryIO, place: int, end: int, head: bytes) -> tuple[int, int] | None:
+    """Content size of the frame at `place`, whose first bytes are `head`, and where the next one begins; None where it
+    does not tell its size, or ends before its last block begins."""
+    flags = head[4]
     single, size_bytes = flags >> 5 & 1, (0, 2, 4, 8)[flags >> 6]
     if not size_bytes:
         if not single:
             return None
         size_bytes = 1
-    place += 5 + (not single) + (0, 1, 2, 4)[flags & 3]
-    if place + size_bytes > len(data):
+    start = 5 + (not single) + (0, 1, 2, 4)[flags & 3]
+    if start + size_bytes > len(head):
         return None
-    size = int.from_bytes(data[place : place + size_bytes], "little") + (256 if size_bytes == 2 else 0)
-    place += size_bytes
+    size = int.from_bytes(head[start : start + size_bytes], "little") + (256 if size_bytes == 2 else 0)
+    place += start + size_bytes
     last = False
     while not last:
-        block = int.from_bytes(data[place : place + 3], "little")
-        if place + 3 > len(data):
+        header = _piece(file, place, end)[:3]
+        if len(header) < 3:
             return None
+        block = int.from_bytes(header, "little")
         last = bool(block & 1)
         place += 3 + (1 if block >> 1 & 3 == 1 else block >> 3)  # a run is one byte, however long
     return size, place + 4 * (flags >> 2 & 1)
