@@ -1,5 +1,6 @@
 """The house's own rules: one lock, one table of stages, empty packages, nothing that names a machine."""
 
+import ast
 import re
 import subprocess
 from pathlib import Path
@@ -67,3 +68,18 @@ def test_nothing_names_a_machine():
         if path.suffix in {".py", ".md", ".yaml", ".smk", ".toml", ".sh", ".j2"} and places.search(path.read_text())
     ]
     assert not named
+
+
+def test_kernels_say_which_float_they_mean():
+    """In compiled code float(x) of a float32 stays one, unlike in Python: np.float64(x) is what computes in float64."""
+    found = []
+    for path in [*PACKAGE.rglob("*.py"), *(PROJECT / "scripts").glob("*.py")]:
+        text = path.read_text(encoding="utf-8")
+        compiled = [
+            node
+            for node in (ast.walk(ast.parse(text)) if "jit" in text else ())
+            if isinstance(node, ast.FunctionDef) and any("jit" in ast.unparse(d) for d in node.decorator_list)
+        ]
+        calls = [call for node in compiled for call in ast.walk(node) if isinstance(call, ast.Call)]
+        found += [f"{path.name}:{call.lineno}" for call in calls if getattr(call.func, "id", "") == "float"]
+    assert not found

@@ -173,7 +173,7 @@ def descend(y, known, lights, table, settings, floor, n, rho, rows, work):
     squares is taken back and damped more, DAMPINGS times at most.
     """
     t, trial, equations, gradient = work[0:6], work[6:9], work[9:14], work[14:18]
-    root, tolerance = np.sqrt(float(rho.size)), settings[TOLERANCE]
+    root, tolerance = np.sqrt(np.float64(rho.size)), settings[TOLERANCE]
     trial[:] = n
     damping, before, length, refused, taken = 1e-3, 0.0, np.inf, 0, 0
     while True:

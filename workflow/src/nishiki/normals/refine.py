@@ -30,7 +30,7 @@ def choose(value, known, vectors, normal, terms, squarings, limit, weight):
         w = w if c > f(0.0) else f(0.0)
         weight[j] = w
         kept += 1 if w > f(0.0) else 0
-    return float(kept)
+    return np.float64(kept)
 
 
 @njit(cache=True, error_model="numpy")
@@ -99,7 +99,7 @@ def normal_matrix_condition(weight, vectors):
     t = np.zeros(6)
     for j in range(weight.size):
         if weight[j] > 0:
-            x, y, z = float(vectors[0, j]), float(vectors[1, j]), float(vectors[2, j])
+            x, y, z = np.float64(vectors[0, j]), np.float64(vectors[1, j]), np.float64(vectors[2, j])
             t[0] += x * x
             t[1] += x * y
             t[2] += x * z
@@ -146,7 +146,7 @@ def refine(observations, usable, known, vectors, settings, max_condition, normal
             if lights_used[p] < at_least:
                 flags[p] |= bits.FALLBACK
                 continue
-            albedo = float(scalars[0, p])
+            albedo = np.float64(scalars[0, p])
             for j in range(lights):
                 may = known[j, 0] if shared_known else known[j, p]
                 use = usable[j, 0] if shared_usable else usable[j, p]
@@ -154,8 +154,8 @@ def refine(observations, usable, known, vectors, settings, max_condition, normal
                 value[j] = min(max(observations[j, p] / albedo, -FARTHEST), FARTHEST) if may else 0.0
                 allowed[j] = may
                 first[j] = use if may else 0
-            start = (float(normals[p, 0]), float(normals[p, 1]), float(normals[p, 2]))
-            spread = float(scalars[3, p]) / albedo
+            start = (np.float64(normals[p, 0]), np.float64(normals[p, 1]), np.float64(normals[p, 2]))
+            spread = np.float64(scalars[3, p]) / albedo
             scale = noise + spread
             # The second part is a Gaussian prior of standard deviation WIDTH, in units of the squared residuals.
             held = prior * lights_used[p] / 3.0 + (spread / WIDTH) ** 2

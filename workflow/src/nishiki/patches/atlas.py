@@ -139,9 +139,9 @@ def touches(corners, row, column, half_rows, half_columns):
             return False
     for k in range(3):
         a, b, c = k, (k + 1) % 3, (k + 2) % 3
-        down, right = float(corners[b, 0]) - corners[a, 0], float(corners[b, 1]) - corners[a, 1]
+        down, right = np.float64(corners[b, 0]) - corners[a, 0], np.float64(corners[b, 1]) - corners[a, 1]
         side = down * (column - corners[a, 1]) - right * (row - corners[a, 0])
-        third = down * (float(corners[c, 1]) - corners[a, 1]) - right * (float(corners[c, 0]) - corners[a, 0])
+        third = down * (np.float64(corners[c, 1]) - corners[a, 1]) - right * (np.float64(corners[c, 0]) - corners[a, 0])
         if third < 0:
             side, third = -side, -third
         reach = abs(down) * half_columns + abs(right) * half_rows
@@ -188,7 +188,7 @@ def place(triangle, weights, chart, corners, grid, cells, size):
         f = triangle[i]
         if f < 0 or chart[f] < 0:
             continue
-        u, v = float(weights[i, 0]), float(weights[i, 1])
+        u, v = np.float64(weights[i, 0]), np.float64(weights[i, 1])
         w = 1 - u - v
         row = u * corners[f, 0, 0] + v * corners[f, 1, 0] + w * corners[f, 2, 0]
         column = u * corners[f, 0, 1] + v * corners[f, 1, 1] + w * corners[f, 2, 1]
@@ -197,6 +197,6 @@ def place(triangle, weights, chart, corners, grid, cells, size):
         across = min(max(int(np.floor(column / stride)), 0), columns - 1)
         tile[i] = cells[first + down * columns + across]
         if tile[i] >= 0:
-            s[i] = min(max(row - down * stride, 0.0), float(stride))
-            t[i] = min(max(column - across * stride, 0.0), float(stride))
+            s[i] = min(max(row - down * stride, 0.0), np.float64(stride))
+            t[i] = min(max(column - across * stride, 0.0), np.float64(stride))
     return tile, s, t

@@ -107,7 +107,7 @@ def take(points, grid, mark):
     top, bottom = bounds((points[0, 1], points[1, 1], points[2, 1]), grid.shape[0])
     for row in range(top, bottom + 1):
         for column in range(left, right + 1):
-            x, y = float(column), float(row)
+            x, y = np.float64(column), np.float64(row)
             lowest = min(edge(points, b, c, x, y), edge(points, c, 0, x, y), edge(points, 0, b, x, y))
             if lowest > least:
                 if mark:

@@ -75,7 +75,7 @@ def bounds(values, size):
     low = min(values[0], min(values[1], values[2]))
     high = max(values[0], max(values[1], values[2]))
     # Clipped before the conversion: a corner near the camera's plane can lie beyond the range of integers.
-    return int(np.ceil(min(max(low, 0.0), float(size)))), int(np.floor(max(min(high, size - 1.0), -1.0)))
+    return int(np.ceil(min(max(low, 0.0), np.float64(size)))), int(np.floor(max(min(high, size - 1.0), -1.0)))
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -100,9 +100,9 @@ def fill(pixels, depths, corners, first_row, cull, triangle, barycentric, depth)
         top, bottom = bounds((pixels[a, 1] - first_row, pixels[b, 1] - first_row, pixels[c, 1] - first_row), rows)
         on_a, on_b, on_c = owns(pixels, b, c), owns(pixels, c, a), owns(pixels, a, b)
         for row in range(top, bottom + 1):
-            y = float(row + first_row)
+            y = np.float64(row + first_row)
             for column in range(left, right + 1):
-                x = float(column)
+                x = np.float64(column)
                 wa = edge(pixels, b, c, x, y)
                 if not (wa > 0 or (wa == 0 and on_a)):
                     continue

@@ -50,7 +50,7 @@ def texel_points(mesh: Mesh, atlas: Atlas, surface: Surface, tiles: slice) -> tu
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def nearest_weights(corners, row, column):
     """Weights of corners 0 and 1 of the point of a triangle (3, 2) nearest to (row, column), and the distance²."""
-    ar, ac = float(corners[0, 0]), float(corners[0, 1])
+    ar, ac = np.float64(corners[0, 0]), np.float64(corners[0, 1])
     br, bc = corners[1, 0] - ar, corners[1, 1] - ac
     cr, cc = corners[2, 0] - ar, corners[2, 1] - ac
     pr, pc = row - ar, column - ac
@@ -62,7 +62,7 @@ def nearest_weights(corners, row, column):
     best_u, best_v, best = 1.0, 0.0, np.inf
     for k in range(3):
         a, b = k, (k + 1) % 3
-        er, ec = float(corners[b, 0]) - corners[a, 0], float(corners[b, 1]) - corners[a, 1]
+        er, ec = np.float64(corners[b, 0]) - corners[a, 0], np.float64(corners[b, 1]) - corners[a, 1]
         length = er * er + ec * ec
         along = 0.0
         if length > 0:
@@ -100,8 +100,8 @@ def assign(chart, corners, grid, cells, triangle, distance):
                 y, x = down * stride, across * stride
                 for row in range(max(low_row, y), min(high_row, y + stride) + 1):
                     for column in range(max(low_column, x), min(high_column, x + stride) + 1):
-                        if touches(points, float(row), float(column), 1.0, 1.0):
-                            square = nearest_weights(points, float(row), float(column))[2]
+                        if touches(points, np.float64(row), np.float64(column), 1.0, 1.0):
+                            square = nearest_weights(points, np.float64(row), np.float64(column))[2]
                             if square < distance[tile, row - y, column - x]:
                                 distance[tile, row - y, column - x] = square
                                 triangle[tile, row - y, column - x] = i
@@ -117,7 +117,7 @@ def point_kernel(triangle, places, flat, corners, vertices, vertex_normals, posi
                 f = triangle[tile, i, j]
                 if f < 0:
                     continue
-                row, column = float(places[tile, 0] * (size - 1) + i), float(places[tile, 1] * (size - 1) + j)
+                row, column = np.float64(places[tile, 0] * (size - 1) + i), np.float64(places[tile, 1] * (size - 1) + j)
                 u, v, square = nearest_weights(flat[f], row, column)
                 w = 1 - u - v
                 a, b, c = corners[f, 0], corners[f, 1], corners[f, 2]
@@ -149,8 +149,8 @@ def continue_past_border(flat, a, b, c, row, column, u, v, position):
     w = 1 - u - v
     dr = row - (u * flat[0, 0] + v * flat[1, 0] + w * flat[2, 0])
     dc = column - (u * flat[0, 1] + v * flat[1, 1] + w * flat[2, 1])
-    br, bc = float(flat[1, 0]) - flat[0, 0], float(flat[1, 1]) - flat[0, 1]
-    cr, cc = float(flat[2, 0]) - flat[0, 0], float(flat[2, 1]) - flat[0, 1]
+    br, bc = np.float64(flat[1, 0]) - flat[0, 0], np.float64(flat[1, 1]) - flat[0, 1]
+    cr, cc = np.float64(flat[2, 0]) - flat[0, 0], np.float64(flat[2, 1]) - flat[0, 1]
     det = br * cc - bc * cr
     flat_area, area = abs(det), 0.0
     x, y, z = b - a, c - a, np.zeros(3)

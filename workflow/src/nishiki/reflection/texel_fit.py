@@ -115,13 +115,13 @@ def _solve(values, diffuse, attenuation, alpha, weights, sigma, prior, pull, kd,
         a = b = d = 0.0
         u[:] = 0.0
         v[:] = 0.0
-        rate = 0.5 / (float(sigma[p]) * float(sigma[p]))
+        rate = 0.5 / (np.float64(sigma[p]) * np.float64(sigma[p]))
         for o in range(slots):
-            w = float(weights[p, o])
+            w = np.float64(weights[p, o])
             if not w > 0.0:
                 continue
-            q = float(diffuse[p, o])
-            s = float(attenuation[p, o]) * np.exp(-rate * float(alpha[p, o]) * float(alpha[p, o]))
+            q = np.float64(diffuse[p, o])
+            s = np.float64(attenuation[p, o]) * np.exp(-rate * np.float64(alpha[p, o]) * np.float64(alpha[p, o]))
             a += w * s * s
             b += w * s * q
             d += w * q * q

@@ -105,7 +105,7 @@ def _load_gloss(buf, labels, gloss, index, n):
 def _load_positions(buf, plane, row, column, n):
     """Positions on the plane of the samples (row, column + i): plane (3, 3) maps (column, row, 1) to (x, y, 1) w."""
     for i in range(n):
-        c = float(column + i)
+        c = np.float64(column + i)
         w = plane[2, 0] * c + plane[2, 1] * row + plane[2, 2]
         x = plane[0, 0] * c + plane[0, 1] * row + plane[0, 2]
         y = plane[1, 0] * c + plane[1, 1] * row + plane[1, 2]
@@ -357,7 +357,7 @@ def shade(first, last, normals, coefficients, labels, gloss, index, lights, grou
                 _load_gloss(buf, labels[row, start:end], gloss, index, n)
             _load_colours(sigma, coefficients[row, start:end], n)
             if positions:
-                _load_positions(buf, plane, float(row), start, n)
+                _load_positions(buf, plane, np.float64(row), start, n)
             if eye[3] != 0.0:
                 _view_directions(buf, eye, n)
             _view_cosines(buf, mark, n)

@@ -28,7 +28,7 @@ def _gather(start, stop, height, slope_x, slope_y, irradiance, pitch, offsets, s
     rows, columns = height.shape
     for i in range(start, stop):
         for j in range(columns):
-            p, q, here = slope_x[i, j] * pitch, slope_y[i, j] * pitch, float(height[i, j])
+            p, q, here = slope_x[i, j] * pitch, slope_y[i, j] * pitch, np.float64(height[i, j])
             total = 0.0
             for direction in range(offsets.shape[0]):
                 horizon = -1e30
@@ -38,7 +38,7 @@ def _gather(start, stop, height, slope_x, slope_y, irradiance, pitch, offsets, s
                     if row < 0 or column < 0 or row >= rows or column >= columns:
                         break
                     run = sizes[direction, ring, 0]
-                    rise = float(height[row, column]) - here
+                    rise = np.float64(height[row, column]) - here
                     if rise <= horizon * run:
                         continue  # hidden behind something nearer
                     horizon = rise / run

@@ -26,7 +26,7 @@ def hash_uint(key, counter):
 @numba.njit(cache=True)
 def uniform(key, counter):
     """A number in [0, 1) from (key, counter)."""
-    return float(hash_uint(key, counter) >> _SHIFT_11) * _UNIT
+    return np.float64(hash_uint(key, counter) >> _SHIFT_11) * _UNIT
 
 
 @numba.njit(cache=True)

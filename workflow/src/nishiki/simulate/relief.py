@@ -51,8 +51,8 @@ def slopes_at(height, i, j, step):
     rows, columns = height.shape
     up, down = max(i - 1, 0), min(i + 1, rows - 1)
     left, right = max(j - 1, 0), min(j + 1, columns - 1)
-    slope_x = (float(height[i, right]) - float(height[i, left])) / ((right - left) * step)
-    slope_y = (float(height[up, j]) - float(height[down, j])) / ((down - up) * step)
+    slope_x = (np.float64(height[i, right]) - np.float64(height[i, left])) / ((right - left) * step)
+    slope_y = (np.float64(height[up, j]) - np.float64(height[down, j])) / ((down - up) * step)
     return slope_x, slope_y
 
 

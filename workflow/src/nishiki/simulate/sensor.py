@@ -58,7 +58,7 @@ def _expose(start, stop, signal, full_scale, black, electrons, read_noise, noisy
     for row in range(start, stop):
         for column in range(columns):
             for channel in range(channels):
-                count = max(float(signal[row, column, channel]), 0.0) * electrons
+                count = max(np.float64(signal[row, column, channel]), 0.0) * electrons
                 if noisy:
                     place = np.uint64(((first + row) * columns + column) * channels + channel)
                     # One normal number serves both: shot noise of a large count is normal with that variance.

@@ -121,7 +121,7 @@ def _add_bounce(start, stop, label, bounced, squared, s, first, body):
         for column in range(columns):
             if bounced[r, column] <= 0.0:
                 continue
-            light = float(bounced[r, column]) * share
+            light = np.float64(bounced[r, column]) * share
             for i in range(row * s, row * s + s):
                 for j in range(column * s, column * s + s):
                     for k in range(tables):

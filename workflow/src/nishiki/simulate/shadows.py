@@ -14,8 +14,8 @@ def height_between(height, y, x):
     i, j = int(y), int(x)
     i, j = min(i, height.shape[0] - 2), min(j, height.shape[1] - 2)
     fy, fx = y - i, x - j
-    top = float(height[i, j]) * (1.0 - fx) + float(height[i, j + 1]) * fx
-    bottom = float(height[i + 1, j]) * (1.0 - fx) + float(height[i + 1, j + 1]) * fx
+    top = np.float64(height[i, j]) * (1.0 - fx) + np.float64(height[i, j + 1]) * fx
+    bottom = np.float64(height[i + 1, j]) * (1.0 - fx) + np.float64(height[i + 1, j + 1]) * fx
     return top * (1.0 - fy) + bottom * fy
 
 
@@ -27,9 +27,9 @@ def horizon_slope(height, i, j, ux, uy, step, ceiling, least):
     field, mm. The march takes one sample distance a step and stops where even the highest point could not rise above
     the slope found so far.
     """
-    start = float(height[i, j])
+    start = np.float64(height[i, j])
     best = least
-    y, x, run = float(i), float(j), 0.0
+    y, x, run = np.float64(i), np.float64(j), 0.0
     last_row, last_column = height.shape[0] - 1.0, height.shape[1] - 1.0
     while True:
         y -= uy

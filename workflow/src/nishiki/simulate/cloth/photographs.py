@@ -81,7 +81,7 @@ def _bin(start, stop, index, lamps, views, lit, seen, place, frame, area, kind, 
         sx, sy, sz = lamps[lamp, 0], lamps[lamp, 1], lamps[lamp, 2]
         tx, ty, tz = views[view, 0], views[view, 1], views[view, 2]
         for p in range(area.shape[0]):
-            share = float(lit[lamp, p]) * float(seen[view, p]) * area[p]
+            share = np.float64(lit[lamp, p]) * np.float64(seen[view, p]) * area[p]
             if share > 0.0:
                 f, k = frame[p], kind[p]
                 ix, iy, iz = in_frame(sx, sy, sz, f)

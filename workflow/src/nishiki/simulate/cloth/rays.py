@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 
 import numba
+import numpy as np
 
 POWERS = 1024  # |u|^e is stored at so many steps of |u|
 _BISECTIONS = 14
@@ -80,7 +81,7 @@ def _free_at(x, y, z, numbers, free):
         return 0.0
     u, v = x / (numbers[0] * numbers[5]), y / (numbers[1] * numbers[11])
     i, j = int((u - _whole(u)) * free.shape[2]), int((v - _whole(v)) * free.shape[1])
-    return float(free[k, min(j, free.shape[1] - 1), min(i, free.shape[2] - 1)])
+    return np.float64(free[k, min(j, free.shape[1] - 1), min(i, free.shape[2] - 1)])
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

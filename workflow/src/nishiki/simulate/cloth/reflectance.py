@@ -203,7 +203,7 @@ def _direct(start, stop, index, lamps, views, lit, seen, frame, area, kind, surf
         tx, ty, tz = views[view, 0], views[view, 1], views[view, 2]
         parts[n] = 0.0
         for p in range(area.shape[0]):
-            share = float(lit[lamp, p]) * float(seen[view, p])
+            share = np.float64(lit[lamp, p]) * np.float64(seen[view, p])
             if share > 0.0:
                 f, k = frame[p], kind[p]
                 ix, iy, iz = in_frame(sx, sy, sz, f)
