@@ -258,6 +258,22 @@ def test_bands_fit_into_their_memory():
     assert rows_of_band(3, 20, 10, 1, 128) == 24
 
 
+def test_the_script_by_hand_keeps_all_channels(tmp_path):
+    """No plan has put a choice in place of `auto`: whatever stage comes next can do its work."""
+    folder = make_capture(tmp_path / "c")
+    environment = os.environ | {"PYTHONPATH": str(PROJECT / "workflow" / "src")}
+    command = [sys.executable, PROJECT / "scripts/ingest.py", "--capture", folder, "--output", tmp_path / "o"]
+    done = subprocess.run(command, check=False, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    (artifact,) = (tmp_path / "o").iterdir()
+    assert Observations(artifact).channels == ("red", "green", "blue")
+    done = subprocess.run(
+        [*command[:2], "--output", tmp_path / "o"], check=False, env=environment, capture_output=True, text=True
+    )
+    assert done.returncode == 2
+    assert "--capture is needed" in done.stderr
+
+
 MEMORY = """
 import resource, sys
 from nishiki.capture.folder import load_capture

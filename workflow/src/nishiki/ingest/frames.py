@@ -54,13 +54,20 @@ class FrameReader:
 
     @classmethod
     def of(
-        cls, capture: Capture, channels: Channels, *, prove: bool = True, unopened: Collection[str] = ()
+        cls,
+        capture: Capture,
+        channels: Channels | Literal["auto"],
+        *,
+        prove: bool = True,
+        unopened: Collection[str] = (),
     ) -> FrameReader:
         """Look at the first photograph's header, and prove that a sealed capture's tables are as they were sealed.
 
+        channels: auto is all, for only a plan knows what the later stages need, and puts its choice in place of auto.
         prove=False: without any proof; unopened: files that are left out, which are not proven either. CaptureError
         where the header or the region cannot be used, or a file changed.
         """
+        channels = "all" if channels == "auto" else channels
         if channels not in ("all", "luminance", "green"):
             raise ValueError(f"channels {channels!r}: all, luminance or green")
         digests = sealed_digests(capture.root) if prove else {}

@@ -82,8 +82,7 @@ def write_goniometer(
         if progress:
             progress(done[0], total, file)
 
-    channels = "all" if settings.channels == "auto" else settings.channels
-    reader = windowed(FrameReader.of(capture, channels, unopened=choice.files), capture)
+    reader = windowed(FrameReader.of(capture, settings.channels, unopened=choice.files), capture)
     edges = tuple(block_edges(n, settings.white_block) for n in reader.region[2:])
     import zarr
 

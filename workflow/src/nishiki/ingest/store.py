@@ -31,7 +31,7 @@ MANY_REGIONS = 256
 class Settings(Protocol):
     """What ingest reads of its settings."""
 
-    channels: Literal["all", "luminance", "green"]
+    channels: Literal["auto", "all", "luminance", "green"]
     white_block: int
     tile_mib: int
     compression: Literal["none", "zstd"]
@@ -40,10 +40,10 @@ class Settings(Protocol):
 
 @dataclass(frozen=True)
 class IngestSettings:
-    """channels: which to keep; white_block: pixels of a gain block (1: per pixel, as in P eq. 3); tile_mib: float
+    """channels: which to keep (auto: all); white_block: pixels of a gain block (1: per pixel, P eq. 3); tile_mib: float
     memory of one band over all lights; compression of the stored codes; without: parts that are not opened."""
 
-    channels: Literal["all", "luminance", "green"] = "all"
+    channels: Literal["auto", "all", "luminance", "green"] = "all"
     white_block: int = 16
     tile_mib: int = 128
     compression: Literal["none", "zstd"] = "none"

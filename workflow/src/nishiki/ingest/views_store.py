@@ -81,7 +81,6 @@ def write_views(
     progress(done, of, file) is called once a photograph. Two photographs at a time are in memory, and the sum of the
     white boards of one polariser state. Raises CaptureError (a UserError) for photographs that cannot be used.
     """
-    channels = "all" if settings.channels == "auto" else settings.channels
     choice = chosen(capture, settings.without)
     capture, opened = choice.capture, "photographs" not in choice.skipped
     done, total = [0], len(capture.frames) - (0 if opened else len(capture.observed))
@@ -91,7 +90,7 @@ def write_views(
         if progress:
             progress(done[0], total, file)
 
-    reader = FrameReader.of(capture, channels, unopened=choice.files)
+    reader = FrameReader.of(capture, settings.channels, unopened=choice.files)
     edges = tuple(block_edges(n, settings.white_block) for n in (reader.rows, reader.columns))
     import zarr
 
