@@ -15,8 +15,9 @@ from nishiki.reflection.lighting import Lighting
 from nishiki.reflection.model import GRAZING, factors, predict
 from nishiki.reflection.neighbours import Lattice, Neighbourhood, spread
 from nishiki.reflection.object_fit import fit_object
+from nishiki.reflection.parameters import Parameters
 from nishiki.reflection.settle import sample_texels, settle
-from nishiki.reflection.tile import Capture, Parameters, Tile
+from nishiki.reflection.tile import Capture, Tile
 
 CAMERA = Lighting("camera", ((0.0, 0.0, 0.0),))
 SEEN = 0.15  # cos(theta_r) above which a texel is visible

@@ -18,8 +18,8 @@ from nishiki.geometry.cameras_file import save_cameras
 from nishiki.patches.atlas import Atlas
 from nishiki.progress import Progress
 from nishiki.reflection.flags import TexelFlag
+from nishiki.reflection.parameters import Parameters
 from nishiki.reflection.store import ParameterMaps, ParameterWriter
-from nishiki.reflection.tile import Parameters
 from nishiki.report.object_atlas import averaged, sheet, shelves, tile_places
 from nishiki.report.object_plots import bytes_bars, rate_curve, turn_plot
 from nishiki.report.object_sections import (

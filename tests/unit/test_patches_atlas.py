@@ -9,7 +9,8 @@ from unit.test_patches_charts import FRONT, UP, around, ball
 from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh, face_vectors
-from nishiki.patches.atlas import Atlas, build_atlas, pack, touches
+from nishiki.patches.atlas import Atlas, build_atlas, pack
+from nishiki.patches.cells import touches
 from nishiki.patches.charts import make_charts
 from nishiki.patches.density import sampling_density, texels_per_unit
 from nishiki.patches.quality import atlas_picture, texels_per_pixel

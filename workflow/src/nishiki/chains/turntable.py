@@ -120,7 +120,7 @@ TURNTABLE = (
         requires=("ingest",),
         wants=lambda settings: ("polarise",),
         uses=("cameras", "mesh", "texels", "reflection", "residual", "object_render", "object_evaluate"),
-        libraries=("numpy", "jinja2", "numba", "zarr", "opencv-contrib-python-headless"),
+        libraries=("numpy", "jinja2", "zarr", "opencv-contrib-python-headless"),
         cost=lambda facts: Cost(mib=230, bytes_per_sample=1, seconds=1.8, us_per_sample=0.2),
     ),
 )

@@ -8,7 +8,8 @@ import numba
 import numpy as np
 
 from nishiki.geometry.mesh import Mesh
-from nishiki.patches.atlas import Atlas, cell_range, touches
+from nishiki.patches.atlas import Atlas
+from nishiki.patches.cells import cell_range, touches
 
 REACH = 1.5
 """Texels by which a surface is continued past its border, at most; the nearest point of the border counts beyond."""

@@ -9,7 +9,8 @@ from nishiki.reflection import texel_fit
 from nishiki.reflection.fill import fill
 from nishiki.reflection.flags import TexelFlag
 from nishiki.reflection.object_fit import DEFAULT_SIGMA, ObjectFit
-from nishiki.reflection.tile import Capture, Parameters, Tile
+from nishiki.reflection.parameters import Parameters
+from nishiki.reflection.tile import Capture, Tile
 
 
 def fit_lambert(

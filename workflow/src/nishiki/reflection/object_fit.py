@@ -20,7 +20,8 @@ from nishiki.reflection import texel_fit
 from nishiki.reflection.fill import fill
 from nishiki.reflection.flags import TexelFlag
 from nishiki.reflection.neighbours import Field, Lattice, Neighbourhood, spread
-from nishiki.reflection.tile import Capture, Parameters, Tile
+from nishiki.reflection.parameters import Parameters
+from nishiki.reflection.tile import Capture, Tile
 
 WIDTHS = ("smooth", "texel", "object")
 CELL = 8  # edge of the finest lattice's cells, in texels

@@ -7,7 +7,7 @@ import zarr
 from zarr.codecs import ZstdCodec
 
 from nishiki.outside.stored import open_group
-from nishiki.reflection.tile import Parameters
+from nishiki.reflection.parameters import Parameters
 
 STORE = "parameters.zarr"
 NAMES = ("kd", "ks", "sigma", "flags")

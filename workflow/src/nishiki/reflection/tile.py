@@ -1,4 +1,4 @@
-"""What goes into and comes out of the fit of a tile, and the capture's part in it."""
+"""What goes into the fit of a tile, and the capture's part in it."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from nishiki.ingest.encoding import encode
 from nishiki.reflection.lighting import Lamp
 from nishiki.reflection.model import predict
+from nishiki.reflection.parameters import Parameters
 from nishiki.reflection.stack import Observed, observed
 
 
@@ -35,16 +36,6 @@ class Tile:
         both = self.inside[:, 1:] & self.inside[:, :-1]
         steps = np.linalg.norm(np.diff(self.positions, axis=1)[both], axis=-1)
         return float(np.median(steps)) if steps.size else float("nan")
-
-
-@dataclass(frozen=True)
-class Parameters:
-    """Of one tile: kd, ks (T, T, channels), sigma (T, T) radians, flags (T, T) uint8 of TexelFlag; none is NaN."""
-
-    kd: np.ndarray
-    ks: np.ndarray
-    sigma: np.ndarray
-    flags: np.ndarray
 
 
 @dataclass(frozen=True)
