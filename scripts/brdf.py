@@ -10,7 +10,7 @@ from nishiki.brdf.brightest_light import brightest_light_samples, thin
 from nishiki.brdf.levenberg_marquardt import fit_lobe
 from nishiki.brdf.parameters import described, described_brightest, of_equal_lobes, without_gloss
 from nishiki.brdf.scene import fit_scene
-from nishiki.brdf.specular_histogram import SpecularHistogram
+from nishiki.brdf.specular_histogram import SpecularHistogram, unit_of
 from nishiki.contract.maps import Maps, MapWriter
 from nishiki.contract.stage import Context, run_stage
 from nishiki.economy.decision import Decision, economy
@@ -22,6 +22,7 @@ from nishiki.normals.gloss_profile import LADDER, GlossProfile, specular_samples
 from nishiki.settings.brdf import BrdfSettings
 
 SAMPLE_PIXELS = 5000  # that decide whether the scene shows gloss
+UNIT_BANDS, UNIT_STEP = 8, 8  # bands, and rows and columns between the pixels, that tell the unit of the observations
 
 
 def run(context: Context) -> dict:
@@ -144,7 +145,9 @@ def gather(
     settings = context.settings
     lights = frames.fit_lights(settings.hold_out)
     regions = 1 if labels is None else int(labels.max()) + 1
-    histogram = SpecularHistogram.empty(regions=regions, refractive_index=settings.refractive_index)
+    histogram = SpecularHistogram.empty(
+        regions=regions, refractive_index=settings.refractive_index, value_unit=unit_of(reflectances(frames, maps))
+    )
     lowest = np.cos(np.radians(settings.max_slope_deg))
     for band in context.progress.over(frames.bands(), "band"):
         observations, valid = frames.read(band, lights=lights, channel="mean")
@@ -165,6 +168,13 @@ def gather(
                 regions=region[area],
             )
     return histogram
+
+
+def reflectances(frames: Observations, maps: Maps) -> list[np.ndarray]:
+    """Reflectances, means of the channels, of some pixels of at most 2 UNIT_BANDS bands that lie evenly."""
+    bands = frames.bands()
+    chosen = bands[:: max(1, len(bands) // UNIT_BANDS)]
+    return [maps.read("reflectance", band)[::UNIT_STEP, ::UNIT_STEP].mean(axis=-1) for band in chosen]
 
 
 if __name__ == "__main__":

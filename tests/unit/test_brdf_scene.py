@@ -1,14 +1,24 @@
 """Gloss of a scene: the histogram as a monoid, recovery from data of the model, noisy normals, outliers, baseline."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from captures import make_capture
 
+from brdf import gather
 from nishiki.brdf.brightest_light import brightest_light_samples, fit_brightest_light, thin
 from nishiki.brdf.flags import FitFlag
 from nishiki.brdf.scene import fit_scene
 from nishiki.brdf.specular_histogram import COUNT, SpecularHistogram
 from nishiki.brdf.torrance_sparrow import attenuation, fresnel, half_vector_geometry, specular
+from nishiki.capture.folder import load_capture
+from nishiki.contract.maps import Maps, MapWriter
 from nishiki.errors import UserError
+from nishiki.ingest.observations import Observations
+from nishiki.ingest.store import write_observations
+from nishiki.progress import Progress
+from nishiki.settings.brdf import BrdfSettings
 
 VIEW = np.array([0.0, 0.0, 1.0])
 INDEX = 1.45
@@ -188,6 +198,23 @@ def test_twelve_orders_of_radiometric_scale():
         other = fit_scene(histogram.add_tile(observations * scale, normals, albedo * scale, lights))[0]
         np.testing.assert_allclose(other.gamma, one.gamma, rtol=1e-4)
         np.testing.assert_allclose(other.beta, one.beta * scale, rtol=1e-4)
+
+
+@pytest.mark.parametrize(("reflectance", "unit"), [(0.4, 1.0), (4e7, 1e8), (2e-6, 1e-5), (0.0, 1.0)])
+def test_the_stage_tells_outliers_in_the_unit_of_the_observations(tmp_path, reflectance, unit):
+    """Without a white board observations have any unit; cells that end at 10^6 of another one hold outliers and
+    highlights together, and the strength came out 1.7 times too large."""
+    write_observations(load_capture(make_capture(tmp_path / "c", rows=24, columns=32)), tmp_path)
+    frames = Observations(tmp_path)
+    out = MapWriter(tmp_path, rows=24, columns=32, band_rows=frames.band_rows, stamp={})
+    out.write("normals", np.broadcast_to(np.array([0, 0, 1], np.float32), (24, 32, 3)))
+    out.write("flags", np.zeros((24, 32), np.uint8))
+    out.write("reflectance", np.full((24, 32, 3), reflectance, np.float32))
+    out.write("sigma", np.full((24, 32), 0.01, np.float32))
+    context = SimpleNamespace(settings=BrdfSettings(), progress=Progress("scene/brdf"))
+    histogram = gather(context, frames, Maps(tmp_path), None, np.array([True]))
+    assert histogram.value_unit == unit
+    assert histogram.rows[0, :, 2].sum() > 0
 
 
 def test_standard_errors_are_of_the_size_of_the_errors():

@@ -7,6 +7,7 @@ told apart afterwards.  A sample's weight is a^2, a = F G / cos theta_r: a least
 least-squares fit to the radiances.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +22,8 @@ _ROW_STEP = float(np.arcsinh(0.5 * np.pi / PHI_UNIT) / ROWS)
 DECADES, PER_DECADE = 6, 24  # columns cover |z| / value_unit from 1e-6 to 1e6, either sign, and what is smaller
 _SIDE = 2 * DECADES * PER_DECADE
 COLUMNS = 2 * _SIDE + 1
+TYPICAL = 0.3  # reflectance
+LEVELS = (0.003, 30.0)  # median reflectances that are taken as relative to a white board
 # Sums of a row beside its cells
 PHI2, SIGMA2, COUNT, ATTENUATION = range(4)
 
@@ -129,6 +132,17 @@ class SpecularHistogram:
         mean, not their median, is what the errors-in-variables fit needs.
         """
         return _profile(self.weights[region], self.values[region], self.rows[region], reject)
+
+
+def unit_of(reflectances: Sequence[np.ndarray]) -> float:
+    """`value_unit` of a scene: 1, the white reference, where the median of its reflectances is of that order; else (no
+    white board) a power of ten, so that the unit of the observations does not matter.
+
+    reflectances: arrays of any shape, relative to the white reference if there is one; values <= 0 do not count.
+    """
+    levels = np.concatenate([np.ravel(level[level > 0]) for level in reflectances]) if reflectances else np.empty(0)
+    level = float(np.median(levels)) if levels.size else TYPICAL
+    return 1.0 if LEVELS[0] <= level <= LEVELS[1] else float(10.0 ** np.round(np.log10(level / TYPICAL)))
 
 
 @njit(cache=True, error_model="numpy")

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nishiki.brdf.specular_histogram import SpecularHistogram
+from nishiki.brdf.specular_histogram import SpecularHistogram, unit_of
 from nishiki.normals import flags as bits
 from nishiki.normals.gloss import RefinedNormals, refine_normals
 from nishiki.normals.gloss_profile import LADDER, GlossProfile, fit_gloss, specular_samples
@@ -18,8 +18,6 @@ from nishiki.normals.gloss_profile import LADDER, GlossProfile, fit_gloss, specu
 ROUNDS = 3
 LARGEST_SIGMA = 0.1  # radians: where the normals are worse the blur is no longer a small one
 WORTHWHILE = 0.03  # gain of robust cost a value, from which gloss counts as shown
-TYPICAL = 0.3  # reflectance
-LEVELS = (0.003, 30.0)  # median reflectances that are taken as relative to a white board
 FEW_LIGHTS = 24  # up to here the joint fit pays its time; with more the selection has diffuse samples enough
 
 
@@ -89,14 +87,8 @@ def fit_scene_gloss(
 
 
 def radiance_unit(tiles: Sequence[GlossTile]) -> float:
-    """1, the white reference, where the tiles' reflectances are of its order; else (no white board) a power of ten.
-
-    Noise and the cells of the histogram are relative to it, so that the unit of the observations does not matter.
-    """
-    levels = [tile.reflectance[tile.reflectance > 0] for tile in tiles]
-    levels = np.concatenate([np.ravel(level) for level in levels]) if levels else np.empty(0)
-    level = float(np.median(levels)) if levels.size else TYPICAL
-    return 1.0 if LEVELS[0] <= level <= LEVELS[1] else float(10.0 ** np.round(np.log10(level / TYPICAL)))
+    """`unit_of` the tiles' reflectances. Noise and the cells of the histogram are relative to it."""
+    return unit_of([tile.reflectance for tile in tiles])
 
 
 def add_tile(histogram, tile: GlossTile, fit: RefinedNormals | None, profile: GlossProfile) -> SpecularHistogram:
