@@ -250,6 +250,44 @@ def test_float_frames_with_region_and_progress(tmp_path):
     assert observations.dtype == np.float32
 
 
+@pytest.mark.parametrize("bits", [8, 10, 12, 14, 16])
+def test_hot_pixels_of_any_bits(tmp_path, bits):
+    """3 % of full scale above the dark level is hot, 1 % is not."""
+    folder = make_capture(tmp_path / "c", bits=bits, **({"white": False, "yaml_extra": {}} if bits == 8 else {}))
+    edit_yaml(folder, camera={"bits": bits})
+    dark = cv2.imread(str(folder / "dark/dark.png"), cv2.IMREAD_UNCHANGED)
+    dark[20, 21] += int(0.03 * 2**bits)
+    dark[10, 11] += int(0.01 * 2**bits)
+    cv2.imwrite(str(folder / "dark/dark.png"), dark)
+    observations, diagnostics = ingest(folder, tmp_path / "o", white_block=8)
+    assert diagnostics.defects == 1
+    assert not observations.read(slice(0, ROWS))[1][0, 20, 21]
+
+
+@pytest.mark.parametrize("white", [True, False])
+@pytest.mark.parametrize("unit", [1e-4, 1.0, 65535.0])
+def test_hot_pixels_of_float_files_in_any_unit(tmp_path, unit, white):
+    """Float samples have no full scale: with a limit of 0.02 every pixel of a dark frame in camera codes was hot, and
+    none of a frame in a large unit."""
+    import OpenEXR
+
+    folder = make_capture(tmp_path / "c", white=white, yaml_extra=None if white else {})
+    rng = np.random.default_rng(2)
+    for file in folder.rglob("*.png"):
+        codes = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)[:, :, ::-1] / 4095
+        codes += rng.normal(0, 1e-3, codes.shape)
+        if file.name == "dark.png":
+            codes[20, 21] += 0.05
+        planes = {n: np.ascontiguousarray(unit * codes[..., k], np.float32) for k, n in enumerate("RGB")}
+        with OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION}, planes) as written:
+            written.write(str(file.with_suffix(".exr")))
+    edit_text(folder / "frames.csv", ".png", ".exr")
+    edit_yaml(folder, camera={})
+    observations, diagnostics = ingest(folder, tmp_path / "o", white_block=8)
+    assert diagnostics.defects == 1
+    assert not observations.read(slice(0, ROWS))[1][:, 20, 21].any()
+
+
 def test_bands_fit_into_their_memory():
     assert rows_of_band(41, 2592, 4608, 1, 128) == 176
     assert 41 * 176 * 4608 * 4 <= 128 << 20

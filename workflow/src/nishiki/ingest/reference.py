@@ -14,7 +14,7 @@ from nishiki.ingest.blocks import Edges
 from nishiki.ingest.frames import FrameReader
 from nishiki.ingest.white import WhiteField, white_field
 
-HOT = 0.02  # of full scale above its block in the dark
+HOT = 0.02  # of full scale above its block in the dark; see `hot_limit` for samples without a full scale
 DEAD = 0.1  # of its block's level on the white board
 SAME_EXPOSURE = 0.01
 
@@ -69,10 +69,10 @@ def measure_darks(reader: FrameReader, edges: Edges, tick: Callable[[str], None]
         level = np.full((1, 1, len(reader.names)), reader.black, np.float32)
         return DarkField((None,), (level,), np.zeros(shape, bool), ())
     sums: dict[float | None, list] = {}
-    hot = np.zeros(shape, np.uint8)
+    hot, limit = np.zeros(shape, np.uint8), hot_limit(reader, edges)
     for frame, codes in reader.read_all(frames[:255]):
         level, _ = block_levels(codes, reader.table, *edges, np.inf, -np.inf)
-        count_outliers(codes, reader.table, level, *edges, -np.inf, HOT, hot)
+        count_outliers(codes, reader.table, level, *edges, -np.inf, limit, hot)
         entry = sums.setdefault(frame.exposure_s, [np.zeros(level.shape), 0])
         entry[0] += level
         entry[1] += 1
@@ -82,6 +82,22 @@ def measure_darks(reader: FrameReader, edges: Edges, tick: Callable[[str], None]
     levels = tuple(_flatten((total / count).astype(np.float32), step) for total, count in sums.values())
     problems = _dark_problems(reader, exposures)
     return DarkField(exposures, levels, hot > len(frames[:255]) // 2, problems)
+
+
+def hot_limit(reader: FrameReader, edges: Edges) -> float:
+    """Linear value above its block from which a pixel is hot in the dark: HOT of full scale, whatever the bits.
+
+    Float samples have a full scale only where the capture says from which value they are saturated; else the brightest
+    block of the first white board, or of the first photograph of the object, stands for it.
+    """
+    if reader.dtype.kind == "u":
+        return HOT
+    if np.isfinite(reader.saturated):
+        return HOT * float(reader.saturated)
+    codes = reader.read((reader.capture.frames_of("white") or reader.capture.observed)[0])
+    levels, _ = block_levels(codes, reader.table, *edges, np.inf, -np.inf)
+    brightest = float(np.max(levels, initial=0, where=np.isfinite(levels)))
+    return HOT * brightest if brightest > 0 else np.inf
 
 
 def _flatten(level: np.ndarray, step: float) -> np.ndarray:
