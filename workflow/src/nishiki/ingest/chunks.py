@@ -7,6 +7,7 @@ about a third of the time for the thousands of large chunks of a capture.
 
 from __future__ import annotations
 
+import io
 import os
 from pathlib import Path
 
@@ -40,7 +41,7 @@ def chunk_path(array_folder: Path, light: int, band: int) -> Path:
 
 
 def write_chunk(path: Path, values: np.ndarray, *, compression: str) -> None:
-    """Write one whole chunk of little-endian values."""
+    """Write one whole chunk of little-endian values. Raises OSError with the file's name where the disk lacks space."""
     payload = values.tobytes()
     if compression == "zstd":
         from numcodecs.zstd import Zstd
@@ -49,8 +50,17 @@ def write_chunk(path: Path, values: np.ndarray, *, compression: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.open("wb", buffering=0) as file:
         for part in (payload, google_crc32c.value(payload).to_bytes(4, "little")):
-            if file.write(part) != len(part):
-                raise OSError(f"{path}: cannot be written whole; is the disk full?")
+            _write_all(file, part, path)
+
+
+def _write_all(file: io.RawIOBase, part: bytes, path: Path) -> None:
+    """Write all of `part`: a disk that becomes full takes a piece first, and tells the reason when the rest comes."""
+    rest = memoryview(part)
+    while rest:
+        try:
+            rest = rest[file.write(rest) :]
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(path)) from None
 
 
 def read_chunk(path: Path, shape: tuple, dtype: np.dtype, *, compression: str) -> np.ndarray:
