@@ -101,13 +101,13 @@ def working(group: int) -> dict[str, int]:
     return found
 
 
-def next_job(run, numbers: random.Random, seconds: float) -> tuple[str, int] | None:
-    """A stage at work and its process, at a random moment; None where the run ends before."""
-    wait(run, numbers.uniform(0, seconds))
+def next_job(run, stage: str, seconds: float) -> int | None:
+    """The process of a stage, some seconds after it set to work; None where the run ends before."""
     while run.poll() is None:
-        jobs = working(run.pid)
-        if jobs:
-            return numbers.choice(sorted(jobs.items()))
+        process = working(run.pid).get(stage)
+        if process is not None:
+            wait(run, seconds)
+            return process
         time.sleep(0.005)
     return None
 
@@ -130,22 +130,23 @@ def jobs_without_memory(arena: Arena, numbers: random.Random, amount: int) -> It
 
 
 def disturbed(arena: Arena, numbers: random.Random, strike) -> Iterator[Outcome]:
-    """Strike one job of a run from nothing."""
+    """Strike one job of a run from nothing, within a second and a half of its start."""
     shutil.rmtree(arena.results, ignore_errors=True)
+    stage = numbers.choice(missing(arena))
     run = arena.start()
-    job = next_job(run, numbers, 0.8 * arena.seconds)
+    job = next_job(run, stage, numbers.uniform(0, 1.5))
     if job is None:
         return
     try:
-        strike(job[1])
+        strike(job)
     except (ProcessLookupError, FileNotFoundError):
         pass  # it had just ended
     status = run.wait()
     told = (arena.folder / "run.log").read_text()
     sound, torn = standing(arena)
     survived = status == 0 and not torn and len(sound) == len(arena.reference)
-    named = status != 0 and job[0] in told and not torn
-    yield judged(arena, job[0], detected=survived or named, sound=sound, told=told)
+    named = status != 0 and stage in told and not torn
+    yield judged(arena, stage, detected=survived or named, sound=sound, told=told)
 
 
 def two_runs(arena: Arena, numbers: random.Random, amount: int) -> Iterator[Outcome]:
