@@ -113,29 +113,32 @@ def finished_fabric(tmp_path_factory) -> Site:
 
 @pytest.fixture
 def site(finished_site):
-    """The finished painting; configuration and code are put back afterwards."""
+    """The finished painting; configuration, code and results are put back afterwards."""
     yield from put_back(finished_site)
 
 
 @pytest.fixture
 def object_site(finished_object):
-    """The finished object; configuration and code are put back afterwards."""
+    """The finished object; configuration, code and results are put back afterwards."""
     yield from put_back(finished_object)
 
 
 @pytest.fixture
 def fabric_site(finished_fabric):
-    """The finished cloth; configuration and code are put back afterwards."""
+    """The finished cloth; configuration, code and results are put back afterwards."""
     yield from put_back(finished_fabric)
 
 
+LENT = ("workflow", "config", "results", ".snakemake")
+
+
 def put_back(finished_site: Site):
-    """Lend a finished scene, and undo what was done to its configuration and code."""
+    """Lend a finished scene, and undo what was done to its configuration, code and results: tests in any order."""
     saved = finished_site.folder / "saved"
-    shutil.copytree(finished_site.folder / "workflow", saved / "workflow")
-    shutil.copytree(finished_site.folder / "config", saved / "config")
+    for name in LENT:
+        shutil.copytree(finished_site.folder / name, saved / name, symlinks=True)
     yield finished_site
-    for name in ("workflow", "config"):
+    for name in LENT:
         shutil.rmtree(finished_site.folder / name)
         shutil.move(saved / name, finished_site.folder / name)
     shutil.rmtree(saved)

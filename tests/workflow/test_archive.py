@@ -2,29 +2,13 @@
 
 import json
 import os
-import shutil
 import signal
 import subprocess
 import sys
 import time
 from contextlib import suppress
 
-import pytest
-
 from nishiki.contract.artifact import MANIFEST, RUN, open_artifact, run_text
-
-KEPT = ("results", "config", ".snakemake")
-
-
-@pytest.fixture
-def lent(finished_site, tmp_path):
-    """The finished painting; its results are put back afterwards. In its place, where its kernels are compiled."""
-    for name in KEPT:
-        shutil.copytree(finished_site.folder / name, tmp_path / "saved" / name, symlinks=True)
-    yield finished_site
-    for name in KEPT:
-        shutil.rmtree(finished_site.folder / name)
-        shutil.copytree(tmp_path / "saved" / name, finished_site.folder / name, symlinks=True)
 
 
 def start(site):
@@ -55,15 +39,15 @@ def stages_listed(site):
     return sorted(line["path"].split("/")[-2] for line in lines if line.get("what") == "remove")
 
 
-def test_a_killed_run_is_resumed_by_one_command_and_a_live_one_is_left_alone(lent):
-    undisturbed = lent.run_facts()
-    lent.configure(height={"method": "weighted"})
-    process = start(lent)
+def test_a_killed_run_is_resumed_by_one_command_and_a_live_one_is_left_alone(site):
+    undisturbed = site.run_facts()
+    site.configure(height={"method": "weighted"})
+    process = start(site)
     try:
-        wait_for(lambda: list((lent.folder / ".snakemake/locks").glob("*.lock")), process)
+        wait_for(lambda: list((site.folder / ".snakemake/locks").glob("*.lock")), process)
         os.killpg(process.pid, signal.SIGSTOP)  # alive, and still so when the last of the commands has been asked
         for command in (["run"], ["run", "--unlock"], ["prune", "--delete"]):
-            done = lent.nishiki(*command, check=False)
+            done = site.nishiki(*command, check=False)
             assert (done.returncode, "a run" in done.stderr, "alive" in done.stderr) == (2, True, True), command
             assert str(process.pid) in done.stderr
         assert process.poll() is None
@@ -71,54 +55,54 @@ def test_a_killed_run_is_resumed_by_one_command_and_a_live_one_is_left_alone(len
         with suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
         process.wait()
-    assert list((lent.folder / ".snakemake/locks").glob("*.lock"))
-    done = lent.nishiki("run")
+    assert list((site.folder / ".snakemake/locks").glob("*.lock"))
+    done = site.nishiki("run")
     assert "resuming after a run that was killed" in done.stderr
-    assert not list((lent.folder / "results/.runs").glob("*.json"))
-    assert lent.would_run() == []
-    assert "sound" in lent.nishiki("verify").stdout
-    now = lent.run_facts()
+    assert not list((site.folder / "results/.runs").glob("*.json"))
+    assert site.would_run() == []
+    assert "sound" in site.nishiki("verify").stdout
+    now = site.run_facts()
     changed = sorted(stage for stage in now if now[stage] != undisturbed[stage])
     assert "height" in changed
     assert not {"ingest", "separate", "normals"} & set(changed)
-    assert set(changed) <= set(stages_listed(lent))
-    lent.nishiki("prune", "--delete")
-    assert stages_listed(lent) == []
-    assert "sound" in lent.nishiki("verify").stdout
-    assert lent.would_run() == []
+    assert set(changed) <= set(stages_listed(site))
+    site.nishiki("prune", "--delete")
+    assert stages_listed(site) == []
+    assert "sound" in site.nishiki("verify").stdout
+    assert site.would_run() == []
 
 
-def test_a_clock_that_went_backwards_neither_repeats_nor_skips_anything(lent):
-    manifests = sorted((lent.folder / "results/tiny").glob(f"*/*/{MANIFEST}"))
+def test_a_clock_that_went_backwards_neither_repeats_nor_skips_anything(site):
+    manifests = sorted((site.folder / "results/tiny").glob(f"*/*/{MANIFEST}"))
     for number, path in enumerate(manifests):  # upstream newer than downstream, and all in the future
         os.utime(path, (4e9 - number, 4e9 - number))
-    for path in sorted((lent.folder / "results/tiny/ingest").glob(f"*/{MANIFEST}")):
+    for path in sorted((site.folder / "results/tiny/ingest").glob(f"*/{MANIFEST}")):
         os.utime(path, (4.2e9, 4.2e9))
-    assert lent.would_run() == []
+    assert site.would_run() == []
     # evaluate is made again with another result, at a time before that of the report that was made from the old one.
-    folder = (lent.folder / "results/tiny/current/evaluate").resolve()
+    folder = (site.folder / "results/tiny/current/evaluate").resolve()
     manifest = open_artifact(folder).manifest
     data = json.dumps({**manifest, "diagnostics": {**manifest["diagnostics"], "another": 1}}).encode()
     facts = {name: value for name, value in json.loads((folder / RUN).read_text()).items() if "sha256" not in name}
     (folder / MANIFEST).write_bytes(data)
     (folder / RUN).write_text(run_text(facts, data))
     os.utime(folder / MANIFEST, (1e9, 1e9))
-    assert "stale" in lent.nishiki("verify", check=False).stdout
-    lent.nishiki("run")
-    assert "sound" in lent.nishiki("verify").stdout
-    report = open_artifact((lent.folder / "results/tiny/current/report").resolve())
+    assert "stale" in site.nishiki("verify", check=False).stdout
+    site.nishiki("run")
+    assert "sound" in site.nishiki("verify").stdout
+    report = open_artifact((site.folder / "results/tiny/current/report").resolve())
     assert report.manifest["upstream"]["evaluate"]["digest"] == open_artifact(folder).digest
 
 
-def test_a_packed_scene_is_sound_where_nothing_else_is(lent, tmp_path):
-    lent.nishiki("pack", "tiny", "--output", str(tmp_path / "crate"), "--zip")
-    lent.nishiki("pack", "tiny", "--output", str(tmp_path / "small"), "--without-capture")
+def test_a_packed_scene_is_sound_where_nothing_else_is(site, tmp_path):
+    site.nishiki("pack", "tiny", "--output", str(tmp_path / "crate"), "--zip")
+    site.nishiki("pack", "tiny", "--output", str(tmp_path / "small"), "--without-capture")
     for name in ("crate", "crate.zip", "small"):
-        done = lent.nishiki("verify", "--json", str(tmp_path / name))
+        done = site.nishiki("verify", "--json", str(tmp_path / name))
         facts = json.loads(done.stdout)
-        assert (facts["sound"], facts["scene"], sorted(facts["stages"])) == (True, "tiny", sorted(lent.stages()))
+        assert (facts["sound"], facts["scene"], sorted(facts["stages"])) == (True, "tiny", sorted(site.stages()))
         assert facts["photographs"] == (name != "small")
     described = json.loads((tmp_path / "crate/ro-crate-metadata.json").read_text())
     made_by = [entity["description"] for entity in described["@graph"] if entity["@id"].startswith("#run-")]
-    assert len(made_by) == len(lent.stages())
+    assert len(made_by) == len(site.stages())
     assert all("Made by the packed code" in text for text in made_by)
