@@ -14,8 +14,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from nishiki.archive.crate_metadata import METADATA, PackedCapture, PackedStage, metadata
+from nishiki.archive.crate_metadata import METADATA, PackedCapture, metadata
 from nishiki.archive.crate_names import MANIFEST, manifest_text
+from nishiki.archive.crate_stages import PackedStage
 from nishiki.archive.tree import FolderTree
 from nishiki.contract.artifact import MANIFEST as ARTIFACT
 from nishiki.contract.artifact import RUN, Artifact

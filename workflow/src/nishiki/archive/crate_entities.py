@@ -1,0 +1,41 @@
+"""Words that all parts of a crate's description use: entities, references to them, formats of files."""
+
+from collections.abc import Iterable
+from pathlib import PurePosixPath
+from typing import Any
+from urllib.parse import quote
+
+BIOSCHEMAS = "https://bioschemas.org/profiles/"
+PROJECT_LICENCE = "https://spdx.org/licenses/BSD-3-Clause"
+FORMATS = {
+    ".json": "application/json",
+    ".csv": "text/csv",
+    ".html": "text/html",
+    ".png": "image/png",
+    ".jpg": "image/jpeg",
+    ".svg": "image/svg+xml",
+    ".exr": "image/x-exr",
+    ".mp4": "video/mp4",
+    ".webp": "image/webp",
+    ".npz": "application/zip",
+    ".ply": "model/ply",
+    ".md": "text/markdown",
+    ".txt": "text/plain",
+}
+Entity = dict[str, Any]
+
+
+def ids(names: Iterable[str]) -> list[Entity] | Entity:
+    """References to entities; to a single one without a list, as the compact form has it."""
+    found = [{"@id": name} for name in names]
+    return found[0] if len(found) == 1 else found
+
+
+def quoted(name: str) -> str:
+    """A file's name as an identifier may hold it."""
+    return quote(name, safe="/:@!$&'()*+,;=-._~")
+
+
+def media_type(name: str) -> str:
+    """Media type by the suffix of a name."""
+    return FORMATS.get(PurePosixPath(name).suffix, "application/octet-stream")
