@@ -1,7 +1,6 @@
 """Reflection: Lambert and the simplified Torrance-Sparrow model at every texel of an object."""
 
 import json
-import os
 from dataclasses import asdict
 
 import numpy as np
@@ -22,6 +21,7 @@ from nishiki.reflection.stack import slope_of_srgb
 from nishiki.reflection.store import ParameterWriter
 from nishiki.reflection.tile import Capture, Tile
 from nishiki.settings.reflection import ReflectionSettings
+from nishiki.threads import threads
 
 
 def run(context: Context) -> dict:
@@ -54,10 +54,10 @@ def run(context: Context) -> dict:
             width=settings.width,
             method=settings.method,
             apart=settings.components == "apart",
-            threads=os.cpu_count() or 1,
+            threads=threads(),
         )
     else:
-        fit = fit_lambert(read, numbers, capture, out.write, threads=os.cpu_count() or 1)
+        fit = fit_lambert(read, numbers, capture, out.write, threads=threads())
     used = settings.components if separated else "total"
     report = {"lighting": lighting.as_dict(), "found": found, "fit": asdict(fit), "components": used}
     report["specular"] = specular

@@ -15,6 +15,7 @@ from pathlib import Path
 import _project
 from nishiki.contract.artifact import MANIFEST, Artifact, open_artifact
 from nishiki.sweep.machine import processor
+from nishiki.threads import VARIABLES
 
 RECORDED = ("seconds", "cpu_seconds", "peak_memory_mib", "host", "platform", "python", "cpus", "finished")
 
@@ -43,13 +44,12 @@ def main() -> None:
 
 def repeat(first: Artifact, folder: Path, rest: list[str], threads: int) -> tuple[int, dict]:
     """Exit status of the stage's script, and what its run took; whether its artifact has the bytes of the first."""
-    names = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
     load = os.getloadavg()[0]
     target = folder / first.key / MANIFEST
     script = _project.PROJECT / "scripts" / f"{first.stage}.py"
     done = subprocess.run(
         [sys.executable, str(script), *rest, "--output", str(target)],
-        env={**os.environ, **dict.fromkeys(names, str(threads))},
+        env={**os.environ, **dict.fromkeys(VARIABLES, str(threads))},
         check=False,
     )
     if done.returncode:

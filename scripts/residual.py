@@ -2,7 +2,6 @@
 
 import json
 import math
-import os
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +22,7 @@ from nishiki.residual.pursuit import Pursuit
 from nishiki.residual.store import write_residual
 from nishiki.residual.tile_code import Effort, Pixels, Scene, model_of, see
 from nishiki.settings.residual import ResidualSettings
+from nishiki.threads import threads
 
 SAMPLE_TILES = 24  # that decide whether the model suffices
 
@@ -42,8 +42,8 @@ def run(context: Context) -> dict:
         threshold=settings.threshold,
         gloss=fitted["specular"],
     )
-    design, threads = design_of(texels, source.components, settings), os.cpu_count() or 1
-    found = pilot(source, scene, design, effort, threads=threads, progress=context.progress)
+    design, workers = design_of(texels, source.components, settings), threads()
+    found = pilot(source, scene, design, effort, threads=workers, progress=context.progress)
     counts = source.counts()
 
     left = left_by_model(source, scene, found)
@@ -60,7 +60,7 @@ def run(context: Context) -> dict:
             found,
             effort,
             step,
-            threads=threads,
+            threads=workers,
             progress=context.progress,
             parameter_share=settings.parameter_share,
         )

@@ -17,13 +17,14 @@ import json
 import sys
 import time
 from pathlib import Path
+from unittest import mock
 
-import numba
 import numpy as np
 from numba import njit
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import _project  # noqa: F401
+from nishiki import threads
 from nishiki.brdf.kernels import specular_scalar
 from nishiki.brdf.torrance_sparrow import specular
 from nishiki.render.scene import Gloss, Light, PlaneScene
@@ -191,7 +192,7 @@ def crop(scene, rows=48):
 
 
 def measure(name, scene, lights, repeats):
-    everything = numba.get_num_threads()
+    everything = threads.threads()
     sample = crop(scene)
     reference = einsum_bands(sample, lights)
     known = np.sum(sample.normals**2, axis=2) > 0.5
@@ -205,10 +206,10 @@ def measure(name, scene, lights, repeats):
         ("einsum", einsum_bands, 1, sample, 2),
     ]
     base = None
-    for method, function, threads, maps, times in methods:
-        numba.set_num_threads(threads)
-        error = np.abs(function(sample, lights) - reference) / scale
-        seconds = best_time(lambda f=function, m=maps: f(m, lights), times)
+    for method, function, workers, maps, times in methods:
+        with mock.patch.object(threads, "threads", return_value=workers):
+            error = np.abs(function(sample, lights) - reference) / scale
+            seconds = best_time(lambda f=function, m=maps: f(m, lights), times)
         pixels = maps.shape[0] * maps.shape[1]
         per, processor = seconds / (pixels * len(lights)) * 1e9
         base = processor if base is None else base
@@ -219,13 +220,12 @@ def measure(name, scene, lights, repeats):
             "cpu_ns_per_pixel_light": round(processor, 2),
             "pixels": pixels,
             "lights": len(lights),
-            "threads": threads,
+            "threads": workers,
             "max_rel_error": float(f"{error[known].max():.3g}"),
             "default": method == "matrix",
             "ratio": round(processor / base, 2),
         }
         print(json.dumps(line), flush=True)
-    numba.set_num_threads(everything)
 
 
 def shade(scene, lights):

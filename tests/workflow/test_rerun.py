@@ -1,5 +1,6 @@
 """What runs again, and what does not, as Snakemake sees it."""
 
+import json
 import shutil
 
 import pytest
@@ -176,3 +177,21 @@ def test_bad_scene_table_is_told_in_one_line_with_status_2(site, table, message)
     done = site.nishiki("plan", check=False)
     assert done.returncode == 2
     assert message in done.stderr
+
+
+def test_scenes_side_by_side_have_one_thread_each_and_the_last_one_two(site):
+    rows = "".join(f"{name}\tcaptures/tiny\t\tnormals\n" for name in ("first", "second"))
+    (site.folder / "config/scenes.tsv").write_text("scene\tcapture\ttruth\tproducts\n" + rows)
+    site.nishiki("run", "--cores", "2")
+    assert threads_of_normals(site, "first") == threads_of_normals(site, "second") == 1
+    artifact = (site.folder / "results/second/current/normals").resolve()
+    before = (artifact / "artifact.json").read_bytes()
+    shutil.rmtree(artifact)
+    site.nishiki("run", "--cores", "2")
+    assert threads_of_normals(site, "first") == 1
+    assert threads_of_normals(site, "second") == 2
+    assert (artifact / "artifact.json").read_bytes() == before
+
+
+def threads_of_normals(site, scene):
+    return json.loads((site.folder / f"results/{scene}/current/normals/run.json").read_text())["threads"]

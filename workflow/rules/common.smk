@@ -11,6 +11,7 @@ from nishiki.errors import UserError
 from nishiki.contract.provenance import canonical
 from nishiki.planning.scheduling import PARTS
 from nishiki.planning.workflow import Workflow
+from nishiki.threads import VARIABLES as THREADS
 from snakemake.exceptions import WorkflowError
 
 shell.prefix(f"export PATH={shlex.quote(os.path.dirname(sys.executable))}:$PATH; ")
@@ -29,7 +30,8 @@ SCRIPTS = SCRIPTS.replace("{", "{{").replace("}", "}}")
 
 # The one command of all stages; {rule} names the script.
 RUN_STAGE = (
-    "NUMBA_NUM_THREADS={threads} OMP_NUM_THREADS={threads} OPENBLAS_NUM_THREADS={threads} python "
+    " ".join(f"{name}={{threads}}" for name in THREADS)
+    + " python "
     + SCRIPTS
     + "/{rule}.py --scene {wildcards.scene} {params.source} --settings {params.settings:q}"
     " --code {params.code} --libraries {params.libraries:q} --inputs {input:q} --output {output:q}"

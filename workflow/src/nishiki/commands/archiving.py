@@ -2,7 +2,6 @@
 
 import argparse
 import json
-import os
 import sys
 from collections.abc import Iterable
 from dataclasses import asdict
@@ -13,6 +12,7 @@ from nishiki.archive.crate_audit import CrateAudit, audit_crate, is_crate
 from nishiki.archive.damage import Damage, shown
 from nishiki.errors import UserError
 from nishiki.progress import Progress
+from nishiki.threads import threads as given_threads
 
 
 def verify(options: argparse.Namespace, rest: list[str]) -> int:
@@ -22,7 +22,7 @@ def verify(options: argparse.Namespace, rest: list[str]) -> int:
         if not folder.is_dir() and not is_crate(folder):
             raise UserError(f"{folder}: neither a folder nor a ZIP file")
     counts = Counts()
-    threads = options.threads or len(os.sched_getaffinity(0))
+    threads = options.threads or given_threads()
     found = find_artifacts(folder for folder in folders if not is_crate(folder))
     crates = [*(folder for folder in folders if is_crate(folder)), *found.crates]
     for crate in crates:

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterable
 from pathlib import Path
 
 from nishiki.errors import UserError
@@ -46,7 +47,7 @@ def run(options: argparse.Namespace, rest: list[str]) -> int:
         str(PROJECT / "Snakefile"),
         "--configfile",
         options.configfile,
-        *profile_arguments(options.profile, options.cores),
+        *profile_arguments(options.profile, options.cores, (map(Path, flow.artifacts(scene)) for scene in flow.plans)),
         *rest,
     ]
     start = time.monotonic()
@@ -56,14 +57,17 @@ def run(options: argparse.Namespace, rest: list[str]) -> int:
     return 1 if status else 0
 
 
-def profile_arguments(name: str, cores: str | None) -> list[str]:
-    """Snakemake's arguments for a shipped profile or a profile folder, and for the processors of a local one.
+def profile_arguments(name: str, cores: str | None, scenes: Iterable[Iterable[Path]] = ()) -> list[str]:
+    """Snakemake's arguments for a shipped profile or a profile folder, and for what a local one may use of the machine.
+
+    scenes: manifests of each scene's artifacts, where stages may get one thread each so that scenes run side by side.
 
     Raises UserError where there is no such profile, or where the plugin that it needs is not installed.
     """
     import importlib.util
 
     from nishiki.planning.project import load_yaml
+    from nishiki.runs.machine import memory_arguments, thread_arguments
 
     shipped = PROJECT / "workflow/profiles"
     folder = shipped / name if (shipped / name).is_dir() else Path(name)
@@ -80,7 +84,7 @@ def profile_arguments(name: str, cores: str | None) -> list[str]:
                 f"./nishiki install --extras {executor}"
             )
         return arguments + (["--cores", cores] if cores else [])
-    return [*arguments, "--cores", cores or "all"]
+    return [*arguments, *memory_arguments(), *thread_arguments(cores, scenes), "--cores", cores or "all"]
 
 
 def _tell(flow, seconds: float) -> None:

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import re
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
+
+from nishiki.threads import threads
 
 BLOCK = 1 << 26  # bytes of an array looked at together
 CELL = re.compile(r"(?:^|[,;\t ])[+-]?(?:nan|inf|infinity)(?=$|[,;\t ])", re.IGNORECASE | re.MULTILINE)
@@ -88,7 +89,7 @@ def _whole_chunks_are_finite(folder: Path, told: dict) -> bool:
             payload = Zstd().decode(payload)
         return _sum_is_finite(np.frombuffer(payload, dtype))
 
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+    with ThreadPoolExecutor(threads()) as pool:
         return all(pool.map(finite, files))
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from nishiki.packages import loaded
+from nishiki.threads import threads
 
 
 class RunFacts:
@@ -20,7 +21,7 @@ class RunFacts:
         """All facts, at the end of the run.
 
         start_cpu_seconds: until the imports were done; bytes_read: since then, of files and from the cache of the
-        operating system alike; packages: heavy ones that were loaded.
+        operating system alike; packages: heavy ones that were loaded; threads: that the job was given.
         """
         usage = resource.getrusage(resource.RUSAGE_SELF)
         read = bytes_read()
@@ -37,6 +38,7 @@ class RunFacts:
             "platform": platform.platform(),
             "python": platform.python_version(),
             "cpus": os.cpu_count(),
+            "threads": threads(),
             "capture": str(capture or ""),
         }
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numba import njit
 
 from nishiki.drape.boxes import blocked
 from nishiki.drape.local import LIFT, Samples
 from nishiki.drape.scene import Around, Brdf, Scene, three
-from nishiki.render.threads import over_rows
+from nishiki.threads import over_rows, threads
 
 THETAS, PHIS, LIGHTS = 10, 16, (14, 28)
 """Grid of view directions at which the reflected share of even light is tabulated, and rings and sectors of light."""
@@ -75,7 +74,7 @@ def shares(brdf: Brdf) -> np.ndarray:
         values = brdf.evaluate(lights[None], views[k, :PHIS, None])
         table[k, :PHIS] = np.pi * three(values).mean(axis=1)
 
-    with ThreadPoolExecutor(numba.get_num_threads()) as pool:
+    with ThreadPoolExecutor(threads()) as pool:
         for _ in pool.map(fill, range(THETAS + 1)):
             pass  # reading the results passes on an exception
     table[:, PHIS] = table[:, 0]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from nishiki.render.threads import over_rows
+from nishiki.threads import over_rows
 
 LEAF = 4
 """Triangles in a leaf."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
 from nishiki.drape.around import Surroundings
@@ -15,6 +14,7 @@ from nishiki.drape.scene import Brdf, Lamp, Scene
 from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera
 from nishiki.patches.raster import rasterise
+from nishiki.threads import threads
 from nishiki.turntable.turn import scaled
 
 BAND_SAMPLES = 1 << 20
@@ -169,7 +169,7 @@ def _values(brdfs: list[Brdf], incident: np.ndarray, outgoing: np.ndarray, wante
         for values, one in zip(out, together(brdfs, i, o), strict=True):
             values[start : start + AT_ONCE] = one
 
-    with ThreadPoolExecutor(numba.get_num_threads()) as pool:
+    with ThreadPoolExecutor(threads()) as pool:
         for _ in pool.map(fill, range(0, len(distinct), AT_ONCE)):
             pass  # reading the results passes on an exception
     return out, where.reshape(-1)

@@ -11,7 +11,7 @@ from nishiki.drape.boxes import blocked
 from nishiki.drape.scene import Lamp, Scene
 from nishiki.geometry.camera import Camera
 from nishiki.patches.raster import Raster
-from nishiki.render.threads import over_rows
+from nishiki.threads import over_rows
 
 LEAST_COSINE = 0.02
 """Interpolated normals that turn away from the eye are bent back until the eye is this far above the horizon."""

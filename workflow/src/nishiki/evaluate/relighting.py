@@ -8,7 +8,7 @@ from nishiki.evaluate import kernels
 from nishiki.evaluate.camera_colour import CameraColour
 from nishiki.evaluate.classes import NAMES
 from nishiki.evaluate.summary import Summary, summarise
-from nishiki.render.threads import over_rows
+from nishiki.threads import over_rows
 
 
 @dataclass

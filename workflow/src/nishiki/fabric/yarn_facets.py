@@ -22,7 +22,6 @@ point; so it reaches all points whose z - c x is at least that tangent's: those 
 view from one side only the lower limit counts, which is how shadowing and masking correlate.
 """
 
-import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -32,6 +31,7 @@ import numpy as np
 
 from nishiki.fabric.interface import halves, off_horizon, only_above
 from nishiki.fabric.yarn_kernels import ATOM, HALF_PI, sums
+from nishiki.threads import STRIPS_A_THREAD, threads
 
 WARP, WEFT = 0, 1
 ALONG, ACROSS = 0, 1
@@ -175,8 +175,8 @@ def shape_parts(shape: YarnShape, incident: np.ndarray, outgoing: np.ndarray, *,
     """(n, 4) mirror reflection and white body, 1 / sr, of warp and weft, at directions (n, 3)."""
     atoms, limits = compiled or (shape.atoms(), shape.limits())
     out = np.empty((len(incident), 4))
-    threads = os.cpu_count() or 1
-    block = max(FEWEST_ROWS, -(-len(incident) // (4 * threads)))
+    workers = threads()
+    block = max(FEWEST_ROWS, -(-len(incident) // (STRIPS_A_THREAD * workers)))
 
     def some(first: int) -> None:
         rows = slice(first, first + block)
@@ -186,8 +186,8 @@ def shape_parts(shape: YarnShape, incident: np.ndarray, outgoing: np.ndarray, *,
         )  # fmt: skip
 
     starts = range(0, len(incident), block)
-    if len(starts) > 1 and threads > 1:
-        with ThreadPoolExecutor(threads) as pool:
+    if len(starts) > 1 and workers > 1:
+        with ThreadPoolExecutor(workers) as pool:
             list(pool.map(some, starts))
     else:
         for first in starts:

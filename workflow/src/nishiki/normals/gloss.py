@@ -3,13 +3,13 @@
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.normals import flags as bits
 from nishiki.normals.gloss_kernel import refine_pixels
 from nishiki.normals.gloss_profile import GlossProfile, light_table
+from nishiki.threads import threads as given_threads
 
 NOISE = 0.002  # of an observation, relative to white
 MODEL_ERROR = 0.02  # of the body's shading, relative to the pixel's mean level: interreflection, mixed pixels
@@ -144,7 +144,7 @@ def channel_rotation(channels: int) -> np.ndarray:
 
 def in_threads(work, pixels, threads):
     """Slices of the pixels side by side; each writes its own pixels only."""
-    threads = min(threads or numba.get_num_threads(), -(-pixels // SLICE))
+    threads = min(threads or given_threads(), -(-pixels // SLICE))
     if threads <= 1:
         work(0, pixels)
         return

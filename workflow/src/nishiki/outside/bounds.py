@@ -64,11 +64,11 @@ BOUNDS = MappingProxyType(
 def bound(name: str) -> int:
     """The largest that is read of this kind. UserError where NISHIKI_BOUNDS is not as it should be."""
     value = _raised(os.environ.get(VARIABLE, "")).get(name, BOUNDS[name].value)
-    return value or _memory() * 3 // 4
+    return value or machine_memory() * 3 // 4
 
 
 @cache
-def _memory() -> int:
+def machine_memory() -> int:
     """Bytes of memory that this process may use: the machine's, or its control group's where that has less."""
     machine = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     try:

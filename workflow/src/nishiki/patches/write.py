@@ -6,7 +6,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-import numba
 import numpy as np
 import zarr
 from zarr.codecs import ZstdCodec
@@ -18,6 +17,7 @@ from nishiki.patches.raster import Raster, rasterise
 from nishiki.patches.sample import PixelPlaces, object_pixels, pixel_places, sample_view
 from nishiki.patches.store import ATLAS, FORMAT, STORE
 from nishiki.patches.surface import texel_points, texel_triangles
+from nishiki.threads import threads
 
 READ_AHEAD_MIB = 64
 """Memory that a reader keeps for one quantity over all observations."""
@@ -178,7 +178,7 @@ class TexelsWriter:
                     self.counts[group] += sampled.visible
             return int(found[0].visible.sum())
 
-        with ThreadPoolExecutor(numba.get_num_threads()) as pool:
+        with ThreadPoolExecutor(threads()) as pool:
             visible = sum(pool.map(one, self.groups()))
         return {"visible": visible, "inside": int(self.inside.sum())}
 

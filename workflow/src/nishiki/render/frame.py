@@ -11,7 +11,7 @@ from nishiki.render import camera
 from nishiki.render.scene import BACKGROUND, Ambient, Light, PlaneScene, View
 from nishiki.render.shade import colour_groups, pixel_to_plane, shade_channels, shade_xyz
 from nishiki.render.shadow import cast_shadows
-from nishiki.render.threads import over_rows
+from nishiki.threads import over_rows
 
 _SAMPLES_AT_ONCE = 1 << 19  # bounds the memory of a band of the screen
 

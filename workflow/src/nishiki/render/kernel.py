@@ -8,7 +8,7 @@ The work goes in blocks of BLOCK pixels of a row.  All intermediate values of a 
 lanes of constant distance: the compiler can then prove that no store meets a later load and emits vector instructions.
 Branches inside the loops over a block are selections, never early returns, for the same reason.  Every pixel sees the
 same operations in the same order whatever the number of threads, so that the bytes do not depend on it.  The threads
-are the caller's (`nishiki.render.threads`): a parallel region of the compiler's would double the time to compile.
+are the caller's (`nishiki.threads`): a parallel region of the compiler's would double the time to compile.
 All of it is one file, because the cache of the compiler watches only the file of the function that it has compiled.
 """
 

@@ -7,8 +7,8 @@ import numpy as np
 from nishiki.errors import UserError
 from nishiki.render import kernel
 from nishiki.render.scene import Ambient, Gloss, Light, PlaneScene
-from nishiki.render.threads import over_rows
 from nishiki.spectra.colour import illuminant, srgb_matrix, white_xyz, xyz_matrix
+from nishiki.threads import over_rows
 
 FRONTAL_EYE = np.array([0.0, 0.0, 1.0, 0.0])
 

@@ -20,7 +20,7 @@ import numpy as np
 from nishiki.errors import UserError
 from nishiki.render import horizon
 from nishiki.render.scene import Light
-from nishiki.render.threads import over_rows
+from nishiki.threads import over_rows
 
 
 @dataclass(frozen=True)

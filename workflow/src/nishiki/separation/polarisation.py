@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from nishiki.render.threads import over_rows
 from nishiki.separation.polariser_states import StateSums
+from nishiki.threads import over_rows
 
 
 @dataclass(frozen=True)

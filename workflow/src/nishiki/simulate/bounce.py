@@ -5,7 +5,7 @@ import math
 import numba
 import numpy as np
 
-from nishiki.simulate.rows import over_rows
+from nishiki.threads import over_rows
 
 DIRECTIONS = 16
 REACH_PIXELS = 8

@@ -5,7 +5,7 @@ import math
 import numba
 import numpy as np
 
-from nishiki.simulate.rows import over_rows
+from nishiki.threads import over_rows
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)

@@ -8,8 +8,8 @@ import numba
 import numpy as np
 
 from nishiki.simulate.randomness import normal
-from nishiki.simulate.rows import over_rows
 from nishiki.simulate.settings import CameraSettings
+from nishiki.threads import over_rows
 
 FINE_NM = np.arange(380.0, 780.5, 2.0)  # finer and wider than the grid on which the chain works
 

@@ -13,9 +13,9 @@ from nishiki.simulate.lamp import Lamp
 from nishiki.simulate.objects import SimulatedObject
 from nishiki.simulate.reflection import ggx_gloss, rough_body
 from nishiki.simulate.relief import slopes_at
-from nishiki.simulate.rows import over_rows
 from nishiki.simulate.settings import SimulationSettings
 from nishiki.simulate.shadows import visible_share
+from nishiki.threads import over_rows
 
 BODY_SIGMA = 0.20  # roughness of the paint itself, radians (Oren-Nayar)
 

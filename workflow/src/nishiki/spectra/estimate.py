@@ -7,7 +7,6 @@ linear in S (colour under any light, rendering) costs K products instead of 61 b
 
 from __future__ import annotations
 
-import os
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
@@ -28,6 +27,7 @@ from nishiki.spectra.fitting import (
 )
 from nishiki.spectra.kernels import ILL_CONDITIONED, NEGATIVE_RESPONSE, NOT_FINITE, OUTSIDE_TRAINING, OUTSIDE_UNIT
 from nishiki.spectra.local import response_space
+from nishiki.threads import threads as given_threads
 
 _PIXELS_A_THREAD = 4096
 METHODS = ("paper", "wiener", "local")
@@ -180,7 +180,7 @@ def estimate_spectra(
         flat = np.ascontiguousarray(observed.reshape(-1, channels), dtype=np.float32)
     coefficients = np.empty((len(flat), size), np.float32)
     sigma, flags = np.empty(len(flat), np.float32), np.empty(len(flat), np.uint8)
-    _apply(flat, estimator, coefficients, sigma, flags, threads or len(os.sched_getaffinity(0)))
+    _apply(flat, estimator, coefficients, sigma, flags, threads or given_threads())
     names = ("outside_unit", "outside_training", "not_finite", "ill_conditioned", "negative_response")
     counts = {name: int(np.count_nonzero(flags & bit)) for name, bit in zip(names, FLAG_MEANINGS, strict=True)}
     return SpectralField(

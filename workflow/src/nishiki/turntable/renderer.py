@@ -11,7 +11,6 @@ tiles in view are decoded, each once for all pictures of a batch.
 
 from __future__ import annotations
 
-import os
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator
@@ -25,6 +24,7 @@ from nishiki.ingest.encoding import decode as to_linear
 from nishiki.ingest.encoding import encode
 from nishiki.patches.raster import interpolate, rasterise
 from nishiki.reflection.model import predict
+from nishiki.threads import threads as given_threads
 from nishiki.turntable.interpolation import Method, Neighbours, neighbours
 from nishiki.turntable.pixels import asked_for, by_tile, extend, look_up, mix
 from nishiki.turntable.shots import Picture, Prepared, Shot, Tile
@@ -72,7 +72,7 @@ class ObjectRenderer:
         self.turn = fit_turn(self.cameras, full_turn=full_turn)
         self.without, self.method, self.level = without, method, level
         self.model_only, self.rim, self.ceiling = model_only, rim, ceiling
-        self.threads = threads or os.cpu_count() or 1
+        self.threads = threads or given_threads()
         self.parts = coded_parts(residual, encoding)
         self.depths = DepthMaps(mesh)
         self._cache: OrderedDict[int, Tile] = OrderedDict()

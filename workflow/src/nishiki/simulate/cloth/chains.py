@@ -19,7 +19,7 @@ from nishiki.simulate.cloth.points import SurfacePoints, turned_frame
 from nishiki.simulate.cloth.rays import first_hit
 from nishiki.simulate.cloth.settings import ClothSettings
 from nishiki.simulate.randomness import subkey, uniform
-from nishiki.simulate.rows import over_rows
+from nishiki.threads import over_rows
 
 
 @dataclass(frozen=True)

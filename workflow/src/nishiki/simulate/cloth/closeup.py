@@ -11,7 +11,7 @@ from nishiki.simulate.cloth.filament import body, facets, in_frame
 from nishiki.simulate.cloth.points import turned_frame
 from nishiki.simulate.cloth.rays import escapes, first_hit
 from nishiki.simulate.cloth.reflectance import Cloth
-from nishiki.simulate.rows import over_rows
+from nishiki.threads import over_rows
 
 _FAR_MM = 50.0
 

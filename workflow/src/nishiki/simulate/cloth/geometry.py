@@ -17,7 +17,7 @@ from nishiki.simulate.cloth.pattern import weave_pattern
 from nishiki.simulate.cloth.rays import POWERS, fill_voxels
 from nishiki.simulate.cloth.settings import ClothSettings, YarnSettings
 from nishiki.simulate.randomness import subkey
-from nishiki.simulate.rows import over_rows
+from nishiki.threads import over_rows
 
 _STEP = 0.12  # of the thinner yarn's thickness
 _ACROSS, _UP = 20, 28  # voxels a yarn, and in the cloth's height, of the map of free distances

@@ -14,8 +14,8 @@ from nishiki.simulate.cloth.filament import body, facets, in_frame
 from nishiki.simulate.cloth.presets import GoniometerSettings
 from nishiki.simulate.cloth.reflectance import Cloth, blocks, bounced
 from nishiki.simulate.randomness import subkey, uniform
-from nishiki.simulate.rows import over_rows
 from nishiki.simulate.sensor import expose
+from nishiki.threads import over_rows
 
 BASE_S = 1.0 / 15.0  # exposure in which a perfect white that faces the lamp reaches camera.white_level
 STOPS = (-3, 8)  # exposures are base · 2^k

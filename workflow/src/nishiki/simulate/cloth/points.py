@@ -12,7 +12,7 @@ from nishiki.simulate.cloth.geometry import Solids, Yarns
 from nishiki.simulate.cloth.rays import escapes, frame_at, inside
 from nishiki.simulate.cloth.settings import ClothSettings
 from nishiki.simulate.randomness import subkey
-from nishiki.simulate.rows import over_rows
+from nishiki.threads import over_rows
 
 _R2 = (0.7548776662466927, 0.5698402909980532)  # Roberts' sequence in two dimensions: 1/p, 1/p², p³ = p + 1
 _LEVELS_DEG = (2.0, 6.0, 15.0, 40.0, 75.0)  # elevation of the directions that test how free a point lies

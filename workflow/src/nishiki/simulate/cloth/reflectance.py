@@ -19,7 +19,7 @@ from nishiki.simulate.cloth.geometry import Solids, make_solids
 from nishiki.simulate.cloth.points import SurfacePoints, make_points
 from nishiki.simulate.cloth.rays import escapes
 from nishiki.simulate.cloth.settings import ClothSettings
-from nishiki.simulate.rows import over_rows
+from nishiki.threads import over_rows
 
 _DIRECTIONS = 64  # held at a time
 _STRONG = 0.05  # ends that pass on less than this (1/sr) are traced by lot, at least one in

@@ -9,10 +9,10 @@ import numba
 import numpy as np
 
 from nishiki.simulate.randomness import subkey
-from nishiki.simulate.rows import over_rows
 from nishiki.simulate.turntable.materials import describe
 from nishiki.simulate.turntable.rays import Tree, cast
 from nishiki.simulate.turntable.surface import Surface
+from nishiki.threads import over_rows
 
 OFFSET_MM = 0.02  # rays start so far above the surface
 _SMOOTHEST = 0.28  # the mirror image of the surroundings is at least so blurred: there are few rays a vertex

@@ -11,9 +11,9 @@ import numba
 import numpy as np
 
 from nishiki.simulate.randomness import hash_uint, uniform
-from nishiki.simulate.rows import over_rows
 from nishiki.simulate.turntable.noise import crack_distance, solid_fractal, solid_noise
 from nishiki.simulate.turntable.shape import ANIMAL, BODY, FLUTES, FRUIT, HANDLES, LID, ROPE
+from nishiki.threads import over_rows
 
 NUMBERS = 15
 GOLD = (0.94, 0.72, 0.34)

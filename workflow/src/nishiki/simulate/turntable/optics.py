@@ -9,7 +9,7 @@ import numba
 import numpy as np
 
 from nishiki.simulate.reflection import fresnel
-from nishiki.simulate.rows import over_rows
+from nishiki.threads import over_rows
 
 INDEX = 1.5  # of glazes and lacquer
 

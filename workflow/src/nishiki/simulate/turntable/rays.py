@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from nishiki.simulate.rows import over_rows
+from nishiki.threads import over_rows
 
 _STACK, _LEAF = 256, 4
 

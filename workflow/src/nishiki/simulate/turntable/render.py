@@ -8,7 +8,6 @@ import numba
 import numpy as np
 
 from nishiki.simulate.randomness import hash_uint, subkey, uniform
-from nishiki.simulate.rows import over_rows
 from nishiki.simulate.turntable.interreflection import OFFSET_MM, Surroundings, bounced, look_around, mirrored
 from nishiki.simulate.turntable.materials import describe
 from nishiki.simulate.turntable.optics import INDEX, metal_fresnel, reflected
@@ -16,6 +15,7 @@ from nishiki.simulate.turntable.rays import Hits, Tree, cast, make_tree
 from nishiki.simulate.turntable.settings import LAMP_RADIUS_MM, TurntableSettings
 from nishiki.simulate.turntable.surface import Surface, make_surface
 from nishiki.simulate.turntable.viewpoints import AIM_MM, Viewpoint
+from nishiki.threads import over_rows
 
 _LAMP_POINTS = 8  # lamp points a vertex, for the light that bounces
 _RAYS = 1 << 18  # at a time

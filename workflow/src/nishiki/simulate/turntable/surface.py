@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from nishiki.packages import optional
-from nishiki.simulate.rows import over_rows
 from nishiki.simulate.turntable.shape import HIGH, LOW, PARTS, sample_layers, settle
+from nishiki.threads import over_rows
 
 _COARSE_MM = 5.0
 _CREASE = 0.9  # cosine between the gradient and the mean normal of the triangles
