@@ -84,6 +84,15 @@ class Arena:
         root = root or self.results
         return sorted(path.parent for path in root.glob("*/*/*/artifact.json") if len(path.parent.name) == 12)
 
+    def durations(self) -> dict[str, float]:
+        """Seconds that each stage took in the undisturbed run; the longest where several scenes have it."""
+        found = {}
+        for folder in self.artifacts(self.kept):
+            run = json.loads((folder / "run.json").read_text())
+            seconds = run["start_cpu_seconds"] + run["seconds"]
+            found[folder.parent.name] = max(seconds, found.get(folder.parent.name, 0.0))
+        return found
+
     def restore(self) -> None:
         """The undisturbed results again, as they were."""
         shutil.rmtree(self.results, ignore_errors=True)

@@ -7,6 +7,7 @@ import shutil
 import signal
 import sys
 import time
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,9 +18,10 @@ from outcome import Outcome, judged, stage_of
 def killed_runs(arena: Arena, numbers: random.Random, amount: int) -> Iterator[Outcome]:
     """SIGKILL of the whole process group at random moments; each next run goes on from what is left, until one ends.
 
-    Half of the moments are drawn from the time that the run may take, half lie within a second of one stage's start.
+    Half of the moments are drawn from the time that the run may take; the others lie within the time that one stage
+    takes, which is one of those that were struck least so far, so that few kills suffice for every stage.
     """
-    left = []
+    left, struck, durations = [], Counter(), arena.durations()
     for count in range(amount):
         if not left:
             shutil.rmtree(arena.results, ignore_errors=True)
@@ -27,10 +29,14 @@ def killed_runs(arena: Arena, numbers: random.Random, amount: int) -> Iterator[O
         if numbers.random() < 0.5:
             finished = wait(run, numbers.uniform(0.2, max(1.0, 1.2 * arena.seconds * share_missing(arena))))
         else:
-            finished = wait_for(run, numbers.choice(missing(arena) or ["publish"]), numbers.uniform(0, 1))
+            ahead = [*missing(arena), "publish"]
+            stage = numbers.choice([name for name in ahead if struck[name] == min(struck[other] for other in ahead)])
+            finished = wait_for(run, stage, numbers.uniform(0, durations.get(stage, 1.0)))
         where = "between stages" if finished is None else "after the end"
         if finished is None:
-            where = ", ".join(sorted(working(run.pid))) or where
+            found = sorted(working(run.pid))
+            struck.update(found)
+            where = ", ".join(found) or where
             os.killpg(run.pid, signal.SIGKILL)
             run.wait()
         left.append((where, standing(arena)))
