@@ -95,6 +95,9 @@ SelectType=select/cons_tres
 SelectTypeParameters=CR_Core_Memory
 SchedulerParameters=sched_interval=1,bf_interval=1
 AccountingStorageType=accounting_storage/none
+# A line for each job that ended.
+JobCompType=jobcomp/filetxt
+JobCompLoc=$folder/log/jobs
 ReturnToService=2
 KillWait=3
 MinJobAge=300

@@ -1,6 +1,5 @@
 """The workflow through a real Slurm, on this machine: the same bytes as a local run, retries with more memory."""
 
-import importlib.metadata
 import json
 import os
 import shutil
@@ -9,71 +8,19 @@ import subprocess
 import sys
 import time
 from dataclasses import dataclass
-from pathlib import Path
 
 import pytest
-
-PROJECT = Path(__file__).resolve().parents[2]
-START = PROJECT / "tests/slurm/start.sh"
-CANNOT = 3  # exit status of start.sh where this machine cannot have a Slurm
-QUICK = ("--slurm-init-seconds-before-status-checks", "2", "--latency-wait", "20")
-
-
-def plugin_folder(folder: Path) -> Path:
-    """Snakemake's plugin for Slurm, in the locked versions, in a folder of its own; empty where it is installed.
-
-    Not in the environment of the tests: every start of Snakemake, in every other test, would be a second slower.
-    """
-    uv = PROJECT / ".uv/bin/uv"
-    export = [uv, "export", "--locked", "--no-default-groups", "--no-hashes", "--no-header", "--no-annotate", "--quiet"]
-    try:
-        text = subprocess.run(
-            [*export, "--extra", "slurm"], cwd=PROJECT, capture_output=True, text=True, check=True
-        ).stdout
-        missing = [line for line in text.splitlines() if "==" in line and not installed(line.split("==")[0])]
-        if missing:
-            subprocess.run(
-                [
-                    uv,
-                    "pip",
-                    "install",
-                    "--quiet",
-                    "--no-deps",
-                    "--python",
-                    sys.executable,
-                    "--target",
-                    folder,
-                    *missing,
-                ],
-                capture_output=True,
-                text=True,
-                check=True,
-            )
-    except (OSError, subprocess.CalledProcessError) as error:
-        pytest.skip(f"Snakemake's plugin for Slurm cannot be installed: {getattr(error, 'stderr', None) or error}")
-    return folder
-
-
-def installed(name: str) -> bool:
-    try:
-        return bool(importlib.metadata.version(name))
-    except importlib.metadata.PackageNotFoundError:
-        return False
+from slurm.cluster import QUICK, Unavailable, cluster, install_plugin
 
 
 @pytest.fixture(scope="session")
 def slurm(tmp_path_factory):
     """A running Slurm, as the environment variables that a run needs; skipped where there can be none."""
-    folder = tmp_path_factory.mktemp("slurm")
-    done = subprocess.run([START, folder], capture_output=True, text=True, check=False)
-    if done.returncode == CANNOT:
-        pytest.skip(done.stderr.strip())
     try:
-        assert done.returncode == 0, done.stderr
-        plugin = plugin_folder(tmp_path_factory.mktemp("plugin"))
-        yield {"PYTHONPATH": str(plugin)}
-    finally:
-        subprocess.run([START, folder, "stop"], check=False)
+        with cluster(tmp_path_factory.mktemp("slurm")):
+            yield {"PYTHONPATH": str(install_plugin(tmp_path_factory.mktemp("plugin")))}
+    except Unavailable as error:
+        pytest.skip(str(error))
 
 
 @dataclass
