@@ -70,7 +70,7 @@ def page(log: str, jobs: str, local: dict, other: dict) -> str:
         "Written by `python tests/slurm/compare.py --page`: small simulated scenes of the three chains, first on one",
         "machine by itself, then through a Slurm of two nodes that `tests/slurm/start.sh` started there.",
         "",
-        f"**{equal} of {len(local)} artifacts have the same bytes**; {len(other)} came through Slurm, in {len(numbers)} jobs.",
+        f"**{equal} of {len(local)} artifacts have the same bytes**; through Slurm they came in {len(numbers)} jobs.",
         "Digests are those of the manifests, which list every file with its own digest.",
         "",
         "| scene | stage | key | on one machine | through Slurm | |",
