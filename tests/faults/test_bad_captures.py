@@ -338,6 +338,28 @@ def test_what_is_only_odd_is_a_warning(tmp_path, name):
     assert all(p.severity == "warning" for p in problems if p.kind == kind)
 
 
+@pytest.mark.parametrize(
+    ("largest", "bits"),
+    [(1023, 10), (1000, 10), (990, None), (4095, 12), (3968, 12), (3967, None), (4096, None), (15871, None),
+     (15900, 14), (16383, 14), (30000, None), (65535, None)],
+)  # fmt: skip
+def test_codes_near_the_top_of_fewer_bits_are_told_where_no_bits_are_stated(tmp_path, largest, bits):
+    folder = make_capture(tmp_path / "c", white=False, dark=False)
+    for path in sorted((folder / "frames").glob("*.png")):
+        write_frame(path, np.full((ROWS, COLUMNS, 3), largest // 2))
+    bright = np.full((ROWS, COLUMNS, 3), largest // 2)
+    bright[:, 3] = largest
+    write_frame(folder / "frames/L02.png", bright)
+    camera = {key: CAMERA[key] for key in CAMERA if key != "bits"}
+    edit_yaml(folder, camera=camera)
+    told = [p for p in check_capture(folder, level="full") if p.kind == "bits-unsaid"]
+    assert [f"camera.bits: {bits};" in str(p) for p in told] == ([True] if bits else [])
+    diagnostics = write_observations(load_capture(folder), tmp_path / "o")
+    assert any("camera.bits" in text for text in diagnostics.warnings) == bool(bits)
+    edit_yaml(folder, camera={**camera, "bits": 16})
+    assert "bits-unsaid" not in {p.kind for p in check_capture(folder, level="full")}
+
+
 def test_the_check_reports_everything_in_one_pass(tmp_path):
     folder = make_capture(tmp_path / "c")
     cut("frames/L02.png", 0.6)(folder)

@@ -318,6 +318,8 @@ WARNED = {
     "many saturated samples": (
         {}, lambda f: write_frame(f / "frames/1_0_0.png", np.where(
             np.arange(ROWS * COLUMNS * 3).reshape(ROWS, COLUMNS, 3) % 4 == 0, 4095.0, 700.0)), "many-saturated"),
+    "bits that nobody tells": (
+        {}, both(keys(camera={"channels": ["red", "green", "blue"]}), put("frames/2_0_0.png", 4090)), "bits-unsaid"),
     "dark frame of another exposure": (
         {}, lambda f: (more("d.png,dark,,,,", "d.png", 1)(f), (f / "frames.csv").write_text("".join(
             line + (",exposure_s" if i == 0 else ",2" if "dark" in line else ",1") + "\n"

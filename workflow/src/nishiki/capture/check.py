@@ -187,11 +187,9 @@ def _content_problems(capture: Capture, tick: Callable[[str], None]) -> list[Pro
         reader = FrameReader.of(capture, "all", prove=False)  # the whole seal is verified apart
     except CaptureError as e:
         return list(e.problems)
-    problems: list[Problem] = reader.warnings()
     _, _, rows, columns = reader.region
     edges = block_edges(rows, CHECK_BLOCK), block_edges(columns, CHECK_BLOCK)
-    darks, found = _darks(reader, edges, tick)
-    problems += found
+    darks, problems = _darks(reader, edges, tick)
     try:
         mask = read_mask(capture.mask, region=reader.region) if capture.mask else np.ones((rows, columns), bool)
     except CaptureError:
@@ -210,7 +208,7 @@ def _content_problems(capture: Capture, tick: Callable[[str], None]) -> list[Pro
             problems.append(warning("image-repeated", frame.file, what, remedy="Check the names of the photographs"))
         digests.setdefault(digest, frame.file)
         tick(frame.file)
-    return problems
+    return reader.warnings() + problems
 
 
 def _darks(reader: FrameReader, edges: tuple, tick: Callable[[str], None]) -> tuple[DarkField, list[Problem]]:

@@ -51,7 +51,7 @@ def _content_problems(capture: GoniometerCapture, tick: Tick) -> list[Problem]:
         darks = measure_darks(reader, edges, tick)
     except CaptureError as e:
         return list(e.problems)
-    problems: list[Problem] = [*reader.warnings(), *darks.problems]
+    problems = list(darks.problems)
     digests: dict[str, str] = {}
     hot: list[str] = []
     for frame in capture.frames:
@@ -69,7 +69,7 @@ def _content_problems(capture: GoniometerCapture, tick: Tick) -> list[Problem]:
         found = f"{len(hot)} of {len(capture.observed)}: {', '.join(hot[:TOLD])}{more}"
         remedy = "Photograph them again with a shorter exposure_s beside the longer"
         problems.append(warning("some-saturated", "frames.csv", what, found=found, remedy=remedy))
-    return problems
+    return reader.warnings() + problems
 
 
 def _frame_problems(reader: FrameReader, frame: Frame, darks: DarkField, hot: list[str]) -> list[Problem]:

@@ -59,7 +59,7 @@ def turntable_content_problems(capture: TurntableCapture, tick: Tick) -> list[Pr
         reader = FrameReader.of(capture, "all", prove=False)  # the whole seal is verified apart
     except CaptureError as e:
         return list(e.problems)
-    problems: list[Problem] = [*reader.warnings(), *_reference_problems(reader, tick)]
+    problems = _reference_problems(reader, tick)
     digests: dict[str, str] = {}
     for frame in capture.frames:
         if frame.role != "dark":
@@ -73,7 +73,7 @@ def turntable_content_problems(capture: TurntableCapture, tick: Tick) -> list[Pr
         if frame.role in ("sample", "board") or (frame.role == "white" and frame.polariser):
             problems += _frame_problems(reader, frame)
             tick(frame.file)
-    return problems
+    return reader.warnings() + problems
 
 
 def _reference_problems(reader: FrameReader, tick: Tick) -> list[Problem]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
@@ -21,6 +21,10 @@ from nishiki.ingest.decode import to_luma
 from nishiki.ingest.linearise import LUMA_WEIGHTS, code_table, full_scale, saturation_code, srgb_to_linear
 
 Channels = Literal["all", "luminance", "green"]
+CAMERA_BITS = (10, 12, 14)
+"""Of cameras whose codes are stored in 16 bits."""
+NEAR_TOP = 31 / 32
+"""Of full scale: cameras clip a little below their largest code."""
 
 
 def region_of(capture: Capture, rows: int, columns: int) -> Region:
@@ -41,7 +45,7 @@ class FrameReader:
     """How to read this capture's photographs.
 
     rows, columns, dtype: of the first frame, which all others must match; digests: of a sealed capture's files, against
-    which every photograph is proven before it is decoded; empty otherwise.
+    which every photograph is proven before it is decoded; empty otherwise; largest: codes of the frames seen so far.
     """
 
     capture: Capture
@@ -51,6 +55,7 @@ class FrameReader:
     dtype: np.dtype
     region: Region
     digests: dict[str, str]
+    largest: list[float] = field(default_factory=list)
 
     @classmethod
     def of(
@@ -172,10 +177,20 @@ class FrameReader:
                 yield frame, codes
                 del codes
 
+    def see(self, frame: Frame, highest: float) -> None:
+        """Remember a frame's largest code. CaptureError (bits-exceeded) where it is beyond what camera.bits says."""
+        self.largest.append(highest)
+        if self.dtype.kind == "u" and highest > self.full:
+            expected, found = f"codes up to {self.full:.0f} as camera.bits says", f"{highest:.0f}"
+            remedy = "Correct camera.bits"
+            raise CaptureError(
+                error("bits-exceeded", frame.file, "code", expected=expected, found=found, remedy=remedy)
+            )
+
     def warnings(self) -> list[Problem]:
-        """What the user should know about these files as measurements."""
+        """What the user should know about these files as measurements, once the frames have been seen."""
         kinds = {frame.path.suffix.lower() for frame in self.capture.frames}
-        found = []
+        found = self._unsaid_bits()
         if self.capture.settings.camera.encoding == "srgb":
             what = "photographs are sRGB-coded: decoded with the standard curve, which cameras do not follow exactly"
             remedy = "Values are not linear radiance; photograph in raw where radiometry matters"
@@ -188,3 +203,18 @@ class FrameReader:
                 remedy = "Set camera.encoding: srgb unless the camera was told otherwise"
                 found.append(warning("jpeg-linear", "capture.yaml", what, remedy=remedy))
         return found
+
+    def _unsaid_bits(self) -> list[Problem]:
+        """A warning where the largest code of all frames lies near the top of fewer bits than the files have room for.
+
+        Full scale is then too large: saturated samples look like any others.
+        """
+        highest = max(self.largest, default=0.0)
+        if self.dtype != np.uint16 or self.capture.settings.camera.bits:
+            return []
+        bits = next((bits for bits in CAMERA_BITS if NEAR_TOP * 2**bits <= highest < 2**bits), None)
+        if bits is None:
+            return []
+        what, found = "largest code of all photographs", f"{highest:.0f}, just below 2^{bits}"
+        remedy = f"If the camera has {bits} bits, set camera.bits: {bits}; otherwise saturated samples are not noticed"
+        return [warning("bits-unsaid", "capture.yaml camera.bits", what, found=found, remedy=remedy)]

@@ -53,13 +53,7 @@ def region_labels(capture: GoniometerCapture, size: tuple[int, int]) -> np.ndarr
 def code_problems(frame: Frame, codes: np.ndarray, reader: FrameReader) -> list[Problem]:
     """What the codes of one frame say by themselves. CaptureError: bits-exceeded, not-finite in the whole window."""
     if reader.dtype.kind == "u":
-        highest = float(codes.max())
-        if highest > reader.full:
-            expected, found = f"codes up to {reader.full:.0f} as camera.bits says", f"{highest:.0f}"
-            remedy = "Correct camera.bits"
-            raise CaptureError(
-                error("bits-exceeded", frame.file, "code", expected=expected, found=found, remedy=remedy)
-            )
+        reader.see(frame, float(codes.max()))
         return []
     broken = int((~np.isfinite(codes)).any(axis=2).sum())
     if broken == codes.shape[0] * codes.shape[1]:

@@ -193,10 +193,7 @@ def _write_frames(
 def frame_problems(frame: Frame, counts: np.ndarray, highest: float, reader: FrameReader) -> list[Problem]:
     """What the sample values of one frame say; CaptureError (bits-exceeded, all-saturated, all-dark) if unusable."""
     saturated, dark, broken, inside = (int(v) for v in counts)
-    if reader.dtype.kind == "u" and highest > reader.full:
-        expected, found = f"codes up to {reader.full:.0f} as camera.bits says", f"{highest:.0f}"
-        remedy = "Correct camera.bits"
-        raise CaptureError(error("bits-exceeded", frame.file, "code", expected=expected, found=found, remedy=remedy))
+    reader.see(frame, highest)
     if saturated > ALL_SATURATED * inside:
         remedy = "Expose less, or leave this light out"
         raise CaptureError(error("all-saturated", frame.file, "the whole object is saturated", remedy=remedy))

@@ -172,10 +172,7 @@ def view_problems(
     picture without any usable sample is refused.
     """
     saturated, dark, broken, inside = (int(v) for v in counts)
-    if reader.dtype.kind == "u" and highest > reader.full:
-        expected, found = f"codes up to {reader.full:.0f} as camera.bits says", f"{highest:.0f}"
-        remedy = "Correct camera.bits"
-        raise CaptureError(error("bits-exceeded", frame.file, "code", expected=expected, found=found, remedy=remedy))
+    reader.see(frame, highest)
     if saturated > (ALL_SATURATED * inside if outlined else inside - 1):
         remedy = "Expose less, or leave this photograph out"
         raise CaptureError(error("all-saturated", frame.file, "the whole object is saturated", remedy=remedy))
