@@ -52,7 +52,7 @@ def is_one(path: Path) -> bool:
     """Whether there is one capture, artifact or table."""
     if path.suffix == ".npz":
         return path.name != "reflectance.npz"
-    return any((path / name).is_file() for name in ("capture.yaml", "reflectance.npz"))
+    return any((path / name).is_file() for name in ("capture.yaml", "data/capture.yaml", "reflectance.npz"))
 
 
 def read(path: Path) -> ReflectanceSet:
