@@ -256,7 +256,7 @@ def test_the_command_tells_each_problem_and_ends_with_status_1(results, capsys):
     told = capsys.readouterr().out.splitlines()
     assert ended.value.code == 1
     assert told[0].startswith(f"damaged: {folder / 'summary.json'} (sha256")
-    assert told[-1] == "16 artifacts verified, 80 files, 0.000 GB: 1 problems"
+    assert told[-1] == "16 artifacts verified, 80 files, 0.000 GB: 1 problem"
     with pytest.raises(SystemExit) as ended:
         main(["verify", "--json", "--set-aside", str(results)])
     first, last = map(json.loads, capsys.readouterr().out.splitlines())

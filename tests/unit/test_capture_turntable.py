@@ -387,19 +387,24 @@ def command(*words):
     return left.value.code
 
 
-def test_commands_convert_check_and_seal(tmp_path, capsys):
+def test_commands_convert_check_and_seal(tmp_path, capsys, monkeypatch):
     pictures(tmp_path / "s", [f"{i}.png" for i in range(4)])
     savemat(tmp_path / "s/P.mat", {"P": cells(ring_of_cameras(4))})
     assert command("convert", tmp_path / "s", tmp_path / "c", "--open", "--title", "Jar") == 0
     assert "turntable.mesh" in capsys.readouterr().out
     assert command("seal", tmp_path / "c") == 0
     assert command("check", tmp_path / "c") == 0
-    assert command("verify", tmp_path / "s", "--capture", tmp_path / "c") == 0
+    monkeypatch.chdir(tmp_path)
+    capsys.readouterr()
+    assert command("verify", "--capture", "c") == 0
+    assert capsys.readouterr().out == "c: as it was sealed\n"
+    assert command("verify", "s", "--capture", "c") == 2
+    assert "neither an artifact nor a crate" in capsys.readouterr().err
     assert load_capture(tmp_path / "c").settings.title == "Jar"
     assert command("convert", tmp_path / "s", tmp_path / "c") == 2
     write_frame(tmp_path / "c/data/frames/2.png", np.full((9, 9, 3), 5.0), np.uint8)
     assert command("check", tmp_path / "c") == 2
-    assert command("verify", tmp_path / "s", "--capture", tmp_path / "c") == 1
+    assert command("verify", "--capture", "c") == 1
 
 
 def test_the_example_of_the_documentation_is_a_sound_capture(tmp_path):

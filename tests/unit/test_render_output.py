@@ -1,5 +1,6 @@
 """Files: what other readers see in them, and that the same values give the same bytes."""
 
+import errno
 import struct
 import sys
 import zlib
@@ -44,6 +45,18 @@ def png_chunks(path):
         chunks.append((kind, body))
         at += 12 + size
     return chunks
+
+
+def test_a_full_disk_is_told_by_the_system_s_reason(tmp_path, monkeypatch):
+    """OpenEXR tells it in words only; whoever catches OSError has to see it."""
+    monkeypatch.setattr("nishiki.render.output._unfinished", lambda path: "/dev/full")
+    with pytest.raises(OSError, match="No space left") as told:
+        write_exr(tmp_path / "x.exr", picture(), stamp={})
+    assert told.value.errno == errno.ENOSPC
+    assert told.value.filename == str(tmp_path / "x.exr")
+    monkeypatch.setattr("nishiki.render.output._unfinished", lambda path: tmp_path / "none/x.exr")
+    with pytest.raises(RuntimeError, match="No such file"):
+        write_exr(tmp_path / "x.exr", picture(), stamp={})
 
 
 def test_exr_round_trip_header_and_bytes(tmp_path):

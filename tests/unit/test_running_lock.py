@@ -149,6 +149,9 @@ def test_the_engine_of_a_dead_command_line_is_alive(start):
     child = "import time; print('ready', flush=True); time.sleep(60)"
     process = start("a", CALL.format(child=child))
     kill(process)
+    (engine,) = processes.marked(MARK, records(Path("results"))[0].facts["id"])
+    with pytest.raises(UserError, match=f"that process is gone, its Snakemake and jobs go on: {engine}[.]"):
+        run_once("a")
     with pytest.raises(UserError, match="is alive"):
         run_once("a")
     (engine,) = processes.marked(MARK, records(Path("results"))[0].facts["id"])

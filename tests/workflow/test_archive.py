@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -70,6 +71,31 @@ def test_a_killed_run_is_resumed_by_one_command_and_a_live_one_is_left_alone(sit
     assert stages_listed(site) == []
     assert "sound" in site.nishiki("verify").stdout
     assert site.would_run() == []
+
+
+def test_an_interrupted_run_says_so_without_tracebacks_and_goes_on(site):
+    undisturbed = json.loads((site.folder / "results/tiny/current/index.json").read_text())
+    shutil.rmtree(site.folder / "results")
+    process = start(site)
+    try:
+        wait_for(lambda: list((site.folder / "results/tiny").glob("normals/*")), process)  # its stage starts now
+        time.sleep(1.0)
+        os.killpg(process.pid, signal.SIGINT)
+        process.wait(timeout=60)
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+    told = (site.folder / "run.log").read_text()
+    assert process.returncode == 1
+    assert "Traceback" not in told
+    assert "interrupted: its jobs were ended" in told
+    assert "0 of 1 scenes are finished; not: tiny (at " in told
+    done = site.nishiki("run", "--dry-run")
+    assert "cannot be locked" not in done.stdout + done.stderr
+    site.nishiki("run")
+    now = json.loads((site.folder / "results/tiny/current/index.json").read_text())
+    assert now == undisturbed
 
 
 def test_a_clock_that_went_backwards_neither_repeats_nor_skips_anything(site):

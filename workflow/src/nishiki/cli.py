@@ -3,7 +3,7 @@
 import argparse
 import sys
 
-from nishiki.errors import UserError
+from nishiki.errors import UserError, printable
 from nishiki.version import PROJECT_VERSION
 
 DESCRIPTION = """\
@@ -33,17 +33,28 @@ def main(arguments: list[str] | None = None) -> None:
         raise SystemExit(2) from None
     except BrokenPipeError:
         raise SystemExit(0) from None
+    except KeyboardInterrupt:
+        print(f"nishiki {options.command}: interrupted", file=sys.stderr)
+        raise SystemExit(130) from None
+    except OSError as error:
+        if not isinstance(error.filename, str | bytes):
+            raise
+        print(f"nishiki {options.command}: {printable(str(error.filename))}: {error.strerror}", file=sys.stderr)
+        raise SystemExit(2) from None
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="nishiki", description=DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog="nishiki",
+        description=DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
     )
     parser.add_argument("--version", action="version", version=f"nishiki {PROJECT_VERSION}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", title="commands")
 
-    def command(name: str, function: str, text: str) -> argparse.ArgumentParser:
-        sub = commands.add_parser(name, help=text, description=text)
+    def command(name: str, function: str, text: str, **options) -> argparse.ArgumentParser:
+        sub = commands.add_parser(name, help=text, description=text, allow_abbrev=False, **options)
         sub.set_defaults(call=lambda options, rest: _call(function, options, rest))
         return sub
 
@@ -54,7 +65,8 @@ def _parser() -> argparse.ArgumentParser:
     command("test", "running:test", "run the tests; further arguments go to pytest")
     sub = command("run", "running:run", "make everything that the configuration asks for; further arguments: snakemake")
     sub.add_argument("--configfile", default="config/config.yaml", help="configuration (default %(default)s)")
-    sub.add_argument("--cores", help="processors to use (default: all; on a cluster: as many as it gives)")
+    text = "processors to use (default: all; on a cluster: as many as it gives)"
+    sub.add_argument("--cores", type=_cores, help=text)
     sub.add_argument("--profile", default="default", help="slurm for a cluster, or a folder of Snakemake's options")
     _with_gone(sub)
     sub = command(
@@ -62,7 +74,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     sub.add_argument("sweeps", nargs="+", metavar="SWEEP", help="files, or names of blocks of `sweeps`")
     sub.add_argument("--configfile", help="configuration (default: the one that the file names, config/config.yaml)")
-    sub.add_argument("--cores", help="processors to use (default: all)")
+    sub.add_argument("--cores", type=_cores, help="processors to use (default: all)")
     sub.add_argument("--profile", default="default", help="slurm for a cluster, or a folder of Snakemake's options")
     _with_gone(sub)
     sub = command("plan", "planning:plan", "what will run, be read and be loaded; what is left out and why")
@@ -123,7 +135,8 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--roi", nargs=4, type=int, metavar=("ROW", "COLUMN", "ROWS", "COLUMNS"), help="crop")
     sub = command("compile", "running:compile_kernels", "compile all kernels, by running tiny scenes somewhere else")
     sub.add_argument("--plane", action="store_true", help="only what paintings need")
-    command("simulate", "running:simulate", "photograph a simulated painting, object or cloth; --help tells more")
+    text = "photograph a simulated painting, object or cloth; --help tells more"
+    command("simulate", "running:simulate", text, add_help=False)
     command("schema", "inspecting:schema", "print the JSON schema of config.yaml")
     return parser
 
@@ -136,6 +149,12 @@ def _with_scene(sub: argparse.ArgumentParser) -> None:
 def _with_gone(sub: argparse.ArgumentParser) -> None:
     text = "a machine on which no run is alive any more, though its record says no end (repeatable)"
     sub.add_argument("--host-is-gone", action="append", default=[], metavar="HOST", help=text)
+
+
+def _cores(text: str) -> str:
+    if text != "all" and not (text.isascii() and text.isdecimal() and int(text) > 0):
+        raise argparse.ArgumentTypeError(f"expected a number of processors from 1, or all, found {text!r}")
+    return text
 
 
 def _call(function: str, options: argparse.Namespace, rest: list[str]) -> int | None:

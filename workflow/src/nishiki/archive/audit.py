@@ -38,6 +38,11 @@ class Found:
     unfinished: list[Path] = field(default_factory=list)
     aside: list[Path] = field(default_factory=list)
 
+    @property
+    def empty(self) -> bool:
+        """Whether nothing is there that a run or pack has made; published links alone are nothing."""
+        return not (self.artifacts or self.crates or self.damages or self.unfinished or self.aside)
+
 
 @dataclass
 class Counts:
@@ -83,7 +88,7 @@ def _look(folder: Path, found: Found, todo: list[Path]) -> None:
             told = f"not followed, to {os.readlink(path)}; verify its target itself"
             found.damages.append(Damage(path, "link", told))
         elif not entry.is_dir(follow_symlinks=False):
-            continue
+            found.crates += [path] if path.suffix.lower() == ".zip" else []
         elif ".set-aside-" in entry.name:
             found.aside.append(path)
         elif entry.name.startswith("."):

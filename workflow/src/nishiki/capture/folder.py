@@ -17,7 +17,7 @@ from nishiki.capture.frames import DIALECTS, Frame, dialect_of, inside, read_fra
 from nishiki.capture.goniometer import GoniometerCapture, examine_goniometer
 from nishiki.capture.lights import Lights, direction_problems, read_lights
 from nishiki.capture.photographed import Photographed
-from nishiki.capture.problems import CaptureError, Problem, error, raise_errors, warning
+from nishiki.capture.problems import WHERE_IS_IT, CaptureError, Problem, error, raise_errors, warning
 from nishiki.capture.schema import NAMED_ILLUMINANTS, CaptureFile, Session, geometry_named, read_capture_file
 from nishiki.capture.spectra_tables import Curves, read_curves
 from nishiki.capture.tables import expect_rows, reading, table_lines
@@ -73,7 +73,7 @@ def payload_of(root: Path) -> Path:
             remedy = "Run seal again on the same name: it finishes what was begun; nothing is lost"
             what = "sealing was interrupted"
             raise CaptureError(error("seal-interrupted", str(root), what, found=half.name, remedy=remedy))
-        raise CaptureError(error("folder-missing", str(root), "no such capture folder"))
+        raise CaptureError(error("folder-missing", str(root), "no such capture folder", remedy=WHERE_IS_IT))
     for payload in (root / "data", root):
         description = payload / "capture.yaml"
         if description.is_file():

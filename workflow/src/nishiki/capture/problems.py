@@ -8,6 +8,8 @@ from typing import Literal
 
 from nishiki.errors import UserError, printable
 
+WHERE_IS_IT = "Correct the path; ./nishiki convert makes a capture of photographs, ./nishiki demo makes one to try"
+
 
 @dataclass(frozen=True)
 class Problem:

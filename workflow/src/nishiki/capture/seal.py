@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from datetime import date as Date
 from pathlib import Path
 
-from nishiki.capture.problems import CaptureError, Problem, error, raise_errors
+from nishiki.capture.problems import WHERE_IS_IT, CaptureError, Problem, error, raise_errors
 from nishiki.capture.tables import refusal
 from nishiki.outside.files import Refused, is_plain, leads_out, open_regular, read_bytes, walk
 
@@ -148,7 +148,7 @@ def seal(root: Path, *, progress: Callable[[str], None] | None = None) -> str:
         os.rename(half, root)
         return capture_digest(root)
     if not root.is_dir():
-        raise CaptureError(error("folder-missing", str(root), "no such capture folder"))
+        raise CaptureError(error("folder-missing", str(root), "no such capture folder", remedy=WHERE_IS_IT))
     if (root / "bagit.txt").is_file():
         remedy = "A sealed capture stays as it is; copy its data folder to make another capture"
         raise CaptureError(error("seal-done", str(root), "capture is already sealed", remedy=remedy))

@@ -18,9 +18,11 @@ from nishiki.threads import threads as given_threads
 def verify(options: argparse.Namespace, rest: list[str]) -> int:
     """Verify every artifact below the folders; exit status 1 where anything is damaged, missing or foreign."""
     folders = [Path(folder) for folder in options.folders or ["results"]]
+    if not options.folders and options.capture and not folders[0].is_dir():
+        folders = []  # the capture alone is asked for
     for folder in folders:
         if not folder.is_dir() and not is_crate(folder):
-            raise UserError(f"{folder}: neither a folder nor a ZIP file")
+            raise UserError(f"{folder}: neither a folder nor a ZIP file. Remedy: name the folder of the results")
     counts = Counts()
     threads = options.threads or given_threads()
     found = find_artifacts(folder for folder in folders if not is_crate(folder))
@@ -29,14 +31,21 @@ def verify(options: argparse.Namespace, rest: list[str]) -> int:
         counts.problems += _verify_crate(crate, threads, options.json)
     if crates and not found.artifacts and not options.capture:
         return 1 if counts.problems else 0
+    if folders and not crates and found.empty:
+        what = "neither an artifact nor a crate in it"
+        raise UserError(f"{', '.join(map(str, folders))}: {what}. Remedy: name results, a scene or a stage")
     unsound = _told(audit(found, counts, threads=threads, tell=Progress("verify")), options.json)
     for capture in options.capture:
         from nishiki.capture.seal import verify_seal
 
-        for problem in verify_seal(Path(capture)):
-            counts.problems += 1
+        problems = list(verify_seal(Path(capture)))
+        for problem in problems:
             _tell(Damage(Path(capture), "damaged", str(problem)), options.json)
-    _summary(found, counts, options.json)
+        counts.problems += len(problems)
+        if not options.json:
+            print(f"{shown(Path(capture))}: {amount(len(problems), 'problem') if problems else 'as it was sealed'}")
+    if folders or options.json:
+        _summary(found, counts, options.json)
     if options.set_aside:
         _set_aside(unsound)
     return 1 if counts.problems else 0
@@ -53,7 +62,7 @@ def _verify_crate(path: Path, threads: int, as_json: bool) -> int:
         print(json.dumps({**asdict(audited), "root": str(path), "problems": problems, "sound": not problems}))
         return problems
     raw = "with its photographs" if audited.photographs else "without its photographs"
-    state = f"{problems} problems" if problems else "sound"
+    state = amount(problems, "problem") if problems else "sound"
     print(
         f"{shown(path)}: scene {shown(audited.scene)}, {len(audited.stages)} results from capture "
         f"{audited.capture[:12]} ({raw}), {audited.files} files, {audited.bytes / 1e9:.3f} GB: {state}; "
@@ -84,11 +93,17 @@ def _summary(found: Found, counts: Counts, as_json: bool) -> None:
         others = {"unfinished": len(found.unfinished), "set_aside": len(found.aside)}
         print(json.dumps({**asdict(counts), **others, "sound": not counts.problems}))
         return
-    state = f"{counts.problems} problems" if counts.problems else "sound"
-    print(f"{counts.artifacts} artifacts verified, {counts.files} files, {counts.bytes / 1e9:.3f} GB: {state}")
+    state = amount(counts.problems, "problem") if counts.problems else "sound"
+    size = f"{counts.files} files, {counts.bytes / 1e9:.3f} GB"
+    print(f"{amount(counts.artifacts, 'artifact')} verified, {size}: {state}")
     if found.unfinished or found.aside:
         unfinished, aside = len(found.unfinished), len(found.aside)
         print(f"not audited: {unfinished} unfinished folders, {aside} set aside; see ./nishiki prune")
+
+
+def amount(count: int, thing: str) -> str:
+    """A number of things in words."""
+    return f"{count} {thing}{'s' * (count != 1)}"
 
 
 def _set_aside(unsound: set[Path]) -> None:

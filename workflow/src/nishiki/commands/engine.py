@@ -30,8 +30,8 @@ def call_engine(flow: Workflow, command: list[str], *, gone: Iterable[str] = ())
     """
     # Every stage is a process: without compiled bytecode each would compile the same imports again.
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
-    if LOOKS_ONLY & set(command):
-        return subprocess.run(command, check=False, env=environment).returncode
+    if LOOKS_ONLY & set(command):  # whoever only looks takes no lock, and stumbles over none
+        return subprocess.run([*command[:3], "--nolock", *command[3:]], check=False, env=environment).returncode
     results = Path(flow.results)
     if "--unlock" in command:
         refuse_while_running(results, "the lock stays")
@@ -39,7 +39,9 @@ def call_engine(flow: Workflow, command: list[str], *, gone: Iterable[str] = ())
     with registered(results, flow.plans, gone=gone, tell=_tell) as held:
         set_aside_unsound(dict(_plans(flow)), _tell, contents=held.unclean)
         status = held.call(command, environment)
-        held.ended = "failed" if status else "done"
+        held.ended = "done" if not status else "interrupted" if held.stopped else "failed"
+        if status and held.stopped:
+            _tell("interrupted: its jobs were ended")
     return status
 
 

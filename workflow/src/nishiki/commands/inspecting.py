@@ -16,7 +16,7 @@ PROJECT = Path(__file__).resolve().parents[4]
 
 
 def _workflow(options: argparse.Namespace) -> Workflow:
-    return Workflow(load_yaml(options.configfile), folder=PROJECT, only=options.scene)
+    return Workflow(load_yaml(options.configfile), folder=PROJECT, only=options.scene, file=options.configfile)
 
 
 def stage_state(flow: Workflow, scene: str, stage: str) -> tuple[str, list[str]]:

@@ -21,7 +21,7 @@ def plan(options: argparse.Namespace, rest: list[str]) -> None:
 
     With --json one JSON object a scene and line.
     """
-    flow = Workflow(load_yaml(options.configfile), folder=PROJECT, only=options.scene)
+    flow = Workflow(load_yaml(options.configfile), folder=PROJECT, only=options.scene, file=options.configfile)
     for name in flow.plans:
         told = scene_plan(flow, name)
         print(json.dumps(told, sort_keys=True) if options.json else text_of(told))

@@ -17,6 +17,8 @@ DEMOS = {
     "jar": ("object", "config/object.yaml"),
     "satin": ("satin", "config/fabric.yaml"),
 }
+NAMED = 20
+"""Unfinished scenes that are told by name."""
 TINY = {"plane": "tiny", "turntable": "object-tiny", "goniometer": "satin-tiny"}
 """A small simulated scene for each geometry."""
 
@@ -37,7 +39,7 @@ def run(options: argparse.Namespace, rest: list[str]) -> int:
     from nishiki.planning.project import load_yaml
     from nishiki.planning.workflow import Workflow
 
-    flow = Workflow(load_yaml(options.configfile), folder=PROJECT)
+    flow = Workflow(load_yaml(options.configfile), folder=PROJECT, file=options.configfile)
     expect_packages(flow)
     command = [
         sys.executable,
@@ -52,9 +54,9 @@ def run(options: argparse.Namespace, rest: list[str]) -> int:
     ]
     start = time.monotonic()
     status = call_engine(flow, command, gone=options.host_is_gone)
-    if status == 0 and not LOOKS_ONLY & set(rest):
-        _tell(flow, time.monotonic() - start)
-    return 1 if status else 0
+    if not LOOKS_ONLY & set(rest):
+        (_tell_unfinished(flow) if status else _tell(flow, time.monotonic() - start))
+    return status if status in (0, 2) else 1  # 2: Snakemake does not know an option
 
 
 def profile_arguments(name: str, cores: str | None, scenes: Iterable[Iterable[Path]] = ()) -> list[str]:
@@ -91,8 +93,22 @@ def _tell(flow, seconds: float) -> None:
     for scene in flow.plans:
         report = Path(flow.results, scene, "current", "report.html")
         where = report if report.is_file() else report.parent
-        print(f"{scene}: {where}")
+        if where.exists():  # not where only some of its artifacts were asked for
+            print(f"{scene}: {where}")
     print(f"done in {seconds:.1f} s")
+
+
+def _tell_unfinished(flow) -> None:
+    """Which scenes a run that failed has not finished, and where each stands."""
+    next_of = {}
+    for scene, plan in flow.plans.items():
+        missing = [stage for stage in plan.stages if not Path(flow.artifact(scene, stage)).is_file()]
+        if missing:
+            next_of[scene] = missing[0]
+    named = [f"{scene} (at {stage})" for scene, stage in next_of.items()]
+    text = ", ".join(named[:NAMED]) + (f" and {len(named) - NAMED} more" if len(named) > NAMED else "")
+    done = f"{len(flow.plans) - len(named)} of {len(flow.plans)} scenes are finished"
+    print(f"{done}; not: {text}. What is finished stays: the same command goes on from there", file=sys.stderr)
 
 
 def demo(options: argparse.Namespace, rest: list[str]) -> int:

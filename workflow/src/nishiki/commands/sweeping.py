@@ -27,7 +27,7 @@ def _one(named: str, options: argparse.Namespace, rest: list[str]) -> int:
     values = load_yaml(Path(configfile))
     if not isinstance(values, dict):
         raise UserError(f"{configfile}: expected a block of keys and values, found {type(values).__name__}")
-    flow = Workflow({**values, "sweep": named}, folder=PROJECT)
+    flow = Workflow({**values, "sweep": named}, folder=PROJECT, file=configfile)
     tell_plan(flow)
     target = flow.sweep_path("sweep.json")
     command = [sys.executable, "-m", "snakemake", "--snakefile", str(PROJECT / "Snakefile"), "--configfile", configfile]

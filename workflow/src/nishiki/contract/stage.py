@@ -23,6 +23,8 @@ from nishiki.progress import Progress
 from nishiki.version import PROJECT_VERSION
 
 Item = TypeVar("Item")
+NAMELESS = "scene"
+"""Scene of a stage that is run by hand without a name."""
 
 
 @dataclass(frozen=True)
@@ -55,16 +57,21 @@ def run_stage(
 
     digest_of_capture: for the first stage, whose key starts from the capture instead of upstream artifacts.
     """
+    arguments = _arguments(settings_model, description)
+    who = settings_model.STAGE if arguments.scene == NAMELESS else f"{arguments.scene}/{settings_model.STAGE}"
     try:
-        _run(settings_model, run, _arguments(settings_model, description), digest_of_capture)
+        _run(settings_model, run, arguments, digest_of_capture)
     except UserError as error:
-        print(f"nishiki {settings_model.STAGE}: {error}", file=sys.stderr)
+        print(f"nishiki {who}: {error}", file=sys.stderr)
         raise SystemExit(2) from None
+    except KeyboardInterrupt:
+        print(f"nishiki {who}: interrupted", file=sys.stderr)
+        raise SystemExit(130) from None
     except (OSError, MemoryError) as error:
         message = _of_the_machine(error)
         if message is None:
             raise
-        print(f"nishiki {settings_model.STAGE}: {message}. Nothing finished is lost.", file=sys.stderr)
+        print(f"nishiki {who}: {message}. Nothing finished is lost.", file=sys.stderr)
         raise SystemExit(2) from None
 
 
@@ -94,7 +101,7 @@ def _arguments(model: type[Closed], description: str) -> argparse.Namespace:
         formatter_class=argparse.RawDescriptionHelpFormatter,
         epilog="settings:\n" + "\n".join(_help_of(model)),
     )
-    parser.add_argument("--scene", default="scene", help="name of the scene, for stamps and messages")
+    parser.add_argument("--scene", default=NAMELESS, help="name of the scene, for stamps and messages")
     parser.add_argument("--inputs", nargs="*", default=[], metavar="FOLDER", help="artifacts of the upstream stages")
     parser.add_argument("--capture", type=Path, help="capture folder (ingest only)")
     parser.add_argument("--truth", type=Path, help="folder of the truth (evaluate)")

@@ -17,7 +17,7 @@ def scene_facts(scene: Scene) -> SceneFacts:
     try:
         capture = load_capture(scene.capture)
     except UserError as error:
-        raise UserError(f"scene {scene.name!r}: {error}") from None
+        raise UserError(f"scene {scene.name!r} of the scene table: {error}") from None
     if not capture.sealed:
         raise UserError(
             f"scene {scene.name!r}: capture {scene.capture} is not sealed. Remedy: ./nishiki seal {scene.capture}"

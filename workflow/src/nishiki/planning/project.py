@@ -17,6 +17,7 @@ from nishiki.outside import plain_yaml
 from nishiki.outside.files import is_plain, read_text
 from nishiki.sweep.settings import SweepName, SweepSettings
 
+CONFIGURATION = "config/config.yaml"
 COLUMNS = ("scene", "capture", "truth", "products", "settings")
 SCATTERED = tuple(name for name, stage in CHAIN.items() if stage.scatter)
 SWEEPS = "sweeps"
@@ -103,7 +104,7 @@ def load_yaml(path: Path) -> dict:
         raise UserError(f"{path}{line}: not valid YAML ({getattr(error, 'problem', error)})") from None
 
 
-def load_project(values: dict | None = None, *, path: Path = Path("config/config.yaml")) -> Project:
+def load_project(values: dict | None = None, *, path: Path = Path(CONFIGURATION)) -> Project:
     """Project from `values` (as parsed from `path`), or from the file itself where values are None.
 
     Raises UserError naming file, key or row, what was expected and found.
@@ -116,6 +117,8 @@ def load_project(values: dict | None = None, *, path: Path = Path("config/config
         if scene.name in scenes:
             raise UserError(f"{configuration.scenes}: scene {scene.name!r} stands in the table twice")
         scenes[scene.name] = scene
+    if not scenes:
+        raise UserError(f"{configuration.scenes}: no scene in the table. Remedy: add a row: name, capture folder")
     return Project(configuration, scenes)
 
 
@@ -129,7 +132,7 @@ def _read_scenes(configuration: Configuration, values: dict, table: Path) -> lis
         raise UserError(f"{table}: expected a tab-separated table in UTF-8 ({error})") from None
     header = tuple(rows[0]) if rows else ()
     if not {"scene", "capture"} <= set(header) <= set(COLUMNS):
-        found = ", ".join(header)[:200]
+        found = ", ".join(header)[:200] or "an empty file"
         raise UserError(f"{table}: expected tab-separated columns {', '.join(COLUMNS)}, found {found}")
     return [_scene(dict(zip(header, row, strict=False)), configuration, values, table) for row in rows[1:]]
 

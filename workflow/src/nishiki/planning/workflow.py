@@ -13,7 +13,7 @@ from nishiki.contract.provenance import canonical, code_digest, library_version
 from nishiki.errors import UserError
 from nishiki.planning.facts_cache import remembered_facts
 from nishiki.planning.plan import Plan, PlannedStage, make_plan
-from nishiki.planning.project import SWEEPS, Scene, load_project
+from nishiki.planning.project import CONFIGURATION, SWEEPS, Scene, load_project
 from nishiki.planning.scheduling import Scheduling
 from nishiki.planning.sweep_plan import TIMINGS, PlannedSweep, PlannedVariant, SceneSweep, plan_sweep
 
@@ -49,10 +49,12 @@ class Workflow(Scheduling):
         folder: str | Path = ".",
         only: str | None = None,
         lazy: bool = False,
+        file: str | Path = CONFIGURATION,
     ):
-        """Plan all scenes, or one of them; lazy: each when it is first asked for. Raises UserError for bad input."""
+        """Plan all scenes, or one of them; lazy: each when it is first asked for; file: where the configuration stands,
+        for messages. Raises UserError for bad input."""
         self.folder = Path(folder)
-        self.project = load_project(configuration)
+        self.project = load_project(configuration, path=Path(file))
         self.results = str(self.project.results)
         if only and only not in self.project.scenes:
             raise UserError(f"no scene {only!r} in the scene table; scenes: {', '.join(self.project.scenes)}")

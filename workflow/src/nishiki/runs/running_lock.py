@@ -27,13 +27,14 @@ SHARED = ("sweeps",)
 
 @dataclass
 class HeldRun:
-    """This run while it is registered. unclean: a run of these scenes was killed before it."""
+    """This run while it is registered. unclean: a run of these scenes was killed before it; stopped: by the user."""
 
     path: Path
     descriptor: int
     facts: dict[str, Any]
     unclean: bool
     ended: str = "failed"
+    stopped: bool = False
 
     def call(self, command: list[str], environment: dict[str, str]) -> int:
         """Run Snakemake as a part of this run and wait for its end; its exit status.
@@ -45,11 +46,18 @@ class HeldRun:
         ours = threading.current_thread() is threading.main_thread()
         heeded = signal.getsignal(signal.SIGINT) != signal.SIG_IGN  # a shell starts what stands before & without it
         passed_on = signal.SIGINT if heeded else signal.SIGTERM
-        before = signal.signal(signal.SIGTERM, lambda *_: child.send_signal(passed_on)) if ours else None
+
+        def stop(*_) -> None:
+            self.stopped = True
+            child.send_signal(passed_on)
+
+        before = signal.signal(signal.SIGTERM, stop) if ours else None
         try:
             while True:
-                with suppress(KeyboardInterrupt):
+                try:
                     return child.wait()
+                except KeyboardInterrupt:
+                    self.stopped = True
         finally:
             if ours:
                 signal.signal(signal.SIGTERM, before)
@@ -91,9 +99,16 @@ def _refuse(results: Path, record: Record, scenes: set[str], gone: set[str]) -> 
     if record.state == "alive":
         which = sorted(record.scenes & scenes)
         named = ", ".join(which[:5]) + (f" and {len(which) - 5} more" if len(which) > 5 else "")
-        raise UserError(f"{results}: a run of {named} is alive: {record}. Remedy: wait for its end, or end it")
+        left = "" if processes.is_alive(record.facts.get("process", "")) else _left_of(record)
+        raise UserError(f"{results}: a run of {named} is alive: {record}{left}. Remedy: wait for its end, or end it")
     if record.state == "elsewhere" and record.host not in gone:
         raise UserError(f"{results}: {record.unknown()}")
+
+
+def _left_of(record: Record) -> str:
+    """Processes of a run whose own process is gone, for whoever wants to end them."""
+    left = processes.marked(MARK, record.facts.get("id", ""))
+    return f"; that process is gone, its Snakemake and jobs go on: {', '.join(map(str, left))}" if left else ""
 
 
 @contextmanager

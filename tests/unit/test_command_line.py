@@ -1,0 +1,87 @@
+"""What the command line says of itself and of bad arguments: one line, exit status 2."""
+
+import pytest
+
+from nishiki.cli import main
+
+
+def said(capsys, *words):
+    """Exit status and what was printed on standard error."""
+    with pytest.raises(SystemExit) as left:
+        main([str(word) for word in words])
+    return left.value.code, capsys.readouterr().err
+
+
+@pytest.fixture
+def project(tmp_path, monkeypatch):
+    """A folder with a configuration of its own name and a table without scenes."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.yaml").write_text("scenes: table.tsv\n")
+    (tmp_path / "table.tsv").write_text("scene\tcapture\n")
+    return tmp_path
+
+
+@pytest.mark.parametrize("cores", ["0", "-1", "two", "1.5", "", "²"])
+def test_cores_are_a_number_from_one_or_all(capsys, cores):
+    status, told = said(capsys, "run", f"--cores={cores}")
+    assert status == 2
+    assert "expected a number of processors from 1, or all" in told
+
+
+def test_options_are_not_guessed_from_their_beginnings(capsys, project):
+    """`--config a=1` is Snakemake's, not the beginning of --configfile."""
+    status, told = said(capsys, "run", "--config", "a=1")
+    assert status == 2
+    assert "config/config.yaml: file not found" in told
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [("scenes: table.tsv\nheigth: {}\n", "heigth"), ("scenes: table.tsv\nheight: {method: no}\n", "height.method")],
+)
+def test_mistakes_in_settings_name_the_file_that_was_given(capsys, project, text, words):
+    (project / "mine.yaml").write_text(text)
+    status, told = said(capsys, "plan", "--configfile", "mine.yaml")
+    assert status == 2
+    assert told.startswith("nishiki plan: mine.yaml")
+    assert words in told
+
+
+def test_a_table_without_scenes_is_told(capsys, project):
+    assert said(capsys, "plan", "--configfile", "mine.yaml") == (
+        2,
+        "nishiki plan: table.tsv: no scene in the table. Remedy: add a row: name, capture folder\n",
+    )
+    (project / "table.tsv").write_text("")
+    assert "found an empty file" in said(capsys, "plan", "--configfile", "mine.yaml")[1]
+
+
+def test_a_capture_that_is_not_there_is_told_with_the_way_to_one(capsys, project):
+    (project / "table.tsv").write_text("scene\tcapture\nwing\tcaptures/wing\n")
+    status, told = said(capsys, "plan", "--configfile", "mine.yaml")
+    assert status == 2
+    for words in ("scene 'wing' of the scene table", "captures/wing: no such capture folder", "./nishiki convert"):
+        assert words in told
+
+
+def test_verify_without_anything_to_verify_is_no_success(capsys, project):
+    (project / "empty").mkdir()
+    status, told = said(capsys, "verify", "empty")
+    assert status == 2
+    assert "neither an artifact nor a crate" in told
+
+
+def test_files_that_the_system_refuses_are_told_in_one_line(capsys, project, monkeypatch):
+    def refuse(options, rest):
+        raise PermissionError(13, "Permission denied", "/nowhere/x\n")
+
+    monkeypatch.setattr("nishiki.commands.inspecting.schema", refuse)
+    assert said(capsys, "schema") == (2, "nishiki schema: /nowhere/x\\n: Permission denied\n")
+
+
+def test_an_interrupt_is_told_in_one_line(capsys, monkeypatch):
+    def interrupt(options, rest):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("nishiki.commands.inspecting.schema", interrupt)
+    assert said(capsys, "schema") == (130, "nishiki schema: interrupted\n")
