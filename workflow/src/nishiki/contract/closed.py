@@ -1,6 +1,7 @@
 """Closed settings models: an unknown key is an error that names the nearest known one."""
 
 import difflib
+import re
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
@@ -49,8 +50,62 @@ def parse(model: type[Model], values: Any, where: str) -> Model:
     try:
         return model.model_validate(values)
     except ValidationError as error:
-        problems = "; ".join(_explain(model, problem) for problem in error.errors())
-        raise UserError(f"{where}: {problems}") from None
+        raise UserError(f"{where}: {'; '.join(_explained(model, values, error.errors()))}") from None
+
+
+def _explained(model: type[Closed], values: dict, problems: list[dict]) -> list[str]:
+    """One text for each value that is wrong. A value of several kinds has a problem for each: those of the kind that it
+    comes nearest to are told, or all in one."""
+    found: dict[tuple, list[tuple[tuple, dict]]] = {}
+    for problem in problems:
+        path, chosen = _written(values, problem["loc"])
+        found.setdefault(chosen, []).append((path, problem))
+    texts = []
+    for chosen, several in found.items():
+        deepest = max(len(path) for path, _ in several)
+        nearest = [(path, problem) for path, problem in several if len(path) == deepest]
+        if len(nearest) == 1 or deepest > len(chosen):
+            texts += [_explain(model, {**problem, "loc": path}) for path, problem in nearest]
+        else:
+            wanted = dict.fromkeys(_plain(problem["msg"]).removeprefix("input should be ") for _, problem in nearest)
+            path = ".".join(map(str, chosen))
+            texts.append(f"{path}: input should be {' or '.join(wanted)}, found {nearest[0][1]['input']!r}")
+    return texts
+
+
+def _written(values: Any, place: tuple) -> tuple[tuple, tuple]:
+    """The keys of a problem's place as the user wrote them, and those up to where the kind of a value is chosen.
+
+    Between them, pydantic names the kinds that it tried. A key that is missing or unknown ends the way.
+    """
+    path: list = []
+    chosen = None
+    for number, part in enumerate(place):
+        inside = isinstance(values, dict) and part in values
+        listed = isinstance(values, list | tuple) and isinstance(part, int) and part < len(values)
+        if inside or listed:
+            path.append(part)
+            values = values[part]
+        elif number + 1 == len(place) and _may_be_missing(values, part):
+            path.append(part)
+        elif chosen is None:
+            chosen = tuple(path)
+    return tuple(path), tuple(path) if chosen is None else chosen
+
+
+def _may_be_missing(values: Any, part: str | int) -> bool:
+    """Whether the last part of a problem's place is what a block or list lacks, or should not have."""
+    if isinstance(part, int):
+        return isinstance(values, list | tuple)
+    return isinstance(values, dict) and "[" not in part  # not "[key]", nor a kind like "literal['auto']"
+
+
+def _plain(message: str) -> str:
+    """A message of pydantic in the words of the configuration."""
+    text = message[0].lower() + message[1:]
+    text = re.sub(r"a valid dictionary( or instance of \w+)?", "a block of keys and values", text)
+    text = re.sub(r"a valid (tuple|list|array)", "a list", text)
+    return re.sub(r"a valid (integer|number), unable to parse string as (an?) \w+", r"\2 \1", text)
 
 
 def _explain(model: type[Closed], problem: dict) -> str:
@@ -62,7 +117,7 @@ def _explain(model: type[Closed], problem: dict) -> str:
         return f"unknown key {path!r}; {hint}"
     if problem["type"] == "missing":
         return f"key {path!r} is missing"
-    return f"{path}: {problem['msg'][0].lower()}{problem['msg'][1:]}, found {problem['input']!r}"
+    return f"{path}: {_plain(problem['msg'])}, found {problem['input']!r}"
 
 
 def _known_keys(model: type[Closed], path: tuple) -> list[str]:
