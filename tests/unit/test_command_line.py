@@ -52,6 +52,11 @@ def test_a_table_without_scenes_is_told(capsys, project):
         2,
         "nishiki plan: table.tsv: no scene in the table. Remedy: add a row: name, capture folder\n",
     )
+    (project / "table.tsv").write_text("scene\tcapture\na\tb\t\nc\td\te\tf\n")
+    assert (
+        "scene 'c': expected 2 values as there are columns, found 4"
+        in said(capsys, "plan", "--configfile", "mine.yaml")[1]
+    )
     (project / "table.tsv").write_text("")
     assert "found an empty file" in said(capsys, "plan", "--configfile", "mine.yaml")[1]
 

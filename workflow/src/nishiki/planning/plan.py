@@ -71,7 +71,9 @@ def make_plan(scene: Scene, facts: SceneFacts) -> Plan:
         else:
             _reach(stage, facts, settings, wanted, left_out)
     if not wanted:
-        raise UserError(f"scene {scene.name!r}: nothing to make: {'; '.join(left_out.values())}")
+        raise UserError(
+            f"scene {scene.name!r}: nothing to make: {'; '.join(f'{name}: {why}' for name, why in left_out.items())}"
+        )
     for name in chain:
         if name not in wanted and name not in left_out:
             left_out[name] = "no product asked for needs it"

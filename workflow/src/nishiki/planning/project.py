@@ -134,6 +134,10 @@ def _read_scenes(configuration: Configuration, values: dict, table: Path) -> lis
     if not {"scene", "capture"} <= set(header) <= set(COLUMNS):
         found = ", ".join(header)[:200] or "an empty file"
         raise UserError(f"{table}: expected tab-separated columns {', '.join(COLUMNS)}, found {found}")
+    for row in rows[1:]:
+        if any(cell.strip() for cell in row[len(header) :]):
+            found = f"found {len(row)} values: {', '.join(row)[:120]}"
+            raise UserError(f"{table}: scene {row[0]!r}: expected {len(header)} values as there are columns, {found}")
     return [_scene(dict(zip(header, row, strict=False)), configuration, values, table) for row in rows[1:]]
 
 
