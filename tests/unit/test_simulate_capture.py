@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import nishiki.simulate
+from nishiki import threads
 from nishiki.errors import UserError
-from nishiki.simulate import photographs, rows
+from nishiki.simulate import photographs
 from nishiki.simulate.lamp import board_cosine, direction_error_deg, place_lamps, planck_spectrum
 from nishiki.simulate.objects import make_object
 from nishiki.simulate.photographs import BOARD_REFLECTANCE, dark_frame, make_tables, photograph, white_board
@@ -94,12 +95,12 @@ def test_bytes_do_not_depend_on_threads_or_bands(tiny, monkeypatch):
     lamp = place_lamps(TINY)[-1]
     tables = make_tables(tiny, TINY, with_truth=True)
     first = photograph(tiny, lamp, TINY, tables)
-    monkeypatch.setattr(rows, "threads", lambda: 1)
+    monkeypatch.setattr(threads, "threads", lambda: 1)
     again = make_object(TINY)
     np.testing.assert_array_equal(again.height_mm, tiny.height_mm)
     np.testing.assert_array_equal(again.label, tiny.label)
     single = photograph(again, lamp, TINY, tables)
-    monkeypatch.setattr(rows, "threads", lambda: 5)
+    monkeypatch.setattr(threads, "threads", lambda: 5)
     monkeypatch.setattr(photographs, "_BAND_ROWS", 24)
     banded = photograph(tiny, lamp, TINY, tables)
     for name in ("codes", "lit", "xyz_lamp", "xyz_d65", "gloss", "body"):

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import nishiki.simulate.turntable
+from nishiki import threads
 from nishiki.errors import UserError
-from nishiki.simulate import rows
 from nishiki.simulate.settings import CameraSettings
 from nishiki.simulate.turntable import describe as words
 from nishiki.simulate.turntable.interreflection import bounced, cosine_directions, look_around
@@ -304,7 +304,7 @@ def test_materials_are_possible(scene):
 
 
 def test_bytes_do_not_depend_on_threads(light, monkeypatch):
-    monkeypatch.setattr(rows, "threads", lambda: 1)
+    monkeypatch.setattr(threads, "threads", lambda: 1)
     again = see(make_scene(SMALL), place_views(SMALL)[1], SMALL)
     for name, values in vars(light).items():
         np.testing.assert_array_equal(getattr(again, name), values)

@@ -31,7 +31,7 @@ def verify(options: argparse.Namespace, rest: list[str]) -> int:
         counts.problems += _verify_crate(crate, threads, options.json)
     if crates and not found.artifacts and not options.capture:
         return 1 if counts.problems else 0
-    if folders and not crates and found.empty:
+    if folders and not crates and found.empty and not options.capture:
         what = "neither an artifact nor a crate in it"
         raise UserError(f"{', '.join(map(str, folders))}: {what}. Remedy: name results, a scene or a stage")
     unsound = _told(audit(found, counts, threads=threads, tell=Progress("verify")), options.json)
