@@ -341,5 +341,5 @@ def test_nothing_is_imported_from_the_fitted_models():
                 assert node.level == 0
                 names = [node.module or ""]
             for name in names:
-                allowed = name.startswith(("nishiki.simulate", "nishiki.errors", "nishiki.packages"))
+                allowed = name.startswith(("nishiki.simulate", "nishiki.errors", "nishiki.packages", "nishiki.threads"))
                 assert allowed or not name.startswith("nishiki"), f"{file.name} imports {name}"
