@@ -18,7 +18,7 @@ from nishiki.archive.crate_names import MANIFEST, manifest_text, parse_manifest_
 from nishiki.archive.pack import Scene, pack, write_zip
 from nishiki.capture.seal import capture_digest, seal
 from nishiki.cli import main
-from nishiki.commands.packing import _expect_outside
+from nishiki.commands.packing import expect_outside
 from nishiki.contract.artifact import MANIFEST as ARTIFACT
 from nishiki.contract.artifact import run_text
 from nishiki.contract.provenance import file_digest
@@ -422,5 +422,5 @@ def test_no_crate_is_made_inside_results_or_a_sealed_capture(tmp_path, place):
     (tmp_path / "capture/data").mkdir(parents=True)
     (tmp_path / "capture/bagit.txt").write_text("BagIt-Version: 1.0\n")
     with pytest.raises(UserError, match=r"inside the .*Remedy: another folder"):
-        _expect_outside(tmp_path / place, tmp_path / "results")
-    _expect_outside(tmp_path / "crates" / place, tmp_path / "results")
+        expect_outside(tmp_path / place, tmp_path / "results")
+    expect_outside(tmp_path / "crates" / place, tmp_path / "results")

@@ -164,9 +164,10 @@ def test_jobs_that_outlive_a_dead_run_are_ended_first(start):
     child = "import subprocess as s; s.Popen(['sleep', '77']); print('ready', flush=True); import time; time.sleep(60)"
     process = start("a", CALL.format(child=child))
     (record,) = records(Path("results"))
+    # A process that has just started shows no environment for a moment.
+    wait_until(lambda: len(processes.marked(MARK, record.facts["id"])) == 2)
     marked = processes.marked(MARK, record.facts["id"])
     names = {Path("/proc", str(pid), "comm").read_text().strip(): pid for pid in marked}
-    assert len(marked) == 2
     kill(process)
     os.kill(next(pid for name, pid in names.items() if name != "sleep"), signal.SIGKILL)
     wait_until(lambda: records(Path("results"))[0].state == "dead")

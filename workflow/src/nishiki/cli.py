@@ -3,7 +3,7 @@
 import argparse
 import sys
 
-from nishiki.errors import UserError, printable
+from nishiki.errors import UserError, of_the_machine
 from nishiki.version import PROJECT_VERSION
 
 DESCRIPTION = """\
@@ -37,9 +37,10 @@ def main(arguments: list[str] | None = None) -> None:
         print(f"nishiki {options.command}: interrupted", file=sys.stderr)
         raise SystemExit(130) from None
     except OSError as error:
-        if not isinstance(error.filename, str | bytes):
+        message = of_the_machine(error)
+        if message is None:
             raise
-        print(f"nishiki {options.command}: {printable(str(error.filename))}: {error.strerror}", file=sys.stderr)
+        print(f"nishiki {options.command}: {message}", file=sys.stderr)
         raise SystemExit(2) from None
 
 

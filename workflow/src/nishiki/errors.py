@@ -1,5 +1,7 @@
 """Mistakes that a user can mend, as distinct from bugs."""
 
+import errno
+import os
 import re
 
 UNSEEN = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
@@ -21,3 +23,24 @@ def printable(text: str) -> str:
     Names of files come from strangers: a terminal would obey some of them, and UTF-8 has no place for others.
     """
     return UNSEEN.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+
+
+OF_THE_MACHINE = {
+    errno.ENOSPC: "Remedy: free space there and run again",
+    errno.EDQUOT: "Remedy: free space within the quota and run again",
+    errno.EROFS: "Remedy: make it writable, or name another folder with the key results, and run again",
+    errno.EACCES: "Remedy: see to its permissions and run again",
+    errno.EPERM: "Remedy: see to its permissions and run again",
+    errno.EIO: "Remedy: look after the disk, then ./nishiki verify, and run again",
+    errno.EMFILE: "Remedy: raise the limit of open files (ulimit -n) and run again",
+}
+"""What a machine may refuse, as the system numbers it, and what to do then."""
+
+
+def of_the_machine(error: OSError | MemoryError) -> str | None:
+    """What to tell of a machine that lacks space, permission or memory; None for other errors, which are bugs."""
+    if isinstance(error, MemoryError):
+        return f"not enough memory ({error or 'the limit is reached'}). Remedy: more memory, or smaller tiles"
+    remedy = OF_THE_MACHINE.get(error.errno)
+    where = f" ({printable(str(error.filename))})" if error.filename else ""
+    return f"{os.strerror(error.errno)}{where}. {remedy}" if remedy else None

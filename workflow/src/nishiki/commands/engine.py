@@ -39,8 +39,9 @@ def call_engine(flow: Workflow, command: list[str], *, gone: Iterable[str] = ())
     with registered(results, flow.plans, gone=gone, tell=_tell) as held:
         set_aside_unsound(dict(_plans(flow)), _tell, contents=held.unclean)
         status = held.call(command, environment)
-        held.ended = "done" if not status else "interrupted" if held.stopped else "failed"
-        if status and held.stopped:
+        if not status:
+            held.ended = "done"
+        elif held.ended == "interrupted":
             _tell("interrupted: its jobs were ended")
     return status
 

@@ -24,7 +24,7 @@ def pack_scene(options: argparse.Namespace, rest: list[str]) -> int:
     target = Path(options.output)
     flow = Workflow(load_yaml(options.configfile), folder=PROJECT, only=options.scene, file=options.configfile)
     (name,) = flow.plans
-    _expect_outside(target, Path(flow.results))
+    expect_outside(target, Path(flow.results))
     scene = _scene(flow, name, flow.plans[name])
     tell = Progress(f"pack {name}")
     digest = pack(scene, PROJECT, target, with_capture=not options.without_capture, tell=tell)
@@ -36,9 +36,9 @@ def pack_scene(options: argparse.Namespace, rest: list[str]) -> int:
     return 0
 
 
-def _expect_outside(target: Path, results: Path) -> None:
+def expect_outside(target: Path, results: Path) -> None:
     """UserError where a crate would lie inside the results or inside a sealed capture, which nothing may change."""
-    for parent in target.absolute().resolve().parents:
+    for parent in target.resolve().parents:
         if parent == results.resolve():
             raise UserError(f"{target}: inside the results ({results}). Remedy: another folder")
         if (parent / "bagit.txt").is_file():

@@ -55,7 +55,7 @@ def run(options: argparse.Namespace, rest: list[str]) -> int:
     start = time.monotonic()
     status = call_engine(flow, command, gone=options.host_is_gone)
     if not LOOKS_ONLY & set(rest):
-        (_tell_unfinished(flow) if status else _tell(flow, time.monotonic() - start))
+        (_tell_unfinished if status else _tell)(flow, time.monotonic() - start)
     return status if status in (0, 2) else 1  # 2: Snakemake does not know an option
 
 
@@ -98,7 +98,7 @@ def _tell(flow, seconds: float) -> None:
     print(f"done in {seconds:.1f} s")
 
 
-def _tell_unfinished(flow) -> None:
+def _tell_unfinished(flow, seconds: float) -> None:
     """Which scenes a run that failed has not finished, and where each stands."""
     next_of = {}
     for scene, plan in flow.plans.items():
@@ -107,8 +107,10 @@ def _tell_unfinished(flow) -> None:
             next_of[scene] = missing[0]
     named = [f"{scene} (at {stage})" for scene, stage in next_of.items()]
     text = ", ".join(named[:NAMED]) + (f" and {len(named) - NAMED} more" if len(named) > NAMED else "")
-    done = f"{len(flow.plans) - len(named)} of {len(flow.plans)} scenes are finished"
-    print(f"{done}; not: {text}. What is finished stays: the same command goes on from there", file=sys.stderr)
+    done = f"after {seconds:.1f} s {len(flow.plans) - len(named)} of {len(flow.plans)} scenes are finished"
+    if named:
+        done += f"; not: {text}"
+    print(f"{done}. What is finished stays: the same command goes on from there", file=sys.stderr)
 
 
 def demo(options: argparse.Namespace, rest: list[str]) -> int:

@@ -1,9 +1,7 @@
 """The frame around every stage's script: arguments in, checked inputs, one artifact out."""
 
 import argparse
-import errno
 import json
-import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,7 +15,7 @@ from nishiki.contract.limits import check
 from nishiki.contract.provenance import canonical, stage_key
 from nishiki.contract.run_facts import RunFacts
 from nishiki.contract.scatter import Part, Scattered, in_order
-from nishiki.errors import UserError
+from nishiki.errors import UserError, of_the_machine
 from nishiki.packages import load_all
 from nishiki.progress import Progress
 from nishiki.version import PROJECT_VERSION
@@ -68,31 +66,11 @@ def run_stage(
         print(f"nishiki {who}: interrupted", file=sys.stderr)
         raise SystemExit(130) from None
     except (OSError, MemoryError) as error:
-        message = _of_the_machine(error)
+        message = of_the_machine(error)
         if message is None:
             raise
         print(f"nishiki {who}: {message}. Nothing finished is lost.", file=sys.stderr)
         raise SystemExit(2) from None
-
-
-OF_THE_MACHINE = {
-    errno.ENOSPC: "Remedy: free space there and run again",
-    errno.EDQUOT: "Remedy: free space within the quota and run again",
-    errno.EROFS: "Remedy: make it writable, or name another folder with the key results, and run again",
-    errno.EACCES: "Remedy: see to its permissions and run again",
-    errno.EPERM: "Remedy: see to its permissions and run again",
-    errno.EIO: "Remedy: look after the disk, then ./nishiki verify, and run again",
-    errno.EMFILE: "Remedy: raise the limit of open files (ulimit -n) and run again",
-}
-
-
-def _of_the_machine(error: OSError | MemoryError) -> str | None:
-    """What to tell of a machine that lacks space, permission or memory; None for other errors, which are bugs."""
-    if isinstance(error, MemoryError):
-        return f"not enough memory ({error or 'the limit is reached'}). Remedy: more memory, or smaller tiles"
-    remedy = OF_THE_MACHINE.get(error.errno)
-    where = f" ({error.filename})" if error.filename else ""
-    return f"{os.strerror(error.errno)}{where}. {remedy}" if remedy else None
 
 
 def _arguments(model: type[Closed], description: str) -> argparse.Namespace:

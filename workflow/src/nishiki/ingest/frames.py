@@ -45,7 +45,7 @@ class FrameReader:
     """How to read this capture's photographs.
 
     rows, columns, dtype: of the first frame, which all others must match; digests: of a sealed capture's files, against
-    which every photograph is proven before it is decoded; empty otherwise; largest: codes of the frames seen so far.
+    which every photograph is proven before it is decoded; empty otherwise; largest: largest code of each frame seen.
     """
 
     capture: Capture

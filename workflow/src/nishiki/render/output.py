@@ -4,7 +4,6 @@ Every file carries the stamp that the caller gives (scene, stage, key, project v
 name first, then renamed.  EXR and PNG bytes depend on the values alone: no date, no host.
 """
 
-import errno
 import os
 import struct
 import zlib
@@ -14,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.errors import UserError
+from nishiki.errors import OF_THE_MACHINE, UserError
 from nishiki.packages import install_command
 from nishiki.render.display import normals_as_colours
 from nishiki.spectra.colour import xyz_to_srgb_linear
@@ -24,8 +23,6 @@ _CHROMATICITIES = {
     "xyz": (1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1 / 3, 1 / 3),
     "srgb": (0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290),
 }
-OF_DISKS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EIO)
-"""What may keep a file from being written, as the system numbers it."""
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
@@ -94,7 +91,7 @@ def _write_exr(path: Path, header: dict, channels: dict, stamp: Mapping[str, str
         try:
             file.write(str(unfinished))
         except RuntimeError as error:  # the library tells the system's reason in words only
-            number = next((number for number in OF_DISKS if os.strerror(number) in str(error)), None)
+            number = next((number for number in OF_THE_MACHINE if os.strerror(number) in str(error)), None)
             if number is None:
                 raise
             raise OSError(number, os.strerror(number), str(path)) from None

@@ -1,6 +1,7 @@
 """What a run on this machine may use: its memory, its processors, and how many threads a stage takes of them."""
 
 from collections.abc import Iterable
+from itertools import islice
 from pathlib import Path
 
 from nishiki.outside.bounds import machine_memory
@@ -26,5 +27,5 @@ def thread_arguments(cores: str | None, scenes: Iterable[Iterable[Path]]) -> lis
     cores: as on the command line. scenes: manifests of all artifacts of each scene.
     """
     processors = int(cores) if cores and cores.isdecimal() else threads()
-    unfinished = sum(not all(path.is_file() for path in manifests) for manifests in scenes)
-    return ["--max-threads", "1"] if unfinished >= processors else []
+    unfinished = (True for manifests in scenes if not all(path.is_file() for path in manifests))
+    return ["--max-threads", "1"] if sum(islice(unfinished, processors)) == processors else []

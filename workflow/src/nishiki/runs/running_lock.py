@@ -27,14 +27,13 @@ SHARED = ("sweeps",)
 
 @dataclass
 class HeldRun:
-    """This run while it is registered. unclean: a run of these scenes was killed before it; stopped: by the user."""
+    """This run while it is registered. unclean: a run of these scenes was killed before it."""
 
     path: Path
     descriptor: int
     facts: dict[str, Any]
     unclean: bool
     ended: str = "failed"
-    stopped: bool = False
 
     def call(self, command: list[str], environment: dict[str, str]) -> int:
         """Run Snakemake as a part of this run and wait for its end; its exit status.
@@ -48,7 +47,7 @@ class HeldRun:
         passed_on = signal.SIGINT if heeded else signal.SIGTERM
 
         def stop(*_) -> None:
-            self.stopped = True
+            self.ended = "interrupted"
             child.send_signal(passed_on)
 
         before = signal.signal(signal.SIGTERM, stop) if ours else None
@@ -57,7 +56,7 @@ class HeldRun:
                 try:
                     return child.wait()
                 except KeyboardInterrupt:
-                    self.stopped = True
+                    self.ended = "interrupted"
         finally:
             if ours:
                 signal.signal(signal.SIGTERM, before)
