@@ -28,3 +28,14 @@ def use_kernel_cache() -> None:
 
 sys.path.insert(0, str(SOURCE))
 use_kernel_cache()
+
+
+def _told(kind, error, trace) -> None:
+    """An interrupt while a stage still imports is told in a line, like a later one; anything else as ever."""
+    if issubclass(kind, KeyboardInterrupt):
+        print("interrupted", file=sys.stderr)
+    else:
+        sys.__excepthook__(kind, error, trace)
+
+
+sys.excepthook = _told
