@@ -128,7 +128,10 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--encoding", choices=("linear", "srgb"), help="of the photographs (default: srgb for JPEG)")
     sub.add_argument("--lights", help="file of the lights, where it is not found by itself")
     sub.add_argument("--mask", help="image whose non-zero pixels are the object; turntable: a folder of them")
-    sub.add_argument("--white", help="folder of the white board's photographs, one a light")
+    sub.add_argument(
+        "--white",
+        help="folder of the white board's photographs, one a light, paired by name",
+    )
     sub.add_argument("--dark", help="folder of dark frames")
     sub.add_argument("--check", action="append", metavar="LIGHT", help="a light kept for evaluation (repeatable)")
     sub.add_argument("--link", action="store_true", help="hard links instead of copies, on the same disk")

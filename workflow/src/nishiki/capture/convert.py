@@ -15,7 +15,8 @@ import yaml
 from nishiki.capture.goniometer_convert import recognise_table, refuse_for_table, write_table_capture
 from nishiki.capture.headers import read_header
 from nishiki.capture.layouts import Layout, has_lamps, photographs_in, recognise
-from nishiki.capture.problems import CaptureError, Problem, error, warning
+from nishiki.capture.pairing import pair_by_name
+from nishiki.capture.problems import CaptureError, Problem, error, raise_errors, warning
 from nishiki.capture.schema import FORMAT
 from nishiki.capture.taking import channel_names, file_names, take
 from nishiki.capture.turntable_convert import write_round
@@ -49,17 +50,19 @@ def convert(
 ) -> Conversion:
     """Make the capture folder `target`, which must not exist, from a folder of photographs or a table of reflectances.
 
-    white: folder of the white board's photographs, matched by name or, if as many, by order (for a turntable: named by
-    their polariser state); dark: folder of dark frames; checks: lights kept for evaluation; encoding: of the
-    photographs, None for what is usual; region: row, column, rows, columns; mask: picture of the object, for a
-    turntable the folder of the silhouettes; link: hard links instead of copies (same disk; then never edit either).
-    The folder appears whole or not at all. Raises CaptureError (target-exists, option-unusable, and those of
-    `recognise`, `recognise_round`, `recognise_table` and `read_table`).
+    white: folder of the white board's photographs, paired by the part of the names that varies, see `pair_by_name` (for
+    a turntable: named by their polariser state); dark: folder of dark frames, all of which are averaged; checks: lights
+    kept for evaluation; encoding: of the photographs, None for what is usual; region: row, column, rows, columns; mask:
+    picture of the object, for a turntable the folder of the silhouettes; link: hard links instead of copies (same disk;
+    then never edit either).
+    The folder appears whole or not at all. Raises CaptureError (target-exists, option-unusable, folder-missing,
+    light-unknown, and those of `pair_by_name`, `recognise`, `recognise_round`, `recognise_table` and `read_table`).
     """
     source, target = Path(source), Path(target)
     if target.exists():
         remedy = "Choose another name; nothing is overwritten"
         raise CaptureError(error("target-exists", str(target), "target exists", remedy=remedy))
+    raise_errors(folder_problems(white=white, dark=dark))
     table = recognise_table(source) if lights_file is None else None
     if table is not None:
         refuse_for_table(mask=mask, white=white, dark=dark, check=checks, encoding=encoding, roi=region)
@@ -67,6 +70,7 @@ def convert(
     found = recognise_round(source) if lights_file is None and source.is_dir() and not has_lamps(source) else None
     if found is not None:
         refuse_for_round(checks, region)
+        raise_errors(folder_problems(mask=mask))
 
         def write_turntable(partial: Path) -> list[Problem]:
             return write_round(
@@ -86,10 +90,22 @@ def convert(
     layout = recognise(source, lights_file=lights_file, mask=mask)
     unknown = [name for name in checks if layout.lights.index(name) is None]
     if unknown:
-        named = ", ".join(unknown)
-        raise CaptureError(error("light-unknown", str(source), "no such light to keep for evaluation", found=named))
+        expected, found = f"one of {', '.join(layout.lights.names)}", ", ".join(unknown)
+        what = "no such light to keep for evaluation"
+        remedy = "The names of the lamps are those of their photographs, without the suffix"
+        raise CaptureError(error("light-unknown", str(source), what, expected=expected, found=found, remedy=remedy))
     notes = _whole(target, lambda p: _write(p, layout, source, white, dark, checks, encoding, title, region, link))
     return Conversion(target, layout.name, len(layout.photographs), (*layout.warnings, *notes))
+
+
+def folder_problems(**given: Path | None) -> list[Problem]:
+    """folder-missing for each option that must name a folder of photographs and does not."""
+    remedy = "Give a folder that holds one picture a light; of a turntable one a view, or one a polariser state"
+    return [
+        error("folder-missing", f"--{name} {path}", "no such folder", remedy=remedy)
+        for name, path in given.items()
+        if path is not None and not path.is_dir()
+    ]
 
 
 def _of_table(target: Path, table: Path, title: str | None, link: bool) -> Conversion:
@@ -148,8 +164,12 @@ def _write(
     rows = []
     for i, (photograph, file) in enumerate(zip(layout.photographs, file_names(layout.photographs), strict=True)):
         rows.append((take(photograph, folder / "frames" / file, link), "check" if i in held else "sample", names[i]))
-    for photograph, light in _match_whites(layout, white) if white else ():
-        rows.append((take(photograph, folder / "white" / photograph.name, link), "white", light))
+    notes: list[Problem] = []
+    if white:
+        pairing = pair_by_name(layout.photographs, photographs_in(white), what="white boards", folder=str(white))
+        notes += pairing.warnings
+        for board, light in zip(pairing.partners, names, strict=True):
+            rows.append((take(board, folder / "white" / board.name, link), "white", light))
     for photograph in photographs_in(dark) if dark else ():
         rows.append((take(photograph, folder / "dark" / photograph.name, link), "dark", ""))
     settings = {"format": FORMAT, "title": title or source.name, "geometry": "plane"}
@@ -165,7 +185,7 @@ def _write(
     if region is not None:
         settings["region_of_interest"] = list(region)
     _write_tables(folder, settings, rows, layout)
-    return _notes(header.sample, jpeg, encoding, source)
+    return [*notes, *_notes(header.sample, jpeg, encoding, source)]
 
 
 def _notes(sample: str, jpeg: bool, encoding: str | None, source: Path) -> list[Problem]:
@@ -174,18 +194,6 @@ def _notes(sample: str, jpeg: bool, encoding: str | None, source: Path) -> list[
         remedy = "Give the encoding srgb if the camera or a converter coded them for display"
         return [warning("encoding-assumed", source.name, what, remedy=remedy)]
     return []
-
-
-def _match_whites(layout: Layout, folder: Path) -> list[tuple[Path, str]]:
-    present = photographs_in(folder)
-    by_stem = {p.stem.casefold(): p for p in present}
-    wanted = [p.stem.casefold() for p in layout.photographs]
-    if all(stem in by_stem for stem in wanted):
-        return [(by_stem[stem], name) for stem, name in zip(wanted, layout.lights.names, strict=True)]
-    if len(present) != len(wanted):
-        expected, found = f"{len(wanted)}, one a light", f"{len(present)}"
-        raise CaptureError(error("photographs-count", str(folder), "white frames", expected=expected, found=found))
-    return list(zip(present, layout.lights.names, strict=True))
 
 
 def _write_tables(folder: Path, settings: dict, rows: list[tuple[str, str, str]], layout: Layout) -> None:

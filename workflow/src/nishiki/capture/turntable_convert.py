@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from pathlib import Path
 
 import yaml
 
 from nishiki.capture.cameras import MATRIX_COLUMNS
 from nishiki.capture.headers import ImageHeader, read_header
-from nishiki.capture.layouts import photographs_in
+from nishiki.capture.layouts import natural_key, photographs_in, source_problems
+from nishiki.capture.pairing import names_apart, pair_by_name
 from nishiki.capture.polariser import parse_state
-from nishiki.capture.problems import CaptureError, Problem, error, warning
+from nishiki.capture.problems import CaptureError, Problem, error, raise_errors, warning
 from nishiki.capture.schema import FORMAT
 from nishiki.capture.taking import channel_names, file_names, take
 from nishiki.capture.turntable_layouts import STATES, RoundLayout
@@ -33,21 +35,20 @@ def write_round(
     """Write the capture into a new folder; returns what the user should know.
 
     silhouettes: folder of pictures named as the photographs; white, dark: folders of white boards, called by their
-    polariser state (off, on, 45, 0_90) where there are states, and of dark frames. Raises CaptureError
-    (silhouette-missing, white-unnamed, those of reading headers).
+    polariser state (off, on, 45, 0_90) where there are states, and of dark frames. Raises CaptureError (white-unnamed,
+    those of `pair_by_name` and of reading headers).
     """
     folder.mkdir(parents=True)
     header = read_header(layout.photographs[0])
-    outlines = _match_silhouettes(layout, silhouettes) if silhouettes else {}
+    outlines, notes = _match_silhouettes(layout, silhouettes) if silhouettes else ({}, ())
     taken = {path: take(path, folder / "silhouettes" / path.name, link) for path in set(outlines.values())}
     rows = []
     for i, (photograph, file) in enumerate(zip(layout.photographs, file_names(layout.photographs), strict=True)):
         outline = taken.get(outlines.get(photograph), "")
         name = take(photograph, folder / "frames" / file, link)
         rows.append((name, "sample", layout.views[i], layout.states[i], outline))
-    for photograph in photographs_in(white) if white else ():
-        state = _state_of(photograph, layout)
-        rows.append((take(photograph, folder / "white" / photograph.name, link), "white", "", state, ""))
+    for board, state in _states_of(photographs_in(white), layout, str(white)) if white else ():
+        rows.append((take(board, folder / "white" / board.name, link), "white", "", state, ""))
     for photograph in photographs_in(dark) if dark else ():
         rows.append((take(photograph, folder / "dark" / photograph.name, link), "dark", "", "", ""))
     coding = encoding or usual_encoding(header, series=any(layout.states))
@@ -65,7 +66,7 @@ def write_round(
     )
     (folder / "capture.yaml").write_text(text, encoding="utf-8")
     _write_frames(folder / "frames.csv", rows)
-    return _notes(header, coding, encoding, source)
+    return [*notes, *_notes(header, coding, encoding, source)]
 
 
 def usual_encoding(header: ImageHeader, *, series: bool) -> str:
@@ -81,32 +82,53 @@ def _notes(header: ImageHeader, coding: str, encoding: str | None, source: Path)
     return []
 
 
-def _match_silhouettes(layout: RoundLayout, folder: Path) -> dict[Path, Path]:
-    """Silhouette of each photograph, by its name without suffix; of one view in many states, the only picture."""
-    if not folder.is_dir():
-        remedy = "Give a folder of pictures named as the photographs"
-        raise CaptureError(error("folder-missing", str(folder), "no such folder of silhouettes", remedy=remedy))
+def _match_silhouettes(layout: RoundLayout, folder: Path) -> tuple[dict[Path, Path], tuple[Problem, ...]]:
+    """Silhouette of each photograph, see `pair_by_name`; of one view in many states, the only picture."""
     suffixes = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
-    present = sorted(p for p in folder.iterdir() if p.suffix.lower() in suffixes)
+    present = sorted((p for p in folder.iterdir() if p.suffix.lower() in suffixes and p.is_file()), key=natural_key)
+    raise_errors(problem for path in present for problem in source_problems(path, folder))
     if len(present) == 1 and len(set(layout.views)) == 1:
-        return {layout.photographs[0]: present[0]}
-    by_stem = {p.stem.casefold(): p for p in present}
-    missing = [p.name for p in layout.photographs if p.stem.casefold() not in by_stem]
-    if missing:
-        found = ", ".join(missing[:5])
-        what, expected = "no silhouette for some photographs", "a picture of the same name for each"
-        raise CaptureError(error("silhouette-missing", str(folder), what, expected=expected, found=found))
-    return {p: by_stem[p.stem.casefold()] for p in layout.photographs}
+        return {layout.photographs[0]: present[0]}, ()
+    pairing = pair_by_name(layout.photographs, present, what="silhouettes", folder=str(folder))
+    return dict(zip(layout.photographs, pairing.partners, strict=True)), pairing.warnings
 
 
-def _state_of(photograph: Path, layout: RoundLayout) -> str:
-    """Polariser state that a white board's file name tells; '' where it tells none, as for a board without one."""
-    match = STATES.fullmatch(photograph.stem)
+def _states_of(boards: list[Path], layout: RoundLayout, folder: str) -> list[tuple[Path, str]]:
+    """White boards with their polariser states: told by the whole name, by its end (`board_off`), or by the part of
+    the names that varies. One whose name tells none is the board without polarisers.
+
+    CaptureError (white-unnamed) unless there is a board for every state, and at most one without.
+    """
+    known = set(layout.states) - {""}
+    readings = (
+        [p.stem for p in boards],
+        [_ending(p.stem, known) for p in boards],
+        ["".join(map(str, part)) for part in names_apart(boards, folder)],
+    )
+    for names in readings:
+        states = [state if state in known else "" for state in map(_state, names)]
+        if len(set(states)) == len(states) and set(states) - {""} in (known, set()):
+            return list(zip(boards, states, strict=True))
+    expected = f"one for each of the polariser states {', '.join(sorted(known))}" if known else "one"
+    found = ", ".join(p.name for p in boards[:5])
+    remedy = "Name each board by its state (off, on, 45, 0_90); keep one board where there are no states"
+    what = "white boards cannot be told apart"
+    raise CaptureError(error("white-unnamed", folder, what, expected=expected, found=found, remedy=remedy))
+
+
+def _state(name: str) -> str | None:
+    """Polariser state that a name tells, 'G_A' being two angles; None where it tells none."""
+    match = STATES.fullmatch(name)
     try:
-        state = parse_state(f"{match[1]}/{match[2]}" if match else photograph.stem.casefold()).name
+        return parse_state(f"{match[1]}/{match[2]}" if match else name.casefold()).name
     except CaptureError:
-        return ""
-    return state if state in layout.states else ""
+        return None
+
+
+def _ending(stem: str, known: set[str]) -> str:
+    """The longest end of a name, after a separator, that is a known state."""
+    places = [0, *(match.end() for match in re.finditer(r"[^0-9A-Za-z.]+|(?<=[A-Za-z])(?=[0-9])", stem))]
+    return next((stem[at:] for at in places if _state(stem[at:]) in known), stem)
 
 
 def _write_cameras(path: Path, layout: RoundLayout) -> None:
