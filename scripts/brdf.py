@@ -83,7 +83,13 @@ def gloss_of_regions(context: Context, frames: Observations, maps: Maps, labels:
         reflectance = piece.of(maps.read("reflectance", piece.band)).mean(axis=-1)[..., None]
         everywhere = np.broadcast_to(((known & NO_ESTIMATE) == 0) & ~flat, piece.valid.shape)
         samples = specular_samples(
-            piece.observations[..., None], piece.parcel.directions, normals, reflectance, nothing, valid=everywhere
+            piece.observations[..., None],
+            piece.parcel.directions,
+            normals,
+            reflectance,
+            nothing,
+            valid=everywhere,
+            shading=piece.of(shading_of(maps, piece.band)) if "shading" in maps else None,
         )
         sigma = np.broadcast_to(piece.of(maps.read("sigma", piece.band)) / np.sqrt(2), piece.valid.shape)
         region = np.zeros(everywhere.shape, int) if labels is None else piece.of(labels[piece.band]) + 0 * everywhere
@@ -120,6 +126,7 @@ def fit_brightest(context: Context, frames: Observations, maps: Maps, labels: np
                 usable=valid & inside,
                 refractive_index=settings.refractive_index,
                 smoothing=settings.smoothing_px,
+                shading=shading_of(maps, band),
             )
             kept = thin(found[0], per_bin=500)
             samples.append([values[kept] for values in found])
@@ -156,6 +163,7 @@ def gather(
         own = np.zeros(left_out.shape, int) if labels is None else labels[band]
         region = np.where(left_out | ~glossy[own], -1, own)
         reflectance, sigma = maps.read("reflectance", band).mean(axis=-1), maps.read("sigma", band)
+        shading = shading_of(maps, band)
         for parcel in parcels(frames, band, lights):
             area = parcel.rows, parcel.columns
             histogram = histogram.add_tile(
@@ -166,8 +174,14 @@ def gather(
                 usable=valid[:, *area],
                 sigma=sigma[area] / np.sqrt(2),
                 regions=region[area],
+                shading=None if shading is None else shading[area],
             )
     return histogram
+
+
+def shading_of(maps: Maps, band: slice) -> np.ndarray | None:
+    """Body shading of the normals stage; None where its solver knows Lambert's law only."""
+    return maps.read("shading", band) if "shading" in maps else None
 
 
 def reflectances(frames: Observations, maps: Maps) -> list[np.ndarray]:

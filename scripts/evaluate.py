@@ -63,7 +63,8 @@ class Scene:
         maps = Maps(inputs["normals"].folder)
         self.flags = maps.read("flags")
         gloss, labels = read_gloss(inputs.get("brdf"))
-        self.model = FittedModel(maps.read("normals"), maps.read("reflectance"), gloss, labels)
+        shading = maps.read("shading") if "shading" in maps else None
+        self.model = FittedModel(maps.read("normals"), maps.read("reflectance"), gloss, labels, shading)
         self.known = ((self.flags & NO_ESTIMATE) == 0) & np.isfinite(self.model.reflectance).all(axis=-1)
         self.height, self.height_unit = None, "pixels"
         if "height" in inputs:

@@ -6,6 +6,7 @@ import numpy as np
 
 import _project  # noqa: F401
 from _lights import choose_lights
+from nishiki.brdf.body_shading import LAMBERT
 from nishiki.contract.maps import Maps, MapWriter
 from nishiki.contract.scatter import Scattered
 from nishiki.contract.stage import Context, run_stage
@@ -29,6 +30,7 @@ MAPS = {
     "sigma": ("float32", "radians, rms error of the direction"),
     "lights_used": ("uint16", "lights"),
     "condition": ("float32", "of the weighted 3 x 3 normal matrix"),
+    "shading": ("float32", "weights (a, b, d) of c, c^2 and c x^8, see docs/stages/normals.md"),
     "residual": ("float32", "rms, relative to white"),
     "flags": ("uint8", "bits, see docs/stages/normals.md"),
 }
@@ -164,9 +166,11 @@ def create_maps(context: Context, frames: Observations) -> dict:
     rows, columns = frames.shape
     maps = MapWriter(context.output.folder, rows=rows, columns=columns, band_rows=frames.band_rows, stamp=context.stamp)
     maps.group.attrs["pixel_pitch_mm"] = frames.pixel_pitch_mm
-    trailing = {"normals": (3,), "reflectance": (len(frames.channels),)}
+    trailing = {"normals": (3,), "reflectance": (len(frames.channels),), "shading": (3,)}
     return {
-        name: maps.create(name, trailing.get(name, ()), dtype=dtype, unit=unit) for name, (dtype, unit) in MAPS.items()
+        name: maps.create(name, trailing.get(name, ()), dtype=dtype, unit=unit)
+        for name, (dtype, unit) in MAPS.items()
+        if name != "shading" or context.settings.solver != "least_squares"
     }
 
 
@@ -195,13 +199,19 @@ def solve(
         max_condition=settings.max_condition,
     )
     found = {name: getattr(field, name) for name in MAPS if name != "reflectance"}
-    if observations.shape[-1] == 1:
+    if observations.shape[-1] == 1 and field.shading is None:
         found["reflectance"] = field.albedo[..., None]
     else:
-        diffuse = diffuse_reflectance(
-            observations, parcel.directions, field.normals, usable=usable, method=settings.reflectance
-        )
-        found["reflectance"] = diffuse.reflectance
+        found["reflectance"] = diffuse_reflectance(
+            observations,
+            parcel.directions,
+            field.normals,
+            usable=usable,
+            method=settings.reflectance,
+            shading=field.shading,
+        ).reflectance
+    if field.shading is None:
+        del found["shading"]
     if gloss is None:
         return found
     fit = refine_normals(
@@ -215,8 +225,11 @@ def solve(
         max_condition=settings.max_condition,
     )
     kept = (fit.flags & (bits.NO_ESTIMATE | bits.FALLBACK)) != 0
+    lambert = {"shading": np.array(LAMBERT, np.float32)}  # the joint fit has a body of its own
     return {
-        name: fit.flags if name == "flags" else np.where(aligned(kept, values), values, getattr(fit, name))
+        name: fit.flags
+        if name == "flags"
+        else np.where(aligned(kept, values), values, lambert[name] if name in lambert else getattr(fit, name))
         for name, values in found.items()
     }
 

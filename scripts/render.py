@@ -61,6 +61,8 @@ def load_scene(inputs: dict[str, Artifact], *, cast_shadows: bool) -> PlaneScene
     known = (maps.read("flags") & NO_ESTIMATE) == 0
     normals = np.where(known[..., None], maps.read("normals"), np.float32(0))
     fields = {"normals": normals, "pitch": maps.group.attrs.get("pixel_pitch_mm") or 1.0, **colours(inputs, maps)}
+    if "shading" in maps:
+        fields["shading"] = maps.read("shading")
     if "height" in inputs and cast_shadows:
         fields["height"] = Maps(inputs["height"].folder).read("height")
     if "brdf" in inputs:

@@ -6,10 +6,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from nishiki.brdf.body_shading import body_factor
 from nishiki.errors import UserError
 from nishiki.normals import flags as bits
 from nishiki.normals.fill import fill_flagged
 from nishiki.normals.refine import WIDTH
+from nishiki.normals.reflectance import diffuse_reflectance
 from nishiki.normals.solve import AT_LEAST, PRIOR, estimate_normals
 from nishiki.separation.lights import select_diffuse
 
@@ -101,6 +103,39 @@ def test_the_lobe_removes_what_lambert_leaves(exponent):
     lambert = estimate_normals(stack, lights, usable=usable, solver="least_squares")
     lobe = estimate_normals(stack, lights, usable=usable, valid=stack > 0, solver="lobe", exponent=exponent)
     assert angle(lobe.normals[0], normals).mean() < 0.35 * angle(lambert.normals[0], normals).mean()
+
+
+@pytest.mark.parametrize("solver", ["lobe", "lobes"])
+def test_the_body_shading_predicts_lights_that_were_left_out(solver):
+    """Truth has a fall-off and a skirt of another exponent; predictions with (a, b, d) beat Lambert's several times."""
+    stack, lights, halves, _ = lobe_scene(41, 200, 12, b=-0.2, exponent=6)
+    fit = np.arange(41) % 5 != 2
+    usable = stack[fit] > 0.02
+    found = estimate_normals(stack[fit], lights[fit], usable=usable, solver=solver)
+    lambert = estimate_normals(stack[fit], lights[fit], usable=usable, solver="least_squares")
+    errors = {}
+    for name, field in (("lobe", found), ("lambert", lambert)):
+        rho = diffuse_reflectance(
+            stack[fit][..., None], lights[fit], field.normals, usable=usable, shading=field.shading
+        ).reflectance[0, :, 0]
+        c, x = (np.maximum(vectors[~fit] @ field.normals[0].T, 0) for vectors in (lights, halves))
+        shading = None if field.shading is None else field.shading[0]
+        predicted = rho * c * body_factor(shading, c, x)
+        errors[name] = np.abs(predicted - stack[~fit, 0]).mean()
+    assert errors["lobe"] < 0.2 * errors["lambert"]
+    assert lambert.shading is None
+    # scaled to 1 over the samples of the fit, so that the reflectance stays near Lambert's
+    c, x = (np.maximum(vectors[fit] @ found.normals[0].T, 0) for vectors in (lights, halves))
+    used = usable[:, 0] * c**2
+    mean = (used * body_factor(found.shading[0], c, x)).sum(0) / used.sum(0)
+    np.testing.assert_allclose(np.median(mean), 1, atol=0.02)
+
+
+def test_where_the_lobe_is_not_tried_the_body_shading_is_lamberts():
+    stack, lights, _, _ = lobe_scene(5, 20, 3)
+    field = estimate_normals(stack, lights, usable=stack > 0)
+    assert (field.flags & bits.FALLBACK).any()
+    assert (field.shading[(field.flags & bits.FALLBACK) != 0] == (1, 0, 0)).all()
 
 
 def test_the_lobe_equals_a_general_optimiser():

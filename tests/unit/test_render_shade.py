@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from nishiki.brdf.body_shading import body_factor
 from nishiki.brdf.torrance_sparrow import specular
 from nishiki.errors import UserError
 from nishiki.render import kernel
@@ -88,12 +89,26 @@ def slow_xyz(scene, lights, *, eye=FRONTAL_EYE, ambient=None, visibility=None):
                 refractive_index=scene.gloss.refractive_index[labels],
             )
         cosine = np.maximum(np.sum(normals * directions, axis=-1), 0)
+        if scene.shading is not None:
+            half_cosine = np.sum(normals * unit(directions + views), axis=-1)
+            cosine = cosine * body_factor(scene.shading, cosine, half_cosine)
         radiance += (irradiance * cosine)[..., None] * reflectance * power
         radiance += (irradiance * gloss)[..., None] * power
     if ambient is not None:
         power = ambient.level * ambient.spectrum / (cie_1931_cmfs()[1] @ ambient.spectrum)
-        radiance += 0.5 * (1 + normals[..., 2:]) * reflectance * power
+        seen = 0.5 * (1 + normals[..., 2:]) * ambient_factor(scene)
+        radiance += seen * reflectance * power
     return radiance @ cie_1931_cmfs().T
+
+
+def ambient_factor(scene):
+    """Mean of the body factor over a half space of light in front of a facet that faces the eye, by quadrature."""
+    if scene.shading is None:
+        return 1.0
+    cosine = (np.arange(20000) + 0.5) / 20000
+    a, b, d = np.moveaxis(scene.shading.astype(np.float64), -1, 0)
+    means = [np.mean(2 * cosine * values) for values in (cosine, ((1 + cosine) / 2) ** 4)]
+    return np.maximum(a + b * means[0] + d * means[1], 0)[..., None]
 
 
 def assert_close(values, reference, tolerance=1e-6):
@@ -103,8 +118,12 @@ def assert_close(values, reference, tolerance=1e-6):
 
 @pytest.mark.parametrize("bands", [1, 3, 8])
 @pytest.mark.parametrize("eye", [(0, 0, 1, 0), (40, -30, 90, 1), (300, 0, 20, 1)])
-def test_matrix_form_equals_61_bands(bands, eye):
+@pytest.mark.parametrize("shaded", [False, True])
+def test_matrix_form_equals_61_bands(bands, eye, shaded):
     scene = make_scene(bands=bands, mean=np.linspace(0.1, 0.2, 61))
+    if shaded:  # some factors below 0, which count as 0
+        shading = np.random.default_rng(2).normal([0.8, -0.3, 0.5], 0.5, (*scene.shape, 3)).astype(np.float32)
+        scene = dataclasses.replace(scene, shading=shading)
     ambient = Ambient(illuminant("FL2"), 0.3)
     visibility = np.random.default_rng(1).uniform(0, 1, (4, *scene.shape)).astype(np.float32)
     eye = np.array(eye, float)

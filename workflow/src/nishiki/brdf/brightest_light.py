@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nishiki.brdf.body_shading import body_factor
 from nishiki.brdf.levenberg_marquardt import fit_lobe
 from nishiki.brdf.torrance_sparrow import attenuation, half_vector_geometry
 
@@ -34,6 +35,7 @@ def brightest_light_samples(
     view=(0.0, 0.0, 1.0),
     refractive_index=1.45,
     smoothing=0.4,
+    shading=None,
 ):
     """(phi, value, F G / cos_r) of the brightest light of each pixel less steep than 50 degrees; flat arrays.
 
@@ -48,7 +50,9 @@ def brightest_light_samples(
     usable = np.ones(observations.shape, bool) if usable is None else usable
     brightest = np.argmax(np.where(usable, observations, -np.inf), axis=0)
     top = np.take_along_axis(observations, brightest[None], axis=0)[0]
-    value = top - diffuse_albedo * np.maximum(np.sum(normals * lights[brightest], axis=-1), 0)
+    cosine = np.maximum(np.sum(normals * lights[brightest], axis=-1), 0)
+    half_cosine = np.cos(half_vector_geometry(normals, lights[brightest], view).phi)
+    value = top - diffuse_albedo * cosine * body_factor(shading, cosine, half_cosine)
     smooth = gaussian_filter(normals, (smoothing, smoothing, 0)) if smoothing > 0 else normals
     length = np.linalg.norm(smooth, axis=-1, keepdims=True)
     smooth = smooth / np.where(length > 0, length, 1)

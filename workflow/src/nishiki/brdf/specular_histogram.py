@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import njit
 
+from nishiki.brdf.body_shading import body_factor_scalar
 from nishiki.brdf.kernels import fresnel_scalar, masking_over_cos_r_scalar, phi_squared
 from nishiki.errors import UserError
 
@@ -86,6 +87,7 @@ class SpecularHistogram:
         sigma=None,
         regions=None,
         every=1,
+        shading=None,
     ) -> "SpecularHistogram":
         """Add every usable observation of a tile: all lights, lit and seen pixels.
 
@@ -94,6 +96,7 @@ class SpecularHistogram:
         unit, towards the lamp; usable: bool (light, row, column), e.g. neither saturated nor in cast shadow; view: (3,)
         unit; sigma: (row, column), deviation of the normals per tangent axis, radians (0 if None); regions: integer
         (row, column), -1 leaves a pixel out (all region 0 if None).
+        shading: (row, column, 3) of `nishiki.brdf.body_shading`, or None for Lambert's law.
         every: only rows and columns 0, every, 2 every ... of the tile, to save time.
         """
         shape = np.shape(observations)
@@ -110,7 +113,8 @@ class SpecularHistogram:
             found = f"{usable.shape}, {np.shape(normals)}, {len(lights)} lights"
             raise UserError(f"usable, normals, lights: expected them to agree with observations {shape}, found {found}")
         new = replace(self, weights=self.weights.copy(), values=self.values.copy(), rows=self.rows.copy())
-        maps = (np.asarray(observations, real), np.asarray(normals, real), np.asarray(diffuse_albedo, real))
+        shading = np.empty((0, 0, 3), real) if shading is None else np.asarray(shading, real)
+        maps = (np.asarray(observations, real), np.asarray(normals, real), np.asarray(diffuse_albedo, real), shading)
         directions = (np.asarray(lights, float), np.asarray(view, float))
         settings = (self.refractive_index, self.value_unit)
         sums = (new.weights, new.values, new.rows)
@@ -179,6 +183,7 @@ def _add_tile(
     observations,
     normals,
     albedo,
+    shading,
     lights,
     view,
     usable,
@@ -213,7 +218,11 @@ def _add_tile(
                 sin2 = (cx * cx + cy * cy + cz * cz) / length2
                 phi2 = phi_squared(min(0.5, 0.5 * sin2 / (1.0 + cos_phi)))
                 a = f * masking_over_cos_r_scalar(cos_phi, cos_i, cos_r, cos_q)
-                z = (np.float64(observations[k, r, c]) - np.float64(albedo[r, c]) * cos_i) / a
+                body = cos_i
+                if shading.shape[0] > 0:
+                    abd = shading[r, c]
+                    body *= body_factor_scalar(abd[0], abd[1], abd[2], cos_i, cos_phi)
+                z = (np.float64(observations[k, r, c]) - np.float64(albedo[r, c]) * body) / a
                 s = np.float64(sigma[r, c])
                 if np.isfinite(z + s) and a > 0.0:
                     _put(phi2, z, a, s, value_unit, weights[region], values[region], rows[region])

@@ -7,21 +7,21 @@ import numpy as np
 from nishiki.render.relight import predict_observations
 from nishiki.render.scene import Gloss, Light
 
-_BAND_ROWS = 256
-
 
 @dataclass(frozen=True)
 class FittedModel:
     """Maps of the fit, on camera pixels.
 
     normals : (rows, columns, 3) float32; reflectance : (rows, columns, channels) float32, relative to white; gloss :
-    Torrance-Sparrow parameters by region; labels : (rows, columns) uint8 region of each pixel, or None.
+    Torrance-Sparrow parameters by region; labels : (rows, columns) uint8 region of each pixel, or None; shading :
+    (rows, columns, 3) float32 of `nishiki.brdf.body_shading`, or None for Lambert's law.
     """
 
     normals: np.ndarray
     reflectance: np.ndarray
     gloss: Gloss = field(default_factory=Gloss.none)
     labels: np.ndarray | None = None
+    shading: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -29,14 +29,15 @@ class PredictedLight:
     """A scene under one lamp, all (rows, columns) float32 but the first.
 
     channels : (rows, columns, C) as the camera would see them, relative to white; diffuse, specular : their parts, mean
-    over channels; lit : share of the lamp that is visible, 0 where n.l <= 0; cosine : max(n.l, 0) times that share.
+    over channels; lit : share of the lamp that is visible, 0 where n.l <= 0; body : what a reflectance of 1 would send
+    back, max(n.l, 0) times the factor of the body shading and that share.
     """
 
     channels: np.ndarray
     diffuse: np.ndarray
     specular: np.ndarray
     lit: np.ndarray
-    cosine: np.ndarray
+    body: np.ndarray
 
     def band(self, rows: slice) -> "PredictedLight":
         """The same, of some rows."""
@@ -46,45 +47,32 @@ class PredictedLight:
 def predict_light(
     model: FittedModel, light: Light, *, height: np.ndarray | None = None, pitch: float = 1.0
 ) -> PredictedLight:
-    """Observation I' = (rho max(n.l, 0) + beta D F G / cos_r) E (P eq. 10, camera channels, frontal view).
+    """Observation I' = (rho c f + beta D F G / cos_r) E with c = max(n.l, 0), frontal view, in camera channels.
 
-    light : with a direction, or a position relative to the centre of the maps in the unit of `pitch`; E is 1 but for a
-    lamp with fall-off, where no white board has divided it out. height : (rows, columns) in the unit of `pitch`, for
-    cast shadows; None: none are cast.
+    P eq. 10, with the factor f of the body shading (1: Lambert). light : with a direction, or a position relative to
+    the centre of the maps in the unit of `pitch`; E is 1 but for a lamp with fall-off, where no white board has divided
+    it out. height : (rows, columns) in the unit of `pitch`, for cast shadows; None: none are cast.
     """
-    (found,) = predict_observations(
+    (seen,) = predict_observations(
         model.normals,
         model.reflectance,
         [light],
+        shading=model.shading,
         gloss=model.gloss,
         labels=model.labels,
         height=height,
         pitch=pitch,
     )
-    cosine = np.empty(model.normals.shape[:2], np.float32)
-    for start in range(0, len(cosine), _BAND_ROWS):
-        rows = slice(start, min(start + _BAND_ROWS, len(cosine)))
-        cosine[rows] = _irradiance(model.normals[rows], light, rows, cosine.shape, pitch)
-    lit = (cosine > 0).astype(np.float32)
-    if found.visibility is not None:
-        lit *= found.visibility
-        cosine *= found.visibility
-    diffuse = model.reflectance.mean(axis=-1) * cosine
-    specular = np.maximum(found.observations.mean(axis=-1) - diffuse, 0.0)
-    return PredictedLight(found.observations, diffuse, specular, lit, cosine)
-
-
-def _irradiance(normals: np.ndarray, light: Light, rows: slice, shape: tuple[int, int], pitch: float) -> np.ndarray:
-    """max(n.l, 0) E of some rows of a map of this shape (rows, columns)."""
-    source = light.homogeneous()
-    if source[3] == 0:
-        return light.intensity * np.maximum(normals @ source[:3].astype(np.float32), 0.0)
-    x = source[0] - pitch * (np.arange(shape[1]) - (shape[1] - 1) / 2)
-    y = source[1] - pitch * ((shape[0] - 1) / 2 - np.arange(rows.start, rows.stop)[:, None])
-    square = x**2 + y**2 + source[2] ** 2
-    along = normals[..., 0] * x + normals[..., 1] * y + normals[..., 2] * source[2]
-    strength = light.intensity * (float(source[:3] @ source[:3]) / square if light.falloff else 1.0)
-    return np.maximum(along, 0.0) / np.sqrt(square) * strength
+    white = np.ones((*model.normals.shape[:2], 1), np.float32)
+    (matte,) = predict_observations(model.normals, white, [light], shading=model.shading, pitch=pitch)
+    body = matte.observations[..., 0]
+    lit = (body > 0).astype(np.float32)
+    if seen.visibility is not None:
+        lit *= seen.visibility
+        body *= seen.visibility
+    diffuse = model.reflectance.mean(axis=-1) * body
+    specular = np.maximum(seen.observations.mean(axis=-1) - diffuse, 0.0)
+    return PredictedLight(seen.observations, diffuse, specular, lit, body)
 
 
 def light_of(

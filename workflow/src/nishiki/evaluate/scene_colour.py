@@ -28,7 +28,7 @@ class SceneColour:
         """
         if self.matrix is None or coefficients is None:
             return self.camera.xyz(band.channels).astype(np.float32)
-        diffuse = (coefficients @ self.matrix.T.astype(np.float32)) * band.cosine[..., None]
+        diffuse = (coefficients @ self.matrix.T.astype(np.float32)) * band.body[..., None]
         return diffuse + band.specular[..., None] * self.white.astype(np.float32)
 
 

@@ -14,6 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
+from nishiki.brdf.body_shading import body_factor
 from nishiki.brdf.specular_histogram import SpecularHistogram
 from nishiki.brdf.torrance_sparrow import GAMMA_PER_SIGMA
 from nishiki.errors import UserError
@@ -101,10 +102,11 @@ def body_shading(cosine: np.ndarray, normal_z: np.ndarray, transmission: float) 
     return cosine * (1 - transmission * (1 - cosine) ** 5) * (1 - transmission * leave**5)
 
 
-def specular_samples(observations, directions, normals, reflectance, gloss, *, valid):
+def specular_samples(observations, directions, normals, reflectance, gloss, *, valid, shading=None):
     """(phi, residual, F G / cos_r) of every lit sample: (lights, ...) each, attenuation 0 where there is none.
 
-    observations (lights, ..., C), normals (..., 3), reflectance (..., C), valid (lights, ...) bool.
+    observations (lights, ..., C), normals (..., 3), reflectance (..., C), valid (lights, ...) bool; shading (..., 3) of
+    `nishiki.brdf.body_shading`, or None for Lambert's law.
     """
     lights = light_table(directions, gloss.refractive_index)
     normals = np.asarray(normals, np.float64)
@@ -112,7 +114,7 @@ def specular_samples(observations, directions, normals, reflectance, gloss, *, v
     cosine = np.moveaxis(normals @ lights[:, :3].T, -1, 0)
     x = np.moveaxis(normals @ lights[:, 3:6].T, -1, 0)
     nz = normals[..., 2]
-    body = body_shading(cosine, nz, gloss.transmission)
+    body = body_shading(cosine, nz, gloss.transmission) * body_factor(shading, cosine, x)
     residual = observations.mean(axis=-1) - body * np.asarray(reflectance, np.float64).mean(axis=-1)
     fresnel, cos_q = lights[:, 6].reshape(shape), lights[:, 7].reshape(shape)
     usable = valid & (cosine > 0.05) & (nz > 0.5)

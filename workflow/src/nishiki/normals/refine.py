@@ -5,10 +5,12 @@ from numba import njit, prange
 
 from nishiki.normals import flags as bits
 from nishiki.normals.least_squares import LARGEST, LEAST_ALBEDO, eigenvalues
-from nishiki.normals.lobe import LANES, SUMS, cholesky_solve, descend, raised
+from nishiki.normals.lobe import LANES, SUMS, add_up, cholesky_solve, descend, frame_of, raised
 
 WIDTH = 0.25  # standard deviation expected of b and d, relative to the albedo, where the samples scatter much
 FARTHEST = 1e12  # times the albedo
+SHADING_SQUARINGS = 3  # exponent 8 of `nishiki.brdf.body_shading`
+LEAST_FACTOR = 0.01  # mean body factor, relative to Lambert's albedo, below which Lambert's law is kept for the shading
 CHUNK = 256  # pixels that share one set of work arrays
 
 
@@ -75,7 +77,7 @@ def disagreement(value, known, vectors, normal, terms, squarings, scale):
 def fit_widths(
     value, known, weight, spare, first, vectors, normal, widths, prior, noise, reselections, at_least, scale, work
 ):
-    """The best of the fits with exponents 2^k, widths = (least k, largest k); weight and work are those of the best.
+    """The best of the fits with exponents 2^k, widths = (least k, largest k), and its k; weight and work are its own.
 
     first (lights) holds the samples to start from. The fits are compared by `disagreement` with one common scale.
     """
@@ -90,7 +92,10 @@ def fit_widths(
         if score < record:
             record, chosen = score, k
     weight[:] = first
-    return fit_pixel(value, known, weight, spare, vectors, normal, chosen, prior, noise, reselections, at_least, work)
+    normal, terms, kept = fit_pixel(
+        value, known, weight, spare, vectors, normal, chosen, prior, noise, reselections, at_least, work
+    )
+    return normal, terms, kept, chosen
 
 
 @njit(cache=True, error_model="numpy")
@@ -124,12 +129,14 @@ def tangential_variance(sums, prior, matrix, step):
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def refine(observations, usable, known, vectors, settings, max_condition, normals, scalars, lights_used, flags):
+def refine(
+    observations, usable, known, vectors, settings, max_condition, normals, scalars, lights_used, flags, shading
+):
     """Refine the Lambertian estimates in the outputs of `solve_weighted` where there are samples enough.
 
     observations (lights, pixels) float32; usable, known (lights, pixels) uint8, or (lights, 1) for all pixels alike;
     vectors (6, padded lights) float32; settings: least k of the exponents 2^k, prior, noise, reselections, at_least,
-    largest k.
+    largest k; shading (pixels, 3) float32: (a, b, d) of `nishiki.brdf.body_shading`, Lambert's (1, 0, 0) before.
     """
     lights, pixels = observations.shape
     padded = vectors.shape[1]
@@ -159,7 +166,7 @@ def refine(observations, usable, known, vectors, settings, max_condition, normal
             scale = noise + spread
             # The second part is a Gaussian prior of standard deviation WIDTH, in units of the squared residuals.
             held = prior * lights_used[p] / 3.0 + (spread / WIDTH) ** 2
-            normal, terms, kept = fit_widths(
+            normal, terms, kept, chosen = fit_widths(
                 value,
                 allowed,
                 weight,
@@ -179,7 +186,9 @@ def refine(observations, usable, known, vectors, settings, max_condition, normal
                 normal,
                 terms,
                 kept,
+                chosen,
                 albedo,
+                value,
                 weight,
                 vectors,
                 held,
@@ -190,12 +199,29 @@ def refine(observations, usable, known, vectors, settings, max_condition, normal
                 scalars,
                 lights_used,
                 flags,
+                shading,
             )
 
 
 @njit(cache=True, error_model="numpy")
 def store(
-    normal, terms, kept, albedo, weight, vectors, prior, max_condition, work, p, normals, scalars, lights_used, flags
+    normal,
+    terms,
+    kept,
+    squarings,
+    albedo,
+    value,
+    weight,
+    vectors,
+    prior,
+    max_condition,
+    work,
+    p,
+    normals,
+    scalars,
+    lights_used,
+    flags,
+    shading,
 ):
     """Write a refined pixel; where the fit is no surface (no diffuse part, singular) the Lambertian one stands."""
     sums, _, matrix, step, _ = work
@@ -219,3 +245,28 @@ def store(
     if normal[2] <= 0.0:
         flag |= bits.FACES_AWAY
     flags[p] = flag
+    if squarings != SHADING_SQUARINGS:
+        terms = linear_terms(value, weight, vectors, normal, terms, prior, work)
+    mean = terms[0] + (terms[1] * sums[10] + terms[2] * sums[11]) / sums[9]
+    if mean > LEAST_FACTOR:  # false for NaN
+        shading[p, 0], shading[p, 1], shading[p, 2] = terms[0] / mean, terms[1] / mean, terms[2] / mean
+
+
+@njit(cache=True, error_model="numpy")
+def linear_terms(value, weight, vectors, normal, terms, prior, work):
+    """(a, b, d) of a given normal with the exponent of the shading map, where the fit chose another one.
+
+    One Gauss-Newton step from (terms[0], 0, 0): the model is linear in the terms. `work` then holds its sums.
+    """
+    sums, _, matrix, step, lanes = work
+    f = np.float32
+    frame, _ = frame_of(normal[0], normal[1], normal[2])
+    add_up(value, weight, vectors, frame, (f(terms[0]), f(0.0), f(0.0)), SHADING_SQUARINGS, lanes, sums)
+    for k in range(9):
+        sums[k] = 1.0 if k == 0 or k == 5 else 0.0  # the normal stands: no tangential steps
+    sums[15], sums[16] = 0.0, 0.0
+    for i in range(5):
+        step[i] = sums[15 + i]
+    if not cholesky_solve(sums, 0.0, prior, matrix, step):
+        return (1.0, 0.0, 0.0)
+    return (terms[0] + step[2], step[3], step[4])

@@ -1,6 +1,6 @@
 """Photometric stereo: normals, albedo and their uncertainty from observations under known lights."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,7 +24,8 @@ class NormalField:
     white reference; sigma float32, root mean square angle of the error in radians, first order, from the residual;
     lights_used uint16; condition float32 of the weighted 3 x 3 normal matrix; residual float32, root mean square, in
     units of the observations; flags uint8, the bits of `nishiki.normals.flags`. Where a flag of NO_ESTIMATE is set the
-    normal is (0, 0, 1), albedo and residual are 0 and sigma is pi / 2: finite, and marked as unknown.
+    normal is (0, 0, 1), albedo and residual are 0 and sigma is pi / 2: finite, and marked as unknown. shading (rows,
+    columns, 3) float32: (a, b, d) of `nishiki.brdf.body_shading`, None of a solver that knows Lambert's law only.
     """
 
     normals: np.ndarray
@@ -35,6 +36,7 @@ class NormalField:
     residual: np.ndarray
     flags: np.ndarray
     solver: str
+    shading: np.ndarray | None = None
 
     @property
     def valid(self):
@@ -96,6 +98,7 @@ def estimate_normals(
     shape = np.shape(observations)
     factors = sample_weights(stack, both(usable, valid), weights, shape)
     outputs = lambertian(stack, directions, factors, max_condition)
+    shading = None
     if solver in ("lobe", "lobes"):
         if weights is not None:
             raise UserError(
@@ -103,12 +106,17 @@ def estimate_normals(
             )
         known = factors if valid is None else sample_weights(stack, valid, None, shape)
         exponents = EXPONENTS if solver == "lobes" else (exponent,)
-        refine_lobe(stack, directions, factors, known, outputs, exponents, noise, max_condition)
-    return as_field(*outputs, shape[1:], solver)
+        shading = refine_lobe(stack, directions, factors, known, outputs, exponents, noise, max_condition)
+        shading = shading.reshape(*shape[1:], 3)
+    return replace(as_field(*outputs, shape[1:], solver), shading=shading)
 
 
 def refine_lobe(stack, directions, usable, known, outputs, exponents, noise, max_condition):
-    """Replace the Lambertian estimates in the outputs, in place, by those of the model with a gloss lobe."""
+    """Replace the Lambertian estimates in the outputs, in place, by those of the model with a gloss lobe.
+
+    Returns the body shading (pixels, 3) float32 of `nishiki.brdf.body_shading`.
+    """
+    from nishiki.brdf.body_shading import LAMBERT
     from nishiki.normals.refine import LANES, refine
 
     if not set(exponents) <= {2, 4, 8, 16, 32}:
@@ -119,6 +127,7 @@ def refine_lobe(stack, directions, usable, known, outputs, exponents, noise, max
     vectors = np.zeros((6, -(-lights // LANES) * LANES), dtype=np.float32)
     vectors[:3, :lights], vectors[3:, :lights] = directions.T, halves.T
     everything = np.ones((lights, 1), dtype=np.uint8)
+    shading = np.tile(np.array(LAMBERT, np.float32), (stack.shape[1], 1))
     settings = np.array([np.log2(exponents[0]), PRIOR, noise, RESELECTIONS, AT_LEAST, np.log2(exponents[-1])])
     refine(
         stack,
@@ -128,7 +137,9 @@ def refine_lobe(stack, directions, usable, known, outputs, exponents, noise, max
         settings,
         float(max_condition),
         *outputs,
+        shading,
     )
+    return shading
 
 
 def lambertian(stack, directions, factors, max_condition):

@@ -82,6 +82,7 @@ class MapSamples:
 
     normals: np.ndarray  # (h, w, 3) float32, unit length or 0
     coefficients: np.ndarray  # (h, w, K) float32
+    shading: np.ndarray | None  # (h, w, 3) float32
     labels: np.ndarray | None  # (h, w) uint8, of the nearest pixel
     visibility: np.ndarray | None  # (lights, h, w) float32
     inside: np.ndarray  # (h, w) bool
@@ -99,12 +100,14 @@ def sample_maps(
     lights = 0 if visibility is None else len(visibility)
     normals = np.empty((height, width, 3), np.float32)
     coefficients = np.empty((height, width, scene.coefficients.shape[2]), np.float32)
+    shading = np.empty((height, width, 3) if scene.shading is not None else (0, 0, 0), np.float32)
     labels = np.empty((height, width) if scene.labels is not None else (0, 0), np.uint8)
     visible = np.empty((lights, height, width), np.float32)
     inside = np.empty((height, width), np.bool_)
     _sample(
         np.ascontiguousarray(scene.normals, np.float32),
         np.ascontiguousarray(scene.coefficients, np.float32),
+        np.zeros((0, 0, 0), np.float32) if scene.shading is None else np.ascontiguousarray(scene.shading, np.float32),
         np.zeros((0, 0), np.uint8) if scene.labels is None else np.ascontiguousarray(scene.labels),
         np.zeros((0, 0, 0), np.float32) if visibility is None else np.ascontiguousarray(visibility, np.float32),
         to_map,
@@ -112,6 +115,7 @@ def sample_maps(
         float(extent[1]),
         normals,
         coefficients,
+        shading,
         labels,
         visible,
         inside,
@@ -119,6 +123,7 @@ def sample_maps(
     return MapSamples(
         normals,
         coefficients,
+        None if scene.shading is None else shading,
         None if scene.labels is None else labels,
         None if visibility is None else visible,
         inside,
@@ -126,7 +131,9 @@ def sample_maps(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _sample(maps_n, maps_c, maps_l, maps_v, to_map, high, wide, normals, coefficients, labels, visible, inside):
+def _sample(
+    maps_n, maps_c, maps_s, maps_l, maps_v, to_map, high, wide, normals, coefficients, shading, labels, visible, inside
+):
     rows, columns = maps_n.shape[:2]
     for i in range(inside.shape[0]):
         for j in range(inside.shape[1]):
@@ -138,6 +145,8 @@ def _sample(maps_n, maps_c, maps_l, maps_v, to_map, high, wide, normals, coeffic
             if not on:
                 normals[i, j, :] = 0.0
                 coefficients[i, j, :] = 0.0
+                if shading.shape[0] > 0:
+                    shading[i, j, :] = 0.0
                 visible[:, i, j] = 0.0
                 if labels.shape[0] > 0:
                     labels[i, j] = 0
@@ -148,6 +157,8 @@ def _sample(maps_n, maps_c, maps_l, maps_v, to_map, high, wide, normals, coeffic
             fx, fy = x - c0, y - r0
             nx, ny, nz, known = 0.0, 0.0, 0.0, 0.0
             coefficients[i, j, :] = 0.0
+            if shading.shape[0] > 0:
+                shading[i, j, :] = 0.0
             for k in range(4):
                 r, c = r1 if k >= 2 else r0, c1 if k % 2 == 1 else c0
                 weight = (fy if k >= 2 else 1.0 - fy) * (fx if k % 2 == 1 else 1.0 - fx)
@@ -158,6 +169,9 @@ def _sample(maps_n, maps_c, maps_l, maps_v, to_map, high, wide, normals, coeffic
                     nx, ny, nz, known = nx + weight * px, ny + weight * py, nz + weight * pz, known + weight
                 for m in range(coefficients.shape[2]):
                     coefficients[i, j, m] += np.float32(weight) * maps_c[r, c, m]
+                if shading.shape[0] > 0:
+                    for m in range(3):
+                        shading[i, j, m] += np.float32(weight) * maps_s[r, c, m]
             length = np.sqrt(nx * nx + ny * ny + nz * nz)
             scale = 1.0 / length if known > 0.5 and length > 0.0 else 0.0
             normals[i, j, 0], normals[i, j, 1], normals[i, j, 2] = nx * scale, ny * scale, nz * scale

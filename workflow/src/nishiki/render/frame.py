@@ -127,6 +127,7 @@ def render_tile(
         scene,
         normals=scene.normals[keep],
         coefficients=scene.coefficients[keep],
+        shading=None if scene.shading is None else scene.shading[keep],
         labels=None if scene.labels is None else scene.labels[keep],
         height=None,
     )
@@ -180,6 +181,7 @@ class _Painter:
             samples.coefficients,
             self.lights,
             groups=self.groups,
+            shading=samples.shading,
             gloss=self.maps.gloss,
             labels=samples.labels,
             visibility=samples.visibility,
@@ -199,9 +201,16 @@ def reduce_maps(scene: PlaneScene, visibility: np.ndarray | None, factor: int):
     length = np.linalg.norm(normals, axis=2, keepdims=True)
     normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
     coefficients = _block_means(scene.coefficients, factor)
+    shading = None if scene.shading is None else _block_means(scene.shading, factor)
     labels = None if scene.labels is None else _block_middles(scene.labels, factor)
     reduced = dataclasses.replace(
-        scene, normals=normals, coefficients=coefficients, labels=labels, height=None, pitch=scene.pitch * factor
+        scene,
+        normals=normals,
+        coefficients=coefficients,
+        shading=shading,
+        labels=labels,
+        height=None,
+        pitch=scene.pitch * factor,
     )
     if visibility is not None:
         visibility = np.stack([_block_means(v[..., None], factor)[..., 0] for v in visibility])

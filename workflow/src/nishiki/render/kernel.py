@@ -1,4 +1,4 @@
-"""Compiled shading of a plane scene: Lambert and Torrance-Sparrow, all lights, one pass over the pixels.
+"""Compiled shading of a plane scene: body shading and Torrance-Sparrow, all lights, one pass over the pixels.
 
 A light meets a pixel in two numbers only: the irradiance on the facet (diffuse) and the specular term D F G / cos_r.
 Colour is linear in both, so that they are summed over the lights that share a spectrum and multiplied by the 3 x K
@@ -22,9 +22,12 @@ BLOCK = 128
 _NX, _NY, _NZ, _VX, _VY, _VZ, _COSR, _INVR = (k * BLOCK for k in range(8))
 _LX, _LY, _LZ, _E = (k * BLOCK for k in range(8, 12))
 _COSI, _PHI2, _FG, _X, _Y, _CONTRAST, _WD, _WS, _BETA, _INVG2 = (k * BLOCK for k in range(12, 22))
-_LOBES = 22  # first of the lanes that hold beta, 1 / gamma^2 of each lobe
+_SA, _SB, _SD = (k * BLOCK for k in range(22, 25))
+_LOBES = 25  # first of the lanes that hold beta, 1 / gamma^2 of each lobe
 # A facet distribution below 2^-60 counts as 0, as in the scalar form.
 _NEGLIGIBLE = 60.0
+# Mean of x^8 over a uniform half space, weighted by the cosine, for a facet that faces the eye: 4 int (2u - 1) u^4 du.
+_AMBIENT_SKIRT = 0.5375
 _LN2_64 = np.log(2.0) / 64.0
 _FLOAT32_MAX = 3.4028234663852886e38
 
@@ -99,6 +102,15 @@ def _load_gloss(buf, labels, gloss, index, n):
     for m in range(gloss.shape[1]):
         for i in range(n):
             buf[(_LOBES + m) * BLOCK + i] = gloss[labels[i], m]
+
+
+@njit(cache=True, error_model="numpy")
+def _load_shading(buf, shading, n):
+    """(a, b, d) of the body shading of a block into their lanes."""
+    for i in range(n):
+        buf[_SA + i] = shading[i, 0]
+        buf[_SB + i] = shading[i, 1]
+        buf[_SD + i] = shading[i, 2]
 
 
 @njit(cache=True, error_model="numpy")
@@ -223,6 +235,22 @@ def _diffuse_cosines(buf, n):
 
 
 @njit(cache=True, error_model="numpy")
+def _body_shading(buf, n):
+    """c max(a + b c + d x^8, 0) in the place of c, x = n . h of light and view (`nishiki.brdf.body_shading`)."""
+    for i in range(n):
+        nx, ny, nz = buf[_NX + i], buf[_NY + i], buf[_NZ + i]
+        sx, sy, sz = buf[_LX + i] + buf[_VX + i], buf[_LY + i] + buf[_VY + i], buf[_LZ + i] + buf[_VZ + i]
+        c = buf[_COSI + i]
+        along = nx * sx + ny * sy + nz * sz
+        along = along if along > 0.0 else 0.0
+        length2 = sx * sx + sy * sy + sz * sz
+        x2 = along * along / (length2 if length2 > 1e-12 else 1e-12)
+        x4 = x2 * x2
+        factor = buf[_SA + i] + buf[_SB + i] * c + buf[_SD + i] * (x4 * x4)
+        buf[_COSI + i] = c * (factor if factor > 0.0 else 0.0)
+
+
+@njit(cache=True, error_model="numpy")
 def _add_lobe(buf, lobe, n):
     """beta D F G / cos_r of one lobe, times the irradiance, to the specular weight."""
     # to lanes of known distance first: loops over lanes of variable distance are not vectorised
@@ -238,7 +266,7 @@ def _add_lobe(buf, lobe, n):
 
 
 @njit(cache=True, error_model="numpy")
-def _add_light(buf, light, visibility, widest, n):
+def _add_light(buf, light, visibility, widest, shaded, n):
     """One light's diffuse and specular weights of a block, added to those of its group."""
     _directions(buf, light, n)
     _irradiance(buf, light, n)
@@ -250,6 +278,8 @@ def _add_light(buf, light, visibility, widest, n):
             _add_lobe(buf, lobe, n)
     elif widest < 0.0:
         _diffuse_cosines(buf, n)
+    if shaded:
+        _body_shading(buf, n)
     for i in range(n):
         c = buf[_COSI + i]
         buf[_WD + i] += (c if c > 0.0 else 0.0) * buf[_E + i]
@@ -323,11 +353,12 @@ def _mark_bad(buf, flags, total, sigma, n):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def shade(first, last, normals, coefficients, labels, gloss, index, lights, group, matrices, offsets, whites,
+def shade(first, last, normals, coefficients, shading, labels, gloss, index, lights, group, matrices, offsets, whites,
           visibility, plane, eye, ambient, widest, out, flags):  # fmt: skip
-    """Rows first .. last - 1 of: sum over the lights of (A sigma + a0) E max(n.l, 0) + white E beta D F G / cos_r.
+    """Rows first .. last - 1 of: sum over the lights of (A sigma + a0) E c f + white E beta D F G / cos_r.
 
-    normals (R, C, 3) and coefficients (R, C, K) float32; labels (R, C) uint8 or (0, 0): all pixels row 0; gloss
+    c = max(n.l, 0), f the factor of the body shading. normals (R, C, 3), coefficients (R, C, K) and shading (R, C, 3)
+    or (0, 0, 0): f = 1 float32; labels (R, C) uint8 or (0, 0): all pixels row 0; gloss
     (regions, 2 lobes): beta, 1 / gamma^2 of each lobe; index (regions,); lights (L, 6): x, y, z, w, intensity, squared
     reference distance; group (L,) row of matrices (G, channels, K), offsets and whites (G, channels), in rising order;
     visibility (L, R, C) float32 or (0, 0, 0): all 1; plane (3, 3) maps (column, row, 1) to the plane; eye (4,)
@@ -355,6 +386,8 @@ def shade(first, last, normals, coefficients, labels, gloss, index, lights, grou
             _load_normals(buf, normals[row, start:end], mark, n)
             if labels.shape[0] > 0:
                 _load_gloss(buf, labels[row, start:end], gloss, index, n)
+            if shading.shape[0] > 0:
+                _load_shading(buf, shading[row, start:end], n)
             _load_colours(sigma, coefficients[row, start:end], n)
             if positions:
                 _load_positions(buf, plane, np.float64(row), start, n)
@@ -363,6 +396,10 @@ def shade(first, last, normals, coefficients, labels, gloss, index, lights, grou
             _view_cosines(buf, mark, n)
             for i in range(n):
                 buf[_WD + i] = ambient * 0.5 * (1.0 + buf[_NZ + i])
+            if shading.shape[0] > 0:
+                for i in range(n):
+                    mean = buf[_SA + i] + buf[_SB + i] * (2.0 / 3.0) + buf[_SD + i] * _AMBIENT_SKIRT
+                    buf[_WD + i] *= mean if mean > 0.0 else 0.0
             for c in range(total.shape[0]):
                 for i in range(n):
                     total[c, i] = 0.0
@@ -372,6 +409,6 @@ def shade(first, last, normals, coefficients, labels, gloss, index, lights, grou
                     _flush(buf, total, sigma, padded[current], offsets[current], whites[current], n)
                     current = group[j]
                 visible = visibility[j, row, start:end] if visibility.shape[0] > 0 else no_visibility
-                _add_light(buf, lights[j], visible, widest, n)
+                _add_light(buf, lights[j], visible, widest, shading.shape[0] > 0, n)
             _flush(buf, total, sigma, padded[current], offsets[current], whites[current], n)
             _store(buf, out[row, start:end], mark, total, sigma, n)

@@ -1,8 +1,8 @@
 """Observations that a camera would make under a captured light, predicted from what the other stages recovered.
 
 The prediction is in the camera's own channels and relative to the white board, as ingest delivers observations:
-I' = albedo max(n . l, 0) + beta D F G / cos_r, so that no spectrum and no colour matrix stands between it and a
-photograph.
+I' = albedo c f + beta D F G / cos_r with c = max(n . l, 0) and the factor f of the body shading (1: Lambert), so that
+no spectrum and no colour matrix stands between it and a photograph.
 """
 
 from collections.abc import Iterator
@@ -30,6 +30,7 @@ def predict_observations(
     albedo: np.ndarray,
     lights: list[Light],
     *,
+    shading: np.ndarray | None = None,
     gloss: Gloss | None = None,
     labels: np.ndarray | None = None,
     height: np.ndarray | None = None,
@@ -40,10 +41,11 @@ def predict_observations(
 ) -> Iterator[Prediction]:
     """One prediction a light, in order, so that a stack of them need not be held in memory.
 
-    normals: (rows, columns, 3); albedo: (rows, columns, channels), perfect white 1; gloss, labels, height, pitch as in
-    `PlaneScene`; shadows: "sweep", "march" or "none".  The spectra of the lights are not used; a white board at the
-    same place has divided out intensity and fall-off, which should therefore stay 1 and False.  For a tile, `origin` is
-    its first (row, column) and `whole` the (rows, columns) of the map: directions to near lamps are those of the whole.
+    normals: (rows, columns, 3); albedo: (rows, columns, channels), perfect white 1; shading, gloss, labels, height,
+    pitch as in `PlaneScene`; shadows: "sweep", "march" or "none".  The spectra of the lights are not used; a white
+    board at the same place has divided out intensity and fall-off, which should therefore stay 1 and False.  For a
+    tile, `origin` is its first (row, column) and `whole` the (rows, columns) of the map: directions to near lamps are
+    those of the whole.
     """
     if albedo.ndim != 3 or albedo.shape[:2] != normals.shape[:2] or normals.shape[2:] != (3,):
         raise UserError(
@@ -63,14 +65,15 @@ def predict_observations(
         if height is not None and shadows != "none":
             cast = cast_shadows(height, [light], pitch=pitch, method=shadows, origin=origin, whole=whole)
             visibility = cast.visibility
-        shading = shade_channels(
+        seen = shade_channels(
             normals,
             albedo,
             [light],
             groups=groups,
+            shading=shading,
             gloss=Gloss.none() if gloss is None else gloss,
             labels=labels,
             visibility=visibility,
             plane=plane,
         )
-        yield Prediction(shading.values, shading.flags, None if visibility is None else visibility[0])
+        yield Prediction(seen.values, seen.flags, None if visibility is None else visibility[0])

@@ -191,6 +191,7 @@ class PlaneScene:
     coefficients: (rows, columns, K) float32, diffuse reflectance.  With `basis` (K, 61), S = coefficients . basis (+
     `mean` (61,)).  Without a basis they are the albedo in K channels and `channels_to_xyz` (3, K) carries them to XYZ
     (white point D65); for K = 3 it defaults to that of linear sRGB, which is a guess about the camera.
+    shading: (rows, columns, 3) float32, (a, b, d) of the body shading (`nishiki.brdf.body_shading`), or None: Lambert.
     height: (rows, columns) float32 in the unit of `pitch`, or None: no cast shadows.
     labels: (rows, columns) uint8 row of `gloss` for each pixel, or None: row 0 everywhere.
     pitch: distance between neighbouring pixels.
@@ -201,6 +202,7 @@ class PlaneScene:
     basis: np.ndarray | None = None
     mean: np.ndarray | None = None
     channels_to_xyz: np.ndarray | None = None
+    shading: np.ndarray | None = None
     height: np.ndarray | None = None
     labels: np.ndarray | None = None
     gloss: Gloss = field(default_factory=Gloss.none)
@@ -215,6 +217,8 @@ class PlaneScene:
             value = getattr(self, name)
             if value is not None and value.shape != self.shape:
                 raise UserError(f"{name}: expected the shape of the normals {self.shape}, found {value.shape}")
+        if self.shading is not None and self.shading.shape != (*self.shape, 3):
+            raise UserError(f"shading: expected {(*self.shape, 3)}, found {self.shading.shape}")
         if self.labels is not None and self.labels.dtype != np.uint8:
             raise UserError(f"labels: expected uint8, found {self.labels.dtype}; a scene has at most 256 regions")
         if self.labels is not None and self.labels.max() >= len(self.gloss.refractive_index):

@@ -80,6 +80,7 @@ def shade_xyz(
         scene.normals,
         scene.coefficients,
         lights,
+        shading=scene.shading,
         groups=colour_groups(scene, lights, ambient),
         gloss=scene.gloss,
         labels=scene.labels,
@@ -96,6 +97,7 @@ def shade_channels(
     lights: list[Light],
     *,
     groups: ColourGroups,
+    shading: np.ndarray | None = None,
     gloss: Gloss,
     labels: np.ndarray | None,
     visibility: np.ndarray | None,
@@ -125,6 +127,7 @@ def shade_channels(
     arguments = (
         np.ascontiguousarray(normals, np.float32),
         np.ascontiguousarray(coefficients, np.float32),
+        np.zeros((0, 0, 0), np.float32) if shading is None else np.ascontiguousarray(shading, np.float32),
         np.zeros((0, 0), np.uint8) if labels is None else np.ascontiguousarray(labels),
         table,
         gloss.refractive_index,
