@@ -24,7 +24,12 @@ def run(context: Context) -> dict:
         band_rows=256,
         stamp=context.stamp,
     )
-    out.write("height", field.height.astype(np.float32), unit="mm" if pitch else "pixels")
+    out.write(
+        "height",
+        field.height.astype(np.float32),
+        unit="mm" if pitch else "pixels",
+        nan="not integrated: outside the mask, or no estimate of the normal",
+    )
     return {"unit": "mm" if pitch else "pixels", **field.diagnostics}
 
 

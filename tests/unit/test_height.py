@@ -66,8 +66,7 @@ def test_wrong_normals_outside_the_mask_do_nothing():
     field = integrate_normals(spoilt, valid=valid, pixel_pitch=pitch)
     assert field.method == "weighted"
     assert rms(field.height, truth, valid) < 2e-4 * np.ptp(truth)
-    assert (field.height[~valid] == 0).all()
-    assert np.isfinite(field.height).all()
+    np.testing.assert_array_equal(np.isnan(field.height), ~valid)
 
 
 def test_a_hemisphere_almost_to_its_rim():

@@ -4,8 +4,11 @@ import functools
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from nishiki.errors import UserError
+from nishiki.evaluate.prediction import FittedModel, predict_light
+from nishiki.normals.height import integrate_normals
 from nishiki.render.scene import Light
 from nishiki.render.shadow import cast_shadows, shadow_reach
 
@@ -199,3 +202,61 @@ def test_mistakes_are_named():
         cast_shadows(np.zeros((2, 2), np.float32), [], pitch=1.0, method="magic")
     with pytest.raises(UserError, match="height"):
         cast_shadows(np.zeros(3, np.float32), [], pitch=1.0)
+
+
+def small_object(side=120, radius=20, tilt=0.0):
+    """Normals of a cap in the middle of a large frame, its mask; it stands on a slope of `tilt` along x.
+
+    The tilt is that of an object whose lower edge lies below its middle by far more than the cap is high.
+    """
+    y, x = np.mgrid[:side, :side] - (side - 1) / 2.0
+    mask = np.hypot(x, y) < radius
+    z = np.sqrt(np.maximum(1.5 * radius**2 - x * x - y * y, 1.0))
+    normals = np.dstack([x / z - tilt, -y / z, np.ones_like(x)])
+    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
+    return np.where(mask[..., None], normals, [0.0, 0.0, 1.0]).astype(np.float32), mask
+
+
+@pytest.mark.parametrize("method", ["sweep", "march"])
+def test_the_background_of_a_small_object_casts_no_shadow_on_it(method):
+    normals, mask = small_object()
+    height = integrate_normals(normals, valid=mask).height
+    for azimuth in (0.0, 0.7, 1.6, 3.9):
+        light = Light(direction=(np.cos(azimuth) * np.cos(0.4), np.sin(azimuth) * np.cos(0.4), np.sin(0.4)))
+        faces = mask & (normals @ np.array(light.central_direction(), np.float32) > 0.05)
+        visible = cast_shadows(height, [light], pitch=1.0, method=method).visibility[0]
+        assert visible[faces].min() == 1  # a convex cap shadows none of what faces the lamp
+        assert np.all(visible[~mask] == 1)
+
+
+def test_the_prediction_of_a_small_object_is_that_without_shadows():
+    normals, mask = small_object(tilt=0.3)
+    model = FittedModel(normals, np.full((*mask.shape, 3), 0.5, np.float32) * mask[..., None])
+    height = integrate_normals(normals, valid=mask).height
+    light = Light(direction=(-np.cos(0.5), 0, np.sin(0.5)), angular_radius=0.01)
+    with_shadows = predict_light(model, light, height=height)
+    without = predict_light(model, light)
+    faces = mask & (without.cosine > 0.05)
+    np.testing.assert_array_equal(with_shadows.channels[faces], without.channels[faces])
+
+
+@pytest.mark.parametrize("azimuth", [0, 45, 20, 115, 250])
+@pytest.mark.parametrize("method", ["sweep", "march"])
+def test_pieces_shadow_themselves_but_not_each_other(azimuth, method):
+    """Interleaved pieces, one of them in two arms: the same as each piece alone."""
+    height = relief(40, 57)
+    y, x = np.mgrid[:40, :57]
+    bridge = (y >= 36) | (x % 19 < 7)
+    island = (x % 19 > 8) & (x % 19 < 17) & (y < 33)
+    height[~bridge & ~island] = np.nan
+    height[island] += 50 * (1 + x[island] // 19)
+    a, e = np.radians([azimuth, 12])
+    light = Light(direction=(np.cos(a) * np.cos(e), np.sin(a) * np.cos(e), np.sin(e)))
+    together = cast_shadows(height, [light], pitch=0.5, method=method)
+    pieces, count = ndimage.label(np.isfinite(height))
+    assert count == 4
+    for piece in range(1, count + 1):
+        own = pieces == piece
+        alone = cast_shadows(np.where(own, height, np.nan), [light], pitch=0.5, method=method)
+        np.testing.assert_array_equal(together.visibility[0][own], alone.visibility[0][own])
+    assert together.visibility.min() < 1

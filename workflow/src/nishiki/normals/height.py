@@ -27,10 +27,11 @@ class HeightField:
     """A relief with what the integration left over.
 
     height (rows, columns) float32 in the unit of the pixel pitch, towards the camera, mean 0 over each connected part;
-    0 where `valid` (rows, columns) bool is False. integrability_rms: root mean square of p_y - q_x, in slope per unit
-    length, over the 2 x 2 squares of valid pixels; 0 for the normals of a continuous surface. gradient_rms: root mean
-    square of (height difference / pitch - slope) over valid neighbours. parts: number of connected parts, whose
-    relative heights the normals do not tell. residual: relative residual of the linear system at the end.
+    NaN where `valid` (rows, columns) bool is False: a number there would be a wall around the object.
+    integrability_rms: root mean square of p_y - q_x, in slope per unit length, over the 2 x 2 squares of valid pixels;
+    0 for the normals of a continuous surface. gradient_rms: root mean square of (height difference / pitch - slope)
+    over valid neighbours. parts: number of connected parts, whose relative heights the normals do not tell. residual:
+    relative residual of the linear system at the end.
     """
 
     height: np.ndarray
@@ -116,18 +117,19 @@ def slopes(normals, valid, dtype):
 
 
 def level_parts(height, valid):
-    """Subtract its mean from each connected part, in place; zero elsewhere. Returns the number of parts."""
+    """Subtract its mean from each connected part, in place; NaN elsewhere. Returns the number of parts."""
     from scipy import ndimage
 
     height[~valid] = 0
     labels, parts = ndimage.label(valid)
     if parts == 1:
         height[valid] -= height[valid].mean(dtype=np.float64)
+        height[~valid] = np.nan
         return 1
     counts = np.bincount(labels.ravel())
     means = np.bincount(labels.ravel(), weights=height.ravel()) / np.maximum(counts, 1)
     height -= means.astype(height.dtype)[labels]
-    height[~valid] = 0
+    height[~valid] = np.nan
     return parts
 
 

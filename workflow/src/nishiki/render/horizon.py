@@ -21,10 +21,13 @@ def _disc_share(elevation, horizon, radius):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _sweep_line(start, surface, slope, step, hull_at, hull_height, out):
-    """Horizon along the line row = start + slope column into out (columns,); NaN off the map or where unknown."""
+def _sweep_line(line, start, surface, pieces, slope, step, tops, line_of, below, heights, out):
+    """Horizon along the line row = start + slope column into out (columns,); NaN off the map or where unknown.
+
+    Each piece of the surface has an upper convex hull of its own, a linked list over the columns: tops (pieces,) is its
+    nearest column, valid where line_of (pieces,) is `line`; below (columns,) the next column of a hull, -1 at its end.
+    """
     rows, columns = surface.shape
-    top = -1
     for column in range(columns - 1, -1, -1):
         out[column] = np.nan
         at = start + slope * column
@@ -37,36 +40,40 @@ def _sweep_line(start, surface, slope, step, hull_at, hull_height, out):
             height = (1.0 - share) * height + share * surface[row + 1, column]
         if not np.isfinite(height):
             continue
+        piece = pieces[row, column] if pieces.shape[0] > 0 else 0  # neighbours with heights are of one piece
+        top = tops[piece] if line_of[piece] == line else -1
         tangent = -1e30
         if top >= 0:
-            tangent = (hull_height[top] - height) / (hull_at[top] - column)
-            while top >= 1:
-                deeper = (hull_height[top - 1] - height) / (hull_at[top - 1] - column)
+            tangent = (heights[top] - height) / (top - column)
+            while below[top] >= 0:
+                under = below[top]
+                deeper = (heights[under] - height) / (under - column)
                 if deeper < tangent:
                     break
                 tangent = deeper  # the point at the top lies below the line to the one beneath it
-                top -= 1
+                top = under
             tangent /= step
         out[column] = tangent
-        top += 1
-        hull_at[top] = column
-        hull_height[top] = height
+        below[column], heights[column] = top, height
+        tops[piece], line_of[piece] = column, line
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def sweep(first, last, phase, surface, slope, step, elevation, radius, floor, out):
+def sweep(first, last, phase, surface, pieces, count, slope, step, elevation, radius, floor, out):
     """Visibility of the pixels between the lines k - 1 and k, for k = first .. last - 1: exactly one a column.
 
     Line k is row = k + phase + slope column.  A pixel's tangent is the mean of its two lines'; tangents below `floor`
-    count as that: what lies further off than a tile's border reaches is then the same as nothing.
+    count as that: what lies further off than a tile's border reaches is then the same as nothing.  pieces: (rows,
+    columns) int32 piece of each pixel, 0 .. count - 1, or (0, 0): all of piece 0.
     """
     rows, columns = surface.shape
     low, high = np.tan(max(elevation - radius, -1.5)), np.tan(min(elevation + radius, 1.5))
-    hull_at, hull_height = np.empty(columns), np.empty(columns)
+    tops, line_of = np.empty(count, np.int64), np.full(count, first - 2)
+    below, heights = np.empty(columns, np.int64), np.empty(columns)
     before, here = np.empty(columns), np.empty(columns)
-    _sweep_line(first - 1 + phase, surface, slope, step, hull_at, hull_height, before)
+    _sweep_line(first - 1, first - 1 + phase, surface, pieces, slope, step, tops, line_of, below, heights, before)
     for k in range(first, last):
-        _sweep_line(k + phase, surface, slope, step, hull_at, hull_height, here)
+        _sweep_line(k, k + phase, surface, pieces, slope, step, tops, line_of, below, heights, here)
         for column in range(columns):
             lower = k - 1 + phase + slope * column
             row = int(np.floor(lower)) + 1
@@ -89,9 +96,10 @@ def sweep(first, last, phase, surface, slope, step, elevation, radius, floor, ou
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _march_pixel(row, column, surface, pitch, to_column, to_row, lowest, highest, end):
+def _march_pixel(row, column, surface, pieces, pitch, to_column, to_row, lowest, highest, end):
     """Tangent of the horizon of a pixel along the unit direction (to_column, to_row); -1e30 where nothing is there.
 
+    Only heights of the pixel's own piece count.
     Stops where a height of `highest` could no longer pass the horizon found, or `lowest`, and after `end` pixels.
     """
     rows, columns = surface.shape
@@ -100,6 +108,8 @@ def _march_pixel(row, column, surface, pitch, to_column, to_row, lowest, highest
     length = 1.0 / main
     step_column, step_row = to_column * length, to_row * length
     start = surface[row, column] / pitch
+    one_piece = pieces.shape[0] == 0
+    own = 0 if one_piece else pieces[row, column]
     tangent = -1e30
     k = 1
     while True:
@@ -122,14 +132,17 @@ def _march_pixel(row, column, surface, pitch, to_column, to_row, lowest, highest
         here = np.float64(surface[r0, c0])
         height = here if share < 1e-8 else (1.0 - share) * here + share * other
         value = (height / pitch - start) / distance
-        if value > tangent:  # false for NaN
+        if value > tangent and (one_piece or pieces[r0, c0] == own):  # false for NaN
             tangent = value
         k += 1
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def march(first, last, surface, pitch, light_column, light_row, light_z, w, highest, radius, out):
-    """Visibility of a lamp at (column, row, z) in pixels from each pixel, or in that direction where w is 0."""
+def march(first, last, surface, pieces, pitch, light_column, light_row, light_z, w, highest, radius, out):
+    """Visibility of a lamp at (column, row, z) in pixels from each pixel, or in that direction where w is 0.
+
+    pieces as in `sweep`.
+    """
     for row in range(first, last):
         for column in range(surface.shape[1]):
             start = surface[row, column] / pitch
@@ -142,5 +155,7 @@ def march(first, last, surface, pitch, light_column, light_row, light_z, w, high
             elevation = np.arctan2(rise, horizontal)
             lowest = np.tan(max(elevation - radius, -1.5))
             end = horizontal if w > 0.0 else 1e30
-            tangent = _march_pixel(row, column, surface, pitch, dc / horizontal, dr / horizontal, lowest, highest, end)
+            tangent = _march_pixel(
+                row, column, surface, pieces, pitch, dc / horizontal, dr / horizontal, lowest, highest, end
+            )
             out[row, column] = _disc_share(elevation, np.arctan(tangent), radius)

@@ -10,7 +10,8 @@ march  any lamp: each pixel walks its own ray, column by column (or row by row),
        above the horizon found so far.  Exact for heights interpolated along the grid lines; the work grows as
        1 / tan(elevation).
 
-Heights that are not finite cast no shadow and receive none.
+Heights that are not finite (outside the mask, no estimate) cast no shadow and receive none.  Pieces of the relief that
+no chain of neighbouring heights connects cast none on each other: normals do not tell their relative level.
 """
 
 from dataclasses import dataclass
@@ -46,7 +47,7 @@ def cast_shadows(
     method: "sweep" (lamps at a finite distance are marched all the same) or "march".  A lamp of angular radius 0 gives
     hard edges; otherwise it is a uniform disc that a straight horizon cuts.  For a tile, `origin` is its first (row,
     column) and `whole` the (rows, columns) of the map; further than `shadow_reach` from the tile's edges the result is
-    that of the whole map.
+    that of the whole map, where no pieces of the tile meet outside it.
     """
     if method not in ("sweep", "march"):
         raise UserError(f"shadow method: expected sweep or march, found {method!r}; choose one of the two")
@@ -56,18 +57,34 @@ def cast_shadows(
     surface = np.ascontiguousarray(height, np.float32)
     if not known.all():
         surface = np.where(known, surface, np.float32(np.nan))
+    pieces, count = separate_pieces(known)
     visibility = np.empty((len(lights), *height.shape), np.float32)
     for j, light in enumerate(lights):
         if method == "sweep" and light.position_mm is None:
-            visibility[j] = _sweep_light(surface, light, pitch, origin)
+            visibility[j] = _sweep_light(surface, pieces, count, light, pitch, origin)
         else:
-            _march_light(surface, light, pitch, origin, height.shape if whole is None else whole, visibility[j])
+            size = height.shape if whole is None else whole
+            _march_light(surface, pieces, light, pitch, origin, size, visibility[j])
         visibility[j][~known] = 1
     shadowed = 1 - visibility.mean(axis=(1, 2), dtype=np.float64)
     return CastShadows(visibility, shadowed, int(known.size - np.count_nonzero(known)))
 
 
-def _sweep_light(surface: np.ndarray, light: Light, pitch: float, origin: tuple[int, int]) -> np.ndarray:
+def separate_pieces(known: np.ndarray) -> tuple[np.ndarray, int]:
+    """Connected pieces of known heights (rows, columns) bool, by the neighbours that the integration ties together.
+
+    Returns int32 (rows, columns) with the piece of each pixel, 0 where unknown, and the number of labels; (0, 0) and 1
+    where all is one piece.
+    """
+    if known.all():
+        return np.zeros((0, 0), np.int32), 1
+    from scipy import ndimage
+
+    pieces, count = ndimage.label(known)
+    return (np.ascontiguousarray(pieces, np.int32), count + 1) if count > 1 else (np.zeros((0, 0), np.int32), 1)
+
+
+def _sweep_light(surface, pieces, count: int, light: Light, pitch: float, origin: tuple[int, int]) -> np.ndarray:
     """Visibility (rows, columns) of a lamp at infinity; the lines of a tile are those of the whole map."""
     x, y, z = light.central_direction()
     elevation = float(np.arctan2(z, np.hypot(x, y)))
@@ -75,10 +92,14 @@ def _sweep_light(surface: np.ndarray, light: Light, pitch: float, origin: tuple[
     toward_column, toward_row = np.cos(azimuth), -np.sin(azimuth)
     # bring the lamp to the side of growing columns, within 45 degrees
     swap = abs(toward_row) > abs(toward_column)
-    surface = surface.T if swap else surface
     along, across = (toward_row, toward_column) if swap else (toward_column, toward_row)
     flip = along < 0
-    surface = np.ascontiguousarray(surface[:, ::-1] if flip else surface)
+
+    def turned(values):
+        values = values.T if swap else values
+        return np.ascontiguousarray(values[:, ::-1] if flip else values)
+
+    surface, pieces = turned(surface), turned(pieces)
     # a multiple of 2^-20: lines along the grid and its diagonals then meet the pixels exactly, and the direction moves
     # by less than 1e-6
     slope = float(np.round(across / abs(along) * 2**20) / 2**20)
@@ -92,8 +113,9 @@ def _sweep_light(surface: np.ndarray, light: Light, pitch: float, origin: tuple[
     out = np.ones(surface.shape, np.float32)
 
     def lines(begin, end):
+        begin, end = first + begin, first + end
         horizon.sweep(
-            first + begin, first + end, phase, surface, slope, step, elevation, light.angular_radius, floor, out
+            begin, end, phase, surface, pieces, count, slope, step, elevation, light.angular_radius, floor, out
         )
 
     over_rows(lines, last - first + 1)
@@ -128,7 +150,7 @@ def _rows_of(kernel, *arguments):
     return lambda first, last: kernel(first, last, *arguments)
 
 
-def _march_light(surface, light, pitch, origin, whole, out) -> None:
+def _march_light(surface, pieces, light, pitch, origin, whole, out) -> None:
     source = light.homogeneous()
     rows, columns = whole
     scaled = source[:3] / (pitch if source[3] else 1.0)
@@ -137,7 +159,5 @@ def _march_light(surface, light, pitch, origin, whole, out) -> None:
     if source[3]:
         column, row = column + (columns - 1) / 2 - origin[1], row + (rows - 1) / 2 - origin[0]
     highest = float(np.nanmax(surface)) / pitch if np.any(np.isfinite(surface)) else 0.0
-    over_rows(
-        _rows_of(horizon.march, surface, pitch, column, row, scaled[2], source[3], highest, light.angular_radius, out),
-        len(surface),
-    )
+    arguments = (surface, pieces, pitch, column, row, scaled[2], source[3], highest, light.angular_radius, out)
+    over_rows(_rows_of(horizon.march, *arguments), len(surface))

@@ -11,7 +11,7 @@ class HeightSettings(Guarded):
     """Integration of the normals."""
 
     STAGE: ClassVar[str] = "height"
-    VERSION: ClassVar[int] = 1
+    VERSION: ClassVar[int] = 2
 
     method: Literal["auto", "dct", "weighted"] = Field(
         "auto", description="dct: Poisson on the full rectangle; weighted: with mask and weights; auto: as needed"
