@@ -110,7 +110,7 @@ def read_truth(context: Context, frames: Observations) -> Truth:
             f"{path}: expected the truth with the digest {context.settings.truth_sha256 or '(none)'} (setting "
             f"truth_sha256), found {digest}. Remedy: run again, so that the plan sees the truth as it is now"
         )
-    region = tuple(frames.attributes["region_of_interest"])
+    region, asked = (tuple(frames.attributes[name]) for name in ("region_of_interest", "asked_region"))
     if (path / "truth.zarr").is_dir():
         group = open_group(path / "truth.zarr")
         return truth_from(
@@ -118,13 +118,14 @@ def read_truth(context: Context, frames: Observations) -> Truth:
             shape=frames.shape,
             attributes=dict(group.attrs),
             region=region,
+            asked=asked,
         )
     tables = [path] if path.suffix == ".npz" else sorted(path.glob("*.npz"))
     if len(tables) != 1:
         raise UserError(
             f"{path}: expected truth.zarr or one .npz with an array named normals, found {len(tables)} .npz files"
         )
-    return truth_from(load_arrays(tables[0]), shape=frames.shape, region=region)
+    return truth_from(load_arrays(tables[0]), shape=frames.shape, region=region, asked=asked)
 
 
 def against_truth(truth: Truth, scene: Scene, out: MapWriter) -> dict:

@@ -59,7 +59,9 @@ def run_goniometer(capture: GoniometerCapture, context: Context) -> dict:
 def described(capture: Capture | TurntableCapture | GoniometerCapture, context: Context) -> dict:
     """What the capture says of itself, and what was read of it."""
     own = context.settings
-    read = reading_of(capture, without=own.without, channels=own.channels, tile_mib=own.tile_mib)
+    read = reading_of(
+        capture, without=own.without, channels=own.channels, tile_mib=own.tile_mib, white_block=own.white_block
+    )
     return {"capture": capture.settings.model_dump(mode="json"), "read": read.as_dict()}
 
 

@@ -190,6 +190,8 @@ def test_truth_is_cropped_to_the_region_of_interest():
     assert np.array_equal(found.normals, normals[2:6, 3:8])
     assert found.spectra is None
     assert found.check("any") is None
+    of_interest = truth_from({"normals": normals[1:8, 2:10]}, shape=(4, 5), region=(2, 3, 4, 5), asked=(1, 2, 7, 8))
+    assert np.array_equal(of_interest.normals, normals[2:6, 3:8])
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from nishiki.capture.problems import CaptureError
 from nishiki.ingest.block_kernels import block_levels, count_outliers
-from nishiki.ingest.blocks import block_edges, cells, positions
+from nishiki.ingest.blocks import block_edges, blocks_around, cells, edges_between, positions
 from nishiki.ingest.decode import count_unusable, decode, to_luma
 from nishiki.ingest.linearise import check_linearity, code_table, saturation_code, srgb_to_linear
 from nishiki.ingest.white import white_field
@@ -35,6 +35,22 @@ def test_blocks_cover_the_picture_and_cells_agree_with_positions(length, block):
     if len(edges) > 2:
         centres = (edges[:-1] + edges[1:] - 1) / 2
         np.testing.assert_allclose(centres[lower] + weight * np.diff(centres)[lower], np.arange(start, stop), rtol=1e-5)
+
+
+@given(st.integers(1, 400), st.integers(1, 64), st.integers(0, 20), st.data())
+def test_blocks_around_the_object_keep_the_interpolation_of_the_whole(length, block, margin, data):
+    inside = np.zeros(length, bool)
+    inside[data.draw(st.lists(st.integers(0, length - 1), min_size=1, max_size=3))] = True
+    start, stop = blocks_around(inside, block, margin)
+    set_at, whole = np.flatnonzero(inside), block_edges(length, block)
+    assert start <= max(set_at[0] - margin, 0)
+    assert stop >= min(set_at[-1] + 1 + margin, length)
+    edges = edges_between(length, block, start, stop)
+    np.testing.assert_array_equal(edges + start, whole[np.searchsorted(whole, start) :][: len(edges)])
+    lower, weight = positions(edges, set_at[0] - start, set_at[-1] + 1 - start)
+    lower_of_whole, weight_of_whole = positions(whole, set_at[0], set_at[-1] + 1)
+    np.testing.assert_array_equal(lower + np.searchsorted(whole, start), lower_of_whole)
+    np.testing.assert_array_equal(weight, weight_of_whole)
 
 
 def reference_decode(codes, table, gain, dark, row_edges, column_edges, usable, saturated, clip, channel):

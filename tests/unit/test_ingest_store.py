@@ -29,6 +29,14 @@ def ingest(folder, out, **settings):
     return Observations(out), diagnostics
 
 
+def read_whole(observations):
+    """Values and validity in the photographs' own coordinates; 0 and not valid outside what is kept."""
+    values, valid = observations.read(slice(0, observations.shape[0]))
+    row, column, rows, columns = observations.attributes["region_of_interest"]
+    around = (0, 0), (row, ROWS - row - rows), (column, COLUMNS - column - columns)
+    return np.pad(values, (*around, (0, 0))), np.pad(valid, around)
+
+
 def truth(lights=RING):
     """What a flat Lambertian plane gives: albedo times cosine."""
     return TEXTURE[None] * np.array([z / np.linalg.norm(v) for v in lights for z in v[2:]])[:, None, None, None]
@@ -117,11 +125,36 @@ def test_the_board_need_not_be_larger_than_the_object(tmp_path):
         board[:4], board[20:], board[:, :4], board[:, 20:] = 100, 100, 100, 100
         cv2.imwrite(str(path), board)
     observations, diagnostics = ingest(folder, tmp_path / "o", white_block=4)
-    values, valid = observations.read(slice(0, ROWS))
+    values, valid = read_whole(observations)
     np.testing.assert_array_equal(valid, np.broadcast_to(mask, valid.shape))
     np.testing.assert_allclose(values[:, mask], truth()[:, mask], rtol=2e-3)
     assert diagnostics.warnings == ()
     assert check_capture(folder, level="full") == []
+
+
+@pytest.mark.parametrize("asked", [None, [1, 2, 22, 29]])
+@pytest.mark.parametrize("block", [1, 2, 4])
+def test_only_the_bounding_box_of_the_mask_is_kept_and_its_observations_stay_the_same(tmp_path, block, asked):
+    """Boards are averaged over blocks, which stay where they are in the whole picture. An even dark level is one mean
+    over what is kept, which changes the last bits."""
+    mask = np.zeros((ROWS, COLUMNS), bool)
+    mask[3:7, 4:6] = True
+    mask[5, 7] = True
+    folder = make_capture(tmp_path / "c", mask=mask)
+    if asked:
+        edit_yaml(folder, region_of_interest=asked)
+    kept, diagnostics = ingest(folder, tmp_path / "o", white_block=block)
+    edit_yaml(folder, mask=None)
+    whole, _ = ingest(folder, tmp_path / "w", white_block=block)
+    assert kept.shape[0] < whole.shape[0]
+    assert kept.shape[1] < whole.shape[1]
+    assert diagnostics.region == tuple(kept.attributes["region_of_interest"])
+    assert diagnostics.photograph == (ROWS, COLUMNS)
+    (values, valid), (expected, _) = read_whole(kept), read_whole(whole)
+    np.testing.assert_array_equal(valid, np.broadcast_to(mask, valid.shape))
+    np.testing.assert_allclose(values[:, mask], expected[:, mask], rtol=1e-6)
+    row, column = kept.attributes["region_of_interest"][:2]
+    assert kept.image_centre == ((ROWS - 1) / 2 - row, (COLUMNS - 1) / 2 - column)
 
 
 def test_what_may_not_be_used_is_marked(tmp_path):
@@ -136,7 +169,7 @@ def test_what_may_not_be_used_is_marked(tmp_path):
     dark[20, 21] = 700
     cv2.imwrite(str(folder / "dark/dark.png"), dark)
     observations, diagnostics = ingest(folder, tmp_path / "o", white_block=4)
-    _, valid = observations.read(slice(0, ROWS))
+    _, valid = read_whole(observations)
     expected = np.broadcast_to(mask, valid.shape).copy()
     expected[2, 5, 6] = expected[2, 7, 8] = False
     expected[:, 20, 21] = False

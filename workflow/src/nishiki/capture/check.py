@@ -21,8 +21,9 @@ from nishiki.capture.turntable import TurntableCapture
 from nishiki.capture.turntable_check import listed_files, silhouette_problems, turntable_content_problems
 from nishiki.ingest.blocks import block_edges
 from nishiki.ingest.decode import count_unusable
-from nishiki.ingest.frames import FrameReader, region_of
+from nishiki.ingest.frames import FrameReader
 from nishiki.ingest.reference import DarkField, board_field, measure_darks
+from nishiki.ingest.region import region_of
 from nishiki.ingest.store import frame_problems
 from nishiki.outside.files import Refused, walk
 

@@ -48,7 +48,7 @@ def read_codes(
         raise CaptureError(error("image-truncated", name, "decoded size differs from the header's", found=found))
     if region is not None:
         row, column, rows, columns = region
-        codes = codes[row : row + rows, column : column + columns]
+        codes = np.ascontiguousarray(codes[row : row + rows, column : column + columns])
     return codes
 
 

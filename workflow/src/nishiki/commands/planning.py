@@ -31,7 +31,7 @@ def scene_plan(flow: Workflow, name: str) -> dict[str, Any]:
     """Everything that the plan of a scene says, as plain values."""
     made = flow.plans[name]
     ingest = made.stages["ingest"].settings
-    parts = {key: ingest[key] for key in ("without", "channels", "tile_mib")}
+    parts = {key: ingest[key] for key in ("without", "channels", "tile_mib", "white_block")}
     reading = reading_of(load_capture(made.scene.capture), **parts)
     loaded = tuple(dict.fromkeys(p for names in made.packages.values() for p in names if p in EXTRAS))
     missing = tuple(package for package in loaded if not installed(package))

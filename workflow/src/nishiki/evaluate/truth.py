@@ -69,11 +69,13 @@ def truth_from(
     shape: tuple[int, int],
     attributes: Mapping[str, Any] | None = None,
     region: tuple[int, int, int, int] | None = None,
+    asked: tuple[int, int, int, int] | None = None,
 ) -> Truth:
     """Truth from named arrays: those that docs/simulator.md lists, or `normals` alone.
 
     shape : (rows, columns) of the scene's maps; region : (row, column, rows, columns) of the scene in the photographs;
-    a truth of the whole photograph is cropped to it. Raises UserError where neither size fits.
+    asked : the region of interest of the capture, which holds that of the scene. A truth of the whole photograph or of
+    the region of interest is cropped to the scene. Raises UserError where no size fits.
     """
     attributes = attributes or {}
     names = set(arrays)
@@ -81,7 +83,7 @@ def truth_from(
         raise UserError(
             f"truth: expected an array named normals or height_mm, found {', '.join(sorted(names)) or 'none'}"
         )
-    window = _window(np.shape(arrays["normals" if "normals" in names else "height_mm"])[:2], shape, region)
+    window = _window(np.shape(arrays["normals" if "normals" in names else "height_mm"])[:2], shape, region, asked)
 
     def mapped(name: str) -> np.ndarray | None:
         return np.asarray(arrays[name][...])[window] if name in names else None
@@ -105,12 +107,14 @@ def truth_from(
     )
 
 
-def _window(found: tuple[int, int], shape: tuple[int, int], region) -> tuple[slice, slice]:
+def _window(found: tuple[int, int], shape: tuple[int, int], region, asked) -> tuple[slice, slice]:
     if found == tuple(shape):
         return slice(None), slice(None)
-    if region is not None:
+    if region is not None and tuple(region[2:]) == tuple(shape):
         row, column, rows, columns = region
-        if (rows, columns) == tuple(shape) and row + rows <= found[0] and column + columns <= found[1]:
+        if asked is not None and found == tuple(asked[2:]):
+            row, column = row - asked[0], column - asked[1]
+        if row + rows <= found[0] and column + columns <= found[1]:
             return slice(row, row + rows), slice(column, column + columns)
     raise UserError(
         f"truth: expected {shape[0]} x {shape[1]} pixels as the scene, or the whole photograph, found "

@@ -13,6 +13,27 @@ def block_edges(length: int, block: int) -> np.ndarray:
     return np.arange(count + 1, dtype=np.int64) * length // count
 
 
+def edges_between(length: int, block: int, start: int, stop: int) -> np.ndarray:
+    """Edges of the blocks of `length` pixels that lie in start..stop, themselves edges, counted from start.
+
+    A field on the blocks of a crop then has the values, and the interpolation, of the same blocks of the whole.
+    """
+    edges = block_edges(length, block)
+    return edges[(edges >= start) & (edges <= stop)] - start
+
+
+def blocks_around(inside: np.ndarray, block: int, margin: int) -> tuple[int, int]:
+    """Start and stop, at edges of blocks, of the places (length,) bool that are set, at least one, with a rim.
+
+    `margin` pixels or more and one further block on each side, so that a field that is interpolated between the centres
+    of blocks has both its neighbours wherever `inside` is set.
+    """
+    set_at, edges = np.flatnonzero(inside), block_edges(len(inside), block)
+    first = np.searchsorted(edges, max(set_at[0] - margin, 0), side="right") - 2
+    last = np.searchsorted(edges, min(set_at[-1] + 1 + margin, len(inside)), side="left") + 1
+    return int(edges[max(first, 0)]), int(edges[min(last, len(edges) - 1)])
+
+
 def positions(edges: np.ndarray, start: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
     """Where pixels start..stop lie between block centres: lower node (n,) int64, weight of the next (n,) float32.
 

@@ -19,25 +19,13 @@ from nishiki.capture.problems import CaptureError, Problem, error, warning
 from nishiki.capture.seal import expect_sealed, sealed_digests
 from nishiki.ingest.decode import to_luma
 from nishiki.ingest.linearise import LUMA_WEIGHTS, code_table, full_scale, saturation_code, srgb_to_linear
+from nishiki.ingest.region import region_of
 
 Channels = Literal["all", "luminance", "green"]
 CAMERA_BITS = (10, 12, 14)
 """Of cameras whose codes are stored in 16 bits."""
 NEAR_TOP = 31 / 32
 """Of full scale: cameras clip a little below their largest code."""
-
-
-def region_of(capture: Capture, rows: int, columns: int) -> Region:
-    """The region of interest, the whole picture if none; CaptureError (region-outside) if it leaves the picture."""
-    region = capture.settings.region_of_interest or (0, 0, rows, columns)
-    row, column, height, width = region
-    if height < 1 or width < 1 or row + height > rows or column + width > columns:
-        what = "region_of_interest leaves the picture or is empty"
-        expected = f"within {rows} rows and {columns} columns"
-        raise CaptureError(
-            error("region-outside", "capture.yaml", what, expected=expected, found=", ".join(map(str, region)))
-        )
-    return region
 
 
 @dataclass(frozen=True)

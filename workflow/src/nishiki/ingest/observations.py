@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from nishiki.errors import UserError
-from nishiki.ingest.blocks import block_edges, cells, positions
+from nishiki.ingest.blocks import Edges, cells, edges_between, positions
 from nishiki.ingest.chunks import chunk_path, read_chunk
 from nishiki.ingest.linearise import straight_scale
 from nishiki.outside.stored import open_group, understood
@@ -22,8 +22,8 @@ class Observations:
     """The ingested frames of one capture, opened for reading.
 
     lights: names; roles: 'sample' | 'check'; directions (lights, 3) float64; positions_mm (lights, 3) or None;
-    shape (rows, columns); channels: names; band_rows; pixel_pitch_mm or None; image_centre (row, column) of the whole
-    picture's centre in these coordinates, the origin of positions_mm.
+    shape (rows, columns) of the bounding box of the object's mask; channels: names; band_rows; pixel_pitch_mm or None;
+    image_centre (row, column) of the whole picture's centre in these coordinates, the origin of positions_mm.
     """
 
     def __init__(self, folder: Path | str):
@@ -133,9 +133,9 @@ class Observations:
         rows, width = codes.shape[1:3]
         left = (columns or slice(None)).indices(self.shape[1])[0]
         gain, dark = self._fields(chosen)
-        edges = [block_edges(n, self.attributes["white_block"]) for n in self.shape]
+        edges = self._edges
         if gain.shape[1:3] == (1, 1):
-            edges = [np.array([0, n]) for n in self.shape]
+            edges = tuple(np.array([0, n]) for n in self.shape)
         place_rows, row_weights = positions(edges[0], start, start + rows)
         _, column_weights = positions(edges[1], left, left + width)
         between = cells(edges[1], left, left + width)
@@ -171,6 +171,18 @@ class Observations:
                 values = read_chunk(path, chunk, self.dtype, compression=self.attributes["compression"])
                 codes[j, outer] = values[inner, left:right]
         return codes, start
+
+    @cached_property
+    def _edges(self) -> Edges:
+        """Edges of the blocks of gain and dark: those of the region that the capture asks for, inside what is kept."""
+        kept = self.attributes.get("region_of_interest", (0, 0, *self.shape))
+        asked = self.attributes.get("asked_region", kept)
+        starts = (kept[0] - asked[0], kept[1] - asked[1])
+        block = self.attributes["white_block"]
+        return tuple(
+            edges_between(whole, block, start, start + n)
+            for whole, start, n in zip(asked[2:], starts, self.shape, strict=True)
+        )
 
     @cached_property
     def _usable(self) -> np.ndarray:

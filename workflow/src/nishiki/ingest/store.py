@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal, Protocol
 
@@ -13,12 +13,12 @@ from nishiki.capture.folder import Capture
 from nishiki.capture.frames import Frame
 from nishiki.capture.images import read_labels, read_mask
 from nishiki.capture.problems import CaptureError, Problem, error, warning
-from nishiki.ingest.blocks import block_edges
 from nishiki.ingest.choice import chosen
 from nishiki.ingest.chunks import chunk_path, create_array, write_chunk
 from nishiki.ingest.decode import count_unusable
 from nishiki.ingest.frames import FrameReader
 from nishiki.ingest.reference import DarkField, Gains, measure_darks, measure_gains
+from nishiki.ingest.region import edges_of, region_around, window_of
 from nishiki.ingest.tiles import bands_with_object, rows_of_band
 
 STORE = "frames.zarr"
@@ -54,6 +54,8 @@ class IngestSettings:
 class IngestDiagnostics:
     """What ingest found. Shares are of the pixels inside the mask, one a light (sample and check, in order).
 
+    rows, columns: of the part of the photographs that is kept; region: that part (row, column, rows, columns), the
+    bounding box of the mask with a rim; photograph: its rows and columns;
     saturated: saturated in any channel; dark: at the lowest code in all channels; not_finite: counts; white_level:
     median of the board as a fraction of full scale per light, and white_uniformity: 5th / 95th percentile over the
     board per light, both of the worst channel, empty without a board; defects: hot or dead pixels.
@@ -66,6 +68,8 @@ class IngestDiagnostics:
     dtype: str
     band_rows: int
     mask_pixels: int
+    region: tuple[int, int, int, int]
+    photograph: tuple[int, int]
     saturated: tuple[float, ...]
     dark: tuple[float, ...]
     not_finite: tuple[int, ...]
@@ -96,9 +100,11 @@ def write_observations(
     capture = choice.capture
     tick = _Ticker(progress, len(capture.frames_of("dark")) + len(capture.frames_of("white")) + len(capture.observed))
     reader = FrameReader.of(capture, settings.channels, unopened=choice.files)
-    mask = mask_of(capture, reader)
+    asked, mask = reader.region, mask_of(capture, reader)
+    if capture.mask is not None:
+        reader, mask = cropped(reader, mask, settings.white_block)
     _, _, rows, columns = reader.region
-    edges = block_edges(rows, settings.white_block), block_edges(columns, settings.white_block)
+    edges = edges_of(asked, reader.region, settings.white_block)
     darks = measure_darks(reader, edges, tick)
     gains = measure_gains(reader, darks, edges, mask, tick)
     import zarr
@@ -108,7 +114,7 @@ def write_observations(
     counts, problems = _write_frames(Path(folder) / STORE, group, reader, mask, band_rows, settings.compression, tick)
     defect = darks.defect | gains.defect
     _write_fields(group, reader, mask, defect, darks, gains)
-    group.attrs.update(_attributes(capture, reader, settings, band_rows))
+    group.attrs.update({**_attributes(capture, reader, settings, band_rows), "asked_region": list(asked)})
     problems = (*capture.warnings, *reader.warnings(), *darks.problems, *gains.problems, *problems)
     return _diagnostics(reader, counts, mask, defect, gains, problems, band_rows)
 
@@ -140,6 +146,13 @@ def mask_of(capture: Capture, reader: FrameReader) -> np.ndarray:
         remedy = "Non-zero pixels mark the object; check the mask and the region of interest"
         raise CaptureError(error("mask-empty", name, "mask has no pixels", remedy=remedy))
     return mask
+
+
+def cropped(reader: FrameReader, mask: np.ndarray, white_block: int) -> tuple[FrameReader, np.ndarray]:
+    """The reader and the mask (rows, columns) of the bounding box of the mask, with a rim."""
+    region = region_around(mask, reader.region, white_block)
+    window = window_of(reader.region, region)
+    return replace(reader, region=region), np.ascontiguousarray(mask[window])
 
 
 def regions_of(capture: Capture, reader: FrameReader) -> np.ndarray | None:
@@ -273,6 +286,8 @@ def _diagnostics(
         dtype=str(reader.dtype),
         band_rows=band_rows,
         mask_pixels=inside,
+        region=reader.region,
+        photograph=(reader.rows, reader.columns),
         saturated=tuple((counts[:, 0] / inside).tolist()),
         dark=tuple((counts[:, 1] / inside).tolist()),
         not_finite=tuple(counts[:, 2].tolist()),

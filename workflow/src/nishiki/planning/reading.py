@@ -52,14 +52,16 @@ class Reading:
         return {**asdict(self), "total": asdict(self.total)}
 
 
-def reading_of(capture: AnyCapture, *, without: Collection[str], channels: str, tile_mib: int) -> Reading:
+def reading_of(
+    capture: AnyCapture, *, without: Collection[str], channels: str, tile_mib: int, white_block: int = 16
+) -> Reading:
     """What ingest reads with these settings (see `settings.ingest`); no file is decoded but a mask."""
     unopened = chosen(capture, without).files
     stored = len(capture.settings.camera.channels)
     if getattr(capture, "table", None) is not None:
         stored = len(capture.channels)
     kept = 1 if channels in ("luminance", "green") else stored
-    tiles = _tiles(capture, without, kept, tile_mib) if isinstance(capture, Capture) else None
+    tiles = _tiles(capture, without, kept, tile_mib, white_block) if isinstance(capture, Capture) else None
     return Reading(_files(capture, unopened), (kept, stored), tiles)
 
 
@@ -82,18 +84,23 @@ def _files(capture: AnyCapture, unopened: frozenset[str]) -> tuple[Files, ...]:
     return tuple(Files(what, entry[0], entry[1], entry[2], entry[3]) for what, entry in order if entry[1])
 
 
-def _tiles(capture: Capture, without: Collection[str], channels: int, tile_mib: int) -> tuple[int, int]:
-    """Chunks of frames.zarr that hold something of the object, of all that a whole picture under every light has."""
-    import numpy as np
-
+def _tiles(
+    capture: Capture, without: Collection[str], channels: int, tile_mib: int, white_block: int
+) -> tuple[int, int]:
+    """Chunks of frames.zarr that hold something of the object, of all that the whole region under every light has."""
     from nishiki.capture.images import read_mask
+    from nishiki.ingest.region import region_around, region_of, window_of
     from nishiki.ingest.tiles import bands_with_object, rows_of_band
 
     lights = len(chosen(capture, without).capture.observed)
     first = capture.observed[0]
     header = read_header(first.path, name=first.file)
-    row, column, rows, columns = capture.settings.region_of_interest or (0, 0, header.rows, header.columns)
-    band_rows = rows_of_band(lights, rows, columns, channels, tile_mib)
-    mask = np.ones((rows, 1), bool) if capture.mask is None else read_mask(capture.mask, name=capture.settings.mask)
-    mask = mask if capture.mask is None else mask[row : row + rows, column : column + columns]
-    return len(bands_with_object(mask, band_rows)) * lights, -(-rows // band_rows) * len(capture.observed)
+    region = region_of(capture, header.rows, header.columns)
+    _, _, rows, columns = region
+    every = -(-rows // rows_of_band(lights, rows, columns, channels, tile_mib)) * len(capture.observed)
+    if capture.mask is None:
+        return every // len(capture.observed) * lights, every
+    mask = read_mask(capture.mask, region=region, name=capture.settings.mask)
+    around = region_around(mask, region, white_block)
+    band_rows = rows_of_band(lights, *around[2:], channels, tile_mib)
+    return len(bands_with_object(mask[window_of(region, around)], band_rows)) * lights, every

@@ -58,7 +58,7 @@ def _facts(diagnostics, rows, columns, channels, pitch_mm, kinds) -> list[tuple[
     size = f"{columns} × {rows} pixels"
     if pitch_mm:
         size += f" of {pitch_mm:g} mm, {columns * pitch_mm:.0f} × {rows * pitch_mm:.0f} mm"
-    facts.append(("Picture", size))
+    facts.append(("Picture", size + _cropped(diagnostics)))
     share = diagnostics["mask_pixels"] / (rows * columns)
     if share < 1:
         facts.append(("Object mask", f"{100 * share:.1f} % of the picture"))
@@ -70,6 +70,16 @@ def _facts(diagnostics, rows, columns, channels, pitch_mm, kinds) -> list[tuple[
     lamp = f"; spectrum {_named(capture['illuminant'])}" if capture.get("illuminant") else "; spectrum not known"
     facts.append(("Lights", f"{len(kinds)}: {', '.join([used, *kept])}{lamp}"))
     return facts
+
+
+def _cropped(diagnostics) -> str:
+    """Where the picture lies in the photographs, where it is a part of them."""
+    (row, column, rows, columns), whole = diagnostics["region"], diagnostics["photograph"]
+    if [rows, columns] == list(whole):
+        return ""
+    why = "cropped to the object mask" if diagnostics["capture"].get("mask") else "region of interest"
+    place = f"columns {column} to {column + columns - 1}, rows {row} to {row + rows - 1}"
+    return f"; {why}: {place} of {whole[1]} × {whole[0]}"
 
 
 def _named(illuminant: str) -> str:
