@@ -1,7 +1,7 @@
 """A painting from its photographs: normals against truth and colours under lamps that no fit has seen.
 
     python tests/benchmarks/painting.py --data simulated [--rows N --columns N] [--methods NAME ...] [--budget]
-    python tests/benchmarks/painting.py --data FOLDER
+    python tests/benchmarks/painting.py --data FOLDER          (also captures of tests/benchmarks/path_traced.py)
 
 FOLDER holds captures NAME with their truth NAME-truth (truth.zarr as scripts/simulate.py writes it). `simulated` makes
 captures of different seed, finish and relief first. Every method runs through the scripts of the stages, so that the
