@@ -21,6 +21,7 @@ from nishiki.normals.gloss_profile import GlossProfile
 from nishiki.normals.gloss_scene import FEW_LIGHTS, GlossTile, SceneGloss, fit_scene_gloss
 from nishiki.normals.reflectance import diffuse_reflectance
 from nishiki.normals.solve import estimate_normals
+from nishiki.separation.body_colour import body_intensity
 from nishiki.settings.normals import NormalsSettings
 
 MAPS = {
@@ -189,7 +190,12 @@ def solve(
 ) -> dict:
     """Maps of one parcel by name: from the selected lights, then, with a gloss, fitted together with it."""
     observations = scaled(observations, parcel)
-    intensity = observations[..., 0] if observations.shape[-1] == 1 else observations.mean(axis=-1)
+    if observations.shape[-1] == 1:
+        intensity = observations[..., 0]
+    elif settings.solver == "least_squares":  # as published: the mean of the channels
+        intensity = observations.mean(axis=-1)
+    else:
+        intensity = body_intensity(observations, valid)
     field = estimate_normals(
         intensity,
         parcel.directions,

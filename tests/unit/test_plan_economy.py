@@ -98,6 +98,18 @@ def test_photographs_through_one_polariser_are_all_that_there_is():
     assert "states" not in without(planned(facts, "texels", polarise={"method": "none"}))
 
 
+@pytest.mark.parametrize(
+    "products", [("normals",), ("height",), ("normals", "spectra"), ("render", "evaluate", "report")]
+)
+def test_channels_of_normals_do_not_depend_on_the_products(products):
+    assert planned(PLANE, *products).stages["ingest"].settings["channels"] == "all"
+
+
+def test_one_channel_where_the_settings_say_so():
+    plan = planned(PLANE, "normals", ingest={"channels": "luminance"})
+    assert plan.stages["ingest"].settings["channels"] == "luminance"
+
+
 def test_everything_can_be_forced_on():
     for facts in (PLANE, OBJECT, CLOTH):
         found = planned(facts, "normals", "cameras", "weave", leave_out="nothing", hold_out="none")

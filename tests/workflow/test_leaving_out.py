@@ -53,6 +53,7 @@ def test_the_report_says_what_was_read_and_left_out(any_site):
 
 def test_a_scene_that_needs_less_reads_less(site):
     whole = json.loads((site.folder / "results/tiny/current/ingest/run.json").read_text())
+    with_all_products = normals_files(site)
     table = site.folder / "config/scenes.tsv"
     usual = table.read_text()
     table.write_text("scene\tcapture\ttruth\tproducts\ntiny\tcaptures/tiny\t\tnormals\n")
@@ -64,6 +65,7 @@ def test_a_scene_that_needs_less_reads_less(site):
         text = site.nishiki("plan").stdout
         site.nishiki("run")
         facts = run_facts(site)
+        with_normals_alone = normals_files(site)
     finally:
         for file in photographs:
             os.replace(file.with_suffix(".aside"), file)
@@ -72,4 +74,13 @@ def test_a_scene_that_needs_less_reads_less(site):
     assert "without 4 photographs under check lights: only evaluate looks at them" in text
     assert set(facts) == {"ingest", "separate", "normals"}
     assert facts["ingest"]["bytes_read"] < 0.95 * whole["bytes_read"]
+    assert with_normals_alone == with_all_products, "normals depend on the products asked for"
     assert not set(facts["normals"]["packages"]) & set(EXTRAS)
+
+
+def normals_files(site):
+    """Bytes of every file of the published map of normals, by name."""
+    folder = (site.folder / "results/tiny/current/normals").resolve() / "maps.zarr/normals"
+    files = {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
+    assert any("c/" in name for name in files), "expected chunks of the map"
+    return files

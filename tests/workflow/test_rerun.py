@@ -80,7 +80,8 @@ def test_plan_says_what_is_left_out_and_why(site):
     (site.folder / "config/scenes.tsv").write_text("scene\tcapture\ttruth\tproducts\ntiny\tcaptures/tiny\t\tnormals\n")
     text = site.nishiki("plan").stdout
     assert "without render: no product asked for needs it" in text
-    assert "without colour" in text
+    assert "without 4 photographs under check lights" in text
+    assert "without colour" not in text, "normals take all channels, whichever products are asked for"
 
 
 def test_verify_passes_then_names_each_damage(site):

@@ -68,6 +68,7 @@ PLANE = (
         "lights that show only diffuse reflection",
         requires=("ingest",),
         lacks=no_method,
+        needs_colour=True,
         scatter=True,
         cost=lambda facts: Cost(mib=300, tiles=2.0, seconds=2.5, us_per_pixel=2, us_per_sample=0.12),
     ),
@@ -76,6 +77,7 @@ PLANE = (
         "normals and diffuse reflectance",
         requires=("ingest",),
         wants=lambda settings: ("separate",),
+        needs_colour=True,  # normals from luminance alone are others, so that they would depend on the products
         libraries=("numpy", "scipy", "numba", "zarr"),
         scatter=True,
         cost=_normals_cost,

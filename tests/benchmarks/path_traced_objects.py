@@ -1,0 +1,171 @@
+"""Normals of path-traced coloured objects: error against truth beside time, for plastics from dark to bright.
+
+    python tests/benchmarks/path_traced_objects.py FOLDER [--objects NAME ...] [--samples 64]
+
+Mitsuba 3 renders bumpy spheres, blobs and reliefs of rough plastic and of the principled material under distant lamps:
+interreflection, cast shadows, GGX gloss and the losses below a dielectric surface; none of it is what photometric
+stereo is fitted with. Renderings are kept in FOLDER (NAME.npz) and made once. Every method sees 12-bit photographs with
+shot noise, under all 96 lamps within 55 degrees of the axis and under 12 of them within 30 degrees.
+
+One JSON object a line: object, lights, method, mean and median angle in degrees, processor time a pixel. `kind` says
+whether the object was looked at while methods were tuned ("tuned") or not ("unseen").
+"""
+
+import argparse
+import json
+import os
+import time
+from glob import glob
+from pathlib import Path
+
+import numpy as np
+
+SIZE = 128  # pixels a side
+LAMPS, CONE = 96, 55.0
+FEW, NARROW = 12, 30.0
+DEPTH = 4  # three bounces
+FULL_SCALE = 4095
+ELECTRONS = 20_000  # at full scale: shot noise of 0.7 % there
+
+
+def rough(colour, alpha):
+    """Diffuse body below a rough dielectric surface (GGX), with the colour shift of internal reflections."""
+    return {
+        "type": "roughplastic",
+        "distribution": "ggx",
+        "alpha": alpha,
+        "nonlinear": True,
+        "diffuse_reflectance": {"type": "rgb", "value": colour},
+    }
+
+
+def principled(colour, roughness):
+    """Disney's principled material: Burley's diffuse lobe and a GGX coat of specular reflection."""
+    return {
+        "type": "principled",
+        "base_color": {"type": "rgb", "value": colour},
+        "roughness": roughness,
+        "specular": 0.5,
+    }
+
+
+def matt(colour):
+    """Lambert's law."""
+    return {"type": "diffuse", "reflectance": {"type": "rgb", "value": colour}}
+
+
+OBJECTS = {  # name: kind, shape, seed, material
+    "red_sphere": ("tuned", "sphere", 1, rough([0.10, 0.01, 0.01], 0.20)),
+    "blue_blob": ("tuned", "blob", 2, principled([0.02, 0.03, 0.12], 0.4)),
+    "brown_relief": ("tuned", "relief", 3, rough([0.08, 0.04, 0.015], 0.15)),
+    "grey_blob": ("tuned", "blob", 4, rough([0.05, 0.05, 0.05], 0.2)),
+    "yellow_sphere": ("tuned", "sphere", 5, rough([0.75, 0.55, 0.08], 0.2)),
+    "white_relief": ("tuned", "relief", 6, principled([0.7, 0.7, 0.68], 0.35)),
+    "green_blob": ("unseen", "blob", 11, rough([0.01, 0.05, 0.015], 0.25)),
+    "violet_sphere": ("unseen", "sphere", 12, principled([0.06, 0.015, 0.09], 0.35)),
+    "navy_relief": ("unseen", "relief", 13, rough([0.01, 0.02, 0.07], 0.3)),
+    "crimson_blob": ("unseen", "blob", 14, rough([0.15, 0.005, 0.02], 0.12)),
+    "slate_sphere": ("unseen", "sphere", 15, principled([0.06, 0.06, 0.065], 0.4)),
+    "orange_blob": ("unseen", "blob", 16, principled([0.7, 0.3, 0.05], 0.45)),
+    "plaster_relief": ("unseen", "relief", 17, matt([0.6, 0.58, 0.55])),
+    "teal_relief": ("unseen", "relief", 18, principled([0.01, 0.06, 0.07], 0.25)),
+}
+
+
+def directions():
+    """(LAMPS, 3) unit vectors, evenly spread over the cap (Fibonacci spiral)."""
+    k = np.arange(LAMPS) + 0.5
+    z = 1 - k / LAMPS * (1 - np.cos(np.radians(CONE)))
+    angle = k * np.pi * (3 - np.sqrt(5))
+    ring = np.sqrt(1 - z * z)
+    return np.column_stack([ring * np.cos(angle), ring * np.sin(angle), z])
+
+
+def narrow_cone():
+    """Indices of the FEW lamps within NARROW degrees."""
+    inside = np.flatnonzero(directions()[:, 2] > np.cos(np.radians(NARROW)))
+    return inside[np.linspace(0, inside.size - 1, FEW).round().astype(int)]
+
+
+def waves(points, seed, count, lowest, highest):
+    """Sum of random plane waves at points (n, d), about unit variance."""
+    random = np.random.default_rng(seed)
+    vectors = random.normal(size=(count, points.shape[1]))
+    lengths = np.geomspace(lowest, highest, count)
+    vectors *= (lengths / np.linalg.norm(vectors, axis=1))[:, None]
+    amplitudes = lengths**-1.2
+    amplitudes *= np.sqrt(2 / np.sum(amplitudes**2))
+    return np.cos(points @ vectors.T + random.uniform(0, 2 * np.pi, count)) @ amplitudes
+
+
+def mesh_of(shape, seed):
+    """A trimesh with smooth vertex normals inside the unit square."""
+    import trimesh
+
+    if shape == "relief":
+        side = np.linspace(-1.1, 1.1, 401)
+        x, y = np.meshgrid(side, side)
+        z = 0.045 * waves(np.column_stack([x.ravel(), y.ravel()]), seed, 24, 4, 25)
+        vertices = np.column_stack([x.ravel(), y.ravel(), z])
+        n = side.size
+        corner = (np.arange(n - 1)[:, None] * n + np.arange(n - 1)).ravel()
+        faces = np.concatenate(
+            [
+                np.column_stack([corner, corner + 1, corner + n]),
+                np.column_stack([corner + 1, corner + n + 1, corner + n]),
+            ]
+        )
+        return trimesh.Trimesh(vertices, faces, process=False)
+    ball = trimesh.creation.icosphere(subdivisions=6)
+    amplitude, low, high = (0.03, 4, 14) if shape == "sphere" else (0.11, 2, 8)
+    radius = 1 + amplitude * waves(ball.vertices, seed, 24, low, high)
+    ball.vertices *= (0.92 * radius / radius.max())[:, None]
+    return ball
+
+
+def variant():
+    """Mitsuba with its LLVM backend."""
+    import mitsuba
+
+    if "DRJIT_LIBLLVM_PATH" not in os.environ and (found := sorted(glob("/usr/lib/*/libLLVM*so*19*"))):
+        os.environ["DRJIT_LIBLLVM_PATH"] = found[0]
+    mitsuba.set_variant("llvm_ad_rgb")
+    return mitsuba
+
+
+def render(name, folder, samples):
+    """Radiance relative to a white diffuser that faces the lamp (lights, rows, columns, 3), normals, mask: NAME.npz."""
+    mi = variant()
+    _, shape, seed, material = OBJECTS[name]
+    ply = folder / f"{name}.ply"
+    mesh = mesh_of(shape, seed)
+    mesh.vertex_normals  # noqa: B018 computed, so that they are written
+    mesh.export(ply, vertex_normal=True)
+    camera = mi.ScalarTransform4f().look_at(origin=[0, 0, 5], target=[0, 0, 0], up=[0, 1, 0])
+    film = {"type": "hdrfilm", "width": SIZE, "height": SIZE, "rfilter": {"type": "box"}, "pixel_format": "rgb"}
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "sensor": {"type": "orthographic", "to_world": camera, "film": film},
+            "lamp": {"type": "directional", "direction": [0, 0, -1], "irradiance": {"type": "rgb", "value": 1.0}},
+            "object": {"type": "ply", "filename": str(ply), "bsdf": material},
+        }
+    )
+    aov = mi.load_dict({"type": "aov", "aovs": "n:sh_normal,p:position"})
+    channels = np.array(mi.render(scene, integrator=aov, spp=256, seed=1))
+    normals = channels[..., :3]
+    length = np.linalg.norm(normals, axis=-1)
+    mask = length > 0.9  # object all over the pixel, and smooth in it
+    normals = normals / np.maximum(length, 1e-9)[..., None]
+    integrator = mi.load_dict({"type": "path", "max_depth": DEPTH})
+    parameters = mi.traverse(scene)
+    stack = []
+    for j, (x, y, z) in enumerate(directions().tolist()):
+        up = [0, 1, 0] if abs(y) < 0.9 else [1, 0, 0]
+        parameters["lamp.to_world"] = mi.Transform4f().look_at(
+            origin=mi.Point3f(x, y, z), target=mi.Point3f(0), up=mi.Vector3f(up)
+        )
+        parameters.update()
+        stack.append(np.array(mi.render(scene, integrator=integrator, spp=samples, seed=100 + j)) * np.pi)
+    ply.unlink()
+    np.savez(folder / f"{name}.npz", stack=np.float32(stack), normals=np.float32(normals), mask=mask)

@@ -1,0 +1,110 @@
+"""Channels weighted by each pixel's colour: against a slow reference, and what it promises of grey, gloss and scale."""
+
+import numpy as np
+import pytest
+
+from nishiki.normals.solve import estimate_normals
+from nishiki.separation import body_colour
+from nishiki.separation.body_colour import body_intensity
+from nishiki.separation.lights import select_diffuse
+
+DARK_RED = np.array([0.12, 0.015, 0.01])
+
+
+def reference(samples, valid):
+    """One pixel, samples (lights, channels), by the equations of the module, in float64."""
+    mean = samples.mean(axis=1)
+    lit = valid & (mean > 0)
+    lower = mean[lit & (mean <= mean[lit].mean())].mean() if lit.any() else 0.0
+    lit &= mean >= body_colour.LIT * lower
+    direction = (samples - mean[:, None])[lit].sum(axis=0)
+    if lit.sum() < body_colour.AT_LEAST or np.linalg.norm(direction) == 0:
+        return mean
+    across = samples @ (direction / np.linalg.norm(direction)) / np.sqrt(samples.shape[1])
+    kept, saturation = lit, 0.0
+    for _ in range(body_colour.CONCENTRATIONS + 1):
+        kept = lit & (across >= saturation * mean)
+        saturation = max(across[kept].sum() / mean[kept].sum(), 0.0)
+    gloss = np.clip((mean - across / saturation)[lit] / lower, 0, 1)
+    variance, square = np.mean(gloss**2), saturation**2
+    t = variance / (variance + body_colour.ERROR**2) * square / (square + body_colour.FAINT**2)
+    t = min(t, body_colour.MOST)
+    return ((1 - t) * mean + saturation * across) / (1 - t + square)
+
+
+def lamps(count=24, cone=50.0):
+    k = np.arange(count) + 0.5
+    z = 1 - k / count * (1 - np.cos(np.radians(cone)))
+    angle = k * np.pi * (3 - np.sqrt(5))
+    return np.column_stack([np.sqrt(1 - z * z) * np.cos(angle), np.sqrt(1 - z * z) * np.sin(angle), z])
+
+
+def glossy(colour, pixels=300, strength=0.08, seed=1):
+    """Dichromatic samples (lights, 1, pixels, C) of tilted facets with a broad white lobe, and their normals."""
+    random = np.random.default_rng(seed)
+    normals = np.column_stack([random.normal(0, 0.2, (pixels, 2)), np.ones(pixels)])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    lights = lamps()
+    halves = lights + [0, 0, 1]
+    halves /= np.linalg.norm(halves, axis=1, keepdims=True)
+    body = np.maximum(lights @ normals.T, 0)
+    lobe = strength * np.maximum(halves @ normals.T, 0) ** 40
+    samples = body[..., None] * colour + lobe[..., None]
+    samples += random.normal(0, 2e-4, samples.shape)
+    return np.float32(samples[:, None]), normals, lights
+
+
+def angle(found, truth):
+    return np.degrees(np.arccos(np.clip(np.sum(found * truth, axis=-1), -1, 1))).mean()
+
+
+@pytest.mark.parametrize("channels", [2, 3, 7])
+def test_agrees_with_the_reference(channels):
+    colour = np.linspace(0.1, 0.01, channels)
+    samples, _, _ = glossy(colour, pixels=70)
+    valid = np.random.default_rng(2).uniform(size=samples.shape[:3]) > 0.1
+    found = body_intensity(samples, valid)
+    for p in range(samples.shape[2]):
+        expected = reference(samples[:, 0, p].astype(np.float64), valid[:, 0, p])
+        assert found[:, 0, p] == pytest.approx(expected, rel=2e-3, abs=2e-5)
+
+
+def test_grey_bodies_have_the_mean_of_the_channels():
+    samples, _, _ = glossy(np.array([0.1, 0.1, 0.1]))
+    mean = samples.mean(axis=-1)
+    assert np.abs(body_intensity(samples, np.ones(mean.shape, bool)) - mean).max() < 0.02 * mean.max()
+
+
+def test_one_channel_and_black_pixels_are_left_as_they_are():
+    samples = np.random.default_rng(3).uniform(size=(8, 2, 3, 1)).astype(np.float32)
+    assert np.array_equal(body_intensity(samples, np.ones(samples.shape[:3], bool)), samples[..., 0])
+    assert not body_intensity(np.zeros((8, 2, 3, 3), np.float32), np.ones((8, 2, 3), bool)).any()
+
+
+def test_gloss_counts_less_and_normals_are_better_on_a_dark_coloured_body():
+    samples, normals, lights = glossy(DARK_RED)
+    valid = np.ones(samples.shape[:3], bool)
+    mean = samples.mean(axis=-1)
+    usable = select_diffuse(mean, lights, valid=valid).usable
+    before = estimate_normals(mean, lights, usable=usable, valid=valid).normals[0]
+    after = estimate_normals(body_intensity(samples, valid), lights, usable=usable, valid=valid).normals[0]
+    assert angle(after, normals) < 0.5 * angle(before, normals)
+
+
+def test_every_radiometric_scale_and_every_tile_gives_the_same():
+    samples, _, _ = glossy(DARK_RED, pixels=90)
+    valid = np.ones(samples.shape[:3], bool)
+    whole = body_intensity(samples, valid)
+    assert np.array_equal(body_intensity(samples[:, :, 37:], valid[:, :, 37:]), whole[:, :, 37:])
+    for scale in (2.0**-60, 2.0**60):
+        assert np.allclose(body_intensity(samples * np.float32(scale), valid) / scale, whole, rtol=1e-5, atol=1e-9)
+
+
+def test_samples_that_are_not_valid_change_no_other():
+    samples, _, _ = glossy(DARK_RED, pixels=40)
+    valid = np.ones(samples.shape[:3], bool)
+    valid[5] = False
+    found = body_intensity(samples, valid)
+    samples[5] = np.nan
+    others = np.arange(len(samples)) != 5
+    assert np.array_equal(body_intensity(samples, valid)[others], found[others])
