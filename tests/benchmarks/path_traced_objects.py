@@ -14,11 +14,15 @@ whether the object was looked at while methods were tuned ("tuned") or not ("uns
 import argparse
 import json
 import os
+import sys
 import time
 from glob import glob
 from pathlib import Path
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
+import _project  # noqa: F401
 
 SIZE = 128  # pixels a side
 LAMPS, CONE = 96, 55.0
@@ -26,6 +30,7 @@ FEW, NARROW = 12, 30.0
 DEPTH = 4  # three bounces
 FULL_SCALE = 4095
 ELECTRONS = 20_000  # at full scale: shot noise of 0.7 % there
+READ_NOISE = 5.0  # electrons
 
 
 def rough(colour, alpha):
@@ -169,3 +174,72 @@ def render(name, folder, samples):
         stack.append(np.array(mi.render(scene, integrator=integrator, spp=samples, seed=100 + j)) * np.pi)
     ply.unlink()
     np.savez(folder / f"{name}.npz", stack=np.float32(stack), normals=np.float32(normals), mask=mask)
+
+
+def photograph(radiance, seed):
+    """12-bit photographs of radiances (..., channels): shot and read noise; values in the same unit, and validity."""
+    random = np.random.default_rng(seed)
+    full = np.percentile(radiance, 99.5)
+    electrons = radiance / full * ELECTRONS
+    electrons = electrons + random.normal(size=radiance.shape) * np.sqrt(np.maximum(electrons, 0) + READ_NOISE**2)
+    codes = np.clip(np.round(electrons / ELECTRONS * FULL_SCALE), 0, FULL_SCALE)
+    valid = (codes < FULL_SCALE).all(axis=-1) & (codes > 0).any(axis=-1)
+    return np.float32(codes / FULL_SCALE * full), valid
+
+
+def load(file, lamps):
+    """Photographs (lights, 1, pixels, 3), directions, valid, true normals (1, pixels, 3) under the chosen lamps."""
+    with np.load(file) as held:
+        mask = held["mask"]
+        samples, valid = photograph(held["stack"][:, mask], sum(map(ord, file.stem)))
+        truth = held["normals"][mask]
+    return np.ascontiguousarray(samples[lamps][:, None]), directions()[lamps], valid[lamps][:, None], truth[None]
+
+
+def solved(samples, lights, valid, how):
+    """Normals (1, pixels, 3) by one of METHODS."""
+    from nishiki.normals.solve import estimate_normals
+    from nishiki.separation.body_colour import body_intensity
+    from nishiki.separation.lights import select_diffuse
+
+    mean = samples.mean(axis=-1)
+    if how == "least_squares":
+        return estimate_normals(mean, lights, valid=valid, solver="least_squares").normals
+    usable = select_diffuse(mean, lights, valid=valid).usable
+    intensity = {"mean": lambda: mean, "green": lambda: np.ascontiguousarray(samples[..., 1])}.get(
+        how, lambda: body_intensity(samples, valid)
+    )()
+    return estimate_normals(intensity, lights, usable=usable, valid=valid).normals
+
+
+METHODS = ("least_squares", "green", "mean", "default")
+
+
+def main():
+    """Every method on every object under all lamps and under few."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--objects", nargs="+", choices=list(OBJECTS), default=list(OBJECTS))
+    parser.add_argument("--samples", type=int, default=64, help="paths a pixel, where an object is rendered")
+    arguments = parser.parse_args()
+    arguments.folder.mkdir(parents=True, exist_ok=True)
+    for name in arguments.objects:
+        file = arguments.folder / f"{name}.npz"
+        if not file.exists():
+            render(name, arguments.folder, arguments.samples)
+        for lamps in (np.arange(LAMPS), narrow_cone()):
+            samples, lights, valid, truth = load(file, lamps)
+            for how in METHODS:
+                solved(samples[:, :, :64], lights, valid[:, :, :64], how)  # compiles
+                start = time.process_time()
+                found = solved(samples, lights, valid, how)
+                seconds = time.process_time() - start
+                error = np.degrees(np.arccos(np.clip(np.sum(found * truth, axis=-1, dtype=np.float64), -1, 1)))
+                line = {"object": name, "kind": OBJECTS[name][0], "lights": len(lamps), "method": how}
+                line |= {"mean_deg": round(float(error.mean()), 3), "median_deg": round(float(np.median(error)), 3)}
+                line |= {"cpu_us_per_pixel": round(1e6 * seconds / truth.shape[1], 2), "pixels": truth.shape[1]}
+                print(json.dumps(line), flush=True)
+
+
+if __name__ == "__main__":
+    main()

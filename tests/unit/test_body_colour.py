@@ -45,7 +45,7 @@ def glossy(colour, pixels=300, strength=0.08, seed=1):
     normals = np.column_stack([random.normal(0, 0.2, (pixels, 2)), np.ones(pixels)])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     lights = lamps()
-    halves = lights + [0, 0, 1]
+    halves = lights + np.array([0.0, 0.0, 1.0])
     halves /= np.linalg.norm(halves, axis=1, keepdims=True)
     body = np.maximum(lights @ normals.T, 0)
     lobe = strength * np.maximum(halves @ normals.T, 0) ** 40

@@ -1,4 +1,4 @@
-"""One intensity a sample that follows the body's reflection and not the gloss: channels weighted by each pixel's colour.
+"""One intensity a sample that follows the body and not the gloss: channels weighted by each pixel's colour.
 
 By the dichromatic model (S. A. Shafer, Using color to separate reflection components, Color Research and Application
 10, 1985) the channels of a sample are a vector m u + g w0: body colour u, and gloss along the white direction w0 =

@@ -15,7 +15,7 @@ class IngestSettings(Guarded):
 
     channels: Literal["auto", "all", "luminance", "green"] = Field(
         "auto",
-        description="channels to keep; auto: all where a stage of the plan uses colour (normals do); all without a plan",
+        description="channels to keep; auto: all where a stage of the plan uses colour, as normals do",
     )
     white_block: int = Field(
         16, ge=1, le=256, description="white board averaged over blocks of this many pixels; 1: per pixel (P eq. 3)"
