@@ -8,7 +8,13 @@ import _project  # noqa: F401
 from _sample import sample
 from nishiki.brdf.brightest_light import brightest_light_samples, thin
 from nishiki.brdf.levenberg_marquardt import fit_lobe
-from nishiki.brdf.parameters import described, described_brightest, of_equal_lobes, without_gloss
+from nishiki.brdf.parameters import (
+    described,
+    described_brightest,
+    of_equal_lobes,
+    parameters_at_bounds,
+    without_gloss,
+)
 from nishiki.brdf.scene import fit_scene
 from nishiki.brdf.specular_histogram import SpecularHistogram, unit_of
 from nishiki.contract.maps import Maps, MapWriter
@@ -47,6 +53,7 @@ def run(context: Context) -> dict:
         "regions": len(regions),
         "gamma_deg": [np.degrees(region["gamma"]).tolist() for region in regions],
         **{name: [region[name] for region in regions] for name in ("beta", "residual", "samples", "flags")},
+        "at_bounds": parameters_at_bounds(regions),
         "economy": economy(decision),
     }
 

@@ -150,6 +150,8 @@ def against_truth(truth: Truth, scene: Scene, out: MapWriter) -> dict:
             regions=truth.regions,
         )
         out.write("reflectance_de00", errors.de00_map, unit="CIEDE2000 under D65", nan="no truth or no estimate here")
+        regions = truth.paints.reshape(*scene.frames.shape, -1)[..., 0] if truth.regions is None else truth.regions
+        out.write("regions", np.asarray(regions), meaning="region of the truth: row of region_names, or of its spectra")
         found["reflectance"] = {**errors.as_dict(), "region_names": list(truth.region_names)}
     return found
 

@@ -1,6 +1,7 @@
 """Render: pictures and moving pictures of the object under any light and from any view."""
 
 import json
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from nishiki.contract.maps import Maps
 from nishiki.contract.stage import Context, run_stage
 from nishiki.normals.flags import NO_ESTIMATE
 from nishiki.render import requests
-from nishiki.render.display import display_image
+from nishiki.render.display import adapted_exposure, display_image
 from nishiki.render.frame import Rendering, render
 from nishiki.render.output import (
     VideoWritten,
@@ -29,6 +30,8 @@ from nishiki.settings.render import LightSettings, PictureSettings, RenderSettin
 from nishiki.spectra.colour import illuminant as cie_illuminant
 from nishiki.spectra.sampling import resample
 
+AMBIENT = 0.05  # of films
+
 
 def run(context: Context) -> dict:
     """Make every picture and sequence that the settings name."""
@@ -41,8 +44,8 @@ def run(context: Context) -> dict:
         made = paint(scene, picture, spectra, settings)
         found[picture.name] = save(context, picture, made)
     for sequence in settings.sequences:
-        written = film(context, scene, sequence, spectra)
-        found[sequence.name] = {"frames": written.frames, "file": written.path.name}
+        written, exposure = film(context, scene, sequence, spectra)
+        found[sequence.name] = {"frames": written.frames, "file": written.path.name, "exposure": exposure}
         notes += [written.note] if written.note else []
     if settings.export_normals:
         write_normals_png(context.output.path("normals.png"), scene.normals, stamp=context.stamp)
@@ -106,34 +109,53 @@ def save(context: Context, picture: PictureSettings, made: Rendering) -> dict:
     """Linear EXR and 8-bit sRGB PNG; what the PNG clipped and what was flagged."""
     coverage = None if picture.view.kind == "frontal" else made.coverage
     write_exr(context.output.path(f"{picture.name}.exr"), made.xyz, stamp=context.stamp, coverage=coverage)
-    shown = display_image(made.xyz, white=made.white_xyz)
+    exposure = picture.exposure
+    if exposure == "auto":
+        sheet = requests.white_sheet(picture.lights, picture.ambient)
+        exposure = adapted_exposure(made.xyz, seen=seen(made), sheet=sheet)
+    shown = display_image(made.xyz, white=made.white_xyz, exposure=exposure)
     write_png(context.output.path(f"{picture.name}.png"), shown.pixels, stamp=context.stamp)
-    return {"clipped_fraction": float(shown.clipped_high), "flagged_pixels": int(np.count_nonzero(made.flags & 19))}
+    return {
+        "exposure": exposure,
+        "clipped_fraction": float(shown.clipped_high),
+        "flagged_pixels": int(np.count_nonzero(made.flags & 19)),
+    }
+
+
+def seen(made: Rendering) -> np.ndarray:
+    """Pixels (rows, columns) of the picture that show the object."""
+    return (made.coverage > 0.5) & ((made.flags & 19) == 0)
 
 
 def film(
     context: Context, scene: PlaneScene, sequence: SequenceSettings, spectra: dict[str, np.ndarray]
-) -> VideoWritten:
-    """A moving light or a moving view as video."""
+) -> tuple[VideoWritten, float]:
+    """A moving light or a moving view as video, and its exposure."""
     view = requests.film_view(sequence, scene)
-    light = requests.lamp(LightSettings(elevation_deg=sequence.elevation_deg), spectra[sequence.illuminant])
-    ambient = Ambient(spectrum=light.spectrum, level=0.05)
+    lamp = LightSettings(elevation_deg=sequence.elevation_deg)
+    light = requests.lamp(lamp, spectra[sequence.illuminant])
+    ambient = Ambient(spectrum=light.spectrum, level=AMBIENT)
     if sequence.moves == "light":
         directions = circle_of_directions(sequence.frames, elevation=np.radians(sequence.elevation_deg))
         frames = light_sequence(scene, moved_lights(light, directions), view, ambient=ambient)
     else:
         views = orbit(view, sequence.frames, sweep=np.radians(30))
         frames = view_sequence(scene, [light], views, ambient=ambient)
+    first = next(frames)  # sets the exposure of all, so that the film does not flicker
+    sheet = requests.white_sheet([lamp], AMBIENT)
+    exposure = adapted_exposure(first.xyz, seen=seen(first), sheet=sheet)
+    frames = chain([first], frames)
     pictures = (
-        display_image(frame.xyz, white=frame.white_xyz).pixels
+        display_image(frame.xyz, white=frame.white_xyz, exposure=exposure).pixels
         for frame in context.progress.through(frames, sequence.frames, f"{sequence.name}: frame")
     )
-    return write_video(
+    written = write_video(
         context.output.path(f"{sequence.name}.mp4"),
         pictures,
         frames_per_second=sequence.frames_per_second,
         stamp=context.stamp,
     )
+    return written, exposure
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ from nishiki.report.conditions import conditions
 from nishiki.report.gloss_section import gloss_section
 from nishiki.report.left_out_section import left_out_section
 from nishiki.report.page import render_page
+from nishiki.report.pictures import ruler
 from nishiki.report.provenance import stage_record
 from nishiki.report.relighting_section import relighting_section
 from nishiki.report.shape_section import shape_section
@@ -70,7 +71,8 @@ def content_of(context: Context) -> dict:
             evaluated=maps.get("evaluate"),
             mask=frames.mask,
         ),
-        "normals": inputs["normals"].diagnostics,
+        "normals": {"refined": False, **inputs["normals"].diagnostics},
+        "ruler": ruler(frames.shape[1], frames.pixel_pitch_mm),
         "colour": colour_section(
             maps["normals"],
             widest=widest,

@@ -5,13 +5,15 @@ import xml.etree.ElementTree as ElementTree
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nishiki.report.appearance_section import describe
+from nishiki.report.appearance_section import describe, exposed
 from nishiki.report.colour_map import MISSING, coloured, heat, sea
-from nishiki.report.colour_section import spread_out
+from nishiki.report.colour_section import _of_places, _widest_place, spread_out
+from nishiki.report.conditions import conditions
 from nishiki.report.gloss_section import gloss_section
+from nishiki.report.numbers import plain
 from nishiki.report.page import degrees, figure, percent
 from nishiki.report.pictures import (
     block_of,
@@ -19,6 +21,7 @@ from nishiki.report.pictures import (
     file_picture,
     hillshade,
     normal_picture,
+    ruler,
     scalar_picture,
     shrink,
 )
@@ -63,6 +66,7 @@ def test_block_keeps_the_picture_within_its_width(columns, widest, block):
     assert block_of(columns, widest) == block
 
 
+@settings(deadline=None)
 @given(st.integers(1, 40), st.integers(1, 40), st.integers(1, 7), st.booleans(), st.integers(0, 2**31))
 def test_shrink_against_the_obvious_loop(rows, columns, block, worst, seed):
     random = np.random.default_rng(seed)
@@ -181,10 +185,86 @@ def test_spread_out_points_are_far_apart_and_never_equal():
         (123.4, "123"),
         (99.96, "100"),
         (0.00123, "0.00123"),
+        (327700.0, "327\u202f700"),
+        (3.277e9, "3.28 × 10⁹"),
+        (-2.5e-6, "−2.50 × 10⁻⁶"),
+        (123456789, "1.23456789 × 10⁸"),
     ],
 )
 def test_figures(value, shown):
     assert figure(value) == shown
+
+
+@settings(deadline=None)
+@given(st.floats(-1e12, 1e12, allow_subnormal=False), st.integers(1, 8), st.booleans())
+def test_a_number_reads_back_to_its_digits_and_never_shows_an_e(value, digits, padded):
+    shown = plain(value, digits, padded=padded)
+    assert "e" not in shown
+    assert "-" not in shown
+    raised = "".join(mark for mark in shown if mark in "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+    mantissa = shown.removesuffix("10" + raised).removesuffix(" × ") if raised else shown
+    exponent = int(raised.translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789"))) if raised else 0
+    back = float(mantissa.replace("\u202f", "").replace("−", "-") or 1) * 10.0**exponent
+    assert back == pytest.approx(value, rel=0.51 * 10.0 ** (1 - digits), abs=0)
+
+
+def test_a_map_of_one_value_becomes_a_sentence():
+    values = np.full((40, 50), 12.0)
+    assert scalar_picture(values, sea(), unit="lights").even == "12 lights everywhere on the object"
+    values[0, 0] = 9
+    even = scalar_picture(values, sea(), unit="lights")
+    assert (even.even, even.source) == ("12 lights almost everywhere on the object", "")
+    values[:3] = 9
+    assert scalar_picture(values, sea(), unit="lights").source
+    classes, key = np.zeros((40, 50)), {0: ("#102030", "no flag"), 1: ("#fefdfc", "flag")}
+    assert class_picture(classes, key).even == "no flag everywhere on the object"
+    classes[0, :3] = 1
+    assert class_picture(classes, key).source
+
+
+@pytest.mark.parametrize(
+    ("columns", "pitch", "percent", "label"),
+    [(1000, 0.1, 20.0, "20 mm"), (4000, 1.0, 25.0, "1 m"), (640, 0.0004, 19.53125, "50 µm"), (100, None, None, None)],
+)
+def test_scale_bars_are_round_and_short(columns, pitch, percent, label):
+    found = ruler(columns, pitch)
+    assert (found is None) == (pitch is None)
+    if found:
+        assert (found.percent, found.label) == (pytest.approx(percent), label)
+
+
+def test_marks_stand_at_the_places_whose_spectra_are_drawn():
+    rng = np.random.default_rng(4)
+    small = rng.uniform(0.1, 0.9, (12, 15, 3)).astype(np.float32)
+    basis = np.abs(rng.normal(0.3, 0.1, (3, 61)))
+    charts, marks = _of_places(small, small @ np.eye(3), basis, 4)
+    assert [text for _, _, text in marks] == [str(k + 1) for k in range(len(charts))]
+    for chart_, (x, y, number) in zip(charts, marks, strict=True):
+        assert chart_["label"] == f"{number}: row {int(y) * 4 + 2}, column {int(x) * 4 + 2}"
+
+
+def test_a_region_is_marked_where_it_is_widest():
+    inside = np.zeros((20, 30), bool)
+    inside[4, :] = True
+    inside[8:17, 10:19] = True
+    assert _widest_place(inside) == (14.5, 12.5)
+
+
+def test_captions_state_the_exposure():
+    assert (
+        exposed(3.9, chosen=True) == "Exposure 3.9, chosen from the picture (1: a white that faces the lamp is white)."
+    )
+    assert exposed(None, chosen=True) == ""
+
+
+def test_parameters_at_a_bound_are_rows_of_the_conditions():
+    told = {"gamma": 1.0, "at_bounds": ["half width of lobe 1: 92 degrees, the upper end"], "red": {"at_bounds": ["n"]}}
+    manifest = {"stage": "brdf", "settings": {}, "diagnostics": told}
+    rows = [row for row in conditions([manifest]) if row["state"] == "at its bound"]
+    assert [row["meaning"] for row in rows] == [
+        "fitted parameter at a bound: half width of lobe 1: 92 degrees, the upper end",
+        "fitted parameter at a bound: red: n",
+    ]
 
 
 def test_percent_and_degrees():

@@ -3,6 +3,7 @@
 import numpy as np
 
 from nishiki.brdf.scene import GAMMA_BOUNDS, TorranceSparrowFit
+from nishiki.contract.bounds import at_end
 
 NO_GLOSS = "no gloss: Lambert"
 
@@ -81,6 +82,20 @@ def described_brightest(
             "fitted": (beta * np.exp2(-((phi[order] / gamma) ** 2))).tolist(),
         },
     }
+
+
+def parameters_at_bounds(regions: list[dict]) -> list[str]:
+    """Half widths of fitted lobes that stand at the end of the range that was searched, in words."""
+    texts = []
+    for number, region in enumerate(regions):
+        if not {"AT_BOUND"} & set(region["flags"]):
+            continue
+        name = region.get("name") or (f"region {number}" if len(regions) > 1 else "whole scene")
+        for lobe, (beta, gamma) in enumerate(zip(region["beta"], region["gamma"], strict=True), 1):
+            end = at_end(gamma, *GAMMA_BOUNDS) if beta > 0 else ""
+            if end:
+                texts.append(f"half width of lobe {lobe}, {name}: {np.degrees(gamma):.3g} degrees, the {end} end")
+    return texts
 
 
 def gloss_table(parameters: dict) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from nishiki.contract.artifact import MANIFEST, Artifact, ArtifactWriter, open_artifact
+from nishiki.contract.bounds import at_bounds
 from nishiki.contract.closed import Closed, parse
 from nishiki.contract.finite import expect_finite
 from nishiki.contract.limits import check
@@ -140,6 +141,9 @@ def _run(
         diagnostics = run(context)
         if not part:
             check(model.STAGE, diagnostics, settings.allow)
+            for each in at_bounds(diagnostics):
+                who = model.STAGE if arguments.scene == NAMELESS else f"{arguments.scene}/{model.STAGE}"
+                print(f"nishiki {who}: warning: a fitted parameter ended at its bound: {each}", file=sys.stderr)
         expect_finite(output.folder, model.STAGE)
         manifest = {
             **stamp,

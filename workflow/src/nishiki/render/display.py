@@ -7,6 +7,8 @@ import numpy as np
 from nishiki.errors import UserError
 from nishiki.spectra.colour import srgb_encode, xyz_to_srgb_linear
 
+ADAPTED_PERCENTILE, ADAPTED_LEVEL, ADAPTED_BOUNDS = 98, 0.8, (0.5, 8.0)
+
 
 @dataclass(frozen=True)
 class DisplayImage:
@@ -30,6 +32,31 @@ def display_image(xyz: np.ndarray, *, white: np.ndarray | None = None, exposure:
     high = np.count_nonzero((linear > 1.0 + 1e-3).any(axis=2)) / max(1, linear[..., 0].size)
     low = np.count_nonzero((linear < -1e-3).any(axis=2)) / max(1, linear[..., 0].size)
     return DisplayImage(np.floor(srgb_encode(linear) * 255 + 0.5).astype(np.uint8), high, low)
+
+
+def adapted_exposure(xyz: np.ndarray, *, seen: np.ndarray, sheet: float) -> float:
+    """Exposure at which an eye that has adapted to the light would see a picture: its light parts near white.
+
+    Brings the 98th percentile of the luminance to 0.8, within bounds that keep a black object dark and a highlight from
+    darkening everything else: half and 8 times the exposure at which a white sheet beside the object is white.
+
+    Parameters
+    ----------
+    xyz : (rows, columns, 3) linear picture, Y = 1 for a perfect white that faces the lamp.
+    seen : (rows, columns) bool, pixels of the object.
+    sheet : luminance of a perfect white sheet in the plane of the object.
+
+    Returns
+    -------
+    float
+        Factor for `display_image`, two significant digits; 1 where nothing is lit.
+    """
+    if not sheet > 0:
+        return 1.0
+    light = xyz[..., 1][seen]
+    bright = float(np.percentile(light, ADAPTED_PERCENTILE)) if light.size else 0.0
+    factor = ADAPTED_LEVEL / bright if bright > 0 else np.inf
+    return float(f"{np.clip(factor, *(bound / sheet for bound in ADAPTED_BOUNDS)):.2g}")
 
 
 def normals_as_colours(normals: np.ndarray) -> np.ndarray:

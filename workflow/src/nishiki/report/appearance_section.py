@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
+from nishiki.report.numbers import plain
 from nishiki.report.pictures import data_uri, file_picture
 from nishiki.report.provenance import text
 
@@ -32,7 +33,16 @@ def appearance_section(
             continue
         if len(pictures) < SHOWN:
             picture = file_picture(data, widest)
-            pictures.append({"name": entry["name"], "picture": picture, "caption": describe(entry), "file": file})
+            exposure = ((diagnostics.get("pictures") or {}).get(entry["name"]) or {}).get("exposure")
+            pictures.append(
+                {
+                    "name": entry["name"],
+                    "picture": picture,
+                    "caption": f"{describe(entry)} {exposed(exposure, chosen=entry.get('exposure') == 'auto')}".strip(),
+                    "frontal": entry["view"]["kind"] == "frontal",
+                    "file": file,
+                }
+            )
         else:
             named.append(f"{folder}/{file}")
     films = []
@@ -47,7 +57,8 @@ def appearance_section(
         films.append(
             {
                 "name": entry["name"],
-                "caption": f"the {entry['moves']} goes round at {entry['elevation_deg']:g}° above the plane",
+                "caption": f"the {entry['moves']} goes round at {entry['elevation_deg']:g}° above the plane. "
+                + exposed(found.get("exposure"), chosen=True),
                 "source": data_uri(data, kind) if carried else "",
                 "video": kind == "video/mp4",
                 "file": f"{folder}/{file}",
@@ -63,6 +74,14 @@ def describe(picture: dict[str, Any]) -> str:
     seen = "seen from the front" if view["kind"] == "frontal" else f"seen from {_place(view)}"
     ambient = f", ambient {text(picture['ambient'])}" if picture["ambient"] else ""
     return f"{' and '.join(lights) or 'no lamp'}{ambient}, {seen}."
+
+
+def exposed(exposure: float | None, *, chosen: bool) -> str:
+    """What a caption says of the exposure; chosen: from the picture itself."""
+    if exposure is None:
+        return ""
+    why = ", chosen from the picture" if chosen else ""
+    return f"Exposure {plain(exposure, 2)}{why} (1: a white that faces the lamp is white)."
 
 
 def _place(direction: dict[str, Any]) -> str:

@@ -39,7 +39,6 @@ def capture_section(
         "white": bool(diagnostics["white_level"]),
         "warnings": list(diagnostics["warnings"]),
         "defects": diagnostics["defects"],
-        "linearity": _linearity(diagnostics),
     }
 
 
@@ -119,9 +118,3 @@ def _saturation(diagnostics, lights) -> str:
         return ""
     values, names = zip(*shown, strict=True)
     return bars(list(values), list(names), title="saturated share of the object by light", unit="%")
-
-
-def _linearity(diagnostics) -> dict[str, Any] | None:
-    """Slope, r² and worst deviation where the capture had patches of known reflectance."""
-    found = diagnostics.get("linearity")
-    return found if isinstance(found, dict) else None

@@ -1,5 +1,6 @@
 """The part of the page on colour: diffuse reflectance as a picture, spectra of some places or regions."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -47,10 +48,15 @@ def colour_section(
     content["sigma"] = scalar_picture(sigma, heat(), unit="reflectance, expected rms", low=0.0)
     regions = ((evaluation or {}).get("reflectance") or {}).get("regions")
     if regions:
-        content["spectra"] = _of_regions(regions, evaluation["reflectance"]["region_names"])
+        labels = None
+        if evaluated is not None and "regions" in evaluated:
+            labels = np.asarray(evaluated.read("regions"))[block // 2 :: block, block // 2 :: block]
+        content["spectra"], marks = _of_regions(regions, evaluation["reflectance"]["region_names"], labels)
+        content["diffuse"] = replace(content["diffuse"], marks=marks)
         content["against_truth"] = True
     else:
-        content["spectra"] = _of_places(small, xyz, basis, block)
+        content["spectra"], marks = _of_places(small, xyz, basis, block)
+        content["diffuse"] = replace(content["diffuse"], marks=marks)
     if evaluated is not None and "reflectance_de00" in evaluated:
         difference = shrink(lambda rows: evaluated.read("reflectance_de00", rows), shape, block)
         content["de00"] = scalar_picture(difference, heat(), unit="ΔE00 under D65", low=0.0)
@@ -83,39 +89,55 @@ def _masked(values: np.ndarray, known: np.ndarray | None, rows: slice) -> np.nda
     return values
 
 
-def _of_regions(regions: list[dict], names: list[str]) -> list[dict[str, Any]]:
-    """Charts of regions that differ most in colour, the largest first; regions of a few pixels are left out."""
+def _of_regions(regions: list[dict], names: list[str], labels: np.ndarray | None) -> tuple[list[dict], tuple]:
+    """Charts of regions that differ most in colour, the largest first; regions of a few pixels are left out.
+
+    labels : (rows, columns) region of each pixel of the picture, or None. The marks stand where the regions are widest.
+    """
     total = sum(region["pixels"] for region in regions)
     large = sorted((r for r in regions if r["pixels"] >= LEAST_SHARE * total), key=lambda r: (-r["pixels"], r["label"]))
     lamp = illuminant("D65")
     lab = xyz_to_lab(xyz_from_spectra(lamp, np.array([r["truth"] for r in large])), white_xyz(lamp))
-    charts = []
-    for k in sorted(spread_out(lab, CURVES, 0)):
+    charts, marks = [], []
+    for number, k in enumerate(sorted(spread_out(lab, CURVES, 0)), 1):
         region = large[k]
         label = names[region["label"]] if region["label"] < len(names) else f"region {region['label']}"
         curves = [(region["estimate"], False), (region["truth"], True)]
         note = f"{region['pixels']} pixels, rms {region['rmse']:.3f}"
+        if labels is not None and (labels == region["label"]).any():
+            label = f"{number}: {label}"
+            marks.append((*_widest_place(labels == region["label"]), str(number)))
         charts.append(_spectrum_chart(label, note, curves))
-    return charts
+    return charts, tuple(marks)
 
 
-def _of_places(small: np.ndarray, xyz: np.ndarray, basis: np.ndarray, block: int) -> list[dict[str, Any]]:
-    """Charts of places that differ most in colour: means over blocks of pixels, away from the extremes."""
+def _widest_place(inside: np.ndarray) -> tuple[float, float]:
+    """(x, y) of the pixel of a region (rows, columns) bool that is farthest from its edge."""
+    from scipy import ndimage
+
+    depth = ndimage.distance_transform_edt(np.pad(inside, 1))[1:-1, 1:-1]
+    row, column = np.unravel_index(int(depth.argmax()), depth.shape)
+    return column + 0.5, row + 0.5
+
+
+def _of_places(small: np.ndarray, xyz: np.ndarray, basis: np.ndarray, block: int) -> tuple[list[dict], tuple]:
+    """Charts of places that differ most in colour: means over blocks of pixels, away from the extremes; their marks."""
     step = max(1, int(np.sqrt(small.shape[0] * small.shape[1] / 4000)))
     rows, columns = (axis.ravel() for axis in np.mgrid[0 : small.shape[0] : step, 0 : small.shape[1] : step])
     there = np.isfinite(xyz[rows, columns]).all(axis=-1)
     rows, columns = rows[there], columns[there]
     if not rows.size:
-        return []
+        return [], ()
     lab = xyz_to_lab(xyz[rows, columns], white_xyz(illuminant("D65")))
     middle = np.linalg.norm(lab - np.median(lab, axis=0), axis=1)
     usual = np.flatnonzero(middle <= np.percentile(middle, 99))
-    charts = []
-    for k in spread_out(lab[usual], CURVES, int(np.argmin(middle[usual]))):
+    charts, marks = [], []
+    for number, k in enumerate(spread_out(lab[usual], CURVES, int(np.argmin(middle[usual]))), 1):
         i, j = int(rows[usual[k]]), int(columns[usual[k]])
-        place = f"row {i * block + block // 2}, column {j * block + block // 2}"
+        place = f"{number}: row {i * block + block // 2}, column {j * block + block // 2}"
         charts.append(_spectrum_chart(place, "", [(small[i, j].astype(float) @ basis, False)]))
-    return charts
+        marks.append((j + 0.5, i + 0.5, str(number)))
+    return charts, tuple(marks)
 
 
 def _spectrum_chart(label: str, note: str, curves: list[tuple[Any, bool]]) -> dict[str, Any]:

@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from nishiki.contract.limits import readings
+from nishiki.contract.bounds import at_bounds
+from nishiki.contract.limits import Limit, readings
+from nishiki.report.numbers import plain
 
 
 def conditions(manifests: Iterable[Mapping[str, Any]]) -> list[dict[str, str]]:
     """Rows (stage, meaning, value, limit, state) of the artifacts of these manifests, in their order.
 
     state: '' without a limit, else within | beyond, allowed (a run stops where a result is beyond and not allowed).
+    Last of each stage are the fitted parameters that ended at the end of their range.
     """
     rows = []
     for manifest in manifests:
@@ -22,9 +25,26 @@ def conditions(manifests: Iterable[Mapping[str, Any]]) -> list[dict[str, str]]:
                 {
                     "stage": manifest["stage"],
                     "meaning": each.limit.meaning,
-                    "value": f"{each.value:.4g}",
-                    "limit": each.limit.stated or "none",
+                    "value": plain(each.value),
+                    "limit": _stated(each.limit),
                     "state": state,
                 }
             )
+        rows += [
+            {
+                "stage": manifest["stage"],
+                "meaning": f"fitted parameter at a bound: {each}",
+                "value": "–",
+                "limit": "inside its range",
+                "state": "at its bound",
+            }
+            for each in at_bounds(manifest["diagnostics"])
+        ]
     return rows
+
+
+def _stated(limit: Limit) -> str:
+    """The limit in words; "none" where a figure is only reported."""
+    if limit.most is not None:
+        return f"at most {plain(limit.most)}"
+    return "none" if limit.least is None else f"at least {plain(limit.least)}"

@@ -2,6 +2,8 @@
 
 from typing import Any
 
+from nishiki.report.numbers import plain
+
 TEMPLATE = "page.html.j2"
 OBJECT_TEMPLATE = "object.html.j2"
 
@@ -17,7 +19,7 @@ def render_page(content: dict[str, Any], template: str = TEMPLATE) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters |= {"figure": figure, "percent": percent, "degrees": degrees}
+    environment.filters |= {"figure": figure, "percent": percent, "degrees": degrees, "signed": signed}
     return environment.get_template(template).render(content)
 
 
@@ -30,6 +32,11 @@ def percent(value: float | None) -> str:
     return f"{value:.2f}\u202f%" if value else "0"
 
 
+def signed(share: float | None) -> str:
+    """A share in per cent with its sign, to a tenth."""
+    return "–" if share is None else f"{100 * share:+.1f}\u202f%".replace("-", "−")
+
+
 def degrees(value: float | None) -> str:
     """An angle to a degree, with a true minus and without a negative zero."""
     return "–" if value is None else f"{round(value):d}°".replace("-", "−")
@@ -40,11 +47,6 @@ def figure(value: Any, digits: int = 3, unit: str = "") -> str:
     if value is None:
         return "–"
     if isinstance(value, int):
-        return f"{value:,}".replace(",", "\u202f") + (f"\u202f{unit}" if unit else "")
-    if value != 0 and abs(value) < 10 ** (digits - 1):
-        shown = f"{value:#.{digits}g}".rstrip(".")
-        if "e" in shown and abs(value) >= 1e-4:
-            shown = f"{value:.{digits + 3}f}"
-    else:
-        shown = f"{value:.0f}" if value else "0"
-    return shown.replace("-", "−") + (f"\u202f{unit}" if unit else "")
+        digits = max(digits, len(str(abs(value))))
+        return plain(value, digits) + (f"\u202f{unit}" if unit else "")
+    return plain(value, digits, padded=True) + (f"\u202f{unit}" if unit else "")

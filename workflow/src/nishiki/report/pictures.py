@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nishiki.report.colour_map import MISSING, coloured, hexadecimal
+from nishiki.report.numbers import plain
 from nishiki.spectra.colour import srgb_encode
 
 
@@ -23,13 +24,42 @@ class Scale:
 @dataclass(frozen=True)
 class Picture:
     """A picture inside the page: `source` is a data URI; columns, rows its size; scale its colour bar, or None;
-    key: (colour, meaning) of a map of classes."""
+    key: (colour, meaning) of a map of classes; even: what to say in place of a picture of one flat colour;
+    marks: (x, y, text), numbered places in pixels of the picture."""
 
     source: str
     columns: int
     rows: int
     scale: Scale | None = None
     key: tuple[tuple[str, str], ...] = ()
+    even: str = ""
+    marks: tuple[tuple[float, float, str], ...] = ()
+
+
+EVEN_PERCENTILES, EVEN_SHARE = (0.25, 99.75), 0.9995
+EVERYWHERE, ALMOST_EVERYWHERE = "everywhere on the object", "almost everywhere on the object"
+RULER_SHARE = 0.3
+"""Longest scale bar, as a share of the width of the picture."""
+
+
+@dataclass(frozen=True)
+class Ruler:
+    """Scale bar of a picture that shows the whole width of the maps."""
+
+    percent: float
+    label: str
+
+
+def ruler(columns: int, pitch_mm: float | None) -> Ruler | None:
+    """The longest scale bar of 1, 2 or 5 times a power of ten that suits maps of this width; None without a pitch."""
+    if not pitch_mm:
+        return None
+    longest = RULER_SHARE * columns * pitch_mm
+    power = 10.0 ** np.floor(np.log10(longest))
+    length = max(power * step for step in (1, 2, 5) if power * step <= longest * (1 + 1e-9))
+    units = (("m", 1e-3), ("mm", 1.0), ("µm", 1e3))
+    unit, factor = next(((name, each) for name, each in units if length * each >= 1), units[-1])
+    return Ruler(float(100 * length / (columns * pitch_mm)), f"{plain(length * factor)} {unit}")
 
 
 def block_of(columns: int, widest: int) -> int:
@@ -102,13 +132,24 @@ def scalar_picture(values: np.ndarray, table: np.ndarray, *, unit: str, low=None
     high = float(np.percentile(known, 99)) if high is None and known.size else float(high or 1.0)
     if not high > low:
         high = low + 1.0
+    if even := _even(values, unit, digits):
+        return Picture("", values.shape[1], values.shape[0], even=even)
     stops = tuple(hexadecimal(colour) for colour in table[:: 255 // 5])
-    scale = Scale(_number(low, digits), _number(high, digits), unit, stops)
+    scale = Scale(plain(low, digits), plain(high, digits), unit, stops)
     return encoded(coloured(values, table, low, high), scale=scale)
 
 
 def class_picture(classes: np.ndarray, key: dict[int, tuple[str, str]]) -> Picture:
-    """Picture of classes (rows, columns); key: class -> (#rrggbb, meaning); other values in the colour of missing."""
+    """Picture of classes (rows, columns); key: class -> (#rrggbb, meaning); other values in the colour of missing.
+
+    No picture, but a sentence, where (almost) all pixels are of one class.
+    """
+    shares = {value: np.count_nonzero(classes == value) for value in key}
+    total = max(1, sum(shares.values()))
+    most = max(shares, key=lambda value: shares[value])
+    if shares[most] >= EVEN_SHARE * total:
+        where = EVERYWHERE if shares[most] == total else ALMOST_EVERYWHERE
+        return Picture("", classes.shape[1], classes.shape[0], even=f"{key[most][1]} {where}")
     codes = np.empty((*classes.shape, 3), np.uint8)
     codes[...] = MISSING
     for value, (colour, _) in key.items():
@@ -181,5 +222,13 @@ def _decode_srgb(coded: np.ndarray) -> np.ndarray:
     return np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)
 
 
-def _number(value: float, digits: int) -> str:
-    return f"{value:.{digits}g}" if value else "0"
+def _even(values: np.ndarray, unit: str, digits: int) -> str:
+    """What a caption says in place of a map that shows one value; empty where the map has something to show."""
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return ""
+    low, high = (plain(float(v), digits) for v in np.percentile(known, EVEN_PERCENTILES))
+    if low != high:
+        return ""
+    ends = {plain(float(v), digits) for v in (known.min(), known.max())}
+    return f"{low} {unit} {EVERYWHERE if len(ends) == 1 else ALMOST_EVERYWHERE}"

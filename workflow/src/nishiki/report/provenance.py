@@ -5,6 +5,7 @@ from typing import Any
 
 from nishiki.contract.closed import Closed
 from nishiki.contract.provenance import canonical
+from nishiki.report.numbers import plain
 
 PLANNED = ("hold_out", "without", "truth_sha256", "training_sha256", "left_out")
 """Settings that the plan fills in; a user does not write them."""
@@ -96,7 +97,7 @@ def text(value: Any, *, longest: int = 160) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
-        return f"{value:.6g}"
+        return plain(value, 6)
     if isinstance(value, dict):
         return shortened(", ".join(f"{key}: {text(item)}" for key, item in value.items()) or "none", longest)
     if isinstance(value, list | tuple):

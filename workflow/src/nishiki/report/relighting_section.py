@@ -21,7 +21,7 @@ SHOWN = 4
 LARGEST_DE00 = 10.0
 """End of the scale of difference maps: the same for all lights, so that they can be compared."""
 CLASS_KEY = {
-    DIFFUSE: ("#d9dedb", "diffuse"),
+    DIFFUSE: ("#a9c0c9", "diffuse"),
     HIGHLIGHT: ("#e3a72f", "highlight in view"),
     SHADOW: ("#3c4657", "shadow"),
 }
@@ -73,6 +73,7 @@ def relighting_section(
         "lights": lights,
         "overall": evaluation["overall"],
         "how": evaluation["colour"]["how"],
+        "lamp": "as if under D65" if evaluation["colour"]["rmse_xyz"] is None else "under the lamp of the capture",
         "classes_from": evaluation["classes_from"],
         "with_truth": any(light.get("truth") for light in lights),
         "cases": sorted({case for light in lights for case in (light.get("truth") or {})}, key=lambda c: c != "lamp"),

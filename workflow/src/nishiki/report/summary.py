@@ -39,11 +39,13 @@ def at_a_glance(normals: dict[str, Any], evaluation: dict[str, Any] | None) -> l
     tiles = []
     if evaluation.get("lights"):
         overall, count = evaluation["overall"]["de00"], len(evaluation["lights"])
+        guessed = (evaluation.get("colour") or {}).get("rmse_xyz") is None
+        lamp = "colours taken as under D65" if guessed else "under the lamp of the capture"
         tiles.append(
             _tile(
                 overall["mean"],
                 "ΔE00",
-                f"mean difference, prediction to photograph, {count} unseen light{'s' * (count > 1)}",
+                f"mean difference, prediction to photograph, {count} unseen light{'s' * (count > 1)}, {lamp}",
             )
         )
         tiles.append(_tile(overall["p90"], "ΔE00", "90th percentile of that difference"))

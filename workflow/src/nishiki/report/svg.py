@@ -5,6 +5,8 @@ from html import escape
 
 import numpy as np
 
+from nishiki.report.numbers import plain, power_of_ten
+
 PALETTE = ("#1f4e79", "#b5542b", "#3f7f4c", "#7a5195", "#a0892c", "#4b8a99")
 INK, SOFT, GRID = "#22262b", "#6b7178", "#e3e3df"
 
@@ -38,12 +40,12 @@ def ticks(low: float, high: float, count: int = 5) -> list[float]:
 
 def number(value: float) -> str:
     """A tick's label, without needless digits."""
-    return f"{0.0 if abs(value) < 1e-12 else value:.6g}"
+    return plain(0.0 if abs(value) < 1e-12 else value, 6)
 
 
 def decade(exponent: float) -> str:
     """Label of a power of ten."""
-    return "10" + str(round(exponent)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+    return power_of_ten(round(exponent))
 
 
 def chart(

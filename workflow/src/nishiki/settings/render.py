@@ -2,7 +2,7 @@
 
 from typing import ClassVar, Literal
 
-from pydantic import Field
+from pydantic import Field, PositiveFloat
 
 from nishiki.contract.closed import Closed, Guarded
 
@@ -23,8 +23,8 @@ class ViewSettings(Closed):
     elevation_deg: float = Field(90, gt=0, le=90, description="pinhole: of the eye above the plane")
     azimuth_deg: float = Field(-90, ge=-360, le=360, description="pinhole: of the eye, from x towards y")
     distance: float = Field(3, gt=0, description="pinhole: in lengths of the object's longer side")
-    rows: int = Field(768, ge=16, le=16384, description="pinhole: of the picture")
-    columns: int = Field(1024, ge=16, le=16384, description="pinhole: of the picture")
+    rows: int | None = Field(None, ge=16, le=16384, description="pinhole: of the picture; null: as the object needs")
+    columns: int | None = Field(None, ge=16, le=16384, description="pinhole: of the picture; null: as the object needs")
 
 
 class PictureSettings(Closed):
@@ -34,6 +34,9 @@ class PictureSettings(Closed):
     lights: tuple[LightSettings, ...] = (LightSettings(),)
     view: ViewSettings = ViewSettings()
     ambient: float = Field(0.05, ge=0, description="uniform light from everywhere, relative to the lamps")
+    exposure: Literal["auto"] | PositiveFloat = Field(
+        "auto", description="of the PNG; 1: a white facing the lamp is white; auto: as an adapted eye, by the picture"
+    )
 
 
 class SequenceSettings(Closed):
@@ -52,7 +55,7 @@ class RenderSettings(Guarded):
     """Pictures and sequences to make."""
 
     STAGE: ClassVar[str] = "render"
-    VERSION: ClassVar[int] = 1
+    VERSION: ClassVar[int] = 2
 
     pictures: tuple[PictureSettings, ...] = (
         PictureSettings(name="daylight"),
