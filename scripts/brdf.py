@@ -11,12 +11,15 @@ from nishiki.brdf.levenberg_marquardt import fit_lobe
 from nishiki.brdf.parameters import (
     described,
     described_brightest,
+    described_ladder,
     of_equal_lobes,
     parameters_at_bounds,
     without_gloss,
 )
 from nishiki.brdf.scene import fit_scene
+from nishiki.brdf.slopes import slope_covariance
 from nishiki.brdf.specular_histogram import SpecularHistogram, unit_of
+from nishiki.contract.artifact import Artifact
 from nishiki.contract.maps import Maps, MapWriter
 from nishiki.contract.stage import Context, run_stage
 from nishiki.economy.decision import Decision, economy
@@ -24,7 +27,7 @@ from nishiki.economy.gloss import Evidence, decided, gloss_evidence
 from nishiki.ingest.observations import Observations
 from nishiki.ingest.parcels import parcels
 from nishiki.normals.flags import NO_ESTIMATE
-from nishiki.normals.gloss_profile import LADDER, GlossProfile, specular_samples
+from nishiki.normals.gloss_profile import LADDER, GlossProfile, blurred_lobes, fit_gloss, specular_samples
 from nishiki.settings.brdf import BrdfSettings
 
 SAMPLE_PIXELS = 5000  # that decide whether the scene shows gloss
@@ -40,7 +43,11 @@ def run(context: Context) -> dict:
         regions, decision = fit_brightest(context, frames, maps, labels), None
     else:
         regions, decision = fit_glossy(context, frames, maps, labels)
-    parameters = {"method": context.settings.method, "regions": regions}
+    parameters = {
+        "method": context.settings.method,
+        "regions": regions,
+        "transmission": body_transmission(context.inputs["normals"]),
+    }
     text = json.dumps(parameters, indent=1, sort_keys=True, allow_nan=False)
     context.output.path("parameters.json").write_text(text + "\n")
     if labels is not None:
@@ -73,16 +80,38 @@ def fit_glossy(
     regions = [without_gloss(settings.refractive_index, found.samples) for found in evidence]
     if any(found.keep for found in evidence):
         histogram = gather(context, frames, maps, labels, np.array([found.keep for found in evidence]))
-        fitted = [described(fit) for fit in fit_scene(histogram, lobes=settings.lobes)]
+        fitted = fit_regions(histogram, settings.lobes)
         regions = [own if found.keep else none for own, none, found in zip(fitted, regions, evidence, strict=True)]
     return of_equal_lobes(regions), decision
+
+
+def fit_regions(histogram: SpecularHistogram, lobes: int | str) -> list[dict]:
+    """Parameters of each region: strengths of the lobes that `normals` fits with, or one or two lobes of any width."""
+    if lobes != "ladder":
+        return [described(fit) for fit in fit_scene(histogram, lobes=lobes)]
+    found = []
+    for region in range(len(histogram.rows)):
+        gloss, profile = fit_gloss(histogram, region=region), histogram.profile(region=region)
+        found.append(
+            described_ladder(
+                gloss.beta, gloss.gamma, blurred_lobes(profile, gloss.gamma), profile, gloss.refractive_index
+            )
+        )
+    return found
+
+
+def body_transmission(normals: Artifact) -> float:
+    """Share of the surface's loss that the body's light suffers: as the joint fit took it, 0 where there was none."""
+    found = normals.diagnostics
+    return float(found["gloss_transmission"]) if found["refined"] else 0.0
 
 
 def gloss_of_regions(context: Context, frames: Observations, maps: Maps, labels: np.ndarray | None) -> list[Evidence]:
     """Evidence of gloss of each region, from a sample of the scene's pixels."""
     settings = context.settings
     lights = frames.fit_lights(settings.hold_out)
-    nothing = GlossProfile(np.zeros(LADDER.size), LADDER, settings.refractive_index, 0.0)
+    transmission = body_transmission(context.inputs["normals"])
+    nothing = GlossProfile(np.zeros(LADDER.size), LADDER, settings.refractive_index, transmission)
     parts = []
     for piece in sample(frames, lights, SAMPLE_PIXELS):
         normals, known = piece.of(maps.read("normals", piece.band)), piece.of(maps.read("flags", piece.band))
@@ -163,13 +192,15 @@ def gather(
         regions=regions, refractive_index=settings.refractive_index, value_unit=unit_of(reflectances(frames, maps))
     )
     lowest = np.cos(np.radians(settings.max_slope_deg))
+    transmission = body_transmission(context.inputs["normals"])
     for band in context.progress.over(frames.bands(), "band"):
         observations, valid = frames.read(band, lights=lights, channel="mean")
         normals = maps.read("normals", band)
         left_out = ((maps.read("flags", band) & NO_ESTIMATE) != 0) | (normals[..., 2] < lowest)
         own = np.zeros(left_out.shape, int) if labels is None else labels[band]
         region = np.where(left_out | ~glossy[own], -1, own)
-        reflectance, sigma = maps.read("reflectance", band).mean(axis=-1), maps.read("sigma", band)
+        reflectance = maps.read("reflectance", band).mean(axis=-1)
+        sigma = np.sqrt(maps.read("sigma", band) ** 2 / 2 + slope_variance(maps, band))
         shading = shading_of(maps, band)
         for parcel in parcels(frames, band, lights):
             area = parcel.rows, parcel.columns
@@ -179,11 +210,19 @@ def gather(
                 reflectance[area],
                 parcel.directions,
                 usable=valid[:, *area],
-                sigma=sigma[area] / np.sqrt(2),
+                sigma=sigma[area],
                 regions=region[area],
                 shading=None if shading is None else shading[area],
+                transmission=transmission,
             )
     return histogram
+
+
+def slope_variance(maps: Maps, band: slice) -> np.ndarray:
+    """Variance of the slopes within the pixels of a band, mean of both axes, from the normals beside them too."""
+    first = max(band.start - 1, 0)
+    found = slope_covariance(maps.read("normals", slice(first, band.stop + 1)))
+    return 0.5 * (found[..., 0] + found[..., 2])[band.start - first :][: band.stop - band.start]
 
 
 def shading_of(maps: Maps, band: slice) -> np.ndarray | None:

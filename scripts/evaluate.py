@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 
 import _project  # noqa: F401
-from nishiki.brdf.parameters import gloss_table
+from nishiki.brdf.parameters import gloss_table, is_facets
+from nishiki.brdf.slopes import slope_covariance
 from nishiki.contract.artifact import Artifact
 from nishiki.contract.maps import Maps, MapWriter
 from nishiki.contract.provenance import truth_digest
@@ -62,9 +63,11 @@ class Scene:
         self.frames = frames
         maps = Maps(inputs["normals"].folder)
         self.flags = maps.read("flags")
-        gloss, labels = read_gloss(inputs.get("brdf"))
+        gloss, labels, facets = read_gloss(inputs.get("brdf"))
         shading = maps.read("shading") if "shading" in maps else None
-        self.model = FittedModel(maps.read("normals"), maps.read("reflectance"), gloss, labels, shading)
+        normals = maps.read("normals")
+        slopes = slope_covariance(normals) if facets else None
+        self.model = FittedModel(normals, maps.read("reflectance"), gloss, labels, shading, slopes)
         self.known = ((self.flags & NO_ESTIMATE) == 0) & np.isfinite(self.model.reflectance).all(axis=-1)
         self.height, self.height_unit = None, "pixels"
         if "height" in inputs:
@@ -90,13 +93,17 @@ class Scene:
         return fitted_colour(synthetic_reflectances(), lamp, sensitivities)
 
 
-def read_gloss(brdf: Artifact | None) -> tuple[Gloss, np.ndarray | None]:
-    """Parameters of the brdf stage and its map of regions; a matte surface where the stage is left out."""
+def read_gloss(brdf: Artifact | None) -> tuple[Gloss, np.ndarray | None, bool]:
+    """Parameters of the brdf stage, its map of regions, and whether slopes inside a pixel blur the gloss.
+
+    A matte surface where the stage is left out.
+    """
     if brdf is None:
-        return Gloss.none(), None
-    gloss = Gloss(*gloss_table(json.loads(brdf.path("parameters.json").read_text())))
+        return Gloss.none(), None, False
+    parameters = json.loads(brdf.path("parameters.json").read_text())
+    gloss = Gloss(*gloss_table(parameters))
     has_maps = brdf.path("maps.zarr").is_dir() and "labels" in Maps(brdf.folder)
-    return gloss, Maps(brdf.folder).read("labels") if has_maps else None
+    return gloss, Maps(brdf.folder).read("labels") if has_maps else None, is_facets(parameters)
 
 
 def read_truth(context: Context, frames: Observations) -> Truth:

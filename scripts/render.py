@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 
 import _project  # noqa: F401
-from nishiki.brdf.parameters import gloss_table
+from nishiki.brdf.parameters import gloss_table, is_facets
+from nishiki.brdf.slopes import slope_covariance
 from nishiki.capture.spectra_tables import read_curves
 from nishiki.contract.artifact import Artifact
 from nishiki.contract.maps import Maps
@@ -69,7 +70,10 @@ def load_scene(inputs: dict[str, Artifact], *, cast_shadows: bool) -> PlaneScene
     if "height" in inputs and cast_shadows:
         fields["height"] = Maps(inputs["height"].folder).read("height")
     if "brdf" in inputs:
-        fields["gloss"] = Gloss(*gloss_table(json.loads(inputs["brdf"].path("parameters.json").read_text())))
+        parameters = json.loads(inputs["brdf"].path("parameters.json").read_text())
+        fields["gloss"] = Gloss(*gloss_table(parameters))
+        if is_facets(parameters):
+            fields["slopes"] = slope_covariance(normals)
         if inputs["brdf"].path("maps.zarr").is_dir():
             fields["labels"] = Maps(inputs["brdf"].folder).read("labels").astype(np.uint8)
     return PlaneScene(**fields)

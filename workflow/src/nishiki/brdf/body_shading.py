@@ -10,7 +10,35 @@ Lambert's law is (1, 0, 0). Model: Shi, Tan, Matsushita and Ikeuchi (2014), with
 import numpy as np
 from numba import njit
 
+from nishiki.brdf.kernels import fresnel_scalar
+from nishiki.brdf.torrance_sparrow import fresnel
+
 LAMBERT = (1.0, 0.0, 0.0)
+
+
+def transmittance(cosine: np.ndarray, refractive_index: float) -> np.ndarray:
+    """Light that passes a smooth dielectric surface, relative to normal incidence: (1 - F(c)) / (1 - F(1)).
+
+    The body of a varnished paint is lit through its surface and seen through it: its shading is c T(c) T(n . v), and
+    its reflectance is that of light and view along the normal (B. Walter et al., EGSR 2007; F: P eq. 12). The path of
+    the light that the surface reflects back into the body does not depend on either angle.
+
+    Parameters
+    ----------
+    cosine : (...,) float, of light or view and the normal, clipped to 0 ... 1.
+    refractive_index : float, above 1.
+
+    Returns
+    -------
+    (...,) float, 0 at grazing to 1 at normal incidence.
+    """
+    return (1 - fresnel(np.clip(cosine, 0, 1), refractive_index)) / (1 - fresnel(1.0, refractive_index))
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def transmittance_scalar(cosine, refractive_index):
+    """`transmittance` of one sample, 0 <= cosine <= 1; compiled."""
+    return (1.0 - fresnel_scalar(cosine, refractive_index)) / (1.0 - fresnel_scalar(1.0, refractive_index))
 
 
 def body_factor(shading: np.ndarray | None, cosine: np.ndarray, half_cosine: np.ndarray) -> np.ndarray | float:

@@ -3,6 +3,7 @@
 import numpy as np
 
 from nishiki.brdf.scene import GAMMA_BOUNDS, TorranceSparrowFit
+from nishiki.brdf.specular_histogram import SpecularProfile
 from nishiki.contract.bounds import at_end
 
 NO_GLOSS = "no gloss: Lambert"
@@ -26,6 +27,36 @@ def described(fit: TorranceSparrowFit) -> dict:
             "value": profile.value.tolist(),
             "count": profile.count.tolist(),
             "fitted": fit.fitted.tolist(),
+        },
+    }
+
+
+def described_ladder(
+    beta: np.ndarray, gamma: np.ndarray, lobes: np.ndarray, profile: SpecularProfile, refractive_index: float
+) -> dict:
+    """Likewise for lobes of given widths (`nishiki.normals.gloss_profile`): those of some strength, strongest first.
+
+    beta, gamma : (lobes,); lobes : (rows, lobes) of the profile for strengths of 1. A region without any is Lambert's.
+    """
+    order = [k for k in np.argsort(-beta, kind="stable") if beta[k] > 0]
+    if not order:
+        return without_gloss(refractive_index, int(profile.count.sum()))
+    fitted = lobes @ beta
+    weight = profile.weight / max(float(profile.weight.sum()), np.finfo(float).tiny)
+    return {
+        "beta": beta[order].tolist(),
+        "gamma": gamma[order].tolist(),
+        "refractive_index": refractive_index,
+        "standard_errors": None,
+        "residual": float(np.sqrt(weight @ (profile.value - fitted) ** 2)),
+        "samples": int(profile.count.sum()),
+        "rejected": float(weight @ profile.rejected),
+        "flags": [],
+        "profile": {
+            "phi": profile.phi.tolist(),
+            "value": profile.value.tolist(),
+            "count": profile.count.tolist(),
+            "fitted": fitted.tolist(),
         },
     }
 
@@ -98,9 +129,17 @@ def parameters_at_bounds(regions: list[dict]) -> list[str]:
     return texts
 
 
-def gloss_table(parameters: dict) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """beta (regions, lobes), gamma (regions, lobes) in radians, refractive index (regions,) of a parameters.json."""
+def is_facets(parameters: dict) -> bool:
+    """Whether the lobes are those of the facets alone, so that the slopes inside a pixel widen them; the published fit
+    sees both as one."""
+    return parameters["method"] != "paper"
+
+
+def gloss_table(parameters: dict) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """beta (regions, lobes), gamma (regions, lobes) in radians, refractive index (regions,) of a parameters.json, and
+    the share of the surface's loss that the body's light suffers (`nishiki.brdf.body_shading.transmittance`)."""
     regions = parameters["regions"]
     beta = np.array([region["beta"] for region in regions], dtype=np.float64)
     gamma = np.array([region["gamma"] for region in regions], dtype=np.float64)
-    return beta, gamma, np.array([region["refractive_index"] for region in regions], dtype=np.float64)
+    index = np.array([region["refractive_index"] for region in regions], dtype=np.float64)
+    return beta, gamma, index, float(parameters["transmission"])

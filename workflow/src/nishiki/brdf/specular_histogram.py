@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import njit
 
-from nishiki.brdf.body_shading import body_factor_scalar
+from nishiki.brdf.body_shading import body_factor_scalar, transmittance_scalar
 from nishiki.brdf.kernels import fresnel_scalar, masking_over_cos_r_scalar, phi_squared
 from nishiki.errors import UserError
 
@@ -88,6 +88,7 @@ class SpecularHistogram:
         regions=None,
         every=1,
         shading=None,
+        transmission=0.0,
     ) -> "SpecularHistogram":
         """Add every usable observation of a tile: all lights, lit and seen pixels.
 
@@ -96,7 +97,8 @@ class SpecularHistogram:
         unit, towards the lamp; usable: bool (light, row, column), e.g. neither saturated nor in cast shadow; view: (3,)
         unit; sigma: (row, column), deviation of the normals per tangent axis, radians (0 if None); regions: integer
         (row, column), -1 leaves a pixel out (all region 0 if None).
-        shading: (row, column, 3) of `nishiki.brdf.body_shading`, or None for Lambert's law.
+        shading: (row, column, 3) of `nishiki.brdf.body_shading`, or None for Lambert's law; transmission: share of the
+        loss of a dielectric surface (`transmittance` there) that the body's light suffers on its way in and out.
         every: only rows and columns 0, every, 2 every ... of the tile, to save time.
         """
         shape = np.shape(observations)
@@ -116,7 +118,7 @@ class SpecularHistogram:
         shading = np.empty((0, 0, 3), real) if shading is None else np.asarray(shading, real)
         maps = (np.asarray(observations, real), np.asarray(normals, real), np.asarray(diffuse_albedo, real), shading)
         directions = (np.asarray(lights, float), np.asarray(view, float))
-        settings = (self.refractive_index, self.value_unit)
+        settings = (self.refractive_index, self.value_unit, float(transmission))
         sums = (new.weights, new.values, new.rows)
         _add_tile(*maps, *directions, usable, sigma, regions, *settings, every, *sums)
         return new
@@ -191,6 +193,7 @@ def _add_tile(
     regions,
     refractive_index,
     value_unit,
+    transmission,
     every,
     weights,
     values,
@@ -222,6 +225,9 @@ def _add_tile(
                 if shading.shape[0] > 0:
                     abd = shading[r, c]
                     body *= body_factor_scalar(abd[0], abd[1], abd[2], cos_i, cos_phi)
+                if transmission > 0.0:
+                    body *= 1.0 - transmission * (1.0 - transmittance_scalar(cos_i, refractive_index))
+                    body *= 1.0 - transmission * (1.0 - transmittance_scalar(cos_r, refractive_index))
                 z = (np.float64(observations[k, r, c]) - np.float64(albedo[r, c]) * body) / a
                 s = np.float64(sigma[r, c])
                 if np.isfinite(z + s) and a > 0.0:

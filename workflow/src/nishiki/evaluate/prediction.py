@@ -1,6 +1,6 @@
 """What the fitted model says that the camera would observe under a lamp."""
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
@@ -14,7 +14,8 @@ class FittedModel:
 
     normals : (rows, columns, 3) float32; reflectance : (rows, columns, channels) float32, relative to white; gloss :
     Torrance-Sparrow parameters by region; labels : (rows, columns) uint8 region of each pixel, or None; shading :
-    (rows, columns, 3) float32 of `nishiki.brdf.body_shading`, or None for Lambert's law.
+    (rows, columns, 3) float32 of `nishiki.brdf.body_shading`, or None for Lambert's law; slopes : likewise of
+    `nishiki.brdf.slopes`, None for gloss that the relief inside a pixel does not blur.
     """
 
     normals: np.ndarray
@@ -22,6 +23,7 @@ class FittedModel:
     gloss: Gloss = field(default_factory=Gloss.none)
     labels: np.ndarray | None = None
     shading: np.ndarray | None = None
+    slopes: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -58,13 +60,17 @@ def predict_light(
         model.reflectance,
         [light],
         shading=model.shading,
+        slopes=model.slopes,
         gloss=model.gloss,
         labels=model.labels,
         height=height,
         pitch=pitch,
     )
     white = np.ones((*model.normals.shape[:2], 1), np.float32)
-    (matte,) = predict_observations(model.normals, white, [light], shading=model.shading, pitch=pitch)
+    body_only = replace(model.gloss, beta=np.zeros_like(model.gloss.beta))
+    (matte,) = predict_observations(
+        model.normals, white, [light], shading=model.shading, gloss=body_only, labels=model.labels, pitch=pitch
+    )
     body = matte.observations[..., 0]
     lit = (body > 0).astype(np.float32)
     if seen.visibility is not None:

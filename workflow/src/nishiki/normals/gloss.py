@@ -95,9 +95,7 @@ def refine_normals(
         light_table(directions, gloss.refractive_index),
         gloss.table(),
         channel_rotation(channels),
-        np.array(
-            [noise, model_error, GLOSS_ERROR, TILT_ERROR, gloss.transmission, TOLERANCE, ITERATIONS, second_start]
-        ),
+        np.array([noise, model_error, GLOSS_ERROR, TILT_ERROR, TOLERANCE, ITERATIONS, second_start]),
         float(max_condition),
     )
     in_threads(lambda first, last: refine_pixels(*shared, first, last, *fields), pixels, threads)

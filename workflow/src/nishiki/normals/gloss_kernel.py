@@ -2,7 +2,7 @@
 
 Model of sample j in channel k, with b the body's shading and s the gloss, the same in all channels:
 
-    I'_jk = rho_k b(n . l_j, n_z) + s_j(n),     s = F G / cos theta_r * z(chord),  chord = 2 sin(phi / 2)
+    I'_jk = rho_k b(n . l_j, n_z) + s_j(n),     s = F G / cos theta_r * z(phi)
 
 The channels are rotated first, so that component 0 is their common level (times sqrt C) and the others are differences
 of colour, in which white gloss cancels: component 0 is trusted less where gloss is predicted, the others are not. The
@@ -294,7 +294,7 @@ def refine_pixels(
     """Refine the pixels first .. last - 1 in place, where their flags say that there is an estimate to start from.
 
     observations (lights, pixels, channels) float32; valid (lights, pixels) bool; lights (lights, 8) float64: direction,
-    half vector, F, cos theta_q; table (2, NODES) the profile z and -dz / d(chord^2); rotation (C, C).
+    half vector, F, cos theta_q; table (4, NODES) of `GlossProfile.table`; rotation (C, C).
     normals (pixels, 3), reflectance (pixels, C), scalars (4, pixels) float32: albedo, sigma, condition, residual.
     """
     count, channels = observations.shape[0], observations.shape[2]

@@ -15,7 +15,7 @@ STEEPEST = 0.05  # n_z is kept above it
 LIT, BODY, BODY_S, BODY_T, GLOSS, GLOSS_S, GLOSS_T, VAR_LEVEL, VAR_COLOUR, W_LEVEL, W_COLOUR = range(11)
 ROWS = 11
 # Places of the settings
-NOISE, MODEL_ERROR, GLOSS_ERROR, TILT_ERROR, TRANSMISSION, TOLERANCE, ITERATIONS, SECOND_START = range(8)
+NOISE, MODEL_ERROR, GLOSS_ERROR, TILT_ERROR, TOLERANCE, ITERATIONS, SECOND_START = range(7)
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -54,14 +54,22 @@ def tangents(n, t):
     t[3], t[4], t[5] = b, 1.0 + n[1] * n[1] * a, -n[1]
 
 
+@njit(cache=True, error_model="numpy", inline="always")
+def transmitted(cosine, table):
+    """The body's transmittance at this cosine (0 to 1), relative to frontal, and its slope, from the table."""
+    place = max(min(cosine, 1.0), 0.0) * NODES_PER_UNIT
+    node = min(int(place), NODES_PER_UNIT - 1)
+    part = place - node
+    value = table[2, node] + part * (table[2, node + 1] - table[2, node])
+    return value, table[3, node] + part * (table[3, node + 1] - table[3, node])
+
+
 @njit(cache=True, error_model="numpy")
 def predict(n, known, lights, table, settings, floor, root, rows, t, gradient):
     """Fill the rows for the normal n: shading and gloss with their slopes along both tangents, and the variances."""
     tangents(n, t)
-    transmission, kappa, tilt = settings[TRANSMISSION], settings[GLOSS_ERROR] ** 2, settings[TILT_ERROR] ** 2
-    u = 1.0 - n[2]
-    view = 1.0 - transmission * u * u * u * u * u
-    view_slope = 5.0 * transmission * u * u * u * u
+    kappa, tilt = settings[GLOSS_ERROR] ** 2, settings[TILT_ERROR] ** 2
+    view, view_slope = transmitted(n[2], table)
     for j in range(known.size):
         c = n[0] * lights[j, 0] + n[1] * lights[j, 1] + n[2] * lights[j, 2]
         if not (known[j] and c > 0.0):
@@ -69,10 +77,8 @@ def predict(n, known, lights, table, settings, floor, root, rows, t, gradient):
                 rows[k, j] = 1.0 if k == VAR_LEVEL or k == VAR_COLOUR else 0.0
             continue
         light = lights[j]
-        u = 1.0 - c
-        fall = transmission * u * u * u * u
-        enter = 1.0 - fall * u
-        along, by_view = (enter + 5.0 * c * fall) * view, c * enter * view_slope
+        enter, enter_slope = transmitted(c, table)
+        along, by_view = (enter + c * enter_slope) * view, c * enter * view_slope
         ls = light[0] * t[0] + light[1] * t[1] + light[2] * t[2]
         lt = light[0] * t[3] + light[1] * t[4] + light[2] * t[5]
         gloss_and_gradient(n, light, c, table, gradient)

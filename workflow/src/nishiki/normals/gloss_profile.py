@@ -2,7 +2,7 @@
 
 A facet distribution of any tail (GGX, for one) is a mixture of Gaussians of different widths. So the profile is
 
-    z(phi) = sum_k beta_k exp(-ln 2 (chord / gamma_k)^2),   chord = 2 sin(phi / 2),  beta_k >= 0,
+    z(phi) = sum_k beta_k exp(-ln 2 (phi / gamma_k)^2),   beta_k >= 0                              (P eq. 11, a sum)
 
 on a fixed ladder of half widths. Normals that are uncertain by sigma along each tangent blur every Gaussian into a
 wider one, so that the strengths behind the blur follow from one non-negative least-squares problem (C. L. Lawson and
@@ -14,14 +14,14 @@ from functools import cached_property
 
 import numpy as np
 
-from nishiki.brdf.body_shading import body_factor
-from nishiki.brdf.specular_histogram import SpecularHistogram
+from nishiki.brdf.body_shading import body_factor, transmittance
+from nishiki.brdf.specular_histogram import SpecularHistogram, SpecularProfile
 from nishiki.brdf.torrance_sparrow import GAMMA_PER_SIGMA
 from nishiki.errors import UserError
 from nishiki.normals.gloss_prediction import NODES, NODES_PER_UNIT
 
 LADDER = np.geomspace(0.01, 0.9, 11)
-"""Half widths at half maximum, radians of chord. The narrowest is ten nodes of the table wide."""
+"""Half widths at half maximum, radians. The narrowest is ten nodes of the table wide."""
 PROFILE_ERROR = 0.05  # relative error of a row beside its scatter: the model is not the surface
 PEAK_ERROR = 0.01  # likewise, relative to the highest row
 FEWEST = 20  # samples of a row
@@ -29,9 +29,10 @@ FEWEST = 20  # samples of a row
 
 @dataclass(frozen=True)
 class GlossProfile:
-    """beta (lobes,) relative to the white reference, gamma (lobes,) radians of chord; F and G are not in it.
+    """beta (lobes,) relative to the white reference, gamma (lobes,) radians; F and G are not in it.
 
-    transmission: share (0 to 1) of Schlick's loss 1 - (1 - c)^5 that the body's light suffers on its way in and out;
+    transmission: share (0 to 1) of the loss 1 - T(c) that the body's light suffers at the surface on its way in and
+    out, T of `nishiki.brdf.body_shading.transmittance`: 1 below a dielectric, 0 without one;
     unit: what counts as 1 in the observations, where that is not the white reference (noise is relative to it).
     """
 
@@ -49,28 +50,31 @@ class GlossProfile:
                 f"found beta {self.beta}, gamma {self.gamma}, {self.refractive_index} and {self.transmission}"
             )
 
-    def value(self, chord: np.ndarray) -> np.ndarray:
-        """z at chord = 2 sin(phi / 2), any shape."""
-        return self._sum(chord, self.beta)
+    def value(self, phi: np.ndarray) -> np.ndarray:
+        """z at the angle phi of normal and half vector, radians, any shape."""
+        return self._sum(phi, self.beta)
 
-    def slope(self, chord: np.ndarray) -> np.ndarray:
-        """-dz / d(chord^2)."""
-        return self._sum(chord, self.beta * np.log(2.0) / self.gamma**2)
+    def slope(self, phi: np.ndarray) -> np.ndarray:
+        """-dz / d(chord^2), chord = 2 sin(phi / 2): the slope by the cosine of phi, halved; 0 <= phi < pi."""
+        return self._sum(phi, self.beta * np.log(2.0) / self.gamma**2) / np.sinc(np.asarray(phi) / np.pi)
 
-    def _sum(self, chord, factors):
-        exponent = (np.asarray(chord, np.float64)[..., None] / self.gamma) ** 2
+    def _sum(self, phi, factors):
+        exponent = (np.asarray(phi, np.float64)[..., None] / self.gamma) ** 2
         with np.errstate(under="ignore"):
             return np.exp2(-exponent) @ factors
 
     def table(self) -> np.ndarray:
-        """(2, NODES) value and slope on equal steps of chord, as the kernel reads them."""
+        """(4, NODES) as the kernel reads them, on equal steps: value and slope of z over the chord 2 sin(phi / 2), and
+        the body's transmittance, less what `transmission` does not take, with its slope over the cosine."""
         return self._table
 
     @cached_property
     def _table(self) -> np.ndarray:
         """Made once: lamps that stand near ask for it at every small parcel of the picture."""
-        chord = np.arange(NODES) / NODES_PER_UNIT
-        return np.stack([self.value(chord), self.slope(chord)])
+        steps = np.arange(NODES) / NODES_PER_UNIT
+        phi = 2 * np.arcsin(np.minimum(steps / 2, 1))
+        passed = 1 - self.transmission * (1 - transmittance(steps, self.refractive_index))
+        return np.stack([self.value(phi), self.slope(phi), passed, np.gradient(passed, 1 / NODES_PER_UNIT)])
 
     @property
     def described(self) -> dict:
@@ -96,10 +100,12 @@ def light_table(directions: np.ndarray, refractive_index: float) -> np.ndarray:
     return np.column_stack([directions, halves / length[:, None], fresnel(cos_q, refractive_index), cos_q])
 
 
-def body_shading(cosine: np.ndarray, normal_z: np.ndarray, transmission: float) -> np.ndarray:
-    """Shading of the body below a dielectric: cos times Schlick's transmission in and out, relative to frontal."""
-    cosine, leave = np.clip(cosine, 0, 1), 1 - np.clip(normal_z, 0, 1)
-    return cosine * (1 - transmission * (1 - cosine) ** 5) * (1 - transmission * leave**5)
+def body_shading(cosine: np.ndarray, normal_z: np.ndarray, gloss: GlossProfile) -> np.ndarray:
+    """Shading of the body below a dielectric: cos times the transmittance in and out, relative to frontal."""
+    shading = np.clip(cosine, 0, 1)
+    for angle in (cosine, normal_z) if gloss.transmission else ():
+        shading = shading * (1 - gloss.transmission * (1 - transmittance(angle, gloss.refractive_index)))
+    return shading
 
 
 def specular_samples(observations, directions, normals, reflectance, gloss, *, valid, shading=None):
@@ -114,7 +120,7 @@ def specular_samples(observations, directions, normals, reflectance, gloss, *, v
     cosine = np.moveaxis(normals @ lights[:, :3].T, -1, 0)
     x = np.moveaxis(normals @ lights[:, 3:6].T, -1, 0)
     nz = normals[..., 2]
-    body = body_shading(cosine, nz, gloss.transmission) * body_factor(shading, cosine, x)
+    body = body_shading(cosine, nz, gloss) * body_factor(shading, cosine, x)
     residual = observations.mean(axis=-1) - body * np.asarray(reflectance, np.float64).mean(axis=-1)
     fresnel, cos_q = lights[:, 6].reshape(shape), lights[:, 7].reshape(shape)
     usable = valid & (cosine > 0.05) & (nz > 0.5)
@@ -124,22 +130,32 @@ def specular_samples(observations, directions, normals, reflectance, gloss, *, v
     return np.arccos(np.clip(x, -1, 1)), residual, np.maximum(attenuation, 0)
 
 
-def fit_gloss(histogram: SpecularHistogram, *, transmission: float = 1.0, ladder: np.ndarray = LADDER) -> GlossProfile:
-    """The profile that explains a histogram of specular samples; all beta 0 where nothing positive is left."""
+def fit_gloss(
+    histogram: SpecularHistogram, *, transmission: float = 1.0, ladder: np.ndarray = LADDER, region: int = 0
+) -> GlossProfile:
+    """The profile that explains a region's specular samples; all beta 0 where nothing positive is left."""
     from scipy.optimize import nnls
 
-    profile = histogram.profile()
+    profile = histogram.profile(region=region)
     beta = np.zeros(ladder.size)
     enough = profile.count >= FEWEST
     if enough.any():
         value = profile.value[enough]
-        chord = 2 * np.sin(profile.phi[enough] / 2)
-        s2 = (ladder / GAMMA_PER_SIGMA) ** 2
-        blurred = s2 + profile.sigma[enough, None] ** 2
-        with np.errstate(under="ignore"):
-            columns = s2 / blurred * np.exp(-(chord[:, None] ** 2) / (2 * blurred))
+        columns = blurred_lobes(profile, ladder)[enough]
         scatter = profile.spread[enough] / np.sqrt(profile.count[enough])
         error = np.sqrt((PROFILE_ERROR * value) ** 2 + (PEAK_ERROR * np.abs(value).max()) ** 2 + scatter**2)
         error = np.maximum(error, np.finfo(np.float64).tiny)
         beta, _ = nnls(columns / error[:, None], value / error)
     return GlossProfile(beta, ladder, histogram.refractive_index, transmission, histogram.value_unit)
+
+
+def blurred_lobes(profile: SpecularProfile, gamma: np.ndarray) -> np.ndarray:
+    """(rows, lobes) mean of each lobe of strength 1 in the rows of a profile, blurred by the rows' sigma.
+
+    Directions that scatter by sigma along each tangent turn exp(-phi^2 / 2 s^2) into s^2 / (s^2 + sigma^2)
+    exp(-phi^2 / 2 (s^2 + sigma^2)).
+    """
+    s2 = (np.asarray(gamma) / GAMMA_PER_SIGMA) ** 2
+    blurred = s2 + profile.sigma[:, None] ** 2
+    with np.errstate(under="ignore"):
+        return s2 / blurred * np.exp(-(profile.phi[:, None] ** 2) / (2 * blurred))

@@ -128,6 +128,7 @@ def render_tile(
         normals=scene.normals[keep],
         coefficients=scene.coefficients[keep],
         shading=None if scene.shading is None else scene.shading[keep],
+        slopes=None if scene.slopes is None else scene.slopes[keep],
         labels=None if scene.labels is None else scene.labels[keep],
         height=None,
     )
@@ -208,6 +209,7 @@ def reduce_maps(scene: PlaneScene, visibility: np.ndarray | None, factor: int):
         normals=normals,
         coefficients=coefficients,
         shading=shading,
+        slopes=None,
         labels=labels,
         height=None,
         pitch=scene.pitch * factor,

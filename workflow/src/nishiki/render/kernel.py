@@ -23,12 +23,14 @@ _NX, _NY, _NZ, _VX, _VY, _VZ, _COSR, _INVR = (k * BLOCK for k in range(8))
 _LX, _LY, _LZ, _E = (k * BLOCK for k in range(8, 12))
 _COSI, _PHI2, _FG, _X, _Y, _CONTRAST, _WD, _WS, _BETA, _INVG2 = (k * BLOCK for k in range(12, 22))
 _SA, _SB, _SD = (k * BLOCK for k in range(22, 25))
-_LOBES = 25  # first of the lanes that hold beta, 1 / gamma^2 of each lobe
+_LEAVE, _ENTER, _SXX, _SXY, _SYY, _DX, _DY, _Q = (k * BLOCK for k in range(25, 33))
+_LOBES = 33  # first of the lanes that hold beta, 1 / gamma^2 of each lobe
 # A facet distribution below 2^-60 counts as 0, as in the scalar form.
 _NEGLIGIBLE = 60.0
 # Mean of x^8 over a uniform half space, weighted by the cosine, for a facet that faces the eye: 4 int (2u - 1) u^4 du.
 _AMBIENT_SKIRT = 0.5375
 _LN2_64 = np.log(2.0) / 64.0
+_TWO_LN2 = 2.0 * np.log(2.0)
 _FLOAT32_MAX = 3.4028234663852886e38
 
 
@@ -86,12 +88,26 @@ def _load_normals(buf, normals, flags, n):
 
 
 @njit(cache=True, error_model="numpy")
-def _load_gloss(buf, labels, gloss, index, n):
+def _load_slopes(buf, slopes, n):
+    """Covariance of the slopes in a block's pixels into their lanes; the largest sum of variances."""
+    most = 0.0
+    for i in range(n):
+        xx, xy, yy = np.float64(slopes[i, 0]), np.float64(slopes[i, 1]), np.float64(slopes[i, 2])
+        buf[_SXX + i] = xx
+        buf[_SXY + i] = xy
+        buf[_SYY + i] = yy
+        most = max(most, xx + yy)
+    return most
+
+
+@njit(cache=True, error_model="numpy")
+def _load_gloss(buf, labels, gloss, index, entering, n):
     """Gloss parameters of a block's regions into their lanes; `labels` is empty where all pixels are region 0."""
     if labels.shape[0] == 0:
         contrast = (index[0] - 1.0) * (index[0] + 1.0)
         for i in range(n):
             buf[_CONTRAST + i] = contrast
+            buf[_ENTER + i] = entering[0]
         for m in range(gloss.shape[1]):
             value = gloss[0, m]
             for i in range(n):
@@ -99,6 +115,7 @@ def _load_gloss(buf, labels, gloss, index, n):
         return
     for i in range(n):
         buf[_CONTRAST + i] = (index[labels[i]] - 1.0) * (index[labels[i]] + 1.0)
+        buf[_ENTER + i] = entering[labels[i]]
     for m in range(gloss.shape[1]):
         for i in range(n):
             buf[(_LOBES + m) * BLOCK + i] = gloss[labels[i], m]
@@ -250,6 +267,79 @@ def _body_shading(buf, n):
         buf[_COSI + i] = c * (factor if factor > 0.0 else 0.0)
 
 
+@njit(cache=True, error_model="numpy", inline="always")
+def _passed(c, contrast):
+    """1 - F, F exact as in `_half_vector_terms`, for a cosine c > 0."""
+    g = np.sqrt(contrast + c * c) + c
+    ratio = contrast / (g * g)
+    p = (c * g - 1.0) * g / (c * contrast + g)
+    return 1.0 - 0.5 * ratio * ratio * (1.0 + p * p)
+
+
+@njit(cache=True, error_model="numpy")
+def _leaving(buf, transmission, n):
+    """What the surface lets out towards the eye, relative to frontal (`nishiki.brdf.body_shading.transmittance`)."""
+    for i in range(n):
+        c, contrast = buf[_COSR + i], buf[_CONTRAST + i]
+        c = c if c > 1e-6 else 1e-6
+        c = c if c < 1.0 else 1.0
+        buf[_LEAVE + i] = 1.0 - transmission * (1.0 - _passed(c, contrast) / _passed(1.0, contrast))
+
+
+@njit(cache=True, error_model="numpy")
+def _transmit(buf, transmission, n):
+    """The shading of the body times what the surface lets in and out; the cosine is formed anew from n and l."""
+    for i in range(n):
+        c = buf[_NX + i] * buf[_LX + i] + buf[_NY + i] * buf[_LY + i] + buf[_NZ + i] * buf[_LZ + i]
+        contrast = buf[_CONTRAST + i]
+        c = c if c > 1e-6 else 1e-6
+        c = c if c < 1.0 else 1.0
+        enter = 1.0 - transmission * (1.0 - _passed(c, contrast) / _passed(1.0, contrast))
+        buf[_COSI + i] *= enter * buf[_LEAVE + i]
+
+
+@njit(cache=True, error_model="numpy")
+def _slope_offsets(buf, n):
+    """Offset of the normal's slope from the half vector's, scaled to the length phi, and the square of that scale.
+
+    The scale is phi over the length of the offset, so that a lobe without blur depends on phi alone. At the half vector
+    itself it is n_z^3: an angle is n_z^2 of a step of slope along the tilt and n_z of one across it.
+    """
+    for i in range(n):
+        nz = buf[_NZ + i]
+        nz = nz if nz > 0.2 else 0.2
+        sz = buf[_LZ + i] + buf[_VZ + i]
+        sz = sz if sz > 1e-3 else 1e-3
+        dx = buf[_NX + i] / nz - (buf[_LX + i] + buf[_VX + i]) / sz
+        dy = buf[_NY + i] / nz - (buf[_LY + i] + buf[_VY + i]) / sz
+        square = dx * dx + dy * dy
+        q = buf[_PHI2 + i] / (square if square > 1e-12 else 1.0)
+        q = q if square > 1e-12 else nz * nz * nz
+        scale = np.sqrt(q)
+        buf[_Q + i] = q
+        buf[_DX + i] = dx * scale
+        buf[_DY + i] = dy * scale
+
+
+@njit(cache=True, error_model="numpy")
+def _add_blurred_lobe(buf, lobe, n):
+    """`_add_lobe` averaged over Gaussian slopes: with s^2 = gamma^2 / 2 ln 2 and the covariance C, D becomes
+    s^2 / sqrt(det(s^2 + C)) exp(-d (s^2 + C)^-1 d / 2)."""
+    source = (_LOBES + 2 * lobe) * BLOCK
+    for i in range(n):
+        buf[_BETA + i] = buf[source + i]
+    for i in range(n):
+        buf[_INVG2 + i] = buf[source + BLOCK + i]
+    for i in range(n):
+        s2 = 1.0 / (buf[_INVG2 + i] * _TWO_LN2)
+        q, dx, dy = buf[_Q + i], buf[_DX + i], buf[_DY + i]
+        a, b, c = s2 + q * buf[_SXX + i], q * buf[_SXY + i], s2 + q * buf[_SYY + i]
+        inverse = 1.0 / (a * c - b * b)
+        e = (c * dx * dx - 2.0 * b * dx * dy + a * dy * dy) * inverse / _TWO_LN2
+        d = exp2_negative(e if e < _NEGLIGIBLE else _NEGLIGIBLE) * s2 * np.sqrt(inverse)
+        buf[_WS + i] += buf[_BETA + i] * (d if e < _NEGLIGIBLE else 0.0) * buf[_FG + i] * buf[_E + i]
+
+
 @njit(cache=True, error_model="numpy")
 def _add_lobe(buf, lobe, n):
     """beta D F G / cos_r of one lobe, times the irradiance, to the specular weight."""
@@ -266,7 +356,7 @@ def _add_lobe(buf, lobe, n):
 
 
 @njit(cache=True, error_model="numpy")
-def _add_light(buf, light, visibility, widest, shaded, n):
+def _add_light(buf, light, visibility, widest, shaded, blurred, transmission, n):
     """One light's diffuse and specular weights of a block, added to those of its group."""
     _directions(buf, light, n)
     _irradiance(buf, light, n)
@@ -274,12 +364,19 @@ def _add_light(buf, light, visibility, widest, shaded, n):
         buf[_E + i] *= visibility[i]
     if widest >= 0.0 and _half_vector_terms(buf, widest, n):
         lobes = (buf.shape[0] // BLOCK - _LOBES) // 2
+        if blurred:
+            _slope_offsets(buf, n)
         for lobe in range(lobes):
-            _add_lobe(buf, lobe, n)
+            if blurred:
+                _add_blurred_lobe(buf, lobe, n)
+            else:
+                _add_lobe(buf, lobe, n)
     elif widest < 0.0:
         _diffuse_cosines(buf, n)
     if shaded:
         _body_shading(buf, n)
+    if transmission > 0.0:
+        _transmit(buf, transmission, n)
     for i in range(n):
         c = buf[_COSI + i]
         buf[_WD + i] += (c if c > 0.0 else 0.0) * buf[_E + i]
@@ -353,17 +450,19 @@ def _mark_bad(buf, flags, total, sigma, n):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def shade(first, last, normals, coefficients, shading, labels, gloss, index, lights, group, matrices, offsets, whites,
-          visibility, plane, eye, ambient, widest, out, flags):  # fmt: skip
+def shade(first, last, normals, coefficients, shading, slopes, labels, gloss, index, transmission, entering, lights,
+          group, matrices, offsets, whites, visibility, plane, eye, ambient, widest, out, flags):  # fmt: skip
     """Rows first .. last - 1 of: sum over the lights of (A sigma + a0) E c f + white E beta D F G / cos_r.
 
-    c = max(n.l, 0), f the factor of the body shading. normals (R, C, 3), coefficients (R, C, K) and shading (R, C, 3)
-    or (0, 0, 0): f = 1 float32; labels (R, C) uint8 or (0, 0): all pixels row 0; gloss
-    (regions, 2 lobes): beta, 1 / gamma^2 of each lobe; index (regions,); lights (L, 6): x, y, z, w, intensity, squared
-    reference distance; group (L,) row of matrices (G, channels, K), offsets and whites (G, channels), in rising order;
-    visibility (L, R, C) float32 or (0, 0, 0): all 1; plane (3, 3) maps (column, row, 1) to the plane; eye (4,)
-    homogeneous; ambient: irradiance of group 0's uniform half space; widest: largest sin^2 phi at which a lobe counts,
-    negative for a matte scene; out (R, C, channels) float32, flags (R, C) uint8.
+    c = max(n.l, 0), f the factor of the body shading. normals (R, C, 3), coefficients (R, C, K), shading (R, C, 3) or
+    (0, 0, 0): f = 1, and slopes (R, C, 3), covariance of the slopes in a pixel, or (0, 0, 0): none, float32; labels
+    (R, C) uint8 or (0, 0): all pixels row 0; gloss (regions, 2 lobes): beta, 1 / gamma^2 of each lobe; index
+    (regions,); transmission: share of the surface's loss that the body's light suffers, entering (regions,): what is
+    left of ambient light on its way in; lights (L, 6): x, y, z, w, intensity, squared reference distance; group (L,)
+    row of matrices (G, channels, K), offsets and whites (G, channels), in rising order; visibility (L, R, C) float32 or
+    (0, 0, 0): all 1; plane (3, 3) maps (column, row, 1) to the plane; eye (4,) homogeneous; ambient: irradiance of
+    group 0's uniform half space; widest: largest sin^2 phi at which a lobe counts, negative for a matte scene; out (R,
+    C, channels) float32, flags (R, C) uint8.
     """
     columns, bands = coefficients.shape[1:]
     no_labels, no_visibility = np.empty(0, np.uint8), np.empty(0, np.float32)
@@ -376,7 +475,7 @@ def shade(first, last, normals, coefficients, shading, labels, gloss, index, lig
     for j in range(lights.shape[0]):
         positions = positions or lights[j, 3] != 0.0
     # what is the same for all pixels is written to its lanes once
-    _load_gloss(buf, no_labels, gloss, index, BLOCK)
+    _load_gloss(buf, no_labels, gloss, index, entering, BLOCK)
     _view_directions(buf, eye, BLOCK)
     for row in range(first, last):
         for start in range(0, columns, BLOCK):
@@ -385,7 +484,10 @@ def shade(first, last, normals, coefficients, shading, labels, gloss, index, lig
             mark = flags[row, start:end]
             _load_normals(buf, normals[row, start:end], mark, n)
             if labels.shape[0] > 0:
-                _load_gloss(buf, labels[row, start:end], gloss, index, n)
+                _load_gloss(buf, labels[row, start:end], gloss, index, entering, n)
+            reach = widest
+            if slopes.shape[0] > 0 and widest >= 0.0:
+                reach += _NEGLIGIBLE * _TWO_LN2 * _load_slopes(buf, slopes[row, start:end], n)
             if shading.shape[0] > 0:
                 _load_shading(buf, shading[row, start:end], n)
             _load_colours(sigma, coefficients[row, start:end], n)
@@ -396,6 +498,10 @@ def shade(first, last, normals, coefficients, shading, labels, gloss, index, lig
             _view_cosines(buf, mark, n)
             for i in range(n):
                 buf[_WD + i] = ambient * 0.5 * (1.0 + buf[_NZ + i])
+            if transmission > 0.0:
+                _leaving(buf, transmission, n)
+                for i in range(n):
+                    buf[_WD + i] *= buf[_ENTER + i] * buf[_LEAVE + i]
             if shading.shape[0] > 0:
                 for i in range(n):
                     mean = buf[_SA + i] + buf[_SB + i] * (2.0 / 3.0) + buf[_SD + i] * _AMBIENT_SKIRT
@@ -409,6 +515,6 @@ def shade(first, last, normals, coefficients, shading, labels, gloss, index, lig
                     _flush(buf, total, sigma, padded[current], offsets[current], whites[current], n)
                     current = group[j]
                 visible = visibility[j, row, start:end] if visibility.shape[0] > 0 else no_visibility
-                _add_light(buf, lights[j], visible, widest, shading.shape[0] > 0, n)
+                _add_light(buf, lights[j], visible, reach, shading.shape[0] > 0, slopes.shape[0] > 0, transmission, n)
             _flush(buf, total, sigma, padded[current], offsets[current], whites[current], n)
             _store(buf, out[row, start:end], mark, total, sigma, n)

@@ -31,6 +31,7 @@ def predict_observations(
     lights: list[Light],
     *,
     shading: np.ndarray | None = None,
+    slopes: np.ndarray | None = None,
     gloss: Gloss | None = None,
     labels: np.ndarray | None = None,
     height: np.ndarray | None = None,
@@ -41,10 +42,10 @@ def predict_observations(
 ) -> Iterator[Prediction]:
     """One prediction a light, in order, so that a stack of them need not be held in memory.
 
-    normals: (rows, columns, 3); albedo: (rows, columns, channels), perfect white 1; shading, gloss, labels, height,
-    pitch as in `PlaneScene`; shadows: "sweep", "march" or "none".  The spectra of the lights are not used; a white
-    board at the same place has divided out intensity and fall-off, which should therefore stay 1 and False.  For a
-    tile, `origin` is its first (row, column) and `whole` the (rows, columns) of the map: directions to near lamps are
+    normals: (rows, columns, 3); albedo: (rows, columns, channels), perfect white 1; shading, slopes, gloss, labels,
+    height, pitch as in `PlaneScene`; shadows: "sweep", "march" or "none".  The spectra of the lights are not used; a
+    white board at the same place has divided out intensity and fall-off, which should therefore stay 1 and False.  For
+    a tile, `origin` is its first (row, column) and `whole` the (rows, columns) of the map: directions to near lamps are
     those of the whole.
     """
     if albedo.ndim != 3 or albedo.shape[:2] != normals.shape[:2] or normals.shape[2:] != (3,):
@@ -71,6 +72,7 @@ def predict_observations(
             [light],
             groups=groups,
             shading=shading,
+            slopes=slopes,
             gloss=Gloss.none() if gloss is None else gloss,
             labels=labels,
             visibility=visibility,

@@ -150,12 +150,14 @@ class Gloss:
     """Torrance-Sparrow parameters, one row a region; a scene without regions has one row.
 
     beta, gamma: (regions, lobes), strength relative to the white reference and half width at half maximum in radians;
-    refractive_index: (regions,) >= 1.
+    refractive_index: (regions,) >= 1; transmission: share (0 to 1) of the loss at a surface of that index that the
+    body's light suffers on its way in and out (`nishiki.brdf.body_shading.transmittance`).
     """
 
     beta: np.ndarray
     gamma: np.ndarray
     refractive_index: np.ndarray
+    transmission: float = 0.0
 
     def __post_init__(self):
         beta, gamma = (np.asarray(a, dtype=np.float64) for a in (self.beta, self.gamma))
@@ -174,6 +176,8 @@ class Gloss:
             )
         if not (np.all(np.isfinite(index)) and index.min() >= 1):
             raise UserError(f"gloss: expected a refractive index >= 1, found {index.tolist()}")
+        if not 0 <= self.transmission <= 1:
+            raise UserError(f"gloss: expected a transmission from 0 to 1, found {self.transmission}")
         for name, value in (("beta", beta), ("gamma", gamma), ("refractive_index", index)):
             object.__setattr__(self, name, value)
 
@@ -192,6 +196,7 @@ class PlaneScene:
     `mean` (61,)).  Without a basis they are the albedo in K channels and `channels_to_xyz` (3, K) carries them to XYZ
     (white point D65); for K = 3 it defaults to that of linear sRGB, which is a guess about the camera.
     shading: (rows, columns, 3) float32, (a, b, d) of the body shading (`nishiki.brdf.body_shading`), or None: Lambert.
+    slopes: (rows, columns, 3) float32, covariance of the slopes in a pixel (`nishiki.brdf.slopes`), or None: no blur.
     height: (rows, columns) float32 in the unit of `pitch`, or None: no cast shadows.
     labels: (rows, columns) uint8 row of `gloss` for each pixel, or None: row 0 everywhere.
     pitch: distance between neighbouring pixels.
@@ -203,6 +208,7 @@ class PlaneScene:
     mean: np.ndarray | None = None
     channels_to_xyz: np.ndarray | None = None
     shading: np.ndarray | None = None
+    slopes: np.ndarray | None = None
     height: np.ndarray | None = None
     labels: np.ndarray | None = None
     gloss: Gloss = field(default_factory=Gloss.none)
@@ -217,8 +223,10 @@ class PlaneScene:
             value = getattr(self, name)
             if value is not None and value.shape != self.shape:
                 raise UserError(f"{name}: expected the shape of the normals {self.shape}, found {value.shape}")
-        if self.shading is not None and self.shading.shape != (*self.shape, 3):
-            raise UserError(f"shading: expected {(*self.shape, 3)}, found {self.shading.shape}")
+        for name in ("shading", "slopes"):
+            value = getattr(self, name)
+            if value is not None and value.shape != (*self.shape, 3):
+                raise UserError(f"{name}: expected {(*self.shape, 3)}, found {value.shape}")
         if self.labels is not None and self.labels.dtype != np.uint8:
             raise UserError(f"labels: expected uint8, found {self.labels.dtype}; a scene has at most 256 regions")
         if self.labels is not None and self.labels.max() >= len(self.gloss.refractive_index):

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nishiki.brdf.body_shading import transmittance
 from nishiki.errors import UserError
 from nishiki.render import kernel
 from nishiki.render.scene import Ambient, Gloss, Light, PlaneScene
@@ -81,6 +82,7 @@ def shade_xyz(
         scene.coefficients,
         lights,
         shading=scene.shading,
+        slopes=scene.slopes,
         groups=colour_groups(scene, lights, ambient),
         gloss=scene.gloss,
         labels=scene.labels,
@@ -98,6 +100,7 @@ def shade_channels(
     *,
     groups: ColourGroups,
     shading: np.ndarray | None = None,
+    slopes: np.ndarray | None = None,
     gloss: Gloss,
     labels: np.ndarray | None,
     visibility: np.ndarray | None,
@@ -128,9 +131,12 @@ def shade_channels(
         np.ascontiguousarray(normals, np.float32),
         np.ascontiguousarray(coefficients, np.float32),
         np.zeros((0, 0, 0), np.float32) if shading is None else np.ascontiguousarray(shading, np.float32),
+        np.zeros((0, 0, 0), np.float32) if slopes is None else np.ascontiguousarray(slopes, np.float32),
         np.zeros((0, 0), np.uint8) if labels is None else np.ascontiguousarray(labels),
         table,
         gloss.refractive_index,
+        gloss.transmission,
+        _entering(gloss),
         lamps[sequence],
         rank[sequence],
         groups.matrices[order],
@@ -175,6 +181,14 @@ def _lamp(light: Light) -> np.ndarray:
     vector = light.homogeneous()
     reference2 = float(vector[:3] @ vector[:3]) if light.falloff else 0.0
     return np.concatenate([vector, [light.intensity, reference2]])
+
+
+def _entering(gloss: Gloss) -> np.ndarray:
+    """(regions,) what the surface lets in of light from all sides, relative to frontal: 2 int T(c) c dc."""
+    nodes, weights = np.polynomial.legendre.leggauss(48)
+    cosine = (nodes + 1) / 2
+    mean = [weights @ (cosine * transmittance(cosine, index)) for index in gloss.refractive_index]
+    return 1 - gloss.transmission * (1 - np.array(mean))
 
 
 def _gloss_table(gloss: Gloss) -> tuple[np.ndarray, float]:

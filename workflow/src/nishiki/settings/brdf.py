@@ -11,7 +11,7 @@ class BrdfSettings(Guarded):
     """Torrance-Sparrow parameters of a scene or of each region."""
 
     STAGE: ClassVar[str] = "brdf"
-    VERSION: ClassVar[int] = 2
+    VERSION: ClassVar[int] = 3
 
     method: Literal["robust", "paper"] = Field("robust", description="paper: brightest light, Levenberg-Marquardt")
     smoothing_px: float = Field(
@@ -19,8 +19,9 @@ class BrdfSettings(Guarded):
     )
     refractive_index: float = Field(1.45, gt=1, le=3, description="of the varnish or binder (P: 1.45)")
     max_slope_deg: float = Field(50, gt=0, le=90, description="steeper pixels are left out of the fit")
-    lobes: Literal["auto", 1, 2] = Field(
-        "auto", description="specular lobes; auto: a second, wider one where it is significant; paper: always 1"
+    lobes: Literal["ladder", 1, 2] = Field(
+        "ladder",
+        description="specular lobes; ladder: the 11 widths of the joint fit of normals; paper: always 1",
     )
     specular: Literal["auto", "keep", "drop"] = Field(
         "auto", description="auto: left out where a sample shows no gloss (docs/economy.md); method paper: always kept"
