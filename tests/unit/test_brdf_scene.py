@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from captures import make_capture
 
-from brdf import gather
+from brdf import fit_regions, gather
+from nishiki.brdf.body_shading import transmittance
 from nishiki.brdf.brightest_light import brightest_light_samples, fit_brightest_light, thin
 from nishiki.brdf.flags import FitFlag
 from nishiki.brdf.scene import fit_scene
@@ -211,10 +212,35 @@ def test_the_stage_tells_outliers_in_the_unit_of_the_observations(tmp_path, refl
     out.write("flags", np.zeros((24, 32), np.uint8))
     out.write("reflectance", np.full((24, 32, 3), reflectance, np.float32))
     out.write("sigma", np.full((24, 32), 0.01, np.float32))
-    context = SimpleNamespace(settings=BrdfSettings(), progress=Progress("scene/brdf"))
+    normals = SimpleNamespace(diagnostics={"refined": False})
+    context = SimpleNamespace(settings=BrdfSettings(), progress=Progress("scene/brdf"), inputs={"normals": normals})
     histogram = gather(context, frames, Maps(tmp_path), None, np.array([True]))
     assert histogram.value_unit == unit
     assert histogram.rows[0, :, 2].sum() > 0
+
+
+def test_the_ladder_of_each_region_is_the_distribution_of_its_facets():
+    """Tails of GGX, which one or two Gaussians of free width do not hold, below a surface that takes light away."""
+    normals, lights = relief(), ring()
+    geometry = half_vector_geometry(normals[None], lights[:, None, None], VIEW)
+
+    def facets(phi):
+        return 4.0 / (1 + (np.tan(np.minimum(phi, 1.5)) / 0.08) ** 2) ** 2
+
+    albedo, region = np.full(normals.shape[:2], 0.4), np.zeros(normals.shape[:2], int)
+    region[:, 70:] = 1
+    cosine, view = np.maximum(geometry.cos_i, 0), normals[..., 2]
+    body = albedo * cosine * transmittance(cosine, INDEX) * transmittance(view, INDEX)
+    shine = np.where(region == 0, facets(geometry.phi) * attenuation(geometry, INDEX), 0)
+    histogram = SpecularHistogram.empty(regions=2).add_tile(
+        body + shine, normals, albedo, lights, regions=region, transmission=1.0
+    )
+    glossy, matt = fit_regions(histogram, "ladder")
+    phi = np.array([0.0, 0.03, 0.08, 0.16, 0.3])
+    fitted = np.exp2(-((phi[:, None] / np.array(glossy["gamma"])) ** 2)) @ np.array(glossy["beta"])
+    np.testing.assert_allclose(fitted, facets(phi), rtol=0.12, atol=0.01)
+    assert max(matt["beta"]) < 1e-3
+    assert glossy["beta"] == sorted(glossy["beta"], reverse=True)
 
 
 def test_standard_errors_are_of_the_size_of_the_errors():
