@@ -314,7 +314,7 @@ def _parameters(gamma):
     fitted = 5 * 2.0 ** -((phi / 0.1) ** 2)
     profile = {"phi": phi.tolist(), "value": (fitted + 0.01).tolist(), "count": [100] * 60, "fitted": fitted.tolist()}
     region = {"beta": [5.0], "gamma": [gamma], "refractive_index": 1.45, "residual": 0.1, "samples": 60, "flags": "0"}
-    return {"method": "robust", "regions": [region | {"profile": profile}]}
+    return {"method": "robust", "regions": [region | {"profile": profile}], "transmission": 0.0}
 
 
 def test_gloss_is_drawn_twice_and_measured_in_degrees():
