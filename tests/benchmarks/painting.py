@@ -173,13 +173,14 @@ def budget(made, truth):
     import zarr
 
     from nishiki.brdf.parameters import gloss_table
+    from nishiki.brdf.slopes import slope_covariance
     from nishiki.contract.maps import Maps
     from nishiki.evaluate.classes import classify
     from nishiki.evaluate.prediction import FittedModel, light_of, predict_light
     from nishiki.evaluate.relighting import truth_difference
     from nishiki.evaluate.scene_colour import spectral_colour
     from nishiki.ingest.observations import Observations
-    from nishiki.normals.gloss_profile import body_shading
+    from nishiki.normals.gloss_profile import GlossProfile, body_shading
     from nishiki.render.scene import Gloss
 
     frames, group = Observations(made["ingest"]), zarr.open_group(truth / "truth.zarr", mode="r")
@@ -197,20 +198,24 @@ def budget(made, truth):
         xyz, shine, body = (group[part][index] for part in ("xyz_lamp", "gloss", "body"))
         lit = group["lit"][list(group.attrs["lights"]).index(name)] / 100.0
         classes = classify(body, shine, lit, inside=frames.mask)
-        ours = predict_light(FittedModel(normals, reflectance, gloss), lamp, height=height, pitch=pitch)
-        exact = predict_light(FittedModel(true_normals, reflectance, gloss), lamp, height=true_height, pitch=pitch)
+        ours, exact = (
+            predict_light(FittedModel(n, reflectance, gloss, slopes=slope_covariance(n)), lamp, height=h, pitch=pitch)
+            for n, h in ((normals, height), (true_normals, true_height))
+        )
         diffuse, exact_diffuse = (
             colour.xyz(part, coefficients) - part.specular[..., None] * white for part in (ours, exact)
         )
         true_body = xyz - shine[..., None] * white
         cosine = np.maximum(normals @ frames.directions[j].astype(np.float32), 1e-3)
-        loss = body_shading(cosine, normals[..., 2], 1.0) / cosine
+        without = cosine / body_shading(
+            cosine, normals[..., 2], GlossProfile(*np.ones((2, 1)), gloss.refractive_index[0])
+        )
         cases = {
             "nothing": diffuse + ours.specular[..., None] * white,
             "normals": exact_diffuse + exact.specular[..., None] * white,
             "gloss": diffuse + shine[..., None] * white,
             "gloss_and_normals": exact_diffuse + shine[..., None] * white,
-            "gloss_with_transmission": diffuse * loss[..., None] + shine[..., None] * white,
+            "gloss_without_losses": diffuse * np.minimum(without, 3)[..., None] + shine[..., None] * white,
             "body": true_body + ours.specular[..., None] * white,
             "body_and_normals": true_body + exact.specular[..., None] * white,
         }
