@@ -22,6 +22,7 @@ from nishiki.capture.turntable_check import listed_files, silhouette_problems, t
 from nishiki.ingest.blocks import block_edges
 from nishiki.ingest.decode import count_unusable
 from nishiki.ingest.frames import FrameReader
+from nishiki.ingest.pairs_check import PairLevels
 from nishiki.ingest.reference import DarkField, board_field, measure_darks
 from nishiki.ingest.region import region_of
 from nishiki.ingest.store import frame_problems
@@ -198,18 +199,18 @@ def _content_problems(capture: Capture, tick: Callable[[str], None]) -> list[Pro
     usable = (
         mask.astype(np.uint8) if mask.shape == (rows, columns) and mask.any() else np.ones((rows, columns), np.uint8)
     )
-    digests: dict[str, str] = {}
+    pairs, digests = PairLevels(reader, darks, usable), {}
     for frame in capture.frames:
         if frame.role == "dark":
             continue
-        problems += _attempt(lambda frame=frame: _frame_content(reader, frame, usable, darks, edges))
+        problems += _attempt(lambda frame=frame: _frame_content(reader, frame, usable, darks, edges, pairs))
         digest = sha256_of(frame.path)
         if digest in digests:
             what = f"is the same file as {digests[digest]}"
             problems.append(warning("image-repeated", frame.file, what, remedy="Check the names of the photographs"))
         digests.setdefault(digest, frame.file)
         tick(frame.file)
-    return reader.warnings() + problems
+    return reader.warnings() + problems + pairs.problems()
 
 
 def _darks(reader: FrameReader, edges: tuple, tick: Callable[[str], None]) -> tuple[DarkField, list[Problem]]:
@@ -223,9 +224,11 @@ def _darks(reader: FrameReader, edges: tuple, tick: Callable[[str], None]) -> tu
 
 
 def _frame_content(
-    reader: FrameReader, frame: Frame, usable: np.ndarray, darks: DarkField, edges: tuple
+    reader: FrameReader, frame: Frame, usable: np.ndarray, darks: DarkField, edges: tuple, pairs: PairLevels
 ) -> list[Problem]:
     codes = reader.read(frame)
+    if frame.role in ("sample", "check", "white") and reader.capture.lights.index(frame.light) is not None:
+        pairs.add(frame, codes)
     if frame.role == "white":
         return list(board_field(reader, frame, codes, darks, edges, usable).problems)
     if frame.role == "flat":

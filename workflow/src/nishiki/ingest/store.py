@@ -17,6 +17,7 @@ from nishiki.ingest.choice import chosen
 from nishiki.ingest.chunks import chunk_path, create_array, write_chunk
 from nishiki.ingest.decode import count_unusable
 from nishiki.ingest.frames import FrameReader
+from nishiki.ingest.pairs_check import PairLevels
 from nishiki.ingest.reference import DarkField, Gains, measure_darks, measure_gains
 from nishiki.ingest.region import edges_of, region_around, window_of
 from nishiki.ingest.tiles import bands_with_object, rows_of_band
@@ -106,16 +107,20 @@ def write_observations(
     _, _, rows, columns = reader.region
     edges = edges_of(asked, reader.region, settings.white_block)
     darks = measure_darks(reader, edges, tick)
-    gains = measure_gains(reader, darks, edges, mask, tick)
+    pairs = PairLevels(reader, darks, mask)
+    gains = measure_gains(reader, darks, edges, mask, tick, pairs.add)
     import zarr
 
     group = zarr.open_group(Path(folder) / STORE, mode="w-", zarr_format=3)
     band_rows = rows_of_band(len(capture.observed), rows, columns, len(reader.names), settings.tile_mib)
-    counts, problems = _write_frames(Path(folder) / STORE, group, reader, mask, band_rows, settings.compression, tick)
+    look = pairs.add if capture.frames_of("white") else None
+    counts, problems = _write_frames(
+        Path(folder) / STORE, group, reader, mask, band_rows, settings.compression, tick, look
+    )
     defect = darks.defect | gains.defect
     _write_fields(group, reader, mask, defect, darks, gains)
     group.attrs.update({**_attributes(capture, reader, settings, band_rows), "asked_region": list(asked)})
-    problems = (*capture.warnings, *reader.warnings(), *darks.problems, *gains.problems, *problems)
+    problems = (*capture.warnings, *reader.warnings(), *darks.problems, *gains.problems, *pairs.problems(), *problems)
     return _diagnostics(reader, counts, mask, defect, gains, problems, band_rows)
 
 
@@ -178,7 +183,14 @@ def regions_of(capture: Capture, reader: FrameReader) -> np.ndarray | None:
 
 
 def _write_frames(
-    path: Path, group, reader: FrameReader, mask: np.ndarray, band_rows: int, compression: str, tick: Callable
+    path: Path,
+    group,
+    reader: FrameReader,
+    mask: np.ndarray,
+    band_rows: int,
+    compression: str,
+    tick: Callable,
+    look: Callable[[Frame, np.ndarray], None] | None,
 ) -> tuple[np.ndarray, list[Problem]]:
     """Every observed frame into its chunks; returns counts (lights, 4) and what was found in the frames.
 
@@ -191,6 +203,8 @@ def _write_frames(
     counts, problems = np.zeros((len(observed), 4), np.int64), []
     bands = bands_with_object(mask, band_rows)
     for j, (frame, codes) in enumerate(reader.read_all(observed)):
+        if look is not None:
+            look(frame, codes)
         *tally, highest = count_unusable(codes, mask, reader.saturated, reader.clip)
         counts[j] = tally
         problems += frame_problems(frame, counts[j], float(highest), reader)
