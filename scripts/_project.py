@@ -28,6 +28,7 @@ def use_kernel_cache() -> None:
 
 sys.path.insert(0, str(SOURCE))
 use_kernel_cache()
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # numba's threads sleep between kernels; by default they spin
 
 
 def _told(kind, error, trace) -> None:

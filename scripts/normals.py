@@ -60,14 +60,17 @@ def work(context: Context) -> dict:
     counts: Counter[str] = Counter()
     sigmas = []
     for band in context.progress.over(context.share(frames.bands()), "band"):
-        observations, valid = frames.read(band, lights=lights)
-        usable = read_usable(selection, band, len(lights), valid)
-        found = {name: np.empty((*valid.shape[1:], *array.shape[2:]), array.dtype) for name, array in arrays.items()}
-        for parcel in parcels(frames, band, lights):
-            area = np.s_[:, parcel.rows, parcel.columns]
-            maps = solve(observations[area], usable[area], valid[area], parcel, context.settings, profile)
-            for name, values in maps.items():
-                found[name][area[1:]] = values
+        size = band.stop - band.start, frames.shape[1]
+        found = {name: np.empty((*size, *array.shape[2:]), array.dtype) for name, array in arrays.items()}
+        packed = None if selection is None else selection.read("usable", band)
+        for rows, observations, valid in frames.strips(band, lights=lights):
+            strip = slice(rows.start - band.start, rows.stop - band.start)
+            usable = valid if packed is None else unpacked(packed[strip], len(lights))
+            for parcel in parcels(frames, rows, lights):
+                area = np.s_[:, parcel.rows, parcel.columns]
+                maps = solve(observations[area], usable[area], valid[area], parcel, context.settings, profile)
+                for name, values in maps.items():
+                    found[name][strip][area[1:]] = values
         for name, array in arrays.items():
             array[band] = found[name]
         inside = frames.mask[band]
@@ -249,8 +252,12 @@ def read_usable(selection: Maps | None, band: slice, lights: int, valid: np.ndar
     """Samples (lights, rows, columns) that separate chose; all valid ones where it was left out."""
     if selection is None:
         return valid
-    packed = np.moveaxis(selection.read("usable", band), -1, 0)
-    return np.unpackbits(packed, axis=0, count=lights, bitorder="little").view(bool)
+    return unpacked(selection.read("usable", band), lights)
+
+
+def unpacked(packed: np.ndarray, lights: int) -> np.ndarray:
+    """Samples (lights, rows, columns) bool of bits (rows, columns, bytes)."""
+    return np.unpackbits(np.moveaxis(packed, -1, 0), axis=0, count=lights, bitorder="little").view(bool)
 
 
 def count_flags(flags: np.ndarray, inside: np.ndarray) -> dict[str, int]:

@@ -9,7 +9,7 @@ from nishiki.contract.scatter import Scattered
 from nishiki.contract.stage import Context, run_stage
 from nishiki.economy.decision import economy
 from nishiki.ingest.observations import Observations
-from nishiki.ingest.parcels import parcels
+from nishiki.ingest.parcels import Parcel, parcels
 from nishiki.separation.lights import select_diffuse
 from nishiki.settings.separate import SeparateSettings
 
@@ -31,27 +31,50 @@ def work(context: Context) -> dict:
     totals = np.zeros(4, dtype=np.int64)
     settings = context.settings
     for band in context.progress.over(context.share(frames.bands()), "band"):
-        observations, valid = frames.read(band, lights=lights, channel="mean")
-        chosen = np.empty_like(valid)
-        counts = np.empty((2, *valid.shape[1:]), np.uint16)
-        for parcel in parcels(frames, band, lights):
-            area = np.s_[:, parcel.rows, parcel.columns]
-            selection = select_diffuse(
-                observations[area] * parcel.scale[:, None, None],
-                parcel.directions,
-                valid=valid[area],
-                method=settings.method,
-                w1=settings.w1,
-                w2=settings.w2,
-                keep=settings.keep,
-            )
-            chosen[area] = selection.usable
-            counts[area] = selection.highlights, selection.shadows
-        usable[band] = np.moveaxis(np.packbits(chosen, axis=0, bitorder="little"), 0, -1)
-        highlights[band], shadows[band] = counts
-        totals += [a.sum(dtype=np.int64) for a in (chosen, *counts, valid)]
+        size = band.stop - band.start, columns
+        packed = np.empty((*size, -(-len(lights) // 8)), np.uint8)
+        counts = np.empty((2, *size), np.uint16)
+        for rows_of_strip, observations, valid in frames.strips(band, lights=lights, channel="mean"):
+            strip = slice(rows_of_strip.start - band.start, rows_of_strip.stop - band.start)
+            chosen, found = select(frames, rows_of_strip, lights, observations, valid, settings)
+            packed[strip] = np.moveaxis(np.packbits(chosen, axis=0, bitorder="little"), 0, -1)
+            counts[:, strip] = found
+            totals += [a.sum(dtype=np.int64) for a in (chosen, *found, valid)]
+        usable[band], highlights[band], shadows[band] = packed, *counts
     same = {"lights": [frames.lights[j] for j in lights], "economy": economy(decision)}
     return {"same": same, "samples": rows * columns * len(lights), "totals": totals.tolist()}
+
+
+def select(
+    frames: Observations,
+    rows: slice,
+    lights: np.ndarray,
+    observations: np.ndarray,
+    valid: np.ndarray,
+    settings: SeparateSettings,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Usable samples (lights, rows, columns) of a strip, and how many were rejected as highlights and as shadows."""
+    chosen = np.empty_like(valid)
+    counts = np.empty((2, *valid.shape[1:]), np.uint16)
+    for parcel in parcels(frames, rows, lights):
+        area = np.s_[:, parcel.rows, parcel.columns]
+        selection = select_diffuse(
+            scaled(observations[area], parcel),
+            parcel.directions,
+            valid=valid[area],
+            method=settings.method,
+            w1=settings.w1,
+            w2=settings.w2,
+            keep=settings.keep,
+        )
+        chosen[area] = selection.usable
+        counts[area] = selection.highlights, selection.shadows
+    return chosen, counts
+
+
+def scaled(observations: np.ndarray, parcel: Parcel) -> np.ndarray:
+    """Observations as if the lamps were as far from the parcel as from the centre."""
+    return observations * parcel.scale[:, None, None] if (parcel.scale != 1).any() else observations
 
 
 def told(context: Context, tallies: list[dict]) -> dict:

@@ -8,6 +8,7 @@ from numba.extending import overload
 
 from nishiki.ingest.block_kernels import linear_value
 
+RUN = 255  # values that are counted in a counter of eight bits
 LARGEST_GAIN, LARGEST_DARK = np.float32(1e30), np.float32(1e6)  # of values that are at most 1 where codes are integers
 
 
@@ -47,6 +48,14 @@ def decode(
     for job in prange(lights * n):
         j, y = job // n, job % n
         _mark_valid(codes[j, y], usable[y], saturated, clip, first, last, valid[j, y])
+        if one_value(gain[j], dark[j], first, last):
+            for k in range(first, last):
+                target = out[j, y, :, 0 if reduced else k - first]
+                level, factor = dark[j, 0, 0, k], gain[j, 0, 0, k]
+                scale_row_evenly(codes[j, y, :, k], table, scale, factor, level, share, reduced and k > first, target)
+            if not always_finite(codes[j, y, 0, 0]):
+                drop_not_finite(out[j, y], valid[j, y])
+            continue
         gains, darks = np.empty(m, np.float32), np.empty(m, np.float32)
         for k in range(first, last):
             between_blocks(gain[j], k, rows[y], row_weights[y], cells, column_weights, gains)
@@ -132,12 +141,44 @@ def scale_row(codes, table, scale, gains, darks, share, add, target):
 
 
 @njit(cache=True, error_model="numpy")
+def one_value(gain, dark, first, last):
+    """Whether gain and dark (r, c, channels) are one number for the whole picture, and known, in these channels."""
+    return gain.shape[0] == 1 and gain.shape[1] == 1 and all_known(gain[0, 0, first:last], dark[0, 0, first:last])
+
+
+@njit(cache=True, error_model="numpy")
+def scale_row_evenly(codes, table, scale, gain, dark, share, add, target):
+    """As `scale_row`, with one gain and dark level for the row: no arrays of them are made and read."""
+    for x in range(len(codes)):
+        linear = np.float32(codes[x]) * scale if scale > 0 else linear_value(table, codes[x])
+        value = (linear - dark) * gain * share
+        target[x] = target[x] + value if add else value
+
+
+@njit(cache=True, error_model="numpy")
 def drop_not_finite(out, valid):
     for x in range(out.shape[0]):
         for k in range(out.shape[1]):
             if not np.isfinite(out[x, k]):
                 out[x, k] = np.float32(0.0)
                 valid[x] = False
+
+
+@njit(cache=True, error_model="numpy")
+def count_run(brightest, within, saturated, clip, counts):
+    """Largest of at most RUN values; counts (3,) uint8: saturated, at the clip, and all, of those inside the mask.
+
+    Counters of eight bits: as many values as fit a vector are counted at once.
+    """
+    hot, cold, inside, most = np.uint8(0), np.uint8(0), np.uint8(0), brightest[0]
+    for x in range(len(brightest)):
+        here = np.uint8(within[x] != 0)
+        inside = np.uint8(inside + here)
+        hot = np.uint8(hot + (here & np.uint8(brightest[x] >= saturated)))
+        cold = np.uint8(cold + (here & np.uint8(brightest[x] <= clip)))
+        most = max(most, brightest[x])
+    counts[0], counts[1], counts[2] = hot, cold, inside
+    return most
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -149,6 +190,7 @@ def count_unusable(codes, usable, saturated, clip):
     """
     rows, columns, channels = codes.shape
     hot, cold, broken, inside, most = 0, 0, 0, 0, codes[0, 0, 0]
+    within_run = np.empty(3, np.uint8)
     brightest = np.empty(columns, codes.dtype)
     for y in range(rows):
         row, within = codes[y], usable[y]
@@ -160,12 +202,10 @@ def count_unusable(codes, usable, saturated, clip):
             for k in range(1, channels):
                 for x in range(columns):
                     brightest[x] = max(brightest[x], row[x, k])
-        for x in range(columns):
-            here = within[x] != 0
-            inside += here
-            hot += here & (brightest[x] >= saturated)
-            cold += here & (brightest[x] <= clip)
-            most = max(most, brightest[x])
+        for start in range(0, columns, RUN):
+            run = slice(start, min(start + RUN, columns))
+            most = max(most, count_run(brightest[run], within[run], saturated, clip, within_run))
+            hot, cold, inside = hot + within_run[0], cold + within_run[1], inside + within_run[2]
         if not always_finite(most):
             for x in range(columns):
                 bad = False

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
@@ -16,6 +16,8 @@ from nishiki.ingest.linearise import straight_scale
 from nishiki.outside.stored import open_group, understood
 
 FORMAT = 1
+STRIP_BYTES = 8 << 20
+"""Of float32 observations that are decoded at a time."""
 
 
 class Observations:
@@ -125,13 +127,36 @@ class Observations:
         mask, no defect, gain known, finite, saturated in no channel, above the lowest code in at least one of the
         channels read. A perfect white diffuser that faces the lamp has value 1. Values that cannot be formed are 0.
         """
+        chosen = np.arange(len(self.lights)) if lights is None else np.asarray(lights, np.int64)
+        codes, start = self.codes(band, lights=chosen, columns=columns)
+        left = (columns or slice(None)).indices(self.shape[1])[0]
+        return self._decoded(codes, chosen, start, left, channel)
+
+    def strips(
+        self, band: slice, *, lights: np.ndarray, channel: Literal["mean"] | None = None
+    ) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
+        """A band in strips of rows (slices counted from the picture's top), with what `read` gives of each.
+
+        The codes of the band are read once. Values of a strip fit the processor's cache, where those of a band fill
+        the memory: a band of 8-bit codes becomes five times as large when it is decoded. Lamps at a position have one
+        strip, whose parcels begin where the band does.
+        """
+        codes, start = self.codes(band, lights=lights)
+        count, rows, columns, channels = codes.shape
+        row_bytes = 4 * count * columns * (channels if channel is None else 1)
+        step = rows if self.positions_mm is not None else max(STRIP_BYTES // row_bytes, 1)
+        for top in range(0, rows, step):
+            part = np.ascontiguousarray(codes[:, top : top + step])
+            yield slice(start + top, start + top + part.shape[1]), *self._decoded(part, lights, start + top, 0, channel)
+
+    def _decoded(
+        self, codes: np.ndarray, chosen: np.ndarray, start: int, left: int, channel: Literal["mean"] | int | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Values and validity of codes whose first row and column are these; see `read`."""
         from nishiki.ingest.decode import decode  # who asks for names and masks alone needs no compiled code
 
-        chosen = np.arange(len(self.lights)) if lights is None else np.asarray(lights, np.int64)
         first, last = self._channel_range(channel)
-        codes, start = self.codes(band, lights=chosen, columns=columns)
         rows, width = codes.shape[1:3]
-        left = (columns or slice(None)).indices(self.shape[1])[0]
         gain, dark = self._fields(chosen)
         edges = self._edges
         if gain.shape[1:3] == (1, 1):

@@ -197,6 +197,70 @@ def solve_weighted(observations, weights, products, max_condition, normals, scal
             )
 
 
+@njit(cache=True, error_model="numpy")
+def matrix_of(whole, taken, products, t):
+    """The six products of the lights that `taken` (lights,) marks into t, and their number.
+
+    Those of all lights less those left out; where most are left out the others are added up instead, for a small rest
+    of large sums would hold their rounding.
+    """
+    count = 0
+    for j in range(len(taken)):
+        count += taken[j] != 0
+    few = 2 * count < len(taken)
+    for k in range(6):
+        t[k] = 0.0 if few else whole[k]
+    for j in range(len(taken)):
+        if few == (taken[j] != 0):
+            for k in range(6):
+                t[k] += products[j, k] if few else -products[j, k]
+    return count
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def solve_masked(observations, taken, products, max_condition, normals, scalars, lights_used, flags):
+    """Least squares on the samples that `taken` (lights, pixels) uint8 marks; otherwise as `solve_weighted`.
+
+    Most samples are taken: the normal matrix is that of all lights less the few that are left out, so that only the
+    right-hand side and the squares are added up at every pixel. Neighbours that leave out the same lights share it.
+    """
+    lights, pixels = observations.shape
+    whole = np.zeros(TERMS)
+    for j in range(lights):
+        for k in range(6):
+            whole[k] += products[j, k]
+    whole_condition, whole_inverse = conditioned(whole, lights)
+    for block in prange((pixels + BLOCK - 1) // BLOCK):
+        start = block * BLOCK
+        width = min(BLOCK, pixels - start)
+        sums = np.zeros(4 * BLOCK)
+        left_out = np.zeros(BLOCK, np.uint64)  # bit j % 64: light j
+        for j in range(lights):
+            row, mask = observations[j, start : start + width], taken[j, start : start + width]
+            x, y, z = products[j, 6], products[j, 7], products[j, 8]
+            bit = np.uint64(1) << np.uint64(j % 64)
+            for p in range(width):
+                value = np.float64(row[p])
+                value = value if mask[p] != 0 else 0.0
+                sums[p] += value * x
+                sums[p + BLOCK] += value * y
+                sums[p + 2 * BLOCK] += value * z
+                sums[p + 3 * BLOCK] += value * value
+            for p in range(width):
+                left_out[p] |= np.uint64(0) if mask[p] != 0 else bit
+        t, before = np.empty(TERMS), np.uint64(0)
+        count, condition, m = lights, whole_condition, whole_inverse
+        t[:6] = whole[:6]
+        for p in range(width):
+            if left_out[p] != before or (lights > 64 and before != 0):
+                before = left_out[p]
+                count = matrix_of(whole, taken[:, start + p], products, t)
+                condition, m = conditioned(t, count) if count < lights else (whole_condition, whole_inverse)
+            for k in range(4):
+                t[6 + k] = sums[p + k * BLOCK]
+            write_pixel(t, condition, m, count, count, max_condition, start + p, normals, scalars, lights_used, flags)
+
+
 @njit(cache=True, parallel=True, error_model="numpy")
 def solve_shared(observations, products, max_condition, normals, scalars, lights_used, flags):
     """Least squares where every light is usable everywhere: one normal matrix serves all pixels."""

@@ -144,12 +144,14 @@ def refine_lobe(stack, directions, usable, known, outputs, exponents, noise, max
 
 def lambertian(stack, directions, factors, max_condition):
     """Lambertian least squares into new outputs; factors (lights, pixels) uint8 or float32, or None for all."""
-    from nishiki.normals.least_squares import solve_shared, solve_weighted
+    from nishiki.normals.least_squares import solve_masked, solve_shared, solve_weighted
 
     outputs = empty_outputs(stack.shape[1])
     products = direction_products(directions)
     if factors is None:
         solve_shared(stack, products, float(max_condition), *outputs)
+    elif factors.dtype == np.uint8:
+        solve_masked(stack, factors, products, float(max_condition), *outputs)
     else:
         solve_weighted(stack, factors, products, float(max_condition), *outputs)
     return outputs
