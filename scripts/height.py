@@ -1,4 +1,4 @@
-"""Height: integrate the normals into a relief."""
+"""Height: integrate the normals into a relief, and tell how far the normals are likely to be off."""
 
 import numpy as np
 
@@ -6,6 +6,7 @@ import _project  # noqa: F401
 from nishiki.contract.maps import Maps, MapWriter
 from nishiki.contract.stage import Context, run_stage
 from nishiki.normals import flags as bits
+from nishiki.normals.expected_error import expected_error
 from nishiki.normals.height import integrate_normals
 from nishiki.settings.height import HeightSettings
 
@@ -30,7 +31,17 @@ def run(context: Context) -> dict:
         unit="mm" if pitch else "pixels",
         nan="not integrated: outside the mask, or no estimate of the normal",
     )
-    return {"unit": "mm" if pitch else "pixels", **field.diagnostics}
+    diagnostics = field.diagnostics
+    del field
+    error = expected_error(normals, maps.read("sigma"), valid)
+    out.write("expected_error", error, unit="radians, rms angle of the normal; pi / 2 where there is no estimate")
+    return {"unit": "mm" if pitch else "pixels", **diagnostics, **percentiles_deg(error[valid])}
+
+
+def percentiles_deg(error: np.ndarray) -> dict[str, float]:
+    """Median and 95th percentile of the normals' expected error (pixels,), radians, in degrees."""
+    middle, high = np.degrees(np.percentile(error[:: max(1, error.size // 100_000)], [50, 95]))
+    return {"expected_error_median_deg": float(middle), "expected_error_p95_deg": float(high)}
 
 
 if __name__ == "__main__":

@@ -50,7 +50,9 @@ def content_of(context: Context) -> dict:
         "title": settings.title or inputs["ingest"].diagnostics["capture"]["title"] or context.stamp["scene"],
         "scene": context.stamp["scene"],
         "stamp": context.stamp,
-        "glance": at_a_glance(inputs["normals"].diagnostics, evaluation),
+        "glance": at_a_glance(
+            inputs["normals"].diagnostics, evaluation, inputs["height"].diagnostics if "height" in inputs else None
+        ),
         "choices": choices({name: artifact.settings for name, artifact in inputs.items()}),
         "capture": capture_section(
             inputs["ingest"].diagnostics,

@@ -44,7 +44,8 @@ def shape_section(
     if mask is not None:
         inside = shrink(lambda rows: mask[rows].astype(np.float32), shape, block) > 0
         classes = np.where(inside, classes, np.nan)
-    sigma = np.degrees(small("sigma"))
+    calibrated = height is not None and "expected_error" in height
+    sigma = np.degrees(small("expected_error", height) if calibrated else small("sigma"))
     error = small("angular_error", evaluated) if evaluated is not None and "angular_error" in evaluated else None
     # one scale for both, so that expected and true errors can be compared
     end = max(
@@ -53,6 +54,7 @@ def shape_section(
     content = {
         "normals": normal_picture(small("normals")),
         "sigma": scalar_picture(sigma, heat(), unit="degrees", low=0.0, high=end),
+        "calibrated": calibrated,
         "lights_used": scalar_picture(small("lights_used"), sea(), unit="lights", digits=3),
         "flags": class_picture(classes, {k: (colour, text) for k, (_, colour, text) in enumerate(CLASSES)}),
         "relief": None,

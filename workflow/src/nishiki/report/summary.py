@@ -33,8 +33,15 @@ def choices(settings: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
     return found
 
 
-def at_a_glance(normals: dict[str, Any], evaluation: dict[str, Any] | None) -> list[dict[str, Any]]:
-    """Tiles: figure, unit, what it is. normals : diagnostics of that stage; evaluation : evaluation.json or None."""
+def at_a_glance(
+    normals: dict[str, Any], evaluation: dict[str, Any] | None, height: dict[str, Any] | None = None
+) -> list[dict[str, Any]]:
+    """Tiles: figure, unit, what it is.
+
+    normals, height : diagnostics of those stages (height None where it is left out); evaluation : evaluation.json or
+    None.
+    """
+    expected = (height or {}).get("expected_error_median_deg", normals.get("sigma_median_deg"))
     evaluation = evaluation or {}
     tiles = []
     if evaluation.get("lights"):
@@ -51,8 +58,8 @@ def at_a_glance(normals: dict[str, Any], evaluation: dict[str, Any] | None) -> l
         tiles.append(_tile(overall["p90"], "ΔE00", "90th percentile of that difference"))
     if evaluation.get("normals"):
         tiles.append(_tile(evaluation["normals"]["estimated"]["mean"], "°", "mean angle of the normals to the truth"))
-    elif normals.get("sigma_median_deg") is not None:
-        tiles.append(_tile(normals["sigma_median_deg"], "°", "median expected error of a normal"))
+    elif expected is not None:
+        tiles.append(_tile(expected, "°", "median expected error of a normal"))
     if evaluation.get("reflectance"):
         tiles.append(
             _tile(

@@ -1,0 +1,85 @@
+"""Expected error of normals: its parts against slow loops, and what it says of surfaces, errors and gaps."""
+
+import numpy as np
+import pytest
+
+from nishiki.normals import expected_error as module
+from nishiki.normals.expected_error import WINDOW, expected_error, slope_error
+
+
+def relief(rows=40, columns=56, steep=0.5):
+    """Normals of a smooth surface, whose slopes have no curl but for the pixel grid."""
+    y, x = np.mgrid[:rows, :columns].astype(float)
+    p = steep * np.cos(x / 9) * np.cos(y / 11)
+    q = steep * 9 / 11 * np.sin(x / 9) * np.sin(y / 11)  # rows run down, y up
+    return from_slopes(p, q)
+
+
+def from_slopes(p, q):
+    normals = np.dstack([-p, -q, np.ones_like(p)])
+    return (normals / np.linalg.norm(normals, axis=2, keepdims=True)).astype(np.float32)
+
+
+def slow_slope_error(normals, valid):
+    """By the module's equations, pixel by pixel."""
+    rows, columns = valid.shape
+    p, q = -normals[..., 0] / normals[..., 2], -normals[..., 1] / normals[..., 2]
+    curl = np.full((rows, columns), np.nan)
+    for i in range(rows - 1):
+        for j in range(columns - 1):
+            if valid[i : i + 2, j : j + 2].all():
+                across = (q[i, j + 1] - q[i, j] + q[i + 1, j + 1] - q[i + 1, j]) / 2
+                upward = -(p[i + 1, j] - p[i, j] + p[i + 1, j + 1] - p[i, j + 1]) / 2
+                curl[i, j] = upward - across
+    for power in (1, 2):
+        source, curl = curl, np.full_like(curl, np.nan)
+        for i in range(rows):
+            for j in range(columns):
+                half = WINDOW // 2
+                window = source[max(i - half, 0) : i + half + 1, max(j - half, 0) : j + half + 1]
+                if np.isfinite(window).any():
+                    curl[i, j] = np.nanmean(window**power) * (WINDOW / 4 if power == 1 else 1)
+        if power == 1:
+            curl[~np.isfinite(source)] = np.nan
+    return np.sqrt(np.nan_to_num(curl))
+
+
+def test_slope_error_agrees_with_slow_loops():
+    random = np.random.default_rng(1)
+    normals = from_slopes(*random.normal(0, 0.3, (2, 20, 24)))
+    valid = random.uniform(size=(20, 24)) > 0.05
+    assert slope_error(normals, valid) == pytest.approx(slow_slope_error(normals, valid), abs=2e-5)
+
+
+def test_a_surface_has_less_than_normals_that_no_surface_has():
+    normals = relief()
+    valid = np.ones(normals.shape[:2], bool)
+    sigma = np.full(valid.shape, 0.005, np.float32)
+    good = expected_error(normals, sigma, valid)
+    y, x = np.mgrid[: valid.shape[0], : valid.shape[1]]
+    patch = np.exp(-((x - 28.0) ** 2 + (y - 20.0) ** 2) / 60)  # a smooth error of 6 degrees, which no residual shows
+    p, q = -normals[..., 0] / normals[..., 2], -normals[..., 1] / normals[..., 2]
+    bad = expected_error(from_slopes(p + 0.1 * patch, q), sigma, valid)
+    assert bad[16:24, 24:32].mean() > 1.5 * good[16:24, 24:32].mean()
+    assert np.allclose(bad[:, :4], good[:, :4], rtol=0.02)
+
+
+def test_grows_with_sigma_and_with_the_tilt():
+    flat, valid = from_slopes(np.zeros((20, 20)), np.zeros((20, 20))), np.ones((20, 20), bool)
+    tilted = from_slopes(np.ones((20, 20)), np.zeros((20, 20)))
+    low, high = (expected_error(flat, np.full((20, 20), value), valid) for value in (0.001, 0.05))
+    assert (high > low).all()
+    assert (expected_error(tilted, np.full((20, 20), 0.001), valid) > low).all()
+
+
+def test_pixels_without_an_estimate_are_unknown_and_touch_no_others():
+    normals = relief()
+    valid = np.ones(normals.shape[:2], bool)
+    valid[:, 30:] = False
+    sigma = np.full(valid.shape, 0.005, np.float32)
+    found = expected_error(normals, sigma, valid)
+    spoilt = normals.copy()
+    spoilt[:, 30:] = [0, 0, 1]
+    assert np.array_equal(found, expected_error(spoilt, sigma, valid))
+    assert (found[~valid] == np.float32(module.UNKNOWN)).all()
+    assert np.isfinite(expected_error(normals, sigma, np.zeros_like(valid))).all()

@@ -1,0 +1,81 @@
+"""Expected error of the normals: what the noise says, what the integrability says, and what the tilt says.
+
+`sigma` follows from the noise and misfit of a pixel's samples. It does not know errors that all of them share
+(interreflection, gloss, shading other than the model's), and those are most of the error. They leave a trace, though:
+the slopes of a surface have no curl (B. K. P. Horn and M. J. Brooks, The variational approach to shape from shading,
+Computer Vision, Graphics, and Image Processing 33, 1986), and errors that change from place to place do. With
+
+    k     = p_y - q_x of every square of four valid pixels, p and q the slopes, pixels as unit
+    delta = WINDOW / 4 * mean of k over WINDOW x WINDOW squares
+
+delta is the error of the slopes along the border of the window that explains the circulation around it. The expected
+error is
+
+    E = SCALE (sigma + S0)^A (c^1.5 d + D0)^B (tan theta + T0)^C
+
+d the root mean square of delta over a window, c = n_z, c^1.5 the mean factor from slopes to angles along and across the
+tilt, theta the tilt. Shadows, interreflection and gloss grow with the tilt. The constants were found by least squares
+of the logarithms over captures with truth (docs/stages/height.md); E is then scaled so that, as for Gaussian errors,
+63 % of those errors were smaller.
+"""
+
+import numpy as np
+
+WINDOW = 7  # pixels
+SCALE, SIGMA_POWER, CURL_POWER, TILT_POWER = 0.54, 0.24, 0.34, 0.395
+LEAST_SIGMA, LEAST_CURL, LEAST_TILT = 0.003, 0.0005, 0.05
+LEAST_NZ, STEEPEST = 0.15, 3.0  # slopes and tangents of the tilt beyond count as these
+UNKNOWN = 0.5 * np.pi  # as sigma of pixels without an estimate
+
+
+def expected_error(normals: np.ndarray, sigma: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """Root mean square angle by which the normals are likely to be off.
+
+    Parameters
+    ----------
+    normals : (rows, columns, 3)
+        Unit vectors, x right, y up, z to the camera.
+    sigma : (rows, columns)
+        Radians, of the stage `normals`.
+    valid : (rows, columns) bool
+        Pixels with an estimate.
+
+    Returns
+    -------
+    (rows, columns) float32
+        Radians, at most pi / 2, which it is where a pixel is not valid.
+    """
+    nz = normals[..., 2]
+    tangent = np.sqrt(np.maximum(1 - nz * nz, 0)) / np.maximum(nz, 1 / STEEPEST / 2)
+    factors = (
+        (np.minimum(sigma, 0.5) + LEAST_SIGMA) ** SIGMA_POWER,
+        (slope_error(normals, valid) * np.clip(nz, LEAST_NZ, 1) ** 1.5 + LEAST_CURL) ** CURL_POWER,
+        (np.minimum(tangent, STEEPEST) + LEAST_TILT) ** TILT_POWER,
+    )
+    error = SCALE * factors[0] * factors[1] * factors[2]
+    return np.where(valid, np.minimum(error, UNKNOWN), UNKNOWN).astype(np.float32)
+
+
+def slope_error(normals: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """(rows, columns) float32: error of the slopes that explains their curl, d in the module's equations."""
+    nz = np.maximum(normals[..., 2], LEAST_NZ)
+    p = np.where(valid, -normals[..., 0] / nz, 0).astype(np.float32)
+    q = np.where(valid, -normals[..., 1] / nz, 0).astype(np.float32)
+    down = p[1:, :-1] + p[1:, 1:] - p[:-1, :-1] - p[:-1, 1:]  # 2 dp / d(row); y points up
+    right = q[:-1, 1:] + q[1:, 1:] - q[:-1, :-1] - q[1:, :-1]
+    known = np.zeros(valid.shape, np.float32)
+    known[:-1, :-1] = valid[:-1, :-1] & valid[1:, :-1] & valid[:-1, 1:] & valid[1:, 1:]
+    curl = np.zeros(valid.shape, np.float32)
+    curl[:-1, :-1] = -0.5 * (down + right) * known[:-1, :-1]
+    delta = window_mean(curl, known) * np.float32(WINDOW / 4)
+    return np.sqrt(window_mean(delta * delta * known, known))
+
+
+def window_mean(values: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Mean of the known values (0 elsewhere) over a window around each pixel; 0 where none is known."""
+    from scipy.ndimage import uniform_filter
+
+    share = uniform_filter(known, WINDOW, mode="constant")
+    total = uniform_filter(values, WINDOW, mode="constant")
+    # running sums leave roundings: below half a pixel there is none, and a mean of squares is not negative
+    return np.where(share > 0.5 / WINDOW**2, total / np.maximum(share, 0.5 / WINDOW**2), np.float32(0))
