@@ -48,8 +48,8 @@ include: "workflow/rules/sweep.smk"
 rule all:
     default_target: True
     input:
-        lambda wildcards: [f"{RESULTS}/{scene}/current/index.json" for scene in PLANS],
+        lambda wildcards: [f"{RESULTS}/{scene}/current/index.json" for scene in SCENES],
         # Each artifact is asked for: Snakemake would not make one again that is missing below an index that is there.
         lambda wildcards: [
-            manifest for scene in PLANS for manifest in FLOW.artifacts(scene)
+            manifest for scene in SCENES for manifest in FLOW.artifacts(scene)
         ],

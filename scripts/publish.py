@@ -13,9 +13,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scene", required=True, help="name of the scene")
     parser.add_argument("--stages", required=True, metavar="JSON", help="stage names and their keys")
+    parser.add_argument("--code", default="", help="digest of the code, recorded in the index")
     parser.add_argument("--output", type=Path, required=True, help="results/<scene>/current/index.json")
     arguments = parser.parse_args()
-    publish(arguments.output.parent, scene=arguments.scene, stages=json.loads(arguments.stages))
+    stages = json.loads(arguments.stages)
+    publish(arguments.output.parent, scene=arguments.scene, stages=stages, code=arguments.code)
 
 
 if __name__ == "__main__":

@@ -21,6 +21,23 @@ def test_every_stage_ran_and_nothing_is_left_to_do(site):
     assert "Nothing to be done" in (lambda done: done.stdout + done.stderr)(site.nishiki("run"))
 
 
+def test_the_engine_hears_of_unfinished_scenes_only(site):
+    """A capture under another path, of the same digest: Snakemake by itself would make the scene again."""
+    shutil.copytree(site.folder / "results/tiny", site.folder / "results/other", symlinks=True)
+    shutil.rmtree((site.folder / "results/other/current/report").resolve())
+    moved = site.folder.resolve() / "captures/tiny"
+    rows = f"tiny\t{moved}\tcaptures/tiny-truth\nother\tcaptures/tiny\tcaptures/tiny-truth\n"
+    (site.folder / "config/scenes.tsv").write_text("scene\tcapture\ttruth\n" + rows)
+    before = site.run_facts()
+    assert "ingest" in site.would_run()
+    done = site.nishiki("run")
+    assert "1 of 2 scenes are finished and left as they are" in done.stderr
+    assert "Nothing to be done: 2 of 2 scenes are finished" in site.nishiki("run").stderr
+    assert (site.folder / "results/other/current/report/report.html").is_file()
+    assert site.run_facts() == before
+    assert not list((site.folder / "results/.runs").glob("*.json"))
+
+
 def test_touching_every_file_reruns_nothing(site):
     for folder in ("workflow", "scripts", "captures", "config", "results"):
         for path in (site.folder / folder).rglob("*"):

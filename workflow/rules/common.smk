@@ -11,6 +11,7 @@ from nishiki.errors import UserError
 from nishiki.contract.provenance import canonical
 from nishiki.planning.scheduling import PARTS
 from nishiki.planning.workflow import Workflow
+from nishiki.runs.running_lock import scenes_to_make
 from nishiki.threads import VARIABLES as THREADS
 from snakemake.exceptions import WorkflowError
 
@@ -23,6 +24,8 @@ except UserError as error:
 
 PLANS = FLOW.plans
 RESULTS = FLOW.results
+# A run asks for its unfinished scenes; a Snakemake that is started by hand for all.
+SCENES = scenes_to_make(FLOW.project.results, PLANS)
 
 # Quoted for the shell, its braces for Snakemake.
 SCRIPTS = shlex.quote(os.path.join(PROJECT_FOLDER, "scripts"))

@@ -16,4 +16,4 @@ rule publish:
     shell:
         "python "
         + SCRIPTS
-        + "/publish.py --scene {wildcards.scene} --stages {params.stages:q} --output {output:q}"
+        + "/publish.py --scene {wildcards.scene} --stages {params.stages:q} --code {params.code} --output {output:q}"

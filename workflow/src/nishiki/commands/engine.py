@@ -1,11 +1,14 @@
-"""Snakemake, started as a registered run: beside no live one of the same scenes, behind what a dead one left."""
+"""Snakemake, started as a registered run: beside no live one of the same scenes, behind what a dead one left, and on
+unfinished scenes only."""
 
 import os
+import re
 import subprocess
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
+from nishiki.planning.finished import unfinished_scenes
 from nishiki.planning.plan import Plan
 from nishiki.planning.workflow import Workflow
 from nishiki.runs.records import refuse_while_running
@@ -19,10 +22,41 @@ LOOKS_ONLY = {
     *("-h", "--help", "-v", "--version"),
 }
 """Options with which Snakemake runs nothing."""
+HOW_ONLY = {
+    *("-k", "--keep-going", "-p", "--printshellcmds", "-q", "--quiet", "--verbose", "--show-failed-logs", "--nocolor"),
+    *("--rerun-incomplete", "--ri", "-j", "--jobs", "-T", "--retries", "-w", "--latency-wait", "--local-cores"),
+    *("--resources", "--res", "--default-resources", "--set-resources", "--set-threads", "--max-threads"),
+    *("--max-jobs-per-second", "--max-status-checks-per-second", "--seconds-between-status-checks"),
+}
+"""Options that say how to run and not what to make; those of the plugin for Slurm are such, too."""
+WHAT_TO_MAKE = frozenset(
+    (
+        *("force", "forceall", "forcerun", "touch", "until", "omit-from", "batch", "rerun-triggers", "config"),
+        *("configfile", "configfiles", "target-jobs", "allowed-rules", "consider-ancient", "delete-all-output"),
+        *("snakefile", "directory", "software-deployment-method", "use-conda"),
+    )
+)
+"""Options in a profile that decide what is made."""
 
 
-def call_engine(flow: Workflow, command: list[str], *, gone: Iterable[str] = ()) -> int:
+def says_what_to_make(rest: Sequence[str], profile: dict) -> bool:
+    """Whether options for Snakemake may ask for more, or for less, than what is not finished.
+
+    rest: of the command line; profile: keys and values of a profile. Then Snakemake decides on every scene, and so it
+    does with whatever is not known here: a target, an option with a word as its value.
+    """
+    how = (word.split("=")[0] in HOW_ONLY or word.startswith("--slurm-") for word in rest)
+    value = (re.fullmatch(r"[0-9.]+|\w+[=:][^/]+", word) for word in rest)
+    known = all(option or number for option, number in zip(how, value, strict=True))
+    decided = WHAT_TO_MAKE & {str(key).replace("_", "-") for key in profile}
+    return not known or bool(decided) or "SNAKEMAKE_PROFILE" in os.environ
+
+
+def call_engine(flow: Workflow, command: list[str], *, gone: Iterable[str] = (), unfinished_only: bool = False) -> int:
     """Run Snakemake on the scenes of a workflow; its exit status.
+
+    unfinished_only: Snakemake hears only of scenes that are not finished (see `nishiki.planning.finished`), and is not
+    started where all are.
 
     Artifacts that must not be built on are set aside first; behind a run that was killed, their contents are looked at
     too. gone: machines of which it is known that nothing runs there any more. Raises UserError where another run of one
@@ -37,7 +71,18 @@ def call_engine(flow: Workflow, command: list[str], *, gone: Iterable[str] = ())
         refuse_while_running(results, "the lock stays")
         return subprocess.run(command, check=False, env=environment).returncode
     with registered(results, flow.plans, gone=gone, tell=_tell) as held:
-        set_aside_unsound(dict(_plans(flow)), _tell, contents=held.unclean)
+        scenes = list(flow.plans)
+        if unfinished_only:
+            scenes = list(unfinished_scenes(flow, contents=held.unclean))
+            done = len(flow.plans) - len(scenes)
+            if not scenes:
+                _tell(f"Nothing to be done: {done} of {done} scenes are finished")
+                held.ended = "done"
+                return 0
+            if done:
+                _tell(f"{done} of {len(flow.plans)} scenes are finished and left as they are")
+            held.leave_out_finished(scenes)
+        set_aside_unsound(dict(_plans(flow, scenes)), _tell, contents=held.unclean)
         status = held.call(command, environment)
         if not status:
             held.ended = "done"
@@ -50,10 +95,10 @@ def _tell(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
-def _plans(flow: Workflow) -> Iterator[tuple[str, list[tuple[str, Path, tuple[str, ...]]]]]:
-    """Stages of every scene, and of every variant of a swept one."""
-    for scene, plan in flow.plans.items():
-        yield scene, _stages(flow, plan)
+def _plans(flow: Workflow, scenes: list[str]) -> Iterator[tuple[str, list[tuple[str, Path, tuple[str, ...]]]]]:
+    """Stages of these scenes, and of every variant of a swept one."""
+    for scene in scenes:
+        yield scene, _stages(flow, flow.plans[scene])
     for swept in flow.sweep.scenes if flow.sweep else ():
         for variant in swept.variants:
             yield f"{swept.scene} {variant.name}", _stages(flow, variant.plan)

@@ -12,6 +12,7 @@ from pathlib import Path
 from nishiki.errors import UserError
 
 PROJECT = Path(__file__).resolve().parents[4]
+PROFILES = PROJECT / "workflow/profiles"
 DEMOS = {
     "painting": ("painting", "config/config.yaml"),
     "jar": ("object", "config/object.yaml"),
@@ -34,7 +35,7 @@ fabric_render: {view: {rows: 48, columns: 48}, cloth: {points: 33}, supersamplin
 
 def run(options: argparse.Namespace, rest: list[str]) -> int:
     """Run the workflow on the configuration; the plan is checked first, so that bad input is told in one line."""
-    from nishiki.commands.engine import LOOKS_ONLY, call_engine
+    from nishiki.commands.engine import LOOKS_ONLY, call_engine, says_what_to_make
     from nishiki.commands.planning import expect_packages
     from nishiki.planning.project import load_yaml
     from nishiki.planning.workflow import Workflow
@@ -53,7 +54,8 @@ def run(options: argparse.Namespace, rest: list[str]) -> int:
         *rest,
     ]
     start = time.monotonic()
-    status = call_engine(flow, command, gone=options.host_is_gone)
+    whole = says_what_to_make(rest, load_yaml(profile_folder(options.profile) / "config.yaml"))
+    status = call_engine(flow, command, gone=options.host_is_gone, unfinished_only=not whole)
     if not LOOKS_ONLY & set(rest):
         (_tell_unfinished if status else _tell)(flow, time.monotonic() - start)
     return status if status in (0, 2) else 1  # 2: Snakemake does not know an option
@@ -71,10 +73,9 @@ def profile_arguments(name: str, cores: str | None, scenes: Iterable[Iterable[Pa
     from nishiki.planning.project import load_yaml
     from nishiki.runs.machine import memory_arguments, thread_arguments
 
-    shipped = PROJECT / "workflow/profiles"
-    folder = shipped / name if (shipped / name).is_dir() else Path(name)
+    folder = profile_folder(name)
     if not (folder / "config.yaml").is_file():
-        known = ", ".join(sorted(path.name for path in shipped.iterdir()))
+        known = ", ".join(sorted(path.name for path in PROFILES.iterdir()))
         raise UserError(f"--profile {name}: no such profile; known: {known}, or a folder that holds a config.yaml")
     arguments = ["--workflow-profile", str(folder)]
     executor = str(load_yaml(folder / "config.yaml").get("executor", "local"))
@@ -87,6 +88,11 @@ def profile_arguments(name: str, cores: str | None, scenes: Iterable[Iterable[Pa
             )
         return arguments + (["--cores", cores] if cores else [])
     return [*arguments, *memory_arguments(), *thread_arguments(cores, scenes), "--cores", cores or "all"]
+
+
+def profile_folder(name: str) -> Path:
+    """Folder of a shipped profile, or the folder that is named."""
+    return PROFILES / name if (PROFILES / name).is_dir() else Path(name)
 
 
 def _tell(flow, seconds: float) -> None:

@@ -41,10 +41,11 @@ ENTRIES = {
 
 @dataclass(frozen=True)
 class Artifact:
-    """A finished artifact, opened for reading."""
+    """A finished artifact, opened for reading. sha256: of the manifest when it was opened."""
 
     folder: Path
     manifest: dict[str, Any]
+    sha256: str = ""
 
     @property
     def key(self) -> str:
@@ -69,7 +70,7 @@ class Artifact:
     @property
     def digest(self) -> str:
         """SHA-256 of the manifest, hence of everything in the artifact."""
-        return file_digest(self.folder / MANIFEST)
+        return self.sha256 or file_digest(self.folder / MANIFEST)
 
     @property
     def run(self) -> dict[str, Any]:
@@ -92,11 +93,12 @@ def open_artifact(folder: Path, *, contents: bool = True) -> Artifact:
     folder = Path(folder)
     if folder.name == MANIFEST:
         folder = folder.parent
-    manifest = _read_manifest(folder)
+    manifest, digest = _read_manifest(folder)
+    place = f"{folder}/"
     wrong = [
         f"{name} ({'missing' if size is None else f'{size} bytes'}, expected {entry['bytes']})"
         for name, entry in manifest["files"].items()
-        if (size := _size(f"{folder}/{name}")) != entry["bytes"]
+        if (size := _size(place + name)) != entry["bytes"]
     ]
     if contents and not wrong:
         wrong = [
@@ -108,24 +110,30 @@ def open_artifact(folder: Path, *, contents: bool = True) -> Artifact:
         shown = "; ".join(wrong[:5]) + (f"; and {len(wrong) - 5} more" if len(wrong) > 5 else "")
         remedy = "Remedy: ./nishiki verify --set-aside, then run again."
         raise UserError(f"{folder}: files differ from {MANIFEST}: {shown}. {remedy}")
-    return Artifact(folder, manifest)
+    return Artifact(folder, manifest, digest)
 
 
-def _read_manifest(folder: Path) -> dict[str, Any]:
-    path = folder / MANIFEST
-    if not path.is_file():
+def _read_manifest(folder: Path) -> tuple[dict[str, Any], str]:
+    """Manifest of an artifact and its SHA-256. A campaign reads a hundred thousand at its start: paths are texts."""
+    path = f"{folder}/{MANIFEST}"
+    if not os.path.isfile(path):
         raise UserError(f"{folder}: no finished artifact here ({MANIFEST} is missing). Remedy: run the stage again.")
-    data = path.read_bytes()
+    data = _bytes_of(path)
     try:
         manifest = parse_manifest(data)
     except ValueError as error:
         raise UserError(f"{path}: {error}. Remedy: delete this folder and run again.") from None
-    # Looked for, not parsed: a campaign opens a hundred thousand artifacts at its start. `run_problem` looks closely.
-    run = folder / RUN
-    if run.is_file() and hashlib.sha256(data).hexdigest().encode() not in run.read_bytes():
+    digest = hashlib.sha256(data).hexdigest()
+    run = f"{folder}/{RUN}"
+    if os.path.isfile(run) and digest.encode() not in _bytes_of(run):  # looked for, not parsed; see `run_problem`
         told = f"{MANIFEST} is not the manifest that was written with {RUN}"
         raise UserError(f"{folder}: {told}. Remedy: delete this folder and run again.")
-    return manifest
+    return manifest, digest
+
+
+def _bytes_of(path: str) -> bytes:
+    with open(path, "rb", buffering=0) as handle:
+        return handle.readall()
 
 
 def parse_manifest(data: bytes) -> dict[str, Any]:

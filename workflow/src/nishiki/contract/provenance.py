@@ -51,7 +51,13 @@ def _normal(value: Any) -> Any:
 
 def stage_key(stage: str, version: int, settings: dict, upstream: dict[str, str]) -> str:
     """Key of a stage: 12 hexadecimal digits. `upstream` maps stage names (or `capture`) to their keys or digests."""
-    text = canonical({"stage": stage, "version": version, "settings": settings, "upstream": upstream})
+    return key_of_text(stage, version, canonical(settings), upstream)
+
+
+def key_of_text(stage: str, version: int, settings: str, upstream: dict[str, str]) -> str:
+    """The same from the canonical text of the settings, which thousands of scenes may share."""
+    rest = canonical({"stage": stage, "upstream": upstream, "version": version})
+    text = f'{{"settings":{settings},{rest[1:]}'  # canonical text of all four: "settings" is the first in order
     return hashlib.sha256(text.encode()).hexdigest()[:KEY_DIGITS]
 
 

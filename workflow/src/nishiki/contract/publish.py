@@ -30,10 +30,11 @@ DELIVERABLES = {
 }
 
 
-def publish(current: Path, *, scene: str, stages: dict[str, str]) -> Path:
+def publish(current: Path, *, scene: str, stages: dict[str, str], code: str = "") -> Path:
     """Make `current` hold a link a stage and a link a deliverable, and an index with the artifacts' digests.
 
-    current: results/<scene>/current; stages: names and keys. The folder is built beside its place and swapped in.
+    current: results/<scene>/current; stages: names and keys; code: digest of the code that publishes. The folder is
+    built beside its place and swapped in.
     """
     folder = current.parent
     partial, old = (folder / f".current{what}.{owner()}.partial" for what in ("", ".old"))
@@ -47,7 +48,7 @@ def publish(current: Path, *, scene: str, stages: dict[str, str]) -> Path:
         for pattern in DELIVERABLES.get(stage, ()):
             for path in sorted((folder / stage / key).glob(pattern)):
                 os.symlink(os.path.join("..", stage, key, path.name), partial / path.name)
-    (partial / INDEX).write_text(index_text(scene, artifacts))
+    (partial / INDEX).write_text(index_text(scene, artifacts, code))
     date_not_before(partial / INDEX, [folder / stage / key / MANIFEST for stage, key in stages.items()])
     # Moved away whole: killed here, there is no folder, and the next run publishes; never one that lacks links.
     if current.exists() or current.is_symlink():
@@ -57,6 +58,7 @@ def publish(current: Path, *, scene: str, stages: dict[str, str]) -> Path:
     return current
 
 
-def index_text(scene: str, artifacts: dict[str, dict[str, str]]) -> str:
-    """Text of the index: of every stage the key and the digest of its artifact."""
-    return json.dumps({"scene": scene, "artifacts": artifacts}, indent=1, sort_keys=True) + "\n"
+def index_text(scene: str, artifacts: dict[str, dict[str, str]], code: str = "") -> str:
+    """Text of the index: of every stage the key and the digest of its artifact, and the digest of the code."""
+    values = {"scene": scene, "artifacts": artifacts} | ({"code": code} if code else {})
+    return json.dumps(values, indent=1, sort_keys=True) + "\n"

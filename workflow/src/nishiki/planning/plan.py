@@ -1,6 +1,7 @@
 """The plan of a scene: which stages run, under which keys, and what is left out and why."""
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ from nishiki.chains.packages import idle_reason, packages_of
 from nishiki.chains.parts import left_parts
 from nishiki.chains.stages import CHAIN, chain_of
 from nishiki.contract.closed import Closed
-from nishiki.contract.provenance import file_digest, stage_key
+from nishiki.contract.provenance import canonical, file_digest, key_of_text
 from nishiki.errors import UserError
 from nishiki.ingest.choice import LIGHT
 from nishiki.packages import EXTRAS
@@ -53,11 +54,55 @@ class Plan:
         return f"{self.scene.name}/{stage}/{self.stages[stage].key}"
 
 
-def make_plan(scene: Scene, facts: SceneFacts) -> Plan:
+@dataclass(frozen=True)
+class StageOutline:
+    """A planned stage before its key: settings (as values and as canonical text), and the stages that it reads."""
+
+    settings: dict[str, Any]
+    text: str
+    reads: tuple[str, ...]
+    packages: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Outline:
+    """What the plans of all scenes have in common that have the same settings and products and whose captures differ in
+    their digest only: everything but the keys."""
+
+    stages: dict[str, StageOutline]
+    left_out: dict[str, str]
+    held_out: tuple[str, ...]
+    packages: dict[str, tuple[str, ...]]
+    idle: dict[str, str]
+
+
+def make_plan(scene: Scene, facts: SceneFacts, known: dict[Hashable, Outline] | None = None) -> Plan:
     """Plan of a scene: the stages that its products reach and its capture can feed.
 
-    Raises UserError where a product that was asked for by name cannot be made, with the reason.
+    known: outlines of earlier plans, used where they fit, and added to; they hold as long as the settings of these
+    scenes are alive. Raises UserError where a product that was asked for by name cannot be made, with the reason.
     """
+    if known is None:
+        outline = _outline(scene, facts)
+    else:
+        kind = (id(scene.settings), scene.products, _but_digest(facts))
+        outline = known.get(kind) or known.setdefault(kind, _outline(scene, facts))
+    keys = {"capture": facts.capture_digest}
+    stages: dict[str, PlannedStage] = {}
+    for name, stage in outline.stages.items():
+        upstream = {other: keys[other] for other in stage.reads}
+        keys[name] = key_of_text(name, CHAIN[name].version, stage.text, upstream)
+        stages[name] = PlannedStage(name, keys[name], stage.settings, upstream, stage.packages)
+    return Plan(scene, facts, stages, outline.left_out, outline.held_out, outline.packages, outline.idle)
+
+
+def _but_digest(facts: SceneFacts) -> Hashable:
+    """Everything in the facts of a scene but the digest of its capture, which nothing but the keys depends on."""
+    values = (getattr(facts, item.name) for item in fields(facts) if item.name != "capture_digest")
+    return tuple(tuple(sorted(value.items())) if isinstance(value, Mapping) else value for value in values)
+
+
+def _outline(scene: Scene, facts: SceneFacts) -> Outline:
     chain = chain_of(facts.geometry)
     held_out = held_out_of(scene.settings.hold_out, scene, facts)
     settings = {name: _filled(name, scene, facts, held_out) for name in chain}
@@ -81,13 +126,14 @@ def make_plan(scene: Scene, facts: SceneFacts) -> Plan:
     left_out |= reasons
     packages = {name: packages_of(chain[name], facts, settings) for name in chain if name in wanted}
     idle = _idle(chain, packages, facts, settings)
-    stages: dict[str, PlannedStage] = {}
+    stages: dict[str, StageOutline] = {}
     for name in packages:
         if chain[name].asked_as == "report":
             told = left_out | {f"package {package}": why for package, why in idle.items()}
             settings[name] = settings[name].model_copy(update={"left_out": told})
-        stages[name] = replace(_planned(name, settings[name], stages, facts), packages=packages[name])
-    return Plan(scene, facts, stages, left_out, held_out, packages, idle)
+        values = settings[name].model_dump(mode="json")
+        stages[name] = StageOutline(values, canonical(values), _reads(name, settings[name], stages), packages[name])
+    return Outline(stages, left_out, held_out, packages, idle)
 
 
 def _all_products(chain: dict[str, Stage]) -> tuple[str, ...]:
@@ -196,11 +242,10 @@ def _reach(name: str, facts: SceneFacts, settings: dict, wanted: set[str], left_
     return True
 
 
-def _planned(name: str, settings: Closed, stages: dict[str, PlannedStage], facts: SceneFacts) -> PlannedStage:
+def _reads(name: str, settings: Closed, before: Mapping[str, Any]) -> tuple[str, ...]:
+    """Stages that a stage reads, of those before it in the plan; the first one reads the capture."""
+    if name == "ingest":
+        return ("capture",)
     stage = CHAIN[name]
     reads = (*stage.requires, *stage.wants(settings), *stage.uses)
-    upstream = {other: stages[other].key for other in CHAIN if other in reads and other in stages}
-    if name == "ingest":
-        upstream = {"capture": facts.capture_digest}
-    values = settings.model_dump(mode="json")
-    return PlannedStage(name, stage_key(name, stage.version, values, upstream), values, upstream)
+    return tuple(other for other in CHAIN if other in reads and other in before)

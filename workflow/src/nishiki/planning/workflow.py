@@ -2,7 +2,7 @@
 
 import os
 import shlex
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from nishiki.contract.artifact import MANIFEST
 from nishiki.contract.provenance import canonical, code_digest, library_version
 from nishiki.errors import UserError
 from nishiki.planning.facts_cache import remembered_facts
-from nishiki.planning.plan import Plan, PlannedStage, make_plan
+from nishiki.planning.plan import Outline, Plan, PlannedStage, make_plan
 from nishiki.planning.project import CONFIGURATION, SWEEPS, Scene, load_project
 from nishiki.planning.scheduling import Scheduling
 from nishiki.planning.sweep_plan import TIMINGS, PlannedSweep, PlannedVariant, SceneSweep, plan_sweep
@@ -59,7 +59,9 @@ class Workflow(Scheduling):
         if only and only not in self.project.scenes:
             raise UserError(f"no scene {only!r} in the scene table; scenes: {', '.join(self.project.scenes)}")
         self.sweep: PlannedSweep | None = None
-        self._stages: dict[tuple[str, str, str], PlannedStage] = {}
+        self._swept: dict[tuple[str, str, str], PlannedStage] = {}
+        self._outlines: dict[Hashable, Outline] = {}
+        self._known_facts: dict[tuple[Path, Path | None], SceneFacts] = {}
         self.plans: Mapping[str, Plan] = Plans([only] if only else list(self.project.scenes), self._plan)
         if self.project.configuration.sweep:
             self._plan_sweep(self.project.configuration.sweep)
@@ -67,13 +69,14 @@ class Workflow(Scheduling):
             dict(self.plans)
 
     def _facts(self, scene: Scene) -> SceneFacts:
-        return remembered_facts(scene, self.project.results)
+        place = (scene.capture, scene.truth)
+        if place not in self._known_facts:  # scenes may share a capture
+            self._known_facts[place] = remembered_facts(scene, self.project.results)
+        return self._known_facts[place]
 
     def _plan(self, name: str) -> Plan:
         scene = self.project.scenes[name]
-        plan = make_plan(scene, self._facts(scene))
-        self._remember(plan)
-        return plan
+        return make_plan(scene, self._facts(scene), self._outlines)
 
     def _plan_sweep(self, named: str) -> None:
         """Plans of all variants; a scene's own plan is that of its first variant, the scene as it is configured."""
@@ -81,15 +84,16 @@ class Workflow(Scheduling):
         self.plans = {swept.scene: swept.variants[0].plan for swept in self.sweep.scenes}
         for swept in self.sweep.scenes:
             for variant in swept.variants:
-                self._remember(variant.plan)
-
-    def _remember(self, plan: Plan) -> None:
-        self._stages |= {(plan.scene.name, name, planned.key): planned for name, planned in plan.stages.items()}
+                self._swept |= {
+                    (swept.scene, name, planned.key): planned for name, planned in variant.plan.stages.items()
+                }
 
     def stage(self, scene: str, stage: str, key: str) -> PlannedStage:
         """The planned stage of a scene that has this key, in whichever of the scene's plans."""
-        self.plans.get(scene)  # made, where it is not yet
-        planned = self._stages.get((scene, stage, key))
+        plan = self.plans.get(scene)
+        planned = plan.stages.get(stage) if plan else None
+        if planned is None or planned.key != key:
+            planned = self._swept.get((scene, stage, key))
         if planned is None:
             raise UserError(f"{self.results}/{scene}/{stage}/{key}: not part of the present configuration")
         return planned
@@ -97,8 +101,9 @@ class Workflow(Scheduling):
     def planned(self, sweeps: Sequence[str] = ()) -> set[tuple[str, str, str]]:
         """(scene, stage, key) of everything that the configuration asks for: its scenes, its blocks of sweeps, and
         these sweeps of files of their own."""
-        dict(self.plans)  # made, where they are not yet
-        found = set(self._stages)
+        found = set(self._swept)
+        for scene, plan in self.plans.items():
+            found |= {(scene, name, stage.key) for name, stage in plan.stages.items()}
         for named in (*self.project.configuration.sweeps, *sweeps):
             for swept in plan_sweep(named, self.project, self._facts).scenes:
                 for variant in swept.variants:

@@ -20,6 +20,8 @@ from nishiki.runs.records import RUNS, Record, here, records, take
 
 MARK = "NISHIKI_RUN"
 """Environment variable that all processes of a run carry."""
+UNFINISHED = "unfinished"
+"""Entry of a run's record: scenes that its Snakemake is to look at; all, where there is none."""
 PATIENCE_S = 120.0
 SHARED = ("sweeps",)
 """Folders of the results that hold what runs make beside their scenes."""
@@ -34,6 +36,11 @@ class HeldRun:
     facts: dict[str, Any]
     unclean: bool
     ended: str = "failed"
+
+    def leave_out_finished(self, unfinished: Iterable[str]) -> None:
+        """Note in the record which scenes are left to make: Snakemake builds its graph of these alone."""
+        self.facts[UNFINISHED] = sorted(unfinished)
+        _write(self.descriptor, self.facts)
 
     def call(self, command: list[str], environment: dict[str, str]) -> int:
         """Run Snakemake as a part of this run and wait for its end; its exit status.
@@ -92,6 +99,17 @@ def registered(
         raise
     finally:
         _end(run)
+
+
+def scenes_to_make(results: Path, scenes: Iterable[str]) -> list[str]:
+    """Scenes that the run which this process is a part of has left to make; all of them outside of such a run."""
+    name = os.environ.get(MARK, "")
+    with suppress(OSError, ValueError, AttributeError, TypeError):
+        found = json.loads((results / RUNS / f"{name}.json").read_bytes()).get(UNFINISHED)
+        if found is not None:
+            chosen = set(found)
+            return [scene for scene in scenes if scene in chosen]
+    return list(scenes)
 
 
 def _refuse(results: Path, record: Record, scenes: set[str], gone: set[str]) -> None:
