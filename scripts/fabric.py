@@ -43,6 +43,9 @@ def run(context: Context) -> dict:
         context.progress.tell(f"region {region}: {', '.join(names)}")
         measured = Measured.of(reflectances, number)
         fitted = fits(context, reflectances, measured, number, names)
+        for name, found in fitted.items():
+            if found.facts.get("at_bounds"):
+                context.progress.tell(f"{name}: at the end of their range: {', '.join(found.facts['at_bounds'])}")
         folder = Path("models") / region
         for name, found in fitted.items():
             save_brdf(context.output.path(str(folder / f"{name}.npz")), found.brdf)

@@ -4,7 +4,8 @@
     python tests/benchmarks/brdf.py --data simulated    points and scenes of its own, of the model and of GGX
 
 One JSON object a line; `"default": true` marks what is shipped as default.  r2_cuberoot: of the mean over the bands,
-y = (f cos theta_i cos theta_r)^(1/3); r2_cuberoot_bands: of all bands, pooled.  us_per_point: processor time of all
+y = (f cos theta_i cos theta_r)^(1/3); r2_cuberoot_bands: of all bands, pooled; r2_unseen: of all bands, on every second
+sample, predicted from the others.  us_per_point: processor time of all
 threads (one is used), inputs in memory, compiled; a point of a paint is one measured direction pair with all its bands,
 a point of the simulation 36 observations of 3 channels.  ratio_to_scipy: scipy's time a point (analytic
 Jacobian, or finite differences) over this one's, in the same run.
@@ -23,20 +24,23 @@ import _project  # noqa: F401
 from nishiki.brdf.brightest_light import fit_brightest_light
 from nishiki.brdf.fit import fit_torrance_sparrow
 from nishiki.brdf.levenberg_marquardt import fit_points, point_problem
-from nishiki.brdf.reflectance_table import directions, fit_reflectance_table
+from nishiki.brdf.reflectance_table import directions, fit_reflectance_table, predict_reflectances, r2_cube_root
 from nishiki.brdf.scene import fit_scene
 from nishiki.brdf.specular_histogram import SpecularHistogram
 from nishiki.brdf.torrance_sparrow import attenuation, fresnel, half_vector_geometry, specular
 
 VIEW = np.array([0.0, 0.0, 1.0])
-TABLE_METHODS = [  # lobes, distribution, refractive index, shared_from, default
-    (2, "torrance_sparrow", None, "bands", True),
-    (1, "torrance_sparrow", None, "bands", False),
-    (1, "torrance_sparrow", 1.45, "bands", False),
-    (2, "torrance_sparrow", 1.45, "bands", False),
-    (2, "torrance_sparrow", None, "mean", False),
-    (1, "ggx", None, "bands", False),
-    (2, "ggx", None, "bands", False),
+TABLE_METHODS = [  # lobes, distribution, refractive index, exponent of the body, shared_from, default
+    (2, "ggx", None, None, "bands", True),
+    (2, "ggx", None, 0.0, "bands", False),
+    (1, "ggx", None, None, "bands", False),
+    (1, "ggx", None, 0.0, "bands", False),
+    (2, "torrance_sparrow", None, None, "bands", False),
+    (2, "torrance_sparrow", None, 0.0, "bands", False),
+    (2, "torrance_sparrow", None, None, "mean", False),
+    (1, "torrance_sparrow", None, None, "bands", False),
+    (1, "torrance_sparrow", None, 0.0, "bands", False),
+    (1, "torrance_sparrow", 1.45, 0.0, "bands", False),
 ]
 
 
@@ -69,19 +73,26 @@ def paints(folder: Path):
         sys.exit(f"no *.brdf in {folder} or {folder / 'cornell_brdf'}")
     for path in paths:
         lights, views, brdf = read_table(path)
-        for lobes, distribution, index, shared, default in TABLE_METHODS:
+        for lobes, distribution, index, exponent, shared, default in TABLE_METHODS:
             settings = {"lobes": lobes, "distribution": distribution, "refractive_index": index, "shared_from": shared}
+            settings["body_exponent"] = exponent
+            half = fit_reflectance_table(lights[::2], views[::2], brdf[::2], **settings)
+            unseen = predict_reflectances(half, lights[1::2], views[1::2])
+            weight = lights[1::2, 2] * views[1::2, 2]
             seconds, fit = fastest(lambda s=settings, a=(lights, views, brdf): fit_reflectance_table(*a, **s), 3)
             report(
                 material=path.stem,
-                model=f"lambert+{lobes}x{distribution}",
+                model=f"{'lambert' if exponent == 0 else 'minnaert'}+{lobes}x{distribution}",
                 method=f"levenberg_marquardt_cube_root, gloss from {shared}, n {'fitted' if index is None else index}",
                 r2_cuberoot=round(fit.r2_mean, 5),
                 r2_cuberoot_bands=round(fit.r2_bands, 5),
+                r2_unseen=round(r2_cube_root(brdf[1::2], unseen, weight), 5),
                 us_per_point=round(seconds / len(brdf) * 1e6, 2),
                 gamma=fit.gamma.round(5).tolist(),
                 beta=fit.beta.round(4).tolist(),
                 refractive_index=round(fit.refractive_index, 4),
+                body_exponent=round(fit.body_exponent, 4),
+                at_bound=list(fit.at_bound),
                 default=default,
                 ratio_to_scipy=None,
             )

@@ -190,6 +190,9 @@ def test_variable_projection_finds_shape_and_strengths():
     )
     assert np.exp(fit.x[0]) == pytest.approx(0.2, rel=1e-4)
     assert np.allclose(fit.coefficients, [[0.5, 2], [0.1, 3]], rtol=1e-3)
+    assert fit.at_bounds == ()
+    narrow = {"centre": np.zeros(1), "spread": np.full(1, 0.1), "limits": np.full(2, np.inf)}
+    assert fit_shape(parts, values, np.full(60, 1e3), **narrow).at_bounds == (0,)  # -1.6 wanted, -0.6 allowed
 
 
 def a_cloth():
@@ -261,6 +264,7 @@ def test_all_models_are_fitted_on_what_they_may_use(cloth):
     assert len(fitted["bard_scaled"].used) == len(measured)
     for name in ("ward", "ggx", "ashikhmin_shirley"):
         assert len(fitted[name].used) == len(normal) + 6
+        assert fitted[name].facts["at_bounds"] == []
     views = data.outgoing[normal][polar(data.outgoing[normal]) < 1.3]
     seen = data.values[normal][polar(data.outgoing[normal]) < 1.3]
     for name in ("bard_great_circle", "facets"):

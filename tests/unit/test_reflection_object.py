@@ -134,6 +134,14 @@ def test_the_model_itself_is_recovered(width):
         assert np.median(abs(parameters.ks - [0.3, 0.25, 0.2])) < 0.01
 
 
+def test_texels_whose_width_ends_at_its_bound_are_counted():
+    """Facets that scatter beyond 1.2 radians: the lobe is seen everywhere, and its width is not in the range."""
+    inside = fitted(*scene(simplified()))[1]
+    wide = fitted(*scene(simplified(sigma=2.5, ks=(2.0, 2.0, 2.0))))[1]
+    assert inside.at_bound_share < 0.01
+    assert wide.at_bound_share > 0.2
+
+
 @pytest.mark.parametrize("noise", [0.0, 0.003])
 def test_another_material_is_fitted_better_and_smoother_with_the_neighbours(noise):
     tiles, lighting = scene(ggx(), noise=noise)

@@ -9,7 +9,7 @@ from nishiki.fabric.bard import GreatCircleBard, LinearBard, ScaledBard
 from nishiki.fabric.facets import read_facets
 from nishiki.fabric.measures import incidences
 from nishiki.fabric.oblique import choose_oblique
-from nishiki.fabric.peer_fit import PRIORS, fit_peer
+from nishiki.fabric.peer_fit import PARAMETERS, PRIORS, fit_peer
 from nishiki.fabric.weights import solid_angles
 from nishiki.fabric.yarn_fit import Measured, fit_normal, fit_yarn_facets
 from nishiki.fabric.yarn_parameters import NAMES
@@ -60,6 +60,7 @@ def fit_models(
         elif name in PEERS:
             found = fit_peer(name, measured, rows)
             facts = {"cost": found.fit.cost, "evaluations": found.fit.evaluations, "oblique": len(chosen)}
+            facts["at_bounds"] = [PARAMETERS[name][k] for k in found.fit.at_bounds]
             out[name] = Fitted(found.brdf, found.used, facts)
         elif name in REFERENCE:
             out[name] = Fitted(_scaled(measured, valid, basic[1]), valid)
@@ -86,6 +87,7 @@ def _yarns(measured: Measured, rows: np.ndarray, basic, first, chosen: np.ndarra
         "cost": found.fit.cost,
         "evaluations": found.fit.evaluations,
         "oblique": len(chosen),
+        "at_bounds": [NAMES[k] for k in found.fit.at_bounds],
         "parameters": dict(zip(NAMES, found.fit.x.tolist(), strict=True)),
         "spreads": dict(zip(NAMES, found.spread.tolist(), strict=True)),
         "body": found.brdf.body.tolist(),

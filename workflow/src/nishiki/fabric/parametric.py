@@ -27,6 +27,7 @@ class ShapeFit:
     cost: float  # sum of squares of residuals and priors
     misfit: float  # of the residuals alone
     evaluations: int
+    at_bounds: tuple[int, ...] = ()  # parameters that ended `REACH` prior standard deviations away
 
 
 def solve_linear(fixed, columns, values, weight, limits) -> np.ndarray:
@@ -94,4 +95,5 @@ def fit_shape(
         cost=float(2 * found.cost),
         misfit=float(np.sum(rest * rest)),
         evaluations=int(found.nfev),
+        at_bounds=tuple(int(k) for k in free[np.abs(found.x - centre[free]) >= 0.999 * REACH * spread[free]]),
     )

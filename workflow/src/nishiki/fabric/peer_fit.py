@@ -20,6 +20,12 @@ PRIORS = {
     ),
 }  # fmt: skip
 
+PARAMETERS = {
+    "ward": ("width along x", "width along y"),
+    "ggx": ("width along x", "width along y", "refractive index"),
+    "ashikhmin_shirley": ("exponent along x", "exponent along y", "reflectance"),
+}
+
 
 @dataclass(frozen=True)
 class PeerFit:

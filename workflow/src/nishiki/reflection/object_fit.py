@@ -16,6 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nishiki.brdf.flags import FitFlag
 from nishiki.reflection import texel_fit
 from nishiki.reflection.fill import fill
 from nishiki.reflection.flags import TexelFlag
@@ -50,6 +51,7 @@ class ObjectFit:
     scatter_log_sigma: float
     scatter_ks: float
     noise: float  # root mean square of the weighted residuals of the median texel
+    at_bound_share: float = 0.0  # own sigma at the end of its range (SIGMA_BOUNDS): the neighbours' is taken there
 
 
 def fit_object(
@@ -280,6 +282,7 @@ def _described(first: list[_First], widths: _Widths, gloss: _Gloss, finished: li
     share = [float(c) / max(texels, 1) for c in counts[1:]]
     own = np.concatenate([f.fit.log_sigma[f.fit.information > 0] for f in first] or [np.empty(0)])
     median = float(np.exp(np.median(own))) if own.size else None
+    ended = sum(int(np.sum((f.fit.flags & FitFlag.AT_BOUND) != 0)) for f in first)
     return ObjectFit(
         texels,
         samples,
@@ -292,6 +295,7 @@ def _described(first: list[_First], widths: _Widths, gloss: _Gloss, finished: li
         widths.scatter,
         gloss.scatter,
         gloss.noise,
+        ended / max(texels, 1),
     )
 
 
