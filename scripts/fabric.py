@@ -43,9 +43,6 @@ def run(context: Context) -> dict:
         context.progress.tell(f"region {region}: {', '.join(names)}")
         measured = Measured.of(reflectances, number)
         fitted = fits(context, reflectances, measured, number, names)
-        for name, found in fitted.items():
-            if found.facts.get("at_bounds"):
-                context.progress.tell(f"{name}: at the end of their range: {', '.join(found.facts['at_bounds'])}")
         folder = Path("models") / region
         for name, found in fitted.items():
             save_brdf(context.output.path(str(folder / f"{name}.npz")), found.brdf)
@@ -115,6 +112,7 @@ def judged(measured: Measured, found: Fitted) -> dict:
         "rms_rel_used": {angle: round(float(np.mean(values)), 5) for angle, values in errors.items()},
         "reciprocity_error": round(reciprocity_error(found.brdf), 6),
         "albedo_max": albedo,
+        "at_bounds": found.facts.get("at_bounds", []),
     }
 
 

@@ -67,10 +67,16 @@ def run(context: Context) -> dict:
         "lighting": lighting.kind,
         **found,
         **asdict(fit),
+        "at_bounds": widths_at_bounds(fit.at_bound_share) if specular else [],
         "components": used,
         "width": settings.width,
         "economy": economy(decision),
     }
+
+
+def widths_at_bounds(share: float) -> list[str]:
+    """In words: the share of texels whose own lobe ended at the end of the range of its width; empty where none did."""
+    return [f"width of the lobe, {100 * share:.2g} % of the texels; the neighbours' is taken there"] if share else []
 
 
 def shows_gloss(sample: Sample, capture: Capture, setting: str) -> tuple[bool, Decision]:

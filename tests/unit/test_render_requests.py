@@ -5,6 +5,7 @@ import pytest
 
 from nishiki.brdf.parameters import parameters_at_bounds
 from nishiki.contract.bounds import at_bounds, at_end
+from nishiki.normals.gloss_profile import GlossProfile
 from nishiki.render.camera import screen_to_plane
 from nishiki.render.display import adapted_exposure, display_image
 from nishiki.render.requests import film_view, outline, view_of, white_sheet
@@ -107,5 +108,9 @@ def test_parameters_at_a_bound_are_named():
     fitted = {"beta": [2.0, 0.0], "gamma": [1.6, 1.6], "flags": ["AT_BOUND"], "name": "gold"}
     free = {"beta": [2.0], "gamma": [0.3], "flags": []}
     assert parameters_at_bounds([fitted, free]) == ["half width of lobe 1, gold: 91.7 degrees, the upper end"]
+    ladder = {"beta": [2.0], "gamma": [0.01], "flags": ["AT_BOUND"], "at_bounds": ["gloss: the narrowest"]}
+    assert parameters_at_bounds([ladder]) == ["gloss: the narrowest, whole scene"]
+    profile = GlossProfile(np.array([0.95, 0.05]), np.array([0.01, 0.9]))
+    assert profile.ends() == ["gloss: the narrowest of the lobes on offer (0.57 degrees) holds 95 % of the strength"]
     assert [at_end(v, 0.0, 2.0) for v in (0.0, 1.0, 2.0)] == ["lower", "", "upper"]
     assert at_bounds({"weft": {"at_bounds": ["humps"]}, "at_bounds": ["n"], "other": 3}) == ["weft: humps", "n"]

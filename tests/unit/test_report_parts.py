@@ -9,12 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nishiki.report.appearance_section import describe, exposed
-from nishiki.report.colour_map import MISSING, coloured, heat, sea
+from nishiki.report.colour_map import MISSING, balance, coloured, heat, sea
 from nishiki.report.colour_section import _of_places, _widest_place, spread_out
 from nishiki.report.conditions import conditions
 from nishiki.report.gloss_section import gloss_section
 from nishiki.report.numbers import plain
-from nishiki.report.page import degrees, figure, percent
+from nishiki.report.page import degrees, figure, percent, signed
 from nishiki.report.pictures import (
     block_of,
     class_picture,
@@ -26,7 +26,7 @@ from nishiki.report.pictures import (
     shrink,
 )
 from nishiki.report.provenance import flat, settings_of, text
-from nishiki.report.relighting_section import chosen
+from nishiki.report.relighting_section import chosen, signed_difference, signed_end
 from nishiki.report.summary import choices
 from nishiki.report.svg import Curve, bars, chart, lights_plot, ticks
 from nishiki.settings.render import RenderSettings
@@ -248,6 +248,23 @@ def test_a_region_is_marked_where_it_is_widest():
     inside[4, :] = True
     inside[8:17, 10:19] = True
     assert _widest_place(inside) == (14.5, 12.5)
+
+
+def test_the_signed_difference_is_the_luminance_of_what_was_predicted_too_much():
+    observed = np.full((6, 8, 3), 0.4, np.float32)
+    predicted = observed + np.array([0.01, 0.01, 0.01], np.float32)
+    predicted[0] -= 0.05
+    inside = np.ones((6, 8), bool)
+    inside[:, 0] = False
+    found = signed_difference({"predicted": predicted, "observed": observed, "inside": inside})
+    np.testing.assert_allclose(found[1:, 1:], 1.0, atol=1e-4)
+    np.testing.assert_allclose(found[0, 1:], -4.0, atol=1e-4)
+    assert np.isnan(found[:, 0]).all()
+    assert signed_end([found]) == 5
+    assert signed_end([0 * found]) == 1
+    middle = coloured(np.zeros((1, 1)), balance(), -5, 5)[0, 0].astype(int)
+    assert np.ptp(middle) <= 4  # no error is grey
+    assert [signed(v) for v in (None, 0.0, -0.0004, -0.012)] == ["–", "0\u202f%", "0\u202f%", "−1.2\u202f%"]
 
 
 def test_captions_state_the_exposure():

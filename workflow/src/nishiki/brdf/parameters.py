@@ -5,6 +5,7 @@ import numpy as np
 from nishiki.brdf.scene import GAMMA_BOUNDS, TorranceSparrowFit
 from nishiki.brdf.specular_histogram import SpecularProfile
 from nishiki.contract.bounds import at_end
+from nishiki.normals.gloss_profile import GlossProfile
 
 NO_GLOSS = "no gloss: Lambert"
 
@@ -43,6 +44,7 @@ def described_ladder(
         return without_gloss(refractive_index, int(profile.count.sum()))
     fitted = lobes @ beta
     weight = profile.weight / max(float(profile.weight.sum()), np.finfo(float).tiny)
+    ends = GlossProfile(beta, gamma).ends()
     return {
         "beta": beta[order].tolist(),
         "gamma": gamma[order].tolist(),
@@ -51,7 +53,8 @@ def described_ladder(
         "residual": float(np.sqrt(weight @ (profile.value - fitted) ** 2)),
         "samples": int(profile.count.sum()),
         "rejected": float(weight @ profile.rejected),
-        "flags": [],
+        "flags": ["AT_BOUND"] * bool(ends),
+        "at_bounds": ends,
         "profile": {
             "phi": profile.phi.tolist(),
             "value": profile.value.tolist(),
@@ -116,12 +119,13 @@ def described_brightest(
 
 
 def parameters_at_bounds(regions: list[dict]) -> list[str]:
-    """Half widths of fitted lobes that stand at the end of the range that was searched, in words."""
+    """Half widths of fitted lobes that stand at the end of the range that was searched or on offer, in words."""
     texts = []
     for number, region in enumerate(regions):
-        if not {"AT_BOUND"} & set(region["flags"]):
-            continue
         name = region.get("name") or (f"region {number}" if len(regions) > 1 else "whole scene")
+        texts += [f"{each}, {name}" for each in region.get("at_bounds", [])]
+        if "AT_BOUND" not in region["flags"] or region.get("at_bounds"):
+            continue
         for lobe, (beta, gamma) in enumerate(zip(region["beta"], region["gamma"], strict=True), 1):
             end = at_end(gamma, *GAMMA_BOUNDS) if beta > 0 else ""
             if end:

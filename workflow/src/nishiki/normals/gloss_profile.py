@@ -25,6 +25,7 @@ LADDER = np.geomspace(0.01, 0.9, 11)
 PROFILE_ERROR = 0.05  # relative error of a row beside its scatter: the model is not the surface
 PEAK_ERROR = 0.01  # likewise, relative to the highest row
 FEWEST = 20  # samples of a row
+MUCH = 0.1  # share of the strength with which a lobe at an end of the ladder is told
 
 
 @dataclass(frozen=True)
@@ -84,7 +85,19 @@ class GlossProfile:
             "gloss_beta": self.beta[there].tolist(),
             "gloss_gamma_deg": np.degrees(self.gamma[there]).tolist(),
             "gloss_transmission": self.transmission,
+            "at_bounds": self.ends(),
         }
+
+    def ends(self) -> list[str]:
+        """In words: where the narrowest or widest lobe of the ladder holds much of the gloss: it may go on beyond."""
+        total = float(self.beta.sum())
+        widths = {"narrowest": self.gamma.argmin(), "widest": self.gamma.argmax()}
+        return [
+            f"gloss: the {which} of the lobes on offer ({np.degrees(self.gamma[k]):.2g} degrees) holds "
+            f"{100 * self.beta[k] / total:.0f} % of the strength"
+            for which, k in widths.items()
+            if self.gamma.size > 1 and total > 0 and self.beta[k] >= MUCH * total
+        ]
 
 
 def light_table(directions: np.ndarray, refractive_index: float) -> np.ndarray:

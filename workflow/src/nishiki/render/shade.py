@@ -8,7 +8,7 @@ from nishiki.brdf.body_shading import transmittance
 from nishiki.errors import UserError
 from nishiki.render import kernel
 from nishiki.render.scene import Ambient, Gloss, Light, PlaneScene
-from nishiki.spectra.colour import illuminant, srgb_matrix, white_xyz, xyz_matrix
+from nishiki.spectra.colour import adaptation_matrix, illuminant, srgb_matrix, white_xyz, xyz_matrix
 from nishiki.threads import over_rows
 
 FRONTAL_EYE = np.array([0.0, 0.0, 1.0, 0.0])
@@ -38,8 +38,8 @@ class Shading:
 def colour_groups(scene: PlaneScene, lights: list[Light], ambient: Ambient) -> ColourGroups:
     """3 x K colour matrices of the distinct spectra of the lights and the ambient term (P eq. 19), to XYZ.
 
-    Without a spectral basis, channels go to XYZ by `scene.channels_to_xyz` (white point D65), then each of X, Y, Z is
-    scaled to the white of the lamp: a stand-in for spectra that are not known.
+    Without a spectral basis, channels go to XYZ by `scene.channels_to_xyz` (white point D65), then by Bradford's
+    adaptation to the white of the lamp, a stand-in for spectra that are not known: an adapted eye sees no change.
     """
     spectra, rows = [], []
     for spectrum in [ambient.spectrum, *[light.spectrum for light in lights]]:
@@ -57,7 +57,7 @@ def colour_groups(scene: PlaneScene, lights: list[Light], ambient: Ambient) -> C
         given = scene.channels_to_xyz
         to_xyz = np.linalg.inv(srgb_matrix()) if given is None else np.asarray(given, np.float64)
         d65 = white_xyz(illuminant("D65"))
-        matrices = np.array([(white / d65)[:, None] * to_xyz for white in whites])
+        matrices = np.array([adaptation_matrix(d65, white) @ to_xyz for white in whites])
         offsets = np.zeros((len(spectra), 3))
     return ColourGroups(matrices, offsets, whites, np.array(rows[1:], dtype=np.int64), rows[0])
 

@@ -7,6 +7,7 @@ from nishiki.spectra.colour import srgb_encode, srgb_matrix
 # Control points in CIELAB (D65): hue and chroma only steer; lightness is replaced by an even ramp.
 _HEAT = np.array([[8, 12, -18], [28, 26, -40], [46, 42, -16], [62, 44, 22], [80, 14, 58], [97, -6, 34]], float)
 _SEA = np.array([[14, 4, -22], [34, -4, -30], [52, -16, -18], [70, -26, 6], [86, -16, 38], [97, -6, 24]], float)
+_BALANCE = np.array([[36, 14, -46], [95, 0, 1], [38, 50, 34]], float)
 MISSING = np.array([226, 226, 222], np.uint8)
 """Colour of pixels without a value."""
 
@@ -19,6 +20,13 @@ def heat() -> np.ndarray:
 def sea() -> np.ndarray:
     """(256, 3) uint8, dark to light: for counts and measures that are no errors."""
     return _table(_SEA)
+
+
+def balance() -> np.ndarray:
+    """(256, 3) uint8, blue over a light grey to red: for signed errors, where the middle is none."""
+    t = np.linspace(0, 1, 256)
+    lab = np.stack([np.interp(t, [0, 0.5, 1], _BALANCE[:, k]) for k in range(3)], axis=1)
+    return np.round(255 * srgb_encode(_rgb_of(lab))).astype(np.uint8)
 
 
 def coloured(values: np.ndarray, table: np.ndarray, low: float, high: float) -> np.ndarray:

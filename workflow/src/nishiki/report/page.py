@@ -34,7 +34,10 @@ def percent(value: float | None) -> str:
 
 def signed(share: float | None) -> str:
     """A share in per cent with its sign, to a tenth."""
-    return "–" if share is None else f"{100 * share:+.1f}\u202f%".replace("-", "−")
+    if share is None:
+        return "–"
+    tenths = round(1000 * share)
+    return f"{tenths / 10:+.1f}\u202f%".replace("-", "−") if tenths else "0\u202f%"
 
 
 def degrees(value: float | None) -> str:

@@ -1,12 +1,13 @@
 """The part of the page on lights that no fit has seen: prediction beside photograph, and their differences."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from nishiki.evaluate.classes import DIFFUSE, HIGHLIGHT, SHADOW
 from nishiki.evaluate.museum import FADGI, ISO_19264
-from nishiki.report.colour_map import heat
+from nishiki.report.colour_map import balance, heat
 from nishiki.report.pictures import (
     block_of,
     brightened,
@@ -18,6 +19,8 @@ from nishiki.report.pictures import (
 )
 
 SHOWN = 4
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # of linear sRGB, IEC 61966-2-1
+LEAST_SIGNED_END = 1.0  # per cent of the white: smaller differences are the camera's noise
 LARGEST_DE00 = 10.0
 """End of the scale of difference maps: the same for all lights, so that they can be compared."""
 CLASS_KEY = {
@@ -46,6 +49,8 @@ def relighting_section(
     """
     lights = evaluation["lights"]
     shown = []
+    signed = {k: signed_difference(previews[lights[k]["index"]]) for k in chosen(lights)}
+    end = signed_end(list(signed.values()))
     for k in chosen(lights):
         light = lights[k]
         pair = previews[light["index"]]
@@ -65,6 +70,7 @@ def relighting_section(
                 "photograph": colour_picture(factor * observed, inside=inside),
                 "prediction": colour_picture(factor * predicted, inside=inside),
                 "difference": scalar_picture(difference, heat(), unit="ΔE00", low=0.0, high=LARGEST_DE00),
+                "signed": scalar_picture(signed[k], balance(), unit="% of white", low=-end, high=end),
                 "classes": class_picture(what, CLASS_KEY),
             }
         )
@@ -80,6 +86,20 @@ def relighting_section(
         "fadgi": FADGI,
         "iso": ISO_19264,
     }
+
+
+def signed_difference(pair: Mapping[str, Any]) -> np.ndarray:
+    """Luminance of prediction less photograph, per cent of the white, of a preview; NaN outside the object."""
+    difference = np.asarray(pair["predicted"], np.float32) - np.asarray(pair["observed"], np.float32)
+    return np.where(np.asarray(pair["inside"]), 100 * (difference @ LUMINANCE), np.nan)
+
+
+def signed_end(maps: list[np.ndarray]) -> float:
+    """End of the common scale of signed maps: the 98th percentile of all magnitudes, up to 1, 2 or 5 times 10^n."""
+    values = np.concatenate([np.abs(values[np.isfinite(values)]) for values in maps])
+    wanted = max(float(np.percentile(values, 98)) if values.size else 0.0, LEAST_SIGNED_END)
+    power = 10.0 ** np.floor(np.log10(wanted))
+    return float(next(power * step for step in (1, 2, 5, 10) if power * step >= wanted * (1 - 1e-9)))
 
 
 def _ranked(classes: np.ndarray) -> np.ndarray:
