@@ -92,7 +92,7 @@ def paints(folder: Path):
                 beta=fit.beta.round(4).tolist(),
                 refractive_index=round(fit.refractive_index, 4),
                 body_exponent=round(fit.body_exponent, 4),
-                at_bound=list(fit.at_bound),
+                at_bound=list(fit.at_bound) or None,
                 default=default,
                 ratio_to_scipy=None,
             )
