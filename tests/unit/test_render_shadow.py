@@ -236,7 +236,7 @@ def test_the_prediction_of_a_small_object_is_that_without_shadows():
     light = Light(direction=(-np.cos(0.5), 0, np.sin(0.5)), angular_radius=0.01)
     with_shadows = predict_light(model, light, height=height)
     without = predict_light(model, light)
-    faces = mask & (without.cosine > 0.05)
+    faces = mask & (without.body > 0.05)
     np.testing.assert_array_equal(with_shadows.channels[faces], without.channels[faces])
 
 
