@@ -5,7 +5,9 @@
 FOLDER (or FOLDER/spectra) is searched for what it holds, whatever the names: camera files (a name line, then one line
 of 33 values 400-720/10 nm a channel), illuminants (`*.spd`: nm, power), reflectance sets (`*.npz` with `wavelengths`
 and `reflectance`, or `*.csv` whose first line is the wavelengths), Kubelka-Munk pigment tables (quoted name, K then S,
-with the wavelengths in `spectra.txt` beside it). One JSON object a line; `"default": true` marks the default settings.
+with the wavelengths in `spectra.txt` beside it), paints by maker (`*.rs`: quoted name, then 36 values 380-730/10 nm).
+One JSON object a line; `"default": true` marks the default settings. `--makers` measures the makers' paints alone:
+every method on every maker, the share of truth inside the error band, and training on the other makers' paints.
 """
 
 from __future__ import annotations
@@ -83,6 +85,18 @@ def read_paints(folder: Path) -> dict[str, np.ndarray]:
         wavelengths = np.array(axis.read_text().split(), dtype=float)
         pairs = [np.array(line.split('"')[2].split(), dtype=float).reshape(2, -1) for line in lines]
         found[path.stem] = resample(wavelengths, _let_down(pairs), name=path.name)
+    return found
+
+
+def read_makers(folder: Path) -> dict[str, np.ndarray]:
+    """Reflectances (M, 61) by maker, from every `*.rs` file below the folder; lines of another length are left out."""
+    grid = np.arange(380.0, 731.0, 10.0)
+    found = {}
+    for path in sorted(folder.rglob("*.rs")):
+        lines = [line.rsplit('"', 1)[-1].split() for line in path.read_text(errors="replace").splitlines()]
+        rows = [[float(word) for word in words] for words in lines if len(words) == grid.size]
+        if rows:
+            found[path.stem] = resample(grid, np.array(rows), name=path.name)
     return found
 
 
@@ -206,6 +220,49 @@ def lines_of_case(case, *, with_library, timed):
                    "us_per_pixel": round(speed, 2), "default": False}  # fmt: skip
 
 
+def lines_of_makers(makers, camera, lamp, munsell, *, others):
+    """Each method on the paints of each maker; sigma against error. The three bases of Munsell are the reference."""
+    weights = channel_weights(lamp, camera)
+    own = synthetic_reflectances()
+    fitted = {
+        ("paper", "Munsell"): fit_estimator(munsell, lamp, camera, method="paper"),
+        ("wiener", "Munsell"): fit_estimator(munsell, lamp, camera, method="wiener"),
+        ("local", "Munsell"): fit_estimator(munsell, lamp, camera),
+        ("paper", "synthetic (shipped)"): fit_estimator(own, lamp, camera, method="paper"),
+        ("wiener", "synthetic (shipped)"): fit_estimator(own, lamp, camera, method="wiener"),
+        ("local", "synthetic (shipped)"): fit_estimator(own, lamp, camera),
+    }
+    everything = []
+    for maker, spectra in {**makers, "Munsell": munsell}.items():
+        estimators = dict(fitted)
+        if others and maker in makers:
+            training = np.concatenate([rows for name, rows in makers.items() if name != maker])
+            estimators["local", "other makers"] = fit_estimator(np.clip(training, 1e-4, 1.0), lamp, camera)
+        for (method, train), estimator in estimators.items():
+            field = estimate_spectra(spectra @ weights.T, estimator)
+            rmse = np.sqrt(np.mean((field.spectra() - spectra) ** 2, axis=1))
+            line = {"train": train, "method": method, "rmse": rmse, "ratio": rmse / field.sigma, "maker": maker}
+            everything.append(line)
+            yield _summary(line)
+    for train, method in dict.fromkeys((line["train"], line["method"]) for line in everything):
+        kept = [x for x in everything if (x["train"], x["method"]) == (train, method) and x["maker"] in makers]
+        joined = {key: np.concatenate([line[key] for line in kept]) for key in ("rmse", "ratio")}
+        yield _summary({"train": train, "method": method, "maker": "all makers", **joined})
+
+
+def _summary(line) -> dict:
+    return {
+        "test": line["maker"],
+        "train": line["train"],
+        "method": line["method"],
+        "default": (line["method"], line["train"]) == ("local", "synthetic (shipped)"),
+        "spectra": len(line["rmse"]),
+        "rmse_mean": round(float(line["rmse"].mean()), 5),
+        "within_1_sigma": round(float(np.mean(line["ratio"] <= 1.0)), 3),
+        "within_2_sigma": round(float(np.mean(line["ratio"] <= 2.0)), 3),
+    }
+
+
 def _srgb_of(training, weights):
     """Camera responses to linear sRGB by least squares over the training set, as a raw converter's matrix does."""
     from nishiki.spectra.colour import xyz_to_srgb_linear
@@ -242,9 +299,27 @@ def main() -> None:
     parser.add_argument("--camera", action="append", help="camera name (repeatable); default: three of the file")
     parser.add_argument("--quick", action="store_true", help="first illuminant and one split a set only")
     parser.add_argument("--library", action="store_true", help="also colour-science's recovery (slow to import)")
+    parser.add_argument("--makers", action="store_true", help="the makers' paints alone")
     arguments = parser.parse_args()
     folder = arguments.data / "spectra" if (arguments.data / "spectra").is_dir() else arguments.data
     count = 0
+    if arguments.makers:
+        known, lamps, munsell = read_cameras(folder), read_illuminants(folder), read_reflectances(folder)
+        makers = read_makers(folder)
+        if not (known and lamps and munsell and makers):
+            raise SystemExit(
+                f"{folder}: expected cameras, illuminants, chips and paints by maker, found no complete set"
+            )
+        for number, camera in enumerate(
+            arguments.camera or ["Canon 60D", "Nikon D700", "Point Grey Grasshopper2 14S5C"]
+        ):
+            for lamp in ("A", "D6500", "F11")[: 1 if arguments.quick else 3]:
+                head = {"camera": camera, "illuminant": lamp}
+                chips = next(iter(munsell.values()))
+                first = number == 0 and lamp == "A"
+                for line in lines_of_makers(makers, known[camera], lamps[lamp], chips, others=first):
+                    print(json.dumps({**head, **line}), flush=True)
+        return
     for index, case in enumerate(cases(folder, arguments.camera, arguments.quick)):
         head = {"train": case["train"], "test": case["test"], "camera": case["camera_name"],
                 "illuminant": case["illuminant"]}  # fmt: skip

@@ -117,7 +117,7 @@ def fit_estimator(
     method: str = "local",
     bases: int | BasesRule | None = None,
     noise: float = 0.005,
-    white_width: float = 0.05,
+    white_width: float = 0.02,
     centres: int = 256,
     radius: float = 6.0,
     ridge: float | None = None,
@@ -133,7 +133,7 @@ def fit_estimator(
     method : `"paper"` (principal bases and matrix inverse, P eq. 8), `"wiener"` (linear with training covariance and
         noise), `"local"` (Wiener plus the kernel correction of `nishiki.spectra.local`).
     bases : paper: number of principal bases (default 3, at most N). Others: size K of the output basis, the constant
-        included (default 8, wiener at most N + 1), or a rule that gives it (`nishiki.spectra.fitting.BasesRule`).
+        included (default 12, wiener at most N + 1), or a rule that gives it (`nishiki.spectra.fitting.BasesRule`).
     noise : standard deviation of a response, white = 1; >= 0.
     white_width : the perfect white returns S = 1 exactly; the correction that sees to it fades as a Gaussian of this
         width (root mean square over channels) round the white response. 0: none, the method as it is.

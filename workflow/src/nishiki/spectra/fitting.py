@@ -96,7 +96,7 @@ def fit_regression(
         estimates = estimates + evaluate_correction(correction, problem.space, problem.responses)[0]
     squared = correction.left_out_rmse**2 if correction else far
     count = bases(estimates, squared) if callable(bases) else bases
-    count = count if count is not None else (8 if local else min(channels + 1, 8))
+    count = count if count is not None else (12 if local else min(channels + 1, 12))
     basis = output_basis(estimates, count)
     onto = np.linalg.pinv(basis).T  # (K, 61)
     lost = float(np.mean((estimates - estimates @ onto.T @ basis) ** 2))

@@ -14,6 +14,7 @@ import numpy as np
 
 TAPER_START, TAPER_END = 1.0, 3.0  # whitened standard deviations beyond the training box
 RIDGES = (0.03, 0.1, 0.3, 1.0, 3.0)
+RIDGE_TOLERANCE = 0.01  # the smoothest correction whose left-out error is within this part of the least
 DARK = 0.05  # mean response at which the correction has half its weight: black stays black
 
 
@@ -95,7 +96,8 @@ def fit_correction(
 
     centres : kernels, at most M; placed by k-means from farthest-point starts, so deterministic.
     radius : support of a kernel in whitened standard deviations. ridge : > 0, weight of smoothness against the
-    data; None takes that of `RIDGES` with the least error when each training sample is left out in turn.
+    data; None takes the largest of `RIDGES` whose error, when each training sample is left out in turn, is within 1 %
+    of the least: real surfaces are never exactly those of the training set, and smooth functions extrapolate better.
     """
     z = space.coordinates(responses)
     chosen = place_centres(z, min(centres, len(z)))
@@ -118,7 +120,7 @@ def fit_correction(
 
 
 def _ridge_regression(residuals, design, smooth, ridges):
-    """Solution (centres, 61) and mean square left-out error (M,) of the ridge with the least of it.
+    """Solution (centres, 61) and mean square left-out error (M,) of the largest ridge near the least of it.
 
     Minimises |residuals - design x|^2 + ridge x' smooth x. One pair of eigendecompositions makes both forms diagonal,
     so that every further ridge costs next to nothing. Leaving sample m out changes its residual by 1 / (1 - h_m), with
@@ -132,15 +134,14 @@ def _ridge_regression(residuals, design, smooth, ridges):
     values, root = np.maximum(values, 0.0), root @ vectors
     modes = design @ root  # (M, J)
     target = modes.T @ residuals
-    best = None
+    candidates = []
     for ridge in ridges:
         shrink = 1.0 / (values + ridge)
         leverage = modes**2 @ shrink
         error = (residuals - modes @ (shrink[:, None] * target)) / np.maximum(1.0 - leverage, 0.05)[:, None]
-        mean_square = np.mean(error**2, axis=1)
-        if best is None or mean_square.mean() < best[1].mean():
-            best = (root @ (shrink[:, None] * target), mean_square)
-    return best
+        candidates.append((root @ (shrink[:, None] * target), np.mean(error**2, axis=1)))
+    limit = (1.0 + RIDGE_TOLERANCE) ** 2 * min(mean_square.mean() for _, mean_square in candidates)
+    return next(found for found in reversed(candidates) if found[1].mean() <= limit)
 
 
 def evaluate_correction(

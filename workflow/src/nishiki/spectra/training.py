@@ -1,9 +1,9 @@
-"""A synthetic training set: reflectances that pigments, dyes and mixtures of them could have.
+"""A synthetic training set: reflectances that paints of known pigments could have.
 
-The project ships no measured reflectances. This generator draws materials from simple optics instead: absorption edges
-(yellow to red pigments), absorption bands (blues, greens, violets), scattering whites with their edge in the violet,
-black, mixed by Kubelka and Munk's law, with or without the inner reflections of a smooth binder; dyes and glazes that
-filter the light on a white ground; and smooth random spectra for what these leave out. Deterministic for a seed.
+The project ships no measured reflectances. Pigments are drawn from a table of published absorption edges and bands
+(`nishiki.spectra.pigments`), mixed with each other, with white and black by Kubelka and Munk's law in a binder that may
+have yellowed, laid thick or as a glaze over a white ground, and seen through the paint's own surface or without it.
+Deterministic for a seed.
 """
 
 from __future__ import annotations
@@ -11,25 +11,103 @@ from __future__ import annotations
 import numpy as np
 
 from nishiki.errors import UserError
-from nishiki.spectra.sampling import BANDS, WAVELENGTHS_NM, resample
+from nishiki.spectra.pigments import draw_pigments
+from nishiki.spectra.sampling import WAVELENGTHS_NM, resample
 
-# Shares of the set: opaque mixtures, filtering layers, smooth random spectra.
-SHARES = (0.8, 0.1, 0.1)
+# How paints are made up. Chosen on one half of the makers of measured paints; the page of the stage names them and
+# gives the errors on the other half (docs/stages/spectra.md).
+PURE, TINTS = 0.1, 0.35  # shares of one pigment alone and of one with white; all others are mixtures
+THIRD_PIGMENT, WHITE_IN_MIXTURES, BLACK = 0.6, 0.6, 0.5  # shares of the mixtures (black: also of the tints)
+MINOR_AMOUNT = (0.01, 3.0)  # of the second and third pigment, the first being 1
+WHITE_AMOUNT = (0.1, 30.0)
+BLACK_ABSORPTION = (0.03, 3.0)
+RUTILE = 0.8  # of the whites; the others (zinc, lead, chalk, anatase) absorb below 390 nm
+GLAZES = 0.03
+THROUGH_SURFACE = 0.6  # share with the inner reflections of a smooth surface
 
 
 def synthetic_reflectances(count: int = 2000, *, seed: int = 20240) -> np.ndarray:
-    """(count, 61) reflectances in (0, 1), count >= 10, the same for the same seed on every machine (to rounding).
+    """Reflectances of synthetic paints.
 
-    80 % opaque paint mixtures by Kubelka and Munk (Z. tech. Phys. 12 (1931) 593-601), half of them with Saunderson's
-    correction (J. Opt. Soc. Am. 32 (1942) 727-736), 10 % absorbing layers over white (Beer and Lambert), 10 % smooth
-    random spectra (logistic of a band-limited Gaussian process).
+    Parameters
+    ----------
+    count : at least 10.
+    seed : the same set for the same seed on every machine (to rounding).
+
+    Returns
+    -------
+    (count, 61) reflectances in (0, 1).
+
+    Raises
+    ------
+    UserError for fewer than 10.
+
+    Sources: Kubelka and Munk, Z. tech. Phys. 12 (1931) 593-601; Kubelka, J. Opt. Soc. Am. 38 (1948) 448-457, eq. 24
+    (glazes); Saunderson, J. Opt. Soc. Am. 32 (1942) 727-736 (surface).
     """
     if count < 10:
         raise UserError(f"synthetic training set: expected at least 10 spectra, found {count}; ask for more")
-    draw = _Draw(seed)
-    opaque, layers = round(SHARES[0] * count), round(SHARES[1] * count)
-    parts = [_paint_mixtures(draw, opaque), _filter_layers(draw, layers), _smooth_random(draw, count - opaque - layers)]
-    return np.clip(np.concatenate(parts), 1e-4, 1.0 - 1e-4)
+    draw = Draw(seed)
+    absorption, scattering = _mixtures(draw, count)
+    _add_binder(draw, absorption, scattering)
+    thick = reflectance_of_thick_layer(absorption, scattering)
+    depth = draw.log_uniform(0.02, 3.0, count, 1)
+    ground = draw.uniform(0.75, 0.95, count, 1) / (
+        1.0 + np.exp(np.clip((draw.uniform(370.0, 402.0, count, 1) - WAVELENGTHS_NM) / 6.0, -50.0, 50.0))
+    )
+    glaze = draw.chance(GLAZES, count, 1)
+    body = np.where(glaze, reflectance_of_layer(absorption, scattering, depth, ground), thick)
+    internal, glare = draw.uniform(0.35, 0.6, count, 1), draw.uniform(0.0, 0.02, count, 1)
+    seen = through_surface(body, external=0.04, internal=internal) + glare
+    return np.clip(np.where(draw.chance(THROUGH_SURFACE, count, 1), seen, body), 1e-4, 1.0 - 1e-4)
+
+
+def through_surface(
+    body: np.ndarray,
+    *,
+    external: float | np.ndarray,
+    internal: float | np.ndarray,
+    transmission: np.ndarray | float = 1.0,
+) -> np.ndarray:
+    """Diffuse reflectance of paint seen through its surface or a varnish, without the gloss.
+
+    `R = (1 - external) (1 - internal) t^2 body / (1 - internal t^2 body)`
+
+    Parameters
+    ----------
+    body : (..., 61) reflectance below the surface.
+    external : share of the incident light that the surface reflects outside (0.04 at index 1.5, near normal).
+    internal : share of diffuse light that it reflects back inside (0.6 at index 1.5).
+    transmission : t, (61,) or a number: of one way through the varnish, averaged over directions.
+
+    Returns
+    -------
+    (..., 61). To train on spectra as they are seen through a varnish, divide by the same expression of a perfect white
+    only where the white reference lies under the varnish as well.
+
+    Source: Saunderson, J. Opt. Soc. Am. 32 (1942) 727-736, with absorption on the way in, out and at every inner turn.
+    """
+    passing = transmission**2 * body
+    return (1.0 - external) * (1.0 - internal) * passing / (1.0 - internal * passing)
+
+
+def reflectance_of_thick_layer(absorption: np.ndarray, scattering: np.ndarray) -> np.ndarray:
+    """Kubelka and Munk's reflectance 1 + q - sqrt(q^2 + 2 q), q = K/S, of an opaque layer; without cancellation."""
+    ratio = absorption / scattering
+    return 1.0 / (1.0 + ratio + np.sqrt(ratio * ratio + 2.0 * ratio))
+
+
+def reflectance_of_layer(
+    absorption: np.ndarray, scattering: np.ndarray, depth: np.ndarray, ground: np.ndarray
+) -> np.ndarray:
+    """Reflectance (..., 61) of a layer of a depth over a ground (Kubelka 1948, eq. 24).
+
+    absorption, scattering : (..., 61) per unit of depth, both > 0; depth : (..., 1); ground : (..., 61), reflectance.
+    """
+    a = 1.0 + absorption / scattering
+    b = np.sqrt(a * a - 1.0)
+    turns = b / np.tanh(np.clip(b * scattering * depth, 1e-9, 40.0))
+    return (1.0 - ground * (a - turns)) / (a - ground + turns)
 
 
 def measured_reflectances(wavelengths_nm: np.ndarray, columns: np.ndarray, *, name: str) -> np.ndarray:
@@ -50,118 +128,73 @@ def measured_reflectances(wavelengths_nm: np.ndarray, columns: np.ndarray, *, na
     return spectra
 
 
-class _Draw:
-    """Random numbers from the uniform stream of PCG64 alone, whose values numpy keeps from version to version."""
+class Draw:
+    """Random numbers from the uniform stream of PCG64 alone, whose values numpy keeps from version to version.
+
+    Along the first axis the numbers are stratified: one in each of `count` equal parts, in random order (McKay, Beckman
+    and Conover, Technometrics 21 (1979) 239-245). A set then differs less from the next seed's.
+    """
 
     def __init__(self, seed: int):
         self._stream = np.random.Generator(np.random.PCG64(seed))
 
-    def uniform(self, low, high, *shape: int) -> np.ndarray:
-        return low + (high - low) * self._stream.random(shape)
+    def uniform(self, low, high, count: int, *shape: int) -> np.ndarray:
+        """(count, *shape) between low and high."""
+        order = np.argsort(self._stream.random((count, *shape)), axis=0)
+        return low + (high - low) * (order + self._stream.random((count, *shape))) / count
 
     def log_uniform(self, low: float, high: float, *shape: int) -> np.ndarray:
+        """Numbers whose logarithm is uniform."""
         return np.exp(self.uniform(np.log(low), np.log(high), *shape))
 
     def normal(self, *shape: int) -> np.ndarray:
-        radius = np.sqrt(-2.0 * np.log1p(-self._stream.random(shape)))
-        return radius * np.cos(2.0 * np.pi * self._stream.random(shape))
+        """Standard normal numbers (Box and Muller)."""
+        radius = np.sqrt(-2.0 * np.log1p(-self.uniform(0.0, 1.0, *shape)))
+        return radius * np.cos(2.0 * np.pi * self.uniform(0.0, 1.0, *shape))
+
+    def log_normal(self, spread: float, *shape: int) -> np.ndarray:
+        """Numbers with the median 1 whose logarithm has this standard deviation."""
+        return np.exp(spread * self.normal(*shape))
+
+    def chance(self, share: float, *shape: int) -> np.ndarray:
+        """True for this share."""
+        return self.uniform(0.0, 1.0, *shape) < share
 
 
-# Families of pigments: share, then edge or band positions, widths in nm and rests (absorption beside the main feature).
-_FAMILIES = {
-    "edge": 0.33,  # yellow, orange, red: semiconductors and organics that pass all light beyond an edge
-    "earth": 0.15,  # ochre, sienna, umber: a wide edge on a grey rest
-    "blue": 0.20,  # one broad band in the orange, the far red coming back
-    "green": 0.13,  # a band in the red and one in the violet
-    "purple": 0.12,  # magenta to violet: a band in the green
-    "other": 0.07,  # one to three bands anywhere
-}
+def _mixtures(draw: Draw, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Absorption and scattering (count, 61) of pure pigments, tints and mixtures."""
+    kind = draw.uniform(0.0, 1.0, count, 1)
+    mixed, pure = kind > PURE + TINTS, kind < PURE
+    second = mixed * draw.log_uniform(*MINOR_AMOUNT, count, 1)
+    third = mixed * draw.log_uniform(*MINOR_AMOUNT, count, 1) * draw.chance(THIRD_PIGMENT, count, 1)
+    white = ~pure & (~mixed | draw.chance(WHITE_IN_MIXTURES, count, 1))
+    white = white * draw.log_uniform(*WHITE_AMOUNT, count, 1)
+    absorption, scattering = (white * part for part in _whites(draw, count))
+    for amount in (1.0, second, third):
+        k, s = draw_pigments(draw, count)
+        absorption, scattering = absorption + amount * k, scattering + amount * s
+    black = ~pure & draw.chance(BLACK, count, 1)
+    return absorption + black * draw.log_uniform(*BLACK_ABSORPTION, count, 1), scattering
 
 
-def _edge(draw: _Draw, count: int, position: tuple, width: tuple, rest: tuple) -> np.ndarray:
-    """Absorption (count, 61): 1 below an edge, a rest above it."""
-    place, slope = draw.uniform(*position, count, 1), draw.log_uniform(*width, count, 1)
-    floor = draw.log_uniform(*rest, count, 1)
-    return floor + (1.0 - floor) / (1.0 + np.exp((WAVELENGTHS_NM - place) / slope))
+def _whites(draw: Draw, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Absorption and scattering (count, 61) of white pigments: the band edge of rutile is at 3.05 eV (406 nm)."""
+    rutile = draw.chance(RUTILE, count, 1)
+    place = np.where(rutile, draw.uniform(392.0, 399.0, count, 1), draw.uniform(370.0, 385.0, count, 1))
+    decay = draw.uniform(4.5, 6.5, count, 1)
+    tail = np.exp(-np.maximum((WAVELENGTHS_NM - place) / decay, -1.0))
+    absorption = tail + draw.log_uniform(2e-4, 3e-3, count, 1) + _yellow(draw, count, (2e-4, 3e-2))
+    return absorption, (WAVELENGTHS_NM / 550.0) ** -draw.uniform(0.0, 0.6, count, 1)
 
 
-def _band(draw: _Draw, count: int, position: tuple, width: tuple, rest: tuple) -> np.ndarray:
-    """Absorption (count, 61): a Gaussian band on a rest."""
-    place, spread = draw.uniform(*position, count, 1), draw.log_uniform(*width, count, 1)
-    return draw.log_uniform(*rest, count, 1) + np.exp(-0.5 * ((WAVELENGTHS_NM - place) / spread) ** 2)
+def _add_binder(draw: Draw, absorption: np.ndarray, scattering: np.ndarray) -> None:
+    """Absorption and scattering of oil, egg, gum or resin, in place: little of both, yellow with age."""
+    count = len(absorption)
+    absorption += _yellow(draw, count, (1e-3, 3e-2))
+    scattering += draw.log_uniform(1e-3, 3e-2, count, 1)
 
 
-def _bands(draw: _Draw, count: int, terms: int = 3) -> np.ndarray:
-    """Absorption (count, 61) of one to three Gaussian bands anywhere on a small rest."""
-    centre = draw.uniform(380.0, 680.0, count, terms, 1)
-    width = draw.log_uniform(30.0, 100.0, count, terms, 1)
-    height = draw.log_uniform(0.05, 1.0, count, terms, 1)
-    height[:, 1:] *= draw.uniform(0.0, 1.0, count, terms - 1, 1) < 0.4
-    total = np.sum(height * np.exp(-0.5 * ((WAVELENGTHS_NM - centre) / width) ** 2), axis=1)
-    return draw.log_uniform(3e-3, 0.15, count, 1) + total
-
-
-def _pigments(draw: _Draw, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Absorption and scattering (count, 61) of chromatic pigments of the families above; scatter falls to the red."""
-    small, grey = (3e-3, 0.05), (0.03, 0.3)
-    choices = [
-        _edge(draw, count, (470.0, 610.0), (8.0, 22.0), small),
-        _edge(draw, count, (530.0, 600.0), (22.0, 45.0), grey),
-        _band(draw, count, (580.0, 640.0), (45.0, 75.0), small),
-        _band(draw, count, (620.0, 680.0), (35.0, 60.0), small)
-        + draw.uniform(0.3, 1.2, count, 1) * _band(draw, count, (390.0, 450.0), (25.0, 50.0), small),
-        _band(draw, count, (510.0, 575.0), (28.0, 55.0), small),
-        _bands(draw, count),
-    ]
-    family = np.searchsorted(np.cumsum(list(_FAMILIES.values()))[:-1], draw.uniform(0.0, 1.0, count), side="right")
-    absorption = np.stack(choices)[family, np.arange(count)]
-    scattering = draw.log_uniform(0.03, 1.0, count, 1) * (WAVELENGTHS_NM / 550.0) ** -draw.uniform(0.0, 2.0, count, 1)
-    return absorption * draw.log_uniform(0.3, 3.0, count, 1), scattering
-
-
-def _paint_mixtures(draw: _Draw, count: int) -> np.ndarray:
-    """Opaque mixtures of white, black and one to three chromatic pigments."""
-    amount = draw.log_uniform(0.01, 4.0, count, 3, 1)
-    amount[:, 1] *= draw.uniform(0.0, 1.0, count, 1) < 0.4
-    amount[:, 2] *= draw.uniform(0.0, 1.0, count, 1) < 0.15
-    black = draw.log_uniform(1e-4, 0.5, count, 1) * (draw.uniform(0.0, 1.0, count, 1) < 0.6)
-    white = draw.uniform(0.0, 1.0, count, 1) < 0.85
-    # Half rutile, whose edge is within sight of the camera; half anatase, zinc, lead or chalk.
-    rutile = draw.uniform(0.0, 1.0, count, 1) < 0.5
-    edge = np.where(rutile, draw.uniform(396.0, 412.0, count, 1), draw.uniform(350.0, 390.0, count, 1))
-    absorb = draw.log_uniform(2e-4, 5e-3, count, 1) + 0.6 / (1.0 + np.exp((WAVELENGTHS_NM - edge) / 6.0))
-    absorption, scattering = (
-        black * (WAVELENGTHS_NM / 550.0) ** draw.uniform(-0.2, 0.4, count, 1) + white * absorb,
-        white * 1.0,
-    )
-    for i in range(3):
-        k, s = _pigments(draw, count)
-        absorption, scattering = absorption + amount[:, i] * k, scattering + amount[:, i] * s
-    ratio = absorption / np.maximum(scattering, 1e-3)
-    inner = 1.0 / (1.0 + ratio + np.sqrt(ratio * ratio + 2.0 * ratio))  # = 1 + q - sqrt(q^2 + 2q), without cancellation
-    trapped = draw.uniform(0.0, 0.6, count, 1) * (draw.uniform(0.0, 1.0, count, 1) < 0.5)
-    return (1.0 - trapped) * inner / (1.0 - trapped * inner)
-
-
-def _filter_layers(draw: _Draw, count: int) -> np.ndarray:
-    """Dyes, inks and glazes over a white ground: ground * exp(-2 optical depth)."""
-    first, second = _bands(draw, count), _bands(draw, count)
-    depth = draw.log_uniform(0.02, 1.8, count, 1) * first
-    depth += draw.log_uniform(0.02, 1.5, count, 1) * second * (draw.uniform(0.0, 1.0, count, 1) < 0.4)
-    edge = draw.uniform(350.0, 430.0, count, 1)
-    ground = draw.uniform(0.6, 0.98, count, 1) / (1.0 + np.exp((edge - WAVELENGTHS_NM) / 12.0))
-    return ground * np.exp(-2.0 * depth)
-
-
-def _smooth_random(draw: _Draw, count: int) -> np.ndarray:
-    """Logistic of a band-limited Gaussian process, correlation length 60 to 200 nm, round a random grey."""
-    length = draw.log_uniform(60.0, 200.0, count, 1)
-    terms = 12
-    order = np.arange(1, terms + 1)
-    # Cosine series on 300-800 nm with the spectrum of a Gaussian correlation of that length.
-    weight = np.exp(-0.25 * (np.pi * order / 500.0 * length) ** 2)
-    weight /= np.sqrt(np.sum(weight**2, axis=1, keepdims=True))
-    cosines = np.cos(np.pi * np.outer(order, (WAVELENGTHS_NM - 300.0) / 500.0)) * np.sqrt(2.0)
-    process = (weight * draw.normal(count, terms)) @ cosines
-    level, strength = draw.uniform(-3.0, 2.5, count, 1), draw.uniform(0.1, 1.3, count, 1)
-    return 1.0 / (1.0 + np.exp(-(level + strength * process).reshape(count, BANDS)))
+def _yellow(draw: Draw, count: int, strength: tuple[float, float]) -> np.ndarray:
+    """Absorption (count, 61) that falls exponentially from 400 nm on, over 25 to 70 nm, as that of dried oil does."""
+    decay = draw.uniform(25.0, 70.0, count, 1)
+    return draw.log_uniform(*strength, count, 1) * np.exp(-(WAVELENGTHS_NM - 400.0) / decay)
