@@ -15,6 +15,7 @@ from nishiki.economy.decision import Decision, economy
 from nishiki.settings.spectra import SpectraSettings
 from nishiki.spectra.basis import channel_weights
 from nishiki.spectra.estimate import SpectralEstimator, estimate_spectra, fit_estimator
+from nishiki.spectra.expected import expected_colour_error, sample_rows
 from nishiki.spectra.training import measured_reflectances, synthetic_reflectances
 
 
@@ -36,9 +37,14 @@ def work(context: Context) -> dict:
     sigma = out.create("sigma", unit="rms over the bands, reflectance")
     flags = out.create("flags", dtype="uint8", unit="bits, see docs/stages/spectra.md")
     counts: Counter[str] = Counter()
+    sampled = [np.zeros((0, reflectance.shape[2]))]
+    some_rows, some_columns = sample_rows(rows, columns)
     for start in context.progress.over(context.share(range(0, rows, band_rows)), "band"):
         band = slice(start, min(rows, start + band_rows))
-        field = estimate_spectra(reflectance[band], estimator)
+        observed = reflectance[band]
+        field = estimate_spectra(observed, estimator)
+        inside = some_rows[(some_rows >= band.start) & (some_rows < band.stop)] - band.start
+        sampled.append(observed[np.ix_(inside, some_columns)].reshape(-1, observed.shape[-1]))
         coefficients[band], sigma[band], flags[band] = field.coefficients, field.sigma, field.flags
         counts.update(field.counts)
     same = {
@@ -49,15 +55,33 @@ def work(context: Context) -> dict:
         "training_spectra": len(training),
         "economy": economy(decision),
     }
-    return {"same": same, "counts": {name: int(count) for name, count in counts.items()}}
+    responses = np.concatenate(sampled)
+    responses = responses[np.isfinite(responses).all(axis=1) & (responses > 0).any(axis=1)]
+    curves = np.load(context.inputs["ingest"].path("curves.npz"))
+    errors = expected_colour_error(
+        responses, training, channel_weights(curves["illuminant"], curves["sensitivities"]), estimator
+    )
+    return {
+        "same": same,
+        "counts": {name: int(count) for name, count in counts.items()},
+        "sampled": len(responses),
+        "colour_error": {light: float(values.sum()) for light, values in errors.items()},
+    }
 
 
 def told(context: Context, tallies: list[dict]) -> dict:
-    """The estimator, and the pixels with each flag."""
+    """The estimator, the pixels with each flag, and the expected colour error of the sampled pixels by light."""
     counts: Counter[str] = Counter()
+    errors: Counter[str] = Counter()
     for tally in tallies:
         counts.update(tally["counts"])
-    return {**tallies[0]["same"], **{f"flagged_{name}": count for name, count in counts.items()}}
+        errors.update(tally["colour_error"])
+    sampled = sum(tally["sampled"] for tally in tallies)
+    return {
+        **tallies[0]["same"],
+        "expected_de00": {light: total / sampled for light, total in errors.items()} if sampled else None,
+        **{f"flagged_{name}": count for name, count in counts.items()},
+    }
 
 
 def fit(context: Context, training: np.ndarray) -> tuple[SpectralEstimator, Decision | None]:

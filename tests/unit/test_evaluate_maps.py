@@ -165,7 +165,7 @@ def test_reflectance_errors_against_the_obvious_loop():
     assert found.rmse.mean == pytest.approx(np.mean(rmse), rel=1e-6)
     assert found.de00["D65"].mean == pytest.approx(np.mean(de00), rel=1e-5)
     assert np.isnan(found.de00_map[3, 4])
-    assert set(found.de00) == {"D65", "A"}
+    assert set(found.de00) == {"D65", "A", "FL11"}
     assert sum(region.pixels for region in found.regions) == 62
 
 

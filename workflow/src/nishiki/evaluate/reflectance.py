@@ -59,7 +59,7 @@ def reflectance_errors(
     *,
     pixels: np.ndarray,
     regions: np.ndarray | None = None,
-    illuminants: tuple[str, ...] = ("D65", "A"),
+    illuminants: tuple[str, ...] = ("D65", "A", "FL11"),
 ) -> ReflectanceErrors:
     """Compare S = coefficients @ basis with the true spectrum of each pixel.
 

@@ -17,7 +17,7 @@ from nishiki.spectra.sampling import WAVELENGTHS_NM, resample
 # How paints are made up. Chosen on one half of the makers of measured paints; the page of the stage names them and
 # gives the errors on the other half (docs/stages/spectra.md).
 PURE, TINTS = 0.1, 0.35  # shares of one pigment alone and of one with white; all others are mixtures
-THIRD_PIGMENT, WHITE_IN_MIXTURES, BLACK = 0.6, 0.6, 0.5  # shares of the mixtures (black: also of the tints)
+THIRD_PIGMENT, WHITE_IN_MIXTURES, BLACK = 0.6, 0.6, 0.8  # shares of the mixtures (black: also of the tints)
 MINOR_AMOUNT = (0.01, 3.0)  # of the second and third pigment, the first being 1
 WHITE_AMOUNT = (0.1, 30.0)
 BLACK_ABSORPTION = (0.03, 3.0)
