@@ -51,7 +51,10 @@ def content_of(context: Context) -> dict:
         "scene": context.stamp["scene"],
         "stamp": context.stamp,
         "glance": at_a_glance(
-            inputs["normals"].diagnostics, evaluation, inputs["height"].diagnostics if "height" in inputs else None
+            inputs["normals"].diagnostics,
+            evaluation,
+            inputs["height"].diagnostics if "height" in inputs else None,
+            inputs["spectra"].diagnostics if "spectra" in inputs else None,
         ),
         "choices": choices({name: artifact.settings for name, artifact in inputs.items()}),
         "capture": capture_section(
@@ -84,6 +87,7 @@ def content_of(context: Context) -> dict:
             evaluation=evaluation,
             known=known,
         ),
+        "expected_de00": inputs["spectra"].diagnostics.get("expected_de00") if "spectra" in inputs else None,
         "gloss": None
         if parameters is None
         else gloss_section(parameters, true_gamma=((evaluation or {}).get("gloss") or {}).get("true_gamma_rad")),

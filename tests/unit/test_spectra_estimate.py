@@ -255,14 +255,14 @@ def test_table_is_close_to_the_exact_sum(local):
     assert np.sqrt(np.mean(difference**2)) < 0.1 * error
 
 
-def test_local_beats_linear_on_unseen_spectra(local):
-    wiener = fit_estimator(TRAINING, LAMP, camera(3), method="wiener")
-    paper = fit_estimator(TRAINING, LAMP, camera(3), method="paper")
-    error = [
-        np.sqrt(np.mean((estimate_spectra(responses_of(UNSEEN), e).spectra() - UNSEEN) ** 2))
-        for e in (local, wiener, paper)
-    ]
-    assert error[0] < error[1] < error[2]
+def test_local_beats_linear_on_unseen_spectra():
+    training, unseen = synthetic_reflectances(1500, seed=1), synthetic_reflectances(500, seed=2)
+    error = []
+    for method in ("local", "wiener", "paper"):
+        e = fit_estimator(training, LAMP, camera(3), method=method)
+        error.append(np.sqrt(np.mean((estimate_spectra(responses_of(unseen), e).spectra() - unseen) ** 2)))
+    assert error[0] < 0.85 * error[1]
+    assert error[1] < error[2]
 
 
 def test_more_channels_see_more():

@@ -34,11 +34,14 @@ def choices(settings: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def at_a_glance(
-    normals: dict[str, Any], evaluation: dict[str, Any] | None, height: dict[str, Any] | None = None
+    normals: dict[str, Any],
+    evaluation: dict[str, Any] | None,
+    height: dict[str, Any] | None = None,
+    spectra: dict[str, Any] | None = None,
 ) -> list[dict[str, Any]]:
     """Tiles: figure, unit, what it is.
 
-    normals, height : diagnostics of those stages (height None where it is left out); evaluation : evaluation.json or
+    normals, height, spectra : diagnostics of those stages, None where one is left out; evaluation : evaluation.json or
     None.
     """
     expected = (height or {}).get("expected_error_median_deg", normals.get("sigma_median_deg"))
@@ -52,7 +55,8 @@ def at_a_glance(
             _tile(
                 overall["mean"],
                 "ΔE00",
-                f"mean difference, prediction to photograph, {count} unseen light{'s' * (count > 1)}, {lamp}",
+                f"mean difference, prediction to photograph, {count} unseen light{'s' * (count > 1)}, {lamp}; "
+                "of the camera's channels, the spectra take no part",
             )
         )
         tiles.append(_tile(overall["p90"], "ΔE00", "90th percentile of that difference"))
@@ -67,6 +71,10 @@ def at_a_glance(
                 "ΔE00",
                 "mean colour difference of the reflectance to the truth, D65",
             )
+        )
+    elif colour_error := (spectra or {}).get("expected_de00"):
+        tiles.append(
+            _tile(colour_error["D65"], "ΔE00", "expected mean colour error of the spectra under daylight (D65)")
         )
     if evaluation.get("height") and evaluation["height"]["rms"] is not None:
         height = evaluation["height"]
