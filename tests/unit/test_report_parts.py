@@ -330,7 +330,8 @@ def _parameters(gamma):
     phi = np.linspace(0, 1.2, 60)
     fitted = 5 * 2.0 ** -((phi / 0.1) ** 2)
     profile = {"phi": phi.tolist(), "value": (fitted + 0.01).tolist(), "count": [100] * 60, "fitted": fitted.tolist()}
-    region = {"beta": [5.0], "gamma": [gamma], "refractive_index": 1.45, "residual": 0.1, "samples": 60, "flags": "0"}
+    region = {"beta": [5.0], "gamma": [gamma], "refractive_index": 1.45, "residual": 0.1, "samples": 60}
+    region["flags"] = ["AT_BOUND", "no gloss: Lambert"]
     return {"method": "robust", "regions": [region | {"profile": profile}], "transmission": 0.0}
 
 
@@ -339,6 +340,7 @@ def test_gloss_is_drawn_twice_and_measured_in_degrees():
     assert [item["log"] for item in found["charts"]] == [False, True]
     for item in found["charts"]:
         ElementTree.fromstring(item["svg"])
+    assert found["rows"][0]["flags"] == "width at its bound, no gloss: Lambert"
     assert found["rows"][0]["gamma_deg"] == pytest.approx(np.degrees(0.1))
     assert found["true_gamma_deg"] == pytest.approx(np.degrees([0.05, 0.07, 0.09]))
 

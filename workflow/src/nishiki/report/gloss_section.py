@@ -8,6 +8,15 @@ import numpy as np
 from nishiki.report.svg import PALETTE, Curve, chart
 
 MOST_CHARTS = 6
+FLAGS = {
+    "NO_HIGHLIGHT": "no highlight",
+    "AT_BOUND": "width at its bound",
+    "TOO_FEW": "too few samples",
+    "UNDETERMINED": "width not determined",
+    "NOT_FINITE": "samples not finite",
+    "NOT_CONVERGED": "not converged",
+}
+"""Flags of a fit (`nishiki.brdf.flags`) in words."""
 
 
 def gloss_section(parameters: dict[str, Any], *, true_gamma: list[float] | None = None) -> dict[str, Any]:
@@ -30,7 +39,7 @@ def gloss_section(parameters: dict[str, Any], *, true_gamma: list[float] | None 
                     "refractive_index": region["refractive_index"],
                     "samples": region.get("samples"),
                     "residual": region.get("residual"),
-                    "flags": region.get("flags"),
+                    "flags": ", ".join(FLAGS.get(flag, flag) for flag in region.get("flags") or []),
                 }
             )
         if region.get("profile") and len(charts) < MOST_CHARTS:
