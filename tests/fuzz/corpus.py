@@ -24,7 +24,7 @@ TABLES = ("plane", "turntable", "goniometer", "cameras", "points", "intensities"
 TABLES += ("scenes", "camera list", "matlab")
 IMAGES = (".png", ".jpg", ".tif", ".exr")
 YAML = ("plane", "turntable", "goniometer", "intrinsics", "configuration", "instrument")
-LIGHTS = (".lp", ".csv", ".txt")
+LIGHTS = (".lp", ".csv", ".txt", ".relight")
 MESHES = (".ply", ".obj")
 STORES = ("group", "array", "chunk", "npz", "manifest", "observations")
 
@@ -57,6 +57,12 @@ def _lights(folder: Path) -> list[bytes]:
         of(LIGHTS, ".csv", "light,x,y,z\na,0.1,0.2,0.9\nb,0.3,-0.2,0.9\n"),
         of(LIGHTS, ".csv", "light,azimuth_deg,polar_deg\na,10,45\nb,100,45\n", more=2),
         of(LIGHTS, ".txt", "0.1 0.2 0.9\n0.3 -0.2 0.9\n// end\n", more=3),
+        of(LIGHTS, ".relight", '{"width": 8, "lights": [0.1, 0.2, 0.9, 0.3, -0.2, 0.9]}'),
+        of(
+            LIGHTS,
+            ".relight",
+            '{"images": [{"direction": {"x": 0.1, "y": 0, "z": 1}, "filename": "a.jpg", "skip": false}]}',
+        ),
     ]
 
 

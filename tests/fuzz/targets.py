@@ -25,6 +25,7 @@ from nishiki.capture.images import read_codes, read_labels, read_mask
 from nishiki.capture.lights import lights_from_vectors, read_lights
 from nishiki.capture.mesh_files import expect_mesh
 from nishiki.capture.problems import CaptureError
+from nishiki.capture.relight_files import read_relight
 from nishiki.capture.schema import geometry_named, read_capture_file
 from nishiki.capture.seal import manifest_text, read_manifest
 from nishiki.capture.spectra_tables import read_curves
@@ -79,10 +80,11 @@ def manifest(data: bytes) -> None:
 
 
 def lights(data: bytes) -> None:
-    """.lp in its dialects, tables and lists of directions."""
+    """.lp in its dialects, tables and lists of directions, Relight's files."""
     suffix, more, content = choice(data, LIGHTS)
     kind = ("direction", "position_mm")[more % 2]
-    found = read_lights(put(f"l{suffix}", content), kind=kind, frontal=not more & 2)
+    path = put(f"l{suffix}", content)
+    found = read_relight(path) if suffix == ".relight" else read_lights(path, kind=kind, frontal=not more & 2)
     assert np.isfinite(found.directions).all()
     assert len(set(found.names)) == len(found.names) == len(found.directions)
 

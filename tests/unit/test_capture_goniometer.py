@@ -318,3 +318,36 @@ def test_measured_tables_are_converted_and_checked(data, tmp_path):
         facts = goniometer_facts(capture)
         assert (facts.normal, facts.incidences) == (0, 8)
         assert not [p for p in check_capture(tmp_path / table.stem, level="full") if p.severity == "error"]
+
+
+@pytest.mark.parametrize(
+    ("columns", "held"),
+    [
+        (("red", "brdf_mc_stderr"), "error or count"),
+        (("brdf_per_sr", "brdf_mc_stderr"), "error or count"),
+        (("brdf_per_sr", "radiance_factor"), "radiance factor"),
+        (("radiance_factor_r", "radiance_factor_g"), "radiance factor"),
+        (("Reflectance factor 500 nm",), "radiance factor"),
+        (("red", "brdf_green"), "BRDF"),
+        (("theta_deg", "red"), "angle"),
+    ],
+)
+def test_columns_of_other_quantities_are_not_taken_for_channels(tmp_path, columns, held):
+    heading = "theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg," + ",".join(columns)
+    (tmp_path / "t.csv").write_text(f"{heading}\n0,0,10,0{',0.1' * len(columns)}\n")
+    with pytest.raises(CaptureError) as caught:
+        read_table(tmp_path / "t.csv", "t.csv")
+    (problem,) = caught.value.problems
+    assert problem.kind == "table-quantities"
+    assert held in problem.found
+    assert "divided by pi" in problem.remedy
+
+
+@pytest.mark.parametrize(
+    "columns", [("red", "green", "blue"), ("brdf_r_per_sr", "brdf_g_per_sr"), ("400 nm", "410 nm"), ("r", "variety")]
+)
+def test_columns_of_one_quantity_are_channels(tmp_path, columns):
+    heading = "theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg," + ",".join(columns)
+    (tmp_path / "t.csv").write_text(f"{heading}\n0,0,10,0{',0.1' * len(columns)}\n")
+    assert read_table(tmp_path / "t.csv", "t.csv").channels == columns
+    assert convert(tmp_path / "t.csv", tmp_path / "c").channels == columns

@@ -246,15 +246,21 @@ def test_a_folder_without_a_store_is_refused(tmp_path):
         Observations(tmp_path)
 
 
-@pytest.mark.parametrize("channels", ["luminance", "green"])
+@pytest.mark.parametrize("channels", ["luminance", "green", "red", "blue"])
 def test_one_channel_is_what_the_channels_give(tmp_path, channels):
     folder = make_capture(tmp_path / "c")
     every, _ = ingest(folder, tmp_path / "a", white_block=4)
     one, _ = ingest(folder, tmp_path / "o", white_block=4, channels=channels)
     assert one.channels == (channels,)
-    weights = np.array([0, 1, 0]) if channels == "green" else np.array([0.299, 0.587, 0.114])
+    luminance = np.array([0.299, 0.587, 0.114])
+    weights = luminance if channels == "luminance" else np.eye(3)[["red", "green", "blue"].index(channels)]
     values, _ = one.read(slice(0, ROWS), channel=0)
     np.testing.assert_allclose(values, every.read(slice(0, ROWS))[0] @ weights, rtol=2e-3)
+
+
+def test_a_channel_that_the_capture_does_not_have_is_told(tmp_path):
+    with pytest.raises(UserError, match=r"or a channel of the capture \(red, green, blue\), found infrared"):
+        ingest(make_capture(tmp_path / "c"), tmp_path / "a", channels="infrared")
 
 
 def test_float_frames_with_region_and_progress(tmp_path):

@@ -59,7 +59,7 @@ def check_capture(
 
 
 def _look_at_plane(capture: Capture, headers: dict, whole: bool, tick: Callable[[str], None]) -> list[Problem]:
-    problems = _same_directions(capture) + _mask_problems(capture, headers)
+    problems = _same_directions(capture) + _strength_problems(capture) + _mask_problems(capture, headers)
     return problems + (_content_problems(capture, tick) if whole else [])
 
 
@@ -115,6 +115,16 @@ def _same_directions(capture: Capture) -> list[Problem]:
     what = "lights {} and {} have the same direction"
     file = capture.settings.lights.file
     return [warning("light-same", file, what.format(names[i], names[j])) for i, j in pairs]
+
+
+def _strength_problems(capture: Capture) -> list[Problem]:
+    if capture.frames_of("white") or capture.intensities is not None:
+        return []
+    what = (
+        "neither white boards nor lights.intensities: every lamp is taken to shine alike, and evenly over the picture"
+    )
+    remedy = "Photograph a white board under every lamp; without, unequal lamps tilt the normals and tint the colours"
+    return [warning("strengths-unknown", "capture.yaml", what, remedy=remedy)]
 
 
 def _header_problems(

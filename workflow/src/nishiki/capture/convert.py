@@ -13,6 +13,7 @@ import numpy as np
 import yaml
 
 from nishiki.capture.goniometer_convert import recognise_table, refuse_for_table, write_table_capture
+from nishiki.capture.goniometer_tables import ReflectanceTable
 from nishiki.capture.headers import read_header
 from nishiki.capture.layouts import Layout, has_lamps, photographs_in, recognise
 from nishiki.capture.pairing import pair_by_name
@@ -25,13 +26,17 @@ from nishiki.capture.turntable_layouts import recognise_round
 
 @dataclass(frozen=True)
 class Conversion:
-    """The capture folder made, the layout recognised, the number of photographs, what the user should know."""
+    """The capture folder made, the layout recognised, the number of photographs, what the user should know.
+
+    channels: of a table of reflectances, in 1/sr.
+    """
 
     folder: Path
     layout: str
     photographs: int
     warnings: tuple[Problem, ...]
     geometry: str = "plane"
+    channels: tuple[str, ...] = ()
 
 
 def convert(
@@ -110,15 +115,16 @@ def folder_problems(**given: Path | None) -> list[Problem]:
 
 def _of_table(target: Path, table: Path, title: str | None, link: bool) -> Conversion:
     """The capture of a table of reflectances; `photographs` counts its measurements."""
-    counted: list[int] = []
+    read: list[ReflectanceTable] = []
 
     def write(partial: Path) -> list[Problem]:
-        count, notes = write_table_capture(partial, table, title=title, link=link)
-        counted.append(count)
+        content, notes = write_table_capture(partial, table, title=title, link=link)
+        read.append(content)
         return notes
 
     notes = _whole(target, write)
-    return Conversion(target, "table of reflectances", counted[0], tuple(notes), "goniometer")
+    count, channels = len(read[0].values), read[0].channels
+    return Conversion(target, "table of reflectances", count, tuple(notes), "goniometer", channels)
 
 
 def _whole(target: Path, write: Callable[[Path], list[Problem]]) -> list[Problem]:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import yaml
 
-from nishiki.capture.goniometer_tables import is_table, read_table
+from nishiki.capture.goniometer_tables import ReflectanceTable, is_table, read_table
 from nishiki.capture.layouts import photographs_in
 from nishiki.capture.problems import CaptureError, Problem, error, warning
 from nishiki.capture.schema import FORMAT
@@ -38,8 +38,10 @@ def refuse_for_table(**options) -> None:
         raise CaptureError(error("option-unusable", ", ".join(given), "cannot be used here", remedy=remedy))
 
 
-def write_table_capture(folder: Path, table: Path, *, title: str | None, link: bool) -> tuple[int, list[Problem]]:
-    """Write the capture into a new folder; returns the number of measurements and what the user should know.
+def write_table_capture(
+    folder: Path, table: Path, *, title: str | None, link: bool
+) -> tuple[ReflectanceTable, list[Problem]]:
+    """Write the capture into a new folder; returns the table and what the user should know.
 
     The table is taken over unchanged, once it has been read. Raises the CaptureErrors of `read_table`.
     """
@@ -54,4 +56,4 @@ def write_table_capture(folder: Path, table: Path, *, title: str | None, link: b
     (folder / "capture.yaml").write_text(text, encoding="utf-8")
     what = "two mirror planes, through weft and warp, are taken for granted"
     remedy = "Use --open and set goniometer.symmetry (quarter, half, none) and goniometer.weave if it is otherwise"
-    return len(content.values), [*content.warnings, warning("symmetry-assumed", table.name, what, remedy=remedy)]
+    return content, [*content.warnings, warning("symmetry-assumed", table.name, what, remedy=remedy)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -14,6 +15,18 @@ from nishiki.capture.tables import cells_of, expect_rows, reading, table_lines
 from nishiki.outside.bounds import bound
 
 ANGLES = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
+QUANTITIES = {
+    "radiance factor or reflectance (no unit)": re.compile(
+        r"(radiance|reflectance|reflection)[ _-]*factor|(?<![a-z])brf(?![a-z])"
+    ),
+    "error or count of a measurement": re.compile(
+        r"(?<![a-z])(std|stderr|stdev|stddev|sigma|variance|var|error|err|uncertainty|count|samples|weight)(?![a-z])"
+    ),
+    "angle": re.compile(r"(?<![a-z])(theta|phi|angle|azimuth|polar)(?![a-z])"),
+    "BRDF (1/sr)": re.compile(r"(?<![a-z])(brdf|sr)(?![a-z])"),
+}
+"""What the name of a column says of its quantity, looked for in this order without capitals."""
+BRDF, UNSAID = "BRDF (1/sr)", "no quantity in the name"
 SHOWN = 5  # wrong rows told of one kind
 TOLD = 20  # rows that cannot be read, before reading stops
 Lines = Iterator[tuple[int, str]]
@@ -34,8 +47,8 @@ class ReflectanceTable:
 def read_table(path: Path, name: str) -> ReflectanceTable:
     """Read `.brdf` (Cornell: angles in radians, a value a wavelength) or CSV.
 
-    Raises CaptureError with all mistakes: table-missing, table-unreadable, table-many, table-columns, table-empty,
-    angle-invalid, table-value.
+    Raises CaptureError with all mistakes: table-missing, table-unreadable, table-many, table-columns,
+    table-quantities, table-empty, angle-invalid, table-value.
     """
     with reading(name, "table"):
         lines = table_lines(path, name, limit="reflectances_bytes")
@@ -67,6 +80,7 @@ def _csv(lines: Lines, name: str) -> tuple[np.ndarray, tuple[str, ...], array]:
         expected, found = f"{', '.join(ANGLES)} and one column a channel, each once", ", ".join(heading)[:80]
         remedy = "Name the columns in the first line"
         raise CaptureError(error("table-columns", name, "columns", expected=expected, found=found, remedy=remedy))
+    _expect_reflectances(channels, name)
     order = [heading.index(column) for column in (*ANGLES, *channels)]
     numbers, places, problems = array("d"), array("q"), []
     for line, text in lines:
@@ -84,6 +98,33 @@ def _csv(lines: Lines, name: str) -> tuple[np.ndarray, tuple[str, ...], array]:
         expect_rows(len(numbers), "reflectances_values", name, "table")
     raise_errors(problems)
     return np.frombuffer(numbers).reshape(-1, len(order)), channels, places
+
+
+def quantity_of(column: str) -> str:
+    """What a column holds, as far as its name tells: a key of QUANTITIES, or UNSAID."""
+    folded = column.casefold()
+    for quantity, pattern in QUANTITIES.items():
+        found = pattern.search(folded.replace("_", " ").replace("-", " "))
+        if found:
+            return quantity
+    return UNSAID
+
+
+def _expect_reflectances(channels: tuple[str, ...], name: str) -> None:
+    """CaptureError (table-quantities) unless all columns hold the same quantity, in 1/sr as far as their names tell."""
+    held: dict[str, list[str]] = {}
+    for channel in channels:
+        held.setdefault(quantity_of(channel), []).append(channel)
+    if set(held) <= {BRDF} or set(held) <= {UNSAID}:
+        return
+    found = "; ".join(
+        f"{', '.join(names[:4])}{' ...' if len(names) > 4 else ''}: {quantity}" for quantity, names in held.items()
+    )
+    what = "columns are not all reflectances of one unit"
+    remedy = "Keep the four angles and the columns in 1/sr (a radiance factor divided by pi); delete the others"
+    raise CaptureError(
+        error("table-quantities", name, what, expected="channels in 1/sr alone", found=found, remedy=remedy)
+    )
 
 
 def _cornell(lines: Lines, name: str) -> tuple[np.ndarray, tuple[str, ...], array]:

@@ -16,11 +16,13 @@ from nishiki.capture.images import read_codes
 from nishiki.capture.lights import Lights, light_name, lights_from_vectors, read_lights
 from nishiki.capture.probes import direction_from_sphere, mean_direction
 from nishiki.capture.problems import CaptureError, Problem, error, raise_errors, warning
+from nishiki.capture.relight_files import find_relight, is_relight, read_relight
 from nishiki.capture.tables import expect_rows, reading, table_lines
 from nishiki.outside.bounds import bound
 from nishiki.outside.files import NAME_BYTES, is_plain, leads_out, read_text
 
 MASK_WORD = re.compile(r"(^|[._\- ])mask([._\- ]|$)", re.IGNORECASE)
+UNREAD_SUFFIXES = frozenset(".tga .bmp .webp .gif .heic .heif .jp2 .ppm .pgm .pnm .pfm .hdr .psd".split())
 PROBE_DATA = "circle_data.txt"
 LUMA = np.array([0.299, 0.587, 0.114])
 DISAGREEMENT = np.radians(3.0)
@@ -52,7 +54,20 @@ def photographs_in(folder: Path) -> list[Path]:
     found = (p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file())
     chosen = sorted((p for p in found if not MASK_WORD.search(p.stem)), key=natural_key)
     raise_errors(problem for path in chosen for problem in source_problems(path, folder))
+    if not chosen:
+        _refuse_unread(folder)
     return chosen
+
+
+def _refuse_unread(folder: Path) -> None:
+    """CaptureError (image-unsupported) where a folder holds pictures, but of formats that are not read."""
+    unread = sorted(p.name for p in folder.iterdir() if p.suffix.lower() in UNREAD_SUFFIXES)
+    if unread:
+        expected = "PNG, JPEG, TIFF, OpenEXR or camera raw"
+        found = f"{unread[0]} and {len(unread) - 1} more" if len(unread) > 1 else unread[0]
+        remedy = "Convert them to PNG without changing size or values (ImageMagick: mogrify -format png *.tga)"
+        what = "these pictures are of a format that is not read"
+        raise CaptureError(error("image-unsupported", str(folder), what, expected=expected, found=found, remedy=remedy))
 
 
 def source_problems(path: Path, folder: Path) -> list[Problem]:
@@ -69,8 +84,9 @@ def source_problems(path: Path, folder: Path) -> list[Problem]:
 def recognise(source: Path, *, lights_file: Path | None = None, mask: Path | None = None) -> Layout:
     """Find lamps and photographs in a folder.
 
-    A lights file (given, or the one `.lp` there), DiLiGenT's light_directions.txt, or mirror spheres with their
-    circles (folders holding circle_data.txt: column, row, radius) with the photographs beside them.
+    A lights file (given, or the one `.lp` there, or Relight's `.relight` or `info.json`), DiLiGenT's
+    light_directions.txt, or mirror spheres with their circles (folders holding circle_data.txt: column, row, radius)
+    with the photographs beside them.
     Raises CaptureError (folder-missing, layout-unknown, photographs-count, photograph-missing, and those of lights).
     """
     if not source.is_dir():
@@ -81,16 +97,20 @@ def recognise(source: Path, *, lights_file: Path | None = None, mask: Path | Non
         found = ", ".join(p.name for p in listed)
         raise CaptureError(error("layout-unknown", str(source), "several .lp files", found=found, remedy="Name one"))
     lights_file = lights_file or (listed[0] if listed else None)
+    if lights_file is None and not (source / "light_directions.txt").is_file():
+        lights_file = find_relight(source)
     if lights_file is not None:
-        return _with_lights(source, read_lights(lights_file), mask)
+        lights = read_relight(lights_file) if is_relight(lights_file) else read_lights(lights_file)
+        return _with_lights(source, lights, mask)
     if (source / "light_directions.txt").is_file():
         return _diligent(source, mask)
     probes = sorted(path.parent for path in source.glob(f"*/{PROBE_DATA}"))
     if probes:
         return _with_spheres(source, probes, mask)
     expected = (
-        "a .lp file, light_directions.txt, folders of mirror spheres with circle_data.txt; for a turntable a .mat file "
-        "with matrices P or a list of cameras; or photographs named GENERATOR_ANALYSER"
+        "a .lp file, Relight's .relight or info.json, light_directions.txt, folders of mirror spheres with "
+        "circle_data.txt; for a turntable a .mat file with matrices P or a list of cameras; or "
+        "photographs named GENERATOR_ANALYSER"
     )
     remedy = "Give the lights file, or write capture.yaml and frames.csv by hand"
     raise CaptureError(error("layout-unknown", str(source), "no lamps found", expected=expected, remedy=remedy))
@@ -99,7 +119,7 @@ def recognise(source: Path, *, lights_file: Path | None = None, mask: Path | Non
 def has_lamps(source: Path) -> bool:
     """Whether a folder tells where the lamps of a plane's photographs were."""
     listed = (source / "light_directions.txt").is_file() or any(source.glob("*.lp"))
-    return listed or any(source.glob(f"*/{PROBE_DATA}"))
+    return listed or any(source.glob(f"*/{PROBE_DATA}")) or find_relight(source) is not None
 
 
 def _find_mask(source: Path) -> Path | None:

@@ -24,7 +24,7 @@ from nishiki.capture.tables import expect_rows, label_problems, reading
 from nishiki.outside.bounds import bound
 from nishiki.outside.files import read_bytes
 
-IMAGE_SUFFIX = re.compile(r"\.(png|tiff?|jpe?g|exr|bmp|dng|cr[23w]|nef|arw|raf|orf|rw2|pef|srw)$", re.IGNORECASE)
+IMAGE_SUFFIX = re.compile(r"\.(png|tiff?|jpe?g|exr|bmp|dng|cr[23w]|nef|arw|raf|orf|rw2|pef|srw|tga)$", re.IGNORECASE)
 COPLANAR_RATIO = 1e-3  # smallest / largest singular value of the direction matrix
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from nishiki.progress import Progress
 
+SHOWN = 8  # channels of a table that are listed
 TO_COMPLETE = {
     "plane": "camera sensitivities, illuminant, pixel_pitch_mm",
     "turntable": "lights, turntable.mesh, turntable.unit, turntable.background",
@@ -61,6 +62,11 @@ def convert(options: argparse.Namespace, rest: list[str]) -> None:
         link=options.link,
     )
     things = "measurements" if made.geometry == "goniometer" else "photographs"
+    if made.channels:
+        shown = (
+            made.channels if len(made.channels) <= SHOWN else (*made.channels[: SHOWN - 1], "...", made.channels[-1])
+        )
+        print(f"{len(made.channels)} channels, taken to be in 1/sr: {', '.join(shown)}")
     for problem in made.warnings:
         print(f"warning: {problem}", file=sys.stderr)
     if options.open:

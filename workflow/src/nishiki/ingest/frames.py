@@ -7,7 +7,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -21,7 +20,6 @@ from nishiki.ingest.decode import to_luma
 from nishiki.ingest.linearise import LUMA_WEIGHTS, code_table, full_scale, saturation_code, srgb_to_linear
 from nishiki.ingest.region import region_of
 
-Channels = Literal["all", "luminance", "green"]
 CAMERA_BITS = (10, 12, 14)
 """Of cameras whose codes are stored in 16 bits."""
 NEAR_TOP = 31 / 32
@@ -37,7 +35,7 @@ class FrameReader:
     """
 
     capture: Capture
-    channels: Channels
+    channels: str
     rows: int
     columns: int
     dtype: np.dtype
@@ -49,20 +47,25 @@ class FrameReader:
     def of(
         cls,
         capture: Capture,
-        channels: Channels | Literal["auto"],
+        channels: str,
         *,
         prove: bool = True,
         unopened: Collection[str] = (),
     ) -> FrameReader:
         """Look at the first photograph's header, and prove that a sealed capture's tables are as they were sealed.
 
-        channels: auto is all, for only a plan knows what the later stages need, and puts its choice in place of auto.
+        channels: auto, all, luminance, green (of names without it the middle one), or the name of one stored channel;
+        auto is all, for only a plan knows what the later stages need, and puts its choice in place of auto.
         prove=False: without any proof; unopened: files that are left out, which are not proven either. CaptureError
         where the header or the region cannot be used, or a file changed.
         """
         channels = "all" if channels == "auto" else channels
-        if channels not in ("all", "luminance", "green"):
-            raise ValueError(f"channels {channels!r}: all, luminance or green")
+        stored = capture.settings.camera.channels
+        if channels not in ("all", "luminance", "green", *stored):
+            expected = f"auto, all, luminance, green, or a channel of the capture ({', '.join(stored)})"
+            raise CaptureError(
+                error("channel-unknown", "ingest.channels", "channels", expected=expected, found=channels)
+            )
         digests = sealed_digests(capture.root) if prove else {}
         others = {f.file for f in capture.frames} | set(unopened)
         for name in sorted(digests.keys() - others):  # tables, spectra, mask: small
@@ -86,22 +89,31 @@ class FrameReader:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the channels that are read."""
-        if self.channels == "luminance" and len(self.stored) > 1:
+        if self._luminance:
             return ("luminance",)
-        return (self.stored[self._green],) if self.channels == "green" else self.stored
+        return self.stored if self.single is None else (self.stored[self.single],)
 
     @property
-    def _green(self) -> int:
+    def single(self) -> int | None:
+        """Place of the one stored channel that is read; None where all are, or their luminance."""
+        if self.channels in self.stored:
+            return self.stored.index(self.channels)
+        if self.channels != "green":
+            return None
         folded = [name.casefold() for name in self.stored]
         return next((folded.index(n) for n in ("green", "g") if n in folded), len(folded) // 2)
+
+    @property
+    def _luminance(self) -> bool:
+        return self.channels == "luminance" and len(self.stored) > 1 and self.single is None
 
     @cached_property
     def weights(self) -> np.ndarray:
         """(read channels, stored channels) float64: how the channels read are made of those stored."""
         count = len(self.stored)
-        if self.channels == "green":
-            return np.eye(count)[self._green : self._green + 1]
-        if self.channels == "luminance" and count > 1:
+        if self.single is not None:
+            return np.eye(count)[self.single : self.single + 1]
+        if self._luminance:
             return LUMA_WEIGHTS[None] if count == 3 else np.full((1, count), 1 / count)
         return np.eye(count)
 
@@ -145,10 +157,10 @@ class FrameReader:
         if np.dtype(header.sample) != self.dtype:
             expected, found = str(self.dtype), header.sample
             raise CaptureError(error("image-depth", frame.file, "depth differs", expected=expected, found=found))
-        luminance = self.channels == "luminance" and len(self.stored) > 1
+        luminance = self._luminance
         codes = read_codes(frame.path, self.stored, header=header, luma=luminance, region=self.region, name=frame.file)
-        if self.channels == "green":
-            return codes[:, :, self._green : self._green + 1]
+        if self.single is not None:
+            return codes[:, :, self.single : self.single + 1]
         if luminance and codes.shape[2] > 1:
             top = self.full if np.isfinite(self.saturated) else np.inf
             rounding = 0.0 if self.dtype.kind == "f" else 0.5

@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -30,7 +30,7 @@ Tick = Callable[[str], None]
 class Settings(Protocol):
     """What ingest reads of its settings."""
 
-    channels: Literal["auto", "all", "luminance", "green"]
+    channels: str
     white_block: int
     without: tuple[str, ...]
 

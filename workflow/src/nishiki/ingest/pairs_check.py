@@ -34,6 +34,8 @@ LARGEST_TABLE = 4e7  # numbers: lamps x lamps x blocks; with more lamps fewer bl
 GAIN = 0.04  # log units (4 %) that an exchange must gain: less does no harm
 CLEARLY = 1.5  # times the usual misfit that an exchange must gain
 SHARE = 0.3  # of the misfit that it must gain
+BY_CHANCE = 0.65  # of the mean misfit of all pairs
+FAR_BETTER = 0.65  # of the misfit; right pairings keep 0.75 or more of it, also of mirrors
 FLOOR = 3.0  # the usual misfit is at most that many times what the best assignment leaves
 ALONE = np.log(2.5)  # misfit of one photograph that no other board explains
 GRAZING, FACING = 0.3, 0.9  # cosines beyond which shadows, or gloss, can do that
@@ -249,9 +251,17 @@ def _exchanges(levels: np.ndarray, whites: np.ndarray, cosines: np.ndarray, dire
                 best, after = order, found
         return best, after
 
-    usual = min(float(np.median(before)), FLOOR * float(np.median(settle(0.0)[1])))
+    free = settle(0.0)
+    usual = min(float(np.median(before)), FLOOR * float(np.median(free[1])))
     best, after = settle(max(GAIN / 2, usual))
     better = own.copy()
+    # a pairing hardly better than chance, which another order makes far better: most boards are wrong
+    chance = misfits.mean()
+    if chance >= 2 * GAIN and before.mean() >= BY_CHANCE * chance and free[1].mean() <= FAR_BETTER * before.mean():
+        order, after = free
+        moved = before - after >= GAIN
+        better[moved] = order[moved]
+        return Exchange(better, before, after, usual, np.zeros(lamps))
     for cycle in _cycles(best):
         gain = (before[cycle] - after[cycle]).mean()
         if gain >= max(GAIN, CLEARLY * usual) and gain >= SHARE * before[cycle].mean():

@@ -32,7 +32,7 @@ MANY_REGIONS = 256
 class Settings(Protocol):
     """What ingest reads of its settings."""
 
-    channels: Literal["auto", "all", "luminance", "green"]
+    channels: str
     white_block: int
     tile_mib: int
     compression: Literal["none", "zstd"]
@@ -44,7 +44,7 @@ class IngestSettings:
     """channels: which to keep (auto: all); white_block: pixels of a gain block (1: per pixel, P eq. 3); tile_mib: float
     memory of one band over all lights; compression of the stored codes; without: parts that are not opened."""
 
-    channels: Literal["auto", "all", "luminance", "green"] = "all"
+    channels: str = "all"
     white_block: int = 16
     tile_mib: int = 128
     compression: Literal["none", "zstd"] = "none"

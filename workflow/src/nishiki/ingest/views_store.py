@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Literal, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -33,7 +33,7 @@ Tick = Callable[[str], None]
 class Settings(Protocol):
     """What ingest reads of its settings."""
 
-    channels: Literal["auto", "all", "luminance", "green"]
+    channels: str
     white_block: int
     without: tuple[str, ...]
 

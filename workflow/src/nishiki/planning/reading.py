@@ -60,7 +60,7 @@ def reading_of(
     stored = len(capture.settings.camera.channels)
     if getattr(capture, "table", None) is not None:
         stored = len(capture.channels)
-    kept = 1 if channels in ("luminance", "green") else stored
+    kept = stored if channels in ("auto", "all") else 1
     tiles = _tiles(capture, without, kept, tile_mib, white_block) if isinstance(capture, Capture) else None
     return Reading(_files(capture, unopened), (kept, stored), tiles)
 

@@ -13,9 +13,12 @@ class IngestSettings(Guarded):
     STAGE: ClassVar[str] = "ingest"
     VERSION: ClassVar[int] = 2
 
-    channels: Literal["auto", "all", "luminance", "green"] = Field(
+    channels: str = Field(
         "auto",
-        description="channels to keep; auto: all where a stage of the plan uses colour, as normals do",
+        min_length=1,
+        max_length=100,
+        description="auto: all where a stage of the plan uses colour, as normals do; all; luminance; green; or the "
+        "name of one channel of the capture",
     )
     white_block: int = Field(
         16, ge=1, le=256, description="white board averaged over blocks of this many pixels; 1: per pixel (P eq. 3)"

@@ -1,0 +1,104 @@
+"""Lamp directions from the files that the program Relight writes: `NAME.relight` (its project) and `info.json`.
+
+A project lists the photographs, each with its file name and `direction` {x, y, z}; one with `skip` is not used.
+`info.json` of a relightable image holds `lights`, three numbers a photograph, without file names. Axes as in `.lp`.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.capture.lights import Lights, lights_from_vectors
+from nishiki.capture.problems import CaptureError, error, warning
+from nishiki.capture.tables import expect_rows, reading
+from nishiki.outside.files import read_text
+
+REMEDY = "Save the project again in Relight with its directions, or export a .lp file"
+
+
+def find_relight(source: Path) -> Path | None:
+    """The one project of Relight in a folder, else its info.json where that holds lights; None without either.
+
+    CaptureError (layout-unknown) where there are several projects.
+    """
+    projects = sorted(source.glob("*.relight"))
+    if len(projects) > 1:
+        found = ", ".join(p.name for p in projects[:5])
+        raise CaptureError(
+            error("layout-unknown", str(source), "several .relight files", found=found, remedy="Name one")
+        )
+    if projects:
+        return projects[0]
+    info = source / "info.json"
+    try:
+        return info if info.is_file() and "lights" in _read(info) else None
+    except CaptureError:
+        return None
+
+
+def read_relight(path: Path) -> Lights:
+    """Lamps of a `.relight` project or of an `info.json`; the names of photographs that are skipped are left out.
+
+    CaptureError: lights-missing, lights-unreadable, lights-many, and those of `lights_from_vectors`.
+    """
+    content = _read(path)
+    notes, images = [], content.get("images")
+    if isinstance(images, list):
+        expect_rows(len(images), "lights", path.name, "lights")
+        kept = [image for image in images if not (isinstance(image, dict) and image.get("skip") is True)]
+        names = [_name(image, path.name) for image in kept]
+        vectors = [_vector([image["direction"].get(axis) for axis in "xyz"], path.name) for image in kept]
+        if len(kept) < len(images):
+            what = "photographs that the project skips were left out"
+            notes.append(warning("photograph-unlisted", path.name, what, found=f"{len(images) - len(kept)}"))
+    elif isinstance(content.get("lights"), list):
+        numbers = content["lights"]
+        expect_rows(len(numbers) // 3, "lights", path.name, "lights")
+        if len(numbers) % 3:
+            raise _unreadable(path.name, "three numbers a light", f"{len(numbers)} numbers")
+        vectors = [_vector(numbers[i : i + 3], path.name) for i in range(0, len(numbers), 3)]
+        names = [None] * len(vectors)
+    else:
+        raise _unreadable(path.name, "'images' with directions, or 'lights'", ", ".join(map(repr, content))[:80])
+    lights = lights_from_vectors(names, np.array(vectors, np.float64).reshape(-1, 3), file=path.name)
+    return Lights(lights.names, lights.files, lights.vectors, lights.directions, (*lights.warnings, *notes))
+
+
+def _read(path: Path) -> dict:
+    with reading(path.name, "lights"):
+        text = read_text(path, "table_bytes")
+    try:
+        content = json.loads(text)
+    except (ValueError, RecursionError) as e:
+        found = "nested too deeply" if isinstance(e, RecursionError) else str(e)[:80]
+        raise _unreadable(path.name, "JSON", found) from e
+    if not isinstance(content, dict):
+        raise _unreadable(path.name, "a JSON object", type(content).__name__)
+    return content
+
+
+def _name(image: object, file: str) -> str:
+    """File name of one photograph of a project, whose direction is an object, too."""
+    name = image.get("filename") if isinstance(image, dict) else None
+    if not isinstance(name, str) or not name or not isinstance(image.get("direction"), dict):
+        raise _unreadable(file, "images with 'filename' and 'direction'", repr(image)[:80])
+    return name
+
+
+def _vector(values: list, file: str) -> list[float]:
+    if not all(isinstance(v, int | float) and not isinstance(v, bool) and abs(v) < 1e9 for v in values):
+        raise _unreadable(file, "directions of three numbers", repr(values)[:80])
+    return [float(v) for v in values]
+
+
+def _unreadable(file: str, expected: str, found: str) -> CaptureError:
+    what = "not a file of lights by Relight"
+    return CaptureError(error("lights-unreadable", file, what, expected=expected, found=found, remedy=REMEDY))
+
+
+def is_relight(path: Path) -> bool:
+    """Whether a lights file is one of Relight's, by its suffix."""
+    return path.suffix.lower() in (".relight", ".json")
