@@ -1,6 +1,7 @@
 """Normals: photometric stereo on the selected lights, with uncertainty, and the reflectance of each channel."""
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 
@@ -38,6 +39,7 @@ MAPS = {
 
 SAMPLE_BANDS, SAMPLE_PIXELS = 12, 20_000  # of the scene, for its gloss
 SMALL_PARCEL = 1024  # pixels
+WEIGHTED = 0.01  # mean change of the samples, relative, from which the shading is fitted to the mean of the channels
 
 
 def work(context: Context) -> dict:
@@ -207,6 +209,8 @@ def solve(
         solver=settings.solver,
         max_condition=settings.max_condition,
     )
+    if field.shading is not None and observations.shape[-1] > 1:
+        field = with_shading_of_mean(field, intensity, observations, parcel, usable, valid, settings)
     found = {name: getattr(field, name) for name in MAPS if name != "reflectance"}
     if observations.shape[-1] == 1 and field.shading is None:
         found["reflectance"] = field.albedo[..., None]
@@ -241,6 +245,25 @@ def solve(
         else np.where(aligned(kept, values), values, lambert[name] if name in lambert else getattr(fit, name))
         for name, values in found.items()
     }
+
+
+def with_shading_of_mean(field, intensity, observations, parcel: Parcel, usable, valid, settings):
+    """The field with the body shading of the channels' mean where the intensity that made the normals is another.
+
+    There gloss was weighted down for the normals; light is predicted with all of it.
+    """
+    mean = observations.mean(axis=-1)
+    change = np.abs(intensity - mean).sum(axis=0)
+    chosen = np.flatnonzero(change > WEIGHTED * np.abs(mean).sum(axis=0))
+    if not chosen.size:
+        return field
+    picked = [pick(np.broadcast_to(array, mean.shape), chosen) for array in (mean, usable, valid)]
+    of_mean = estimate_normals(
+        picked[0], parcel.directions, usable=picked[1], valid=picked[2], solver=settings.solver
+    ).shading
+    shading = field.shading.copy()
+    shading.reshape(-1, 3)[chosen] = of_mean.reshape(-1, 3)
+    return replace(field, shading=shading)
 
 
 def aligned(mask: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -1,5 +1,10 @@
 """Channels weighted by each pixel's colour: against a slow reference, and what it promises of grey, gloss and scale."""
 
+import importlib.util
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -108,3 +113,31 @@ def test_samples_that_are_not_valid_change_no_other():
     samples[5] = np.nan
     others = np.arange(len(samples)) != 5
     assert np.array_equal(body_intensity(samples, valid)[others], found[others])
+
+
+def script(name):
+    """A stage's script as a module."""
+    folder = Path(__file__).resolve().parents[2] / "scripts"
+    sys.path.insert(0, str(folder))
+    found = importlib.util.spec_from_file_location(f"script_{name}", folder / f"{name}.py")
+    module = importlib.util.module_from_spec(found)
+    found.loader.exec_module(module)
+    sys.path.remove(str(folder))
+    return module
+
+
+def test_coloured_pixels_have_the_shading_of_the_mean_and_grey_ones_keep_theirs():
+    stage = script("normals")
+    red, _, lights = glossy(DARK_RED, pixels=30)
+    grey, _, _ = glossy(np.full(3, 0.1), pixels=30)
+    samples = np.concatenate([red, np.repeat(grey.mean(axis=-1, keepdims=True), 3, axis=-1)], axis=2)
+    mean, valid = samples.mean(axis=-1), np.ones(samples.shape[:3], bool)
+    usable = select_diffuse(mean, lights, valid=valid).usable
+    intensity = body_intensity(samples, valid)
+    field = estimate_normals(intensity, lights, usable=usable, valid=valid)
+    of_mean = estimate_normals(mean, lights, usable=usable, valid=valid)
+    place, settings = SimpleNamespace(directions=lights), SimpleNamespace(solver="default")
+    found = stage.with_shading_of_mean(field, intensity, samples, place, usable, valid, settings)
+    assert np.array_equal(found.shading[:, :30], of_mean.shading[:, :30])
+    assert np.array_equal(found.shading[:, 30:], field.shading[:, 30:])
+    assert np.array_equal(found.normals, field.normals)
