@@ -20,7 +20,7 @@ from nishiki.brdf.scene import fit_scene
 from nishiki.brdf.slopes import slope_covariance
 from nishiki.brdf.specular_histogram import SpecularHistogram, unit_of
 from nishiki.contract.artifact import Artifact
-from nishiki.contract.maps import Maps, MapWriter
+from nishiki.contract.maps import Maps, MapWriter, shading_normals
 from nishiki.contract.stage import Context, run_stage
 from nishiki.economy.decision import Decision, economy
 from nishiki.economy.gloss import Evidence, decided, gloss_evidence
@@ -114,7 +114,7 @@ def gloss_of_regions(context: Context, frames: Observations, maps: Maps, labels:
     nothing = GlossProfile(np.zeros(LADDER.size), LADDER, settings.refractive_index, transmission)
     parts = []
     for piece in sample(frames, lights, SAMPLE_PIXELS):
-        normals, known = piece.of(maps.read("normals", piece.band)), piece.of(maps.read("flags", piece.band))
+        normals, known = piece.of(shading_normals(maps, piece.band)), piece.of(maps.read("flags", piece.band))
         flat = normals[..., 2] < np.cos(np.radians(settings.max_slope_deg))
         reflectance = piece.of(maps.read("reflectance", piece.band)).mean(axis=-1)[..., None]
         everywhere = np.broadcast_to(((known & NO_ESTIMATE) == 0) & ~flat, piece.valid.shape)
@@ -151,7 +151,7 @@ def fit_brightest(context: Context, frames: Observations, maps: Maps, labels: np
     for band in context.progress.over(frames.bands(), "band"):
         observations, valid = frames.read(band, lights=lights, channel="mean")
         known = (maps.read("flags", band) & NO_ESTIMATE) == 0
-        normals, albedo = maps.read("normals", band), maps.read("reflectance", band).mean(axis=-1)
+        normals, albedo = shading_normals(maps, band), maps.read("reflectance", band).mean(axis=-1)
         for region, samples in enumerate(gathered):
             inside = known if labels is None else known & (labels[band] == region)
             found = brightest_light_samples(
@@ -195,7 +195,7 @@ def gather(
     transmission = body_transmission(context.inputs["normals"])
     for band in context.progress.over(frames.bands(), "band"):
         observations, valid = frames.read(band, lights=lights, channel="mean")
-        normals = maps.read("normals", band)
+        normals = shading_normals(maps, band)
         left_out = ((maps.read("flags", band) & NO_ESTIMATE) != 0) | (normals[..., 2] < lowest)
         own = np.zeros(left_out.shape, int) if labels is None else labels[band]
         region = np.where(left_out | ~glossy[own], -1, own)
@@ -221,7 +221,7 @@ def gather(
 def slope_variance(maps: Maps, band: slice) -> np.ndarray:
     """Variance of the slopes within the pixels of a band, mean of both axes, from the normals beside them too."""
     first = max(band.start - 1, 0)
-    found = slope_covariance(maps.read("normals", slice(first, band.stop + 1)))
+    found = slope_covariance(shading_normals(maps, slice(first, band.stop + 1)))
     return 0.5 * (found[..., 0] + found[..., 2])[band.start - first :][: band.stop - band.start]
 
 

@@ -10,7 +10,7 @@ import _project  # noqa: F401
 from nishiki.brdf.parameters import gloss_table, is_facets
 from nishiki.brdf.slopes import slope_covariance
 from nishiki.contract.artifact import Artifact
-from nishiki.contract.maps import Maps, MapWriter
+from nishiki.contract.maps import Maps, MapWriter, shading_normals
 from nishiki.contract.provenance import truth_digest
 from nishiki.contract.stage import Context, run_stage
 from nishiki.errors import UserError
@@ -65,7 +65,8 @@ class Scene:
         self.flags = maps.read("flags")
         gloss, labels, facets = read_gloss(inputs.get("brdf"))
         shading = maps.read("shading") if "shading" in maps else None
-        normals = maps.read("normals")
+        self.normals = maps.read("normals")
+        normals = shading_normals(maps)
         slopes = slope_covariance(normals) if facets else None
         self.model = FittedModel(normals, maps.read("reflectance"), gloss, labels, shading, slopes)
         self.known = ((self.flags & NO_ESTIMATE) == 0) & np.isfinite(self.model.reflectance).all(axis=-1)
@@ -139,7 +140,7 @@ def against_truth(truth: Truth, scene: Scene, out: MapWriter) -> dict:
     """Errors of the maps themselves; None where there is no truth or no map of the kind."""
     found = {"normals": None, "height": None, "reflectance": None}
     if truth.normals is not None:
-        errors = normal_errors(scene.model.normals, truth.normals, flags=scene.flags, mask=scene.frames.mask)
+        errors = normal_errors(scene.normals, truth.normals, flags=scene.flags, mask=scene.frames.mask)
         out.write("angular_error", errors.map_deg, unit="degrees", nan="outside what truth and estimate share")
         found["normals"] = errors.as_dict()
     has_height = truth.height_mm is not None and scene.height is not None and scene.height_unit == "mm"

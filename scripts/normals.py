@@ -21,6 +21,8 @@ from nishiki.normals.gloss import refine_normals
 from nishiki.normals.gloss_profile import GlossProfile
 from nishiki.normals.gloss_scene import FEW_LIGHTS, GlossTile, SceneGloss, fit_scene_gloss
 from nishiki.normals.reflectance import diffuse_reflectance
+from nishiki.normals.relighting import FEW_LIGHTS as RELIGHT_LIGHTS
+from nishiki.normals.relighting import fit_relighting
 from nishiki.normals.solve import estimate_normals
 from nishiki.separation.body_colour import body_intensity
 from nishiki.settings.normals import NormalsSettings
@@ -33,6 +35,7 @@ MAPS = {
     "lights_used": ("uint16", "lights"),
     "condition": ("float32", "of the weighted 3 x 3 normal matrix"),
     "shading": ("float32", "weights (a, b, d) of c, c^2 and c x^8, see docs/stages/normals.md"),
+    "shading_normals": ("float32", "unit vector of the body shading, where few lamps light a pixel"),
     "residual": ("float32", "rms, relative to white"),
     "flags": ("uint8", "bits, see docs/stages/normals.md"),
 }
@@ -53,9 +56,10 @@ def work(context: Context) -> dict:
             "separate was made with. Remedy: give both stages the same, or run both through the workflow."
         )
     lights, decision = fit_lights(frames, selection, context.settings)
-    arrays = create_maps(context, frames)
     gloss = scene_gloss(frames, selection, lights, context.settings)
     profile = gloss.profile if wanted(gloss, context.settings) else None
+    relight = profile is None and len(lights) <= RELIGHT_LIGHTS and context.settings.solver != "least_squares"
+    arrays = create_maps(context, frames, relight=relight)
     refinement = decided(gloss, context.settings.refine)
     if refinement:
         context.progress.tell(str(refinement))
@@ -71,6 +75,8 @@ def work(context: Context) -> dict:
             for parcel in parcels(frames, rows, lights):
                 area = np.s_[:, parcel.rows, parcel.columns]
                 maps = solve(observations[area], usable[area], valid[area], parcel, context.settings, profile)
+                if relight:
+                    maps.update(relit(observations[area], valid[area], parcel, maps))
                 for name, values in maps.items():
                     found[name][strip][area[1:]] = values
         for name, array in arrays.items():
@@ -167,16 +173,18 @@ def gloss_tile(observations, usable, valid, parcel: Parcel, settings: NormalsSet
     )
 
 
-def create_maps(context: Context, frames: Observations) -> dict:
+def create_maps(context: Context, frames: Observations, *, relight: bool) -> dict:
     """The arrays of the artifact."""
     rows, columns = frames.shape
     maps = MapWriter(context.output.folder, rows=rows, columns=columns, band_rows=frames.band_rows, stamp=context.stamp)
     maps.group.attrs["pixel_pitch_mm"] = frames.pixel_pitch_mm
-    trailing = {"normals": (3,), "reflectance": (len(frames.channels),), "shading": (3,)}
+    trailing = {"normals": (3,), "reflectance": (len(frames.channels),), "shading": (3,), "shading_normals": (3,)}
+    left_out = {"shading"} if context.settings.solver == "least_squares" else set()
+    left_out |= set() if relight else {"shading_normals"}
     return {
         name: maps.create(name, trailing.get(name, ()), dtype=dtype, unit=unit)
         for name, (dtype, unit) in MAPS.items()
-        if name != "shading" or context.settings.solver != "least_squares"
+        if name not in left_out
     }
 
 
@@ -211,7 +219,7 @@ def solve(
     )
     if field.shading is not None and observations.shape[-1] > 1:
         field = with_shading_of_mean(field, intensity, observations, parcel, usable, valid, settings)
-    found = {name: getattr(field, name) for name in MAPS if name != "reflectance"}
+    found = {name: getattr(field, name) for name in MAPS if name not in ("reflectance", "shading_normals")}
     if observations.shape[-1] == 1 and field.shading is None:
         found["reflectance"] = field.albedo[..., None]
     else:
@@ -264,6 +272,20 @@ def with_shading_of_mean(field, intensity, observations, parcel: Parcel, usable,
     shading = field.shading.copy()
     shading.reshape(-1, 3)[chosen] = of_mean.reshape(-1, 3)
     return replace(field, shading=shading)
+
+
+def relit(observations: np.ndarray, valid: np.ndarray, parcel: Parcel, maps: dict) -> dict:
+    """The maps that predict lamps, fitted again to all lit samples of a parcel."""
+    return fit_relighting(
+        scaled(observations, parcel),
+        parcel.directions,
+        maps["normals"],
+        valid=valid,
+        scatter=maps["residual"] / np.maximum(maps["albedo"], 1e-9),
+        reflectance=maps["reflectance"],
+        shading=maps["shading"],
+        known=(maps["flags"] & bits.NO_ESTIMATE) == 0,
+    )
 
 
 def aligned(mask: np.ndarray, values: np.ndarray) -> np.ndarray:

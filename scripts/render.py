@@ -11,7 +11,7 @@ from nishiki.brdf.parameters import gloss_table, is_facets
 from nishiki.brdf.slopes import slope_covariance
 from nishiki.capture.spectra_tables import read_curves
 from nishiki.contract.artifact import Artifact
-from nishiki.contract.maps import Maps
+from nishiki.contract.maps import Maps, shading_normals
 from nishiki.contract.stage import Context, run_stage
 from nishiki.normals.flags import NO_ESTIMATE
 from nishiki.render import requests
@@ -49,8 +49,11 @@ def run(context: Context) -> dict:
         found[sequence.name] = {"frames": written.frames, "file": written.path.name, "exposure": exposure}
         notes += [written.note] if written.note else []
     if settings.export_normals:
-        write_normals_png(context.output.path("normals.png"), scene.normals, stamp=context.stamp)
-        write_normals_exr(context.output.path("normals.exr"), scene.normals, stamp=context.stamp)
+        maps = Maps(context.inputs["normals"].folder)
+        known = (maps.read("flags") & NO_ESTIMATE) == 0
+        normals = np.where(known[..., None], maps.read("normals"), np.float32(0))
+        write_normals_png(context.output.path("normals.png"), normals, stamp=context.stamp)
+        write_normals_exr(context.output.path("normals.exr"), normals, stamp=context.stamp)
     return {
         "pictures": found,
         "notes": notes,
@@ -63,7 +66,7 @@ def load_scene(inputs: dict[str, Artifact], *, cast_shadows: bool) -> PlaneScene
     """The maps of the upstream artifacts; spectra where there are some, camera channels otherwise."""
     maps = Maps(inputs["normals"].folder)
     known = (maps.read("flags") & NO_ESTIMATE) == 0
-    normals = np.where(known[..., None], maps.read("normals"), np.float32(0))
+    normals = np.where(known[..., None], shading_normals(maps), np.float32(0))
     fields = {"normals": normals, "pitch": maps.group.attrs.get("pixel_pitch_mm") or 1.0, **colours(inputs, maps)}
     if "shading" in maps:
         fields["shading"] = maps.read("shading")

@@ -62,3 +62,8 @@ class Maps:
     def attributes(self, name: str) -> dict:
         """What was said of a map when it was written."""
         return dict(self.group[name].attrs)
+
+
+def shading_normals(maps: Maps, rows: slice = slice(None)) -> np.ndarray:
+    """Normals of the body shading, of some rows: the stage's own maps of them where it made any, else its normals."""
+    return maps.read("shading_normals" if "shading_normals" in maps else "normals", rows)

@@ -1,0 +1,136 @@
+"""The fit for relighting: against SciPy, shadows and highlights, what it keeps, real lamps left out."""
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from nishiki.brdf.body_shading import body_factor
+from nishiki.errors import UserError
+from nishiki.normals.relighting import (
+    ALONG,
+    LEAST_PRIOR,
+    NOISE,
+    TUNING,
+    WIDTH_NORMAL,
+    fit_relighting,
+)
+
+
+def cone(count=12, seed=1):
+    rng = np.random.default_rng(seed)
+    lights = rng.normal(size=(count, 3)) * [0.25, 0.25, 0] + [0, 0, 1]
+    return lights / np.linalg.norm(lights, axis=1, keepdims=True)
+
+
+def scene(pixels=60, seed=2, b=-0.1, d=0.0):
+    rng = np.random.default_rng(seed)
+    lights = cone()
+    normals = rng.normal(size=(pixels, 3)) * [0.4, 0.4, 0] + [0, 0, 1]
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    rho = rng.uniform(0.2, 0.9, (pixels, 3))
+    return lights, normals, rho, shade(normals, lights, b, d)[..., None] * rho
+
+
+def shade(normals, lights, b, d):
+    halves = lights + np.array([0, 0, 1])
+    halves /= np.linalg.norm(halves, axis=1, keepdims=True)
+    c, x = np.maximum(lights @ normals.T, 0), np.maximum(halves @ normals.T, 0)
+    return c * (1 + b * c + d * x**8)
+
+
+def fit(stack, lights, start, scatter=0.02, **changes):
+    pixels = len(start)
+    given = {
+        "valid": np.ones((len(lights), 1, pixels), bool),
+        "scatter": np.full((1, pixels), scatter),
+        "reflectance": np.full((1, pixels, stack.shape[-1]), 7.0),
+        "shading": np.tile(np.float32([1, 0, 0]), (1, pixels, 1)),
+        "known": np.ones((1, pixels), bool),
+    } | changes
+    return fit_relighting(stack[:, None].astype(np.float32), lights, start[None].astype(np.float32), **given)
+
+
+def predicted(found, lights):
+    normals = found["shading_normals"][0].astype(float)
+    halves = lights + np.array([0, 0, 1])
+    halves /= np.linalg.norm(halves, axis=1, keepdims=True)
+    c, x = np.maximum(lights @ normals.T, 0), np.maximum(halves @ normals.T, 0)
+    return (c * body_factor(found["shading"][0], c, x))[..., None] * found["reflectance"][0]
+
+
+def test_lambert_is_found_exactly_and_scaled_to_one():
+    lights, normals, rho, stack = scene(b=0.0)
+    found = fit(stack, lights, normals)
+    np.testing.assert_allclose(found["shading_normals"][0], normals, atol=2e-5)
+    np.testing.assert_allclose(found["shading"][0], np.tile([1, 0, 0], (60, 1)), atol=2e-4)
+    np.testing.assert_allclose(found["reflectance"][0], rho, rtol=2e-4)
+
+
+def test_the_direction_is_the_minimum_of_cauchys_cost():
+    """The same objective (scale of the last round) by SciPy's trust region from the same start."""
+    lights, normals, _, stack = scene(pixels=8, b=-0.2)
+    stack = stack + 0.01 * np.random.default_rng(5).normal(size=stack.shape)
+    scatter = 0.05
+    found = fit(stack, lights, normals, scatter)["shading_normals"][0]
+    for p in range(8):
+        level = stack[:, p].mean(-1)
+        cosine = np.maximum(lights @ normals[p], 0)
+        level = level / (cosine @ level / (cosine @ cosine))
+        held = np.full(3, (scatter / WIDTH_NORMAL) ** 2 + LEAST_PRIOR * len(lights) / 3) * [1, 1, ALONG]
+        g = normals[p]
+        for _ in range(30):  # the scale follows the residuals, as in the fit
+            r = level - lights @ g
+            scale = TUNING * (1.4826 * np.median(np.abs(r)) * np.sqrt(len(r) / (len(r) - 2)) + NOISE)
+
+            def residuals(g, scale=scale, level=level, held=held, p=p):
+                robust = scale * np.sqrt(np.log1p(((level - lights @ g) / scale) ** 2))
+                return np.concatenate([robust, np.sqrt(held) * (g - normals[p])])
+
+            g = least_squares(residuals, g, xtol=1e-12, ftol=1e-12, gtol=1e-12).x
+        assert np.degrees(np.arccos(min(found[p] @ g / np.linalg.norm(g), 1))) < 0.3
+
+
+def test_shadows_and_highlights_do_not_spoil_the_prediction():
+    lights, normals, _, stack = scene()
+    spoilt = stack.copy()
+    spoilt[2], spoilt[7] = 0.0, stack[7] + 0.8
+    found = fit(spoilt, lights, normals)
+    kept = np.setdiff1d(np.arange(12), [2, 7])
+    error = np.abs(predicted(found, lights) - stack)[kept].mean()
+    scaled = np.linalg.lstsq(lights, spoilt.mean(-1), rcond=None)[0]
+    plain = np.abs(lights @ scaled - stack.mean(-1))[kept].mean()
+    assert error < 0.2 * plain
+
+
+def test_a_start_that_is_far_off_is_left_behind():
+    lights, normals, _, stack = scene()
+    wrong = normals * [-1, -1, 1]
+    assert np.abs(predicted(fit(stack, lights, wrong, 0.05), lights) - stack).mean() < 0.02
+
+
+def test_what_cannot_be_fitted_stays():
+    lights, normals, _, stack = scene(pixels=6)
+    dark = stack.copy()
+    dark[:, 1] = 0.0
+    known = np.ones((1, 6), bool)
+    known[0, 0] = False
+    found = fit(dark, lights, normals, known=known)
+    for p in (0, 1):
+        np.testing.assert_array_equal(found["shading_normals"][0, p], normals[p].astype(np.float32))
+        assert (found["reflectance"][0, p] == 7).all()
+    assert all(np.isfinite(values).all() for values in found.values())
+    assert (found["reflectance"][0, 2:] < 1).all()
+    with pytest.raises(UserError, match="do not fit"):
+        fit(stack, lights[:5], normals)
+
+
+def test_samples_that_are_not_valid_count_for_nothing():
+    lights, normals, _, stack = scene()
+    valid = np.ones((12, 1, 60), bool)
+    valid[4] = False
+    broken = stack.copy()
+    broken[4] = 1e30
+    np.testing.assert_array_equal(
+        fit(broken, lights, normals, valid=valid)["reflectance"],
+        fit(stack, lights, normals, valid=valid)["reflectance"],
+    )
