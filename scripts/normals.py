@@ -20,7 +20,7 @@ from nishiki.normals import flags as bits
 from nishiki.normals.gloss import refine_normals
 from nishiki.normals.gloss_profile import GlossProfile
 from nishiki.normals.gloss_scene import FEW_LIGHTS, GlossTile, SceneGloss, fit_scene_gloss
-from nishiki.normals.reflectance import diffuse_reflectance
+from nishiki.normals.reflectance import diffuse_reflectance, mean_of_channels
 from nishiki.normals.relighting import FEW_LIGHTS as RELIGHT_LIGHTS
 from nishiki.normals.relighting import fit_relighting
 from nishiki.normals.solve import estimate_normals
@@ -206,7 +206,7 @@ def solve(
     if observations.shape[-1] == 1:
         intensity = observations[..., 0]
     elif settings.solver == "least_squares":  # as published: the mean of the channels
-        intensity = observations.mean(axis=-1)
+        intensity = mean_of_channels(observations)
     else:
         intensity = body_intensity(observations, valid)
     field = estimate_normals(
@@ -260,7 +260,7 @@ def with_shading_of_mean(field, intensity, observations, parcel: Parcel, usable,
 
     There gloss was weighted down for the normals; light is predicted with all of it.
     """
-    mean = observations.mean(axis=-1)
+    mean = mean_of_channels(observations)
     change = np.abs(intensity - mean).sum(axis=0)
     chosen = np.flatnonzero(change > WEIGHTED * np.abs(mean).sum(axis=0))
     if not chosen.size:

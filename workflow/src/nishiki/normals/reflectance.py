@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from nishiki.brdf.body_shading import body_factor_scalar
 from nishiki.errors import UserError
 
+BLOCK = 256
 COSINE_FLOOR = 0.02
 """Samples lit at a smaller cosine carry no usable signal and divide by almost nothing: they are left out."""
 
@@ -60,34 +60,99 @@ def diffuse_reflectance(observations, directions, normals, *, usable, method="le
     return DiffuseReflectance(reflectance.reshape(rows, columns, channels), used.reshape(rows, columns))
 
 
+def mean_of_channels(observations: np.ndarray) -> np.ndarray:
+    """Mean (lights, rows, columns) float32 of observations (lights, rows, columns, channels) over the channels."""
+    observations = np.ascontiguousarray(observations, dtype=np.float32)
+    lights, rows, columns, channels = observations.shape
+    out = np.empty((lights, rows * columns), np.float32)
+    _mean(observations.reshape(lights, rows * columns, channels), out)
+    return out.reshape(lights, rows, columns)
+
+
+@numba.njit(cache=True, parallel=True, error_model="numpy")
+def _mean(observations, out):
+    lights, pixels, channels = observations.shape
+    for j in numba.prange(lights):
+        values, mean = observations[j].reshape(-1), out[j]
+        if channels == 3:  # a distance between neighbours that the compiler knows: SIMD code
+            for p in range(pixels):
+                mean[p] = (values[3 * p] + values[3 * p + 1] + values[3 * p + 2]) / np.float32(3)
+        else:
+            for p in range(pixels):
+                total = values[channels * p]
+                for k in range(1, channels):
+                    total += values[channels * p + k]
+                mean[p] = total / np.float32(channels)
+
+
 @numba.njit(cache=True, parallel=True, error_model="numpy")
 def _accumulate(observations, directions, normals, usable, shading, mean, reflectance, used):
+    """Sums a light at a time over BLOCK neighbouring pixels, in the order of the lights."""
     lights, pixels, channels = observations.shape
-    block = 1024
-    for start in numba.prange((pixels + block - 1) // block):
-        first, last = start * block, min((start + 1) * block, pixels)
-        weight = np.zeros(block, dtype=np.float32)
+    shaded = shading.shape[0] > 0
+    for block in numba.prange((pixels + BLOCK - 1) // BLOCK):
+        start = block * BLOCK
+        width = min(BLOCK, pixels - start)
+        surface = np.zeros(6 * BLOCK, np.float32)  # x, y, z of the normals; a, b, d of the shading
+        for p in range(width):
+            for i in range(3):
+                surface[i * BLOCK + p] = normals[start + p, i]
+                if shaded:
+                    surface[(3 + i) * BLOCK + p] = shading[start + p, i]
+        factors = np.empty(BLOCK, np.float32)  # on the observation; 0: not used
+        sums = np.zeros((2 + channels) * BLOCK, np.float32)  # weights, samples used, one sum a channel
         for j in range(lights):
-            x, y, z = directions[j]
-            per_half = np.float32(1) / np.sqrt(max(x * x + y * y + (z + 1) * (z + 1), np.float32(1e-12)))
-            for p in range(first, last):
-                cosine = normals[p, 0] * x + normals[p, 1] * y + normals[p, 2] * z
-                if usable[j, p] and cosine > COSINE_FLOOR:
-                    if shading.shape[0] > 0:
-                        half = max((cosine + normals[p, 2]) * per_half, np.float32(0))
-                        cosine *= body_factor_scalar(shading[p, 0], shading[p, 1], shading[p, 2], cosine, half)
-                        if not cosine > COSINE_FLOOR:
-                            continue
-                    factor = np.float32(1) / cosine if mean else cosine
-                    weight[p - first] += np.float32(1) if mean else cosine * cosine
-                    used[p] += 1
-                    for k in range(channels):
-                        reflectance[p, k] += factor * observations[j, p, k]
-        for p in range(first, last):
-            known = used[p] > 0
+            _factors(surface, directions[j], usable[j, start : start + width], shaded, mean, factors, sums)
+            _add_channels(observations[j, start : start + width].reshape(-1), factors[:width], sums[2 * BLOCK :])
+        for p in range(width):
+            used[start + p] = np.uint16(sums[BLOCK + p])
+            known = sums[BLOCK + p] > 0
             for k in range(channels):
-                reflectance[p, k] /= weight[p - first] if known else np.float32(1)
-                known = known and np.isfinite(reflectance[p, k])
+                value = sums[(2 + k) * BLOCK + p] / (sums[p] if known else np.float32(1))
+                reflectance[start + p, k] = value
+                known = known and np.isfinite(value)
             if not known:
-                reflectance[p, :] = 0
-                used[p] = 0
+                reflectance[start + p, :] = 0
+                used[start + p] = 0
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _factors(surface, direction, usable, shaded, mean, factors, sums):
+    """Factor of one light's samples of a block; its weight and the count are added to the sums."""
+    zero, one, floor = np.float32(0), np.float32(1), np.float32(COSINE_FLOOR)
+    x, y, z = direction[0], direction[1], direction[2]
+    per_half = one / np.sqrt(max(x * x + y * y + (z + one) * (z + one), np.float32(1e-12)))
+    for p in range(len(usable)):
+        nz = surface[2 * BLOCK + p]
+        cosine = surface[p] * x + surface[BLOCK + p] * y + nz * z
+        good = (usable[p] != 0) & (cosine > floor)
+        if shaded:
+            half = (cosine + nz) * per_half
+            half = half if half > zero else zero
+            x2 = half * half
+            x4 = x2 * x2
+            body = surface[3 * BLOCK + p] + surface[4 * BLOCK + p] * cosine + surface[5 * BLOCK + p] * (x4 * x4)
+            cosine *= body if body > zero else zero
+            good &= cosine > floor
+        sums[p] += (one if mean else cosine * cosine) if good else zero
+        sums[BLOCK + p] += one if good else zero
+        factors[p] = (one / cosine if mean else cosine) if good else zero
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _add_channels(values, factors, sums):
+    """Add values (pixels * channels,) times their factors to the sums (channels * BLOCK,); a factor of 0: no sample."""
+    zero = np.float32(0)
+    channels = len(sums) // BLOCK
+    if channels == 3:  # a distance between neighbours that the compiler knows: SIMD code
+        for p in range(len(factors)):
+            factor = factors[p]
+            first, second, third = factor * values[3 * p], factor * values[3 * p + 1], factor * values[3 * p + 2]
+            sums[p] += first if factor != zero else zero
+            sums[BLOCK + p] += second if factor != zero else zero
+            sums[2 * BLOCK + p] += third if factor != zero else zero
+        return
+    for p in range(len(factors)):
+        if factors[p] != zero:
+            for k in range(channels):
+                sums[k * BLOCK + p] += factors[p] * values[channels * p + k]
