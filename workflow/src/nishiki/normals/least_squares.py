@@ -217,6 +217,29 @@ def matrix_of(whole, taken, products, t):
     return count
 
 
+@njit(cache=True, error_model="numpy")
+def add_masked(row, mask, x, y, z, sums):
+    """Add one light's samples of a block to the right-hand side and the squares; a mask of 0: no sample.
+
+    A function of its own, or the compiler does not make SIMD code of it.
+    """
+    for p in range(len(row)):
+        value = np.float64(row[p] if mask[p] != 0 else np.float32(0.0))
+        sums[p] += value * x
+        sums[p + BLOCK] += value * y
+        sums[p + 2 * BLOCK] += value * z
+        sums[p + 3 * BLOCK] += value * value
+
+
+@njit(cache=True, error_model="numpy")
+def all_taken(mask):
+    """Whether no value of the mask is 0."""
+    taken = True
+    for p in range(len(mask)):
+        taken &= mask[p] != 0
+    return taken
+
+
 @njit(cache=True, parallel=True, error_model="numpy")
 def solve_masked(observations, taken, products, max_condition, normals, scalars, lights_used, flags):
     """Least squares on the samples that `taken` (lights, pixels) uint8 marks; otherwise as `solve_weighted`.
@@ -239,15 +262,10 @@ def solve_masked(observations, taken, products, max_condition, normals, scalars,
             row, mask = observations[j, start : start + width], taken[j, start : start + width]
             x, y, z = products[j, 6], products[j, 7], products[j, 8]
             bit = np.uint64(1) << np.uint64(j % 64)
-            for p in range(width):
-                value = np.float64(row[p])
-                value = value if mask[p] != 0 else 0.0
-                sums[p] += value * x
-                sums[p + BLOCK] += value * y
-                sums[p + 2 * BLOCK] += value * z
-                sums[p + 3 * BLOCK] += value * value
-            for p in range(width):
-                left_out[p] |= np.uint64(0) if mask[p] != 0 else bit
+            add_masked(row, mask, x, y, z, sums)
+            if not all_taken(mask):
+                for p in range(width):
+                    left_out[p] |= np.uint64(0) if mask[p] != 0 else bit
         t, before = np.empty(TERMS), np.uint64(0)
         count, condition, m = lights, whole_condition, whole_inverse
         t[:6] = whole[:6]
