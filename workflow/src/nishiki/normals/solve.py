@@ -84,7 +84,8 @@ def estimate_normals(
     solver, "default" being "lobe"
         "least_squares": ordinary (weighted) least squares on the usable samples.
         "lobe": from there, a reflectance with a diffuse fall-off and a gloss lobe (`nishiki.normals.lobe`), choosing
-        the samples again among those of `valid`, if None those of `usable`; noise: the
+        the samples again among those of `valid`, if None those of `usable`; it starts from all of `valid` where the
+        selection is not to be followed (`nishiki.normals.distrust`); noise: the
         observations' noise relative to the albedo; exponent: 2, 4, 8, 16 or 32, of the lobe. Takes no weights.
         "lobes": the same with the exponents 2, 4, 8 and 16 in turn, and at each pixel the one that leaves least over.
 
@@ -105,10 +106,34 @@ def estimate_normals(
                 f"normals: the solver {solver!r} takes no weights; use 'least_squares', or leave samples out"
             )
         known = factors if valid is None else sample_weights(stack, valid, None, shape)
+        if factors is not None and valid is not None:
+            factors = without_distrusted(stack, directions, factors, known, outputs, max_condition)
         exponents = EXPONENTS if solver == "lobes" else (exponent,)
         shading = refine_lobe(stack, directions, factors, known, outputs, exponents, noise, max_condition)
         shading = shading.reshape(*shape[1:], 3)
     return replace(as_field(*outputs, shape[1:], solver), shading=shading)
+
+
+def without_distrusted(stack, directions, usable, known, outputs, max_condition):
+    """Samples to start from: all valid ones where `nishiki.normals.distrust` does not follow the selected ones.
+
+    The Lambertian estimates of those pixels in the outputs are made anew, in place.
+    """
+    from nishiki.normals.distrust import SUSPECT, distrusted
+
+    if not (outputs[1][2] > SUSPECT).any():
+        return usable
+    known = np.ones_like(usable) if known is None else known
+    again = np.flatnonzero(distrusted(stack, directions, usable, known, outputs))
+    if not again.size:
+        return usable
+    usable = usable.copy()
+    usable[:, again] = known[:, again]
+    normals, scalars, used, flags = lambertian(
+        np.ascontiguousarray(stack[:, again]), directions, np.ascontiguousarray(usable[:, again]), max_condition
+    )
+    outputs[0][again], outputs[1][:, again], outputs[2][again], outputs[3][again] = normals, scalars, used, flags
+    return usable
 
 
 def refine_lobe(stack, directions, usable, known, outputs, exponents, noise, max_condition):
