@@ -19,6 +19,7 @@ STORED = PROJECT / "docs/benchmarks"
 PAGE = PROJECT / "docs/benchmarks.md"
 PROGRAMS = {
     "normals": (["--data", "{data}"], "Normals", "normals.md"),
+    "relighting": (["--data", "{data}"], "Relighting: lamps left out", "normals.md"),
     "spectra": (["--data", "{data}"], "Spectra", "spectra.md"),
     "brdf": (["--data", "{data}"], "Reflection model", "brdf.md"),
     "painting": (["--data", "simulated"], "Simulated painting", None),

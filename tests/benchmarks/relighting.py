@@ -15,8 +15,8 @@ brdf. The peers are NumPy, all samples, no masks:
     PTM             biquadratic polynomial of each channel, 6 terms; Malzbender, Gelb and Wolters (2001), eq. 5
     HSH 4, HSH 9    hemispherical harmonics of each channel, 2 and 3 orders; Gautron et al. (2004), eq. 7
 
-`diligent_*-24` and `-12` hold 24 lamps spread over the field and the 12 nearest to the axis of the camera (a narrow
-cone). Large photographs are cropped to 384 x 384 pixels.
+`diligent_*-24` and `-12` hold every fourth lamp (few rows of the grid) and the 12 nearest to the axis of the camera (a
+narrow cone). Large photographs are cropped to 384 x 384 pixels.
 """
 
 import argparse
@@ -260,10 +260,9 @@ def measure(data: Path, folder: Path, name: str) -> None:
             "set": name, "lamps": len(lights) - len(folds[0]), "method": "default" if method == "chain" else method,
             "de00": round(row["sum"] / row["count"], 3), "psnr_db": round(float(np.mean(row["psnr"])), 2),
             "normals_deg": round(float(np.mean(row["angles"])), 3) if row["angles"] else None,
-            "cpu_s": round(float(np.mean(row["cpu"])), 2), "default": method == "chain",
+            "cpu_s": round(float(np.mean(row["cpu"])), 2),
+            "missing": round(row["missing"], 4) if method == "chain" else None, "default": method == "chain",
         }  # fmt: skip
-        if method == "chain":
-            line["missing"] = round(row["missing"], 4)
         print(json.dumps(line), flush=True)
 
 
