@@ -139,8 +139,10 @@ def _opencv(data: np.ndarray, header: ImageHeader, luma: bool) -> np.ndarray:
 
     if header.kind == "jpeg":
         # EXIF orientation would turn frames against their mask; IMREAD_UNCHANGED ignores it too but is slower.
-        flag = cv2.IMREAD_GRAYSCALE if luma or header.channels == 1 else cv2.IMREAD_COLOR
+        flag = cv2.IMREAD_GRAYSCALE if luma or header.channels == 1 else cv2.IMREAD_COLOR_RGB
         pixels = cv2.imdecode(data, flag | cv2.IMREAD_IGNORE_ORIENTATION)
+        if pixels is not None:
+            return pixels[:, :, None] if pixels.ndim == 2 else pixels
     elif header.kind == "png" and header.channels == 2:
         pixels = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION)
     else:

@@ -42,7 +42,7 @@ def chunk_path(array_folder: Path, light: int, band: int) -> Path:
 
 def write_chunk(path: Path, values: np.ndarray, *, compression: str) -> None:
     """Write one whole chunk of little-endian values. Raises OSError with the file's name where the disk lacks space."""
-    payload = values.tobytes()
+    payload = np.ascontiguousarray(values, values.dtype.newbyteorder("<")).reshape(-1).view(np.uint8)  # no copy
     if compression == "zstd":
         from numcodecs.zstd import Zstd
 

@@ -194,7 +194,9 @@ def count_unusable(codes, usable, saturated, clip):
     brightest = np.empty(columns, codes.dtype)
     for y in range(rows):
         row, within = codes[y], usable[y]
-        if channels == 3:
+        if channels == 1:
+            brightest = np.ascontiguousarray(row).reshape(-1)
+        elif channels == 3:
             for x in range(columns):
                 brightest[x] = max(row[x, 0], row[x, 1], row[x, 2])
         else:
