@@ -234,10 +234,10 @@ def _exchanges(levels: np.ndarray, whites: np.ndarray, cosines: np.ndarray, dire
     misfits = _misfits(levels - first, whites)
     before = misfits[own, own]
 
-    def settle(stay: float) -> tuple[np.ndarray, np.ndarray]:
-        """Best order and its misfits, where leaving the own board costs `stay`."""
+    def settle(stay: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Best order, its misfits, and those of the own boards beside it, where leaving the own board costs `stay`."""
         penalty = stay * (1 - np.eye(lamps))
-        best, after = own, before
+        best, after, kept = own, before, before
         # once from the photographs as they are paired, once from a flat grey object
         for shading in (first, _flat(levels, whites, cosines, directions)):
             order = own
@@ -246,21 +246,22 @@ def _exchanges(levels: np.ndarray, whites: np.ndarray, cosines: np.ndarray, dire
                 shading = reflected(order)
                 if (order == last).all():
                     break
-            found = _misfits(levels - shading, whites)[own, order]
-            if found.sum() + stay * (order != own).sum() < after.sum() + stay * (best != own).sum():
-                best, after = order, found
-        return best, after
+            table = _misfits(levels - shading, whites)
+            if table[own, order].sum() + stay * (order != own).sum() < after.sum() + stay * (best != own).sum():
+                best, after, kept = order, table[own, order], table[own, own]
+        return best, after, kept
 
     free = settle(0.0)
     usual = min(float(np.median(before)), FLOOR * float(np.median(free[1])))
-    best, after = settle(max(GAIN / 2, usual))
+    best, after, _ = settle(max(GAIN / 2, usual))
     better = own.copy()
     # a pairing hardly better than chance, which another order makes far better: most boards are wrong
     chance = misfits.mean()
     if chance >= 2 * GAIN and before.mean() >= BY_CHANCE * chance and free[1].mean() <= FAR_BETTER * before.mean():
-        order, after = free
-        moved = before - after >= GAIN
-        better[moved] = order[moved]
+        order, after, kept = free
+        for cycle in _cycles(order):  # boards that shine alike may stand in any order
+            if (kept[cycle] - after[cycle]).mean() >= GAIN:
+                better[cycle] = order[cycle]
         return Exchange(better, before, after, usual, np.zeros(lamps))
     for cycle in _cycles(best):
         gain = (before[cycle] - after[cycle]).mean()
