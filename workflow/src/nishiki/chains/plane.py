@@ -60,7 +60,7 @@ PLANE = (
         IngestSettings,
         "photographs to linear, white-normalised observations",
         geometry=None,
-        libraries=("numpy", "numba", "zarr", "opencv-contrib-python-headless", "OpenEXR", "rawpy"),
+        libraries=("numpy", "scipy", "numba", "zarr", "opencv-contrib-python-headless", "OpenEXR", "rawpy"),
         cost=_ingest_cost,
     ),
     Stage(
@@ -113,7 +113,7 @@ PLANE = (
         requires=("normals",),
         wants=lambda settings: ("height",) * settings.cast_shadows + ("spectra", "brdf"),
         needs_colour=True,
-        libraries=("numpy", "numba", "zarr", "OpenEXR", "opencv-contrib-python-headless", "av"),
+        libraries=("numpy", "scipy", "numba", "zarr", "OpenEXR", "opencv-contrib-python-headless", "av"),
         cost=lambda facts: Cost(mib=380, bytes_per_pixel=160, seconds=4, us_per_pixel=30),
     ),
     Stage(

@@ -113,9 +113,9 @@ def _of_regions(regions: list[dict], names: list[str], labels: np.ndarray | None
 
 def _widest_place(inside: np.ndarray) -> tuple[float, float]:
     """(x, y) of the pixel of a region (rows, columns) bool that is farthest from its edge."""
-    from scipy import ndimage
+    import cv2
 
-    depth = ndimage.distance_transform_edt(np.pad(inside, 1))[1:-1, 1:-1]
+    depth = cv2.distanceTransform(np.pad(inside, 1).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[1:-1, 1:-1]
     row, column = np.unravel_index(int(depth.argmax()), depth.shape)
     return column + 0.5, row + 0.5
 
