@@ -3,11 +3,11 @@
 import numpy as np
 
 from _sample import sample
-from nishiki.economy.decision import Decision
-from nishiki.economy.lights import FEWEST, LightSample, measured_choice, not_worth, static_choice
-from nishiki.ingest.observations import Observations
-from nishiki.normals.solve import NormalField, estimate_normals
-from nishiki.separation.lights import select_diffuse
+from nishiki.model_selection.decision import Decision
+from nishiki.model_selection.lights import FEWEST, LightSample, measured_choice, not_worth, static_choice
+from nishiki.observations.plane import Observations
+from nishiki.photometric.light_selection import select_diffuse
+from nishiki.photometric.solve import NormalField, estimate_normals
 
 PIXELS = 1200
 

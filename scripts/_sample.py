@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.ingest.observations import Observations
-from nishiki.ingest.parcels import Parcel, parcels
+from nishiki.observations.parcels import Parcel, parcels
+from nishiki.observations.plane import Observations
 
 STRIPS = 16  # rows of the picture that are looked at: bounds the reading where bands are many
 

@@ -6,7 +6,11 @@ import numpy as np
 
 import _project  # noqa: F401
 from _sample import sample
+from nishiki.artifacts.artifact import Artifact
+from nishiki.artifacts.maps import Maps, MapWriter, shading_normals
+from nishiki.artifacts.stage import Context, run_stage
 from nishiki.brdf.brightest_light import brightest_light_samples, thin
+from nishiki.brdf.gloss_profile import LADDER, GlossProfile, blurred_lobes, fit_gloss, specular_samples
 from nishiki.brdf.levenberg_marquardt import fit_lobe
 from nishiki.brdf.parameters import (
     described,
@@ -19,15 +23,11 @@ from nishiki.brdf.parameters import (
 from nishiki.brdf.scene import fit_scene
 from nishiki.brdf.slopes import slope_covariance
 from nishiki.brdf.specular_histogram import SpecularHistogram, unit_of
-from nishiki.contract.artifact import Artifact
-from nishiki.contract.maps import Maps, MapWriter, shading_normals
-from nishiki.contract.stage import Context, run_stage
-from nishiki.economy.decision import Decision, economy
-from nishiki.economy.gloss import Evidence, decided, gloss_evidence
-from nishiki.ingest.observations import Observations
-from nishiki.ingest.parcels import parcels
-from nishiki.normals.flags import NO_ESTIMATE
-from nishiki.normals.gloss_profile import LADDER, GlossProfile, blurred_lobes, fit_gloss, specular_samples
+from nishiki.model_selection.decision import Decision, economy
+from nishiki.model_selection.gloss import Evidence, decided, gloss_evidence
+from nishiki.observations.parcels import parcels
+from nishiki.observations.plane import Observations
+from nishiki.photometric.flags import NO_ESTIMATE
 from nishiki.settings.brdf import BrdfSettings
 
 SAMPLE_PIXELS = 5000  # that decide whether the scene shows gloss

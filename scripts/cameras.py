@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 
 import _project  # noqa: F401
+from nishiki.artifacts.stage import Context, run_stage
 from nishiki.capture.cameras import read_points
-from nishiki.contract.stage import Context, run_stage
 from nishiki.errors import UserError
 from nishiki.geometry.board import BoardShape, Detection, detect_boards
 from nishiki.geometry.calibration import Calibration, calibrate
@@ -16,7 +16,7 @@ from nishiki.geometry.matrices import cameras_of_matrices
 from nishiki.geometry.pose import Pose, Sight, estimate_pose
 from nishiki.geometry.turn import turn_of
 from nishiki.geometry.turntable_poses import choose_poses
-from nishiki.ingest.views import Views
+from nishiki.observations.views import Views
 from nishiki.settings.cameras import CamerasSettings
 
 

@@ -7,12 +7,14 @@ from pathlib import Path
 import numpy as np
 
 import _project  # noqa: F401
+from nishiki.artifacts.artifact import Artifact
+from nishiki.artifacts.maps import Maps, MapWriter, shading_normals
+from nishiki.artifacts.provenance import truth_digest
+from nishiki.artifacts.stage import Context, run_stage
 from nishiki.brdf.parameters import gloss_table, is_facets
 from nishiki.brdf.slopes import slope_covariance
-from nishiki.contract.artifact import Artifact
-from nishiki.contract.maps import Maps, MapWriter, shading_normals
-from nishiki.contract.provenance import truth_digest
-from nishiki.contract.stage import Context, run_stage
+from nishiki.colour.colour import illuminant
+from nishiki.colour.training import synthetic_reflectances
 from nishiki.errors import UserError
 from nishiki.evaluate.camera_colour import CameraColour, assumed_colour, fitted_colour
 from nishiki.evaluate.classes import NAMES, classify
@@ -28,14 +30,12 @@ from nishiki.evaluate.scene_colour import channel_colour, spectral_colour
 from nishiki.evaluate.summary import Pool
 from nishiki.evaluate.table import COLUMNS, rows_of
 from nishiki.evaluate.truth import Truth, truth_from
-from nishiki.ingest.observations import Observations
-from nishiki.ingest.parcels import point_mm
-from nishiki.normals.flags import NO_ESTIMATE
-from nishiki.outside.stored import load_arrays, open_group
-from nishiki.render.scene import Gloss, Light
+from nishiki.formats.stored import load_arrays, open_group
+from nishiki.observations.parcels import point_mm
+from nishiki.observations.plane import Observations
+from nishiki.photometric.flags import NO_ESTIMATE
+from nishiki.render.plane.scene import Gloss, Light
 from nishiki.settings.evaluate import EvaluateSettings
-from nishiki.spectra.colour import illuminant
-from nishiki.spectra.training import synthetic_reflectances
 
 
 def run(context: Context) -> dict:

@@ -7,20 +7,20 @@ from pathlib import Path
 import numpy as np
 
 import _project  # noqa: F401
-from nishiki.contract.stage import Context, run_stage
-from nishiki.economy.decision import Decision, economy
-from nishiki.economy.views import measured_choice, static_choice, with_normal_rows
+from nishiki.artifacts.stage import Context, run_stage
+from nishiki.brdf.cloth.measures import directional_albedo, incidences, prediction_error, reciprocity_error
+from nishiki.brdf.cloth.models import Fitted, fit_models
+from nishiki.brdf.cloth.store import save_brdf
+from nishiki.brdf.cloth.table import TableBrdf, goniometer_rows, utia_planes
+from nishiki.brdf.cloth.weights import solid_angles
+from nishiki.brdf.cloth.yarn_fit import Measured
 from nishiki.errors import UserError
-from nishiki.fabric.measures import directional_albedo, incidences, prediction_error, reciprocity_error
-from nishiki.fabric.models import Fitted, fit_models
-from nishiki.fabric.store import save_brdf
-from nishiki.fabric.table import TableBrdf, goniometer_rows, utia_planes
-from nishiki.fabric.weights import solid_angles
-from nishiki.fabric.yarn_fit import Measured
 from nishiki.goniometry.directions import unit
 from nishiki.goniometry.hemisphere import complete
 from nishiki.goniometry.store import Reflectances
 from nishiki.goniometry.table import ReflectanceSet
+from nishiki.model_selection.decision import Decision, economy
+from nishiki.model_selection.views import measured_choice, static_choice, with_normal_rows
 from nishiki.settings.fabric import FabricSettings
 from nishiki.weave.store import Weave
 

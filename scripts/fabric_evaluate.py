@@ -6,12 +6,12 @@ import json
 import numpy as np
 
 import _project  # noqa: F401
-from nishiki.contract.stage import Context, run_stage
-from nishiki.drape.models import FabricModels
+from nishiki.artifacts.stage import Context, run_stage
+from nishiki.brdf.cloth.measures import incidences
 from nishiki.errors import UserError
-from nishiki.evaluate.fabric import Judged, by_incidence, in_plane, judge, plane_name
-from nishiki.fabric.measures import incidences
+from nishiki.evaluate.cloth import Judged, by_incidence, in_plane, judge, plane_name
 from nishiki.goniometry.store import Reflectances
+from nishiki.render.cloth.models import FabricModels
 from nishiki.settings.fabric_evaluate import FabricEvaluateSettings
 
 HELD_OUT, FITTED = "held_out", "fitted"

@@ -5,21 +5,21 @@ from pathlib import Path
 import numpy as np
 
 import _project  # noqa: F401
-from nishiki.contract.stage import Context, run_stage
-from nishiki.drape.cloth import Cloth, Support, drape
-from nishiki.drape.dyes import dyed
-from nishiki.drape.frame import Picture
-from nishiki.drape.mesh_store import read_surface
-from nishiki.drape.models import FabricModels
-from nishiki.drape.scene import Brdf, Surface
-from nishiki.drape.sheet import sheet
-from nishiki.drape.studio import Lighting, linear_colour, studio, tubes, turning
-from nishiki.drape.tangent import from_direction, from_texture
-from nishiki.drape.tone import developed, exposure_for
+from nishiki.artifacts.stage import Context, run_stage
+from nishiki.colour.colour import srgb_matrix
 from nishiki.errors import UserError
+from nishiki.render.cloth.cloth import Cloth, Support, drape
+from nishiki.render.cloth.dyes import dyed
+from nishiki.render.cloth.frame import Picture
+from nishiki.render.cloth.mesh_store import read_surface
+from nishiki.render.cloth.models import FabricModels
+from nishiki.render.cloth.scene import Brdf, Surface
+from nishiki.render.cloth.sheet import sheet
+from nishiki.render.cloth.studio import Lighting, linear_colour, studio, tubes, turning
+from nishiki.render.cloth.tangent import from_direction, from_texture
+from nishiki.render.cloth.tone import developed, exposure_for
 from nishiki.render.output import write_exr, write_png, write_video
 from nishiki.settings.fabric_render import FabricRenderSettings
-from nishiki.spectra.colour import srgb_matrix
 
 AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
 SUPPORTS = {"ball": Support("ball", 0.16, 0.46), "table": Support("table", 0.24, 0.42)}

@@ -3,11 +3,11 @@
 import json
 
 import _project  # noqa: F401
-from nishiki.chains.stages import CHAIN
-from nishiki.contract.artifact import Artifact
-from nishiki.contract.stage import Context, run_stage
-from nishiki.drape.models import FabricModels
+from nishiki.artifacts.artifact import Artifact
+from nishiki.artifacts.stage import Context, run_stage
+from nishiki.engine.chains import CHAIN
 from nishiki.goniometry.store import Reflectances
+from nishiki.render.cloth.models import FabricModels
 from nishiki.report import fabric_sections as sections
 from nishiki.report.conditions import conditions
 from nishiki.report.fabric_plots import model_name

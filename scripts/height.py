@@ -3,11 +3,11 @@
 import numpy as np
 
 import _project  # noqa: F401
-from nishiki.contract.maps import Maps, MapWriter
-from nishiki.contract.stage import Context, run_stage
-from nishiki.normals import flags as bits
-from nishiki.normals.expected_error import expected_error
-from nishiki.normals.height import integrate_normals
+from nishiki.artifacts.maps import Maps, MapWriter
+from nishiki.artifacts.stage import Context, run_stage
+from nishiki.photometric import flags as bits
+from nishiki.photometric.expected_error import expected_error
+from nishiki.photometric.height import integrate_normals
 from nishiki.settings.height import HeightSettings
 
 

@@ -6,22 +6,22 @@ import numpy as np
 import zarr
 
 import _project  # noqa: F401
+from nishiki.artifacts.stage import Context, run_stage
 from nishiki.capture.folder import Capture, load_capture
 from nishiki.capture.goniometer import GoniometerCapture
 from nishiki.capture.seal import capture_digest
 from nishiki.capture.turntable import TurntableCapture
-from nishiki.contract.stage import Context, run_stage
-from nishiki.ingest.choice import chosen
-from nishiki.ingest.goniometer_store import STORE as WINDOWS
-from nishiki.ingest.goniometer_store import write_goniometer
-from nishiki.ingest.store import STORE, write_observations
-from nishiki.ingest.views_attributes import geometry_sources
-from nishiki.ingest.views_store import STORE as VIEWS
-from nishiki.ingest.views_store import write_views
-from nishiki.planning.reading import reading_of
+from nishiki.colour.colour import illuminant as cie_illuminant
+from nishiki.colour.sampling import resample
+from nishiki.engine.reading import reading_of
+from nishiki.observations.choice import chosen
+from nishiki.observations.goniometer_store import STORE as WINDOWS
+from nishiki.observations.goniometer_store import write_goniometer
+from nishiki.observations.plane_store import STORE, write_observations
+from nishiki.observations.views_attributes import geometry_sources
+from nishiki.observations.views_store import STORE as VIEWS
+from nishiki.observations.views_store import write_views
 from nishiki.settings.ingest import IngestSettings
-from nishiki.spectra.colour import illuminant as cie_illuminant
-from nishiki.spectra.sampling import resample
 
 
 def run(context: Context) -> dict:

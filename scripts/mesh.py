@@ -5,7 +5,7 @@ from dataclasses import asdict
 import numpy as np
 
 import _project  # noqa: F401
-from nishiki.contract.stage import Context, run_stage
+from nishiki.artifacts.stage import Context, run_stage
 from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.cameras_file import read_cameras
@@ -16,7 +16,7 @@ from nishiki.geometry.mesh_files import read_points, read_triangles, write_ply
 from nishiki.geometry.outlines import agreement, contradicted, known_from, outline_of
 from nishiki.geometry.silhouettes import display, segment
 from nishiki.geometry.surface import Lighter, fewest_triangles, shape_of, smoothed, snapped, without_small_parts
-from nishiki.ingest.views import Views
+from nishiki.observations.views import Views
 from nishiki.render.output import write_png
 from nishiki.settings.mesh import MeshSettings
 
@@ -177,7 +177,7 @@ def on_grid(mesh: Mesh, cameras: list[Camera], shift_px: float) -> tuple[Mesh, f
     """The mesh on the coarsest grid that moves no vertex by more than shift_px, and the grid's step."""
     if not shift_px:
         return mesh, None
-    from nishiki.turntable.compact_mesh import grid_step
+    from nishiki.codec.compact_mesh import grid_step
 
     step = grid_step(mesh, cameras, shift_px=shift_px)
     return snapped(mesh, step), step

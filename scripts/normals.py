@@ -7,24 +7,24 @@ import numpy as np
 
 import _project  # noqa: F401
 from _lights import choose_lights
+from nishiki.artifacts.maps import Maps, MapWriter
+from nishiki.artifacts.scatter import Scattered
+from nishiki.artifacts.stage import Context, run_stage
 from nishiki.brdf.body_shading import LAMBERT
-from nishiki.contract.maps import Maps, MapWriter
-from nishiki.contract.scatter import Scattered
-from nishiki.contract.stage import Context, run_stage
-from nishiki.economy.decision import Decision, economy
-from nishiki.economy.refinement import clearly_matt, decided, thinned
+from nishiki.brdf.gloss_profile import GlossProfile
 from nishiki.errors import UserError
-from nishiki.ingest.observations import Observations
-from nishiki.ingest.parcels import Parcel, parcels
-from nishiki.normals import flags as bits
-from nishiki.normals.gloss import refine_normals
-from nishiki.normals.gloss_profile import GlossProfile
-from nishiki.normals.gloss_scene import FEW_LIGHTS, GlossTile, SceneGloss, fit_scene_gloss
-from nishiki.normals.reflectance import diffuse_reflectance, mean_of_channels
-from nishiki.normals.relighting import FEW_LIGHTS as RELIGHT_LIGHTS
-from nishiki.normals.relighting import fit_relighting
-from nishiki.normals.solve import estimate_normals
-from nishiki.separation.body_colour import body_intensity
+from nishiki.model_selection.decision import Decision, economy
+from nishiki.model_selection.refinement import clearly_matt, decided, thinned
+from nishiki.observations.parcels import Parcel, parcels
+from nishiki.observations.plane import Observations
+from nishiki.photometric import flags as bits
+from nishiki.photometric.body_colour import body_intensity
+from nishiki.photometric.gloss import refine_normals
+from nishiki.photometric.gloss_scene import FEW_LIGHTS, GlossTile, SceneGloss, fit_scene_gloss
+from nishiki.photometric.reflectance import diffuse_reflectance, mean_of_channels
+from nishiki.photometric.relighting import FEW_LIGHTS as RELIGHT_LIGHTS
+from nishiki.photometric.relighting import fit_relighting
+from nishiki.photometric.solve import estimate_normals
 from nishiki.settings.normals import NormalsSettings
 
 MAPS = {

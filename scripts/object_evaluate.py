@@ -7,17 +7,14 @@ from pathlib import Path
 import numpy as np
 
 import _project  # noqa: F401
-from nishiki.contract.provenance import truth_digest
-from nishiki.contract.stage import Context, run_stage
+from nishiki.artifacts.provenance import truth_digest
+from nishiki.artifacts.stage import Context, run_stage
+from nishiki.codec.cost import cost_of
+from nishiki.colour.encoding import encode
 from nishiki.errors import UserError
-from nishiki.geometry.mesh import Mesh
-from nishiki.ingest.encoding import encode
-from nishiki.render.output import write_png
-from nishiki.settings.object_evaluate import ObjectEvaluateSettings
-from nishiki.turntable.comparison import comparison
-from nishiki.turntable.cost import cost_of
-from nishiki.turntable.decoded_object import DecodedObject
-from nishiki.turntable.evaluation import (
+from nishiki.evaluate.object_comparison import comparison
+from nishiki.evaluate.object_photographs import ObjectTruth, Photographs
+from nishiki.evaluate.object_rows import (
     COLUMNS,
     DECODED,
     INTERPOLATED,
@@ -27,8 +24,11 @@ from nishiki.turntable.evaluation import (
     compare,
     figures,
 )
-from nishiki.turntable.photographs import ObjectTruth, Photographs
-from nishiki.turntable.shots import Picture
+from nishiki.geometry.mesh import Mesh
+from nishiki.render.object.decoded_object import DecodedObject
+from nishiki.render.object.shots import Picture
+from nishiki.render.output import write_png
+from nishiki.settings.object_evaluate import ObjectEvaluateSettings
 
 
 def run(context: Context) -> dict:

@@ -3,16 +3,16 @@
 import numpy as np
 
 import _project  # noqa: F401
-from nishiki.contract.stage import Context, run_stage
+from nishiki.artifacts.stage import Context, run_stage
+from nishiki.colour.colour import srgb_matrix
 from nishiki.errors import UserError
+from nishiki.render.object.decoded_object import DecodedObject
+from nishiki.render.object.display import coverage, on_screen, three_channels
+from nishiki.render.object.film import frames
+from nishiki.render.object.renderer import ObjectRenderer
+from nishiki.render.object.shots import Picture, Shot, lit_by
 from nishiki.render.output import write_exr, write_normals_exr, write_normals_png, write_png, write_video
 from nishiki.settings.object_render import ObjectRenderSettings
-from nishiki.spectra.colour import srgb_matrix
-from nishiki.turntable.decoded_object import DecodedObject
-from nishiki.turntable.display import coverage, on_screen, three_channels
-from nishiki.turntable.film import frames
-from nishiki.turntable.renderer import ObjectRenderer
-from nishiki.turntable.shots import Picture, Shot, lit_by
 
 
 def run(context: Context) -> dict:

@@ -6,15 +6,15 @@ import json
 import numpy as np
 
 import _project  # noqa: F401
-from nishiki.chains.stages import chain_of
-from nishiki.contract.artifact import Artifact
-from nishiki.contract.stage import Context, run_stage
+from nishiki.artifacts.artifact import Artifact
+from nishiki.artifacts.stage import Context, run_stage
+from nishiki.atlas.atlas import Atlas
+from nishiki.atlas.store import ATLAS
+from nishiki.brdf.texels.flags import TexelFlag
+from nishiki.brdf.texels.store import ParameterMaps
+from nishiki.engine.chains import chain_of
+from nishiki.formats.stored import load_arrays
 from nishiki.geometry.cameras_file import load_cameras
-from nishiki.outside.stored import load_arrays
-from nishiki.patches.atlas import Atlas
-from nishiki.patches.store import ATLAS
-from nishiki.reflection.flags import TexelFlag
-from nishiki.reflection.store import ParameterMaps
 from nishiki.report import object_sections as sections
 from nishiki.report.conditions import conditions
 from nishiki.report.left_out_section import left_out_section

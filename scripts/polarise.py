@@ -7,23 +7,23 @@ from pathlib import Path
 import numpy as np
 
 import _project  # noqa: F401
-from nishiki.contract.stage import Context, run_stage
+from nishiki.artifacts.stage import Context, run_stage
 from nishiki.errors import UserError
-from nishiki.ingest.views import Views, encode
-from nishiki.render.output import write_png
-from nishiki.separation.beta import Beta, board_ratio
-from nishiki.separation.components import ComponentWriter
-from nishiki.separation.instrument import arms_of, read_instrument
-from nishiki.separation.polarisation import (
+from nishiki.observations.views import Views, encode
+from nishiki.polarisation.beta import Beta, board_ratio
+from nishiki.polarisation.components import ComponentWriter
+from nishiki.polarisation.instrument import arms_of, read_instrument
+from nishiki.polarisation.polarisation import (
     SeparatedView,
     common_phase,
     components,
     reflected_sense,
     sum_planes,
 )
-from nishiki.separation.polariser_states import StateSums, sums_of
-from nishiki.separation.series_diagnostics import Thinned, diagnose
-from nishiki.separation.statistics import SeparationStatistics, statistics_of
+from nishiki.polarisation.polariser_states import StateSums, sums_of
+from nishiki.polarisation.series_diagnostics import Thinned, diagnose
+from nishiki.polarisation.statistics import SeparationStatistics, statistics_of
+from nishiki.render.output import write_png
 from nishiki.settings.polarise import PolariseSettings
 
 

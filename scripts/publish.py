@@ -5,7 +5,7 @@ import json
 from pathlib import Path
 
 import _project  # noqa: F401
-from nishiki.contract.publish import publish
+from nishiki.artifacts.publish import publish
 
 
 def main() -> None:

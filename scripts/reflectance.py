@@ -3,10 +3,9 @@
 import numpy as np
 
 import _project  # noqa: F401
-from nishiki.contract.stage import Context, run_stage
+from nishiki.artifacts.stage import Context, run_stage
 from nishiki.errors import UserError
 from nishiki.goniometry.coverage import IncidenceCoverage, coverage
-from nishiki.goniometry.coverage_plot import coverage_plot
 from nishiki.goniometry.directions import unit
 from nishiki.goniometry.hemisphere import Interpolation, complete, directional_albedo
 from nishiki.goniometry.normalise import Averaged, average_repeats
@@ -14,7 +13,8 @@ from nishiki.goniometry.readings import Readings, Regions, read_all
 from nishiki.goniometry.store import write_reflectances
 from nishiki.goniometry.symmetry import departure
 from nishiki.goniometry.table import ReflectanceSet
-from nishiki.ingest.goniometer import Measurements
+from nishiki.observations.goniometer import Measurements
+from nishiki.report.coverage_plot import coverage_plot
 from nishiki.settings.reflectance import ReflectanceSettings
 
 LISTED = 60  # directions of light whose coverage is among the diagnostics; all are in the artifact

@@ -6,20 +6,20 @@ from dataclasses import asdict
 import numpy as np
 
 import _project  # noqa: F401
-from nishiki.contract.stage import Context, run_stage
-from nishiki.economy.decision import Decision, economy
-from nishiki.economy.object_gloss import decided, unseen_gain
+from nishiki.artifacts.stage import Context, run_stage
+from nishiki.atlas.store import Texels
+from nishiki.brdf.texels.lambert_object import fit_lambert
+from nishiki.brdf.texels.lighting import Lighting
+from nishiki.brdf.texels.model import GRAZING, factors
+from nishiki.brdf.texels.object_fit import fit_object
+from nishiki.brdf.texels.settle import Sample, sample_texels, settle
+from nishiki.brdf.texels.stack import slope_of_srgb
+from nishiki.brdf.texels.store import ParameterWriter
+from nishiki.brdf.texels.tile import Capture, Tile
 from nishiki.errors import UserError
-from nishiki.ingest.views import Views
-from nishiki.patches.store import Texels
-from nishiki.reflection.lambert_object import fit_lambert
-from nishiki.reflection.lighting import Lighting
-from nishiki.reflection.model import GRAZING, factors
-from nishiki.reflection.object_fit import fit_object
-from nishiki.reflection.settle import Sample, sample_texels, settle
-from nishiki.reflection.stack import slope_of_srgb
-from nishiki.reflection.store import ParameterWriter
-from nishiki.reflection.tile import Capture, Tile
+from nishiki.model_selection.decision import Decision, economy
+from nishiki.model_selection.object_gloss import decided, unseen_gain
+from nishiki.observations.views import Views
 from nishiki.settings.reflection import ReflectionSettings
 from nishiki.threads import threads
 

@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 
 import _project  # noqa: F401
+from nishiki.artifacts.artifact import Artifact
+from nishiki.artifacts.maps import Maps, shading_normals
+from nishiki.artifacts.stage import Context, run_stage
 from nishiki.brdf.parameters import gloss_table, is_facets
 from nishiki.brdf.slopes import slope_covariance
 from nishiki.capture.spectra_tables import read_curves
-from nishiki.contract.artifact import Artifact
-from nishiki.contract.maps import Maps, shading_normals
-from nishiki.contract.stage import Context, run_stage
-from nishiki.normals.flags import NO_ESTIMATE
-from nishiki.render import requests
+from nishiki.colour.colour import illuminant as cie_illuminant
+from nishiki.colour.sampling import resample
+from nishiki.photometric.flags import NO_ESTIMATE
 from nishiki.render.display import adapted_exposure, display_image
-from nishiki.render.frame import Rendering, render
 from nishiki.render.output import (
     VideoWritten,
     write_exr,
@@ -25,11 +25,11 @@ from nishiki.render.output import (
     write_png,
     write_video,
 )
-from nishiki.render.scene import Ambient, Gloss, PlaneScene
+from nishiki.render.plane import requests
+from nishiki.render.plane.frame import Rendering, render
+from nishiki.render.plane.scene import Ambient, Gloss, PlaneScene
 from nishiki.render.sequence import circle_of_directions, light_sequence, moved_lights, orbit, view_sequence
 from nishiki.settings.render import LightSettings, PictureSettings, RenderSettings, SequenceSettings
-from nishiki.spectra.colour import illuminant as cie_illuminant
-from nishiki.spectra.sampling import resample
 
 AMBIENT = 0.05  # of films
 

@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 
 import _project
-from nishiki.contract.artifact import MANIFEST, Artifact, open_artifact
+from nishiki.artifacts.artifact import MANIFEST, Artifact, open_artifact
 from nishiki.sweep.machine import processor
 from nishiki.threads import VARIABLES
 

@@ -3,14 +3,15 @@
 import json
 
 import _project  # noqa: F401
-from nishiki.chains.stages import CHAIN
-from nishiki.contract.artifact import Artifact
-from nishiki.contract.maps import Maps
-from nishiki.contract.stage import Context, run_stage
+from nishiki.artifacts.artifact import Artifact
+from nishiki.artifacts.maps import Maps
+from nishiki.artifacts.stage import Context, run_stage
+from nishiki.colour.training import synthetic_reflectances
+from nishiki.engine.chains import CHAIN
 from nishiki.evaluate.camera_colour import CameraColour, assumed_colour, fitted_colour
-from nishiki.ingest.observations import Observations
-from nishiki.normals.flags import NO_ESTIMATE
-from nishiki.outside.stored import load_arrays
+from nishiki.formats.stored import load_arrays
+from nishiki.observations.plane import Observations
+from nishiki.photometric.flags import NO_ESTIMATE
 from nishiki.report.appearance_section import appearance_section
 from nishiki.report.capture_section import capture_section
 from nishiki.report.colour_section import colour_section
@@ -24,7 +25,6 @@ from nishiki.report.relighting_section import relighting_section
 from nishiki.report.shape_section import shape_section
 from nishiki.report.summary import at_a_glance, choices
 from nishiki.settings.report import ReportSettings
-from nishiki.spectra.training import synthetic_reflectances
 
 
 def run(context: Context) -> dict:

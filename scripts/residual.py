@@ -7,20 +7,20 @@ from dataclasses import replace
 import numpy as np
 
 import _project  # noqa: F401
-from nishiki.contract.stage import Context, run_stage
-from nishiki.economy.decision import economy
-from nishiki.economy.sufficient import Left, decided, model_suffices, what_is_left
-from nishiki.ingest.encoding import encode
-from nishiki.patches.store import Texels
-from nishiki.reflection.lighting import Lighting
-from nishiki.reflection.store import ParameterMaps
-from nishiki.residual.allocate import EncodedObject, Pilot, Point, find_step, one_pass, pilot, psnr
-from nishiki.residual.design import Design
-from nishiki.residual.parameters import Maps
-from nishiki.residual.prediction import Surface
-from nishiki.residual.pursuit import Pursuit
-from nishiki.residual.store import write_residual
-from nishiki.residual.tile_code import Effort, Pixels, Scene, model_of, see
+from nishiki.artifacts.stage import Context, run_stage
+from nishiki.atlas.store import Texels
+from nishiki.brdf.texels.lighting import Lighting
+from nishiki.brdf.texels.store import ParameterMaps
+from nishiki.codec.allocate import EncodedObject, Pilot, Point, find_step, one_pass, pilot, psnr
+from nishiki.codec.design import Design
+from nishiki.codec.parameters import Maps
+from nishiki.codec.prediction import Surface
+from nishiki.codec.pursuit import Pursuit
+from nishiki.codec.store import write_residual
+from nishiki.codec.tile_code import Effort, Pixels, Scene, model_of, see
+from nishiki.colour.encoding import encode
+from nishiki.model_selection.decision import economy
+from nishiki.model_selection.sufficient import Left, decided, model_suffices, what_is_left
 from nishiki.settings.residual import ResidualSettings
 from nishiki.threads import threads
 

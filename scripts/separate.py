@@ -4,13 +4,13 @@ import numpy as np
 
 import _project  # noqa: F401
 from _lights import choose_lights
-from nishiki.contract.maps import MapWriter
-from nishiki.contract.scatter import Scattered
-from nishiki.contract.stage import Context, run_stage
-from nishiki.economy.decision import economy
-from nishiki.ingest.observations import Observations
-from nishiki.ingest.parcels import Parcel, parcels
-from nishiki.separation.lights import select_diffuse
+from nishiki.artifacts.maps import MapWriter
+from nishiki.artifacts.scatter import Scattered
+from nishiki.artifacts.stage import Context, run_stage
+from nishiki.model_selection.decision import economy
+from nishiki.observations.parcels import Parcel, parcels
+from nishiki.observations.plane import Observations
+from nishiki.photometric.light_selection import select_diffuse
 from nishiki.settings.separate import SeparateSettings
 
 

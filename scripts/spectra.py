@@ -6,17 +6,17 @@ from pathlib import Path
 import numpy as np
 
 import _project  # noqa: F401
+from nishiki.artifacts.maps import Maps, MapWriter
+from nishiki.artifacts.scatter import Scattered
+from nishiki.artifacts.stage import Context, run_stage
 from nishiki.capture.spectra_tables import read_curves
-from nishiki.contract.maps import Maps, MapWriter
-from nishiki.contract.scatter import Scattered
-from nishiki.contract.stage import Context, run_stage
-from nishiki.economy.bases import Bases, decided, output_bases, principal_bases
-from nishiki.economy.decision import Decision, economy
+from nishiki.colour.basis import channel_weights
+from nishiki.colour.estimate import SpectralEstimator, estimate_spectra, fit_estimator
+from nishiki.colour.expected import expected_colour_error, sample_rows
+from nishiki.colour.training import measured_reflectances, synthetic_reflectances
+from nishiki.model_selection.bases import Bases, decided, output_bases, principal_bases
+from nishiki.model_selection.decision import Decision, economy
 from nishiki.settings.spectra import SpectraSettings
-from nishiki.spectra.basis import channel_weights
-from nishiki.spectra.estimate import SpectralEstimator, estimate_spectra, fit_estimator
-from nishiki.spectra.expected import expected_colour_error, sample_rows
-from nishiki.spectra.training import measured_reflectances, synthetic_reflectances
 
 
 def work(context: Context) -> dict:

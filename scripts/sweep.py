@@ -8,11 +8,11 @@ import os
 from pathlib import Path
 
 import _project
-from nishiki.contract.artifact import open_artifact
-from nishiki.contract.stage import PROJECT_VERSION
+from nishiki.artifacts.artifact import open_artifact
+from nishiki.artifacts.stage import PROJECT_VERSION
+from nishiki.engine.sweep_plan import PlannedVariant, SceneSweep
+from nishiki.engine.workflow import Workflow
 from nishiki.errors import UserError
-from nishiki.planning.sweep_plan import PlannedVariant, SceneSweep
-from nishiki.planning.workflow import Workflow
 from nishiki.sweep.content import scene_content, sweep_content, table_rows
 from nishiki.sweep.measures import as_measure, candidates, compared, paths_in, values_of
 from nishiki.sweep.page import render_sweep

@@ -5,19 +5,19 @@ from pathlib import Path
 import numpy as np
 
 import _project  # noqa: F401
-from nishiki.contract.stage import Context, run_stage
+from nishiki.artifacts.stage import Context, run_stage
+from nishiki.atlas.atlas import Atlas, build_atlas
+from nishiki.atlas.charts import Charts, make_charts
+from nishiki.atlas.density import sampling_density, texels_per_unit
+from nishiki.atlas.quality import atlas_picture, stretch_percentiles, texels_per_pixel
+from nishiki.atlas.turn import probe_spacing, turning
+from nishiki.atlas.write import TexelsWriter
 from nishiki.errors import UserError
+from nishiki.formats.stored import open_array
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.cameras_file import load_cameras
 from nishiki.geometry.mesh import Mesh
-from nishiki.ingest.views import Views, encode
-from nishiki.outside.stored import open_array
-from nishiki.patches.atlas import Atlas, build_atlas
-from nishiki.patches.charts import Charts, make_charts
-from nishiki.patches.density import sampling_density, texels_per_unit
-from nishiki.patches.quality import atlas_picture, stretch_percentiles, texels_per_pixel
-from nishiki.patches.turn import probe_spacing, turning
-from nishiki.patches.write import TexelsWriter
+from nishiki.observations.views import Views, encode
 from nishiki.settings.texels import TexelsSettings
 
 
@@ -115,7 +115,7 @@ class Pictures:
         self.views, self.separated = views, None
         self.state = "off" if "off" in views.states else views.states[0]
         if "polarise" in inputs:
-            from nishiki.separation.components import Components
+            from nishiki.polarisation.components import Components
 
             self.separated = Components(inputs["polarise"].folder)
         self.components = ("diffuse", "specular", "total") if self.separated else ("total",)

@@ -11,9 +11,9 @@ from pathlib import Path
 from unittest.mock import patch
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "workflow/src"))
-from nishiki.contract.artifact import Artifact, ArtifactWriter
-from nishiki.contract.provenance import stage_key
-from nishiki.contract.publish import publish
+from nishiki.artifacts.artifact import Artifact, ArtifactWriter
+from nishiki.artifacts.provenance import stage_key
+from nishiki.artifacts.publish import publish
 
 READS = {
     "ingest": (),

@@ -3,12 +3,12 @@
 import numpy as np
 from turned_sphere import camera_of
 
+from nishiki.brdf.texels.lighting import Lighting
+from nishiki.codec.parameters import Maps
+from nishiki.codec.prediction import Surface
+from nishiki.codec.tile_code import Pixels, Scene
+from nishiki.colour.encoding import encode
 from nishiki.geometry.camera import Camera
-from nishiki.ingest.encoding import encode
-from nishiki.reflection.lighting import Lighting
-from nishiki.residual.parameters import Maps
-from nishiki.residual.prediction import Surface
-from nishiki.residual.tile_code import Pixels, Scene
 
 
 class SphereSource:

@@ -41,10 +41,10 @@ def tiny_results(folder: Path) -> None:
 
 def compared(configfile: Path) -> list[dict]:
     """A line for each finished artifact of a configuration, relative to the present folder."""
-    from nishiki.chains.stages import CHAIN
-    from nishiki.contract.artifact import RUN
-    from nishiki.planning.project import load_yaml
-    from nishiki.planning.workflow import Workflow
+    from nishiki.artifacts.artifact import RUN
+    from nishiki.engine.chains import CHAIN
+    from nishiki.engine.project import load_yaml
+    from nishiki.engine.workflow import Workflow
 
     flow = Workflow(load_yaml(configfile), folder=PROJECT)
     lines = []

@@ -18,8 +18,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import _project  # noqa: F401
-from nishiki.contract.maps import Maps
-from nishiki.ingest.observations import Observations
+from nishiki.artifacts.maps import Maps
+from nishiki.observations.plane import Observations
 
 PROJECT = Path(__file__).resolve().parents[2]
 
@@ -172,12 +172,12 @@ def bases(runs: Runs, data: Path | None):
     """Cameras and lamps by the number of bases that they support; error on spectra that were not trained on."""
     import time
 
-    from nishiki.economy.bases import output_bases
-    from nishiki.spectra.basis import channel_weights
-    from nishiki.spectra.colour import illuminant
-    from nishiki.spectra.estimate import estimate_spectra, fit_estimator
-    from nishiki.spectra.sampling import WAVELENGTHS_NM
-    from nishiki.spectra.training import synthetic_reflectances
+    from nishiki.colour.basis import channel_weights
+    from nishiki.colour.colour import illuminant
+    from nishiki.colour.estimate import estimate_spectra, fit_estimator
+    from nishiki.colour.sampling import WAVELENGTHS_NM
+    from nishiki.colour.training import synthetic_reflectances
+    from nishiki.model_selection.bases import output_bases
 
     def bell(centre, width):
         return np.exp(-0.5 * ((WAVELENGTHS_NM - centre) / width) ** 2)

@@ -25,8 +25,8 @@ PROJECT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(PROJECT / "workflow/src"), str(PROJECT / "scripts")]
 
 from nishiki.capture.folder import load_capture  # noqa: E402
+from nishiki.engine.reading import reading_of  # noqa: E402
 from nishiki.packages import EXTRAS, MODULES, installed  # noqa: E402
-from nishiki.planning.reading import reading_of  # noqa: E402
 
 SCENES = {"plane": "tiny", "turntable": "object-tiny", "goniometer": "satin-tiny"}
 ASKED = {"plane": ["normals"], "turntable": ["cameras", "mesh"], "goniometer": ["weave"]}
@@ -44,7 +44,7 @@ PARTS = {
 }
 MEASURE = """
 import sys; sys.path.insert(0, {source!r})
-from nishiki.contract.run_facts import RunFacts, bytes_read, peak_memory_kib
+from nishiki.artifacts.run_facts import RunFacts, bytes_read, peak_memory_kib
 import time
 before = time.process_time(), peak_memory_kib(), bytes_read()
 {code}

@@ -27,8 +27,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import _project  # noqa: F401
-from nishiki.normals.solve import estimate_normals
-from nishiki.separation.lights import select_diffuse
+from nishiki.photometric.light_selection import select_diffuse
+from nishiki.photometric.solve import estimate_normals
 
 CROP = 512  # pixels a side, from the middle of larger photographs
 GREY = (0.2989, 0.5870, 0.1140)

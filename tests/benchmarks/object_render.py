@@ -24,9 +24,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import _project
-from nishiki.contract.artifact import open_artifact
-from nishiki.patches.raster import rasterise
-from nishiki.turntable.decoded_object import DecodedObject
+from nishiki.artifacts.artifact import open_artifact
+from nishiki.geometry.raster import rasterise
+from nishiki.render.object.decoded_object import DecodedObject
 
 STAGES = ("cameras", "mesh", "texels", "reflection", "residual")
 
@@ -60,7 +60,7 @@ def run_chain(capture, output):
         made[name] = next((output / name).glob("*/artifact.json")).parent
 
     stage("ingest", (), "--capture", str(capture))
-    from nishiki.ingest.views import Views
+    from nishiki.observations.views import Views
 
     if len(Views(made["ingest"]).states) > 1:
         stage("polarise", ("ingest",))

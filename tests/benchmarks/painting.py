@@ -87,7 +87,7 @@ def stage(name, inputs, settings, place, *extra):
 
 def run_method(ingested, truth, settings, place):
     """All stages of one method; their artifacts by name."""
-    from nishiki.contract.provenance import truth_digest
+    from nishiki.artifacts.provenance import truth_digest
 
     made = {"ingest": ingested}
     for name, needs in STAGES.items():
@@ -136,9 +136,9 @@ def average(values):
 
 def timing(ingested, settings):
     """Best of three of selection, normals and reflectance in memory, and the seconds for the scene's gloss."""
-    from nishiki.ingest.observations import Observations
-    from nishiki.ingest.parcels import Parcel
-    from nishiki.separation.lights import select_diffuse
+    from nishiki.observations.parcels import Parcel
+    from nishiki.observations.plane import Observations
+    from nishiki.photometric.light_selection import select_diffuse
     from nishiki.settings.normals import NormalsSettings
 
     place = importlib.util.spec_from_file_location("normals_script", PROJECT / "scripts" / "normals.py")
@@ -172,16 +172,16 @@ def budget(made, truth):
     """Error of each check light with parts of the prediction replaced by the truth; (diffuse, highlight) means."""
     import zarr
 
+    from nishiki.artifacts.maps import Maps
+    from nishiki.brdf.gloss_profile import GlossProfile, body_shading
     from nishiki.brdf.parameters import gloss_table
     from nishiki.brdf.slopes import slope_covariance
-    from nishiki.contract.maps import Maps
     from nishiki.evaluate.classes import classify
     from nishiki.evaluate.prediction import FittedModel, light_of, predict_light
     from nishiki.evaluate.relighting import truth_difference
     from nishiki.evaluate.scene_colour import spectral_colour
-    from nishiki.ingest.observations import Observations
-    from nishiki.normals.gloss_profile import GlossProfile, body_shading
-    from nishiki.render.scene import Gloss
+    from nishiki.observations.plane import Observations
+    from nishiki.render.plane.scene import Gloss
 
     frames, group = Observations(made["ingest"]), zarr.open_group(truth / "truth.zarr", mode="r")
     maps, spectra = Maps(made["normals"]), Maps(made["spectra"])

@@ -477,7 +477,7 @@ class Observer:
     """Camera, lamp and standard observer; codes with noise, vignetting and black level."""
 
     def __init__(self, spectra: Path, painting: Painting, shape):
-        from nishiki.spectra.colour import cie_1931_cmfs
+        from nishiki.colour.colour import cie_1931_cmfs
 
         self.rng = np.random.default_rng(painting.seed + 3000)
         self.curves = camera_curves(spectra, painting.camera)

@@ -198,9 +198,9 @@ def load(file, lamps):
 
 def solved(samples, lights, valid, how):
     """Normals (1, pixels, 3) by one of METHODS."""
-    from nishiki.normals.solve import estimate_normals
-    from nishiki.separation.body_colour import body_intensity
-    from nishiki.separation.lights import select_diffuse
+    from nishiki.photometric.body_colour import body_intensity
+    from nishiki.photometric.light_selection import select_diffuse
+    from nishiki.photometric.solve import estimate_normals
 
     mean = samples.mean(axis=-1)
     if how == "least_squares":

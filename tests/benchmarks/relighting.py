@@ -38,7 +38,7 @@ sys.path.insert(0, str(PROJECT / "workflow/src"))
 from nishiki.evaluate.camera_colour import assumed_colour  # noqa: E402
 from nishiki.evaluate.normals import angular_error_deg  # noqa: E402
 from nishiki.evaluate.relighting import LightComparison  # noqa: E402
-from nishiki.ingest.observations import Observations  # noqa: E402
+from nishiki.observations.plane import Observations  # noqa: E402
 
 CROPS = {"rti_fossil": ("1088", "1856", "384", "384"), "rti_marble": ("600", "1000", "384", "384")}
 SMALL = ("uw_gray", "uw_cat", "uw_owl", "uw_horse", "psbox_cat")
@@ -214,8 +214,8 @@ def of_chain(current: Path) -> dict:
 
 def known_pixels(current: Path) -> np.ndarray:
     """Pixels of which the chain has normals: the others are left out for all."""
-    from nishiki.contract.maps import Maps
-    from nishiki.normals.flags import NO_ESTIMATE
+    from nishiki.artifacts.maps import Maps
+    from nishiki.photometric.flags import NO_ESTIMATE
 
     return (Maps(current / "normals").read("flags") & NO_ESTIMATE) == 0
 

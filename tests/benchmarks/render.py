@@ -27,9 +27,9 @@ import _project  # noqa: F401
 from nishiki import threads
 from nishiki.brdf.kernels import specular_scalar
 from nishiki.brdf.torrance_sparrow import specular
-from nishiki.render.scene import Gloss, Light, PlaneScene
-from nishiki.render.shade import pixel_to_plane, shade_xyz
-from nishiki.spectra.colour import cie_1931_cmfs, illuminant, white_xyz, xyz_matrix
+from nishiki.colour.colour import cie_1931_cmfs, illuminant, white_xyz, xyz_matrix
+from nishiki.render.plane.scene import Gloss, Light, PlaneScene
+from nishiki.render.plane.shade import pixel_to_plane, shade_xyz
 
 FRONT = np.array([0.0, 0.0, 1.0])
 

@@ -27,7 +27,7 @@ NEEDED = ("ingest", "cameras", "mesh", "texels", "reflection")
 
 def artifacts_of(data: Path, work: Path) -> dict:
     """Upstream artifacts: those of a run, or of one that is made now."""
-    from nishiki.contract.artifact import open_artifact
+    from nishiki.artifacts.artifact import open_artifact
 
     current = data if (data / "texels").exists() else run_upstream(data, work)
     names = (*NEEDED, *(("polarise",) if (current / "polarise").exists() else ()))
@@ -72,9 +72,9 @@ def texel_rows(inputs: dict, every: int) -> Iterator[dict]:
     """Rows of the texel domain."""
     from residual_texels import curves
 
-    from nishiki.patches.store import Texels
-    from nishiki.reflection.lighting import Lighting
-    from nishiki.reflection.store import ParameterMaps
+    from nishiki.atlas.store import Texels
+    from nishiki.brdf.texels.lighting import Lighting
+    from nishiki.brdf.texels.store import ParameterMaps
 
     lighting = json.loads(inputs["reflection"].path("reflection.json").read_text())["lighting"]
     folder = inputs["reflection"].folder

@@ -15,13 +15,13 @@ from time import perf_counter
 import numpy as np
 from codecs_of_pictures import IMAGE_CODECS, VIDEO_CODECS, filled
 
-from nishiki.contract.artifact import Artifact, open_artifact
-from nishiki.ingest.encoding import encode
-from nishiki.ingest.views import Views
-from nishiki.patches.store import Texels
-from nishiki.turntable.cost import cost_of
-from nishiki.turntable.decoded_object import DecodedObject
-from nishiki.turntable.photographs import Photographs
+from nishiki.artifacts.artifact import Artifact, open_artifact
+from nishiki.atlas.store import Texels
+from nishiki.codec.cost import cost_of
+from nishiki.colour.encoding import encode
+from nishiki.evaluate.object_photographs import Photographs
+from nishiki.observations.views import Views
+from nishiki.render.object.decoded_object import DecodedObject
 
 PROJECT = Path(__file__).resolve().parents[2]
 VARIANTS = {

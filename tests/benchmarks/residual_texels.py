@@ -11,15 +11,15 @@ from time import perf_counter
 import numpy as np
 from eigen_texture import eigen_patch, kept_components
 
-from nishiki.ingest.encoding import encode
-from nishiki.patches.store import Texels
-from nishiki.reflection.lighting import Lighting
-from nishiki.reflection.store import ParameterMaps
-from nishiki.residual.colour import principal_channels
-from nishiki.residual.fill import keep_largest
-from nishiki.residual.observations import view_matrix
-from nishiki.residual.prediction import Surface, predict_texels
-from nishiki.residual.transform import Block, plane_transform
+from nishiki.atlas.store import Texels
+from nishiki.brdf.texels.lighting import Lighting
+from nishiki.brdf.texels.store import ParameterMaps
+from nishiki.codec.colour import principal_channels
+from nishiki.codec.fill import keep_largest
+from nishiki.codec.observations import view_matrix
+from nishiki.codec.prediction import Surface, predict_texels
+from nishiki.codec.transform import Block, plane_transform
+from nishiki.colour.encoding import encode
 
 SHARES = (0.5, 0.05, 0.02)
 DEFAULT = "bior4.4"

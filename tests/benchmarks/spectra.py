@@ -22,11 +22,11 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import _project  # noqa: F401
-from nishiki.spectra.basis import channel_weights
-from nishiki.spectra.colour import delta_e_2000, illuminant, white_xyz, xyz_from_spectra, xyz_to_lab
-from nishiki.spectra.estimate import estimate_spectra, fit_estimator
-from nishiki.spectra.sampling import WAVELENGTHS_NM, resample
-from nishiki.spectra.training import synthetic_reflectances
+from nishiki.colour.basis import channel_weights
+from nishiki.colour.colour import delta_e_2000, illuminant, white_xyz, xyz_from_spectra, xyz_to_lab
+from nishiki.colour.estimate import estimate_spectra, fit_estimator
+from nishiki.colour.sampling import WAVELENGTHS_NM, resample
+from nishiki.colour.training import synthetic_reflectances
 
 DIFFERENCE_LIGHTS = (("", "D65"), ("_A", "A"), ("_F11", "FL11"))
 CONCENTRATIONS = (1.0, 0.6, 0.3, 0.15, 0.07, 0.03)
@@ -265,7 +265,7 @@ def _summary(line) -> dict:
 
 def _srgb_of(training, weights):
     """Camera responses to linear sRGB by least squares over the training set, as a raw converter's matrix does."""
-    from nishiki.spectra.colour import xyz_to_srgb_linear
+    from nishiki.colour.colour import xyz_to_srgb_linear
 
     lamp = illuminant("D65")
     target = xyz_to_srgb_linear(xyz_from_spectra(lamp, training), white=white_xyz(lamp))

@@ -20,9 +20,9 @@ sys.path.insert(0, str(PROJECT / "scripts"))
 
 import _project  # noqa: E402, F401
 from nishiki.brdf.levenberg_marquardt import fit_points, point_problem  # noqa: E402
-from nishiki.reflection.lighting import Lighting  # noqa: E402
-from nishiki.reflection.stack import Observed, observed  # noqa: E402
-from nishiki.reflection.texel_fit import first_fit, strengths  # noqa: E402
+from nishiki.brdf.texels.lighting import Lighting  # noqa: E402
+from nishiki.brdf.texels.stack import Observed, observed  # noqa: E402
+from nishiki.brdf.texels.texel_fit import first_fit, strengths  # noqa: E402
 
 VIEWS, CHANNELS = 36, 3
 
@@ -144,7 +144,7 @@ def stores(folder: Path):
 
 def from_store(folder: Path, count: int) -> Observed | None:
     """Texels of the fullest tile of a store, seen under a lamp at the camera."""
-    from nishiki.patches.store import Texels
+    from nishiki.atlas.store import Texels
 
     texels = Texels(folder)
     lamps = [Lighting("camera").lamp(camera) for camera in texels.cameras]

@@ -27,14 +27,14 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import _project  # noqa: F401
+from nishiki.atlas.atlas import build_atlas
+from nishiki.atlas.charts import make_charts
+from nishiki.atlas.density import sampling_density, texels_per_unit
+from nishiki.atlas.store import Texels
+from nishiki.atlas.turn import probe_spacing, turning
+from nishiki.atlas.write import TexelsWriter
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
-from nishiki.patches.atlas import build_atlas
-from nishiki.patches.charts import make_charts
-from nishiki.patches.density import sampling_density, texels_per_unit
-from nishiki.patches.store import Texels
-from nishiki.patches.turn import probe_spacing, turning
-from nishiki.patches.write import TexelsWriter
 
 SMALL = [(20_000, 6, 300_000), (40_000, 6, 300_000), (20_000, 12, 300_000), (20_000, 6, 600_000)]
 FULL = [(250_000, 9, 12_000_000), (250_000, 18, 12_000_000), (250_000, 36, 12_000_000)]
@@ -120,7 +120,7 @@ def measure(folder: Path, mesh: Mesh, cameras: list[Camera], read, *, channels: 
 def of_artifacts(root: Path, folder: Path, texels: float) -> dict:
     """An object's own artifacts."""
     from nishiki.geometry.cameras_file import load_cameras
-    from nishiki.ingest.views import Views
+    from nishiki.observations.views import Views
 
     def of(stage: str, name: str) -> Path:
         return next(p for p in sorted(root.glob(f"{stage}/**/{name}")))

@@ -10,12 +10,12 @@ import OpenEXR
 import pytest
 from captures import RING, edit_text, edit_yaml, make_capture, write_frame
 
-from nishiki.capture.check import check_capture
 from nishiki.capture.folder import load_capture
-from nishiki.capture.problems import CaptureError
 from nishiki.capture.seal import seal
 from nishiki.errors import UserError
-from nishiki.ingest.store import write_observations
+from nishiki.formats.problems import CaptureError
+from nishiki.observations.check import check_capture
+from nishiki.observations.plane_store import write_observations
 
 ROWS, COLUMNS = 24, 32
 CAMERA = {"channels": ["red", "green", "blue"], "encoding": "linear", "bits": 12, "saturation": 0.98}

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from captures import edit_block, edit_text, edit_yaml, make_turntable, write_frame
 
-from nishiki.capture.check import check_capture
 from nishiki.capture.folder import load_capture
-from nishiki.capture.problems import CaptureError
 from nishiki.capture.seal import seal
-from nishiki.ingest.views_store import write_views
+from nishiki.formats.problems import CaptureError
+from nishiki.observations.check import check_capture
+from nishiki.observations.views_store import write_views
 from nishiki.settings.ingest import IngestSettings
 
 ROWS, COLUMNS = 20, 24

@@ -16,22 +16,22 @@ import zarr
 from captures import edit_block, edit_yaml, make_capture, make_turntable, write_frame
 from goniometer_captures import edit_goniometer, make_goniometer, make_table
 
-from nishiki.capture.check import check_capture
+from nishiki.artifacts.artifact import Artifact, ArtifactWriter
+from nishiki.artifacts.maps import Maps
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
 from nishiki.capture.frames import inside
-from nishiki.capture.problems import CaptureError
 from nishiki.capture.schema import read_capture_file
 from nishiki.capture.seal import capture_digest, manifest_text, read_manifest, seal, verify_seal
-from nishiki.contract.artifact import Artifact, ArtifactWriter
-from nishiki.contract.maps import Maps
+from nishiki.engine.project import load_project, load_yaml
+from nishiki.engine.workflow import Workflow
 from nishiki.errors import UserError, printable
+from nishiki.formats import plain_yaml
+from nishiki.formats.files import name_fault
+from nishiki.formats.problems import CaptureError
+from nishiki.formats.stored import load_arrays
 from nishiki.geometry.mesh_files import read_triangles
-from nishiki.outside import plain_yaml
-from nishiki.outside.files import name_fault
-from nishiki.outside.stored import load_arrays
-from nishiki.planning.project import load_project, load_yaml
-from nishiki.planning.workflow import Workflow
+from nishiki.observations.check import check_capture
 
 PROJECT = Path(__file__).resolve().parents[2]
 OUTSIDE = (

@@ -20,21 +20,21 @@ from goniometer_captures import HEADING
 from nishiki.capture.folder import load_capture
 from nishiki.capture.frames import read_frames
 from nishiki.capture.goniometer_tables import read_table
-from nishiki.capture.headers import read_header
-from nishiki.capture.images import read_codes
 from nishiki.capture.layouts import natural_key
 from nishiki.capture.lights import read_lights
-from nishiki.capture.matlab import read_matlab
-from nishiki.capture.problems import CaptureError
 from nishiki.capture.seal import read_manifest
 from nishiki.capture.turntable_layouts import recognise_round
+from nishiki.engine.project import load_project
 from nishiki.errors import UserError
+from nishiki.formats.bounds import BOUNDS, bound
+from nishiki.formats.files import read_json
+from nishiki.formats.image_headers import read_header
+from nishiki.formats.images import read_codes
+from nishiki.formats.matlab import read_matlab
+from nishiki.formats.problems import CaptureError
+from nishiki.formats.stored import load_arrays, open_group, zstd_content_size
 from nishiki.geometry.mesh_files import read_triangles
-from nishiki.ingest.observations import Observations
-from nishiki.outside.bounds import BOUNDS, bound
-from nishiki.outside.files import read_json
-from nishiki.outside.stored import load_arrays, open_group, zstd_content_size
-from nishiki.planning.project import load_project
+from nishiki.observations.plane import Observations
 
 PROJECT = Path(__file__).resolve().parents[2]
 

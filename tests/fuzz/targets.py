@@ -16,29 +16,29 @@ import numpy as np
 from fuzz.corpus import IMAGES, LIGHTS, MESHES, STORES, TABLES, YAML, corpus, make_store
 from fuzz.watch import paused
 
+from nishiki.artifacts.artifact import MANIFEST, open_artifact
 from nishiki.capture.cameras import read_cameras, read_points
 from nishiki.capture.folder import examine, read_intensities
 from nishiki.capture.frames import read_frames
 from nishiki.capture.goniometer_tables import read_table
-from nishiki.capture.headers import read_header
-from nishiki.capture.images import read_codes, read_labels, read_mask
 from nishiki.capture.lights import lights_from_vectors, read_lights
-from nishiki.capture.mesh_files import expect_mesh
-from nishiki.capture.problems import CaptureError
 from nishiki.capture.relight_files import read_relight
 from nishiki.capture.schema import geometry_named, read_capture_file
 from nishiki.capture.seal import manifest_text, read_manifest
 from nishiki.capture.spectra_tables import read_curves
 from nishiki.capture.turntable_layouts import recognise_round
 from nishiki.capture.turntable_schema import read_intrinsics
-from nishiki.contract.artifact import MANIFEST, open_artifact
+from nishiki.engine.project import load_project, load_yaml
 from nishiki.errors import UserError
+from nishiki.formats.image_headers import read_header
+from nishiki.formats.images import read_codes, read_labels, read_mask
+from nishiki.formats.mesh_kind import expect_mesh
+from nishiki.formats.problems import CaptureError
+from nishiki.formats.stored import load_arrays, open_group
 from nishiki.geometry.mesh_files import read_points as read_scan
 from nishiki.geometry.mesh_files import read_triangles
-from nishiki.ingest.observations import Observations
-from nishiki.outside.stored import load_arrays, open_group
-from nishiki.planning.project import load_project, load_yaml
-from nishiki.separation.instrument import read_instrument
+from nishiki.observations.plane import Observations
+from nishiki.polarisation.instrument import read_instrument
 
 COLOURS = ("red", "green", "blue")
 

@@ -22,8 +22,8 @@ sys.path[:0] = [str(PROJECT / "workflow/src"), str(PROJECT / "tests/faults"), st
 from arena import PRESETS, Arena, environment, make_arena  # noqa: E402
 from cluster import QUICK, Unavailable, cluster, install_plugin  # noqa: E402
 
-from nishiki.contract.artifact import MANIFEST  # noqa: E402
-from nishiki.contract.provenance import file_digest  # noqa: E402
+from nishiki.artifacts.artifact import MANIFEST  # noqa: E402
+from nishiki.artifacts.provenance import file_digest  # noqa: E402
 
 PAGE = PROJECT / "docs/slurm-run.md"
 SUBMITTED = re.compile(r"(?:Group )?[Jj]ob \S+ has been submitted with SLURM jobid (\d+)")

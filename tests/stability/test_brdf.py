@@ -10,14 +10,14 @@ from stability.samples import EXTREME, dome, tilted
 
 from nishiki.brdf.fit import fit_torrance_sparrow
 from nishiki.brdf.flags import FitFlag
+from nishiki.brdf.gloss_profile import fit_gloss
 from nishiki.brdf.kernels import specular_scalar
 from nishiki.brdf.levenberg_marquardt import fit_lobe
 from nishiki.brdf.parameters import described
 from nishiki.brdf.scene import fit_scene
 from nishiki.brdf.specular_histogram import SpecularHistogram
 from nishiki.brdf.torrance_sparrow import facet_distribution, fresnel, masking_over_cos_r, specular
-from nishiki.normals.gloss_profile import fit_gloss
-from nishiki.normals.gloss_scene import GlossTile, fit_scene_gloss
+from nishiki.photometric.gloss_scene import GlossTile, fit_scene_gloss
 
 GRAZING = st.one_of(st.floats(0, np.pi / 2), powers_of_ten(-12, 0).map(lambda d: np.pi / 2 - d), powers_of_ten(-12, 0))
 LOST = FitFlag.NO_HIGHLIGHT | FitFlag.TOO_FEW

@@ -5,17 +5,17 @@ import numpy as np
 from hypothesis import strategies as st
 from stability.cases import case, powers_of_ten, relative, worst_over
 
+from nishiki.brdf.cloth.bard import GreatCircleBard, LinearBard, great_circle_view, linear_view
+from nishiki.brdf.cloth.dye import Dyed
+from nishiki.brdf.cloth.facets import read_facets
+from nishiki.brdf.cloth.interface import LEAST_COSINE
+from nishiki.brdf.cloth.peer_fit import fit_peer
+from nishiki.brdf.cloth.peers import AshikhminShirley, Ggx, Ward
+from nishiki.brdf.cloth.table import TableBrdf
+from nishiki.brdf.cloth.yarn_facets import uncorrected
+from nishiki.brdf.cloth.yarn_fit import Measured, fit_yarn_facets
+from nishiki.brdf.cloth.yarn_parameters import CENTRE, SPREAD, shape_of
 from nishiki.errors import UserError
-from nishiki.fabric.bard import GreatCircleBard, LinearBard, great_circle_view, linear_view
-from nishiki.fabric.dye import Dyed
-from nishiki.fabric.facets import read_facets
-from nishiki.fabric.interface import LEAST_COSINE
-from nishiki.fabric.peer_fit import fit_peer
-from nishiki.fabric.peers import AshikhminShirley, Ggx, Ward
-from nishiki.fabric.table import TableBrdf
-from nishiki.fabric.yarn_facets import uncorrected
-from nishiki.fabric.yarn_fit import Measured, fit_yarn_facets
-from nishiki.fabric.yarn_parameters import CENTRE, SPREAD, shape_of
 from nishiki.goniometry.coverage import spread
 from nishiki.goniometry.directions import unit
 from nishiki.goniometry.grid import coefficients, evaluate

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 from stability.cases import case, worst_over
 from zarr.codecs import Crc32cCodec, ZstdCodec
 
-from nishiki.contract.artifact import open_artifact
-from nishiki.contract.finite import NotFinite, problems
-from nishiki.contract.limits import Limit, at, check, readings
-from nishiki.contract.limits_table import LIMITS
-from nishiki.contract.stage import run_stage
+from nishiki.artifacts.artifact import open_artifact
+from nishiki.artifacts.finite import NotFinite, problems
+from nishiki.artifacts.limits import Limit, at, check, readings
+from nishiki.artifacts.limits_table import LIMITS
+from nishiki.artifacts.stage import run_stage
 from nishiki.settings.height import HeightSettings
 
 CODECS = {

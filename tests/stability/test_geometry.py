@@ -16,10 +16,10 @@ from nishiki.geometry.matrices import cameras_of_matrices
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.outlines import agreement
 from nishiki.geometry.pose import Sight, estimate_pose
+from nishiki.geometry.raster import rasterise
 from nishiki.geometry.silhouettes import segment
 from nishiki.geometry.surface import decimate, distances, fewest_triangles, point_to_triangle, shape_of, smoothed
 from nishiki.geometry.turn import turn_of
-from nishiki.patches.raster import rasterise
 
 
 def globe(rings: int = 8, sectors: int = 12, radius: float = 0.7) -> tuple[np.ndarray, np.ndarray]:

@@ -8,15 +8,15 @@ from hypothesis import strategies as st
 from stability.cases import case, relative, worst_over
 from stability.samples import EXTREME, dome, matt_pixels, same, tilted, turned_cone
 
+from nishiki.brdf.gloss_profile import LADDER, GlossProfile
 from nishiki.errors import UserError
-from nishiki.normals import flags as bits
-from nishiki.normals.gloss import refine_normals
-from nishiki.normals.gloss_profile import LADDER, GlossProfile
-from nishiki.normals.height import integrate_normals
-from nishiki.normals.least_squares import eigenvalues
-from nishiki.normals.reflectance import diffuse_reflectance
-from nishiki.normals.solve import SOLVERS, estimate_normals
-from nishiki.separation.lights import METHODS, select_diffuse
+from nishiki.photometric import flags as bits
+from nishiki.photometric.gloss import refine_normals
+from nishiki.photometric.height import integrate_normals
+from nishiki.photometric.least_squares import eigenvalues
+from nishiki.photometric.light_selection import METHODS, select_diffuse
+from nishiki.photometric.reflectance import diffuse_reflectance
+from nishiki.photometric.solve import SOLVERS, estimate_normals
 
 ESTIMATES = ("normals", "albedo", "sigma", "condition", "residual")
 

@@ -8,16 +8,16 @@ from hypothesis import strategies as st
 from stability.cases import case, worst_over
 from turned_cameras import turn
 
+from nishiki.atlas.atlas import build_atlas
+from nishiki.atlas.charts import make_charts
+from nishiki.atlas.density import sampling_density, texels_per_unit
+from nishiki.atlas.quality import atlas_picture, stretch_percentiles, texels_per_pixel
+from nishiki.atlas.sample import object_pixels, pixel_places, sample_view
+from nishiki.atlas.surface import texel_points, texel_triangles
+from nishiki.atlas.turn import probe_spacing, turning
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
-from nishiki.patches.atlas import build_atlas
-from nishiki.patches.charts import make_charts
-from nishiki.patches.density import sampling_density, texels_per_unit
-from nishiki.patches.quality import atlas_picture, stretch_percentiles, texels_per_pixel
-from nishiki.patches.raster import rasterise
-from nishiki.patches.sample import object_pixels, pixel_places, sample_view
-from nishiki.patches.surface import texel_points, texel_triangles
-from nishiki.patches.turn import probe_spacing, turning
+from nishiki.geometry.raster import rasterise
 
 UP, FRONT = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
 IDENTITY = Camera("flat", np.diag([1.0, 1.0, 1.0]), np.eye(3), np.array([0.0, 0.0, 1.0]), 24, 32)

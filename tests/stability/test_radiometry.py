@@ -6,17 +6,17 @@ from hypothesis import strategies as st
 from stability.cases import case, powers_of_ten, relative, worst_over
 from stability.samples import EXTREME, dome, matt_pixels
 
-from nishiki.capture.problems import CaptureError
+from nishiki.colour.encoding import decode as uncurve
+from nishiki.colour.encoding import encode
 from nishiki.errors import UserError
-from nishiki.ingest.block_kernels import block_levels
-from nishiki.ingest.blocks import block_edges, cells, positions
-from nishiki.ingest.decode import decode
-from nishiki.ingest.encoding import decode as uncurve
-from nishiki.ingest.encoding import encode
-from nishiki.ingest.linearise import check_linearity, code_table, saturation_code, srgb_to_linear, straight_scale
-from nishiki.ingest.views_decode import view_values
-from nishiki.ingest.white import white_field
-from nishiki.separation.lights import METHODS, select_diffuse
+from nishiki.formats.problems import CaptureError
+from nishiki.observations.block_kernels import block_levels
+from nishiki.observations.blocks import block_edges, cells, positions
+from nishiki.observations.linearise import check_linearity, code_table, saturation_code, srgb_to_linear, straight_scale
+from nishiki.observations.plane_decode import decode
+from nishiki.observations.views_decode import view_values
+from nishiki.observations.white import white_field
+from nishiki.photometric.light_selection import METHODS, select_diffuse
 
 
 def decoded(codes, gain, dark, *, reduced=False, saturated=None):

@@ -6,18 +6,18 @@ from hypothesis import strategies as st
 from stability.cases import case, powers_of_ten, relative, worst_over
 from unit.test_reflection_object import patch, ring
 
-from nishiki.reflection.environment import fit_environment
-from nishiki.reflection.environment import residuals as left_of
-from nishiki.reflection.fill import fill
-from nishiki.reflection.flags import TexelFlag
-from nishiki.reflection.highlight import fit_highlight
-from nishiki.reflection.lighting import Lighting
-from nishiki.reflection.model import GRAZING, factors, predict
-from nishiki.reflection.neighbours import Lattice, Neighbourhood, spread
-from nishiki.reflection.object_fit import fit_object
-from nishiki.reflection.parameters import Parameters
-from nishiki.reflection.settle import sample_texels, settle
-from nishiki.reflection.tile import Capture, Tile
+from nishiki.brdf.texels.environment import fit_environment
+from nishiki.brdf.texels.environment import residuals as left_of
+from nishiki.brdf.texels.fill import fill
+from nishiki.brdf.texels.flags import TexelFlag
+from nishiki.brdf.texels.highlight import fit_highlight
+from nishiki.brdf.texels.lighting import Lighting
+from nishiki.brdf.texels.model import GRAZING, factors, predict
+from nishiki.brdf.texels.neighbours import Lattice, Neighbourhood, spread
+from nishiki.brdf.texels.object_fit import fit_object
+from nishiki.brdf.texels.parameters import Parameters
+from nishiki.brdf.texels.settle import sample_texels, settle
+from nishiki.brdf.texels.tile import Capture, Tile
 
 CAMERA = Lighting("camera", ((0.0, 0.0, 0.0),))
 SEEN = 0.15  # cos(theta_r) above which a texel is visible

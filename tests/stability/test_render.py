@@ -8,10 +8,19 @@ from stability.samples import EXTREME, tilted
 from nishiki.brdf.torrance_sparrow import specular
 from nishiki.errors import UserError
 from nishiki.render.display import display_image, normals_as_colours
-from nishiki.render.frame import render
-from nishiki.render.relight import predict_observations
-from nishiki.render.scene import COLOUR_MISSING, NORMAL_MISSING, OVERFLOW, TURNED_AWAY, Gloss, Light, PlaneScene, View
-from nishiki.render.shadow import cast_shadows
+from nishiki.render.plane.frame import render
+from nishiki.render.plane.relight import predict_observations
+from nishiki.render.plane.scene import (
+    COLOUR_MISSING,
+    NORMAL_MISSING,
+    OVERFLOW,
+    TURNED_AWAY,
+    Gloss,
+    Light,
+    PlaneScene,
+    View,
+)
+from nishiki.render.plane.shadow import cast_shadows
 
 BAD = NORMAL_MISSING | COLOUR_MISSING | OVERFLOW
 

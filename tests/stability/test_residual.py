@@ -5,19 +5,19 @@ import numpy as np
 from hypothesis import strategies as st
 from stability.cases import case, powers_of_ten, relative, worst_over
 
+from nishiki.codec.allocate import psnr
+from nishiki.codec.entropy import Model, decode, encode
+from nishiki.codec.extent import extent_of
+from nishiki.codec.fill import keep_largest
+from nishiki.codec.filters import analysis_matrix, cosine_matrix, filter_bank
+from nishiki.codec.interpolate import Footprints
+from nishiki.codec.pursuit import Pursuit, curvatures, pursue
+from nishiki.codec.quantise import quantise
+from nishiki.codec.rate import expected_bits
+from nishiki.codec.solve import Operator
+from nishiki.codec.training import pack, train, unpack
+from nishiki.codec.transform import Block, plane_transform
 from nishiki.errors import UserError
-from nishiki.residual.allocate import psnr
-from nishiki.residual.entropy import Model, decode, encode
-from nishiki.residual.extent import extent_of
-from nishiki.residual.fill import keep_largest
-from nishiki.residual.filters import analysis_matrix, cosine_matrix, filter_bank
-from nishiki.residual.interpolate import Footprints
-from nishiki.residual.pursuit import Pursuit, curvatures, pursue
-from nishiki.residual.quantise import quantise
-from nishiki.residual.rate import expected_bits
-from nishiki.residual.solve import Operator
-from nishiki.residual.training import pack, train, unpack
-from nishiki.residual.transform import Block, plane_transform
 
 
 def exact_daubechies() -> list[mpmath.mpf]:

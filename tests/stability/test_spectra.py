@@ -6,9 +6,8 @@ from hypothesis import strategies as st
 from stability.cases import case, powers_of_ten, relative, worst_over
 from stability.samples import EXTREME
 
-from nishiki.errors import UserError
-from nishiki.spectra.basis import channel_weights, principal_basis
-from nishiki.spectra.colour import (
+from nishiki.colour.basis import channel_weights, principal_basis
+from nishiki.colour.colour import (
     adaptation_matrix,
     delta_e_2000,
     illuminant,
@@ -18,11 +17,12 @@ from nishiki.spectra.colour import (
     xyz_to_lab,
     xyz_to_srgb_linear,
 )
-from nishiki.spectra.estimate import METHODS, estimate_spectra, fit_estimator
-from nishiki.spectra.kernels import ILL_CONDITIONED, NEGATIVE_RESPONSE, NOT_FINITE
-from nishiki.spectra.linear import condition_number, paper_map, wiener_map
-from nishiki.spectra.sampling import WAVELENGTHS_NM
-from nishiki.spectra.training import synthetic_reflectances
+from nishiki.colour.estimate import METHODS, estimate_spectra, fit_estimator
+from nishiki.colour.kernels import ILL_CONDITIONED, NEGATIVE_RESPONSE, NOT_FINITE
+from nishiki.colour.linear import condition_number, paper_map, wiener_map
+from nishiki.colour.sampling import WAVELENGTHS_NM
+from nishiki.colour.training import synthetic_reflectances
+from nishiki.errors import UserError
 
 CAMERA = np.exp(-(((WAVELENGTHS_NM[None] - np.array([[610.0], [540.0], [460.0]])) / 40) ** 2))
 TRAINING = synthetic_reflectances(240)

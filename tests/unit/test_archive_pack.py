@@ -16,12 +16,12 @@ from archives import write_scene
 from nishiki.archive.crate_audit import CrateAudit, audit_crate
 from nishiki.archive.crate_names import MANIFEST, manifest_text, parse_manifest_text
 from nishiki.archive.pack import Scene, pack, write_zip
+from nishiki.artifacts.artifact import MANIFEST as ARTIFACT
+from nishiki.artifacts.artifact import run_text
+from nishiki.artifacts.provenance import file_digest
 from nishiki.capture.seal import capture_digest, seal
 from nishiki.cli import main
 from nishiki.commands.packing import expect_outside
-from nishiki.contract.artifact import MANIFEST as ARTIFACT
-from nishiki.contract.artifact import run_text
-from nishiki.contract.provenance import file_digest
 from nishiki.errors import UserError
 
 ABOUT = {

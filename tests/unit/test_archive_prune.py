@@ -12,9 +12,9 @@ from archives import write_artifact, write_scene
 
 from nishiki.archive.prune import decide
 from nishiki.archive.removal import remove
+from nishiki.artifacts.artifact import open_artifact
 from nishiki.cli import main
 from nishiki.commands import pruning as command
-from nishiki.contract.artifact import open_artifact
 from nishiki.processes import host, identity
 
 SOURCE = Path(__file__).resolve().parents[2] / "workflow/src"
@@ -278,7 +278,7 @@ def test_the_command_lists_first_and_removes_when_told(results, monkeypatch, cap
 
 
 def test_the_command_refuses_while_a_run_is_alive_and_lets_no_run_start_meanwhile(results, monkeypatch, capsys):
-    from nishiki.runs.running_lock import registered
+    from nishiki.engine.running_lock import registered
 
     made = write_scene(results / "a")
     with registered(results, ["a"]) as held:

@@ -11,8 +11,8 @@ from nishiki.archive.audit import Counts, audit, find_artifacts
 from nishiki.archive.damage import KINDS, Damage, shown
 from nishiki.archive.publication import check_publication
 from nishiki.archive.references import References
+from nishiki.artifacts.artifact import MANIFEST, open_artifact, run_text
 from nishiki.cli import main
-from nishiki.contract.artifact import MANIFEST, open_artifact, run_text
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,8 @@ import os
 import pytest
 
 from nishiki.archive.survey import verify_artifact
-from nishiki.contract.artifact import MANIFEST, ArtifactWriter, open_artifact, run_text
-from nishiki.contract.provenance import stage_key
+from nishiki.artifacts.artifact import MANIFEST, ArtifactWriter, open_artifact, run_text
+from nishiki.artifacts.provenance import stage_key
 from nishiki.errors import UserError
 from nishiki.processes import host, identity
 

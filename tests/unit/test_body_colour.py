@@ -8,10 +8,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from nishiki.normals.solve import estimate_normals
-from nishiki.separation import body_colour
-from nishiki.separation.body_colour import body_intensity
-from nishiki.separation.lights import select_diffuse
+from nishiki.photometric import body_colour
+from nishiki.photometric.body_colour import body_intensity
+from nishiki.photometric.light_selection import select_diffuse
+from nishiki.photometric.solve import estimate_normals
 
 DARK_RED = np.array([0.12, 0.015, 0.01])
 

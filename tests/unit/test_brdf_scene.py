@@ -7,6 +7,7 @@ import pytest
 from captures import make_capture
 
 from brdf import fit_regions, gather
+from nishiki.artifacts.maps import Maps, MapWriter
 from nishiki.brdf.body_shading import transmittance
 from nishiki.brdf.brightest_light import brightest_light_samples, fit_brightest_light, thin
 from nishiki.brdf.flags import FitFlag
@@ -14,10 +15,9 @@ from nishiki.brdf.scene import fit_scene
 from nishiki.brdf.specular_histogram import COUNT, SpecularHistogram
 from nishiki.brdf.torrance_sparrow import attenuation, fresnel, half_vector_geometry, specular
 from nishiki.capture.folder import load_capture
-from nishiki.contract.maps import Maps, MapWriter
 from nishiki.errors import UserError
-from nishiki.ingest.observations import Observations
-from nishiki.ingest.store import write_observations
+from nishiki.observations.plane import Observations
+from nishiki.observations.plane_store import write_observations
 from nishiki.progress import Progress
 from nishiki.settings.brdf import BrdfSettings
 

@@ -14,8 +14,8 @@ from nishiki.capture.folder import load_capture
 from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.cameras_file import load_cameras
-from nishiki.ingest.views_attributes import geometry_sources
-from nishiki.ingest.views_store import write_views
+from nishiki.observations.views_attributes import geometry_sources
+from nishiki.observations.views_store import write_views
 from nishiki.progress import Progress
 from nishiki.settings.cameras import CamerasSettings
 from nishiki.settings.ingest import IngestSettings

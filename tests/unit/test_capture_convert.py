@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 from captures import RING, write_frame
 
-from nishiki.capture.check import check_capture
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
 from nishiki.capture.probes import direction_from_sphere
-from nishiki.capture.problems import CaptureError
 from nishiki.capture.seal import sha256_of
+from nishiki.formats.problems import CaptureError
+from nishiki.observations.check import check_capture
 
 LIGHTS = [tuple(v) for v in np.array(RING)]
 

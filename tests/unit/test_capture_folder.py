@@ -12,11 +12,11 @@ from captures import edit_text, edit_yaml, make_capture
 from conftest import PROJECT
 
 from nishiki.capture import seal as seal_module
-from nishiki.capture.check import check_capture
 from nishiki.capture.folder import load_capture
-from nishiki.capture.problems import CaptureError
 from nishiki.capture.seal import capture_digest, payload_digests, read_manifest, seal, sha256_of, verify_seal
 from nishiki.capture.spectra_tables import read_curves
+from nishiki.formats.problems import CaptureError
+from nishiki.observations.check import check_capture
 
 
 def test_a_valid_capture_is_read(tmp_path):

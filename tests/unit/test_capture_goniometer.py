@@ -9,17 +9,17 @@ import pytest
 from captures import edit_text, edit_yaml, write_frame
 from goniometer_captures import HEADING, cloth, directions, edit_goniometer, make_goniometer, make_table, quarter_views
 
-from nishiki.capture.check import check_capture
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
 from nishiki.capture.goniometer import goniometer_facts
 from nishiki.capture.goniometer_rules import SAME_DEG, nearest
 from nishiki.capture.goniometer_tables import read_table
-from nishiki.capture.problems import CaptureError
 from nishiki.capture.seal import seal
 from nishiki.cli import main
 from nishiki.errors import UserError
-from nishiki.ingest.goniometer_store import write_goniometer
+from nishiki.formats.problems import CaptureError
+from nishiki.observations.check import check_capture
+from nishiki.observations.goniometer_store import write_goniometer
 from nishiki.settings.ingest import IngestSettings
 
 OBLIQUE = [(30.0, 90.0, t, p) for t in (0.0, 30.0) for p in (0.0, 90.0, 270.0)]

@@ -8,9 +8,9 @@ import numpy as np
 import OpenEXR
 import pytest
 
-from nishiki.capture.headers import read_header
-from nishiki.capture.images import read_codes, read_labels, read_mask
-from nishiki.capture.problems import CaptureError
+from nishiki.formats.image_headers import read_header
+from nishiki.formats.images import read_codes, read_labels, read_mask
+from nishiki.formats.problems import CaptureError
 
 RGB = ("red", "green", "blue")
 

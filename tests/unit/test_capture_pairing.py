@@ -11,7 +11,7 @@ from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
 from nishiki.capture.layouts import natural_key
 from nishiki.capture.pairing import pair_by_name
-from nishiki.capture.problems import CaptureError
+from nishiki.formats.problems import CaptureError
 
 LAMPS = [*(f"L{i}" for i in range(1, 14)), *(f"H{i}" for i in range(1, 9))]
 

@@ -13,15 +13,15 @@ from hypothesis import strategies as st
 from scipy.io import savemat
 
 from nishiki.capture.cameras import camera_centre, read_cameras, turn_of
-from nishiki.capture.check import check_capture
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
 from nishiki.capture.polariser import parse_state
-from nishiki.capture.problems import CaptureError
 from nishiki.capture.seal import seal
 from nishiki.capture.turntable import turntable_facts
 from nishiki.cli import main
+from nishiki.formats.problems import CaptureError
 from nishiki.geometry.camera import Camera
+from nishiki.observations.check import check_capture
 
 PLY = (
     "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nelement face 1\n"

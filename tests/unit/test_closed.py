@@ -2,9 +2,9 @@
 
 import pytest
 
-from nishiki.contract.closed import parse
+from nishiki.artifacts.closed import parse
+from nishiki.engine.project import Configuration
 from nishiki.errors import UserError
-from nishiki.planning.project import Configuration
 
 TOLD = {
     "a kind of value": ({"hold_out": "ring1"}, "hold_out: input should be 'auto' or 'none' or a list, found 'ring1'"),

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from nishiki.drape.boxes import boxes_of, occluded
+from nishiki.render.cloth.boxes import boxes_of, occluded
 
 
 def slow(vertices, triangles, origins, directions, far):

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from nishiki.drape.cloth import Cloth, Support, drape, refined
-from nishiki.drape.cloth_kernels import distance_to_support, keep_length, keep_shape, keep_straight
 from nishiki.errors import UserError
+from nishiki.render.cloth.cloth import Cloth, Support, drape, refined
+from nishiki.render.cloth.cloth_kernels import distance_to_support, keep_length, keep_shape, keep_straight
 
 SMALL = {"levels": (17, 33), "seconds": (1.2, 0.4)}
 

@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
-from nishiki.drape.around import Surroundings, lookup, openness, shares
-from nishiki.drape.dyes import dyed, gloss_alone, share_of, together
-from nishiki.drape.frame import Take, render
-from nishiki.drape.local import disc_point
-from nishiki.drape.scene import Around, Lamp, Matte, Scene, Surface
-from nishiki.drape.sheet import cylinder, paper, sheet, swatch
-from nishiki.drape.studio import linear_colour
-from nishiki.drape.view import framed, look_at
+from nishiki.brdf.cloth.peers import Ward
 from nishiki.errors import UserError
-from nishiki.fabric.peers import Ward
 from nishiki.geometry.mesh import Mesh
+from nishiki.render.cloth.around import Surroundings, lookup, openness, shares
+from nishiki.render.cloth.dyes import dyed, gloss_alone, share_of, together
+from nishiki.render.cloth.frame import Take, render
+from nishiki.render.cloth.local import disc_point
+from nishiki.render.cloth.scene import Around, Lamp, Matte, Scene, Surface
+from nishiki.render.cloth.sheet import cylinder, paper, sheet, swatch
+from nishiki.render.cloth.studio import linear_colour
+from nishiki.render.cloth.view import framed, look_at
 
 WARD = Ward(diffuse=np.array([0.1, 0.2, 0.3]), specular=np.array([0.3, 0.3, 0.3]), alpha_x=0.4, alpha_y=0.15)
 
@@ -132,7 +132,7 @@ def test_shared_values_differ_little_from_each_sample_its_own():
 
 
 def test_dyes_share_their_gloss_and_are_what_the_dichromatic_model_says():
-    from nishiki.fabric.dye import Dyed
+    from nishiki.brdf.cloth.dye import Dyed
 
     colours = {"red": (0.5, 0.05, 0.1), "blue": (0.05, 0.1, 0.5)}
     made = dyed(WARD, colours)
@@ -159,8 +159,8 @@ def test_bands_do_not_show(monkeypatch):
     arguments = (scene, [Take((WARD,), (1.0,))], [lamp], camera(30))
     whole = render(*arguments, supersampling=3)[0]
     assert render(*arguments, supersampling=3)[0].linear.tobytes() == whole.linear.tobytes()
-    monkeypatch.setattr("nishiki.drape.frame.BAND_SAMPLES", 1000)
-    monkeypatch.setattr("nishiki.drape.frame.AT_ONCE", 77)
+    monkeypatch.setattr("nishiki.render.cloth.frame.BAND_SAMPLES", 1000)
+    monkeypatch.setattr("nishiki.render.cloth.frame.AT_ONCE", 77)
     banded = render(*arguments, supersampling=3)[0]
     assert np.array_equal(whole.linear, banded.linear)
     assert whole.samples == banded.samples

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from nishiki.drape.sheet import cylinder, grid_triangles, paper, sheet, swatch
-from nishiki.drape.tangent import from_direction, from_texture
-from nishiki.drape.transport import transported
 from nishiki.errors import UserError
 from nishiki.geometry.mesh import Mesh
+from nishiki.render.cloth.sheet import cylinder, grid_triangles, paper, sheet, swatch
+from nishiki.render.cloth.tangent import from_direction, from_texture
+from nishiki.render.cloth.transport import transported
 
 
 def ball(rows=25, columns=49):

@@ -3,25 +3,33 @@
 import numpy as np
 import pytest
 
-from nishiki.economy.bases import output_bases, principal_bases
-from nishiki.economy.decision import Decision, economy
-from nishiki.economy.gloss import decided as gloss_decided
-from nishiki.economy.gloss import gloss_evidence
-from nishiki.economy.lights import FEWEST, WORTH, LightSample, measured_choice, moved_deg, not_worth, static_choice
-from nishiki.economy.object_gloss import unseen_gain
-from nishiki.economy.spread import spread_order, spread_subset
-from nishiki.economy.sufficient import model_suffices, what_is_left
-from nishiki.economy.views import measured_choice as choose_views
-from nishiki.economy.views import normal_order, with_normal_rows
-from nishiki.economy.views import static_choice as static_views
+from nishiki.colour.basis import channel_weights
+from nishiki.colour.colour import illuminant
+from nishiki.colour.estimate import estimate_spectra, fit_estimator
+from nishiki.colour.sampling import WAVELENGTHS_NM
+from nishiki.colour.training import synthetic_reflectances
 from nishiki.goniometry.table import ReflectanceSet
-from nishiki.normals.solve import estimate_normals
-from nishiki.separation.lights import select_diffuse
-from nishiki.spectra.basis import channel_weights
-from nishiki.spectra.colour import illuminant
-from nishiki.spectra.estimate import estimate_spectra, fit_estimator
-from nishiki.spectra.sampling import WAVELENGTHS_NM
-from nishiki.spectra.training import synthetic_reflectances
+from nishiki.model_selection.bases import output_bases, principal_bases
+from nishiki.model_selection.decision import Decision, economy
+from nishiki.model_selection.gloss import decided as gloss_decided
+from nishiki.model_selection.gloss import gloss_evidence
+from nishiki.model_selection.lights import (
+    FEWEST,
+    WORTH,
+    LightSample,
+    measured_choice,
+    moved_deg,
+    not_worth,
+    static_choice,
+)
+from nishiki.model_selection.object_gloss import unseen_gain
+from nishiki.model_selection.spread import spread_order, spread_subset
+from nishiki.model_selection.sufficient import model_suffices, what_is_left
+from nishiki.model_selection.views import measured_choice as choose_views
+from nishiki.model_selection.views import normal_order, with_normal_rows
+from nishiki.model_selection.views import static_choice as static_views
+from nishiki.photometric.light_selection import select_diffuse
+from nishiki.photometric.solve import estimate_normals
 
 VIEW = np.array([0.0, 0.0, 1.0])
 

@@ -5,14 +5,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from nishiki.colour.colour import delta_e_2000, illuminant, white_xyz, xyz_from_spectra, xyz_to_lab
 from nishiki.errors import UserError
 from nishiki.evaluate.height import height_error
 from nishiki.evaluate.normals import angular_error_deg, normal_errors
 from nishiki.evaluate.reflectance import reflectance_errors
 from nishiki.evaluate.summary import Pool, summarise
 from nishiki.evaluate.truth import truth_from
-from nishiki.normals.flags import ILL_CONDITIONED, TOO_FEW_LIGHTS
-from nishiki.spectra.colour import delta_e_2000, illuminant, white_xyz, xyz_from_spectra, xyz_to_lab
+from nishiki.photometric.flags import ILL_CONDITIONED, TOO_FEW_LIGHTS
 
 
 def _rotated(angle):

@@ -5,6 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from nishiki.colour.basis import channel_weights
+from nishiki.colour.colour import delta_e_2000, illuminant, srgb_encode, white_xyz, xyz_from_spectra, xyz_to_lab
+from nishiki.colour.sampling import WAVELENGTHS_NM
+from nishiki.colour.training import synthetic_reflectances
 from nishiki.errors import UserError
 from nishiki.evaluate.camera_colour import assumed_colour, fitted_colour
 from nishiki.evaluate.classes import DIFFUSE, HIGHLIGHT, OUTSIDE, SHADOW, classify
@@ -16,11 +20,7 @@ from nishiki.evaluate.preview import PreviewPair
 from nishiki.evaluate.relighting import LightComparison, SquaredError, difference_of, truth_difference
 from nishiki.evaluate.scene_colour import channel_colour, spectral_colour
 from nishiki.evaluate.table import COLUMNS, rows_of
-from nishiki.render.scene import Gloss, Light
-from nishiki.spectra.basis import channel_weights
-from nishiki.spectra.colour import delta_e_2000, illuminant, srgb_encode, white_xyz, xyz_from_spectra, xyz_to_lab
-from nishiki.spectra.sampling import WAVELENGTHS_NM
-from nishiki.spectra.training import synthetic_reflectances
+from nishiki.render.plane.scene import Gloss, Light
 
 
 def _sensitivities(count=3):

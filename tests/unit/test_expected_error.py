@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from nishiki.normals import expected_error as module
-from nishiki.normals.expected_error import WINDOW, expected_error, slope_error
+from nishiki.photometric import expected_error as module
+from nishiki.photometric.expected_error import WINDOW, expected_error, slope_error
 
 
 def relief(rows=40, columns=56, steep=0.5):

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nishiki.brdf.torrance_sparrow import fresnel
-from nishiki.fabric.bard import (
+from nishiki.brdf.cloth.bard import (
     GreatCircleBard,
     LinearBard,
     ScaledBard,
@@ -15,6 +14,7 @@ from nishiki.fabric.bard import (
     linear_view,
     stretched_angle,
 )
+from nishiki.brdf.torrance_sparrow import fresnel
 
 HALF_PI = np.pi / 2
 THETAS_DEG = np.array([0, 15, 30, 45, 60, 75])

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nishiki.contract.artifact import ArtifactWriter, open_artifact
-from nishiki.contract.stage import Context
+from nishiki.artifacts.artifact import ArtifactWriter, open_artifact
+from nishiki.artifacts.stage import Context
+from nishiki.brdf.cloth.peers import Ward
+from nishiki.brdf.cloth.store import save_brdf
 from nishiki.errors import UserError
-from nishiki.evaluate.fabric import by_incidence, in_plane, judge, plane_name
-from nishiki.fabric.peers import Ward
-from nishiki.fabric.store import save_brdf
+from nishiki.evaluate.cloth import by_incidence, in_plane, judge, plane_name
 from nishiki.goniometry.directions import unit
 from nishiki.goniometry.store import write_reflectances
 from nishiki.goniometry.table import ReflectanceSet

@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from nishiki.brdf.cloth.dye import Dyed
+from nishiki.brdf.cloth.interface import azimuth, halves, polar
+from nishiki.brdf.cloth.measures import directional_albedo, hemisphere, incidences, prediction_error, reciprocity_error
+from nishiki.brdf.cloth.peers import AshikhminShirley, Ggx, Ward
+from nishiki.brdf.cloth.store import load_brdf, save_brdf
 from nishiki.errors import UserError
-from nishiki.fabric.dye import Dyed
-from nishiki.fabric.interface import azimuth, halves, polar
-from nishiki.fabric.measures import directional_albedo, hemisphere, incidences, prediction_error, reciprocity_error
-from nishiki.fabric.peers import AshikhminShirley, Ggx, Ward
-from nishiki.fabric.store import load_brdf, save_brdf
 
 GREY = {"diffuse": np.array([0.1]), "specular": np.array([1.0])}
 BLACK = {"diffuse": np.zeros(1), "specular": np.ones(1)}

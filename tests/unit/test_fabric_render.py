@@ -10,17 +10,17 @@ import cv2
 import numpy as np
 import pytest
 
-from nishiki.contract.artifact import ArtifactWriter, open_artifact
-from nishiki.contract.closed import parse
-from nishiki.contract.stage import Context
-from nishiki.drape.frame import Picture
-from nishiki.drape.mesh_store import read_surface
-from nishiki.drape.models import FabricModels
-from nishiki.drape.tone import developed, exposure_for, shoulder
+from nishiki.artifacts.artifact import ArtifactWriter, open_artifact
+from nishiki.artifacts.closed import parse
+from nishiki.artifacts.stage import Context
+from nishiki.brdf.cloth.peers import Ward
+from nishiki.brdf.cloth.store import save_brdf
 from nishiki.errors import UserError
-from nishiki.fabric.peers import Ward
-from nishiki.fabric.store import save_brdf
 from nishiki.progress import Progress
+from nishiki.render.cloth.frame import Picture
+from nishiki.render.cloth.mesh_store import read_surface
+from nishiki.render.cloth.models import FabricModels
+from nishiki.render.cloth.tone import developed, exposure_for, shoulder
 from nishiki.settings.fabric_render import FabricRenderSettings
 
 PROJECT = Path(__file__).resolve().parents[2]

@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 import pytest
 
-from nishiki.contract.artifact import ArtifactWriter
-from nishiki.contract.stage import Context
-from nishiki.fabric.peers import Ward
-from nishiki.fabric.store import save_brdf
+from nishiki.artifacts.artifact import ArtifactWriter
+from nishiki.artifacts.stage import Context
+from nishiki.brdf.cloth.peers import Ward
+from nishiki.brdf.cloth.store import save_brdf
 from nishiki.goniometry.directions import unit
 from nishiki.goniometry.hemisphere import complete
 from nishiki.goniometry.store import write_reflectances

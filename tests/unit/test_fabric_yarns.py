@@ -5,19 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from nishiki.brdf.cloth.dye import gloss_of
+from nishiki.brdf.cloth.interface import polar
+from nishiki.brdf.cloth.measures import directional_albedo, hemisphere, prediction_error, reciprocity_error
+from nishiki.brdf.cloth.models import MODELS, fit_models
+from nishiki.brdf.cloth.oblique import choose_oblique
+from nishiki.brdf.cloth.parametric import fit_shape
+from nishiki.brdf.cloth.store import load_brdf, save_brdf
+from nishiki.brdf.cloth.weights import single, solid_angles, together
+from nishiki.brdf.cloth.yarn_facets import ACROSS, ALONG, HALF_PI, WEFT, corrected, hump, hump_limits, uncorrected
+from nishiki.brdf.cloth.yarn_fit import Measured, fit_normal, fit_yarn_facets
+from nishiki.brdf.cloth.yarn_parameters import CENTRE, NAMES, SPREAD, shape_of, vector_of
 from nishiki.brdf.torrance_sparrow import fresnel
 from nishiki.errors import UserError
-from nishiki.fabric.dye import gloss_of
-from nishiki.fabric.interface import polar
-from nishiki.fabric.measures import directional_albedo, hemisphere, prediction_error, reciprocity_error
-from nishiki.fabric.models import MODELS, fit_models
-from nishiki.fabric.oblique import choose_oblique
-from nishiki.fabric.parametric import fit_shape
-from nishiki.fabric.store import load_brdf, save_brdf
-from nishiki.fabric.weights import single, solid_angles, together
-from nishiki.fabric.yarn_facets import ACROSS, ALONG, HALF_PI, WEFT, corrected, hump, hump_limits, uncorrected
-from nishiki.fabric.yarn_fit import Measured, fit_normal, fit_yarn_facets
-from nishiki.fabric.yarn_parameters import CENTRE, NAMES, SPREAD, shape_of, vector_of
 from nishiki.goniometry.hemisphere import complete
 from nishiki.goniometry.table import ReflectanceSet
 

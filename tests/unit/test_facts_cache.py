@@ -9,10 +9,10 @@ from captures import make_capture, make_turntable
 from goniometer_captures import make_goniometer
 
 from nishiki.capture.seal import seal
+from nishiki.engine import facts_cache
+from nishiki.engine.facts import scene_facts
+from nishiki.engine.facts_cache import FOLDER, remembered_facts
 from nishiki.errors import UserError
-from nishiki.planning import facts_cache
-from nishiki.planning.facts import scene_facts
-from nishiki.planning.facts_cache import FOLDER, remembered_facts
 
 MAKERS = {"plane": make_capture, "turntable": make_turntable, "goniometer": make_goniometer}
 

@@ -11,15 +11,15 @@ import pytest
 from archives import READS, write_artifact, write_scene
 from unit.test_plan_economy import CLOTH, OBJECT, PLANE
 
+from nishiki.artifacts.artifact import MANIFEST, RUN, open_artifact, run_text
+from nishiki.artifacts.provenance import canonical, stage_key
+from nishiki.artifacts.publish import publish
 from nishiki.commands.engine import says_what_to_make
-from nishiki.contract.artifact import MANIFEST, RUN, open_artifact, run_text
-from nishiki.contract.provenance import canonical, stage_key
-from nishiki.contract.publish import publish
-from nishiki.planning import finished
-from nishiki.planning.plan import PlannedStage, make_plan
-from nishiki.planning.project import Scene, StageSettings
-from nishiki.runs.records import RUNS
-from nishiki.runs.running_lock import MARK, registered, scenes_to_make
+from nishiki.engine import finished
+from nishiki.engine.plan import PlannedStage, make_plan
+from nishiki.engine.project import Scene, StageSettings
+from nishiki.engine.records import RUNS
+from nishiki.engine.running_lock import MARK, registered, scenes_to_make
 
 NAMES = ("first", "second", "third")
 

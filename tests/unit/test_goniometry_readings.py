@@ -10,7 +10,7 @@ from nishiki.goniometry.normalise import average_repeats, reflectance
 from nishiki.goniometry.readings import Regions, read_all
 from nishiki.goniometry.whites import assign_boards
 from nishiki.goniometry.windows import TILE, axes_of, central_window, read_window, regions_in_view
-from nishiki.ingest.goniometer import Photograph
+from nishiki.observations.goniometer import Photograph
 
 NAN = float("nan")
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from nishiki.errors import UserError
-from nishiki.normals.height import integrate_normals
+from nishiki.photometric.height import integrate_normals
 
 
 def grid(rows, columns, pitch):
@@ -126,7 +126,7 @@ def test_the_curl_of_a_field_that_is_no_surface_is_reported():
 def test_single_precision_of_large_fields_agrees_with_double(monkeypatch):
     _, _, pitch, _, normals = waves()
     double = integrate_normals(normals, pixel_pitch=pitch, method="weighted").height
-    monkeypatch.setattr("nishiki.normals.height.SINGLE_ABOVE", 1)
+    monkeypatch.setattr("nishiki.photometric.height.SINGLE_ABOVE", 1)
     single = integrate_normals(normals, pixel_pitch=pitch, method="weighted").height
     assert np.abs(single - double).max() < 1e-4 * np.ptp(double)
 

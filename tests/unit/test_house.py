@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from nishiki.chains.stages import CHAIN
-from nishiki.planning.project import Configuration
+from nishiki.engine.chains import CHAIN
+from nishiki.engine.project import Configuration
 
 PROJECT = Path(__file__).resolve().parents[2]
 PACKAGE = PROJECT / "workflow" / "src" / "nishiki"

@@ -7,7 +7,7 @@ import signal
 import numpy as np
 import pytest
 
-from nishiki.ingest.chunks import read_chunk, write_chunk
+from nishiki.formats.zarr_chunks import read_chunk, write_chunk
 
 
 @pytest.mark.parametrize("compression", ["none", "zstd"])

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nishiki.capture.problems import CaptureError
-from nishiki.ingest.block_kernels import block_levels, count_outliers
-from nishiki.ingest.blocks import block_edges, blocks_around, cells, edges_between, positions
-from nishiki.ingest.decode import count_unusable, decode, to_luma
-from nishiki.ingest.linearise import check_linearity, code_table, saturation_code, srgb_to_linear
-from nishiki.ingest.white import white_field
+from nishiki.formats.problems import CaptureError
+from nishiki.observations.block_kernels import block_levels, count_outliers
+from nishiki.observations.blocks import block_edges, blocks_around, cells, edges_between, positions
+from nishiki.observations.linearise import check_linearity, code_table, saturation_code, srgb_to_linear
+from nishiki.observations.plane_decode import count_unusable, decode, to_luma
+from nishiki.observations.white import white_field
 
 RNG = np.random.default_rng(7)
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from captures import make_capture
 
-from nishiki.capture.check import check_capture
 from nishiki.capture.folder import load_capture
-from nishiki.ingest.pairs_check import find_exchanges, level_problems
-from nishiki.ingest.store import write_observations
+from nishiki.observations.check import check_capture
+from nishiki.observations.pairs_check import find_exchanges, level_problems
+from nishiki.observations.plane_store import write_observations
 
 
 def dome(lamps=16, seed=0):

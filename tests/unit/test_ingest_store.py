@@ -11,13 +11,13 @@ import zarr
 from captures import RING, edit_text, edit_yaml, make_capture, write_frame
 from conftest import PROJECT
 
-from nishiki.capture.check import check_capture
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
 from nishiki.errors import UserError
-from nishiki.ingest.observations import Observations
-from nishiki.ingest.store import IngestSettings, write_observations
-from nishiki.ingest.tiles import rows_of_band
+from nishiki.observations.check import check_capture
+from nishiki.observations.plane import Observations
+from nishiki.observations.plane_store import IngestSettings, write_observations
+from nishiki.observations.tiles import rows_of_band
 
 ROWS, COLUMNS = 24, 32
 TEXTURE = 0.5 * (0.8 + 0.2 * np.random.default_rng(1).random((ROWS, COLUMNS, 3)))
@@ -354,7 +354,7 @@ def test_the_script_by_hand_keeps_all_channels(tmp_path):
 MEMORY = """
 import resource, sys
 from nishiki.capture.folder import load_capture
-from nishiki.ingest.store import IngestSettings, write_observations
+from nishiki.observations.plane_store import IngestSettings, write_observations
 write_observations(load_capture(sys.argv[1]), sys.argv[2], settings=IngestSettings(channels="luminance"))
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 """

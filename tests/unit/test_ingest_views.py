@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 
 from nishiki.capture.folder import load_capture
 from nishiki.errors import UserError
-from nishiki.ingest.blocks import grid_of, picture_edges
-from nishiki.ingest.linearise import code_table, srgb_to_linear, straight_scale
-from nishiki.ingest.views import Views, decode, encode
-from nishiki.ingest.views_decode import view_values
-from nishiki.ingest.views_store import write_views
+from nishiki.observations.blocks import grid_of, picture_edges
+from nishiki.observations.linearise import code_table, srgb_to_linear, straight_scale
+from nishiki.observations.views import Views, decode, encode
+from nishiki.observations.views_decode import view_values
+from nishiki.observations.views_store import write_views
 from nishiki.settings.ingest import IngestSettings
 
 ROWS, COLUMNS, TOP = 20, 24, 4095

@@ -9,18 +9,18 @@ from captures import RING, edit_text, make_capture, make_turntable, write_frame
 from goniometer_captures import make_goniometer, make_table
 
 from nishiki.capture.folder import load_capture
-from nishiki.capture.problems import CaptureError
 from nishiki.capture.seal import seal
-from nishiki.ingest.choice import chosen
-from nishiki.ingest.goniometer import Measurements
-from nishiki.ingest.goniometer_store import write_goniometer
-from nishiki.ingest.observations import Observations
-from nishiki.ingest.store import IngestSettings as PlaneSettings
-from nishiki.ingest.store import write_observations
-from nishiki.ingest.tiles import bands_with_object
-from nishiki.ingest.views import Views
-from nishiki.ingest.views_store import write_views
-from nishiki.planning.reading import reading_of
+from nishiki.engine.reading import reading_of
+from nishiki.formats.problems import CaptureError
+from nishiki.observations.choice import chosen
+from nishiki.observations.goniometer import Measurements
+from nishiki.observations.goniometer_store import write_goniometer
+from nishiki.observations.plane import Observations
+from nishiki.observations.plane_store import IngestSettings as PlaneSettings
+from nishiki.observations.plane_store import write_observations
+from nishiki.observations.tiles import bands_with_object
+from nishiki.observations.views import Views
+from nishiki.observations.views_store import write_views
 from nishiki.settings.ingest import IngestSettings
 
 WHOLE = slice(0, 24)

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from nishiki.capture.lights import direction_problems, light_name, read_lights
-from nishiki.capture.problems import CaptureError
+from nishiki.formats.problems import CaptureError
 
 THREE = np.array([[0.1, 0.2, 0.9], [-0.3, 0.4, 0.8], [0.5, -0.6, 0.7]])
 DIALECTS = {

@@ -4,9 +4,9 @@ import re
 
 import pytest
 
-from nishiki.chains.stages import CHAIN
-from nishiki.contract.limits import check, names_of, readings
-from nishiki.contract.limits_table import LIMITS
+from nishiki.artifacts.limits import check, names_of, readings
+from nishiki.artifacts.limits_table import LIMITS
+from nishiki.engine.chains import CHAIN
 from nishiki.report.conditions import conditions
 
 STATED = [(stage, limit) for stage, limits in LIMITS.items() for limit in limits if limit.stated]

@@ -4,10 +4,10 @@ import cv2
 import numpy as np
 import pytest
 
-from nishiki.normals import flags as bits
-from nishiki.normals.distrust import SOMEWHAT, SUSPECT, WORSE, distrusted
-from nishiki.normals.solve import estimate_normals, lambertian
-from nishiki.separation.lights import select_diffuse
+from nishiki.photometric import flags as bits
+from nishiki.photometric.distrust import SOMEWHAT, SUSPECT, WORSE, distrusted
+from nishiki.photometric.light_selection import select_diffuse
+from nishiki.photometric.solve import estimate_normals, lambertian
 
 
 def unit(vectors):

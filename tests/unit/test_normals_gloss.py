@@ -5,13 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nishiki.brdf.specular_histogram import SpecularHistogram
-from nishiki.brdf.torrance_sparrow import attenuation, fresnel, half_vector_geometry
-from nishiki.errors import UserError
-from nishiki.normals import flags as bits
-from nishiki.normals.gloss import channel_rotation, refine_normals
-from nishiki.normals.gloss_prediction import NODES, NODES_PER_UNIT, predict
-from nishiki.normals.gloss_profile import (
+from nishiki.brdf.gloss_profile import (
     LADDER,
     GlossProfile,
     body_shading,
@@ -19,10 +13,16 @@ from nishiki.normals.gloss_profile import (
     light_table,
     specular_samples,
 )
-from nishiki.normals.gloss_scene import GlossTile, fit_scene_gloss
-from nishiki.normals.reflectance import diffuse_reflectance
-from nishiki.normals.solve import estimate_normals
-from nishiki.separation.lights import select_diffuse
+from nishiki.brdf.specular_histogram import SpecularHistogram
+from nishiki.brdf.torrance_sparrow import attenuation, fresnel, half_vector_geometry
+from nishiki.errors import UserError
+from nishiki.photometric import flags as bits
+from nishiki.photometric.gloss import channel_rotation, refine_normals
+from nishiki.photometric.gloss_prediction import NODES, NODES_PER_UNIT, predict
+from nishiki.photometric.gloss_scene import GlossTile, fit_scene_gloss
+from nishiki.photometric.light_selection import select_diffuse
+from nishiki.photometric.reflectance import diffuse_reflectance
+from nishiki.photometric.solve import estimate_normals
 from nishiki.settings.normals import NormalsSettings
 
 VIEW = np.array([0.0, 0.0, 1.0])

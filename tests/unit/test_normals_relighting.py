@@ -6,7 +6,7 @@ from scipy.optimize import least_squares
 
 from nishiki.brdf.body_shading import body_factor
 from nishiki.errors import UserError
-from nishiki.normals.relighting import (
+from nishiki.photometric.relighting import (
     ALONG,
     LEAST_PRIOR,
     NOISE,

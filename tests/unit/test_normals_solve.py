@@ -8,12 +8,12 @@ from hypothesis import strategies as st
 
 from nishiki.brdf.body_shading import body_factor
 from nishiki.errors import UserError
-from nishiki.normals import flags as bits
-from nishiki.normals.fill import fill_flagged
-from nishiki.normals.refine import WIDTH
-from nishiki.normals.reflectance import diffuse_reflectance
-from nishiki.normals.solve import AT_LEAST, PRIOR, estimate_normals
-from nishiki.separation.lights import select_diffuse
+from nishiki.photometric import flags as bits
+from nishiki.photometric.fill import fill_flagged
+from nishiki.photometric.light_selection import select_diffuse
+from nishiki.photometric.refine import WIDTH
+from nishiki.photometric.reflectance import diffuse_reflectance
+from nishiki.photometric.solve import AT_LEAST, PRIOR, estimate_normals
 
 
 def directions_of(count, lowest=0.3):

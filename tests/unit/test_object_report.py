@@ -11,15 +11,15 @@ import cv2
 import numpy as np
 import pytest
 
-from nishiki.contract.artifact import ArtifactWriter
-from nishiki.contract.stage import Context
+from nishiki.artifacts.artifact import ArtifactWriter
+from nishiki.artifacts.stage import Context
+from nishiki.atlas.atlas import Atlas
+from nishiki.brdf.texels.flags import TexelFlag
+from nishiki.brdf.texels.parameters import Parameters
+from nishiki.brdf.texels.store import ParameterMaps, ParameterWriter
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.cameras_file import save_cameras
-from nishiki.patches.atlas import Atlas
 from nishiki.progress import Progress
-from nishiki.reflection.flags import TexelFlag
-from nishiki.reflection.parameters import Parameters
-from nishiki.reflection.store import ParameterMaps, ParameterWriter
 from nishiki.report.object_atlas import averaged, sheet, shelves, tile_places
 from nishiki.report.object_plots import bytes_bars, rate_curve, turn_plot
 from nishiki.report.object_sections import (

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from nishiki.chains.packages import IDLE
-from nishiki.chains.stages import CHAIN
-from nishiki.contract.provenance import SOURCE
+from nishiki.artifacts.provenance import SOURCE
+from nishiki.engine.chains import CHAIN
+from nishiki.engine.idle_packages import IDLE
 from nishiki.errors import UserError
 from nishiki.packages import EXTRAS, MODULES, install_command, installed, loaded, optional
 
@@ -25,7 +25,7 @@ PLACES = {
     "scikit-image": {"hull.py", "surface.py"},
     "trimesh": {"merging.py", "mesh_files.py", "mesh_store.py"},
 }
-"""The modules that take a package of an extra. A new one: say in chains/packages.py which scenes load it."""
+"""The modules that take a package of an extra. A new one: say in engine/idle_packages.py which scenes load it."""
 
 
 @functools.cache

@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 import trimesh
 
+from nishiki.atlas.adjacency import across_edges, borders, components, smoothed, smoothed_vertices, spread
+from nishiki.atlas.atlas import build_atlas
+from nishiki.atlas.charts import make_charts
+from nishiki.atlas.density import sampling_density, texels_per_unit
+from nishiki.atlas.flatten import frame_along, overlapping
+from nishiki.atlas.quality import stretch_percentiles, weighted_percentiles
+from nishiki.atlas.rebuild import rebuild_atlas
+from nishiki.atlas.turn import probe_spacing, turning
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
-from nishiki.patches.adjacency import across_edges, borders, components, smoothed, smoothed_vertices, spread
-from nishiki.patches.atlas import build_atlas
-from nishiki.patches.charts import make_charts
-from nishiki.patches.density import sampling_density, texels_per_unit
-from nishiki.patches.flatten import frame_along, overlapping
-from nishiki.patches.quality import stretch_percentiles, weighted_percentiles
-from nishiki.patches.rebuild import rebuild_atlas
-from nishiki.patches.turn import probe_spacing, turning
 
 UP, FRONT = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
 

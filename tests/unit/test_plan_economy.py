@@ -5,13 +5,13 @@ from pathlib import Path
 
 import pytest
 
-from nishiki.chains.chain import SceneFacts
-from nishiki.chains.parts import LOOKS_AT, PARTS
-from nishiki.chains.stages import CHAIN
 from nishiki.commands import planning
+from nishiki.engine.capture_parts import LOOKS_AT, PARTS
+from nishiki.engine.chains import CHAIN
+from nishiki.engine.plan import Plan, make_plan
+from nishiki.engine.project import Scene, StageSettings
+from nishiki.engine.stage_types import SceneFacts
 from nishiki.errors import UserError
-from nishiki.planning.plan import Plan, make_plan
-from nishiki.planning.project import Scene, StageSettings
 from nishiki.report.left_out_section import left_out_section
 
 PLANE = SceneFacts(

@@ -6,10 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nishiki.errors import UserError
-from nishiki.separation.beta import board_ratio
-from nishiki.separation.components import Components, ComponentWriter
-from nishiki.separation.mueller import Arm, design_matrix, equal_steps, polariser, retarder, solvable
-from nishiki.separation.polarisation import (
+from nishiki.polarisation.beta import board_ratio
+from nishiki.polarisation.components import Components, ComponentWriter
+from nishiki.polarisation.mueller import Arm, design_matrix, equal_steps, polariser, retarder, solvable
+from nishiki.polarisation.polarisation import (
     SeparatedView,
     add_weighted,
     common_phase,
@@ -17,9 +17,9 @@ from nishiki.separation.polarisation import (
     reflected_sense,
     sum_planes,
 )
-from nishiki.separation.polariser_states import sums_of
-from nishiki.separation.series_diagnostics import Thinned, diagnose
-from nishiki.separation.statistics import noise_of, statistics_of
+from nishiki.polarisation.polariser_states import sums_of
+from nishiki.polarisation.series_diagnostics import Thinned, diagnose
+from nishiki.polarisation.statistics import noise_of, statistics_of
 
 SHAPE = (13, 17, 3)
 

@@ -4,11 +4,11 @@ import cv2
 import numpy as np
 import pytest
 
-from nishiki.separation.instrument import arms_of, read_instrument
-from nishiki.separation.polarisation import components, reflected_sense, sum_planes
-from nishiki.separation.polariser_states import sums_of
-from nishiki.separation.series_diagnostics import Thinned, diagnose
-from nishiki.separation.statistics import statistics_of
+from nishiki.polarisation.instrument import arms_of, read_instrument
+from nishiki.polarisation.polarisation import components, reflected_sense, sum_planes
+from nishiki.polarisation.polariser_states import sums_of
+from nishiki.polarisation.series_diagnostics import Thinned, diagnose
+from nishiki.polarisation.statistics import statistics_of
 
 pytestmark = pytest.mark.data
 NAMES = (0, 23, 45, 68, 90, 113, 135, 158)

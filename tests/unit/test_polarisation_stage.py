@@ -11,10 +11,10 @@ import yaml
 import polarise as stage
 from nishiki.capture.folder import load_capture
 from nishiki.errors import UserError
-from nishiki.ingest.views_attributes import geometry_sources
-from nishiki.ingest.views_store import write_views
+from nishiki.observations.views_attributes import geometry_sources
+from nishiki.observations.views_store import write_views
+from nishiki.polarisation.components import Components
 from nishiki.progress import Progress
-from nishiki.separation.components import Components
 from nishiki.settings.ingest import IngestSettings
 from nishiki.settings.polarise import PolariseSettings
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nishiki.contract import provenance, syntax
-from nishiki.contract.provenance import canonical, code_digest, code_files, differences, stage_key
+from nishiki.artifacts import provenance, syntax
+from nishiki.artifacts.provenance import canonical, code_digest, code_files, differences, stage_key
 
 settings = st.recursive(
     st.none()

@@ -11,17 +11,17 @@ import pytest
 from captures import edit_text, write_frame
 from goniometer_captures import WHITE, cloth, directions, edit_goniometer, make_goniometer, make_table, quarter_views
 
+from nishiki.artifacts.artifact import Artifact, ArtifactWriter
+from nishiki.artifacts.closed import parse
+from nishiki.artifacts.stage import Context
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
-from nishiki.contract.artifact import Artifact, ArtifactWriter
-from nishiki.contract.closed import parse
-from nishiki.contract.stage import Context
 from nishiki.errors import UserError
 from nishiki.goniometry.directions import angles
 from nishiki.goniometry.store import Reflectances
 from nishiki.goniometry.windows import regions_in_view
-from nishiki.ingest.goniometer import Measurements
-from nishiki.ingest.goniometer_store import write_goniometer
+from nishiki.observations.goniometer import Measurements
+from nishiki.observations.goniometer_store import write_goniometer
 from nishiki.progress import Progress
 from nishiki.settings.ingest import IngestSettings
 from nishiki.settings.reflectance import ReflectanceSettings
@@ -115,7 +115,7 @@ def test_ingest_is_deterministic_and_damage_is_found(tmp_path):
 
 
 def test_many_frames_go_over_several_chunks(tmp_path, monkeypatch):
-    monkeypatch.setattr("nishiki.ingest.goniometer_store.CHUNK_BYTES", 4 * 16 * 16 * 3 * 2)
+    monkeypatch.setattr("nishiki.observations.goniometer_store.CHUNK_BYTES", 4 * 16 * 16 * 3 * 2)
     measured, _ = opened(make_goniometer(tmp_path / "c"), tmp_path / "o")
     assert len(list((tmp_path / "o/goniometer.zarr/codes/c").iterdir())) == 8
     values = cloth(*directions(NORMAL))

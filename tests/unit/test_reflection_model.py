@@ -7,16 +7,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from nishiki.brdf.texels.environment import fit_environment, harmonics
+from nishiki.brdf.texels.fill import fill
+from nishiki.brdf.texels.highlight import fit_highlight, hemisphere
+from nishiki.brdf.texels.lighting import DISTANT, ENVIRONMENT, POINT, Lamp, Lighting
+from nishiki.brdf.texels.model import GRAZING, factors, predict
+from nishiki.brdf.texels.neighbours import Lattice, Neighbourhood, spread
+from nishiki.brdf.texels.stack import Observed, observed, slope_of_srgb
+from nishiki.brdf.texels.texel_fit import strengths
 from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera
-from nishiki.reflection.environment import fit_environment, harmonics
-from nishiki.reflection.fill import fill
-from nishiki.reflection.highlight import fit_highlight, hemisphere
-from nishiki.reflection.lighting import DISTANT, ENVIRONMENT, POINT, Lamp, Lighting
-from nishiki.reflection.model import GRAZING, factors, predict
-from nishiki.reflection.neighbours import Lattice, Neighbourhood, spread
-from nishiki.reflection.stack import Observed, observed, slope_of_srgb
-from nishiki.reflection.texel_fit import strengths
 
 EYE = np.eye(3, dtype=np.float32)
 DARK = np.zeros((9, 1), np.float32)
@@ -314,7 +314,7 @@ def test_observed_gathers_the_visible_only():
 
 
 def test_slope_of_the_srgb_curve():
-    from nishiki.ingest.encoding import encode
+    from nishiki.colour.encoding import encode
 
     x = np.array([0.0, 0.001, 0.01, 0.2, 1.0, 1.4])
     differences = (encode(x + 1e-7, "srgb") - encode(x - 1e-7, "srgb")) / 2e-7

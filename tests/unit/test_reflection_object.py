@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from nishiki.brdf.texels.flags import TexelFlag
+from nishiki.brdf.texels.lighting import Lighting
+from nishiki.brdf.texels.object_fit import fit_object
+from nishiki.brdf.texels.parameters import Parameters
+from nishiki.brdf.texels.texel_fit import lambert
+from nishiki.brdf.texels.tile import Capture, Tile
 from nishiki.geometry.camera import Camera
-from nishiki.reflection.flags import TexelFlag
-from nishiki.reflection.lighting import Lighting
-from nishiki.reflection.object_fit import fit_object
-from nishiki.reflection.parameters import Parameters
-from nishiki.reflection.texel_fit import lambert
-from nishiki.reflection.tile import Capture, Tile
 
 VIEWS, SIZE, RADIUS, DISTANCE = 36, 24, 50.0, 600.0
 BEHIND = 0.15  # cos(theta_r) below which a texel is not seen

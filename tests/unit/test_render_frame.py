@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from nishiki.errors import UserError
-from nishiki.render import camera
-from nishiki.render.frame import reduce_maps, render, render_tile
-from nishiki.render.scene import BACKGROUND, NORMAL_MISSING, Ambient, Gloss, Light, PlaneScene, View
-from nishiki.render.shade import pixel_to_plane, shade_xyz
-from nishiki.render.shadow import cast_shadows, shadow_reach
+from nishiki.render.plane import camera
+from nishiki.render.plane.frame import reduce_maps, render, render_tile
+from nishiki.render.plane.scene import BACKGROUND, NORMAL_MISSING, Ambient, Gloss, Light, PlaneScene, View
+from nishiki.render.plane.shade import pixel_to_plane, shade_xyz
+from nishiki.render.plane.shadow import cast_shadows, shadow_reach
 
 WHITE = np.ones((1, 61))
 

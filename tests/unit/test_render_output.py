@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from nishiki.colour.colour import illuminant, white_xyz
 from nishiki.errors import UserError
 from nishiki.render.display import display_image, normals_as_colours
 from nishiki.render.output import (
@@ -20,7 +21,6 @@ from nishiki.render.output import (
     write_spectral_exr,
     write_video,
 )
-from nishiki.spectra.colour import illuminant, white_xyz
 
 STAMP = {"scene": "test", "stage": "render", "key": "0123456789ab", "version": "0.1.0"}
 

@@ -5,10 +5,10 @@ import pytest
 
 from nishiki.brdf.torrance_sparrow import specular
 from nishiki.errors import UserError
-from nishiki.render.relight import predict_observations
-from nishiki.render.scene import NORMAL_MISSING, Gloss, Light, PlaneScene, View
+from nishiki.render.plane.relight import predict_observations
+from nishiki.render.plane.scene import NORMAL_MISSING, Gloss, Light, PlaneScene, View
+from nishiki.render.plane.shadow import cast_shadows
 from nishiki.render.sequence import circle_of_directions, light_sequence, moved_lights, orbit, view_sequence
-from nishiki.render.shadow import cast_shadows
 
 GLOSS = Gloss([[0.7], [164.0]], [[0.2], [0.07]], [1.45, 1.5])
 
@@ -114,7 +114,7 @@ def test_orbit_and_view_sequence():
     assert offsets[0, 0] > 30
     scene, lights = small_scene(), [Light(direction=(1, 1, 1))]
     pictures = list(view_sequence(scene, lights, views))
-    from nishiki.render.frame import render
+    from nishiki.render.plane.frame import render
 
     np.testing.assert_array_equal(pictures[2].xyz, render(scene, lights, views[2]).xyz)
     with pytest.raises(UserError, match="frontal"):

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from nishiki.artifacts.bounds import at_bounds, at_end
+from nishiki.brdf.gloss_profile import GlossProfile
 from nishiki.brdf.parameters import parameters_at_bounds
-from nishiki.contract.bounds import at_bounds, at_end
-from nishiki.normals.gloss_profile import GlossProfile
-from nishiki.render.camera import screen_to_plane
 from nishiki.render.display import adapted_exposure, display_image
-from nishiki.render.requests import film_view, outline, view_of, white_sheet
-from nishiki.render.scene import PlaneScene
+from nishiki.render.plane.camera import screen_to_plane
+from nishiki.render.plane.requests import film_view, outline, view_of, white_sheet
+from nishiki.render.plane.scene import PlaneScene
 from nishiki.settings.render import LightSettings, SequenceSettings, ViewSettings
 
 FRAMES = {

@@ -11,9 +11,10 @@ from scipy.ndimage import gaussian_filter
 from nishiki.brdf.body_shading import body_factor, transmittance
 from nishiki.brdf.slopes import slope_covariance
 from nishiki.brdf.torrance_sparrow import fresnel, half_vector_geometry, specular
+from nishiki.colour.colour import cie_1931_cmfs, illuminant, white_xyz
 from nishiki.errors import UserError
-from nishiki.render import kernel
-from nishiki.render.scene import (
+from nishiki.render.plane import kernel
+from nishiki.render.plane.scene import (
     COLOUR_MISSING,
     NORMAL_MISSING,
     OVERFLOW,
@@ -23,8 +24,7 @@ from nishiki.render.scene import (
     Light,
     PlaneScene,
 )
-from nishiki.render.shade import FRONTAL_EYE, pixel_to_plane, shade_xyz
-from nishiki.spectra.colour import cie_1931_cmfs, illuminant, white_xyz
+from nishiki.render.plane.shade import FRONTAL_EYE, pixel_to_plane, shade_xyz
 
 
 def unit(vectors):

@@ -8,9 +8,9 @@ from scipy import ndimage
 
 from nishiki.errors import UserError
 from nishiki.evaluate.prediction import FittedModel, predict_light
-from nishiki.normals.height import integrate_normals
-from nishiki.render.scene import Light
-from nishiki.render.shadow import cast_shadows, shadow_reach
+from nishiki.photometric.height import integrate_normals
+from nishiki.render.plane.scene import Light
+from nishiki.render.plane.shadow import cast_shadows, shadow_reach
 
 
 def relief(rows=40, columns=57, seed=0, amplitude=6.0):

@@ -11,14 +11,15 @@ import numpy as np
 import pytest
 from captures import make_capture
 
+from nishiki.artifacts.artifact import Artifact, ArtifactWriter, open_artifact
+from nishiki.artifacts.maps import Maps, MapWriter
+from nishiki.artifacts.stage import Context
 from nishiki.capture.folder import load_capture
-from nishiki.contract.artifact import Artifact, ArtifactWriter, open_artifact
-from nishiki.contract.maps import Maps, MapWriter
-from nishiki.contract.stage import Context
+from nishiki.colour.sampling import WAVELENGTHS_NM
+from nishiki.engine.facts import truth_digest
 from nishiki.errors import UserError
-from nishiki.ingest.observations import Observations
-from nishiki.ingest.store import write_observations
-from nishiki.planning.facts import truth_digest
+from nishiki.observations.plane import Observations
+from nishiki.observations.plane_store import write_observations
 from nishiki.progress import Progress
 from nishiki.settings.brdf import BrdfSettings
 from nishiki.settings.evaluate import EvaluateSettings
@@ -28,7 +29,6 @@ from nishiki.settings.normals import NormalsSettings
 from nishiki.settings.render import RenderSettings
 from nishiki.settings.report import ReportSettings
 from nishiki.settings.spectra import SpectraSettings
-from nishiki.spectra.sampling import WAVELENGTHS_NM
 
 PROJECT = Path(__file__).resolve().parents[2]
 STAMP = {"scene": "small", "stage": "report", "key": "0" * 12, "version": "0.1.0"}

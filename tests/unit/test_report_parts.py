@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from nishiki.colour.colour import srgb_matrix, xyz_to_lab
 from nishiki.report.appearance_section import describe, exposed
 from nishiki.report.colour_map import MISSING, balance, coloured, heat, sea
 from nishiki.report.colour_section import _of_places, _widest_place, spread_out
@@ -31,7 +32,6 @@ from nishiki.report.summary import choices
 from nishiki.report.svg import Curve, bars, chart, lights_plot, ticks
 from nishiki.settings.render import RenderSettings
 from nishiki.settings.separate import SeparateSettings
-from nishiki.spectra.colour import srgb_matrix, xyz_to_lab
 
 
 def decoded(picture) -> np.ndarray:

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from nishiki.codec.entropy import Model, bands_of, decode, encode
+from nishiki.codec.quantise import quantise
+from nishiki.codec.training import pack, train, unpack
 from nishiki.errors import UserError
-from nishiki.residual.entropy import Model, bands_of, decode, encode
-from nishiki.residual.quantise import quantise
-from nishiki.residual.training import pack, train, unpack
 
 
 def laplacian(rng, shape, levels, spread):

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from nishiki.residual.entropy import Model, bands_of, encode
-from nishiki.residual.interpolate import Footprints
-from nishiki.residual.observations import view_matrix
-from nishiki.residual.pursuit import Pursuit, choose, curvatures, pursue, transfers
-from nishiki.residual.rate import bits_of, expected_bits, magnitudes, neighbourhoods
-from nishiki.residual.solve import Operator, samples_of, solve
-from nishiki.residual.training import train
-from nishiki.residual.transform import Block, plane_transform
+from nishiki.codec.entropy import Model, bands_of, encode
+from nishiki.codec.interpolate import Footprints
+from nishiki.codec.observations import view_matrix
+from nishiki.codec.pursuit import Pursuit, choose, curvatures, pursue, transfers
+from nishiki.codec.rate import bits_of, expected_bits, magnitudes, neighbourhoods
+from nishiki.codec.solve import Operator, samples_of, solve
+from nishiki.codec.training import train
+from nishiki.codec.transform import Block, plane_transform
 
 
 def block_of(views=4, size=16, wavelet="bior4.4", levels=3, lights=1):

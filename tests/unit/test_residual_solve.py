@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from nishiki.residual.colour import fixed_channels, principal_channels
-from nishiki.residual.extent import extent_of
-from nishiki.residual.fill import keep_largest, largest
-from nishiki.residual.interpolate import Footprints
-from nishiki.residual.observations import view_matrix
-from nishiki.residual.parameters import Maps, model_factors, refine, slope, texel_weights
-from nishiki.residual.prediction import Surface, predict_texels
-from nishiki.residual.solve import Operator, samples_of, solve
-from nishiki.residual.transform import Block, plane_transform
+from nishiki.codec.colour import fixed_channels, principal_channels
+from nishiki.codec.extent import extent_of
+from nishiki.codec.fill import keep_largest, largest
+from nishiki.codec.interpolate import Footprints
+from nishiki.codec.observations import view_matrix
+from nishiki.codec.parameters import Maps, model_factors, refine, slope, texel_weights
+from nishiki.codec.prediction import Surface, predict_texels
+from nishiki.codec.solve import Operator, samples_of, solve
+from nishiki.codec.transform import Block, plane_transform
 
 
 def block_of(views=6, size=16, wavelet="db2", lights=1):
@@ -139,7 +139,7 @@ def test_refined_parameters_make_the_pictures_right(encoding):
 
 
 def test_slope_of_the_encoding():
-    from nishiki.ingest.encoding import encode
+    from nishiki.colour.encoding import encode
 
     at = np.array([0.001, 0.01, 0.2, 0.9])
     steps = (encode(at + 1e-7, "srgb") - encode(at - 1e-7, "srgb")) / 2e-7

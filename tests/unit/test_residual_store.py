@@ -7,15 +7,15 @@ import pytest
 from residual_source import SphereSource, scene_of
 from turned_sphere import tiles_of_sphere
 
+from nishiki.codec.allocate import at_step, find_step, one_pass, over, pilot, point_of, psnr
+from nishiki.codec.container import pack_object, unpack_head
+from nishiki.codec.design import Design
+from nishiki.codec.interpolate import Footprints
+from nishiki.codec.prediction import predict_texels
+from nishiki.codec.pursuit import Pursuit
+from nishiki.codec.store import STORE, Residual, write_residual
+from nishiki.codec.tile_code import Effort, Typical
 from nishiki.errors import UserError
-from nishiki.residual.allocate import at_step, find_step, one_pass, over, pilot, point_of, psnr
-from nishiki.residual.container import pack_object, unpack_head
-from nishiki.residual.design import Design
-from nishiki.residual.interpolate import Footprints
-from nishiki.residual.prediction import predict_texels
-from nishiki.residual.pursuit import Pursuit
-from nishiki.residual.store import STORE, Residual, write_residual
-from nishiki.residual.tile_code import Effort, Typical
 
 VIEWS = 12
 EFFORT = Effort(pursuit=Pursuit(rounds=4, inner=4), refinements=8)

@@ -6,11 +6,11 @@ import pywt
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from nishiki.codec.filters import analysis_matrix, cosine_matrix, level_matrix
+from nishiki.codec.interpolate import Footprints
+from nishiki.codec.observations import arc_views, view_matrix, visible_arc
+from nishiki.codec.transform import Block, plane_transform
 from nishiki.errors import UserError
-from nishiki.residual.filters import analysis_matrix, cosine_matrix, level_matrix
-from nishiki.residual.interpolate import Footprints
-from nishiki.residual.observations import arc_views, view_matrix, visible_arc
-from nishiki.residual.transform import Block, plane_transform
 
 FAMILIES = ("haar", "db2", "db3", "sym4", "coif1", "bior4.4", "bior2.2")
 

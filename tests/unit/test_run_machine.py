@@ -4,8 +4,8 @@ import os
 
 import pytest
 
-from nishiki.outside.bounds import machine_memory
-from nishiki.runs.machine import memory_arguments, thread_arguments
+from nishiki.engine.machine import memory_arguments, thread_arguments
+from nishiki.formats.bounds import machine_memory
 from nishiki.threads import over_rows, threads
 
 

@@ -12,17 +12,17 @@ from pathlib import Path
 import pytest
 
 from nishiki import processes
+from nishiki.engine import records as run_records
+from nishiki.engine import running_lock
+from nishiki.engine.records import RUNS, records, refuse_while_running
+from nishiki.engine.running_lock import MARK, registered
 from nishiki.errors import UserError
-from nishiki.runs import records as run_records
-from nishiki.runs import running_lock
-from nishiki.runs.records import RUNS, records, refuse_while_running
-from nishiki.runs.running_lock import MARK, registered
 
 SOURCE = Path(__file__).resolve().parents[2] / "workflow/src"
 HOLD = """
 import sys, time
 from pathlib import Path
-from nishiki.runs.running_lock import registered
+from nishiki.engine.running_lock import registered
 with registered(Path("results"), sys.argv[1].split(",")) as held:
     {inside}
 """

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nishiki.contract.artifact import Artifact, ArtifactWriter, open_artifact
-from nishiki.contract.maps import Maps, MapWriter
-from nishiki.contract.scatter import Part, Scattered, in_order, read_tally, write_tally
+from nishiki.artifacts.artifact import Artifact, ArtifactWriter, open_artifact
+from nishiki.artifacts.maps import Maps, MapWriter
+from nishiki.artifacts.scatter import Part, Scattered, in_order, read_tally, write_tally
 from nishiki.errors import UserError
 
 ROWS, BAND = 10, 3

@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nishiki.chains.chain import SceneFacts
-from nishiki.chains.stages import CHAIN, chain_of
-from nishiki.planning.plan import PlannedStage
-from nishiki.planning.project import StageSettings
-from nishiki.planning.scheduling import SHORT_SECONDS, Scheduling
+from nishiki.engine.chains import CHAIN, chain_of
+from nishiki.engine.plan import PlannedStage
+from nishiki.engine.project import StageSettings
+from nishiki.engine.scheduling import SHORT_SECONDS, Scheduling
+from nishiki.engine.stage_types import SceneFacts
 
 PLANE = tuple(chain_of("plane"))
 

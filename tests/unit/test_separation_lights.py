@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nishiki.errors import UserError
-from nishiki.separation import lights as rooms
-from nishiki.separation.lights import select_diffuse
-from nishiki.separation.ranks import sorting_network
+from nishiki.photometric import light_selection as rooms
+from nishiki.photometric.light_selection import select_diffuse
+from nishiki.photometric.ranks import sorting_network
 
 
 def directions_of(count, lowest=0.3):

@@ -6,8 +6,8 @@ import zarr
 
 import simulate
 from nishiki.capture.folder import load_capture
-from nishiki.capture.images import read_codes
 from nishiki.capture.turntable import turntable_facts
+from nishiki.formats.images import read_codes
 
 SMALL = ("--preset", "object-tiny", "--rows", "24", "--columns", "32", "--views", "3", "--triangles", "3600")
 

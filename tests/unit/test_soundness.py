@@ -6,9 +6,9 @@ import time
 import pytest
 
 from nishiki.archive.survey import verify_artifact
-from nishiki.contract.artifact import MANIFEST, ArtifactWriter
-from nishiki.contract.provenance import stage_key
-from nishiki.runs.soundness import set_aside_unsound, unsound_artifacts
+from nishiki.artifacts.artifact import MANIFEST, ArtifactWriter
+from nishiki.artifacts.provenance import stage_key
+from nishiki.engine.soundness import set_aside_unsound, unsound_artifacts
 
 CAPTURE = "5" * 64
 READS = {"ingest": (), "normals": ("ingest",), "render": ("ingest", "normals")}
@@ -27,7 +27,7 @@ def write(folder, stage, content=b"values"):
 
 
 def artifact_digest(folder, name):
-    from nishiki.contract.provenance import file_digest
+    from nishiki.artifacts.provenance import file_digest
 
     return file_digest(folder / name / KEYS[name] / MANIFEST)
 

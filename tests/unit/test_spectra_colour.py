@@ -5,9 +5,9 @@ import warnings
 import numpy as np
 import pytest
 
+from nishiki.colour import colour as own
+from nishiki.colour.sampling import WAVELENGTHS_NM
 from nishiki.errors import UserError
-from nishiki.spectra import colour as own
-from nishiki.spectra.sampling import WAVELENGTHS_NM
 
 # Sharma, Wu, Dalal 2005, table 1: pairs that exercise each branch (L, a, b, L, a, b, CIEDE2000).
 SHARMA = np.array(

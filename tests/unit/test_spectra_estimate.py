@@ -8,13 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nishiki.errors import UserError
-from nishiki.spectra import estimate as module
-from nishiki.spectra.basis import channel_weights, principal_basis, system_matrix
-from nishiki.spectra.colour import illuminant
-from nishiki.spectra.estimate import estimate_spectra, fit_estimator
-from nishiki.spectra.linear import paper_map, wiener_map
-from nishiki.spectra.local import (
+from nishiki.colour import estimate as module
+from nishiki.colour.basis import channel_weights, principal_basis, system_matrix
+from nishiki.colour.colour import illuminant
+from nishiki.colour.estimate import estimate_spectra, fit_estimator
+from nishiki.colour.linear import paper_map, wiener_map
+from nishiki.colour.local import (
     LocalCorrection,
     ResponseSpace,
     compact_kernel,
@@ -24,8 +23,9 @@ from nishiki.spectra.local import (
     place_centres,
     response_space,
 )
-from nishiki.spectra.sampling import WAVELENGTHS_NM
-from nishiki.spectra.training import synthetic_reflectances
+from nishiki.colour.sampling import WAVELENGTHS_NM
+from nishiki.colour.training import synthetic_reflectances
+from nishiki.errors import UserError
 
 LAMP = illuminant("A")
 TRAINING = synthetic_reflectances(300, seed=1)

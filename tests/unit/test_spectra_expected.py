@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from nishiki.spectra.basis import channel_weights
-from nishiki.spectra.colour import illuminant
-from nishiki.spectra.estimate import estimate_spectra, fit_estimator
-from nishiki.spectra.expected import NEIGHBOURS, colour_differences, expected_colour_error, sample_rows
-from nishiki.spectra.local import ResponseSpace
-from nishiki.spectra.sampling import WAVELENGTHS_NM
-from nishiki.spectra.training import synthetic_reflectances
+from nishiki.colour.basis import channel_weights
+from nishiki.colour.colour import illuminant
+from nishiki.colour.estimate import estimate_spectra, fit_estimator
+from nishiki.colour.expected import NEIGHBOURS, colour_differences, expected_colour_error, sample_rows
+from nishiki.colour.local import ResponseSpace
+from nishiki.colour.sampling import WAVELENGTHS_NM
+from nishiki.colour.training import synthetic_reflectances
 
 TRAINING = synthetic_reflectances(500, seed=11)
 CAMERA = np.exp(-0.5 * ((WAVELENGTHS_NM - np.array([[600.0], [540.0], [450.0]])) / 35.0) ** 2)

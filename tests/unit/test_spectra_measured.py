@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from benchmarks import spectra as bench
 
-from nishiki.spectra.basis import channel_weights
-from nishiki.spectra.colour import illuminant
-from nishiki.spectra.estimate import METHODS, estimate_spectra, fit_estimator
-from nishiki.spectra.training import synthetic_reflectances
+from nishiki.colour.basis import channel_weights
+from nishiki.colour.colour import illuminant
+from nishiki.colour.estimate import METHODS, estimate_spectra, fit_estimator
+from nishiki.colour.training import synthetic_reflectances
 
 pytestmark = pytest.mark.data
 

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from nishiki.colour.basis import channel_weights, principal_basis, system_matrix
+from nishiki.colour.sampling import WAVELENGTHS_NM, integration_weights, resample
+from nishiki.colour.training import synthetic_reflectances
 from nishiki.errors import UserError
-from nishiki.spectra.basis import channel_weights, principal_basis, system_matrix
-from nishiki.spectra.sampling import WAVELENGTHS_NM, integration_weights, resample
-from nishiki.spectra.training import synthetic_reflectances
 
 
 def test_weights_integrate_constants_and_lines():

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from nishiki.colour import training
+from nishiki.colour.pigments import edge
+from nishiki.colour.sampling import WAVELENGTHS_NM
 from nishiki.errors import UserError
-from nishiki.spectra import training
-from nishiki.spectra.pigments import edge
-from nishiki.spectra.sampling import WAVELENGTHS_NM
 
 
 def test_same_seed_same_set_other_seed_other_set():

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from nishiki.contract.stage import run_stage
+from nishiki.artifacts.stage import run_stage
 from nishiki.settings.height import HeightSettings
 
 

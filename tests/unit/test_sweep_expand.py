@@ -2,8 +2,8 @@
 
 import pytest
 
-from nishiki.chains.stages import CHAIN
-from nishiki.contract.closed import parse
+from nishiki.artifacts.closed import parse
+from nishiki.engine.chains import CHAIN
 from nishiki.errors import UserError
 from nishiki.sweep.expand import AS_CONFIGURED, expand, nested
 from nishiki.sweep.settings import SweepSettings

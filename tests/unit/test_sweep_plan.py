@@ -3,11 +3,11 @@
 import pytest
 import yaml
 
-from nishiki.chains.chain import SceneFacts
+from nishiki.engine.plan import make_plan
+from nishiki.engine.project import load_project
+from nishiki.engine.stage_types import SceneFacts
+from nishiki.engine.sweep_plan import configuration_of, plan_sweep
 from nishiki.errors import UserError
-from nishiki.planning.plan import make_plan
-from nishiki.planning.project import load_project
-from nishiki.planning.sweep_plan import configuration_of, plan_sweep
 from nishiki.sweep.expand import AS_CONFIGURED
 
 PLANE = SceneFacts(

@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from nishiki.contract import syntax
-from nishiki.contract.syntax import _Store, syntax_of
+from nishiki.artifacts import syntax
+from nishiki.artifacts.syntax import _Store, syntax_of
 
 CODE = '''"""Docstring."""
 import os.path

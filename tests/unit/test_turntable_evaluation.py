@@ -5,15 +5,15 @@ import json
 import numpy as np
 import pytest
 
+from nishiki.codec.compact_parts import chart_bytes, lamp_bytes, pack_cameras, unpack_cameras
+from nishiki.codec.cost import cost_of
+from nishiki.evaluate.object_comparison import AMPLIFIED, comparison
+from nishiki.evaluate.object_rows import DECODED, INTERPOLATED, MODEL, SLOT, better_prediction, compare, figures
 from nishiki.geometry.camera import Camera
+from nishiki.geometry.camera_path import rotation_matrix
 from nishiki.geometry.mesh import Mesh
-from nishiki.turntable.compact_parts import chart_bytes, lamp_bytes, pack_cameras, unpack_cameras
-from nishiki.turntable.comparison import AMPLIFIED, comparison
-from nishiki.turntable.cost import cost_of
-from nishiki.turntable.display import block_mean, coverage, on_screen, reduced, three_channels
-from nishiki.turntable.evaluation import DECODED, INTERPOLATED, MODEL, SLOT, better_prediction, compare, figures
-from nishiki.turntable.film import places
-from nishiki.turntable.turn import rotation_matrix
+from nishiki.render.object.display import block_mean, coverage, on_screen, reduced, three_channels
+from nishiki.render.object.film import places
 
 
 def camera(distortion=(0.0,) * 5, *, turned=0.4):

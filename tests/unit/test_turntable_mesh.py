@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from nishiki.codec.compact_mesh import decode_mesh, encode_mesh, grid_step, own_step, shift
+from nishiki.codec.connectivity import twins_of
+from nishiki.codec.integer_code import decode_integers, encode_integers
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
-from nishiki.turntable.compact_mesh import decode_mesh, encode_mesh, grid_step, own_step, shift
-from nishiki.turntable.connectivity import twins_of
-from nishiki.turntable.integer_code import decode_integers, encode_integers
 
 
 def sphere(rows=24, columns=48, bump=0.1):

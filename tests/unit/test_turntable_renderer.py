@@ -5,16 +5,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from nishiki.brdf.texels.lighting import Lighting
+from nishiki.brdf.texels.model import predict
+from nishiki.colour.encoding import decode, encode
 from nishiki.geometry.camera import Camera
+from nishiki.geometry.camera_path import rotation_matrix
 from nishiki.geometry.mesh import Mesh
-from nishiki.ingest.encoding import decode, encode
-from nishiki.patches.raster import rasterise
-from nishiki.reflection.lighting import Lighting
-from nishiki.reflection.model import predict
-from nishiki.turntable import renderer as module
-from nishiki.turntable.renderer import ObjectRenderer
-from nishiki.turntable.shots import lit_by
-from nishiki.turntable.turn import rotation_matrix
+from nishiki.geometry.raster import rasterise
+from nishiki.render.object import renderer as module
+from nishiki.render.object.renderer import ObjectRenderer
+from nishiki.render.object.shots import lit_by
 
 SIZE, ACROSS = 9, 3  # texels of a tile, tiles across the dome
 TEXELS = (SIZE - 1) * ACROSS + 1

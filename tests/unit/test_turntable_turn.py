@@ -4,8 +4,16 @@ import numpy as np
 import pytest
 
 from nishiki.geometry.camera import Camera
-from nishiki.turntable.interpolation import lagrange, neighbours
-from nishiki.turntable.turn import camera_between, fit_turn, rotation_matrix, rotation_vector, scaled, turned, twist
+from nishiki.geometry.camera_path import (
+    camera_between,
+    fit_turn,
+    rotation_matrix,
+    rotation_vector,
+    scaled,
+    turned,
+    twist,
+)
+from nishiki.render.object.interpolation import lagrange, neighbours
 
 AXIS = np.array([0.1, 0.97, -0.2]) / np.linalg.norm([0.1, 0.97, -0.2])
 POINT = np.array([0.3, -0.2, 0.5])

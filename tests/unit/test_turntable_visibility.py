@@ -3,9 +3,9 @@
 import numpy as np
 
 from nishiki.geometry.camera import Camera
+from nishiki.geometry.camera_path import rotation_matrix
 from nishiki.geometry.mesh import Mesh
-from nishiki.turntable.turn import rotation_matrix
-from nishiki.turntable.visibility import STEEP, DepthMaps, project
+from nishiki.render.object.visibility import STEEP, DepthMaps, project
 
 
 def plates():

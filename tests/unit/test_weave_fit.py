@@ -5,8 +5,8 @@ import pytest
 from scipy.integrate import quad
 from weave_rays import along, cast, lengths_of, pieces_of
 
+from nishiki.brdf.cloth.store import load_brdf, save_brdf
 from nishiki.errors import UserError
-from nishiki.fabric.store import load_brdf, save_brdf
 from nishiki.goniometry.table import ReflectanceSet
 from nishiki.weave.fit import WeaveModel, fit_weave
 from nishiki.weave.planes import make_plane, planes_of

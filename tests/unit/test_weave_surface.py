@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from weave_rays import brute_force
 
-from nishiki.contract.artifact import ArtifactWriter, open_artifact
+from nishiki.artifacts.artifact import ArtifactWriter, open_artifact
 from nishiki.goniometry.store import write_reflectances
 from nishiki.goniometry.table import ReflectanceSet
-from nishiki.weave.drawing import draw_section
+from nishiki.report.weave_drawing import draw_section
 from nishiki.weave.fit import WeaveModel
 from nishiki.weave.section import WarpSection, WeftSection
 from nishiki.weave.store import Weave, brdf_of

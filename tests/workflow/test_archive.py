@@ -9,7 +9,7 @@ import sys
 import time
 from contextlib import suppress
 
-from nishiki.contract.artifact import MANIFEST, RUN, open_artifact, run_text
+from nishiki.artifacts.artifact import MANIFEST, RUN, open_artifact, run_text
 
 
 def start(site):

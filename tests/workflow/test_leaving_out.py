@@ -5,7 +5,7 @@ import os
 
 import pytest
 
-from nishiki.chains.stages import CHAIN
+from nishiki.engine.chains import CHAIN
 from nishiki.packages import EXTRAS
 
 LIGHT = {"numpy"}

@@ -47,15 +47,15 @@ def test_touching_every_file_reruns_nothing(site):
 
 
 def test_comment_docstring_and_layout_rerun_nothing(site):
-    name = "workflow/src/nishiki/normals/solve.py"
+    name = "workflow/src/nishiki/photometric/solve.py"
     path = site.folder / name
     path.write_text("# a comment\n\n\n" + path.read_text())
-    edit(site, "workflow/src/nishiki/ingest/observations.py", '"""Reading the ingested frames', '"""Changed words')
+    edit(site, "workflow/src/nishiki/observations/plane.py", '"""Reading the ingested frames', '"""Changed words')
     assert site.would_run() == []
 
 
 def test_code_reruns_the_stages_that_import_it_and_what_follows(site):
-    edit(site, "workflow/src/nishiki/spectra/fitting.py", "import numpy as np", "import numpy as np\n\nUNUSED = 1")
+    edit(site, "workflow/src/nishiki/colour/fitting.py", "import numpy as np", "import numpy as np\n\nUNUSED = 1")
     stages = site.would_run()
     assert "spectra" in stages
     assert not {"ingest", "separate", "normals", "height", "brdf"} & set(stages)

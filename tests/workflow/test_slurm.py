@@ -83,7 +83,7 @@ def test_scenes_of_all_chains_through_slurm_have_the_bytes_of_local_runs(slurm, 
 @pytest.mark.skipif(not os.environ.get("NISHIKI_LONG"), reason="takes some minutes: set NISHIKI_LONG=1")
 def test_a_job_that_slurm_kills_for_its_memory_is_given_more(slurm, site):
     """A cost model far too low: the first attempts are killed, a later one is given enough; the bytes are the same."""
-    path = site.folder / "workflow/src/nishiki/chains/chain.py"
+    path = site.folder / "workflow/src/nishiki/engine/stage_types.py"
     text = path.read_text()
     wrong = text.replace("return self.mib + growing + self.tiles * tile_mib", "return 10.0")
     assert wrong != text

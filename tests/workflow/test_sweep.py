@@ -108,7 +108,7 @@ def evaluation_of(site, row):
 
 
 def digest_of(site, row):
-    from nishiki.contract.provenance import file_digest
+    from nishiki.artifacts.provenance import file_digest
 
     return file_digest(site.folder / "results/tiny/spectra" / row["keys"]["spectra"] / "artifact.json")
 

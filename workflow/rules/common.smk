@@ -8,10 +8,10 @@ PROJECT_FOLDER = workflow.basedir
 sys.path.insert(0, os.path.join(PROJECT_FOLDER, "workflow", "src"))
 
 from nishiki.errors import UserError
-from nishiki.contract.provenance import canonical
-from nishiki.planning.scheduling import PARTS
-from nishiki.planning.workflow import Workflow
-from nishiki.runs.running_lock import scenes_to_make
+from nishiki.artifacts.provenance import canonical
+from nishiki.engine.scheduling import PARTS
+from nishiki.engine.workflow import Workflow
+from nishiki.engine.running_lock import scenes_to_make
 from nishiki.threads import VARIABLES as THREADS
 from snakemake.exceptions import WorkflowError
 

@@ -15,7 +15,7 @@ from nishiki.archive.publication import check_publication
 from nishiki.archive.references import References
 from nishiki.archive.survey import Survey, read_portion, survey_artifact
 from nishiki.archive.tree import FolderTree
-from nishiki.contract.artifact import MANIFEST
+from nishiki.artifacts.artifact import MANIFEST
 
 ARTIFACT_NAME = re.compile(r"[0-9a-f]{12}(\.superseded-[0-9a-f]{8})?")
 UNFINISHED = (".partial", ".pruned")

@@ -20,9 +20,9 @@ from nishiki.archive.crate_names import MANIFEST, parse_manifest_text
 from nishiki.archive.damage import Damage
 from nishiki.archive.survey import CAPTURE, Survey, survey_artifact
 from nishiki.archive.tree import FolderTree, Listing, Tree, ZipTree
-from nishiki.contract.artifact import MANIFEST as ARTIFACT
-from nishiki.contract.artifact import is_inside
-from nishiki.outside.files import name_fault
+from nishiki.artifacts.artifact import MANIFEST as ARTIFACT
+from nishiki.artifacts.artifact import is_inside
+from nishiki.formats.files import name_fault
 
 ARTIFACT_FOLDER = re.compile(r"(artifacts/[a-z_0-9]+/([0-9a-f]{12}))/")
 SEAL = "capture/manifest-sha256.txt"

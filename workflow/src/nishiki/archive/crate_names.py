@@ -2,9 +2,9 @@
 
 import re
 
-from nishiki.contract.artifact import is_inside
+from nishiki.artifacts.artifact import is_inside
 from nishiki.errors import UserError
-from nishiki.outside.files import name_fault
+from nishiki.formats.files import name_fault
 
 MANIFEST = "manifest-sha256.txt"
 LINE = re.compile(r"([0-9a-f]{64})  (.+)")

@@ -6,7 +6,7 @@ from datetime import datetime, timedelta
 from typing import Any
 
 from nishiki.archive.crate_entities import PROJECT_LICENCE, Entity, ids, media_type, quoted
-from nishiki.contract.provenance import canonical
+from nishiki.artifacts.provenance import canonical
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,8 @@ from nishiki.archive.crate_metadata import METADATA, PackedCapture, metadata
 from nishiki.archive.crate_names import MANIFEST, manifest_text
 from nishiki.archive.crate_stages import PackedStage
 from nishiki.archive.tree import FolderTree
-from nishiki.contract.artifact import MANIFEST as ARTIFACT
-from nishiki.contract.artifact import RUN, Artifact
+from nishiki.artifacts.artifact import MANIFEST as ARTIFACT
+from nishiki.artifacts.artifact import RUN, Artifact
 from nishiki.errors import UserError
 
 CODE = ("Snakefile", "LICENSE", "pyproject.toml", "uv.lock", "workflow", "scripts", "envs")
@@ -116,7 +116,7 @@ def _told(artifacts: list[Artifact], tell: Tell) -> Iterator[Artifact]:
 
 
 def _copy_artifact(crate: Crate, scene: Scene, item: Artifact, project: Path) -> PackedStage:
-    from nishiki.contract.provenance import code_digest
+    from nishiki.artifacts.provenance import code_digest
 
     folder = f"artifacts/{item.stage}/{item.key}"
     for name, entry in sorted(item.manifest["files"].items()):

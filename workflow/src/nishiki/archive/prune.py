@@ -21,9 +21,9 @@ from nishiki.archive.standing import (
     judge_unfinished,
 )
 from nishiki.archive.tree import FolderTree
-from nishiki.chains.stages import CHAIN
-from nishiki.contract.publish import INDEX
-from nishiki.planning.project import SWEEPS
+from nishiki.artifacts.publish import INDEX
+from nishiki.engine.chains import CHAIN
+from nishiki.engine.project import SWEEPS
 
 CURRENT = "current"
 

@@ -7,8 +7,8 @@ from typing import Any
 
 from nishiki.archive.standing import FINISHED, PRUNED, Item, Place, Pruning, folders_in, size_of
 from nishiki.archive.tree import FolderTree
-from nishiki.planning.project import SWEEPS
-from nishiki.planning.sweep_plan import TIMINGS
+from nishiki.engine.project import SWEEPS
+from nishiki.engine.sweep_plan import TIMINGS
 
 
 def judge_sweeps(results: Path, kept: set[Place], sweeps: set[str], unnamed: bool, pruning: Pruning) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from nishiki.archive.damage import Damage
-from nishiki.contract.publish import INDEX, index_text
+from nishiki.artifacts.publish import INDEX, index_text
 
 if TYPE_CHECKING:
     from nishiki.archive.references import References

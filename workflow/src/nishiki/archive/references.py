@@ -5,8 +5,8 @@ from pathlib import Path
 
 from nishiki.archive.damage import Damage
 from nishiki.archive.survey import CAPTURE, Survey
-from nishiki.contract.artifact import MANIFEST
-from nishiki.contract.provenance import file_digest
+from nishiki.artifacts.artifact import MANIFEST
+from nishiki.artifacts.provenance import file_digest
 
 
 class References:
@@ -41,7 +41,7 @@ class References:
                 yield from self._lost(folder)
 
     def _misplaced(self, folder: Path, scene: str, stage: str) -> Iterator[Damage]:
-        from nishiki.chains.stages import CHAIN
+        from nishiki.engine.chains import CHAIN
 
         if stage != folder.parent.name and folder.parent.name in CHAIN:
             yield Damage(folder, "misplaced", f"made by stage {stage}, lies in {folder.parent.name}", folder)

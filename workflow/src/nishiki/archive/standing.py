@@ -9,10 +9,10 @@ from pathlib import Path
 
 from nishiki.archive.survey import CAPTURE
 from nishiki.archive.tree import FolderTree
-from nishiki.contract.artifact import MANIFEST, RUN, parse_manifest
-from nishiki.contract.publish import INDEX
+from nishiki.artifacts.artifact import MANIFEST, RUN, parse_manifest
+from nishiki.artifacts.publish import INDEX
+from nishiki.engine.records import RUNS
 from nishiki.processes import host, is_alive, owner_of
-from nishiki.runs.records import RUNS
 
 FINISHED = re.compile(r"([0-9a-f]{12})(?:\.superseded-[0-9a-f]{8})?")
 ASIDE = re.compile(r"([0-9a-f]{12})\.set-aside-[0-9a-z-]+")

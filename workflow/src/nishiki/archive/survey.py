@@ -9,8 +9,8 @@ from typing import Any
 
 from nishiki.archive.damage import Damage
 from nishiki.archive.tree import FolderTree, Listing, Tree
-from nishiki.contract.artifact import MANIFEST, RUN, is_digest, parse_manifest, run_problem
-from nishiki.contract.provenance import stage_key
+from nishiki.artifacts.artifact import MANIFEST, RUN, is_digest, parse_manifest, run_problem
+from nishiki.artifacts.provenance import stage_key
 
 BATCH_BYTES = 64 * 2**20
 BATCH_FILES = 256

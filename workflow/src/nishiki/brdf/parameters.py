@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from nishiki.artifacts.bounds import at_end
+from nishiki.brdf.gloss_profile import GlossProfile
 from nishiki.brdf.scene import GAMMA_BOUNDS, TorranceSparrowFit
 from nishiki.brdf.specular_histogram import SpecularProfile
-from nishiki.contract.bounds import at_end
-from nishiki.normals.gloss_profile import GlossProfile
 
 NO_GLOSS = "no gloss: Lambert"
 
@@ -35,7 +35,7 @@ def described(fit: TorranceSparrowFit) -> dict:
 def described_ladder(
     beta: np.ndarray, gamma: np.ndarray, lobes: np.ndarray, profile: SpecularProfile, refractive_index: float
 ) -> dict:
-    """Likewise for lobes of given widths (`nishiki.normals.gloss_profile`): those of some strength, strongest first.
+    """Likewise for lobes of given widths (`nishiki.brdf.gloss_profile`): those of some strength, strongest first.
 
     beta, gamma : (lobes,); lobes : (rows, lobes) of the profile for strengths of 1. A region without any is Lambert's.
     """

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.capture.problems import CaptureError, Problem, error, raise_errors
-from nishiki.capture.tables import cells_of, expect_rows, label_problems, reading, table_lines
 from nishiki.errors import UserError
+from nishiki.formats.problems import CaptureError, Problem, error, raise_errors
+from nishiki.formats.text_tables import cells_of, expect_rows, label_problems, reading, table_lines
 from nishiki.geometry.camera import Camera
 
 MATRIX_COLUMNS = tuple(f"p{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3, 4))

@@ -14,14 +14,14 @@ import yaml
 
 from nishiki.capture.goniometer_convert import recognise_table, refuse_for_table, write_table_capture
 from nishiki.capture.goniometer_tables import ReflectanceTable
-from nishiki.capture.headers import read_header
 from nishiki.capture.layouts import Layout, has_lamps, photographs_in, recognise
 from nishiki.capture.pairing import pair_by_name
-from nishiki.capture.problems import CaptureError, Problem, error, raise_errors, warning
 from nishiki.capture.schema import FORMAT
 from nishiki.capture.taking import channel_names, file_names, take
 from nishiki.capture.turntable_convert import write_round
 from nishiki.capture.turntable_layouts import recognise_round
+from nishiki.formats.image_headers import read_header
+from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, warning
 
 
 @dataclass(frozen=True)

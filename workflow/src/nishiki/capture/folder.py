@@ -17,13 +17,13 @@ from nishiki.capture.frames import DIALECTS, Frame, dialect_of, inside, read_fra
 from nishiki.capture.goniometer import GoniometerCapture, examine_goniometer
 from nishiki.capture.lights import Lights, direction_problems, read_lights
 from nishiki.capture.photographed import Photographed
-from nishiki.capture.problems import WHERE_IS_IT, CaptureError, Problem, error, raise_errors, warning
 from nishiki.capture.schema import NAMED_ILLUMINANTS, CaptureFile, Session, geometry_named, read_capture_file
 from nishiki.capture.spectra_tables import Curves, read_curves
-from nishiki.capture.tables import expect_rows, reading, table_lines
 from nishiki.capture.turntable import TurntableCapture, examine_turntable
-from nishiki.outside.bounds import bound
-from nishiki.outside.files import leads_out
+from nishiki.formats.bounds import bound
+from nishiki.formats.files import leads_out
+from nishiki.formats.problems import WHERE_IS_IT, CaptureError, Problem, error, raise_errors, warning
+from nishiki.formats.text_tables import expect_rows, reading, table_lines
 
 T = TypeVar("T")
 

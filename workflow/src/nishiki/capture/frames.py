@@ -12,10 +12,10 @@ from pathlib import Path
 
 from nishiki.capture.lights import light_name
 from nishiki.capture.polariser import parse_state
-from nishiki.capture.problems import CaptureError, Problem, error, raise_errors
-from nishiki.capture.tables import expect_rows, label_problems, reading, table_lines
-from nishiki.outside.bounds import bound
-from nishiki.outside.files import leads_out, name_fault
+from nishiki.formats.bounds import bound
+from nishiki.formats.files import leads_out, name_fault
+from nishiki.formats.problems import CaptureError, Problem, error, raise_errors
+from nishiki.formats.text_tables import expect_rows, label_problems, reading, table_lines
 
 ROLES = ("sample", "check", "white", "dark", "flat")
 LIT_ROLES = ("sample", "check", "white")

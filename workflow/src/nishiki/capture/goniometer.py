@@ -10,10 +10,10 @@ from nishiki.capture.frames import Frame, inside
 from nishiki.capture.goniometer_rules import NORMAL_DEG, goniometer_problems
 from nishiki.capture.goniometer_schema import GoniometerFile
 from nishiki.capture.goniometer_tables import ReflectanceTable, read_table
-from nishiki.capture.headers import read_header
 from nishiki.capture.photographed import Photographed
-from nishiki.capture.problems import Problem, error
 from nishiki.capture.spectra_tables import Curves
+from nishiki.formats.image_headers import read_header
+from nishiki.formats.problems import Problem, error
 
 
 @dataclass(frozen=True)

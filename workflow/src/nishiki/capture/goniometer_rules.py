@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from nishiki.capture.frames import Frame
-from nishiki.capture.problems import Problem, error, warning
+from nishiki.formats.problems import Problem, error, warning
 
 TABLE = "frames.csv"
 SAME_DEG = 0.1  # directions nearer than this are one

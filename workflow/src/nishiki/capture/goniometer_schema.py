@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, field_validator, model_validator
 
 from nishiki.capture.schema import Closed, Positive, Session
-from nishiki.outside.files import is_label
+from nishiki.formats.files import is_label
 
 Reflectance = Annotated[float, Field(gt=0, le=1.1)]
 Label = Annotated[int, Field(ge=1, le=65535)]

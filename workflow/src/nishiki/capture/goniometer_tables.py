@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.capture.problems import CaptureError, Problem, error, raise_errors, warning
-from nishiki.capture.tables import cells_of, expect_rows, reading, table_lines
-from nishiki.outside.bounds import bound
+from nishiki.formats.bounds import bound
+from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, warning
+from nishiki.formats.text_tables import cells_of, expect_rows, reading, table_lines
 
 ANGLES = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
 QUANTITIES = {

@@ -11,15 +11,15 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.capture.frames import inside
-from nishiki.capture.headers import IMAGE_SUFFIXES, read_header
-from nishiki.capture.images import read_codes
 from nishiki.capture.lights import Lights, light_name, lights_from_vectors, read_lights
 from nishiki.capture.probes import direction_from_sphere, mean_direction
-from nishiki.capture.problems import CaptureError, Problem, error, raise_errors, warning
 from nishiki.capture.relight_files import find_relight, is_relight, read_relight
-from nishiki.capture.tables import expect_rows, reading, table_lines
-from nishiki.outside.bounds import bound
-from nishiki.outside.files import NAME_BYTES, is_plain, leads_out, read_text
+from nishiki.formats.bounds import bound
+from nishiki.formats.files import NAME_BYTES, is_plain, leads_out, read_text
+from nishiki.formats.image_headers import IMAGE_SUFFIXES, read_header
+from nishiki.formats.images import read_codes
+from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, warning
+from nishiki.formats.text_tables import expect_rows, reading, table_lines
 
 MASK_WORD = re.compile(r"(^|[._\- ])mask([._\- ]|$)", re.IGNORECASE)
 UNREAD_SUFFIXES = frozenset(".tga .bmp .webp .gif .heic .heif .jp2 .ppm .pgm .pnm .pfm .hdr .psd".split())

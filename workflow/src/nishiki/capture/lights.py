@@ -19,10 +19,10 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.capture.problems import CaptureError, Problem, error, raise_errors, warning
-from nishiki.capture.tables import expect_rows, label_problems, reading
-from nishiki.outside.bounds import bound
-from nishiki.outside.files import read_bytes
+from nishiki.formats.bounds import bound
+from nishiki.formats.files import read_bytes
+from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, warning
+from nishiki.formats.text_tables import expect_rows, label_problems, reading
 
 IMAGE_SUFFIX = re.compile(r"\.(png|tiff?|jpe?g|exr|bmp|dng|cr[23w]|nef|arw|raf|orf|rw2|pef|srw|tga)$", re.IGNORECASE)
 COPLANAR_RATIO = 1e-3  # smallest / largest singular value of the direction matrix

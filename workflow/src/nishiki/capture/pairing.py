@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from nishiki.capture.problems import CaptureError, Problem, error, warning
+from nishiki.formats.problems import CaptureError, Problem, error, warning
 
 TOLD = 5  # names listed of one kind
 Token = str | int

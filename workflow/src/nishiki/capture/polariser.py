@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from nishiki.capture.problems import CaptureError, Problem, error, warning
+from nishiki.formats.problems import CaptureError, Problem, error, warning
 
 Kind = Literal["none", "circular", "linear", "generator"]
 FEWEST_ANGLES = 3

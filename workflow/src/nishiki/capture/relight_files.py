@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.capture.lights import Lights, lights_from_vectors
-from nishiki.capture.problems import CaptureError, error, warning
-from nishiki.capture.tables import expect_rows, reading
-from nishiki.outside.files import read_text
+from nishiki.formats.files import read_text
+from nishiki.formats.problems import CaptureError, error, warning
+from nishiki.formats.text_tables import expect_rows, reading
 
 REMEDY = "Save the project again in Relight with its directions, or export a .lp file"
 

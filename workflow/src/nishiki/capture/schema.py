@@ -10,10 +10,10 @@ from typing import Annotated, Any, Literal, TypeVar, get_args
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from nishiki.capture.problems import CaptureError, Problem, error
-from nishiki.capture.tables import refusal
-from nishiki.outside import plain_yaml
-from nishiki.outside.files import Refused, is_plain, read_text
+from nishiki.formats import plain_yaml
+from nishiki.formats.files import Refused, is_plain, read_text
+from nishiki.formats.problems import CaptureError, Problem, error
+from nishiki.formats.text_tables import refusal
 
 FORMAT = 1
 NAMED_ILLUMINANTS = ("A", "D50", "D55", "D65", "E", *(f"F{i}" for i in range(1, 13)))

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from datetime import date as Date
 from pathlib import Path
 
-from nishiki.capture.problems import WHERE_IS_IT, CaptureError, Problem, error, raise_errors
-from nishiki.capture.tables import refusal
-from nishiki.outside.files import Refused, is_plain, leads_out, open_regular, read_bytes, walk
+from nishiki.formats.files import Refused, is_plain, leads_out, open_regular, read_bytes, walk
+from nishiki.formats.problems import WHERE_IS_IT, CaptureError, Problem, error, raise_errors
+from nishiki.formats.text_tables import refusal
 
 MANIFEST, TAG_MANIFEST = "manifest-sha256.txt", "tagmanifest-sha256.txt"
 TAGS = ("bagit.txt", "bag-info.txt", MANIFEST)

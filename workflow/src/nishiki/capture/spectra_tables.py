@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.capture.problems import CaptureError, error, raise_errors
-from nishiki.capture.tables import expect_rows, reading, table_lines
+from nishiki.formats.problems import CaptureError, error, raise_errors
+from nishiki.formats.text_tables import expect_rows, reading, table_lines
 
 FIRST_NM, LAST_NM = 400.0, 700.0
 

@@ -10,15 +10,15 @@ import numpy as np
 
 from nishiki.capture.cameras import read_cameras, read_points
 from nishiki.capture.frames import Frame, inside
-from nishiki.capture.headers import read_header
 from nishiki.capture.lights import Lights, read_lights
-from nishiki.capture.mesh_files import expect_mesh
 from nishiki.capture.photographed import Photographed
 from nishiki.capture.polariser import kind_of
-from nishiki.capture.problems import Problem
 from nishiki.capture.spectra_tables import Curves
 from nishiki.capture.turntable_rules import turntable_problems
 from nishiki.capture.turntable_schema import Intrinsics, TurntableFile, read_intrinsics
+from nishiki.formats.image_headers import read_header
+from nishiki.formats.mesh_kind import expect_mesh
+from nishiki.formats.problems import Problem
 
 
 @dataclass(frozen=True)

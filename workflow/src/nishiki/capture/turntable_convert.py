@@ -10,14 +10,14 @@ from pathlib import Path
 import yaml
 
 from nishiki.capture.cameras import MATRIX_COLUMNS
-from nishiki.capture.headers import ImageHeader, read_header
 from nishiki.capture.layouts import natural_key, photographs_in, source_problems
 from nishiki.capture.pairing import names_apart, pair_by_name
 from nishiki.capture.polariser import parse_state
-from nishiki.capture.problems import CaptureError, Problem, error, raise_errors, warning
 from nishiki.capture.schema import FORMAT
 from nishiki.capture.taking import channel_names, file_names, take
 from nishiki.capture.turntable_layouts import STATES, RoundLayout
+from nishiki.formats.image_headers import ImageHeader, read_header
+from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, warning
 
 
 def write_round(

@@ -11,15 +11,15 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.capture.cameras import camera_centre, camera_problems, turn_of
-from nishiki.capture.headers import IMAGE_SUFFIXES
 from nishiki.capture.layouts import natural_key, photographs_in
-from nishiki.capture.matlab import read_matlab
 from nishiki.capture.polariser import parse_state
-from nishiki.capture.problems import CaptureError, Problem, error, raise_errors, warning
 from nishiki.capture.seal import sha256_of
-from nishiki.capture.tables import expect_rows, reading, refusal
-from nishiki.outside.bounds import bound
-from nishiki.outside.files import Refused, read_text
+from nishiki.formats.bounds import bound
+from nishiki.formats.files import Refused, read_text
+from nishiki.formats.image_headers import IMAGE_SUFFIXES
+from nishiki.formats.matlab import read_matlab
+from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, warning
+from nishiki.formats.text_tables import expect_rows, reading, refusal
 
 STATES = re.compile(r"(\d+(?:\.\d+)?)_(\d+(?:\.\d+)?)")
 FEWEST_STATES = 3

@@ -11,10 +11,10 @@ from nishiki.capture.cameras import camera_centre, turn_of
 from nishiki.capture.frames import Frame
 from nishiki.capture.lights import Lights
 from nishiki.capture.polariser import state_problems
-from nishiki.capture.problems import Problem, error, warning
 from nishiki.capture.turntable_schema import TurntableFile
-from nishiki.outside.bounds import bound
-from nishiki.outside.bounds import remedy as bound_remedy
+from nishiki.formats.bounds import bound
+from nishiki.formats.bounds import remedy as bound_remedy
+from nishiki.formats.problems import Problem, error, warning
 
 TABLE = "frames.csv"
 TOLD = 100  # photographs that are missing from the grid of views, lights and states

@@ -1,7 +1,7 @@
 """What several chains say of reasons to leave a stage out."""
 
-from nishiki.chains.chain import SceneFacts
-from nishiki.contract.closed import Closed
+from nishiki.artifacts.closed import Closed
+from nishiki.engine.stage_types import SceneFacts
 
 
 def no_method(facts: SceneFacts, settings: Closed) -> str | None:

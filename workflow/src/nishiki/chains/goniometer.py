@@ -1,7 +1,7 @@
 """Stages of a cloth on a gonioreflectometer."""
 
-from nishiki.chains.chain import Cost, SceneFacts, Stage
-from nishiki.contract.closed import Closed
+from nishiki.artifacts.closed import Closed
+from nishiki.engine.stage_types import Cost, SceneFacts, Stage
 from nishiki.settings.fabric import FabricSettings
 from nishiki.settings.fabric_evaluate import FabricEvaluateSettings
 from nishiki.settings.fabric_render import FabricRenderSettings

@@ -1,8 +1,8 @@
 """Stages of a flat object under many lights."""
 
-from nishiki.chains.chain import Cost, SceneFacts, Stage
+from nishiki.artifacts.closed import Closed
 from nishiki.chains.common import no_method
-from nishiki.contract.closed import Closed
+from nishiki.engine.stage_types import Cost, SceneFacts, Stage
 from nishiki.settings.brdf import BrdfSettings
 from nishiki.settings.evaluate import EvaluateSettings
 from nishiki.settings.height import HeightSettings
@@ -13,7 +13,7 @@ from nishiki.settings.report import ReportSettings
 from nishiki.settings.separate import SeparateSettings
 from nishiki.settings.spectra import SpectraSettings
 
-FEW_LIGHTS = 24  # as in nishiki.normals.gloss_scene, which is not loaded for planning
+FEW_LIGHTS = 24  # as in nishiki.photometric.gloss_scene, which is not loaded for planning
 
 
 def _no_spectra(facts: SceneFacts, settings: Closed) -> str | None:

@@ -1,8 +1,8 @@
 """Stages of an object on a turntable."""
 
-from nishiki.chains.chain import Cost, SceneFacts, Stage
+from nishiki.artifacts.closed import Closed
 from nishiki.chains.common import no_method
-from nishiki.contract.closed import Closed
+from nishiki.engine.stage_types import Cost, SceneFacts, Stage
 from nishiki.settings.cameras import CamerasSettings
 from nishiki.settings.mesh import MeshSettings
 from nishiki.settings.object_evaluate import ObjectEvaluateSettings

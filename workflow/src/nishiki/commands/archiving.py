@@ -107,7 +107,7 @@ def amount(count: int, thing: str) -> str:
 
 
 def _set_aside(unsound: set[Path]) -> None:
-    from nishiki.runs.soundness import set_aside
+    from nishiki.engine.soundness import set_aside
 
     for folder in sorted(unsound):
         if folder.is_dir() and not folder.is_symlink() and "." not in folder.name:

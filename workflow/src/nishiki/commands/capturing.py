@@ -16,7 +16,7 @@ TO_COMPLETE = {
 
 def check(options: argparse.Namespace, rest: list[str]) -> int:
     """Print everything that is wrong with each capture; exit status 2 where one cannot be used."""
-    from nishiki.capture.check import check_capture
+    from nishiki.observations.check import check_capture
 
     worst = 0
     for name in options.captures:

@@ -8,12 +8,12 @@ import sys
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
-from nishiki.planning.finished import unfinished_scenes
-from nishiki.planning.plan import Plan
-from nishiki.planning.workflow import Workflow
-from nishiki.runs.records import refuse_while_running
-from nishiki.runs.running_lock import registered
-from nishiki.runs.soundness import set_aside_unsound
+from nishiki.engine.finished import unfinished_scenes
+from nishiki.engine.plan import Plan
+from nishiki.engine.records import refuse_while_running
+from nishiki.engine.running_lock import registered
+from nishiki.engine.soundness import set_aside_unsound
+from nishiki.engine.workflow import Workflow
 
 LOOKS_ONLY = {
     *("-n", "--dry-run", "--dryrun", "-S", "--summary", "-D", "--detailed-summary", "--dag", "--d3dag", "--rulegraph"),
@@ -55,7 +55,7 @@ def says_what_to_make(rest: Sequence[str], profile: dict) -> bool:
 def call_engine(flow: Workflow, command: list[str], *, gone: Iterable[str] = (), unfinished_only: bool = False) -> int:
     """Run Snakemake on the scenes of a workflow; its exit status.
 
-    unfinished_only: Snakemake hears only of scenes that are not finished (see `nishiki.planning.finished`), and is not
+    unfinished_only: Snakemake hears only of scenes that are not finished (see `nishiki.engine.finished`), and is not
     started where all are.
 
     Artifacts that must not be built on are set aside first; behind a run that was killed, their contents are looked at

@@ -4,13 +4,13 @@ import argparse
 import json
 from pathlib import Path
 
-from nishiki.chains.stages import CHAIN
-from nishiki.contract.artifact import MANIFEST, Artifact, open_artifact
-from nishiki.contract.provenance import differences
+from nishiki.artifacts.artifact import MANIFEST, Artifact, open_artifact
+from nishiki.artifacts.provenance import differences
+from nishiki.engine.chains import CHAIN
+from nishiki.engine.plan import Plan
+from nishiki.engine.project import Configuration, load_yaml
+from nishiki.engine.workflow import Workflow
 from nishiki.errors import UserError
-from nishiki.planning.plan import Plan
-from nishiki.planning.project import Configuration, load_yaml
-from nishiki.planning.workflow import Workflow
 
 PROJECT = Path(__file__).resolve().parents[4]
 

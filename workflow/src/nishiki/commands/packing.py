@@ -5,12 +5,12 @@ from pathlib import Path
 
 from nishiki.archive.damage import shown
 from nishiki.archive.pack import Scene, pack, write_zip
-from nishiki.chains.stages import CHAIN
-from nishiki.contract.artifact import Artifact, open_artifact
-from nishiki.contract.stage import PROJECT_VERSION
+from nishiki.artifacts.artifact import Artifact, open_artifact
+from nishiki.artifacts.stage import PROJECT_VERSION
+from nishiki.engine.chains import CHAIN
+from nishiki.engine.plan import Plan
+from nishiki.engine.workflow import Workflow
 from nishiki.errors import UserError
-from nishiki.planning.plan import Plan
-from nishiki.planning.workflow import Workflow
 from nishiki.progress import Progress
 
 PROJECT = Path(__file__).resolve().parents[4]
@@ -19,7 +19,7 @@ ABOUT = ("title", "creator", "date", "object_id", "rights", "notes")
 
 def pack_scene(options: argparse.Namespace, rest: list[str]) -> int:
     """Pack a finished scene: a folder, and a ZIP file of it where asked for."""
-    from nishiki.planning.project import load_yaml
+    from nishiki.engine.project import load_yaml
 
     target = Path(options.output)
     flow = Workflow(load_yaml(options.configfile), folder=PROJECT, only=options.scene, file=options.configfile)

@@ -5,15 +5,15 @@ import json
 from typing import Any
 
 from nishiki.capture.folder import load_capture
-from nishiki.chains.chain import SceneFacts
-from nishiki.chains.stages import CHAIN
 from nishiki.commands.inspecting import PROJECT, stage_state
+from nishiki.engine.chains import CHAIN
+from nishiki.engine.plan import Plan
+from nishiki.engine.project import load_yaml
+from nishiki.engine.reading import reading_of
+from nishiki.engine.stage_types import SceneFacts
+from nishiki.engine.workflow import Workflow
 from nishiki.errors import UserError
 from nishiki.packages import EXTRAS, PURPOSE, install_command, installed
-from nishiki.planning.plan import Plan
-from nishiki.planning.project import load_yaml
-from nishiki.planning.reading import reading_of
-from nishiki.planning.workflow import Workflow
 
 
 def plan(options: argparse.Namespace, rest: list[str]) -> None:

@@ -9,11 +9,11 @@ from nishiki.archive.damage import shown
 from nishiki.archive.prune import decide
 from nishiki.archive.removal import remove
 from nishiki.archive.standing import PRUNED, Item, Place, Pruning
+from nishiki.engine.project import SWEEPS
+from nishiki.engine.records import records, refuse_while_running
+from nishiki.engine.running_lock import registered
+from nishiki.engine.sweep_plan import TIMINGS
 from nishiki.errors import UserError
-from nishiki.planning.project import SWEEPS
-from nishiki.planning.sweep_plan import TIMINGS
-from nishiki.runs.records import records, refuse_while_running
-from nishiki.runs.running_lock import registered
 
 PROJECT = Path(__file__).resolve().parents[4]
 
@@ -45,9 +45,9 @@ def _decide(results: Path, planned: set[Place], sweeps: set[str], options: argpa
 
 def _referenced(options: argparse.Namespace) -> list[tuple[Path, set[Place], set[str]]]:
     """Results folders with what all configurations and sweeps ask for, and the names of the sweeps."""
-    from nishiki.planning.project import load_yaml
-    from nishiki.planning.sweep_plan import configuration_of, read_sweep
-    from nishiki.planning.workflow import Workflow
+    from nishiki.engine.project import load_yaml
+    from nishiki.engine.sweep_plan import configuration_of, read_sweep
+    from nishiki.engine.workflow import Workflow
 
     configurations = options.configfile or ["config/config.yaml"]
     files: dict[str, list[str]] = {name: [] for name in configurations}

@@ -37,8 +37,8 @@ def run(options: argparse.Namespace, rest: list[str]) -> int:
     """Run the workflow on the configuration; the plan is checked first, so that bad input is told in one line."""
     from nishiki.commands.engine import LOOKS_ONLY, call_engine, says_what_to_make
     from nishiki.commands.planning import expect_packages
-    from nishiki.planning.project import load_yaml
-    from nishiki.planning.workflow import Workflow
+    from nishiki.engine.project import load_yaml
+    from nishiki.engine.workflow import Workflow
 
     flow = Workflow(load_yaml(options.configfile), folder=PROJECT, file=options.configfile)
     expect_packages(flow)
@@ -70,8 +70,8 @@ def profile_arguments(name: str, cores: str | None, scenes: Iterable[Iterable[Pa
     """
     import importlib.util
 
-    from nishiki.planning.project import load_yaml
-    from nishiki.runs.machine import memory_arguments, thread_arguments
+    from nishiki.engine.machine import memory_arguments, thread_arguments
+    from nishiki.engine.project import load_yaml
 
     folder = profile_folder(name)
     if not (folder / "config.yaml").is_file():

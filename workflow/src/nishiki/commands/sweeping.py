@@ -17,9 +17,9 @@ def sweep(options: argparse.Namespace, rest: list[str]) -> int:
 
 def _one(named: str, options: argparse.Namespace, rest: list[str]) -> int:
     from nishiki.commands.engine import LOOKS_ONLY, call_engine
-    from nishiki.planning.project import load_yaml
-    from nishiki.planning.sweep_plan import configuration_of
-    from nishiki.planning.workflow import Workflow
+    from nishiki.engine.project import load_yaml
+    from nishiki.engine.sweep_plan import configuration_of
+    from nishiki.engine.workflow import Workflow
 
     path = Path(named)
     given = configuration_of(path) if path.suffix in (".yaml", ".yml") else None

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nishiki.colour.basis import channel_weights
+from nishiki.colour.colour import illuminant as named_illuminant
+from nishiki.colour.colour import srgb_matrix, white_xyz, xyz_from_spectra, xyz_to_lab
 from nishiki.errors import UserError
-from nishiki.spectra.basis import channel_weights
-from nishiki.spectra.colour import illuminant as named_illuminant
-from nishiki.spectra.colour import srgb_matrix, white_xyz, xyz_from_spectra, xyz_to_lab
 
 
 @dataclass(frozen=True)

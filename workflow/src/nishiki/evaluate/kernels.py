@@ -1,6 +1,6 @@
 """Compiled comparison of two pictures: colour difference, squared errors and block means, one pixel after the other.
 
-The same formulas as `nishiki.spectra.colour` (CIE 015:2018, Sharma et al. 2005) for one pixel; the tests compare both.
+The same formulas as `nishiki.colour.colour` (CIE 015:2018, Sharma et al. 2005) for one pixel; the tests compare both.
 """
 
 import math

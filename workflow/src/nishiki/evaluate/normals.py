@@ -7,7 +7,7 @@ import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.evaluate.summary import Summary, summarise
-from nishiki.normals.flags import NO_ESTIMATE
+from nishiki.photometric.flags import NO_ESTIMATE
 
 SLOPE_EDGES_DEG = (0.0, 10.0, 20.0, 30.0, 50.0, 90.0)
 _BAND_ROWS = 256

@@ -4,8 +4,8 @@ from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
-from nishiki.render.relight import predict_observations
-from nishiki.render.scene import Gloss, Light
+from nishiki.render.plane.relight import predict_observations
+from nishiki.render.plane.scene import Gloss, Light
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from nishiki.colour.colour import xyz_to_srgb_linear
 from nishiki.evaluate.camera_colour import CameraColour
 from nishiki.evaluate.kernels import add_blocks
-from nishiki.spectra.colour import xyz_to_srgb_linear
 
 COLUMNS = 720
 """Largest width of a preview, pixels."""

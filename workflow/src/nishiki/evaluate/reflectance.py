@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nishiki.colour.colour import delta_e_2000, illuminant, white_xyz, xyz_matrix, xyz_to_lab
 from nishiki.errors import UserError
 from nishiki.evaluate.summary import Summary, summarise
-from nishiki.spectra.colour import delta_e_2000, illuminant, white_xyz, xyz_matrix, xyz_to_lab
 
 _BAND_ROWS = 16
 

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nishiki.colour.colour import white_xyz, xyz_matrix
 from nishiki.evaluate.camera_colour import CameraColour
 from nishiki.evaluate.prediction import PredictedLight
-from nishiki.spectra.colour import white_xyz, xyz_matrix
 
 
 @dataclass(frozen=True)

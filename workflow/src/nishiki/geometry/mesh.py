@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.outside.stored import load_arrays
+from nishiki.formats.stored import load_arrays
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ from typing import BinaryIO
 import numpy as np
 
 from nishiki.errors import UserError
+from nishiki.formats.mesh_heading import expect_mesh_file
 from nishiki.geometry.mesh import Mesh
-from nishiki.geometry.mesh_heading import expect_mesh_file
 from nishiki.packages import optional
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh, face_vectors
-from nishiki.patches.raster import rasterise
+from nishiki.geometry.raster import rasterise
 
 UNSURE_PX = 2.0
 CONTRADICTED = 2e-3

@@ -42,7 +42,7 @@ class Silhouette:
 def display(linear: np.ndarray) -> np.ndarray:
     """(rows, columns, 3) uint8 sRGB picture of linear values (rows, columns, channels), bright parts just below
     white; channels beyond three are left out, one is repeated."""
-    from nishiki.ingest.encoding import encode
+    from nishiki.colour.encoding import encode
 
     channels = linear[..., :3] if linear.shape[-1] >= 3 else linear[..., :1].repeat(3, axis=-1)
     white = float(np.percentile(channels[::4, ::4], 99.5)) or 1.0
@@ -227,7 +227,7 @@ def at_half_cover(picture: np.ndarray, mask: np.ndarray, *, reach: int = REACH_P
     """
     import cv2
 
-    from nishiki.ingest.encoding import decode
+    from nishiki.colour.encoding import decode
 
     light = decode(picture.astype(np.float32) / 255, "srgb")
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))

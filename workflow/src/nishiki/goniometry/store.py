@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from nishiki.errors import UserError
+from nishiki.formats.files import read_json
+from nishiki.formats.stored import load_arrays
 from nishiki.goniometry.table import BasicReflectance, ReflectanceSet
-from nishiki.outside.files import read_json
-from nishiki.outside.stored import load_arrays
 
 ARRAYS, NAMES = "reflectance.npz", "reflectance.json"
 FORMAT = 1

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nishiki.colour.colour import srgb_encode, xyz_to_srgb_linear
 from nishiki.errors import UserError
-from nishiki.spectra.colour import srgb_encode, xyz_to_srgb_linear
 
 ADAPTED_PERCENTILE, ADAPTED_LEVEL, ADAPTED_BOUNDS = 98, 0.8, (0.5, 8.0)
 

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
+from nishiki.colour.colour import xyz_to_srgb_linear
 from nishiki.errors import OF_THE_MACHINE, UserError
 from nishiki.packages import install_command
 from nishiki.render.display import normals_as_colours
-from nishiki.spectra.colour import xyz_to_srgb_linear
 
 # red, green, blue, white: x, y of each.  XYZ itself is an RGB space whose primaries are the corners of the diagram.
 _CHROMATICITIES = {

@@ -6,9 +6,9 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from nishiki.errors import UserError
-from nishiki.render.frame import Rendering, render
-from nishiki.render.scene import Ambient, Light, PlaneScene, View
-from nishiki.render.shadow import cast_shadows
+from nishiki.render.plane.frame import Rendering, render
+from nishiki.render.plane.scene import Ambient, Light, PlaneScene, View
+from nishiki.render.plane.shadow import cast_shadows
 
 
 def circle_of_directions(count: int, *, elevation: float, start: float = 0.0) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from nishiki.spectra.colour import srgb_encode, srgb_matrix
+from nishiki.colour.colour import srgb_encode, srgb_matrix
 
 # Control points in CIELAB (D65): hue and chroma only steer; lightness is replaced by an even ramp.
 _HEAT = np.array([[8, 12, -18], [28, 26, -40], [46, 42, -16], [62, 44, 22], [80, 14, 58], [97, -6, 34]], float)

@@ -5,11 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from nishiki.evaluate.camera_colour import CameraColour
-from nishiki.report.colour_map import heat, hexadecimal
-from nishiki.report.pictures import block_of, brightened, brightening, colour_picture, scalar_picture, shrink
-from nishiki.report.svg import INK, PALETTE, Curve, chart
-from nishiki.spectra.colour import (
+from nishiki.colour.colour import (
     illuminant,
     srgb_encode,
     white_xyz,
@@ -18,7 +14,11 @@ from nishiki.spectra.colour import (
     xyz_to_lab,
     xyz_to_srgb_linear,
 )
-from nishiki.spectra.sampling import WAVELENGTHS_NM
+from nishiki.colour.sampling import WAVELENGTHS_NM
+from nishiki.evaluate.camera_colour import CameraColour
+from nishiki.report.colour_map import heat, hexadecimal
+from nishiki.report.pictures import block_of, brightened, brightening, colour_picture, scalar_picture, shrink
+from nishiki.report.svg import INK, PALETTE, Curve, chart
 
 CURVES = 9
 LEAST_SHARE = 0.002

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from nishiki.contract.bounds import at_bounds
-from nishiki.contract.limits import Limit, readings
+from nishiki.artifacts.bounds import at_bounds
+from nishiki.artifacts.limits import Limit, readings
 from nishiki.report.numbers import plain
 
 

@@ -8,7 +8,7 @@ def left_out_section(left_out: Mapping[str, str], diagnostics: Mapping[str, Mapp
     """Content of the section.
 
     left_out: of the plan, name to reason; diagnostics: of every stage by its name: `read` of ingest says what was read,
-    `economy` of any stage what it decided by a measurement (see `nishiki.economy.decision`).
+    `economy` of any stage what it decided by a measurement (see `nishiki.model_selection.decision`).
     """
     read = diagnostics.get("ingest", {}).get("read")
     return {

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from nishiki.patches.atlas import Atlas
+from nishiki.atlas.atlas import Atlas
 from nishiki.report.colour_map import sea
 from nishiki.report.pictures import Picture, brightened, brightening, colour_picture, scalar_picture
 

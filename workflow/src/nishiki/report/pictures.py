@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nishiki.colour.colour import srgb_encode
 from nishiki.report.colour_map import MISSING, coloured, hexadecimal
 from nishiki.report.numbers import plain
-from nishiki.spectra.colour import srgb_encode
 
 
 @dataclass(frozen=True)

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from typing import Any
 
-from nishiki.contract.closed import Closed
-from nishiki.contract.provenance import canonical
+from nishiki.artifacts.closed import Closed
+from nishiki.artifacts.provenance import canonical
 from nishiki.report.numbers import plain
 
 PLANNED = ("hold_out", "without", "truth_sha256", "training_sha256", "left_out")

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from nishiki.normals import flags as bits
+from nishiki.photometric import flags as bits
 from nishiki.report.colour_map import heat, sea
 from nishiki.report.pictures import (
     block_of,

@@ -4,7 +4,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from nishiki.contract.closed import Guarded
+from nishiki.artifacts.closed import Guarded
 from nishiki.settings.counts import Measurements
 
 Model = Literal[

@@ -4,7 +4,7 @@ from typing import ClassVar, Literal
 
 from pydantic import Field, PositiveFloat
 
-from nishiki.contract.closed import Closed, Guarded
+from nishiki.artifacts.closed import Closed, Guarded
 
 
 class LightSettings(Closed):

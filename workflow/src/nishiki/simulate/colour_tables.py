@@ -25,7 +25,7 @@ def xyz_tables(spectra: np.ndarray, illuminant: np.ndarray) -> tuple[np.ndarray,
 
     Y of a perfect white is 1. Plain sums over the 61 bands.
     """
-    from nishiki.spectra.colour import xyz_matrix
+    from nishiki.colour.colour import xyz_matrix
 
     return (
         xyz_matrix(illuminant, spectra).T,

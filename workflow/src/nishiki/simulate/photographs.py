@@ -58,7 +58,7 @@ def make_tables(thing: SimulatedObject, settings: SimulationSettings, *, with_tr
     table, squared, response = camera_tables(thing.palette, settings)
     parts, squares, whites = [table], [squared], [np.ones(table.shape[1])]
     if with_truth:
-        from nishiki.spectra.colour import illuminant
+        from nishiki.colour.colour import illuminant
 
         spectra = true_spectra(settings)
         for lamp in (planck_spectrum(WAVELENGTHS_NM, settings.lights.colour_temperature_k), illuminant("D65")):

@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from nishiki.contract.closed import Closed
+from nishiki.artifacts.closed import Closed
 
 SweepName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_-]*$")]
 Axis = Literal["seconds", "cpu_seconds"]

@@ -10,7 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from nishiki.fabric.interface import ArrayFields, halves, off_horizon, only_above
+from nishiki.brdf.cloth.interface import ArrayFields, halves, off_horizon, only_above
 from nishiki.weave.reading import columns, rows_of
 
 

@@ -1,0 +1,334 @@
+"""Artifacts: what a stage leaves behind, and the contract that lets a reader trust it.
+
+An artifact is a folder `results/<scene>/<stage>/<key>/`. Its `artifact.json` lists every file with its size and SHA-256
+beside the settings, the upstream artifacts with their digests, the code digest and the library versions; it is
+deterministic, so two runs can be compared byte for byte. Facts of one run (times, memory, host) are in `run.json`,
+which vouches for the manifest and for itself by their digests. The folder is written beside its final place and renamed
+whole, so a reader sees all of it or nothing. `nishiki.archive` looks after many artifacts: verifies, prunes, packs.
+"""
+
+import hashlib
+import json
+import os
+import shutil
+import stat
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from nishiki.artifacts.provenance import canonical, file_digest
+from nishiki.errors import UserError
+from nishiki.processes import host, identity, is_alive, owner, owner_of
+
+FORMAT = 1
+MANIFEST = "artifact.json"
+RUN = "run.json"
+BESIDE = frozenset(("", ".", ".."))
+"""Parts of a name that lead out of a folder, or make two names of one file."""
+ENTRIES = {
+    "format": int,
+    "scene": str,
+    "stage": str,
+    "key": str,
+    "settings": dict,
+    "upstream": dict,
+    "files": dict,
+    "diagnostics": dict,
+}
+"""What every manifest holds."""
+
+
+@dataclass(frozen=True)
+class Artifact:
+    """A finished artifact, opened for reading. sha256: of the manifest when it was opened."""
+
+    folder: Path
+    manifest: dict[str, Any]
+    sha256: str = ""
+
+    @property
+    def key(self) -> str:
+        """The stage key: the name of the folder."""
+        return self.manifest["key"]
+
+    @property
+    def stage(self) -> str:
+        """Name of the stage that made it."""
+        return self.manifest["stage"]
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Settings that the stage read, in canonical form."""
+        return self.manifest["settings"]
+
+    @property
+    def diagnostics(self) -> dict[str, Any]:
+        """What the stage reports of its own result: errors, conditions, counts of flagged pixels."""
+        return self.manifest["diagnostics"]
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the manifest, hence of everything in the artifact."""
+        return self.sha256 or file_digest(self.folder / MANIFEST)
+
+    @property
+    def run(self) -> dict[str, Any]:
+        """Facts of the run that made it (seconds, peak memory, host); empty where they are lost."""
+        path = self.folder / RUN
+        return json.loads(path.read_text()) if path.is_file() else {}
+
+    def path(self, name: str) -> Path:
+        """Full path of a file of the artifact. UserError where the name leads out of it."""
+        return self.folder / _expect_inside(name)
+
+
+def open_artifact(folder: Path, *, contents: bool = True) -> Artifact:
+    """Open a finished artifact after a check: all listed files are there with their sizes.
+
+    contents: check the SHA-256 of every file too, and of a chunk of a Zarr store its last four bytes: they are the
+    checksum that reading it verifies, so that a stage never builds on a flipped bit or on a chunk of another place.
+    Raises UserError naming each missing, truncated or damaged file, with the remedy.
+    """
+    folder = Path(folder)
+    if folder.name == MANIFEST:
+        folder = folder.parent
+    manifest, digest = _read_manifest(folder)
+    place = f"{folder}/"
+    wrong = [
+        f"{name} ({'missing' if size is None else f'{size} bytes'}, expected {entry['bytes']})"
+        for name, entry in manifest["files"].items()
+        if (size := _size(place + name)) != entry["bytes"]
+    ]
+    if contents and not wrong:
+        wrong = [
+            f"{name} (SHA-256 differs)"
+            for name, entry in manifest["files"].items()
+            if not _looks_sound(folder / name, entry)
+        ]
+    if wrong:
+        shown = "; ".join(wrong[:5]) + (f"; and {len(wrong) - 5} more" if len(wrong) > 5 else "")
+        remedy = "Remedy: ./nishiki verify --set-aside, then run again."
+        raise UserError(f"{folder}: files differ from {MANIFEST}: {shown}. {remedy}")
+    return Artifact(folder, manifest, digest)
+
+
+def _read_manifest(folder: Path) -> tuple[dict[str, Any], str]:
+    """Manifest of an artifact and its SHA-256. A campaign reads a hundred thousand at its start: paths are texts."""
+    path = f"{folder}/{MANIFEST}"
+    if not os.path.isfile(path):
+        raise UserError(f"{folder}: no finished artifact here ({MANIFEST} is missing). Remedy: run the stage again.")
+    data = _bytes_of(path)
+    try:
+        manifest = parse_manifest(data)
+    except ValueError as error:
+        raise UserError(f"{path}: {error}. Remedy: delete this folder and run again.") from None
+    digest = hashlib.sha256(data).hexdigest()
+    run = f"{folder}/{RUN}"
+    if os.path.isfile(run) and digest.encode() not in _bytes_of(run):  # looked for, not parsed; see `run_problem`
+        told = f"{MANIFEST} is not the manifest that was written with {RUN}"
+        raise UserError(f"{folder}: {told}. Remedy: delete this folder and run again.")
+    return manifest, digest
+
+
+def _bytes_of(path: str) -> bytes:
+    with open(path, "rb", buffering=0) as handle:
+        return handle.readall()
+
+
+def parse_manifest(data: bytes) -> dict[str, Any]:
+    """Manifest of an artifact from its bytes. Raises ValueError with the reason where it is none.
+
+    Every file has a size, a digest and a name inside the folder: whoever follows the names stays in it.
+    """
+    try:
+        manifest = json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"not valid JSON ({error})") from None
+    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
+        raise ValueError(f"not an artifact manifest of format {FORMAT}")
+    wrong = [name for name, kind in ENTRIES.items() if not isinstance(manifest.get(name), kind)]
+    if wrong:
+        raise ValueError(f"not an artifact manifest: {wrong[0]} is missing or of a wrong kind")
+    for name, entry in manifest["files"].items():
+        if not is_inside(name):
+            raise ValueError(f"names a file outside of the artifact: {name!r}")
+        if not (isinstance(entry, dict) and isinstance(entry.get("bytes"), int) and is_digest(entry.get("sha256"))):
+            raise ValueError(f"no size or no SHA-256 of {name!r}")
+    if any(not isinstance(entry, dict) for entry in manifest["upstream"].values()):
+        raise ValueError("upstream is not a block of artifacts")
+    return manifest
+
+
+def is_inside(name: str) -> bool:
+    """Whether a relative name with `/` stays inside its folder: no empty part, no `.` or `..`, not absolute."""
+    return "\0" not in name and BESIDE.isdisjoint(name.split("/"))
+
+
+def _expect_inside(name: str) -> str:
+    if not is_inside(name):
+        raise UserError(f"{name!r}: expected a file name inside an artifact. Remedy: rename what it is called by.")
+    return name
+
+
+def is_digest(text: Any) -> bool:
+    """Whether this is a SHA-256 as 64 lower-case hexadecimal digits."""
+    return isinstance(text, str) and len(text) == 64 and not text.strip("0123456789abcdef")
+
+
+def run_text(run: dict[str, Any], manifest: bytes) -> str:
+    """Text of run.json: the facts of the run, the manifest's digest, and a digest of all of that."""
+    facts = {**run, "manifest_sha256": hashlib.sha256(manifest).hexdigest()}
+    facts["sha256"] = hashlib.sha256(canonical(facts).encode()).hexdigest()
+    return json.dumps(facts, indent=1, sort_keys=True) + "\n"
+
+
+def run_problem(data: bytes, manifest: bytes) -> str | None:
+    """What is wrong with run.json beside the bytes of a manifest; None where all of both is as it was written."""
+    try:
+        facts = json.loads(data)
+        found = facts["manifest_sha256"]
+        again = run_text({name: value for name, value in facts.items() if name != "sha256"}, manifest).encode()
+    except (ValueError, RecursionError, TypeError, KeyError):
+        return "damaged: it does not vouch for the manifest"
+    if data == again:
+        return None
+    if found != hashlib.sha256(manifest).hexdigest():
+        return f"{MANIFEST} or {RUN} is damaged: this is not the manifest that was written with it"
+    return "damaged: its digest of itself differs"
+
+
+def _is_chunk(name: str) -> bool:
+    """Whether a file is a chunk of a Zarr store: all that we write end with a checksum (CRC-32C, or that of zstd)."""
+    parts = name.split("/")
+    return any(part.endswith(".zarr") for part in parts[:-1]) and parts[-1] != "zarr.json"
+
+
+def _looks_sound(path: Path, entry: dict[str, Any]) -> bool:
+    return _tail(path) == entry["tail"] if "tail" in entry else file_digest(path) == entry["sha256"]
+
+
+def _tail(path: Path) -> str:
+    """The last four bytes of a file, hexadecimal."""
+    with open(path, "rb") as handle:
+        handle.seek(-4, os.SEEK_END)
+        return handle.read(4).hex()
+
+
+def _size(path: str) -> int | None:
+    """Bytes of a regular file; None where there is none, or a link in its place."""
+    try:
+        found = os.lstat(path)
+    except OSError:
+        return None
+    return found.st_size if stat.S_ISREG(found.st_mode) else None
+
+
+def _files(folder: Path) -> Iterator[tuple[str, Path]]:
+    """Each file below `folder` with its name relative to it, in a fixed order; links count as files."""
+    for root, folders, names in os.walk(folder):
+        folders.sort()
+        for name in sorted(names):
+            path = Path(root, name)
+            yield path.relative_to(folder).as_posix(), path
+
+
+class ArtifactWriter:
+    """Writes one artifact in a temporary folder beside its final place; `finish` makes it appear whole.
+
+    Left without `finish` (an exception, a kill), nothing appears and an earlier artifact in its place is untouched.
+    """
+
+    def __init__(self, target: Path):
+        self.target = Path(target)
+        self.target.parent.mkdir(parents=True, exist_ok=True)
+        self.folder = self.target.parent / f".{self.target.name}.{owner()}.partial"
+        _remove_dead_partials(self.target)
+        self.folder.mkdir()
+
+    def __enter__(self) -> "ArtifactWriter":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+    def path(self, name: str) -> Path:
+        """Where to write a file of the artifact. UserError where the name, which data may have given, leads out."""
+        path = self.folder / _expect_inside(name)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return path
+
+    def finish(self, manifest: dict[str, Any], run: dict[str, Any], *, inputs: Iterable[Path] = ()) -> Artifact:
+        """List and digest the files, write the manifest last, flush to disk and rename into place.
+
+        An artifact that stands there already (made by older code under the same settings) is kept beside the new one
+        as `<key>.superseded-<its digest>`.
+        """
+        files = {}
+        for name, path in _files(self.folder):
+            files[name] = {"bytes": path.stat().st_size, "sha256": file_digest(path)}
+            if _is_chunk(name) and files[name]["bytes"] >= 4:
+                files[name]["tail"] = _tail(path)
+        manifest = {"format": FORMAT, **manifest, "files": files}
+        text = json.dumps(manifest, indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
+        data = text.encode("utf-8")
+        (self.folder / RUN).write_text(run_text(run, data))
+        (self.folder / MANIFEST).write_bytes(data)
+        date_not_before(self.folder / MANIFEST, inputs)
+        _flush(self.folder)
+        old = _retire(self.target, self.folder)
+        os.rename(self.folder, self.target)
+        _flush_folder(self.target.parent)
+        if old:
+            shutil.rmtree(old, ignore_errors=True)
+        return Artifact(self.target, manifest)
+
+
+def date_not_before(path: Path, inputs: Iterable[Path]) -> None:
+    """Date a file no earlier than those that it was made from: Snakemake takes an earlier one for a failed job, as it
+    is where the clock was set back in between."""
+    newest = max((item.stat().st_mtime_ns for item in inputs), default=0)
+    if path.stat().st_mtime_ns < newest:
+        os.utime(path, ns=(newest, newest))
+
+
+def _remove_dead_partials(target: Path) -> None:
+    """Remove what killed runs of this very artifact left behind on this machine; those of living processes stay."""
+    for path in target.parent.glob(f".{target.name}.*.partial"):
+        at, process = owner_of(path.name)
+        if at in ("", host()) and (not is_alive(process) or process == identity()):
+            shutil.rmtree(path, ignore_errors=True)
+
+
+def _retire(target: Path, successor: Path) -> Path | None:
+    """Move what stands at the artifact's place out of the way, whole; its new path where it can go afterwards.
+
+    A finished artifact with another content is kept, under a name that tells its digest; a torn one or an equal can go.
+    """
+    if not target.exists():
+        return None
+    manifest = target / MANIFEST
+    if manifest.is_file() and file_digest(manifest) != file_digest(successor / MANIFEST):
+        aside = target.with_name(f"{target.name}.superseded-{file_digest(manifest)[:8]}")
+        if not aside.exists():
+            os.rename(target, aside)
+            return None
+    old = target.with_name(f".{target.name}.old.{owner()}.partial")
+    os.rename(target, old)
+    return old
+
+
+def _flush(folder: Path) -> None:
+    for _, path in _files(folder):
+        with open(path, "rb") as handle:
+            os.fsync(handle.fileno())
+    for root, _, _ in os.walk(folder):
+        _flush_folder(Path(root))
+
+
+def _flush_folder(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,140 @@
+"""Closed settings models: an unknown key is an error that names the nearest known one."""
+
+import difflib
+import re
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+
+from nishiki.artifacts.limits import names_of
+from nishiki.errors import UserError
+
+
+class Closed(BaseModel):
+    """Base of every settings model: frozen, no unknown keys, no silent conversion of strings to numbers."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=False, allow_inf_nan=False)
+
+
+class Guarded(Closed):
+    """Base of the settings of a stage: its result is checked against the limits of `nishiki.artifacts.limits`."""
+
+    allow: tuple[str, ...] = Field(
+        (), description="names of limits (docs/stability.md) that the result may exceed; otherwise the run stops there"
+    )
+
+    @field_validator("allow")
+    @classmethod
+    def _known_limits(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        known = names_of(cls.STAGE)
+        for name in names:
+            if name not in known:
+                near = difflib.get_close_matches(name, known, n=1)
+                hint = f"did you mean {near[0]!r}?" if near else f"there are: {', '.join(known) or 'none'}"
+                raise ValueError(f"no limit of {cls.STAGE} is called {name!r}; {hint}")
+        return tuple(sorted(set(names)))
+
+
+Model = TypeVar("Model", bound=Closed)
+
+
+def parse(model: type[Model], values: Any, where: str) -> Model:
+    """`values` as a checked `model`.
+
+    Raises UserError naming `where` (a file, or a block of one), the key, what was found and what was expected.
+    """
+    if values is None:
+        values = {}
+    if not isinstance(values, dict):
+        raise UserError(f"{where}: expected a block of keys and values, found {type(values).__name__} {values!r}")
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        raise UserError(f"{where}: {'; '.join(_explained(model, values, error.errors()))}") from None
+
+
+def _explained(model: type[Closed], values: dict, problems: list[dict]) -> list[str]:
+    """One text for each value that is wrong. A value of several kinds has a problem for each: those of the kind that it
+    comes nearest to are told, or all in one."""
+    found: dict[tuple, list[tuple[tuple, dict]]] = {}
+    for problem in problems:
+        path, chosen = _written(values, problem["loc"])
+        found.setdefault(chosen, []).append((path, problem))
+    texts = []
+    for chosen, several in found.items():
+        deepest = max(len(path) for path, _ in several)
+        nearest = [(path, problem) for path, problem in several if len(path) == deepest]
+        if len(nearest) == 1 or deepest > len(chosen):
+            texts += [_explain(model, {**problem, "loc": path}) for path, problem in nearest]
+        else:
+            wanted = dict.fromkeys(_plain(problem["msg"]).removeprefix("input should be ") for _, problem in nearest)
+            path = ".".join(map(str, chosen))
+            texts.append(f"{path}: input should be {' or '.join(wanted)}, found {nearest[0][1]['input']!r}")
+    return texts
+
+
+def _written(values: Any, place: tuple) -> tuple[tuple, tuple]:
+    """The keys of a problem's place as the user wrote them, and those up to where the kind of a value is chosen.
+
+    Between them, pydantic names the kinds that it tried. A key that is missing or unknown ends the way.
+    """
+    path: list = []
+    chosen = None
+    for number, part in enumerate(place):
+        inside = isinstance(values, dict) and part in values
+        listed = isinstance(values, list | tuple) and isinstance(part, int) and part < len(values)
+        if inside or listed:
+            path.append(part)
+            values = values[part]
+        elif number + 1 == len(place) and _may_be_missing(values, part):
+            path.append(part)
+        elif chosen is None:
+            chosen = tuple(path)
+    return tuple(path), tuple(path) if chosen is None else chosen
+
+
+def _may_be_missing(values: Any, part: str | int) -> bool:
+    """Whether the last part of a problem's place is what a block or list lacks, or should not have."""
+    if isinstance(part, int):
+        return isinstance(values, list | tuple)
+    return isinstance(values, dict) and "[" not in part  # not "[key]", nor a kind like "literal['auto']"
+
+
+def _plain(message: str) -> str:
+    """A message of pydantic in the words of the configuration."""
+    text = message[0].lower() + message[1:]
+    text = re.sub(r"a valid dictionary( or instance of \w+)?", "a block of keys and values", text)
+    text = re.sub(r"a valid (tuple|list|array)", "a list", text)
+    return re.sub(r"a valid (integer|number), unable to parse string as (an?) \w+", r"\2 \1", text)
+
+
+def _explain(model: type[Closed], problem: dict) -> str:
+    path = ".".join(str(part) for part in problem["loc"])
+    if problem["type"] == "extra_forbidden":
+        known = _known_keys(model, problem["loc"][:-1])
+        near = difflib.get_close_matches(str(problem["loc"][-1]), known, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"known keys: {', '.join(known)}"
+        return f"unknown key {path!r}; {hint}"
+    if problem["type"] == "missing":
+        return f"key {path!r} is missing"
+    return f"{path}: {_plain(problem['msg'])}, found {problem['input']!r}"
+
+
+def _known_keys(model: type[Closed], path: tuple) -> list[str]:
+    """Keys of the block at `path` inside `model` (unions are searched for the first model that fits)."""
+    for part in path:
+        field = model.model_fields.get(str(part)) if isinstance(part, str) else None
+        inner = _inner_model(field.annotation) if field else None
+        if inner is not None:
+            model = inner
+    return sorted(model.model_fields)
+
+
+def _inner_model(annotation: Any) -> type[Closed] | None:
+    if isinstance(annotation, type) and issubclass(annotation, Closed):
+        return annotation
+    for argument in getattr(annotation, "__args__", ()):
+        found = _inner_model(argument)
+        if found is not None:
+            return found
+    return None

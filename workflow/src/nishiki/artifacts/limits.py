@@ -1,0 +1,133 @@
+"""What a result may not exceed: conditions, flagged shares, registration, lost texels. Beyond a limit the run stops.
+
+A limit stands far outside what sound captures give (docs/stability.md lists what those gave), so that it is only met
+where the result would mislead. The setting `allow` of a stage lists the limits that its result may exceed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from nishiki.errors import UserError
+
+Figure = Callable[[Mapping[str, Any]], float | None]
+
+
+@dataclass(frozen=True)
+class Limit:
+    """figure: of the stage's diagnostics, None where it does not apply. The result is beyond the limit below `least` or
+    above `most`; without either the figure is reported only. why: the limit and not another; remedy: what to change.
+    """
+
+    name: str
+    meaning: str
+    figure: Figure
+    most: float | None = None
+    least: float | None = None
+    remedy: str = ""
+    why: str = ""
+
+    def beyond(self, value: float) -> bool:
+        """Whether a value is beyond the limit; a NaN is."""
+        above, below = self.most is not None, self.least is not None
+        return (above and not value <= self.most) or (below and not value >= self.least)
+
+    @property
+    def stated(self) -> str:
+        """The limit in words, empty where there is none."""
+        if self.most is not None:
+            return f"at most {self.most:g}"
+        return "" if self.least is None else f"at least {self.least:g}"
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One figure of a result beside its limit. allowed: beyond it, and told to pass."""
+
+    limit: Limit
+    value: float
+    beyond: bool
+    allowed: bool
+
+
+def at(path: str) -> Figure:
+    """The diagnostic at a dotted path; None where it is missing."""
+
+    def figure(told: Mapping[str, Any]) -> float | None:
+        value: Any = told
+        for part in path.split("."):
+            value = value.get(part) if isinstance(value, Mapping) else None
+        return None if value is None else float(value)
+
+    return figure
+
+
+def share(part: str, whole: str) -> Figure:
+    """One diagnostic as a share of another; 0 of nothing is 0."""
+
+    def figure(told: Mapping[str, Any]) -> float | None:
+        value, total = at(part)(told), at(whole)(told)
+        return None if value is None or total is None else value / total if total else 0.0
+
+    return figure
+
+
+def extreme(path: str, of: Callable[[Iterable[float]], float] = max) -> Figure:
+    """The largest (or smallest) number in the list or block at a dotted path."""
+
+    def figure(told: Mapping[str, Any]) -> float | None:
+        value: Any = told
+        for part in path.split("."):
+            value = value.get(part) if isinstance(value, Mapping) else None
+        numbers = [float(each) for each in _leaves(value) if each is not None]
+        return of(numbers) if numbers else None
+
+    return figure
+
+
+def _leaves(value: Any) -> Iterable[Any]:
+    if isinstance(value, Mapping):
+        value = list(value.values())
+    if isinstance(value, list | tuple):
+        for each in value:
+            yield from _leaves(each)
+    else:
+        yield value
+
+
+def names_of(stage: str) -> tuple[str, ...]:
+    """Names that the setting `allow` of a stage takes."""
+    from nishiki.artifacts.limits_table import LIMITS
+
+    return tuple(limit.name for limit in LIMITS.get(stage, ()) if limit.stated)
+
+
+def readings(stage: str, diagnostics: Mapping[str, Any], allow: Iterable[str] = ()) -> list[Reading]:
+    """Every figure of a stage that has a limit or counts flags, in the order of the table."""
+    from nishiki.artifacts.limits_table import LIMITS
+
+    allow, found = set(allow), []
+    for limit in LIMITS.get(stage, ()):
+        value = limit.figure(diagnostics)
+        if value is not None:
+            beyond = limit.beyond(value)
+            found.append(Reading(limit, value, beyond, beyond and limit.name in allow))
+    return found
+
+
+def check(stage: str, diagnostics: Mapping[str, Any], allow: Iterable[str] = ()) -> None:
+    """UserError naming each limit that the result of a stage is beyond, with its remedy, unless it is allowed."""
+    wrong = [each for each in readings(stage, diagnostics, allow) if each.beyond and not each.allowed]
+    if wrong:
+        told = "; ".join(
+            f"{each.limit.meaning} is {each.value:.4g}, expected {each.limit.stated} (limit {each.limit.name}). "
+            f"Remedy: {each.limit.remedy}"
+            for each in wrong
+        )
+        names = ", ".join(each.limit.name for each in wrong)
+        raise UserError(
+            f"the result is beyond what can be trusted and is not kept: {told}. To keep such a result all the same, "
+            f"set {stage}.allow: [{names}]; what finished before stays"
+        )

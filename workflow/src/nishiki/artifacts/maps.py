@@ -1,0 +1,69 @@
+"""Maps of a plane scene in Zarr: one array a quantity, one chunk a band of rows, written and read by bands.
+
+Chunks carry a checksum (zstd frames with their own, so that a flipped bit cannot pass), and chunks of fill value are
+written like any other: a missing chunk is damage, not data.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import zarr
+from zarr.codecs import ZstdCodec
+
+from nishiki.formats.stored import open_group
+
+STORE = "maps.zarr"
+ZSTD_LEVEL = -1
+"""Fast enough to cost nothing beside the checksum. Measured floats hardly shrink at any level (to 0.9 at level 1);
+counts, flags and what is empty do."""
+
+
+class MapWriter:
+    """Writes the maps of one artifact."""
+
+    def __init__(self, folder: Path, *, rows: int, columns: int, band_rows: int, stamp: dict[str, str]):
+        self.shape = (rows, columns)
+        self.band_rows = band_rows
+        self.group = zarr.create_group(Path(folder) / STORE, attributes={"stamp": stamp})
+
+    def create(self, name: str, trailing: tuple[int, ...] = (), *, dtype: str = "float32", **attributes) -> zarr.Array:
+        """An array (rows, columns, *trailing); `attributes` say unit and meaning; `nan`, what a NaN means in it: an
+        array without this attribute may not hold one (`nishiki.artifacts.finite`)."""
+        rows, columns = self.shape
+        return self.group.create_array(
+            name,
+            shape=(rows, columns, *trailing),
+            chunks=(min(self.band_rows, rows), columns, *trailing),
+            dtype=dtype,
+            compressors=[ZstdCodec(level=ZSTD_LEVEL, checksum=True)],
+            attributes=attributes,
+            config={"write_empty_chunks": True},
+        )
+
+    def write(self, name: str, values: np.ndarray, **attributes) -> None:
+        """A whole map at once."""
+        values = np.asarray(values)
+        self.create(name, values.shape[2:], dtype=str(values.dtype), **attributes)[...] = values
+
+
+class Maps:
+    """The maps of one artifact, for reading."""
+
+    def __init__(self, folder: Path):
+        self.group = open_group(Path(folder) / STORE)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.group
+
+    def read(self, name: str, rows: slice = slice(None)) -> np.ndarray:
+        """A map, or a band of its rows."""
+        return self.group[name][rows]
+
+    def attributes(self, name: str) -> dict:
+        """What was said of a map when it was written."""
+        return dict(self.group[name].attrs)
+
+
+def shading_normals(maps: Maps, rows: slice = slice(None)) -> np.ndarray:
+    """Normals of the body shading, of some rows: the stage's own maps of them where it made any, else its normals."""
+    return maps.read("shading_normals" if "shading_normals" in maps else "normals", rows)

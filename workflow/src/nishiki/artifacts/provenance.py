@@ -1,0 +1,161 @@
+"""Stage keys and code digests: what decides whether a stage has to run.
+
+The key of a stage is the start of the SHA-256 of a canonical text of everything that decides its result, apart from the
+code: stage name and format version, exactly the settings that it reads, and the keys of its upstream artifacts.
+The code digest covers the syntax trees of the stage's script and of every module of this project that it imports,
+directly or not, without comments and docstrings.
+"""
+
+import functools
+import hashlib
+import importlib.metadata
+import json
+import math
+import unicodedata
+from pathlib import Path
+from typing import Any
+
+from nishiki.artifacts.syntax import syntax_of
+from nishiki.errors import UserError
+
+KEY_DIGITS = 12
+SOURCE = Path(__file__).resolve().parents[2]
+PACKAGE = "nishiki"
+
+
+def canonical(value: Any) -> str:
+    """Canonical JSON text of `value`: keys sorted, 1 and 1.0 equal, Unicode in NFC, no spaces.
+
+    Raises ValueError for NaN and infinities, which have no place in a configuration, and TypeError for other types.
+    """
+    return json.dumps(_normal(value), sort_keys=True, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+
+
+def _normal(value: Any) -> Any:
+    if isinstance(value, bool) or value is None:
+        return value
+    if isinstance(value, int):
+        return value
+    if isinstance(value, float):
+        if not math.isfinite(value):
+            raise ValueError(f"a setting must be finite, found {value}")
+        return int(value) if value.is_integer() and abs(value) < 2**53 else value
+    if isinstance(value, str):
+        return unicodedata.normalize("NFC", value)
+    if isinstance(value, dict):
+        return {unicodedata.normalize("NFC", str(key)): _normal(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_normal(item) for item in value]
+    raise TypeError(f"a setting must be made of numbers, texts, lists and blocks, found {type(value).__name__}")
+
+
+def stage_key(stage: str, version: int, settings: dict, upstream: dict[str, str]) -> str:
+    """Key of a stage: 12 hexadecimal digits. `upstream` maps stage names (or `capture`) to their keys or digests."""
+    return key_of_text(stage, version, canonical(settings), upstream)
+
+
+def key_of_text(stage: str, version: int, settings: str, upstream: dict[str, str]) -> str:
+    """The same from the canonical text of the settings, which thousands of scenes may share."""
+    rest = canonical({"stage": stage, "upstream": upstream, "version": version})
+    text = f'{{"settings":{settings},{rest[1:]}'  # canonical text of all four: "settings" is the first in order
+    return hashlib.sha256(text.encode()).hexdigest()[:KEY_DIGITS]
+
+
+def differences(first: dict, second: dict, path: str = "") -> list[str]:
+    """Each place where two settings blocks differ, as `place: first -> second`."""
+    found = []
+    for key in sorted(set(first) | set(second), key=str):
+        place = f"{path}.{key}" if path else str(key)
+        a, b = first.get(key, "(absent)"), second.get(key, "(absent)")
+        if isinstance(a, dict) and isinstance(b, dict):
+            found += differences(a, b, place)
+        elif _normal(a) != _normal(b):
+            found.append(f"{place}: {a!r} -> {b!r}")
+    return found
+
+
+def code_digest(script: Path) -> str:
+    """Digest of the code that a script runs: itself, every module of this project that it imports, and their tables."""
+    digest = hashlib.sha256()
+    script = Path(script).resolve()
+    files = code_files(script)
+    for path in files:
+        name = path.relative_to(SOURCE) if SOURCE in path.parents else path.name
+        digest.update(f"{name}\0{syntax_of(path).tree}\0".encode())
+    for path in data_files(files):
+        digest.update(f"{path.relative_to(SOURCE)}\0{file_digest(path)}\0".encode())
+    return digest.hexdigest()[:KEY_DIGITS]
+
+
+def code_files(script: Path) -> list[Path]:
+    """The script and the project's modules that it imports, directly or not, in a fixed order."""
+    script = Path(script).resolve()
+    seen: set[Path] = set()
+    queue = [script]
+    while queue:
+        path = queue.pop()
+        if path not in seen:
+            seen.add(path)
+            queue += _imports(path)
+    return [script, *sorted(seen - {script})]
+
+
+@functools.cache
+def _imports(path: Path) -> tuple[Path, ...]:
+    """Project modules named in any import statement of a file, late imports inside functions included."""
+    found = set()
+    for name in syntax_of(path).names:
+        parts = name.split(".")
+        local = path.parent / f"{parts[0]}.py"
+        if parts[0] == PACKAGE:
+            found |= set(_module_files(name))
+        elif path.parent != SOURCE / PACKAGE and len(parts) == 1 and local.is_file() and SOURCE not in path.parents:
+            found.add(local.resolve())  # a script's neighbour in scripts/
+    return tuple(sorted(found - {path}))
+
+
+def _module_files(name: str) -> list[Path]:
+    """The module's file and those of the packages that it lies in (importing it runs them)."""
+    parts = name.split(".")
+    packages = [SOURCE.joinpath(*parts[: end + 1], "__init__.py") for end in range(len(parts))]
+    candidates = [SOURCE.joinpath(*parts).with_suffix(".py"), *packages]
+    return [path for path in candidates if path.is_file()]
+
+
+def data_files(modules: list[Path]) -> list[Path]:
+    """Tables and templates that lie in the rooms of the modules: they decide the result as code does."""
+    rooms = {path.parent for path in modules if SOURCE / PACKAGE in path.parent.parents}
+    return sorted(
+        item for room in rooms for item in room.iterdir() if item.is_file() and item.suffix not in (".py", ".md")
+    )
+
+
+@functools.cache
+def library_version(name: str) -> str:
+    """Installed version of a library, `absent` where it is not installed (an optional one)."""
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return "absent"
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of a file, 64 hexadecimal digits."""
+    with open(path, "rb") as handle:
+        return hashlib.file_digest(handle, "sha256").hexdigest()
+
+
+def truth_digest(path: Path) -> str:
+    """Digest of a truth: of a file, of a folder's manifest, or of all files of a folder without one.
+
+    Raises UserError where there is none.
+    """
+    if path.is_file():
+        return file_digest(path)
+    if not path.is_dir():
+        raise UserError(f"{path}: truth not found; correct the column truth of the scene table, or leave it empty")
+    manifest = path / "manifest-sha256.txt"
+    if manifest.is_file():
+        return file_digest(manifest)
+    files = {item.relative_to(path).as_posix(): file_digest(item) for item in sorted(path.rglob("*")) if item.is_file()}
+    return hashlib.sha256(canonical(files).encode()).hexdigest()

@@ -1,0 +1,64 @@
+"""`results/<scene>/current`: links to the present artifacts, and to the files that a user wants to open."""
+
+import json
+import os
+import shutil
+from pathlib import Path
+
+from nishiki.artifacts.artifact import MANIFEST, date_not_before
+from nishiki.artifacts.provenance import file_digest
+from nishiki.processes import owner
+
+INDEX = "index.json"
+
+DELIVERABLES = {
+    "report": ("*.html",),
+    "object_report": ("*.html",),
+    "object_render": ("*.png", "*.exr", "*.mp4", "*.webp"),
+    "mesh": ("*.ply",),
+    "reflectance": ("*.png", "*.csv"),
+    "weave": ("*.ply", "*.png", "*.svg"),
+    "fabric": ("*.npz", "*.csv"),
+    "fabric_render": ("*.png", "*.exr", "*.mp4"),
+    "fabric_evaluate": ("*.csv",),
+    "fabric_report": ("*.html",),
+    "polarise": ("*.png", "*.exr"),
+    "render": ("*.png", "*.exr", "*.mp4", "*.webp"),
+    "normals": ("*.png", "*.exr"),
+    "spectra": ("*.exr",),
+    "height": ("*.exr",),
+}
+
+
+def publish(current: Path, *, scene: str, stages: dict[str, str], code: str = "") -> Path:
+    """Make `current` hold a link a stage and a link a deliverable, and an index with the artifacts' digests.
+
+    current: results/<scene>/current; stages: names and keys; code: digest of the code that publishes. The folder is
+    built beside its place and swapped in.
+    """
+    folder = current.parent
+    partial, old = (folder / f".current{what}.{owner()}.partial" for what in ("", ".old"))
+    for path in (partial, old):
+        shutil.rmtree(path, ignore_errors=True)
+    partial.mkdir(parents=True)
+    artifacts = {}
+    for stage, key in stages.items():
+        os.symlink(os.path.join("..", stage, key), partial / stage)
+        artifacts[stage] = {"key": key, "digest": file_digest(folder / stage / key / MANIFEST)}
+        for pattern in DELIVERABLES.get(stage, ()):
+            for path in sorted((folder / stage / key).glob(pattern)):
+                os.symlink(os.path.join("..", stage, key, path.name), partial / path.name)
+    (partial / INDEX).write_text(index_text(scene, artifacts, code))
+    date_not_before(partial / INDEX, [folder / stage / key / MANIFEST for stage, key in stages.items()])
+    # Moved away whole: killed here, there is no folder, and the next run publishes; never one that lacks links.
+    if current.exists() or current.is_symlink():
+        os.rename(current, old)
+    os.rename(partial, current)
+    shutil.rmtree(old, ignore_errors=True)
+    return current
+
+
+def index_text(scene: str, artifacts: dict[str, dict[str, str]], code: str = "") -> str:
+    """Text of the index: of every stage the key and the digest of its artifact, and the digest of the code."""
+    values = {"scene": scene, "artifacts": artifacts} | ({"code": code} if code else {})
+    return json.dumps(values, indent=1, sort_keys=True) + "\n"

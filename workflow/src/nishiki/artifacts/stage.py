@@ -1,0 +1,207 @@
+"""The frame around every stage's script: arguments in, checked inputs, one artifact out."""
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+from nishiki.artifacts.artifact import MANIFEST, Artifact, ArtifactWriter, open_artifact
+from nishiki.artifacts.bounds import at_bounds
+from nishiki.artifacts.closed import Closed, parse
+from nishiki.artifacts.finite import expect_finite
+from nishiki.artifacts.limits import check
+from nishiki.artifacts.provenance import canonical, stage_key
+from nishiki.artifacts.run_facts import RunFacts
+from nishiki.artifacts.scatter import Part, Scattered, in_order
+from nishiki.errors import UserError, of_the_machine
+from nishiki.packages import load_all
+from nishiki.progress import Progress
+from nishiki.version import PROJECT_VERSION
+
+Item = TypeVar("Item")
+NAMELESS = "scene"
+"""Scene of a stage that is run by hand without a name."""
+
+
+@dataclass(frozen=True)
+class Context:
+    """What a stage's function is given."""
+
+    inputs: dict[str, Artifact]
+    settings: Any
+    output: ArtifactWriter
+    capture: Path | None
+    truth: Path | None
+    stamp: dict[str, str]
+    progress: Progress
+    part: Part | None = None  # of a divided stage: the share that this job does
+    parts: tuple[Artifact, ...] = ()  # of a divided stage: what the one that joins them is given
+
+    def share(self, items: Sequence[Item]) -> Sequence[Item]:
+        """Those of the bands (or other equal pieces of work) that this job does: all, unless it is a part."""
+        return self.part.share(items) if self.part else items
+
+
+def run_stage(
+    settings_model: type[Closed],
+    run: Callable[[Context], dict[str, Any]],
+    description: str,
+    *,
+    digest_of_capture: Callable[[Path], str] | None = None,
+) -> None:
+    """Run one stage from the command line. Exit status 0: done; 2: bad input, told in one line; 1: a bug.
+
+    digest_of_capture: for the first stage, whose key starts from the capture instead of upstream artifacts.
+    """
+    arguments = _arguments(settings_model, description)
+    who = settings_model.STAGE if arguments.scene == NAMELESS else f"{arguments.scene}/{settings_model.STAGE}"
+    try:
+        _run(settings_model, run, arguments, digest_of_capture)
+    except UserError as error:
+        print(f"nishiki {who}: {error}", file=sys.stderr)
+        raise SystemExit(2) from None
+    except KeyboardInterrupt:
+        print(f"nishiki {who}: interrupted", file=sys.stderr)
+        raise SystemExit(130) from None
+    except (OSError, MemoryError) as error:
+        message = of_the_machine(error)
+        if message is None:
+            raise
+        print(f"nishiki {who}: {message}. Nothing finished is lost.", file=sys.stderr)
+        raise SystemExit(2) from None
+
+
+def _arguments(model: type[Closed], description: str) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        description=description,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        epilog="settings:\n" + "\n".join(_help_of(model)),
+    )
+    parser.add_argument("--scene", default=NAMELESS, help="name of the scene, for stamps and messages")
+    parser.add_argument("--inputs", nargs="*", default=[], metavar="FOLDER", help="artifacts of the upstream stages")
+    parser.add_argument("--capture", type=Path, help="capture folder (ingest only)")
+    parser.add_argument("--truth", type=Path, help="folder of the truth (evaluate)")
+    parser.add_argument("--part", metavar="N/M", help="do only this share of the work; --output: folder of the part")
+    parser.add_argument("--settings", default="{}", metavar="JSON", help="settings of this stage; the rest by default")
+    parser.add_argument("--code", default="", help="digest of the code, recorded in the artifact")
+    parser.add_argument("--libraries", default="{}", metavar="JSON", help="library versions, recorded in the artifact")
+    parser.add_argument(
+        "--load-everything", action="store_true", help="import every heavy package, to measure the cost"
+    )
+    parser.add_argument(
+        "--output",
+        type=Path,
+        required=True,
+        help="results folder of the stage (the key is appended), or the path of the artifact.json to make",
+    )
+    return parser.parse_args()
+
+
+def _help_of(model: type[Closed]) -> list[str]:
+    return [
+        f"  {name:18} {field.description or ''} (default {field.default!r})"
+        for name, field in model.model_fields.items()
+    ]
+
+
+def _run(
+    model: type[Closed],
+    run: Callable[[Context], dict[str, Any]],
+    arguments: argparse.Namespace,
+    digest_of_capture: Callable[[Path], str] | None,
+) -> None:
+    facts = RunFacts()
+    if arguments.load_everything:
+        load_all()
+    settings = parse(model, _json(arguments.settings, "--settings"), f"settings of {model.STAGE}")
+    inputs, parts = _opened(arguments.inputs)
+    upstream = _upstream(inputs, arguments.capture, digest_of_capture)
+    values = settings.model_dump(mode="json")
+    key = stage_key(model.STAGE, model.VERSION, values, upstream)
+    read = {name: {"key": item.key, "digest": item.digest} for name, item in inputs.items()}
+    parts = in_order(parts, key=key, code=arguments.code, upstream=read) if parts else ()
+    part = _part(arguments.part, run, model.STAGE)
+    target = arguments.output if part else _target(arguments.output, key)
+    stamp = {"scene": arguments.scene, "stage": model.STAGE, "key": key, "version": PROJECT_VERSION}
+    with ArtifactWriter(target) as output:
+        context = Context(
+            inputs,
+            settings,
+            output,
+            arguments.capture,
+            arguments.truth,
+            stamp,
+            Progress(f"{arguments.scene}/{model.STAGE}"),
+            part,
+            parts,
+        )
+        diagnostics = run(context)
+        if not part:
+            check(model.STAGE, diagnostics, settings.allow)
+            for each in at_bounds(diagnostics):
+                who = model.STAGE if arguments.scene == NAMELESS else f"{arguments.scene}/{model.STAGE}"
+                print(f"nishiki {who}: warning: a fitted parameter ended at its bound: {each}", file=sys.stderr)
+        expect_finite(output.folder, model.STAGE)
+        manifest = {
+            **stamp,
+            **({"part": arguments.part} if part else {}),
+            "format_version": model.VERSION,
+            "settings": json.loads(canonical(values)),
+            "upstream": read or {"capture": {"digest": upstream["capture"]}},
+            "code": arguments.code,
+            "libraries": _json(arguments.libraries, "--libraries"),
+            "diagnostics": diagnostics,
+        }
+        made_from = [Path(name) if name.endswith(MANIFEST) else Path(name, MANIFEST) for name in arguments.inputs]
+        output.finish(manifest, facts.finish(arguments.capture), inputs=made_from)
+
+
+def _opened(folders: list[str]) -> tuple[dict[str, Artifact], list[Artifact]]:
+    """Upstream artifacts by stage, and the parts of the stage itself."""
+    opened = [open_artifact(Path(folder)) for folder in folders]
+    inputs = {artifact.stage: artifact for artifact in opened if "part" not in artifact.manifest}
+    return inputs, [artifact for artifact in opened if "part" in artifact.manifest]
+
+
+def _upstream(
+    inputs: dict[str, Artifact], capture: Path | None, digest_of_capture: Callable[[Path], str] | None
+) -> dict[str, str]:
+    """Keys of the upstream artifacts; of the first stage, the digest of the capture."""
+    if not digest_of_capture:
+        return {name: artifact.key for name, artifact in inputs.items()}
+    if capture is None:
+        raise UserError("--capture is needed: the sealed capture folder")
+    return {"capture": digest_of_capture(capture)}
+
+
+def _part(text: str | None, run: Callable[[Context], dict[str, Any]], stage: str) -> Part | None:
+    if text is None:
+        return None
+    if not isinstance(run, Scattered):
+        raise UserError(f"--part: {stage} cannot be divided")
+    return Part.parse(text)
+
+
+def _json(text: str, where: str) -> dict[str, Any]:
+    try:
+        value = json.loads(text)
+    except ValueError as error:
+        raise UserError(f"{where}: not valid JSON ({error})") from None
+    if not isinstance(value, dict):
+        raise UserError(f"{where}: expected a JSON object, found {text!r}")
+    return value
+
+
+def _target(output: Path, key: str) -> Path:
+    """Folder of the artifact; raises UserError where the workflow expected another key than the inputs give."""
+    if output.name != MANIFEST:
+        return output / key
+    if output.parent.name != key:
+        raise UserError(
+            f"{output.parent}: settings and inputs give the key {key}. Remedy: the inputs are not those that "
+            "were planned; run again."
+        )
+    return output.parent

@@ -1,0 +1,206 @@
+"""Charts: few, large, connected pieces of a mesh, each of which lies flat when seen along its own direction.
+
+Triangles are labelled by the one of six directions that their smoothed normal is nearest to, four of them around the
+turntable's axis; small pieces go to their neighbours; and where the projection along a piece's mean normal turns a
+triangle over, or lays one onto another, the piece is split. What is left is a bijection from every chart to the plane.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+from nishiki.atlas.adjacency import across_edges, borders, components, smoothed, smoothed_vertices, spread
+from nishiki.atlas.flatten import Frame, flatten, frame_along, overlapping
+from nishiki.geometry.mesh import Mesh, face_vectors
+
+ROUNDS = 12
+"""Of splitting and naming anew; each split-off piece is judged by its own direction in the next round."""
+SMOOTHING = (0, 4, 16, 64, 256)
+"""Rounds of smoothing tried before the projection, in this order."""
+FEW = 0.005
+"""Share of the triangles that may be split off at first; more, and the attempt is given up."""
+MANY = 50
+"""Charts that are few enough."""
+
+
+@dataclass(frozen=True)
+class Charts:
+    """chart (f,) int32, -1 for triangles without area that touch no other; frames: direction and axes of each chart;
+    plane (f, 3, 2) float64: (down, right) of the corners in the chart's plane, in the world's unit; smoothing_rounds:
+    of `smoothed_vertices` before the projection; degenerate: triangles without area; flipped, overlapped: triangles
+    that were split off for that reason, over all rounds."""
+
+    chart: np.ndarray
+    frames: Frame
+    plane: np.ndarray
+    smoothing_rounds: int
+    degenerate: int
+    flipped: int
+    overlapped: int
+
+
+def make_charts(mesh: Mesh, *, up: np.ndarray, front: np.ndarray, spacing: float, **settings) -> Charts:
+    """Cut a mesh into charts.
+
+    up, front (3,): the turntable's axis and a direction across it; spacing: distance of the probes that look for
+    overlaps, in the world's unit (half a texel); settings: of `cut`. The surface is flattened as it is where that
+    makes at most `MANY` charts, otherwise smoothed before, by as many of `SMOOTHING` rounds as make so few, or the
+    fewest: on a rough surface many triangles turn away from any direction, and each would become a chart of its own.
+    """
+    best = None
+    for rounds in SMOOTHING:
+        vertices = smoothed_vertices(mesh.vertices, mesh.triangles, rounds=rounds)
+        patience = FEW if best is not None or rounds < SMOOTHING[-1] else 1.0
+        charts = cut(mesh, vertices, rounds, up=up, front=front, spacing=spacing, patience=patience, **settings)
+        if charts is not None and (best is None or len(charts.frames.direction) < len(best.frames.direction)):
+            best = charts
+        if best is not None and len(best.frames.direction) <= MANY:
+            break
+    return best
+
+
+def cut(
+    mesh: Mesh,
+    vertices: np.ndarray,
+    rounds: int,
+    *,
+    up: np.ndarray,
+    front: np.ndarray,
+    spacing: float,
+    range_of_normals: float = 0.02,
+    smallest: float = 0.01,
+    steepest_deg: float = 80.0,
+    patience: float = 1.0,
+) -> Charts | None:
+    """Charts of a mesh whose smoothed vertices (v, 3), `rounds` of it, are flattened; None where more than `patience`
+    of the triangles are turned over.
+
+    range_of_normals: over which normals are averaged before they are judged, of the mesh's extent; smallest: area
+    below which a piece is merged, of the whole surface; steepest_deg: largest angle between a triangle and its chart.
+    """
+    neighbours = across_edges(mesh.triangles)
+    normals, areas = unit_normals(mesh, vertices)
+    usable = areas > 0
+    labels = nearest_direction(vertices, normals, areas, neighbours, up=up, front=front, smoothing=range_of_normals)
+    labels = components(np.where(usable, labels, -1).astype(np.int32), neighbours)
+    lengths = edge_lengths(vertices[mesh.triangles])
+    totals = [0, 0]
+    for _ in range(2):  # what splits leave behind is merged once more
+        labels = merge_small(
+            labels, normals, areas, neighbours, lengths, smallest=smallest, lowest=np.cos(np.radians(steepest_deg))
+        )
+        for attempt in itertools.count():
+            frames = frame_along(directions_of(labels, normals, areas), up=up, front=front)
+            plane = flatten(vertices[mesh.triangles], labels, frames)
+            cosines = (normals * frames.direction[labels]).sum(axis=1)
+            flipped = usable & (labels >= 0) & (cosines < np.cos(np.radians(steepest_deg)))
+            overlap = overlapping(plane, np.where(flipped, -1, labels), neighbours, areas, spacing=spacing)
+            away = flipped | overlap
+            if not away.any():
+                break
+            if flipped.mean() > patience:  # smoothing helps against folds, not against overlaps
+                return None
+            totals[0] += int(flipped.sum())
+            totals[1] += int(overlap.sum())
+            if attempt < ROUNDS:
+                labels = split(labels, away, normals, neighbours)
+            else:  # a triangle alone is flat, so this comes to an end
+                labels = labels.copy()
+                labels[away] = labels.max() + 1 + np.arange(away.sum())
+    labels = renumber(spread(np.where(usable, labels, -1).astype(np.int32), neighbours), areas)
+    frames = frame_along(directions_of(labels, normals, areas), up=up, front=front)
+    plane = flatten(vertices[mesh.triangles], labels, frames)
+    return Charts(labels, frames, plane, rounds, int((~usable).sum()), *totals)
+
+
+def unit_normals(mesh: Mesh, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit normals (f, 3) and areas (f,) float64 of the triangles between smoothed vertices (v, 3); 0 where a triangle
+    has no area, smoothed or not."""
+    faces, true_faces = face_vectors(vertices, mesh.triangles), face_vectors(mesh.vertices, mesh.triangles)
+    areas, true_areas = (np.linalg.norm(v, axis=1) / 2 for v in (faces, true_faces))
+    usable = has_area(areas) & has_area(true_areas)
+    normals = np.where(usable[:, None], faces / np.where(usable, 2 * areas, 1)[:, None], 0.0)
+    return normals, np.where(usable, areas, 0.0)
+
+
+def has_area(areas: np.ndarray) -> np.ndarray:
+    """(f,) bool: area finite and not negligible beside the largest."""
+    finite = np.isfinite(areas)
+    return finite & (areas > 1e-12 * np.max(areas, where=finite, initial=0.0))
+
+
+def nearest_direction(vertices, normals, areas, neighbours, *, up, front, smoothing: float) -> np.ndarray:
+    """Label (f,) int32 of the nearest of six directions: along the axis, and four across it."""
+    frame = frame_along(np.asarray(front, np.float64)[None], up=up, front=front)
+    axes = np.concatenate([frame.direction, -frame.down, frame.right])
+    mean_edge = np.sqrt(areas.sum() / max(1, np.count_nonzero(areas)) * 4 / np.sqrt(3))
+    extent = np.linalg.norm(np.nanmax(vertices, axis=0) - np.nanmin(vertices, axis=0))
+    # Averaging over neighbours spreads like diffusion: the range grows with the root of the rounds.
+    rounds = int(np.clip((smoothing * extent / max(mean_edge, 1e-300)) ** 2, 1, 400))
+    mean = smoothed(normals, areas, neighbours, rounds=rounds)
+    return np.argmax(mean @ np.concatenate([axes, -axes]).T, axis=1).astype(np.int32)
+
+
+def edge_lengths(corners: np.ndarray) -> np.ndarray:
+    """(f, 3) float64: length of the edge from corner k to corner k + 1 of (f, 3, 3); 0 where not finite."""
+    return np.nan_to_num(np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2), posinf=0.0)
+
+
+def directions_of(labels: np.ndarray, normals: np.ndarray, areas: np.ndarray) -> np.ndarray:
+    """Mean normal (charts, 3) of each chart, weighted by area, unit length; (0, 0, 1) where they cancel."""
+    inside = labels >= 0
+    count = int(labels.max(initial=-1)) + 1
+    weighted = normals * areas[:, None]
+    sums = np.stack([np.bincount(labels[inside], weighted[inside, k], minlength=count) for k in range(3)], axis=1)
+    lengths = np.linalg.norm(sums, axis=1, keepdims=True)
+    return np.where(lengths > 0, sums / np.where(lengths > 0, lengths, 1), [0.0, 0.0, 1.0])
+
+
+def merge_small(labels, normals, areas, neighbours, lengths, *, smallest: float, lowest: float) -> np.ndarray:
+    """Give pieces smaller than `smallest` of the surface to the neighbour with the longest common border that no
+    triangle of the piece turns away from; a piece that no neighbour can take stays."""
+    whole = areas.sum()
+    for _ in range(40):
+        count = int(labels.max(initial=-1)) + 1
+        size = np.bincount(labels[labels >= 0], areas[labels >= 0], minlength=count)
+        directions = directions_of(labels, normals, areas)
+        pairs, common = borders(labels, neighbours, lengths)
+        small = size[pairs[:, 0]] < smallest * whole
+        pairs, common = pairs[small], common[small]
+        order = np.lexsort((-common, pairs[:, 0], size[pairs[:, 0]]))
+        rank = np.argsort(labels, kind="stable")
+        edges = np.searchsorted(labels[rank], np.arange(count + 1))
+        target, busy = np.arange(count), np.zeros(count, bool)
+        for piece, neighbour in pairs[order]:
+            if busy[piece] or target[neighbour] != neighbour:
+                continue
+            members = rank[edges[piece] : edges[piece + 1]]
+            if (normals[members] @ directions[neighbour]).min() > lowest:
+                target[piece] = neighbour
+                busy[piece] = busy[neighbour] = True
+        if (target == np.arange(count)).all():
+            break
+        labels = np.where(labels >= 0, target[labels], -1)
+        labels = np.unique(labels, return_inverse=True)[1].astype(np.int32) - int((labels < 0).any())
+    return labels.astype(np.int32)
+
+
+def split(labels: np.ndarray, away: np.ndarray, normals: np.ndarray, neighbours: np.ndarray) -> np.ndarray:
+    """New labels (f,) int32 in which the triangles `away` leave their charts, grouped by connection and octant."""
+    octant = ((normals > 0) * np.array([1, 2, 4])).sum(axis=1)
+    keys = np.where(away, 8 * labels.astype(np.int64) + octant, 8 * labels.astype(np.int64) + 8 * (labels.max() + 1))
+    keys = np.where(labels >= 0, keys, -1)
+    named = np.unique(keys, return_inverse=True)[1].reshape(-1) - int((keys < 0).any())
+    return components(named.astype(np.int32), neighbours)
+
+
+def renumber(labels: np.ndarray, areas: np.ndarray) -> np.ndarray:
+    """Charts numbered by area, the largest first."""
+    inside = labels >= 0
+    size = np.bincount(labels[inside], areas[inside], minlength=int(labels.max(initial=-1)) + 1)
+    place = np.empty(len(size), np.int32)
+    place[np.argsort(-size, kind="stable")] = np.arange(len(size))
+    return np.where(inside, place[labels] if len(size) else -1, -1).astype(np.int32)

@@ -1,0 +1,155 @@
+"""Reading texel stacks and pixel samples, tile by tile."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import zarr
+
+from nishiki.atlas.atlas import Atlas
+from nishiki.errors import UserError
+from nishiki.formats.stored import open_group
+from nishiki.geometry.camera import Camera
+
+STORE = "texels.zarr"
+ATLAS = "atlas.npz"
+FORMAT = 1
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Object pixels that lie in one tile.
+
+    observation (n,) int32; s (row), t (column) (n,) float32 in [0, T - 1]; values (n, channels) float32 linear; row,
+    column (n,) int32 in the picture. Sorted by observation, then as the picture is scanned.
+    """
+
+    observation: np.ndarray
+    s: np.ndarray
+    t: np.ndarray
+    values: np.ndarray
+    row: np.ndarray
+    column: np.ndarray
+
+
+class Texels:
+    """The texels of one artifact, for reading; reading tiles in their order is linear in time and bounded in memory.
+
+    tiles, size (T), observations (M = lights x views, light by light); views, lights, components, hold_out: tuples of
+    names; channels: number; encoding, full_turn; cameras: of the views; atlas.
+    """
+
+    def __init__(self, folder: Path | str):
+        """Open the artifact's folder. UserError where it holds no texels of this format."""
+        self.folder = Path(folder)
+        try:
+            self._group = open_group(self.folder / STORE)
+            stored = dict(self._group.attrs)
+        except FileNotFoundError as error:
+            raise UserError(f"{self.folder}: no texels here; run the stage texels first") from error
+        if stored.get("format") != FORMAT:
+            raise UserError(f"{self.folder}: texels of format {stored.get('format')}, expected {FORMAT}; run again")
+        self.attributes = stored
+        self.tiles, self.size, self.channels = int(stored["tiles"]), int(stored["size"]), int(stored["channels"])
+        self.views, self.lights = tuple(stored["views"]), tuple(stored["lights"])
+        self.components, self.hold_out = tuple(stored["components"]), tuple(stored["hold_out"])
+        self.encoding, self.full_turn = stored["encoding"], bool(stored["full_turn"])
+        self.observations = len(self.views) * len(self.lights)
+        self.cameras = [Camera.from_dict(camera) for camera in stored["cameras"]]
+        self._offsets = self._group["pixels/offsets"][...]
+        self._arrays: dict[str, zarr.Array] = {}
+        self._cache: dict[tuple, tuple[int, np.ndarray]] = {}
+        self._lock = threading.Lock()
+
+    @property
+    def atlas(self) -> Atlas:
+        """The atlas that the tiles belong to."""
+        return Atlas.load(self.folder / ATLAS)
+
+    @property
+    def held_out(self) -> np.ndarray:
+        """(M,) bool: observations of views that are held out: wholly invisible in the stacks, but among the samples."""
+        return np.tile(np.isin(self.views, self.hold_out), len(self.lights))
+
+    def read(self, component: str, tile: int) -> np.ndarray:
+        """(M, T, T, channels) float32 linear: texels of a tile in every observation, 0 where not visible."""
+        self._known(component)
+        return np.stack([self._of_tiles(f"values/{component}", tile, o) for o in range(self.observations)])
+
+    def visible(self, tile: int) -> np.ndarray:
+        """(M, T, T) bool: where `read` has a value."""
+        return np.stack([self._of_tiles("visible", tile, o) for o in range(self.observations)]) != 0
+
+    def geometry(self, tile: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Positions (T, T, 3) float32, unit normals (T, T, 3) float32, inside (T, T) bool of a tile; 0 outside.
+
+        Inside: among the four texels that some surface point is interpolated from.
+        """
+        normals = self._of_tiles("normals", tile)
+        return self._of_tiles("positions", tile), normals, (normals != 0).any(axis=-1)
+
+    def samples(self, component: str, tile: int) -> Samples:
+        """Every valid object pixel of every observation that falls into a tile; those of held-out views too."""
+        self._known(component)
+        found = []
+        for light in range(len(self.lights)):
+            for view in range(len(self.views)):
+                part = slice(*self._offsets[view, tile : tile + 2])
+                if part.stop == part.start:
+                    continue
+                kept = self._of_pixels("valid", view, part, light) != 0
+                place = {name: self._of_pixels(name, view, part)[kept] for name in ("s", "t", "row", "column")}
+                values = self._of_pixels(f"values/{component}", view, part, light)[kept]
+                found.append((np.full(len(values), light * len(self.views) + view, np.int32), place, values))
+        if not found:
+            nothing = np.zeros(0, np.float32), np.zeros(0, np.int32)
+            empty = np.zeros((0, self.channels), np.float32)
+            return Samples(nothing[1], nothing[0], nothing[0], empty, nothing[1], nothing[1])
+        joined = {name: np.concatenate([place[name] for _, place, _ in found]) for name in ("s", "t", "row", "column")}
+        return Samples(
+            np.concatenate([observation for observation, _, _ in found]),
+            joined["s"],
+            joined["t"],
+            np.concatenate([values for _, _, values in found]),
+            joined["row"].astype(np.int32),
+            joined["column"].astype(np.int32),
+        )
+
+    def _known(self, component: str) -> None:
+        if component not in self.components:
+            raise KeyError(f"no component {component!r} in {self.folder}; there are {', '.join(self.components)}")
+
+    def _array(self, name: str) -> zarr.Array:
+        if name not in self._arrays:
+            self._arrays[name] = self._group[name]
+        return self._arrays[name]
+
+    def _of_tiles(self, name: str, tile: int, observation: int | None = None) -> np.ndarray:
+        """One tile of an array (tiles, ...) or (observations, tiles, ...)."""
+        array = self._array(name)
+        lead = () if observation is None else (observation,)
+        return self._part(array, (name, observation), lead, len(lead), slice(tile, tile + 1))[0]
+
+    def _of_pixels(self, name: str, view: int, part: slice, light: int | None = None) -> np.ndarray:
+        """Some pixels of an array (pixels, ...) or (lights, pixels, ...)."""
+        name = f"pixels/{name}"
+        lead = () if light is None else (light,)
+        return self._part(self._array(name), (name, view, light), lead, len(lead), part)
+
+    def _part(self, array: zarr.Array, key: tuple, lead: tuple[int, ...], axis: int, part: slice) -> np.ndarray:
+        """A range along one axis, through the one chunk that is kept for each key: its neighbours are asked next."""
+        length = array.chunks[axis]
+        pieces = []
+        for chunk in range(part.start // length, (part.stop - 1) // length + 1):
+            with self._lock:
+                number, values = self._cache.get(key, (-1, None))
+            if number != chunk:
+                values = array[(*lead, slice(chunk * length, (chunk + 1) * length))]
+                with self._lock:
+                    self._cache[key] = chunk, values
+            low, high = max(part.start - chunk * length, 0), min(part.stop - chunk * length, length)
+            pieces.append(values[low:high])
+        return pieces[0] if len(pieces) == 1 else np.concatenate(pieces)

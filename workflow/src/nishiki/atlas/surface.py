@@ -1,0 +1,171 @@
+"""The surface point behind every texel of an atlas."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from nishiki.atlas.atlas import Atlas
+from nishiki.atlas.cells import cell_range, touches
+from nishiki.geometry.mesh import Mesh
+
+REACH = 1.5
+"""Texels by which a surface is continued past its border, at most; the nearest point of the border counts beyond."""
+
+
+@dataclass(frozen=True)
+class Surface:
+    """triangle (tiles, T, T) int32: nearest triangle of each texel, -1 where no surface point looks the texel up."""
+
+    triangle: np.ndarray
+
+
+def texel_triangles(atlas: Atlas) -> Surface:
+    """Assign triangles to texels.
+
+    A texel counts as inside where a surface point has it among the four that it is interpolated from, i.e. less than
+    one row and one column away. Texels whose centre no triangle covers take the nearest one (the first of several).
+    """
+    shape = (atlas.tiles, atlas.size, atlas.size)
+    triangle, distance = np.full(shape, -1, np.int32), np.full(shape, np.inf, np.float32)
+    assign(atlas.chart, atlas.corners, atlas.chart_grid, atlas.cells, triangle, distance)
+    return Surface(triangle)
+
+
+def texel_points(mesh: Mesh, atlas: Atlas, surface: Surface, tiles: slice) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Positions (n, T, T, 3) float32, unit normals (n, T, T, 3) float32 and inside (n, T, T) bool of some tiles.
+
+    Normals are interpolated from the vertices. Past a border the surface continues in the plane of its triangle, and
+    the normal is that of the nearest point. 0 outside.
+    """
+    triangle = surface.triangle[tiles]
+    positions, normals = np.zeros((*triangle.shape, 3), np.float32), np.zeros((*triangle.shape, 3), np.float32)
+    vertices, corners = np.ascontiguousarray(mesh.vertices), np.ascontiguousarray(mesh.triangles, np.int32)
+    places = atlas.tile_place[tiles]
+    point_kernel(triangle, places, atlas.corners, corners, vertices, mesh.normals, positions, normals)
+    return positions, normals, triangle >= 0
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def nearest_weights(corners, row, column):
+    """Weights of corners 0 and 1 of the point of a triangle (3, 2) nearest to (row, column), and the distance²."""
+    ar, ac = np.float64(corners[0, 0]), np.float64(corners[0, 1])
+    br, bc = corners[1, 0] - ar, corners[1, 1] - ac
+    cr, cc = corners[2, 0] - ar, corners[2, 1] - ac
+    pr, pc = row - ar, column - ac
+    det = br * cc - bc * cr
+    if det != 0:
+        v, w = (pr * cc - pc * cr) / det, (br * pc - bc * pr) / det
+        if v >= 0 and w >= 0 and v + w <= 1:
+            return 1 - v - w, v, 0.0
+    best_u, best_v, best = 1.0, 0.0, np.inf
+    for k in range(3):
+        a, b = k, (k + 1) % 3
+        er, ec = np.float64(corners[b, 0]) - corners[a, 0], np.float64(corners[b, 1]) - corners[a, 1]
+        length = er * er + ec * ec
+        along = 0.0
+        if length > 0:
+            along = min(max(((row - corners[a, 0]) * er + (column - corners[a, 1]) * ec) / length, 0.0), 1.0)
+        dr, dc = row - corners[a, 0] - along * er, column - corners[a, 1] - along * ec
+        square = dr * dr + dc * dc
+        if square < best:
+            best = square
+            best_u = 1 - along if a == 0 else (along if b == 0 else 0.0)
+            best_v = 1 - along if a == 1 else (along if b == 1 else 0.0)
+    return best_u, best_v, best
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def assign(chart, corners, grid, cells, triangle, distance):
+    """Fill the nearest triangle of every texel; see `texel_triangles`."""
+    size = triangle.shape[1]
+    stride = size - 1
+    for i in range(len(chart)):
+        if chart[i] < 0:
+            continue
+        first, rows, columns = grid[chart[i], 0], grid[chart[i], 1], grid[chart[i], 2]
+        points = corners[i]
+        top, bottom = cell_range(points[:, 0], stride, rows)
+        left, right = cell_range(points[:, 1], stride, columns)
+        low_row = int(np.floor(min(points[0, 0], min(points[1, 0], points[2, 0])))) - 1
+        high_row = int(np.ceil(max(points[0, 0], max(points[1, 0], points[2, 0])))) + 1
+        low_column = int(np.floor(min(points[0, 1], min(points[1, 1], points[2, 1])))) - 1
+        high_column = int(np.ceil(max(points[0, 1], max(points[1, 1], points[2, 1])))) + 1
+        for down in range(top, bottom + 1):
+            for across in range(left, right + 1):
+                tile = cells[first + down * columns + across]
+                if tile < 0:
+                    continue
+                y, x = down * stride, across * stride
+                for row in range(max(low_row, y), min(high_row, y + stride) + 1):
+                    for column in range(max(low_column, x), min(high_column, x + stride) + 1):
+                        if touches(points, np.float64(row), np.float64(column), 1.0, 1.0):
+                            square = nearest_weights(points, np.float64(row), np.float64(column))[2]
+                            if square < distance[tile, row - y, column - x]:
+                                distance[tile, row - y, column - x] = square
+                                triangle[tile, row - y, column - x] = i
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def point_kernel(triangle, places, flat, corners, vertices, vertex_normals, positions, normals):
+    """Positions and normals of texels; see `texel_points`."""
+    size = triangle.shape[1]
+    for tile in range(len(triangle)):
+        for i in range(size):
+            for j in range(size):
+                f = triangle[tile, i, j]
+                if f < 0:
+                    continue
+                row, column = np.float64(places[tile, 0] * (size - 1) + i), np.float64(places[tile, 1] * (size - 1) + j)
+                u, v, square = nearest_weights(flat[f], row, column)
+                w = 1 - u - v
+                a, b, c = corners[f, 0], corners[f, 1], corners[f, 2]
+                length = 0.0
+                for k in range(3):
+                    positions[tile, i, j, k] = u * vertices[a, k] + v * vertices[b, k] + w * vertices[c, k]
+                    value = u * vertex_normals[a, k] + v * vertex_normals[b, k] + w * vertex_normals[c, k]
+                    normals[tile, i, j, k] = value
+                    length += value * value
+                if not length > 0:
+                    for k in range(3):
+                        normals[tile, i, j, k] = vertex_normals[a, k]
+                        length += vertex_normals[a, k] ** 2
+                for k in range(3):
+                    normals[tile, i, j, k] /= np.sqrt(length)
+                if square > 0:
+                    continue_past_border(
+                        flat[f], vertices[a], vertices[b], vertices[c], row, column, u, v, positions[tile, i, j]
+                    )
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def continue_past_border(flat, a, b, c, row, column, u, v, position):
+    """Add what leads from the nearest point of a triangle to the texel, in the plane of the triangle.
+
+    No further in space than REACH times the distance in the chart times the triangle's larger stretch: slivers would
+    otherwise throw the point far away.
+    """
+    w = 1 - u - v
+    dr = row - (u * flat[0, 0] + v * flat[1, 0] + w * flat[2, 0])
+    dc = column - (u * flat[0, 1] + v * flat[1, 1] + w * flat[2, 1])
+    br, bc = np.float64(flat[1, 0]) - flat[0, 0], np.float64(flat[1, 1]) - flat[0, 1]
+    cr, cc = np.float64(flat[2, 0]) - flat[0, 0], np.float64(flat[2, 1]) - flat[0, 1]
+    det = br * cc - bc * cr
+    flat_area, area = abs(det), 0.0
+    x, y, z = b - a, c - a, np.zeros(3)
+    for k in range(3):
+        z[k] = x[(k + 1) % 3] * y[(k + 2) % 3] - x[(k + 2) % 3] * y[(k + 1) % 3]
+        area += z[k] * z[k]
+    if not flat_area > 0:
+        return
+    limit = REACH * np.sqrt(np.sqrt(area) / flat_area) * np.sqrt(dr * dr + dc * dc)
+    p, q = (dr * cc - dc * cr) / det, (br * dc - bc * dr) / det
+    length = 0.0
+    for k in range(3):
+        length += (p * x[k] + q * y[k]) ** 2
+    length = np.sqrt(length)
+    part = 1.0 if length <= limit else limit / length
+    for k in range(3):
+        position[k] += part * (p * x[k] + q * y[k])

@@ -1,0 +1,191 @@
+"""Writing texel stacks and pixel samples: one view at a time, tile by tile within it."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import zarr
+from zarr.codecs import ZstdCodec
+
+from nishiki.atlas.atlas import Atlas
+from nishiki.atlas.sample import PixelPlaces, object_pixels, pixel_places, sample_view
+from nishiki.atlas.store import ATLAS, FORMAT, STORE
+from nishiki.atlas.surface import texel_points, texel_triangles
+from nishiki.geometry.camera import Camera
+from nishiki.geometry.mesh import Mesh
+from nishiki.geometry.raster import Raster, rasterise
+from nishiki.threads import threads
+
+READ_AHEAD_MIB = 64
+"""Memory that a reader keeps for one quantity over all observations."""
+
+
+@dataclass(frozen=True)
+class ViewGeometry:
+    """What one view shows of the object, whatever the light: raster, shown (rows, columns) bool, places of the pixels,
+    and where they begin in the store."""
+
+    view: int
+    raster: Raster
+    shown: np.ndarray
+    places: PixelPlaces
+    start: int
+
+
+class TexelsWriter:
+    """Writes the texels of one artifact. First `view`, then `pictures` for each of its lights, view after view."""
+
+    def __init__(
+        self,
+        folder: Path,
+        mesh: Mesh,
+        atlas: Atlas,
+        cameras: list[Camera],
+        *,
+        lights: tuple[str, ...],
+        components: tuple[str, ...],
+        channels: int,
+        encoding: str,
+        full_turn: bool,
+        hold_out: tuple[str, ...] = (),
+        tolerance: float = 1.0,
+        grazing_deg: float = 80.0,
+        stamp: dict[str, str],
+    ):
+        self.mesh, self.atlas, self.cameras = mesh, atlas, cameras
+        self.lights, self.components, self.channels, self.hold_out = lights, components, channels, hold_out
+        self.tolerance, self.grazing_deg = tolerance, grazing_deg
+        self.views, self.observations = len(cameras), len(cameras) * len(lights)
+        texel_bytes = atlas.size**2 * channels * 4 * self.observations
+        self.together = int(np.clip((READ_AHEAD_MIB << 20) // texel_bytes, 1, max(1, atlas.tiles)))
+        self.chunk = int(np.clip((READ_AHEAD_MIB << 20) // (4 * channels * self.observations), 4096, 65536))
+        self.offsets = np.zeros((self.views, atlas.tiles + 1), np.int64)
+        self.length = 0
+        self.group = zarr.create_group(
+            Path(folder) / STORE,
+            attributes={
+                "format": FORMAT,
+                "stamp": stamp,
+                "tiles": atlas.tiles,
+                "size": atlas.size,
+                "channels": channels,
+                "views": [camera.name for camera in cameras],
+                "lights": list(lights),
+                "components": list(components),
+                "hold_out": list(hold_out),
+                "encoding": encoding,
+                "full_turn": full_turn,
+                "cameras": [camera.as_dict() for camera in cameras],
+            },
+        )
+        atlas.save(Path(folder) / ATLAS)
+        self._create_arrays()
+        self._write_geometry()
+
+    def _create(self, name: str, shape: tuple, chunks: tuple, dtype: str, **attributes) -> None:
+        self.group.create_array(
+            name,
+            shape=shape,
+            chunks=chunks,
+            dtype=dtype,
+            compressors=[ZstdCodec(level=1, checksum=True)],
+            attributes=attributes,
+            config={"write_empty_chunks": True},
+        )
+
+    def _create_arrays(self) -> None:
+        size, tiles, together = self.atlas.size, self.atlas.tiles, self.together
+        stack, part = (self.observations, tiles, size, size), (1, together, size, size)
+        for name, meaning in (("positions", "world's unit"), ("normals", "unit vectors, 0 outside the surface")):
+            self._create(name, (tiles, size, size, 3), (together, size, size, 3), "float32", meaning=meaning)
+        self._create("visible", stack, part, "uint8", meaning="1: the observation shows the texel")
+        lights, count = len(self.lights), self.channels
+        for name, dtype in (("row", "uint16"), ("column", "uint16"), ("s", "float32"), ("t", "float32")):
+            self._create(f"pixels/{name}", (0,), (self.chunk,), dtype)
+        self._create("pixels/valid", (lights, 0), (1, self.chunk), "uint8")
+        for name in self.components:
+            self._create(f"values/{name}", (*stack, count), (*part, count), "float32", unit="linear")
+            shape, chunks = (lights, 0, count), (1, self.chunk, count)
+            self._create(f"pixels/values/{name}", shape, chunks, "float32", unit="linear")
+
+    def _write_geometry(self) -> None:
+        surface = texel_triangles(self.atlas)
+        tiles, size = self.atlas.tiles, self.atlas.size
+        self.positions = np.empty((tiles, size, size, 3), np.float32)
+        self.normals, self.inside = np.empty_like(self.positions), np.empty((tiles, size, size), bool)
+        for part in self.groups():
+            found = texel_points(self.mesh, self.atlas, surface, part)
+            self.positions[part], self.normals[part], self.inside[part] = found
+            self.group["positions"][part], self.group["normals"][part] = found[:2]
+        self.sums = np.zeros((tiles, size, size, self.channels), np.float32)
+        self.counts = np.zeros((tiles, size, size), np.uint16)
+
+    def groups(self) -> list[slice]:
+        """Tiles that are stored together."""
+        return [slice(k, min(k + self.together, self.atlas.tiles)) for k in range(0, self.atlas.tiles, self.together)]
+
+    def view(self, index: int, silhouette: np.ndarray | None) -> ViewGeometry:
+        """Rasterise a view and store where its object pixels lie; silhouette (rows, columns) bool where known."""
+        camera = self.cameras[index]
+        raster = rasterise(self.mesh, camera)
+        shown = object_pixels(self.mesh, camera, raster, silhouette)
+        places = pixel_places(self.atlas, raster, shown)
+        start, count = self.length, len(places.row)
+        # Whole chunks for each view: no chunk is written twice.
+        self.length += -(-count // self.chunk) * self.chunk
+        for name in ("row", "column", "s", "t"):
+            array = self.group[f"pixels/{name}"]
+            array.resize((self.length,))
+            array[start : start + count] = getattr(places, name)
+        for name in ("valid", *(f"values/{c}" for c in self.components)):
+            array = self.group[f"pixels/{name}"]
+            array.resize((len(self.lights), self.length, *array.shape[2:]))
+        self.offsets[index] = start + places.offsets
+        return ViewGeometry(index, raster, shown, places, start)
+
+    def pictures(self, view: ViewGeometry, light: int, pictures: dict[str, np.ndarray], valid: np.ndarray) -> dict:
+        """Store what a view shows under one light: pictures (rows, columns, channels) linear by component, valid (rows,
+        columns) bool. Returns counts: visible, inside."""
+        places, camera = view.places, self.cameras[view.view]
+        observation = light * self.views + view.view
+        part = slice(view.start, view.start + len(places.row))
+        self.group["pixels/valid"][light, part] = valid[places.row, places.column]
+        for name in self.components:
+            self.group[f"pixels/values/{name}"][light, part] = pictures[name][places.row, places.column]
+        held = camera.name in self.hold_out
+        usable = np.zeros_like(valid) if held else view.shown & valid
+
+        def one(group: slice) -> int:
+            found = sample_view(
+                self.positions[group],
+                self.normals[group],
+                self.inside[group],
+                camera=camera,
+                depth=view.raster.depth,
+                usable=usable,
+                pictures=[pictures[name] for name in self.components],
+                tolerance=self.tolerance,
+                grazing_deg=self.grazing_deg,
+            )
+            self.group["visible"][observation, group] = found[0].visible
+            for name, sampled in zip(self.components, found, strict=True):
+                self.group[f"values/{name}"][observation, group] = sampled.values
+                if name == "total":
+                    self.sums[group] += sampled.values
+                    self.counts[group] += sampled.visible
+            return int(found[0].visible.sum())
+
+        with ThreadPoolExecutor(threads()) as pool:
+            visible = sum(pool.map(one, self.groups()))
+        return {"visible": visible, "inside": int(self.inside.sum())}
+
+    def finish(self) -> np.ndarray:
+        """Close the index of the pixels; returns the mean colour (tiles, T, T, channels) float32 of each texel over the
+        observations that show it, NaN where none does."""
+        self._create("pixels/offsets", self.offsets.shape, self.offsets.shape, "int64")
+        self.group["pixels/offsets"][...] = self.offsets
+        with np.errstate(invalid="ignore"):
+            return np.where(self.counts[..., None] > 0, self.sums / self.counts[..., None], np.float32(np.nan))

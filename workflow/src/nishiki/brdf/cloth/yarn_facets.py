@@ -1,0 +1,214 @@
+"""Facets on yarns: fibres' facets about the slopes of two families of yarns, with the yarns' own shadowing and masking.
+
+A cloth's surface is that of warp and weft yarns.  A yarn's surface tilts across the yarn (its section) and along it
+(its way over and under the others), and on it the fibres' facets scatter about that tilt.  With w(p) the share of the
+cloth's plane under surface of slope p,
+
+    f(i, o) = 1 / (i_z o_z) sum_p w(p) / p_z V(p; i, o) (p.i)(p.o) (m(p; i, o) + body / pi (1 - F(p.i))(1 - F(p.o))),
+    m = F(h.i) D(h; p) G(i, o; p) / (4 (p.i)(p.o)),
+
+D the anisotropic GGX distribution about p, rougher across the fibres than along them, G its masking by
+height-correlated Smith (Heitz 2014), F the exact Fresnel reflectance, and V what neighbouring yarns leave lit and
+seen.  Exchange of i and o changes nothing: the model is reciprocal by construction.
+
+w of a family is a product of a distribution of slopes along the yarn, exp(-(t / s)^k), and one across it, (1 + (t /
+s)^k)^(-3 / k).  Along: k = 2 a bell, large k yarns of one steepness, small k flat floats with steep ends.  Across: k
+= 2 is an ellipse exactly, smaller k a section with a flat top; a round edge always falls off with the third power.
+
+V takes the yarns as trains of equal convex humps, which the distribution of their slopes determines: sorted by slope,
+a hump's surface has its points at the places x(t) where that share of its width is reached, and at the height z =
+-int t dx. A direction that rises at slope c passes the next hump, a width times `spacing` away, above its tangent
+point; so it reaches all points whose z - c x is at least that tangent's: those up to a limiting slope.  Of light and
+view from one side only the lower limit counts, which is how shadowing and masking correlate.
+"""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+
+from nishiki.brdf.cloth.interface import halves, off_horizon, only_above
+from nishiki.brdf.cloth.yarn_kernels import ATOM, HALF_PI, sums
+from nishiki.threads import STRIPS_A_THREAD, threads
+
+WARP, WEFT = 0, 1
+ALONG, ACROSS = 0, 1
+NODES = (7, 10)  # slopes of either sign, along and across: 280 facets a family
+ANGLES = 65  # of the tables of limits
+FEWEST_ROWS = 128  # that are worth a thread: about 3 ms
+
+
+@dataclass(frozen=True)
+class YarnShape:
+    """Geometry and roughness of both families; arrays (2, 2) are [warp, weft][along, across] the yarn."""
+
+    slope: np.ndarray  # s, tangent of the tilt, > 0
+    power: np.ndarray  # k, > 0
+    rough: np.ndarray  # GGX roughness of the facets along and across the fibres, > 0
+    weft_share: float  # of the cloth's plane, 0 .. 1
+    gain: float  # of everything the surface reflects: 1 where the white reference is exact and the cloth without holes
+    index: float  # refractive index of the fibres
+    spacing: np.ndarray  # (2, 2) distance of the humps over their width, > 0
+    softness: float  # radians: scatter of the limits, for yarns differ
+
+    def atoms(self) -> np.ndarray:
+        """(2 * 280, ATOM) facets: equal shares of each distribution, at the quantiles in their middles."""
+        return np.concatenate([self._family(WARP, 1 - self.weft_share), self._family(WEFT, self.weft_share)])
+
+    def _family(self, family: int, share: float) -> np.ndarray:
+        along, across = (self._slopes(family, k) for k in (ALONG, ACROSS))
+        x, y = np.meshgrid(*((across, along) if family == WARP else (along, across)), indexing="ij")
+        x, y = x.ravel(), y.ravel()
+        z = 1 / np.sqrt(1 + x * x + y * y)
+        normal = np.stack([x * z, y * z, z], axis=1)
+        zero = np.zeros_like(z)
+        # the yarn's direction has no part across the yarn: (0, 1, slope) of the warp, (1, 0, slope) of the weft
+        yarn = np.stack([zero, z, -y * z] if family == WARP else [z, zero, -x * z], axis=1)
+        yarn /= np.linalg.norm(yarn, axis=1, keepdims=True)
+        out = np.empty((x.size, ATOM))
+        out[:, :3], out[:, 3:6], out[:, 6:9] = normal, yarn, np.cross(normal, yarn)
+        out[:, 9], out[:, 10], out[:, 11] = np.arctan(x), np.arctan(y), self.gain * share / (x.size * z)
+        return out
+
+    def _slopes(self, family: int, side: int) -> np.ndarray:
+        nodes = NODES[side]
+        t = hump(self.slope[family, side], self.power[family, side], side, (np.arange(nodes) + 0.5) / nodes)[0]
+        return np.concatenate([-t[::-1], t])
+
+    def limits(self) -> np.ndarray:
+        """(2, 2, ANGLES) [family][plane x, y] steepest tilt reached, radians, by the direction's angle in 0 .. pi/2."""
+        out = np.empty((2, 2, ANGLES))
+        for family, planes in ((WARP, (ACROSS, ALONG)), (WEFT, (ALONG, ACROSS))):
+            for plane, side in enumerate(planes):
+                s, k = self.slope[family, side], self.power[family, side]
+                out[family, plane] = hump_limits(s, k, side, self.spacing[family, side])
+        # across the warp, weft that shows between warp yarns has these for neighbours, not other weft
+        out[WEFT, 0] = np.minimum(out[WEFT, 0], out[WARP, 0])
+        return out
+
+
+def hump(slope: float, power: float, side: int, share: np.ndarray):
+    """Slope, place and height of the points of a hump of width 1 within which `share` (0 .. 1) of its width lies.
+
+    side ALONG: slopes exp(-(t / s)^k); ACROSS: (1 + (t / s)^k)^(-3 / k).
+    """
+    from scipy.special import beta, betainc, betaincinv, gamma, gammainc, gammaincinv
+
+    a, b = 1 / power, 2 / power
+    if side == ALONG:
+        q = gammaincinv(a, share)
+        return slope * q**a, share / 2, -slope * gamma(b) / gamma(a) / 2 * gammainc(b, q)
+    v = np.minimum(betaincinv(a, b, share), 1 - 1e-15)  # a slope of 1e15 is upright
+    # beta(2/k, 1/k) = beta(1/k, 2/k): the height is the same integral with its ends exchanged
+    return slope * (v / (1 - v)) ** a, share / 2, -slope / 2 * betainc(b, a, v) * beta(b, a) / beta(a, b)
+
+
+def hump_limits(slope: float, power: float, side: int, spacing: float, *, points: int = 160) -> np.ndarray:
+    """(ANGLES,) steepest tilt (radians, signed, pi/2: all) on a hump that directions of angle 0 .. pi/2 reach."""
+    # points grow denser towards the edge, where slopes change fastest
+    t, x, z = hump(slope, power, side, np.sin(np.linspace(0, 0.985 * HALF_PI, points)))
+    t, x, z = (np.concatenate([sign * v[:0:-1], v]) for sign, v in ((-1, t), (-1, x), (1, z)))
+    angles = np.linspace(0, HALF_PI, ANGLES)[1:]
+    rise = np.cos(angles) / np.sin(angles)
+    level = z[None] - rise[:, None] * x[None]
+    top = level.argmax(axis=1)  # where the ray is tangent to a hump: it meets the next one's nowhere lower
+    need = level[np.arange(rise.size), top] - rise * spacing
+    reached = (level >= need[:, None]) | (np.arange(t.size) < top[:, None])
+    last = np.where(reached.all(axis=1), t.size - 1, reached.argmin(axis=1) - 1)
+    here, there = (level[np.arange(rise.size), np.minimum(last + k, t.size - 1)] for k in (0, 1))
+    share = np.clip((here - need) / np.where(here > there, here - there, 1.0), 0, 1)
+    tilt = t[last] + share * (t[np.minimum(last + 1, t.size - 1)] - t[last])
+    return np.concatenate([[HALF_PI], np.where(last == t.size - 1, HALF_PI, np.arctan(tilt))])
+
+
+@dataclass(frozen=True)
+class YarnFacets:
+    """The BRDF: a shape, what lies within the fibres, and how measured facets differ from the shape's."""
+
+    KIND: ClassVar[str] = "yarn_facets"
+    RECIPROCAL: ClassVar[bool] = True
+    shape: YarnShape
+    body: np.ndarray  # (channels,) albedo within the fibres
+    lambert: np.ndarray  # (channels,) albedo of a Lambert term: light that met several yarns
+    correction: (
+        np.ndarray
+    )  # (nt, np) factor of the mirror reflection by the half vector; theta_h 0 .. pi/4, phi 0 .. 2 pi
+
+    @property
+    def channels(self) -> int:
+        """Number of channels."""
+        return int(np.size(self.body))
+
+    @cached_property
+    def _compiled(self):
+        return self.shape.atoms(), self.shape.limits()
+
+    def parts(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
+        """(..., 4) mirror reflection and white body, 1 / sr, of warp and weft, without the correction."""
+        incident, outgoing = np.broadcast_arrays(off_horizon(incident), off_horizon(outgoing))
+        flat = [np.ascontiguousarray(d.reshape(-1, 3)) for d in (incident, outgoing)]
+        return shape_parts(self.shape, *flat, compiled=self._compiled).reshape(*incident.shape[:-1], 4)
+
+    def evaluate(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
+        """BRDF, 1 / sr: (..., channels)."""
+        parts, g = self.parts(incident, outgoing), halves(incident, outgoing)
+        mirror = (parts[..., 0] + parts[..., 2]) * corrected(self.correction, g.h)
+        within = (parts[..., 1] + parts[..., 3])[..., None] * self.body + self.lambert / np.pi
+        return only_above(g.above, mirror[..., None] + within)
+
+    def as_arrays(self) -> dict[str, np.ndarray]:
+        """The shape's numbers under their names, then the rest."""
+        own = {name: np.asarray(getattr(self, name)) for name in ("body", "lambert", "correction")}
+        return {**{name: np.asarray(value) for name, value in vars(self.shape).items()}, **own}
+
+    @classmethod
+    def from_arrays(cls, arrays: dict[str, np.ndarray]) -> "YarnFacets":
+        """The model of `as_arrays`."""
+        names = YarnShape.__dataclass_fields__
+        shape = YarnShape(**{n: arrays[n] if np.ndim(arrays[n]) else float(arrays[n]) for n in names})
+        return cls(shape, *(np.asarray(arrays[name], float) for name in ("body", "lambert", "correction")))
+
+
+def shape_parts(shape: YarnShape, incident: np.ndarray, outgoing: np.ndarray, *, compiled=None) -> np.ndarray:
+    """(n, 4) mirror reflection and white body, 1 / sr, of warp and weft, at directions (n, 3)."""
+    atoms, limits = compiled or (shape.atoms(), shape.limits())
+    out = np.empty((len(incident), 4))
+    workers = threads()
+    block = max(FEWEST_ROWS, -(-len(incident) // (STRIPS_A_THREAD * workers)))
+
+    def some(first: int) -> None:
+        rows = slice(first, first + block)
+        sums(
+            incident[rows], outgoing[rows], atoms, len(atoms) // 2, shape.rough, shape.index, limits, shape.softness,
+            out[rows],
+        )  # fmt: skip
+
+    starts = range(0, len(incident), block)
+    if len(starts) > 1 and workers > 1:
+        with ThreadPoolExecutor(workers) as pool:
+            list(pool.map(some, starts))
+    else:
+        for first in starts:
+            some(first)
+    return out
+
+
+def corrected(correction: np.ndarray, h: np.ndarray) -> np.ndarray:
+    """The factor at half vectors (..., 3): bilinear in theta_h and phi_h, constant beyond 45 degrees."""
+    nt, around = correction.shape
+    theta = np.arctan2(np.hypot(h[..., 0], h[..., 1]), h[..., 2])
+    down = np.minimum(theta / (np.pi / 4), 1) * (nt - 1)
+    turn = np.mod(np.arctan2(h[..., 1], h[..., 0]) / (2 * np.pi), 1) * around
+    row, column = np.minimum(down.astype(int), nt - 2), np.floor(turn).astype(int)
+    u, v = down - row, turn - column
+    left, right = column % around, (column + 1) % around
+    upper = (1 - v) * correction[row, left] + v * correction[row, right]
+    lower = (1 - v) * correction[row + 1, left] + v * correction[row + 1, right]
+    return (1 - u) * upper + u * lower
+
+
+def uncorrected(shape: YarnShape, body, lambert) -> YarnFacets:
+    """The BRDF whose facets are the shape's alone."""
+    return YarnFacets(shape, np.atleast_1d(body), np.atleast_1d(lambert), np.ones((2, 8)))

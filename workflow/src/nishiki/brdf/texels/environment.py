@@ -1,0 +1,135 @@
+"""Unknown lighting of a turntable: an irradiance over the normal, fixed to the camera, fitted with the texels' colours.
+
+    I = K_d,c E(n),    E(n) = max(0, quadratic form of the normal in the lamp frame)
+
+Irradiance of distant lighting is a quadratic form of the normal within a few percent, whatever the lamps are
+(R. Ramamoorthi and P. Hanrahan, On the relationship between radiance and irradiance, J. Opt. Soc. Am. A 18, 2001).  A
+texel turns through the lighting with the object, which tells E apart from its K_d.  E is the same for all channels: the
+lamps' colour is in K_d.  Each texel's K_d is eliminated (variable projection) and the nine coefficients found by
+Gauss-Newton with weights that fall with the residual, for cast shadows, highlights and wrong normals.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nishiki.brdf.texels.lighting import HARMONICS
+
+ROUNDS = 12
+SETTLED = 1e-4  # relative change of E
+TUKEY = 4.685  # of the scaled residual at which an observation counts nothing
+SMOOTHNESS = 1e-4  # damping of a step relative to the data: what no texel tells stays as it was
+FEWEST = 20  # texels seen three times or more, below which nothing is fitted
+
+
+@dataclass(frozen=True)
+class EnvironmentFit:
+    """coefficients of E; the share of the squared deviation from a constant colour that E explains (of what the robust
+    weights leave); rounds and texels that it took."""
+
+    coefficients: tuple[float, ...]
+    explained: float
+    rounds: int
+    texels: int
+
+
+def harmonics(normals: np.ndarray) -> np.ndarray:
+    """(..., 9): the functions of the unit normal (..., 3) in the lamp frame that E is a sum of."""
+    x, y, z = np.moveaxis(np.asarray(normals), -1, 0)
+    return np.stack([np.ones_like(x), x, y, z, x * y, y * z, z * x, x * x - y * y, 3 * z * z - 1], axis=-1)
+
+
+def fit_environment(values: np.ndarray, normals: np.ndarray, weights: np.ndarray) -> EnvironmentFit:
+    """E of texels: values (n, M, channels), normals (n, M, 3) in the lamp frame of each view, weights (n, M) >= 0.
+
+    Scaled so that E is 1 at most over the normals that were seen.  With fewer than FEWEST texels seen three times, or
+    without light, E is max(0, z), a lamp at the camera.
+    """
+    usable = np.sum(weights > 0, axis=1) >= 3
+    values, weights = values[usable].astype(np.float64), weights[usable].astype(np.float64)
+    basis = harmonics(normals[usable].astype(np.float64))
+    start = np.array([0.5, 0, 0, 0.5, 0, 0, 0, 0, 0])
+    if len(values) < FEWEST or not values.any():
+        return EnvironmentFit((0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0), 0.0, 0, len(values))
+    e, robust = start, weights
+    done, moved = 0, 1.0
+    while done < ROUNDS and moved >= SETTLED:
+        done += 1
+        new = _positive(_step(values, basis, robust, e), basis, robust)
+        new /= max(_peak(basis, weights, new), 1e-12)
+        moved = np.linalg.norm(new - e) / np.linalg.norm(e)
+        e = new
+        robust = weights * _tukey(_residuals(values, basis, robust, e), weights)
+    left = np.sum(robust[..., None] * _residuals(values, basis, robust, e) ** 2)
+    flat = np.sum(robust[..., None] * _residuals(values, basis, robust, np.eye(HARMONICS)[0]) ** 2)
+    explained = float(1 - left / flat) if flat > 0 else 0.0
+    return EnvironmentFit(tuple(e.tolist()), explained, done, len(values))
+
+
+def _peak(basis: np.ndarray, weights: np.ndarray, e: np.ndarray) -> float:
+    return float(np.quantile((basis @ e)[weights > 0], 0.999))
+
+
+def _colours(values: np.ndarray, weights: np.ndarray, lit: np.ndarray) -> np.ndarray:
+    below = np.einsum("to,to,to->t", weights, lit, lit)[:, None]
+    return np.einsum("to,to,toc->tc", weights, lit, values) / np.where(below > 0, below, 1)
+
+
+def _residuals(values: np.ndarray, basis: np.ndarray, weights: np.ndarray, e: np.ndarray) -> np.ndarray:
+    lit = np.maximum(basis @ e, 0)
+    return values - _colours(values, weights, lit)[:, None] * lit[..., None]
+
+
+def _step(values: np.ndarray, basis: np.ndarray, weights: np.ndarray, e: np.ndarray) -> np.ndarray:
+    """One Gauss-Newton step of the projected problem (Kaufman): the part of each texel's E across its own column.
+
+    Every texel counts by its brightness no more than others do: K_d is divided out of its equations.
+    """
+    lit = np.maximum(basis @ e, 0)
+    kd = _colours(values, weights, lit)
+    level = np.sum(kd**2, axis=1)
+    equal = weights / np.where(level > 0, level, np.inf)[:, None]
+    along = np.einsum("to,to,tok->tk", equal, lit, basis)
+    norm = np.einsum("to,to->t", equal, lit**2)
+    across = basis - (along / np.where(norm > 0, norm, 1)[:, None])[:, None] * lit[..., None]
+    # sum over channels of kd_c^2 is `level`; of kd_c r_c, one number an observation
+    residual = np.einsum("toc,tc->to", values - kd[:, None] * lit[..., None], kd)
+    normal = np.einsum("to,t,toj,tok->jk", equal, level, across, across)
+    right = np.einsum("to,to,tok->k", equal, residual, across)
+    damp = SMOOTHNESS * np.trace(normal) / HARMONICS * np.eye(HARMONICS)
+    return e + np.linalg.solve(normal + damp, right)
+
+
+def _tukey(residuals: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Tukey's biweight of the length of each observation's residual, scaled by the median of all."""
+    length = np.sqrt(np.sum(residuals**2, axis=-1))
+    counted = length[weights > 0]
+    scale = TUKEY * 1.4826 * float(np.median(counted)) if counted.size else 0.0
+    if not scale > 0:  # the median observation fits exactly, at whatever brightness: nothing to scale by
+        return np.ones_like(length)
+    return np.maximum(1 - (length / scale) ** 2, 0) ** 2
+
+
+def residuals(values: np.ndarray, normals: np.ndarray, weights: np.ndarray, coefficients) -> np.ndarray:
+    """(n, M, channels): what E and the best K_d of each texel leave; arguments as of `fit_environment`."""
+    e = np.asarray(coefficients, float)
+    basis, values = harmonics(normals.astype(np.float64)), values.astype(np.float64)
+    robust = weights * _tukey(_residuals(values, basis, weights, e), weights)
+    return _residuals(values, basis, robust, e)
+
+
+def _positive(e: np.ndarray, basis: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """The nearest E (in least squares over the normals seen) that is nowhere negative among a sample of them."""
+    rows = basis[weights > 0]
+    rows = rows[:: max(len(rows) // 2000, 1)]
+    constraint = np.zeros(len(rows))
+    for _ in range(8):
+        low = rows @ e < -1e-6
+        if not low.any():
+            break
+        constraint += low * 10.0
+        normal = rows.T @ (rows * (1 + constraint)[:, None])
+        e = np.linalg.solve(normal + 1e-9 * np.trace(normal) * np.eye(HARMONICS), rows.T @ (rows @ e))
+    return e

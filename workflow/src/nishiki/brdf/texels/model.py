@@ -1,0 +1,198 @@
+"""Lambert and the simplified Torrance-Sparrow model at points of a surface (O eq. 6 and 8).
+
+    I_d = K_d cos(theta_i)                                 I_s = K_s / cos(theta_r) exp(-alpha^2 / (2 sigma^2))
+
+theta_i, theta_r: angles of the normal with the directions to the lamp and to the camera; alpha: with their bisector.
+Under an environment (unknown lighting) an irradiance, a quadratic form of the normal, stands for cos(theta_i).
+
+Limits.  Both terms are 0 where the lamp or (I_s) the camera is behind the surface.  1 / cos(theta_r) is held below
+1 / GRAZING: no camera resolves a surface seen more steeply.  sigma = 0 is a mirror (1 at alpha = 0, else 0), sigma =
+infinity a lobe without end (1 everywhere).  Parameters and normals that are not finite count as 0.
+"""
+
+from itertools import pairwise
+
+import numpy as np
+from numba import njit
+
+from nishiki.brdf.texels.lighting import ENVIRONMENT, POINT, Lamp
+
+GRAZING = 0.05  # cos(theta_r) of 87 degrees
+_SLICE = 1 << 15  # points that a thread takes at once, at least
+_GRAZING = np.float32(GRAZING)
+_FAR = np.float32(40.0)  # exp(-40) = 4e-18 of the peak counts as 0
+_TINY = np.float32(1e-30)
+_ZERO, _QUARTER, _HALF, _ONE, _THREE = (np.float32(v) for v in (0, 0.25, 0.5, 1, 3))
+_ALPHA_SQUARED = (  # 4 asin(sqrt y)^2 / y on y = sin(alpha / 2)^2 in 0 .. 1/2, relative error 5e-8
+    np.float32(3.9999998616316295),
+    np.float32(1.333368353707692),
+    np.float32(0.7096755135127832),
+    np.float32(0.47921577031967355),
+    np.float32(0.1619777507791828),
+    np.float32(0.8785672549192072),
+    np.float32(-1.0769357168334217),
+    np.float32(1.285807095824729),
+)
+
+
+def predict(
+    kd: np.ndarray,
+    ks: np.ndarray,
+    sigma: np.ndarray,
+    positions: np.ndarray,
+    normals: np.ndarray,
+    camera_centre: np.ndarray,
+    lamp: Lamp,
+    *,
+    threads: int = 1,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Diffuse and specular radiance of points under one lamp, seen by one camera; both (..., channels) float32.
+
+    kd, ks: (..., channels); sigma: (...), radians >= 0; positions, normals: (..., 3) in the object's frame, normals of
+    unit length; camera_centre: (3,).  Linear, relative: 1 is a white diffuser that faces the lamp.  O eq. 6 and 8.
+    """
+    kd, ks = (np.ascontiguousarray(a, np.float32) for a in (kd, ks))
+    sigma = np.ascontiguousarray(sigma, np.float32).reshape(-1)
+    channels = kd.shape[-1]
+    places, facing = (np.ascontiguousarray(a, np.float32).reshape(-1, 3) for a in (positions, normals))
+    flat_kd, flat_ks = kd.reshape(-1, channels), ks.reshape(-1, channels)
+    diffuse, specular = np.empty_like(flat_kd), np.empty_like(flat_kd)
+    view = _view(camera_centre, lamp, channels)
+
+    def work(part: slice) -> None:
+        _predict(flat_kd[part], flat_ks[part], sigma[part], places[part], facing[part], *view, diffuse[part],
+                 specular[part])  # fmt: skip
+
+    _in_slices(work, len(sigma), threads)
+    return diffuse.reshape(kd.shape), specular.reshape(kd.shape)
+
+
+def factors(
+    positions: np.ndarray, normals: np.ndarray, camera_centre: np.ndarray, lamp: Lamp, channels: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """What `predict` multiplies, for a fit: (irradiance (..., channels), angles (..., 3)), float32.
+
+    irradiance: what multiplies K_d.  angles: the distance factor max(0, cos(theta_i) / cos(theta_i)) of the lobe (1, or
+    the inverse square of a near lamp; 0: lamp behind), cos(theta_r), and alpha^2.
+    """
+    places, facing = (np.ascontiguousarray(a, np.float32).reshape(-1, 3) for a in (positions, normals))
+    irradiance = np.empty((len(places), channels), np.float32)
+    angles = np.empty((len(places), 3), np.float32)
+    _factors(places, facing, *_view(camera_centre, lamp, channels), irradiance, angles)
+    return irradiance.reshape(*positions.shape[:-1], channels), angles.reshape(*positions.shape[:-1], 3)
+
+
+def _view(camera_centre: np.ndarray, lamp: Lamp, channels: int) -> tuple:
+    """The arguments that the compiled loops share: one row of harmonics serves every channel."""
+    harmonics = lamp.harmonics
+    if harmonics.shape[1] != channels:
+        harmonics = np.repeat(harmonics.mean(axis=1, keepdims=True), channels, axis=1)
+    reference = np.float32(lamp.reference) ** 2 if lamp.form == POINT else _ZERO
+    centre = np.ascontiguousarray(camera_centre, np.float32)
+    return centre, lamp.form, lamp.vector, lamp.rotation, np.ascontiguousarray(harmonics, np.float32), reference
+
+
+def _in_slices(work, points: int, threads: int) -> None:
+    if threads < 2 or points < 2 * _SLICE:
+        work(slice(0, points))
+        return
+    from concurrent.futures import ThreadPoolExecutor
+
+    parts = max(threads, points // (4 * _SLICE))
+    edges = [points * k // parts for k in range(parts + 1)]
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(work, [slice(a, b) for a, b in pairwise(edges)]))
+
+
+@njit(cache=True, error_model="numpy")
+def _alpha_squared(y):
+    c = _ALPHA_SQUARED
+    y2 = y * y
+    low = (c[0] + y * c[1]) + y2 * (c[2] + y * c[3])
+    high = (c[4] + y * c[5]) + y2 * (c[6] + y * c[7])
+    return y * (low + y2 * y2 * high)
+
+
+@njit(cache=True, error_model="numpy")
+def angles_at(px, py, pz, nx, ny, nz, centre, form, vector, reference):
+    """(cos theta_i, cos theta_r, alpha^2, distance factor); cosines of lamps and cameras behind are <= 0."""
+    vx, vy, vz = centre[0] - px, centre[1] - py, centre[2] - pz
+    scale = _ONE / np.sqrt(vx * vx + vy * vy + vz * vz + _TINY)
+    vx, vy, vz = vx * scale, vy * scale, vz * scale
+    lx, ly, lz, strength = vector[0], vector[1], vector[2], _ONE
+    if form == POINT:
+        lx, ly, lz = lx - px, ly - py, lz - pz
+        square = lx * lx + ly * ly + lz * lz + _TINY
+        scale = _ONE / np.sqrt(square)
+        lx, ly, lz = lx * scale, ly * scale, lz * scale
+        strength = reference / square if reference > _ZERO else _ONE
+    cos_i = nx * lx + ny * ly + nz * lz
+    cos_r = nx * vx + ny * vy + nz * vz
+    hx, hy, hz = lx + vx, ly + vy, lz + vz
+    square = hx * hx + hy * hy + hz * hz
+    scale = _ONE / np.sqrt(square) if square > _TINY else _ZERO
+    dx, dy, dz = nx - hx * scale, ny - hy * scale, nz - hz * scale
+    y = _QUARTER * (dx * dx + dy * dy + dz * dz)  # sin(alpha / 2)^2 without cancellation
+    return cos_i, cos_r, _alpha_squared(y if y < _HALF else _HALF), strength
+
+
+@njit(cache=True, error_model="numpy")
+def irradiance_at(nx, ny, nz, rotation, harmonics, c):
+    """max(0, sum of the nine products of the normal in the lamp frame with channel c's coefficients)."""
+    x = rotation[0, 0] * nx + rotation[0, 1] * ny + rotation[0, 2] * nz
+    y = rotation[1, 0] * nx + rotation[1, 1] * ny + rotation[1, 2] * nz
+    z = rotation[2, 0] * nx + rotation[2, 1] * ny + rotation[2, 2] * nz
+    total = harmonics[0, c] + x * harmonics[1, c] + y * harmonics[2, c] + z * harmonics[3, c]
+    total += x * y * harmonics[4, c] + y * z * harmonics[5, c] + z * x * harmonics[6, c]
+    total += (x * x - y * y) * harmonics[7, c] + (_THREE * z * z - _ONE) * harmonics[8, c]
+    return total if total > _ZERO else _ZERO
+
+
+@njit(cache=True, error_model="numpy")
+def _lobe(alpha2, sigma):
+    """exp(-alpha^2 / (2 sigma^2)) with its limits at sigma = 0 and infinity."""
+    if alpha2 <= _ZERO:
+        return _ONE
+    ratio = _HALF * alpha2 / (sigma * sigma)
+    return np.exp(-ratio) if ratio < _FAR else _ZERO  # also where sigma is not a number
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _predict(
+    kd, ks, sigma, positions, normals, centre, form, vector, rotation, harmonics, reference, diffuse, specular
+):
+    points, channels = kd.shape
+    for p in range(points):
+        nx, ny, nz = normals[p, 0], normals[p, 1], normals[p, 2]
+        cos_i, cos_r, alpha2, strength = angles_at(
+            positions[p, 0], positions[p, 1], positions[p, 2], nx, ny, nz, centre, form, vector, reference
+        )
+        lobe = _ZERO
+        glossy = False
+        for c in range(channels):
+            glossy = glossy or ks[p, c] != _ZERO
+        if glossy and cos_i > _ZERO and cos_r > _ZERO:
+            lobe = strength / (cos_r if cos_r > _GRAZING else _GRAZING) * _lobe(alpha2, sigma[p])
+        lit = cos_i * strength if cos_i > _ZERO else _ZERO
+        for c in range(channels):
+            if form == ENVIRONMENT:
+                lit = irradiance_at(nx, ny, nz, rotation, harmonics, c)
+            d, s = kd[p, c] * lit, ks[p, c] * lobe
+            diffuse[p, c] = d if d - d == _ZERO else _ZERO
+            specular[p, c] = s if s - s == _ZERO else _ZERO
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def _factors(positions, normals, centre, form, vector, rotation, harmonics, reference, irradiance, angles):
+    points, channels = irradiance.shape
+    for p in range(points):
+        nx, ny, nz = normals[p, 0], normals[p, 1], normals[p, 2]
+        cos_i, cos_r, alpha2, strength = angles_at(
+            positions[p, 0], positions[p, 1], positions[p, 2], nx, ny, nz, centre, form, vector, reference
+        )
+        angles[p, 0] = strength if cos_i > _ZERO and cos_r > _ZERO else _ZERO
+        angles[p, 1] = cos_r
+        angles[p, 2] = alpha2
+        lit = cos_i * strength if cos_i > _ZERO else _ZERO
+        for c in range(channels):
+            irradiance[p, c] = irradiance_at(nx, ny, nz, rotation, harmonics, c) if form == ENVIRONMENT else lit

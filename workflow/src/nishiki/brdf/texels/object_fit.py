@@ -1,0 +1,311 @@
+"""Parameters of a whole object, tile by tile, in three passes over its texels.
+
+1. Every texel by itself: the width sigma of its lobe, where a highlight was observed, and how well it is determined.
+2. With sigma drawn towards the neighbours': K_s of every texel and how much its observations say of it.
+3. With K_s drawn towards the neighbours' too: K_d and K_s, filled where nothing was observed.
+
+How strongly texels are drawn follows from the data: the scatter of texels about their neighbourhood beyond their own
+uncertainty.  Passes 1 and 2 leave some twenty bytes a texel in memory; texels are read anew in every pass.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from nishiki.brdf.flags import FitFlag
+from nishiki.brdf.texels import texel_fit
+from nishiki.brdf.texels.fill import fill
+from nishiki.brdf.texels.flags import TexelFlag
+from nishiki.brdf.texels.neighbours import Field, Lattice, Neighbourhood, spread
+from nishiki.brdf.texels.parameters import Parameters
+from nishiki.brdf.texels.tile import Capture, Tile
+
+WIDTHS = ("smooth", "texel", "object")
+CELL = 8  # edge of the finest lattice's cells, in texels
+FAR = 1 << 16  # cells from the world's origin: half of it is near
+SCATTER_SIGMA = 0.2  # of log sigma between neighbours: first guess
+SCATTER_KS = 0.5  # of K_s, relative to its mean: first guess
+LEAST_SCATTER = 0.02  # of either
+SUBSET = 2000  # texels of a tile, at most, that the scatter is judged by
+DEFAULT_SIGMA = 0.2  # radians, where no highlight was seen on the whole object
+MOST_PULL = 1e20  # a precision that no data compare with
+UNTOLD = 0.1  # standard deviation of a texel's own K_s, relative to the mean K_d, above which it says nothing
+
+
+@dataclass(frozen=True)
+class ObjectFit:
+    """What the fit says of itself; shares are of the texels inside charts."""
+
+    texels: int
+    samples: int  # visible: texels times observations times channels
+    psnr_db: float | None  # of the model alone over them, in the capture's encoding, peak 1
+    highlight_share: float  # sigma determined from own observations
+    filled_share: float  # K_s from the neighbours, for want of observations near the mirror direction
+    unseen_share: float
+    once_share: float
+    median_sigma: float | None  # radians, of the texels with a highlight
+    scatter_log_sigma: float
+    scatter_ks: float
+    noise: float  # root mean square of the weighted residuals of the median texel
+    at_bound_share: float = 0.0  # own sigma at the end of its range (SIGMA_BOUNDS): the neighbours' is taken there
+
+
+def fit_object(
+    read: Callable[[int], Tile],
+    tiles: Iterable[int],
+    capture: Capture,
+    write: Callable[[int, Parameters], None],
+    *,
+    width: str = "smooth",
+    method: str = "projection",
+    apart: bool = False,
+    threads: int = 1,
+) -> ObjectFit:
+    """Fit all tiles: read(tile) gives its texels, write(tile, parameters) takes the result; from several threads.
+
+    width: "smooth" (sigma and K_s drawn towards the neighbours' as far as the data allow), "texel" (the paper's: each
+    texel by itself, the neighbours only where no highlight was observed), "object" (one sigma).  method: of the first
+    pass, "projection" or "levenberg_marquardt".  apart: where tiles have components, K_d from the
+    diffuse and K_s from the specular one (the paper's); else only sigma comes from the specular component, and K_d and
+    K_s from the total, which is what a picture shows.  The result does not depend on `threads`.
+    """
+    tiles = list(tiles)
+    lattice = lattice_of([read(tile) for tile in tiles[:: max(len(tiles) // 6, 1)]])
+    with ThreadPoolExecutor(max(threads, 1)) as pool:
+
+        def whole(k: int) -> Tile:
+            return read(tiles[k]) if apart else read(tiles[k]).joined
+
+        def every(function):
+            return list(pool.map(function, range(len(tiles))))
+
+        first = every(lambda k: _First.of(read(tiles[k]), capture, method, lattice))
+        widths = _Widths.of(first, lattice, width)
+        second = every(lambda k: _Second.of(whole(k), capture, widths, first[k], lattice))
+        gloss = _Gloss.of(second, first, lattice, width)
+
+        def finish(k: int) -> tuple[np.ndarray, float, int]:
+            tile = whole(k)
+            parameters = _third(tile, capture, widths, gloss, first[k])
+            write(tiles[k], parameters)
+            return _counts(parameters.flags), *capture.squares(parameters, tile)
+
+        finished = every(finish)
+    return _described(first, widths, gloss, finished)
+
+
+def lattice_of(tiles: list[Tile]) -> Lattice:
+    """Cells of `CELL` texels, counted from the world's origin, or, far from it, from a multiple of FAR cells near the
+    first texel of these tiles."""
+    edge = CELL * spacing(tiles)
+    first = np.concatenate([tile.positions[tile.inside][:1] for tile in tiles] or [np.empty((0, 3))])[:1]
+    origin = FAR * edge * np.rint(first.astype(float).sum(axis=0) / (FAR * edge))
+    return Lattice(edge, tuple(origin.tolist()))
+
+
+def spacing(tiles: list[Tile]) -> float:
+    """Median distance between texels; 1 where no tile has two side by side."""
+    values = [tile.spacing for tile in tiles]
+    values = [v for v in values if np.isfinite(v) and v > 0]
+    return float(np.median(values)) if values else 1.0
+
+
+@dataclass(frozen=True)
+class _First:
+    """Pass 1 of a tile: the texels seen, what each says of sigma, and a sample to judge the scatter by."""
+
+    texel: np.ndarray
+    fit: texel_fit.FirstFit
+    part: tuple
+    sample: np.ndarray  # positions of every `stride`-th texel
+    stride: int
+
+    @classmethod
+    def of(cls, tile: Tile, capture: Capture, method: str, lattice: Lattice) -> _First:
+        total, specular = capture.observe(tile)
+        fit = texel_fit.first_fit(total, specular, method=method)
+        told = fit.information > 0
+        precision = np.where(told, 1 / (1 / np.where(told, fit.information, 1) + SCATTER_SIGMA**2), 0)
+        # every texel of the charts counts as surface, also those that no view shows
+        surface = np.flatnonzero(tile.inside)
+        values, weights = (np.zeros(tile.inside.size) for _ in range(2))
+        values[total.texel], weights[total.texel] = fit.log_sigma, precision
+        places = tile.positions.reshape(-1, 3)
+        part = spread(places[surface], values[surface, None], weights[surface], lattice)
+        stride = max(len(told) // SUBSET, 1)
+        return cls(total.texel, fit, part, places[total.texel[::stride]], stride)
+
+
+@dataclass(frozen=True)
+class _Widths:
+    """How sigma follows from a texel's own estimate and the field of the neighbours'."""
+
+    field: Field
+    scatter: float
+    width: str
+
+    @classmethod
+    def of(cls, first: list[_First], lattice: Lattice, width: str) -> _Widths:
+        around = Neighbourhood(lattice, 1, [f.part for f in first])
+        default = np.log([DEFAULT_SIGMA])
+        guess = around.field(1 / SCATTER_SIGMA**2, default)
+        own = np.concatenate([f.fit.log_sigma[:: f.stride] for f in first] or [np.empty(0)])
+        information = np.concatenate([f.fit.information[:: f.stride] for f in first] or [np.empty(0)])
+        near = np.concatenate([guess.at(f.sample)[:, 0] for f in first] or [np.empty(0)])
+        scatter = max(_scatter(own - near, information, SCATTER_SIGMA), LEAST_SCATTER)
+        return cls(around.field(1 / scatter**2, default), scatter, width)
+
+    def sigma(self, positions: np.ndarray, own: np.ndarray, information: np.ndarray) -> np.ndarray:
+        """(points,) float32 radians."""
+        near = self.field.at(positions)[:, 0]
+        if self.width == "object":
+            near, share = np.full_like(near, self.field.mean[0]), 0.0
+        elif self.width == "texel":
+            share = information > 0
+        else:
+            share = information / (information + 1 / self.scatter**2)
+        low, high = texel_fit.SIGMA_BOUNDS
+        return np.clip(np.exp(share * own + (1 - share) * near), low, high).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class _Second:
+    """Pass 2 of a tile: what texels say of K_s."""
+
+    part: tuple
+    ks: np.ndarray  # of the sample, without a prior
+    information: np.ndarray
+    sample: np.ndarray
+
+    @classmethod
+    def of(cls, tile: Tile, capture: Capture, widths: _Widths, first: _First, lattice: Lattice) -> _Second:
+        total, specular = capture.observe(tile)
+        places = tile.positions.reshape(-1, 3)
+        sigma = widths.sigma(places[first.texel], first.fit.log_sigma, first.fit.information)
+        found = texel_fit.strengths(total, sigma, np.zeros_like(first.fit.ks), 0.0, specular)
+        information = found.information
+        if widths.width == "texel":  # the paper's: only texels with a highlight speak for their neighbours
+            information = np.where(first.fit.information > 0, information, 0)
+        surface = np.flatnonzero(tile.inside)
+        channels = found.ks.shape[1]
+        values, weights = np.zeros((tile.inside.size, channels)), np.zeros(tile.inside.size)
+        values[first.texel], weights[first.texel] = found.ks, information
+        part = spread(places[surface], values[surface], weights[surface], lattice)
+        keep = slice(None, None, first.stride)
+        return cls(part, found.ks[keep], information[keep], first.sample)
+
+
+@dataclass(frozen=True)
+class _Gloss:
+    """The field of K_s, and how strongly a texel is drawn to it (in units of the texel's sums of squares)."""
+
+    field: Field
+    scatter: float
+    noise: float
+    level: float  # mean K_d
+    width: str
+
+    @classmethod
+    def of(cls, second: list[_Second], first: list[_First], lattice: Lattice, width: str) -> _Gloss:
+        noise = texel_fit.noise_of(np.concatenate([f.fit.residual for f in first] or [np.empty(0)]))
+        channels = second[0].ks.shape[1] if second else 1
+        around = Neighbourhood(lattice, channels, [s.part for s in second])
+        mean = around.mean(np.zeros(channels))
+        guess = SCATTER_KS * max(float(np.mean(mean)), 1e-30)
+        rough = around.field(min((noise / guess) ** 2, MOST_PULL), mean)
+        apart = np.concatenate([(s.ks - rough.at(s.sample)).mean(axis=1) for s in second] or [np.empty(0)])
+        information = np.concatenate([s.information for s in second] or [np.empty(0)])
+        scatter = _scatter(apart, information / noise**2, guess)
+        scatter = max(scatter, LEAST_SCATTER * guess / SCATTER_KS)
+        levels = [f.fit.kd.mean(dtype=float) for f in first if len(f.texel)]
+        level = float(np.mean(levels)) if levels else 0.0
+        return cls(around.field(min((noise / scatter) ** 2, MOST_PULL), mean), scatter, noise, level, width)
+
+    @property
+    def pull(self) -> float:
+        """Precision of the prior, in the units of a texel's information."""
+        return min((self.noise / self.scatter) ** 2, MOST_PULL)
+
+
+def _third(tile: Tile, capture: Capture, widths: _Widths, gloss: _Gloss, first: _First) -> Parameters:
+    """Pass 3 of a tile: K_d, K_s with the prior; what is unknown is filled."""
+    total, specular = capture.observe(tile)
+    shape, channels = tile.inside.shape, tile.values.shape[-1]
+    places = tile.positions.reshape(-1, 3)
+    surface = np.flatnonzero(tile.inside)
+    own, information = np.zeros(tile.inside.size), np.zeros(tile.inside.size)
+    own[first.texel], information[first.texel] = first.fit.log_sigma, first.fit.information
+    sigma = np.zeros(tile.inside.size, np.float32)
+    sigma[surface] = widths.sigma(places[surface], own[surface], information[surface])
+    ks, kd = (np.zeros((tile.inside.size, channels), np.float32) for _ in range(2))
+    ks[surface] = np.maximum(gloss.field.at(places[surface]), 0)
+    pull = np.full(len(first.texel), gloss.pull)
+    if gloss.width == "texel":
+        pull = np.where(first.fit.information > 0, 0.0, MOST_PULL)
+    found = texel_fit.strengths(total, sigma[first.texel], ks[first.texel], pull, specular)
+    kd[first.texel], ks[first.texel] = found.kd, found.ks
+    untold = gloss.noise > UNTOLD * gloss.level * np.sqrt(found.information)
+    flags = _flags(tile, total.seen, first, untold)
+    known = (flags & (TexelFlag.OUTSIDE | TexelFlag.UNSEEN)) == 0
+    inside = tile.inside
+    joined = np.concatenate([ks.reshape(*shape, channels), sigma.reshape(*shape, 1)], axis=-1)
+    joined = fill(joined, inside)
+    if not inside.any():
+        joined[..., channels] = np.exp(widths.field.mean[0])
+    return Parameters(fill(kd.reshape(*shape, channels), known), joined[..., :channels], joined[..., channels], flags)
+
+
+def _flags(tile: Tile, seen: np.ndarray, first: _First, untold: np.ndarray) -> np.ndarray:
+    flags = np.full(tile.inside.size, TexelFlag.UNSEEN | TexelFlag.NO_HIGHLIGHT | TexelFlag.UNTOLD, np.uint8)
+    of_seen = np.where(seen < 2, TexelFlag.ONCE, 0) | np.where(untold, TexelFlag.UNTOLD, 0)
+    of_seen |= np.where(first.fit.information > 0, 0, TexelFlag.NO_HIGHLIGHT)
+    flags[first.texel] = np.where(seen > 0, of_seen, flags[first.texel])
+    flags[~tile.inside.ravel()] = TexelFlag.OUTSIDE
+    return flags.reshape(tile.inside.shape)
+
+
+def _counts(flags: np.ndarray) -> np.ndarray:
+    inside = (flags & TexelFlag.OUTSIDE) == 0
+    bits = (TexelFlag.NO_HIGHLIGHT, TexelFlag.UNTOLD, TexelFlag.UNSEEN, TexelFlag.ONCE)
+    return np.array([inside.sum(), *(np.sum(inside & ((flags & bit) != 0)) for bit in bits)], np.int64)
+
+
+def _described(first: list[_First], widths: _Widths, gloss: _Gloss, finished: list) -> ObjectFit:
+    counts = sum((counted for counted, _, _ in finished), np.zeros(5, np.int64))
+    squares, samples = (sum(found[k] for found in finished) for k in (1, 2))
+    psnr = -10 * float(np.log10(max(squares / samples, 1e-30))) if samples else None
+    texels = int(counts[0])
+    share = [float(c) / max(texels, 1) for c in counts[1:]]
+    own = np.concatenate([f.fit.log_sigma[f.fit.information > 0] for f in first] or [np.empty(0)])
+    median = float(np.exp(np.median(own))) if own.size else None
+    ended = sum(int(np.sum((f.fit.flags & FitFlag.AT_BOUND) != 0)) for f in first)
+    return ObjectFit(
+        texels,
+        samples,
+        psnr,
+        1 - share[0],
+        share[1],
+        share[2],
+        share[3],
+        median,
+        widths.scatter,
+        gloss.scatter,
+        gloss.noise,
+        ended / max(texels, 1),
+    )
+
+
+def _scatter(apart: np.ndarray, information: np.ndarray, guess: float) -> float:
+    """Standard deviation of true values about the neighbourhood: apart (n,) less its own variance 1 / information."""
+    apart, information = apart.astype(np.float64), information.astype(np.float64)
+    told = information * guess**2 > 1
+    if told.sum() < 30:
+        return guess
+    variance = 1 / information[told]
+    square = np.minimum(apart[told] ** 2, (4 * guess) ** 2 + 9 * variance)
+    weight = 1 / (variance + guess**2) ** 2
+    return float(np.sqrt(max(np.sum(weight * (square - variance)) / np.sum(weight), 0)))

@@ -1,0 +1,313 @@
+"""One quantiser step for the whole object, found for a target: bytes, PSNR, bits per pixel, or a kept fraction.
+
+Every tile is solved at the same step, so that a bit buys the same error everywhere. Passes over all tiles are few:
+what is sought is smooth and monotone in the logarithm of the step, so a secant finds it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from nishiki.codec.colour import principal_channels
+from nishiki.codec.design import Design
+from nishiki.codec.entropy import Coded, Model, encode
+from nishiki.codec.extent import Extent
+from nishiki.codec.parameters import Maps
+from nishiki.codec.prediction import Surface
+from nishiki.codec.tile_code import (
+    CodedTile,
+    Effort,
+    Pixels,
+    Refined,
+    Scene,
+    Typical,
+    encode_tile,
+    model_of,
+    refine_tile,
+    see,
+)
+from nishiki.codec.training import pack, train
+
+NOTHING = Extent(0, 0, 0, 0, 8, 8)
+
+
+class Source(Protocol):
+    """Where tiles come from; called from several threads."""
+
+    tiles: int
+
+    def pixels(self, tile: int) -> Pixels:
+        """Object pixels of a tile, without held-out views."""
+
+    def surface(self, tile: int) -> Surface:
+        """Geometry of a tile."""
+
+    def maps(self, tile: int) -> Maps:
+        """Fitted reflection parameters of a tile."""
+
+
+@dataclass(frozen=True)
+class Sparse:
+    """Integers of a block that are mostly zero."""
+
+    shape: tuple[int, ...]
+    places: np.ndarray
+    values: np.ndarray
+
+    @classmethod
+    def of(cls, block: np.ndarray) -> Sparse:
+        """Keep the entries that are not zero."""
+        places = np.flatnonzero(block)
+        return cls(block.shape, places.astype(np.int32), block.ravel()[places])
+
+    def full(self) -> np.ndarray:
+        """The block, int32."""
+        out = np.zeros(self.shape, np.int32)
+        out.ravel()[self.places] = self.values
+        return out
+
+
+@dataclass(frozen=True)
+class Point:
+    """One pass: step, bytes of tiles and start states, psnr_db over object pixels, kept coefficients."""
+
+    step: float
+    bytes: int
+    psnr_db: float
+    kept: int
+
+    def as_dict(self) -> dict:
+        """Plain data."""
+        return {"step": self.step, "bytes": self.bytes, "psnr_db": self.psnr_db, "kept": self.kept}
+
+
+@dataclass(frozen=True)
+class EncodedObject:
+    """design, models (parameters, residual) and, per tile, extents and streams (parameters, then one for each
+    component; b"" where nothing is stored); pixels, errors as in `CodedTile`, summed; curve: passes visited."""
+
+    design: Design
+    models: tuple[Model, Model]
+    extents: list[Extent]
+    streams: list[tuple[bytes, ...]]
+    pixels: int
+    error: float
+    model_error: float
+    zero_error: float
+    kept: int
+    curve: list[Point]
+
+    @property
+    def bytes(self) -> int:
+        """Of all streams and start states."""
+        return sum(len(s) for tile in self.streams for s in tile) + sum(len(pack(m)) for m in self.models)
+
+
+@dataclass(frozen=True)
+class Pilot:
+    """What one look at all tiles gives: refined parameters, the design with its colours and means, typical weights."""
+
+    refined: list[Refined | None]
+    design: Design
+    typical: Typical
+
+
+def over(work: Callable, items: Sequence, threads: int, progress: Callable | None = None, what: str = "") -> Iterable:
+    """Results of work(item) in order, several at a time, never more than a few ahead."""
+    if threads < 2:
+        for done, item in enumerate(items):
+            yield work(item)
+            if progress:
+                progress(done + 1, len(items), what)
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        waiting = []
+        for done, item in enumerate(items):
+            waiting.append(pool.submit(work, item))
+            if len(waiting) > 2 * threads:
+                yield waiting.pop(0).result()
+                if progress:
+                    progress(done, len(items), what)
+        for future in waiting:
+            yield future.result()
+
+
+def pilot(source: Source, scene: Scene, design: Design, effort: Effort, *, threads: int, progress=None) -> Pilot:
+    """Refine the parameters of every tile; colours, means and typical weights from all of them."""
+
+    def work(tile: int):
+        seen = see(source.pixels(tile), source.surface(tile), design)
+        if seen is None:
+            return None, None, np.zeros(2)
+        refined = refine_tile(seen, source.maps(tile), scene, design, effort)
+        moments = []
+        for index, component in enumerate(design.components):
+            left = seen.values[index]
+            if design.model:
+                left = left - seen.feet.look_up(model_of(refined.maps, seen, scene, design, component))
+            moments.append(left.astype(np.float64) @ left.T.astype(np.float64))
+        density = seen.feet.density().astype(np.float64)
+        return refined, moments, np.array([np.sum(density**2), np.sum(density)])
+
+    refined, moments, densities = zip(*over(work, range(source.tiles), threads, progress, "parameters"), strict=True)
+    total = [sum((m[k] for m in moments if m is not None), np.zeros((design.channels,) * 2)) for k in _range(design)]
+    colour = tuple(_tuple(principal_channels(moment)) for moment in total)
+    design = replace(design, colour=colour)
+    squares, whole = np.sum(densities, axis=0)
+    density = float(squares / whole) if whole else 1.0
+    if not design.model:
+        return Pilot(list(refined), design, Typical((0.0, 0.0, 0.0), density))
+    design, weights = _parameter_statistics([r for r in refined if r is not None], design)
+    return Pilot(list(refined), design, Typical(weights, density))
+
+
+def _range(design: Design) -> range:
+    return range(len(design.components))
+
+
+def _tuple(matrix: np.ndarray) -> tuple:
+    return tuple(tuple(float(v) for v in row) for row in np.atleast_2d(matrix))
+
+
+def _parameter_statistics(refined: list[Refined], design: Design) -> tuple[Design, tuple[float, ...]]:
+    means, mixes, typical = [], [], []
+    for name in ("kd", "ks"):
+        values = np.concatenate([getattr(r.maps, name).reshape(-1, design.channels) for r in refined]).astype(float)
+        weight = np.concatenate([getattr(r.weights, name).reshape(-1, design.channels) for r in refined]).mean(axis=1)
+        whole = weight.sum() or 1.0
+        mean = np.round(weight @ values / whole, 4)
+        means.append(tuple(float(v) for v in mean))
+        mixes.append(_tuple(principal_channels((values - mean).T @ ((values - mean) * weight[:, None]) / whole)))
+        typical.append(_usual(weight))
+    weight = np.concatenate([r.weights.sigma.ravel() for r in refined]).astype(float)
+    width = np.log(np.clip(np.concatenate([r.maps.sigma.ravel() for r in refined]), 1e-3, 1e3)).astype(float)
+    means.append((float(np.round(weight @ width / (weight.sum() or 1.0), 4)),))
+    typical.append(_usual(weight))
+    return replace(design, parameter_means=tuple(means), parameter_colour=tuple(mixes)), tuple(typical)
+
+
+def _usual(weight: np.ndarray) -> float:
+    """Mean weight where the weight is: sum of squares over sum, so that texels without any say do not count."""
+    return float(np.sum(weight.astype(float) ** 2) / max(np.sum(weight, dtype=float), 1e-30))
+
+
+def at_step(design: Design, step: float, typical: Typical, *, parameter_share: float = 1.0) -> Design:
+    """The design with its steps: an error of one parameter step does to the pictures what one residual step does."""
+    steps = [parameter_share * step * np.sqrt(typical.density / max(w, 1e-12)) for w in typical.parameters]
+    limits = ((1e-6, 1.0), (1e-6, 1.0), (0.02, 1.0))
+    rounded = tuple(float(f"{np.clip(s, *limit):.4g}") for s, limit in zip(steps, limits, strict=True))
+    return replace(design, step=float(f"{step:.5g}"), parameter_steps=rounded)
+
+
+def one_pass(
+    source: Source, scene: Scene, found: Pilot, effort: Effort, step: float, *, threads: int, progress=None,
+    parameter_share: float = 1.0, rounds: int = 2,
+) -> EncodedObject:  # fmt: skip
+    """Solve, quantise and code every tile at one step."""
+    design = at_step(found.design, step, found.typical, parameter_share=parameter_share)
+
+    def work(tile: int):
+        if found.refined[tile] is None:
+            return None
+        seen = see(source.pixels(tile), source.surface(tile), design)
+        coded = encode_tile(seen, found.refined[tile], scene, design, effort, found.typical)
+        blocks = (coded.parameters, *coded.residual)
+        empty = np.zeros(0, np.int32)
+        light = replace(coded, parameters=empty, residual=())
+        return light, coded.kept, tuple(Sparse.of(block) for block in blocks)
+
+    results = list(over(work, range(source.tiles), threads, progress, f"tiles at step {step:.4g}"))
+    tiles: list[CodedTile] = [r[0] for r in results if r is not None]
+    extents = [NOTHING if r is None else r[0].extent for r in results]
+    models, streams = code_streams(
+        [None if r is None else r[2] for r in results], extents, design, threads=threads, rounds=rounds
+    )
+    sums = [sum(getattr(t, name) for t in tiles) for name in ("pixels", "error", "model_error", "zero_error")]
+    kept = sum(r[1] for r in results if r is not None)
+    return EncodedObject(design, models, extents, streams, *sums, kept, [])
+
+
+def code_streams(
+    blocks: list[tuple[Sparse, ...] | None], extents: list[Extent], design: Design, *, threads: int, rounds: int
+) -> tuple[tuple[Model, Model], list[tuple[bytes, ...]]]:
+    """Entropy coding of all tiles after `rounds` of training; tiles of zeros become b""."""
+    parts = 1 + len(design.components)
+
+    def levels(part: int, extent: Extent) -> int:
+        return (design.plane if part else design.parameter_plane)(extent).levels
+
+    def code(kind: int, model: Model, part: int):
+        def work(tile: int) -> Coded | None:
+            held = blocks[tile]
+            if held is None or not len(held[part].places):
+                return None
+            return encode(held[part].full(), levels(part, extents[tile]), model)
+
+        return list(over(work, range(len(blocks)), threads))
+
+    models, coded = [], []
+    for kind, group in enumerate(([0], list(range(1, parts)))):
+        model = Model.untrained()
+        for _ in range(rounds):
+            model = train([c for part in group for c in code(kind, model, part) if c is not None])
+        models.append(model)
+        coded += [code(kind, model, part) for part in group]
+    streams = [tuple(b"" if c[tile] is None else c[tile].data for c in coded) for tile in range(len(blocks))]
+    return (models[0], models[1]), streams
+
+
+def psnr(error: float, samples: int) -> float:
+    """Decibels at full scale 1 of a sum of squares; 200 where the error is zero or nothing was measured."""
+    if samples == 0 or error <= 0:
+        return 200.0
+    return min(200.0, float(-10 * np.log10(error / samples)))
+
+
+def point_of(encoded: EncodedObject) -> Point:
+    """What a pass reached."""
+    quality = psnr(encoded.error, encoded.pixels * encoded.design.channels)
+    return Point(encoded.design.step, encoded.bytes, quality, encoded.kept)
+
+
+def find_step(
+    run: Callable[[float], EncodedObject],
+    value: Callable[[Point], float],
+    goal: float,
+    *,
+    start: float,
+    tolerance: float,
+    passes: int,
+) -> EncodedObject:
+    """The pass whose value is nearest to `goal`: a secant on the logarithm of the step, kept inside what is bracketed.
+
+    value: falls as the step grows (bytes and kept as logarithms, PSNR as it is). tolerance: of the value.
+    """
+    curve, best, steps = [], None, [start]
+    while True:
+        encoded = run(steps[-1])
+        curve.append(point_of(encoded))
+        off = value(curve[-1]) - goal
+        if best is None or abs(off) < abs(value(point_of(best)) - goal):
+            best = encoded
+        if abs(off) <= tolerance or len(curve) >= passes:
+            return replace(best, curve=curve)
+        steps.append(_next_step(steps, [value(p) - goal for p in curve]))
+
+
+def _next_step(steps: list[float], off: list[float]) -> float:
+    logs = np.log(steps)
+    if len(steps) == 1:
+        return float(steps[0] * np.clip(np.exp(off[0] * (0.7 if abs(off[0]) < 20 else 0.1)), 1 / 8, 8))
+    order = np.argsort(np.abs(off), kind="stable")[:2]
+    (x0, x1), (y0, y1) = logs[order], np.array(off)[order]
+    ahead = x0 - y0 * (x1 - x0) / (y1 - y0) if y1 != y0 else x0 + np.sign(y0) * 0.5
+    low = max((x for x, y in zip(logs, off, strict=True) if y > 0), default=-np.inf)
+    high = min((x for x, y in zip(logs, off, strict=True) if y <= 0), default=np.inf)
+    if low < high and not low < ahead < high and np.isfinite([low, high]).all():
+        ahead = (low + high) / 2
+    return float(np.exp(np.clip(ahead, logs.min() - 2, logs.max() + 2)))

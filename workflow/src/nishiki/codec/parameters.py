@@ -1,0 +1,148 @@
+"""Reflection parameters as the coder stores them: solved for in the pictures, then coded by what they do to a
+prediction.
+
+K_d and K_s enter the model linearly. Values fitted to point-sampled texels are blurred twice by interpolation; here
+they are corrected until the *picture* of the model is right, through the renderer's own look-up. That is where most of
+the texture goes, once instead of once a view.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from nishiki.brdf.texels.lighting import Lamp
+from nishiki.brdf.texels.model import predict
+from nishiki.codec.interpolate import Footprints
+from nishiki.codec.prediction import Surface
+from nishiki.colour.encoding import encode
+
+WIDTH_FLOOR = 1e-3
+
+
+@dataclass(frozen=True)
+class Maps:
+    """kd, ks (T, T, C) float32, sigma (T, T) float32, radians."""
+
+    kd: np.ndarray
+    ks: np.ndarray
+    sigma: np.ndarray
+
+
+@dataclass(frozen=True)
+class Weights:
+    """How much the squared error of the pictures grows with each texel's squared change: kd, ks (T, T, C) per unit,
+    sigma (T, T) per unit of log sigma."""
+
+    kd: np.ndarray
+    ks: np.ndarray
+    sigma: np.ndarray
+
+
+@dataclass(frozen=True)
+class Factors:
+    """The model apart from its parameters, in each observation: irradiance (C, M, rows, columns) multiplies K_d;
+    strength * exp(-squared_angle / (2 sigma^2)), both (M, rows, columns), multiplies K_s."""
+
+    irradiance: np.ndarray
+    strength: np.ndarray
+    squared_angle: np.ndarray
+
+    def lobe(self, sigma: np.ndarray) -> np.ndarray:
+        """(M, rows, columns): what multiplies K_s."""
+        return self.strength * np.exp(self.squared_angle * (-0.5 / sigma.astype(np.float32) ** 2))
+
+
+def model_factors(channels: int, surface: Surface, centres, lamps: Sequence[Lamp]) -> Factors:
+    """Factors of a tile for every observation, from the model itself with K_d = K_s = 1 and lobes of known width."""
+    shape = surface.inside.shape
+    ones = np.ones((*shape, channels), np.float32)
+    irradiance = np.empty((channels, len(lamps), *shape), np.float32)
+    strength, wide = np.empty((2, len(lamps), *shape), np.float32)
+    for o, (centre, lamp) in enumerate(zip(centres, lamps, strict=True)):
+        arguments = (surface.positions, surface.normals, centre, lamp)
+        diffuse, specular = predict(ones, ones, np.full(shape, np.inf, np.float32), *arguments)
+        irradiance[:, o], strength[o] = np.moveaxis(diffuse, -1, 0), specular[..., 0]
+        wide[o] = predict(ones, ones, np.ones(shape, np.float32), *arguments)[1][..., 0]
+    ratio = np.where(strength > 0, wide / np.where(strength > 0, strength, 1), 1)
+    return Factors(irradiance, strength, np.maximum(-2 * np.log(ratio), 0).astype(np.float32))
+
+
+def slope(linear: np.ndarray, encoding: str) -> np.ndarray:
+    """Derivative of the capture's encoding at linear values; that of the straight part below 0.0031308."""
+    if encoding == "linear":
+        return np.ones_like(linear)
+    high = np.maximum(linear, 0.0031308).astype(linear.dtype)
+    return np.where(linear <= 0.0031308, linear.dtype.type(12.92), (1.055 / 2.4) * high ** (1 / 2.4 - 1))
+
+
+def refine(
+    maps: Maps,
+    factors: Factors,
+    feet: Footprints,
+    values: np.ndarray,
+    encoding: str,
+    *,
+    iterations: int,
+    move: tuple[bool, bool, bool] = (True, True, False),
+) -> Maps:
+    """K_d, K_s and sigma whose picture is nearest to pixel values (C, n) in the capture's encoding, from the given
+    ones.
+
+    Accelerated gradient with each texel's own step; K_d, K_s stay at 0 or above. Texels that no pixel sees stay as
+    given. move: which of the three; a width that follows every pixel's noise costs more than it explains.
+    """
+    held = [np.moveaxis(maps.kd, -1, 0), np.moveaxis(maps.ks, -1, 0), np.log(np.clip(maps.sigma, WIDTH_FLOOR, 1e3))]
+    held = [a.astype(np.float32) for a in held]
+    weights = texel_weights(maps, factors, feet, encoding)
+    paces = [_pace(w) for w in (np.moveaxis(weights.kd, -1, 0), np.moveaxis(weights.ks, -1, 0), weights.sigma)]
+    ahead, momentum = held, 1.0
+    for _ in range(iterations):
+        gradients = _gradients(ahead, factors, feet, values, encoding)
+        new = [
+            at + pace * gradient if moved else at
+            for at, pace, gradient, moved in zip(ahead, paces, gradients, move, strict=True)
+        ]
+        new = [np.maximum(new[0], 0), np.maximum(new[1], 0), np.clip(new[2], held[2] - 0.25, held[2] + 0.25)]
+        following = (1 + np.sqrt(1 + 4 * momentum**2)) / 2
+        factor = np.float32((momentum - 1) / following)
+        ahead = [n + factor * (n - h) for n, h in zip(new, held, strict=True)]
+        ahead[2] = np.clip(ahead[2], np.log(WIDTH_FLOOR), np.log(np.float32(1e3)))
+        held, momentum = new, following
+    return Maps(np.moveaxis(held[0], 0, -1), np.moveaxis(held[1], 0, -1), np.exp(held[2]))
+
+
+def _gradients(at: list[np.ndarray], factors: Factors, feet: Footprints, values: np.ndarray, encoding: str):
+    """Downhill directions of half the squared error of the pictures by kd, ks, log sigma."""
+    kd, ks, width = at
+    sigma = np.exp(width)
+    lobe = factors.lobe(sigma)
+    linear = factors.irradiance * kd[:, None] + lobe[None] * ks[:, None]
+    left = values - feet.look_up(encode(linear, encoding))
+    back = feet.spread(left)
+    if encoding != "linear":
+        back *= slope(linear, encoding)
+    to_lobe = np.einsum("comn,cmn->omn", back, ks)
+    by_width = np.sum(to_lobe * lobe * factors.squared_angle, axis=0) / sigma**2
+    return np.sum(back * factors.irradiance, axis=1), np.einsum("comn,omn->cmn", back, lobe), by_width
+
+
+def texel_weights(maps: Maps, factors: Factors, feet: Footprints, encoding: str) -> Weights:
+    """Diagonal of the error's curvature at the given parameters, off-diagonal terms added (so that it bounds it)."""
+    density = feet.density()
+    kd, ks = np.moveaxis(maps.kd, -1, 0), np.moveaxis(maps.ks, -1, 0)
+    lobe = factors.lobe(maps.sigma)
+    rise = slope(factors.irradiance * kd[:, None] + lobe[None] * ks[:, None], encoding) ** 2 * density[None]
+    by_d = np.sum(rise * factors.irradiance**2, axis=1)
+    by_s = np.sum(rise * lobe[None] ** 2, axis=1)
+    bend = lobe * factors.squared_angle / maps.sigma**2
+    by_w = np.sum(rise * (bend[None] * ks[:, None]) ** 2, axis=(0, 1))
+    return Weights(np.moveaxis(by_d, 0, -1), np.moveaxis(by_s, 0, -1), by_w)
+
+
+def _pace(weight: np.ndarray) -> np.ndarray:
+    """Step of each texel: half the inverse curvature (two parameters share the data), 0 where nothing is seen."""
+    floor = 0.02 * weight.max(initial=0)
+    return np.where(weight > 0, 0.5 / np.maximum(weight, max(floor, 1e-20)), 0).astype(np.float32)

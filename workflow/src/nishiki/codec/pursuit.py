@@ -1,0 +1,166 @@
+"""Few coefficients whose picture is the captured one, each worth its bits: supports chosen by curvature.
+
+Minimises |y - A S c|^2 + price * bits(c), A the bilinear look-up at the pixels, S the inverse transform, with the
+bits that `rate` expects of the coder. A coefficient that is changed alone lowers the error by h u^2, u = c + g / h its
+best value, g = S^T A^T (y - A S c), h = |A S e|^2 the curvature in it; all with h u^2 above their price are chosen at
+once, and those chosen are then solved together by conjugate gradients (so alternates D. Needell and J. Tropp, CoSaMP,
+Appl. Comput. Harmon. Anal. 26, 2009). Curvatures differ by orders of magnitude between views that face a tile and views
+that graze it; one step length for all, as iterative thresholding has it, must follow the largest and refuses what the
+others need.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from nishiki.codec.solve import Operator, Solution, samples_of
+from nishiki.codec.transform import Block, Plane, squared_lengths
+
+FLOOR = 1e-3
+FLAT_ROUNDS = 2
+
+
+@dataclass(frozen=True)
+class Pursuit:
+    """rounds: choices of the support; inner: conjugate gradient steps after each; descent: first price over the last;
+    ridge: curvature added to all, so that what pixels hardly show stays small."""
+
+    rounds: int = 6
+    inner: int = 5
+    descent: float = 16.0
+    ridge: float = 0.001
+
+
+def transfers(plane: Plane) -> np.ndarray:
+    """(rows, columns) in 1/3..1: the mean share of a coefficient's energy that a bilinear look-up passes, by band.
+
+    A look-up at a fraction f passes |1 - f + f exp(i w)|^2 of a frequency w; its mean over f is 2/3 + cos(w) / 3, here
+    averaged over the octave of each band. The coarsest band passes.
+    """
+
+    def line(length: int) -> np.ndarray:
+        out = np.ones(length)
+        for level in range(plane.levels):
+            low, high = np.pi / 2 ** (level + 1), np.pi / 2**level
+            mean = 2 / 3 + (np.sin(high) - np.sin(low)) / (high - low) / 3
+            out[length >> (level + 1) : length >> level] = mean
+        return out
+
+    rows, columns = plane.shape
+    return np.outer(line(rows), line(columns))
+
+
+def curvatures(block: Block, density: np.ndarray) -> np.ndarray:
+    """(lights, views, rows, columns) float32: |A S e|^2 of every coefficient e, expected of pixels of some density.
+
+    density (lights * views, rows, columns): the weight that pixels give each texel. At least 0.001 of the largest.
+    """
+    plane, lights, views = block.plane, block.lights, block.views
+    lengths = squared_lengths(plane, density.astype(np.float64)) * (transfers(plane) / plane.gains**2)
+    lengths = lengths.reshape(len(lights), len(views), *plane.shape)
+    found = np.tensordot(lights**2, np.moveaxis(np.tensordot(views**2, lengths, (1, 1)), 1, 0), 1)
+    return np.maximum(found, FLOOR * found.max(initial=0)).astype(np.float32)
+
+
+def pursue(
+    data: np.ndarray,
+    operator: Operator,
+    block: Block,
+    shape: tuple[int, ...],
+    curvature: np.ndarray,
+    *,
+    price: float,
+    bits: Callable[[np.ndarray], np.ndarray],
+    effort: Pursuit,
+) -> Solution:
+    """Coefficients (channels, lights, views, T, T) float32 of pixel values `data` (channels, n) float32.
+
+    price: squared error that a bit is worth; bits: expected of every coefficient, of a solution in hand. While there is
+    none, every coefficient costs one bit, at the higher prices of the first rounds.
+    """
+    held, left = np.zeros(shape, np.float32), data
+    if not effort.rounds or curvature.max(initial=0) <= 0:
+        return Solution(held, float(np.sum(left.astype(np.float64) ** 2)), 0)
+    chosen, cost = np.zeros(shape, np.uint8), np.ones(shape, np.float32)
+    flat = (held.reshape(shape[0], -1), curvature.reshape(-1), cost.reshape(shape[0], -1), chosen.reshape(shape[0], -1))
+    gradient = block.adjoint(operator.spread(left).reshape(shape))
+    for turn in range(effort.rounds + 2):
+        level = price * effort.descent ** max(0.0, 1 - turn / max(1, effort.rounds - 2))
+        if turn >= FLAT_ROUNDS:
+            cost[:] = bits(held)
+        # the last choice only removes: what it would add could not be weighed again
+        choose(flat[0], gradient.reshape(shape[0], -1), *flat[1:], np.float32(level), turn <= effort.rounds)
+        gradient, left = settle(held, chosen, data, operator, block, effort)
+    return Solution(held, float(np.sum(left.astype(np.float64) ** 2)), effort.rounds)
+
+
+def settle(held, chosen, data, operator: Operator, block: Block, effort: Pursuit) -> tuple[np.ndarray, np.ndarray]:
+    """Conjugate gradients on the chosen coefficients, `held` in place; the gradient of all and what is left of data."""
+    left = data - operator.look(samples_of(block, held))
+    gradient = _downhill(left, held, operator, block, effort.ridge)
+    ahead = gradient * chosen
+    energy = first = dot(ahead.reshape(-1), ahead.reshape(-1))
+    for _ in range(effort.inner):
+        if energy <= 1e-6 * first:
+            break
+        seen = operator.look(samples_of(block, ahead))
+        flat = ahead.reshape(-1)
+        stride = energy / (dot(seen.reshape(-1), seen.reshape(-1)) + effort.ridge * dot(flat, flat))
+        held += np.float32(stride) * ahead
+        left = left - np.float32(stride) * seen
+        gradient = _downhill(left, held, operator, block, effort.ridge)
+        before, energy = energy, masked_energy(gradient.reshape(-1), chosen.reshape(-1))
+        go_on(gradient.reshape(-1), chosen.reshape(-1), np.float32(energy / before), flat)
+    return gradient, left
+
+
+def _downhill(left: np.ndarray, held: np.ndarray, operator: Operator, block: Block, ridge: float) -> np.ndarray:
+    return block.adjoint(operator.spread(left).reshape(held.shape)) - np.float32(ridge) * held
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def choose(held, gradient, curvature, cost, chosen, level, adding):
+    """Choose the coefficients (channels, n) that are worth `level` times their cost; zero the others; how many are
+    chosen. adding: False only removes."""
+    count = 0
+    for c in range(held.shape[0]):
+        for n in range(held.shape[1]):
+            chosen[c, n] = chosen[c, n] if not adding else 1
+            if chosen[c, n]:
+                best = held[c, n] + gradient[c, n] / curvature[n] if adding else held[c, n]
+                if curvature[n] * best * best > level * cost[c, n]:
+                    count += 1
+                    continue
+                chosen[c, n] = 0
+            held[c, n] = 0
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def dot(one, other):
+    """Inner product in double precision, in a fixed order."""
+    total = 0.0
+    for n in range(one.shape[0]):
+        total += one[n] * other[n]
+    return total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def masked_energy(values, chosen):
+    """Sum of the squares of the chosen values."""
+    total = 0.0
+    for n in range(values.shape[0]):
+        if chosen[n]:
+            total += values[n] * values[n]
+    return total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def go_on(gradient, chosen, factor, ahead):
+    """The next direction: the gradient where chosen, conjugate to the last."""
+    for n in range(ahead.shape[0]):
+        ahead[n] = (gradient[n] if chosen[n] else type(factor)(0)) + factor * ahead[n]

@@ -1,0 +1,149 @@
+"""The decoded residual of an object: a Zarr v3 array of bytes with checksums, read tile by tile."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import threading
+from pathlib import Path
+
+import numpy as np
+import zarr
+from zarr.codecs import Crc32cCodec
+
+from nishiki.codec.allocate import EncodedObject
+from nishiki.codec.container import head_length, pack_object, unpack_head
+from nishiki.codec.entropy import decode
+from nishiki.codec.parameter_code import decode_parameters
+from nishiki.codec.tile_code import decode_residual
+from nishiki.errors import UserError
+from nishiki.formats.stored import open_array
+
+STORE = "residual.zarr"
+REPORT = "residual.json"
+CHUNK = 1 << 16
+
+
+def write_residual(folder: Path, encoded: EncodedObject, *, stamp: dict[str, str], report: dict) -> dict[str, int]:
+    """Write `residual.zarr` and `residual.json` into a folder; bytes by part.
+
+    The array is one-dimensional, uint8, in equal chunks of at most 64 KiB with a CRC-32C each: coded bytes do
+    not compress further, and a last chunk that is not full would be stored in full. The
+    report holds the SHA-256 of the array's metadata, which no chunk's checksum covers.
+    """
+    data, parts = pack_object(encoded)
+    array = zarr.create_array(
+        Path(folder) / STORE,
+        shape=(len(data),),
+        chunks=(-(-len(data) // -(-len(data) // CHUNK)),),
+        dtype="uint8",
+        filters=None,
+        compressors=[Crc32cCodec()],
+        attributes={"stamp": stamp},
+        config={"write_empty_chunks": True},
+        zarr_format=3,
+    )
+    array[:] = np.frombuffer(data, np.uint8)
+    stored = sum(p.stat().st_size for p in (Path(folder) / STORE).rglob("*") if p.is_file())
+    parts = {**parts, "container": stored - len(data), "total": stored}
+    metadata = hashlib.sha256((Path(folder) / STORE / "zarr.json").read_bytes()).hexdigest()
+    text = json.dumps(
+        {**report, "bytes": parts, "metadata_sha256": metadata}, indent=1, sort_keys=True, allow_nan=False
+    )
+    (Path(folder) / REPORT).write_text(text + "\n")
+    return parts
+
+
+class Residual:
+    """The residual and the reflection parameters of an artifact, for reading; safe from several threads.
+
+    tiles; size (T); observations (M), channels; design: as coded; bytes: by part; report: of `residual.json`.
+    """
+
+    def __init__(self, folder: Path | str):
+        """Open the artifact's folder. UserError where it holds no residual, or its description is damaged."""
+        folder = Path(folder)
+        try:
+            self.report = json.loads((folder / REPORT).read_text())
+            metadata = (folder / STORE / "zarr.json").read_bytes()
+        except FileNotFoundError as error:
+            raise UserError(
+                f"{folder}: no residual here ({error.filename} is missing); run the stage residual"
+            ) from None
+        except ValueError as error:
+            raise UserError(f"{folder / REPORT}: not valid JSON ({error}); run the stage residual again") from None
+        if hashlib.sha256(metadata).hexdigest() != self.report.get("metadata_sha256"):
+            raise UserError(f"{folder / STORE}/zarr.json is damaged; run the stage residual again")
+        self.folder, self.bytes = folder, dict(self.report["bytes"])
+        self._array = open_array(folder / STORE)
+        self._lock, self._chunk = threading.Lock(), (-1, b"")
+        self._contents = unpack_head(self._read(0, head_length(self._read(0, 8))))
+        self.design = self._contents.design
+        self.tiles, self.size = len(self._contents.extents), self.design.tile_size
+        self.channels = self.design.channels
+        self.observations = self.design.views * self.design.lights
+
+    def parameters(self, tile: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """kd, ks (T, T, C), sigma (T, T) float32, as the encoder's own prediction used them."""
+        kd, ks = np.zeros((2, self.size, self.size, self.channels), np.float32)
+        sigma = np.ones((self.size, self.size), np.float32)
+        extent, design = self._contents.extents[tile], self.design
+        if design.model and extent.length:
+            shape, stream = design.parameter_shape(extent), self._stream(tile, 0)
+            levels = design.parameter_plane(extent).levels
+            values = decode(stream, shape, levels, self._contents.models[0]) if stream else np.zeros(shape, np.int32)
+            maps = decode_parameters(values, design, extent)
+            kd[extent.texels], ks[extent.texels], sigma[extent.texels] = maps.kd, maps.ks, maps.sigma
+        return kd, ks, sigma
+
+    def decode(self, tile: int, *, level: int = 0, component: str | None = None) -> np.ndarray:
+        """(M, T, T, C) float32: the residual in the capture's encoding, zero in views that do not see the tile.
+
+        level: so many of the finest bands are left out (and not even read): a blurred preview. component: one of
+        `design.components`; their sum by default.
+        """
+        design, extent = self.design, self._contents.extents[tile]
+        out = np.zeros((self.observations, self.size, self.size, self.channels), np.float32)
+        places = extent.observations(design.views, design.lights)
+        for index, name in enumerate(design.components):
+            stream = self._stream(tile, 1 + index) if component in (None, name) else b""
+            if stream:
+                shape, levels = design.residual_shape(extent), design.plane(extent).levels
+                integers = decode(stream, shape, levels, self._contents.models[1], drop=level)
+                out[places, *extent.texels] += np.moveaxis(decode_residual(integers, index, design, extent), 0, -1)
+        return out
+
+    def empty(self, tile: int) -> bool:
+        """Whether nothing is stored for a tile's residual: the model suffices."""
+        return not self._contents.lengths[tile, 1:].any()
+
+    def stored(self, tile: int) -> tuple[int, ...]:
+        """Bytes of each stream of a tile: parameters, then the residual of each component."""
+        return tuple(int(n) for n in self._contents.lengths[tile])
+
+    def _stream(self, tile: int, stream: int) -> bytes:
+        start, length = self._contents.place(tile, stream)
+        return self._read(start, length) if length else b""
+
+    def _read(self, start: int, length: int) -> bytes:
+        """Some bytes of the array, through the chunk that was read last; a damaged chunk raises UserError."""
+        size = self._array.chunks[0]
+        pieces = []
+        for number in range(start // size, (start + length - 1) // size + 1):
+            with self._lock:
+                held = self._chunk
+            if held[0] != number:
+                try:
+                    held = number, self._array[number * size : (number + 1) * size].tobytes()
+                except ValueError as error:
+                    raise UserError(
+                        f"{self.folder / STORE}: chunk {number} is damaged ({error}); run the stage residual again"
+                    ) from None
+                with self._lock:
+                    self._chunk = held
+            low = max(start - number * size, 0)
+            pieces.append(held[1][low : start + length - number * size])
+        data = b"".join(pieces)
+        if len(data) != length:
+            raise UserError(f"{self.folder / STORE}: {length} bytes at {start} expected, found {len(data)}; run again")
+        return data

@@ -1,0 +1,188 @@
+"""One tile from pixels to integers and from integers to texels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+
+from nishiki.brdf.texels.lighting import Lamp
+from nishiki.codec.design import Design
+from nishiki.codec.extent import Extent, extent_of
+from nishiki.codec.interpolate import Footprints
+from nishiki.codec.parameter_code import decode_parameters, encode_parameters
+from nishiki.codec.parameters import Maps, Weights, model_factors, refine, texel_weights
+from nishiki.codec.prediction import Surface, predict_texels
+from nishiki.codec.pursuit import Pursuit, curvatures, pursue
+from nishiki.codec.quantise import quantise
+from nishiki.codec.rate import expected_bits
+from nishiki.codec.solve import Operator, samples_of
+
+
+@dataclass(frozen=True)
+class Pixels:
+    """Object pixels of one tile: observation (n,) int32, s, t (n,) float32, values: per component (n, C) float32 in the
+    capture's encoding."""
+
+    observation: np.ndarray
+    s: np.ndarray
+    t: np.ndarray
+    values: tuple[np.ndarray, ...]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """centres (M, 3) of the cameras and lamps of every observation, light by light."""
+
+    centres: np.ndarray
+    lamps: Sequence[Lamp]
+
+
+@dataclass(frozen=True)
+class Effort:
+    """pursuit: of the residual's solver; price: of a bit, in squared steps at a typical pixel; refinements: of the
+    parameters in the pictures; threshold: of the parameters, in their steps; dead_zone: of the residual, in steps;
+    rounding: fraction added before the whole part is taken; gloss: whether K_s is moved in the pictures at all."""
+
+    pursuit: Pursuit = field(default_factory=Pursuit)
+    price: float = 0.05
+    refinements: int = 12
+    threshold: float = 0.6
+    dead_zone: float = 0.5
+    rounding: float = 0.42
+    gloss: bool = True
+
+
+@dataclass(frozen=True)
+class Typical:
+    """What holds for typical texels of the object. parameters: weights of kd, ks (mean over channels) and log sigma, as
+    in `Weights`; density: the weight that pixels give the texels they look at."""
+
+    parameters: tuple[float, float, float]
+    density: float
+
+
+@dataclass(frozen=True)
+class CodedTile:
+    """parameters (C, 3, rows, columns) int32; residual: per component (C, lights * views, rows, columns) int32;
+    extent; pixels; error, model_error, zero_error: sums of squares over pixels and channels of the decoded tile, of its
+    model alone, and of the pictures themselves."""
+
+    parameters: np.ndarray
+    residual: tuple[np.ndarray, ...]
+    extent: Extent
+    pixels: int
+    error: float
+    model_error: float
+    zero_error: float
+
+    @property
+    def kept(self) -> int:
+        """Residual coefficients that are not zero."""
+        return int(sum(np.count_nonzero(part) for part in self.residual))
+
+
+@dataclass(frozen=True)
+class Refined:
+    """Parameters of a tile solved for in the pictures, and what an error in them does."""
+
+    maps: Maps
+    weights: Weights
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What pixels see of a tile: its extent, the observations of the block, the surface in the extent, footprints in
+    the block, and the pixel values (C, n) of each component in the order of the footprints."""
+
+    extent: Extent
+    observations: np.ndarray
+    surface: Surface
+    feet: Footprints
+    values: tuple[np.ndarray, ...]
+
+
+def see(pixels: Pixels, surface: Surface, design: Design) -> Seen | None:
+    """Find the extent and sort the pixels; None where no pixel sees the tile."""
+    seen = np.bincount(pixels.observation % design.views, minlength=design.views) > 0
+    if not seen.any():
+        return None
+    used = surface.inside.copy()
+    s, t = (np.clip(v.astype(int), 0, design.tile_size - 2) for v in (pixels.s, pixels.t))
+    for i in (0, 1):
+        for j in (0, 1):
+            used[s + i, t + j] = True
+    extent = extent_of(seen, used, full_turn=design.full_turn, arcs=design.arcs)
+    observations = extent.observations(design.views, design.lights)
+    place = np.full(design.lights * design.views, -1)
+    place[observations] = np.arange(len(observations))
+    shape = (len(observations), extent.rows, extent.columns)
+    feet = Footprints.of(place[pixels.observation], pixels.s - extent.row, pixels.t - extent.column, shape)
+    values = tuple(np.ascontiguousarray(v.T[:, feet.order], np.float32) for v in pixels.values)
+    cropped = Surface(*(a[extent.texels] for a in (surface.positions, surface.normals, surface.inside)))
+    return Seen(extent, observations, cropped, feet, values)
+
+
+def refine_tile(seen: Seen, maps: Maps, scene: Scene, design: Design, effort: Effort) -> Refined:
+    """Parameters of a tile such that the pictures of the model are right; zero where the design has no model."""
+    maps = Maps(*(np.nan_to_num(a[seen.extent.texels].astype(np.float32)) for a in (maps.kd, maps.ks, maps.sigma)))
+    if not design.model:
+        zero = np.zeros_like(maps.kd)
+        return Refined(Maps(zero, zero, np.ones_like(maps.sigma)), Weights(zero, zero, zero[..., 0]))
+    centres, lamps = scene.centres[seen.observations], [scene.lamps[o] for o in seen.observations]
+    factors = model_factors(design.channels, seen.surface, centres, lamps)
+    whole = seen.values[0] if len(seen.values) == 1 else sum(seen.values)
+    moved = (True, effort.gloss, False)
+    maps = refine(maps, factors, seen.feet, whole, design.encoding, iterations=effort.refinements, move=moved)
+    return Refined(maps, texel_weights(maps, factors, seen.feet, design.encoding))
+
+
+def encode_tile(
+    seen: Seen,
+    refined: Refined,
+    scene: Scene,
+    design: Design,
+    effort: Effort,
+    typical: Typical,
+) -> CodedTile:
+    """Integers of a tile at the design's steps: parameters first, then the residual against what they decode to."""
+    parameters = np.zeros(design.parameter_shape(seen.extent), np.int32)
+    maps = refined.maps
+    if design.model:
+        weights, arguments = refined.weights, (design, seen.extent, effort.threshold)
+        parameters = encode_parameters(maps, weights, typical.parameters, *arguments)
+        maps = decode_parameters(parameters, design, seen.extent)
+    shape, block = design.shape(seen.extent), design.block(seen.extent)
+    operator = Operator.of_pixels(seen.feet)
+    curvature, price = curvatures(block, seen.feet.density()), effort.price * design.step**2 * typical.density
+    bits = partial(expected_bits, step=design.step, levels=block.plane.levels)
+    residual, errors = [], np.zeros(3)
+    for index, component in enumerate(design.components):
+        values = seen.values[index]
+        left = values
+        if design.model:
+            left = values - seen.feet.look_up(model_of(maps, seen, scene, design, component))
+        data = (design.mix(index) @ left).astype(np.float32)
+        found = pursue(data, operator, block, shape, curvature, price=price, bits=bits, effort=effort.pursuit)
+        integers = quantise(found.coefficients, design.step, dead_zone=effort.dead_zone, rounding=effort.rounding)
+        after = data - operator.look(samples_of(block, (integers * np.float32(design.step)).astype(np.float32)))
+        errors += [float(np.sum(a.astype(np.float64) ** 2)) for a in (after, data, values)]
+        residual.append(integers.reshape(design.residual_shape(seen.extent)))
+    pixels = seen.values[0].shape[1] * len(design.components)
+    return CodedTile(parameters, tuple(residual), seen.extent, pixels, *errors)
+
+
+def model_of(maps: Maps, seen: Seen, scene: Scene, design: Design, component: str) -> np.ndarray:
+    """(C, observations, rows, columns) float32: the model's texels in a block, in the capture's encoding."""
+    lamps = [scene.lamps[o] for o in seen.observations]
+    arguments = (seen.surface, scene.centres[seen.observations], lamps, design.encoding)
+    return predict_texels(maps.kd, maps.ks, maps.sigma, *arguments, component=component)
+
+
+def decode_residual(integers: np.ndarray, component: int, design: Design, extent: Extent) -> np.ndarray:
+    """(C, lights * views, rows, columns) float32 texels of integers of that shape."""
+    coefficients = (integers * np.float32(design.step)).astype(np.float32).reshape(design.shape(extent))
+    samples = samples_of(design.block(extent), coefficients)
+    return np.tensordot(design.mix(component).T.astype(np.float32), samples, 1)

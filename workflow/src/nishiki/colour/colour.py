@@ -1,0 +1,172 @@
+"""From spectra to what an eye and a display see: CIE 1931 XYZ, CIELAB, CIEDE2000, sRGB.
+
+Small own forms, because importing a colour library costs seconds in every process; the tests compare each of them with
+colour-science.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nishiki.colour import cie_tables
+from nishiki.colour.basis import checked_spectra, normalised
+from nishiki.colour.sampling import WAVELENGTHS_NM
+from nishiki.errors import UserError
+
+# IEC 61966-2-1: primaries and the D65 white (0.3127, 0.3290); the matrix is derived below, not copied rounded.
+_SRGB_PRIMARIES_XY = np.array([[0.64, 0.33], [0.30, 0.60], [0.15, 0.06]])
+_SRGB_WHITE_XY = np.array([0.3127, 0.3290])
+LEAST_CONE = 0.01  # response of a lamp's white, relative to that of the white that it is brought to
+# Bradford cone responses: Lam 1985, as in ICC.1:2022 annex E.
+_BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
+
+
+def cie_1931_cmfs() -> np.ndarray:
+    """(3, 61) colour-matching functions x, y, z of the CIE 1931 2 degree observer on the working grid."""
+    return np.array([cie_tables.CMF_X, cie_tables.CMF_Y, cie_tables.CMF_Z])
+
+
+def illuminant(name: str) -> np.ndarray:
+    """(61,) relative spectral power of a CIE illuminant on the working grid, 100 at 560 nm where tabulated so.
+
+    Known: A (Planck's law with c2 = 1.435e7 nm K at 2848 K, CIE 015:2018 eq. 1), D50, D65 (tables), E (equal energy),
+    FL2, FL7, FL11 (also written F2, F7, F11). Raises UserError for another name.
+    """
+    key = name.strip().upper()
+    if key == "A":
+        c2_over_t = 1.435e7 / 2848.0
+        planck = np.expm1(c2_over_t / 560.0) / np.expm1(c2_over_t / WAVELENGTHS_NM)
+        return 100.0 * (560.0 / WAVELENGTHS_NM) ** 5 * planck
+    if key == "E":
+        return np.full(WAVELENGTHS_NM.size, 100.0)
+    if key in {"F2", "F7", "F11"}:
+        key = "FL" + key[1:]
+    table = getattr(cie_tables, f"ILLUMINANT_{key}", None)
+    if table is None:
+        raise UserError(
+            f"illuminant: expected one of A, D50, D65, E, FL2, FL7, FL11, found {name!r}; "
+            "for another lamp give its measured spectrum as a table"
+        )
+    return np.array(table)
+
+
+def xyz_matrix(illuminant: np.ndarray, basis: np.ndarray) -> np.ndarray:
+    """A (3, K) with XYZ = A @ sigma for S = sigma @ basis; Y = 1 for the perfect white S = 1.
+
+    illuminant : (61,); basis : (K, 61). Sums over the 61 bands as CIE 015:2018 eq. 7 tabulates them. For XYZ of spectra
+    themselves use `xyz_from_spectra`. Source: P eq. 19, exact because the diffuse term is linear in sigma.
+    """
+    lamp = normalised(checked_spectra(illuminant, "illuminant")[0])
+    weights = cie_1931_cmfs() * lamp
+    total = weights[1].sum()
+    if not total > 0:
+        raise UserError("illuminant: expected visible power, found none; correct the table")
+    return (weights / total) @ checked_spectra(basis, "basis").T
+
+
+def xyz_from_spectra(illuminant: np.ndarray, spectra: np.ndarray) -> np.ndarray:
+    """XYZ (..., 3) of reflectances (..., 61), Y = 1 for the perfect white."""
+    return np.asarray(spectra) @ xyz_matrix(illuminant, np.eye(WAVELENGTHS_NM.size)).T
+
+
+def white_xyz(illuminant: np.ndarray) -> np.ndarray:
+    """XYZ (3,) of the perfect white under the illuminant, Y = 1."""
+    return xyz_from_spectra(illuminant, np.ones(WAVELENGTHS_NM.size))
+
+
+def srgb_matrix() -> np.ndarray:
+    """(3, 3) from XYZ (relative to D65, white Y = 1) to linear sRGB, IEC 61966-2-1 primaries."""
+    xyz = np.column_stack([_SRGB_PRIMARIES_XY, 1.0 - _SRGB_PRIMARIES_XY.sum(axis=1)]).T
+    x, y = _SRGB_WHITE_XY
+    white = np.array([x / y, 1.0, (1.0 - x - y) / y])
+    return np.linalg.inv(xyz * np.linalg.solve(xyz, white))
+
+
+def adaptation_matrix(white_from: np.ndarray, white_to: np.ndarray) -> np.ndarray:
+    """(3, 3) linear Bradford adaptation: maps XYZ seen under `white_from` (3,) to the match under `white_to` (3,).
+
+    Under a lamp so narrow that a cone response of its white is negative or almost none, nothing is white to an eye and
+    Bradford's quotients have no meaning: only the luminance is then brought to that of `white_to`.
+    """
+    white_from, white_to = np.asarray(white_from, float), np.asarray(white_to, float)
+    source, target = _BRADFORD @ white_from, _BRADFORD @ white_to
+    if not (source * white_to[1] > LEAST_CONE * target * white_from[1]).all():
+        return np.eye(3) * (white_to[1] / white_from[1])
+    return np.linalg.solve(_BRADFORD, (target / source)[:, None] * _BRADFORD)
+
+
+def xyz_to_srgb_linear(xyz: np.ndarray, *, white: np.ndarray | None = None) -> np.ndarray:
+    """Linear sRGB (..., 3), unclipped, from XYZ (..., 3) with white Y = 1.
+
+    white : XYZ (3,) of the scene's white; if given, Bradford adaptation brings it to RGB (1, 1, 1). None: XYZ is
+    relative to D65 already.
+    """
+    matrix = srgb_matrix()
+    if white is not None:
+        x, y = _SRGB_WHITE_XY
+        matrix = matrix @ adaptation_matrix(white, np.array([x / y, 1.0, (1.0 - x - y) / y]))
+    return np.asarray(xyz) @ matrix.T.astype(np.result_type(np.asarray(xyz).dtype, np.float32))
+
+
+def srgb_encode(linear: np.ndarray) -> np.ndarray:
+    """Display values in [0, 1] from linear sRGB, IEC 61966-2-1; values outside [0, 1] are clipped, NaN becomes 0."""
+    values = np.clip(np.nan_to_num(np.asarray(linear), nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0)
+    return np.where(values <= 0.0031308, 12.92 * values, 1.055 * values ** (1.0 / 2.4) - 0.055)
+
+
+def xyz_to_lab(xyz: np.ndarray, white: np.ndarray) -> np.ndarray:
+    """CIELAB (..., 3) from XYZ (..., 3) and the white's XYZ (3,), same scale. CIE 015:2018 eq. 8.3-8.10.
+
+    Below (6/29)^3 the function is linear, so zero and negative XYZ have finite Lab.
+    """
+    ratio = np.asarray(xyz) / np.asarray(white)
+    limit = 6.0 / 29.0
+    f = np.where(ratio > limit**3, np.cbrt(ratio), ratio / (3.0 * limit**2) + 4.0 / 29.0)
+    x, y, z = f[..., 0], f[..., 1], f[..., 2]
+    return np.stack([116.0 * y - 16.0, 500.0 * (x - y), 200.0 * (y - z)], axis=-1)
+
+
+def delta_e_2000(lab1: np.ndarray, lab2: np.ndarray) -> np.ndarray:
+    """CIEDE2000 colour difference (...) of Lab arrays (..., 3), kL = kC = kH = 1.
+
+    Source: Sharma, Wu, Dalal, Color Res. Appl. 30 (2005) 21-30, eq. 2-22; their 34 test pairs are in the tests.
+    """
+    lab1, lab2 = np.asarray(lab1, dtype=float), np.asarray(lab2, dtype=float)
+    l1, l2 = lab1[..., 0], lab2[..., 0]
+    chroma7 = (0.5 * (np.hypot(lab1[..., 1], lab1[..., 2]) + np.hypot(lab2[..., 1], lab2[..., 2]))) ** 7
+    stretch = 1.5 - 0.5 * np.sqrt(chroma7 / (chroma7 + 25.0**7))
+    a1, a2 = lab1[..., 1] * stretch, lab2[..., 1] * stretch
+    c1, c2 = np.hypot(a1, lab1[..., 2]), np.hypot(a2, lab2[..., 2])
+    h1 = np.degrees(np.arctan2(lab1[..., 2], a1)) % 360.0
+    h2 = np.degrees(np.arctan2(lab2[..., 2], a2)) % 360.0
+    grey = c1 * c2 == 0.0
+    apart = h2 - h1
+    turn = np.where(apart > 180.0, apart - 360.0, np.where(apart < -180.0, apart + 360.0, apart))
+    turn = np.where(grey, 0.0, turn)
+    hue_term = 2.0 * np.sqrt(c1 * c2) * np.sin(np.radians(0.5 * turn))
+    total = h1 + h2
+    mean_hue = np.where(np.abs(apart) <= 180.0, 0.5 * total, 0.5 * (total + np.where(total < 360.0, 360.0, -360.0)))
+    mean_hue = np.where(grey, total, mean_hue)
+    return _weighted_difference(l1, l2, c1, c2, hue_term, mean_hue)
+
+
+def _weighted_difference(l1, l2, c1, c2, hue_term, mean_hue):
+    lightness, chroma = 0.5 * (l1 + l2), 0.5 * (c1 + c2)
+    hue = np.radians(mean_hue)
+    t = (
+        1.0
+        - 0.17 * np.cos(hue - np.radians(30.0))
+        + 0.24 * np.cos(2.0 * hue)
+        + 0.32 * np.cos(3.0 * hue + np.radians(6.0))
+        - 0.20 * np.cos(4.0 * hue - np.radians(63.0))
+    )
+    offset = (lightness - 50.0) ** 2
+    s_l = 1.0 + 0.015 * offset / np.sqrt(20.0 + offset)
+    s_c = 1.0 + 0.045 * chroma
+    s_h = 1.0 + 0.015 * chroma * t
+    chroma7 = chroma**7
+    rotation = -2.0 * np.sqrt(chroma7 / (chroma7 + 25.0**7))
+    rotation = rotation * np.sin(np.radians(60.0 * np.exp(-(((mean_hue - 275.0) / 25.0) ** 2))))
+    d_l, d_c, d_h = (l2 - l1) / s_l, (c2 - c1) / s_c, hue_term / s_h
+    # The quadratic form is positive definite in exact arithmetic; rounding may leave -1e-17 for equal colours.
+    return np.sqrt(np.maximum(d_l**2 + d_c**2 + d_h**2 + rotation * d_c * d_h, 0.0))

@@ -1,0 +1,279 @@
+"""Spectral reflectance of every pixel from its white-normalised camera response (P §4).
+
+`fit_estimator` learns from a training set, `estimate_spectra` applies the result to any number of pixels. Whatever the
+method, a spectrum leaves as a few coefficients on an explicit basis, S = coefficients @ basis, so that everything
+linear in S (colour under any light, rendering) costs K products instead of 61 bands.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, fields, replace
+from itertools import pairwise
+
+import numpy as np
+
+from nishiki.colour import kernels
+from nishiki.colour.basis import channel_weights, checked_spectra
+from nishiki.colour.fitting import (
+    LINEAR_GAMUT_EXCESS,
+    BasesRule,
+    Parts,
+    Problem,
+    correction_table,
+    fit_paper,
+    fit_regression,
+)
+from nishiki.colour.kernels import ILL_CONDITIONED, NEGATIVE_RESPONSE, NOT_FINITE, OUTSIDE_TRAINING, OUTSIDE_UNIT
+from nishiki.colour.local import response_space
+from nishiki.errors import UserError
+from nishiki.threads import threads as given_threads
+
+_PIXELS_A_THREAD = 4096
+METHODS = ("paper", "wiener", "local")
+FLAG_MEANINGS = {
+    OUTSIDE_UNIT: "reflectance outside [0, 1] beyond the tolerance",
+    OUTSIDE_TRAINING: "response unlike every training response: the estimate falls back to the linear map",
+    NOT_FINITE: "response or result not finite: coefficients and standard deviation set to 0",
+    ILL_CONDITIONED: "camera and lamp cannot separate the bases: minimum-norm solution",
+    NEGATIVE_RESPONSE: "negative response in some channel (noise in the dark)",
+}
+
+
+@dataclass(frozen=True)
+class SpectralEstimator:
+    """A fitted estimator; every field is an array, a number or a word, so that it can be stored as it is.
+
+    With z the whitened root of the response (`nishiki.colour.local.ResponseSpace`):
+    `coefficients = linear @ response + anchor * exp(-mean((response - 1)^2) / (2 white_width^2)) + correction(z)`.
+    """
+
+    method: str
+    basis: np.ndarray  # (K, 61)
+    linear: np.ndarray  # (K, N)
+    anchor: np.ndarray  # (K,)
+    white_width: float
+    mean: np.ndarray  # (N,) of the whitened space
+    whiten: np.ndarray  # (N, N)
+    low: np.ndarray  # (N,)
+    high: np.ndarray  # (N,)
+    centres: np.ndarray  # (M, N), M = 0 for linear methods
+    weights: np.ndarray  # (M, K)
+    radius: float
+    variance: np.ndarray  # (M,)
+    far_variance: float
+    gamut_distance: float
+    table: np.ndarray  # (n0, n1, n2, K + 2) float32; one node an axis where unused
+    table_origin: np.ndarray  # (3,)
+    table_step: np.ndarray  # (3,)
+    noise: float
+    noise_variance: float  # mean over bands of the variance that response noise brings
+    unit_tolerance: float
+    condition: float  # cond(H)
+    ill_conditioned: bool
+    training_rmse: float  # over the training set; local: each sample left out in turn
+
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        """Plain arrays by field name; `from_arrays` reads them back."""
+        return {f.name: np.asarray(getattr(self, f.name)) for f in fields(self)}
+
+    @classmethod
+    def from_arrays(cls, arrays) -> SpectralEstimator:
+        """The estimator that `to_arrays` wrote, from any mapping of names to arrays."""
+        scalars = {"method": str, "ill_conditioned": bool}
+        values = {}
+        for f in fields(cls):
+            value = np.asarray(arrays[f.name])
+            values[f.name] = value if value.ndim else scalars.get(f.name, float)(value.item())
+        return cls(**values)
+
+
+@dataclass(frozen=True)
+class SpectralField:
+    """Spectra of an array of pixels: S (..., 61) = coefficients @ basis.
+
+    coefficients : (..., K) float32. sigma : (...) float32, expected root-mean-square error over the bands for a surface
+    like those of the training set. flags : (...) uint8, bits of `FLAG_MEANINGS`. basis : (K, 61) float64.
+    condition : cond(H). counts : pixels by flag name.
+    """
+
+    coefficients: np.ndarray
+    sigma: np.ndarray
+    flags: np.ndarray
+    basis: np.ndarray
+    condition: float
+    counts: dict[str, int] = field(default_factory=dict)
+
+    def spectra(self) -> np.ndarray:
+        """(..., 61) float64 reflectances, not clipped."""
+        return self.coefficients.astype(np.float64) @ self.basis
+
+
+def fit_estimator(
+    training: np.ndarray,
+    illuminant: np.ndarray,
+    sensitivities: np.ndarray,
+    *,
+    method: str = "local",
+    bases: int | BasesRule | None = None,
+    noise: float = 0.005,
+    white_width: float = 0.02,
+    centres: int = 256,
+    radius: float = 6.0,
+    ridge: float | None = None,
+    condition_limit: float = 1e6,
+    unit_tolerance: float = 0.01,
+    rule: str = "trapezoid",
+) -> SpectralEstimator:
+    """Learn how to turn camera responses into reflectances.
+
+    Parameters
+    ----------
+    training : (M, 61) reflectances in [0, 1]; illuminant : (61,); sensitivities : (N, 61), N >= 1.
+    method : `"paper"` (principal bases and matrix inverse, P eq. 8), `"wiener"` (linear with training covariance and
+        noise), `"local"` (Wiener plus the kernel correction of `nishiki.colour.local`).
+    bases : paper: number of principal bases (default 3, at most N). Others: size K of the output basis, the constant
+        included (default 12, wiener at most N + 1), or a rule that gives it (`nishiki.colour.fitting.BasesRule`).
+    noise : standard deviation of a response, white = 1; >= 0.
+    white_width : the perfect white returns S = 1 exactly; the correction that sees to it fades as a Gaussian of this
+        width (root mean square over channels) round the white response. 0: none, the method as it is.
+    centres, radius, ridge : the local correction; see `fit_correction`.
+    condition_limit : paper: singular values of H below largest / limit are left out and every pixel is flagged.
+    unit_tolerance : S is flagged below -tolerance and above 1 + tolerance.
+    rule : integration over wavelength, see `integration_weights`.
+
+    Raises UserError for unknown methods, wrong shapes, NaN, too few spectra, settings out of range.
+    """
+    spectra = checked_spectra(training, "training reflectances")
+    _check_settings(method, noise, white_width, centres, radius, ridge, condition_limit, unit_tolerance)
+    weights = channel_weights(illuminant, sensitivities, rule=rule)
+    responses = spectra @ weights.T
+    problem = Problem(spectra, weights, responses, response_space(responses, noise=noise), noise)
+    if method == "paper":
+        parts = fit_paper(problem, bases, white=white_width > 0, condition_limit=condition_limit)
+    else:
+        parts = fit_regression(problem, bases, None if method == "wiener" else (centres, radius, ridge))
+    estimator = _assemble(problem, parts, method, white_width, unit_tolerance)
+    return _with_exact_white(estimator, parts.white) if white_width > 0 else estimator
+
+
+def estimate_spectra(
+    responses: np.ndarray, estimator: SpectralEstimator, *, threads: int | None = None
+) -> SpectralField:
+    """Spectral reflectance of every pixel.
+
+    responses : (..., N) white-normalised, incidence-corrected diffuse observations (perfect white = 1 in each channel);
+    any real dtype. Non-finite responses give zero coefficients and the flag NOT_FINITE; zero responses give S = 0;
+    negative responses go through the linear part (noise stays unbiased) and are flagged.
+    threads : how many to use; None: as many as the process may. The result does not depend on it.
+    Raises UserError where the number of channels differs from the estimator's.
+    """
+    observed = np.asarray(responses)
+    channels = estimator.linear.shape[1]
+    if observed.ndim < 1 or observed.shape[-1] != channels:
+        raise UserError(
+            f"spectra: expected responses of {channels} channels, as many as the camera sensitivities, found shape "
+            f"{observed.shape}; give the camera's own channels in their order"
+        )
+    shape, size = observed.shape[:-1], len(estimator.basis)
+    with np.errstate(over="ignore"):  # beyond float32 becomes infinite, which is flagged
+        flat = np.ascontiguousarray(observed.reshape(-1, channels), dtype=np.float32)
+    coefficients = np.empty((len(flat), size), np.float32)
+    sigma, flags = np.empty(len(flat), np.float32), np.empty(len(flat), np.uint8)
+    _apply(flat, estimator, coefficients, sigma, flags, threads or given_threads())
+    names = ("outside_unit", "outside_training", "not_finite", "ill_conditioned", "negative_response")
+    counts = {name: int(np.count_nonzero(flags & bit)) for name, bit in zip(names, FLAG_MEANINGS, strict=True)}
+    return SpectralField(
+        coefficients=coefficients.reshape(*shape, size),
+        sigma=sigma.reshape(shape),
+        flags=flags.reshape(shape),
+        basis=estimator.basis,
+        condition=estimator.condition,
+        counts=counts,
+    )
+
+
+def _apply(responses, estimator, coefficients, sigma, flags, threads):
+    """Run the kernel over slices of the pixels, one a thread."""
+    arguments = _kernel_arguments(estimator)
+    count = max(1, min(threads, len(responses) // _PIXELS_A_THREAD))
+    bounds = np.linspace(0, len(responses), count + 1).astype(int)
+    slices = [slice(low, high) for low, high in pairwise(bounds)]
+
+    def run(part):
+        kernels.apply_estimator(responses[part], *arguments, coefficients[part], sigma[part], flags[part])
+
+    if count == 1:
+        run(slices[0])
+    else:
+        with ThreadPoolExecutor(count) as pool:
+            list(pool.map(run, slices))
+
+
+def _kernel_arguments(e: SpectralEstimator) -> tuple:
+    """Arguments of `apply_estimator` between the responses and the outputs, in its order and types."""
+    precision = 0.5 / e.white_width**2 if e.white_width > 0 else 0.0
+    double, single = np.float64, np.float32
+    c = np.ascontiguousarray  # one memory layout, hence one compilation, wherever the arrays come from
+    return (
+        c(e.linear, double), c(e.anchor, double), precision, c(e.mean, double), c(e.whiten, double), c(e.low, double),
+        c(e.high, double), c(e.table, single), c(e.table_origin, double), c(e.table_step, double),
+        c(e.centres.T, single), c(e.weights, single), e.radius, c(e.variance, single), e.far_variance,
+        e.noise_variance, e.gamut_distance, c(e.basis, single), -e.unit_tolerance, 1.0 + e.unit_tolerance,
+        e.ill_conditioned,
+    )  # fmt: skip
+
+
+def _assemble(problem: Problem, parts: Parts, method: str, white_width: float, unit_tolerance: float):
+    space, local, size = problem.space, parts.correction, len(parts.basis)
+    channels = problem.weights.shape[0]
+    table, origin, step = correction_table(local, space)
+    return SpectralEstimator(
+        method=method,
+        basis=parts.basis,
+        linear=parts.linear,
+        anchor=np.zeros(size),
+        white_width=float(white_width),
+        mean=space.mean,
+        whiten=space.whiten,
+        low=space.low,
+        high=space.high,
+        centres=local.centres if local else np.zeros((0, channels)),
+        weights=local.weights if local else np.zeros((0, size)),
+        radius=local.radius if local else 1.0,
+        variance=local.variance if local else np.zeros(0),
+        far_variance=parts.far_variance,
+        gamut_distance=local.gamut_distance if local else LINEAR_GAMUT_EXCESS,
+        table=table,
+        table_origin=origin,
+        table_step=step,
+        noise=float(problem.noise),
+        noise_variance=float(problem.noise**2 * np.mean(np.sum((parts.basis.T @ parts.linear) ** 2, axis=1))),
+        unit_tolerance=float(unit_tolerance),
+        condition=parts.condition,
+        ill_conditioned=parts.ill_conditioned,
+        training_rmse=parts.training_rmse,
+    )
+
+
+def _with_exact_white(estimator: SpectralEstimator, white: np.ndarray) -> SpectralEstimator:
+    """Anchor = what the very code that serves pixels lacks at the white response."""
+    found = estimate_spectra(np.ones(estimator.linear.shape[1]), estimator).coefficients
+    return replace(estimator, anchor=white - found)
+
+
+def _check_settings(method, noise, white_width, centres, radius, ridge, condition_limit, unit_tolerance):
+    if method not in METHODS:
+        raise UserError(f"spectra: method expected one of {', '.join(METHODS)}, found {method!r}; use one of them")
+    limits = (
+        ("noise", noise, 0.0),
+        ("white_width", white_width, 0.0),
+        ("centres", centres, 1),
+        ("radius", radius, 1e-3),
+        ("ridge", 1.0 if ridge is None else ridge, 1e-12),
+        ("condition_limit", condition_limit, 1.0),
+        ("unit_tolerance", unit_tolerance, 0.0),
+    )
+    for name, value, least in limits:
+        if not (np.isfinite(value) and value >= least):
+            raise UserError(f"spectra: {name} expected a number of at least {least:g}, found {value!r}; correct it")

@@ -1,0 +1,153 @@
+"""Fitting of each method, brought to one form: an output basis, a linear map, perhaps a local correction."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from nishiki.colour import kernels
+from nishiki.colour.basis import principal_basis
+from nishiki.colour.linear import condition_number, paper_map, wiener_map
+from nishiki.colour.local import (
+    TAPER_END,
+    LocalCorrection,
+    ResponseSpace,
+    evaluate_correction,
+    fit_correction,
+)
+from nishiki.colour.sampling import BANDS
+from nishiki.errors import UserError
+
+LINEAR_GAMUT_EXCESS = 0.5  # whitened standard deviations beyond the training box, for methods without centres
+TABLE_STEP, TABLE_CELLS = 0.25, 64
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What every method learns from: spectra (M, 61), weights (N, 61), responses (M, N), their space, the noise."""
+
+    spectra: np.ndarray
+    weights: np.ndarray
+    responses: np.ndarray
+    space: ResponseSpace
+    noise: float
+
+
+@dataclass(frozen=True)
+class Parts:
+    """A fitted method. white : (K,) coefficients of S = 1."""
+
+    basis: np.ndarray
+    linear: np.ndarray
+    white: np.ndarray
+    correction: LocalCorrection | None
+    far_variance: float
+    condition: float
+    ill_conditioned: bool
+    training_rmse: float
+
+
+def fit_paper(problem: Problem, bases: int | None, *, white: bool, condition_limit: float) -> Parts:
+    """Principal bases and sigma = H^-1 rho' (P eq. 5-8); with `white`, one more row for the white anchor.
+
+    The extra row d = 1 - S(white response) is what the bases cannot say about the perfect white. Where H is inverted
+    exactly, no channel sees d (it is a metameric black), so adding any amount of it contradicts no observation.
+    """
+    channels = problem.weights.shape[0]
+    vectors = principal_basis(problem.spectra, min(3, channels) if bases is None else bases).vectors
+    sigma, cut = paper_map(problem.weights, vectors, condition_limit=condition_limit)
+    residual = problem.spectra - problem.responses @ sigma.T @ vectors
+    basis, linear, of_white = vectors, sigma, sigma.sum(axis=1)
+    if white:
+        basis = np.vstack([vectors, 1.0 - of_white @ vectors])
+        linear = np.vstack([sigma, np.zeros(channels)])
+        of_white = np.append(of_white, 1.0)
+    error = float(np.mean(residual**2))
+    condition = condition_number(problem.weights, problem.spectra, len(vectors))
+    return Parts(basis, linear, of_white, None, error, condition, cut, error**0.5)
+
+
+BasesRule = Callable[[np.ndarray, float], int]
+"""Number of output bases from the estimates (M, 61) of the training spectra and their mean-square error."""
+
+
+def fit_regression(
+    problem: Problem, bases: int | BasesRule | None, local: tuple[int, float, float | None] | None
+) -> Parts:
+    """Wiener's estimator, with the local correction if `local` = (centres, radius, ridge) is given."""
+    channels = problem.weights.shape[0]
+    dense = wiener_map(problem.weights, problem.spectra, noise=problem.noise)
+    estimates = problem.responses @ dense.T
+    residual = problem.spectra - estimates
+    far, correction = float(np.mean(residual**2)), None
+    if local:
+        centres, radius, ridge = local
+        # Distances in N whitened dimensions grow like sqrt(N); the radius is stated for three channels.
+        correction = fit_correction(
+            residual,
+            problem.responses,
+            problem.space,
+            centres=centres,
+            radius=radius * (channels / 3.0) ** 0.5,
+            ridge=ridge,
+        )
+        estimates = estimates + evaluate_correction(correction, problem.space, problem.responses)[0]
+    squared = correction.left_out_rmse**2 if correction else far
+    count = bases(estimates, squared) if callable(bases) else bases
+    count = count if count is not None else (12 if local else min(channels + 1, 12))
+    basis = output_basis(estimates, count)
+    onto = np.linalg.pinv(basis).T  # (K, 61)
+    lost = float(np.mean((estimates - estimates @ onto.T @ basis) ** 2))
+    if correction:
+        correction = replace(
+            correction, weights=correction.weights @ onto.T, variance=correction.variance + lost, far_variance=far
+        )
+    return Parts(
+        basis=basis,
+        linear=onto @ dense,
+        white=np.eye(len(basis))[0],
+        correction=correction,
+        far_variance=far,
+        condition=condition_number(problem.weights, problem.spectra),
+        ill_conditioned=False,
+        training_rmse=(squared + lost) ** 0.5,
+    )
+
+
+def output_basis(estimates: np.ndarray, count: int) -> np.ndarray:
+    """(K, 61): the constant 1, then the strongest orthonormal vectors of what the estimates are beside it.
+
+    Principal vectors of the *estimates*, not of the training spectra: no coefficient is spent on detail that the
+    estimator cannot produce. K is `count`, or less where the estimates span less.
+    """
+    if not 2 <= count <= BANDS:
+        raise UserError(f"number of bases: expected 2 to {BANDS} (the constant included), found {count}; correct it")
+    coloured = estimates - estimates.mean(axis=1, keepdims=True)
+    _, singular, vectors = np.linalg.svd(coloured, full_matrices=False)
+    kept = singular[: count - 1] > 1e-9 * max(singular[0], 1e-300)
+    return np.vstack([np.ones(BANDS), vectors[: count - 1][kept]])
+
+
+def correction_table(
+    correction: LocalCorrection | None, space: ResponseSpace
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Kernel sums on a grid over the whitened box of three channels: table, origin (3,), step (3,).
+
+    The last axis holds the K coefficients, the variance and the nearest distance. For other numbers of channels, or no
+    correction, a single node that the kernel code takes for "no table".
+    """
+    if correction is None or correction.centres.shape[1] != 3:
+        columns = 2 if correction is None else correction.weights.shape[1] + 2
+        return np.zeros((1, 1, 1, columns), np.float32), np.zeros(3), np.ones(3)
+    origin = space.low - TAPER_END
+    extent = space.high + TAPER_END - origin
+    cells = np.clip(np.ceil(extent / TABLE_STEP).astype(int), 1, TABLE_CELLS)
+    axes = [origin[i] + extent[i] * np.linspace(0.0, 1.0, cells[i] + 1) for i in range(3)]
+    table = np.empty((*(cells + 1), correction.weights.shape[1] + 2), np.float32)
+    single = np.float32
+    centres = np.ascontiguousarray(correction.centres.T, single)
+    weights, variance = correction.weights.astype(single), correction.variance.astype(single)
+    kernels.fill_table(*axes, centres, weights, correction.radius, variance, correction.far_variance, table)
+    return table, origin, extent / cells

@@ -1,0 +1,124 @@
+"""What a plan has to know of a scene, read from the capture's small files only."""
+
+from nishiki.artifacts.provenance import truth_digest
+from nishiki.capture.folder import Capture, load_capture
+from nishiki.capture.frames import Frame
+from nishiki.capture.goniometer import GoniometerCapture, goniometer_facts
+from nishiki.capture.seal import capture_digest
+from nishiki.capture.turntable import TurntableCapture, TurntableFacts, turntable_facts
+from nishiki.engine.project import Scene
+from nishiki.engine.stage_types import SceneFacts
+from nishiki.errors import UserError
+from nishiki.formats.image_headers import read_header
+
+
+def scene_facts(scene: Scene) -> SceneFacts:
+    """Facts of a scene. Raises UserError where the capture is missing, not sealed or broken."""
+    try:
+        capture = load_capture(scene.capture)
+    except UserError as error:
+        raise UserError(f"scene {scene.name!r} of the scene table: {error}") from None
+    if not capture.sealed:
+        raise UserError(
+            f"scene {scene.name!r}: capture {scene.capture} is not sealed. Remedy: ./nishiki seal {scene.capture}"
+        )
+    truth = truth_digest(scene.truth) if scene.truth else ""
+    if isinstance(capture, GoniometerCapture):
+        return _of_goniometer(scene, capture, truth)
+    if isinstance(capture, TurntableCapture):
+        return _of_turntable(scene, capture, truth)
+    return _of_plane(scene, capture, truth)
+
+
+def _of_plane(scene: Scene, capture: Capture, truth: str) -> SceneFacts:
+    return SceneFacts(
+        capture_digest=capture_digest(scene.capture),
+        lights=tuple(frame.light for frame in capture.observed if frame.role == "sample"),
+        check_lights=tuple(frame.light for frame in capture.observed if frame.role == "check"),
+        channels=len(capture.settings.camera.channels),
+        pixels=_pixels(capture),
+        parts={role: len(capture.frames_of(role)) for role in ("check", "flat")},
+        suffixes=_suffixes(capture.frames),
+        has_sensitivities=capture.sensitivities is not None,
+        has_illuminant=capture.illuminant is not None,
+        truth_sha256=truth,
+    )
+
+
+def _of_turntable(scene: Scene, capture: TurntableCapture, truth: str) -> SceneFacts:
+    found = turntable_facts(capture)
+    return SceneFacts(
+        capture_digest=capture_digest(scene.capture),
+        lights=found.lights,
+        check_lights=(),
+        channels=found.channels,
+        pixels=found.pixels,
+        has_sensitivities=found.has_sensitivities,
+        has_illuminant=found.has_illuminant,
+        truth_sha256=truth,
+        geometry="turntable",
+        views=found.views,
+        states=found.states,
+        has_poses=found.cameras or found.view_boards or found.correspondences,
+        given=_given(found),
+        parts=_turntable_parts(capture),
+        suffixes=_suffixes(capture.frames),
+    )
+
+
+def _of_goniometer(scene: Scene, capture: GoniometerCapture, truth: str) -> SceneFacts:
+    found = goniometer_facts(capture)
+    return SceneFacts(
+        capture_digest=capture_digest(scene.capture),
+        lights=(),
+        check_lights=(),
+        channels=found.channels,
+        pixels=found.pixels,
+        has_sensitivities=found.has_sensitivities,
+        has_illuminant=found.has_illuminant,
+        truth_sha256=truth,
+        geometry="goniometer",
+        measurements=found.measurements,
+        frontal=found.normal,
+        parts={} if found.table or not found.normal else {"oblique": found.oblique},
+        suffixes=_suffixes(capture.frames),
+        table=found.table,
+    )
+
+
+def _given(found: TurntableFacts) -> tuple[str, ...]:
+    there = {
+        "matrices": found.cameras,
+        "boards": found.view_boards,
+        "correspondences": found.correspondences,
+        "silhouettes": found.silhouettes,
+    }
+    return tuple(name for name, is_there in there.items() if is_there)
+
+
+def _turntable_parts(capture: TurntableCapture) -> dict[str, int]:
+    """Number of files of each part that a scene may do without."""
+    observed = capture.observed
+    first = [f for f in observed if f.polariser == capture.states[0]]
+    return {
+        "states": len(observed) - len(first),
+        "white_states": sum(bool(f.polariser) for f in capture.frames_of("white")),
+        "photographs": len(first),
+        "calibration": len(capture.frames_of("board")),
+        "silhouettes": len({f.silhouette for f in capture.frames if f.silhouette}),
+        "mesh": int(capture.mesh is not None),
+        "scans": len(capture.scans),
+    }
+
+
+def _suffixes(frames: tuple[Frame, ...]) -> tuple[str, ...]:
+    return tuple(sorted({f.path.suffix.lower() for f in frames}))
+
+
+def _pixels(capture: Capture) -> int:
+    """Pixels of the region of interest, from the header of the first photograph."""
+    region = capture.settings.region_of_interest
+    if region is not None:
+        return region[2] * region[3]
+    header = read_header(capture.observed[0].path, name=capture.observed[0].file)
+    return header.rows * header.columns

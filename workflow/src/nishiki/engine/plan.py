@@ -1,0 +1,251 @@
+"""The plan of a scene: which stages run, under which keys, and what is left out and why."""
+
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+from nishiki.artifacts.closed import Closed
+from nishiki.artifacts.provenance import canonical, file_digest, key_of_text
+from nishiki.engine.capture_parts import left_parts
+from nishiki.engine.chains import CHAIN, chain_of
+from nishiki.engine.idle_packages import idle_reason, packages_of
+from nishiki.engine.project import Scene
+from nishiki.engine.stage_types import SceneFacts, Stage
+from nishiki.errors import UserError
+from nishiki.observations.choice import LIGHT
+from nishiki.packages import EXTRAS
+
+HOLD_OUT_FROM = 16
+"""From this number of lights or views, some are held out where nothing else can check the result."""
+
+
+@dataclass(frozen=True)
+class PlannedStage:
+    """One stage of a scene's plan: its key decides where the artifact lies.
+
+    packages: those of its libraries that it loads in this scene; only their versions can change its result.
+    """
+
+    name: str
+    key: str
+    settings: dict[str, Any]
+    upstream: dict[str, str]
+    packages: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Stages of a scene in the order of the flow, and what is left out with the reason.
+
+    packages: of each stage, those of its libraries that it loads in this scene; idle: heavy packages that none does.
+    """
+
+    scene: Scene
+    facts: SceneFacts
+    stages: dict[str, PlannedStage]
+    left_out: dict[str, str] = field(default_factory=dict)
+    held_out: tuple[str, ...] = ()
+    packages: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    idle: dict[str, str] = field(default_factory=dict)
+
+    def folder(self, stage: str) -> str:
+        """Path of a stage's artifact below the results folder."""
+        return f"{self.scene.name}/{stage}/{self.stages[stage].key}"
+
+
+@dataclass(frozen=True)
+class StageOutline:
+    """A planned stage before its key: settings (as values and as canonical text), and the stages that it reads."""
+
+    settings: dict[str, Any]
+    text: str
+    reads: tuple[str, ...]
+    packages: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Outline:
+    """What the plans of all scenes have in common that have the same settings and products and whose captures differ in
+    their digest only: everything but the keys."""
+
+    stages: dict[str, StageOutline]
+    left_out: dict[str, str]
+    held_out: tuple[str, ...]
+    packages: dict[str, tuple[str, ...]]
+    idle: dict[str, str]
+
+
+def make_plan(scene: Scene, facts: SceneFacts, known: dict[Hashable, Outline] | None = None) -> Plan:
+    """Plan of a scene: the stages that its products reach and its capture can feed.
+
+    known: outlines of earlier plans, used where they fit, and added to; they hold as long as the settings of these
+    scenes are alive. Raises UserError where a product that was asked for by name cannot be made, with the reason.
+    """
+    if known is None:
+        outline = _outline(scene, facts)
+    else:
+        kind = (id(scene.settings), scene.products, _but_digest(facts))
+        outline = known.get(kind) or known.setdefault(kind, _outline(scene, facts))
+    keys = {"capture": facts.capture_digest}
+    stages: dict[str, PlannedStage] = {}
+    for name, stage in outline.stages.items():
+        upstream = {other: keys[other] for other in stage.reads}
+        keys[name] = key_of_text(name, CHAIN[name].version, stage.text, upstream)
+        stages[name] = PlannedStage(name, keys[name], stage.settings, upstream, stage.packages)
+    return Plan(scene, facts, stages, outline.left_out, outline.held_out, outline.packages, outline.idle)
+
+
+def _but_digest(facts: SceneFacts) -> Hashable:
+    """Everything in the facts of a scene but the digest of its capture, which nothing but the keys depends on."""
+    values = (getattr(facts, item.name) for item in fields(facts) if item.name != "capture_digest")
+    return tuple(tuple(sorted(value.items())) if isinstance(value, Mapping) else value for value in values)
+
+
+def _outline(scene: Scene, facts: SceneFacts) -> Outline:
+    chain = chain_of(facts.geometry)
+    held_out = held_out_of(scene.settings.hold_out, scene, facts)
+    settings = {name: _filled(name, scene, facts, held_out) for name in chain}
+    left_out: dict[str, str] = {}
+    wanted: set[str] = set()
+    products = scene.products if scene.settings.leave_out == "auto" else _all_products(chain)
+    for product in products:
+        stage = next((name for name in chain if product in (name, chain[name].product)), None)
+        if stage is None:
+            left_out[product] = f"captures of a {facts.geometry} have no such stage"
+        else:
+            _reach(stage, facts, settings, wanted, left_out)
+    if not wanted:
+        raise UserError(
+            f"scene {scene.name!r}: nothing to make: {'; '.join(f'{name}: {why}' for name, why in left_out.items())}"
+        )
+    for name in chain:
+        if name not in wanted and name not in left_out:
+            left_out[name] = "no product asked for needs it"
+    settings["ingest"], reasons = _read_by_ingest(scene, facts, settings, wanted, held_out)
+    left_out |= reasons
+    packages = {name: packages_of(chain[name], facts, settings) for name in chain if name in wanted}
+    idle = _idle(chain, packages, facts, settings)
+    stages: dict[str, StageOutline] = {}
+    for name in packages:
+        if chain[name].asked_as == "report":
+            told = left_out | {f"package {package}": why for package, why in idle.items()}
+            settings[name] = settings[name].model_copy(update={"left_out": told})
+        values = settings[name].model_dump(mode="json")
+        stages[name] = StageOutline(values, canonical(values), _reads(name, settings[name], stages), packages[name])
+    return Outline(stages, left_out, held_out, packages, idle)
+
+
+def _all_products(chain: dict[str, Stage]) -> tuple[str, ...]:
+    """Every product of a chain, those first that pull in others, so that reasons to leave out name the cause."""
+    return tuple(stage.asked_as for name, stage in reversed(chain.items()) if name != "ingest")
+
+
+def _read_by_ingest(
+    scene: Scene, facts: SceneFacts, settings: dict[str, Closed], wanted: set[str], held_out: tuple[str, ...]
+) -> tuple[Closed, dict[str, str]]:
+    """Settings of ingest: the channels that the wanted stages need, and no part of the capture that none looks at."""
+    own, reasons, everything = settings["ingest"], {}, scene.settings.leave_out == "nothing"
+    if own.channels == "auto":
+        colour = (everything or any(CHAIN[name].needs_colour for name in wanted)) and facts.channels > 1
+        own = own.model_copy(update={"channels": "all" if colour else "luminance"})
+        if not colour and facts.channels > 1:
+            reasons["colour"] = "no product asked for needs more than luminance: one channel is decoded and kept"
+    if everything:
+        return own, reasons
+    without, why = left_parts(facts, settings, wanted, scene.products)
+    if held_out and facts.geometry == "plane" and "evaluate" not in wanted:
+        without += tuple(f"{LIGHT}{name}" for name in held_out)
+        why[f"{len(held_out)} photographs under the lights held out"] = "only evaluate looks at them"
+    return own.model_copy(update={"without": without}), reasons | why
+
+
+def _idle(
+    chain: dict[str, Stage], packages: dict[str, tuple[str, ...]], facts: SceneFacts, settings: dict[str, Closed]
+) -> dict[str, str]:
+    """Optional packages of the chain that no stage of the plan loads, and why."""
+    loaded, idle = {name for names in packages.values() for name in names}, {}
+    for stage in chain.values():
+        for package in stage.libraries:
+            if package in EXTRAS and package not in loaded and package not in idle:
+                reason = idle_reason(stage.name, package, facts, settings) if stage.name in packages else None
+                idle[package] = reason or f"{stage.name} is not in the plan"
+    return idle
+
+
+def held_out_of(choice: str | tuple[str, ...], scene: Scene, facts: SceneFacts) -> tuple[str, ...]:
+    """Lights, or views of a turntable, kept from every fit and predicted instead.
+
+    auto: a tenth of at least 16 lights, a twelfth of at least 16 views, where neither truth nor check lights exist.
+    """
+    if choice == "none":
+        return ()
+    series, what = facts.series, "view" if facts.geometry == "turntable" else "light"
+    if choice == "auto":
+        if "evaluate" not in scene.products or facts.truth_sha256 or facts.check_lights:
+            return ()
+        every = 12 if what == "view" else 10
+        return series[5::every] if len(series) >= HOLD_OUT_FROM else ()
+    unknown = [name for name in choice if name not in series]
+    if unknown:
+        raise UserError(f"scene {scene.name!r}: hold_out names {what} {unknown[0]!r}; {what}s: {', '.join(series)}")
+    if len(series) - len(choice) < 3:
+        raise UserError(f"scene {scene.name!r}: hold_out leaves {len(series) - len(choice)} {what}s; 3 are needed")
+    return tuple(choice)
+
+
+def _filled(name: str, scene: Scene, facts: SceneFacts, held_out: tuple[str, ...]) -> Closed:
+    """Settings of a stage with what only the plan knows."""
+    settings = getattr(scene.settings, name)
+    known = {"hold_out": held_out, "truth_sha256": facts.truth_sha256}
+    update = {key: value for key, value in known.items() if key in type(settings).model_fields}
+    if name == "separate":
+        update["lights"] = scene.settings.normals.lights
+    if name == "render":
+        tables = sorted(table for table in illuminants(settings) if table.lower().endswith(".csv"))
+        update["curves_sha256"] = {table: _digest_of(table, "illuminant") for table in tables}
+    if name == "spectra" and settings.training != "synthetic":
+        update["training_sha256"] = _digest_of(settings.training, "spectra.training")
+    if name == "fabric_render" and settings.mesh is not None and not settings.mesh.sha256:
+        digest = _digest_of(settings.mesh.file, "fabric_render.mesh.file")
+        update["mesh"] = settings.mesh.model_copy(update={"sha256": digest})
+    return settings.model_copy(update=update)
+
+
+def illuminants(settings: Closed) -> set[str]:
+    """Every illuminant that the pictures and sequences of render name."""
+    names = {light.illuminant for picture in settings.pictures for light in picture.lights}
+    return names | {sequence.illuminant for sequence in settings.sequences}
+
+
+def _digest_of(path: str, key: str) -> str:
+    if not Path(path).is_file():
+        raise UserError(f"{key}: file {path} not found; correct the path in the configuration")
+    return file_digest(Path(path))
+
+
+def _reach(name: str, facts: SceneFacts, settings: dict, wanted: set[str], left_out: dict[str, str]) -> bool:
+    """Add a stage and what it needs to the plan; False, with the reason noted, where the capture cannot feed it."""
+    if name in wanted:
+        return True
+    reason = CHAIN[name].lacks(facts, settings[name])
+    if reason:
+        left_out[name] = reason
+        return False
+    for upstream in CHAIN[name].requires:
+        if not _reach(upstream, facts, settings, wanted, left_out):
+            left_out[name] = f"it needs {upstream}, which is left out: {left_out[upstream]}"
+            return False
+    for upstream in CHAIN[name].wants(settings[name]):
+        _reach(upstream, facts, settings, wanted, left_out)
+    wanted.add(name)
+    return True
+
+
+def _reads(name: str, settings: Closed, before: Mapping[str, Any]) -> tuple[str, ...]:
+    """Stages that a stage reads, of those before it in the plan; the first one reads the capture."""
+    if name == "ingest":
+        return ("capture",)
+    stage = CHAIN[name]
+    reads = (*stage.requires, *stage.wants(settings), *stage.uses)
+    return tuple(other for other in CHAIN if other in reads and other in before)

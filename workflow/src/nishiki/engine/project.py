@@ -1,0 +1,191 @@
+"""Configuration and scene table: what the user wrote, checked."""
+
+import csv
+import os
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Literal
+
+import yaml
+from pydantic import Field, create_model
+
+from nishiki.artifacts.closed import Closed, parse
+from nishiki.engine.chains import CHAIN, PRODUCTS
+from nishiki.errors import UserError
+from nishiki.formats import plain_yaml
+from nishiki.formats.files import is_plain, read_text
+from nishiki.sweep.settings import SweepName, SweepSettings
+
+CONFIGURATION = "config/config.yaml"
+COLUMNS = ("scene", "capture", "truth", "products", "settings")
+SCATTERED = tuple(name for name, stage in CHAIN.items() if stage.scatter)
+SWEEPS = "sweeps"
+"""Folder of the results that holds the pages and timings of sweeps."""
+
+
+class Shared(Closed):
+    """What several stages of a scene are told."""
+
+    hold_out: Literal["auto", "none"] | tuple[str, ...] = Field(
+        "auto",
+        description="lights (views of a turntable) left out of every fit and predicted instead; auto: some, where "
+        "nothing else checks",
+    )
+    leave_out: Literal["auto", "nothing"] = Field(
+        "auto",
+        description="nothing: every product, photograph and channel, asked for or not, and every package loaded; "
+        "for measuring what leaving out saves (docs/leaving-out.md)",
+    )
+    scatter: Literal["none", "auto"] | dict[Literal[SCATTERED], Annotated[int, Field(ge=1, le=256)]] = Field(
+        "none",
+        description="parts that a stage is divided into, each a job: {normals: 4}; auto: of about a quarter of an "
+        "hour; the results have the same keys and bytes (docs/cluster.md)",
+    )
+
+
+StageSettings = create_model(
+    "StageSettings",
+    __base__=Shared,
+    __doc__="Settings of the stages; everything has a default.",
+    **{name: (stage.settings, stage.settings()) for name, stage in CHAIN.items()},
+)
+
+
+class Configuration(StageSettings):
+    """The whole of config/config.yaml."""
+
+    scenes: str = Field("config/scenes.tsv", description="scene table: scene, capture, truth, products, settings")
+    results: str = Field("results", description="folder of the results", min_length=1, pattern=r"^[^{}\x00-\x1f]+$")
+    products: tuple[Literal[PRODUCTS], ...] = Field(
+        ("render", "evaluate", "report"), min_length=1, description="what is wanted, where a scene does not say"
+    )
+    sweeps: dict[SweepName, SweepSettings] = Field(
+        {}, description="sweeps by name: settings to vary, and what to measure; made by ./nishiki sweep NAME"
+    )
+    sweep: str = Field("", description="the sweep to make: a name, or a file; filled in by ./nishiki sweep")
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One row of the scene table, with its own settings merged in."""
+
+    name: str
+    capture: Path
+    truth: Path | None
+    products: tuple[str, ...]
+    settings: StageSettings
+
+
+@dataclass(frozen=True)
+class Project:
+    """Checked configuration and scenes."""
+
+    configuration: Configuration
+    scenes: dict[str, Scene]
+
+    @property
+    def results(self) -> Path:
+        """Folder of the results."""
+        return Path(self.configuration.results)
+
+
+def load_yaml(path: Path) -> dict:
+    """A YAML file as plain data (see `plain_yaml`). Raises UserError naming file, line and remedy."""
+    try:
+        return plain_yaml.load(read_text(path, "settings_bytes", name=str(path))) or {}
+    except FileNotFoundError:
+        raise UserError(f"{path}: file not found") from None
+    except UnicodeDecodeError as error:
+        raise UserError(f"{path}: expected UTF-8 text ({error.reason} at byte {error.start})") from None
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        line = f", line {mark.line + 1}" if mark else ""
+        raise UserError(f"{path}{line}: not valid YAML ({getattr(error, 'problem', error)})") from None
+
+
+def load_project(values: dict | None = None, *, path: Path = Path(CONFIGURATION)) -> Project:
+    """Project from `values` (as parsed from `path`), or from the file itself where values are None.
+
+    Raises UserError naming file, key or row, what was expected and found.
+    """
+    if values is None:
+        values = load_yaml(path)
+    configuration = parse(Configuration, values, str(path))
+    scenes = {}
+    for scene in _read_scenes(configuration, values, Path(configuration.scenes)):
+        if scene.name in scenes:
+            raise UserError(f"{configuration.scenes}: scene {scene.name!r} stands in the table twice")
+        scenes[scene.name] = scene
+    if not scenes:
+        raise UserError(f"{configuration.scenes}: no scene in the table. Remedy: add a row: name, capture folder")
+    return Project(configuration, scenes)
+
+
+def _read_scenes(configuration: Configuration, values: dict, table: Path) -> list[Scene]:
+    try:
+        lines = read_text(table, "scenes_bytes", name=str(table)).splitlines()
+        rows = list(csv.reader((line for line in lines if line.strip() and not line.startswith("#")), delimiter="\t"))
+    except FileNotFoundError:
+        raise UserError(f"{table}: scene table not found (named by the key scenes)") from None
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise UserError(f"{table}: expected a tab-separated table in UTF-8 ({error})") from None
+    header = tuple(rows[0]) if rows else ()
+    if not {"scene", "capture"} <= set(header) <= set(COLUMNS):
+        found = ", ".join(header)[:200] or "an empty file"
+        raise UserError(f"{table}: expected tab-separated columns {', '.join(COLUMNS)}, found {found}")
+    for row in rows[1:]:
+        if any(cell.strip() for cell in row[len(header) :]):
+            found = f"found {len(row)} values: {', '.join(row)[:120]}"
+            raise UserError(f"{table}: scene {row[0]!r}: expected {len(header)} values as there are columns, {found}")
+    return [_scene(dict(zip(header, row, strict=False)), configuration, values, table) for row in rows[1:]]
+
+
+def _scene(row: dict[str, str], configuration: Configuration, values: dict, table: Path) -> Scene:
+    name = row.get("scene", "").strip()
+    if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_-]{0,99}", name):
+        raise UserError(f"{table}: scene name {name[:120]!r}: use letters, digits, - and _ only, no - in front")
+    for key, value in row.items():
+        if not is_plain(value):
+            raise UserError(f"{table}: scene {name!r}: {key} has control characters, found {value[:120]!r}")
+    if name == SWEEPS:
+        raise UserError(f"{table}: a scene cannot be called {name!r}: this folder of the results holds the sweeps")
+    capture = row.get("capture", "").strip()
+    if not capture:
+        raise UserError(f"{table}: scene {name!r} names no capture folder")
+    products = tuple(row.get("products", "").replace(",", " ").split()) or configuration.products
+    unknown = [product for product in products if product not in PRODUCTS]
+    if unknown:
+        raise UserError(f"{table}: scene {name!r}: unknown product {unknown[0]!r}; known: {', '.join(PRODUCTS)}")
+    truth = row.get("truth", "").strip()
+    return Scene(name, _place(capture), _place(truth) if truth else None, products, _own(row, configuration, values))
+
+
+def _place(text: str) -> Path:
+    return Path(os.path.expandvars(text)).expanduser()
+
+
+def _own(row: dict[str, str], configuration: Configuration, values: dict) -> StageSettings:
+    """Settings of one scene: the project's, with those of the scene's own file over them."""
+    path = row.get("settings", "").strip()
+    if not path:
+        return configuration
+    own = load_yaml(Path(path))
+    if not isinstance(own, dict):
+        raise UserError(f"{path}: expected a block of keys and values, found {type(own).__name__}")
+    shared = {key: value for key, value in values.items() if key in StageSettings.model_fields}
+    return parse(StageSettings, _merged(shared, own), path)
+
+
+def scene_with(scene: Scene, overrides: dict, where: str) -> Scene:
+    """A scene with some settings changed: blocks by stage over its own. Raises UserError naming `where` and the key."""
+    own = scene.settings.model_dump(exclude_unset=True, include=set(StageSettings.model_fields))
+    return replace(scene, settings=parse(StageSettings, _merged(own, overrides), where))
+
+
+def _merged(below: dict, above: dict) -> dict:
+    result = dict(below)
+    for key, value in above.items():
+        both = isinstance(value, dict) and isinstance(result.get(key), dict)
+        result[key] = _merged(result[key], value) if both else value
+    return result

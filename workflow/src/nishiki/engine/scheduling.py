@@ -1,0 +1,88 @@
+"""What a scheduler is told of each job: memory, time, the group that shares a job, the parts of a divided stage."""
+
+import math
+from functools import cache
+
+from nishiki.engine.chains import CHAIN
+from nishiki.engine.plan import Plan, PlannedStage
+
+SHORT_SECONDS = 120
+"""Jobs that are expected to take less than this share one job of a cluster with their neighbours."""
+TIME_MARGIN = 4
+"""Time limit over expected time."""
+PART_SECONDS, MOST_PARTS = 900, 64
+"""scatter: auto makes parts that take about this time, and at most so many."""
+PARTS = ".parts"
+"""Folder of the results that holds the parts of divided stages until they are joined."""
+
+
+class Scheduling:
+    """Costs, groups and parts of the jobs of all plans; a part of `nishiki.engine.workflow.Workflow`."""
+
+    plans: dict[str, Plan]
+    results: str
+
+    def stage(self, scene: str, stage: str, key: str) -> PlannedStage:
+        """The planned stage of a scene that has this key."""
+        raise NotImplementedError
+
+    def memory_mb(self, scene: str, stage: str, attempt: int = 1, *, beside: int = 0) -> int:
+        """Memory that a stage, or a part of it, may take, in MiB; half as much again at each further attempt.
+
+        beside: memory of what runs beside the stage in its job.
+        """
+        plan = self.plans[scene]
+        pixels, samples = self._size(scene)
+        tile = min(plan.scene.settings.ingest.tile_mib, samples * plan.facts.channels * 4 / 2**20)
+        memory = CHAIN[stage].cost(plan.facts).memory_mb(pixels, samples, tile_mib=tile)
+        return math.ceil((memory + beside) * 1.5 ** (attempt - 1))
+
+    def seconds(self, scene: str, stage: str, share: float = 1.0) -> float:
+        """Processor time that a share of a stage's work is expected to take, in seconds."""
+        pixels, samples = self._size(scene)
+        return CHAIN[stage].cost(self.plans[scene].facts).processor_seconds(pixels * share, samples * share)
+
+    def minutes(self, scene: str, stage: str, attempt: int = 1, share: float = 1.0) -> int:
+        """Time limit for a scheduler, in minutes: slower machines and waiting for disks are allowed for."""
+        return math.ceil((2 + TIME_MARGIN * self.seconds(scene, stage, share) / 60) * 2 ** (attempt - 1))
+
+    def parts(self, scene: str, stage: str) -> int:
+        """Number of parts that a stage is divided into; 1: it is not divided."""
+        scatter = self.plans[scene].scene.settings.scatter
+        if not CHAIN[stage].scatter or scatter == "none":
+            return 1
+        if scatter == "auto":
+            return min(MOST_PARTS, max(1, round(self.seconds(scene, stage) / PART_SECONDS)))
+        return scatter.get(stage, 1)
+
+    def part_paths(self, scene: str, stage: str, key: str) -> list[str]:
+        """Folders of the parts that a stage is joined from; none where it is not divided."""
+        total = self.parts(scene, stage)
+        folder = f"{self.results}/{PARTS}/{scene}/{stage}/{key}"
+        return [f"{folder}/{number}-of-{total}" for number in range(1, total + 1)] if total > 1 else []
+
+    def group(self, scene: str, stage: str, key: str, *, part: bool = False) -> str | None:
+        """Name of the group of short jobs that a cluster runs as one; None for a long one.
+
+        A group holds the short jobs between two long ones, so that no way leaves a group and comes back to it.
+        part: of the parts of a divided stage; the stage itself then only joins them.
+        """
+        divided, long = self.parts(scene, stage) > 1, self._is_long(scene, stage)
+        if long and (part or not divided):
+            return None
+        return f"level{self._level(scene, stage, key) + (long and not part)}"
+
+    def _is_long(self, scene: str, stage: str) -> bool:
+        """Whether the stage, or a part of it where it is divided, is a job of its own."""
+        return self.seconds(scene, stage, 1 / self.parts(scene, stage)) > SHORT_SECONDS
+
+    @cache  # noqa: B019  one Workflow a process
+    def _level(self, scene: str, stage: str, key: str) -> int:
+        """Number of long stages on the longest way from the capture to a stage."""
+        upstream = {name: above for name, above in self.stage(scene, stage, key).upstream.items() if name in CHAIN}
+        return max((self._level(scene, *item) + self._is_long(scene, item[0]) for item in upstream.items()), default=0)
+
+    def _size(self, scene: str) -> tuple[int, int]:
+        """Pixels of a photograph, and samples of all photographs."""
+        facts = self.plans[scene].facts
+        return facts.pixels, facts.pixels * facts.observations

@@ -1,0 +1,199 @@
+"""What the rules ask of the plans: keys to paths, inputs, parameters and resources. Knows nothing of Snakemake."""
+
+import os
+import shlex
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from functools import cache
+from pathlib import Path
+
+from nishiki.artifacts.artifact import MANIFEST
+from nishiki.artifacts.provenance import canonical, code_digest, library_version
+from nishiki.engine.chains import CHAIN
+from nishiki.engine.facts_cache import remembered_facts
+from nishiki.engine.plan import Outline, Plan, PlannedStage, make_plan
+from nishiki.engine.project import CONFIGURATION, SWEEPS, Scene, load_project
+from nishiki.engine.scheduling import Scheduling
+from nishiki.engine.stage_types import SceneFacts
+from nishiki.engine.sweep_plan import TIMINGS, PlannedSweep, PlannedVariant, SceneSweep, plan_sweep
+from nishiki.errors import UserError
+
+
+class Plans(Mapping):
+    """Plans by scene, each made when it is first asked for: a job of one scene among thousands needs one."""
+
+    def __init__(self, names: list[str], make: Callable[[str], Plan]):
+        self._names, self._make = dict.fromkeys(names), make
+
+    def __getitem__(self, name: str) -> Plan:
+        if self._names[name] is None:
+            self._names[name] = self._make(name)
+        return self._names[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._names
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+
+class Workflow(Scheduling):
+    """All plans of a configuration, and what follows from them for the rules."""
+
+    def __init__(
+        self,
+        configuration: dict | None = None,
+        *,
+        folder: str | Path = ".",
+        only: str | None = None,
+        lazy: bool = False,
+        file: str | Path = CONFIGURATION,
+    ):
+        """Plan all scenes, or one of them; lazy: each when it is first asked for; file: where the configuration stands,
+        for messages. Raises UserError for bad input."""
+        self.folder = Path(folder)
+        self.project = load_project(configuration, path=Path(file))
+        self.results = str(self.project.results)
+        if only and only not in self.project.scenes:
+            raise UserError(f"no scene {only!r} in the scene table; scenes: {', '.join(self.project.scenes)}")
+        self.sweep: PlannedSweep | None = None
+        self._swept: dict[tuple[str, str, str], PlannedStage] = {}
+        self._outlines: dict[Hashable, Outline] = {}
+        self._known_facts: dict[tuple[Path, Path | None], SceneFacts] = {}
+        self.plans: Mapping[str, Plan] = Plans([only] if only else list(self.project.scenes), self._plan)
+        if self.project.configuration.sweep:
+            self._plan_sweep(self.project.configuration.sweep)
+        elif not lazy:
+            dict(self.plans)
+
+    def _facts(self, scene: Scene) -> SceneFacts:
+        place = (scene.capture, scene.truth)
+        if place not in self._known_facts:  # scenes may share a capture
+            self._known_facts[place] = remembered_facts(scene, self.project.results)
+        return self._known_facts[place]
+
+    def _plan(self, name: str) -> Plan:
+        scene = self.project.scenes[name]
+        return make_plan(scene, self._facts(scene), self._outlines)
+
+    def _plan_sweep(self, named: str) -> None:
+        """Plans of all variants; a scene's own plan is that of its first variant, the scene as it is configured."""
+        self.sweep = plan_sweep(named, self.project, self._facts)
+        self.plans = {swept.scene: swept.variants[0].plan for swept in self.sweep.scenes}
+        for swept in self.sweep.scenes:
+            for variant in swept.variants:
+                self._swept |= {
+                    (swept.scene, name, planned.key): planned for name, planned in variant.plan.stages.items()
+                }
+
+    def stage(self, scene: str, stage: str, key: str) -> PlannedStage:
+        """The planned stage of a scene that has this key, in whichever of the scene's plans."""
+        plan = self.plans.get(scene)
+        planned = plan.stages.get(stage) if plan else None
+        if planned is None or planned.key != key:
+            planned = self._swept.get((scene, stage, key))
+        if planned is None:
+            raise UserError(f"{self.results}/{scene}/{stage}/{key}: not part of the present configuration")
+        return planned
+
+    def planned(self, sweeps: Sequence[str] = ()) -> set[tuple[str, str, str]]:
+        """(scene, stage, key) of everything that the configuration asks for: its scenes, its blocks of sweeps, and
+        these sweeps of files of their own."""
+        found = set(self._swept)
+        for scene, plan in self.plans.items():
+            found |= {(scene, name, stage.key) for name, stage in plan.stages.items()}
+        for named in (*self.project.configuration.sweeps, *sweeps):
+            for swept in plan_sweep(named, self.project, self._facts).scenes:
+                for variant in swept.variants:
+                    found |= {(swept.scene, name, stage.key) for name, stage in variant.plan.stages.items()}
+        return found
+
+    def path(self, scene: str, stage: str, key: str) -> str:
+        """Path of the manifest of an artifact."""
+        return f"{self.results}/{scene}/{stage}/{key}/{MANIFEST}"
+
+    def artifact(self, scene: str, stage: str) -> str:
+        """Path of the manifest of a stage's artifact."""
+        return self.path(scene, stage, self.plans[scene].stages[stage].key)
+
+    def artifacts(self, scene: str) -> list[str]:
+        """Manifests of all stages of a scene."""
+        return [self.artifact(scene, stage) for stage in self.plans[scene].stages]
+
+    def inputs(self, scene: str, stage: str, key: str) -> list[str]:
+        """Manifests of the artifacts that a stage reads."""
+        upstream = self.stage(scene, stage, key).upstream
+        return [self.path(scene, name, above) for name, above in upstream.items() if name in CHAIN]
+
+    def source(self, scene: str, stage: str) -> str:
+        """Arguments that name what lies outside the results: the capture, the truth; and that force all packages in."""
+        of = self.plans[scene].scene
+        everything = ["--load-everything"] if of.settings.leave_out == "nothing" else []
+        if stage == "ingest":
+            return shlex.join(["--capture", _no_option(of.capture), *everything])
+        if CHAIN[stage].asked_as == "evaluate" and of.truth:
+            return shlex.join(["--truth", _no_option(of.truth), *everything])
+        return shlex.join(everything)
+
+    @cache  # noqa: B019  one Workflow a process
+    def code(self, stage: str) -> str:
+        """Digest of a stage's code."""
+        return code_digest(self.folder / "scripts" / f"{stage}.py")
+
+    def libraries(self, scene: str, stage: str, key: str) -> str:
+        """Versions of the libraries that a stage loads in this scene."""
+        return canonical({name: library_version(name) for name in self.stage(scene, stage, key).packages})
+
+    def stages_text(self, scene: str) -> str:
+        """Stages and keys of a scene, as canonical JSON."""
+        return canonical({name: planned.key for name, planned in self.plans[scene].stages.items()})
+
+    def sweep_path(self, name: str) -> str:
+        """Path of a file of the sweep's results."""
+        return f"{self.results}/{SWEEPS}/{self.sweep.name if self.sweep else '-'}/{name}"
+
+    def timing(self, scene: str, stage: str, key: str, number: int | str) -> str:
+        """Path of what one repeat of a stage recorded."""
+        return f"{self.results}/{SWEEPS}/{TIMINGS}/{scene}/{stage}/{key}/{number}.json"
+
+    def timings(self, swept: SceneSweep, variant: PlannedVariant) -> dict[str, list[str]]:
+        """Records of all repeats of the counted stages of a variant, by stage."""
+        numbers = range(1, self.sweep.settings.repeats + 1)
+        planned = variant.plan.stages
+        return {
+            name: [self.timing(swept.scene, name, planned[name].key, number) for number in numbers]
+            for name in swept.counted
+            if name in planned
+        }
+
+    def evaluation(self, swept: SceneSweep, variant: PlannedVariant) -> str:
+        """Manifest of the evaluation of a variant."""
+        return self.path(swept.scene, swept.evaluation, variant.plan.stages[swept.evaluation].key)
+
+    def sweep_inputs(self) -> list[str]:
+        """Everything that the page of the sweep is made from."""
+        pairs = [(swept, variant) for swept in self.sweep.scenes for variant in swept.variants] if self.sweep else []
+        found = [self.evaluation(*pair) for pair in pairs]
+        found += [path for pair in pairs for paths in self.timings(*pair).values() for path in paths]
+        return list(dict.fromkeys(found))
+
+    def sweep_text(self) -> str:
+        """What the page of the sweep depends on besides its inputs: its settings, and the variants' names and keys."""
+        if self.sweep is None:
+            return ""
+        variants = {
+            swept.scene: [[variant.names, self.evaluation(swept, variant)] for variant in swept.variants]
+            for swept in self.sweep.scenes
+        }
+        return canonical({"settings": self.sweep.settings.model_dump(mode="json"), "variants": variants})
+
+    def relative_results(self) -> str:
+        """Results folder relative to the working folder, for messages."""
+        return os.path.relpath(self.results)
+
+
+def _no_option(path: Path) -> str:
+    """A path as an argument that cannot be taken for an option."""
+    return f"./{path}" if str(path).startswith("-") else str(path)

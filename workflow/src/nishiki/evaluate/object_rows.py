@@ -1,0 +1,98 @@
+"""The rows and figures of an evaluation: each view by each way of making it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from nishiki.evaluate.object_quality import Difference, difference, structural_similarity, summary
+
+DECODED, MODEL, INTERPOLATED, SLOT = "decoded", "model_alone", "interpolated", "slot"
+COLUMNS = (
+    "view", "light", "left_out", "picture", "against", "psnr_db", "covered_psnr_db", "similarity", "pixels",
+    "uncovered_pixels",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Row:
+    """One picture against one counterpart.  picture: DECODED, MODEL, INTERPOLATED (a left-out view from its
+    neighbours' residual) or SLOT (from what the decoder filled into its own place); against: photograph | truth."""
+
+    view: str
+    light: str
+    left_out: bool
+    picture: str
+    against: str
+    whole: Difference
+    covered: Difference
+    similarity: float | None
+
+    def as_dict(self) -> dict:
+        """Plain data with the keys `COLUMNS`."""
+        values = {name: value for name, value in asdict(self).items() if name in COLUMNS}
+        return {
+            **values,
+            "psnr_db": self.whole.psnr_db,
+            "covered_psnr_db": self.covered.psnr_db,
+            "similarity": self.similarity,
+            "pixels": self.whole.pixels,
+            "uncovered_pixels": self.whole.uncovered,
+        }
+
+
+def compare(
+    coded: np.ndarray,
+    counterpart: np.ndarray,
+    *,
+    inside: np.ndarray,
+    covered: np.ndarray,
+    similarity: bool,
+    **named,
+) -> Row:
+    """coded, counterpart (rows, columns, channels) in the capture's encoding; inside: pixels judged; covered: pixels
+    that the surface meets; named: the other fields of the row."""
+    return Row(
+        whole=difference(coded, counterpart, inside, covered),
+        covered=difference(coded, counterpart, inside & covered),
+        similarity=structural_similarity(coded, counterpart, inside) if similarity else None,
+        **named,
+    )
+
+
+def figures(rows: Iterable[Row]) -> dict:
+    """Summaries by kind of picture: captured views, the model alone, left-out views both ways, and against truth."""
+    rows = list(rows)
+    found = {}
+    for name, picture, left_out, against in (
+        ("captured", DECODED, False, "photograph"),
+        ("model_alone", MODEL, False, "photograph"),
+        ("left_out_interpolated", INTERPOLATED, True, "photograph"),
+        ("left_out_slot", SLOT, True, "photograph"),
+        ("left_out_model_alone", MODEL, True, "photograph"),
+        ("captured_truth", DECODED, False, "truth"),
+        ("left_out_interpolated_truth", INTERPOLATED, True, "truth"),
+        ("left_out_slot_truth", SLOT, True, "truth"),
+        ("photograph_truth", "photograph", False, "truth"),
+    ):
+        chosen = [r for r in rows if (r.picture, r.left_out, r.against) == (picture, left_out, against)]
+        if chosen:
+            similarities = [r.similarity for r in chosen if r.similarity is not None]
+            found[name] = {
+                **summary([r.whole for r in chosen]),
+                "mean_covered_psnr_db": summary([r.covered for r in chosen])["mean_psnr_db"],
+                "mean_similarity": float(np.mean(similarities)) if similarities else None,
+            }
+    return found
+
+
+def better_prediction(found: dict) -> str | None:
+    """INTERPOLATED or SLOT, whichever predicts the left-out views better on average; None without left-out views."""
+    scores = {
+        name: found[key]["mean_psnr_db"]
+        for name, key in ((INTERPOLATED, "left_out_interpolated"), (SLOT, "left_out_slot"))
+        if key in found and found[key]["mean_psnr_db"] is not None
+    }
+    return max(scores, key=scores.get) if scores else None

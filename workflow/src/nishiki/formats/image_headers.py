@@ -1,0 +1,161 @@
+"""Size, depth and kind of a photograph from its first bytes, before anything large is allocated.
+
+A damaged or hostile header may claim any size; what it claims is compared with what the file can hold and with the
+bounds of `nishiki.formats.bounds`, and only then is the file decoded.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO, Literal
+
+from nishiki.formats.bounds import BOUNDS, bound, remedy
+from nishiki.formats.files import Refused, open_regular
+from nishiki.formats.problems import CaptureError, Problem, error
+from nishiki.formats.text_tables import refusal
+
+DEFLATE_RATIO = 1040  # deflate cannot shrink more than 1032:1, so a larger claim is damage or a decompression bomb
+JPEG_RATIO = 3000  # a progressive JPEG of one even grey needs one bit for 64 samples, or for 768 with coarse colour
+
+Kind = Literal["png", "jpeg", "tiff", "exr", "raw"]
+Sample = Literal["uint8", "uint16", "float32"]
+RAW_SUFFIXES = frozenset(
+    ".3fr .arw .cr2 .cr3 .crw .dcr .dng .erf .fff .iiq .kdc .mef .mos .mrw .nef .nrw .orf .pef .raf .raw .rw2 .rwl "
+    ".sr2 .srf .srw .x3f".split()
+)
+IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr"}) | RAW_SUFFIXES
+
+
+@dataclass(frozen=True)
+class ImageHeader:
+    """What a photograph says of itself. channels: as decoded, alpha included; pages: TIFF pages of equal size.
+
+    stored_bytes: of all samples before compression, 0 where not known; ratio: how many times smaller than these the
+    file can be at most, 0 where there is no bound.
+    """
+
+    kind: Kind
+    rows: int
+    columns: int
+    channels: int
+    sample: Sample
+    alpha: bool = False
+    pages: int = 1
+    names: tuple[str, ...] = ()
+    stored_bytes: int = 0
+    ratio: int = 0
+
+    @property
+    def decoded_bytes(self) -> int:
+        return self.rows * self.columns * self.channels * {"uint8": 1, "uint16": 2, "float32": 4}[self.sample]
+
+
+def read_header(path: Path, *, name: str | None = None) -> ImageHeader:
+    """Header of a photograph; CaptureError (image-missing, image-unreadable, image-truncated, image-absurd) if none.
+
+    name: how to call the file in messages (default: its own name).
+    """
+    name = name or path.name
+    try:
+        with os.fdopen(open_regular(path, name), "rb") as file:
+            start = file.read(32)
+            if path.suffix.lower() in RAW_SUFFIXES:
+                from nishiki.formats.raw import read_raw_header
+
+                header = read_raw_header(path, name)
+            else:
+                header = _parse(file, start, path, name)
+            bytes_on_disk = file.seek(0, 2)
+    except FileNotFoundError as e:
+        raise CaptureError(error("image-missing", name, "file is missing")) from e
+    except Refused as e:
+        raise CaptureError(refusal(e, "image-unreadable")) from e
+    problem = _absurd(header, bytes_on_disk, name)
+    if problem:
+        raise CaptureError(problem)
+    return header
+
+
+def _parse(file: BinaryIO, start: bytes, path: Path, name: str) -> ImageHeader:
+    try:
+        if start.startswith(b"\x89PNG\r\n\x1a\n"):
+            return _png(file)
+        if start.startswith(b"\xff\xd8"):
+            return _jpeg(file)
+        if start[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
+            from nishiki.formats.tiff import tiff_header
+
+            return tiff_header(file)
+        if start.startswith(b"\x76\x2f\x31\x01"):
+            from nishiki.formats.exr import exr_header
+
+            return exr_header(file)
+    except (struct.error, IndexError, KeyError, ValueError, EOFError, OSError, OverflowError) as e:
+        what = "image header is damaged or cut off"
+        raise CaptureError(error("image-truncated", name, what, found=str(e) or type(e).__name__)) from e
+    expected = "PNG, JPEG, TIFF, OpenEXR or camera raw"
+    raise CaptureError(error("image-unreadable", name, "not an image", expected=expected, found=f"{start[:8]!r}"))
+
+
+def _absurd(header: ImageHeader, bytes_on_disk: int, name: str) -> Problem | None:
+    size = f"{header.rows} x {header.columns} x {header.channels}"
+    if min(header.rows, header.columns, header.channels) < 1:
+        return error("image-absurd", name, "image without pixels", found=size)
+    claims = {
+        "image_side": max(header.rows, header.columns),
+        "image_pixels": header.rows * header.columns,
+        "image_bytes": max(header.decoded_bytes, header.stored_bytes),
+        "image_file_bytes": bytes_on_disk,
+        "memory_bytes": 2 * header.decoded_bytes + bytes_on_disk,
+    }
+    for limit, claimed in claims.items():
+        if claimed > bound(limit):
+            what, unit = "image header claims an absurd size", BOUNDS[limit].unit
+            expected, found = f"at most {bound(limit)} {unit}", f"{size}, {claimed} {unit}"
+            return error("image-absurd", name, what, expected=expected, found=found, remedy=remedy(limit))
+    if header.ratio and header.stored_bytes > header.ratio * bytes_on_disk:
+        found = f"{size} in {bytes_on_disk} bytes"
+        return error("image-absurd", name, "image cannot hold the size that its header claims", found=found)
+    return None
+
+
+def _png(file: BinaryIO) -> ImageHeader:
+    file.seek(8)
+    length, tag = struct.unpack(">I4s", file.read(8))
+    if tag != b"IHDR" or length != 13:
+        raise ValueError("no IHDR chunk")
+    columns, rows, depth, colour = struct.unpack(">IIBB", file.read(10))
+    if depth not in (1, 2, 4, 8, 16):
+        raise ValueError(f"samples of {depth} bits")
+    channels = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}[colour]
+    sample = "uint16" if depth == 16 else "uint8"
+    stored = rows * (columns * (1 if colour == 3 else channels) * depth // 8)
+    return ImageHeader(
+        "png", rows, columns, channels, sample, alpha=colour in (4, 6), stored_bytes=stored, ratio=DEFLATE_RATIO
+    )
+
+
+def _jpeg(file: BinaryIO) -> ImageHeader:
+    """Walk the segments to the start of frame (SOF), past thumbnails in the EXIF segment."""
+    file.seek(2)
+    while True:
+        marker = file.read(2)
+        while len(marker) == 2 and marker == b"\xff\xff":
+            marker = b"\xff" + file.read(1)
+        if len(marker) < 2 or marker[0] != 0xFF:
+            raise EOFError("no start of frame")
+        if marker[1] in (0x01, *range(0xD0, 0xD8)):
+            continue
+        (length,) = struct.unpack(">H", file.read(2))
+        if 0xC0 <= marker[1] <= 0xCF and marker[1] not in (0xC4, 0xC8, 0xCC):
+            depth, rows, columns, channels = struct.unpack(">BHHB", file.read(6))
+            if depth != 8 or channels not in (1, 3):
+                raise ValueError(f"JPEG of {depth} bits and {channels} components; 8 bits and 1 or 3 are read")
+            stored = rows * columns * channels
+            return ImageHeader("jpeg", rows, columns, channels, "uint8", stored_bytes=stored, ratio=JPEG_RATIO)
+        if length < 2:
+            raise ValueError(f"JPEG segment of {length} bytes")
+        file.seek(length - 2, 1)

@@ -1,0 +1,73 @@
+"""Text tables of a capture, line by line: bounded, UTF-8, every failure told as a problem of the capture."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from nishiki.formats.bounds import bound, remedy
+from nishiki.formats.files import Refused, is_label, read_bytes
+from nishiki.formats.problems import CaptureError, Problem, error
+
+LABEL = "Use a name of at most 100 characters without slashes, line ends and control characters"
+
+
+MISSING_FRAMES = "Write it, a row a photograph with its file and role, or make a capture folder with ./nishiki convert"
+
+
+@contextmanager
+def reading(name: str, kind: str) -> Iterator[None]:
+    """Tell what goes wrong in reading the file `name` as CaptureErrors KIND-missing and KIND-unreadable."""
+    try:
+        yield
+    except FileNotFoundError as e:
+        remedy = MISSING_FRAMES if kind == "frames" else "Put the file there, or take its name out of capture.yaml"
+        raise CaptureError(error(f"{kind}-missing", name, "file is missing", remedy=remedy)) from e
+    except UnicodeDecodeError as e:
+        found = f"{e.reason} at byte {e.start}"
+        raise CaptureError(error(f"{kind}-unreadable", name, "not UTF-8 text", found=found)) from e
+    except csv.Error as e:
+        raise CaptureError(error(f"{kind}-unreadable", name, "not a table", found=str(e))) from e
+    except Refused as e:
+        raise CaptureError(refusal(e, f"{kind}-unreadable")) from e
+
+
+def refusal(e: Refused, kind: str) -> Problem:
+    """A file that is not read, as a problem."""
+    return error(kind, e.file, e.what, expected=e.expected, found=e.found, remedy=e.remedy)
+
+
+def lines_of(content: bytes, *, encoding: str = "utf-8-sig") -> Iterator[tuple[int, str]]:
+    """Lines that are neither empty nor comments (#), with their numbers from 1, without their ends."""
+    stream = io.TextIOWrapper(io.BytesIO(content), encoding=encoding)
+    for number, line in enumerate(stream, start=1):
+        if line.strip() and not line.lstrip().startswith("#"):
+            yield number, line.rstrip("\n")
+
+
+def table_lines(path: Path, name: str, *, limit: str = "table_bytes") -> Iterator[tuple[int, str]]:
+    """Lines of a table file, see `lines_of`; to be used inside `reading`."""
+    return lines_of(read_bytes(path, limit, name=name))
+
+
+def cells_of(line: str) -> list[str]:
+    """Cells of one line of a comma-separated table, without blanks around them."""
+    return [cell.strip() for cell in next(csv.reader([line]))]
+
+
+def expect_rows(count: int, limit: str, name: str, kind: str) -> None:
+    """CaptureError (KIND-many) where a table has more rows or columns than its bound."""
+    if count > bound(limit):
+        expected, found = f"at most {bound(limit)} {limit.rpartition('_')[2]}", f"{count} or more"
+        what = "table is larger than is read"
+        raise CaptureError(error(f"{kind}-many", name, what, expected=expected, found=found, remedy=remedy(limit)))
+
+
+def label_problems(name: str, what: str, where: str) -> list[Problem]:
+    """name-unusable where the name of a view, light or region cannot be part of a file name; '' is no name."""
+    if not name or is_label(name):
+        return []
+    return [error("name-unusable", where, f"name of a {what}", found=repr(name[:60]), remedy=LABEL)]

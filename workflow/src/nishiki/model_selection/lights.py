@@ -1,0 +1,160 @@
+"""Which lights a fit needs: an evenly spread choice, as few as leave the normals where all lights put them."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from nishiki.model_selection.decision import Decision
+from nishiki.model_selection.spread import spread_order
+from nishiki.photometric import flags as bits
+from nishiki.photometric.solve import NormalField
+
+LIMIT_DEG = 0.2  # by which half of the normals may move
+WORTH = 30_000_000  # samples (lights x pixels) from which the choice costs less than the lights that it saves
+FEWEST = 32
+"""Lights that are always kept: up to 24 the joint fit begins, and selection needs samples beside gloss and shadow."""
+OVERRIDE = "normals.lights: all, auto or a number"
+
+
+@dataclass(frozen=True)
+class LightSample:
+    """Sampled pixels under one set of directions: observations, valid (lights, 1, pixels), directions (lights, 3)."""
+
+    observations: np.ndarray
+    valid: np.ndarray
+    directions: np.ndarray
+
+
+Solve = Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, NormalField]]
+"""(observations, directions, valid) -> (usable samples, normals): selection and solution as the stages do them."""
+
+
+def static_choice(directions: np.ndarray, setting: int) -> tuple[np.ndarray, Decision | None]:
+    """(rows of the lights used, in rising order; what was decided) for a number; at least as many as there are: all."""
+    count = len(directions)
+    if setting >= count:
+        return np.arange(count), None
+    chosen = np.sort(spread_order(directions)[:setting])
+    lost = 100 * (np.sqrt(count / len(chosen)) - 1)
+    decision = Decision(
+        "lights",
+        f"{len(chosen)} of {count} lights, evenly spread",
+        "number set",
+        None,
+        None,
+        f"standard error of the normals about {lost:.0f} % larger (noise alone), fewer samples to tell highlights by",
+        OVERRIDE,
+    )
+    return chosen, decision
+
+
+def not_worth(lights: int, pixels: int) -> Decision | None:
+    """The decision to take all lights without looking, where the fit costs no more than the choice; else None."""
+    if lights <= FEWEST or lights * pixels >= WORTH:
+        return None
+    criterion = "samples (lights x pixels), below which the choice costs more than it saves"
+    return Decision(
+        "lights", f"all {lights} lights", criterion, float(lights * pixels), float(WORTH), "nothing", OVERRIDE
+    )
+
+
+def measured_choice(
+    directions: np.ndarray,
+    samples: Sequence[LightSample],
+    solve: Solve,
+    *,
+    limit_deg: float = LIMIT_DEG,
+    fewest: int = FEWEST,
+) -> tuple[np.ndarray, Decision | None]:
+    """As `static_choice`, with the number found: the fewest lights by which half of the sample's normals stay in place.
+
+    First predicted (`added_deg`), then checked by solving the sample with the lights chosen; a quarter more of them
+    until the check is passed. None decided where there are no more than `fewest` lights, or no pixel to judge by.
+    """
+    count = len(directions)
+    if count <= fewest or not samples:
+        return np.arange(count), None
+    order = spread_order(directions)
+    full = [solve(sample.observations, sample.directions, sample.valid) for sample in samples]
+    number, predicted = _predicted_number(order, samples, full, limit_deg, fewest)
+    moved = np.inf
+    while number < count:
+        moved = moved_deg(np.sort(order[:number]), samples, full, solve)
+        if moved <= limit_deg:
+            break
+        number = min(count, number + -(-number // 4))
+    saved = number < count
+    if not np.isfinite(moved):  # none fewer was worth checking: what a quarter fewer would cost
+        moved = added_deg(order[: max(fewest, 3 * count // 4)], samples, full)
+    if saved:
+        loss = f"half of the normals move by less than {moved:.2g} degrees (noise alone predicts {predicted:.2g})"
+    else:
+        loss = "nothing: fewer lights move the normals by more than the limit"
+    decision = Decision(
+        "lights",
+        f"{number} of {count} lights" + ", evenly spread" * saved,
+        "median angle to the normals of all lights on a sample, degrees",
+        float(moved),
+        limit_deg,
+        loss,
+        OVERRIDE,
+    )
+    return np.sort(order[:number]), decision
+
+
+def _predicted_number(order, samples, full, limit_deg: float, fewest: int) -> tuple[int, float]:
+    """Fewest lights of the order whose predicted addition is within the limit, and that addition, degrees."""
+    low, high = fewest, len(order)
+    while low < high:
+        middle = (low + high) // 2
+        low, high = (low, middle) if added_deg(order[:middle], samples, full) <= limit_deg else (middle + 1, high)
+    return low, added_deg(order[:low], samples, full)
+
+
+def added_deg(rows: np.ndarray, samples: Sequence[LightSample], full) -> float:
+    """Angle that fewer lights are expected to add to the error of a normal, degrees: median over the pixels.
+
+    Lambert's law with noise of standard deviation s gives the scaled normal the covariance s^2 M^-1, M the sum of l l^T
+    over the usable lights; across the normal its trace is the variance of the direction. With s from the fit to all
+    lights, what fewer lights add is the difference of the two variances (their matrices are nested). A pixel that is
+    left with fewer than three lights counts as lost (90 degrees).
+    """
+    added = [
+        _added(rows, sample.directions, usable, field) for sample, (usable, field) in zip(samples, full, strict=True)
+    ]
+    values = np.concatenate(added) if added else np.empty(0)
+    return float(np.degrees(np.median(values))) if values.size else 0.0
+
+
+def _added(rows: np.ndarray, directions: np.ndarray, usable: np.ndarray, field: NormalField) -> np.ndarray:
+    """(pixels,) radians, of those with an estimate."""
+    known = (field.flags.ravel() & bits.NO_ESTIMATE) == 0
+    normals, sigma = field.normals.reshape(-1, 3)[known].astype(np.float64), field.sigma.ravel()[known]
+    masks = usable.reshape(len(usable), -1)[:, known].astype(np.float64)
+    all_of, of_rows = (_across(directions[k], masks[k], normals) for k in (slice(None), rows))
+    share = np.where(np.isfinite(of_rows), of_rows / all_of - 1, np.inf)
+    return np.minimum(sigma * np.sqrt(np.maximum(share, 0)), 0.5 * np.pi)
+
+
+def _across(directions: np.ndarray, masks: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """(pixels,) trace of the inverse of sum of l l^T across the normal; infinite where it is singular."""
+    matrix = np.einsum("lp,la,lb->pab", masks, directions, directions)
+    regular = np.linalg.cond(matrix) < 1e10
+    inverse = np.linalg.inv(np.where(regular[:, None, None], matrix, np.eye(3)))
+    trace = np.trace(inverse, axis1=1, axis2=2) - np.einsum("pa,pab,pb->p", normals, inverse, normals)
+    return np.where(regular, trace, np.inf)
+
+
+def moved_deg(rows: np.ndarray, samples: Sequence[LightSample], full, solve: Solve) -> float:
+    """Median angle between the normals of the lights `rows` and those of all, degrees; lost pixels count 90."""
+    angles = []
+    for sample, (_, field) in zip(samples, full, strict=True):
+        fewer = solve(sample.observations[rows], sample.directions[rows], sample.valid[rows])[1]
+        known = (field.flags & bits.NO_ESTIMATE) == 0
+        difference = np.linalg.norm(fewer.normals.astype(np.float64) - field.normals, axis=-1)
+        angle = 2 * np.arcsin(np.minimum(0.5 * difference, 1))
+        lost = (fewer.flags & bits.NO_ESTIMATE) != 0
+        angles.append(np.where(lost, 0.5 * np.pi, angle)[known])
+    values = np.concatenate(angles) if angles else np.empty(0)
+    return float(np.degrees(np.median(values))) if values.size else 0.0

@@ -1,0 +1,49 @@
+"""Whether normals are fitted together with the gloss: a first look at few pixels, then the whole sample."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from nishiki.model_selection.decision import Decision
+from nishiki.photometric.gloss_scene import WORTHWHILE, GlossTile, SceneGloss
+
+FIRST_LOOK = 4000  # pixels; of fewer than 1500 the profile can be far off
+CLEAR = 1 / 3  # of the limit: a gain nearer to 0 in the first look is not looked at again
+OVERRIDE = "normals.refine: gloss"
+
+
+def thinned(tiles: list[GlossTile], pixels: int = FIRST_LOOK) -> list[GlossTile] | None:
+    """About so many pixels of the tiles (lights, 1, pixels, ...), evenly; None where that is most of them."""
+    every = sum(tile.flags.size for tile in tiles) // pixels
+    if every < 2:
+        return None
+    out, seen = [], 0
+    for tile in tiles:
+        chosen = np.arange((-seen) % every, tile.flags.shape[1], every)
+        seen += tile.flags.shape[1]
+        if chosen.size:
+            of_lights = {name: getattr(tile, name)[:, :, chosen] for name in ("observations", "valid")}
+            of_pixels = {name: getattr(tile, name)[:, chosen] for name in ("normals", "flags", "sigma", "reflectance")}
+            out.append(replace(tile, **of_lights, **of_pixels))
+    return out
+
+
+def clearly_matt(first: SceneGloss, *, limit: float = WORTHWHILE) -> bool:
+    """Whether the first look settles it: the gain in robust cost is within a third of what counts of nothing.
+
+    A loss of more than that is a profile that has gone wrong, and says nothing.
+    """
+    return abs(first.gain) < CLEAR * limit
+
+
+def decided(gloss: SceneGloss | None, setting: str, *, limit: float = WORTHWHILE) -> Decision | None:
+    """What was decided, for the log and the diagnostics; None where nothing was looked at."""
+    if gloss is None:
+        return None
+    joint = gloss.significant or setting == "gloss"
+    words = "normals fitted together with gloss" if joint else "no joint fit: gloss does not count"
+    if setting == "gloss":
+        words += " (set)"
+    loss = "nothing" if joint else f"robust cost {max(gloss.gain, 0.0):.2g} a value higher than with a gloss profile"
+    criterion = "robust cost a value (light and channel) that gloss takes off, on a sample"
+    return Decision("refine", words, criterion, float(gloss.gain), limit, loss, OVERRIDE)

@@ -1,0 +1,220 @@
+"""The photographs of a capture, decoded one at a time into the channels that a scene needs."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.capture.folder import Capture
+from nishiki.capture.frames import Frame, inside
+from nishiki.capture.seal import expect_sealed, sealed_digests
+from nishiki.formats.image_headers import read_header
+from nishiki.formats.images import Region, read_codes
+from nishiki.formats.problems import CaptureError, Problem, error, warning
+from nishiki.observations.linearise import LUMA_WEIGHTS, code_table, full_scale, saturation_code, srgb_to_linear
+from nishiki.observations.plane_decode import to_luma
+from nishiki.observations.region import region_of
+
+CAMERA_BITS = (10, 12, 14)
+"""Of cameras whose codes are stored in 16 bits."""
+NEAR_TOP = 31 / 32
+"""Of full scale: cameras clip a little below their largest code."""
+
+
+@dataclass(frozen=True)
+class FrameReader:
+    """How to read this capture's photographs.
+
+    rows, columns, dtype: of the first frame, which all others must match; digests: of a sealed capture's files, against
+    which every photograph is proven before it is decoded; empty otherwise; largest: largest code of each frame seen.
+    """
+
+    capture: Capture
+    channels: str
+    rows: int
+    columns: int
+    dtype: np.dtype
+    region: Region
+    digests: dict[str, str]
+    largest: list[float] = field(default_factory=list)
+
+    @classmethod
+    def of(
+        cls,
+        capture: Capture,
+        channels: str,
+        *,
+        prove: bool = True,
+        unopened: Collection[str] = (),
+    ) -> FrameReader:
+        """Look at the first photograph's header, and prove that a sealed capture's tables are as they were sealed.
+
+        channels: auto, all, luminance, green (of names without it the middle one), or the name of one stored channel;
+        auto is all, for only a plan knows what the later stages need, and puts its choice in place of auto.
+        prove=False: without any proof; unopened: files that are left out, which are not proven either. CaptureError
+        where the header or the region cannot be used, or a file changed.
+        """
+        channels = "all" if channels == "auto" else channels
+        stored = capture.settings.camera.channels
+        if channels not in ("all", "luminance", "green", *stored):
+            expected = f"auto, all, luminance, green, or a channel of the capture ({', '.join(stored)})"
+            raise CaptureError(
+                error("channel-unknown", "ingest.channels", "channels", expected=expected, found=channels)
+            )
+        digests = sealed_digests(capture.root) if prove else {}
+        others = {f.file for f in capture.frames} | set(unopened)
+        for name in sorted(digests.keys() - others):  # tables, spectra, mask: small
+            expect_sealed(inside(capture.payload, name, "manifest-sha256.txt"), name, digests)
+        first = capture.observed[0]
+        header = read_header(first.path, name=first.file)
+        region = region_of(capture, header.rows, header.columns)
+        dtype = np.dtype(header.sample)
+        camera = capture.settings.camera
+        if dtype.kind == "u" and camera.bits and camera.bits > 8 * dtype.itemsize:
+            expected = f"at most {8 * dtype.itemsize} for these files"
+            found = str(camera.bits)
+            raise CaptureError(error("bits-differ", "capture.yaml camera.bits", "bits", expected=expected, found=found))
+        return cls(capture, channels, header.rows, header.columns, dtype, region, digests)
+
+    @property
+    def stored(self) -> tuple[str, ...]:
+        """Names of the channels in the files."""
+        return self.capture.settings.camera.channels
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the channels that are read."""
+        if self._luminance:
+            return ("luminance",)
+        return self.stored if self.single is None else (self.stored[self.single],)
+
+    @property
+    def single(self) -> int | None:
+        """Place of the one stored channel that is read; None where all are, or their luminance."""
+        if self.channels in self.stored:
+            return self.stored.index(self.channels)
+        if self.channels != "green":
+            return None
+        folded = [name.casefold() for name in self.stored]
+        return next((folded.index(n) for n in ("green", "g") if n in folded), len(folded) // 2)
+
+    @property
+    def _luminance(self) -> bool:
+        return self.channels == "luminance" and len(self.stored) > 1 and self.single is None
+
+    @cached_property
+    def weights(self) -> np.ndarray:
+        """(read channels, stored channels) float64: how the channels read are made of those stored."""
+        count = len(self.stored)
+        if self.single is not None:
+            return np.eye(count)[self.single : self.single + 1]
+        if self._luminance:
+            return LUMA_WEIGHTS[None] if count == 3 else np.full((1, count), 1 / count)
+        return np.eye(count)
+
+    @cached_property
+    def full(self) -> float:
+        return full_scale(self.dtype, self.capture.settings.camera.bits)
+
+    @cached_property
+    def table(self) -> np.ndarray:
+        """Linear value by code; two zeros for float samples, which are linear as they are."""
+        if self.dtype.kind == "f":
+            return np.zeros(2, np.float32)
+        camera = self.capture.settings.camera
+        return code_table(self.dtype, encoding=camera.encoding, bits=camera.bits)
+
+    @cached_property
+    def saturated(self) -> np.number:
+        """Code from which a sample is saturated, in the codes' own type."""
+        camera = self.capture.settings.camera
+        return saturation_code(self.dtype, camera.saturation, camera.bits)
+
+    @property
+    def clip(self) -> np.number:
+        """A stored code of 0 tells only that there was no more light than that."""
+        return self.dtype.type(0)
+
+    @property
+    def black(self) -> float:
+        """Black level of camera.black_level, linear."""
+        camera = self.capture.settings.camera
+        value = camera.black_level / self.full
+        return float(srgb_to_linear(np.array(value))) if camera.encoding == "srgb" else value
+
+    def read(self, frame: Frame) -> np.ndarray:
+        """Codes (rows, columns, channels) of the region. CaptureError (image-size, image-depth, bits-exceeded, ...)."""
+        expect_sealed(frame.path, Path(frame.file).as_posix(), self.digests)
+        header = read_header(frame.path, name=frame.file)
+        if (header.rows, header.columns) != (self.rows, self.columns):
+            expected, found = f"{self.rows} x {self.columns}", f"{header.rows} x {header.columns}"
+            raise CaptureError(error("image-size", frame.file, "size differs", expected=expected, found=found))
+        if np.dtype(header.sample) != self.dtype:
+            expected, found = str(self.dtype), header.sample
+            raise CaptureError(error("image-depth", frame.file, "depth differs", expected=expected, found=found))
+        luminance = self._luminance
+        codes = read_codes(frame.path, self.stored, header=header, luma=luminance, region=self.region, name=frame.file)
+        if self.single is not None:
+            return codes[:, :, self.single : self.single + 1]
+        if luminance and codes.shape[2] > 1:
+            top = self.full if np.isfinite(self.saturated) else np.inf
+            rounding = 0.0 if self.dtype.kind == "f" else 0.5
+            return to_luma(codes, self.saturated, top, self.weights[0], rounding)
+        return codes
+
+    def read_all(self, frames: tuple[Frame, ...]) -> Iterator[tuple[Frame, np.ndarray]]:
+        """Each frame with its codes, in order; the next one is decoded while the caller works: two in memory."""
+        with ThreadPoolExecutor(max_workers=1) as decoder:
+            coming = decoder.submit(self.read, frames[0]) if frames else None
+            for i, frame in enumerate(frames):
+                codes = coming.result()
+                coming = decoder.submit(self.read, frames[i + 1]) if i + 1 < len(frames) else None
+                yield frame, codes
+                del codes
+
+    def see(self, frame: Frame, highest: float) -> None:
+        """Remember a frame's largest code. CaptureError (bits-exceeded) where it is beyond what camera.bits says."""
+        self.largest.append(highest)
+        if self.dtype.kind == "u" and highest > self.full:
+            expected, found = f"codes up to {self.full:.0f} as camera.bits says", f"{highest:.0f}"
+            remedy = "Correct camera.bits"
+            raise CaptureError(
+                error("bits-exceeded", frame.file, "code", expected=expected, found=found, remedy=remedy)
+            )
+
+    def warnings(self) -> list[Problem]:
+        """What the user should know about these files as measurements, once the frames have been seen."""
+        kinds = {frame.path.suffix.lower() for frame in self.capture.frames}
+        found = self._unsaid_bits()
+        if self.capture.settings.camera.encoding == "srgb":
+            what = "photographs are sRGB-coded: decoded with the standard curve, which cameras do not follow exactly"
+            remedy = "Values are not linear radiance; photograph in raw where radiometry matters"
+            found.append(warning("not-linear", "capture.yaml", what, remedy=remedy))
+        if kinds & {".jpg", ".jpeg"}:
+            what = "JPEG is lossy and of 8 bits: shadows are coarse and edges have artefacts"
+            found.append(warning("jpeg", "frames.csv", what, remedy="Photograph in raw or 16-bit TIFF"))
+            if self.capture.settings.camera.encoding == "linear":
+                what = "JPEG files are declared linear"
+                remedy = "Set camera.encoding: srgb unless the camera was told otherwise"
+                found.append(warning("jpeg-linear", "capture.yaml", what, remedy=remedy))
+        return found
+
+    def _unsaid_bits(self) -> list[Problem]:
+        """A warning where the largest code of all frames lies near the top of fewer bits than the files have room for.
+
+        Full scale is then too large: saturated samples look like any others.
+        """
+        highest = max(self.largest, default=0.0)
+        if self.dtype != np.uint16 or self.capture.settings.camera.bits:
+            return []
+        bits = next((bits for bits in CAMERA_BITS if NEAR_TOP * 2**bits <= highest < 2**bits), None)
+        if bits is None:
+            return []
+        what, found = "largest code of all photographs", f"{highest:.0f}, just below 2^{bits}"
+        remedy = f"If the camera has {bits} bits, set camera.bits: {bits}; otherwise saturated samples are not noticed"
+        return [warning("bits-unsaid", "capture.yaml camera.bits", what, found=found, remedy=remedy)]

@@ -1,0 +1,244 @@
+"""Writing what a goniometer measured: the window of every photograph as codes, or the given table."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from nishiki.capture.frames import Frame, inside
+from nishiki.capture.goniometer import GoniometerCapture
+from nishiki.capture.seal import expect_sealed, sealed_digests
+from nishiki.formats.problems import Problem, warning
+from nishiki.formats.zarr_chunks import chunk_path, create_array, write_chunk
+from nishiki.observations.blocks import block_edges
+from nishiki.observations.choice import chosen
+from nishiki.observations.frames import FrameReader
+from nishiki.observations.goniometer_frames import code_problems, region_labels, white_level, windowed
+from nishiki.observations.reference import DarkField, Edges, measure_darks
+
+STORE, NAMES, TABLE = "goniometer.zarr", "goniometer.json", "table.npz"
+FORMAT = 1
+CHUNK_BYTES = 4 << 20
+Tick = Callable[[str], None]
+
+
+class Settings(Protocol):
+    """What ingest reads of its settings."""
+
+    channels: str
+    white_block: int
+    without: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class GoniometerDiagnostics:
+    """What ingest found. kind: photographs or table; measurements, whites: how many; rows, columns: kept of each
+    photograph; saturated, dark: photographs of the cloth with a saturated pixel, or without light, in the window kept;
+    white_level: mean of the boards as a fraction of full scale, least and greatest; defects: hot pixels."""
+
+    kind: str
+    channels: tuple[str, ...]
+    measurements: int
+    whites: int
+    rows: int
+    columns: int
+    saturated: int
+    dark: int
+    white_level: tuple[float, ...]
+    defects: int
+    warnings: tuple[str, ...]
+
+    def as_dict(self) -> dict:
+        """Plain values for JSON."""
+        return asdict(self)
+
+
+def write_goniometer(
+    capture: GoniometerCapture,
+    folder: Path | str,
+    *,
+    settings: Settings,
+    progress: Callable[[int, int, str], None] | None = None,
+) -> GoniometerDiagnostics:
+    """Write `goniometer.json` with `goniometer.zarr` or `table.npz`; read them with `Measurements`.
+
+    progress(done, of, file) is called once a photograph. Raises CaptureError (a UserError) for photographs that cannot
+    be used.
+    """
+    folder = Path(folder)
+    if capture.table is not None:
+        return _write_table(capture, folder)
+    choice = chosen(capture, settings.without)
+    capture = choice.capture
+    done, total = [0], len(capture.frames)
+
+    def tick(file: str) -> None:
+        done[0] += 1
+        if progress:
+            progress(done[0], total, file)
+
+    reader = windowed(FrameReader.of(capture, settings.channels, unopened=choice.files), capture)
+    edges = tuple(block_edges(n, settings.white_block) for n in reader.region[2:])
+    import zarr
+
+    labels = region_labels(capture, (reader.rows, reader.columns))
+    darks = measure_darks(reader, edges, tick)
+    frames = (*capture.observed, *capture.frames_of("white"))
+    group = zarr.open_group(folder / STORE, mode="w-", zarr_format=3)
+    found = _write_codes(folder / STORE, group, reader, frames, darks, edges, tick)
+    _write_fields(group, reader, darks, labels)
+    _write_names(capture, folder, reader, frames, darks, settings.white_block)
+    problems = (*capture.warnings, *reader.warnings(), *darks.problems, *found.problems)
+    return GoniometerDiagnostics(
+        kind="photographs",
+        channels=reader.names,
+        measurements=len(capture.observed),
+        whites=len(frames) - len(capture.observed),
+        rows=reader.region[2],
+        columns=reader.region[3],
+        saturated=found.saturated,
+        dark=found.dark,
+        white_level=(min(found.levels), max(found.levels)),
+        defects=int(darks.defect.sum()),
+        warnings=tuple(str(p) for p in problems),
+    )
+
+
+@dataclass(frozen=True)
+class _Found:
+    saturated: int
+    dark: int
+    levels: tuple[float, ...]
+    problems: tuple[Problem, ...]
+
+
+def _write_codes(
+    path: Path, group, reader: FrameReader, frames: tuple[Frame, ...], darks: DarkField, edges: Edges, tick: Tick
+) -> _Found:
+    """Windows of all frames, several to a chunk; what was found in them."""
+    size = (*reader.region[2:], len(reader.names))
+    depth = frames_a_chunk(size, reader.dtype, len(frames))
+    create_array(group, "codes", (len(frames), *size), (depth, *size), reader.dtype, compression="zstd")
+    problems, levels, hot, cold = [], [], 0, 0
+    for i, block in enumerate(_in_blocks(reader, frames, depth, tick)):
+        for j, frame in enumerate(frames[i * depth : (i + 1) * depth]):
+            problems += code_problems(frame, block[j], reader)
+            if frame.role == "white":
+                levels.append(white_level(frame, block[j], reader, darks))
+            else:
+                hot += bool((block[j] >= reader.saturated).any())
+                cold += bool((block[j] <= reader.clip).all())
+        write_chunk(chunk_path(path / "codes", i, 0), block, compression="zstd")
+    if hot:
+        what = "photographs of the cloth have saturated pixels"
+        found, remedy = (
+            f"{hot} of {len(frames) - len(levels)}",
+            "Photograph them again with a shorter exposure_s beside the longer",
+        )
+        problems.append(warning("some-saturated", "frames.csv", what, found=found, remedy=remedy))
+    return _Found(hot, cold, tuple(levels), tuple(problems))
+
+
+def frames_a_chunk(size: tuple[int, ...], dtype: np.dtype, frames: int) -> int:
+    """How many frames of this size lie in one chunk of about 4 MiB."""
+    return max(1, min(frames, CHUNK_BYTES // (int(np.prod(size)) * dtype.itemsize)))
+
+
+def _in_blocks(reader: FrameReader, frames: tuple[Frame, ...], depth: int, tick: Tick) -> Iterator[np.ndarray]:
+    """Codes (depth, rows, columns, channels), the last block filled up with zeros."""
+    shape = (depth, *reader.region[2:], len(reader.names))
+    block = np.zeros(shape, reader.dtype)
+    for i, (frame, codes) in enumerate(reader.read_all(frames)):
+        block[i % depth] = codes
+        tick(frame.file)
+        if i % depth == depth - 1 or i == len(frames) - 1:
+            yield block
+            block = np.zeros(shape, reader.dtype)
+
+
+def _write_fields(group, reader: FrameReader, darks: DarkField, labels: np.ndarray | None) -> None:
+    """The small arrays beside the codes."""
+    shape = np.broadcast_shapes(*(level.shape for level in darks.levels))
+    fields = {"dark": np.stack([np.broadcast_to(level, shape) for level in darks.levels]).astype(np.float32)}
+    if reader.dtype.kind == "u":
+        fields["lut"] = reader.table
+    if darks.defect.any():
+        fields["defect"] = darks.defect.astype(np.uint8)
+    if labels is not None:
+        fields["regions"] = labels
+    for name, values in fields.items():
+        create_array(group, name, values.shape, values.shape, values.dtype)[...] = values
+
+
+def _write_names(
+    capture: GoniometerCapture,
+    folder: Path,
+    reader: FrameReader,
+    frames: tuple[Frame, ...],
+    darks: DarkField,
+    white_block: int,
+) -> None:
+    """The frames table, and how to read the codes."""
+    block, finite = capture.settings.goniometer, np.isfinite(reader.saturated)
+    places = [next(i for i, level in enumerate(darks.levels) if level is darks.at(f.exposure_s)) for f in frames]
+    rows = [
+        {"file": f.file, "role": f.role, "angles_deg": list(f.angles_deg), "exposure_s": f.exposure_s, "dark": place}
+        for f, place in zip(frames, places, strict=True)
+    ]
+    camera = {
+        "shape": list(reader.region[2:]),
+        "frames_a_chunk": frames_a_chunk((*reader.region[2:], len(reader.names)), reader.dtype, len(frames)),
+        "dtype": str(reader.dtype),
+        "saturation_code": reader.saturated.item() if finite else None,
+        "white_block": white_block,
+        "white_reflectance": (reader.weights @ np.array(capture.settings.white_reflectance)).tolist(),
+    }
+    regions = {
+        "region_names": {str(label): name for name, label in block.region_names.items()},
+        "regions_pitch_mm": block.regions_pitch_mm,
+        "pixel_pitch_mm": block.pixel_pitch_mm,
+        "upright": block.upright,
+    }
+    write_names(
+        folder, capture, {"kind": "photographs", "channels": list(reader.names), "frames": rows, **camera, **regions}
+    )
+
+
+def write_names(folder: Path, capture: GoniometerCapture, more: dict) -> None:
+    """goniometer.json."""
+    block = capture.settings.goniometer
+    names = {
+        "format": FORMAT,
+        "symmetry": block.symmetry,
+        "weave": block.weave,
+        "title": capture.settings.title,
+        **more,
+    }
+    (folder / NAMES).write_text(json.dumps(names, indent=1, sort_keys=True, allow_nan=False) + "\n")
+
+
+def _write_table(capture: GoniometerCapture, folder: Path) -> GoniometerDiagnostics:
+    """The table as it was given; every file of a sealed capture is proven first."""
+    digests, table = sealed_digests(capture.root), capture.table
+    for name in sorted(digests):
+        expect_sealed(inside(capture.payload, name, "manifest-sha256.txt"), name, digests)
+    np.savez(folder / TABLE, incident_deg=table.incident_deg, outgoing_deg=table.outgoing_deg, values=table.values)
+    write_names(folder, capture, {"kind": "table", "channels": list(table.channels), "frames": []})
+    return GoniometerDiagnostics(
+        kind="table",
+        channels=table.channels,
+        measurements=len(table.values),
+        whites=0,
+        rows=1,
+        columns=1,
+        saturated=0,
+        dark=int((table.values <= 0).any(axis=1).sum()),
+        white_level=(),
+        defects=0,
+        warnings=tuple(str(p) for p in capture.warnings),
+    )

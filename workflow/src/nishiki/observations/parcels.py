@@ -1,0 +1,66 @@
+"""Pieces of a band of rows over which the direction to every lamp is constant."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from nishiki.observations.plane import Observations
+
+TOLERANCE_RAD = np.radians(0.2)
+"""Largest difference between a pixel's direction to a near lamp and that of its parcel's centre."""
+
+
+@dataclass(frozen=True)
+class Parcel:
+    """rows, columns: place inside the band; directions (lights, 3) unit vectors to the lamps.
+
+    scale (lights,) float32: factor on the observations that removes the lamp's fall-off with the square of the distance
+    where no white board has removed it; 1 otherwise.
+    """
+
+    rows: slice
+    columns: slice
+    directions: np.ndarray
+    scale: np.ndarray
+
+
+def parcels(frames: Observations, band: slice, lights: np.ndarray) -> Iterator[Parcel]:
+    """Parcels of a band: the whole band for distant lamps, small rectangles for lamps at a position.
+
+    lights: indices (n,). The size follows from the nearest lamp: the direction changes by less than 0.2 degrees from a
+    parcel's centre to its corner, except for lamps so near that this takes fewer than 8 pixels.
+    """
+    rows, columns = band.stop - band.start, frames.shape[1]
+    if frames.positions_mm is None:
+        yield Parcel(slice(0, rows), slice(0, columns), frames.directions[lights], np.ones(len(lights), np.float32))
+        return
+    positions = frames.positions_mm[lights]
+    step = parcel_side(positions, frames.pixel_pitch_mm)
+    for top in range(0, rows, step):
+        for left in range(0, columns, step):
+            area = slice(top, min(top + step, rows)), slice(left, min(left + step, columns))
+            centre = point_mm(frames, band.start + _middle(area[0]), _middle(area[1]))
+            towards = positions - centre
+            distance = np.linalg.norm(towards, axis=1)
+            fall_off = (
+                np.ones(len(lights)) if frames.white_board else (distance / np.linalg.norm(positions, axis=1)) ** 2
+            )
+            yield Parcel(*area, towards / distance[:, None], fall_off.astype(np.float32))
+
+
+def parcel_side(positions_mm: np.ndarray, pitch_mm: float) -> int:
+    """Side of a square parcel in pixels, at least 8, for lamps at these positions (lights, 3)."""
+    reach = 2 * TOLERANCE_RAD * float(positions_mm[:, 2].min()) / np.sqrt(2)
+    return max(8, int(reach / pitch_mm))
+
+
+def point_mm(frames: Observations, row: float, column: float) -> np.ndarray:
+    """Place of a pixel on the object plane, mm from the image centre, x right, y up, z to the camera."""
+    centre_row, centre_column = frames.image_centre
+    pitch = frames.pixel_pitch_mm
+    return np.array([(column - centre_column) * pitch, (centre_row - row) * pitch, 0.0])
+
+
+def _middle(area: slice) -> float:
+    return (area.start + area.stop - 1) / 2

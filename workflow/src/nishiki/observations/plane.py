@@ -1,0 +1,240 @@
+"""Reading the ingested frames: bands of white-normalised observations, with what may not be used marked."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from nishiki.errors import UserError
+from nishiki.formats.stored import open_group, understood
+from nishiki.formats.zarr_chunks import chunk_path, read_chunk
+from nishiki.observations.blocks import Edges, cells, edges_between, positions
+from nishiki.observations.linearise import straight_scale
+
+FORMAT = 1
+STRIP_BYTES = 8 << 20
+"""Of float32 observations that are decoded at a time."""
+
+
+class Observations:
+    """The ingested frames of one capture, opened for reading.
+
+    lights: names; roles: 'sample' | 'check'; directions (lights, 3) float64; positions_mm (lights, 3) or None;
+    shape (rows, columns) of the bounding box of the object's mask; channels: names; band_rows; pixel_pitch_mm or None;
+    image_centre (row, column) of the whole picture's centre in these coordinates, the origin of positions_mm.
+    """
+
+    def __init__(self, folder: Path | str):
+        """Open `frames.zarr`, or the folder that holds it. UserError where it is none."""
+        path = Path(folder)
+        path = path if path.name.endswith(".zarr") else path / "frames.zarr"
+        try:
+            group = open_group(path)
+            stored = dict(group.attrs)
+            self._codes = group["codes"]
+        except (FileNotFoundError, KeyError) as e:
+            raise UserError(f"{path}: no ingested frames here; run ingest first") from e
+        if stored.get("format") != FORMAT:
+            raise UserError(
+                f"{path}: ingested frames of format {stored.get('format')}, expected {FORMAT}; run ingest again"
+            )
+        self.path = path
+        with understood(path):
+            self.attributes = stored
+            self.lights: tuple[str, ...] = tuple(stored["lights"])
+            self.files: tuple[str, ...] = tuple(stored["files"])
+            self.roles: tuple[str, ...] = tuple(stored["roles"])
+            self.directions = np.array(stored["directions"], np.float64)
+            positions_mm = stored["positions_mm"]
+            self.positions_mm = None if positions_mm is None else np.array(positions_mm, np.float64)
+            self.channels: tuple[str, ...] = tuple(stored["channels"])
+            self.shape: tuple[int, int] = tuple(self._codes.shape[1:3])
+            self.dtype = np.dtype(self._codes.dtype)
+            self.band_rows: int = stored["band_rows"]
+            self.pixel_pitch_mm: float | None = stored["pixel_pitch_mm"]
+            self.image_centre: tuple[float, float] = tuple(stored["image_centre"])
+            self.white_board: bool = stored["white_board"]
+        self._group = group
+
+    def indices(self, role: Literal["sample", "check"]) -> np.ndarray:
+        """Which lights have this role, (n,) int64."""
+        return np.flatnonzero([own == role for own in self.roles])
+
+    def fit_lights(self, hold_out: Collection[str] = ()) -> np.ndarray:
+        """Lights that fits may use, (n,) int64: those of samples, without the names held out."""
+        return np.array([j for j in self.indices("sample") if self.lights[j] not in set(hold_out)], np.int64)
+
+    def check_lights(self, hold_out: Collection[str] = ()) -> np.ndarray:
+        """Lights that no fit has seen, (n,) int64: those of check frames and those held out."""
+        return np.setdiff1d(np.arange(len(self.lights)), self.fit_lights(hold_out))
+
+    def bands(self) -> list[slice]:
+        """Row slices that cover the picture, each of bounded memory."""
+        rows = self.shape[0]
+        return [slice(start, min(start + self.band_rows, rows)) for start in range(0, rows, self.band_rows)]
+
+    @cached_property
+    def mask(self) -> np.ndarray:
+        """(rows, columns) bool: the object."""
+        return np.asarray(self._group["mask"][...]) > 0
+
+    @cached_property
+    def regions(self) -> np.ndarray | None:
+        """(rows, columns) uint8 label of the region of each pixel, or None where the capture names no regions."""
+        return np.asarray(self._group["regions"][...]) if "regions" in self._group else None
+
+    @cached_property
+    def defect(self) -> np.ndarray | None:
+        """(rows, columns) bool: hot and dead pixels, or None where none are known."""
+        return np.asarray(self._group["defect"][...]) > 0 if "defect" in self._group else None
+
+    @cached_property
+    def gain(self) -> np.ndarray:
+        """(lights, r, c, channels) float32 on block centres; NaN where the white board could not be used."""
+        return np.asarray(self._group["gain"][...])
+
+    @cached_property
+    def dark(self) -> np.ndarray:
+        """(lights or 1, r or 1, c or 1, channels) float32, fraction of full scale."""
+        return np.asarray(self._group["dark"][...])
+
+    @cached_property
+    def table(self) -> np.ndarray:
+        """Linear value by code; two zeros for float samples."""
+        return np.asarray(self._group["lut"][...]) if self.dtype.kind == "u" else np.zeros(2, np.float32)
+
+    @cached_property
+    def _scale(self) -> np.float32:
+        return straight_scale(self.table, self.dtype)
+
+    def read(
+        self,
+        band: slice,
+        *,
+        lights: np.ndarray | None = None,
+        channel: Literal["mean"] | int | None = None,
+        columns: slice | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Observations of some rows: values and validity.
+
+        band: rows (a slice of step 1, from `bands()` or any other); lights: indices, default all; channel: None for
+        all, an index, or 'mean' over all; columns: slice, default all. Returns float32 (lights, rows, columns,
+        channels), or without the last axis for one channel or the mean, and bool (lights, rows, columns): inside the
+        mask, no defect, gain known, finite, saturated in no channel, above the lowest code in at least one of the
+        channels read. A perfect white diffuser that faces the lamp has value 1. Values that cannot be formed are 0.
+        """
+        chosen = np.arange(len(self.lights)) if lights is None else np.asarray(lights, np.int64)
+        codes, start = self.codes(band, lights=chosen, columns=columns)
+        left = (columns or slice(None)).indices(self.shape[1])[0]
+        return self._decoded(codes, chosen, start, left, channel)
+
+    def strips(
+        self, band: slice, *, lights: np.ndarray, channel: Literal["mean"] | None = None
+    ) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
+        """A band in strips of rows (slices counted from the picture's top), with what `read` gives of each.
+
+        The codes of the band are read once. Values of a strip fit the processor's cache, where those of a band fill
+        the memory: a band of 8-bit codes becomes five times as large when it is decoded. Lamps at a position have one
+        strip, whose parcels begin where the band does.
+        """
+        codes, start = self.codes(band, lights=lights)
+        count, rows, columns, channels = codes.shape
+        row_bytes = 4 * count * columns * (channels if channel is None else 1)
+        step = rows if self.positions_mm is not None else max(STRIP_BYTES // row_bytes, 1)
+        for top in range(0, rows, step):
+            part = np.ascontiguousarray(codes[:, top : top + step])
+            yield slice(start + top, start + top + part.shape[1]), *self._decoded(part, lights, start + top, 0, channel)
+
+    def _decoded(
+        self, codes: np.ndarray, chosen: np.ndarray, start: int, left: int, channel: Literal["mean"] | int | None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Values and validity of codes whose first row and column are these; see `read`."""
+        from nishiki.observations.plane_decode import (
+            decode,  # who asks for names and masks alone needs no compiled code
+        )
+
+        first, last = self._channel_range(channel)
+        rows, width = codes.shape[1:3]
+        gain, dark = self._fields(chosen)
+        edges = self._edges
+        if gain.shape[1:3] == (1, 1):
+            edges = tuple(np.array([0, n]) for n in self.shape)
+        place_rows, row_weights = positions(edges[0], start, start + rows)
+        _, column_weights = positions(edges[1], left, left + width)
+        between = cells(edges[1], left, left + width)
+        usable = self._usable[start : start + rows, left : left + width]
+        out = np.empty((*codes.shape[:3], last - first if channel is None else 1), np.float32)
+        valid = np.empty(codes.shape[:3], bool)
+        decode(
+            codes, self.table, self._scale, gain, dark, place_rows, row_weights, between, column_weights, usable,
+            *self._limits, first, last, channel is not None, out, valid,
+        )  # fmt: skip
+        return (out if channel is None else out[..., 0]), valid
+
+    def codes(
+        self, band: slice, *, lights: np.ndarray | None = None, columns: slice | None = None
+    ) -> tuple[np.ndarray, int]:
+        """The stored codes (lights, rows, columns, channels) of some rows, and the first row's number."""
+        chosen = np.arange(len(self.lights)) if lights is None else np.asarray(lights, np.int64)
+        start, stop, step = band.indices(self.shape[0])
+        left, right, stride = (columns or slice(None)).indices(self.shape[1])
+        if step != 1 or stride != 1 or stop <= start or right <= left:
+            raise ValueError(f"rows {band} and columns {columns} must be non-empty slices of step 1 in {self.shape}")
+        chunk = (self.band_rows, self.shape[1], len(self.channels))
+        codes = np.empty((len(chosen), stop - start, right - left, len(self.channels)), self.dtype)
+        for number in range(start // self.band_rows, -(-stop // self.band_rows)):
+            top = number * self.band_rows
+            if not self.mask[top : top + self.band_rows].any():  # ingest keeps no chunk where the object is not
+                codes[:, max(top - start, 0) : top + self.band_rows - start] = 0
+                continue
+            inner = slice(max(start - top, 0), min(stop - top, self.band_rows))
+            outer = slice(top + inner.start - start, top + inner.stop - start)
+            for j, light in enumerate(chosen):
+                path = chunk_path(self.path / "codes", int(light), number)
+                values = read_chunk(path, chunk, self.dtype, compression=self.attributes["compression"])
+                codes[j, outer] = values[inner, left:right]
+        return codes, start
+
+    @cached_property
+    def _edges(self) -> Edges:
+        """Edges of the blocks of gain and dark: those of the region that the capture asks for, inside what is kept."""
+        kept = self.attributes.get("region_of_interest", (0, 0, *self.shape))
+        asked = self.attributes.get("asked_region", kept)
+        starts = (kept[0] - asked[0], kept[1] - asked[1])
+        block = self.attributes["white_block"]
+        return tuple(
+            edges_between(whole, block, start, start + n)
+            for whole, start, n in zip(asked[2:], starts, self.shape, strict=True)
+        )
+
+    @cached_property
+    def _usable(self) -> np.ndarray:
+        usable = self.mask if self.defect is None else self.mask & ~self.defect
+        return usable.astype(np.uint8)
+
+    @property
+    def _limits(self) -> tuple[np.number, np.number]:
+        """Codes at or above, at or below which a sample is unusable, in the codes' own type."""
+        top, low = self.attributes["saturation_code"], self.attributes["clip_code"]
+        if self.dtype.kind == "u":
+            return self.dtype.type(top), self.dtype.type(low)
+        return np.float32(np.inf if top is None else top), np.float32(low)
+
+    def _channel_range(self, channel: str | int | None) -> tuple[int, int]:
+        count = len(self.channels)
+        if channel is None or channel == "mean":
+            return 0, count
+        if isinstance(channel, str) or not 0 <= channel < count:
+            raise ValueError(f"channel {channel!r}: None, 'mean' or 0..{count - 1}")
+        return int(channel), int(channel) + 1
+
+    def _fields(self, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Gain and dark of the chosen lights on one grid."""
+        gain = self.gain[chosen]
+        dark = self.dark if len(self.dark) == 1 else self.dark[chosen]
+        shape = np.broadcast_shapes(gain.shape, dark.shape)
+        return tuple(np.ascontiguousarray(np.broadcast_to(field, shape)) for field in (gain, dark))

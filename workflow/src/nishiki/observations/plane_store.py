@@ -1,0 +1,312 @@
+"""Writing the ingested frames: the camera's own codes, re-tiled, with all that is needed to read them as light."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Literal, Protocol
+
+import numpy as np
+
+from nishiki.capture.folder import Capture
+from nishiki.capture.frames import Frame
+from nishiki.formats.images import read_labels, read_mask
+from nishiki.formats.problems import CaptureError, Problem, error, warning
+from nishiki.formats.zarr_chunks import chunk_path, create_array, write_chunk
+from nishiki.observations.choice import chosen
+from nishiki.observations.frames import FrameReader
+from nishiki.observations.pairs_check import PairLevels
+from nishiki.observations.plane_decode import count_unusable
+from nishiki.observations.reference import DarkField, Gains, measure_darks, measure_gains
+from nishiki.observations.region import edges_of, region_around, window_of
+from nishiki.observations.tiles import bands_with_object, rows_of_band
+
+STORE = "frames.zarr"
+FORMAT = 1
+ALL_SATURATED = 0.99
+MANY_SATURATED = 0.05
+MANY_REGIONS = 256
+
+
+class Settings(Protocol):
+    """What ingest reads of its settings."""
+
+    channels: str
+    white_block: int
+    tile_mib: int
+    compression: Literal["none", "zstd"]
+    without: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class IngestSettings:
+    """channels: which to keep (auto: all); white_block: pixels of a gain block (1: per pixel, P eq. 3); tile_mib: float
+    memory of one band over all lights; compression of the stored codes; without: parts that are not opened."""
+
+    channels: str = "all"
+    white_block: int = 16
+    tile_mib: int = 128
+    compression: Literal["none", "zstd"] = "none"
+    without: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class IngestDiagnostics:
+    """What ingest found. Shares are of the pixels inside the mask, one a light (sample and check, in order).
+
+    rows, columns: of the part of the photographs that is kept; region: that part (row, column, rows, columns), the
+    bounding box of the mask with a rim; photograph: its rows and columns;
+    saturated: saturated in any channel; dark: at the lowest code in all channels; not_finite: counts; white_level:
+    median of the board as a fraction of full scale per light, and white_uniformity: 5th / 95th percentile over the
+    board per light, both of the worst channel, empty without a board; defects: hot or dead pixels.
+    """
+
+    rows: int
+    columns: int
+    channels: tuple[str, ...]
+    lights: tuple[str, ...]
+    dtype: str
+    band_rows: int
+    mask_pixels: int
+    region: tuple[int, int, int, int]
+    photograph: tuple[int, int]
+    saturated: tuple[float, ...]
+    dark: tuple[float, ...]
+    not_finite: tuple[int, ...]
+    white_level: tuple[float, ...]
+    white_uniformity: tuple[float, ...]
+    defects: int
+    warnings: tuple[str, ...]
+
+    def as_dict(self) -> dict:
+        """Plain values for JSON."""
+        return asdict(self)
+
+
+def write_observations(
+    capture: Capture,
+    folder: Path | str,
+    *,
+    settings: Settings | None = None,
+    progress: Callable[[int, int, str], None] | None = None,
+) -> IngestDiagnostics:
+    """Write `frames.zarr` into the folder, which must not hold one; read it with `Observations`.
+
+    progress(done, of, file) is called once a photograph. Two frames at a time are in memory. Raises CaptureError
+    (a UserError) for photographs that cannot be used.
+    """
+    settings = settings or IngestSettings()
+    choice = chosen(capture, settings.without)
+    capture = choice.capture
+    tick = _Ticker(progress, len(capture.frames_of("dark")) + len(capture.frames_of("white")) + len(capture.observed))
+    reader = FrameReader.of(capture, settings.channels, unopened=choice.files)
+    asked, mask = reader.region, mask_of(capture, reader)
+    if capture.mask is not None:
+        reader, mask = cropped(reader, mask, settings.white_block)
+    _, _, rows, columns = reader.region
+    edges = edges_of(asked, reader.region, settings.white_block)
+    darks = measure_darks(reader, edges, tick)
+    pairs = PairLevels(reader, darks, mask)
+    gains = measure_gains(reader, darks, edges, mask, tick, pairs.add)
+    import zarr
+
+    group = zarr.open_group(Path(folder) / STORE, mode="w-", zarr_format=3)
+    band_rows = rows_of_band(len(capture.observed), rows, columns, len(reader.names), settings.tile_mib)
+    look = pairs.add if capture.frames_of("white") else None
+    counts, problems = _write_frames(
+        Path(folder) / STORE, group, reader, mask, band_rows, settings.compression, tick, look
+    )
+    defect = darks.defect | gains.defect
+    _write_fields(group, reader, mask, defect, darks, gains)
+    group.attrs.update({**_attributes(capture, reader, settings, band_rows), "asked_region": list(asked)})
+    problems = (*capture.warnings, *reader.warnings(), *darks.problems, *gains.problems, *pairs.problems(), *problems)
+    return _diagnostics(reader, counts, mask, defect, gains, problems, band_rows)
+
+
+class _Ticker:
+    """Counts photographs for the caller's progress line."""
+
+    def __init__(self, progress: Callable[[int, int, str], None] | None, total: int):
+        self.progress, self.total, self.done = progress, total, 0
+
+    def __call__(self, file: str) -> None:
+        self.done += 1
+        if self.progress:
+            self.progress(self.done, self.total, file)
+
+
+def mask_of(capture: Capture, reader: FrameReader) -> np.ndarray:
+    """Mask (rows, columns) uint8 of the region, all ones without one. CaptureError: mask-size, mask-empty."""
+    if capture.mask is None:
+        return np.ones(reader.region[2:], np.uint8)
+    name = capture.settings.mask
+    whole = read_mask(capture.mask, name=name)
+    if whole.shape != (reader.rows, reader.columns):
+        expected, found = f"{reader.rows} x {reader.columns} as the frames", f"{whole.shape[0]} x {whole.shape[1]}"
+        raise CaptureError(error("mask-size", name, "size of the mask", expected=expected, found=found))
+    row, column, rows, columns = reader.region
+    mask = whole[row : row + rows, column : column + columns].astype(np.uint8)
+    if not mask.any():
+        remedy = "Non-zero pixels mark the object; check the mask and the region of interest"
+        raise CaptureError(error("mask-empty", name, "mask has no pixels", remedy=remedy))
+    return mask
+
+
+def cropped(reader: FrameReader, mask: np.ndarray, white_block: int) -> tuple[FrameReader, np.ndarray]:
+    """The reader and the mask (rows, columns) of the bounding box of the mask, with a rim."""
+    region = region_around(mask, reader.region, white_block)
+    window = window_of(reader.region, region)
+    return replace(reader, region=region), np.ascontiguousarray(mask[window])
+
+
+def regions_of(capture: Capture, reader: FrameReader) -> np.ndarray | None:
+    """Region of each pixel (rows, columns) uint8, numbered from 0 in the order of the labels; None without a picture.
+
+    CaptureError: regions-size, regions-many.
+    """
+    if capture.regions is None:
+        return None
+    name = capture.settings.regions
+    whole = read_labels(capture.regions, name=name)
+    if whole.shape != (reader.rows, reader.columns):
+        expected, found = f"{reader.rows} x {reader.columns} as the frames", f"{whole.shape[0]} x {whole.shape[1]}"
+        raise CaptureError(error("regions-size", name, "size of the regions", expected=expected, found=found))
+    row, column, rows, columns = reader.region
+    labels, index = np.unique(whole[row : row + rows, column : column + columns], return_inverse=True)
+    if len(labels) > MANY_REGIONS:
+        remedy = "Join regions of the same material: each gets its own reflection parameters"
+        found = f"{len(labels)} labels"
+        expected = f"at most {MANY_REGIONS}"
+        raise CaptureError(error("regions-many", name, "regions", expected=expected, found=found, remedy=remedy))
+    return index.reshape(rows, columns).astype(np.uint8)
+
+
+def _write_frames(
+    path: Path,
+    group,
+    reader: FrameReader,
+    mask: np.ndarray,
+    band_rows: int,
+    compression: str,
+    tick: Callable,
+    look: Callable[[Frame, np.ndarray], None] | None,
+) -> tuple[np.ndarray, list[Problem]]:
+    """Every observed frame into its chunks; returns counts (lights, 4) and what was found in the frames.
+
+    Bands of rows without a pixel of the object have no chunk.
+    """
+    _, _, rows, columns = reader.region
+    observed, count = reader.capture.observed, len(reader.names)
+    shape, chunk = (len(observed), rows, columns, count), (1, band_rows, columns, count)
+    create_array(group, "codes", shape, chunk, reader.dtype, compression=compression)
+    counts, problems = np.zeros((len(observed), 4), np.int64), []
+    bands = bands_with_object(mask, band_rows)
+    for j, (frame, codes) in enumerate(reader.read_all(observed)):
+        if look is not None:
+            look(frame, codes)
+        *tally, highest = count_unusable(codes, mask, reader.saturated, reader.clip)
+        counts[j] = tally
+        problems += frame_problems(frame, counts[j], float(highest), reader)
+        for band in bands:
+            part = codes[band * band_rows : (band + 1) * band_rows]
+            if len(part) < band_rows:  # chunks are whole: the last one is padded
+                part = np.concatenate([part, np.zeros((band_rows - len(part), columns, count), codes.dtype)])
+            write_chunk(chunk_path(path / "codes", j, band), part, compression=compression)
+        tick(frame.file)
+    return counts, problems
+
+
+def frame_problems(frame: Frame, counts: np.ndarray, highest: float, reader: FrameReader) -> list[Problem]:
+    """What the sample values of one frame say; CaptureError (bits-exceeded, all-saturated, all-dark) if unusable."""
+    saturated, dark, broken, inside = (int(v) for v in counts)
+    reader.see(frame, highest)
+    if saturated > ALL_SATURATED * inside:
+        remedy = "Expose less, or leave this light out"
+        raise CaptureError(error("all-saturated", frame.file, "the whole object is saturated", remedy=remedy))
+    if dark > ALL_SATURATED * inside:
+        remedy = "Expose longer, or leave this light out"
+        raise CaptureError(error("all-dark", frame.file, "the whole object is black", remedy=remedy))
+    problems = []
+    if broken:
+        found = f"{broken} pixels"
+        problems.append(warning("not-finite", frame.file, "NaN or infinite samples are not used", found=found))
+    if saturated > MANY_SATURATED * inside:
+        found = f"{100 * saturated / inside:.1f} % of the object"
+        problems.append(warning("many-saturated", frame.file, "many saturated samples", found=found))
+    return problems
+
+
+def _write_fields(group, reader: FrameReader, mask: np.ndarray, defect: np.ndarray, darks: DarkField, gains: Gains):
+    """The small arrays beside the codes."""
+    fields = {"mask": mask, "gain": gains.gain, "dark": darks.for_frames(reader.capture.observed)}
+    if reader.dtype.kind == "u":
+        fields["lut"] = reader.table
+    if defect.any():
+        fields["defect"] = defect.astype(np.uint8)
+    labels = regions_of(reader.capture, reader)
+    if labels is not None:
+        fields["regions"] = labels
+    for name, values in fields.items():
+        array = create_array(group, name, values.shape, values.shape, values.dtype)
+        array[...] = values
+
+
+def _attributes(capture: Capture, reader: FrameReader, settings: Settings, band_rows: int) -> dict:
+    positions = None
+    if capture.settings.lights.kind == "position_mm":
+        positions = capture.lights.vectors[[capture.lights.index(f.light) for f in capture.observed]].tolist()
+    row, column, _, _ = reader.region
+    finite = np.isfinite(reader.saturated)
+    top = min(reader.saturated, len(reader.table) - 1) if reader.dtype.kind == "u" else reader.saturated
+    linear_top = float(reader.table[int(top)]) if reader.dtype.kind == "u" else float(top)
+    return {
+        "format": FORMAT,
+        "lights": [capture.lights.names[capture.lights.index(f.light)] for f in capture.observed],
+        "files": [f.file for f in capture.observed],
+        "roles": [f.role for f in capture.observed],
+        "directions": capture.directions.tolist(),
+        "positions_mm": positions,
+        "channels": list(reader.names),
+        "saturation": linear_top if finite else None,
+        "saturation_code": reader.saturated.item() if finite else None,
+        "clip_code": reader.clip.item(),
+        "pixel_pitch_mm": capture.settings.pixel_pitch_mm,
+        "image_shape": [reader.rows, reader.columns],
+        "region_of_interest": list(reader.region),
+        "image_centre": [(reader.rows - 1) / 2 - row, (reader.columns - 1) / 2 - column],
+        "band_rows": band_rows,
+        "white_block": settings.white_block,
+        "white_board": bool(capture.frames_of("white")),
+        "compression": settings.compression,
+    }
+
+
+def _diagnostics(
+    reader: FrameReader,
+    counts: np.ndarray,
+    mask: np.ndarray,
+    defect: np.ndarray,
+    gains: Gains,
+    problems: tuple[Problem, ...],
+    band_rows: int,
+) -> IngestDiagnostics:
+    inside = int(mask.sum(dtype=np.int64))
+    return IngestDiagnostics(
+        rows=mask.shape[0],
+        columns=mask.shape[1],
+        channels=reader.names,
+        lights=tuple(f.light for f in reader.capture.observed),
+        dtype=str(reader.dtype),
+        band_rows=band_rows,
+        mask_pixels=inside,
+        region=reader.region,
+        photograph=(reader.rows, reader.columns),
+        saturated=tuple((counts[:, 0] / inside).tolist()),
+        dark=tuple((counts[:, 1] / inside).tolist()),
+        not_finite=tuple(counts[:, 2].tolist()),
+        white_level=gains.levels,
+        white_uniformity=gains.uniformity,
+        defects=int((defect & (mask > 0)).sum()),
+        warnings=tuple(str(p) for p in problems),
+    )

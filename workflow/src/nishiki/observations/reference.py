@@ -1,0 +1,196 @@
+"""Dark frames and white boards of a capture: what is subtracted, what is divided by, and which pixels are defective."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from nishiki.capture.frames import Frame
+from nishiki.formats.problems import Problem, warning
+from nishiki.observations.block_kernels import block_levels, count_outliers
+from nishiki.observations.blocks import Edges
+from nishiki.observations.frames import FrameReader
+from nishiki.observations.white import WhiteField, white_field
+
+HOT = 0.02  # of full scale above its block in the dark; see `hot_limit` for samples without a full scale
+DEAD = 0.1  # of its block's level on the white board
+SAME_EXPOSURE = 0.01
+
+
+@dataclass(frozen=True)
+class DarkField:
+    """Dark level by exposure: levels[i] (r, c, channels) or (1, 1, channels) float32 for exposures_s[i] (None: any).
+
+    defect (rows, columns) bool: hot pixels.
+    """
+
+    exposures_s: tuple[float | None, ...]
+    levels: tuple[np.ndarray, ...]
+    defect: np.ndarray
+    problems: tuple[Problem, ...]
+
+    def at(self, exposure_s: float | None) -> np.ndarray:
+        """The level whose exposure is nearest (in ratio); the only one where exposures are not given."""
+        if exposure_s is None or self.exposures_s[0] is None:
+            return self.levels[0]
+        ratios = [abs(np.log(own / exposure_s)) for own in self.exposures_s]
+        return self.levels[int(np.argmin(ratios))]
+
+    def for_frames(self, frames: tuple[Frame, ...]) -> np.ndarray:
+        """(lights, r, c, channels) float32, or one light's where it is the same for all."""
+        levels = [self.at(frame.exposure_s) for frame in frames]
+        if all(level is levels[0] for level in levels):
+            levels = levels[:1]
+        shape = np.broadcast_shapes(*(level.shape for level in levels))
+        return np.stack([np.broadcast_to(level, shape) for level in levels]).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class Gains:
+    """gain (lights, r, c, channels) float32 of the observed frames; levels and uniformity of the boards, worst channel.
+
+    defect (rows, columns) bool: dead pixels.
+    """
+
+    gain: np.ndarray
+    levels: tuple[float, ...]
+    uniformity: tuple[float, ...]
+    defect: np.ndarray
+    problems: tuple[Problem, ...]
+
+
+def measure_darks(reader: FrameReader, edges: Edges, tick: Callable[[str], None]) -> DarkField:
+    """Average the dark frames of each exposure; camera.black_level where there are none."""
+    frames = reader.capture.frames_of("dark")
+    shape = reader.region[2:]
+    if not frames:
+        level = np.full((1, 1, len(reader.names)), reader.black, np.float32)
+        return DarkField((None,), (level,), np.zeros(shape, bool), ())
+    sums: dict[float | None, list] = {}
+    hot, limit = np.zeros(shape, np.uint8), hot_limit(reader, edges)
+    for frame, codes in reader.read_all(frames[:255]):
+        level, _ = block_levels(codes, reader.table, *edges, np.inf, -np.inf)
+        count_outliers(codes, reader.table, level, *edges, -np.inf, limit, hot)
+        entry = sums.setdefault(frame.exposure_s, [np.zeros(level.shape), 0])
+        entry[0] += level
+        entry[1] += 1
+        tick(frame.file)
+    exposures = tuple(sums)
+    step = 1.0 / reader.full if reader.dtype.kind == "u" else 0.0
+    levels = tuple(_flatten((total / count).astype(np.float32), step) for total, count in sums.values())
+    problems = _dark_problems(reader, exposures)
+    return DarkField(exposures, levels, hot > len(frames[:255]) // 2, problems)
+
+
+def hot_limit(reader: FrameReader, edges: Edges) -> float:
+    """Linear value above its block from which a pixel is hot in the dark: HOT of full scale, whatever the bits.
+
+    Float samples have a full scale only where the capture says from which value they are saturated; else the brightest
+    block of the first white board, or of the first photograph of the object, stands for it.
+    """
+    if reader.dtype.kind == "u":
+        return HOT
+    if np.isfinite(reader.saturated):
+        return HOT * float(reader.saturated)
+    codes = reader.read((reader.capture.frames_of("white") or reader.capture.observed)[0])
+    levels, _ = block_levels(codes, reader.table, *edges, np.inf, -np.inf)
+    brightest = float(np.max(levels, initial=0, where=np.isfinite(levels)))
+    return HOT * brightest if brightest > 0 else np.inf
+
+
+def _flatten(level: np.ndarray, step: float) -> np.ndarray:
+    """One value a channel where the field varies by less than a code: reading is then twice as fast."""
+    low, high = np.percentile(level, [1, 99], axis=(0, 1))
+    return level.mean(axis=(0, 1), keepdims=True) if ((high - low) < step).all() else level
+
+
+def _dark_problems(reader: FrameReader, exposures: tuple[float | None, ...]) -> tuple[Problem, ...]:
+    if None in exposures:
+        return ()
+    lit = {f.exposure_s for f in reader.capture.frames if f.role in ("sample", "check", "white") and f.exposure_s}
+    far = [t for t in sorted(lit) if all(abs(t / own - 1) > SAME_EXPOSURE for own in exposures)]
+    if not far:
+        return ()
+    found = f"exposures {', '.join(f'{t:g} s' for t in far[:4])}"
+    remedy = "The nearest in time was used; photograph dark frames at every exposure time"
+    return (warning("dark-exposure", "frames.csv", "no dark frame of the same exposure", found=found, remedy=remedy),)
+
+
+def measure_gains(
+    reader: FrameReader,
+    darks: DarkField,
+    edges: Edges,
+    mask: np.ndarray,
+    tick: Callable[[str], None],
+    look: Callable[[Frame, np.ndarray], None] = lambda frame, codes: None,
+) -> Gains:
+    """Gain of each observed frame: from its white board, else from the lights' intensities, else from exposure.
+
+    look(frame, codes) is called once a board.
+    """
+    capture, shape = reader.capture, reader.region[2:]
+    observed = capture.observed
+    if not capture.frames_of("white"):
+        longest = max((f.exposure_s for f in observed if f.exposure_s), default=1.0)
+        scale = np.array([longest / (f.exposure_s or longest) for f in observed])[:, None]
+        places = [capture.lights.index(f.light) for f in observed]
+        stored = capture.intensities[places] if capture.intensities is not None else np.ones((1, len(reader.stored)))
+        gain = np.broadcast_to(scale / (stored @ reader.weights.T), (len(observed), len(reader.names)))
+        return Gains(gain[:, None, None, :].astype(np.float32), (), (), np.zeros(shape, bool), ())
+    by_light = {capture.lights.index(f.light): i for i, f in enumerate(observed)}
+    whites = tuple(f for f in capture.frames_of("white") if capture.lights.index(f.light) in by_light)
+    gains, dead, problems = [None] * len(observed), np.zeros(shape, np.uint8), []
+    levels, uniformity = np.zeros(len(observed)), np.zeros(len(observed))
+    for frame, codes in reader.read_all(whites):
+        look(frame, codes)
+        i = by_light[capture.lights.index(frame.light)]
+        field = board_field(reader, frame, codes, darks, edges, mask)
+        ratio = (frame.exposure_s or 1.0) / (observed[i].exposure_s or 1.0)
+        gains[i] = field.gain * np.float32(ratio)
+        levels[i], uniformity[i] = field.level.min(), field.uniformity.min()
+        problems += field.problems
+        if len(whites) <= 255:
+            board = field.level.astype(np.float32) + darks.at(frame.exposure_s).mean(axis=(0, 1))
+            whole = np.broadcast_to(board, (len(edges[0]) - 1, len(edges[1]) - 1, len(board)))
+            count_outliers(codes, reader.table, np.ascontiguousarray(whole), *edges, DEAD, np.inf, dead)
+        tick(frame.file)
+    defect = dead == len(whites) if len(whites) <= 255 else np.zeros(shape, bool)
+    return Gains(np.stack(gains), tuple(levels.tolist()), tuple(uniformity.tolist()), defect, tuple(problems))
+
+
+def board_field(
+    reader: FrameReader, frame: Frame, codes: np.ndarray, darks: DarkField, edges: Edges, mask: np.ndarray
+) -> WhiteField:
+    """The gain that one white frame gives over the mask (rows, columns). CaptureError where it cannot be used."""
+    counts = np.add.reduceat(np.add.reduceat(mask, edges[0][:-1], axis=0, dtype=np.int64), edges[1][:-1], axis=1)
+    return white_field(
+        codes,
+        reader.table,
+        darks.at(frame.exposure_s),
+        *edges,
+        cos_theta=board_cosine(reader, reader.capture.lights.index(frame.light), edges),
+        reflectance=reader.capture.settings.white.reflectance,
+        saturated=reader.saturated,
+        clip=reader.clip,
+        name=frame.file,
+        needed=counts > 0,
+    )
+
+
+def board_cosine(reader: FrameReader, place: int, edges: Edges) -> np.ndarray | float:
+    """cos(theta_W): one number for a distant lamp, (r, c, 1) at the block centres for a lamp of known position."""
+    settings, lights = reader.capture.settings, reader.capture.lights
+    normal = np.array(settings.white.normal)
+    if settings.lights.kind == "direction":
+        return float(lights.directions[place] @ normal)
+    row, column, _, _ = reader.region
+    centres = [(e[:-1] + e[1:] - 1) / 2 for e in edges]
+    y = -(centres[0] + row - (reader.rows - 1) / 2) * settings.pixel_pitch_mm
+    x = (centres[1] + column - (reader.columns - 1) / 2) * settings.pixel_pitch_mm
+    to_lamp = np.empty((len(y), len(x), 3))
+    to_lamp[..., 0] = lights.vectors[place, 0] - x[None, :]
+    to_lamp[..., 1] = lights.vectors[place, 1] - y[:, None]
+    to_lamp[..., 2] = lights.vectors[place, 2]
+    return ((to_lamp @ normal) / np.linalg.norm(to_lamp, axis=-1))[..., None]

@@ -1,0 +1,118 @@
+"""What only opening the photographs of a turntable shows: sizes, damage, saturation, silhouettes, white boards."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.capture.frames import Frame
+from nishiki.capture.seal import sha256_of
+from nishiki.capture.turntable import TurntableCapture
+from nishiki.formats.image_headers import ImageHeader
+from nishiki.formats.images import read_mask
+from nishiki.formats.problems import CaptureError, Problem, error, warning
+from nishiki.observations.blocks import block_edges
+from nishiki.observations.frames import FrameReader
+from nishiki.observations.plane_decode import count_unusable
+from nishiki.observations.reference import measure_darks
+from nishiki.observations.views_store import expect_silhouette, view_problems
+from nishiki.observations.views_white import measure_whites
+
+CHECK_BLOCK = 16
+Tick = Callable[[str], None]
+
+
+def listed_files(capture: TurntableCapture) -> set[str]:
+    """Every file that the capture's tables name."""
+    settings = capture.settings
+    named = [settings.lights.file if settings.lights else None, settings.camera.sensitivities, settings.illuminant]
+    named += [file for _, file in settings.turntable.files]
+    named += [name for frame in capture.frames for name in (frame.file, frame.silhouette)]
+    return {Path(name).as_posix() for name in (*named, "capture.yaml", "frames.csv") if name}
+
+
+def silhouette_problems(capture: TurntableCapture, headers: dict[str, ImageHeader]) -> list[Problem]:
+    """Silhouettes: readable, of the frames' size, not empty, not the whole picture."""
+    first = next((headers[f.file] for f in capture.observed if f.file in headers), None)
+    if first is None:
+        return []
+    problems: list[Problem] = []
+    for view in capture.views:
+        frame = capture.silhouette_of(view)
+        if frame is None:
+            continue
+        try:
+            outline = expect_silhouette(frame, (first.rows, first.columns))
+            if outline.all():
+                what, remedy = "silhouette covers the whole picture", "Non-zero pixels mark the object, zero all else"
+                problems.append(warning("silhouette-full", frame.silhouette, what, remedy=remedy))
+        except CaptureError as e:
+            problems += e.problems
+    return problems
+
+
+def turntable_content_problems(capture: TurntableCapture, tick: Tick) -> list[Problem]:
+    """What only decoding shows; every photograph is decoded once."""
+    try:
+        reader = FrameReader.of(capture, "all", prove=False)  # the whole seal is verified apart
+    except CaptureError as e:
+        return list(e.problems)
+    problems = _reference_problems(reader, tick)
+    digests: dict[str, str] = {}
+    for frame in capture.frames:
+        if frame.role != "dark":
+            digest = sha256_of(frame.path)
+            if digest in digests:
+                what = f"is the same file as {digests[digest]}"
+                problems.append(
+                    warning("image-repeated", frame.file, what, remedy="Check the names of the photographs")
+                )
+            digests.setdefault(digest, frame.file)
+        if frame.role in ("sample", "board") or (frame.role == "white" and frame.polariser):
+            problems += _frame_problems(reader, frame)
+            tick(frame.file)
+    return reader.warnings() + problems
+
+
+def _reference_problems(reader: FrameReader, tick: Tick) -> list[Problem]:
+    """Dark frames and normalising white boards."""
+    edges = tuple(block_edges(n, CHECK_BLOCK) for n in (reader.rows, reader.columns))
+    try:
+        darks = measure_darks(reader, edges, tick)
+        whites = measure_whites(reader, darks, edges, tick).problems if _complete(reader.capture) else ()
+        return [*darks.problems, *whites]
+    except CaptureError as e:
+        return list(e.problems)
+
+
+def _complete(capture: TurntableCapture) -> bool:
+    """Whether white boards and exposure times are there for every light, or none; if not, it is reported already."""
+    lit = [f for f in capture.frames if f.role in ("sample", "white")]
+    plain = {f.light for f in lit if f.role == "white" and not f.polariser}
+    timed = sum(f.exposure_s is not None for f in lit)
+    return timed in (0, len(lit)) and (not plain or plain >= set(capture.light_names))
+
+
+def _frame_problems(reader: FrameReader, frame: Frame) -> list[Problem]:
+    try:
+        codes = reader.read(frame)
+        if frame.role == "board":
+            return []
+        named = reader.capture.silhouette_of(frame.view) if frame.role == "sample" else None
+        inside = _outline(named, codes.shape[:2])
+        *counts, highest = count_unusable(codes, inside, reader.saturated, reader.clip)
+        problems = view_problems(frame, np.array(counts), float(highest), reader, outlined=named is not None)
+    except CaptureError as e:
+        return list(e.problems)
+    return [error(p.kind, p.file, p.what, found=p.found) if p.kind == "not-finite" else p for p in problems]
+
+
+def _outline(frame: Frame | None, size: tuple[int, int]) -> np.ndarray:
+    """Silhouette (rows, columns) uint8; all ones where there is none that can be used (which is reported apart)."""
+    try:
+        outline = read_mask(frame.silhouette_path, name=frame.silhouette) if frame else None
+    except CaptureError:
+        outline = None
+    return outline.astype(np.uint8) if outline is not None and outline.shape == size else np.ones(size, np.uint8)

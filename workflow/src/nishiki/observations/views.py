@@ -1,0 +1,177 @@
+"""Reading the views of an object: linear light of one photograph at a time, with what may not be used marked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.colour.encoding import decode, encode
+from nishiki.errors import UserError
+from nishiki.formats.stored import open_group, understood
+from nishiki.formats.zarr_chunks import chunk_path, read_chunk
+from nishiki.observations.blocks import grid_of, on_one_grid, picture_edges
+from nishiki.observations.linearise import straight_scale
+
+__all__ = ["Views", "decode", "encode"]
+FORMAT = 1
+
+
+class Views:
+    """The ingested views of one capture, opened for reading; one photograph is in memory at a time.
+
+    views: names in the order of the turn; lights, states: names, ('',) where there is but one without a name; shape
+    (rows, columns); channels: names; encoding: 'linear' | 'srgb', of the photographs; full_turn: the last view
+    neighbours the first; unit: of the world's coordinates, unit_mm: in millimetres, or None; lamp: {"kind": "camera" |
+    "direction" | "position_mm" | "unknown", "vectors": (lights, 3) float64 in the camera's frame (x right, y up, z
+    towards the camera) or None}; matrices: (3, 4) float64 by view, or None; intrinsics: {"matrix", "distortion"} or
+    None; board: description of the calibration board, or None; geometry: files of the object's geometry in this
+    artifact; attributes: everything stored.
+    """
+
+    def __init__(self, folder: Path | str):
+        """Open `views.zarr`, or the folder that holds it. UserError where it is none."""
+        path = Path(folder)
+        path = path if path.name.endswith(".zarr") else path / "views.zarr"
+        try:
+            group = open_group(path)
+            stored = dict(group.attrs)
+            self.dtype = np.dtype(group["codes"].dtype)
+        except (FileNotFoundError, KeyError) as e:
+            raise UserError(f"{path}: no ingested views here; run ingest first") from e
+        if stored.get("format") != FORMAT:
+            raise UserError(
+                f"{path}: ingested views of format {stored.get('format')}, expected {FORMAT}; run ingest again"
+            )
+        self.path, self._group, self.attributes = path, group, stored
+        with understood(path):
+            self.views: tuple[str, ...] = tuple(stored["views"])
+            self.lights: tuple[str, ...] = tuple(stored["lights"])
+            self.states: tuple[str, ...] = tuple(stored["states"])
+            self.channels: tuple[str, ...] = tuple(stored["channels"])
+            self.shape: tuple[int, int] = tuple(stored["shape"])
+            self.encoding: str = stored["encoding"]
+            self.full_turn: bool = stored["full_turn"]
+            self.unit: str = stored["unit"]
+            self.unit_mm: float | None = stored["unit_mm"]
+            self.board_description: dict | None = stored["board"]
+            self.intrinsics: dict | None = stored["intrinsics"]
+            self.geometry: dict = stored["geometry"]
+            lamp, matrices = stored["lamp"], stored["matrices"]
+            self.lamp = {**lamp, "vectors": None if lamp["vectors"] is None else np.array(lamp["vectors"], np.float64)}
+            self.matrices = None if matrices is None else {view: np.array(m) for view, m in matrices.items()}
+
+    def index(self, view: str | int, *, state: str | None = None, light: str | None = None) -> int:
+        """Number of a stored frame; state, light: None for the first. UserError where there is none of that name."""
+        place = self._place(self.lights, light, "light") * len(self.views)
+        place = (place + self._view(view)) * len(self.states)
+        return place + self._place(self.states, state, "polariser state")
+
+    def read(
+        self, view: str | int, *, state: str | None = None, light: str | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Linear values (rows, columns, channels) float32 and validity (rows, columns) bool of one photograph.
+
+        view: name or number; state, light: None for the first. 1 is a perfect white where a board was photographed
+        without polariser, else full scale at the longest exposure time. Valid: finite, no defect, gain known, saturated
+        in no channel; code 0 is a valid measurement. A saturated sample keeps its value; what cannot be formed is 0.
+        """
+        from nishiki.observations.views_decode import view_values  # who asks for cameras alone needs no compiled code
+
+        frame = self.index(view, state=state, light=light)
+        codes = self.codes(view, state=state, light=light)
+        gain = self._gain[frame // (len(self.views) * len(self.states))] * np.float32(self.attributes["scale"][frame])
+        fields = on_one_grid(gain, self._dark[frame if len(self._dark) > 1 else 0])
+        edges = picture_edges(self.shape, self.attributes["white_block"])
+        grid = grid_of(fields[0].shape[:2], self.shape, edges)
+        out, valid = np.empty(codes.shape, np.float32), np.empty(self.shape, bool)
+        view_values(codes, self._table, self._scale, self._saturated, *fields, *grid, self._usable, out, valid)
+        return out, valid
+
+    def codes(self, view: str | int, *, state: str | None = None, light: str | None = None) -> np.ndarray:
+        """Stored codes (rows, columns, channels) of one photograph, in the camera's own type."""
+        return self._chunk("codes", self.index(view, state=state, light=light), len(self.channels), self.dtype)
+
+    def board(self, state: str, *, light: str | None = None) -> np.ndarray | None:
+        """Mean white board (rows, columns, channels) float32 of a polariser state, in the units of `read`; or None."""
+        key = [self.lights[self._place(self.lights, light, "light")], state]
+        boards = self.attributes["boards"]
+        return self._chunk("boards", boards.index(key), len(self.channels), np.float32) if key in boards else None
+
+    def silhouette(self, view: str | int) -> np.ndarray | None:
+        """Silhouette (rows, columns) bool that came with the capture, or None."""
+        place = self._view(view)
+        if self.views[place] not in self.attributes["silhouettes"]:
+            return None
+        return self._chunk("silhouettes", place, 1, np.uint8)[..., 0] != 0
+
+    @property
+    def calibration(self) -> Sequence[dict]:
+        """Pictures of the calibration board: {"name", "view" or None, "image" uint8 grey (rows, columns)}, read on
+        access."""
+        return _Calibration(self)
+
+    def _chunk(self, array: str, place: int, channels: int, dtype) -> np.ndarray:
+        shape = (*self.shape, channels)
+        return read_chunk(chunk_path(self.path / array, place, 0), shape, dtype, compression="zstd")
+
+    def _view(self, view: str | int) -> int:
+        if isinstance(view, str):
+            return self._place(self.views, view, "view")
+        if not 0 <= view < len(self.views):
+            raise UserError(f"{self.path}: no view number {view}; there are {len(self.views)}")
+        return int(view)
+
+    def _place(self, names: tuple[str, ...], name: str | None, kind: str) -> int:
+        if name is None:
+            return 0
+        if name not in names:
+            raise UserError(f"{self.path}: no {kind} {name!r}; there are: {', '.join(map(repr, names[:50]))}")
+        return names.index(name)
+
+    @cached_property
+    def _table(self) -> np.ndarray:
+        return self._group["lut"][...] if self.dtype.kind == "u" else np.zeros(2, np.float32)
+
+    @cached_property
+    def _scale(self) -> np.float32:
+        return straight_scale(self._table, self.dtype)
+
+    @cached_property
+    def _gain(self) -> np.ndarray:
+        return self._group["gain"][...]
+
+    @cached_property
+    def _dark(self) -> np.ndarray:
+        return self._group["dark"][...]
+
+    @cached_property
+    def _usable(self) -> np.ndarray:
+        defect = self._group["defect"][...] if "defect" in self._group else np.zeros(self.shape, np.uint8)
+        return (defect == 0).astype(np.uint8)
+
+    @property
+    def _saturated(self) -> np.number:
+        code = self.attributes["saturation_code"]
+        return self.dtype.type(code) if self.dtype.kind == "u" else np.float32(np.inf if code is None else code)
+
+
+class _Calibration(Sequence):
+    """Pictures of the calibration board, each read when it is asked for."""
+
+    def __init__(self, views: Views):
+        self._views, self._listed = views, views.attributes["calibration"]
+
+    def __len__(self) -> int:
+        return len(self._listed)
+
+    def __getitem__(self, place: int) -> dict:
+        if not -len(self) <= place < len(self):
+            raise IndexError(place)
+        place %= len(self)
+        return {**self._listed[place], "image": self._views._chunk("calibration", place, 1, np.uint8)[..., 0]}
+
+    def __iter__(self) -> Iterator[dict]:
+        return (self[i] for i in range(len(self)))

@@ -1,0 +1,270 @@
+"""Writing the views of an object: the camera's own codes, with all that is needed to read them as light."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from nishiki.capture.frames import Frame
+from nishiki.capture.turntable import TurntableCapture
+from nishiki.colour.encoding import encode
+from nishiki.formats.images import read_mask
+from nishiki.formats.problems import CaptureError, Problem, error, warning
+from nishiki.formats.zarr_chunks import chunk_path, create_array, write_chunk
+from nishiki.observations.blocks import block_edges
+from nishiki.observations.choice import chosen
+from nishiki.observations.frames import FrameReader
+from nishiki.observations.linearise import LUMA_WEIGHTS
+from nishiki.observations.plane_decode import count_unusable
+from nishiki.observations.reference import DarkField, Edges, measure_darks
+from nishiki.observations.views_attributes import attributes_of
+from nishiki.observations.views_white import Whites, mean_boards, measure_whites
+
+STORE = "views.zarr"
+ALL_SATURATED = 0.99
+MANY_SATURATED = 0.05
+Tick = Callable[[str], None]
+
+
+class Settings(Protocol):
+    """What ingest reads of its settings."""
+
+    channels: str
+    white_block: int
+    without: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class ViewsDiagnostics:
+    """What ingest found. Shares are of the pixels inside the silhouette where one is given, else of the picture, one a
+    frame (by light, view, polariser state): saturated in any channel; at the lowest code in all; not_finite: counts.
+
+    white_level: median of the board as a fraction of full scale, by light, empty without a normalising board; defects:
+    hot or dead pixels.
+    """
+
+    rows: int
+    columns: int
+    channels: tuple[str, ...]
+    views: tuple[str, ...]
+    lights: tuple[str, ...]
+    states: tuple[str, ...]
+    dtype: str
+    saturated: tuple[float, ...]
+    dark: tuple[float, ...]
+    not_finite: tuple[int, ...]
+    white_level: tuple[float, ...]
+    defects: int
+    silhouettes: int
+    boards: int
+    calibration_pictures: int
+    warnings: tuple[str, ...]
+
+    def as_dict(self) -> dict:
+        """Plain values for JSON."""
+        return asdict(self)
+
+
+def write_views(
+    capture: TurntableCapture,
+    folder: Path | str,
+    *,
+    settings: Settings,
+    progress: Callable[[int, int, str], None] | None = None,
+) -> ViewsDiagnostics:
+    """Write `views.zarr` into the folder, which must not hold one; read it with `Views`.
+
+    progress(done, of, file) is called once a photograph. Two photographs at a time are in memory, and the sum of the
+    white boards of one polariser state. Raises CaptureError (a UserError) for photographs that cannot be used.
+    """
+    choice = chosen(capture, settings.without)
+    capture, opened = choice.capture, "photographs" not in choice.skipped
+    done, total = [0], len(capture.frames) - (0 if opened else len(capture.observed))
+
+    def tick(file: str) -> None:
+        done[0] += 1
+        if progress:
+            progress(done[0], total, file)
+
+    reader = FrameReader.of(capture, settings.channels, unopened=choice.files)
+    edges = tuple(block_edges(n, settings.white_block) for n in (reader.rows, reader.columns))
+    import zarr
+
+    path = Path(folder) / STORE
+    group = zarr.open_group(path, mode="w-", zarr_format=3)
+    outlines = _write_silhouettes(path, group, capture, reader)
+    darks = measure_darks(reader, edges, tick)
+    whites = measure_whites(reader, darks, edges, tick)
+    counts, problems = _write_codes(path, group, reader, outlines, tick, opened=opened)
+    boards = _write_boards(path, group, reader, darks, whites, edges, tick)
+    _write_calibration(path, group, reader, tick)
+    defect = darks.defect | whites.defect
+    _write_fields(group, reader, darks, whites, defect)
+    block = settings.white_block
+    group.attrs.update(attributes_of(capture, reader, whites, white_block=block, silhouettes=outlines, boards=boards))
+    problems = (*capture.warnings, *reader.warnings(), *darks.problems, *whites.problems, *problems)
+    return _diagnostics(capture, reader, counts, whites, defect, outlines, boards, problems)
+
+
+def _write_silhouettes(path: Path, group, capture: TurntableCapture, reader: FrameReader) -> list[str]:
+    """Given silhouettes, one chunk a view; returns the views that have one."""
+    named = [(i, view, frame) for i, view in enumerate(capture.views) if (frame := capture.silhouette_of(view))]
+    if not named:
+        return []
+    size = (reader.rows, reader.columns)
+    create_array(group, "silhouettes", (len(capture.views), *size, 1), (1, *size, 1), np.uint8, compression="zstd")
+    for i, _, frame in named:
+        outline = expect_silhouette(frame, size)
+        write_chunk(chunk_path(path / "silhouettes", i, 0), outline.astype(np.uint8), compression="zstd")
+    return [view for _, view, _ in named]
+
+
+def expect_silhouette(frame: Frame, size: tuple[int, int]) -> np.ndarray:
+    """Silhouette (rows, columns) bool. CaptureError: silhouette-size, silhouette-empty, those of reading pictures."""
+    outline = read_mask(frame.silhouette_path, name=frame.silhouette)
+    if outline.shape != size:
+        expected, found = f"{size[0]} x {size[1]} as the frames", f"{outline.shape[0]} x {outline.shape[1]}"
+        raise CaptureError(
+            error("silhouette-size", frame.silhouette, "size of the silhouette", expected=expected, found=found)
+        )
+    if not outline.any():
+        remedy = "Non-zero pixels mark the object"
+        raise CaptureError(error("silhouette-empty", frame.silhouette, "silhouette has no pixels", remedy=remedy))
+    return outline
+
+
+def _write_codes(
+    path: Path, group, reader: FrameReader, outlines: list[str], tick: Tick, *, opened: bool
+) -> tuple[np.ndarray, list[Problem]]:
+    """Every frame of the object into its chunk; counts (frames, 4) and what was found in the frames.
+
+    opened: False where nothing of the plan looks at them: then the array holds no frame.
+    """
+    observed = reader.capture.observed
+    size = (reader.rows, reader.columns, len(reader.names))
+    frames = len(observed) if opened else 0
+    create_array(group, "codes", (frames, *size), (1, *size), reader.dtype, compression="zstd")
+    if not opened:
+        return np.zeros((0, 4), np.int64), []
+    counts, problems = np.zeros((len(observed), 4), np.int64), []
+    whole = np.ones(size[:2], np.uint8)
+    for i, (frame, codes) in enumerate(reader.read_all(observed)):
+        named = reader.capture.silhouette_of(frame.view) if frame.view in outlines else None
+        inside = read_mask(named.silhouette_path).astype(np.uint8) if named else whole
+        *tally, highest = count_unusable(codes, inside, reader.saturated, reader.clip)
+        counts[i] = tally
+        problems += view_problems(frame, counts[i], float(highest), reader, outlined=named is not None)
+        write_chunk(chunk_path(path / "codes", i, 0), codes, compression="zstd")
+        tick(frame.file)
+    return counts, problems
+
+
+def view_problems(
+    frame: Frame, counts: np.ndarray, highest: float, reader: FrameReader, *, outlined: bool
+) -> list[Problem]:
+    """What the sample values of one frame say; CaptureError (bits-exceeded, all-saturated, all-dark) if unusable.
+
+    A bright or black background is no fault, and a crossed polariser may leave little: without a silhouette only a
+    picture without any usable sample is refused.
+    """
+    saturated, dark, broken, inside = (int(v) for v in counts)
+    reader.see(frame, highest)
+    if saturated > (ALL_SATURATED * inside if outlined else inside - 1):
+        remedy = "Expose less, or leave this photograph out"
+        raise CaptureError(error("all-saturated", frame.file, "the whole object is saturated", remedy=remedy))
+    if dark == inside:
+        remedy = "Expose longer, or leave this photograph out"
+        raise CaptureError(error("all-dark", frame.file, "the whole picture is black", remedy=remedy))
+    problems = []
+    if broken:
+        found = f"{broken} pixels"
+        problems.append(warning("not-finite", frame.file, "NaN or infinite samples are not used", found=found))
+    bright = reader.capture.settings.turntable.background == "bright" and not outlined
+    if saturated > MANY_SATURATED * inside and not bright:
+        found = f"{100 * saturated / inside:.1f} % of the {'object' if outlined else 'picture'}"
+        problems.append(warning("many-saturated", frame.file, "many saturated samples", found=found))
+    return problems
+
+
+def _write_boards(
+    path: Path, group, reader: FrameReader, darks: DarkField, whites: Whites, edges: Edges, tick: Tick
+) -> list[list[str]]:
+    """Mean white board of each light and polariser state; returns [light, state] of each."""
+    frames = [f for f in reader.capture.frames_of("white") if f.polariser]
+    keys = list(dict.fromkeys((f.light, f.polariser) for f in frames))
+    if not keys:
+        return []
+    size = (reader.rows, reader.columns, len(reader.names))
+    create_array(group, "boards", (len(keys), *size), (1, *size), np.float32, compression="zstd")
+    for i, mean in enumerate(mean_boards(reader, keys, darks, whites, edges, tick)):
+        write_chunk(chunk_path(path / "boards", i, 0), mean, compression="zstd")
+    return [list(key) for key in keys]
+
+
+def _write_calibration(path: Path, group, reader: FrameReader, tick: Tick) -> None:
+    """Pictures of the calibration board, grey, 8 bits, coded for display so that dark squares keep their steps."""
+    frames = reader.capture.frames_of("board")
+    if not frames:
+        return
+    size = (reader.rows, reader.columns, 1)
+    create_array(group, "calibration", (len(frames), *size), (1, *size), np.uint8, compression="zstd")
+    for i, (frame, codes) in enumerate(reader.read_all(frames)):
+        write_chunk(chunk_path(path / "calibration", i, 0), grey_picture(codes, reader), compression="zstd")
+        tick(frame.file)
+
+
+def grey_picture(codes: np.ndarray, reader: FrameReader) -> np.ndarray:
+    """Codes (rows, columns, channels) as an 8-bit grey picture (rows, columns, 1), sRGB-coded."""
+    count = codes.shape[2]
+    weights = LUMA_WEIGHTS if count == 3 else np.full(count, 1 / count)
+    grey = codes.astype(np.float32) @ (weights / reader.full).astype(np.float32)
+    if reader.capture.settings.camera.encoding == "linear":
+        grey = encode(np.nan_to_num(grey), "srgb")
+    return np.rint(255 * np.clip(grey, 0, 1)).astype(np.uint8)[:, :, None]
+
+
+def _write_fields(group, reader: FrameReader, darks: DarkField, whites: Whites, defect: np.ndarray) -> None:
+    """The small arrays beside the codes."""
+    fields = {"gain": whites.gain, "dark": darks.for_frames(reader.capture.observed)}
+    if reader.dtype.kind == "u":
+        fields["lut"] = reader.table
+    if defect.any():
+        fields["defect"] = defect.astype(np.uint8)
+    for name, values in fields.items():
+        array = create_array(group, name, values.shape, values.shape, values.dtype)
+        array[...] = values
+
+
+def _diagnostics(
+    capture: TurntableCapture,
+    reader: FrameReader,
+    counts: np.ndarray,
+    whites: Whites,
+    defect: np.ndarray,
+    outlines: list[str],
+    boards: list[list[str]],
+    problems: tuple[Problem, ...],
+) -> ViewsDiagnostics:
+    inside = np.maximum(counts[:, 3], 1)
+    return ViewsDiagnostics(
+        rows=reader.rows,
+        columns=reader.columns,
+        channels=reader.names,
+        views=capture.views,
+        lights=capture.light_names,
+        states=capture.states,
+        dtype=str(reader.dtype),
+        saturated=tuple((counts[:, 0] / inside).tolist()),
+        dark=tuple((counts[:, 1] / inside).tolist()),
+        not_finite=tuple(counts[:, 2].tolist()),
+        white_level=whites.levels,
+        defects=int(defect.sum()),
+        silhouettes=len(outlines),
+        boards=len(boards),
+        calibration_pictures=len(capture.frames_of("board")),
+        warnings=tuple(str(p) for p in problems),
+    )

@@ -1,0 +1,152 @@
+"""Normals and reflectance fitted together with the gloss of the scene, pixel by pixel."""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from nishiki.brdf.gloss_profile import GlossProfile, light_table
+from nishiki.errors import UserError
+from nishiki.photometric import flags as bits
+from nishiki.photometric.gloss_kernel import refine_pixels
+from nishiki.threads import threads as given_threads
+
+NOISE = 0.002  # of an observation, relative to white
+MODEL_ERROR = 0.02  # of the body's shading, relative to the pixel's mean level: interreflection, mixed pixels
+GLOSS_ERROR = 0.25  # of the predicted gloss, relative
+TILT_ERROR = 0.03  # radians by which the mirroring surface may lean from the normal of the body
+TOLERANCE = 3.0  # standard deviations at which a sample has lost three quarters of its weight
+ITERATIONS = 15
+SECOND_START = 1.0  # robust cost a value above which the normal that mirrors the brightest light is tried too
+SLICE = 2048
+
+
+@dataclass(frozen=True)
+class RefinedNormals:
+    """Maps (rows, columns, ...) of the joint fit; fields as those of NormalField.
+
+    normals (.., 3), reflectance (.., channels), albedo (its mean), sigma (radians), residual (rms of the level,
+    relative to white), condition: float32; lights_used uint16: samples whose weight is more than half of their own;
+    flags uint8; cost float32: robust cost, 0 where nothing was refined. Pixels of NO_ESTIMATE and FALLBACK keep what
+    they came with.
+    """
+
+    normals: np.ndarray
+    reflectance: np.ndarray
+    albedo: np.ndarray
+    sigma: np.ndarray
+    residual: np.ndarray
+    condition: np.ndarray
+    lights_used: np.ndarray
+    flags: np.ndarray
+    cost: np.ndarray
+
+    @property
+    def diagnostics(self) -> dict[str, float]:
+        """Pixels refined and kept as they were, and the medians of sigma and residual over the refined."""
+        done = (self.flags & (bits.NO_ESTIMATE | bits.FALLBACK)) == 0
+        middle = {
+            name: float(np.median(getattr(self, name)[done])) if done.any() else 0.0 for name in ("sigma", "residual")
+        }
+        return {"pixels": int(done.size), "refined": int(done.sum()), **{f"median_{k}": v for k, v in middle.items()}}
+
+
+def refine_normals(
+    observations: np.ndarray,
+    directions: np.ndarray,
+    *,
+    normals: np.ndarray,
+    gloss: GlossProfile,
+    valid: np.ndarray | None = None,
+    flags: np.ndarray | None = None,
+    reflectance: np.ndarray | None = None,
+    max_condition: float = 1e4,
+    noise: float | None = None,
+    model_error: float = MODEL_ERROR,
+    second_start: float = SECOND_START,
+    threads: int | None = None,
+) -> RefinedNormals:
+    """Fit I'_jk = rho_k b(n . l_j) + s_j(n) at every pixel from the given normals; see `nishiki.photometric.gloss_kernel`.
+
+    observations (lights, rows, columns, channels), relative to white; directions (lights, 3) unit; valid (lights, rows,
+    columns) bool, None for all; normals (rows, columns, 3) unit, of any solver, to start from; flags (rows, columns)
+    uint8: where a bit of NO_ESTIMATE is set nothing is done; reflectance (rows, columns, channels) kept there and where
+    the fit fails, zeros if None; gloss: of `nishiki.brdf.gloss_profile`; noise, of an observation (0.002 of the
+    gloss' unit if None); model_error, relative to a pixel's mean level; second_start: cost a value above which a second
+    start is tried; threads: None for
+    as many as numba is set to use. The result does not depend on threads or tiles.
+
+    Raises UserError where shapes do not fit.
+    """
+    observations = np.ascontiguousarray(observations, dtype=np.float32)
+    shape = observations.shape
+    if observations.ndim != 4 or np.shape(normals) != (*shape[1:3], 3) or len(directions) != shape[0]:
+        raise UserError(
+            f"joint fit: expected observations (lights, rows, columns, channels) with as many directions and a normal "
+            f"for each pixel, found {shape}, {len(directions)} directions and normals {np.shape(normals)}"
+        )
+    count, pixels, channels = shape[0], shape[1] * shape[2], shape[3]
+    valid = np.isfinite(observations).all(axis=-1) & (True if valid is None else valid)
+    noise = NOISE * gloss.unit if noise is None else noise
+    fields = empty_fields(pixels, channels, normals, reflectance, flags)
+    shared = (
+        observations.reshape(count, pixels, channels),
+        np.ascontiguousarray(np.broadcast_to(valid, shape[:3]).reshape(count, pixels)),
+        light_table(directions, gloss.refractive_index),
+        gloss.table(),
+        channel_rotation(channels),
+        np.array([noise, model_error, GLOSS_ERROR, TILT_ERROR, TOLERANCE, ITERATIONS, second_start]),
+        float(max_condition),
+    )
+    in_threads(lambda first, last: refine_pixels(*shared, first, last, *fields), pixels, threads)
+    found, rho, scalars, used, marks, cost = fields
+    albedo, sigma, condition, residual = scalars.reshape(4, *shape[1:3])
+    return RefinedNormals(
+        normals=found.reshape(*shape[1:3], 3),
+        reflectance=rho.reshape(*shape[1:3], channels),
+        albedo=albedo,
+        sigma=sigma,
+        residual=residual,
+        condition=condition,
+        lights_used=used.reshape(shape[1:3]),
+        flags=marks.reshape(shape[1:3]),
+        cost=cost.reshape(shape[1:3]),
+    )
+
+
+def empty_fields(pixels, channels, normals, reflectance, flags):
+    """Outputs of the kernel, filled with what is known before."""
+    scalars = np.zeros((4, pixels), np.float32)
+    scalars[1] = 0.5 * np.pi
+    start = np.zeros((pixels, channels)) if reflectance is None else reflectance.reshape(pixels, channels)
+    marks = np.zeros(pixels) if flags is None else flags.reshape(pixels)
+    return (
+        np.array(normals, dtype=np.float32, order="C").reshape(pixels, 3).copy(),
+        np.array(start, dtype=np.float32, order="C"),
+        scalars,
+        np.zeros(pixels, np.uint16),
+        np.array(marks, dtype=np.uint8),
+        np.zeros(pixels, np.float32),
+    )
+
+
+def channel_rotation(channels: int) -> np.ndarray:
+    """Orthogonal matrix (C, C) whose first row is the common level; the others are Helmert's differences."""
+    rotation = np.zeros((channels, channels))
+    rotation[0] = 1 / np.sqrt(channels)
+    for k in range(1, channels):
+        rotation[k, :k], rotation[k, k] = 1.0, -float(k)
+        rotation[k] /= np.sqrt(k * (k + 1.0))
+    return rotation
+
+
+def in_threads(work, pixels, threads):
+    """Slices of the pixels side by side; each writes its own pixels only."""
+    threads = min(threads or given_threads(), -(-pixels // SLICE))
+    if threads <= 1:
+        work(0, pixels)
+        return
+    edges = [min(k * SLICE, pixels) for k in range(-(-pixels // SLICE) + 1)]
+    with ThreadPoolExecutor(threads) as pool:
+        for _ in pool.map(work, edges[:-1], edges[1:]):
+            pass  # reading the results passes on an exception

@@ -1,0 +1,352 @@
+"""One pixel of the joint fit: normal, reflectance of each channel and gloss of a known profile, robustly.
+
+Model of sample j in channel k, with b the body's shading and s the gloss, the same in all channels:
+
+    I'_jk = rho_k b(n . l_j, n_z) + s_j(n),     s = F G / cos theta_r * z(phi)
+
+The channels are rotated first, so that component 0 is their common level (times sqrt C) and the others are differences
+of colour, in which white gloss cancels: component 0 is trusted less where gloss is predicted, the others are not. The
+reflectances enter linearly and are eliminated (variable projection); the two tangential components of the normal are
+found by damped Gauss-Newton with weights 1 / variance, times the square of Cauchy's weight of the residual.
+
+Everything is float64 and in the fixed order of the lights: the result of a pixel depends on nothing else.
+"""
+
+import numpy as np
+from numba import njit
+
+from nishiki.photometric import flags as bits
+from nishiki.photometric.gloss_prediction import (
+    BODY,
+    BODY_S,
+    BODY_T,
+    GLOSS,
+    GLOSS_S,
+    GLOSS_T,
+    ITERATIONS,
+    LANES,
+    LIT,
+    MODEL_ERROR,
+    NOISE,
+    ROWS,
+    SECOND_START,
+    STEEPEST,
+    TOLERANCE,
+    VAR_COLOUR,
+    VAR_LEVEL,
+    W_COLOUR,
+    W_LEVEL,
+    predict,
+    tangents,
+)
+from nishiki.photometric.least_squares import LARGEST, eigenvalues
+
+LARGEST_STEP = 0.3  # radians
+DAMPINGS = 5
+SETTLED = 1e-3  # radians
+NOTHING = 1e-300  # keeps sums of no weight from 0 / 0: weights are inverse squares of radiances of any unit
+AT_LEAST = 4  # lit samples; three unknowns in the common level, and one to spare
+
+
+@njit(cache=True, error_model="numpy")
+def strengths(y, rows, rho):
+    """Weighted least-squares reflectance of each component at fixed normal."""
+    body, gloss, level, colour = rows[BODY], rows[GLOSS], rows[W_LEVEL], rows[W_COLOUR]
+    value, above, below = y[0], 0.0, NOTHING
+    for j in range(body.size):
+        v = level[j] * body[j]
+        above += v * (value[j] - gloss[j])
+        below += v * body[j]
+    rho[0] = above / below
+    below = NOTHING
+    for j in range(body.size):
+        below += colour[j] * body[j] * body[j]
+    for k in range(1, rho.size):
+        value, above = y[k], 0.0
+        for j in range(body.size):
+            above += colour[j] * body[j] * value[j]
+        rho[k] = above / below
+
+
+@njit(cache=True, error_model="numpy")
+def weigh(y, rows, rho, tolerance):
+    """Robust weights from the residuals; too dark a sample is distrusted in all components, for shadow takes all."""
+    lit, body, gloss, level, colour = rows[LIT], rows[BODY], rows[GLOSS], rows[W_LEVEL], rows[W_COLOUR]
+    of_level, of_colour = rows[VAR_LEVEL], rows[VAR_COLOUR]
+    bound, components, value, first = tolerance * tolerance, rho.size, y[0], rho[0]
+    for j in range(body.size):
+        colour[j] = 0.0
+    for k in range(1, components):
+        values, strength = y[k], rho[k]
+        for j in range(body.size):
+            d = values[j] - strength * body[j]
+            colour[j] += d * d
+    limit = bound * max(components - 1, 1)
+    for j in range(body.size):
+        r = value[j] - first * body[j] - gloss[j]
+        a = bound * of_level[j] / (bound * of_level[j] + r * r)
+        e = limit * of_colour[j] / (limit * of_colour[j] + colour[j])
+        e = min(a, e) if r < 0.0 else e
+        level[j] = lit[j] * a * a / of_level[j]
+        colour[j] = lit[j] * e * e / of_colour[j]
+
+
+@njit(cache=True, error_model="numpy")
+def squares(y, rows, rho):
+    """Weighted sum of squares at the present weights."""
+    body, gloss, level, colour = rows[BODY], rows[GLOSS], rows[W_LEVEL], rows[W_COLOUR]
+    value, strength, total = y[0], rho[0], 0.0
+    for j in range(body.size):
+        r = value[j] - strength * body[j] - gloss[j]
+        total += level[j] * r * r
+    for k in range(1, rho.size):
+        value, strength = y[k], rho[k]
+        for j in range(body.size):
+            d = value[j] - strength * body[j]
+            total += colour[j] * d * d
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def gauss_newton(y, rows, rho, out):
+    """Curvature (3) and right-hand side (2) by the tangents, reflectances eliminated (Schur complement), into out."""
+    body, body_s, body_t, gloss = rows[BODY], rows[BODY_S], rows[BODY_T], rows[GLOSS]
+    gloss_s, gloss_t, level, colour = rows[GLOSS_S], rows[GLOSS_T], rows[W_LEVEL], rows[W_COLOUR]
+    h0 = h1 = h2 = g0 = g1 = p = q = 0.0
+    a, value, strength = NOTHING, y[0], rho[0]
+    for j in range(body.size):
+        w, b = level[j], body[j]
+        s, t = strength * body_s[j] + gloss_s[j], strength * body_t[j] + gloss_t[j]
+        r = value[j] - strength * b - gloss[j]
+        ws, wt = w * s, w * t
+        a += w * b * b
+        p += ws * b
+        q += wt * b
+        h0 += ws * s
+        h1 += ws * t
+        h2 += wt * t
+        g0 += ws * r
+        g1 += wt * r
+    h0, h1, h2 = h0 - p * p / a, h1 - p * q / a, h2 - q * q / a
+    # the other components share weights and, but for their reflectance, slopes
+    bb, bs, bt, ss, st, tt = NOTHING, 0.0, 0.0, 0.0, 0.0, 0.0
+    for j in range(body.size):
+        w, b, s, t = colour[j], body[j], body_s[j], body_t[j]
+        bb += w * b * b
+        bs += w * b * s
+        bt += w * b * t
+        ss += w * s * s
+        st += w * s * t
+        tt += w * t * t
+    for k in range(1, rho.size):
+        value, strength, p, q = y[k], rho[k], 0.0, 0.0
+        for j in range(body.size):
+            r = colour[j] * (value[j] - strength * body[j])
+            p += body_s[j] * r
+            q += body_t[j] * r
+        g0, g1 = g0 + strength * p, g1 + strength * q
+        square = strength * strength
+        h0 += square * (ss - bs * bs / bb)
+        h1 += square * (st - bs * bt / bb)
+        h2 += square * (tt - bt * bt / bb)
+    out[0], out[1], out[2], out[3], out[4] = h0, h1, h2, g0, g1
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def moved(n, t, s, r, out):
+    """The unit normal at the tangential step (s, r), of limited length and never grazing; returns the step's length."""
+    length = np.sqrt(s * s + r * r)
+    part = LARGEST_STEP / length if length > LARGEST_STEP else 1.0
+    s, r = part * s, part * r
+    x, y = n[0] + s * t[0] + r * t[3], n[1] + s * t[1] + r * t[4]
+    z = max(n[2] + s * t[2] + r * t[5], STEEPEST)
+    scale = 1.0 / np.sqrt(x * x + y * y + z * z)
+    out[0], out[1], out[2] = x * scale, y * scale, z * scale
+    return length
+
+
+@njit(cache=True, error_model="numpy")
+def descend(y, known, lights, table, settings, floor, n, rho, rows, work):
+    """Fit from the normal n, in place; the rows and weights are left at the result.
+
+    work (18,): tangents 0:6, trial normal 6:9, equations 9:14, gradient 14:18. A step that raises the weighted sum of
+    squares is taken back and damped more, DAMPINGS times at most.
+    """
+    t, trial, equations, gradient = work[0:6], work[6:9], work[9:14], work[14:18]
+    root, tolerance = np.sqrt(np.float64(rho.size)), settings[TOLERANCE]
+    trial[:] = n
+    damping, before, length, refused, taken = 1e-3, 0.0, np.inf, 0, 0
+    while True:
+        predict(trial, known, lights, table, settings, floor, root, rows, t, gradient)
+        if taken == 0:
+            for j in range(known.size):
+                rows[W_LEVEL, j] = rows[LIT, j] / rows[VAR_LEVEL, j]
+                rows[W_COLOUR, j] = rows[LIT, j] / rows[VAR_COLOUR, j]
+        strengths(y, rows, rho)
+        if taken == 0 or refused == DAMPINGS or not squares(y, rows, rho) > before * (1.0 + 1e-9):
+            n[:] = trial
+            damping = max(0.2 * damping, 1e-6) if taken else damping
+            for _ in range(1 if taken else 2):
+                weigh(y, rows, rho, tolerance)
+                strengths(y, rows, rho)
+            if length < SETTLED or taken == int(settings[ITERATIONS]):
+                break
+            gauss_newton(y, rows, rho, equations)
+            before = squares(y, rows, rho)
+            refused, taken = 0, taken + 1
+        else:
+            damping *= 8.0
+            refused += 1
+        tangents(n, t)
+        d0, d2 = equations[0] * (1.0 + damping) + 1e-12, equations[2] * (1.0 + damping) + 1e-12
+        det = d0 * d2 - equations[1] * equations[1]
+        s = (d2 * equations[3] - equations[1] * equations[4]) / det
+        r = (d0 * equations[4] - equations[1] * equations[3]) / det
+        length = moved(n, t, s, r, trial)
+    weigh(y, rows, rho, tolerance)
+
+
+@njit(cache=True, error_model="numpy")
+def misfit(y, known, rows, rho, tolerance, floor):
+    """Robust cost (Geman and McClure), with the logarithms of the variances: what decides between two starts.
+
+    A sample under which the normal turns away from the lamp is predicted as black.
+    """
+    bound, components = tolerance * tolerance, rho.size
+    total = 0.0
+    for j in range(known.size):
+        if not known[j]:
+            continue
+        if rows[LIT, j] > 0.0:
+            b = rows[BODY, j]
+            r = y[0, j] - rho[0] * b - rows[GLOSS, j]
+            level, q = r * r / rows[VAR_LEVEL, j], 0.0
+            for k in range(1, components):
+                d = y[k, j] - rho[k] * b
+                q += d * d / rows[VAR_COLOUR, j]
+            total += level / (1.0 + level / bound) + np.log(rows[VAR_LEVEL, j] / floor)
+            total += q / (1.0 + q / (bound * max(components - 1, 1)))
+        else:
+            q = 0.0
+            for k in range(components):
+                q += y[k, j] * y[k, j] / floor
+            total += min(q, 5.0 * bound)
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def describe(y, known, lights, rows, rho, equations, max_condition, p, scalars, used, flags):
+    """Sigma, condition, residual and lights used of a pixel, and its flags."""
+    a = b = c = d = e = f = 0.0
+    weight = squared = chi = 0.0
+    count, freedom = 0, -2 - rho.size
+    for j in range(known.size):
+        if rows[LIT, j] == 0.0:
+            continue
+        trust = rows[W_LEVEL, j] * rows[VAR_LEVEL, j]
+        count += trust > 0.5
+        x, v, z = lights[j, 0], lights[j, 1], lights[j, 2]
+        a, b, c = a + trust * x * x, b + trust * x * v, c + trust * x * z
+        d, e, f = d + trust * v * v, e + trust * v * z, f + trust * z * z
+        r = y[0, j] - rho[0] * rows[BODY, j] - rows[GLOSS, j]
+        weight += trust
+        squared += trust * r * r
+        chi += rows[W_LEVEL, j] * r * r
+        for k in range(1, rho.size):
+            s = y[k, j] - rho[k] * rows[BODY, j]
+            chi += rows[W_COLOUR, j] * s * s
+        freedom += rho.size
+    least, largest = eigenvalues(a, b, c, d, e, f)
+    condition = largest / least if least > 0.0 else 3e38
+    det = equations[0] * equations[2] - equations[1] * equations[1]
+    variance = (equations[0] + equations[2]) / det if det > 0.0 else np.inf
+    variance *= max(chi / max(freedom, 1), 1.0)
+    sigma = np.sqrt(variance)
+    scalars[1, p] = sigma if sigma < 0.5 * np.pi else 0.5 * np.pi  # also where it is no number
+    scalars[2, p] = min(condition, 3e38)
+    scalars[3, p] = min(np.sqrt(squared / max(weight, 1e-30) / rho.size), LARGEST)
+    used[p] = count
+    flags[p] = bits.ILL_CONDITIONED if condition > max_condition else 0
+
+
+@njit(cache=True, error_model="numpy")
+def rotate(observations, rotation, p, y):
+    """Components (C, lights) of pixel p; returns the light of the largest level and the mean level of the others."""
+    lights, channels = observations.shape[0], y.shape[0]
+    top, highest, total = 0, -np.inf, 0.0
+    for j in range(lights):
+        for k in range(channels):
+            value = 0.0
+            for i in range(channels):
+                value += rotation[k, i] * observations[j, p, i]
+            y[k, j] = value
+        total += y[0, j]
+        if y[0, j] > highest:
+            top, highest = j, y[0, j]
+    return top, (total - highest) / max(lights - 1, 1)
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def refine_pixels(
+    observations, valid, lights, table, rotation, settings, max_condition, first, last,
+    normals, reflectance, scalars, used, flags, cost,
+):  # fmt: skip
+    """Refine the pixels first .. last - 1 in place, where their flags say that there is an estimate to start from.
+
+    observations (lights, pixels, channels) float32; valid (lights, pixels) bool; lights (lights, 8) float64: direction,
+    half vector, F, cos theta_q; table (4, NODES) of `GlossProfile.table`; rotation (C, C).
+    normals (pixels, 3), reflectance (pixels, C), scalars (4, pixels) float32: albedo, sigma, condition, residual.
+    """
+    count, channels = observations.shape[0], observations.shape[2]
+    padded = (count + LANES - 1) // LANES * LANES
+    rows, y, known = np.zeros((ROWS, padded)), np.zeros((channels, padded)), np.zeros(count, np.bool_)
+    rows[VAR_LEVEL], rows[VAR_COLOUR] = 1.0, 1.0
+    rho, colour, n, best_n = np.empty(channels), np.empty(channels), np.empty(3), np.empty(3)
+    work = np.empty(18)
+    tolerance = settings[TOLERANCE]
+    for p in range(first, last):
+        cost[p] = 0.0
+        if flags[p] & bits.NO_ESTIMATE:
+            continue
+        for j in range(count):
+            known[j] = valid[j, p]
+        top, scale = rotate(observations, rotation, p, y)
+        floor = settings[NOISE] ** 2 + (settings[MODEL_ERROR] * scale) ** 2
+        for i in range(3):
+            n[i] = normals[p, i]
+        n[2] = max(n[2], STEEPEST)
+        value, limit = np.inf, settings[SECOND_START] * count * channels
+        for attempt in range(3):  # the given normal; the one that mirrors the brightest light; back to the better one
+            descend(y, known, lights, table, settings, floor, n, rho, rows, work)
+            cost_here = misfit(y, known, rows, rho, tolerance, floor)
+            if attempt == 2 or (attempt == 0 and not cost_here > limit) or (attempt == 1 and cost_here < value):
+                value = cost_here
+                break
+            if attempt == 0:
+                value = cost_here
+                best_n[:] = n
+                n[:] = lights[top, 3:6]
+            else:
+                n[:] = best_n
+        lit = 0
+        for j in range(count):
+            lit += rows[LIT, j] > 0.0
+        level = 0.0
+        for i in range(channels):
+            total = 0.0
+            for k in range(channels):
+                total += rotation[k, i] * rho[k]
+            colour[i] = max(total, 0.0)
+            level += colour[i]
+        sound = np.isfinite(n[0] + n[1] + n[2] + rho.sum() + value) and value <= LARGEST
+        if lit < AT_LEAST or not (sound and level <= LARGEST):
+            flags[p] |= bits.FALLBACK
+            continue
+        for i in range(3):
+            normals[p, i] = n[i]
+        for i in range(channels):
+            reflectance[p, i] = colour[i]
+        scalars[0, p] = level / channels
+        cost[p] = value
+        gauss_newton(y, rows, rho, work[9:14])
+        describe(y, known, lights, rows, rho, work[9:14], max_condition, p, scalars, used, flags)

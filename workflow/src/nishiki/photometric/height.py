@@ -1,0 +1,147 @@
+"""Height from normals: the surface whose slopes are, in the sense of weighted least squares, those of the normals.
+
+The unknown heights h minimise sum over neighbouring pixels a, b of w (h_b - h_a - g)^2, g the mean slope of the two
+times the pitch. On a full rectangle with equal weights this is Poisson's equation with natural boundaries, which the
+discrete cosine transform solves directly (T. Simchony, R. Chellappa and M. Shao, Direct analytical methods for solving
+Poisson equations in computer vision problems, IEEE Trans. PAMI 12 (5), 1990; for the periodic case R. T. Frankot and
+R. Chellappa, IEEE Trans. PAMI 10 (4), 1988). With a mask or weights the same solver preconditions conjugate gradients.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nishiki.errors import UserError
+from nishiki.photometric.poisson import conjugate_gradients, divergence, edge_gradients, poisson_symbol, solve_rectangle
+
+METHODS = ("auto", "dct", "weighted")
+LEAST_NZ = 0.05  # normals that are steeper (87 degrees) count as this steep: slopes stay finite
+LEAST_WEIGHT = 1e-3  # a steep pixel keeps this much say, so that it stays tied to its neighbours
+NOT_UNIT = 0.02  # of the squared length, as where normals are shaded
+PITCHES = (1e-12, 1e12)  # beyond, heights and their squares leave float32
+SINGLE_ABOVE = 4_000_000  # pixels above which the work arrays are float32: half the memory, heights to about 1e-5
+
+
+@dataclass(frozen=True)
+class HeightField:
+    """A relief with what the integration left over.
+
+    height (rows, columns) float32 in the unit of the pixel pitch, towards the camera, mean 0 over each connected part;
+    NaN where `valid` (rows, columns) bool is False: a number there would be a wall around the object.
+    integrability_rms: root mean square of p_y - q_x, in slope per unit length, over the 2 x 2 squares of valid pixels;
+    0 for the normals of a continuous surface. gradient_rms: root mean square of (height difference / pitch - slope)
+    over valid neighbours. parts: number of connected parts, whose relative heights the normals do not tell. residual:
+    relative residual of the linear system at the end.
+    """
+
+    height: np.ndarray
+    valid: np.ndarray
+    integrability_rms: float
+    gradient_rms: float
+    parts: int
+    iterations: int
+    residual: float
+    method: str
+
+    @property
+    def diagnostics(self):
+        """The scalars, as plain numbers."""
+        names = ("method", "integrability_rms", "gradient_rms", "parts", "iterations", "residual")
+        inside = self.height[self.valid]
+        span = float(inside.max() - inside.min()) if inside.size else 0.0
+        return {**{name: getattr(self, name) for name in names}, "valid_pixels": int(inside.size), "range": span}
+
+
+def integrate_normals(normals, *, valid=None, pixel_pitch=1.0, method="auto", tolerance=1e-5, max_iterations=400):
+    """Integrate unit normals (rows, columns, 3) into a HeightField.
+
+    valid (rows, columns) bool, None for all; pixel_pitch: distance of neighbouring pixels, whose unit the height takes.
+
+    method
+        "dct": one direct solution with equal weights; pixels that are not valid count as flat. For full rectangles.
+        "weighted": only valid pixels, weighted by nz^4, the inverse variance of a slope for equal angular errors.
+        "auto": "dct" where every pixel is valid and none is steeper than 80 degrees, else "weighted".
+
+    Raises UserError on shapes that do not fit, a pitch out of 1e-12 .. 1e12, no valid pixel, and unknown methods.
+    """
+    normals, valid = checked_normals(normals, valid, pixel_pitch)
+    if method not in METHODS:
+        raise UserError(f"height: expected a method of {', '.join(METHODS)}, found {method!r}")
+    if method == "auto":
+        method = "dct" if valid.all() and normals[..., 2].min() > np.cos(np.radians(80.0)) else "weighted"
+    dtype = np.float32 if valid.size > SINGLE_ABOVE else np.float64
+    p, q, weight = slopes(normals, valid, dtype)
+    gradients = edge_gradients(p, q, float(pixel_pitch))
+    del p, q
+    symbol = poisson_symbol(valid.shape, dtype)
+    if method == "dct":
+        height = solve_rectangle(divergence(gradients, (dtype(1), dtype(1))), symbol)
+        iterations, residual = 0, 0.0
+    else:
+        weights = np.minimum(weight[:, :-1], weight[:, 1:]), np.minimum(weight[:-1], weight[1:])
+        right = divergence(gradients, weights)
+        height, iterations, residual = conjugate_gradients(weights, right, symbol, tolerance, max_iterations)
+    parts = level_parts(height, valid)
+    curl, mismatch = leftovers(height, gradients, valid, float(pixel_pitch))
+    return HeightField(height.astype(np.float32), valid, curl, mismatch, parts, iterations, residual, method)
+
+
+def checked_normals(normals, valid, pixel_pitch):
+    """Normals and mask of matching shape, or a UserError; normals that are not of unit length are not valid."""
+    normals = np.asarray(normals)
+    if normals.ndim != 3 or normals.shape[2] != 3:
+        raise UserError(f"height: expected normals of shape (rows, columns, 3), found {normals.shape}")
+    with np.errstate(over="ignore", invalid="ignore"):
+        unit = np.abs(np.einsum("rci,rci->rc", normals, normals) - 1) < NOT_UNIT  # false for NaN
+    valid = unit if valid is None else np.asarray(valid, dtype=bool)
+    if valid.shape != normals.shape[:2]:
+        raise UserError(f"height: expected a mask of shape {normals.shape[:2]} as the normals, found {valid.shape}")
+    if not PITCHES[0] <= pixel_pitch <= PITCHES[1]:
+        raise UserError(
+            f"height: expected a pixel pitch above 0 ({PITCHES[0]:g} to {PITCHES[1]:g}), found {pixel_pitch}; "
+            "give the distance of two pixels in a unit that suits it"
+        )
+    valid = valid & unit
+    if not valid.any():
+        raise UserError(f"height: expected valid normals, found none among {valid.size} pixels; see the normals' flags")
+    return normals, valid
+
+
+def slopes(normals, valid, dtype):
+    """Slopes p = dz/dx and q = dz/dy (y up), and the weight nz^4 of each pixel, 0 where not valid."""
+    nz = np.maximum(np.where(valid, normals[..., 2], 1), LEAST_NZ).astype(dtype)
+    p = np.where(valid, -normals[..., 0], 0).astype(dtype) / nz
+    q = np.where(valid, -normals[..., 1], 0).astype(dtype) / nz
+    weight = np.where(valid, np.maximum(nz**4, LEAST_WEIGHT), 0).astype(dtype)
+    return p, q, weight
+
+
+def level_parts(height, valid):
+    """Subtract its mean from each connected part, in place; NaN elsewhere. Returns the number of parts."""
+    from scipy import ndimage
+
+    height[~valid] = 0
+    labels, parts = ndimage.label(valid)
+    if parts == 1:
+        height[valid] -= height[valid].mean(dtype=np.float64)
+        height[~valid] = np.nan
+        return 1
+    counts = np.bincount(labels.ravel())
+    means = np.bincount(labels.ravel(), weights=height.ravel()) / np.maximum(counts, 1)
+    height -= means.astype(height.dtype)[labels]
+    height[~valid] = np.nan
+    return parts
+
+
+def leftovers(height, gradients, valid, pitch):
+    """RMS of p_y - q_x over the 2 x 2 squares of valid pixels, and RMS of the slope mismatch over valid neighbours."""
+    along, down = gradients
+    whole = valid[:-1, :-1] & valid[:-1, 1:] & valid[1:, :-1] & valid[1:, 1:]
+    around = along[:-1] + down[:, 1:] - along[1:] - down[:, :-1]
+    squares = np.sum(np.square(around[whole], dtype=np.float64))
+    curl = np.sqrt(squares / max(1, np.count_nonzero(whole))) / pitch**2
+    beside, below = valid[:, :-1] & valid[:, 1:], valid[:-1] & valid[1:]
+    total = np.sum(np.square((np.diff(height, axis=1) - along)[beside], dtype=np.float64))
+    total += np.sum(np.square((np.diff(height, axis=0) - down)[below], dtype=np.float64))
+    edges = np.count_nonzero(beside) + np.count_nonzero(below)
+    return float(curl), float(np.sqrt(total / max(1, edges)) / pitch)

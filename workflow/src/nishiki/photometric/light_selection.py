@@ -1,0 +1,182 @@
+"""Separation by light selection: which lights show each pixel's diffuse reflection alone."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nishiki.errors import UserError
+
+METHODS = ("refit", "trimmed", "threshold", "none")
+
+
+# The re-fit's constants: shares of the samples, and bounds in units of the scale of the concentrated fit.
+STEPS = 2  # concentration steps for each start
+WINDOW = 0.4  # share of the samples in a starting window of ranks
+COVERAGE = 0.5  # share of the samples that a fit has to explain: up to half may be spoilt
+ABOVE = 4.0  # how many times worse a sample too bright is than one too dark
+BRIGHTER, DARKER = 2.0, 4.0  # limits of acceptance after the concentration
+ROUNDS = 2  # times that accepted samples are fitted again
+
+
+@dataclass(frozen=True)
+class LightSelection:
+    """Which samples are taken as diffuse, and why the others are not.
+
+    usable (lights, rows, columns) bool; the counts (rows, columns) uint16 are lights per pixel. `invalid` counts the
+    samples that arrived unusable (saturated, dark-clipped, not finite); `highlights` and `shadows` those that the
+    method rejected as too bright or too dark. The fractions are of all samples.
+    """
+
+    usable: np.ndarray
+    highlights: np.ndarray
+    shadows: np.ndarray
+    invalid: np.ndarray
+    lights_usable: np.ndarray
+    method: str
+
+    @property
+    def diagnostics(self):
+        """Fractions of samples by reason, and pixels left with fewer than three lights, as plain numbers."""
+        lights, rows, columns = self.usable.shape
+        samples = max(1, lights * rows * columns)
+        return {
+            "method": self.method,
+            "usable_fraction": float(self.lights_usable.sum(dtype=np.int64) / samples),
+            "highlight_fraction": float(self.highlights.sum(dtype=np.int64) / samples),
+            "shadow_fraction": float(self.shadows.sum(dtype=np.int64) / samples),
+            "invalid_fraction": float(self.invalid.sum(dtype=np.int64) / samples),
+            "pixels_with_fewer_than_three_lights": int((self.lights_usable < 3).sum()),
+        }
+
+
+def select_diffuse(
+    observations,
+    directions,
+    *,
+    method="refit",
+    valid=None,
+    w1=1.2,
+    w2=0.1,
+    keep=(0.3, 0.7),
+    min_lights=4,
+    noise=0.003,
+    starts=3,
+):
+    """Select per pixel the lights under which it shows diffuse reflection only.
+
+    observations (lights, rows, columns) intensity relative to the white reference (linear, one channel or the mean of
+    the channels); directions (lights, 3) unit vectors to the lights; valid (lights, rows, columns) bool or None, False
+    where a sample is saturated, dark-clipped or otherwise unusable. Samples that are not finite count as invalid.
+
+    method
+        "refit": least trimmed squares against Lambert's law, then every sample that agrees with the fit; noise: the
+        observations' noise relative to the albedo, below which no disagreement is taken seriously; starts: number of
+        windows of ranks tried.
+        "none": every valid sample.
+        "threshold": P section 3.2: reject above w1 and below w2 times the pixel's mean over the lights.
+        "trimmed": keep = (low, high): the share of the valid samples, in order of brightness, that is kept; at least
+        min_lights of them where there are so many.
+
+    Raises UserError on shapes that do not fit together and on settings out of range. Returns a LightSelection.
+    """
+    stack, directions = checked_stack(observations, directions)
+    shape = (stack.shape[0], *np.shape(observations)[1:])
+    known = checked_valid(stack, valid, shape)
+    pixels = stack.shape[1]
+    usable = np.empty(stack.shape, dtype=np.bool_)
+    highlights, shadows = np.zeros(pixels, dtype=np.uint16), np.zeros(pixels, dtype=np.uint16)
+    if method == "none":
+        usable[...] = known
+    elif method == "refit":
+        refit(stack, known, directions, starts, noise, min_lights, usable, highlights, shadows)
+    elif method == "threshold":
+        from nishiki.photometric.thresholds import threshold_selection
+
+        if not 0 <= w2 < w1:
+            raise UserError(f"light selection by thresholds: expected 0 <= w2 < w1, found w1 = {w1}, w2 = {w2}")
+        threshold_selection(stack, known, float(w1), float(w2), usable, highlights, shadows)
+    elif method == "trimmed":
+        from nishiki.photometric.ranks import rank_selection, sorting_network
+
+        low, high = keep
+        if not 0 <= low < high <= 1:
+            raise UserError(
+                f"light selection by rank: expected keep = [low, high] with 0 <= low < high <= 1, found {keep}"
+            )
+        network = sorting_network(stack.shape[0])
+        rank_selection(stack, known, network, float(low), float(high), int(min_lights), usable, highlights, shadows)
+    else:
+        raise UserError(f"light selection: expected a method of {', '.join(METHODS)}, found {method!r}")
+    invalid = np.broadcast_to((~known).sum(axis=0, dtype=np.uint16), pixels)
+    return LightSelection(
+        usable=usable.reshape(shape),
+        highlights=highlights.reshape(shape[1:]),
+        shadows=shadows.reshape(shape[1:]),
+        invalid=invalid.reshape(shape[1:]),
+        lights_usable=usable.sum(axis=0, dtype=np.uint16).reshape(shape[1:]),
+        method=method,
+    )
+
+
+def refit(stack, known, directions, starts, noise, min_lights, usable, highlights, shadows):
+    """Run `refit_selection` with the project's constants (docs/stages/separate.md gives their reasons)."""
+    from nishiki.photometric.ranks import sorting_network
+    from nishiki.photometric.refit import refit_selection
+
+    if not (1 <= starts <= 32 and 0 <= noise < 1 and min_lights >= 3):
+        raise UserError(
+            "light selection by re-fit: expected 1 <= starts <= 32, 0 <= noise < 1 and min_lights >= 3,"
+            f" found starts = {starts}, noise = {noise}, min_lights = {min_lights}"
+        )
+    x, y, z = directions.astype(np.float32).T
+    products = np.ascontiguousarray(np.stack([x * x, x * y, x * z, y * y, y * z, z * z, x, y, z], axis=1))
+    settings = np.array(
+        [starts, STEPS, WINDOW, COVERAGE, ABOVE, BRIGHTER, DARKER, noise, min_lights, ROUNDS], np.float32
+    )
+    vectors = np.ascontiguousarray(directions.astype(np.float32))
+    network = sorting_network(stack.shape[0])
+    refit_selection(stack, known, vectors, products, network, settings, usable, highlights, shadows)
+
+
+def checked_stack(observations, directions):
+    """The observations as (lights, pixels) float32 and the directions as (lights, 3) float64, or a UserError."""
+    stack = np.asarray(observations, dtype=np.float32)
+    if stack.ndim != 3:
+        raise UserError(
+            f"observations: expected three axes (lights, rows, columns), found shape {stack.shape};"
+            " give one channel or the mean of the channels"
+        )
+    directions = np.asarray(directions, dtype=np.float64)
+    if directions.shape != (stack.shape[0], 3):
+        raise UserError(
+            f"light directions: expected shape ({stack.shape[0]}, 3), one for each of the {stack.shape[0]} images,"
+            f" found {directions.shape}"
+        )
+    length = np.linalg.norm(directions, axis=1)
+    wrong = np.flatnonzero(~(np.abs(length - 1.0) < 1e-3))
+    if wrong.size:
+        raise UserError(
+            f"light directions: expected unit vectors, found length {length[wrong[0]]:.6g} at light {wrong[0]}"
+            f" ({wrong.size} such lights); divide each by its length"
+        )
+    return np.ascontiguousarray(stack.reshape(stack.shape[0], -1)), np.ascontiguousarray(directions)
+
+
+def all_finite(stack):
+    """Whether every sample is finite: one pass without a mask; sums that overflow only cost the slower way."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return bool(np.isfinite(stack.sum(axis=0)).all())
+
+
+def checked_valid(stack, valid, shape):
+    """The mask of valid samples as (lights, pixels), or (lights, 1) where all are valid."""
+    finite = all_finite(stack)
+    if valid is None and finite:
+        return np.ones((stack.shape[0], 1), dtype=np.bool_)
+    if valid is None:
+        return np.isfinite(stack)
+    valid = np.asarray(valid, dtype=np.bool_)
+    if valid.shape != shape:
+        raise UserError(f"mask of valid samples: expected shape {shape} as the observations, found {valid.shape}")
+    known = np.ascontiguousarray(valid.reshape(stack.shape))
+    return known if finite else known & np.isfinite(stack)

@@ -1,0 +1,215 @@
+"""Body shading for the prediction of lamps, where few lamps light a pixel: normal, fall-off, skirt and reflectance.
+
+The normals of the stage are to be near the surface's. What predicts a photograph best also carries what lamps share:
+errors of their directions and strengths, and light from neighbouring facets. With 96 lamps the two agree; with 12 in a
+narrow cone a selection that leaves out a third of the samples costs more prediction than it gains. So, for relighting
+alone, all lit samples j of a pixel are fitted again: first I_j = g . l_j, whose direction n is the shading normal, then
+
+    I_j = a c_j + b c_j^2 + d c_j x_j^8,    c = max(n . l, 0),  x = max(n . h, 0).
+
+Both are linear. Weights are Cauchy's, 1 / (1 + (r / 2.4 s)^2) with s from the median of |r| (P. W. Holland and R. E.
+Welsch, Robust regression using iteratively reweighted least-squares, Communications in Statistics A 6 (9), 1977), so
+that cast shadows and highlights lose their say but not the samples next to them. Priors hold g to the normal of the
+stage and b and d to 0, the weaker the more the samples scatter about the stage's fit.
+"""
+
+import numba
+import numpy as np
+
+from nishiki.errors import UserError
+
+FEW_LIGHTS = 24  # with more, shading and normals of the solver `lobe` predict as well, and this fit is not made
+ROUNDS_NORMAL, ROUNDS_TERMS = 6, 3
+TUNING = 2.4  # of Cauchy's weight, in standard deviations: 95 % efficiency for normal errors
+NOISE = 0.003  # least standard deviation of a sample, relative to the reflectance
+WIDTH_NORMAL, WIDTH_TERMS = 0.3, 0.25  # standard deviations expected of g - n and of b and d where samples scatter much
+LEAST_PRIOR = 1e-4  # times a third of the number of lamps, as in `nishiki.photometric.solve`
+ALONG = 0.1  # of the prior on g along z, which is the level and not a tilt
+TERMS = 3
+LEAST_FACTOR = 0.01  # mean body factor, relative to Lambert's, below which a pixel keeps what it came with
+LARGEST = 1e30  # reflectance
+
+
+def fit_relighting(observations, directions, normals, *, valid, scatter, reflectance, shading, known):
+    """Shading normals, body shading and reflectance that predict lamps.
+
+    Parameters
+    ----------
+    observations : (lights, rows, columns, channels) float32, relative to white.
+    directions : (lights, 3) float, unit vectors to the lamps.
+    normals : (rows, columns, 3) float32, unit, to start from.
+    valid : (lights, rows, columns) bool, samples that may be used.
+    scatter : (rows, columns) float, rms of the residuals of the normals' fit relative to the albedo.
+    reflectance, shading : (rows, columns, channels), (rows, columns, 3) float32, kept where nothing can be fitted.
+    known : (rows, columns) bool, pixels to fit.
+
+    Returns
+    -------
+    dict of float32 arrays: shading_normals (rows, columns, 3), shading (rows, columns, 3), reflectance.
+
+    Raises
+    ------
+    UserError where shapes do not fit.
+    """
+    lights, rows, columns, channels = observations.shape
+    shape = (rows, columns)
+    if valid.shape != (lights, *shape) or normals.shape != (*shape, 3) or len(directions) != lights:
+        raise UserError(
+            f"relighting: observations {observations.shape} do not fit valid {valid.shape}, normals {normals.shape} "
+            f"and {len(directions)} directions"
+        )
+    halves = directions + np.array([0.0, 0.0, 1.0])
+    halves /= np.maximum(np.linalg.norm(halves, axis=1, keepdims=True), 1e-12)
+    pixels = rows * columns
+    fitted = {
+        "shading_normals": np.array(normals, np.float32, order="C").reshape(pixels, 3).copy(),
+        "shading": np.array(shading, np.float32, order="C").reshape(pixels, 3).copy(),
+        "reflectance": np.array(reflectance, np.float32, order="C").reshape(pixels, channels).copy(),
+    }
+    _fit(
+        np.ascontiguousarray(observations, np.float32).reshape(lights, pixels, channels),
+        np.ascontiguousarray(valid).reshape(lights, pixels),
+        np.ascontiguousarray(directions, np.float64),
+        halves,
+        np.ascontiguousarray(scatter, np.float64).reshape(pixels),
+        np.ascontiguousarray(known).reshape(pixels),
+        *fitted.values(),
+    )
+    return {name: values.reshape(*shape, -1) for name, values in fitted.items()}
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _solve(matrix, right):
+    """Cholesky solution of a symmetric positive system in place of `right`; False where it is none."""
+    size = right.size
+    for i in range(size):
+        for j in range(i + 1):
+            total = matrix[i, j]
+            for k in range(j):
+                total -= matrix[i, k] * matrix[j, k]
+            if i == j:
+                if not total > 0.0:
+                    return False
+                matrix[i, i] = np.sqrt(total)
+            else:
+                matrix[i, j] = total / matrix[j, j]
+    for i in range(size):
+        for k in range(i):
+            right[i] -= matrix[i, k] * right[k]
+        right[i] /= matrix[i, i]
+    for i in range(size - 1, -1, -1):
+        for k in range(i + 1, size):
+            right[i] -= matrix[k, i] * right[k]
+        right[i] /= matrix[i, i]
+    return True
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _shading_basis(g, directions, halves, basis):
+    """Rows (c, c^2, c x^8) of every lamp, for the normal along g."""
+    length = np.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
+    for j in range(len(directions)):
+        c = (g[0] * directions[j, 0] + g[1] * directions[j, 1] + g[2] * directions[j, 2]) / length
+        x = (g[0] * halves[j, 0] + g[1] * halves[j, 1] + g[2] * halves[j, 2]) / length
+        c, x = max(c, 0.0), max(x, 0.0)
+        basis[j, 0], basis[j, 1], basis[j, 2] = c, c * c, c * x**8
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _reweigh(level, allowed, basis, terms, residual, scratch, weight):
+    """Cauchy's weights of the lit samples; lit means that the fit lights them."""
+    lit = 0
+    for j in range(level.size):
+        shade = basis[j, 0] * terms[0] + basis[j, 1] * terms[1] + basis[j, 2] * terms[2]
+        weight[j] = 1.0 if allowed[j] and shade > 0.0 else 0.0
+        residual[j] = abs(level[j] - max(shade, 0.0))
+        if weight[j] > 0.0:
+            scratch[lit] = residual[j]
+            lit += 1
+    if lit == 0:
+        return
+    freedom = np.sqrt(lit / max(lit - TERMS + 1.0, 1.0))
+    scale = TUNING * (1.4826 * np.median(scratch[:lit]) * freedom + NOISE)
+    for j in range(level.size):
+        weight[j] /= 1.0 + (residual[j] / scale) ** 2
+
+
+@numba.njit(cache=True, error_model="numpy")
+def _robust_fit(level, allowed, basis, first, held, rounds, work, terms, weight):
+    """Terms of level = basis . terms by reweighted least squares with the prior `held` about `first`; False: none."""
+    matrix, residual, scratch = work
+    for _ in range(rounds):
+        for i in range(TERMS):
+            total = held[i] * first[i]
+            for j in range(level.size):
+                total += weight[j] * basis[j, i] * level[j]
+            terms[i] = total
+            for k in range(i + 1):
+                total = held[i] if i == k else 0.0
+                for j in range(level.size):
+                    total += weight[j] * basis[j, i] * basis[j, k]
+                matrix[i, k] = total
+        if not _solve(matrix, terms):
+            return False
+        _reweigh(level, allowed, basis, terms, residual, scratch, weight)
+    return True
+
+
+@numba.njit(cache=True, parallel=True, error_model="numpy")
+def _fit(observations, valid, directions, halves, scatter, known, normals, shading, reflectance):
+    lights, pixels, channels = observations.shape
+    block = 1024
+    for start in numba.prange((pixels + block - 1) // block):
+        level, weight, allowed = np.empty(lights), np.empty(lights), np.empty(lights, np.bool_)
+        basis, first, held = np.empty((lights, TERMS)), np.empty(TERMS), np.empty(TERMS)
+        g, abd, sums = np.empty(TERMS), np.empty(TERMS), np.empty(channels)
+        work = (np.empty((TERMS, TERMS)), np.empty(lights), np.empty(lights))
+        for p in range(start * block, min((start + 1) * block, pixels)):
+            if not known[p]:
+                continue
+            first[:] = normals[p]
+            product, square = 0.0, 0.0
+            for j in range(lights):
+                allowed[j] = valid[j, p]
+                level[j] = 0.0
+                if allowed[j]:
+                    for k in range(channels):
+                        level[j] += observations[j, p, k] / channels
+                weight[j] = 1.0 if allowed[j] else 0.0
+                c = first[0] * directions[j, 0] + first[1] * directions[j, 1] + first[2] * directions[j, 2]
+                if allowed[j] and c > 0.0:
+                    product, square = product + c * level[j], square + c * c
+            if not product > 1e-9 * square:
+                continue
+            for j in range(lights):
+                level[j] *= square / product  # relative to Lambert's albedo
+            least = LEAST_PRIOR * lights / 3.0
+            held[:] = (scatter[p] / WIDTH_NORMAL) ** 2 + least
+            held[2] *= ALONG
+            if not _robust_fit(level, allowed, directions, first, held, ROUNDS_NORMAL, work, g, weight):
+                continue
+            length = np.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
+            if not (length > LEAST_FACTOR and g[2] > 0.0):
+                continue
+            _shading_basis(g, directions, halves, basis)
+            first[0], first[1], first[2] = length, 0.0, 0.0
+            held[:] = (scatter[p] / WIDTH_TERMS) ** 2 + least
+            held[0] = 0.0
+            if not _robust_fit(level, allowed, basis, first, held, ROUNDS_TERMS, work, abd, weight):
+                continue
+            # reflectance of each channel for this shading, whose mean factor is scaled to 1
+            bodies, cosines = 0.0, 0.0
+            sums[:] = 0.0
+            for j in range(lights):
+                shade = max(abd[0] * basis[j, 0] + abd[1] * basis[j, 1] + abd[2] * basis[j, 2], 0.0)
+                if weight[j] > 0.0:
+                    bodies, cosines = bodies + weight[j] * shade * shade, cosines + weight[j] * basis[j, 0] * shade
+                    for k in range(channels):
+                        sums[k] += weight[j] * shade * observations[j, p, k]
+            scale = bodies / cosines
+            if not (bodies > 0.0 and scale > LEAST_FACTOR and np.abs(sums).max() * scale < LARGEST * bodies):
+                continue
+            for k in range(channels):
+                reflectance[p, k] = max(sums[k] / bodies * scale, 0.0)
+            for i in range(TERMS):
+                normals[p, i], shading[p, i] = g[i] / length, abd[i] / scale

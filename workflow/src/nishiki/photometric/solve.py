@@ -1,0 +1,241 @@
+"""Photometric stereo: normals, albedo and their uncertainty from observations under known lights."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from nishiki.errors import UserError
+from nishiki.photometric import flags as bits
+from nishiki.photometric.light_selection import all_finite, checked_stack
+
+SOLVERS = ("default", "lobe", "lobes", "least_squares")
+EXPONENTS = (2, 4, 8, 16)  # that the solver "lobes" tries
+PRIOR = 1e-4  # least weight of b^2 and d^2, times a third of the number of samples (about their sum of c^2)
+EXPONENT = 8  # of the gloss skirt
+RESELECTIONS = 1
+AT_LEAST = 6  # samples below which the gloss lobe is not tried: five unknowns and one to spare
+
+
+@dataclass(frozen=True)
+class NormalField:
+    """Normals with what is known about them; every array (rows, columns).
+
+    normals (rows, columns, 3) float32, unit vectors, x right, y up, z to the camera; albedo float32, relative to the
+    white reference; sigma float32, root mean square angle of the error in radians, first order, from the residual;
+    lights_used uint16; condition float32 of the weighted 3 x 3 normal matrix; residual float32, root mean square, in
+    units of the observations; flags uint8, the bits of `nishiki.photometric.flags`. Where a flag of NO_ESTIMATE is set the
+    normal is (0, 0, 1), albedo and residual are 0 and sigma is pi / 2: finite, and marked as unknown. shading (rows,
+    columns, 3) float32: (a, b, d) of `nishiki.brdf.body_shading`, None of a solver that knows Lambert's law only.
+    """
+
+    normals: np.ndarray
+    albedo: np.ndarray
+    sigma: np.ndarray
+    lights_used: np.ndarray
+    condition: np.ndarray
+    residual: np.ndarray
+    flags: np.ndarray
+    solver: str
+    shading: np.ndarray | None = None
+
+    @property
+    def valid(self):
+        """(rows, columns) bool: where there is an estimate of the pixel's own."""
+        return (self.flags & (bits.NO_ESTIMATE | bits.FILLED)) == 0
+
+    @property
+    def diagnostics(self):
+        """Counts of flagged pixels and medians over the valid ones, as plain numbers."""
+        found = self.valid
+        middle = {
+            name: float(np.median(getattr(self, name)[found])) if found.any() else 0.0
+            for name in ("sigma", "condition", "residual", "lights_used")
+        }
+        counted = {name: int(((self.flags & bit) != 0).sum()) for bit, name in bits.NAMES.items()}
+        return {
+            "solver": self.solver,
+            "pixels": int(self.flags.size),
+            "valid_pixels": int(found.sum()),
+            **{f"median_{name}": value for name, value in middle.items()},
+            **{f"flagged_{name}": count for name, count in counted.items()},
+        }
+
+
+def estimate_normals(
+    observations,
+    directions,
+    *,
+    usable=None,
+    weights=None,
+    valid=None,
+    solver="default",
+    max_condition=1e4,
+    noise=0.003,
+    exponent=EXPONENT,
+):
+    """Normals and albedo from I = albedo * max(n . l, 0) on the usable samples (P section 3).
+
+    observations (lights, rows, columns) relative to the white reference; directions (lights, 3) unit vectors to the
+    lights; usable (lights, rows, columns) bool, from `nishiki.photometric.light_selection.select_diffuse`, None for all; what is
+    not `valid` (likewise bool, None for all) enters no fit, chosen or not; weights (lights,) or (lights, rows,
+    columns), not negative, or None; max_condition: bound on the condition number of the weighted 3 x 3 normal matrix
+    above which a pixel is flagged.
+
+    solver, "default" being "lobe"
+        "least_squares": ordinary (weighted) least squares on the usable samples.
+        "lobe": from there, a reflectance with a diffuse fall-off and a gloss lobe (`nishiki.photometric.lobe`), choosing
+        the samples again among those of `valid`, if None those of `usable`; it starts from all of `valid` where the
+        selection is not to be followed (`nishiki.photometric.distrust`); noise: the
+        observations' noise relative to the albedo; exponent: 2, 4, 8, 16 or 32, of the lobe. Takes no weights.
+        "lobes": the same with the exponents 2, 4, 8 and 16 in turn, and at each pixel the one that leaves least over.
+
+    Raises UserError on shapes that do not fit, negative weights and unknown solvers. Returns a NormalField.
+    """
+    if solver not in SOLVERS:
+        raise UserError(f"normals: expected a solver of {', '.join(SOLVERS)}, found {solver!r}")
+    if solver == "default":
+        solver = "lobe"
+    stack, directions = checked_stack(observations, directions)
+    shape = np.shape(observations)
+    factors = sample_weights(stack, both(usable, valid), weights, shape)
+    outputs = lambertian(stack, directions, factors, max_condition)
+    shading = None
+    if solver in ("lobe", "lobes"):
+        if weights is not None:
+            raise UserError(
+                f"normals: the solver {solver!r} takes no weights; use 'least_squares', or leave samples out"
+            )
+        known = factors if valid is None else sample_weights(stack, valid, None, shape)
+        if factors is not None and valid is not None:
+            factors = without_distrusted(stack, directions, factors, known, outputs, max_condition)
+        exponents = EXPONENTS if solver == "lobes" else (exponent,)
+        shading = refine_lobe(stack, directions, factors, known, outputs, exponents, noise, max_condition)
+        shading = shading.reshape(*shape[1:], 3)
+    return replace(as_field(*outputs, shape[1:], solver), shading=shading)
+
+
+def without_distrusted(stack, directions, usable, known, outputs, max_condition):
+    """Samples to start from: all valid ones where `nishiki.photometric.distrust` does not follow the selected ones.
+
+    The Lambertian estimates of those pixels in the outputs are made anew, in place.
+    """
+    from nishiki.photometric.distrust import SUSPECT, distrusted
+
+    if not (outputs[1][2] > SUSPECT).any():
+        return usable
+    known = np.ones_like(usable) if known is None else known
+    again = np.flatnonzero(distrusted(stack, directions, usable, known, outputs))
+    if not again.size:
+        return usable
+    usable = usable.copy()
+    usable[:, again] = known[:, again]
+    normals, scalars, used, flags = lambertian(
+        np.ascontiguousarray(stack[:, again]), directions, np.ascontiguousarray(usable[:, again]), max_condition
+    )
+    outputs[0][again], outputs[1][:, again], outputs[2][again], outputs[3][again] = normals, scalars, used, flags
+    return usable
+
+
+def refine_lobe(stack, directions, usable, known, outputs, exponents, noise, max_condition):
+    """Replace the Lambertian estimates in the outputs, in place, by those of the model with a gloss lobe.
+
+    Returns the body shading (pixels, 3) float32 of `nishiki.brdf.body_shading`.
+    """
+    from nishiki.brdf.body_shading import LAMBERT
+    from nishiki.photometric.refine import LANES, refine
+
+    if not set(exponents) <= {2, 4, 8, 16, 32}:
+        raise UserError(f"normals: expected an exponent of 2, 4, 8, 16 or 32, found {exponents[0]}")
+    lights = stack.shape[0]
+    halves = directions + np.array([0.0, 0.0, 1.0])
+    halves /= np.maximum(np.linalg.norm(halves, axis=1, keepdims=True), 1e-12)
+    vectors = np.zeros((6, -(-lights // LANES) * LANES), dtype=np.float32)
+    vectors[:3, :lights], vectors[3:, :lights] = directions.T, halves.T
+    everything = np.ones((lights, 1), dtype=np.uint8)
+    shading = np.tile(np.array(LAMBERT, np.float32), (stack.shape[1], 1))
+    settings = np.array([np.log2(exponents[0]), PRIOR, noise, RESELECTIONS, AT_LEAST, np.log2(exponents[-1])])
+    refine(
+        stack,
+        everything if usable is None else usable,
+        everything if known is None else known,
+        vectors,
+        settings,
+        float(max_condition),
+        *outputs,
+        shading,
+    )
+    return shading
+
+
+def lambertian(stack, directions, factors, max_condition):
+    """Lambertian least squares into new outputs; factors (lights, pixels) uint8 or float32, or None for all."""
+    from nishiki.photometric.least_squares import solve_masked, solve_shared, solve_weighted
+
+    outputs = empty_outputs(stack.shape[1])
+    products = direction_products(directions)
+    if factors is None:
+        solve_shared(stack, products, float(max_condition), *outputs)
+    elif factors.dtype == np.uint8:
+        solve_masked(stack, factors, products, float(max_condition), *outputs)
+    else:
+        solve_weighted(stack, factors, products, float(max_condition), *outputs)
+    return outputs
+
+
+def empty_outputs(pixels):
+    """Arrays that the kernels fill: normals, (albedo, sigma, condition, residual), lights used, flags."""
+    return (
+        np.empty((pixels, 3), dtype=np.float32),
+        np.empty((4, pixels), dtype=np.float32),
+        np.empty(pixels, dtype=np.uint16),
+        np.empty(pixels, dtype=np.uint8),
+    )
+
+
+def as_field(normals, scalars, used, flags, shape, solver):
+    """The kernels' flat outputs as a NormalField of the image's shape."""
+    albedo, sigma, condition, residual = scalars.reshape(4, *shape)
+    return NormalField(
+        normals=normals.reshape(*shape, 3),
+        albedo=albedo,
+        sigma=sigma,
+        lights_used=used.reshape(shape),
+        condition=condition,
+        residual=residual,
+        flags=flags.reshape(shape),
+        solver=solver,
+    )
+
+
+def direction_products(directions):
+    """(lights, 9): xx, xy, xz, yy, yz, zz, x, y, z of each direction, as the kernels add them up."""
+    x, y, z = directions.T
+    return np.ascontiguousarray(np.stack([x * x, x * y, x * z, y * y, y * z, z * z, x, y, z], axis=1))
+
+
+def both(usable, valid):
+    """Samples that are chosen and valid; None stands for all."""
+    if usable is None or valid is None or usable is valid or np.shape(usable) != np.shape(valid):
+        return valid if usable is None else usable  # shapes that differ are an error found later
+    return np.asarray(usable, dtype=np.bool_) & np.asarray(valid, dtype=np.bool_)
+
+
+def sample_weights(stack, usable, weights, shape):
+    """Mask and weights combined: None (all alike), uint8 0 or 1 (lights, pixels) or float32 (lights, pixels)."""
+    finite = all_finite(stack)
+    if usable is not None:
+        usable = np.asarray(usable, dtype=np.bool_)
+        if usable.shape != shape:
+            raise UserError(f"usable samples: expected shape {shape} as the observations, found {usable.shape}")
+        usable = np.ascontiguousarray(usable.reshape(stack.shape))
+    if not finite:
+        usable = np.isfinite(stack) if usable is None else usable & np.isfinite(stack)
+    if weights is None:
+        return None if usable is None else usable.view(np.uint8)
+    weights = np.asarray(weights, dtype=np.float32)
+    if weights.shape not in (shape, shape[:1]):
+        raise UserError(f"weights: expected shape {shape} or {shape[:1]}, found {weights.shape}")
+    if not (np.isfinite(weights).all() and (weights >= 0).all()):
+        raise UserError("weights: expected finite values, zero or above, found others; zero leaves a sample out")
+    weights = np.broadcast_to(weights.reshape(shape[0], -1), stack.shape)
+    return np.ascontiguousarray(weights if usable is None else np.where(usable, weights, np.float32(0)))

@@ -1,0 +1,169 @@
+"""Diffuse and specular reflection of one view from its photographs under several polariser states.
+
+The diffuse part left the body after many scatterings and is taken as unpolarised, the specular part as keeping what
+the lamp's polariser gave it. Derivations: docs/stages/polarise.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from nishiki.polarisation.polariser_states import StateSums
+from nishiki.threads import over_rows
+
+
+@dataclass(frozen=True)
+class SeparatedView:
+    """diffuse, specular (rows, columns, channels) float32, 0 where not valid; specular may be negative, which is noise.
+    valid (rows, columns) bool: every photograph that was used is valid there, and what divides is known."""
+
+    diffuse: np.ndarray
+    specular: np.ndarray
+    valid: np.ndarray
+
+
+def sum_planes(
+    photographs: Iterable[tuple[np.ndarray, np.ndarray]], weights: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Weighted sums (planes, rows, columns, channels) float32 of photographs, and where all that count are valid.
+
+    photographs: (values (rows, columns, channels) float32, valid (rows, columns) bool) in the order of the columns of
+    weights (planes, states); taken one at a time, those of weight 0 too.
+    """
+    planes = valid = None
+    for column, (values, good) in zip(weights.T, photographs, strict=True):
+        if planes is None:
+            planes, valid = np.zeros((len(weights), *values.shape), np.float32), np.ones(good.shape, bool)
+        if not column.any():
+            continue
+        valid &= good & np.isfinite(values).all(axis=-1)
+        add_weighted(planes, np.ascontiguousarray(values, np.float32), np.asarray(column, np.float32))
+    return planes, valid
+
+
+def add_weighted(planes: np.ndarray, values: np.ndarray, weights: np.ndarray) -> None:
+    """planes[p] += weights[p] * values, in place; planes (p, rows, columns, channels), all float32."""
+    flat, added = planes.reshape(len(planes), -1), values.reshape(-1)
+    rows = -(-len(added) // ROW)
+
+    def band(first: int, last: int) -> None:
+        add_weighted_band(flat, added, weights, first * ROW, min(last * ROW, len(added)))
+
+    over_rows(band, rows)
+
+
+ROW = 1 << 14
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_weighted_band(planes, values, weights, first, last):
+    """Values first .. last - 1 of `add_weighted`; a value that is not finite counts as 0."""
+    for p in range(planes.shape[0]):
+        weight, plane = weights[p], planes[p]
+        for k in range(first, last):
+            value = values[k]
+            plane[k] += weight * (value if abs(value) < np.inf else np.float32(0.0))
+
+
+def components(
+    planes: np.ndarray,
+    valid: np.ndarray,
+    sums: StateSums,
+    *,
+    beta: np.ndarray | None = None,
+    phase: float | None = None,
+    sense: int = 1,
+    gain: np.ndarray | None = None,
+) -> SeparatedView:
+    """The two components of planes made by `sum_planes` with `sums.weights`.
+
+    none: all counts as diffuse. circular (O 2.2, app. 1): I_d = I_on / beta, I_s = I_off - I_d; beta broadcasts against
+    a picture, NaN where it is unknown (those pixels become invalid). crossed, pairs: I_d = 2 crossed, I_s = parallel -
+    crossed. linear: I_d = 2 (a - b), I_s = 2 b; b is the amplitude of each pixel, or, with a phase (radians), the
+    amplitude at that common angle, which may be negative. mueller: I_s = (m11 + sense m22) / 2, I_d = m00 - I_s.
+    gain: factor on both, broadcasts; NaN where unknown.
+    """
+    if (beta is None) == (sums.method == "circular"):
+        raise ValueError("circular polarisation needs beta, other methods take none")
+    field = np.asarray(beta if sums.method == "circular" else 1.0 if gain is None else gain, np.float32)
+    field = np.ascontiguousarray(field.reshape((1,) * (3 - field.ndim) + field.shape))
+    to_diffuse, to_specular = _last_step(sums.method, phase, sense)
+    kind = {"circular": CIRCULAR, "linear": AMPLITUDE if phase is None else SUMS}.get(sums.method, SUMS)
+    planes = np.ascontiguousarray(planes, np.float32)
+    diffuse, specular = np.empty_like(planes[0]), np.empty_like(planes[0])
+    known = np.empty(valid.shape, bool)
+
+    def band(first: int, last: int) -> None:
+        finish_band(planes, valid, field, to_diffuse, to_specular, kind, diffuse, specular, known, first, last)
+
+    over_rows(band, len(valid))
+    return SeparatedView(diffuse, specular, known)
+
+
+SUMS, AMPLITUDE, CIRCULAR = 0, 1, 2
+
+
+def _last_step(method: str, phase: float | None, sense: int) -> tuple[np.ndarray, np.ndarray]:
+    """Weights of the planes in diffuse and specular, float32; unused by the methods that are no sums of planes."""
+    along = (0.0, 0.0) if phase is None else (np.cos(2 * phase), np.sin(2 * phase))
+    rows = {
+        "none": ([1], [0]),
+        "circular": ([0, 0], [0, 0]),
+        "crossed": ([0, 2], [1, -1]),
+        "pairs": ([0, 2], [1, -1]),
+        "linear": ([2, -2 * along[0], -2 * along[1]], [0, 2 * along[0], 2 * along[1]]),
+        "mueller": ([1, -0.5, -0.5 * sense], [0, 0.5, 0.5 * sense]),
+    }[method]
+    return np.array(rows[0], np.float32), np.array(rows[1], np.float32)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def finish_band(planes, valid, field, to_diffuse, to_specular, kind, diffuse, specular, known, first, last):
+    """Rows first .. last - 1 of `components`. field (1 or rows, 1 or columns, 1 or channels): beta, or the gain."""
+    down, across, deep = int(field.shape[0] > 1), int(field.shape[1] > 1), int(field.shape[2] > 1)
+    count, channels = planes.shape[0], planes.shape[3]
+    for y in range(first, last):
+        for x in range(planes.shape[2]):
+            good = valid[y, x]
+            for k in range(channels):
+                factor = field[y * down, x * across, k * deep]
+                d, s = np.float32(0.0), np.float32(0.0)
+                if kind == CIRCULAR:
+                    good &= factor > 0
+                    d = planes[1, y, x, k] / factor
+                    s = planes[0, y, x, k] - d
+                elif kind == AMPLITUDE:
+                    c, i = np.float64(planes[1, y, x, k]), np.float64(planes[2, y, x, k])
+                    b = np.float32(2.0 * np.sqrt(c * c + i * i))
+                    d, s = (np.float32(2.0) * planes[0, y, x, k] - b) * factor, b * factor
+                else:
+                    for p in range(count):
+                        d += to_diffuse[p] * planes[p, y, x, k]
+                        s += to_specular[p] * planes[p, y, x, k]
+                    d, s = d * factor, s * factor
+                good &= abs(d) < np.inf
+                good &= abs(s) < np.inf
+                diffuse[y, x, k], specular[y, x, k] = d, s
+            known[y, x] = good
+            if not good:
+                for k in range(channels):
+                    diffuse[y, x, k] = specular[y, x, k] = np.float32(0.0)
+
+
+def common_phase(planes: np.ndarray, valid: np.ndarray) -> tuple[float, float]:
+    """Angle psi0 (radians) of the strongest light over a whole picture, and how far its pixels agree on it (0 to 1:
+    length of the sum of their vectors over the sum of their lengths); planes as of `linear`."""
+    cosine, sine = (planes[k][valid].astype(np.float64) for k in (1, 2))
+    total = np.array([cosine.sum(), sine.sum()])
+    lengths = np.hypot(cosine, sine).sum()
+    return float(np.arctan2(total[1], total[0]) / 2), float(np.hypot(*total) / lengths) if lengths > 0 else 0.0
+
+
+def reflected_sense(m11: np.ndarray, m22: np.ndarray) -> int:
+    """Whether a mirror's m22 has the sign of m11 (+1: angles seen from one side) or the opposite (-1: seen along the
+    light, which a reflection reverses), by the picture itself: polarisation that is kept shows in both."""
+    return 1 if float(np.sum(np.sign(m11) * m22, dtype=np.float64)) >= 0 else -1

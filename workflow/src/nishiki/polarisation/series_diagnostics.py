@@ -1,0 +1,75 @@
+"""How well a series of polariser states agrees with its own model, on an even choice of pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from nishiki.polarisation.polariser_states import StateSums
+
+MOST_VALUES = 1 << 19
+ROWS = 32
+
+
+class Thinned:
+    """Every n-th pixel of every photograph of one view, so few that all states fit into memory."""
+
+    def __init__(self, sums: StateSums, shape: tuple[int, int], channels: int):
+        self.step = 1
+        while -(-shape[0] // self.step) * -(-shape[1] // self.step) * channels > MOST_VALUES:
+            self.step += 1
+        self.wanted = sums.design.shape[1] > 0
+        self.values: list[np.ndarray] = []
+        self.valid: np.ndarray | None = None
+
+    def add(self, values: np.ndarray, valid: np.ndarray) -> None:
+        """The next photograph."""
+        if not self.wanted:
+            return
+        some = valid[:: self.step, :: self.step]
+        self.valid = some.copy() if self.valid is None else self.valid & some
+        self.values.append(values[:: self.step, :: self.step].copy())
+
+    def blocks(self) -> Iterator[np.ndarray]:
+        """(states, values) float64 of the pixels that are valid in all photographs, a few rows at a time."""
+        for first in range(0, len(self.valid), ROWS):
+            part = slice(first, first + ROWS)
+            inside = self.valid[part]
+            if inside.any():
+                yield np.stack([values[part][inside].ravel() for values in self.values]).astype(np.float64)
+
+
+def diagnose(sums: StateSums, thinned: Thinned) -> dict:
+    """What the series says of itself; empty for sums without a fit.
+
+    residual: root mean square of what the least squares leaves, relative to the mean of the photographs. mueller: the
+    mean matrix relative to its first element. polarisance_median: median over the pixels of the root mean square of the
+    3 x 3 other elements (2 x 2 where only linear polarisation is known), 1 for a mirror, 0 where all polarisation is
+    lost. pixels_used: of the choice.
+    """
+    if not thinned.wanted:
+        return {}
+    count, total, left, sums_of_solved, ratios = 0, 0.0, 0.0, 0.0, []
+    inner = [place for place, k in enumerate(sums.elements) if k % 4 and k // 4]
+    for series in thinned.blocks():
+        solved = sums.inverse @ series
+        left += float(((series - sums.design @ solved) ** 2).sum())
+        count, total = count + series.size, total + float(series.sum())
+        sums_of_solved = sums_of_solved + solved.sum(axis=1)
+        if inner:
+            lit = solved[0] > 0
+            ratios.append(np.sqrt((solved[inner][:, lit] ** 2).sum(axis=0) / np.sqrt(len(inner))) / solved[0, lit])
+    if not count:
+        return {"residual": None, "pixels_used": 0}
+    told: dict = {
+        "residual": float(np.sqrt(left / count) / (total / count)) if total > 0 else None,
+        "pixels_used": int(thinned.valid.sum()),
+    }
+    if sums.elements:
+        mean = np.zeros(16)
+        mean[list(sums.elements)] = sums_of_solved
+        known = np.concatenate(ratios)
+        told["mueller"] = (mean / mean[0]).reshape(4, 4).tolist() if mean[0] > 0 else None
+        told["polarisance_median"] = float(np.median(known)) if known.size else None
+    return told

@@ -1,0 +1,147 @@
+"""Light from all around: how much of it reaches each vertex of both sides, and what a cloth makes of it."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from nishiki.render.cloth.boxes import blocked
+from nishiki.render.cloth.local import LIFT, Samples
+from nishiki.render.cloth.scene import Around, Brdf, Scene, three
+from nishiki.threads import over_rows, threads
+
+THETAS, PHIS, LIGHTS = 10, 16, (14, 28)
+"""Grid of view directions at which the reflected share of even light is tabulated, and rings and sectors of light."""
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """open (v, 2), from_above (v, 2): cosine-weighted share of unblocked directions at each vertex, front and back, and
+    how far up those point, 0 to 1; corners (f, 3): of the triangles."""
+
+    light: Around
+    open: np.ndarray
+    from_above: np.ndarray
+    corners: np.ndarray
+
+    @classmethod
+    def of(cls, scene: Scene, light: Around) -> Surroundings:
+        """Test light.rays directions over each side of every vertex."""
+        found = (smoothed(values, scene.mesh.triangles) for values in openness(scene, light.rays, light.reach))
+        return cls(light, *found, np.ascontiguousarray(scene.mesh.triangles))
+
+    def radiance(self, table: np.ndarray, samples: Samples) -> np.ndarray:
+        """(n, 3): even light that samples of a material reflect to the eye; table: its `shares`.
+
+        Blocked directions show cloth of the same kind: with openness a and albedo r its light comes back r (1 - a)
+        times, again and again, hence a / (1 - r (1 - a)).
+        """
+        corners = self.corners[samples.triangle]
+        side = samples.back.astype(np.int64)
+        u, v = samples.weights[:, 0].astype(np.float64), samples.weights[:, 1].astype(np.float64)
+        weights = (u, v, 1 - u - v)
+        free = sum(w * self.open[corners[:, k], side] for k, w in enumerate(weights))[:, None]
+        up = sum(w * self.from_above[corners[:, k], side] for k, w in enumerate(weights))[:, None]
+        sky = up * np.asarray(self.light.above) + (1 - up) * np.asarray(self.light.below)
+        back = np.clip(table.mean(axis=(0, 1)), 0, 0.95)
+        return sky * lookup(table, samples.outgoing) * free / (1 - back * (1 - free))
+
+
+def grid_views() -> np.ndarray:
+    """(THETAS + 1, PHIS + 1, 3): views of the grid; phi = 2 pi repeats phi = 0, the last theta is 87 degrees."""
+    theta = np.minimum(np.arange(THETAS + 1) / THETAS * np.pi / 2, np.radians(87.0))
+    theta, phi = np.meshgrid(theta, np.arange(PHIS + 1) / PHIS * 2 * np.pi, indexing="ij")
+    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
+
+
+def shares(brdf: Brdf) -> np.ndarray:
+    """(THETAS + 1, PHIS + 1, 3): what a cloth sends to each view of the grid of even light, as a share, at most 1.
+
+    Integrated over LIGHTS directions of equal projected area.
+    """
+    rings, sectors = LIGHTS
+    radius2, turn = (np.arange(rings) + 0.5) / rings, (np.arange(sectors) + 0.5) / sectors * 2 * np.pi
+    r, p = np.sqrt(radius2)[:, None], turn[None]
+    up = np.broadcast_to(np.sqrt(1 - radius2)[:, None], LIGHTS)
+    lights = np.stack([r * np.cos(p), r * np.sin(p), up], axis=-1).reshape(-1, 3)
+    views = grid_views()
+    table = np.empty((THETAS + 1, PHIS + 1, 3))
+
+    def fill(k: int) -> None:
+        values = brdf.evaluate(lights[None], views[k, :PHIS, None])
+        table[k, :PHIS] = np.pi * three(values).mean(axis=1)
+
+    with ThreadPoolExecutor(threads()) as pool:
+        for _ in pool.map(fill, range(THETAS + 1)):
+            pass  # reading the results passes on an exception
+    table[:, PHIS] = table[:, 0]
+    return np.clip(table, 0, 1)
+
+
+def lookup(table: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Bilinear in (theta, phi): (n, 3) at unit vectors (n, 3) above the horizon."""
+    theta = np.arccos(np.clip(directions[:, 2], 0, 1)) / (np.pi / 2) * THETAS
+    phi = np.mod(np.arctan2(directions[:, 1], directions[:, 0]), 2 * np.pi) / (2 * np.pi) * PHIS
+    i, j = np.minimum(theta.astype(int), THETAS - 1), np.minimum(phi.astype(int), PHIS - 1)
+    s, t = (theta - i)[:, None], (phi - j)[:, None]
+    low = table[i, j] * (1 - t) + table[i, j + 1] * t
+    high = table[i + 1, j] * (1 - t) + table[i + 1, j + 1] * t
+    return low * (1 - s) + high * s
+
+
+def smoothed(values: np.ndarray, triangles: np.ndarray, *, rounds: int = 2) -> np.ndarray:
+    """Values (v, k) at vertices averaged with their neighbours', twice: the grain of few rays goes, folds stay."""
+    from scipy.sparse import coo_matrix, diags
+
+    i = np.concatenate([triangles[:, k] for k in (0, 1, 2, 1, 2, 0)])
+    j = np.concatenate([triangles[:, k] for k in (1, 2, 0, 0, 1, 2)])
+    matrix = coo_matrix((np.ones(len(i)), (i, j)), (len(values), len(values))).tocsr()
+    degree = np.asarray(matrix.sum(axis=1)).ravel()
+    mean = diags(1 / np.maximum(degree, 1)) @ matrix
+    for _ in range(rounds):
+        values = np.where(degree[:, None] > 0, 0.5 * values + 0.5 * (mean @ values), values)
+    return values
+
+
+def openness(scene: Scene, rays: int, reach: float) -> tuple[np.ndarray, np.ndarray]:
+    """See `Surroundings`: (v, 2) and (v, 2) float64, front and back; `reach` in the scene's unit."""
+    count = len(scene.mesh.vertices)
+    free, up = np.empty((count, 2)), np.empty((count, 2))
+    normals = np.ascontiguousarray(scene.mesh.normals, np.float64)
+    tree, lift = scene.tree, 4 * LIFT * scene.scale
+    over_rows(
+        lambda a, b: _open(tree.boxes, tree.triangles, scene.mesh.vertices, normals, rays, reach, lift, a, b, free, up),
+        count,
+    )
+    return free, up
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _open(boxes, triangles, vertices, normals, rays, reach, lift, first, last, free, up):
+    stack = np.empty(64, np.int32)
+    for k in range(first, last):
+        for side in range(2):
+            sign = 1.0 - 2.0 * side
+            nx, ny, nz = sign * normals[k, 0], sign * normals[k, 1], sign * normals[k, 2]
+            s = 1.0 if nz >= 0.0 else -1.0
+            p = -1.0 / (s + nz)
+            q = nx * ny * p
+            ox, oy, oz = vertices[k, 0] + lift * nx, vertices[k, 1] + lift * ny, vertices[k, 2] + lift * nz
+            seen, height = 0, 0.0
+            for ray in range(rays):
+                # A spiral of equal projected area: every vertex tests the same directions about its normal.
+                radius = np.sqrt((ray + 0.5) / rays)
+                angle = 2.399963229728653 * ray
+                x, y = radius * np.cos(angle), radius * np.sin(angle)
+                z = np.sqrt(max(0.0, 1.0 - radius * radius))
+                dx = z * nx + x * (1.0 + s * nx * nx * p) + y * q
+                dy = z * ny + x * s * q + y * (s + ny * ny * p)
+                dz = z * nz - x * s * nx - y * ny
+                if not blocked(boxes, triangles, stack, ox, oy, oz, dx, dy, dz, reach):
+                    seen += 1
+                    height += 0.5 * (1.0 + dy)
+            free[k, side] = seen / rays
+            up[k, side] = height / seen if seen else 0.5

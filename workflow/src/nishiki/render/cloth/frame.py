@@ -1,0 +1,185 @@
+"""A picture of a scene: what each sample shows, the light that reaches it, and the cloth's reflection of it."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+
+from nishiki.errors import UserError
+from nishiki.geometry.camera import Camera
+from nishiki.geometry.camera_path import scaled
+from nishiki.geometry.raster import rasterise
+from nishiki.render.cloth.around import Surroundings
+from nishiki.render.cloth.dyes import share_of, together
+from nishiki.render.cloth.local import Samples, gather, lit
+from nishiki.render.cloth.scene import Brdf, Lamp, Scene
+from nishiki.threads import threads
+
+BAND_SAMPLES = 1 << 20
+"""Samples held at a time."""
+AT_ONCE = 1 << 14
+"""Directions that a BRDF is given at a time."""
+WITHIN = np.radians(2.0)
+"""Samples of a pixel whose frames differ by less than this share their BRDF value."""
+LEAST_COSINE = 0.05
+"""A sample that the lamp reaches at a lower angle than this does not stand for others."""
+
+
+@dataclass(frozen=True)
+class Take:
+    """One way to show a scene from one camera: the BRDF of each material, a factor for each lamp, and one for the light
+    from around."""
+
+    materials: tuple[Brdf, ...]
+    lamps: tuple[float, ...]
+    around: float = 1.0
+
+
+@dataclass(frozen=True)
+class Picture:
+    """linear (rows, columns, 3) float32: radiance relative to a white that faces a lamp of colour 1, mean over the
+    whole pixel (0 where nothing is); coverage (rows, columns) float32: part of the pixel that shows a surface,
+    cloth: that shows material 0; samples: points shaded; evaluated: places of the BRDF computed for all takes;
+    bent: share of them whose normal was turned towards the eye; shadowed: share of the lamps' light on them that
+    other surfaces took away."""
+
+    linear: np.ndarray
+    coverage: np.ndarray
+    cloth: np.ndarray
+    samples: int
+    evaluated: int
+    bent: float
+    shadowed: float
+
+
+@dataclass
+class _Tally:
+    samples: int = 0
+    bent: int = 0
+    reaching: float = 0.0
+    blocked: float = 0.0
+    evaluated: int = 0
+
+
+def render(
+    scene: Scene,
+    takes: list[Take],
+    lamps: list[Lamp],
+    camera: Camera,
+    *,
+    surroundings: Surroundings | None = None,
+    supersampling: int = 3,
+    shadows: bool = True,
+    within: float = WITHIN,
+) -> list[Picture]:
+    """The scene from a camera, once for every take; what they share (visibility, shadows, BRDF values) is computed
+    once.
+
+    L = sum over lamps of pi f(i, o) cos theta_i E V, so that white paper that faces a lamp of colour 1 is 1; V: the
+    lamp's visibility, one point of its disc for each sample. supersampling squared samples a pixel, even mean.
+    Channels: three are shown as linear sRGB, any other number as the grey of their mean. Bytes do not depend on the
+    number of threads.
+
+    within: radians; the BRDF is evaluated once for the samples of a pixel whose frames differ by less, see `gather`.
+    """
+    _check(scene, takes, lamps, supersampling)
+    fine = scaled(camera, supersampling)
+    linear = np.zeros((len(takes), camera.rows, camera.columns, 3), np.float32)
+    coverage, cloth = np.zeros((2, camera.rows, camera.columns), np.float32)
+    tally, tables = _Tally(), {}
+    height = max(1, BAND_SAMPLES // (fine.columns * supersampling))
+    for first in range(0, camera.rows, height):
+        stop = min(first + height, camera.rows)
+        raster = rasterise(scene.mesh, fine, rows=(first * supersampling, stop * supersampling))
+        samples = gather(scene, raster, fine, supersampling, within=within)
+        if not len(samples.pixel):
+            continue
+        colours = np.zeros((len(takes), len(samples.pixel), 3))
+        _add_lamps(colours, scene, takes, lamps, samples, shadows, tally)
+        if surroundings is not None:
+            _add_around(colours, takes, samples, surroundings, tables)
+        size, shape = (stop - first) * camera.columns, (stop - first, camera.columns)
+        for take in range(len(takes)):
+            for channel in range(3):
+                sums = np.bincount(samples.pixel, weights=colours[take, :, channel], minlength=size)
+                linear[take, first:stop, :, channel] = (sums / supersampling**2).reshape(shape)
+        covered = np.bincount(samples.pixel, minlength=size) / supersampling**2
+        coverage[first:stop] = covered.reshape(shape)
+        covered = np.bincount(samples.pixel, weights=samples.material == 0, minlength=size) / supersampling**2
+        cloth[first:stop] = covered.reshape(shape)
+    shadowed = tally.blocked / tally.reaching if tally.reaching > 0 else 0.0
+    bent = tally.bent / max(1, tally.samples)
+    return [Picture(one, coverage, cloth, tally.samples, tally.evaluated, bent, shadowed) for one in linear]
+
+
+def _check(scene: Scene, takes: list[Take], lamps: list[Lamp], supersampling: int) -> None:
+    if supersampling < 1:
+        raise UserError(f"supersampling: expected 1 or more, found {supersampling}")
+    needed = int(scene.material.max()) + 1
+    for take in takes:
+        if len(take.materials) < needed or len(take.lamps) != len(lamps):
+            raise UserError(
+                f"render: expected {needed} materials and {len(lamps)} lamps in every take, found "
+                f"{len(take.materials)} and {len(take.lamps)}"
+            )
+
+
+def _parts(rows: np.ndarray) -> list[np.ndarray]:
+    """Rows in portions."""
+    return [rows[start : start + AT_ONCE] for start in range(0, len(rows), AT_ONCE)]
+
+
+def _add_lamps(colours, scene, takes, lamps, samples: Samples, shadows: bool, tally: _Tally) -> None:
+    """Add what the lamps make the samples send to the eye to colours (takes, n, 3)."""
+    tally.samples += len(samples.pixel)
+    tally.bent += samples.bent
+    for number, lamp in enumerate(lamps):
+        light = lit(scene, samples, lamp, shadows)
+        tally.reaching += float(light.before.sum())
+        tally.blocked += float(light.before.sum() - light.strength.sum())
+        reached = light.strength > 0
+        stands = np.where(light.incident[samples.stands, 2] > LEAST_COSINE, samples.stands, np.arange(len(reached)))
+        for material in range(int(scene.material.max()) + 1):
+            rows = np.flatnonzero(reached & (samples.material == material))
+            brdfs = {id(take.materials[material]): take.materials[material] for take in takes if take.lamps[number]}
+            if not brdfs or not len(rows):
+                continue
+            values, where = _values(list(brdfs.values()), light.incident, samples.outgoing, stands[rows])
+            tally.evaluated += len(values[0])
+            strength = np.pi * light.strength[rows, None] * np.asarray(lamp.colour)
+            found = dict(zip(brdfs, values, strict=True))
+            for k, take in enumerate(takes):
+                if take.lamps[number]:
+                    colours[k, rows] += take.lamps[number] * found[id(take.materials[material])][where] * strength
+
+
+def _values(brdfs: list[Brdf], incident: np.ndarray, outgoing: np.ndarray, wanted: np.ndarray):
+    """Each BRDF at the distinct samples among those wanted, (m, 3) each, and their places there (n,).
+
+    Portions are shared among threads: models are compiled or array code, which lets others run beside it.
+    """
+    distinct, where = np.unique(wanted, return_inverse=True)
+    out = [np.empty((len(distinct), 3)) for _ in brdfs]
+
+    def fill(start: int) -> None:
+        rows = distinct[start : start + AT_ONCE]
+        i, o = np.ascontiguousarray(incident[rows]), np.ascontiguousarray(outgoing[rows])
+        for values, one in zip(out, together(brdfs, i, o), strict=True):
+            values[start : start + AT_ONCE] = one
+
+    with ThreadPoolExecutor(threads()) as pool:
+        for _ in pool.map(fill, range(0, len(distinct), AT_ONCE)):
+            pass  # reading the results passes on an exception
+    return out, where.reshape(-1)
+
+
+def _add_around(colours, takes, samples: Samples, surroundings: Surroundings, tables: dict) -> None:
+    """Add the light from around to colours (takes, n, 3); tables: of the materials, by identity, filled as needed."""
+    for k, take in enumerate(takes):
+        for material, brdf in enumerate(take.materials):
+            if take.around and id(brdf) not in tables:
+                tables[id(brdf)] = share_of(brdf)
+            for rows in _parts(np.flatnonzero(samples.material == material)) if take.around else ():
+                colours[k, rows] += take.around * surroundings.radiance(tables[id(brdf)], samples.take(rows))

@@ -1,0 +1,150 @@
+"""The studio: a surface on paper, lamps that stand where the camera says, dyes by their colours."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from nishiki.geometry.camera import Camera
+from nishiki.geometry.camera_path import rotation_matrix
+from nishiki.geometry.mesh import Mesh
+from nishiki.render.cloth.around import Surroundings
+from nishiki.render.cloth.frame import Picture, Take, render
+from nishiki.render.cloth.scene import Around, Brdf, Lamp, Matte, Scene, Surface
+from nishiki.render.cloth.sheet import cylinder, paper
+from nishiki.render.cloth.view import around, framed
+
+
+@dataclass(frozen=True)
+class Lighting:
+    """A lamp as the camera sees it, radians; colour (3,): linear sRGB of white paper that faces it."""
+
+    elevation: float
+    azimuth: float
+    colour: tuple[float, float, float]
+    radius: float
+
+    def lamp(self, camera_azimuth: float) -> Lamp:
+        """The lamp in the scene."""
+        towards = around((0, 0, 0), elevation=self.elevation, azimuth=self.azimuth + camera_azimuth, distance=1.0)
+        return Lamp(direction=tuple(towards), colour=self.colour, radius=self.radius)
+
+
+@dataclass(frozen=True)
+class Studio:
+    """scene: the cloth (material 0) and the paper (material 1, where there is one); camera at this azimuth about
+    `middle`; lights, and as lamps in the scene; light from around."""
+
+    scene: Scene
+    camera: Camera
+    azimuth: float
+    middle: np.ndarray
+    lights: tuple[Lighting, ...]
+    lamps: tuple[Lamp, ...]
+    surroundings: Surroundings
+    paper: Matte | None
+
+    def turned(self, angle: float) -> Studio:
+        """The cloth turned about the vertical, radians: seen from a camera that went round it with its lamps.
+
+        The paper must look the same from all sides (wall=False).
+        """
+        spin = rotation_matrix(np.array([0.0, -angle, 0.0]))
+        rotation = self.camera.rotation @ spin.T
+        centre = spin @ (self.camera.centre - self.middle) + self.middle
+        camera = replace(self.camera, rotation=rotation, translation=-rotation @ centre)
+        azimuth = self.azimuth - angle
+        lamps = tuple(light.lamp(azimuth) for light in self.lights)
+        return replace(self, camera=camera, azimuth=azimuth, lamps=lamps)
+
+    def lit_from(self, angle: float) -> Studio:
+        """The lamps turned about the vertical."""
+        return replace(self, lamps=tuple(light.lamp(self.azimuth + angle) for light in self.lights))
+
+    def take(self, brdf: Brdf, lamps: tuple[float, ...] | None = None) -> Take:
+        """The cloth of a BRDF under the lamps with these factors; all lamps in full where none are given."""
+        materials = (brdf,) if self.paper is None else (brdf, self.paper)
+        return Take(materials, tuple(1.0 for _ in self.lamps) if lamps is None else lamps)
+
+    def render(self, takes: list[Take], *, supersampling: int, shadows: bool = True) -> list[Picture]:
+        """See `frame.render`."""
+        return render(
+            self.scene, takes, list(self.lamps), self.camera, surroundings=self.surroundings,
+            supersampling=supersampling, shadows=shadows,
+        )  # fmt: skip
+
+
+def studio(
+    surfaces: list[Surface],
+    lights: list[Lighting],
+    *,
+    elevation: float,
+    azimuth: float,
+    distance: float,
+    rows: int,
+    columns: int,
+    level: float,
+    reflectance: float,
+    wall: bool = True,
+    margin: float = 1.18,
+) -> Studio:
+    """Surfaces of cloth with their lowest point on the floor, before a camera that holds them in its picture.
+
+    level: radiance of the room above, a third of it below; reflectance: of the paper, 0 for none; wall: whether the
+    paper rises behind. Lamps and paper turn with the camera's azimuth. The scene's unit is that of the surfaces.
+    """
+    points = np.concatenate([surface.mesh.vertices for surface in surfaces])
+    extent = float(np.linalg.norm(np.ptp(points, axis=0)))
+    camera = framed(
+        points, elevation=elevation, azimuth=azimuth, rows=rows, columns=columns, distance=distance, margin=margin
+    )
+    ground = None
+    if reflectance > 0:
+        ground = Matte((reflectance,) * 3)
+        surfaces = [*surfaces, moved(_paper(extent, wall, azimuth), _foot(points, extent))]
+    scene = Scene.of(surfaces)
+    light = Around((level,) * 3, (level / 3,) * 3, reach=0.45 * extent)
+    lamps = tuple(light.lamp(azimuth) for light in lights)
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    return Studio(scene, camera, azimuth, middle, tuple(lights), lamps, Surroundings.of(scene, light), ground)
+
+
+def _foot(points: np.ndarray, extent: float) -> np.ndarray:
+    """Where the paper's middle lies: under the points, a little below the lowest, so that the two do not touch."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    return np.array([(low[0] + high[0]) / 2, low[1] - 4e-4 * extent, (low[2] + high[2]) / 2])
+
+
+def _paper(extent: float, wall: bool, azimuth: float) -> Surface:
+    if wall:
+        return paper(3.0 * extent, 0.95 * extent, 2.6 * extent, 0.55 * extent, turn=azimuth)
+    return paper(12 * extent, 0.95 * extent, 0.0, 0.0, turn=azimuth)
+
+
+def moved(surface: Surface, by: np.ndarray) -> Surface:
+    """The surface shifted by a vector (3,)."""
+    mesh = surface.mesh
+    return replace(surface, mesh=Mesh(mesh.vertices + by, mesh.triangles, mesh.normals))
+
+
+def tubes(*, radius: float = 0.11, height: float = 0.42, gap: float = 0.07) -> list[Surface]:
+    """Three upright cylinders of the cloth side by side: warp upright, oblique, and around."""
+    step = 2 * radius + gap
+    return [
+        cylinder(radius, height, centre=((k - 1) * step, 0.0, 0.0), turn=-turn)
+        for k, turn in enumerate((0.0, np.pi / 4, np.pi / 2))
+    ]
+
+
+def linear_colour(code: str) -> tuple[float, float, float]:
+    """Linear sRGB of #rrggbb, IEC 61966-2-1."""
+    coded = np.array([int(code[k : k + 2], 16) for k in (1, 3, 5)]) / 255
+    linear = np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)
+    return tuple(float(value) for value in linear)
+
+
+def turning(count: int) -> Iterator[float]:
+    """Azimuths of the frames of a full turn, radians; the last is a step before the first."""
+    return (2 * np.pi * k / count for k in range(count))

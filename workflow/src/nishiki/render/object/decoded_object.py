@@ -1,0 +1,110 @@
+"""Opening a decoded object from the artifacts of the stages, ready to be rendered."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from nishiki.artifacts.artifact import Artifact
+from nishiki.atlas.atlas import Atlas
+from nishiki.atlas.store import Texels
+from nishiki.atlas.surface import Surface, texel_points, texel_triangles
+from nishiki.brdf.texels.lighting import Lighting
+from nishiki.codec.store import Residual
+from nishiki.errors import UserError
+from nishiki.evaluate.object_photographs import ceiling
+from nishiki.geometry.camera import Camera
+from nishiki.geometry.cameras_file import load_cameras
+from nishiki.geometry.mesh import Mesh
+from nishiki.observations.views import Views
+from nishiki.render.object.renderer import ObjectRenderer
+
+
+@dataclass(frozen=True)
+class DecodedObject:
+    """Everything that the renderer of one object needs, and the names of its views and lights."""
+
+    mesh: Mesh
+    atlas: Atlas
+    cameras: list[Camera]
+    residual: Residual
+    lighting: Lighting
+    surface: Surface
+    encoding: str
+    channels: int
+    full_turn: bool
+    views: tuple[str, ...]
+    lights: tuple[str, ...]
+    ceiling: float | None
+
+    @classmethod
+    def open(cls, inputs: Mapping[str, Artifact]) -> DecodedObject:
+        """From the artifacts of cameras, mesh, texels, reflection and residual; ingest gives the ceiling alone."""
+        texels = Texels(inputs["texels"].folder)
+        lighting = json.loads(inputs["reflection"].path("reflection.json").read_text())["lighting"]
+        atlas = texels.atlas
+        mesh, cameras = Mesh.load(inputs["mesh"].path("mesh.npz")), load_cameras(inputs["cameras"].path("cameras.json"))
+        if len(mesh.triangles) != len(atlas.chart) or [camera.name for camera in cameras] != list(texels.views):
+            raise UserError(
+                f"{inputs['texels'].folder}: the texels are of {len(atlas.chart)} triangles and {len(texels.views)} "
+                f"views, mesh and cameras of {len(mesh.triangles)} and {len(cameras)}; expected the same ones. Remedy: "
+                "give artifacts that were made from one another"
+            )
+        return cls(
+            mesh,
+            atlas,
+            cameras,
+            Residual(inputs["residual"].folder),
+            Lighting.from_dict(lighting),
+            texel_triangles(atlas),
+            texels.encoding,
+            texels.channels,
+            texels.full_turn,
+            tuple(texels.views),
+            tuple(texels.lights),
+            ceiling(Views(inputs["ingest"].folder)) if "ingest" in inputs else None,
+        )
+
+    def renderer(self, *, mesh: Mesh | None = None, **options) -> ObjectRenderer:
+        """A renderer of the object; `mesh`: the same triangles at other places; options as of `ObjectRenderer`."""
+        mesh = mesh or self.mesh
+
+        def geometry(tile: int):
+            found = texel_points(mesh, self.atlas, self.surface, slice(tile, tile + 1))
+            return tuple(values[0] for values in found)
+
+        return ObjectRenderer(
+            mesh,
+            self.atlas,
+            self.cameras,
+            self.residual,
+            self.lighting,
+            geometry=geometry,
+            encoding=self.encoding,
+            full_turn=self.full_turn,
+            channels=self.channels,
+            ceiling=self.ceiling,
+            **options,
+        )
+
+    def numbers(self, names) -> frozenset[int]:
+        """Places of named views in the order of the turn; UserError for a name that is not there."""
+        return frozenset(self.number(name) for name in names)
+
+    def number(self, name: str) -> int:
+        """Place of a named view."""
+        if name not in self.views:
+            known = ", ".join(self.views[:12]) + (", ..." if len(self.views) > 12 else "")
+            raise UserError(f"view {name!r}: expected one of {known}. Remedy: correct the name in the settings")
+        return self.views.index(name)
+
+    def light_weights(self, weights: Mapping[str, float]) -> tuple[tuple[int, float], ...]:
+        """(place, weight) of named lights; the first light alone where none is named."""
+        unknown = [name for name in weights if name not in self.lights]
+        if unknown:
+            raise UserError(
+                f"lights: expected names among {', '.join(map(repr, self.lights))}, found {unknown[0]!r}. Remedy: "
+                "correct the name in the settings"
+            )
+        return tuple((self.lights.index(name), float(w)) for name, w in weights.items()) or ((0, 1.0),)

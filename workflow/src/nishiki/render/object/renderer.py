@@ -1,0 +1,246 @@
+"""Pictures of a decoded object: captured views, views between them, sums of captured lights (O eq. 12 to 16).
+
+The value of a pixel is a bilinear look-up, at the surface point behind its centre, among texels of
+
+    encode(model at the texel, for this camera and lamp) + decoded residual of the texel,
+
+in the capture's own encoding; then decoded to linear light.  This is the very operation that the residual's texels
+were solved for, so that a captured view is reproduced up to what the coder threw away.  Work goes tile by tile: only
+tiles in view are decoded, each once for all pictures of a batch.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from nishiki.brdf.texels.model import predict
+from nishiki.colour.encoding import decode as to_linear
+from nishiki.colour.encoding import encode
+from nishiki.geometry.camera import Camera
+from nishiki.geometry.camera_path import camera_between, fit_turn
+from nishiki.geometry.mesh import Mesh
+from nishiki.geometry.raster import interpolate, rasterise
+from nishiki.render.object.interpolation import Method, Neighbours, neighbours
+from nishiki.render.object.pixels import asked_for, by_tile, extend, look_up, mix
+from nishiki.render.object.shots import Picture, Prepared, Shot, Tile
+from nishiki.render.object.visibility import DepthMaps
+from nishiki.threads import threads as given_threads
+
+BATCH_BYTES = 384 << 20
+CACHE_BYTES = 256 << 20
+
+
+class ObjectRenderer:
+    """A decoded object.
+
+    mesh, atlas, cameras (of the captured views), residual and lighting as their rooms give them; geometry(tile) ->
+    positions (T, T, 3), normals (T, T, 3), inside (T, T); encoding: of the capture; without: views that were left out
+    of the fit and may not lend their residual to others; level > 0: a preview from the coarse part of the residual;
+    model_only: without the residual; rim: pixels by which values are carried on beyond the surface's edge; ceiling:
+    largest linear value that the capture could hold (None: any).  What was saturated or never seen is not bound by any
+    photograph, and a lobe can grow there without limit: pictures are clipped to 0 .. ceiling, as the camera's were.
+    """
+
+    def __init__(
+        self,
+        mesh: Mesh,
+        atlas,
+        cameras: list[Camera],
+        residual,
+        lighting,
+        *,
+        geometry: Callable,
+        encoding: str,
+        full_turn: bool,
+        channels: int,
+        without: frozenset[int] = frozenset(),
+        method: Method = "linear",
+        level: int = 0,
+        model_only: bool = False,
+        rim: int = 2,
+        ceiling: float | None = None,
+        threads: int | None = None,
+    ):
+        self.mesh, self.atlas, self.cameras = mesh, atlas, list(cameras)
+        self.residual, self.lighting, self.geometry = residual, lighting, geometry
+        self.encoding, self.channels = encoding, channels
+        self.turn = fit_turn(self.cameras, full_turn=full_turn)
+        self.without, self.method, self.level = without, method, level
+        self.model_only, self.rim, self.ceiling = model_only, rim, ceiling
+        self.threads = threads or given_threads()
+        self.parts = coded_parts(residual, encoding)
+        self.depths = DepthMaps(mesh)
+        self._cache: OrderedDict[int, Tile] = OrderedDict()
+        self._held, self._lock = 0, threading.Lock()
+
+    def captured(self, index: int, *, camera: Camera | None = None, light: int = 0) -> Shot:
+        """The picture of a captured view from its own slot of the residual; `camera`: the same, at another size."""
+        own = Neighbours(np.array([index]), np.ones(1))
+        return Shot(camera or self.cameras[index], own, own, ((light, 1.0),))
+
+    def predicted(self, index: int, *, light: int = 0) -> Shot:
+        """The picture of a captured view without its own residual: interpolated between the other views."""
+        return self._shot(self.cameras[index], float(self.turn.position[index]), light, self.without | {index})
+
+    def between(self, index: int, fraction: float, *, light: int = 0, scale: Callable | None = None) -> Shot:
+        """A picture `fraction` of the way from captured view `index` to the next; scale(camera): another size."""
+        camera = camera_between(self.cameras, self.turn, index, fraction)
+        position = self.turn.locate(index, fraction)
+        return self._shot(scale(camera) if scale else camera, position, light, self.without)
+
+    def _shot(self, camera: Camera, position: float, light: int, without: frozenset[int]) -> Shot:
+        full = neighbours(self.turn, position, method=self.method, without=without)
+        plain = full
+        if self.method == "cubic":
+            plain = neighbours(self.turn, position, method="linear", without=without)
+        return Shot(camera, full, plain, ((light, 1.0),))
+
+    def view(self, index: int, *, light: int = 0) -> Picture:
+        """A captured view; where it was left out of the fit, from the residual of its neighbours."""
+        shot = self.predicted if index in self.without else self.captured
+        return next(self.render([shot(index, light=light)]))
+
+    def render(self, shots: Iterable[Shot]) -> Iterator[Picture]:
+        """The pictures of the shots, in order; as many at a time as fit into the memory set aside for them."""
+        batch, held = [], 0
+        for shot in shots:
+            prepared = self._prepare(shot)
+            size = prepared.raster.triangle.nbytes * 4 + prepared.values.nbytes + prepared.order.nbytes * 3
+            if batch and held + size > BATCH_BYTES:
+                yield from self._finish(batch)
+                batch, held = [], 0
+            batch.append(prepared)
+            held += size
+        yield from self._finish(batch)
+
+    def _prepare(self, shot: Shot) -> Prepared:
+        raster = rasterise(self.mesh, shot.camera)
+        pixels = np.flatnonzero(raster.triangle.reshape(-1) >= 0)
+        tile, s, t = self.atlas.locate(raster.triangle.reshape(-1)[pixels], raster.barycentric.reshape(-1, 2)[pixels])
+        present = np.flatnonzero(np.bincount(tile[tile >= 0], minlength=1))
+        places = np.full(int(tile.max(initial=0)) + 2, len(present), np.int32)  # tile -1 reads the last place
+        places[present] = np.arange(len(present))
+        first, order = by_tile(places[tile], len(present) + 1)
+        slots = {int(number): k for k, number in enumerate(present)}
+        lamps = [self.lighting.lamp(shot.camera, light) for light, _ in shot.lights]
+        prepared = Prepared(shot, raster, pixels, s, t, slots, first, order, lamps)
+        prepared.values = np.zeros((len(shot.lights), len(self.parts), len(pixels), self.channels), np.float32)
+        return prepared
+
+    def _finish(self, batch: list[Prepared]) -> Iterator[Picture]:
+        if not self.model_only:
+            self.depths.prepare(
+                [self.cameras[v] for prepared in batch if len(prepared.mixture[0]) > 1 for v in prepared.mixture[0]]
+            )
+        tiles = sorted({tile for prepared in batch for tile in prepared.slots})
+        if self.threads > 1 and len(tiles) > 1:
+            with ThreadPoolExecutor(self.threads) as pool:
+                for _ in pool.map(lambda tile: self._draw(tile, batch), tiles):
+                    pass  # reading the results passes on an exception
+        else:
+            for tile in tiles:
+                self._draw(tile, batch)
+        while batch:
+            yield self._picture(batch.pop(0))
+
+    def _draw(self, tile: int, batch: list[Prepared]) -> None:
+        """All pixels of all pictures of a batch that show this tile."""
+        flat = self._tile(tile)
+        for prepared in batch:
+            slot = prepared.slots.get(tile)
+            if slot is None:
+                continue
+            order = prepared.order[prepared.first[slot] : prepared.first[slot + 1]]
+            chosen, place = asked_for(prepared.s, prepared.t, order, self.atlas.size)
+            for k, lamp in enumerate(prepared.lamps):
+                base = prepared.shot.lights[k][0] * len(self.cameras)
+                for part, texels in enumerate(self._texels(prepared, lamp, base, flat, chosen)):
+                    look_up(texels, place, self.atlas.size, prepared.s, prepared.t, order, prepared.values[k, part])
+
+    def _texels(self, prepared: Prepared, lamp, base: int, flat: Tile, chosen: np.ndarray) -> list[np.ndarray]:
+        """(m, channels) float32 of each part: chosen texels of a tile as this camera sees them under one lamp, encoded.
+
+        base: number of the light's first observation.
+        """
+        positions, normals = flat.positions[chosen], flat.normals[chosen]
+        parameters = (values[chosen] for values in flat.parameters)
+        modelled = predict(*parameters, positions, normals, prepared.shot.camera.centre, lamp)
+        if len(self.parts) == 1:
+            modelled = [modelled[0] + modelled[1]]
+        coded = [encode(values, self.encoding) for values in modelled]
+        if flat.residual is None:
+            return coded
+        views, weights, fallback = prepared.mixture
+        if len(views) == 1:
+            for values, residual in zip(coded, flat.residual, strict=True):
+                values += residual[base + views[0]][chosen]
+            return coded
+        seen = np.stack([self.depths.visible(positions, normals, self.cameras[v]) for v in views])
+        for values, residual in zip(coded, flat.residual, strict=True):
+            mix(residual, base + views, chosen, seen, weights, fallback, values)
+        return coded
+
+    def _tile(self, tile: int) -> Tile:
+        """A tile's decoded parameters and residual and its geometry; the most recent ones are kept."""
+        with self._lock:
+            if tile in self._cache:
+                self._cache.move_to_end(tile)
+                return self._cache[tile]
+        kd, ks, sigma = (np.asarray(values, np.float32) for values in self.residual.parameters(tile))
+        positions, normals, _ = self.geometry(tile)
+        residual = None
+        if not self.model_only and not self.residual.empty(tile):
+            residual = tuple(self._decoded(tile, part) for part in self.parts)
+        flat = Tile(
+            (kd.reshape(-1, self.channels), ks.reshape(-1, self.channels), sigma.reshape(-1)),
+            positions.reshape(-1, 3),
+            normals.reshape(-1, 3),
+            residual,
+        )
+        with self._lock:
+            if tile not in self._cache:
+                self._cache[tile] = flat
+                self._held += flat.nbytes
+            while self._held > CACHE_BYTES and len(self._cache) > 1:
+                self._held -= self._cache.popitem(last=False)[1].nbytes
+        return flat
+
+    def _decoded(self, tile: int, part: str) -> np.ndarray:
+        """(M, T * T, channels) float32: the residual of one part of a tile."""
+        named = {} if part == "total" else {"component": part}
+        block = np.ascontiguousarray(self.residual.decode(tile, level=self.level, **named), np.float32)
+        return block.reshape(len(block), -1, self.channels)
+
+    def _picture(self, prepared: Prepared) -> Picture:
+        raster, shot = prepared.raster, prepared.shot
+        linear = np.zeros((raster.triangle.size, self.channels), np.float32)
+        highest = np.inf if self.ceiling is None else self.ceiling
+        for values, (_, weight) in zip(prepared.values, shot.lights, strict=True):
+            light = sum(to_linear(part, self.encoding) for part in values)
+            linear[prepared.pixels] += np.float32(weight) * np.clip(light, 0, highest, dtype=np.float32)
+        linear = linear.reshape(*raster.triangle.shape, self.channels)
+        covered = raster.triangle >= 0
+        reached = extend(linear, covered, rings=self.rim)
+        highest *= sum(abs(weight) for _, weight in shot.lights)
+        np.clip(linear, 0, highest, out=linear, where=(reached & ~covered)[..., None])
+        return Picture(linear, covered, reached, raster.triangle, raster.barycentric, raster.depth)
+
+    def normals(self, picture: Picture, camera: Camera) -> np.ndarray:
+        """(rows, columns, 3) float32 unit normals as the camera sees them (x right, y up, z to the camera), 0 where
+        nothing is covered."""
+        turned = self.mesh.normals @ (np.diag([1.0, -1.0, -1.0]) @ camera.rotation).T
+        found = interpolate(turned, self.mesh.triangles, picture.triangle, picture.barycentric)
+        length = np.linalg.norm(found, axis=2, keepdims=True)
+        return np.where(length > 1e-6, found / np.where(length > 1e-6, length, 1), 0).astype(np.float32)
+
+
+def coded_parts(residual, encoding: str) -> tuple[str, ...]:
+    """What has to be looked up and decoded to linear light by itself: the total, or diffuse and specular where their
+    residuals were coded apart in an encoding in which sums are not sums of light."""
+    components = getattr(getattr(residual, "design", None), "components", ("total",))
+    return tuple(components) if encoding != "linear" and len(components) > 1 else ("total",)

@@ -1,0 +1,265 @@
+"""One picture of a plane scene: cast shadows, sampling, shading, and the mean over each pixel."""
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from nishiki.errors import UserError
+from nishiki.render.plane import camera
+from nishiki.render.plane.scene import BACKGROUND, Ambient, Light, PlaneScene, View
+from nishiki.render.plane.shade import colour_groups, pixel_to_plane, shade_channels, shade_xyz
+from nishiki.render.plane.shadow import cast_shadows
+from nishiki.threads import over_rows
+
+_SAMPLES_AT_ONCE = 1 << 19  # bounds the memory of a band of the screen
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """A picture and what there is to know about it.
+
+    xyz: (rows, columns, 3) float32, linear, Y = 1 for a perfect white that faces a lamp of intensity 1.
+    flags: (rows, columns) uint8, bits of `nishiki.render.plane.scene`; a pixel made of several samples carries
+    NORMAL_MISSING, COLOUR_MISSING and OVERFLOW only if no sample of it is usable, TURNED_AWAY if any sample is.
+    coverage: (rows, columns) float32, share of the pixel inside the painting; the rest shows the background.
+    """
+
+    xyz: np.ndarray
+    flags: np.ndarray
+    coverage: np.ndarray
+    white_xyz: np.ndarray  # (3,) of a perfect white under the first light (or the ambient light): what an eye adapts to
+    shadowed: tuple  # share of each lamp's light that the relief holds back; () where no shadows were cast
+    samples_per_pixel: int  # most samples that any pixel rests on
+    reduction: int  # factor by which the maps were averaged before sampling; 1: not
+
+
+def render(
+    scene: PlaneScene,
+    lights: list[Light],
+    view: View | None = None,
+    *,
+    ambient: Ambient | None = None,
+    background: float = 0.0,
+    shadows: str = "sweep",
+    visibility: np.ndarray | None = None,
+    minimum_samples: int = 2,
+    maximum_samples: int = 1024,
+) -> Rendering:
+    """Picture of `scene` under `lights` from `view` (default: frontal, a screen pixel for a pixel of the maps).
+
+    background: Y where the ray misses the painting, a grey under the scene's white.  shadows: "sweep", "march" (see
+    `nishiki.render.plane.shadow`) or "none"; without a height there are none.  visibility: (lights, rows, columns) computed
+    before, e.g. for a sequence of views.  A pixel of a screen that is not the maps is the mean of shaded samples, as
+    many across and down as the pixel is steps long on the maps, so that no pixel of the maps is jumped over; at least
+    `minimum_samples` along each side.  Where that would be more than `maximum_samples` in all, the maps are averaged
+    first (`reduction`); averaged normals shade like a smoother surface.
+    """
+    view = View() if view is None else view
+    ambient = Ambient() if ambient is None else ambient
+    if shadows not in ("sweep", "march", "none"):
+        raise UserError(f"shadows: expected sweep, march or none, found {shadows!r}; choose one of the three")
+    if not 1 <= minimum_samples**2 <= maximum_samples:
+        raise UserError(
+            f"samples: expected 1 <= minimum squared <= maximum, found {minimum_samples} and {maximum_samples}"
+        )
+    if not (np.isfinite(background) and background >= 0):
+        raise UserError(f"background: expected a finite level >= 0, found {background!r}; 1 is the white")
+    shadowed = ()
+    if visibility is None and shadows != "none" and scene.height is not None and lights:
+        cast = cast_shadows(scene.height, lights, pitch=scene.pitch, method=shadows)
+        visibility, shadowed = cast.visibility, tuple(cast.shadowed.tolist())
+    groups = colour_groups(scene, lights, ambient)
+    white = groups.whites[groups.of_light[0] if lights else groups.ambient]
+    if camera.is_native(view, scene):
+        shading = shade_xyz(scene, lights, ambient=ambient, visibility=visibility)
+        coverage = np.ones(scene.shape, np.float32)
+        return Rendering(shading.values, shading.flags, coverage, white, shadowed, 1, 1)
+    plane = camera.screen_to_plane(view, scene)
+    rows, columns = camera.screen_shape(view, scene)
+    to_map = camera.map_from_plane(scene) @ plane
+    steps = [camera.footprint(to_map, k, min(k + 16, rows), columns, scene.shape) for k in range(0, rows, 16)]
+    reduction = 1
+    while max(_count(step, reduction) for step in steps) > maximum_samples and reduction < max(scene.shape):
+        reduction *= 2
+    maps, seen = reduce_maps(scene, visibility, reduction)
+    shrink = np.array([[1 / reduction, 0, 0.5 / reduction - 0.5], [0, 1 / reduction, 0.5 / reduction - 0.5], [0, 0, 1]])
+    painter = _Painter(maps, seen, lights, groups, ambient.level, plane, shrink @ to_map, camera.homogeneous_eye(view),
+        (scene.shape[0] / reduction, scene.shape[1] / reduction))  # fmt: skip
+    xyz = np.empty((rows, columns, 3), np.float32)
+    flags, coverage = np.empty((rows, columns), np.uint8), np.empty((rows, columns), np.float32)
+    backdrop, most, first = background * white, 1, 0
+    while first < rows:
+        last, across, down = painter.band(first, xyz.shape, minimum_samples, maximum_samples)
+        samples, shading = painter.paint(first, last, columns, across, down)
+        _resolve_band(shading, samples.inside, across, down, backdrop, xyz[first:last], flags[first:last],
+                      coverage[first:last])  # fmt: skip
+        most, first = max(most, across * down), last
+    return Rendering(xyz, flags, coverage, white, shadowed, most, reduction)
+
+
+def render_tile(
+    scene: PlaneScene,
+    lights: list[Light],
+    *,
+    origin: tuple[int, int],
+    whole: tuple[int, int],
+    keep: tuple[slice, slice],
+    ambient: Ambient | None = None,
+    shadows: str = "sweep",
+) -> Rendering:
+    """A part of the frontal picture of the size of the maps, in the memory of a tile.
+
+    scene: the maps of the tile with a border of `nishiki.render.plane.shadow.shadow_reach` pixels where the painting goes on;
+    origin: (row, column) of their first pixel; whole: (rows, columns) of the painting; keep: (rows, columns) of the
+    tile's maps without the border.  Tiles put together are the picture that `render` makes of the whole.
+    """
+    ambient = Ambient() if ambient is None else ambient
+    visibility, shadowed = None, ()
+    if shadows != "none" and scene.height is not None and lights:
+        cast = cast_shadows(
+            scene.height, lights, pitch=scene.pitch, method=shadows, origin=origin, whole=whole
+        ).visibility
+        visibility = np.ascontiguousarray(cast[:, keep[0], keep[1]])
+        shadowed = tuple((1 - visibility.mean(axis=(1, 2), dtype=np.float64)).tolist())
+    core = dataclasses.replace(
+        scene,
+        normals=scene.normals[keep],
+        coefficients=scene.coefficients[keep],
+        shading=None if scene.shading is None else scene.shading[keep],
+        slopes=None if scene.slopes is None else scene.slopes[keep],
+        labels=None if scene.labels is None else scene.labels[keep],
+        height=None,
+    )
+    start = (origin[0] + keep[0].indices(scene.shape[0])[0], origin[1] + keep[1].indices(scene.shape[1])[0])
+    plane = pixel_to_plane(core, origin=start, whole=whole)
+    shading = shade_xyz(core, lights, ambient=ambient, visibility=visibility, plane=plane)
+    groups = colour_groups(scene, lights, ambient)
+    white = groups.whites[groups.of_light[0] if lights else groups.ambient]
+    return Rendering(shading.values, shading.flags, np.ones(core.shape, np.float32), white, shadowed, 1, 1)
+
+
+def _count(step: tuple[float, float], reduction: int) -> float:
+    return np.prod([max(1, np.ceil(s / reduction - 1e-6)) for s in step])
+
+
+@dataclass(frozen=True)
+class _Painter:
+    """What every band of the screen needs."""
+
+    maps: PlaneScene
+    visibility: np.ndarray | None
+    lights: list
+    groups: object
+    ambient_level: float
+    plane: np.ndarray
+    to_map: np.ndarray
+    eye: np.ndarray
+    extent: tuple  # (rows, columns) of the painting in pixels of the maps
+
+    def band(self, first: int, shape: tuple, minimum: int, maximum: int) -> tuple[int, int, int]:
+        """(end of the band, samples across, samples down) for a band that begins at screen row `first`."""
+        rows, columns = shape[:2]
+        height = min(16, rows - first)
+        while True:
+            by_row, by_column = camera.footprint(self.to_map, first, first + height, columns, self.maps.shape)
+            across = max(minimum, int(np.ceil(by_column - 1e-6)))
+            down = min(max(minimum, int(np.ceil(by_row - 1e-6))), max(1, maximum // across))
+            if by_row == by_column == 0:
+                across = down = 1  # the painting is out of sight
+            if height == 1 or height * columns * across * down <= _SAMPLES_AT_ONCE:
+                return first + height, across, down
+            height = max(1, height // 2)
+
+    def paint(self, first: int, last: int, columns: int, across: int, down: int):
+        """Maps and shading at across x down samples a pixel of the screen rows first .. last - 1."""
+        to_screen = np.array([[1 / across, 0, 0.5 / across - 0.5], [0, 1 / down, first + 0.5 / down - 0.5], [0, 0, 1]])
+        shape = ((last - first) * down, columns * across)
+        samples = camera.sample_maps(self.maps, self.visibility, self.to_map @ to_screen, shape, self.extent)
+        shading = shade_channels(
+            samples.normals,
+            samples.coefficients,
+            self.lights,
+            groups=self.groups,
+            shading=samples.shading,
+            gloss=self.maps.gloss,
+            labels=samples.labels,
+            visibility=samples.visibility,
+            plane=self.plane @ to_screen,
+            eye=self.eye,
+            ambient_level=self.ambient_level,
+        )
+        return samples, shading
+
+
+def reduce_maps(scene: PlaneScene, visibility: np.ndarray | None, factor: int):
+    """The maps averaged over blocks of factor x factor pixels (labels: of the block's middle), and the visibility."""
+    if factor == 1:
+        return scene, visibility
+    known = np.abs(np.sum(np.square(scene.normals, dtype=np.float64), axis=2) - 1) < 0.02
+    normals = _block_means(np.where(known[..., None], scene.normals, 0), factor)
+    length = np.linalg.norm(normals, axis=2, keepdims=True)
+    normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
+    coefficients = _block_means(scene.coefficients, factor)
+    shading = None if scene.shading is None else _block_means(scene.shading, factor)
+    labels = None if scene.labels is None else _block_middles(scene.labels, factor)
+    reduced = dataclasses.replace(
+        scene,
+        normals=normals,
+        coefficients=coefficients,
+        shading=shading,
+        slopes=None,
+        labels=labels,
+        height=None,
+        pitch=scene.pitch * factor,
+    )
+    if visibility is not None:
+        visibility = np.stack([_block_means(v[..., None], factor)[..., 0] for v in visibility])
+    return reduced, visibility
+
+
+def _block_means(values, factor):
+    """Means of (rows, columns, depth) over blocks; the last ones of a row or column may be smaller."""
+    rows, columns = (np.arange(0, n, factor) for n in values.shape[:2])
+    planes = [np.add.reduceat(plane, rows, axis=0, dtype=np.float64) for plane in np.moveaxis(values, 2, 0)]
+    sums = np.stack([np.add.reduceat(plane, columns, axis=1) for plane in planes], axis=2)
+    sizes = [np.diff(np.append(start, n)) for start, n in zip((rows, columns), values.shape, strict=False)]
+    return (sums / (sizes[0][:, None] * sizes[1])[..., None]).astype(np.float32)
+
+
+def _block_middles(values, factor):
+    rows, columns = (np.minimum(np.arange(0, n, factor) + factor // 2, n - 1) for n in values.shape)
+    return np.ascontiguousarray(values[np.ix_(rows, columns)])
+
+
+def _resolve_band(shading, inside, across, down, background, xyz, flags, coverage):
+    def some_rows(first, last):
+        _resolve(first, last, shading.values, shading.flags, inside, across, down, background, xyz, flags, coverage)
+
+    over_rows(some_rows, len(xyz))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _resolve(first, last, values, sample_flags, inside, across, down, background, xyz, flags, coverage):
+    """Means over the samples of each pixel; unusable samples (missing normal or colour, overflow) are left out."""
+    for row in range(first, last):
+        for column in range(xyz.shape[1]):
+            x, y, z, usable, on, marks = 0.0, 0.0, 0.0, 0, 0, 0
+            for i in range(row * down, (row + 1) * down):
+                for j in range(column * across, (column + 1) * across):
+                    if not inside[i, j]:
+                        continue
+                    on += 1
+                    marks |= sample_flags[i, j]
+                    if sample_flags[i, j] & 19 == 0:
+                        usable += 1
+                        x, y, z = x + values[i, j, 0], y + values[i, j, 1], z + values[i, j, 2]
+            share = on / (across * down)
+            scale = share / usable if usable > 0 else 0.0
+            xyz[row, column, 0] = x * scale + (1.0 - share) * background[0]
+            xyz[row, column, 1] = y * scale + (1.0 - share) * background[1]
+            xyz[row, column, 2] = z * scale + (1.0 - share) * background[2]
+            coverage[row, column] = share
+            mark = marks & (4 if usable > 0 else 23)
+            flags[row, column] = mark if on > 0 else BACKGROUND

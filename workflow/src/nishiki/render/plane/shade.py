@@ -1,0 +1,201 @@
+"""Shading of a plane scene under lamps with spectra: the maps of a picture in, linear XYZ or channels out."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nishiki.brdf.body_shading import transmittance
+from nishiki.colour.colour import adaptation_matrix, illuminant, srgb_matrix, white_xyz, xyz_matrix
+from nishiki.errors import UserError
+from nishiki.render.plane import kernel
+from nishiki.render.plane.scene import Ambient, Gloss, Light, PlaneScene
+from nishiki.threads import over_rows
+
+FRONTAL_EYE = np.array([0.0, 0.0, 1.0, 0.0])
+
+
+@dataclass(frozen=True)
+class ColourGroups:
+    """Lights that share a spectrum share a row: value = (matrix . sigma + offset) irradiance + white . gloss."""
+
+    matrices: np.ndarray  # (G, channels, K)
+    offsets: np.ndarray  # (G, channels)
+    whites: np.ndarray  # (G, channels), of a perfect white
+    of_light: np.ndarray  # (L,) row of each light
+    ambient: int  # row of the ambient light
+
+
+@dataclass(frozen=True)
+class Shading:
+    """Values of the pixels before any background is put behind them."""
+
+    values: (
+        np.ndarray
+    )  # (rows, columns, channels) float32, linear, a perfect white of Y = 1 facing a lamp of intensity 1
+    flags: np.ndarray  # (rows, columns) uint8, bits of nishiki.render.plane.scene
+
+
+def colour_groups(scene: PlaneScene, lights: list[Light], ambient: Ambient) -> ColourGroups:
+    """3 x K colour matrices of the distinct spectra of the lights and the ambient term (P eq. 19), to XYZ.
+
+    Without a spectral basis, channels go to XYZ by `scene.channels_to_xyz` (white point D65), then by Bradford's
+    adaptation to the white of the lamp, a stand-in for spectra that are not known: an adapted eye sees no change.
+    """
+    spectra, rows = [], []
+    for spectrum in [ambient.spectrum, *[light.spectrum for light in lights]]:
+        shape = spectrum / spectrum.max()
+        known = next((i for i, other in enumerate(spectra) if np.array_equal(shape, other)), None)
+        rows.append(len(spectra) if known is None else known)
+        if known is None:
+            spectra.append(shape)
+    whites = np.array([white_xyz(s) for s in spectra])
+    if scene.basis is not None:
+        matrices = np.array([xyz_matrix(s, scene.basis) for s in spectra])
+        mean = np.zeros(61) if scene.mean is None else scene.mean
+        offsets = np.array([xyz_matrix(s, mean[None, :])[:, 0] for s in spectra])
+    else:
+        given = scene.channels_to_xyz
+        to_xyz = np.linalg.inv(srgb_matrix()) if given is None else np.asarray(given, np.float64)
+        d65 = white_xyz(illuminant("D65"))
+        matrices = np.array([adaptation_matrix(d65, white) @ to_xyz for white in whites])
+        offsets = np.zeros((len(spectra), 3))
+    return ColourGroups(matrices, offsets, whites, np.array(rows[1:], dtype=np.int64), rows[0])
+
+
+def shade_xyz(
+    scene: PlaneScene,
+    lights: list[Light],
+    *,
+    ambient: Ambient | None = None,
+    visibility: np.ndarray | None = None,
+    eye: np.ndarray = FRONTAL_EYE,
+    plane: np.ndarray | None = None,
+) -> Shading:
+    """Linear XYZ (rows, columns, 3) of the scene's maps: P eq. 10 and 19, self-shadow where n . l <= 0.
+
+    visibility: (lights, rows, columns) float32, 1 lit .. 0 in cast shadow, or None; eye: homogeneous (4,), direction
+    and 0 or position and 1; plane: (3, 3) from (column, row, 1) of the maps to the plane (`pixel_to_plane` by default).
+    """
+    ambient = Ambient() if ambient is None else ambient
+    return shade_channels(
+        scene.normals,
+        scene.coefficients,
+        lights,
+        shading=scene.shading,
+        slopes=scene.slopes,
+        groups=colour_groups(scene, lights, ambient),
+        gloss=scene.gloss,
+        labels=scene.labels,
+        visibility=visibility,
+        plane=pixel_to_plane(scene) if plane is None else plane,
+        eye=eye,
+        ambient_level=ambient.level,
+    )
+
+
+def shade_channels(
+    normals: np.ndarray,
+    coefficients: np.ndarray,
+    lights: list[Light],
+    *,
+    groups: ColourGroups,
+    shading: np.ndarray | None = None,
+    slopes: np.ndarray | None = None,
+    gloss: Gloss,
+    labels: np.ndarray | None,
+    visibility: np.ndarray | None,
+    plane: np.ndarray,
+    eye: np.ndarray = FRONTAL_EYE,
+    ambient_level: float = 0.0,
+) -> Shading:
+    """The same for any output channels: `groups` says how coefficients become values.  Arrays as in `PlaneScene`."""
+    if not lights and ambient_level == 0:
+        raise UserError("lights: expected at least one light or an ambient level above 0, found neither; add a light")
+    expected = (len(lights), *normals.shape[:2])
+    if visibility is not None and visibility.shape != expected:
+        raise UserError(f"visibility: expected (lights, rows, columns) = {expected}, found {visibility.shape}")
+    # the kernel starts with the ambient term's group: number the groups so that it comes first
+    order = np.argsort(_first(groups.ambient, len(groups.matrices)), kind="stable")
+    rank = np.argsort(order)[groups.of_light]
+    sequence = np.argsort(rank, kind="stable")
+    lamps = np.array([_lamp(light) for light in lights]).reshape(-1, 6)
+    if visibility is None:
+        visible = np.zeros((0, 0, 0), np.float32)
+    else:
+        moved = np.any(sequence != np.arange(len(lights)))
+        visible = np.ascontiguousarray(visibility[sequence] if moved else visibility, np.float32)
+    values = np.empty((*normals.shape[:2], groups.matrices.shape[1]), np.float32)
+    flags = np.empty(normals.shape[:2], np.uint8)
+    table, widest = _gloss_table(gloss)
+    arguments = (
+        np.ascontiguousarray(normals, np.float32),
+        np.ascontiguousarray(coefficients, np.float32),
+        np.zeros((0, 0, 0), np.float32) if shading is None else np.ascontiguousarray(shading, np.float32),
+        np.zeros((0, 0, 0), np.float32) if slopes is None else np.ascontiguousarray(slopes, np.float32),
+        np.zeros((0, 0), np.uint8) if labels is None else np.ascontiguousarray(labels),
+        table,
+        gloss.refractive_index,
+        gloss.transmission,
+        _entering(gloss),
+        lamps[sequence],
+        rank[sequence],
+        groups.matrices[order],
+        groups.offsets[order],
+        groups.whites[order],
+        visible,
+        np.ascontiguousarray(plane, np.float64),
+        np.asarray(eye, np.float64),
+        float(ambient_level),
+        widest,
+        values,
+        flags,
+    )
+    over_rows(lambda first, last: kernel.shade(first, last, *arguments), len(values))
+    return Shading(values, flags)
+
+
+def pixel_to_plane(
+    scene: PlaneScene, *, origin: tuple[int, int] = (0, 0), whole: tuple[int, int] | None = None
+) -> np.ndarray:
+    """(3, 3): (column, row, 1) of the maps to (x, y, 1) on the painting; (0, 0) at its centre, y up.
+
+    For maps that are a tile, `origin` is their first (row, column) and `whole` the (rows, columns) of the painting.
+    """
+    return tile_to_plane(scene.pitch, origin, scene.shape if whole is None else whole)
+
+
+def tile_to_plane(pitch: float, origin: tuple[int, int], whole: tuple[int, int]) -> np.ndarray:
+    """`pixel_to_plane` without a scene."""
+    left, top = origin[1] - (whole[1] - 1) / 2, (whole[0] - 1) / 2 - origin[0]
+    return np.array([[pitch, 0, pitch * left], [0, -pitch, pitch * top], [0, 0, 1]], dtype=np.float64)
+
+
+def _first(index: int, count: int) -> np.ndarray:
+    keys = np.arange(count)
+    keys[index] = -1
+    return keys
+
+
+def _lamp(light: Light) -> np.ndarray:
+    """(6,): homogeneous vector to the lamp, intensity, squared distance at which it holds (0: no fall-off)."""
+    vector = light.homogeneous()
+    reference2 = float(vector[:3] @ vector[:3]) if light.falloff else 0.0
+    return np.concatenate([vector, [light.intensity, reference2]])
+
+
+def _entering(gloss: Gloss) -> np.ndarray:
+    """(regions,) what the surface lets in of light from all sides, relative to frontal: 2 int T(c) c dc."""
+    nodes, weights = np.polynomial.legendre.leggauss(48)
+    cosine = (nodes + 1) / 2
+    mean = [weights @ (cosine * transmittance(cosine, index)) for index in gloss.refractive_index]
+    return 1 - gloss.transmission * (1 - np.array(mean))
+
+
+def _gloss_table(gloss: Gloss) -> tuple[np.ndarray, float]:
+    """(regions, 2 lobes) beta and 1 / gamma^2, and the largest sin^2 phi that counts; lobes that are 0 are dropped."""
+    used = np.flatnonzero(gloss.beta.max(axis=0) > 0)
+    if used.size == 0 or gloss.refractive_index.max() == 1:
+        return np.zeros((len(gloss.refractive_index), 0)), -1.0
+    beta, gamma = gloss.beta[:, used], gloss.gamma[:, used]
+    table = np.stack([beta, gamma**-2.0], axis=-1).reshape(len(beta), -1)
+    return np.ascontiguousarray(table), float(60.0 * np.max(np.where(beta > 0, gamma, 0.0)) ** 2)

@@ -1,0 +1,163 @@
+"""Cast shadows from a height map: the horizon of each pixel towards a lamp, and how much of the lamp is above it.
+
+The paper could not show these (P section 6 works with normals only).  Two ways to the same horizon:
+
+sweep  lamps at infinity: parallel lines run across the map towards the lamp, one pixel apart; from the lamp's side each
+       line keeps the upper convex hull of the heights it has passed, and the tangent from a point to that hull is the
+       horizon of the point.  Constant work a pixel, however low the lamp.  A pixel between two lines takes the mean of
+       theirs, weighted by nearness.
+march  any lamp: each pixel walks its own ray, column by column (or row by row), until nothing on the map could rise
+       above the horizon found so far.  Exact for heights interpolated along the grid lines; the work grows as
+       1 / tan(elevation).
+
+Heights that are not finite (outside the mask, no estimate) cast no shadow and receive none.  Pieces of the relief that
+no chain of neighbouring heights connects cast none on each other: normals do not tell their relative level.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nishiki.errors import UserError
+from nishiki.render.plane import horizon
+from nishiki.render.plane.scene import Light
+from nishiki.threads import over_rows
+
+
+@dataclass(frozen=True)
+class CastShadows:
+    """What the relief hides of the lamps; self-shadow (n . l <= 0) is the shading's affair."""
+
+    visibility: np.ndarray  # (lights, rows, columns) float32, the share of each lamp that a pixel sees
+    shadowed: np.ndarray  # (lights,) share of the lamps' light that the relief holds back, 0 .. 1
+    heights_missing: int  # pixels without a finite height
+
+
+def cast_shadows(
+    height: np.ndarray,
+    lights: list[Light],
+    *,
+    pitch: float,
+    method: str = "sweep",
+    origin: tuple[int, int] = (0, 0),
+    whole: tuple[int, int] | None = None,
+) -> CastShadows:
+    """What each pixel sees of each lamp.  height: (rows, columns), in the unit of `pitch`.
+
+    method: "sweep" (lamps at a finite distance are marched all the same) or "march".  A lamp of angular radius 0 gives
+    hard edges; otherwise it is a uniform disc that a straight horizon cuts.  For a tile, `origin` is its first (row,
+    column) and `whole` the (rows, columns) of the map; further than `shadow_reach` from the tile's edges the result is
+    that of the whole map, where no pieces of the tile meet outside it.
+    """
+    if method not in ("sweep", "march"):
+        raise UserError(f"shadow method: expected sweep or march, found {method!r}; choose one of the two")
+    if height.ndim != 2:
+        raise UserError(f"height: expected (rows, columns), found {height.shape}")
+    known = np.isfinite(height)
+    surface = np.ascontiguousarray(height, np.float32)
+    if not known.all():
+        surface = np.where(known, surface, np.float32(np.nan))
+    pieces, count = separate_pieces(known)
+    visibility = np.empty((len(lights), *height.shape), np.float32)
+    for j, light in enumerate(lights):
+        if method == "sweep" and light.position_mm is None:
+            visibility[j] = _sweep_light(surface, pieces, count, light, pitch, origin)
+        else:
+            size = height.shape if whole is None else whole
+            _march_light(surface, pieces, light, pitch, origin, size, visibility[j])
+        visibility[j][~known] = 1
+    shadowed = 1 - visibility.mean(axis=(1, 2), dtype=np.float64)
+    return CastShadows(visibility, shadowed, int(known.size - np.count_nonzero(known)))
+
+
+def separate_pieces(known: np.ndarray) -> tuple[np.ndarray, int]:
+    """Connected pieces of known heights (rows, columns) bool, by the neighbours that the integration ties together.
+
+    Returns int32 (rows, columns) with the piece of each pixel, 0 where unknown, and the number of labels; (0, 0) and 1
+    where all is one piece.
+    """
+    if known.all():
+        return np.zeros((0, 0), np.int32), 1
+    from scipy import ndimage
+
+    pieces, count = ndimage.label(known)
+    return (np.ascontiguousarray(pieces, np.int32), count + 1) if count > 1 else (np.zeros((0, 0), np.int32), 1)
+
+
+def _sweep_light(surface, pieces, count: int, light: Light, pitch: float, origin: tuple[int, int]) -> np.ndarray:
+    """Visibility (rows, columns) of a lamp at infinity; the lines of a tile are those of the whole map."""
+    x, y, z = light.central_direction()
+    elevation = float(np.arctan2(z, np.hypot(x, y)))
+    azimuth = np.arctan2(y, x)
+    toward_column, toward_row = np.cos(azimuth), -np.sin(azimuth)
+    # bring the lamp to the side of growing columns, within 45 degrees
+    swap = abs(toward_row) > abs(toward_column)
+    along, across = (toward_row, toward_column) if swap else (toward_column, toward_row)
+    flip = along < 0
+
+    def turned(values):
+        values = values.T if swap else values
+        return np.ascontiguousarray(values[:, ::-1] if flip else values)
+
+    surface, pieces = turned(surface), turned(pieces)
+    # a multiple of 2^-20: lines along the grid and its diagonals then meet the pixels exactly, and the direction moves
+    # by less than 1e-6
+    slope = float(np.round(across / abs(along) * 2**20) / 2**20)
+    rows, columns = surface.shape
+    drift = slope * (columns - 1)
+    first, last = int(np.floor(min(0.0, -drift))) - 1, int(np.ceil(rows - 1 + max(0.0, -drift))) + 1
+    start = origin[0] if swap else origin[1]
+    phase = (-slope * (start + columns - 1) if flip else slope * start) % 1.0
+    step = pitch * np.hypot(1.0, slope)
+    floor = _lowest_tangent(elevation, light.angular_radius)
+    out = np.ones(surface.shape, np.float32)
+
+    def lines(begin, end):
+        begin, end = first + begin, first + end
+        horizon.sweep(
+            begin, end, phase, surface, pieces, count, slope, step, elevation, light.angular_radius, floor, out
+        )
+
+    over_rows(lines, last - first + 1)
+    out = out[:, ::-1] if flip else out
+    return out.T if swap else out
+
+
+def shadow_reach(height: np.ndarray, light: Light, *, pitch: float) -> int:
+    """Pixels beyond a tile that can cast a shadow into it: the relief's range over half the tangent of the elevation.
+
+    For a lamp at a finite distance, of its lowest elevation over the map.
+    """
+    relief = float(np.nanmax(height) - np.nanmin(height))
+    x, y, z = light.homogeneous()[:3]
+    horizontal = float(np.hypot(x, y))
+    if light.position_mm is not None:
+        horizontal += 0.5 * pitch * float(np.hypot(*height.shape))
+    floor = _lowest_tangent(np.arctan2(z, horizontal), light.angular_radius)
+    longest = int(np.ceil(np.hypot(*height.shape)))
+    return longest if floor <= 0 else min(longest, int(np.ceil(relief / floor / pitch)) + 1)
+
+
+def _lowest_tangent(elevation: float, radius: float) -> float:
+    """Horizons below this cannot matter: half the tangent of the lamp's lower edge, as the sweep averages two lines.
+
+    Not the edge itself: a line that is lit would then weigh too little against one in shadow.
+    """
+    return 0.5 * float(np.tan(elevation - radius)) if elevation > radius else -1e30
+
+
+def _rows_of(kernel, *arguments):
+    return lambda first, last: kernel(first, last, *arguments)
+
+
+def _march_light(surface, pieces, light, pitch, origin, whole, out) -> None:
+    source = light.homogeneous()
+    rows, columns = whole
+    scaled = source[:3] / (pitch if source[3] else 1.0)
+    # to pixels: columns to the right, rows downwards, heights in pixels too
+    column, row = scaled[0], -scaled[1]
+    if source[3]:
+        column, row = column + (columns - 1) / 2 - origin[1], row + (rows - 1) / 2 - origin[0]
+    highest = float(np.nanmax(surface)) / pitch if np.any(np.isfinite(surface)) else 0.0
+    arguments = (surface, pieces, pitch, column, row, scaled[2], source[3], highest, light.angular_radius, out)
+    over_rows(_rows_of(horizon.march, *arguments), len(surface))
