@@ -4,7 +4,8 @@
 
 h is the half vector of light and view. The map `shading` (rows, columns, 3) holds (a, b, d) of every pixel, scaled so
 that f is 1 on average over the samples of the fit, weighted by c^2: rho_k stays about the reflectance of Lambert's law.
-Lambert's law is (1, 0, 0). Model: Shi, Tan, Matsushita and Ikeuchi (2014), with other terms (`nishiki.photometric.lobe`).
+Lambert's law is (1, 0, 0). Model: Shi, Tan, Matsushita and Ikeuchi (2014), with other terms
+(`nishiki.photometric.lobe`).
 """
 
 import numpy as np

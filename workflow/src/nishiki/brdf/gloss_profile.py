@@ -18,8 +18,9 @@ from nishiki.brdf.body_shading import body_factor, transmittance
 from nishiki.brdf.specular_histogram import SpecularHistogram, SpecularProfile
 from nishiki.brdf.torrance_sparrow import GAMMA_PER_SIGMA
 from nishiki.errors import UserError
-from nishiki.photometric.gloss_prediction import NODES, NODES_PER_UNIT
 
+NODES_PER_UNIT = 1024  # of the table of the profile, per unit of chord
+NODES = 1450  # up to a chord of sqrt 2 (phi = 90 degrees)
 LADDER = np.geomspace(0.01, 0.9, 11)
 """Half widths at half maximum, radians. The narrowest is ten nodes of the table wide."""
 PROFILE_ERROR = 0.05  # relative error of a row beside its scatter: the model is not the surface

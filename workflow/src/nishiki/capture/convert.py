@@ -16,7 +16,7 @@ from nishiki.capture.goniometer_convert import recognise_table, refuse_for_table
 from nishiki.capture.goniometer_tables import ReflectanceTable
 from nishiki.capture.layouts import Layout, has_lamps, photographs_in, recognise
 from nishiki.capture.pairing import pair_by_name
-from nishiki.capture.schema import FORMAT
+from nishiki.capture.schema_base import FORMAT
 from nishiki.capture.taking import channel_names, file_names, take
 from nishiki.capture.turntable_convert import write_round
 from nishiki.capture.turntable_layouts import recognise_round

@@ -17,7 +17,8 @@ from nishiki.capture.frames import DIALECTS, Frame, dialect_of, inside, read_fra
 from nishiki.capture.goniometer import GoniometerCapture, examine_goniometer
 from nishiki.capture.lights import Lights, direction_problems, read_lights
 from nishiki.capture.photographed import Photographed
-from nishiki.capture.schema import NAMED_ILLUMINANTS, CaptureFile, Session, geometry_named, read_capture_file
+from nishiki.capture.schema import NAMED_ILLUMINANTS, CaptureFile, geometry_named, read_capture_file
+from nishiki.capture.schema_base import Session
 from nishiki.capture.spectra_tables import Curves, read_curves
 from nishiki.capture.turntable import TurntableCapture, examine_turntable
 from nishiki.formats.bounds import bound

@@ -8,7 +8,7 @@ import yaml
 
 from nishiki.capture.goniometer_tables import ReflectanceTable, is_table, read_table
 from nishiki.capture.layouts import photographs_in
-from nishiki.capture.schema import FORMAT
+from nishiki.capture.schema_base import FORMAT
 from nishiki.capture.taking import take
 from nishiki.formats.problems import CaptureError, Problem, error, warning
 

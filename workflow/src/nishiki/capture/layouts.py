@@ -16,7 +16,8 @@ from nishiki.capture.probes import direction_from_sphere, mean_direction
 from nishiki.capture.relight_files import find_relight, is_relight, read_relight
 from nishiki.formats.bounds import bound
 from nishiki.formats.files import NAME_BYTES, is_plain, leads_out, read_text
-from nishiki.formats.image_headers import IMAGE_SUFFIXES, read_header
+from nishiki.formats.image_header import IMAGE_SUFFIXES
+from nishiki.formats.image_headers import read_header
 from nishiki.formats.images import read_codes
 from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, warning
 from nishiki.formats.text_tables import expect_rows, reading, table_lines

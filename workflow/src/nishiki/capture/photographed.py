@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from nishiki.capture.frames import Frame
-from nishiki.capture.schema import Session
+from nishiki.capture.schema_base import Session
 
 
 @dataclass(frozen=True)

@@ -2,47 +2,18 @@
 
 from __future__ import annotations
 
-import difflib
-from datetime import date as Date
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, get_args
+from typing import Annotated, Literal
 
-import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import Field, model_validator
 
-from nishiki.formats import plain_yaml
-from nishiki.formats.files import Refused, is_plain, read_text
-from nishiki.formats.problems import CaptureError, Problem, error
-from nishiki.formats.text_tables import refusal
+from nishiki.capture.goniometer_schema import GoniometerFile
+from nishiki.capture.schema_base import Closed, Positive, Session, read_mapping, validate
+from nishiki.capture.turntable_schema import TurntableFile
+from nishiki.formats.problems import CaptureError
 
-FORMAT = 1
 NAMED_ILLUMINANTS = ("A", "D50", "D55", "D65", "E", *(f"F{i}" for i in range(1, 13)))
-
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Count = Annotated[int, Field(strict=True, ge=0)]
-
-
-class Closed(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class Camera(Closed):
-    """How a stored code becomes light."""
-
-    channels: tuple[str, ...] = Field(("red", "green", "blue"), min_length=1, max_length=64)
-    encoding: Literal["linear", "srgb"] = "linear"
-    bits: Annotated[int, Field(strict=True, ge=1, le=16)] | None = None
-    saturation: Annotated[float, Field(gt=0, le=1)] | None = None
-    black_level: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
-    sensitivities: str | None = None
-    model: str | None = None
-
-    @field_validator("channels")
-    @classmethod
-    def _distinct(cls, names: tuple[str, ...]) -> tuple[str, ...]:
-        if len(set(names)) != len(names) or any(not n.strip() or len(n) > 100 or not is_plain(n) for n in names):
-            raise ValueError("channel names must be distinct and not empty, of at most 100 printable characters")
-        return names
 
 
 class LightsFile(Closed):
@@ -51,51 +22,6 @@ class LightsFile(Closed):
     file: str
     kind: Literal["direction", "position_mm"] = "direction"
     intensities: str | None = None
-
-
-class White(Closed):
-    """The white board."""
-
-    reflectance: Annotated[float, Field(gt=0, le=1.1)] = 1.0
-    normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
-
-    @field_validator("normal")
-    @classmethod
-    def _faces_camera(cls, normal: tuple[float, float, float]) -> tuple[float, float, float]:
-        length = sum(v * v for v in normal) ** 0.5
-        if not 0 < length < float("inf") or normal[2] <= 0:
-            raise ValueError("the board's normal must be finite, of non-zero length, with z > 0 (towards the camera)")
-        return tuple(v / length for v in normal)
-
-
-class Session(Closed):
-    """What capture.yaml says whatever the geometry: what was photographed, by whom, with which camera."""
-
-    format: Literal[1]
-    camera: Camera = Camera()
-    title: str = ""
-    creator: str | None = None
-    date: str | None = None
-    object_id: str | None = None
-    rights: str | None = None
-    notes: str | None = None
-    illuminant: str | None = None
-    white: White = White()
-
-    @field_validator("date", mode="before")
-    @classmethod
-    def _iso_date(cls, value: Any) -> Any:
-        # YAML reads an unquoted 2024-05-01 as a date; we keep the text of ISO 8601.
-        if isinstance(value, Date):
-            return value.isoformat()
-        if isinstance(value, str):
-            Date.fromisoformat(value[:10])
-        return value
-
-    @field_validator("object_id", mode="before")
-    @classmethod
-    def _number_as_text(cls, value: Any) -> Any:
-        return str(value) if isinstance(value, int) else value
 
 
 class CaptureFile(Session):
@@ -115,30 +41,12 @@ class CaptureFile(Session):
         return self
 
 
-class _UniqueKeyLoader(plain_yaml.SafeLoader):
-    """Safe YAML in which a key that appears twice is an error instead of the last one winning silently."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
-        seen = set()
-        for key_node, _ in node.value:
-            key = self.construct_object(key_node, deep=True)
-            if not isinstance(key, str):
-                raise yaml.constructor.ConstructorError(None, None, f"key {key!r} is not text", key_node.start_mark)
-            if key in seen:
-                raise yaml.constructor.ConstructorError(None, None, f"key {key!r} appears twice", key_node.start_mark)
-            seen.add(key)
-        return super().construct_mapping(node, deep)
-
-
 def read_capture_file(path: Path) -> Session:
     """Parse capture.yaml, by its geometry a CaptureFile, TurntableFile or GoniometerFile; a CaptureError lists every
     mistake in it.
 
     Kinds: yaml-missing, yaml-invalid, unknown-key, missing-key, wrong-value.
     """
-    from nishiki.capture.goniometer_schema import GoniometerFile
-    from nishiki.capture.turntable_schema import TurntableFile
-
     parsed = read_mapping(path)
     models = {"turntable": TurntableFile, "goniometer": GoniometerFile}
     geometry = parsed.get("geometry")
@@ -151,64 +59,3 @@ def geometry_named(path: Path) -> str | None:
         return read_mapping(path).get("geometry")
     except CaptureError:
         return None
-
-
-def read_mapping(path: Path) -> dict:
-    """Keys and values of a plain YAML file. CaptureError: yaml-missing, yaml-invalid."""
-    try:
-        parsed = plain_yaml.load(read_text(path, "settings_bytes"), _UniqueKeyLoader)
-    except FileNotFoundError as e:
-        remedy = "Write one, or make a capture folder from photographs with the convert command"
-        raise CaptureError(error("yaml-missing", path.name, "file is missing", remedy=remedy)) from e
-    except Refused as e:
-        raise CaptureError(refusal(e, "yaml-invalid")) from e
-    except (yaml.YAMLError, UnicodeDecodeError) as e:
-        mark = getattr(e, "problem_mark", None)
-        where = f"{path.name} line {mark.line + 1}" if mark else path.name
-        found = getattr(e, "problem", None) or str(e)
-        raise CaptureError(
-            error("yaml-invalid", where, "not valid plain YAML", found=found, remedy="Mend the line; tags are not used")
-        ) from e
-    if not isinstance(parsed, dict):
-        raise CaptureError(
-            error("yaml-invalid", path.name, "wrong content", expected="keys with values", found=type(parsed).__name__)
-        )
-    return parsed
-
-
-Model = TypeVar("Model", bound=BaseModel)
-
-
-def validate(model: type[Model], parsed: dict, file: str) -> Model:
-    """The mapping as this closed model. CaptureError: unknown-key, missing-key, wrong-value."""
-    try:
-        return model.model_validate(parsed)
-    except ValidationError as e:
-        raise CaptureError([_explain(item, file, model) for item in e.errors()]) from e
-
-
-def _explain(item: dict, file: str, model: type[BaseModel]) -> Problem:
-    """One pydantic finding as a Problem, in the words of the file's author."""
-    key = ".".join(str(part) for part in item["loc"])
-    if item["type"] == "extra_forbidden":
-        known = _known_keys(model, item["loc"][:-1])
-        near = difflib.get_close_matches(str(item["loc"][-1]), known, n=1, cutoff=0.5)
-        remedy = f"Did you mean '{near[0]}'?" if near else f"Known keys: {', '.join(known)}"
-        return error("unknown-key", file, f"unknown key '{key}'", remedy=remedy)
-    if item["type"] == "missing":
-        return error("missing-key", file, f"key '{key}' is missing", remedy="Add it; see the capture folder format")
-    message = item["msg"].removeprefix("Value error, ")
-    what = f"key '{key}'" if key else "keys disagree"
-    return error("wrong-value", file, what, expected=message, found=_short(item["input"]) if key else "")
-
-
-def _known_keys(model: type[BaseModel], location: tuple) -> list[str]:
-    for part in location:
-        annotation = model.model_fields[part].annotation if part in model.model_fields else None
-        model = next((a for a in (annotation, *get_args(annotation)) if hasattr(a, "model_fields")), model)
-    return list(model.model_fields)
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."

@@ -6,7 +6,7 @@ import os
 import shutil
 from pathlib import Path
 
-from nishiki.formats.image_headers import ImageHeader
+from nishiki.formats.image_header import ImageHeader
 
 COLOUR = ("red", "green", "blue")
 FOLDERS = ("frames", "white", "dark", "silhouettes")

@@ -13,10 +13,11 @@ from nishiki.capture.cameras import MATRIX_COLUMNS
 from nishiki.capture.layouts import natural_key, photographs_in, source_problems
 from nishiki.capture.pairing import names_apart, pair_by_name
 from nishiki.capture.polariser import parse_state
-from nishiki.capture.schema import FORMAT
+from nishiki.capture.schema_base import FORMAT
 from nishiki.capture.taking import channel_names, file_names, take
 from nishiki.capture.turntable_layouts import STATES, RoundLayout
-from nishiki.formats.image_headers import ImageHeader, read_header
+from nishiki.formats.image_header import ImageHeader
+from nishiki.formats.image_headers import read_header
 from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, warning
 
 

@@ -16,7 +16,7 @@ from nishiki.capture.polariser import parse_state
 from nishiki.capture.seal import sha256_of
 from nishiki.formats.bounds import bound
 from nishiki.formats.files import Refused, read_text
-from nishiki.formats.image_headers import IMAGE_SUFFIXES
+from nishiki.formats.image_header import IMAGE_SUFFIXES
 from nishiki.formats.matlab import read_matlab
 from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, warning
 from nishiki.formats.text_tables import expect_rows, reading, refusal

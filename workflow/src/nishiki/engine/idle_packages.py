@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping
 from nishiki.artifacts.closed import Closed
 from nishiki.engine.capture_parts import surface_of
 from nishiki.engine.stage_types import SceneFacts, Stage
-from nishiki.formats.image_headers import RAW_SUFFIXES
+from nishiki.formats.image_header import RAW_SUFFIXES
 
 Reason = Callable[[SceneFacts, Mapping[str, Closed]], str | None]
 

@@ -15,8 +15,8 @@ class SceneFacts:
     measurements: pairs of directions of a goniometer, frontal: of these, lit along the normal of the cloth.
     truth_sha256: empty where there is no truth. given: what a turntable's capture comes with (matrices, boards,
     correspondences, silhouettes of all views); parts: number of files of each part that a scene may do without (see
-    `nishiki.engine.capture_parts`); suffixes: of the photographs' names, in small letters; table: reflectances instead of
-    photographs.
+    `nishiki.engine.capture_parts`); suffixes: of the photographs' names, in small letters; table: reflectances instead
+    of photographs.
     """
 
     capture_digest: str

@@ -13,14 +13,6 @@ from nishiki.formats.stored import open_array, open_group
 from nishiki.observations.views import Views
 
 
-def ceiling(views: Views) -> float | None:
-    """Largest linear value that a photograph of this capture can hold; None for floating-point frames."""
-    if views.dtype.kind != "u":
-        return None
-    group = open_group(views.path)
-    return float(group["lut"][...].max() * group["gain"][...].max() * max(views.attributes["scale"]))
-
-
 class Photographs:
     """What was photographed, view by view, in linear light.  From the artifacts of ingest, mesh, and polarise where
     the capture has polariser states."""

@@ -8,7 +8,7 @@ from typing import BinaryIO
 import numpy as np
 
 from nishiki.formats.exr_header import read_parts
-from nishiki.formats.image_headers import ImageHeader
+from nishiki.formats.image_header import ImageHeader
 
 _COLOURS = {"red": ("R", "red"), "green": ("G", "green"), "blue": ("B", "blue"), "grey": ("Y", "L"), "gray": ("Y", "L")}
 

@@ -8,49 +8,17 @@ from __future__ import annotations
 
 import os
 import struct
-from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, Literal
+from typing import BinaryIO
 
 from nishiki.formats.bounds import BOUNDS, bound, remedy
 from nishiki.formats.files import Refused, open_regular
+from nishiki.formats.image_header import RAW_SUFFIXES, ImageHeader
 from nishiki.formats.problems import CaptureError, Problem, error
 from nishiki.formats.text_tables import refusal
 
 DEFLATE_RATIO = 1040  # deflate cannot shrink more than 1032:1, so a larger claim is damage or a decompression bomb
 JPEG_RATIO = 3000  # a progressive JPEG of one even grey needs one bit for 64 samples, or for 768 with coarse colour
-
-Kind = Literal["png", "jpeg", "tiff", "exr", "raw"]
-Sample = Literal["uint8", "uint16", "float32"]
-RAW_SUFFIXES = frozenset(
-    ".3fr .arw .cr2 .cr3 .crw .dcr .dng .erf .fff .iiq .kdc .mef .mos .mrw .nef .nrw .orf .pef .raf .raw .rw2 .rwl "
-    ".sr2 .srf .srw .x3f".split()
-)
-IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr"}) | RAW_SUFFIXES
-
-
-@dataclass(frozen=True)
-class ImageHeader:
-    """What a photograph says of itself. channels: as decoded, alpha included; pages: TIFF pages of equal size.
-
-    stored_bytes: of all samples before compression, 0 where not known; ratio: how many times smaller than these the
-    file can be at most, 0 where there is no bound.
-    """
-
-    kind: Kind
-    rows: int
-    columns: int
-    channels: int
-    sample: Sample
-    alpha: bool = False
-    pages: int = 1
-    names: tuple[str, ...] = ()
-    stored_bytes: int = 0
-    ratio: int = 0
-
-    @property
-    def decoded_bytes(self) -> int:
-        return self.rows * self.columns * self.channels * {"uint8": 1, "uint16": 2, "float32": 4}[self.sample]
 
 
 def read_header(path: Path, *, name: str | None = None) -> ImageHeader:

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.formats.image_headers import ImageHeader, read_header
+from nishiki.formats.image_header import ImageHeader
+from nishiki.formats.image_headers import read_header
 from nishiki.formats.problems import CaptureError, error
 
 Region = tuple[int, int, int, int]  # row, column, rows, columns

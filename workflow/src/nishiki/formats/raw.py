@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.formats.image_headers import ImageHeader
+from nishiki.formats.image_header import ImageHeader
 from nishiki.formats.problems import CaptureError, error
 from nishiki.packages import install_command
 

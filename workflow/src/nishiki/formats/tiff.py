@@ -14,7 +14,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from nishiki.formats.image_headers import ImageHeader
+from nishiki.formats.image_header import ImageHeader
 
 _NUMBERS = frozenset((1, 3, 4, 6, 8, 9, 13, 16, 18))  # kinds of field that hold whole numbers
 _TYPES = {1: "B", 2: "c", 3: "H", 4: "I", 5: "II", 6: "b", 8: "h", 9: "i", 11: "f", 12: "d", 13: "I", 16: "Q", 18: "Q"}

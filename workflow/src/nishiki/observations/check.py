@@ -14,7 +14,8 @@ from nishiki.capture.goniometer import GoniometerCapture
 from nishiki.capture.seal import payload_files, sha256_of, verify_seal
 from nishiki.capture.turntable import TurntableCapture
 from nishiki.formats.files import Refused, walk
-from nishiki.formats.image_headers import ImageHeader, read_header
+from nishiki.formats.image_header import ImageHeader
+from nishiki.formats.image_headers import read_header
 from nishiki.formats.images import expect_channels, read_labels, read_mask
 from nishiki.formats.problems import CaptureError, Problem, error, warning
 from nishiki.formats.text_tables import refusal

@@ -8,7 +8,7 @@ from pathlib import Path
 from nishiki.capture.frames import Frame
 from nishiki.capture.goniometer import GoniometerCapture
 from nishiki.capture.seal import sha256_of
-from nishiki.formats.image_headers import ImageHeader
+from nishiki.formats.image_header import ImageHeader
 from nishiki.formats.problems import CaptureError, Problem, error, warning
 from nishiki.observations.blocks import block_edges
 from nishiki.observations.frames import FrameReader

@@ -10,7 +10,7 @@ import numpy as np
 from nishiki.capture.frames import Frame
 from nishiki.capture.seal import sha256_of
 from nishiki.capture.turntable import TurntableCapture
-from nishiki.formats.image_headers import ImageHeader
+from nishiki.formats.image_header import ImageHeader
 from nishiki.formats.images import read_mask
 from nishiki.formats.problems import CaptureError, Problem, error, warning
 from nishiki.observations.blocks import block_edges

@@ -175,3 +175,11 @@ class _Calibration(Sequence):
 
     def __iter__(self) -> Iterator[dict]:
         return (self[i] for i in range(len(self)))
+
+
+def largest_value(views: Views) -> float | None:
+    """Largest linear value that a photograph of this capture can hold; None for floating-point frames."""
+    if views.dtype.kind != "u":
+        return None
+    group = open_group(views.path)
+    return float(group["lut"][...].max() * group["gain"][...].max() * max(views.attributes["scale"]))

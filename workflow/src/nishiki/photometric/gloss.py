@@ -66,7 +66,8 @@ def refine_normals(
     second_start: float = SECOND_START,
     threads: int | None = None,
 ) -> RefinedNormals:
-    """Fit I'_jk = rho_k b(n . l_j) + s_j(n) at every pixel from the given normals; see `nishiki.photometric.gloss_kernel`.
+    """Fit I'_jk = rho_k b(n . l_j) + s_j(n) at every pixel from the given normals; see
+    `nishiki.photometric.gloss_kernel`.
 
     observations (lights, rows, columns, channels), relative to white; directions (lights, 3) unit; valid (lights, rows,
     columns) bool, None for all; normals (rows, columns, 3) unit, of any solver, to start from; flags (rows, columns)

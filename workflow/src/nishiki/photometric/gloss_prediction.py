@@ -7,8 +7,8 @@ pixel or are not known have zeros everywhere, and variances of 1.
 import numpy as np
 from numba import njit
 
-NODES_PER_UNIT = 1024  # of the table of the profile, per unit of chord
-NODES = 1450  # up to a chord of sqrt 2 (phi = 90 degrees)
+from nishiki.brdf.gloss_profile import NODES, NODES_PER_UNIT
+
 LANES = 4  # lights are padded to a multiple, unlit: the sums over them then become SIMD code
 STEEPEST = 0.05  # n_z is kept above it
 # Rows of the scratch of a pixel, a column for each light

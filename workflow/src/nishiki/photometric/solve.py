@@ -23,9 +23,10 @@ class NormalField:
     normals (rows, columns, 3) float32, unit vectors, x right, y up, z to the camera; albedo float32, relative to the
     white reference; sigma float32, root mean square angle of the error in radians, first order, from the residual;
     lights_used uint16; condition float32 of the weighted 3 x 3 normal matrix; residual float32, root mean square, in
-    units of the observations; flags uint8, the bits of `nishiki.photometric.flags`. Where a flag of NO_ESTIMATE is set the
-    normal is (0, 0, 1), albedo and residual are 0 and sigma is pi / 2: finite, and marked as unknown. shading (rows,
-    columns, 3) float32: (a, b, d) of `nishiki.brdf.body_shading`, None of a solver that knows Lambert's law only.
+    units of the observations; flags uint8, the bits of `nishiki.photometric.flags`. Where a flag of NO_ESTIMATE is set
+    the normal is (0, 0, 1), albedo and residual are 0 and sigma is pi / 2: finite, and marked as unknown. shading
+    (rows, columns, 3) float32: (a, b, d) of `nishiki.brdf.body_shading`, None of a solver that knows Lambert's law
+    only.
     """
 
     normals: np.ndarray
@@ -76,15 +77,15 @@ def estimate_normals(
     """Normals and albedo from I = albedo * max(n . l, 0) on the usable samples (P section 3).
 
     observations (lights, rows, columns) relative to the white reference; directions (lights, 3) unit vectors to the
-    lights; usable (lights, rows, columns) bool, from `nishiki.photometric.light_selection.select_diffuse`, None for all; what is
-    not `valid` (likewise bool, None for all) enters no fit, chosen or not; weights (lights,) or (lights, rows,
-    columns), not negative, or None; max_condition: bound on the condition number of the weighted 3 x 3 normal matrix
-    above which a pixel is flagged.
+    lights; usable (lights, rows, columns) bool, from `nishiki.photometric.light_selection.select_diffuse`, None for
+    all; what is not `valid` (likewise bool, None for all) enters no fit, chosen or not; weights (lights,) or (lights,
+    rows, columns), not negative, or None; max_condition: bound on the condition number of the weighted 3 x 3 normal
+    matrix above which a pixel is flagged.
 
     solver, "default" being "lobe"
         "least_squares": ordinary (weighted) least squares on the usable samples.
-        "lobe": from there, a reflectance with a diffuse fall-off and a gloss lobe (`nishiki.photometric.lobe`), choosing
-        the samples again among those of `valid`, if None those of `usable`; it starts from all of `valid` where the
+        "lobe": from there, a reflectance with a diffuse fall-off and a gloss lobe (`nishiki.photometric.lobe`),
+        choosing the samples again among those of `valid`, if None those of `usable`; it starts from all of `valid` where the
         selection is not to be followed (`nishiki.photometric.distrust`); noise: the
         observations' noise relative to the albedo; exponent: 2, 4, 8, 16 or 32, of the lobe. Takes no weights.
         "lobes": the same with the exponents 2, 4, 8 and 16 in turn, and at each pixel the one that leaves least over.

@@ -13,11 +13,10 @@ from nishiki.atlas.surface import Surface, texel_points, texel_triangles
 from nishiki.brdf.texels.lighting import Lighting
 from nishiki.codec.store import Residual
 from nishiki.errors import UserError
-from nishiki.evaluate.object_photographs import ceiling
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.cameras_file import load_cameras
 from nishiki.geometry.mesh import Mesh
-from nishiki.observations.views import Views
+from nishiki.observations.views import Views, largest_value
 from nishiki.render.object.renderer import ObjectRenderer
 
 
@@ -63,7 +62,7 @@ class DecodedObject:
             texels.full_turn,
             tuple(texels.views),
             tuple(texels.lights),
-            ceiling(Views(inputs["ingest"].folder)) if "ingest" in inputs else None,
+            largest_value(Views(inputs["ingest"].folder)) if "ingest" in inputs else None,
         )
 
     def renderer(self, *, mesh: Mesh | None = None, **options) -> ObjectRenderer:

@@ -50,8 +50,8 @@ def render(
     """Picture of `scene` under `lights` from `view` (default: frontal, a screen pixel for a pixel of the maps).
 
     background: Y where the ray misses the painting, a grey under the scene's white.  shadows: "sweep", "march" (see
-    `nishiki.render.plane.shadow`) or "none"; without a height there are none.  visibility: (lights, rows, columns) computed
-    before, e.g. for a sequence of views.  A pixel of a screen that is not the maps is the mean of shaded samples, as
+    `nishiki.render.plane.shadow`) or "none"; without a height there are none.  visibility: (lights, rows, columns)
+    computed before, e.g. for a sequence of views.  A pixel of a screen that is not the maps is the mean of shaded samples, as
     many across and down as the pixel is steps long on the maps, so that no pixel of the maps is jumped over; at least
     `minimum_samples` along each side.  Where that would be more than `maximum_samples` in all, the maps are averaged
     first (`reduction`); averaged normals shade like a smoother surface.
@@ -111,9 +111,9 @@ def render_tile(
 ) -> Rendering:
     """A part of the frontal picture of the size of the maps, in the memory of a tile.
 
-    scene: the maps of the tile with a border of `nishiki.render.plane.shadow.shadow_reach` pixels where the painting goes on;
-    origin: (row, column) of their first pixel; whole: (rows, columns) of the painting; keep: (rows, columns) of the
-    tile's maps without the border.  Tiles put together are the picture that `render` makes of the whole.
+    scene: the maps of the tile with a border of `nishiki.render.plane.shadow.shadow_reach` pixels where the painting
+    goes on; origin: (row, column) of their first pixel; whole: (rows, columns) of the painting; keep: (rows, columns)
+    of the tile's maps without the border.  Tiles put together are the picture that `render` makes of the whole.
     """
     ambient = Ambient() if ambient is None else ambient
     visibility, shadowed = None, ()

@@ -1,0 +1,38 @@
+"""What a photograph says of itself, and the kinds of photographs that are read."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+Kind = Literal["png", "jpeg", "tiff", "exr", "raw"]
+Sample = Literal["uint8", "uint16", "float32"]
+RAW_SUFFIXES = frozenset(
+    ".3fr .arw .cr2 .cr3 .crw .dcr .dng .erf .fff .iiq .kdc .mef .mos .mrw .nef .nrw .orf .pef .raf .raw .rw2 .rwl "
+    ".sr2 .srf .srw .x3f".split()
+)
+IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr"}) | RAW_SUFFIXES
+
+
+@dataclass(frozen=True)
+class ImageHeader:
+    """What a photograph says of itself. channels: as decoded, alpha included; pages: TIFF pages of equal size.
+
+    stored_bytes: of all samples before compression, 0 where not known; ratio: how many times smaller than these the
+    file can be at most, 0 where there is no bound.
+    """
+
+    kind: Kind
+    rows: int
+    columns: int
+    channels: int
+    sample: Sample
+    alpha: bool = False
+    pages: int = 1
+    names: tuple[str, ...] = ()
+    stored_bytes: int = 0
+    ratio: int = 0
+
+    @property
+    def decoded_bytes(self) -> int:
+        return self.rows * self.columns * self.channels * {"uint8": 1, "uint16": 2, "float32": 4}[self.sample]
