@@ -85,8 +85,8 @@ def estimate_normals(
     solver, "default" being "lobe"
         "least_squares": ordinary (weighted) least squares on the usable samples.
         "lobe": from there, a reflectance with a diffuse fall-off and a gloss lobe (`nishiki.photometric.lobe`),
-        choosing the samples again among those of `valid`, if None those of `usable`; it starts from all of `valid` where the
-        selection is not to be followed (`nishiki.photometric.distrust`); noise: the
+        choosing the samples again among those of `valid`, if None those of `usable`; it starts from all of
+        `valid` where the selection is not to be followed (`nishiki.photometric.distrust`); noise: the
         observations' noise relative to the albedo; exponent: 2, 4, 8, 16 or 32, of the lobe. Takes no weights.
         "lobes": the same with the exponents 2, 4, 8 and 16 in turn, and at each pixel the one that leaves least over.
 
