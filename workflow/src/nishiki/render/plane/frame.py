@@ -49,12 +49,12 @@ def render(
 ) -> Rendering:
     """Picture of `scene` under `lights` from `view` (default: frontal, a screen pixel for a pixel of the maps).
 
-    background: Y where the ray misses the painting, a grey under the scene's white.  shadows: "sweep", "march" (see
-    `nishiki.render.plane.shadow`) or "none"; without a height there are none.  visibility: (lights, rows, columns)
-    computed before, e.g. for a sequence of views.  A pixel of a screen that is not the maps is the mean of shaded
-    samples, as many across and down as the pixel is steps long on the maps, so that no pixel of the maps is jumped over; at least
-    `minimum_samples` along each side.  Where that would be more than `maximum_samples` in all, the maps are averaged
-    first (`reduction`); averaged normals shade like a smoother surface.
+    background: Y where the ray misses the painting, a grey under the scene's white. shadows: "sweep", "march" (see
+    `nishiki.render.plane.shadow`) or "none"; without a height there are none. visibility: (lights, rows, columns)
+    computed before, e.g. for a sequence of views. A pixel of a screen that is not the maps is the mean of shaded
+    samples, as many across and down as the pixel is steps long on the maps, so that no pixel of the maps is jumped
+    over; at least `minimum_samples` along each side. Where that would be more than `maximum_samples` in all, the
+    maps are averaged first (`reduction`); averaged normals shade like a smoother surface.
     """
     view = View() if view is None else view
     ambient = Ambient() if ambient is None else ambient
