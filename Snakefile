@@ -16,33 +16,8 @@ wildcard_constraints:
     key="[0-9a-f]{12}",
 
 
-include: "workflow/rules/ingest.smk"
-include: "workflow/rules/separate.smk"
-include: "workflow/rules/normals.smk"
-include: "workflow/rules/height.smk"
-include: "workflow/rules/spectra.smk"
-include: "workflow/rules/brdf.smk"
-include: "workflow/rules/render.smk"
-include: "workflow/rules/evaluate.smk"
-include: "workflow/rules/report.smk"
-include: "workflow/rules/polarise.smk"
-include: "workflow/rules/cameras.smk"
-include: "workflow/rules/mesh.smk"
-include: "workflow/rules/texels.smk"
-include: "workflow/rules/reflection.smk"
-include: "workflow/rules/residual.smk"
-include: "workflow/rules/object_render.smk"
-include: "workflow/rules/object_evaluate.smk"
-include: "workflow/rules/object_report.smk"
-include: "workflow/rules/reflectance.smk"
-include: "workflow/rules/weave.smk"
-include: "workflow/rules/fabric.smk"
-include: "workflow/rules/fabric_render.smk"
-include: "workflow/rules/fabric_evaluate.smk"
-include: "workflow/rules/fabric_report.smk"
-include: "workflow/rules/publish.smk"
-include: "workflow/rules/part.smk"
-include: "workflow/rules/sweep.smk"
+include: "workflow/rules/stages.smk"
+include: "workflow/rules/campaign.smk"
 
 
 rule all:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import _project  # noqa: F401
 from nishiki.artifacts.publish import publish
+from nishiki.stages.table import CHAIN
 
 
 def main() -> None:
@@ -17,7 +18,9 @@ def main() -> None:
     parser.add_argument("--output", type=Path, required=True, help="results/<scene>/current/index.json")
     arguments = parser.parse_args()
     stages = json.loads(arguments.stages)
-    publish(arguments.output.parent, scene=arguments.scene, stages=stages, code=arguments.code)
+    deliverables = {name: CHAIN[name].deliverables for name in stages}
+    current = arguments.output.parent
+    publish(current, scene=arguments.scene, stages=stages, deliverables=deliverables, code=arguments.code)
 
 
 if __name__ == "__main__":

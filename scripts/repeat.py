@@ -46,9 +46,9 @@ def repeat(first: Artifact, folder: Path, rest: list[str], threads: int) -> tupl
     """Exit status of the stage's script, and what its run took; whether its artifact has the bytes of the first."""
     load = os.getloadavg()[0]
     target = folder / first.key / MANIFEST
-    script = _project.PROJECT / "scripts" / f"{first.stage}.py"
+    script = _project.PROJECT / "scripts" / "stage.py"
     done = subprocess.run(
-        [sys.executable, str(script), *rest, "--output", str(target)],
+        [sys.executable, str(script), first.stage, *rest, "--output", str(target)],
         env={**os.environ, **dict.fromkeys(VARIABLES, str(threads))},
         check=False,
     )

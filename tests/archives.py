@@ -82,7 +82,12 @@ def write_scene(
             scene, stage, upstream, settings=settings.get(stage), capture=capture, file_bytes=file_bytes
         )
     if published:
-        publish(scene / "current", scene=scene.name, stages={stage: item.key for stage, item in made.items()})
+        publish(
+            scene / "current",
+            scene=scene.name,
+            deliverables={},
+            stages={stage: item.key for stage, item in made.items()},
+        )
     return made
 
 

@@ -42,9 +42,9 @@ def tiny_results(folder: Path) -> None:
 def compared(configfile: Path) -> list[dict]:
     """A line for each finished artifact of a configuration, relative to the present folder."""
     from nishiki.artifacts.artifact import RUN
-    from nishiki.engine.chains import CHAIN
     from nishiki.engine.project import load_yaml
     from nishiki.engine.workflow import Workflow
+    from nishiki.stages.table import CHAIN
 
     flow = Workflow(load_yaml(configfile), folder=PROJECT)
     lines = []

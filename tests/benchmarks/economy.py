@@ -34,7 +34,7 @@ class Runs:
         self, name: str, inputs=(), *, capture: Path | None = None, truth: Path | None = None, **settings
     ) -> Path:
         """Folder of the artifact."""
-        command = [sys.executable, str(PROJECT / "scripts" / f"{name}.py"), "--output", str(self.folder / name)]
+        command = [sys.executable, str(PROJECT / "scripts/stage.py"), name, "--output", str(self.folder / name)]
         command += ["--settings", json.dumps(settings), "--inputs", *map(str, inputs)]
         command += ["--capture", str(capture)] if capture else []
         command += ["--truth", str(truth)] if truth else []

@@ -70,7 +70,7 @@ def read(path: Path) -> ReflectanceSet:
 def stage(name: str, place: str, *arguments: str) -> Path:
     """Run the script of a stage; the artifact's folder."""
     out = Path(place) / name
-    command = [sys.executable, str(ROOT / "scripts" / f"{name}.py"), *arguments, "--output", str(out)]
+    command = [sys.executable, str(ROOT / "scripts/stage.py"), name, *arguments, "--output", str(out)]
     subprocess.run(command, check=True, stdout=sys.stderr, env={**os.environ, "PYTHONPATH": str(ROOT / "workflow/src")})
     return next(path.parent for path in out.glob("*/artifact.json"))
 

@@ -25,7 +25,7 @@ PROJECT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(PROJECT / "workflow/src"), str(PROJECT / "scripts")]
 
 from nishiki.capture.folder import load_capture  # noqa: E402
-from nishiki.engine.reading import reading_of  # noqa: E402
+from nishiki.observations.reading import reading_of  # noqa: E402
 from nishiki.packages import EXTRAS, MODULES, installed  # noqa: E402
 
 SCENES = {"plane": "tiny", "turntable": "object-tiny", "goniometer": "satin-tiny"}
@@ -127,7 +127,15 @@ def ingest(folder: Path, capture: str, settings: dict, repeats: int) -> dict[str
     for _ in range(repeats + 1):
         with tempfile.TemporaryDirectory(dir=folder) as name:
             output = Path(name)
-            command = [sys.executable, str(PROJECT / "scripts/ingest.py"), "--capture", capture, "--output", name]
+            command = [
+                sys.executable,
+                str(PROJECT / "scripts/stage.py"),
+                "ingest",
+                "--capture",
+                capture,
+                "--output",
+                name,
+            ]
             done = subprocess.run(
                 [*command, "--settings", json.dumps(settings)], capture_output=True, text=True, check=False
             )

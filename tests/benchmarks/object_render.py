@@ -54,7 +54,7 @@ def run_chain(capture, output):
 
     def stage(name, inputs, *more):
         folders = [str(made[item]) for item in inputs if item in made]
-        command = [sys.executable, str(_project.PROJECT / "scripts" / f"{name}.py"), "--scene", capture.name]
+        command = [sys.executable, str(_project.PROJECT / "scripts/stage.py"), name, "--scene", capture.name]
         command += ["--output", str(output / name), *(["--inputs", *folders] if folders else []), *more]
         subprocess.run(command, check=True)
         made[name] = next((output / name).glob("*/artifact.json")).parent

@@ -13,7 +13,6 @@ the scene beside it. --budget adds a line a scene and check light with parts of 
 """
 
 import argparse
-import importlib.util
 import json
 import subprocess
 import sys
@@ -54,7 +53,8 @@ STAGES = {
 
 def run_script(name, *arguments):
     """Run a script of the project; its messages are shown only where it fails."""
-    command = [sys.executable, str(PROJECT / "scripts" / f"{name}.py"), *map(str, arguments)]
+    program = ["simulate.py"] if name == "simulate" else ["stage.py", name]
+    command = [sys.executable, str(PROJECT / "scripts" / program[0]), *program[1:], *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:
         raise SystemExit(f"{name}: {done.stderr[-2000:]}")
@@ -139,11 +139,9 @@ def timing(ingested, settings):
     from nishiki.observations.parcels import Parcel
     from nishiki.observations.plane import Observations
     from nishiki.photometric.light_selection import select_diffuse
-    from nishiki.settings.normals import NormalsSettings
+    from nishiki.stages.normals import run as script
+    from nishiki.stages.normals.declaration import NormalsSettings
 
-    place = importlib.util.spec_from_file_location("normals_script", PROJECT / "scripts" / "normals.py")
-    script = importlib.util.module_from_spec(place)
-    place.loader.exec_module(script)
     frames = Observations(ingested)
     lights = frames.fit_lights()
     chosen = NormalsSettings(**settings.get("normals", {}))

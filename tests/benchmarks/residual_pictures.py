@@ -97,7 +97,7 @@ def coded_objects(inputs: dict[str, Artifact], work: Path, asked: Asked) -> Iter
             factor = COARSER.get(method, 1.0) if asked.target == "step" else 1.0
             chosen = {"target": asked.target, "amount": factor * amount, "tolerance": 0.05, **VARIANTS[method]}
             folders = [str(inputs[name].folder) for name in ("ingest", "texels", "reflection")]
-            command = [sys.executable, str(PROJECT / "scripts/residual.py"), "--settings", json.dumps(chosen)]
+            command = [sys.executable, str(PROJECT / "scripts/stage.py"), "residual", "--settings", json.dumps(chosen)]
             target = work / f"{method}-{amount}"
             subprocess.run([*command, "--inputs", *folders, "--output", str(target)], check=True)
             yield method, amount, {**inputs, "residual": open_artifact(next(target.iterdir()))}

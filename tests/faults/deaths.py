@@ -91,7 +91,7 @@ def wait_for(run, stage: str, seconds: float) -> int | None:
 
 
 def working(group: int) -> dict[str, int]:
-    """Stages whose scripts run in a process group, with their processes."""
+    """Stages that run in a process group, with their processes."""
     found = {}
     for entry in Path("/proc").iterdir():
         if not entry.name.isdigit():
@@ -101,9 +101,8 @@ def working(group: int) -> dict[str, int]:
             same = os.getpgid(int(entry.name)) == group
         except (OSError, ProcessLookupError):
             continue
-        script = next((Path(word) for word in words[1:2] if word.endswith(".py") and "/scripts/" in word), None)
-        if same and script:
-            found[script.stem] = int(entry.name)
+        if same and len(words) > 2 and words[1].endswith("/scripts/stage.py"):
+            found[words[2]] = int(entry.name)
     return found
 
 

@@ -81,8 +81,8 @@ def _section(title: str, cases: list[Case]) -> list[str]:
 
 
 def _limits() -> list[str]:
-    """What the run stops for: the table of `nishiki.artifacts.limits_table`."""
-    from nishiki.artifacts.limits_table import LIMITS
+    """What the run stops for: the table of `nishiki.stages.table`."""
+    from nishiki.stages.table import LIMITS
 
     rows = [
         [stage, f"`{limit.name}`", limit.meaning, limit.stated, limit.why, limit.remedy]

@@ -15,9 +15,9 @@ from zarr.codecs import Crc32cCodec, ZstdCodec
 from nishiki.artifacts.artifact import open_artifact
 from nishiki.artifacts.finite import NotFinite, problems
 from nishiki.artifacts.limits import Limit, at, check, readings
-from nishiki.artifacts.limits_table import LIMITS
 from nishiki.artifacts.stage import run_stage
-from nishiki.settings.height import HeightSettings
+from nishiki.stages.height.declaration import HeightSettings
+from nishiki.stages.table import LIMITS
 
 CODECS = {
     "plain": [],
@@ -239,12 +239,12 @@ def test_every_limit_both_sides():
 def test_missing_diagnostics():
     wrong = 0
     blank = ({}, {"scans": None, "fit": None, "calibration": None, "points": {}, "outliers": {}, "regions": {}})
-    for stage in (*LIMITS, "render", "report"):
+    for limits in LIMITS.values():
         for told in (*blank, {"samples": [], "residual": None, "object_pixels": 0, "valid_pixels": None}):
             found = [
-                each for each in readings(stage, told) if each.limit.name not in ("object_pixels", "visible_share")
+                each for each in readings(limits, told) if each.limit.name not in ("object_pixels", "visible_share")
             ]
             wrong += any(each.beyond for each in found)
-    check("render", {"anything": float("nan")})
+    check("render", (), {"anything": float("nan")})
     wrong += Limit("x", "x", at("a.b.c"), most=1).figure({"a": {"b": 3}}) is not None
     return wrong

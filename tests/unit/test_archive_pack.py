@@ -18,7 +18,7 @@ from nishiki.archive.crate_names import MANIFEST, manifest_text, parse_manifest_
 from nishiki.archive.pack import Scene, pack, write_zip
 from nishiki.artifacts.artifact import MANIFEST as ARTIFACT
 from nishiki.artifacts.artifact import run_text
-from nishiki.artifacts.provenance import file_digest
+from nishiki.artifacts.provenance import file_digest, stage_program
 from nishiki.capture.seal import capture_digest, seal
 from nishiki.cli import main
 from nishiki.commands.packing import expect_outside
@@ -50,7 +50,8 @@ def scene(tmp_path_factory):
     for name in ("Snakefile", "LICENSE", "uv.lock"):
         (project / name).write_text(f"{name}\n")
     for stage in made:
-        (project / "scripts" / f"{stage}.py").write_text("print()\n")
+        (project / stage_program(stage)).parent.mkdir(parents=True)
+        (project / stage_program(stage)).write_text("print()\n")
     facts = {"stages": {stage: {"key": item.key} for stage, item in made.items()}}
     does = {stage: f"does {stage}" for stage in made}
     return Scene("scene", "0.1.0", list(made.values()), capture, digest, ABOUT, facts, does), project

@@ -1,8 +1,6 @@
 """Channels weighted by each pixel's colour: against a slow reference, and what it promises of grey, gloss and scale."""
 
-import importlib.util
-import sys
-from pathlib import Path
+import importlib
 from types import SimpleNamespace
 
 import numpy as np
@@ -116,14 +114,8 @@ def test_samples_that_are_not_valid_change_no_other():
 
 
 def script(name):
-    """A stage's script as a module."""
-    folder = Path(__file__).resolve().parents[2] / "scripts"
-    sys.path.insert(0, str(folder))
-    found = importlib.util.spec_from_file_location(f"script_{name}", folder / f"{name}.py")
-    module = importlib.util.module_from_spec(found)
-    found.loader.exec_module(module)
-    sys.path.remove(str(folder))
-    return module
+    """A stage's module."""
+    return importlib.import_module(f"nishiki.stages.{name}.run")
 
 
 def test_coloured_pixels_have_the_shading_of_the_mean_and_grey_ones_keep_theirs():

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from captures import make_capture
 
-from brdf import fit_regions, gather
 from nishiki.artifacts.maps import Maps, MapWriter
 from nishiki.brdf.body_shading import transmittance
 from nishiki.brdf.brightest_light import brightest_light_samples, fit_brightest_light, thin
@@ -19,7 +18,8 @@ from nishiki.errors import UserError
 from nishiki.observations.plane import Observations
 from nishiki.observations.plane_store import write_observations
 from nishiki.progress import Progress
-from nishiki.settings.brdf import BrdfSettings
+from nishiki.stages.brdf.declaration import BrdfSettings
+from nishiki.stages.brdf.run import fit_regions, gather
 
 VIEW = np.array([0.0, 0.0, 1.0])
 INDEX = 1.45

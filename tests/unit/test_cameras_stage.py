@@ -9,7 +9,6 @@ import pytest
 import yaml
 from boards import COLUMNS, DISTORTION, LENS, ROWS, SHAPE, board_camera, photograph, rotation_of, turned
 
-import cameras as stage
 from nishiki.capture.folder import load_capture
 from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera
@@ -17,8 +16,9 @@ from nishiki.geometry.cameras_file import load_cameras
 from nishiki.observations.views_attributes import geometry_sources
 from nishiki.observations.views_store import write_views
 from nishiki.progress import Progress
-from nishiki.settings.cameras import CamerasSettings
-from nishiki.settings.ingest import IngestSettings
+from nishiki.stages.cameras import run as stage
+from nishiki.stages.cameras.declaration import CamerasSettings
+from nishiki.stages.ingest.declaration import IngestSettings
 
 MIDDLE = np.array([70.0, 50.0, 0.0])
 TILT = turned(32, 8, 5)

@@ -1,9 +1,8 @@
 """Errors of predicted reflectances: known errors, planes, and the stage."""
 
 import csv
-import importlib.util
+import importlib
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +18,7 @@ from nishiki.goniometry.directions import unit
 from nishiki.goniometry.store import write_reflectances
 from nishiki.goniometry.table import ReflectanceSet
 from nishiki.progress import Progress
-from nishiki.settings.fabric_evaluate import FabricEvaluateSettings
+from nishiki.stages.fabric_evaluate.declaration import FabricEvaluateSettings
 
 PROJECT = Path(__file__).resolve().parents[2]
 STAMP = {"scene": "small", "stage": "fabric_evaluate", "key": "0" * 12, "version": "0.1.0"}
@@ -93,13 +92,8 @@ def test_views_in_a_plane_are_sorted_and_signed():
 
 
 def script():
-    if str(PROJECT / "scripts") not in sys.path:
-        sys.path.insert(0, str(PROJECT / "scripts"))
-    path = PROJECT / "scripts" / "fabric_evaluate.py"
-    spec = importlib.util.spec_from_file_location("script_fabric_evaluate", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    """The stage's module."""
+    return importlib.import_module("nishiki.stages.fabric_evaluate.run")
 
 
 def artifact(root, stage, fill):

@@ -1,8 +1,7 @@
 """The stage fabric_render: every product, surfaces from files, films, and what is told where the input is wrong."""
 
-import importlib.util
+import importlib
 import json
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,7 +20,7 @@ from nishiki.render.cloth.frame import Picture
 from nishiki.render.cloth.mesh_store import read_surface
 from nishiki.render.cloth.models import FabricModels
 from nishiki.render.cloth.tone import developed, exposure_for, shoulder
-from nishiki.settings.fabric_render import FabricRenderSettings
+from nishiki.stages.fabric_render.declaration import FabricRenderSettings
 
 PROJECT = Path(__file__).resolve().parents[2]
 STAMP = {"scene": "small", "stage": "fabric_render", "key": "0" * 12, "version": "0.1.0"}
@@ -46,13 +45,8 @@ f 1/1 3/3 4/4
 
 
 def script():
-    if str(PROJECT / "scripts") not in sys.path:
-        sys.path.insert(0, str(PROJECT / "scripts"))
-    path = PROJECT / "scripts" / "fabric_render.py"
-    spec = importlib.util.spec_from_file_location("script_fabric_render", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    """The stage's module."""
+    return importlib.import_module("nishiki.stages.fabric_render.run")
 
 
 @pytest.fixture(scope="module")

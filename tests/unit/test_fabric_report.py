@@ -1,10 +1,9 @@
 """The page of a cloth: with everything, with the least, and its parts."""
 
 import html.parser
-import importlib.util
+import importlib
 import json
 import re
-import sys
 from pathlib import Path
 
 import cv2
@@ -22,11 +21,11 @@ from nishiki.goniometry.table import ReflectanceSet
 from nishiki.progress import Progress
 from nishiki.report.fabric_plots import disc_directions, disc_picture, error_chart, lobes_plot, plane_chart
 from nishiki.report.fabric_weave import curve, notes, parameters, tile_picture
-from nishiki.settings.fabric_evaluate import FabricEvaluateSettings
-from nishiki.settings.fabric_render import FabricRenderSettings
-from nishiki.settings.fabric_report import FabricReportSettings
-from nishiki.settings.reflectance import ReflectanceSettings
-from nishiki.settings.weave import WeaveSettings
+from nishiki.stages.fabric_evaluate.declaration import FabricEvaluateSettings
+from nishiki.stages.fabric_render.declaration import FabricRenderSettings
+from nishiki.stages.fabric_report.declaration import FabricReportSettings
+from nishiki.stages.reflectance.declaration import ReflectanceSettings
+from nishiki.stages.weave.declaration import WeaveSettings
 
 PROJECT = Path(__file__).resolve().parents[2]
 STAMP = {"scene": "small", "stage": "fabric_report", "key": "0" * 12, "version": "0.1.0"}
@@ -39,12 +38,8 @@ ROW |= {"peak_direction_deg": None, "peak_value_rel": None, "noise_rel": 0.004}
 
 
 def script(name="fabric_report"):
-    if str(PROJECT / "scripts") not in sys.path:
-        sys.path.insert(0, str(PROJECT / "scripts"))
-    spec = importlib.util.spec_from_file_location(f"script_{name}", PROJECT / "scripts" / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    """A stage's module."""
+    return importlib.import_module(f"nishiki.stages.{name}.run")
 
 
 def artifact(root, stage, settings, fill):

@@ -34,7 +34,7 @@ def flow(tmp_path, monkeypatch):
     for name in NAMES:
         made = write_scene(tmp_path / name, published=False)
         keys = {stage: item.key for stage, item in made.items()}
-        publish(tmp_path / name / "current", scene=name, stages=keys, code="c1")
+        publish(tmp_path / name / "current", scene=name, stages=keys, deliverables={}, code="c1")
         stages = {stage: PlannedStage(stage, keys[stage], {}, {up: keys[up] for up in READS[stage]}) for stage in READS}
         scene = Scene(name, Path("captures/x"), None, ("report",), StageSettings())
         plans[name] = SimpleNamespace(scene=scene, stages=stages)
@@ -120,7 +120,7 @@ def recorded_as(flow, stage, entry, value):
     (path / MANIFEST).write_bytes(data)
     (path / RUN).write_text(run_text(facts, data))
     keys = {name: planned.key for name, planned in flow.plans["second"].stages.items()}
-    publish(Path(flow.results, "second/current"), scene="second", stages=keys, code="c1")
+    publish(Path(flow.results, "second/current"), scene="second", stages=keys, deliverables={}, code="c1")
 
 
 def not_published(flow):
@@ -129,7 +129,7 @@ def not_published(flow):
 
 def published_by_other_code(flow):
     keys = {name: planned.key for name, planned in flow.plans["second"].stages.items()}
-    publish(Path(flow.results, "second/current"), scene="second", stages=keys, code="c0")
+    publish(Path(flow.results, "second/current"), scene="second", stages=keys, deliverables={}, code="c0")
 
 
 def torn_index(flow):

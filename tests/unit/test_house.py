@@ -3,13 +3,19 @@
 import ast
 import re
 import subprocess
+from graphlib import TopologicalSorter
+from importlib import import_module
 from pathlib import Path
+from types import FunctionType
 
 import pytest
 import yaml
 
-from nishiki.engine.chains import CHAIN
+from nishiki.artifacts.closed import Closed
+from nishiki.artifacts.provenance import SOURCE
+from nishiki.artifacts.syntax import syntax_of
 from nishiki.engine.project import Configuration
+from nishiki.stages.table import CHAIN
 
 PROJECT = Path(__file__).resolve().parents[2]
 PACKAGE = PROJECT / "workflow" / "src" / "nishiki"
@@ -30,12 +36,56 @@ def test_exported_requirements_are_those_of_the_lock():
     assert not [pair for pair in exported if pair not in locked]
 
 
-@pytest.mark.parametrize("stage", CHAIN.values(), ids=CHAIN)
-def test_every_stage_has_a_rule_a_script_settings_and_a_page(stage):
-    assert f"rule {stage.name}:" in (PROJECT / "workflow/rules" / f"{stage.name}.smk").read_text()
-    assert (PROJECT / "scripts" / f"{stage.name}.py").is_file()
-    assert (PROJECT / "docs/stages" / f"{stage.name}.md").is_file()
-    assert stage.name in Configuration.model_fields
+@pytest.mark.parametrize(("name", "stage"), CHAIN.items(), ids=CHAIN)
+def test_every_stage_has_a_folder_a_page_and_its_own_block_of_settings(name, stage):
+    assert stage.name == name
+    folder = PACKAGE / "stages" / name
+    assert (folder / "declaration.py").is_file()
+    assert (folder / "run.py").is_file()
+    assert (PROJECT / "docs/stages" / f"{name}.md").is_file()
+    assert name in Configuration.model_fields
+
+
+def test_every_folder_of_stages_is_in_the_table():
+    folders = {path.parent.name for path in (PACKAGE / "stages").glob("*/declaration.py")}
+    assert folders == set(CHAIN)
+
+
+def imports() -> dict[str, set[str]]:
+    """Modules of the package by the names of those that they import, late imports included."""
+    paths = {".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts): path for path in PACKAGE.rglob("*.py")}
+    return {name: {other for other in syntax_of(path).names if other in paths} for name, path in paths.items()}
+
+
+def folder(module: str) -> str:
+    """Folder of a module of the package; a module at its root stands for itself."""
+    return module.split(".")[1]
+
+
+def test_no_folder_imports_one_that_imports_it():
+    relations: dict[str, set[str]] = {}
+    for module, others in imports().items():
+        if module != "nishiki":
+            above = relations.setdefault(folder(module), set())
+            above |= {folder(other) for other in others if other != "nishiki"} - {folder(module)}
+    assert len(list(TopologicalSorter(relations).static_order())) == len(relations)  # raises CycleError
+
+
+def test_what_modules_take_from_a_declaration_is_a_model_of_settings():
+    """A declaration is no part of a code digest, so nothing that decides a result may stand in one."""
+    declared = {f"nishiki.stages.{name}.declaration" for name in CHAIN}
+    taken = set()
+    for module, others in imports().items():
+        for path in [SOURCE.joinpath(*module.split(".")).with_suffix(".py")] if others & declared else []:
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.ImportFrom) and node.module in declared and not module.endswith(".declaration"):
+                    taken |= {(node.module, alias.name) for alias in node.names}
+    assert len(taken) > 10
+    for module, name in taken:
+        model = getattr(import_module(module), name)
+        assert issubclass(model, Closed), f"{module}.{name}"
+        own = {key for key, item in vars(model).items() if isinstance(item, FunctionType | property)}
+        assert not {key for key in own if not key.startswith("__")}, name
 
 
 @pytest.mark.parametrize("stage", CHAIN.values(), ids=CHAIN)

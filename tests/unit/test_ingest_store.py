@@ -339,7 +339,7 @@ def test_the_script_by_hand_keeps_all_channels(tmp_path):
     """No plan has put a choice in place of `auto`: whatever stage comes next can do its work."""
     folder = make_capture(tmp_path / "c")
     environment = os.environ | {"PYTHONPATH": str(PROJECT / "workflow" / "src")}
-    command = [sys.executable, PROJECT / "scripts/ingest.py", "--capture", folder, "--output", tmp_path / "o"]
+    command = [sys.executable, PROJECT / "scripts/stage.py", "ingest", "--capture", folder, "--output", tmp_path / "o"]
     done = subprocess.run(command, check=False, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     (artifact,) = (tmp_path / "o").iterdir()

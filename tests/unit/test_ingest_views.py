@@ -20,7 +20,7 @@ from nishiki.observations.linearise import code_table, srgb_to_linear, straight_
 from nishiki.observations.views import Views, decode, encode
 from nishiki.observations.views_decode import view_values
 from nishiki.observations.views_store import write_views
-from nishiki.settings.ingest import IngestSettings
+from nishiki.stages.ingest.declaration import IngestSettings
 
 ROWS, COLUMNS, TOP = 20, 24, 4095
 PROJECT = Path(__file__).resolve().parents[2]
@@ -214,7 +214,17 @@ def test_the_script_copies_geometry_and_stamps(tmp_path):
     for name in ("object.PLY", "scan.ply", "a/scan.ply"):
         (folder / name).write_text(ply + f"# {name}\n")
     edit_block(folder, mesh="object.PLY", scans=["scan.ply", "a/scan.ply"])
-    call = [sys.executable, "scripts/ingest.py", "--capture", folder, "--scene", "thing", "--output", tmp_path / "o"]
+    call = [
+        sys.executable,
+        "scripts/stage.py",
+        "ingest",
+        "--capture",
+        folder,
+        "--scene",
+        "thing",
+        "--output",
+        tmp_path / "o",
+    ]
     done = subprocess.run([*map(str, call)], cwd=PROJECT, capture_output=True, text=True, check=False,
                           env={"PYTHONPATH": str(PROJECT / "workflow/src"), "PATH": "/usr/bin:/bin"})  # fmt: skip
     assert done.returncode == 0, done.stderr

@@ -10,7 +10,6 @@ from goniometer_captures import make_goniometer, make_table
 
 from nishiki.capture.folder import load_capture
 from nishiki.capture.seal import seal
-from nishiki.engine.reading import reading_of
 from nishiki.formats.problems import CaptureError
 from nishiki.observations.choice import chosen
 from nishiki.observations.goniometer import Measurements
@@ -18,10 +17,11 @@ from nishiki.observations.goniometer_store import write_goniometer
 from nishiki.observations.plane import Observations
 from nishiki.observations.plane_store import IngestSettings as PlaneSettings
 from nishiki.observations.plane_store import write_observations
+from nishiki.observations.reading import reading_of
 from nishiki.observations.tiles import bands_with_object
 from nishiki.observations.views import Views
 from nishiki.observations.views_store import write_views
-from nishiki.settings.ingest import IngestSettings
+from nishiki.stages.ingest.declaration import IngestSettings
 
 WHOLE = slice(0, 24)
 

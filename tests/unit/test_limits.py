@@ -4,10 +4,9 @@ import re
 
 import pytest
 
-from nishiki.artifacts.limits import check, names_of, readings
-from nishiki.artifacts.limits_table import LIMITS
-from nishiki.engine.chains import CHAIN
+from nishiki.artifacts.limits import check, readings
 from nishiki.report.conditions import conditions
+from nishiki.stages.table import CHAIN, LIMITS
 
 STATED = [(stage, limit) for stage, limits in LIMITS.items() for limit in limits if limit.stated]
 
@@ -29,7 +28,7 @@ def test_names_are_unique_and_every_stage_exists():
 
 def test_the_setting_allow_knows_the_limits():
     for name, stage in CHAIN.items():
-        known = names_of(name)
+        known = tuple(limit.name for limit in LIMITS[name] if limit.stated)
         assert stage.settings(allow=known).allow == tuple(sorted(known))
         with pytest.raises(ValueError, match="no limit of"):
             stage.settings(allow=("nothing",))
@@ -39,17 +38,19 @@ def test_the_figures_of_a_registration_that_failed_stop_the_run():
     """Figures of six range scans of a simulated jar that a registration had put in the wrong place."""
     mesh = {"fit": {"iou_mean": 0.2635}, "area": 10377.8, "scans": {"residual": [0.0125, 0.0122]}}
     texels = {"visible_share": 0.0027, "silhouette_uncovered_share": 0.7363, "object_pixels": 5000}
-    assert [each.limit.name for each in readings("mesh", mesh) if each.beyond] == ["silhouette_overlap"]
-    assert [each.limit.name for each in readings("texels", texels) if each.beyond] == [
+    assert [each.limit.name for each in readings(LIMITS["mesh"], mesh) if each.beyond] == ["silhouette_overlap"]
+    assert [each.limit.name for each in readings(LIMITS["texels"], texels) if each.beyond] == [
         "visible_share",
         "uncovered_share",
     ]
-    check("texels", texels, ("visible_share", "uncovered_share"))
+    check("texels", LIMITS["texels"], texels, ("visible_share", "uncovered_share"))
 
 
 def test_the_report_shows_every_figure_beside_its_limit():
     manifest = {"stage": "height", "settings": {"allow": ["convergence"]}, "diagnostics": {"residual": 0.5, "parts": 2}}
-    rows = {row["meaning"]: row for row in conditions([manifest, {**manifest, "settings": {}, "stage": "render"}])}
+    rows = {
+        row["meaning"]: row for row in conditions([manifest, {**manifest, "settings": {}, "stage": "render"}], LIMITS)
+    }
     assert len(rows) == 2
     solver = rows["relative residual of the linear system of the height"]
     assert (solver["value"], solver["limit"], solver["state"]) == ("0.5", "at most 0.01", "beyond, allowed")

@@ -1,10 +1,9 @@
 """The page of a turntable scene: with everything, with the least, and its parts."""
 
 import html.parser
-import importlib.util
+import importlib
 import json
 import re
-import sys
 from pathlib import Path
 
 import cv2
@@ -29,16 +28,16 @@ from nishiki.report.object_sections import (
     glance,
     separation_section,
 )
-from nishiki.settings.cameras import CamerasSettings
-from nishiki.settings.ingest import IngestSettings
-from nishiki.settings.mesh import MeshSettings
-from nishiki.settings.object_evaluate import ObjectEvaluateSettings
-from nishiki.settings.object_render import ObjectRenderSettings
-from nishiki.settings.object_report import ObjectReportSettings
-from nishiki.settings.polarise import PolariseSettings
-from nishiki.settings.reflection import ReflectionSettings
-from nishiki.settings.residual import ResidualSettings
-from nishiki.settings.texels import TexelsSettings
+from nishiki.stages.cameras.declaration import CamerasSettings
+from nishiki.stages.ingest.declaration import IngestSettings
+from nishiki.stages.mesh.declaration import MeshSettings
+from nishiki.stages.object_evaluate.declaration import ObjectEvaluateSettings
+from nishiki.stages.object_render.declaration import ObjectRenderSettings
+from nishiki.stages.object_report.declaration import ObjectReportSettings
+from nishiki.stages.polarise.declaration import PolariseSettings
+from nishiki.stages.reflection.declaration import ReflectionSettings
+from nishiki.stages.residual.declaration import ResidualSettings
+from nishiki.stages.texels.declaration import TexelsSettings
 
 PROJECT = Path(__file__).resolve().parents[2]
 STAMP = {"scene": "small", "stage": "object_report", "key": "0" * 12, "version": "0.1.0"}
@@ -47,13 +46,8 @@ VIEWS = ["000", "001", "002", "003"]
 
 
 def script():
-    """The stage's script as a module."""
-    if str(PROJECT / "scripts") not in sys.path:
-        sys.path.insert(0, str(PROJECT / "scripts"))
-    spec = importlib.util.spec_from_file_location("script_object_report", PROJECT / "scripts" / "object_report.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    """The stage's module."""
+    return importlib.import_module("nishiki.stages.object_report.run")
 
 
 def artifact(root, settings, fill):

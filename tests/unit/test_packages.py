@@ -9,11 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from nishiki.artifacts.provenance import SOURCE
-from nishiki.engine.chains import CHAIN
-from nishiki.engine.idle_packages import IDLE
+from nishiki.artifacts.provenance import SOURCE, stage_program
 from nishiki.errors import UserError
 from nishiki.packages import EXTRAS, MODULES, install_command, installed, loaded, optional
+from nishiki.stages.table import CHAIN
 
 PROJECT = Path(__file__).resolve().parents[2]
 LIGHT = {"numpy"}
@@ -25,7 +24,7 @@ PLACES = {
     "scikit-image": {"hull.py", "surface.py"},
     "trimesh": {"merging.py", "mesh_files.py", "mesh_store.py"},
 }
-"""The modules that take a package of an extra. A new one: say in engine/idle_packages.py which scenes load it."""
+"""The modules that take a package of an extra. Of a new one, `idle` of the declaration says which scenes load it."""
 
 
 @functools.cache
@@ -73,7 +72,7 @@ def at_start(path: Path) -> dict[str, str]:
 
 @pytest.mark.parametrize("stage", CHAIN.values(), ids=CHAIN)
 def test_importing_a_stage_loads_no_package_that_it_has_not_declared(stage):
-    found = at_start(PROJECT / "scripts" / f"{stage.name}.py")
+    found = at_start(PROJECT / stage_program(stage.name))
     assert not {package: where for package, where in found.items() if package not in {*stage.libraries, *LIGHT}}
 
 
@@ -101,13 +100,15 @@ def test_the_command_line_loads_nothing_heavy(command):
 
 
 def test_conditions_are_of_declared_libraries():
-    assert not [(stage, package) for stage, package in IDLE if package not in CHAIN[stage].libraries]
+    assert not [
+        (name, package) for name, stage in CHAIN.items() for package in stage.idle if package not in stage.libraries
+    ]
     assert set(EXTRAS) <= set(MODULES)
 
 
 def test_every_optional_package_that_a_stage_declares_has_a_condition():
-    declared = {(stage.name, package) for stage in CHAIN.values() for package in stage.libraries if package in EXTRAS}
-    assert declared <= set(IDLE)
+    for stage in CHAIN.values():
+        assert set(stage.libraries) & set(EXTRAS) <= set(stage.idle)
 
 
 def test_a_missing_extra_is_told_with_the_command_that_installs_it(monkeypatch):

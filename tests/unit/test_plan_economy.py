@@ -6,13 +6,13 @@ from pathlib import Path
 import pytest
 
 from nishiki.commands import planning
-from nishiki.engine.capture_parts import LOOKS_AT, PARTS
-from nishiki.engine.chains import CHAIN
+from nishiki.engine.leaving_out import PARTS
 from nishiki.engine.plan import Plan, make_plan
 from nishiki.engine.project import Scene, StageSettings
-from nishiki.engine.stage_types import SceneFacts
 from nishiki.errors import UserError
 from nishiki.report.left_out_section import left_out_section
+from nishiki.stages.base import SceneFacts
+from nishiki.stages.table import CHAIN
 
 PLANE = SceneFacts(
     capture_digest="0" * 64,
@@ -151,10 +151,6 @@ def test_exr_photographs_need_no_opencv_in_ingest():
     found = planned(replace(PLANE, suffixes=(".exr",)), "normals")
     assert "OpenEXR" in found.packages["ingest"]
     assert "opencv-contrib-python-headless" not in found.packages["ingest"]
-
-
-def test_stages_of_the_table_of_parts_exist():
-    assert set(LOOKS_AT) <= set(CHAIN)
 
 
 @pytest.mark.parametrize(

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 import yaml
 
-import polarise as stage
 from nishiki.capture.folder import load_capture
 from nishiki.errors import UserError
 from nishiki.observations.views_attributes import geometry_sources
 from nishiki.observations.views_store import write_views
 from nishiki.polarisation.components import Components
 from nishiki.progress import Progress
-from nishiki.settings.ingest import IngestSettings
-from nishiki.settings.polarise import PolariseSettings
+from nishiki.stages.ingest.declaration import IngestSettings
+from nishiki.stages.polarise import run as stage
+from nishiki.stages.polarise.declaration import PolariseSettings
 
 ROWS, COLUMNS = 48, 64
 BETA = np.array([0.42, 0.36, 0.3])

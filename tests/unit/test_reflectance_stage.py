@@ -23,9 +23,9 @@ from nishiki.goniometry.windows import regions_in_view
 from nishiki.observations.goniometer import Measurements
 from nishiki.observations.goniometer_store import write_goniometer
 from nishiki.progress import Progress
-from nishiki.settings.ingest import IngestSettings
-from nishiki.settings.reflectance import ReflectanceSettings
-from reflectance import run
+from nishiki.stages.ingest.declaration import IngestSettings
+from nishiki.stages.reflectance.declaration import ReflectanceSettings
+from nishiki.stages.reflectance.run import run
 
 PROJECT = Path(__file__).resolve().parents[2]
 NORMAL = [(0.0, 0.0, t, p) for t, p in quarter_views()]
@@ -40,7 +40,7 @@ def opened(folder, target, **values):
 
 def script(name, *arguments):
     environment = {key: os.environ[key] for key in ("PATH", "NUMBA_CACHE_DIR", "HOME") if key in os.environ}
-    call = [sys.executable, f"scripts/{name}.py", *map(str, arguments)]
+    call = [sys.executable, "scripts/stage.py", name, *map(str, arguments)]
     return subprocess.run(call, cwd=PROJECT, capture_output=True, text=True, check=False, env=environment)
 
 

@@ -8,9 +8,9 @@ from nishiki.brdf.gloss_profile import GlossProfile
 from nishiki.brdf.parameters import parameters_at_bounds
 from nishiki.render.display import adapted_exposure, display_image
 from nishiki.render.plane.camera import screen_to_plane
-from nishiki.render.plane.requests import film_view, outline, view_of, white_sheet
 from nishiki.render.plane.scene import PlaneScene
-from nishiki.settings.render import LightSettings, SequenceSettings, ViewSettings
+from nishiki.stages.render.declaration import LightSettings, SequenceSettings, ViewSettings
+from nishiki.stages.render.requests import film_view, outline, view_of, white_sheet
 
 FRAMES = {
     "fills the maps": ((300, 400), (0, 0, 300, 400)),

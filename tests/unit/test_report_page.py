@@ -1,10 +1,9 @@
 """The whole page of small scenes, from capture to HTML, and the evaluation behind it."""
 
 import html.parser
-import importlib.util
+import importlib
 import json
 import re
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -21,14 +20,14 @@ from nishiki.errors import UserError
 from nishiki.observations.plane import Observations
 from nishiki.observations.plane_store import write_observations
 from nishiki.progress import Progress
-from nishiki.settings.brdf import BrdfSettings
-from nishiki.settings.evaluate import EvaluateSettings
-from nishiki.settings.height import HeightSettings
-from nishiki.settings.ingest import IngestSettings
-from nishiki.settings.normals import NormalsSettings
-from nishiki.settings.render import RenderSettings
-from nishiki.settings.report import ReportSettings
-from nishiki.settings.spectra import SpectraSettings
+from nishiki.stages.brdf.declaration import BrdfSettings
+from nishiki.stages.evaluate.declaration import EvaluateSettings
+from nishiki.stages.height.declaration import HeightSettings
+from nishiki.stages.ingest.declaration import IngestSettings
+from nishiki.stages.normals.declaration import NormalsSettings
+from nishiki.stages.render.declaration import RenderSettings
+from nishiki.stages.report.declaration import ReportSettings
+from nishiki.stages.spectra.declaration import SpectraSettings
 
 PROJECT = Path(__file__).resolve().parents[2]
 STAMP = {"scene": "small", "stage": "report", "key": "0" * 12, "version": "0.1.0"}
@@ -36,13 +35,8 @@ TITLE = 'Tea caddy <b>&"quoted"</b>'
 
 
 def script(name: str):
-    """A stage's script as a module."""
-    if str(PROJECT / "scripts") not in sys.path:
-        sys.path.insert(0, str(PROJECT / "scripts"))
-    spec = importlib.util.spec_from_file_location(f"script_{name}", PROJECT / "scripts" / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    """A stage's module."""
+    return importlib.import_module(f"nishiki.stages.{name}.run")
 
 
 def artifact(root: Path, settings, fill, *, key: str = "a" * 12) -> Artifact:

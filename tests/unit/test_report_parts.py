@@ -30,8 +30,8 @@ from nishiki.report.provenance import flat, settings_of, text
 from nishiki.report.relighting_section import chosen, signed_difference, signed_end
 from nishiki.report.summary import choices
 from nishiki.report.svg import Curve, bars, chart, lights_plot, ticks
-from nishiki.settings.render import RenderSettings
-from nishiki.settings.separate import SeparateSettings
+from nishiki.stages.render.declaration import RenderSettings
+from nishiki.stages.separate.declaration import SeparateSettings
 
 
 def decoded(picture) -> np.ndarray:

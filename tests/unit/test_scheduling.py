@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nishiki.engine.chains import CHAIN, chain_of
 from nishiki.engine.plan import PlannedStage
 from nishiki.engine.project import StageSettings
 from nishiki.engine.scheduling import SHORT_SECONDS, Scheduling
-from nishiki.engine.stage_types import SceneFacts
+from nishiki.stages.base import SceneFacts
+from nishiki.stages.table import CHAIN, chain_of
 
 PLANE = tuple(chain_of("plane"))
 

@@ -3,8 +3,8 @@
 import pytest
 
 from nishiki.artifacts.closed import parse
-from nishiki.engine.chains import CHAIN
 from nishiki.errors import UserError
+from nishiki.stages.table import CHAIN
 from nishiki.sweep.expand import AS_CONFIGURED, expand, nested
 from nishiki.sweep.settings import SweepSettings
 

@@ -5,9 +5,9 @@ import yaml
 
 from nishiki.engine.plan import make_plan
 from nishiki.engine.project import load_project
-from nishiki.engine.stage_types import SceneFacts
 from nishiki.engine.sweep_plan import configuration_of, plan_sweep
 from nishiki.errors import UserError
+from nishiki.stages.base import SceneFacts
 from nishiki.sweep.expand import AS_CONFIGURED
 
 PLANE = SceneFacts(

@@ -109,7 +109,7 @@ def test_stage_from_reflectances_to_model_mesh_and_drawings(tmp_path):
         manifest = dict(zip(names, ("cloth", "reflectance", "0", "0", ""), strict=True))
         empty = {"settings": {}, "upstream": {}, "libraries": {}, "diagnostics": {}}
         out.finish({**manifest, **empty, "format_version": 1}, {})
-    command = [sys.executable, PROJECT / "scripts" / "weave.py", "--inputs", tmp_path / "reflectance" / "0"]
+    command = [sys.executable, PROJECT / "scripts" / "stage.py", "weave", "--inputs", tmp_path / "reflectance" / "0"]
     subprocess.run([*command, "--settings", '{"harness": 5}', "--output", tmp_path / "weave"], check=True)
     artifact = open_artifact(next((tmp_path / "weave").iterdir()))
     assert set(artifact.manifest["files"]) == {

@@ -63,7 +63,7 @@ class Site:
 
     def stages(self) -> tuple[str, ...]:
         """Stages of the scene's chain."""
-        from nishiki.engine.chains import chain_of
+        from nishiki.stages.table import chain_of
 
         return tuple(chain_of(self.geometry))
 

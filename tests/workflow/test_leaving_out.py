@@ -5,8 +5,8 @@ import os
 
 import pytest
 
-from nishiki.engine.chains import CHAIN
 from nishiki.packages import EXTRAS
+from nishiki.stages.table import CHAIN
 
 LIGHT = {"numpy"}
 

@@ -11,6 +11,7 @@ from nishiki.errors import UserError
 from nishiki.artifacts.provenance import canonical
 from nishiki.engine.scheduling import PARTS
 from nishiki.engine.workflow import Workflow
+from nishiki.stages.table import CHAIN
 from nishiki.engine.running_lock import scenes_to_make
 from nishiki.threads import VARIABLES as THREADS
 from snakemake.exceptions import WorkflowError
@@ -31,12 +32,12 @@ SCENES = scenes_to_make(FLOW.project.results, PLANS)
 SCRIPTS = shlex.quote(os.path.join(PROJECT_FOLDER, "scripts"))
 SCRIPTS = SCRIPTS.replace("{", "{{").replace("}", "}}")
 
-# The one command of all stages; {rule} names the script.
+# The one command of all stages; {rule} names the stage.
 RUN_STAGE = (
     " ".join(f"{name}={{threads}}" for name in THREADS)
     + " python "
     + SCRIPTS
-    + "/{rule}.py --scene {wildcards.scene} {params.source} --settings {params.settings:q}"
+    + "/stage.py {rule} --scene {wildcards.scene} {params.source} --settings {params.settings:q}"
     " --code {params.code} --libraries {params.libraries:q} --inputs {input:q} --output {output:q}"
 )
 # The same of one part of a divided stage.

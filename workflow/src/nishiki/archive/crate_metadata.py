@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from nishiki.archive.crate_entities import BIOSCHEMAS, PROJECT_LICENCE, Entity, ids, media_type
 from nishiki.archive.crate_stages import PackedStage, ended, library_entities, stage_entities, started
+from nishiki.artifacts.provenance import stage_program
 
 METADATA = "ro-crate-metadata.json"
 CONTEXT = ["https://w3id.org/ro/crate/1.1/context", "https://w3id.org/ro/terms/workflow-run/context"]
@@ -219,4 +220,4 @@ def _whole_run(scene: str, stages: list[PackedStage]) -> list[Entity]:
 
 
 def _scripts(stages: list[PackedStage]) -> list[str]:
-    return [f"code/scripts/{stage.stage}.py" for stage in stages]
+    return [f"code/{stage_program(stage.stage)}" for stage in stages]

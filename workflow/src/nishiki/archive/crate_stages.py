@@ -6,7 +6,7 @@ from datetime import datetime, timedelta
 from typing import Any
 
 from nishiki.archive.crate_entities import PROJECT_LICENCE, Entity, ids, media_type, quoted
-from nishiki.artifacts.provenance import canonical
+from nishiki.artifacts.provenance import canonical, stage_program
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ def stage_entities(stage: PackedStage, number: int, stages: list[PackedStage]) -
     code = "Made by the packed code" if stage.same_code else "Made by other code than the packed"
     return [
         {
-            "@id": f"code/scripts/{name}.py",
+            "@id": f"code/{stage_program(name)}",
             "@type": ["File", "SoftwareSourceCode"],
             "name": name,
             "description": stage.does,
@@ -53,7 +53,7 @@ def stage_entities(stage: PackedStage, number: int, stages: list[PackedStage]) -
             "@type": "HowToStep",
             "name": name,
             "position": str(number),
-            "workExample": {"@id": f"code/scripts/{name}.py"},
+            "workExample": {"@id": f"code/{stage_program(name)}"},
         },
         {
             "@id": f"#settings-{name}",
@@ -66,7 +66,7 @@ def stage_entities(stage: PackedStage, number: int, stages: list[PackedStage]) -
             "@type": "CreateAction",
             "name": f"Run of {name}",
             "description": f"{code}; digest of its code: {manifest.get('code', '')}",
-            "instrument": {"@id": f"code/scripts/{name}.py"},
+            "instrument": {"@id": f"code/{stage_program(name)}"},
             "object": ids([*reads, f"#settings-{name}"]),
             "result": {"@id": stage.folder},
             "startTime": started(stage),

@@ -116,7 +116,7 @@ def _told(artifacts: list[Artifact], tell: Tell) -> Iterator[Artifact]:
 
 
 def _copy_artifact(crate: Crate, scene: Scene, item: Artifact, project: Path) -> PackedStage:
-    from nishiki.artifacts.provenance import code_digest
+    from nishiki.artifacts.provenance import code_digest, stage_program
 
     folder = f"artifacts/{item.stage}/{item.key}"
     for name, entry in sorted(item.manifest["files"].items()):
@@ -128,7 +128,7 @@ def _copy_artifact(crate: Crate, scene: Scene, item: Artifact, project: Path) ->
         raise UserError(
             f"{item.path(RUN)}: says not when the stage ran. Remedy: ./nishiki verify --set-aside, run again"
         )
-    script = project / "scripts" / f"{item.stage}.py"
+    script = project / stage_program(item.stage)
     same = script.is_file() and code_digest(script) == item.manifest.get("code")
     files = {name: crate.files[f"{folder}/{name}"] for name in (ARTIFACT, RUN)}
     return PackedStage(item.manifest, run, same, scene.does.get(item.stage, item.stage), files)

@@ -22,8 +22,8 @@ from nishiki.archive.standing import (
 )
 from nishiki.archive.tree import FolderTree
 from nishiki.artifacts.publish import INDEX
-from nishiki.engine.chains import CHAIN
 from nishiki.engine.project import SWEEPS
+from nishiki.stages.table import CHAIN
 
 CURRENT = "current"
 

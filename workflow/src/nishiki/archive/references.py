@@ -41,7 +41,7 @@ class References:
                 yield from self._lost(folder)
 
     def _misplaced(self, folder: Path, scene: str, stage: str) -> Iterator[Damage]:
-        from nishiki.engine.chains import CHAIN
+        from nishiki.stages.table import CHAIN
 
         if stage != folder.parent.name and folder.parent.name in CHAIN:
             yield Damage(folder, "misplaced", f"made by stage {stage}, lies in {folder.parent.name}", folder)

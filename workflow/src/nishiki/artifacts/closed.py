@@ -2,11 +2,11 @@
 
 import difflib
 import re
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from nishiki.artifacts.limits import names_of
+from nishiki.artifacts.limits import Limit
 from nishiki.errors import UserError
 
 
@@ -17,7 +17,11 @@ class Closed(BaseModel):
 
 
 class Guarded(Closed):
-    """Base of the settings of a stage: its result is checked against the limits of `nishiki.artifacts.limits`."""
+    """Base of the settings of a stage: its name, the version of its output, and the limits of its result."""
+
+    STAGE: ClassVar[str]
+    VERSION: ClassVar[int]
+    LIMITS: ClassVar[tuple[Limit, ...]] = ()
 
     allow: tuple[str, ...] = Field(
         (), description="names of limits (docs/stability.md) that the result may exceed; otherwise the run stops there"
@@ -26,7 +30,7 @@ class Guarded(Closed):
     @field_validator("allow")
     @classmethod
     def _known_limits(cls, names: tuple[str, ...]) -> tuple[str, ...]:
-        known = names_of(cls.STAGE)
+        known = tuple(limit.name for limit in cls.LIMITS if limit.stated)
         for name in names:
             if name not in known:
                 near = difflib.get_close_matches(name, known, n=1)

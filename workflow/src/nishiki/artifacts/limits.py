@@ -97,19 +97,15 @@ def _leaves(value: Any) -> Iterable[Any]:
         yield value
 
 
-def names_of(stage: str) -> tuple[str, ...]:
-    """Names that the setting `allow` of a stage takes."""
-    from nishiki.artifacts.limits_table import LIMITS
-
-    return tuple(limit.name for limit in LIMITS.get(stage, ()) if limit.stated)
+def flagged(name: str, meaning: str, total: str, **rest: Any) -> Limit:
+    """Limit on the share of a total that carries a flag."""
+    return Limit(f"{name}_share", meaning, share(f"flagged_{name}", total), **rest)
 
 
-def readings(stage: str, diagnostics: Mapping[str, Any], allow: Iterable[str] = ()) -> list[Reading]:
-    """Every figure of a stage that has a limit or counts flags, in the order of the table."""
-    from nishiki.artifacts.limits_table import LIMITS
-
+def readings(limits: Iterable[Limit], diagnostics: Mapping[str, Any], allow: Iterable[str] = ()) -> list[Reading]:
+    """Every figure that has a limit or counts flags, in the order of the limits."""
     allow, found = set(allow), []
-    for limit in LIMITS.get(stage, ()):
+    for limit in limits:
         value = limit.figure(diagnostics)
         if value is not None:
             beyond = limit.beyond(value)
@@ -117,9 +113,9 @@ def readings(stage: str, diagnostics: Mapping[str, Any], allow: Iterable[str] = 
     return found
 
 
-def check(stage: str, diagnostics: Mapping[str, Any], allow: Iterable[str] = ()) -> None:
+def check(stage: str, limits: Iterable[Limit], diagnostics: Mapping[str, Any], allow: Iterable[str] = ()) -> None:
     """UserError naming each limit that the result of a stage is beyond, with its remedy, unless it is allowed."""
-    wrong = [each for each in readings(stage, diagnostics, allow) if each.beyond and not each.allowed]
+    wrong = [each for each in readings(limits, diagnostics, allow) if each.beyond and not each.allowed]
     if wrong:
         told = "; ".join(
             f"{each.limit.meaning} is {each.value:.4g}, expected {each.limit.stated} (limit {each.limit.name}). "

@@ -2,8 +2,9 @@
 
 The key of a stage is the start of the SHA-256 of a canonical text of everything that decides its result, apart from the
 code: stage name and format version, exactly the settings that it reads, and the keys of its upstream artifacts.
-The code digest covers the syntax trees of the stage's script and of every module of this project that it imports,
-directly or not, without comments and docstrings.
+The code digest covers the syntax trees of the stage's `run.py` and of every module of this project that it imports,
+directly or not, without comments and docstrings; declarations of stages are left out, because the settings stand in the
+key as values, and costs, texts and limits change no byte of a result.
 """
 
 import functools
@@ -21,6 +22,9 @@ from nishiki.errors import UserError
 KEY_DIGITS = 12
 SOURCE = Path(__file__).resolve().parents[2]
 PACKAGE = "nishiki"
+STAGES = SOURCE / PACKAGE / "stages"
+DECLARATIONS = ("declaration.py", "table.py")
+"""Modules below `stages/` that only planning reads."""
 
 
 def canonical(value: Any) -> str:
@@ -74,8 +78,14 @@ def differences(first: dict, second: dict, path: str = "") -> list[str]:
     return found
 
 
+def stage_program(stage: str) -> str:
+    """Path of a stage's code below the project's folder."""
+    return f"workflow/src/{PACKAGE}/stages/{stage}/run.py"
+
+
 def code_digest(script: Path) -> str:
-    """Digest of the code that a script runs: itself, every module of this project that it imports, and their tables."""
+    """Digest of the code that a script (or a stage's `run.py`) runs: itself, every module of this project that it
+    imports, directly or not, and their tables."""
     digest = hashlib.sha256()
     script = Path(script).resolve()
     files = code_files(script)
@@ -111,7 +121,8 @@ def _imports(path: Path) -> tuple[Path, ...]:
             found |= set(_module_files(name))
         elif path.parent != SOURCE / PACKAGE and len(parts) == 1 and local.is_file() and SOURCE not in path.parents:
             found.add(local.resolve())  # a script's neighbour in scripts/
-    return tuple(sorted(found - {path}))
+    declared = {module for module in found if module.name in DECLARATIONS and STAGES in module.parents}
+    return tuple(sorted(found - {path} - declared))
 
 
 def _module_files(name: str) -> list[Path]:

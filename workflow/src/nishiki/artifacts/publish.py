@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from nishiki.artifacts.artifact import MANIFEST, date_not_before
@@ -11,29 +12,14 @@ from nishiki.processes import owner
 
 INDEX = "index.json"
 
-DELIVERABLES = {
-    "report": ("*.html",),
-    "object_report": ("*.html",),
-    "object_render": ("*.png", "*.exr", "*.mp4", "*.webp"),
-    "mesh": ("*.ply",),
-    "reflectance": ("*.png", "*.csv"),
-    "weave": ("*.ply", "*.png", "*.svg"),
-    "fabric": ("*.npz", "*.csv"),
-    "fabric_render": ("*.png", "*.exr", "*.mp4"),
-    "fabric_evaluate": ("*.csv",),
-    "fabric_report": ("*.html",),
-    "polarise": ("*.png", "*.exr"),
-    "render": ("*.png", "*.exr", "*.mp4", "*.webp"),
-    "normals": ("*.png", "*.exr"),
-    "spectra": ("*.exr",),
-    "height": ("*.exr",),
-}
 
-
-def publish(current: Path, *, scene: str, stages: dict[str, str], code: str = "") -> Path:
+def publish(
+    current: Path, *, scene: str, stages: dict[str, str], deliverables: Mapping[str, Sequence[str]], code: str = ""
+) -> Path:
     """Make `current` hold a link a stage and a link a deliverable, and an index with the artifacts' digests.
 
-    current: results/<scene>/current; stages: names and keys; code: digest of the code that publishes. The folder is
+    current: results/<scene>/current; stages: names and keys; deliverables: patterns of the files
+    to link, by stage; code: digest of the code that publishes. The folder is
     built beside its place and swapped in.
     """
     folder = current.parent
@@ -45,7 +31,7 @@ def publish(current: Path, *, scene: str, stages: dict[str, str], code: str = ""
     for stage, key in stages.items():
         os.symlink(os.path.join("..", stage, key), partial / stage)
         artifacts[stage] = {"key": key, "digest": file_digest(folder / stage / key / MANIFEST)}
-        for pattern in DELIVERABLES.get(stage, ()):
+        for pattern in deliverables.get(stage, ()):
             for path in sorted((folder / stage / key).glob(pattern)):
                 os.symlink(os.path.join("..", stage, key, path.name), partial / path.name)
     (partial / INDEX).write_text(index_text(scene, artifacts, code))

@@ -1,4 +1,4 @@
-"""The frame around every stage's script: arguments in, checked inputs, one artifact out."""
+"""The frame around every stage: arguments in, checked inputs, one artifact out."""
 
 import argparse
 import json
@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 from nishiki.artifacts.artifact import MANIFEST, Artifact, ArtifactWriter, open_artifact
 from nishiki.artifacts.bounds import at_bounds
-from nishiki.artifacts.closed import Closed, parse
+from nishiki.artifacts.closed import Guarded, parse
 from nishiki.artifacts.finite import expect_finite
 from nishiki.artifacts.limits import check
 from nishiki.artifacts.provenance import canonical, stage_key
@@ -46,17 +46,19 @@ class Context:
 
 
 def run_stage(
-    settings_model: type[Closed],
+    settings_model: type[Guarded],
     run: Callable[[Context], dict[str, Any]],
     description: str,
     *,
+    arguments: Sequence[str] | None = None,
     digest_of_capture: Callable[[Path], str] | None = None,
 ) -> None:
     """Run one stage from the command line. Exit status 0: done; 2: bad input, told in one line; 1: a bug.
 
+    arguments: of the command line, after the stage's name; None: those of this process.
     digest_of_capture: for the first stage, whose key starts from the capture instead of upstream artifacts.
     """
-    arguments = _arguments(settings_model, description)
+    arguments = _arguments(settings_model, description, arguments)
     who = settings_model.STAGE if arguments.scene == NAMELESS else f"{arguments.scene}/{settings_model.STAGE}"
     try:
         _run(settings_model, run, arguments, digest_of_capture)
@@ -74,8 +76,9 @@ def run_stage(
         raise SystemExit(2) from None
 
 
-def _arguments(model: type[Closed], description: str) -> argparse.Namespace:
+def _arguments(model: type[Guarded], description: str, words: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
+        prog=f"stage.py {model.STAGE}",
         description=description,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         epilog="settings:\n" + "\n".join(_help_of(model)),
@@ -97,10 +100,10 @@ def _arguments(model: type[Closed], description: str) -> argparse.Namespace:
         required=True,
         help="results folder of the stage (the key is appended), or the path of the artifact.json to make",
     )
-    return parser.parse_args()
+    return parser.parse_args(words)
 
 
-def _help_of(model: type[Closed]) -> list[str]:
+def _help_of(model: type[Guarded]) -> list[str]:
     return [
         f"  {name:18} {field.description or ''} (default {field.default!r})"
         for name, field in model.model_fields.items()
@@ -108,7 +111,7 @@ def _help_of(model: type[Closed]) -> list[str]:
 
 
 def _run(
-    model: type[Closed],
+    model: type[Guarded],
     run: Callable[[Context], dict[str, Any]],
     arguments: argparse.Namespace,
     digest_of_capture: Callable[[Path], str] | None,
@@ -140,7 +143,7 @@ def _run(
         )
         diagnostics = run(context)
         if not part:
-            check(model.STAGE, diagnostics, settings.allow)
+            check(model.STAGE, model.LIMITS, diagnostics, settings.allow)
             for each in at_bounds(diagnostics):
                 who = model.STAGE if arguments.scene == NAMELESS else f"{arguments.scene}/{model.STAGE}"
                 print(f"nishiki {who}: warning: a fitted parameter ended at its bound: {each}", file=sys.stderr)

@@ -6,11 +6,11 @@ from pathlib import Path
 
 from nishiki.artifacts.artifact import MANIFEST, Artifact, open_artifact
 from nishiki.artifacts.provenance import differences
-from nishiki.engine.chains import CHAIN
 from nishiki.engine.plan import Plan
 from nishiki.engine.project import Configuration, load_yaml
 from nishiki.engine.workflow import Workflow
 from nishiki.errors import UserError
+from nishiki.stages.table import CHAIN
 
 PROJECT = Path(__file__).resolve().parents[4]
 

@@ -7,11 +7,11 @@ from nishiki.archive.damage import shown
 from nishiki.archive.pack import Scene, pack, write_zip
 from nishiki.artifacts.artifact import Artifact, open_artifact
 from nishiki.artifacts.stage import PROJECT_VERSION
-from nishiki.engine.chains import CHAIN
 from nishiki.engine.plan import Plan
 from nishiki.engine.workflow import Workflow
 from nishiki.errors import UserError
 from nishiki.progress import Progress
+from nishiki.stages.table import CHAIN
 
 PROJECT = Path(__file__).resolve().parents[4]
 ABOUT = ("title", "creator", "date", "object_id", "rights", "notes")

@@ -6,14 +6,14 @@ from typing import Any
 
 from nishiki.capture.folder import load_capture
 from nishiki.commands.inspecting import PROJECT, stage_state
-from nishiki.engine.chains import CHAIN
 from nishiki.engine.plan import Plan
 from nishiki.engine.project import load_yaml
-from nishiki.engine.reading import reading_of
-from nishiki.engine.stage_types import SceneFacts
 from nishiki.engine.workflow import Workflow
 from nishiki.errors import UserError
+from nishiki.observations.reading import reading_of
 from nishiki.packages import EXTRAS, PURPOSE, install_command, installed
+from nishiki.stages.base import SceneFacts
+from nishiki.stages.table import CHAIN
 
 
 def plan(options: argparse.Namespace, rest: list[str]) -> None:

@@ -7,9 +7,9 @@ from nishiki.capture.goniometer import GoniometerCapture, goniometer_facts
 from nishiki.capture.seal import capture_digest
 from nishiki.capture.turntable import TurntableCapture, TurntableFacts, turntable_facts
 from nishiki.engine.project import Scene
-from nishiki.engine.stage_types import SceneFacts
 from nishiki.errors import UserError
 from nishiki.formats.image_headers import read_header
+from nishiki.stages.base import SceneFacts
 
 
 def scene_facts(scene: Scene) -> SceneFacts:

@@ -18,7 +18,7 @@ from pathlib import Path
 from nishiki.artifacts.provenance import PACKAGE, SOURCE
 from nishiki.engine.facts import scene_facts
 from nishiki.engine.project import Scene
-from nishiki.engine.stage_types import SceneFacts
+from nishiki.stages.base import SceneFacts
 
 FOLDER = Path(".cache", "facts")
 """Place below the results; names with a dot are no scenes."""

@@ -12,9 +12,9 @@ from pathlib import Path
 from nishiki.artifacts.artifact import open_artifact
 from nishiki.artifacts.provenance import library_version
 from nishiki.artifacts.publish import INDEX
-from nishiki.engine.chains import CHAIN
 from nishiki.engine.workflow import Workflow
 from nishiki.errors import UserError
+from nishiki.stages.table import CHAIN
 
 
 def unfinished_scenes(flow: Workflow, *, contents: bool = False) -> dict[str, str]:

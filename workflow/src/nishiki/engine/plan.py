@@ -2,19 +2,17 @@
 
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field, fields
-from pathlib import Path
 from typing import Any
 
 from nishiki.artifacts.closed import Closed
-from nishiki.artifacts.provenance import canonical, file_digest, key_of_text
-from nishiki.engine.capture_parts import left_parts
-from nishiki.engine.chains import CHAIN, chain_of
-from nishiki.engine.idle_packages import idle_reason, packages_of
+from nishiki.artifacts.provenance import canonical, key_of_text
+from nishiki.engine.leaving_out import idle_reason, left_parts, packages_of
 from nishiki.engine.project import Scene
-from nishiki.engine.stage_types import SceneFacts, Stage
 from nishiki.errors import UserError
 from nishiki.observations.choice import LIGHT
 from nishiki.packages import EXTRAS
+from nishiki.stages.base import SceneFacts, Stage
+from nishiki.stages.table import CHAIN, chain_of
 
 HOLD_OUT_FROM = 16
 """From this number of lights or views, some are held out where nothing else can check the result."""
@@ -168,7 +166,7 @@ def _idle(
     for stage in chain.values():
         for package in stage.libraries:
             if package in EXTRAS and package not in loaded and package not in idle:
-                reason = idle_reason(stage.name, package, facts, settings) if stage.name in packages else None
+                reason = idle_reason(stage, package, facts, settings) if stage.name in packages else None
                 idle[package] = reason or f"{stage.name} is not in the plan"
     return idle
 
@@ -199,29 +197,8 @@ def _filled(name: str, scene: Scene, facts: SceneFacts, held_out: tuple[str, ...
     settings = getattr(scene.settings, name)
     known = {"hold_out": held_out, "truth_sha256": facts.truth_sha256}
     update = {key: value for key, value in known.items() if key in type(settings).model_fields}
-    if name == "separate":
-        update["lights"] = scene.settings.normals.lights
-    if name == "render":
-        tables = sorted(table for table in illuminants(settings) if table.lower().endswith(".csv"))
-        update["curves_sha256"] = {table: _digest_of(table, "illuminant") for table in tables}
-    if name == "spectra" and settings.training != "synthetic":
-        update["training_sha256"] = _digest_of(settings.training, "spectra.training")
-    if name == "fabric_render" and settings.mesh is not None and not settings.mesh.sha256:
-        digest = _digest_of(settings.mesh.file, "fabric_render.mesh.file")
-        update["mesh"] = settings.mesh.model_copy(update={"sha256": digest})
+    update |= CHAIN[name].filled(settings, scene.settings)
     return settings.model_copy(update=update)
-
-
-def illuminants(settings: Closed) -> set[str]:
-    """Every illuminant that the pictures and sequences of render name."""
-    names = {light.illuminant for picture in settings.pictures for light in picture.lights}
-    return names | {sequence.illuminant for sequence in settings.sequences}
-
-
-def _digest_of(path: str, key: str) -> str:
-    if not Path(path).is_file():
-        raise UserError(f"{key}: file {path} not found; correct the path in the configuration")
-    return file_digest(Path(path))
 
 
 def _reach(name: str, facts: SceneFacts, settings: dict, wanted: set[str], left_out: dict[str, str]) -> bool:

@@ -11,10 +11,10 @@ import yaml
 from pydantic import Field, create_model
 
 from nishiki.artifacts.closed import Closed, parse
-from nishiki.engine.chains import CHAIN, PRODUCTS
 from nishiki.errors import UserError
 from nishiki.formats import plain_yaml
 from nishiki.formats.files import is_plain, read_text
+from nishiki.stages.table import CHAIN, PRODUCTS
 from nishiki.sweep.settings import SweepName, SweepSettings
 
 CONFIGURATION = "config/config.yaml"

@@ -3,8 +3,8 @@
 import math
 from functools import cache
 
-from nishiki.engine.chains import CHAIN
 from nishiki.engine.plan import Plan, PlannedStage
+from nishiki.stages.table import CHAIN
 
 SHORT_SECONDS = 120
 """Jobs that are expected to take less than this share one job of a cluster with their neighbours."""

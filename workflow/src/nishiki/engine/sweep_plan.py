@@ -7,11 +7,11 @@ from typing import Any
 
 from nishiki.artifacts.closed import parse
 from nishiki.artifacts.provenance import differences
-from nishiki.engine.chains import CHAIN
 from nishiki.engine.plan import Plan, make_plan
 from nishiki.engine.project import Project, Scene, Shared, load_yaml, scene_with
-from nishiki.engine.stage_types import SceneFacts
 from nishiki.errors import UserError
+from nishiki.stages.base import SceneFacts
+from nishiki.stages.table import CHAIN
 from nishiki.sweep.expand import AS_CONFIGURED, Variant, expand, nested
 from nishiki.sweep.settings import SweepSettings
 

@@ -7,15 +7,15 @@ from functools import cache
 from pathlib import Path
 
 from nishiki.artifacts.artifact import MANIFEST
-from nishiki.artifacts.provenance import canonical, code_digest, library_version
-from nishiki.engine.chains import CHAIN
+from nishiki.artifacts.provenance import canonical, code_digest, library_version, stage_program
 from nishiki.engine.facts_cache import remembered_facts
 from nishiki.engine.plan import Outline, Plan, PlannedStage, make_plan
 from nishiki.engine.project import CONFIGURATION, SWEEPS, Scene, load_project
 from nishiki.engine.scheduling import Scheduling
-from nishiki.engine.stage_types import SceneFacts
 from nishiki.engine.sweep_plan import TIMINGS, PlannedSweep, PlannedVariant, SceneSweep, plan_sweep
 from nishiki.errors import UserError
+from nishiki.stages.base import SceneFacts
+from nishiki.stages.table import CHAIN
 
 
 class Plans(Mapping):
@@ -140,7 +140,8 @@ class Workflow(Scheduling):
     @cache  # noqa: B019  one Workflow a process
     def code(self, stage: str) -> str:
         """Digest of a stage's code."""
-        return code_digest(self.folder / "scripts" / f"{stage}.py")
+        script = self.folder / "scripts" / f"{stage}.py"
+        return code_digest(self.folder / stage_program(stage) if stage in CHAIN else script)
 
     def libraries(self, scene: str, stage: str, key: str) -> str:
         """Versions of the libraries that a stage loads in this scene."""

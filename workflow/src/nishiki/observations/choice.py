@@ -34,7 +34,7 @@ class Choice:
 def chosen(capture: AnyCapture, without: Collection[str] = ()) -> Choice:
     """The capture without these parts, and without what was photographed for their sake alone.
 
-    without: names of parts (see `nishiki.engine.capture_parts`), or 'light NAME'. White boards and dark frames that
+    without: names of parts (see `nishiki.engine.leaving_out`), or 'light NAME'. White boards and dark frames that
     belong to no photograph that is left are left out with them.
     """
     if isinstance(capture, TurntableCapture):

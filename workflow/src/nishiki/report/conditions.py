@@ -10,8 +10,8 @@ from nishiki.artifacts.limits import Limit, readings
 from nishiki.report.numbers import plain
 
 
-def conditions(manifests: Iterable[Mapping[str, Any]]) -> list[dict[str, str]]:
-    """Rows (stage, meaning, value, limit, state) of the artifacts of these manifests, in their order.
+def conditions(manifests: Iterable[Mapping[str, Any]], limits: Mapping[str, Iterable[Limit]]) -> list[dict[str, str]]:
+    """Rows (stage, meaning, value, limit, state) of the artifacts of these manifests, in their order; limits: by stage.
 
     state: '' without a limit, else within | beyond, allowed (a run stops where a result is beyond and not allowed).
     Last of each stage are the fitted parameters that ended at the end of their range.
@@ -19,7 +19,7 @@ def conditions(manifests: Iterable[Mapping[str, Any]]) -> list[dict[str, str]]:
     rows = []
     for manifest in manifests:
         allow = manifest["settings"].get("allow", ())
-        for each in readings(manifest["stage"], manifest["diagnostics"], allow):
+        for each in readings(limits.get(manifest["stage"], ()), manifest["diagnostics"], allow):
             state = "" if not each.limit.stated else "beyond, allowed" if each.beyond else "within"
             rows.append(
                 {

@@ -1,0 +1,204 @@
+"""What a stage is, and what a plan has to know of a scene: the types of the one table in `nishiki.stages.table`."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from nishiki.artifacts.closed import Closed, Guarded
+from nishiki.artifacts.limits import Limit
+from nishiki.artifacts.provenance import file_digest
+from nishiki.errors import UserError
+
+Lights = Literal["all", "auto"] | Annotated[int, Field(ge=4, le=4096)]
+Measurements = Literal["all", "auto"] | Annotated[int, Field(ge=8, le=100_000)]
+Bases = Literal["auto"] | Annotated[int, Field(ge=1, le=16)]
+"""How many of the measurements a stage uses: all, a number, or as many as the data ask for."""
+
+
+@dataclass(frozen=True)
+class SceneFacts:
+    """What a plan has to know of a scene before anything is read from its photographs.
+
+    geometry: plane (one view, many lights), turntable (many views) or goniometer (many pairs of directions); views,
+    states (of polarisers): of a turntable; has_poses: matrices, boards or correspondences tell where its cameras were;
+    measurements: pairs of directions of a goniometer, frontal: of these, lit along the normal of the cloth.
+    truth_sha256: empty where there is no truth. given: what a turntable's capture comes with (matrices, boards,
+    correspondences, silhouettes of all views); parts: number of files of each part that a scene may do without (see
+    `nishiki.engine.leaving_out`); suffixes: of the photographs' names, in small letters; table: reflectances instead
+    of photographs.
+    """
+
+    capture_digest: str
+    lights: tuple[str, ...]
+    check_lights: tuple[str, ...]
+    channels: int
+    pixels: int
+    has_sensitivities: bool
+    has_illuminant: bool
+    truth_sha256: str
+    geometry: str = "plane"
+    views: tuple[str, ...] = ()
+    states: tuple[str, ...] = ()
+    has_poses: bool = False
+    measurements: int = 0
+    frontal: int = 0
+    given: tuple[str, ...] = ()
+    parts: Mapping[str, int] = field(default_factory=dict)
+    suffixes: tuple[str, ...] = ()
+    table: bool = False
+
+    @property
+    def observations(self) -> int:
+        """Photographs of the object that a fit sees: lights, times views on a turntable; pairs of directions."""
+        return self.measurements or max(len(self.lights), 1) * max(len(self.views), 1)
+
+    @property
+    def series(self) -> tuple[str, ...]:
+        """Names of what can be left out of the fits and predicted instead: views of a turntable, otherwise lights."""
+        return self.views if self.geometry == "turntable" else self.lights
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What a stage takes at its default settings: a part of its own, one for each pixel, one for each sample.
+
+    A sample is one pixel of one photograph, all channels together. tiles: memory in tiles, of the stages that hold one
+    tile of the observations at a time. Memory is the peak of the resident memory, time is processor time of all
+    threads with compiled kernels. The numbers are upper limits of measurements, at most about twice what was measured
+    (tests/benchmarks/cost_models.py, docs/cluster.md).
+    """
+
+    mib: float = 400.0
+    bytes_per_pixel: float = 0.0
+    bytes_per_sample: float = 0.0
+    tiles: float = 0.0
+    seconds: float = 5.0
+    us_per_pixel: float = 0.0
+    us_per_sample: float = 0.0
+
+    def memory_mb(self, pixels: int, samples: int, *, tile_mib: float = 0.0) -> float:
+        """Peak resident memory in MiB; tile_mib: of one tile of all observations, as float32."""
+        growing = (pixels * self.bytes_per_pixel + samples * self.bytes_per_sample) / 2**20
+        return self.mib + growing + self.tiles * tile_mib
+
+    def processor_seconds(self, pixels: float, samples: float) -> float:
+        """Expected processor time in seconds, at most."""
+        return self.seconds + (pixels * self.us_per_pixel + samples * self.us_per_sample) * 1e-6
+
+
+SceneSettings = Mapping[str, Closed]
+"""Settings of all stages of a scene, by the name of the stage."""
+Reason = Callable[[SceneFacts, SceneSettings], str | None]
+Asked = tuple[str, ...]
+Parts = Callable[[SceneFacts, SceneSettings, Asked], tuple[str, ...]]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One stage of a chain.
+
+    settings : model of its settings, with the stage's name, the version of its output and the limits of its result
+    does : what it makes, in a few words
+    geometry : of the captures that it is for; None: all
+    product : name under which a scene asks for it, where that is not its own: the `render` of a plane and that of a
+        turntable are different stages with one name for the user
+    requires, wants, uses : stages without which it cannot run; those pulled into the plan where the capture can feed
+        them; those that it reads where the plan has them anyway
+    lacks : reason why the capture cannot feed the stage, or None
+    needs_colour : ingest keeps all channels for it
+    looks_at : parts of the capture (see `nishiki.engine.leaving_out`) that it reads, from the facts, all settings of
+        the scene and the products asked for
+    filled : settings that only the plan knows, from its own settings and those of the scene
+    libraries : packages that it loads; their versions decide whether it runs again
+    idle : of some of these, the reason why a scene does without, or None where it is loaded
+    deliverables : patterns of its files that a user wants to open; they are linked into `current/`
+    threads : that it can use
+    cost : memory and time, from the facts of the scene
+    scatter : its work can be divided over jobs
+    """
+
+    settings: type[Guarded]
+    does: str
+    geometry: str | None = "plane"
+    product: str = ""
+    requires: tuple[str, ...] = ()
+    wants: Callable[[Closed], tuple[str, ...]] = lambda settings: ()
+    uses: tuple[str, ...] = ()
+    lacks: Callable[[SceneFacts, Closed], str | None] = lambda facts, settings: None
+    needs_colour: bool = False
+    looks_at: Parts = lambda facts, settings, asked: ()
+    filled: Callable[[Closed, Closed], dict[str, Any]] = lambda own, settings: {}
+    libraries: tuple[str, ...] = ("numpy", "numba", "zarr")
+    idle: Mapping[str, Reason] = field(default_factory=dict)
+    deliverables: tuple[str, ...] = ()
+    threads: int = 2
+    cost: Callable[[SceneFacts], Cost] = lambda facts: Cost()
+    scatter: bool = False
+
+    @property
+    def name(self) -> str:
+        """Name of the stage, of its rule, of its folder in the package and of its folder of results."""
+        return self.settings.STAGE
+
+    @property
+    def version(self) -> int:
+        """Version of the stage's output format; a part of the key."""
+        return self.settings.VERSION
+
+    @property
+    def limits(self) -> tuple[Limit, ...]:
+        """What its result may not exceed."""
+        return self.settings.LIMITS
+
+    @property
+    def asked_as(self) -> str:
+        """The name under which a scene asks for it."""
+        return self.product or self.name
+
+    def serves(self, geometry: str) -> bool:
+        """Whether captures of this geometry have the stage."""
+        return self.geometry in (None, geometry)
+
+
+def no_method(facts: SceneFacts, settings: Closed) -> str | None:
+    """Reason to leave a stage out whose method is none."""
+    return "its method is set to none" if settings.method == "none" else None
+
+
+def poses_of(facts: SceneFacts, settings: SceneSettings) -> str:
+    """What gives the poses: matrices, boards or correspondences (see the stage cameras)."""
+    wanted = settings["cameras"].source
+    there = [name for name in ("matrices", "boards", "correspondences") if name in facts.given]
+    return wanted if wanted != "auto" else next(iter(there), "")
+
+
+def surface_of(facts: SceneFacts, settings: SceneSettings) -> str:
+    """Where the surface comes from: file, scans or silhouettes (see the stage mesh)."""
+    wanted = settings["mesh"].source
+    there = [name for name, part in (("file", "mesh"), ("scans", "scans")) if facts.parts.get(part)]
+    return wanted if wanted != "auto" else next(iter(there), "silhouettes")
+
+
+def photographs_or_states(facts: SceneFacts, settings: SceneSettings, asked: Asked) -> tuple[str, ...]:
+    """Parts of a turntable's capture that show the light of any polarisation."""
+    return ("photographs",) if "off" in facts.states else ("photographs", "states")
+
+
+def only_files(suffixes: frozenset[str], what: str) -> Reason:
+    """Reason not to load the package of one kind of photograph."""
+    return lambda facts, settings: None if suffixes & set(facts.suffixes) else f"no photograph is {what}"
+
+
+def no_film(stage: str, key: str) -> Reason:
+    """Reason not to load the package that writes videos."""
+    return lambda facts, settings: None if getattr(settings[stage], key) else "no video is asked for"
+
+
+def digest_of(path: str, key: str) -> str:
+    """SHA-256 of a file that a setting names; UserError where it is missing."""
+    if not Path(path).is_file():
+        raise UserError(f"{key}: file {path} not found; correct the path in the configuration")
+    return file_digest(Path(path))

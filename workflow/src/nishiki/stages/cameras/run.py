@@ -1,0 +1,220 @@
+"""Cameras: intrinsics, distortion and pose of every view, with reprojection errors."""
+
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.artifacts.stage import Context
+from nishiki.capture.cameras import read_points
+from nishiki.errors import UserError
+from nishiki.geometry.board import BoardShape, Detection, detect_boards
+from nishiki.geometry.calibration import Calibration, calibrate
+from nishiki.geometry.camera import Camera
+from nishiki.geometry.cameras_file import save_cameras
+from nishiki.geometry.matrices import cameras_of_matrices
+from nishiki.geometry.pose import Pose, Sight, estimate_pose
+from nishiki.geometry.turn import turn_of
+from nishiki.geometry.turntable_poses import choose_poses
+from nishiki.observations.views import Views
+from nishiki.stages.cameras.declaration import CamerasSettings
+
+
+def run(context: Context) -> dict:
+    """Take the poses from matrices, boards or correspondences, and tell how well they fit."""
+    folder = context.inputs["ingest"].folder
+    views = Views(folder)
+    points = points_of(folder, views)
+    source = source_of(context.settings.source, views, points)
+    if source == "matrices":
+        cameras, errors, told, mirror = given(views, points)
+    else:
+        cameras, errors, told = located(context, views, source, points)
+        mirror = None
+    save_cameras(
+        context.output.path("cameras.json"),
+        cameras,
+        unit=views.unit,
+        full_turn=views.full_turn,
+        source=source,
+        reprojection_px=errors,
+        mirror=mirror,
+    )
+    known = [error for error in errors if error is not None]
+    turn = turn_of(np.array([camera.centre for camera in cameras]))
+    return {
+        "source": source,
+        "views": len(cameras),
+        "unit": views.unit,
+        "full_turn": views.full_turn,
+        "reprojection_px": {camera.name: error for camera, error in zip(cameras, errors, strict=True)},
+        "reprojection_mean_px": float(np.mean(known)) if known else None,
+        "reprojection_worst_px": max(known) if known else None,
+        "mirror": mirror,
+        "circle": turn.as_dict() if turn else None,
+        **told,
+    }
+
+
+def source_of(wanted: str, views: Views, points: dict[str, np.ndarray] | None) -> str:
+    """The source of the poses. UserError where the capture has not what was asked for, or nothing at all."""
+    boards = {picture["view"] for picture in views.calibration if picture["view"]}
+    there = {
+        "matrices": views.matrices is not None,
+        "boards": boards >= set(views.views),
+        "correspondences": points is not None,
+    }
+    if wanted == "auto":
+        wanted = next((name for name, found in there.items() if found), "")
+    if there.get(wanted):
+        return wanted
+    missing = sorted(set(views.views) - boards)
+    detail = f" (no board picture of view {', '.join(missing[:5])})" if boards and missing else ""
+    raise UserError(
+        f"cameras: the capture has no {wanted or 'camera matrices, boards or correspondences'}{detail}. Remedy: give "
+        "turntable.cameras (3x4 matrices), a board picture for every view, or turntable.correspondences"
+    )
+
+
+def points_of(folder: Path, views: Views) -> dict[str, np.ndarray] | None:
+    """Correspondences of every view, as ingest carried them; None without."""
+    name = views.geometry.get("correspondences")
+    return read_points(folder / name, name, views.views) if name else None
+
+
+def given(views: Views, points: dict[str, np.ndarray] | None) -> tuple[list[Camera], list[float | None], dict, tuple]:
+    """The given matrices, and their error where correspondences can tell it."""
+    rows, columns = views.shape
+    missing = [name for name in views.views if name not in views.matrices]
+    if missing:
+        raise UserError(
+            f"cameras: no matrix for view {', '.join(missing[:8])}. Remedy: one row of cameras.csv for every view"
+        )
+    found = cameras_of_matrices({name: views.matrices[name] for name in views.views}, rows=rows, columns=columns)
+    errors: list[float | None] = [None] * len(found.cameras)
+    if points:
+        mirror = np.array(found.mirror or (1, 1, 1))
+        for place, camera in enumerate(found.cameras):
+            table = points[camera.name]
+            pixels, depth = camera.project(table[:, 2:] * mirror)
+            if (depth <= 0).any():
+                raise UserError(
+                    f"cameras: {int((depth <= 0).sum())} correspondences of view {camera.name!r} lie behind its "
+                    "camera. "
+                    "Remedy: matrices and points must be of one world; check unit and order of the axes"
+                )
+            errors[place] = float(np.sqrt(((pixels - table[:, :2]) ** 2).sum(axis=1).mean()))
+    return list(found.cameras), errors, {}, found.mirror
+
+
+def located(context: Context, views: Views, source: str, points: dict | None) -> tuple[list[Camera], list[float], dict]:
+    """Poses from boards or correspondences."""
+    settings = context.settings
+    rows, columns = views.shape
+    limit = settings.outlier_px or 0.005 * max(rows, columns)
+    boards = find_boards(views)
+    told: dict = {"outlier_px": limit}
+    if boards:
+        told["boards"] = {"seen": len(boards.pictures), "unseen": list(boards.unseen), "legacy": boards.legacy}
+    matrix, distortion, calibration = lens_of(views, boards, settings)
+    told["calibration"] = calibration.as_dict() if calibration else None
+    sights = board_sights(views, boards) if source == "boards" else point_sights(points)
+    poses = [
+        estimate_pose(sights[name], matrix, distortion, rows=rows, columns=columns, outlier_px=limit)
+        for name in context.progress.over(views.views, "view")
+    ]
+    told["points"] = {pose.camera.name: int(pose.inliers.sum()) for pose in poses}
+    told["outliers"] = {pose.camera.name: int((~pose.inliers).sum()) for pose in poses}
+    used = [
+        Sight(name, sights[name].points[pose.inliers], sights[name].pixels[pose.inliers])
+        for name, pose in zip(views.views, poses, strict=True)
+    ]
+    cameras, told["turntable"] = on_one_axis(settings, views, used, poses)
+    errors = [rms(camera, sight) for camera, sight in zip(cameras, used, strict=True)]
+    return cameras, errors, told
+
+
+def rms(camera: Camera, sight: Sight) -> float:
+    """Root mean square distance in pixels."""
+    found, _ = camera.project(sight.points)
+    return float(np.sqrt(((found - sight.pixels) ** 2).sum(axis=1).mean()))
+
+
+def find_boards(views: Views) -> Detection | None:
+    """Board corners of all calibration pictures; None without pictures. UserError without the board's measures."""
+    if not len(views.calibration):
+        return None
+    board = views.board_description
+    if not board:
+        raise UserError("cameras: there are board pictures but no turntable.board. Remedy: give the board's measures")
+    unit = views.unit_mm or 1.0
+    shape = BoardShape(
+        board["squares_x"],
+        board["squares_y"],
+        board["square_mm"] / unit,
+        board["marker_mm"] / unit,
+        board.get("dictionary", "DICT_4X4_50"),
+    )
+    return detect_boards(((picture["name"], picture["image"]) for picture in views.calibration), shape)
+
+
+def lens_of(
+    views: Views, boards: Detection | None, settings: CamerasSettings
+) -> tuple[np.ndarray, tuple[float, ...], Calibration | None]:
+    """Given intrinsics, or those that the boards give. UserError where there is neither."""
+    if views.intrinsics:
+        return np.array(views.intrinsics["matrix"], float), tuple(views.intrinsics["distortion"]), None
+    if boards is None:
+        raise UserError(
+            "cameras: the lens is unknown. Remedy: photograph the board at least three times (role board), or give "
+            "turntable.intrinsics"
+        )
+    rows, columns = views.shape
+    found = calibrate(
+        boards.pictures,
+        rows=rows,
+        columns=columns,
+        distortion=settings.distortion,
+        outlier_factor=settings.outlier_factor,
+    )
+    return found.intrinsics, found.distortion, found
+
+
+def board_sights(views: Views, boards: Detection) -> dict[str, Sight]:
+    """Corners by view. UserError where a view's board was not seen."""
+    view_of = {picture["name"]: picture["view"] for picture in views.calibration}
+    sights = {view_of[each.name]: Sight(view_of[each.name], each.points, each.pixels) for each in boards.pictures}
+    missing = [name for name in views.views if name not in sights]
+    if missing:
+        raise UserError(
+            f"cameras: no board found in the picture of view {', '.join(missing[:8])}. Remedy: another picture of "
+            "these "
+            "views, with the board sharp and not glossy; or correspondences"
+        )
+    return sights
+
+
+def point_sights(points: dict[str, np.ndarray]) -> dict[str, Sight]:
+    """Correspondences by view."""
+    return {name: Sight(name, table[:, 2:], table[:, :2]) for name, table in points.items()}
+
+
+def on_one_axis(
+    settings: CamerasSettings, views: Views, sights: list[Sight], poses: list[Pose]
+) -> tuple[list[Camera], dict | None]:
+    """All views on one axis where asked for, or where left-out points are predicted better so."""
+    own = [pose.camera for pose in poses]
+    if settings.turntable == "off" or len(own) < 3:
+        return own, None
+    choice = choose_poses(sights, own, steps=settings.steps, full_turn=views.full_turn)
+    on_axis = choice.on_axis or settings.turntable == "on"
+    told = {
+        "used": on_axis,
+        "left_out_own_px": choice.free_px,
+        "left_out_axis_px": choice.turn_px,
+        "axis": choice.turn.axis.tolist(),
+        "point": choice.turn.point.tolist(),
+        "angles_deg": choice.turn.angles_deg.tolist(),
+        "axis_px": choice.turn.rms_px,
+        "own_px": float(np.sqrt(np.mean([rms(c, s) ** 2 for c, s in zip(own, sights, strict=True)]))),
+    }
+    return (list(choice.turn.cameras) if on_axis else own), told

@@ -1,0 +1,270 @@
+"""Evaluate: errors against truth where there is one, and predictions of lights that the fit never saw."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.artifacts.artifact import Artifact
+from nishiki.artifacts.maps import Maps, MapWriter, shading_normals
+from nishiki.artifacts.provenance import truth_digest
+from nishiki.artifacts.stage import Context
+from nishiki.brdf.parameters import gloss_table, is_facets
+from nishiki.brdf.slopes import slope_covariance
+from nishiki.colour.colour import illuminant
+from nishiki.colour.training import synthetic_reflectances
+from nishiki.errors import UserError
+from nishiki.evaluate.camera_colour import CameraColour, assumed_colour, fitted_colour
+from nishiki.evaluate.classes import NAMES, classify
+from nishiki.evaluate.headlines import headlines
+from nishiki.evaluate.height import height_error
+from nishiki.evaluate.museum import levels
+from nishiki.evaluate.normals import normal_errors
+from nishiki.evaluate.prediction import FittedModel, light_of, predict_light
+from nishiki.evaluate.preview import PreviewPair
+from nishiki.evaluate.reflectance import reflectance_errors
+from nishiki.evaluate.relighting import LightComparison, truth_difference
+from nishiki.evaluate.scene_colour import channel_colour, spectral_colour
+from nishiki.evaluate.summary import Pool
+from nishiki.evaluate.table import COLUMNS, rows_of
+from nishiki.evaluate.truth import Truth, truth_from
+from nishiki.formats.stored import load_arrays, open_group
+from nishiki.observations.parcels import point_mm
+from nishiki.observations.plane import Observations
+from nishiki.photometric.flags import NO_ESTIMATE
+from nishiki.render.plane.scene import Gloss, Light
+
+
+def run(context: Context) -> dict:
+    """Compare everything that has a counterpart; lights one after the other, each band by band."""
+    frames = Observations(context.inputs["ingest"].folder)
+    scene = Scene(context, frames)
+    truth = read_truth(context, frames)
+    rows, columns = frames.shape
+    out = MapWriter(context.output.folder, rows=rows, columns=columns, band_rows=frames.band_rows, stamp=context.stamp)
+    found = {"pixels": int(np.count_nonzero(frames.mask)), **against_truth(truth, scene, out)}
+    found["colour"] = {"how": scene.camera.how, "rmse_xyz": scene.camera.rmse}
+    found["lights"], pooled = relight(context, scene, truth, out)
+    found["overall"] = {"de00": pooled.as_dict(), "levels": levels(pooled.mean, pooled.p90)}
+    found["classes_from"] = "truth" if truth.checks else "model"
+    found["gloss"] = {"true_gamma_rad": truth.equivalent_gamma(), "gamma_rad": scene.model.gloss.gamma.tolist()}
+    write_tables(context.output.folder, found)
+    return headlines(found)
+
+
+class Scene:
+    """The fitted maps of one scene and what is needed to see them."""
+
+    def __init__(self, context: Context, frames: Observations):
+        inputs = context.inputs
+        self.frames = frames
+        maps = Maps(inputs["normals"].folder)
+        self.flags = maps.read("flags")
+        gloss, labels, facets = read_gloss(inputs.get("brdf"))
+        shading = maps.read("shading") if "shading" in maps else None
+        self.normals = maps.read("normals")
+        normals = shading_normals(maps)
+        slopes = slope_covariance(normals) if facets else None
+        self.model = FittedModel(normals, maps.read("reflectance"), gloss, labels, shading, slopes)
+        self.known = ((self.flags & NO_ESTIMATE) == 0) & np.isfinite(self.model.reflectance).all(axis=-1)
+        self.height, self.height_unit = None, "pixels"
+        if "height" in inputs:
+            height = Maps(inputs["height"].folder)
+            self.height, self.height_unit = height.read("height"), height.attributes("height")["unit"]
+        self.pitch = (frames.pixel_pitch_mm or 1.0) if self.height is None or self.height_unit == "mm" else 1.0
+        self.coefficients, self.basis = None, None
+        if "spectra" in inputs:
+            spectra = Maps(inputs["spectra"].folder)
+            self.coefficients, self.basis = (
+                spectra.read("coefficients"),
+                np.array(spectra.attributes("coefficients")["basis"]),
+            )
+        curves = inputs["ingest"].path("curves.npz")
+        self.curves = load_arrays(curves) if curves.is_file() else {}
+        self.camera = self._camera()
+
+    def _camera(self) -> CameraColour:
+        channels = len(self.frames.channels)
+        sensitivities, lamp = self.curves.get("sensitivities"), self.curves.get("illuminant")
+        if sensitivities is None or lamp is None or len(sensitivities) != channels:
+            return assumed_colour(channels)
+        return fitted_colour(synthetic_reflectances(), lamp, sensitivities)
+
+
+def read_gloss(brdf: Artifact | None) -> tuple[Gloss, np.ndarray | None, bool]:
+    """Parameters of the brdf stage, its map of regions, and whether slopes inside a pixel blur the gloss.
+
+    A matte surface where the stage is left out.
+    """
+    if brdf is None:
+        return Gloss.none(), None, False
+    parameters = json.loads(brdf.path("parameters.json").read_text())
+    gloss = Gloss(*gloss_table(parameters))
+    has_maps = brdf.path("maps.zarr").is_dir() and "labels" in Maps(brdf.folder)
+    return gloss, Maps(brdf.folder).read("labels") if has_maps else None, is_facets(parameters)
+
+
+def read_truth(context: Context, frames: Observations) -> Truth:
+    """Truth of a simulated capture (truth.zarr), or an .npz with normals; empty where none is given."""
+    if context.truth is None:
+        return Truth()
+    path = Path(context.truth)
+    digest = truth_digest(path)
+    if digest != context.settings.truth_sha256:
+        raise UserError(
+            f"{path}: expected the truth with the digest {context.settings.truth_sha256 or '(none)'} (setting "
+            f"truth_sha256), found {digest}. Remedy: run again, so that the plan sees the truth as it is now"
+        )
+    region, asked = (tuple(frames.attributes[name]) for name in ("region_of_interest", "asked_region"))
+    if (path / "truth.zarr").is_dir():
+        group = open_group(path / "truth.zarr")
+        return truth_from(
+            {name: group[name] for name in group.array_keys()},
+            shape=frames.shape,
+            attributes=dict(group.attrs),
+            region=region,
+            asked=asked,
+        )
+    tables = [path] if path.suffix == ".npz" else sorted(path.glob("*.npz"))
+    if len(tables) != 1:
+        raise UserError(
+            f"{path}: expected truth.zarr or one .npz with an array named normals, found {len(tables)} .npz files"
+        )
+    return truth_from(load_arrays(tables[0]), shape=frames.shape, region=region, asked=asked)
+
+
+def against_truth(truth: Truth, scene: Scene, out: MapWriter) -> dict:
+    """Errors of the maps themselves; None where there is no truth or no map of the kind."""
+    found = {"normals": None, "height": None, "reflectance": None}
+    if truth.normals is not None:
+        errors = normal_errors(scene.normals, truth.normals, flags=scene.flags, mask=scene.frames.mask)
+        out.write("angular_error", errors.map_deg, unit="degrees", nan="outside what truth and estimate share")
+        found["normals"] = errors.as_dict()
+    has_height = truth.height_mm is not None and scene.height is not None and scene.height_unit == "mm"
+    if has_height:
+        inside = scene.frames.mask & scene.known
+        error = height_error(scene.height, truth.height_mm, pixels=inside, pitch=scene.pitch)
+        found["height"] = {"unit": "mm", **error.as_dict()}
+    if truth.paints is not None and scene.coefficients is not None:
+        errors = reflectance_errors(
+            scene.coefficients,
+            scene.basis,
+            truth.paints,
+            truth.spectra,
+            pixels=scene.frames.mask & scene.known,
+            regions=truth.regions,
+        )
+        out.write("reflectance_de00", errors.de00_map, unit="CIEDE2000 under D65", nan="no truth or no estimate here")
+        regions = truth.paints.reshape(*scene.frames.shape, -1)[..., 0] if truth.regions is None else truth.regions
+        out.write("regions", np.asarray(regions), meaning="region of the truth: row of region_names, or of its spectra")
+        found["reflectance"] = {**errors.as_dict(), "region_names": list(truth.region_names)}
+    return found
+
+
+def relight(context: Context, scene: Scene, truth: Truth, out: MapWriter):
+    """Scores of every light that no fit has seen, and the pooled differences of all of them."""
+    frames = scene.frames
+    chosen = [
+        j for j, role in enumerate(frames.roles) if role == "check" or frames.lights[j] in context.settings.hold_out
+    ]
+    scores, pool = [], Pool()
+    for j in context.progress.over(chosen, "light"):
+        score, difference = one_light(context, scene, truth, out, j)
+        scores.append(score)
+        pool.add(difference)
+    return scores, pool.summary()
+
+
+def one_light(context: Context, scene: Scene, truth: Truth, out: MapWriter, j: int) -> tuple[dict, np.ndarray]:
+    """Score of one light; its map of differences is written."""
+    frames, name = scene.frames, scene.frames.lights[j]
+    height = scene.height if context.settings.cast_shadows else None
+    predicted = predict_light(scene.model, lamp(context, scene, j), height=height, pitch=scene.pitch)
+    known_truth = truth.check(name)
+    comparison = LightComparison.of(frames.shape, scene.camera)
+    views = colours_for(scene) if known_truth else {}
+    pictures = {case: np.zeros((*frames.shape, 3), np.float32) for case in views}
+    previews = PreviewPair(frames.shape, scene.camera)
+    for rows in frames.bands():
+        observed, valid = frames.read(rows, lights=np.array([j]))
+        band = predicted.band(rows)
+        inside = frames.mask[rows]
+        parts = (band.diffuse, band.specular, band.lit)
+        if known_truth:
+            parts = (known_truth.body[rows], known_truth.gloss[rows], known_truth.lit[rows])
+        comparison.add(
+            rows,
+            band.channels,
+            observed[0],
+            usable=valid[0],
+            known=scene.known[rows],
+            inside=inside,
+            classes=classify(*parts, inside=inside),
+        )
+        previews.add(rows, band.channels, observed[0], inside=inside)
+        for case, colour in views.items():
+            pictures[case][rows] = colour.xyz(band, None if scene.coefficients is None else scene.coefficients[rows])
+    score = comparison.score().as_dict()
+    score.update(describe_light(frames, j), cast_shadows=height is not None)
+    if known_truth:
+        score["truth"] = compare_pictures(known_truth, pictures, views, comparison.classes)
+    np.savez(context.output.path(f"preview_{j:03d}.npz"), **previews.arrays())
+    out.write(f"de00_{j:03d}", comparison.de00_map, unit="CIEDE2000", light=name, nan=f"not compared: classes_{j:03d}")
+    out.write(f"classes_{j:03d}", comparison.classes, meaning={str(k): v for k, v in NAMES.items()}, light=name)
+    return score, comparison.de00_map
+
+
+def lamp(context: Context, scene: Scene, j: int) -> Light:
+    """The lamp of a light, at its position where the capture gives one."""
+    frames = scene.frames
+    position, centre = None, None
+    if frames.positions_mm is not None:
+        position = frames.positions_mm[j]
+        centre = point_mm(frames, (frames.shape[0] - 1) / 2, (frames.shape[1] - 1) / 2)
+    radius = float(np.radians(context.settings.lamp_diameter_deg / 2))
+    return light_of(
+        frames.directions[j], position, centre=centre, white_board=frames.white_board, angular_radius=radius
+    )
+
+
+def describe_light(frames: Observations, j: int) -> dict:
+    """Name, role and place of a light."""
+    x, y, z = frames.directions[j]
+    return {
+        "name": frames.lights[j],
+        "index": j,
+        "role": "check" if frames.roles[j] == "check" else "held out",
+        "incidence_deg": float(np.degrees(np.arctan2(np.hypot(x, y), z))),
+        "azimuth_deg": float(np.degrees(np.arctan2(y, x))),
+    }
+
+
+def colours_for(scene: Scene) -> dict:
+    """Ways from the prediction to XYZ: under the capture's lamp, and, with spectra, under D65."""
+    if scene.basis is None or "illuminant" not in scene.curves:
+        return {} if scene.camera.rmse is None else {"lamp": channel_colour(scene.camera)}
+    return {
+        "lamp": spectral_colour(scene.curves["illuminant"], scene.basis),
+        "D65": spectral_colour(illuminant("D65"), scene.basis),
+    }
+
+
+def compare_pictures(truth, pictures: dict, views: dict, classes: np.ndarray) -> dict:
+    """Predicted XYZ against noise-free XYZ."""
+    found = {}
+    for case, picture in pictures.items():
+        true = truth.xyz_lamp if case == "lamp" else truth.xyz_d65
+        total, by_class, _ = truth_difference(picture, true, views[case].white, classes=classes)
+        found[case] = {"de00": total.as_dict(), "by_class": {name: s.as_dict() for name, s in by_class.items()}}
+    return found
+
+
+def write_tables(folder: Path, found: dict) -> None:
+    """evaluation.json holds everything, evaluation.csv the figures."""
+    text = json.dumps(found, indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
+    (folder / "evaluation.json").write_text(text, encoding="utf-8")
+    with open(folder / "evaluation.csv", "w", newline="", encoding="utf-8") as handle:
+        table = csv.DictWriter(handle, COLUMNS, lineterminator="\n")
+        table.writeheader()
+        table.writerows(rows_of(found))

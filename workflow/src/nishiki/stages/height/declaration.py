@@ -1,0 +1,44 @@
+"""Declaration of the stage `height`: settings, inputs, limits of its result, cost."""
+
+from typing import ClassVar, Literal
+
+from pydantic import Field
+
+from nishiki.artifacts.closed import Guarded
+from nishiki.artifacts.limits import Limit, at
+from nishiki.stages.base import Cost, Stage
+
+LIMITS = (
+    Limit(
+        "convergence",
+        "relative residual of the linear system of the height",
+        at("residual"),
+        most=1e-2,
+        remedy="set height.method to another solver, or more iterations; check the normals' maps for islands",
+        why="captures gave 1e-5 and less; a hundredth bends a surface by about its own relief",
+    ),
+    Limit("integrability", "rms curl of the gradients", at("integrability_rms")),
+    Limit("parts", "separate parts of the object, each with its own zero", at("parts")),
+)
+
+
+class HeightSettings(Guarded):
+    """Integration of the normals."""
+
+    STAGE: ClassVar[str] = "height"
+    VERSION: ClassVar[int] = 2
+    LIMITS: ClassVar[tuple[Limit, ...]] = LIMITS
+
+    method: Literal["auto", "dct", "weighted"] = Field(
+        "auto", description="dct: Poisson on the full rectangle; weighted: with mask and weights; auto: as needed"
+    )
+
+
+STAGE = Stage(
+    settings=HeightSettings,
+    does="height by integration of the normals",
+    requires=("normals",),
+    libraries=("numpy", "scipy", "numba", "zarr"),
+    threads=1,
+    cost=lambda facts: Cost(mib=200, bytes_per_pixel=96, seconds=1.4, us_per_pixel=36),
+)

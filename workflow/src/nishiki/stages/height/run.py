@@ -1,0 +1,42 @@
+"""Height: integrate the normals into a relief, and tell how far the normals are likely to be off."""
+
+import numpy as np
+
+from nishiki.artifacts.maps import Maps, MapWriter
+from nishiki.artifacts.stage import Context
+from nishiki.photometric import flags as bits
+from nishiki.photometric.expected_error import expected_error
+from nishiki.photometric.height import integrate_normals
+
+
+def run(context: Context) -> dict:
+    """Integrate the whole field: a global problem, held in memory at once."""
+    maps = Maps(context.inputs["normals"].folder)
+    normals = maps.read("normals")
+    valid = (maps.read("flags") & bits.NO_ESTIMATE) == 0
+    pitch = maps.group.attrs.get("pixel_pitch_mm")
+    field = integrate_normals(normals, valid=valid, pixel_pitch=pitch or 1.0, method=context.settings.method)
+    out = MapWriter(
+        context.output.folder,
+        rows=normals.shape[0],
+        columns=normals.shape[1],
+        band_rows=256,
+        stamp=context.stamp,
+    )
+    out.write(
+        "height",
+        field.height.astype(np.float32),
+        unit="mm" if pitch else "pixels",
+        nan="not integrated: outside the mask, or no estimate of the normal",
+    )
+    diagnostics = field.diagnostics
+    del field
+    error = expected_error(normals, maps.read("sigma"), valid)
+    out.write("expected_error", error, unit="radians, rms angle of the normal; pi / 2 where there is no estimate")
+    return {"unit": "mm" if pitch else "pixels", **diagnostics, **percentiles_deg(error[valid])}
+
+
+def percentiles_deg(error: np.ndarray) -> dict[str, float]:
+    """Median and 95th percentile of the normals' expected error (pixels,), radians, in degrees."""
+    middle, high = np.degrees(np.percentile(error[:: max(1, error.size // 100_000)], [50, 95]))
+    return {"expected_error_median_deg": float(middle), "expected_error_p95_deg": float(high)}

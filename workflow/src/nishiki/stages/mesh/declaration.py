@@ -1,0 +1,116 @@
+"""Declaration of the stage `mesh`: settings, inputs, limits of its result, cost."""
+
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal
+
+from pydantic import Field
+
+from nishiki.artifacts.closed import Closed, Guarded
+from nishiki.artifacts.limits import Limit, at, extreme
+from nishiki.stages.base import Asked, Cost, Reason, SceneFacts, Stage, surface_of
+
+
+def _scan_residual(told: Mapping[str, Any]) -> float | None:
+    """Of the registration, relative to the size of the surface."""
+    worst, area = extreme("scans.residual")(told), at("area")(told)
+    return None if worst is None or not area else worst / area**0.5
+
+
+LIMITS = (
+    Limit(
+        "silhouette_overlap",
+        "mean intersection over union of the mesh's outline and the silhouettes",
+        at("fit.iou_mean"),
+        least=0.5,
+        remedy="check that mesh and cameras are of one world and unit; mesh.overlap (scans), mesh.background",
+        why="captures gave 0.985 and more; scans that were registered wrongly gave 0.26",
+    ),
+    Limit(
+        "registration",
+        "residual of the scans' registration over the size of the surface",
+        _scan_residual,
+        most=0.05,
+        remedy="scans that overlap more, or mesh.overlap",
+        why="scans gave 5e-5; a twentieth of the object is no registration",
+    ),
+    Limit("open_edges", "edges of one triangle only", at("open_edges")),
+    Limit("crowded_edges", "edges of more than two triangles", at("crowded_edges")),
+    Limit("degenerate_triangles", "triangles without area that were left out", at("cleaned.degenerate")),
+)
+
+
+class MeshSettings(Guarded):
+    """Where the object's surface comes from, and how many triangles it gets."""
+
+    STAGE: ClassVar[str] = "mesh"
+    VERSION: ClassVar[int] = 2
+    LIMITS: ClassVar[tuple[Limit, ...]] = LIMITS
+
+    source: Literal["auto", "file", "scans", "silhouettes"] = Field(
+        "auto", description="of the surface; auto: the first of these that the capture has"
+    )
+    background: Literal["capture", "auto", "dark", "bright", "blue", "green"] = Field(
+        "capture", description="silhouettes: what is behind the object; capture: as the capture says"
+    )
+    cells: int = Field(256, ge=16, le=768, description="silhouettes: grid cells along the object's longest side")
+    misses: int = Field(
+        0, ge=0, le=4, description="silhouettes: views that may wrongly see background where the object is"
+    )
+    consistency: bool = Field(
+        True, description="silhouettes: segment once more with what the other views say (not for given masks)"
+    )
+    smooth: float = Field(
+        0.5, ge=0, le=10, description="silhouettes: pixels by which smoothing may move the hull's surface; 0: none"
+    )
+    merge_cells: int = Field(256, ge=16, le=1024, description="scans: detail of the merged surface, cells along a side")
+    overlap: float = Field(0.5, gt=0, le=1, description="scans: part of a scan that the nearest other scans share")
+    smallest_part: float = Field(
+        0.05, ge=0, le=1, description="parts smaller than this are left out, of the largest part's diagonal"
+    )
+    deviation_px: float = Field(
+        0.5,
+        ge=0,
+        description="as few triangles as keep 99 % of the surface within so many pixels; 0: all triangles",
+    )
+    most_triangles: int | None = Field(None, ge=16, description="no more triangles than this, whatever the deviation")
+    grid_px: float = Field(
+        0.05, ge=0, le=1, description="vertices are put on a grid that moves them no further; 0: none"
+    )
+    hold_out: tuple[str, ...] = Field((), description="views that take no part in carving; filled in by the plan")
+
+
+def _looks_at(facts: SceneFacts, settings: Mapping[str, Closed], asked: Asked) -> tuple[str, ...]:
+    # The preview shows the surface beside photographs, so these are looked at whatever the surface comes from.
+    given = {"file": ("mesh",), "scans": ("scans",), "silhouettes": ()}[surface_of(facts, settings)]
+    return ("silhouettes", "photographs", *given)
+
+
+def _only_surface(source: tuple[str, ...], reason: str) -> Reason:
+    return lambda facts, settings: None if surface_of(facts, settings) in source else reason
+
+
+STAGE = Stage(
+    settings=MeshSettings,
+    does="the surface, from a file, range scans or silhouettes",
+    geometry="turntable",
+    requires=("ingest", "cameras"),
+    needs_colour=True,
+    looks_at=_looks_at,
+    libraries=(
+        "numpy",
+        "scipy",
+        "numba",
+        "zarr",
+        "opencv-contrib-python-headless",
+        "scikit-image",
+        "trimesh",
+        "pymeshlab",
+    ),
+    idle={
+        "trimesh": _only_surface(("file", "scans"), "the surface comes from silhouettes"),
+        "pymeshlab": _only_surface(("scans",), "there are no range scans to merge"),
+        "scikit-image": _only_surface(("silhouettes",), "the surface does not come from silhouettes"),
+    },
+    deliverables=("*.ply",),
+    cost=lambda facts: Cost(mib=600, bytes_per_sample=1, seconds=14, us_per_sample=3.4),
+)

@@ -1,0 +1,235 @@
+"""Mesh: the object's surface, from a file, from range scans, or carved from its silhouettes."""
+
+from dataclasses import asdict
+
+import numpy as np
+
+from nishiki.artifacts.stage import Context
+from nishiki.errors import UserError
+from nishiki.geometry.camera import Camera
+from nishiki.geometry.cameras_file import read_cameras
+from nishiki.geometry.cleaning import clean
+from nishiki.geometry.hull import carve
+from nishiki.geometry.mesh import Mesh
+from nishiki.geometry.mesh_files import read_points, read_triangles, write_ply
+from nishiki.geometry.outlines import agreement, contradicted, known_from, outline_of
+from nishiki.geometry.silhouettes import display, segment
+from nishiki.geometry.surface import Lighter, fewest_triangles, shape_of, smoothed, snapped, without_small_parts
+from nishiki.observations.views import Views
+from nishiki.render.output import write_png
+
+COARSE_CELLS = 128
+PREVIEW_ROWS = 480
+
+
+def run(context: Context) -> dict:
+    """Find the surface, make it sound and light, and tell how well it fits the silhouettes."""
+    settings = context.settings
+    views = Views(context.inputs["ingest"].folder)
+    document = read_cameras(context.inputs["cameras"].path("cameras.json"))
+    cameras = [Camera.from_dict(values) for values in document["views"]]
+    unknown = sorted(set(settings.hold_out) - set(views.views))
+    if unknown:
+        raise UserError(f"hold_out: no view {', '.join(unknown)}; there are: {', '.join(views.views)}")
+    source = source_of(settings.source, views)
+    used = [name not in settings.hold_out for name in views.views]
+    masks, told = given_masks(views), {}
+    if source == "silhouettes":
+        masks, told["silhouettes"] = find_masks(context, views, cameras, masks, used)
+        hull = carve(kept(masks, used), cameras, cells=settings.cells, misses=settings.misses)
+        mesh, defects = clean(hull.mesh.vertices, hull.mesh.triangles, cameras=cameras)
+        told["hull"] = {"cell": hull.cell, "shape": hull.shape, "box": hull.box.tolist()}
+    else:
+        read = read_file if source == "file" else merge_scans
+        vertices, triangles, told[source] = read(context, views, cameras, document["mirror"])
+        mesh, defects = sound(vertices, triangles, cameras)
+    mesh, small = without_small_parts(mesh, smallest=settings.smallest_part)
+    if source == "silhouettes" and settings.smooth:
+        mesh = smoothed(mesh, cameras, most_px=settings.smooth)
+    light = fewest_triangles(mesh, cameras, deviation_px=settings.deviation_px, most=settings.most_triangles)
+    mesh, step = on_grid(light.mesh, cameras, settings.grid_px)
+    write(context, views, cameras, mesh, masks)
+    return {
+        "source": source,
+        "unit": document["unit"],
+        **asdict(shape_of(mesh)),
+        "cleaned": {**defects.as_dict(), "small_parts": small},
+        "decimation": {**described(light), "grid_step": step},
+        **told,
+        "fit": fit_of(mesh, cameras, masks, used),
+    }
+
+
+def described(light: Lighter) -> dict:
+    """Figures of the decimation."""
+    return {
+        "triangles_before": light.before,
+        "deviation_px": light.deviation_px,
+        "deviation_largest_px": light.deviation_largest_px,
+    }
+
+
+def source_of(wanted: str, views: Views) -> str:
+    """Where the surface comes from. UserError where the capture has not what was asked for."""
+    there = {"file": bool(views.geometry["mesh"]), "scans": bool(views.geometry["scans"]), "silhouettes": True}
+    if wanted == "auto":
+        return next(name for name, found in there.items() if found)
+    if not there[wanted]:
+        key = "mesh" if wanted == "file" else "scans"
+        raise UserError(f"mesh: the capture has no {wanted}. Remedy: give turntable.{key}, or another source")
+    return wanted
+
+
+def given_masks(views: Views) -> list[np.ndarray | None]:
+    """Silhouettes that came with the capture."""
+    return [views.silhouette(name) for name in views.views]
+
+
+def kept(masks: list, used: list[bool]) -> list:
+    """Masks of the views that may be used, None for the others."""
+    return [mask if use else None for mask, use in zip(masks, used, strict=True)]
+
+
+def picture_of(views: Views, name: str) -> np.ndarray:
+    """(rows, columns, 3) uint8 sRGB: the mean over the lights, without polariser where there is such a state."""
+    state = "off" if "off" in views.states else views.states[0]
+    total = sum(views.read(name, state=state, light=light)[0].astype(np.float64) for light in views.lights)
+    return display((total / len(views.lights)).astype(np.float32))
+
+
+def find_masks(
+    context: Context, views: Views, cameras: list[Camera], masks: list, used: list[bool]
+) -> tuple[list[np.ndarray], dict]:
+    """Silhouettes of all views: as given, else segmented, once more where the other views disagree."""
+    settings = context.settings
+    background = settings.background
+    if background == "capture":
+        background = views.attributes.get("background") or "auto"
+    missing = [place for place, mask in enumerate(masks) if mask is None]
+    masks, facts = list(masks), {}
+    for place in context.progress.over(missing, "silhouette"):
+        found = segment(picture_of(views, views.views[place]), background=background)
+        masks[place] = found.mask
+        facts[views.views[place]] = {
+            "separation": found.separation,
+            "parts": found.parts,
+            "dropped": found.dropped,
+            "holes": found.holes,
+        }
+    changed = []
+    if settings.consistency and missing and sum(used) > 3:
+        loose = carve(kept(masks, used), cameras, cells=COARSE_CELLS, misses=min(4, max(1, settings.misses)))
+        known = [known_from(loose.mesh, cameras[place], masks[place], loose.cell) for place in missing]
+        for place, each, wrong in zip(missing, known, contradicted(known), strict=True):
+            if wrong:
+                picture = picture_of(views, views.views[place])
+                found = segment(picture, background=background, inside=each.inside, outside=each.outside)
+                masks[place] = found.mask
+                changed.append(views.views[place])
+    return masks, {"given": len(masks) - len(missing), "background": background, "again": changed, "views": facts}
+
+
+def read_file(context: Context, views: Views, cameras: list[Camera], mirror: list[int] | None):
+    """Vertices and triangles of the capture's mesh, in the cameras' world."""
+    vertices, triangles = read_triangles(context.inputs["ingest"].path(views.geometry["mesh"]))
+    return (*mirrored(vertices, triangles, mirror), {"vertices": len(vertices), "triangles": len(triangles)})
+
+
+def mirrored(vertices: np.ndarray, triangles: np.ndarray, mirror: list[int] | None) -> tuple[np.ndarray, np.ndarray]:
+    """The same surface in a world that the cameras stage has turned back; triangles keep facing outwards."""
+    if mirror is None:
+        return vertices, triangles
+    return vertices * np.array(mirror, np.float64), triangles[:, ::-1]
+
+
+def merge_scans(context: Context, views: Views, cameras: list[Camera], mirror: list[int] | None):
+    """Range scans registered to the first and merged, in the cameras' world."""
+    from nishiki.geometry.merging import merge
+    from nishiki.geometry.scans import register
+
+    folder, settings = context.inputs["ingest"], context.settings
+    scans = [read_points(folder.path(name)) for name in views.geometry["scans"]]
+    registered = register([points for points, _ in scans], overlap=settings.overlap)
+    moved = [motion.apply(points) for motion, (points, _) in zip(registered.motions, scans, strict=True)]
+    vertices, triangles, facts = merge(moved, [faces for _, faces in scans], cells=settings.merge_cells)
+    return (*mirrored(vertices, triangles, mirror), {**registered.as_dict(), **facts})
+
+
+def sound(vertices: np.ndarray, triangles: np.ndarray, cameras: list[Camera]):
+    """`clean`, with the user told where nothing is left, or where no camera can see the surface."""
+    try:
+        mesh, defects = clean(vertices, triangles, cameras=cameras)
+    except ValueError as error:
+        raise UserError(f"mesh: {error}. Remedy: look at the mesh file") from None
+    for camera in cameras:
+        _, depth = camera.project(mesh.vertices)
+        if (depth <= 0).all():
+            raise UserError(
+                f"mesh: the whole surface lies behind the camera of view {camera.name!r}. Remedy: mesh and cameras "
+                "must be of one world; check units and axes"
+            )
+    return mesh, defects
+
+
+def on_grid(mesh: Mesh, cameras: list[Camera], shift_px: float) -> tuple[Mesh, float | None]:
+    """The mesh on the coarsest grid that moves no vertex by more than shift_px, and the grid's step."""
+    if not shift_px:
+        return mesh, None
+    from nishiki.codec.compact_mesh import grid_step
+
+    step = grid_step(mesh, cameras, shift_px=shift_px)
+    return snapped(mesh, step), step
+
+
+def fit_of(mesh: Mesh, cameras: list[Camera], masks: list, used: list[bool]) -> dict | None:
+    """How well the mesh covers the silhouettes: intersection over union by view; held-out views apart."""
+    known = [place for place, mask in enumerate(masks) if mask is not None]
+    if not known:
+        return None
+    iou = {cameras[place].name: agreement(outline_of(mesh, cameras[place]), masks[place]) for place in known}
+    carved = [iou[cameras[place].name] for place in known if used[place]]
+    left = [iou[cameras[place].name] for place in known if not used[place]]
+    return {
+        "iou": iou,
+        "iou_mean": float(np.mean(carved)) if carved else None,
+        "iou_least": min(carved) if carved else None,
+        "iou_held_out": float(np.mean(left)) if left else None,
+    }
+
+
+def write(context: Context, views: Views, cameras: list[Camera], mesh: Mesh, masks: list) -> None:
+    """Mesh, silhouettes where all are known, preview."""
+    mesh.save(context.output.path("mesh.npz"))
+    write_ply(context.output.path("mesh.ply"), mesh, stamp=context.stamp, unit=views.unit)
+    if all(mask is not None for mask in masks):
+        import zarr
+        from zarr.codecs import ZstdCodec
+
+        store = zarr.create_array(
+            context.output.folder / "silhouettes.zarr",
+            shape=(len(masks), *views.shape),
+            chunks=(1, *views.shape),
+            dtype="uint8",
+            compressors=[ZstdCodec(level=5, checksum=True)],
+            dimension_names=("view", "row", "column"),
+            attributes={"stamp": context.stamp, "views": list(views.views)},
+        )
+        for place, mask in enumerate(masks):
+            store[place] = mask.astype(np.uint8)
+    write_png(context.output.path("preview.png"), preview(views, cameras, mesh), stamp=context.stamp)
+
+
+def preview(views: Views, cameras: list[Camera], mesh: Mesh) -> np.ndarray:
+    """(rows, columns, 3) uint8: photograph and shaded mesh in two views a quarter apart, side by side."""
+    import cv2
+
+    from nishiki.geometry.outlines import shaded
+
+    columns = []
+    for place in sorted({0, len(cameras) // 4}):
+        photograph = picture_of(views, views.views[place])
+        columns.append(np.vstack([photograph, shaded(mesh, cameras[place])[..., None].repeat(3, axis=-1)]))
+    sheet = np.hstack(columns)
+    shrink = min(1.0, 2 * PREVIEW_ROWS / sheet.shape[0])
+    size = (round(sheet.shape[1] * shrink), round(sheet.shape[0] * shrink))
+    return sheet if shrink == 1 else cv2.resize(sheet, size, interpolation=cv2.INTER_AREA)

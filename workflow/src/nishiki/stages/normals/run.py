@@ -1,0 +1,323 @@
+"""Normals: photometric stereo on the selected lights, with uncertainty, and the reflectance of each channel."""
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+
+from nishiki.artifacts.maps import Maps, MapWriter
+from nishiki.artifacts.scatter import Scattered
+from nishiki.artifacts.stage import Context
+from nishiki.brdf.body_shading import LAMBERT
+from nishiki.brdf.gloss_profile import GlossProfile
+from nishiki.errors import UserError
+from nishiki.model_selection.decision import Decision, economy
+from nishiki.model_selection.fit_lights import choose_lights
+from nishiki.model_selection.refinement import clearly_matt, decided, thinned
+from nishiki.observations.parcels import Parcel, parcels
+from nishiki.observations.plane import Observations
+from nishiki.photometric import flags as bits
+from nishiki.photometric.body_colour import body_intensity
+from nishiki.photometric.gloss import refine_normals
+from nishiki.photometric.gloss_scene import FEW_LIGHTS, GlossTile, SceneGloss, fit_scene_gloss
+from nishiki.photometric.reflectance import diffuse_reflectance, mean_of_channels
+from nishiki.photometric.relighting import FEW_LIGHTS as RELIGHT_LIGHTS
+from nishiki.photometric.relighting import fit_relighting
+from nishiki.photometric.solve import estimate_normals
+from nishiki.stages.normals.declaration import NormalsSettings
+
+MAPS = {
+    "normals": ("float32", "unit vector, x right, y up, z to the camera"),
+    "reflectance": ("float32", "relative to white, per channel"),
+    "albedo": ("float32", "relative to white, intensity"),
+    "sigma": ("float32", "radians, rms error of the direction"),
+    "lights_used": ("uint16", "lights"),
+    "condition": ("float32", "of the weighted 3 x 3 normal matrix"),
+    "shading": ("float32", "weights (a, b, d) of c, c^2 and c x^8, see docs/stages/normals.md"),
+    "shading_normals": ("float32", "unit vector of the body shading, where few lamps light a pixel"),
+    "residual": ("float32", "rms, relative to white"),
+    "flags": ("uint8", "bits, see docs/stages/normals.md"),
+}
+
+SAMPLE_BANDS, SAMPLE_PIXELS = 12, 20_000  # of the scene, for its gloss
+SMALL_PARCEL = 1024  # pixels
+WEIGHTED = 0.01  # mean change of the samples, relative, from which the shading is fitted to the mean of the channels
+
+
+def work(context: Context) -> dict:
+    """Solve band by band; memory does not grow with the number of rows."""
+    frames = Observations(context.inputs["ingest"].folder)
+    separate = context.inputs.get("separate")
+    selection = Maps(separate.folder) if separate else None
+    if separate and separate.settings["lights"] != context.settings.lights:
+        raise UserError(
+            f"normals.lights: {context.settings.lights}, expected {separate.settings['lights']} as the artifact of "
+            "separate was made with. Remedy: give both stages the same, or run both through the workflow."
+        )
+    lights, decision = fit_lights(frames, selection, context.settings)
+    gloss = scene_gloss(frames, selection, lights, context.settings)
+    profile = gloss.profile if wanted(gloss, context.settings) else None
+    relight = profile is None and len(lights) <= RELIGHT_LIGHTS and context.settings.solver != "least_squares"
+    arrays = create_maps(context, frames, relight=relight)
+    refinement = decided(gloss, context.settings.refine)
+    if refinement:
+        context.progress.tell(str(refinement))
+    counts: Counter[str] = Counter()
+    sigmas = []
+    for band in context.progress.over(context.share(frames.bands()), "band"):
+        size = band.stop - band.start, frames.shape[1]
+        found = {name: np.empty((*size, *array.shape[2:]), array.dtype) for name, array in arrays.items()}
+        packed = None if selection is None else selection.read("usable", band)
+        for rows, observations, valid in frames.strips(band, lights=lights):
+            strip = slice(rows.start - band.start, rows.stop - band.start)
+            usable = valid if packed is None else unpacked(packed[strip], len(lights))
+            for parcel in parcels(frames, rows, lights):
+                area = np.s_[:, parcel.rows, parcel.columns]
+                maps = solve(observations[area], usable[area], valid[area], parcel, context.settings, profile)
+                if relight:
+                    maps.update(relit(observations[area], valid[area], parcel, maps))
+                for name, values in maps.items():
+                    found[name][strip][area[1:]] = values
+        for name, array in arrays.items():
+            array[band] = found[name]
+        inside = frames.mask[band]
+        counts.update(count_flags(found["flags"], inside))
+        sigmas.append(found["sigma"][inside & ((found["flags"] & bits.NO_ESTIMATE) == 0)][::17])
+    same = {
+        "lights": [frames.lights[j] for j in lights],
+        "refined": profile is not None,
+        **({} if gloss is None else gloss.described),
+        "economy": economy(decision, refinement),
+    }
+    return {"same": same, "counts": dict(counts), "sigma": np.concatenate([np.empty(0, np.float32), *sigmas])}
+
+
+def told(context: Context, tallies: list[dict]) -> dict:
+    """Counts of pixels and of flags; uncertainty over a sample of the pixels."""
+    counts: Counter[str] = Counter()
+    for tally in tallies:
+        counts.update(tally["counts"])
+    return {**dict(counts), **percentiles(np.concatenate([tally["sigma"] for tally in tallies])), **tallies[0]["same"]}
+
+
+def fit_lights(
+    frames: Observations, selection: Maps | None, settings: NormalsSettings
+) -> tuple[np.ndarray, Decision | None]:
+    """Indices of the lights of the fit: those that separate chose; chosen here where separate was left out."""
+    if selection is not None:
+        return np.array([frames.lights.index(name) for name in selection.group.attrs["lights"]], np.int64), None
+    lights = frames.fit_lights(settings.hold_out)
+    chosen, decision = choose_lights(frames, lights, settings)
+    return lights[chosen], decision
+
+
+def wanted(gloss: SceneGloss | None, settings: NormalsSettings) -> bool:
+    """Whether the joint fit is used on all pixels."""
+    return gloss is not None and (settings.refine == "gloss" or gloss.significant)
+
+
+def scene_gloss(
+    frames: Observations, selection: Maps | None, lights: np.ndarray, settings: NormalsSettings
+) -> SceneGloss | None:
+    """Gloss of the scene from a fixed sample of its pixels in a few bands; None where it is not asked for.
+
+    The sample is the same for every machine and number of threads; it bounds the memory to that of one band.
+    """
+    if settings.refine == "none" or (settings.refine == "auto" and len(lights) > FEW_LIGHTS):
+        return None
+    bands = frames.bands()
+    bands = [bands[i] for i in np.unique(np.linspace(0, len(bands) - 1, SAMPLE_BANDS).round().astype(int))]
+    step = max(1, sum(int(frames.mask[band].sum()) for band in bands) // SAMPLE_PIXELS)
+    tiles, seen, parcel_number = [], 0, 0
+    for band in bands:
+        observations, valid = frames.read(band, lights=lights)
+        usable = read_usable(selection, band, len(lights), valid)
+        inside = frames.mask[band]
+        for parcel in parcels(frames, band, lights):
+            area = np.s_[:, parcel.rows, parcel.columns]
+            here = np.flatnonzero(inside[area[1:]])
+            if inside[area[1:]].size < SMALL_PARCEL:  # lamps that stand near: whole parcels, or there are too many
+                chosen = here if parcel_number % step == 0 else here[:0]
+            else:
+                chosen = here[(-seen) % step :: step]
+            parcel_number, seen = parcel_number + 1, seen + here.size
+            if chosen.size:
+                picked = [pick(array[area], chosen) for array in (observations, usable, valid)]
+                tiles.append(gloss_tile(*picked, parcel, settings))
+    if not tiles:
+        return None
+    if settings.refine == "auto" and (fewer := thinned(tiles)):
+        first = fit_scene_gloss(fewer, refractive_index=settings.refractive_index)
+        if clearly_matt(first):
+            return first
+    return fit_scene_gloss(tiles, refractive_index=settings.refractive_index)
+
+
+def pick(array: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """Pixels of an array (lights, rows, columns, ...) as (lights, 1, pixels, ...)."""
+    return array.reshape(len(array), 1, -1, *array.shape[3:])[:, :, chosen]
+
+
+def gloss_tile(observations, usable, valid, parcel: Parcel, settings: NormalsSettings) -> GlossTile:
+    """Sampled pixels with their estimates from the selected lights."""
+    maps = solve(observations, usable, valid, parcel, settings, None)
+    return GlossTile(
+        scaled(observations, parcel),
+        valid,
+        parcel.directions,
+        maps["normals"],
+        maps["flags"],
+        maps["sigma"],
+        maps["reflectance"],
+    )
+
+
+def create_maps(context: Context, frames: Observations, *, relight: bool) -> dict:
+    """The arrays of the artifact."""
+    rows, columns = frames.shape
+    maps = MapWriter(context.output.folder, rows=rows, columns=columns, band_rows=frames.band_rows, stamp=context.stamp)
+    maps.group.attrs["pixel_pitch_mm"] = frames.pixel_pitch_mm
+    trailing = {"normals": (3,), "reflectance": (len(frames.channels),), "shading": (3,), "shading_normals": (3,)}
+    left_out = {"shading"} if context.settings.solver == "least_squares" else set()
+    left_out |= set() if relight else {"shading_normals"}
+    return {
+        name: maps.create(name, trailing.get(name, ()), dtype=dtype, unit=unit)
+        for name, (dtype, unit) in MAPS.items()
+        if name not in left_out
+    }
+
+
+def scaled(observations: np.ndarray, parcel: Parcel) -> np.ndarray:
+    """Observations as if the lamps were as far from the parcel as from the centre."""
+    return observations * parcel.scale[:, None, None, None] if (parcel.scale != 1).any() else observations
+
+
+def solve(
+    observations: np.ndarray,
+    usable: np.ndarray,
+    valid: np.ndarray,
+    parcel: Parcel,
+    settings: NormalsSettings,
+    gloss: GlossProfile | None,
+) -> dict:
+    """Maps of one parcel by name: from the selected lights, then, with a gloss, fitted together with it."""
+    observations = scaled(observations, parcel)
+    if observations.shape[-1] == 1:
+        intensity = observations[..., 0]
+    elif settings.solver == "least_squares":  # as published: the mean of the channels
+        intensity = mean_of_channels(observations)
+    else:
+        intensity = body_intensity(observations, valid)
+    field = estimate_normals(
+        intensity,
+        parcel.directions,
+        usable=usable,
+        valid=valid,
+        solver=settings.solver,
+        max_condition=settings.max_condition,
+    )
+    if field.shading is not None and observations.shape[-1] > 1:
+        field = with_shading_of_mean(field, intensity, observations, parcel, usable, valid, settings)
+    found = {name: getattr(field, name) for name in MAPS if name not in ("reflectance", "shading_normals")}
+    if observations.shape[-1] == 1 and field.shading is None:
+        found["reflectance"] = field.albedo[..., None]
+    else:
+        found["reflectance"] = diffuse_reflectance(
+            observations,
+            parcel.directions,
+            field.normals,
+            usable=usable,
+            method=settings.reflectance,
+            shading=field.shading,
+        ).reflectance
+    if field.shading is None:
+        del found["shading"]
+    if gloss is None:
+        return found
+    fit = refine_normals(
+        observations,
+        parcel.directions,
+        normals=field.normals,
+        gloss=gloss,
+        valid=valid,
+        flags=field.flags,
+        reflectance=found["reflectance"],
+        max_condition=settings.max_condition,
+    )
+    kept = (fit.flags & (bits.NO_ESTIMATE | bits.FALLBACK)) != 0
+    lambert = {"shading": np.array(LAMBERT, np.float32)}  # the joint fit has a body of its own
+    return {
+        name: fit.flags
+        if name == "flags"
+        else np.where(aligned(kept, values), values, lambert[name] if name in lambert else getattr(fit, name))
+        for name, values in found.items()
+    }
+
+
+def with_shading_of_mean(field, intensity, observations, parcel: Parcel, usable, valid, settings):
+    """The field with the body shading of the channels' mean where the intensity that made the normals is another.
+
+    There gloss was weighted down for the normals; light is predicted with all of it.
+    """
+    mean = mean_of_channels(observations)
+    change = np.abs(intensity - mean).sum(axis=0)
+    chosen = np.flatnonzero(change > WEIGHTED * np.abs(mean).sum(axis=0))
+    if not chosen.size:
+        return field
+    picked = [pick(np.broadcast_to(array, mean.shape), chosen) for array in (mean, usable, valid)]
+    of_mean = estimate_normals(
+        picked[0], parcel.directions, usable=picked[1], valid=picked[2], solver=settings.solver
+    ).shading
+    shading = field.shading.copy()
+    shading.reshape(-1, 3)[chosen] = of_mean.reshape(-1, 3)
+    return replace(field, shading=shading)
+
+
+def relit(observations: np.ndarray, valid: np.ndarray, parcel: Parcel, maps: dict) -> dict:
+    """The maps that predict lamps, fitted again to all lit samples of a parcel."""
+    return fit_relighting(
+        scaled(observations, parcel),
+        parcel.directions,
+        maps["normals"],
+        valid=valid,
+        scatter=maps["residual"] / np.maximum(maps["albedo"], 1e-9),
+        reflectance=maps["reflectance"],
+        shading=maps["shading"],
+        known=(maps["flags"] & bits.NO_ESTIMATE) == 0,
+    )
+
+
+def aligned(mask: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """The mask (rows, columns) with as many axes as the map."""
+    return mask.reshape(mask.shape + (1,) * (values.ndim - 2))
+
+
+def read_usable(selection: Maps | None, band: slice, lights: int, valid: np.ndarray) -> np.ndarray:
+    """Samples (lights, rows, columns) that separate chose; all valid ones where it was left out."""
+    if selection is None:
+        return valid
+    return unpacked(selection.read("usable", band), lights)
+
+
+def unpacked(packed: np.ndarray, lights: int) -> np.ndarray:
+    """Samples (lights, rows, columns) bool of bits (rows, columns, bytes)."""
+    return np.unpackbits(np.moveaxis(packed, -1, 0), axis=0, count=lights, bitorder="little").view(bool)
+
+
+def count_flags(flags: np.ndarray, inside: np.ndarray) -> dict[str, int]:
+    """Pixels of the object, those with an estimate, and those with each flag."""
+    of_object = flags[inside]
+    valid = int(((of_object & bits.NO_ESTIMATE) == 0).sum())
+    named = {f"flagged_{name}": int(((of_object & bit) != 0).sum()) for bit, name in bits.NAMES.items()}
+    return {"object_pixels": int(inside.sum()), "valid_pixels": valid, **named}
+
+
+def percentiles(sigma: np.ndarray) -> dict[str, float | None]:
+    """Median and 95th percentile of the standard error of the direction, degrees, over a sample of the pixels."""
+    if not sigma.size:
+        return {"sigma_median_deg": None, "sigma_p95_deg": None}
+    middle, high = np.degrees(np.percentile(sigma, [50, 95]))
+    return {"sigma_median_deg": float(middle), "sigma_p95_deg": float(high)}
+
+
+run = Scattered(work, told)

@@ -1,0 +1,167 @@
+"""Object_evaluate: the decoded object against its photographs, left-out views, truth, and the bytes it takes."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.artifacts.provenance import truth_digest
+from nishiki.artifacts.stage import Context
+from nishiki.codec.cost import cost_of
+from nishiki.colour.encoding import encode
+from nishiki.errors import UserError
+from nishiki.evaluate.object_comparison import comparison
+from nishiki.evaluate.object_photographs import ObjectTruth, Photographs
+from nishiki.evaluate.object_rows import (
+    COLUMNS,
+    DECODED,
+    INTERPOLATED,
+    MODEL,
+    SLOT,
+    better_prediction,
+    compare,
+    figures,
+)
+from nishiki.geometry.mesh import Mesh
+from nishiki.render.object.decoded_object import DecodedObject
+from nishiki.render.object.shots import Picture
+from nishiki.render.output import write_png
+
+
+def run(context: Context) -> dict:
+    """Render every observation from the coded object, compare it, and count the bytes."""
+    settings = context.settings
+    photographs = Photographs(context.inputs)
+    truth = open_truth(context, photographs)
+    decoded = DecodedObject.open(context.inputs)
+    charts = decoded.atlas.chart
+    cost = cost_of(decoded.mesh, charts, decoded.cameras, decoded.lighting.as_dict(), decoded.residual.bytes)
+    work = Work(context, decoded, cost.mesh.restored(decoded.mesh), photographs, truth)
+    rows = [row for light in range(len(decoded.lights)) for row in work.light(light)]
+    found = figures(rows)
+    used = settings.left_out if settings.left_out != "best" else better_prediction(found)
+    bits = 8 * cost.total / work.pixels if work.pixels else None
+    evaluation = {
+        "encoding": decoded.encoding,
+        "peak": 1.0,
+        "figures": found,
+        "left_out": {"views": sorted(settings.hold_out), "used": used},
+        "bytes": {**cost.parts, "total": cost.total},
+        "object_pixels": work.pixels,
+        "bits_per_object_pixel": bits,
+        "vertex_shift_px": cost.vertex_shift_px,
+        "silhouettes": "known" if work.outlined else "surface",
+        "rows": [row.as_dict() for row in rows],
+        "pictures": work.shown,
+    }
+    text = json.dumps(evaluation, indent=1, sort_keys=True, allow_nan=False)
+    context.output.path("evaluation.json").write_text(text + "\n")
+    with context.output.path("evaluation.csv").open("w", newline="") as file:
+        table = csv.DictWriter(file, COLUMNS)
+        table.writeheader()
+        table.writerows(evaluation["rows"])
+    return headlines(evaluation)
+
+
+class Work:
+    """The pictures of one object and their counterparts."""
+
+    def __init__(self, context: Context, decoded: DecodedObject, mesh: Mesh, photographs: Photographs, truth):
+        self.context, self.decoded, self.settings = context, decoded, context.settings
+        self.without = decoded.numbers(self.settings.hold_out)
+        options = {"mesh": mesh, "without": self.without, "rim": self.settings.rim_px}
+        self.renderer = decoded.renderer(method=self.settings.interpolation, **options)
+        self.model = decoded.renderer(model_only=True, **options)
+        self.photographs, self.truth = photographs, truth
+        count = len(decoded.views)
+        spread = {k * count // max(1, self.settings.pictures) for k in range(min(self.settings.pictures, count))}
+        self.to_show = spread | set(sorted(self.without)[: self.settings.pictures])
+        self.shown, self.pixels, self.outlined = [], 0, True
+
+    def light(self, light: int) -> list:
+        """Rows of all views under one light."""
+        shots, labels = [], []
+        for view in range(len(self.decoded.views)):
+            if view in self.without:
+                shots += [self.renderer.predicted(view, light=light), self.renderer.captured(view, light=light)]
+                labels += [(view, INTERPOLATED), (view, SLOT)]
+            else:
+                shots.append(self.renderer.captured(view, light=light))
+                labels.append((view, DECODED))
+        views = range(len(self.decoded.views))
+        models = self.model.render(self.model.captured(view, light=light) for view in views)
+        rows, gathered, current = [], {}, 0
+        pictures = self.context.progress.through(self.renderer.render(shots), len(shots), "picture")
+        for (view, label), picture in zip(labels, pictures, strict=True):
+            if view != current:
+                rows += self.judge(current, light, {**gathered, MODEL: next(models)})
+                gathered, current = {}, view
+            gathered[label] = picture
+        return rows + self.judge(current, light, {**gathered, MODEL: next(models)})
+
+    def judge(self, view: int, light: int, made: dict[str, Picture]) -> list:
+        """Rows of one observation; its pictures side by side where they are to be shown."""
+        encoding, similarity = self.decoded.encoding, self.settings.similarity
+        name = self.decoded.views[view]
+        linear, valid = self.photographs.read(view, light)
+        outline = self.photographs.silhouette(view)
+        covered = made[MODEL].covered
+        self.outlined &= outline is not None
+        inside = covered if outline is None else outline
+        left_out = view in self.without
+        self.pixels += 0 if left_out else int(np.count_nonzero(inside))
+        photograph = encode(linear, encoding)
+        coded = {label: encode(picture.linear, encoding) for label, picture in made.items()}
+        named = {"view": name, "light": self.decoded.lights[light], "left_out": left_out, "covered": covered}
+        rows = [
+            compare(values, photograph, inside=inside & valid, similarity=similarity, picture=label,
+                    against="photograph", **named)
+            for label, values in coded.items()
+        ]  # fmt: skip
+        if self.truth is not None and light == 0:
+            true, where = encode(self.truth.read(name), encoding), self.truth.silhouette(name)
+            rows += [
+                compare(values, true, inside=where, similarity=False, picture=label, against="truth", **named)
+                for label, values in {**coded, "photograph": photograph}.items()
+                if not (left_out and label == "photograph")
+            ]
+        if view in self.to_show and light == 0:
+            self.show(name, left_out, inside, photograph, coded)
+        return rows
+
+    def show(self, name: str, left_out: bool, inside: np.ndarray, photograph: np.ndarray, coded: dict) -> None:
+        """One picture file: photograph, rendering, model alone, ten times the difference; and their arrays."""
+        best = coded[INTERPOLATED] if left_out else coded[DECODED]
+        panels = comparison(photograph, best, coded[MODEL], inside, self.decoded.encoding, self.settings.columns)
+        stem = f"compare-{name}"
+        strip = np.concatenate([panels[key] for key in ("photograph", "rendered", "model", "error")], axis=1)
+        write_png(self.context.output.path(f"{stem}.png"), strip, stamp=self.context.stamp)
+        np.savez_compressed(self.context.output.path(f"{stem}.npz"), **panels)
+        self.shown.append({"view": name, "left_out": left_out, "file": f"{stem}.png", "arrays": f"{stem}.npz"})
+
+
+def open_truth(context: Context, photographs: Photographs) -> ObjectTruth | None:
+    """The truth of a simulated capture, if one is given; UserError where it is not the one that was planned."""
+    if context.truth is None:
+        return None
+    digest = truth_digest(Path(context.truth))
+    if digest != context.settings.truth_sha256:
+        raise UserError(
+            f"{context.truth}: expected the truth with the digest {context.settings.truth_sha256 or '(none)'} (setting "
+            f"truth_sha256), found {digest}. Remedy: run again, so that the plan sees the truth as it is now"
+        )
+    if not (Path(context.truth) / "truth.zarr").is_dir():
+        raise UserError(f"{context.truth}: expected truth.zarr of a simulated turntable capture, found none")
+    return ObjectTruth(Path(context.truth), photographs)
+
+
+def headlines(evaluation: dict) -> dict:
+    """The figures that stand in the artifact's diagnostics."""
+    found = evaluation["figures"]
+    kept = {
+        name: {key: part[key] for key in ("mean_psnr_db", "worst_psnr_db", "views", "uncovered_pixels")}
+        for name, part in found.items()
+    }
+    names = ("left_out", "bytes", "object_pixels", "bits_per_object_pixel", "vertex_shift_px", "silhouettes")
+    return {"psnr": kept, **{name: evaluation[name] for name in names}}

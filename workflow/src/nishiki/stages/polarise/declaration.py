@@ -1,0 +1,84 @@
+"""Declaration of the stage `polarise`: settings, inputs, limits of its result, cost."""
+
+from typing import ClassVar, Literal
+
+from pydantic import Field
+
+from nishiki.artifacts.closed import Closed, Guarded
+from nishiki.artifacts.limits import Limit, at, extreme
+from nishiki.stages.base import Cost, SceneFacts, Stage, no_method
+
+LIMITS = (
+    Limit(
+        "condition",
+        "condition of the least squares over the polariser states",
+        at("condition"),
+        most=1e3,
+        remedy="photograph states that are spread more evenly",
+        why="simulated and measured series gave 1 to 35; 1000 turns noise of 0.1 % into the whole signal",
+    ),
+    Limit(
+        "valid_share",
+        "share of the pixels with both components",
+        at("valid"),
+        least=0.1,
+        remedy="expose differently, or give polarise.beta where the board does not fill the picture",
+        why="captures gave 0.9998 and more",
+    ),
+    Limit(
+        "negative_share",
+        "share of specular values further below 0 than noise reaches",
+        at("doubtful"),
+        most=0.5,
+        remedy="check that the states in the column polariser of frames.csv are not exchanged, and polarise.beta",
+        why="captures gave 0.017 and less; exchanged states make most specular values negative",
+    ),
+    Limit("low_beta_pixels", "pixels whose beta is below polarise.beta_least", extreme("low_beta")),
+)
+
+
+class PolariseSettings(Guarded):
+    """Diffuse and specular components of every view, from its polariser states."""
+
+    STAGE: ClassVar[str] = "polarise"
+    VERSION: ClassVar[int] = 1
+    LIMITS: ClassVar[tuple[Limit, ...]] = LIMITS
+
+    method: Literal["auto", "pairs", "mueller", "none"] = Field(
+        "auto",
+        description="generator/analyser states by parallel and crossed pairs or the Mueller matrix; none: all diffuse",
+    )
+    beta: tuple[float, ...] | None = Field(
+        None, description="circular: what the polarisers let through, one a channel; none: from the white boards"
+    )
+    beta_least: float = Field(0.02, gt=0, lt=1, description="circular: below this beta a pixel is flagged, not divided")
+    block_px: int = Field(16, ge=1, description="board images are averaged over blocks of this many pixels")
+    local: bool = Field(True, description="beta and transmission by place; off: one value a channel")
+    phase: Literal["pixel", "common"] = Field(
+        "pixel", description="three or more analyser angles: amplitude at each pixel's own angle, or at one for a view"
+    )
+    wavelength_nm: float | None = Field(
+        None, gt=0, description="of the light; needed where the calibration gives a retarder's dispersion"
+    )
+    pictures: int = Field(8, ge=0, description="views shown as pictures: whole, diffuse, specular")
+
+
+def _no_polarisers(facts: SceneFacts, settings: Closed) -> str | None:
+    if len(facts.states) < 2:
+        return "the photographs show one polariser state only"
+    return no_method(facts, settings)
+
+
+STAGE = Stage(
+    settings=PolariseSettings,
+    does="diffuse and specular parts, by the state of the polarisers",
+    geometry="turntable",
+    product="separate",
+    requires=("ingest",),
+    lacks=_no_polarisers,
+    needs_colour=True,
+    looks_at=lambda facts, settings, asked: ("photographs", "states", "white_states"),
+    libraries=("numpy", "scipy", "numba", "zarr", "opencv-contrib-python-headless"),
+    deliverables=("*.png", "*.exr"),
+    cost=lambda facts: Cost(mib=240, bytes_per_pixel=400, seconds=2.5, us_per_pixel=16, us_per_sample=1.4),
+)

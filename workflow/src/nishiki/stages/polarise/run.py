@@ -1,0 +1,206 @@
+"""Polarise: diffuse and specular components of every view, from its polariser states."""
+
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.artifacts.stage import Context
+from nishiki.errors import UserError
+from nishiki.observations.views import Views, encode
+from nishiki.polarisation.beta import Beta, board_ratio
+from nishiki.polarisation.components import ComponentWriter
+from nishiki.polarisation.instrument import arms_of, read_instrument
+from nishiki.polarisation.polarisation import (
+    SeparatedView,
+    common_phase,
+    components,
+    reflected_sense,
+    sum_planes,
+)
+from nishiki.polarisation.polariser_states import StateSums, sums_of
+from nishiki.polarisation.series_diagnostics import Thinned, diagnose
+from nishiki.polarisation.statistics import SeparationStatistics, statistics_of
+from nishiki.render.output import write_png
+from nishiki.stages.polarise.declaration import PolariseSettings
+
+
+def run(context: Context) -> dict:
+    """Separate one photograph series after another; one view's planes are in memory at a time."""
+    folder, settings = context.inputs["ingest"].folder, context.settings
+    views = Views(folder)
+    arms = arms_of(instrument_of(folder, views), wavelength_nm=wavelength_of(views, settings))
+    sums = sums_of(views.states, generator=arms[0], analyser=arms[1], method=settings.method)
+    writer = ComponentWriter(
+        context.output.folder,
+        views=views.views,
+        lights=views.lights,
+        shape=views.shape,
+        channels=views.channels,
+        stamp=context.stamp,
+    )
+    shown = shown_views(len(views.views), settings.pictures)
+    found: list[SeparationStatistics] = []
+    told: list[dict] = []
+    exposure = None
+    boards = {light: boards_of(views, light, sums, settings) for light in views.lights}
+    for number in context.progress.over(range(len(views.lights) * len(views.views)), "view"):
+        light, place = views.lights[number // len(views.views)], number % len(views.views)
+        separated, facts = separate(views, place, light, sums, settings, boards[light])
+        writer.write(number, separated)
+        found.append(statistics_of(separated))
+        told.append(facts)
+        if place in shown and number < len(views.views):
+            exposure = exposure or exposure_of(separated)
+            picture(context, views.views[place], place, separated, exposure)
+    return {
+        "method": sums.method,
+        "states": len(sums.states),
+        "states_used": sums.used,
+        "condition": sums.condition,
+        "angles_deg": [list(angles) for angles in sums.angles_deg],
+        "views": len(views.views),
+        "lights": list(views.lights),
+        "boards": {light: told_of(boards[light]) for light in views.lights},
+        **totals(found),
+        "by_view": [{**asdict(one), **facts} for one, facts in zip(found, told, strict=True)],
+    }
+
+
+def separate(
+    views: Views, place: int, light: str, sums: StateSums, settings: PolariseSettings, board: Beta | None
+) -> tuple[SeparatedView, dict]:
+    """Components of one view, and what its series says about itself."""
+    thinned = Thinned(sums, views.shape, len(views.channels))
+    planes, valid = sum_planes(photographs(views, place, light, thinned), sums.weights)
+    facts = diagnose(sums, thinned)
+    field = None if board is None else board.field
+    if sums.method == "circular":
+        return components(planes, valid, sums, beta=field if field is not None else np.array(settings.beta)), facts
+    phase, sense = None, 1
+    if sums.method == "linear":
+        angle, agreement = common_phase(planes, valid)
+        facts |= {"phase_deg": float(np.degrees(angle)), "phase_agreement": agreement}
+        phase = angle if settings.phase == "common" else None
+    if sums.method == "mueller":
+        sense = reflected_sense(planes[1][valid], planes[2][valid])
+        facts["sense"] = sense
+    gain = None if field is None else 1 / field
+    return components(planes, valid, sums, phase=phase, sense=sense, gain=gain), facts
+
+
+def photographs(views: Views, place: int, light: str, thinned: Thinned) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """The view's photographs, one at a time, in the order of the states."""
+    for state in views.states:
+        values, valid = views.read(place, state=state, light=light)
+        thinned.add(values, valid)
+        yield values, valid
+
+
+def boards_of(views: Views, light: str, sums: StateSums, settings: PolariseSettings) -> Beta | None:
+    """beta (circular) or the analyser's transmission (else) by place, from the white boards; None without boards.
+
+    UserError where circular states have neither boards nor a given beta.
+    """
+    if sums.method == "none" or (sums.method == "circular" and settings.beta is not None):
+        if settings.beta is not None and len(settings.beta) not in (1, len(views.channels)):
+            raise UserError(f"polarise.beta: expected 1 or {len(views.channels)} values, found {len(settings.beta)}")
+        if settings.beta is not None and min(settings.beta) < settings.beta_least:
+            raise UserError(f"polarise.beta: {min(settings.beta):g} is below beta_least = {settings.beta_least:g}")
+        return None
+    used = [state for state, column in zip(sums.states, sums.weights.T, strict=True) if column.any()]
+    images = {state: views.board(state, light=light) for state in used}
+    missing = [state for state, image in images.items() if image is None]
+    if sums.method == "circular":
+        if missing:
+            raise UserError(
+                f"polarise: no white board for the polariser {' and '.join(missing)}. Remedy: photograph the board "
+                "with the "
+                "polarisers off and on (role white), or give polarise.beta"
+            )
+        return board_ratio(
+            images["on"], images["off"], block=settings.block_px, least=settings.beta_least, local=settings.local
+        )
+    if missing:
+        return None
+    everywhere = np.ones(views.shape, bool)
+    series = ((images.get(state, images[used[0]]), everywhere) for state in sums.states)
+    planes, valid = sum_planes(series, sums.weights)
+    sense = reflected_sense(planes[1], planes[2]) if sums.method == "mueller" else 1
+    board = components(planes, valid, sums, sense=sense)
+    total = board.diffuse + board.specular
+    lit = total > 0.1 * np.percentile(total, 99, axis=(0, 1))
+    return board_ratio(
+        total, lit, block=settings.block_px, least=settings.beta_least, what="transmission", local=settings.local
+    )
+
+
+def told_of(board: Beta | None) -> dict | None:
+    """A board in the diagnostics."""
+    if board is None:
+        return None
+    return {"channel": board.channel, "covered": board.covered, "low_pixels": board.low, "spread": board.spread}
+
+
+def instrument_of(folder: Path, views: Views) -> dict | None:
+    """The polarimeter's calibration that came with the capture; None without."""
+    name = views.geometry.get("calibration")
+    return read_instrument(folder / name) if name else None
+
+
+def wavelength_of(views: Views, settings: PolariseSettings) -> float | None:
+    """The setting, else the wavelength that a single channel has in its name ('630 nm')."""
+    if settings.wavelength_nm is not None or len(views.channels) != 1:
+        return settings.wavelength_nm
+    text = views.channels[0].removesuffix("nm").strip()
+    return float(text) if text.replace(".", "", 1).isdigit() else None
+
+
+def totals(found: list[SeparationStatistics]) -> dict:
+    """Means over the views that have anything valid."""
+    known = [one for one in found if one.diffuse is not None]
+    names = ("diffuse", "specular", "negative", "negative_mean", "noise", "doubtful")
+    mean = {name: [getattr(one, name) for one in known if getattr(one, name) is not None] for name in names}
+    values = {name: float(np.mean(each)) if each else None for name, each in mean.items()}
+    whole = (values["diffuse"] or 0.0) + (values["specular"] or 0.0)
+    return {
+        **values,
+        "specular_share": values["specular"] / whole if known and whole > 0 else None,
+        "valid": float(np.mean([one.valid for one in found])),
+    }
+
+
+def shown_views(count: int, pictures: int) -> set[int]:
+    """Evenly spread views."""
+    return {count * k // min(pictures, count) for k in range(min(pictures, count))}
+
+
+def exposure_of(view: SeparatedView) -> float:
+    """Factor that brings all but the brightest half per cent of the whole to at most full scale."""
+    total = (view.diffuse + view.specular)[view.valid]
+    top = float(np.percentile(total, 99.5)) if total.size else 0.0
+    return 1 / top if top > 0 else 1.0
+
+
+def picture(context: Context, name: str, place: int, view: SeparatedView, exposure: float) -> None:
+    """Pictures of the whole, the diffuse and the specular part, all at one exposure; negative values show as black."""
+    parts = {"whole": view.diffuse + view.specular, "diffuse": view.diffuse, "specular": view.specular}
+    codes = {key: display(values * np.float32(exposure)) for key, values in parts.items()}
+    codes["side_by_side"] = np.concatenate(list(codes.values()), axis=1)
+    for key, pixels in codes.items():
+        file = f"pictures/{place:03}_{safe(name)}{key}.png"
+        write_png(context.output.path(file), pixels, stamp=context.stamp | {"exposure": f"{exposure:.6g}"})
+
+
+def safe(name: str) -> str:
+    """A view's name as a part of a file name."""
+    kept = "".join(letter if letter.isalnum() or letter in "._-" else "-" for letter in name)
+    return f"{kept}_" if kept else ""
+
+
+def display(linear: np.ndarray) -> np.ndarray:
+    """(rows, columns, 3) uint8 sRGB of linear values with one, three or more channels (one: grey; others: first "
+    "three)."""
+    colours = linear[..., :3] if linear.shape[-1] >= 3 else np.repeat(linear[..., :1], 3, axis=-1)
+    return np.rint(255 * encode(np.clip(colours, 0, 1), "srgb")).astype(np.uint8)

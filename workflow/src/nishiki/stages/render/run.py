@@ -1,0 +1,164 @@
+"""Render: pictures and moving pictures of the object under any light and from any view."""
+
+import json
+from itertools import chain
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.artifacts.artifact import Artifact
+from nishiki.artifacts.maps import Maps, shading_normals
+from nishiki.artifacts.stage import Context
+from nishiki.brdf.parameters import gloss_table, is_facets
+from nishiki.brdf.slopes import slope_covariance
+from nishiki.capture.spectra_tables import read_curves
+from nishiki.colour.colour import illuminant as cie_illuminant
+from nishiki.colour.sampling import resample
+from nishiki.photometric.flags import NO_ESTIMATE
+from nishiki.render.display import adapted_exposure, display_image
+from nishiki.render.output import (
+    VideoWritten,
+    write_exr,
+    write_normals_exr,
+    write_normals_png,
+    write_png,
+    write_video,
+)
+from nishiki.render.plane.frame import Rendering, render
+from nishiki.render.plane.scene import Ambient, Gloss, PlaneScene
+from nishiki.render.sequence import circle_of_directions, light_sequence, moved_lights, orbit, view_sequence
+from nishiki.stages.render import requests
+from nishiki.stages.render.declaration import LightSettings, PictureSettings, RenderSettings, SequenceSettings
+
+AMBIENT = 0.05  # of films
+
+
+def run(context: Context) -> dict:
+    """Make every picture and sequence that the settings name."""
+    settings = context.settings
+    scene = load_scene(context.inputs, cast_shadows=settings.cast_shadows)
+    lights = [light for picture in settings.pictures for light in picture.lights]
+    spectra = {name: spectrum(name) for name in {item.illuminant for item in (*lights, *settings.sequences)}}
+    found, notes = {}, []
+    for picture in context.progress.over(settings.pictures, "picture"):
+        made = paint(scene, picture, spectra, settings)
+        found[picture.name] = save(context, picture, made)
+    for sequence in settings.sequences:
+        written, exposure = film(context, scene, sequence, spectra)
+        found[sequence.name] = {"frames": written.frames, "file": written.path.name, "exposure": exposure}
+        notes += [written.note] if written.note else []
+    if settings.export_normals:
+        maps = Maps(context.inputs["normals"].folder)
+        known = (maps.read("flags") & NO_ESTIMATE) == 0
+        normals = np.where(known[..., None], maps.read("normals"), np.float32(0))
+        write_normals_png(context.output.path("normals.png"), normals, stamp=context.stamp)
+        write_normals_exr(context.output.path("normals.exr"), normals, stamp=context.stamp)
+    return {
+        "pictures": found,
+        "notes": notes,
+        "spectral": scene.basis is not None,
+        "cast_shadows": scene.height is not None,
+    }
+
+
+def load_scene(inputs: dict[str, Artifact], *, cast_shadows: bool) -> PlaneScene:
+    """The maps of the upstream artifacts; spectra where there are some, camera channels otherwise."""
+    maps = Maps(inputs["normals"].folder)
+    known = (maps.read("flags") & NO_ESTIMATE) == 0
+    normals = np.where(known[..., None], shading_normals(maps), np.float32(0))
+    fields = {"normals": normals, "pitch": maps.group.attrs.get("pixel_pitch_mm") or 1.0, **colours(inputs, maps)}
+    if "shading" in maps:
+        fields["shading"] = maps.read("shading")
+    if "height" in inputs and cast_shadows:
+        fields["height"] = Maps(inputs["height"].folder).read("height")
+    if "brdf" in inputs:
+        parameters = json.loads(inputs["brdf"].path("parameters.json").read_text())
+        fields["gloss"] = Gloss(*gloss_table(parameters))
+        if is_facets(parameters):
+            fields["slopes"] = slope_covariance(normals)
+        if inputs["brdf"].path("maps.zarr").is_dir():
+            fields["labels"] = Maps(inputs["brdf"].folder).read("labels").astype(np.uint8)
+    return PlaneScene(**fields)
+
+
+def colours(inputs: dict[str, Artifact], maps: Maps) -> dict[str, np.ndarray]:
+    """Diffuse colour: spectral coefficients and their basis, else camera channels read as linear sRGB, or grey."""
+    if "spectra" in inputs:
+        spectra = Maps(inputs["spectra"].folder)
+        basis = np.array(spectra.attributes("coefficients")["basis"])
+        return {"coefficients": spectra.read("coefficients"), "basis": basis}
+    reflectance = maps.read("reflectance")
+    if reflectance.shape[-1] != 3:
+        reflectance = np.repeat(reflectance.mean(axis=-1, keepdims=True), 3, axis=-1)
+    return {"coefficients": reflectance}
+
+
+def spectrum(name: str) -> np.ndarray:
+    """(61,) power of a CIE illuminant, or of a table (wavelength_nm, power)."""
+    if not name.lower().endswith(".csv"):
+        return cie_illuminant(name)
+    curves = read_curves(Path(name), label=name)
+    return resample(curves.wavelengths_nm, curves.values.T, name=name)[0]
+
+
+def paint(
+    scene: PlaneScene, picture: PictureSettings, spectra: dict[str, np.ndarray], settings: RenderSettings
+) -> Rendering:
+    """One picture in linear XYZ."""
+    lights = [requests.lamp(light, spectra[light.illuminant]) for light in picture.lights]
+    view = requests.view_of(picture.view, scene)
+    ambient = Ambient(spectrum=lights[0].spectrum, level=picture.ambient) if lights else Ambient(level=picture.ambient)
+    return render(scene, lights, view, ambient=ambient, minimum_samples=settings.supersampling)
+
+
+def save(context: Context, picture: PictureSettings, made: Rendering) -> dict:
+    """Linear EXR and 8-bit sRGB PNG; what the PNG clipped and what was flagged."""
+    coverage = None if picture.view.kind == "frontal" else made.coverage
+    write_exr(context.output.path(f"{picture.name}.exr"), made.xyz, stamp=context.stamp, coverage=coverage)
+    exposure = picture.exposure
+    if exposure == "auto":
+        sheet = requests.white_sheet(picture.lights, picture.ambient)
+        exposure = adapted_exposure(made.xyz, seen=seen(made), sheet=sheet)
+    shown = display_image(made.xyz, white=made.white_xyz, exposure=exposure)
+    write_png(context.output.path(f"{picture.name}.png"), shown.pixels, stamp=context.stamp)
+    return {
+        "exposure": exposure,
+        "clipped_fraction": float(shown.clipped_high),
+        "flagged_pixels": int(np.count_nonzero(made.flags & 19)),
+    }
+
+
+def seen(made: Rendering) -> np.ndarray:
+    """Pixels (rows, columns) of the picture that show the object."""
+    return (made.coverage > 0.5) & ((made.flags & 19) == 0)
+
+
+def film(
+    context: Context, scene: PlaneScene, sequence: SequenceSettings, spectra: dict[str, np.ndarray]
+) -> tuple[VideoWritten, float]:
+    """A moving light or a moving view as video, and its exposure."""
+    view = requests.film_view(sequence, scene)
+    lamp = LightSettings(elevation_deg=sequence.elevation_deg)
+    light = requests.lamp(lamp, spectra[sequence.illuminant])
+    ambient = Ambient(spectrum=light.spectrum, level=AMBIENT)
+    if sequence.moves == "light":
+        directions = circle_of_directions(sequence.frames, elevation=np.radians(sequence.elevation_deg))
+        frames = light_sequence(scene, moved_lights(light, directions), view, ambient=ambient)
+    else:
+        views = orbit(view, sequence.frames, sweep=np.radians(30))
+        frames = view_sequence(scene, [light], views, ambient=ambient)
+    first = next(frames)  # sets the exposure of all, so that the film does not flicker
+    sheet = requests.white_sheet([lamp], AMBIENT)
+    exposure = adapted_exposure(first.xyz, seen=seen(first), sheet=sheet)
+    frames = chain([first], frames)
+    pictures = (
+        display_image(frame.xyz, white=frame.white_xyz, exposure=exposure).pixels
+        for frame in context.progress.through(frames, sequence.frames, f"{sequence.name}: frame")
+    )
+    written = write_video(
+        context.output.path(f"{sequence.name}.mp4"),
+        pictures,
+        frames_per_second=sequence.frames_per_second,
+        stamp=context.stamp,
+    )
+    return written, exposure

@@ -1,0 +1,87 @@
+"""Separate: per pixel, the lights under which it shows diffuse reflection only."""
+
+import numpy as np
+
+from nishiki.artifacts.maps import MapWriter
+from nishiki.artifacts.scatter import Scattered
+from nishiki.artifacts.stage import Context
+from nishiki.model_selection.decision import economy
+from nishiki.model_selection.fit_lights import choose_lights
+from nishiki.observations.parcels import Parcel, parcels
+from nishiki.observations.plane import Observations
+from nishiki.photometric.light_selection import select_diffuse
+from nishiki.stages.separate.declaration import SeparateSettings
+
+
+def work(context: Context) -> dict:
+    """Select the lights band by band; usable lights are kept as one bit each."""
+    frames = Observations(context.inputs["ingest"].folder)
+    lights = frames.fit_lights(context.settings.hold_out)
+    rows_used, decision = choose_lights(frames, lights, context.settings)
+    lights = lights[rows_used]
+    if decision:
+        context.progress.tell(str(decision))
+    rows, columns = frames.shape
+    maps = MapWriter(context.output.folder, rows=rows, columns=columns, band_rows=frames.band_rows, stamp=context.stamp)
+    maps.group.attrs["lights"] = [frames.lights[j] for j in lights]
+    usable = maps.create("usable", (-(-len(lights) // 8),), dtype="uint8", meaning="bit j of byte i: light 8 i + j")
+    highlights = maps.create("highlights", dtype="uint16", unit="lights")
+    shadows = maps.create("shadows", dtype="uint16", unit="lights")
+    totals = np.zeros(4, dtype=np.int64)
+    settings = context.settings
+    for band in context.progress.over(context.share(frames.bands()), "band"):
+        size = band.stop - band.start, columns
+        packed = np.empty((*size, -(-len(lights) // 8)), np.uint8)
+        counts = np.empty((2, *size), np.uint16)
+        for rows_of_strip, observations, valid in frames.strips(band, lights=lights, channel="mean"):
+            strip = slice(rows_of_strip.start - band.start, rows_of_strip.stop - band.start)
+            chosen, found = select(frames, rows_of_strip, lights, observations, valid, settings)
+            packed[strip] = np.moveaxis(np.packbits(chosen, axis=0, bitorder="little"), 0, -1)
+            counts[:, strip] = found
+            totals += [a.sum(dtype=np.int64) for a in (chosen, *found, valid)]
+        usable[band], highlights[band], shadows[band] = packed, *counts
+    same = {"lights": [frames.lights[j] for j in lights], "economy": economy(decision)}
+    return {"same": same, "samples": rows * columns * len(lights), "totals": totals.tolist()}
+
+
+def select(
+    frames: Observations,
+    rows: slice,
+    lights: np.ndarray,
+    observations: np.ndarray,
+    valid: np.ndarray,
+    settings: SeparateSettings,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Usable samples (lights, rows, columns) of a strip, and how many were rejected as highlights and as shadows."""
+    chosen = np.empty_like(valid)
+    counts = np.empty((2, *valid.shape[1:]), np.uint16)
+    for parcel in parcels(frames, rows, lights):
+        area = np.s_[:, parcel.rows, parcel.columns]
+        selection = select_diffuse(
+            scaled(observations[area], parcel),
+            parcel.directions,
+            valid=valid[area],
+            method=settings.method,
+            w1=settings.w1,
+            w2=settings.w2,
+            keep=settings.keep,
+        )
+        chosen[area] = selection.usable
+        counts[area] = selection.highlights, selection.shadows
+    return chosen, counts
+
+
+def scaled(observations: np.ndarray, parcel: Parcel) -> np.ndarray:
+    """Observations as if the lamps were as far from the parcel as from the centre."""
+    return observations * parcel.scale[:, None, None] if (parcel.scale != 1).any() else observations
+
+
+def told(context: Context, tallies: list[dict]) -> dict:
+    """Fractions of all samples."""
+    totals = np.sum([tally["totals"] for tally in tallies], axis=0)
+    names = ("usable", "highlight", "shadow", "valid")
+    fractions = {f"{name}_fraction": float(n / tallies[0]["samples"]) for name, n in zip(names, totals, strict=True)}
+    return {**tallies[0]["same"], **fractions}
+
+
+run = Scattered(work, told)

@@ -1,0 +1,110 @@
+"""Spectra: spectral reflectance coefficients of every pixel from its diffuse reflectance in the camera's channels."""
+
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.artifacts.maps import Maps, MapWriter
+from nishiki.artifacts.scatter import Scattered
+from nishiki.artifacts.stage import Context
+from nishiki.capture.spectra_tables import read_curves
+from nishiki.colour.basis import channel_weights
+from nishiki.colour.estimate import SpectralEstimator, estimate_spectra, fit_estimator
+from nishiki.colour.expected import expected_colour_error, sample_rows
+from nishiki.colour.training import measured_reflectances, synthetic_reflectances
+from nishiki.model_selection.bases import Bases, decided, output_bases, principal_bases
+from nishiki.model_selection.decision import Decision, economy
+
+
+def work(context: Context) -> dict:
+    """Fit the estimator once, then apply it band by band."""
+    settings = context.settings
+    training = synthetic_reflectances() if settings.training == "synthetic" else measured_set(Path(settings.training))
+    estimator, decision = fit(context, training)
+    if decision:
+        context.progress.tell(str(decision))
+    np.savez(context.output.path("estimator.npz"), **estimator.to_arrays())
+    maps = Maps(context.inputs["normals"].folder)
+    reflectance = maps.group["reflectance"]
+    rows, columns, _ = reflectance.shape
+    band_rows = reflectance.chunks[0]
+    out = MapWriter(context.output.folder, rows=rows, columns=columns, band_rows=band_rows, stamp=context.stamp)
+    basis = np.asarray(estimator.basis).tolist()
+    coefficients = out.create("coefficients", (len(basis),), basis=basis, first_nm=400, step_nm=5)
+    sigma = out.create("sigma", unit="rms over the bands, reflectance")
+    flags = out.create("flags", dtype="uint8", unit="bits, see docs/stages/spectra.md")
+    counts: Counter[str] = Counter()
+    sampled = [np.zeros((0, reflectance.shape[2]))]
+    some_rows, some_columns = sample_rows(rows, columns)
+    for start in context.progress.over(context.share(range(0, rows, band_rows)), "band"):
+        band = slice(start, min(rows, start + band_rows))
+        observed = reflectance[band]
+        field = estimate_spectra(observed, estimator)
+        inside = some_rows[(some_rows >= band.start) & (some_rows < band.stop)] - band.start
+        sampled.append(observed[np.ix_(inside, some_columns)].reshape(-1, observed.shape[-1]))
+        coefficients[band], sigma[band], flags[band] = field.coefficients, field.sigma, field.flags
+        counts.update(field.counts)
+    same = {
+        "method": estimator.method,
+        "bases": len(basis),
+        "condition": float(estimator.condition),
+        "training_rmse": float(estimator.training_rmse),
+        "training_spectra": len(training),
+        "economy": economy(decision),
+    }
+    responses = np.concatenate(sampled)
+    responses = responses[np.isfinite(responses).all(axis=1) & (responses > 0).any(axis=1)]
+    curves = np.load(context.inputs["ingest"].path("curves.npz"))
+    errors = expected_colour_error(
+        responses, training, channel_weights(curves["illuminant"], curves["sensitivities"]), estimator
+    )
+    return {
+        "same": same,
+        "counts": {name: int(count) for name, count in counts.items()},
+        "sampled": len(responses),
+        "colour_error": {light: float(values.sum()) for light, values in errors.items()},
+    }
+
+
+def told(context: Context, tallies: list[dict]) -> dict:
+    """The estimator, the pixels with each flag, and the expected colour error of the sampled pixels by light."""
+    counts: Counter[str] = Counter()
+    errors: Counter[str] = Counter()
+    for tally in tallies:
+        counts.update(tally["counts"])
+        errors.update(tally["colour_error"])
+    sampled = sum(tally["sampled"] for tally in tallies)
+    return {
+        **tallies[0]["same"],
+        "expected_de00": {light: total / sampled for light, total in errors.items()} if sampled else None,
+        **{f"flagged_{name}": count for name, count in counts.items()},
+    }
+
+
+def fit(context: Context, training: np.ndarray) -> tuple[SpectralEstimator, Decision | None]:
+    """The estimator for this capture's lamp and camera, and what was decided of its bases."""
+    curves = np.load(context.inputs["ingest"].path("curves.npz"))
+    settings = context.settings
+    lamp, camera = curves["illuminant"], curves["sensitivities"]
+    found: list[Bases] = []
+
+    def enough(estimates: np.ndarray, mean_square: float) -> int:
+        found.append(output_bases(estimates, mean_square))
+        return found[-1].count
+
+    bases = settings.bases if settings.bases != "auto" else enough
+    if settings.bases == "auto" and settings.method == "paper":
+        found.append(principal_bases(training, channel_weights(lamp, camera), noise=settings.noise))
+        bases = found[-1].count
+    estimator = fit_estimator(training, lamp, camera, method=settings.method, bases=bases, noise=settings.noise)
+    return estimator, decided(found[-1], method=settings.method) if found else None
+
+
+def measured_set(path: Path) -> np.ndarray:
+    """(samples, 61) reflectances from a table: wavelength_nm, then one column a sample."""
+    curves = read_curves(path, label=str(path))
+    return measured_reflectances(curves.wavelengths_nm, curves.values, name=str(path))
+
+
+run = Scattered(work, told)

@@ -1,0 +1,44 @@
+"""The one table of all stages, in the order of the flow: plan, keys, rules and documentation derive from it."""
+
+from importlib import import_module
+
+from nishiki.artifacts.limits import Limit
+from nishiki.stages.base import Stage
+
+NAMES = (
+    "ingest",
+    "separate",
+    "normals",
+    "height",
+    "spectra",
+    "brdf",
+    "render",
+    "evaluate",
+    "report",
+    "polarise",
+    "cameras",
+    "mesh",
+    "texels",
+    "reflection",
+    "residual",
+    "object_render",
+    "object_evaluate",
+    "object_report",
+    "reflectance",
+    "weave",
+    "fabric",
+    "fabric_render",
+    "fabric_evaluate",
+    "fabric_report",
+)
+"""A stage is a folder of this package with `declaration.py` and `run.py`, and one line here."""
+
+CHAIN: dict[str, Stage] = {name: import_module(f"nishiki.stages.{name}.declaration").STAGE for name in NAMES}
+PRODUCTS = tuple(dict.fromkeys(stage.asked_as for stage in CHAIN.values() if stage.name != "ingest"))
+LIMITS: dict[str, tuple[Limit, ...]] = {name: stage.limits for name, stage in CHAIN.items()}
+"""Stages that judge and show (render, evaluate, report) have none: a bad result must be shown as well."""
+
+
+def chain_of(geometry: str) -> dict[str, Stage]:
+    """Stages that captures of this geometry have, in the order of the flow."""
+    return {name: stage for name, stage in CHAIN.items() if stage.serves(geometry)}

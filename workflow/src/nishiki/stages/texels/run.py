@@ -1,0 +1,170 @@
+"""Texels: the surface as tiles of texels, what every view shows of each, and where every pixel lies among them."""
+
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.artifacts.stage import Context
+from nishiki.atlas.atlas import Atlas, build_atlas
+from nishiki.atlas.charts import Charts, make_charts
+from nishiki.atlas.density import sampling_density, texels_per_unit
+from nishiki.atlas.quality import atlas_picture, stretch_percentiles, texels_per_pixel
+from nishiki.atlas.turn import probe_spacing, turning
+from nishiki.atlas.write import TexelsWriter
+from nishiki.errors import UserError
+from nishiki.formats.stored import open_array
+from nishiki.geometry.camera import Camera
+from nishiki.geometry.cameras_file import load_cameras
+from nishiki.geometry.mesh import Mesh
+from nishiki.observations.views import Views, encode
+from nishiki.stages.texels.declaration import TexelsSettings
+
+
+def run(context: Context) -> dict:
+    """Charts and atlas once, then one view after another."""
+    settings = context.settings
+    views = Views(context.inputs["ingest"].folder)
+    cameras = load_cameras(context.inputs["cameras"].path("cameras.json"))
+    mesh = Mesh.load(context.inputs["mesh"].path("mesh.npz"))
+    silhouettes = open_silhouettes(context.inputs["mesh"].path("silhouettes.zarr"))
+    check(views, cameras)
+    charts, atlas = lay_out(mesh, [c for c in cameras if c.name not in settings.hold_out] or cameras, settings)
+    source = Pictures(views, context.inputs)
+    writer = TexelsWriter(
+        context.output.folder,
+        mesh,
+        atlas,
+        cameras,
+        lights=views.lights,
+        components=source.components,
+        channels=len(views.channels),
+        encoding=views.encoding,
+        full_turn=views.full_turn,
+        hold_out=tuple(settings.hold_out),
+        tolerance=settings.depth_tolerance,
+        grazing_deg=settings.grazing_deg,
+        stamp=context.stamp,
+    )
+    facts = {"visible": 0, "texels": 0, "pixels": 0, "silhouette": 0, "uncovered": 0, "per_pixel": []}
+    for index in context.progress.over(range(len(cameras)), "view"):
+        silhouette = silhouettes(index)
+        view = writer.view(index, silhouette)
+        facts["pixels"] += len(view.places.row)
+        facts["per_pixel"].append(texels_per_pixel(mesh, atlas, cameras[index], view.raster.triangle[view.shown]))
+        if silhouette is not None:
+            facts["silhouette"] += int(silhouette.sum())
+            facts["uncovered"] += int((silhouette & (view.raster.triangle < 0)).sum())
+        for light in range(len(views.lights)):
+            pictures, valid = source.read(index, light)
+            count = writer.pictures(view, light, pictures, valid)
+            if cameras[index].name not in settings.hold_out:
+                facts["visible"] += count["visible"]
+                facts["texels"] += count["inside"]
+    write_preview(context.output.path("preview.png"), atlas, writer.finish(), views.encoding)
+    return described(mesh, charts, atlas, writer, facts)
+
+
+def open_silhouettes(path: Path):
+    """A function of the view's number: silhouette (rows, columns) bool, or None where there are none."""
+    if not path.exists():
+        return lambda index: None
+    stored = open_array(path)
+    return lambda index: stored[index] != 0
+
+
+def check(views: Views, cameras: list[Camera]) -> None:
+    """UserError where cameras and photographs do not belong together."""
+    names = tuple(camera.name for camera in cameras)
+    if names != tuple(views.views):
+        raise UserError(
+            f"the cameras are of the views {', '.join(names[:5])} ..., the photographs of {', '.join(views.views[:5])}"
+            " ...; expected the same. Remedy: give artifacts of the same capture"
+        )
+    for camera in cameras:
+        if (camera.rows, camera.columns) != tuple(views.shape):
+            raise UserError(
+                f"view {camera.name}: the camera is of pictures of {camera.rows} x {camera.columns} pixels, the "
+                f"photograph has {views.shape[0]} x {views.shape[1]}. Remedy: calibrate at the size of the photographs"
+            )
+
+
+def lay_out(mesh: Mesh, cameras: list[Camera], settings: TexelsSettings) -> tuple[Charts, Atlas]:
+    """Charts of the mesh, and tiles as dense as the capture's own sampling."""
+    if not len(mesh.triangles):
+        raise UserError("the mesh has no triangles. Remedy: look at the silhouettes or scans of the stage mesh")
+    up, front = turning(cameras)
+    charts = make_charts(
+        mesh,
+        up=up,
+        front=front,
+        spacing=probe_spacing(mesh, cameras, texels_per_pixel=settings.texels_per_pixel),
+        range_of_normals=settings.normal_range,
+        smallest=settings.smallest_chart,
+        steepest_deg=settings.steepest_deg,
+    )
+    density = sampling_density(mesh, charts.plane, cameras, percentile=settings.density_percentile)
+    scale = texels_per_unit(density, charts.plane, charts.chart, texels_per_pixel=settings.texels_per_pixel)
+    return charts, build_atlas(charts.plane, charts.chart, scale, size=settings.tile)
+
+
+class Pictures:
+    """The pictures of an observation by component, linear."""
+
+    def __init__(self, views: Views, inputs: dict):
+        self.views, self.separated = views, None
+        self.state = "off" if "off" in views.states else views.states[0]
+        if "polarise" in inputs:
+            from nishiki.polarisation.components import Components
+
+            self.separated = Components(inputs["polarise"].folder)
+        self.components = ("diffuse", "specular", "total") if self.separated else ("total",)
+
+    def read(self, view: int, light: int) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        """Component to (rows, columns, channels) float32, and valid (rows, columns) bool.
+
+        The total is the photograph without polariser where there is one, else the sum of the components.
+        """
+        if self.separated is None:
+            picture, valid = self.views.read(view, state=self.state, light=self.views.lights[light])
+            return {"total": picture}, valid
+        diffuse, specular, valid = self.separated.read(light * len(self.views.views) + view)
+        total = diffuse + specular
+        if self.state == "off":
+            total, known = self.views.read(view, state="off", light=self.views.lights[light])
+            valid = valid & known
+        return {"diffuse": diffuse, "specular": specular, "total": total}, valid
+
+
+def write_preview(path: Path, atlas: Atlas, texels: np.ndarray, encoding: str) -> None:
+    """The mean colour of every texel, chart by chart; grey where no observation shows it."""
+    import cv2
+
+    picture = atlas_picture(atlas, texels)
+    known = np.isfinite(picture).all(axis=2)
+    top = np.percentile(picture[known], 99.5) if known.any() and encoding == "linear" else 1.0
+    shown = np.clip(encode(np.nan_to_num(picture) / max(float(top), 1e-12), "srgb"), 0, 1)
+    shown = shown[..., [0, 0, 0]] if shown.shape[2] < 3 else shown[..., 2::-1]
+    shown = np.where(known[..., None], shown, 0.25)
+    cv2.imwrite(str(path), np.round(shown * 255).astype(np.uint8))
+
+
+def described(mesh: Mesh, charts: Charts, atlas: Atlas, writer: TexelsWriter, facts: dict) -> dict:
+    """Diagnostics."""
+    stretch = stretch_percentiles(mesh, atlas)
+    per_pixel = [value for value in facts["per_pixel"] if value is not None]
+    return {
+        "charts": len(charts.frames.direction),
+        "tiles": atlas.tiles,
+        "tile": atlas.size,
+        "texels_inside": int(writer.inside.sum()),
+        "texels_per_pixel": float(np.median(per_pixel)) if per_pixel else None,
+        "object_pixels": facts["pixels"],
+        "visible_share": facts["visible"] / max(1, facts["texels"]),
+        "silhouette_uncovered_share": facts["uncovered"] / facts["silhouette"] if facts["silhouette"] else None,
+        "stretch_percentiles": dict(zip(("50", "90", "99", "100"), stretch, strict=True)),
+        "smoothing_rounds": charts.smoothing_rounds,
+        "degenerate_triangles": charts.degenerate,
+        "split_off_flipped": charts.flipped,
+        "split_off_overlapping": charts.overlapped,
+        "components": list(writer.components),
+    }
