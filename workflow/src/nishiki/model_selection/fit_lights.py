@@ -1,11 +1,11 @@
 """Lights of the fit, as the setting `lights` says; shared by separate and normals."""
 
 import numpy as np
-from _sample import sample
 
 from nishiki.model_selection.decision import Decision
 from nishiki.model_selection.lights import FEWEST, LightSample, measured_choice, not_worth, static_choice
 from nishiki.observations.plane import Observations
+from nishiki.observations.sample import sample
 from nishiki.photometric.light_selection import select_diffuse
 from nishiki.photometric.solve import NormalField, estimate_normals
 
