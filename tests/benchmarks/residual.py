@@ -19,7 +19,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 PROJECT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(PROJECT / "scripts"), str(Path(__file__).parent)]
+sys.path[:0] = [str(PROJECT / "scripts"), str(Path(__file__).parent), str(PROJECT / "tests")]
 import _project  # noqa: E402, F401
 
 NEEDED = ("ingest", "cameras", "mesh", "texels", "reflection")

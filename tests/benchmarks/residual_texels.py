@@ -10,12 +10,12 @@ from time import perf_counter
 
 import numpy as np
 from eigen_texture import eigen_patch, kept_components
+from texel_domain import keep_largest
 
 from nishiki.atlas.store import Texels
 from nishiki.brdf.texels.lighting import Lighting
 from nishiki.brdf.texels.store import ParameterMaps
 from nishiki.codec.colour import principal_channels
-from nishiki.codec.fill import keep_largest
 from nishiki.codec.observations import view_matrix
 from nishiki.codec.prediction import Surface, predict_texels
 from nishiki.codec.transform import Block, plane_transform

@@ -4,11 +4,11 @@ import mpmath
 import numpy as np
 from hypothesis import strategies as st
 from stability.cases import case, powers_of_ten, relative, worst_over
+from texel_domain import keep_largest
 
 from nishiki.codec.allocate import psnr
 from nishiki.codec.entropy import Model, decode, encode
 from nishiki.codec.extent import extent_of
-from nishiki.codec.fill import keep_largest
 from nishiki.codec.filters import analysis_matrix, cosine_matrix, filter_bank
 from nishiki.codec.interpolate import Footprints
 from nishiki.codec.pursuit import Pursuit, curvatures, pursue

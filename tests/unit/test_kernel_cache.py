@@ -9,9 +9,9 @@ from pathlib import Path
 SOURCE = Path(__file__).resolve().parents[2] / "workflow/src"
 CALL = """
 import numpy as np
-from nishiki.weave.visibility import band
-band(0.0, 1.0, 0.5, 0.1)
-print(sum(band.stats.cache_hits.values()), sum(band.stats.cache_misses.values()))
+from nishiki.weave.visibility import facing_contact
+facing_contact(1.0, 0.5)
+print(sum(facing_contact.stats.cache_hits.values()), sum(facing_contact.stats.cache_misses.values()))
 """
 
 

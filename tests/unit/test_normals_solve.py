@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from nishiki.brdf.body_shading import body_factor
 from nishiki.errors import UserError
 from nishiki.photometric import flags as bits
-from nishiki.photometric.fill import fill_flagged
 from nishiki.photometric.light_selection import select_diffuse
 from nishiki.photometric.refine import WIDTH
 from nishiki.photometric.reflectance import diffuse_reflectance
@@ -259,25 +258,6 @@ def test_nothing_that_is_not_finite_leaves(seed, lights, scale, solver):
         assert np.isfinite(getattr(field, name)).all(), name
     np.testing.assert_allclose(np.linalg.norm(field.normals, axis=-1), 1, atol=1e-5)
     assert (field.albedo[field.valid] > 0).all()
-
-
-def test_holes_are_filled_only_where_asked_and_marked():
-    stack, lights, _, _ = matt(8, 49, 2)
-    stack = np.ascontiguousarray(stack.reshape(8, 7, 7))
-    usable = np.ones(stack.shape, dtype=bool)
-    usable[:, 2:5, 2:5] = False
-    field = estimate_normals(stack, lights, usable=usable, solver="least_squares")
-    filled = fill_flagged(field)
-    hole = np.zeros((7, 7), dtype=bool)
-    hole[2:5, 2:5] = True
-    np.testing.assert_array_equal((filled.flags & bits.FILLED) != 0, hole)
-    np.testing.assert_array_equal(filled.valid, ~hole)
-    np.testing.assert_array_equal(filled.normals[~hole], field.normals[~hole])
-    np.testing.assert_allclose(np.linalg.norm(filled.normals, axis=-1), 1, atol=1e-5)
-    assert (filled.albedo[hole] > 0).all()
-    assert ((fill_flagged(field, reach=1).flags & bits.FILLED) != 0).sum() == 8
-    assert not (fill_flagged(field, inside=~hole).flags & bits.FILLED).any()
-    assert (field.flags & bits.FILLED == 0).all()
 
 
 @pytest.mark.parametrize(

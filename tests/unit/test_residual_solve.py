@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from texel_domain import keep_largest, largest
 
 from nishiki.codec.colour import fixed_channels, principal_channels
 from nishiki.codec.extent import extent_of
-from nishiki.codec.fill import keep_largest, largest
 from nishiki.codec.interpolate import Footprints
 from nishiki.codec.observations import view_matrix
 from nishiki.codec.parameters import Maps, model_factors, refine, slope, texel_weights

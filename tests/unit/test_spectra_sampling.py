@@ -30,24 +30,6 @@ def test_linear_resampling_equals_numpy(grid):
     np.testing.assert_allclose(resample(grid[::-1], values[:, ::-1]), expected, atol=1e-14)
 
 
-def test_sprague_is_exact_for_cubics_and_beats_linear_on_smooth_curves():
-    grid = np.arange(360.0, 751.0, 10.0)
-    x, at = (grid - 550.0) / 150.0, (WAVELENGTHS_NM - 550.0) / 150.0
-    cubic = np.polyval([0.3, -0.2, 0.5, 0.1], x)
-    np.testing.assert_allclose(
-        resample(grid, cubic, method="sprague"), np.polyval([0.3, -0.2, 0.5, 0.1], at), atol=1e-12
-    )
-    smooth, truth = np.sin(5 * x), np.sin(5 * at)
-    error = {m: np.abs(resample(grid, smooth, method=m) - truth).max() for m in ("linear", "sprague")}
-    assert error["sprague"] < 0.01 * error["linear"]
-
-
-def test_sprague_hits_its_samples():
-    grid = np.arange(400.0, 701.0, 10.0)
-    values = np.random.default_rng(1).random(grid.size)
-    np.testing.assert_allclose(resample(grid, values, method="sprague")[::2], values, atol=1e-13)
-
-
 @pytest.mark.parametrize(
     ("grid", "values", "words"),
     [

@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numba import njit
-from weave_rays import along, brute_force, cast, lengths_of, pieces_of
+from weave_rays import brute_force
 
-from nishiki.weave.bistatic import lit_and_visible, plane_angles, visible_by_slope
 from nishiki.weave.section import WarpSection, WeftSection
 
 
@@ -41,16 +39,6 @@ def test_masking_is_brute_force_visibility_at_1000_random_geometries_and_angles(
         worst = max(worst, abs(found - expected))
         assert abs(found - expected) < 1e-6, (section, theta, found, expected)
     assert worst < 1e-8
-
-
-def test_lit_and_visible_is_brute_force_for_two_directions():
-    rng = np.random.default_rng(21)
-    for _ in range(150):
-        section = random_section(rng)
-        pair = [random_angle(rng, section) * rng.choice([-1, 1]) for _ in range(2)]
-        found = float(lit_and_visible(section, *pair))
-        assert abs(found - brute_force(section, *pair)) < 1e-6, (section, pair)
-        assert found == float(lit_and_visible(section, *pair[::-1]))
 
 
 def test_reference_sees_through_a_hole_and_is_blind_behind_a_wall():
@@ -181,80 +169,3 @@ def test_impossible_sections_are_refused():
     ):
         with pytest.raises(ValueError, match="expected"):
             make()
-
-
-# --- two directions ---
-
-
-def test_light_along_the_normal_is_masking_and_below_the_horizon_nothing():
-    section = WeftSection(0.8, 0.5, 1.0, 4)
-    theta = np.linspace(-1.57, 1.57, 101)
-    np.testing.assert_array_equal(lit_and_visible(section, 0.0, theta), section.masking(theta))
-    both = lit_and_visible(section, theta[:, None], theta[None])
-    assert both.shape == (101, 101)
-    np.testing.assert_array_equal(both, both.T)
-    assert np.all(both <= np.minimum(section.masking(theta)[:, None], section.masking(theta)[None]) + 1e-15)
-    np.testing.assert_allclose(np.diag(both), section.masking(theta), atol=1e-15)  # lamp at the camera: no shadow seen
-    assert lit_and_visible(section, 0.3, 1.6) == 0
-    assert np.all(visible_by_slope(section, 1.6, 0.0, theta) == 0)
-
-
-@njit
-def slope_reference(cloth, lengths, period, radius, theta_i, theta_r, slope, spread, samples):
-    """Share of the facets of one slope from a dense profile: a Gaussian of slopes at every point, rays cast."""
-    whole = visible = 0.0
-    for own in range(len(cloth)):
-        for k in range(samples):
-            u = (k + 0.5) / samples
-            _, _, nx, nz = along(cloth[own], radius, u)
-            weight = np.exp(-0.5 * ((np.arctan2(nx, nz) - slope) / spread) ** 2) * lengths[own]
-            whole += weight
-            if cast(cloth, period, radius, own, u, theta_i) and cast(cloth, period, radius, own, u, theta_r):
-                visible += weight
-    return visible / whole
-
-
-@pytest.mark.parametrize("section", [WarpSection(0.6, 0.7, 1.3, 2.0), WeftSection(0.9, 0.3, 0.8, 4)])
-def test_share_by_slope_is_that_of_a_dense_profile(section):
-    rng = np.random.default_rng(3)
-    for _ in range(8):
-        i, o = rng.uniform(-1.5, 1.5, 2)
-        slope, spread = rng.uniform(-1.2, 1.2), rng.uniform(0.05, 0.4)
-        found = float(visible_by_slope(section, i, o, slope, spread=spread))
-        cloth, period, radius = pieces_of(section)
-        lengths = lengths_of(cloth, radius)
-        expected = slope_reference(cloth, lengths, period, radius, i, o, slope, spread, 5000)
-        assert found == pytest.approx(expected, abs=4e-4)
-
-
-def test_share_by_slope_without_spread_is_the_limit_of_a_small_one():
-    section = WeftSection(0.7, 0.0, 1.0, 4)  # no flank: the density of slopes is finite everywhere
-    for i, o in ((0.2, 1.2), (-0.4, 1.0), (0.0, 1.4)):
-        slopes = np.array([-0.63, -0.31, 0.05, 0.21, 0.43])
-        exact = visible_by_slope(section, i, o, slopes)
-        near = visible_by_slope(section, i, o, slopes, spread=1e-4)
-        assert np.mean(np.abs(exact - near) < 1e-3) > 0.7  # they differ only next to the edge of what is seen
-    assert visible_by_slope(WarpSection(0.5, 1, 1, 1), 0.0, 1.5, 0.0) == 1  # the flat top
-    assert visible_by_slope(WarpSection(0.5, 1, 1, 1), 0.0, 1.4, 0.5) < 1  # facing flank, partly hidden
-    assert visible_by_slope(WarpSection(0.5, 1, 1, 1), 0.0, 1.4, -0.5) == 0  # flank turned away
-    assert visible_by_slope(WarpSection(0.5, 1, 1, 1), 0.0, 1.4, -1.4) == 0  # steeper than all: as the steepest
-
-
-@settings(max_examples=100, deadline=None)
-@given(
-    sections, st.floats(-1.6, 1.6), st.floats(-1.6, 1.6), st.floats(-1.6, 1.6), st.sampled_from([0.0, 1e-3, 0.1, 2.0])
-)
-def test_share_by_slope_is_a_share(section, i, o, slope, spread):
-    found = float(visible_by_slope(section, i, o, slope, spread=spread))
-    assert 0 <= found <= 1
-    assert found == float(visible_by_slope(section, o, i, slope, spread=spread))
-    assert found == pytest.approx(float(visible_by_slope(section, -i, -o, -slope, spread=spread)), abs=1e-12)
-
-
-def test_plane_angles():
-    directions = np.array([[0, 0, 1.0], [1, 0, 1], [0, -1, 1], [0.3, 0.4, 0.0]])
-    x, y = plane_angles(directions)
-    np.testing.assert_allclose(x, [0, np.pi / 4, 0, np.pi / 2])
-    np.testing.assert_allclose(y, [0, 0, -np.pi / 4, np.pi / 2])
-    with pytest.raises(ValueError, match="spread"):
-        visible_by_slope(WarpSection(0.5, 1, 1), 0, 0, 0, spread=-1)

@@ -14,34 +14,6 @@ WAVELENGTHS_NM.setflags(write=False)
 STEP_NM = 5.0
 BANDS = WAVELENGTHS_NM.size
 
-# Sprague's quintic on six equidistant samples: CIE 167:2005, eq. 4, and its extrapolated end samples, eq. 5.
-_SPRAGUE_ENDS = (
-    np.array(
-        [
-            [884, -1960, 3033, -2648, 1080, -180],
-            [508, -540, 488, -367, 144, -24],
-            [-24, 144, -367, 488, -540, 508],
-            [-180, 1080, -2648, 3033, -1960, 884],
-        ],
-        dtype=float,
-    )
-    / 209.0
-)
-_SPRAGUE = (
-    np.array(
-        [
-            [0, 0, 24, 0, 0, 0],
-            [2, -16, 0, 16, -2, 0],
-            [-1, 16, -30, 16, -1, 0],
-            [-9, 39, -70, 66, -33, 7],
-            [13, -64, 126, -124, 61, -12],
-            [-5, 25, -50, 50, -25, 5],
-        ],
-        dtype=float,
-    )
-    / 24.0
-)
-
 
 def integration_weights(rule: str = "trapezoid") -> np.ndarray:
     """Weights (61,) in nm whose dot product with a curve is its integral over 400-700 nm.
@@ -61,19 +33,15 @@ def resample(
     wavelengths_nm: np.ndarray,
     values: np.ndarray,
     *,
-    method: str = "linear",
     name: str = "curve",
     tolerance_nm: float = 5.0,
 ) -> np.ndarray:
-    """Bring measured curves onto the working grid.
+    """Bring measured curves onto the working grid, linearly between their samples.
 
     Parameters
     ----------
     wavelengths_nm : (W,) strictly increasing or strictly decreasing, nm.
     values : (..., W) any unit; the last axis belongs to `wavelengths_nm`.
-    method : `"linear"`, or `"sprague"` (fifth order; CIE 167:2005 recommends it for equidistant smooth data; it may
-        overshoot at sharp lines, so fluorescent lamps are better served by linear). Sprague needs equidistant samples,
-        at least six of them.
     name : what to call the curve in an error message (file name or curve name).
     tolerance_nm : the ends may miss 400 or 700 nm by at most this much; the end value is then repeated (never
         extrapolated by slope). 0 forbids even that.
@@ -94,11 +62,7 @@ def resample(
             "measure the missing part, or extend the table by hand with values that you can defend"
         )
     inside = np.clip(WAVELENGTHS_NM, low, high)
-    if method == "linear":
-        return _linear(wavelengths, samples, inside)
-    if method == "sprague":
-        return _sprague(wavelengths, samples, inside, name)
-    raise UserError(f"{name}: interpolation expected 'linear' or 'sprague', found {method!r}; use one of the two")
+    return _linear(wavelengths, samples, inside)
 
 
 def _checked_curve(wavelengths_nm, values, name):
@@ -132,21 +96,3 @@ def _linear(wavelengths, samples, at):
     left = right - 1
     fraction = (at - wavelengths[left]) / (wavelengths[right] - wavelengths[left])
     return samples[..., left] * (1.0 - fraction) + samples[..., right] * fraction
-
-
-def _sprague(wavelengths, samples, at, name):
-    steps = np.diff(wavelengths)
-    step = float(np.median(steps))
-    if wavelengths.size < 6 or np.max(np.abs(steps - step)) > 1e-6 * step:
-        raise UserError(
-            f"{name}: Sprague interpolation expected at least 6 equidistant samples, found {wavelengths.size} "
-            f"with steps {steps.min():g}-{steps.max():g} nm; use linear"
-        )
-    head = samples[..., :6] @ _SPRAGUE_ENDS[:2].T
-    tail = samples[..., -6:] @ _SPRAGUE_ENDS[2:].T
-    padded = np.concatenate([head, samples, tail], axis=-1)
-    position = (at - wavelengths[0]) / step
-    left = np.clip(np.floor(position).astype(int), 0, wavelengths.size - 2)
-    powers = (position - left)[:, None] ** np.arange(6)  # (61, 6)
-    windows = padded[..., left[:, None] + np.arange(6)]  # (..., 61, 6)
-    return np.einsum("...bj,pj,bp->...b", windows, _SPRAGUE, powers)

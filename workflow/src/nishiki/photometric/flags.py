@@ -6,7 +6,6 @@ ILL_CONDITIONED = 4  # estimate kept, but the condition of the normal matrix exc
 NO_SIGNAL = 8  # every usable sample is zero, or float32 cannot hold the albedo of the fit: no estimate
 FACES_AWAY = 16  # estimate kept, but it points away from the camera, which cannot be seen
 NO_REDUNDANCY = 32  # as many lights as unknowns: no residual, so sigma is unknown (set to pi / 2)
-FILLED = 64  # the normal was taken from neighbours
 FALLBACK = 128  # the solver's own model could not be fitted here: the Lambertian estimate stands
 
 NO_ESTIMATE = TOO_FEW_LIGHTS | COPLANAR_LIGHTS | NO_SIGNAL  # the normal is (0, 0, 1), albedo 0, sigma pi / 2
@@ -18,6 +17,5 @@ NAMES = {
     NO_SIGNAL: "no_signal",
     FACES_AWAY: "faces_away",
     NO_REDUNDANCY: "no_redundancy",
-    FILLED: "filled",
     FALLBACK: "fallback",
 }

@@ -42,7 +42,7 @@ class NormalField:
     @property
     def valid(self):
         """(rows, columns) bool: where there is an estimate of the pixel's own."""
-        return (self.flags & (bits.NO_ESTIMATE | bits.FILLED)) == 0
+        return (self.flags & bits.NO_ESTIMATE) == 0
 
     @property
     def diagnostics(self):

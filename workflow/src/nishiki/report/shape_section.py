@@ -19,7 +19,6 @@ from nishiki.report.pictures import (
 # From harmless to grave: later ones win where a block of pixels has several.
 CLASSES = (
     (0, "#b9d1b3", "no flag"),
-    (bits.FILLED, "#9fc0dd", "filled from neighbours"),
     (bits.FALLBACK, "#cfc08a", "simple estimate stands"),
     (bits.NO_REDUNDANCY, "#e3b04b", "as many lights as unknowns"),
     (bits.ILL_CONDITIONED | bits.FACES_AWAY, "#d9772f", "ill-conditioned, or faces away"),

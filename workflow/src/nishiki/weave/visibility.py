@@ -14,7 +14,7 @@ next arc at the angle t2 from its top with r (1 - cos(t + t2)) = u.(C' - C) = 2 
 1 - cos x is written 2 sin^2(x / 2), so that nothing cancels at grazing directions.
 """
 
-from math import asin, cos, erf, pi, sin, sqrt
+from math import asin, cos, pi, sin, sqrt
 
 from numba import njit
 
@@ -101,70 +101,3 @@ def share_seen(shape, theta_i, theta_r):
     humps = 2.0 * (min(lit[0], seen[0]) + min(lit[1], seen[1]))
     contacts = (shape[4] - 1.0) * shape[2] * (min(lit[2], seen[2]) + min(lit[3], seen[3]))
     return min((humps + shape[3] + contacts) / whole_length(shape), 1.0)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def share_of_slope(shape, lit, seen, slope):
-    """Share of the facets of one slope (signed angle of the normal) that is lit and seen; `lit`, `seen`: side_lengths.
-
-    Slopes beyond all those of the section count as its steepest ones.
-    """
-    theta_a, length, radius, flat, yarns, contact = shape
-    steep = abs(slope)
-    k = 0 if slope >= 0.0 else 1
-    outer, inner = min(lit[k], seen[k]), min(lit[k + 2], seen[k + 2])
-    rows = yarns - 1.0
-    if steep == 0.0 and flat > 0.0:
-        return 1.0
-    steepest = max(theta_a, contact) if rows > 0.0 else theta_a
-    steep = min(steep, steepest)
-    if length > 0.0 and steep == theta_a:
-        return min(max(outer - radius * theta_a, 0.0) / length, 1.0)
-    weight = (2.0 if steep <= theta_a else 0.0) + (rows if steep <= contact else 0.0)
-    visible = 0.0
-    if steep <= theta_a and outer >= radius * steep:
-        visible += 2.0
-    if steep <= contact and inner >= steep:
-        visible += rows
-    return visible / weight if weight > 0.0 else 0.0
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def band(low, high, centre, spread):
-    """Integral of a Gaussian density over low..high, 0 where the interval is empty."""
-    if high <= low:
-        return 0.0
-    scale = 1.0 / (spread * sqrt(2.0))
-    return 0.5 * (erf((high - centre) * scale) - erf((low - centre) * scale))
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def share_of_spread_slope(shape, lit, seen, slope, spread):
-    """As share_of_slope where each point's facets scatter about its own slope with a Gaussian of width `spread`.
-
-    Slopes further from the section than eight widths are counted at that distance, so that the share stays defined.
-    """
-    theta_a, length, radius, flat, yarns, contact = shape
-    rows = yarns - 1.0
-    steepest = (max(theta_a, contact) if rows > 0.0 else theta_a) + 8.0 * spread
-    slope = min(max(slope, -steepest), steepest)
-    from_flat = slope / spread
-    density = 0.3989422804014327 / spread  # of a Gaussian at its centre
-    visible = whole = flat * density * _bell(from_flat)
-    for k in range(2):
-        centre = slope if k == 0 else -slope
-        outer, inner = min(lit[k], seen[k]), min(lit[k + 2], seen[k + 2])
-        bell = 2.0 * density * _bell((centre - theta_a) / spread)
-        whole += 2.0 * radius * band(0.0, theta_a, centre, spread) + bell * length
-        whole += rows * radius * band(0.0, contact, centre, spread)
-        if radius > 0.0:
-            visible += 2.0 * radius * band(0.0, min(outer / radius, theta_a), centre, spread)
-        visible += bell * max(outer - radius * theta_a, 0.0)
-        visible += rows * radius * band(0.0, inner, centre, spread)
-    return min(visible / whole, 1.0) if whole > 0.0 else 0.0
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _bell(x):
-    """exp(-x^2 / 2) with the exponent held above -200: far slopes keep a defined ratio."""
-    return 2.718281828459045 ** (-0.5 * min(x * x, 400.0))

@@ -9,7 +9,7 @@ from numba import njit
 from nishiki.errors import UserError
 from nishiki.render.plane import camera
 from nishiki.render.plane.scene import BACKGROUND, Ambient, Light, PlaneScene, View
-from nishiki.render.plane.shade import colour_groups, pixel_to_plane, shade_channels, shade_xyz
+from nishiki.render.plane.shade import colour_groups, shade_channels, shade_xyz
 from nishiki.render.plane.shadow import cast_shadows
 from nishiki.threads import over_rows
 
@@ -97,47 +97,6 @@ def render(
                       coverage[first:last])  # fmt: skip
         most, first = max(most, across * down), last
     return Rendering(xyz, flags, coverage, white, shadowed, most, reduction)
-
-
-def render_tile(
-    scene: PlaneScene,
-    lights: list[Light],
-    *,
-    origin: tuple[int, int],
-    whole: tuple[int, int],
-    keep: tuple[slice, slice],
-    ambient: Ambient | None = None,
-    shadows: str = "sweep",
-) -> Rendering:
-    """A part of the frontal picture of the size of the maps, in the memory of a tile.
-
-    scene: the maps of the tile with a border of `nishiki.render.plane.shadow.shadow_reach` pixels where the painting
-    goes on; origin: (row, column) of their first pixel; whole: (rows, columns) of the painting; keep: (rows, columns)
-    of the tile's maps without the border.  Tiles put together are the picture that `render` makes of the whole.
-    """
-    ambient = Ambient() if ambient is None else ambient
-    visibility, shadowed = None, ()
-    if shadows != "none" and scene.height is not None and lights:
-        cast = cast_shadows(
-            scene.height, lights, pitch=scene.pitch, method=shadows, origin=origin, whole=whole
-        ).visibility
-        visibility = np.ascontiguousarray(cast[:, keep[0], keep[1]])
-        shadowed = tuple((1 - visibility.mean(axis=(1, 2), dtype=np.float64)).tolist())
-    core = dataclasses.replace(
-        scene,
-        normals=scene.normals[keep],
-        coefficients=scene.coefficients[keep],
-        shading=None if scene.shading is None else scene.shading[keep],
-        slopes=None if scene.slopes is None else scene.slopes[keep],
-        labels=None if scene.labels is None else scene.labels[keep],
-        height=None,
-    )
-    start = (origin[0] + keep[0].indices(scene.shape[0])[0], origin[1] + keep[1].indices(scene.shape[1])[0])
-    plane = pixel_to_plane(core, origin=start, whole=whole)
-    shading = shade_xyz(core, lights, ambient=ambient, visibility=visibility, plane=plane)
-    groups = colour_groups(scene, lights, ambient)
-    white = groups.whites[groups.of_light[0] if lights else groups.ambient]
-    return Rendering(shading.values, shading.flags, np.ones(core.shape, np.float32), white, shadowed, 1, 1)
 
 
 def _count(step: tuple[float, float], reduction: int) -> float:

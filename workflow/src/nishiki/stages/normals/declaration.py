@@ -34,7 +34,6 @@ LIMITS = (
             ("no_redundancy", "no redundancy"),
             ("no_signal", "no signal"),
             ("faces_away", "faces away"),
-            ("filled", "filled"),
             ("fallback", "without the joint fit"),
         )
     ),
