@@ -12,7 +12,7 @@ PACKAGE = Path(__file__).resolve().parent
 
 
 class ByModule(UserProvidedCacheLocator):
-    """A folder of NUMBA_CACHE_DIR for every room of this package; other functions are left to the next class."""
+    """A folder of NUMBA_CACHE_DIR for every module of this package; other functions are left to the next class."""
 
     @classmethod
     def from_function(cls, py_func, py_file):
@@ -21,5 +21,5 @@ class ByModule(UserProvidedCacheLocator):
 
     @classmethod
     def get_suitable_cache_subpath(cls, py_file):
-        """Name of the folder: that of the module, `normals.solve` for example."""
+        """Name of the folder: that of the module, `photometric.solve` for example."""
         return ".".join(Path(py_file).resolve().relative_to(PACKAGE).with_suffix("").parts)

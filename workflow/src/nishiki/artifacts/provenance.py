@@ -134,10 +134,10 @@ def _module_files(name: str) -> list[Path]:
 
 
 def data_files(modules: list[Path]) -> list[Path]:
-    """Tables and templates that lie in the rooms of the modules: they decide the result as code does."""
-    rooms = {path.parent for path in modules if SOURCE / PACKAGE in path.parent.parents}
+    """Tables and templates that lie in the folders of the modules: they decide the result as code does."""
+    folders = {path.parent for path in modules if SOURCE / PACKAGE in path.parent.parents}
     return sorted(
-        item for room in rooms for item in room.iterdir() if item.is_file() and item.suffix not in (".py", ".md")
+        item for folder in folders for item in folder.iterdir() if item.is_file() and item.suffix not in (".py", ".md")
     )
 
 

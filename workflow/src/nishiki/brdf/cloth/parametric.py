@@ -1,4 +1,4 @@
-"""One way to fit every parametric model of this room: variable projection with prior knowledge of the shape.
+"""One way to fit every parametric model of a cloth: variable projection with prior knowledge of the shape.
 
 A model is, in each channel, fixed(x) + columns(x) c with shape parameters x shared by the channels and c >= 0.  For
 any x the c are a small non-negative least-squares problem, so only x is searched (Golub and Pereyra, Separable
