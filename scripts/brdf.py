@@ -1,10 +1,11 @@
 """Brdf: Torrance-Sparrow parameters of the scene or of each of its regions."""
 
+import _project  # noqa: F401, I001
+
 import json
 
 import numpy as np
 
-import _project  # noqa: F401
 from _sample import sample
 from nishiki.brdf.brightest_light import brightest_light_samples, thin
 from nishiki.brdf.levenberg_marquardt import fit_lobe

@@ -1,10 +1,11 @@
 """Cameras: intrinsics, distortion and pose of every view, with reprojection errors."""
 
+import _project  # noqa: F401, I001
+
 from pathlib import Path
 
 import numpy as np
 
-import _project  # noqa: F401
 from nishiki.capture.cameras import read_points
 from nishiki.contract.stage import Context, run_stage
 from nishiki.errors import UserError

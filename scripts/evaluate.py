@@ -1,12 +1,13 @@
 """Evaluate: errors against truth where there is one, and predictions of lights that the fit never saw."""
 
+import _project  # noqa: F401, I001
+
 import csv
 import json
 from pathlib import Path
 
 import numpy as np
 
-import _project  # noqa: F401
 from nishiki.brdf.parameters import gloss_table, is_facets
 from nishiki.brdf.slopes import slope_covariance
 from nishiki.contract.artifact import Artifact

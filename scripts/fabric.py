@@ -1,12 +1,13 @@
 """Fabric: the BRDF of the whole hemisphere of every region of a cloth, and the models beside it."""
 
+import _project  # noqa: F401, I001
+
 import csv
 import json
 from pathlib import Path
 
 import numpy as np
 
-import _project  # noqa: F401
 from nishiki.contract.stage import Context, run_stage
 from nishiki.economy.decision import Decision, economy
 from nishiki.economy.views import measured_choice, static_choice, with_normal_rows

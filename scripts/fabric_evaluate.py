@@ -1,11 +1,12 @@
 """Fabric_evaluate: what the cloth's models predict against what was measured and no fit has seen."""
 
+import _project  # noqa: F401, I001
+
 import csv
 import json
 
 import numpy as np
 
-import _project  # noqa: F401
 from nishiki.contract.stage import Context, run_stage
 from nishiki.drape.models import FabricModels
 from nishiki.errors import UserError

@@ -1,10 +1,11 @@
 """Fabric_render: pictures of the cloth, draped and on cylinders, under its lamps and in its dyes."""
 
+import _project  # noqa: F401, I001
+
 from pathlib import Path
 
 import numpy as np
 
-import _project  # noqa: F401
 from nishiki.contract.stage import Context, run_stage
 from nishiki.drape.cloth import Cloth, Support, drape
 from nishiki.drape.dyes import dyed

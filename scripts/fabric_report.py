@@ -1,8 +1,9 @@
 """Fabric report: one page on a cloth, from the artifacts of all other stages."""
 
+import _project  # noqa: F401, I001
+
 import json
 
-import _project  # noqa: F401
 from nishiki.chains.stages import CHAIN
 from nishiki.contract.artifact import Artifact
 from nishiki.contract.stage import Context, run_stage

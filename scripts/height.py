@@ -1,8 +1,9 @@
 """Height: integrate the normals into a relief, and tell how far the normals are likely to be off."""
 
+import _project  # noqa: F401, I001
+
 import numpy as np
 
-import _project  # noqa: F401
 from nishiki.contract.maps import Maps, MapWriter
 from nishiki.contract.stage import Context, run_stage
 from nishiki.normals import flags as bits

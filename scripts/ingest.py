@@ -1,11 +1,12 @@
 """Ingest: photographs of a sealed capture to linear, white-normalised observations."""
 
+import _project  # noqa: F401, I001
+
 import shutil
 
 import numpy as np
 import zarr
 
-import _project  # noqa: F401
 from nishiki.capture.folder import Capture, load_capture
 from nishiki.capture.goniometer import GoniometerCapture
 from nishiki.capture.seal import capture_digest

@@ -1,10 +1,11 @@
 """Mesh: the object's surface, from a file, from range scans, or carved from its silhouettes."""
 
+import _project  # noqa: F401, I001
+
 from dataclasses import asdict
 
 import numpy as np
 
-import _project  # noqa: F401
 from nishiki.contract.stage import Context, run_stage
 from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera

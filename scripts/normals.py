@@ -1,11 +1,12 @@
 """Normals: photometric stereo on the selected lights, with uncertainty, and the reflectance of each channel."""
 
+import _project  # noqa: F401, I001
+
 from collections import Counter
 from dataclasses import replace
 
 import numpy as np
 
-import _project  # noqa: F401
 from _lights import choose_lights
 from nishiki.brdf.body_shading import LAMBERT
 from nishiki.contract.maps import Maps, MapWriter

@@ -1,12 +1,13 @@
 """Object_evaluate: the decoded object against its photographs, left-out views, truth, and the bytes it takes."""
 
+import _project  # noqa: F401, I001
+
 import csv
 import json
 from pathlib import Path
 
 import numpy as np
 
-import _project  # noqa: F401
 from nishiki.contract.provenance import truth_digest
 from nishiki.contract.stage import Context, run_stage
 from nishiki.errors import UserError

@@ -1,8 +1,9 @@
 """Object_render: pictures of the decoded object from captured views and between them, and a video of it turning."""
 
+import _project  # noqa: F401, I001
+
 import numpy as np
 
-import _project  # noqa: F401
 from nishiki.contract.stage import Context, run_stage
 from nishiki.errors import UserError
 from nishiki.render.output import write_exr, write_normals_exr, write_normals_png, write_png, write_video

@@ -1,11 +1,12 @@
 """Object report: one page on a turntable scene, from the artifacts of all other stages."""
 
+import _project  # noqa: F401, I001
+
 import io
 import json
 
 import numpy as np
 
-import _project  # noqa: F401
 from nishiki.chains.stages import chain_of
 from nishiki.contract.artifact import Artifact
 from nishiki.contract.stage import Context, run_stage

@@ -1,12 +1,13 @@
 """Polarise: diffuse and specular components of every view, from its polariser states."""
 
+import _project  # noqa: F401, I001
+
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
-import _project  # noqa: F401
 from nishiki.contract.stage import Context, run_stage
 from nishiki.errors import UserError
 from nishiki.ingest.views import Views, encode

@@ -1,8 +1,9 @@
 """Reflectance: goniometer photographs to reflectances of the cloth, completed at normal incidence."""
 
+import _project  # noqa: F401, I001
+
 import numpy as np
 
-import _project  # noqa: F401
 from nishiki.contract.stage import Context, run_stage
 from nishiki.errors import UserError
 from nishiki.goniometry.coverage import IncidenceCoverage, coverage

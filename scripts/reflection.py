@@ -1,11 +1,12 @@
 """Reflection: Lambert and the simplified Torrance-Sparrow model at every texel of an object."""
 
+import _project  # noqa: F401, I001
+
 import json
 from dataclasses import asdict
 
 import numpy as np
 
-import _project  # noqa: F401
 from nishiki.contract.stage import Context, run_stage
 from nishiki.economy.decision import Decision, economy
 from nishiki.economy.object_gloss import decided, unseen_gain

@@ -1,12 +1,13 @@
 """Render: pictures and moving pictures of the object under any light and from any view."""
 
+import _project  # noqa: F401, I001
+
 import json
 from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
-import _project  # noqa: F401
 from nishiki.brdf.parameters import gloss_table, is_facets
 from nishiki.brdf.slopes import slope_covariance
 from nishiki.capture.spectra_tables import read_curves

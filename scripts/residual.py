@@ -1,12 +1,13 @@
 """Residual: what the reflection model leaves of the photographs, solved for in the pictures and coded."""
 
+import _project  # noqa: F401, I001
+
 import json
 import math
 from dataclasses import replace
 
 import numpy as np
 
-import _project  # noqa: F401
 from nishiki.contract.stage import Context, run_stage
 from nishiki.economy.decision import economy
 from nishiki.economy.sufficient import Left, decided, model_suffices, what_is_left

@@ -1,8 +1,9 @@
 """Separate: per pixel, the lights under which it shows diffuse reflection only."""
 
+import _project  # noqa: F401, I001
+
 import numpy as np
 
-import _project  # noqa: F401
 from _lights import choose_lights
 from nishiki.contract.maps import MapWriter
 from nishiki.contract.scatter import Scattered

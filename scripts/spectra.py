@@ -1,11 +1,12 @@
 """Spectra: spectral reflectance coefficients of every pixel from its diffuse reflectance in the camera's channels."""
 
+import _project  # noqa: F401, I001
+
 from collections import Counter
 from pathlib import Path
 
 import numpy as np
 
-import _project  # noqa: F401
 from nishiki.capture.spectra_tables import read_curves
 from nishiki.contract.maps import Maps, MapWriter
 from nishiki.contract.scatter import Scattered

@@ -1,10 +1,11 @@
 """Texels: the surface as tiles of texels, what every view shows of each, and where every pixel lies among them."""
 
+import _project  # noqa: F401, I001
+
 from pathlib import Path
 
 import numpy as np
 
-import _project  # noqa: F401
 from nishiki.contract.stage import Context, run_stage
 from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera

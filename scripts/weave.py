@@ -1,8 +1,9 @@
 """Weave: cross-sections of a cloth from its reflectances in the planes of warp and weft, its surface as a mesh."""
 
+import _project  # noqa: F401, I001
+
 import numpy as np
 
-import _project  # noqa: F401
 from nishiki.contract.stage import Context, run_stage
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.mesh_files import write_ply
