@@ -1,4 +1,12 @@
-"""Where the measured data are, a clear skip where they are not, and which random cases are drawn."""
+"""The three tiers of the tests, which random cases they draw, and where the measured data are.
+
+./nishiki test --quick    no test marked slow or long: under three minutes on two processors
+./nishiki test            no test marked long: what continuous integration runs
+./nishiki test --long     all tests: also fuzzing, faults, Slurm and many scenes
+
+Pytest itself takes the same two options. Mark a test slow where it takes more than two seconds or starts the workflow,
+and long where it takes more than half a minute or repeats what another test checks, only with more cases.
+"""
 
 import os
 from pathlib import Path
@@ -19,6 +27,30 @@ PROJECT = Path(__file__).resolve().parents[1]
 def data_folder() -> Path:
     """Folder of measured data: $NISHIKI_DATA, else ../shared/data beside the project."""
     return Path(os.environ.get("NISHIKI_DATA") or PROJECT.parent / "shared" / "data")
+
+
+def pytest_addoption(parser):
+    """The two options that choose a tier."""
+    tiers = parser.getgroup("tiers")
+    tiers.addoption("--quick", action="store_true", help="leave out tests marked slow")
+    tiers.addoption("--long", action="store_true", help="also run tests marked long")
+
+
+def pytest_configure(config):
+    """Make the marker of the longest tier known."""
+    config.addinivalue_line("markers", "long: only in ./nishiki test --long")
+    if config.getoption("quick") and config.getoption("long"):
+        raise pytest.UsageError("--quick leaves tests out and --long adds tests. Remedy: give one of them")
+
+
+def pytest_collection_modifyitems(config, items):
+    """Leave out what does not belong to the chosen tier."""
+    left_out = {"slow", "long"} if config.getoption("quick") else set() if config.getoption("long") else {"long"}
+    chosen, others = [], []
+    for item in items:
+        (others if left_out & {mark.name for mark in item.iter_markers()} else chosen).append(item)
+    config.hook.pytest_deselected(items=others)
+    items[:] = chosen
 
 
 @pytest.fixture(scope="session")

@@ -8,6 +8,8 @@ import pytest
 from nishiki.chains.stages import CHAIN
 from nishiki.packages import EXTRAS
 
+pytestmark = pytest.mark.slow
+
 LIGHT = {"numpy"}
 
 
