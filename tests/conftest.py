@@ -36,21 +36,35 @@ def pytest_addoption(parser):
     tiers.addoption("--long", action="store_true", help="also run tests marked long")
 
 
+SITES = ("finished_site", "finished_object", "finished_fabric")
+"""Fixtures that simulate a scene and run the workflow on it: tests of one such scene share a process."""
+
+
 def pytest_configure(config):
-    """Make the marker of the longest tier known."""
+    """Make the markers known that are not in pyproject.toml."""
     config.addinivalue_line("markers", "long: only in ./nishiki test --long")
+    config.addinivalue_line("markers", "xdist_group(name): these tests share a process (pytest-xdist)")
     if config.getoption("quick") and config.getoption("long"):
         raise pytest.UsageError("--quick leaves tests out and --long adds tests. Remedy: give one of them")
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config, items):
-    """Leave out what does not belong to the chosen tier."""
+    """Leave out what does not belong to the chosen tier; give every test its group, the longest groups first."""
     left_out = {"slow", "long"} if config.getoption("quick") else set() if config.getoption("long") else {"long"}
     chosen, others = [], []
     for item in items:
         (others if left_out & {mark.name for mark in item.iter_markers()} else chosen).append(item)
     config.hook.pytest_deselected(items=others)
-    items[:] = chosen
+    for item in chosen:
+        item.add_marker(pytest.mark.xdist_group(group_of(item)))
+    items[:] = sorted(chosen, key=lambda item: group_of(item) not in SITES)
+
+
+def group_of(item) -> str:
+    """The scene that a test of the workflow needs, so that each scene is made once; of other tests, their file."""
+    needed = [*getattr(item, "fixturenames", ()), *getattr(getattr(item, "callspec", None), "params", {}).values()]
+    return next((name for name in SITES if name in needed), item.path.stem)
 
 
 @pytest.fixture(scope="session")

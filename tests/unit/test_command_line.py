@@ -95,12 +95,15 @@ def test_an_interrupt_is_told_in_one_line(capsys, monkeypatch):
     assert said(capsys, "schema") == (130, "nishiki schema: interrupted\n")
 
 
+SIDE_BY_SIDE = ("--dist", "loadgroup", "--no-loadscope-reorder")
+
+
 @pytest.mark.parametrize(
     ("words", "passed_on"),
     [
-        ([], ["-n", "--dist", "loadfile"]),
-        (["--quick"], ["--quick", "-n", "--dist", "loadfile"]),
-        (["--long"], ["--long", "-n", "--dist", "loadfile"]),
+        ([], ["-n", *SIDE_BY_SIDE]),
+        (["--quick"], ["--quick", "-n", *SIDE_BY_SIDE]),
+        (["--long"], ["--long", "-n", *SIDE_BY_SIDE]),
         (["tests/unit", "-k", "spectra"], ["tests/unit", "-k", "spectra"]),
         (["--quick", "-x"], ["--quick", "-x"]),
     ],

@@ -124,19 +124,6 @@ def test_verify_passes_then_names_each_damage(site):
         )
 
 
-def test_two_runs_give_the_same_bytes(site):
-    """A second run from nothing leaves artifacts with the same digests."""
-    before = (site.folder / "results/tiny/current/index.json").read_text()
-    kept = site.folder / "results-kept"
-    (site.folder / "results").rename(kept)
-    try:
-        site.nishiki("run")
-        assert (site.folder / "results/tiny/current/index.json").read_text() == before
-    finally:
-        shutil.rmtree(site.folder / "results")
-        kept.rename(site.folder / "results")
-
-
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
