@@ -1,4 +1,7 @@
-"""Imported first by every script: makes the package importable, and keeps compiled kernels of different code apart."""
+"""Imported first by every script, before any library. From then on an interrupt is reported in one line.
+
+It also makes the package importable, and keeps compiled kernels of different code apart.
+"""
 
 import hashlib
 import os
@@ -7,6 +10,17 @@ from pathlib import Path
 
 PROJECT = Path(__file__).resolve().parents[1]
 SOURCE = PROJECT / "workflow" / "src"
+
+
+def _report(kind, error, trace) -> None:
+    """Report an interrupt during the imports in one line, like a later one; leave anything else to Python."""
+    if issubclass(kind, KeyboardInterrupt):
+        print("interrupted", file=sys.stderr)
+    else:
+        sys.__excepthook__(kind, error, trace)
+
+
+sys.excepthook = _report
 
 
 def use_kernel_cache() -> None:
@@ -29,14 +43,3 @@ def use_kernel_cache() -> None:
 sys.path.insert(0, str(SOURCE))
 use_kernel_cache()
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # numba's threads sleep between kernels; by default they spin
-
-
-def _told(kind, error, trace) -> None:
-    """An interrupt while a stage still imports is told in a line, like a later one; anything else as ever."""
-    if issubclass(kind, KeyboardInterrupt):
-        print("interrupted", file=sys.stderr)
-    else:
-        sys.__excepthook__(kind, error, trace)
-
-
-sys.excepthook = _told

@@ -1,10 +1,11 @@
 """Point results/<scene>/current at the artifacts of the present configuration."""
 
+import _project  # noqa: F401, I001
+
 import argparse
 import json
 from pathlib import Path
 
-import _project  # noqa: F401
 from nishiki.artifacts.publish import publish
 from nishiki.stages.table import CHAIN
 

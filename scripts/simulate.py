@@ -14,6 +14,8 @@ turntable capture holds two pictures a view (circular polarisers not crossed and
 that of a cloth small photographs from a gonioreflectometer.
 """
 
+import _project  # noqa: F401, I001
+
 import argparse
 import csv
 import os
@@ -24,7 +26,6 @@ from pathlib import Path
 
 import numpy as np
 
-import _project  # noqa: F401  (puts the package on the path)
 import _turntable
 import _woven
 from nishiki.capture.seal import seal

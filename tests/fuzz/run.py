@@ -17,8 +17,8 @@ sys.path[:0] = [str(PROJECT / "workflow" / "src"), str(PROJECT / "tests")]
 import atheris  # noqa: E402
 
 READERS = """
-    nishiki.capture nishiki.outside nishiki.engine.project nishiki.artifacts.closed nishiki.artifacts.artifact
-    nishiki.geometry.mesh_files nishiki.formats.mesh_heading nishiki.polarisation.instrument
+    nishiki.capture nishiki.formats nishiki.engine.project nishiki.artifacts.closed nishiki.artifacts.artifact
+    nishiki.geometry.mesh_files nishiki.polarisation.instrument
     trimesh.exchange.ply trimesh.exchange.obj
 """.split()
 

@@ -1,5 +1,7 @@
 """What the command line says of itself and of bad arguments: one line, exit status 2."""
 
+from types import SimpleNamespace
+
 import pytest
 
 from nishiki.cli import main
@@ -91,3 +93,35 @@ def test_an_interrupt_is_told_in_one_line(capsys, monkeypatch):
 
     monkeypatch.setattr("nishiki.commands.inspecting.schema", interrupt)
     assert said(capsys, "schema") == (130, "nishiki schema: interrupted\n")
+
+
+SIDE_BY_SIDE = ("--dist", "loadgroup", "--no-loadscope-reorder")
+
+
+@pytest.mark.parametrize(
+    ("words", "passed_on"),
+    [
+        ([], ["-n", *SIDE_BY_SIDE]),
+        (["--quick"], ["--quick", "-n", *SIDE_BY_SIDE]),
+        (["--long"], ["--long", "-n", *SIDE_BY_SIDE]),
+        (["tests/unit", "-k", "spectra"], ["tests/unit", "-k", "spectra"]),
+        (["--quick", "-x"], ["--quick", "-x"]),
+    ],
+)
+def test_the_tier_and_all_other_arguments_reach_pytest(monkeypatch, words, passed_on):
+    commands = []
+    monkeypatch.setattr("nishiki.commands.running.install_for_meshlab", lambda: None)
+    monkeypatch.setattr(
+        "nishiki.commands.running.subprocess.run",
+        lambda command, **_: commands.append(command) or SimpleNamespace(returncode=3),
+    )
+    with pytest.raises(SystemExit) as left:
+        main(["test", *words])
+    assert left.value.code == 3
+    assert [word for word in commands[0][1:] if not word.isdigit()] == ["-m", "pytest", *passed_on]
+
+
+def test_one_tier_at_a_time(capsys):
+    status, told = said(capsys, "test", "--quick", "--long")
+    assert status == 2
+    assert "not allowed with argument" in told

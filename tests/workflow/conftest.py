@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -47,10 +48,33 @@ class Site:
         assert not check or done.returncode == 0, done.stdout + done.stderr
         return done
 
+    def start(self, *arguments: str) -> subprocess.Popen:
+        """Start the command line inside the copy, in a process group of its own; run.log receives what it prints.
+
+        A shell starts what stands before & with interrupts ignored, and whatever that starts inherits it: the tests
+        may have been started so, but what they interrupt must not be.
+        """
+        with open(self.folder / "run.log", "w") as log:
+            return subprocess.Popen(
+                [sys.executable, "-m", "nishiki", *arguments],
+                cwd=self.folder,
+                env={**os.environ, "PYTHONPATH": str(self.folder / "workflow/src")},
+                stdout=log,
+                stderr=log,
+                start_new_session=True,
+                preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+            )
+
     def configure(self, **settings) -> None:
         """Write the configuration: small pictures, and these settings over them."""
         values = {"scenes": "config/scenes.tsv", **SMALL[self.geometry], **settings}
         (self.folder / "config/config.yaml").write_text(yaml.safe_dump(values))
+
+    def restore_configuration(self) -> None:
+        """Write the configuration and the scene table as they were at first."""
+        row = "tiny\tcaptures/tiny\tcaptures/tiny-truth\n"
+        (self.folder / "config/scenes.tsv").write_text("scene\tcapture\ttruth\n" + row)
+        self.configure()
 
     def would_run(self) -> list[str]:
         """Stages that a run would make now, in the order of the flow, as Snakemake sees it."""
@@ -86,8 +110,7 @@ def finished(folder: Path, geometry: str, preset: str) -> Site:
             source, folder / name
         )
     site = Site(folder, geometry)
-    (folder / "config/scenes.tsv").write_text("scene\tcapture\ttruth\ntiny\tcaptures/tiny\tcaptures/tiny-truth\n")
-    site.configure()
+    site.restore_configuration()
     site.nishiki("simulate", "--output", "captures/tiny", "--truth", "captures/tiny-truth", "--preset", preset)
     site.nishiki("run")
     return site
@@ -115,6 +138,25 @@ def finished_fabric(tmp_path_factory) -> Site:
 def site(finished_site):
     """The finished painting; configuration, code and results are put back afterwards."""
     yield from put_back(finished_site)
+
+
+@pytest.fixture
+def asked(finished_site, monkeypatch, capsys):
+    """The finished painting, and a call of the command line inside this process: for questions about a configuration.
+
+    Only the configuration is put back afterwards.
+    """
+    from nishiki.cli import main
+
+    def ask(*arguments: str) -> tuple[int, str, str]:
+        """Exit status, standard output and standard error."""
+        with pytest.raises(SystemExit) as ended:
+            main(list(arguments))
+        return ended.value.code, *capsys.readouterr()
+
+    monkeypatch.chdir(finished_site.folder)
+    yield finished_site, ask
+    finished_site.restore_configuration()
 
 
 @pytest.fixture

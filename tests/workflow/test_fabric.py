@@ -4,6 +4,8 @@ import json
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 AFTER_FABRIC = ["fabric_render", "fabric_evaluate", "fabric_report", "publish"]
 
 

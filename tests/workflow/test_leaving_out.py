@@ -8,6 +8,8 @@ import pytest
 from nishiki.packages import EXTRAS
 from nishiki.stages.table import CHAIN
 
+pytestmark = pytest.mark.slow
+
 LIGHT = {"numpy"}
 
 

@@ -4,6 +4,8 @@ import json
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 AFTER_RESIDUAL = ["object_render", "object_evaluate", "object_report", "publish"]
 
 

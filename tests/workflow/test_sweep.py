@@ -4,12 +4,12 @@ import csv
 import json
 import os
 import signal
-import subprocess
-import sys
 import time
 
 import pytest
 import yaml
+
+pytestmark = pytest.mark.slow
 
 SWEEP = {
     "stage": "spectra",
@@ -32,16 +32,7 @@ def interrupted(site, sweep):
     """Start a sweep, and interrupt it as soon as its third repeat is there; the repeats that were finished then.
 
     The newest one is left out: Snakemake may not have seen its end."""
-    environment = {**os.environ, "PYTHONPATH": str(site.folder / "workflow/src")}
-    process = subprocess.Popen(
-        [sys.executable, "-m", "nishiki", "sweep", sweep],
-        cwd=site.folder,
-        env=environment,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    )
+    process = site.start("sweep", sweep)
     until = time.monotonic() + 300
     while len(timings(site)) < 3 and process.poll() is None and time.monotonic() < until:
         time.sleep(0.05)
@@ -121,9 +112,10 @@ def digest_of(site, row):
         ({"scenes": ["none"]}, "no scene 'none'"),
     ],
 )
-def test_a_bad_sweep_is_told_in_one_line_with_status_2(site, changes, message):
-    done = site.nishiki("sweep", write_sweep(site, **changes), check=False)
-    assert done.returncode == 2
-    assert message in done.stderr
-    assert "config/methods.yaml" in done.stderr
-    assert len(done.stderr.strip().splitlines()) == 1
+def test_a_bad_sweep_is_told_in_one_line_with_status_2(asked, changes, message):
+    site, ask = asked
+    status, _, told = ask("sweep", write_sweep(site, **changes))
+    assert status == 2
+    assert message in told
+    assert "config/methods.yaml" in told
+    assert len(told.strip().splitlines()) == 1

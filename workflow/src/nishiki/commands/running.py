@@ -174,14 +174,18 @@ def simulate(options: argparse.Namespace, rest: list[str]) -> int:
 
 
 def test(options: argparse.Namespace, rest: list[str]) -> int:
-    """Run the tests with pytest; all of them: files side by side, a file's tests in one process."""
+    """Run one tier of the tests with pytest; without further arguments, groups of tests run side by side.
+
+    tests/conftest.py says which tests belong to a tier and to a group.
+    """
     try:
         import pytest  # noqa: F401
     except ImportError:
         raise UserError("pytest is not installed; remove .venv and call ./nishiki test again") from None
     install_for_meshlab()
-    rest = rest or ["-n", str(min(os.cpu_count() or 1, 4)), "--dist", "loadfile"]
-    return subprocess.run([sys.executable, "-m", "pytest", *rest], cwd=PROJECT, check=False).returncode
+    tier = [option for option, given in (("--quick", options.quick), ("--long", options.long)) if given]
+    rest = rest or ["-n", str(min(os.cpu_count() or 1, 4)), "--dist", "loadgroup", "--no-loadscope-reorder"]
+    return subprocess.run([sys.executable, "-m", "pytest", *tier, *rest], cwd=PROJECT, check=False).returncode
 
 
 def install_for_meshlab() -> None:

@@ -13,7 +13,7 @@ from nishiki.render.cloth.boxes import Boxes, boxes_of
 
 
 class Brdf(Protocol):
-    """What a surface is made of; every model of `nishiki.fabric` is one."""
+    """What a surface is made of; every model of `nishiki.brdf.cloth` is one."""
 
     channels: int
 
