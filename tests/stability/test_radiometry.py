@@ -12,7 +12,7 @@ from nishiki.errors import UserError
 from nishiki.formats.problems import CaptureError
 from nishiki.observations.block_kernels import block_levels
 from nishiki.observations.blocks import block_edges, cells, positions
-from nishiki.observations.linearise import check_linearity, code_table, saturation_code, srgb_to_linear, straight_scale
+from nishiki.observations.linearise import check_linearity, code_table, saturation_code, straight_scale
 from nishiki.observations.plane_decode import decode
 from nishiki.observations.views_decode import view_values
 from nishiki.observations.white import white_field
@@ -309,7 +309,7 @@ def _curve_error(value):
     with mpmath.workdps(40):
         v, join, shift, stretch = (mpmath.mpf(text) for text in (repr(value), "0.04045", "0.055", "1.055"))
         exact = v / mpmath.mpf("12.92") if v <= join else ((v + shift) / stretch) ** mpmath.mpf("2.4")
-        error = abs(float(srgb_to_linear(value)) / float(exact) - 1) if value else 0.0
+        error = abs(float(uncurve(value, "srgb")) / float(exact) - 1) if value else 0.0
     there = encode(np.array([value]), "srgb")
     return max(error, abs(float(uncurve(there, "srgb")[0]) - value) / max(abs(value), 1e-300))
 

@@ -8,21 +8,11 @@ from stability.samples import EXTREME, tilted
 from nishiki.brdf.torrance_sparrow import specular
 from nishiki.errors import UserError
 from nishiki.render.display import display_image, normals_as_colours
+from nishiki.render.plane.flags import NORMAL_MISSING, TURNED_AWAY, UNUSABLE
 from nishiki.render.plane.frame import render
 from nishiki.render.plane.relight import predict_observations
-from nishiki.render.plane.scene import (
-    COLOUR_MISSING,
-    NORMAL_MISSING,
-    OVERFLOW,
-    TURNED_AWAY,
-    Gloss,
-    Light,
-    PlaneScene,
-    View,
-)
+from nishiki.render.plane.scene import Gloss, Light, PlaneScene, View
 from nishiki.render.plane.shadow import cast_shadows
-
-BAD = NORMAL_MISSING | COLOUR_MISSING | OVERFLOW
 
 
 def maps(rows, columns, seed=0, most=0.6):
@@ -61,7 +51,7 @@ def _any_scene(seed, brightness, size, pitch):
         for shadows in ("sweep", "march"):
             found = render(scene, lights, view, shadows=shadows)
             wrong += int((~np.isfinite(found.xyz)).sum() + (~np.isfinite(found.coverage)).sum())
-            wrong += int(np.count_nonzero(found.xyz[(found.flags & BAD) != 0]))
+            wrong += int(np.count_nonzero(found.xyz[(found.flags & UNUSABLE) != 0]))
             wrong += int((~np.isfinite(found.shadowed)).sum())
     return wrong
 
@@ -216,7 +206,7 @@ def test_little_pictures():
         for view in (None, View(rows=3, columns=4), View(eye_mm=(0, 0, 9.0), rows=3, columns=3)):
             for shadows in ("sweep", "march"):
                 found = render(scene, light, view, shadows=shadows)
-                wrong += int((~np.isfinite(found.xyz)).sum() + ((found.flags & BAD) != 0).sum())
+                wrong += int((~np.isfinite(found.xyz)).sum() + ((found.flags & UNUSABLE) != 0).sum())
     normals, colours = maps(9, 9, 4)
     only = np.zeros_like(normals)
     only[4, 5] = normals[4, 5]

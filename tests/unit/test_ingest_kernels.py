@@ -7,10 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from nishiki.colour import encoding
 from nishiki.formats.problems import CaptureError
 from nishiki.observations.block_kernels import block_levels, count_outliers
 from nishiki.observations.blocks import block_edges, blocks_around, cells, edges_between, positions
-from nishiki.observations.linearise import check_linearity, code_table, saturation_code, srgb_to_linear
+from nishiki.observations.linearise import check_linearity, code_table, saturation_code
 from nishiki.observations.plane_decode import count_unusable, decode, to_luma
 from nishiki.observations.white import white_field
 
@@ -229,7 +230,9 @@ def test_white_gain_makes_a_white_facing_the_lamp_one():
 
 
 def test_srgb_known_values():
-    np.testing.assert_allclose(srgb_to_linear(np.array([0, 0.04045, 0.5, 1])), [0, 0.0031308, 0.2140411, 1], rtol=2e-5)
+    np.testing.assert_allclose(
+        encoding.decode(np.array([0, 0.04045, 0.5, 1]), "srgb"), [0, 0.0031308, 0.2140411, 1], rtol=2e-5
+    )
     table = code_table(np.uint8, encoding="srgb")
     assert table.dtype == np.float32
     assert table[255] == 1

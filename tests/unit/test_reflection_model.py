@@ -13,8 +13,9 @@ from nishiki.brdf.texels.highlight import fit_highlight, hemisphere
 from nishiki.brdf.texels.lighting import DISTANT, ENVIRONMENT, POINT, Lamp, Lighting
 from nishiki.brdf.texels.model import GRAZING, factors, predict
 from nishiki.brdf.texels.neighbours import Lattice, Neighbourhood, spread
-from nishiki.brdf.texels.stack import Observed, observed, slope_of_srgb
+from nishiki.brdf.texels.stack import Observed, observed
 from nishiki.brdf.texels.texel_fit import strengths
+from nishiki.colour.encoding import encoding_slope
 from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera
 
@@ -304,7 +305,7 @@ def test_observed_gathers_the_visible_only():
             np.testing.assert_array_equal(data.values[p, slot], value)
             cosine = unit(centres[o] - positions.reshape(-1, 3)[texel])[2]
             if np.isfinite(value).all():
-                wanted = cosine * slope_of_srgb(value.mean()) ** 2
+                wanted = cosine * encoding_slope(value.mean(), "srgb") ** 2
                 assert data.weights[p, slot] == pytest.approx(wanted, rel=1e-4)
                 assert data.diffuse[p, slot] == pytest.approx(cosine, rel=1e-4)
                 assert data.attenuation[p, slot] == pytest.approx(1 / cosine, rel=1e-4)
@@ -318,7 +319,7 @@ def test_slope_of_the_srgb_curve():
 
     x = np.array([0.0, 0.001, 0.01, 0.2, 1.0, 1.4])
     differences = (encode(x + 1e-7, "srgb") - encode(x - 1e-7, "srgb")) / 2e-7
-    np.testing.assert_allclose(slope_of_srgb(x.astype(np.float32)), differences, rtol=1e-3)
+    np.testing.assert_allclose(encoding_slope(x.astype(np.float32), "srgb"), differences, rtol=1e-3)
 
 
 def test_strengths_of_nearly_dependent_terms_are_those_of_exact_sums():

@@ -7,10 +7,11 @@ import pytest
 
 from nishiki.errors import UserError
 from nishiki.render.plane import camera
-from nishiki.render.plane.frame import reduce_maps, render, render_tile
-from nishiki.render.plane.scene import BACKGROUND, NORMAL_MISSING, Ambient, Gloss, Light, PlaneScene, View
+from nishiki.render.plane.flags import BACKGROUND, NORMAL_MISSING
+from nishiki.render.plane.frame import reduce_maps, render
+from nishiki.render.plane.scene import Ambient, Gloss, Light, PlaneScene, View
 from nishiki.render.plane.shade import pixel_to_plane, shade_xyz
-from nishiki.render.plane.shadow import cast_shadows, shadow_reach
+from nishiki.render.plane.shadow import cast_shadows
 
 WHITE = np.ones((1, 61))
 
@@ -204,43 +205,6 @@ def test_views_do_not_depend_on_the_number_of_threads(monkeypatch):
     for result in results:
         assert result.xyz.tobytes() == results[0].xyz.tobytes()
         assert result.flags.tobytes() == results[0].flags.tobytes()
-
-
-@pytest.mark.parametrize(
-    "light",
-    [
-        Light(direction=(1, 0.3, 0.9), angular_radius=0.02),
-        Light(direction=(-0.7, 0.4, 0.9)),
-        Light(direction=(0.2, -1, 0.8)),
-        Light(direction=(-0.5, 1, 0.8), angular_radius=0.05),
-        Light(position_mm=(80, 50, 70), falloff=True, angular_radius=0.02),
-    ],
-)
-def test_tiles_put_together_are_the_whole_picture(light):
-    scene = bumpy(60, 80)
-    whole = render(scene, [light], ambient=Ambient(level=0.1))
-    assert 0.001 < whole.shadowed[0] < 0.9
-    border = shadow_reach(scene.height, light, pitch=scene.pitch)
-    assert border < 20
-    xyz = np.full_like(whole.xyz, np.nan)
-    for row in (0, 20, 40):
-        for column in (0, 27, 54):
-            top, left = max(0, row - border), max(0, column - border)
-            bottom, right = min(60, row + 20 + border), min(80, column + 27 + border)
-            cut = np.s_[top:bottom, left:right]
-            tile = dataclasses.replace(
-                scene,
-                normals=scene.normals[cut],
-                coefficients=scene.coefficients[cut],
-                height=scene.height[cut],
-                labels=scene.labels[cut],
-            )
-            keep = (slice(row - top, row - top + 20), slice(column - left, min(column - left + 27, right - left)))
-            part = render_tile(
-                tile, [light], origin=(top, left), whole=scene.shape, keep=keep, ambient=Ambient(level=0.1)
-            )
-            xyz[row : row + 20, column : column + 27] = part.xyz
-    np.testing.assert_allclose(xyz, whole.xyz, rtol=1e-6, atol=1e-9)
 
 
 def test_reduction_averages_blocks_and_keeps_normals_unit():

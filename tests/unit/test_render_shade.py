@@ -14,16 +14,8 @@ from nishiki.brdf.torrance_sparrow import fresnel, half_vector_geometry, specula
 from nishiki.colour.colour import cie_1931_cmfs, illuminant, white_xyz
 from nishiki.errors import UserError
 from nishiki.render.plane import kernel
-from nishiki.render.plane.scene import (
-    COLOUR_MISSING,
-    NORMAL_MISSING,
-    OVERFLOW,
-    TURNED_AWAY,
-    Ambient,
-    Gloss,
-    Light,
-    PlaneScene,
-)
+from nishiki.render.plane.flags import COLOUR_MISSING, NORMAL_MISSING, OVERFLOW, TURNED_AWAY
+from nishiki.render.plane.scene import Ambient, Gloss, Light, PlaneScene
 from nishiki.render.plane.shade import FRONTAL_EYE, pixel_to_plane, shade_xyz
 
 

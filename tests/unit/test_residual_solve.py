@@ -8,10 +8,11 @@ from nishiki.codec.colour import fixed_channels, principal_channels
 from nishiki.codec.extent import extent_of
 from nishiki.codec.interpolate import Footprints
 from nishiki.codec.observations import view_matrix
-from nishiki.codec.parameters import Maps, model_factors, refine, slope, texel_weights
+from nishiki.codec.parameters import Maps, model_factors, refine, texel_weights
 from nishiki.codec.prediction import Surface, predict_texels
 from nishiki.codec.solve import Operator, samples_of, solve
 from nishiki.codec.transform import Block, plane_transform
+from nishiki.colour.encoding import encoding_slope
 
 
 def block_of(views=6, size=16, wavelet="db2", lights=1):
@@ -143,8 +144,8 @@ def test_slope_of_the_encoding():
 
     at = np.array([0.001, 0.01, 0.2, 0.9])
     steps = (encode(at + 1e-7, "srgb") - encode(at - 1e-7, "srgb")) / 2e-7
-    np.testing.assert_allclose(slope(at, "srgb"), steps, rtol=1e-5)
-    assert (slope(at, "linear") == 1).all()
+    np.testing.assert_allclose(encoding_slope(at, "srgb"), steps, rtol=1e-5)
+    assert (encoding_slope(at, "linear") == 1).all()
 
 
 def test_colours_are_orthonormal_and_sorted():

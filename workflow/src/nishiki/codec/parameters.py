@@ -17,7 +17,7 @@ from nishiki.brdf.texels.lighting import Lamp
 from nishiki.brdf.texels.model import predict
 from nishiki.codec.interpolate import Footprints
 from nishiki.codec.prediction import Surface
-from nishiki.colour.encoding import encode
+from nishiki.colour.encoding import encode, encoding_slope
 
 WIDTH_FLOOR = 1e-3
 
@@ -70,14 +70,6 @@ def model_factors(channels: int, surface: Surface, centres, lamps: Sequence[Lamp
     return Factors(irradiance, strength, np.maximum(-2 * np.log(ratio), 0).astype(np.float32))
 
 
-def slope(linear: np.ndarray, encoding: str) -> np.ndarray:
-    """Derivative of the capture's encoding at linear values; that of the straight part below 0.0031308."""
-    if encoding == "linear":
-        return np.ones_like(linear)
-    high = np.maximum(linear, 0.0031308).astype(linear.dtype)
-    return np.where(linear <= 0.0031308, linear.dtype.type(12.92), (1.055 / 2.4) * high ** (1 / 2.4 - 1))
-
-
 def refine(
     maps: Maps,
     factors: Factors,
@@ -123,7 +115,7 @@ def _gradients(at: list[np.ndarray], factors: Factors, feet: Footprints, values:
     left = values - feet.look_up(encode(linear, encoding))
     back = feet.spread(left)
     if encoding != "linear":
-        back *= slope(linear, encoding)
+        back *= encoding_slope(linear, encoding)
     to_lobe = np.einsum("comn,cmn->omn", back, ks)
     by_width = np.sum(to_lobe * lobe * factors.squared_angle, axis=0) / sigma**2
     return np.sum(back * factors.irradiance, axis=1), np.einsum("comn,omn->cmn", back, lobe), by_width
@@ -134,7 +126,7 @@ def texel_weights(maps: Maps, factors: Factors, feet: Footprints, encoding: str)
     density = feet.density()
     kd, ks = np.moveaxis(maps.kd, -1, 0), np.moveaxis(maps.ks, -1, 0)
     lobe = factors.lobe(maps.sigma)
-    rise = slope(factors.irradiance * kd[:, None] + lobe[None] * ks[:, None], encoding) ** 2 * density[None]
+    rise = encoding_slope(factors.irradiance * kd[:, None] + lobe[None] * ks[:, None], encoding) ** 2 * density[None]
     by_d = np.sum(rise * factors.irradiance**2, axis=1)
     by_s = np.sum(rise * lobe[None] ** 2, axis=1)
     bend = lobe * factors.squared_angle / maps.sigma**2

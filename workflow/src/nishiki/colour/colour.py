@@ -10,6 +10,7 @@ import numpy as np
 
 from nishiki.colour import cie_tables
 from nishiki.colour.basis import checked_spectra, normalised
+from nishiki.colour.encoding import encode
 from nishiki.colour.sampling import WAVELENGTHS_NM
 from nishiki.errors import UserError
 
@@ -111,7 +112,7 @@ def xyz_to_srgb_linear(xyz: np.ndarray, *, white: np.ndarray | None = None) -> n
 def srgb_encode(linear: np.ndarray) -> np.ndarray:
     """Display values in [0, 1] from linear sRGB, IEC 61966-2-1; values outside [0, 1] are clipped, NaN becomes 0."""
     values = np.clip(np.nan_to_num(np.asarray(linear), nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0)
-    return np.where(values <= 0.0031308, 12.92 * values, 1.055 * values ** (1.0 / 2.4) - 0.055)
+    return encode(values, "srgb")
 
 
 def xyz_to_lab(xyz: np.ndarray, white: np.ndarray) -> np.ndarray:

@@ -1,4 +1,10 @@
-"""The capture's own encoding of linear light, in which pictures are compared and residuals are coded."""
+"""The transfer curve of sRGB (IEC 61966-2-1), its inverse and its derivative; a capture's own encoding of linear light.
+
+    code = 12.92 L                      L <= 0.0031308
+    code = 1.055 L^(1 / 2.4) - 0.055    above
+
+In the capture's encoding pictures are compared and residuals are coded.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +14,9 @@ import numpy as np
 
 Encoding = Literal["linear", "srgb"]
 BLOCK = 1 << 16  # values at a time: temporaries stay in the cache
-SLOPE = 12.92
+KNEE, CODED_KNEE = 0.0031308, 0.04045
+"""Linear value, and code, at which the straight part ends."""
+SLOPE, SCALE, OFFSET, POWER = 12.92, 1.055, 0.055, 1 / 2.4
 
 
 def encode(linear: np.ndarray, encoding: Encoding) -> np.ndarray:
@@ -19,11 +27,11 @@ def encode(linear: np.ndarray, encoding: Encoding) -> np.ndarray:
     """
 
     def curve(values: np.ndarray, out: np.ndarray) -> None:
-        np.maximum(values, 0.0031308, out=out)
-        np.power(out, 1 / 2.4, out=out)
-        out *= 1.055
-        out -= 0.055
-        np.multiply(values, SLOPE, out=out, where=values <= 0.0031308)
+        np.maximum(values, KNEE, out=out)
+        np.power(out, POWER, out=out)
+        out *= SCALE
+        out -= OFFSET
+        np.multiply(values, SLOPE, out=out, where=values <= KNEE)
 
     return _through(linear, encoding, curve)
 
@@ -32,13 +40,21 @@ def decode(values: np.ndarray, encoding: Encoding) -> np.ndarray:
     """Code values to linear ones: the inverse of `encode`."""
 
     def curve(values: np.ndarray, out: np.ndarray) -> None:
-        np.maximum(values, 0.04045, out=out)
-        out += 0.055
-        out *= 1 / 1.055
-        np.power(out, 2.4, out=out)
-        np.multiply(values, 1 / SLOPE, out=out, where=values <= 0.04045)
+        np.maximum(values, CODED_KNEE, out=out)
+        out += OFFSET
+        out *= 1 / SCALE
+        np.power(out, 1 / POWER, out=out)
+        np.multiply(values, 1 / SLOPE, out=out, where=values <= CODED_KNEE)
 
     return _through(values, encoding, curve)
+
+
+def encoding_slope(linear: np.ndarray, encoding: Encoding) -> np.ndarray:
+    """Derivative of the encoding at linear values, of their type; that of the straight part up to its end."""
+    if encoding == "linear":
+        return np.ones_like(linear)
+    high = np.maximum(linear, KNEE).astype(linear.dtype)
+    return np.where(linear <= KNEE, linear.dtype.type(SLOPE), (SCALE * POWER) * high ** (POWER - 1))
 
 
 def _through(values: np.ndarray, encoding: str, curve) -> np.ndarray:

@@ -8,6 +8,8 @@ import math
 import numpy as np
 from numba import njit
 
+from nishiki.colour.encoding import KNEE, OFFSET, POWER, SCALE, SLOPE
+
 _LIMIT = 6.0 / 29.0
 _POWER7 = 25.0**7
 SUMS = 4  # samples, squared linear difference, squared coded difference, difference
@@ -22,9 +24,9 @@ def _f(ratio):
 @njit(cache=True, nogil=True, error_model="numpy")
 def _coded(value):
     """sRGB code, 0 to 1, of a linear value; values outside 0 to 1 are clipped."""
-    if value <= 0.0031308:
-        return 12.92 * max(value, 0.0)
-    return 1.055 * min(value, 1.0) ** (1.0 / 2.4) - 0.055
+    if value <= KNEE:
+        return SLOPE * max(value, 0.0)
+    return SCALE * min(value, 1.0) ** POWER - OFFSET
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

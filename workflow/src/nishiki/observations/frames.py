@@ -13,10 +13,11 @@ import numpy as np
 from nishiki.capture.folder import Capture
 from nishiki.capture.frames import Frame, inside
 from nishiki.capture.seal import expect_sealed, sealed_digests
+from nishiki.colour.encoding import decode
 from nishiki.formats.image_headers import read_header
 from nishiki.formats.images import Region, read_codes
 from nishiki.formats.problems import CaptureError, Problem, error, warning
-from nishiki.observations.linearise import LUMA_WEIGHTS, code_table, full_scale, saturation_code, srgb_to_linear
+from nishiki.observations.linearise import LUMA_WEIGHTS, code_table, full_scale, saturation_code
 from nishiki.observations.plane_decode import to_luma
 from nishiki.observations.region import region_of
 
@@ -145,7 +146,7 @@ class FrameReader:
         """Black level of camera.black_level, linear."""
         camera = self.capture.settings.camera
         value = camera.black_level / self.full
-        return float(srgb_to_linear(np.array(value))) if camera.encoding == "srgb" else value
+        return float(decode(np.array(value), "srgb")) if camera.encoding == "srgb" else value
 
     def read(self, frame: Frame) -> np.ndarray:
         """Codes (rows, columns, channels) of the region. CaptureError (image-size, image-depth, bits-exceeded, ...)."""

@@ -7,14 +7,10 @@ from typing import Literal
 
 import numpy as np
 
+from nishiki.colour.encoding import decode
+
 DEFAULT_SATURATION = 0.995  # of full scale
 LUMA_WEIGHTS = np.array([0.299, 0.587, 0.114])  # ITU-R BT.601, the weights of a JPEG's luma plane
-
-
-def srgb_to_linear(value: np.ndarray) -> np.ndarray:
-    """Inverse of the sRGB transfer curve (IEC 61966-2-1), [0, 1] to [0, 1], float64."""
-    value = np.asarray(value, dtype=np.float64)
-    return np.where(value <= 0.04045, value / 12.92, ((np.maximum(value, 0.04045) + 0.055) / 1.055) ** 2.4)
 
 
 def full_scale(dtype: np.dtype, bits: int | None) -> float:
@@ -27,7 +23,7 @@ def full_scale(dtype: np.dtype, bits: int | None) -> float:
 def code_table(dtype: np.dtype, *, encoding: Literal["linear", "srgb"], bits: int | None = None) -> np.ndarray:
     """Linear value of each code, as a fraction of full scale: (256,) or (65536,) float32."""
     codes = np.arange(np.iinfo(dtype).max + 1) / full_scale(dtype, bits)
-    return (srgb_to_linear(codes) if encoding == "srgb" else codes).astype(np.float32)
+    return decode(codes, encoding).astype(np.float32)
 
 
 def straight_scale(table: np.ndarray, dtype: np.dtype) -> np.float32:

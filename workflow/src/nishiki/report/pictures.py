@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nishiki.colour.colour import srgb_encode
+from nishiki.colour.encoding import decode
 from nishiki.report.colour_map import MISSING, coloured, hexadecimal
 from nishiki.report.numbers import plain
 
@@ -208,7 +209,7 @@ def file_picture(data: bytes, widest: int) -> Picture:
     block = block_of(codes.shape[1], widest)
     if block == 1:
         return encoded(codes[..., ::-1])
-    linear = _decode_srgb(codes[..., ::-1] / np.float32(255))
+    linear = decode(codes[..., ::-1] / np.float32(255), "srgb")
     small = shrink(lambda rows: linear[rows], codes.shape[:2], block)
     return colour_picture(small)
 
@@ -216,10 +217,6 @@ def file_picture(data: bytes, widest: int) -> Picture:
 def data_uri(data: bytes, mime: str) -> str:
     """A file as text that a page can carry."""
     return f"data:{mime};base64,{base64.b64encode(data).decode('ascii')}"
-
-
-def _decode_srgb(coded: np.ndarray) -> np.ndarray:
-    return np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)
 
 
 def _even(values: np.ndarray, unit: str, digits: int) -> str:

@@ -11,8 +11,8 @@ from nishiki.brdf.texels.environment import fit_environment, residuals
 from nishiki.brdf.texels.highlight import fit_highlight
 from nishiki.brdf.texels.lighting import TO_LAMP_FRAME, Lighting
 from nishiki.brdf.texels.model import factors
-from nishiki.brdf.texels.stack import slope_of_srgb
 from nishiki.brdf.texels.tile import Tile
+from nishiki.colour.encoding import encoding_slope
 from nishiki.geometry.camera import Camera
 
 SAMPLE = 4000  # texels
@@ -87,7 +87,7 @@ def _fitted(
         weights = sample.visible[:, of] * np.maximum(np.sum(normals * towards, axis=-1), 0)
         values = sample.values[:, of]
         if encoding == "srgb":
-            weights = weights * slope_of_srgb(values.mean(axis=-1)) ** 2
+            weights = weights * encoding_slope(values.mean(axis=-1), "srgb") ** 2
         fit = fit_environment(values, normals, weights)
         left = residuals(values, normals, weights, fit.coefficients).mean(axis=-1)
         lobe = fit_highlight(left, normals, towards, weights)

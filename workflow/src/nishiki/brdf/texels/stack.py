@@ -13,10 +13,9 @@ from numba import njit
 
 from nishiki.brdf.texels.lighting import ENVIRONMENT, POINT, Lamp
 from nishiki.brdf.texels.model import GRAZING, angles_at, irradiance_at
+from nishiki.colour.encoding import encoding_slope
 
 MULTIPLE = 8  # observations a texel are padded to a multiple, with weight 0
-# sRGB decoded value at which the curve turns from a line into a power, and the slopes of the two (IEC 61966-2-1)
-_LINEAR_BELOW, _LINEAR_SLOPE, _POWER_SLOPE, _POWER = 0.0031308, 12.92, 1.055 / 2.4, 1 / 2.4 - 1
 
 
 @dataclass(frozen=True)
@@ -75,7 +74,7 @@ def observed(
         if bright is not None:
             level = np.zeros_like(picked)
             _pick(np.ascontiguousarray(bright, np.float32), texel, view, level)
-        weights *= slope_of_srgb(level.mean(axis=-1)) ** 2
+        weights *= encoding_slope(level.mean(axis=-1), "srgb") ** 2
     weights[~np.isfinite(picked).all(axis=-1)] = 0
     return Observed(texel, picked, diffuse, attenuation, alpha, weights, view)
 
@@ -87,12 +86,6 @@ def _side_by_side(lamps: list[Lamp]) -> tuple:
     harmonics = np.stack([lamp.harmonics.mean(axis=1, keepdims=True) for lamp in lamps]).astype(np.float32)
     references = np.array([lamp.reference if lamp.form == POINT else 0 for lamp in lamps], np.float32) ** 2
     return form, vectors, rotations, harmonics, references
-
-
-def slope_of_srgb(linear: np.ndarray) -> np.ndarray:
-    """Derivative of the sRGB curve at linear values; 12.92 below its linear part, slowly falling above 1."""
-    power = _POWER_SLOPE * np.maximum(linear, np.float32(_LINEAR_BELOW)) ** np.float32(_POWER)
-    return np.where(linear <= _LINEAR_BELOW, np.float32(_LINEAR_SLOPE), power).astype(np.float32)
 
 
 def _slots(visible: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

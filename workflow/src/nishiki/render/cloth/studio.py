@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from nishiki.colour.encoding import decode
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.camera_path import rotation_matrix
 from nishiki.geometry.mesh import Mesh
@@ -141,8 +142,7 @@ def tubes(*, radius: float = 0.11, height: float = 0.42, gap: float = 0.07) -> l
 def linear_colour(code: str) -> tuple[float, float, float]:
     """Linear sRGB of #rrggbb, IEC 61966-2-1."""
     coded = np.array([int(code[k : k + 2], 16) for k in (1, 3, 5)]) / 255
-    linear = np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)
-    return tuple(float(value) for value in linear)
+    return tuple(float(value) for value in decode(coded, "srgb"))
 
 
 def turning(count: int) -> Iterator[float]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from nishiki.colour.colour import srgb_matrix
+from nishiki.colour.encoding import decode
 from nishiki.render.cloth.frame import Picture
 from nishiki.render.display import DisplayImage, display_image
 
@@ -46,7 +47,7 @@ def developed(
     values = linear * np.float32(exposure)
     clipped = float(np.mean((values > 1.001).any(axis=-1)))
     shown = shoulder(values) if soft else values
-    behind = background / 12.92 if background <= 0.04045 else ((background + 0.055) / 1.055) ** 2.4
+    behind = decode(np.float64(background), "srgb")
     mixed = shown + np.float32(behind) * (1 - coverage[..., None])
     image = display_image((mixed @ np.linalg.inv(srgb_matrix()).T).astype(np.float32))
     return DisplayImage(image.pixels, clipped, image.clipped_low)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nishiki.colour.encoding import encode
+from nishiki.colour.encoding import decode, encode
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.camera_path import scaled
 from nishiki.geometry.mesh import Mesh
@@ -50,7 +50,7 @@ def on_screen(linear: np.ndarray, alpha: np.ndarray, *, background: float = 0.0)
     """(rows, columns, 3) uint8 sRGB over an even background (sRGB-coded grey), and the part of the object's pixels
     with a channel beyond the screen's white.  alpha (rows, columns): part of the pixel that is object."""
     shown = three_channels(linear)
-    grey = background / 12.92 if background <= 0.04045 else ((background + 0.055) / 1.055) ** 2.4
+    grey = decode(np.float64(background), "srgb")
     weight = alpha[..., None].astype(np.float32)
     mixed = shown * weight + np.float32(grey) * (1 - weight)
     clipped = np.count_nonzero((shown > 1.001).any(axis=-1) & (alpha > 0)) / max(1, np.count_nonzero(alpha > 0))

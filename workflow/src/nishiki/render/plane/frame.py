@@ -8,7 +8,8 @@ from numba import njit
 
 from nishiki.errors import UserError
 from nishiki.render.plane import camera
-from nishiki.render.plane.scene import BACKGROUND, Ambient, Light, PlaneScene, View
+from nishiki.render.plane.flags import BACKGROUND, UNUSABLE
+from nishiki.render.plane.scene import Ambient, Light, PlaneScene, View
 from nishiki.render.plane.shade import colour_groups, shade_channels, shade_xyz
 from nishiki.render.plane.shadow import cast_shadows
 from nishiki.threads import over_rows
@@ -21,7 +22,7 @@ class Rendering:
     """A picture and what there is to know about it.
 
     xyz: (rows, columns, 3) float32, linear, Y = 1 for a perfect white that faces a lamp of intensity 1.
-    flags: (rows, columns) uint8, bits of `nishiki.render.plane.scene`; a pixel made of several samples carries
+    flags: (rows, columns) uint8, bits of `nishiki.render.plane.flags`; a pixel made of several samples carries
     NORMAL_MISSING, COLOUR_MISSING and OVERFLOW only if no sample of it is usable, TURNED_AWAY if any sample is.
     coverage: (rows, columns) float32, share of the pixel inside the painting; the rest shows the background.
     """
@@ -211,7 +212,7 @@ def _resolve(first, last, values, sample_flags, inside, across, down, background
                         continue
                     on += 1
                     marks |= sample_flags[i, j]
-                    if sample_flags[i, j] & 19 == 0:
+                    if sample_flags[i, j] & UNUSABLE == 0:
                         usable += 1
                         x, y, z = x + values[i, j, 0], y + values[i, j, 1], z + values[i, j, 2]
             share = on / (across * down)

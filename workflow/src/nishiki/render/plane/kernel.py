@@ -16,6 +16,7 @@ import numpy as np
 from numba import njit
 
 from nishiki.brdf.kernels import phi_squared
+from nishiki.render.plane.flags import COLOUR_MISSING, NORMAL_MISSING, OVERFLOW, TURNED_AWAY, UNUSABLE
 
 BLOCK = 128
 # Lanes of the block's scratch array, each BLOCK values long.
@@ -84,7 +85,7 @@ def _load_normals(buf, normals, flags, n):
         flags[i] = 0
     if bad > 0:
         for i in range(n):
-            flags[i] = 1 if buf[_WD + i] > 0.0 else 0
+            flags[i] = NORMAL_MISSING if buf[_WD + i] > 0.0 else 0
 
 
 @njit(cache=True, error_model="numpy")
@@ -194,7 +195,7 @@ def _view_cosines(buf, flags, n):
     if hidden > 0:
         for i in range(n):
             if not buf[_COSR + i] > 0.0:
-                flags[i] |= 4
+                flags[i] |= TURNED_AWAY
 
 
 @njit(cache=True, error_model="numpy")
@@ -425,7 +426,7 @@ def _store(buf, out, flags, total, sigma, n):
     for i in range(n):
         bad += 0 if buf[_WD + i] <= _FLOAT32_MAX else 1
     for i in range(n):
-        bad += flags[i] & 1
+        bad += flags[i] & NORMAL_MISSING
     if bad > 0:
         _mark_bad(buf, flags, total, sigma, n)
     for c in range(total.shape[0]):
@@ -441,10 +442,10 @@ def _mark_bad(buf, flags, total, sigma, n):
         for k in range(sigma.shape[0]):
             known = known and np.isfinite(sigma[k, i])
         if not known:
-            flags[i] |= 2
+            flags[i] |= COLOUR_MISSING
         elif not buf[_WD + i] <= _FLOAT32_MAX:
-            flags[i] |= 16
-        if flags[i] & 19 != 0:
+            flags[i] |= OVERFLOW
+        if flags[i] & UNUSABLE != 0:
             for c in range(total.shape[0]):
                 total[c, i] = 0.0
 

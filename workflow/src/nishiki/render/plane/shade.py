@@ -32,7 +32,7 @@ class Shading:
     values: (
         np.ndarray
     )  # (rows, columns, channels) float32, linear, a perfect white of Y = 1 facing a lamp of intensity 1
-    flags: np.ndarray  # (rows, columns) uint8, bits of nishiki.render.plane.scene
+    flags: np.ndarray  # (rows, columns) uint8, bits of nishiki.render.plane.flags
 
 
 def colour_groups(scene: PlaneScene, lights: list[Light], ambient: Ambient) -> ColourGroups:

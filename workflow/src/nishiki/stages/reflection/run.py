@@ -12,9 +12,9 @@ from nishiki.brdf.texels.lighting import Lighting
 from nishiki.brdf.texels.model import GRAZING, factors
 from nishiki.brdf.texels.object_fit import fit_object
 from nishiki.brdf.texels.settle import Sample, sample_texels, settle
-from nishiki.brdf.texels.stack import slope_of_srgb
 from nishiki.brdf.texels.store import ParameterWriter
 from nishiki.brdf.texels.tile import Capture, Tile
+from nishiki.colour.encoding import encoding_slope
 from nishiki.errors import UserError
 from nishiki.model_selection.decision import Decision, economy
 from nishiki.model_selection.object_gloss import decided, unseen_gain
@@ -92,7 +92,7 @@ def shows_gloss(sample: Sample, capture: Capture, setting: str) -> tuple[bool, D
     weights *= np.isfinite(sample.values).all(axis=-1)
     values = np.nan_to_num(sample.values)
     if capture.encoding == "srgb":
-        weights *= slope_of_srgb(values.mean(axis=-1)) ** 2
+        weights *= encoding_slope(values.mean(axis=-1), "srgb") ** 2
     found = unseen_gain(values, diffuse, attenuation, alpha, weights)
     return found.keep, decided(found, setting)
 

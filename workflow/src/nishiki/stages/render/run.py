@@ -24,6 +24,7 @@ from nishiki.render.output import (
     write_png,
     write_video,
 )
+from nishiki.render.plane.flags import UNUSABLE
 from nishiki.render.plane.frame import Rendering, render
 from nishiki.render.plane.scene import Ambient, Gloss, PlaneScene
 from nishiki.render.sequence import circle_of_directions, light_sequence, moved_lights, orbit, view_sequence
@@ -124,13 +125,13 @@ def save(context: Context, picture: PictureSettings, made: Rendering) -> dict:
     return {
         "exposure": exposure,
         "clipped_fraction": float(shown.clipped_high),
-        "flagged_pixels": int(np.count_nonzero(made.flags & 19)),
+        "flagged_pixels": int(np.count_nonzero(made.flags & UNUSABLE)),
     }
 
 
 def seen(made: Rendering) -> np.ndarray:
     """Pixels (rows, columns) of the picture that show the object."""
-    return (made.coverage > 0.5) & ((made.flags & 19) == 0)
+    return (made.coverage > 0.5) & ((made.flags & UNUSABLE) == 0)
 
 
 def film(
