@@ -6,7 +6,7 @@ from turned_sphere import camera_of
 from nishiki.brdf.texels.lighting import Lighting
 from nishiki.codec.parameters import Maps
 from nishiki.codec.prediction import Surface
-from nishiki.codec.tile_code import Pixels, Scene
+from nishiki.codec.tile_code import CodedScene, Pixels
 from nishiki.colour.encoding import encode
 from nishiki.geometry.camera import Camera
 
@@ -41,4 +41,4 @@ def scene_of(views):
         camera = Camera(str(view), np.eye(3), axes, -axes @ place, 8, 8)
         centres.append(place)
         lamps.append(lighting.lamp(camera, 0))
-    return Scene(np.array(centres), lamps)
+    return CodedScene(np.array(centres), lamps)

@@ -25,7 +25,7 @@ PROJECT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(PROJECT / "workflow/src"), str(PROJECT / "scripts")]
 
 from nishiki.capture.folder import load_capture  # noqa: E402
-from nishiki.observations.reading import reading_of  # noqa: E402
+from nishiki.observations.capture_usage import usage_of  # noqa: E402
 from nishiki.packages import EXTRAS, MODULES, installed  # noqa: E402
 
 SCENES = {"plane": "tiny", "turntable": "object-tiny", "goniometer": "satin-tiny"}
@@ -168,7 +168,7 @@ def parts(folder: Path, capture: str, title: str, repeats: int) -> None:
 def reading(loaded, settings: dict):
     """All files that ingest reads with these settings."""
     channels = settings.get("channels", "all")
-    return reading_of(loaded, without=settings.get("without", ()), channels=channels, tile_mib=128).total
+    return usage_of(loaded, without=settings.get("without", ()), channels=channels, tile_mib=128).total
 
 
 def rounded(values: dict[str, float]) -> dict[str, float]:

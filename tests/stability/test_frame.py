@@ -14,7 +14,7 @@ from zarr.codecs import Crc32cCodec, ZstdCodec
 
 from nishiki.artifacts.artifact import open_artifact
 from nishiki.artifacts.finite import NotFinite, problems
-from nishiki.artifacts.limits import Limit, at, check, readings
+from nishiki.artifacts.limits import Limit, at, check, limit_checks
 from nishiki.artifacts.stage import run_stage
 from nishiki.stages.height.declaration import HeightSettings
 from nishiki.stages.table import LIMITS
@@ -242,7 +242,7 @@ def test_missing_diagnostics():
     for limits in LIMITS.values():
         for told in (*blank, {"samples": [], "residual": None, "object_pixels": 0, "valid_pixels": None}):
             found = [
-                each for each in readings(limits, told) if each.limit.name not in ("object_pixels", "visible_share")
+                each for each in limit_checks(limits, told) if each.limit.name not in ("object_pixels", "visible_share")
             ]
             wrong += any(each.beyond for each in found)
     check("render", (), {"anything": float("nan")})

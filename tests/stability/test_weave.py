@@ -8,8 +8,8 @@ from stability.cases import case, powers_of_ten, worst_over
 from nishiki.errors import UserError
 from nishiki.weave.brdf import WeaveBrdf
 from nishiki.weave.descent import costs, strengths
+from nishiki.weave.model import GAUSS, GGX, lobe_integral, plane_rows
 from nishiki.weave.planes import make_plane
-from nishiki.weave.reading import GAUSS, GGX, lobe_integral, plane_rows
 from nishiki.weave.search import bounds
 from nishiki.weave.section import WarpSection, WeftSection
 from nishiki.weave.visibility import facing_length

@@ -15,7 +15,7 @@ from archives import write_scene
 
 from nishiki.archive.crate_audit import CrateAudit, audit_crate
 from nishiki.archive.crate_names import MANIFEST, manifest_text, parse_manifest_text
-from nishiki.archive.pack import Scene, pack, write_zip
+from nishiki.archive.pack import PackedScene, pack, write_zip
 from nishiki.artifacts.artifact import MANIFEST as ARTIFACT
 from nishiki.artifacts.artifact import run_text
 from nishiki.artifacts.provenance import file_digest, stage_program
@@ -54,7 +54,7 @@ def scene(tmp_path_factory):
         (project / stage_program(stage)).write_text("print()\n")
     facts = {"stages": {stage: {"key": item.key} for stage, item in made.items()}}
     does = {stage: f"does {stage}" for stage in made}
-    return Scene("scene", "0.1.0", list(made.values()), capture, digest, ABOUT, facts, does), project
+    return PackedScene("scene", "0.1.0", list(made.values()), capture, digest, ABOUT, facts, does), project
 
 
 def packed(scene, target, *, with_capture=True):
@@ -395,7 +395,7 @@ def test_the_shapes_of_the_profile_find_nothing(made):
 
 
 def test_a_capture_that_says_nothing_of_people_can_be_packed(scene, tmp_path):
-    bare = Scene(**{**scene[0].__dict__, "about": dict.fromkeys(ABOUT)})
+    bare = PackedScene(**{**scene[0].__dict__, "about": dict.fromkeys(ABOUT)})
     packed((bare, scene[1]), tmp_path / "crate")
     assert audit(tmp_path / "crate")[0] == []
     described = (tmp_path / "crate/ro-crate-metadata.json").read_text()

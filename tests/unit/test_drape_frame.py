@@ -8,9 +8,9 @@ from nishiki.errors import UserError
 from nishiki.geometry.mesh import Mesh
 from nishiki.render.cloth.around import Surroundings, lookup, openness, shares
 from nishiki.render.cloth.dyes import dyed, gloss_alone, share_of, together
-from nishiki.render.cloth.frame import Take, render
+from nishiki.render.cloth.frame import RenderVariant, render
 from nishiki.render.cloth.local import disc_point
-from nishiki.render.cloth.scene import Around, Lamp, Matte, Scene, Surface
+from nishiki.render.cloth.scene import AmbientLight, ClothScene, Lamp, Matte, Surface
 from nishiki.render.cloth.sheet import cylinder, paper, sheet, swatch
 from nishiki.render.cloth.studio import linear_colour
 from nishiki.render.cloth.view import framed, look_at
@@ -75,10 +75,10 @@ def slow(scene, brdf, lamp, view):
 
 
 def test_against_a_loop_over_all_triangles():
-    scene = Scene.of([wavy()])
+    scene = ClothScene.of([wavy()])
     lamp = Lamp(direction=(-0.9, 0.4, 0.6), colour=(1.0, 0.8, 0.6), radius=0.0)
     view = camera(14)
-    fast = render(scene, [Take((WARD,), (1.0,))], [lamp], view, supersampling=1)[0]
+    fast = render(scene, [RenderVariant((WARD,), (1.0,))], [lamp], view, supersampling=1)[0]
     assert fast.evaluated <= fast.samples
     expected = slow(scene, WARD, lamp, view)
     assert 0 < fast.shadowed < 1
@@ -89,8 +89,8 @@ def test_against_a_loop_over_all_triangles():
 
 
 def test_white_paper_that_faces_the_lamp_is_one():
-    scene = Scene.of([swatch(4, 4)])
-    takes = [Take((Matte((1.0,)),), (1.0,)), Take((Matte((0.25,)),), (2.0,))]
+    scene = ClothScene.of([swatch(4, 4)])
+    takes = [RenderVariant((Matte((1.0,)),), (1.0,)), RenderVariant((Matte((0.25,)),), (2.0,))]
     pictures = render(scene, takes, [Lamp(direction=(0, 0, 2))], camera(8, (0, 0, 3)), supersampling=2)
     assert np.allclose(pictures[0].linear, 1)
     assert np.allclose(pictures[1].linear, 0.5)
@@ -98,21 +98,21 @@ def test_white_paper_that_faces_the_lamp_is_one():
 
 
 def test_a_near_lamp_falls_off_with_the_square():
-    scene = Scene.of([swatch(0.02, 0.02)])
+    scene = ClothScene.of([swatch(0.02, 0.02)])
     lamps = [Lamp(place=(0, 0, z), distance=2.0) for z in (1.0, 4.0)]
-    takes = [Take((Matte((1.0,)),), weights) for weights in ((1.0, 0.0), (0.0, 1.0))]
+    takes = [RenderVariant((Matte((1.0,)),), weights) for weights in ((1.0, 0.0), (0.0, 1.0))]
     near, far = render(scene, takes, lamps, look_at((0, 0, 3), (0, 0, 0), rows=9, columns=9, field_of_view=0.003))
     assert near.linear[4, 4, 0] == pytest.approx(4, rel=1e-4)
     assert far.linear[4, 4, 0] == pytest.approx(0.25, rel=1e-4)
 
 
 def test_takes_share_everything_and_add_up():
-    scene = Scene.of([wavy(), paper(5, 2, 2, 0.5)])
+    scene = ClothScene.of([wavy(), paper(5, 2, 2, 0.5)])
     lamps = [Lamp(direction=(-1, 1, 1), radius=0.05), Lamp(direction=(1, 0.5, 0.3), colour=(0.5, 0.6, 0.7))]
-    around = Surroundings.of(scene, Around(rays=8))
+    around = Surroundings.of(scene, AmbientLight(rays=8))
     materials = (WARD, Matte())
     weights = [((1.0, 1.0), 1.0), ((1.0, 0.0), 0.0), ((0.0, 1.0), 0.0), ((0.0, 0.0), 1.0)]
-    takes = [Take(materials, lamp, sky) for lamp, sky in weights]
+    takes = [RenderVariant(materials, lamp, sky) for lamp, sky in weights]
     whole, left, right, sky = render(scene, takes, lamps, camera(), surroundings=around, supersampling=2)
     assert np.allclose(whole.linear, left.linear + right.linear + sky.linear, atol=1e-5)
     alone = render(scene, takes[1:2], lamps, camera(), surroundings=around, supersampling=2)[0]
@@ -120,9 +120,9 @@ def test_takes_share_everything_and_add_up():
 
 
 def test_shared_values_differ_little_from_each_sample_its_own():
-    scene = Scene.of([wavy()])
+    scene = ClothScene.of([wavy()])
     lamp = Lamp(direction=(-0.9, 0.4, 0.6), radius=0.1)
-    arguments = (scene, [Take((WARD,), (1.0,))], [lamp], camera(60))
+    arguments = (scene, [RenderVariant((WARD,), (1.0,))], [lamp], camera(60))
     own = render(*arguments, supersampling=3, within=0.0)[0]
     shared = render(*arguments, supersampling=3)[0]
     assert shared.evaluated < 0.4 * own.evaluated
@@ -154,9 +154,9 @@ def test_dyes_share_their_gloss_and_are_what_the_dichromatic_model_says():
 
 
 def test_bands_do_not_show(monkeypatch):
-    scene = Scene.of([wavy()])
+    scene = ClothScene.of([wavy()])
     lamp = Lamp(direction=(-0.9, 0.4, 0.6), radius=0.1)
-    arguments = (scene, [Take((WARD,), (1.0,))], [lamp], camera(30))
+    arguments = (scene, [RenderVariant((WARD,), (1.0,))], [lamp], camera(30))
     whole = render(*arguments, supersampling=3)[0]
     assert render(*arguments, supersampling=3)[0].linear.tobytes() == whole.linear.tobytes()
     monkeypatch.setattr("nishiki.render.cloth.frame.BAND_SAMPLES", 1000)
@@ -171,19 +171,19 @@ def test_the_back_is_cloth_whose_warp_runs_the_same_way():
     back = Surface(Mesh(back.mesh.vertices, back.mesh.triangles[:, ::-1], -back.mesh.normals), back.weft)
     lamp = Lamp(direction=(0.3, 0.5, 0.9), radius=0)
     views = camera(8, (0.5, -0.4, 3.0))
-    take = [Take((WARD,), (1.0,))]
-    shown = [render(Scene.of([surface]), take, [lamp], views)[0].linear for surface in (front, back)]
+    take = [RenderVariant((WARD,), (1.0,))]
+    shown = [render(ClothScene.of([surface]), take, [lamp], views)[0].linear for surface in (front, back)]
     # Ward is the same for (x, y) and (-x, y): the reverse of this cloth looks like its face.
     assert np.allclose(*shown, atol=1e-6)
     turned = swatch(1, 1, turn=np.pi / 2)
-    assert not np.allclose(render(Scene.of([turned]), take, [lamp], views)[0].linear, shown[0], rtol=0.05)
+    assert not np.allclose(render(ClothScene.of([turned]), take, [lamp], views)[0].linear, shown[0], rtol=0.05)
 
 
 def test_soft_shadows_are_the_visible_part_of_the_lamp():
     """Behind a half plane the light falls as the lamp goes behind it."""
-    scene = Scene.of([swatch(3, 3), Surface(swatch(3, 3, centre=(1.5, 0, 1.0)).mesh, swatch(3, 3).weft, 1)])
+    scene = ClothScene.of([swatch(3, 3), Surface(swatch(3, 3, centre=(1.5, 0, 1.0)).mesh, swatch(3, 3).weft, 1)])
     radius = 0.2
-    takes = [Take((Matte((1.0,)), Matte((0.0,))), (1.0,))]
+    takes = [RenderVariant((Matte((1.0,)), Matte((0.0,))), (1.0,))]
     view = look_at((0, -9, 0.9), (0, 0, 0), rows=40, columns=40, field_of_view=0.1, up=(0, 0, 1))
     picture = render(scene, takes, [Lamp(direction=(0, 0, 1), radius=radius)], view, supersampling=6)[0]
     x = (np.arange(40) - 19.5) / 40 * 2 * np.hypot(9, 0.9) * np.tan(0.05)
@@ -203,24 +203,24 @@ def test_the_disc_is_covered_evenly():
 
 
 def test_even_light_on_an_open_matte_surface():
-    scene = Scene.of([swatch(1, 1)])
-    light = Around((0.4, 0.5, 0.6), (0.4, 0.5, 0.6), rays=16)
+    scene = ClothScene.of([swatch(1, 1)])
+    light = AmbientLight((0.4, 0.5, 0.6), (0.4, 0.5, 0.6), rays=16)
     around = Surroundings.of(scene, light)
     assert np.all(around.open == 1)
-    picture = render(scene, [Take((Matte((0.5,)),), ())], [], camera(8, (0, 0, 1)), surroundings=around)[0]
+    picture = render(scene, [RenderVariant((Matte((0.5,)),), ())], [], camera(8, (0, 0, 1)), surroundings=around)[0]
     inside = picture.coverage == 1
     assert np.allclose(picture.linear[inside], np.array([0.2, 0.25, 0.3]), rtol=0.02)
 
 
 def test_openness_of_a_tube_and_of_a_corner():
-    tube = Scene.of([cylinder(0.05, 5)])
+    tube = ClothScene.of([cylinder(0.05, 5)])
     free, _ = openness(tube, 64, 50.0)
     middle = np.abs(tube.mesh.vertices[:, 1]) < 1
     assert np.all(free[middle, 0] > 0.99)  # outside
     assert np.all(free[middle, 1] < 0.01)  # inside
     floor, wall = swatch(8, 8), swatch(8, 8)
     upright = Mesh(wall.mesh.vertices[:, [2, 1, 0]], wall.mesh.triangles, wall.mesh.normals[:, [2, 1, 0]])
-    corner = Scene.of([floor, Surface(upright, np.tile([0.0, 0, 1], (81, 1)))])
+    corner = ClothScene.of([floor, Surface(upright, np.tile([0.0, 0, 1], (81, 1)))])
     free, _ = openness(corner, 256, 1.0)
     near = np.argmin(np.linalg.norm(corner.mesh.vertices[:81] - [1.0, 0, 0], axis=1))
     far = np.argmin(np.linalg.norm(corner.mesh.vertices[:81] - [3.0, 0, 0], axis=1))
@@ -279,9 +279,9 @@ def test_gloss_without_the_light_from_within():
         (lambda: Lamp(direction=(0, 0, 0)), "not 0"),
         (lambda: Lamp(direction=(0, 0, 1), colour=(-1, 0, 0)), "0 or more"),
         (lambda: Lamp(direction=(0, 0, 1), radius=2.0), "90 degrees"),
-        (lambda: Scene.of([]), "at least one triangle"),
+        (lambda: ClothScene.of([]), "at least one triangle"),
         (lambda: look_at((0, 1, 0), (0, 0, 0), rows=2, columns=2, field_of_view=1), "across the line"),
-        (lambda: render(Scene.of([swatch(1, 1)]), [Take((), ())], [], camera()), "1 materials"),
+        (lambda: render(ClothScene.of([swatch(1, 1)]), [RenderVariant((), ())], [], camera()), "1 materials"),
     ],
 )
 def test_what_is_wrong_is_named(make, words):

@@ -16,7 +16,7 @@ from nishiki.brdf.cloth.peers import Ward
 from nishiki.brdf.cloth.store import save_brdf
 from nishiki.errors import UserError
 from nishiki.progress import Progress
-from nishiki.render.cloth.frame import Picture
+from nishiki.render.cloth.frame import ClothPicture
 from nishiki.render.cloth.mesh_store import read_surface
 from nishiki.render.cloth.models import FabricModels
 from nishiki.render.cloth.tone import developed, exposure_for, shoulder
@@ -172,7 +172,7 @@ def test_tone():
     cloth = np.zeros((4, 4), np.float32)
     cloth[:2] = 1
     linear = np.full((4, 4, 3), 0.2, np.float32)
-    shown = Picture(linear, np.ones((4, 4), np.float32), cloth, 16, 16, 0.0, 0.0)
+    shown = ClothPicture(linear, np.ones((4, 4), np.float32), cloth, 16, 16, 0.0, 0.0)
     assert exposure_for([shown]) == pytest.approx(3.5, rel=1e-3)
     linear[2:] = 0.38  # the paper is brighter, and bounds the exposure
     assert exposure_for([shown]) == pytest.approx(2.5, rel=1e-3)

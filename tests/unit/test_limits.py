@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from nishiki.artifacts.limits import check, readings
+from nishiki.artifacts.limits import check, limit_checks
 from nishiki.report.conditions import conditions
 from nishiki.stages.table import CHAIN, LIMITS
 
@@ -38,8 +38,8 @@ def test_the_figures_of_a_registration_that_failed_stop_the_run():
     """Figures of six range scans of a simulated jar that a registration had put in the wrong place."""
     mesh = {"fit": {"iou_mean": 0.2635}, "area": 10377.8, "scans": {"residual": [0.0125, 0.0122]}}
     texels = {"visible_share": 0.0027, "silhouette_uncovered_share": 0.7363, "object_pixels": 5000}
-    assert [each.limit.name for each in readings(LIMITS["mesh"], mesh) if each.beyond] == ["silhouette_overlap"]
-    assert [each.limit.name for each in readings(LIMITS["texels"], texels) if each.beyond] == [
+    assert [each.limit.name for each in limit_checks(LIMITS["mesh"], mesh) if each.beyond] == ["silhouette_overlap"]
+    assert [each.limit.name for each in limit_checks(LIMITS["texels"], texels) if each.beyond] == [
         "visible_share",
         "uncovered_share",
     ]

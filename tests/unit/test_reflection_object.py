@@ -127,7 +127,7 @@ def test_the_model_itself_is_recovered(width):
     assert report.median_sigma == pytest.approx(0.15, rel=2e-3)
     assert report.psnr_db > (60 if width == "smooth" else 55)
     for number, parameters in found.items():
-        told = (parameters.flags & TexelFlag.UNTOLD) == 0
+        told = (parameters.flags & TexelFlag.KS_UNCONSTRAINED) == 0
         assert told.mean() > 0.2
         kd = colours(patch(number)[0])
         assert np.median(abs(parameters.kd - kd)) < 2e-3

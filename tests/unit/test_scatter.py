@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from nishiki.artifacts.artifact import Artifact, ArtifactWriter, open_artifact
 from nishiki.artifacts.maps import Maps, MapWriter
-from nishiki.artifacts.scatter import Part, Scattered, in_order, read_tally, write_tally
+from nishiki.artifacts.scatter import StagePart, TiledStage, in_order, read_tally, write_tally
 from nishiki.errors import UserError
 
 ROWS, BAND = 10, 3
@@ -19,7 +19,7 @@ UPSTREAM = {"ingest": {"key": "0" * 12, "digest": "d"}}
 
 @given(st.integers(0, 60), st.integers(1, 70))
 def test_shares_cover_everything_once_in_order_and_evenly(items, total):
-    shares = [Part(number, total).share(range(items)) for number in range(1, total + 1)]
+    shares = [StagePart(number, total).share(range(items)) for number in range(1, total + 1)]
     assert [item for share in shares for item in share] == list(range(items))
     assert max(map(len, shares)) - min(map(len, shares)) <= 1
 
@@ -27,7 +27,7 @@ def test_shares_cover_everything_once_in_order_and_evenly(items, total):
 @pytest.mark.parametrize("text", ["", "2", "0/3", "4/3", "-1/2", "1/2/3", "a/b", "1.0/2"])
 def test_what_is_no_part_is_told(text):
     with pytest.raises(UserError, match="--part"):
-        Part.parse(text)
+        StagePart.parse(text)
 
 
 def test_a_tally_comes_back_exactly(tmp_path):
@@ -45,7 +45,7 @@ def test_a_tally_comes_back_exactly(tmp_path):
 @dataclass
 class FakeContext:
     output: ArtifactWriter
-    part: Part | None = None
+    part: StagePart | None = None
     parts: tuple[Artifact, ...] = ()
 
     def share(self, items):
@@ -72,7 +72,7 @@ def told(context, tallies):
 def made(folder: Path, **context) -> Artifact:
     with ArtifactWriter(folder) as output:
         context = FakeContext(output, **context)
-        diagnostics = Scattered(work, told)(context)
+        diagnostics = TiledStage(work, told)(context)
         part = {"part": f"{context.part.number}/{context.part.total}"} if context.part else {}
         manifest = {
             "scene": "x",
@@ -93,7 +93,7 @@ def whole(tmp_path):
 
 @pytest.mark.parametrize("total", [1, 2, 3, 4, 7])
 def test_joined_parts_are_the_undivided_artifact(tmp_path, whole, total):
-    parts = [made(tmp_path / "parts" / str(n), part=Part(n, total)) for n in range(total, 0, -1)]
+    parts = [made(tmp_path / "parts" / str(n), part=StagePart(n, total)) for n in range(total, 0, -1)]
     ordered = in_order(parts, key="0" * 12, code="c", upstream=UPSTREAM)
     joined = made(tmp_path / "joined" / ("0" * 12), parts=ordered)
     assert joined.digest == whole.digest
@@ -101,7 +101,7 @@ def test_joined_parts_are_the_undivided_artifact(tmp_path, whole, total):
 
 
 def test_parts_that_do_not_belong_together_are_refused(tmp_path):
-    parts = [made(tmp_path / str(n), part=Part(n, 3)) for n in (1, 2, 3)]
+    parts = [made(tmp_path / str(n), part=StagePart(n, 3)) for n in (1, 2, 3)]
     known = {"key": "0" * 12, "code": "c", "upstream": UPSTREAM}
     for wrong in (parts[:2], [*parts, parts[0]]):
         with pytest.raises(UserError, match="expected parts 1 to 3"):
@@ -112,14 +112,14 @@ def test_parts_that_do_not_belong_together_are_refused(tmp_path):
 
 
 def test_a_common_file_that_differs_is_refused(tmp_path):
-    parts = [made(tmp_path / str(n), part=Part(n, 2)) for n in (1, 2)]
+    parts = [made(tmp_path / str(n), part=StagePart(n, 2)) for n in (1, 2)]
     parts[1].path("common.txt").write_text("not the same in all!!")
     with pytest.raises(UserError, match=r"common\.txt"):
         made(tmp_path / "joined", parts=tuple(parts))
 
 
 def test_parts_that_decided_differently_are_refused(tmp_path):
-    parts = [made(tmp_path / str(n), part=Part(n, 2)) for n in (1, 2)]
+    parts = [made(tmp_path / str(n), part=StagePart(n, 2)) for n in (1, 2)]
     tally = read_tally(parts[1].folder)
     write_tally(parts[1].folder, {**tally, "same": {"rows": 11}})
     with pytest.raises(UserError, match="in common"):

@@ -66,7 +66,7 @@ class Crate:
 
 
 @dataclass(frozen=True)
-class Scene:
+class PackedScene:
     """What is to be packed. artifacts: in the order of the flow; capture: the sealed folder; about: what capture.yaml
     says of title, people and rights; facts: what the plan tells besides, as plain data; does: stages in words."""
 
@@ -80,7 +80,7 @@ class Scene:
     does: dict[str, str]
 
 
-def pack(scene: Scene, project: Path, target: Path, *, with_capture: bool, tell: Tell) -> str:
+def pack(scene: PackedScene, project: Path, target: Path, *, with_capture: bool, tell: Tell) -> str:
     """Write the crate of a scene to a new folder and return the digest that names all of it.
 
     project: folder of the workflow's code. Raises UserError where the target exists, or an artifact or the capture is
@@ -115,7 +115,7 @@ def _told(artifacts: list[Artifact], tell: Tell) -> Iterator[Artifact]:
         yield item
 
 
-def _copy_artifact(crate: Crate, scene: Scene, item: Artifact, project: Path) -> PackedStage:
+def _copy_artifact(crate: Crate, scene: PackedScene, item: Artifact, project: Path) -> PackedStage:
     from nishiki.artifacts.provenance import code_digest, stage_program
 
     folder = f"artifacts/{item.stage}/{item.key}"
@@ -134,7 +134,7 @@ def _copy_artifact(crate: Crate, scene: Scene, item: Artifact, project: Path) ->
     return PackedStage(item.manifest, run, same, scene.does.get(item.stage, item.stage), files)
 
 
-def _copy_capture(crate: Crate, scene: Scene, with_capture: bool, tell: Tell) -> PackedCapture:
+def _copy_capture(crate: Crate, scene: PackedScene, with_capture: bool, tell: Tell) -> PackedCapture:
     from nishiki.capture.seal import MANIFEST as SEAL
     from nishiki.capture.seal import TAG_MANIFEST, TAGS, read_manifest
 
@@ -168,7 +168,7 @@ def _json(value: Any) -> str:
     return json.dumps(value, indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
 
 
-def _readme(scene: Scene, stages: list[PackedStage], capture: PackedCapture) -> str:
+def _readme(scene: PackedScene, stages: list[PackedStage], capture: PackedCapture) -> str:
     """What a finder of the folder has to know, without any tool of this project."""
     photographs = (
         "`capture/` holds the photographs, sealed as a BagIt bag."

@@ -8,8 +8,7 @@ import json
 from collections.abc import Iterable
 from pathlib import Path
 
-from nishiki.archive.prune_sweeps import judge_sweeps
-from nishiki.archive.standing import (
+from nishiki.archive.inventory import (
     UNFINISHED,
     Finished,
     Item,
@@ -20,6 +19,7 @@ from nishiki.archive.standing import (
     judge_current,
     judge_unfinished,
 )
+from nishiki.archive.prune_sweeps import judge_sweeps
 from nishiki.archive.tree import FolderTree
 from nishiki.artifacts.publish import INDEX
 from nishiki.engine.project import SWEEPS

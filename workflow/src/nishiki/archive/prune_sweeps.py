@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 from typing import Any
 
-from nishiki.archive.standing import FINISHED, PRUNED, Item, Place, Pruning, folders_in, size_of
+from nishiki.archive.inventory import FINISHED, PRUNED, Item, Place, Pruning, folders_in, size_of
 from nishiki.archive.tree import FolderTree
 from nishiki.engine.project import SWEEPS
 from nishiki.engine.sweep_plan import TIMINGS

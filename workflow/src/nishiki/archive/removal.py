@@ -5,7 +5,7 @@ import shutil
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from nishiki.archive.standing import PRUNED, Item
+from nishiki.archive.inventory import PRUNED, Item
 from nishiki.processes import owner
 
 

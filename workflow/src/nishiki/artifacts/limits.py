@@ -43,7 +43,7 @@ class Limit:
 
 
 @dataclass(frozen=True)
-class Reading:
+class LimitCheck:
     """One figure of a result beside its limit. allowed: beyond it, and told to pass."""
 
     limit: Limit
@@ -102,20 +102,22 @@ def flagged(name: str, meaning: str, total: str, **rest: Any) -> Limit:
     return Limit(f"{name}_share", meaning, share(f"flagged_{name}", total), **rest)
 
 
-def readings(limits: Iterable[Limit], diagnostics: Mapping[str, Any], allow: Iterable[str] = ()) -> list[Reading]:
+def limit_checks(
+    limits: Iterable[Limit], diagnostics: Mapping[str, Any], allow: Iterable[str] = ()
+) -> list[LimitCheck]:
     """Every figure that has a limit or counts flags, in the order of the limits."""
     allow, found = set(allow), []
     for limit in limits:
         value = limit.figure(diagnostics)
         if value is not None:
             beyond = limit.beyond(value)
-            found.append(Reading(limit, value, beyond, beyond and limit.name in allow))
+            found.append(LimitCheck(limit, value, beyond, beyond and limit.name in allow))
     return found
 
 
 def check(stage: str, limits: Iterable[Limit], diagnostics: Mapping[str, Any], allow: Iterable[str] = ()) -> None:
     """UserError naming each limit that the result of a stage is beyond, with its remedy, unless it is allowed."""
-    wrong = [each for each in readings(limits, diagnostics, allow) if each.beyond and not each.allowed]
+    wrong = [each for each in limit_checks(limits, diagnostics, allow) if each.beyond and not each.allowed]
     if wrong:
         told = "; ".join(
             f"{each.limit.meaning} is {each.value:.4g}, expected {each.limit.stated} (limit {each.limit.name}). "

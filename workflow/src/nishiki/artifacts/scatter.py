@@ -25,7 +25,7 @@ Item = TypeVar("Item")
 
 
 @dataclass(frozen=True)
-class Part:
+class StagePart:
     """Part `number` of `total`, counted from 1."""
 
     number: int = 1
@@ -35,7 +35,7 @@ class Part:
         return f"{self.number}-of-{self.total}"
 
     @classmethod
-    def parse(cls, text: str) -> "Part":
+    def parse(cls, text: str) -> "StagePart":
         """Part from `2/4`. Raises UserError for anything else."""
         number, _, total = text.partition("/")
         if not (number.isdigit() and total.isdigit() and 1 <= int(number) <= int(total)):
@@ -49,15 +49,15 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Scattered:
+class TiledStage:
     """A stage that can be divided.
 
-    work: context -> tally of the share, a dict of numbers, texts, lists and arrays; its entry `same` holds what does
-    not depend on the share. told: (context, tallies in the order of the shares) -> diagnostics.
+    map_tiles: context -> tally of the share, a dict of numbers, texts, lists and arrays; its entry `same` holds what
+    does not depend on the share. merge: (context, tallies in the order of the shares) -> diagnostics.
     """
 
-    work: Callable[[Any], dict[str, Any]]
-    told: Callable[[Any, list[dict[str, Any]]], dict[str, Any]]
+    map_tiles: Callable[[Any], dict[str, Any]]
+    merge: Callable[[Any, list[dict[str, Any]]], dict[str, Any]]
 
     def __call__(self, context: Any) -> dict[str, Any]:
         """Diagnostics of the stage, undivided or joined from its parts; of a part only which one it is."""
@@ -65,13 +65,13 @@ class Scattered:
             tallies = [read_tally(part.folder) for part in context.parts]
             join(context.parts, context.output.folder)
         else:
-            tallies = [self.work(context)]
+            tallies = [self.map_tiles(context)]
         if context.part is not None:
             write_tally(context.output.folder, tallies[0])
             return {"part": str(context.part)}
         if any(tally["same"] != tallies[0]["same"] for tally in tallies):
             raise UserError("parts differ in what all must have in common. Remedy: the same installation on all nodes")
-        return self.told(context, tallies)
+        return self.merge(context, tallies)
 
 
 def write_tally(folder: Path, tally: dict[str, Any]) -> None:
@@ -95,9 +95,9 @@ def in_order(
 
     Raises UserError where they are not all parts of one stage, made alike.
     """
-    numbered = {Part.parse(part.manifest["part"]): part for part in parts}
+    numbered = {StagePart.parse(part.manifest["part"]): part for part in parts}
     total = next(iter(numbered)).total
-    if len(numbered) != len(parts) or set(numbered) != {Part(number, total) for number in range(1, total + 1)}:
+    if len(numbered) != len(parts) or set(numbered) != {StagePart(number, total) for number in range(1, total + 1)}:
         raise UserError(f"expected parts 1 to {total}, found {', '.join(map(str, numbered))}")
     expected = (key, code, upstream)
     found = {part.folder: (part.key, part.manifest["code"], part.manifest["upstream"]) for part in parts}

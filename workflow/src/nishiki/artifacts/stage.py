@@ -15,7 +15,7 @@ from nishiki.artifacts.finite import expect_finite
 from nishiki.artifacts.limits import check
 from nishiki.artifacts.provenance import canonical, stage_key
 from nishiki.artifacts.run_facts import RunFacts
-from nishiki.artifacts.scatter import Part, Scattered, in_order
+from nishiki.artifacts.scatter import StagePart, TiledStage, in_order
 from nishiki.errors import UserError, of_the_machine
 from nishiki.packages import load_all
 from nishiki.progress import Progress
@@ -37,7 +37,7 @@ class Context:
     truth: Path | None
     stamp: dict[str, str]
     progress: Progress
-    part: Part | None = None  # of a divided stage: the share that this job does
+    part: StagePart | None = None  # of a divided stage: the share that this job does
     parts: tuple[Artifact, ...] = ()  # of a divided stage: what the one that joins them is given
 
     def share(self, items: Sequence[Item]) -> Sequence[Item]:
@@ -180,12 +180,12 @@ def _upstream(
     return {"capture": digest_of_capture(capture)}
 
 
-def _part(text: str | None, run: Callable[[Context], dict[str, Any]], stage: str) -> Part | None:
+def _part(text: str | None, run: Callable[[Context], dict[str, Any]], stage: str) -> StagePart | None:
     if text is None:
         return None
-    if not isinstance(run, Scattered):
+    if not isinstance(run, TiledStage):
         raise UserError(f"--part: {stage} cannot be divided")
-    return Part.parse(text)
+    return StagePart.parse(text)
 
 
 def _json(text: str, where: str) -> dict[str, Any]:

@@ -20,7 +20,7 @@ LARGEST_STEP = 1.6  # of the median: a turn closes where its last step is like t
 
 
 @dataclass(frozen=True)
-class Turn:
+class TurnSteps:
     """Whether the views go once round, and the smallest, median and largest step in radians (the closing one last)."""
 
     full: bool
@@ -110,7 +110,7 @@ def camera_centre(matrix: np.ndarray) -> np.ndarray:
     return -np.linalg.solve(matrix[:, :3], matrix[:, 3])
 
 
-def turn_of(centres: np.ndarray) -> Turn:
+def turn_of(centres: np.ndarray) -> TurnSteps:
     """Whether cameras at these places (views, 3), in this order, go once round the object at about equal steps.
 
     Angles are taken in the plane that the places lie in best, round the centre of the circle that fits them there
@@ -119,7 +119,7 @@ def turn_of(centres: np.ndarray) -> Turn:
     """
     centres = np.asarray(centres, np.float64)
     if len(centres) < 3:
-        return Turn(False, np.zeros(0))
+        return TurnSteps(False, np.zeros(0))
     offset = centres - centres.mean(axis=0)
     _, _, axes = np.linalg.svd(offset, full_matrices=False)
     plane = offset @ axes[:2].T
@@ -129,7 +129,7 @@ def turn_of(centres: np.ndarray) -> Turn:
     steps = np.mod(np.diff(angles, append=angles[:1]) + np.pi, 2 * np.pi) - np.pi
     steps = steps if steps.sum() >= 0 else -steps
     once = abs(steps.sum() - 2 * np.pi) < 1e-6 and (steps > 0).all()
-    return Turn(bool(once and steps.max() <= LARGEST_STEP * np.median(steps)), steps)
+    return TurnSteps(bool(once and steps.max() <= LARGEST_STEP * np.median(steps)), steps)
 
 
 def _rows(path: Path, name: str, kind: str) -> list[tuple[int, list[str]]]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from nishiki.capture.frames import inside
 from nishiki.capture.lights import Lights, light_name, lights_from_vectors, read_lights
-from nishiki.capture.probes import direction_from_sphere, mean_direction
+from nishiki.capture.mirror_sphere import direction_from_sphere, mean_direction
 from nishiki.capture.relight_files import find_relight, is_relight, read_relight
 from nishiki.formats.bounds import bound
 from nishiki.formats.files import NAME_BYTES, is_plain, leads_out, read_text

@@ -20,11 +20,11 @@ from nishiki.codec.extent import Extent
 from nishiki.codec.parameters import Maps
 from nishiki.codec.prediction import Surface
 from nishiki.codec.tile_code import (
+    CodedScene,
     CodedTile,
     Effort,
     Pixels,
     Refined,
-    Scene,
     Typical,
     encode_tile,
     model_of,
@@ -137,7 +137,7 @@ def over(work: Callable, items: Sequence, threads: int, progress: Callable | Non
             yield future.result()
 
 
-def pilot(source: Source, scene: Scene, design: Design, effort: Effort, *, threads: int, progress=None) -> Pilot:
+def pilot(source: Source, scene: CodedScene, design: Design, effort: Effort, *, threads: int, progress=None) -> Pilot:
     """Refine the parameters of every tile; colours, means and typical weights from all of them."""
 
     def work(tile: int):
@@ -205,7 +205,7 @@ def at_step(design: Design, step: float, typical: Typical, *, parameter_share: f
 
 
 def one_pass(
-    source: Source, scene: Scene, found: Pilot, effort: Effort, step: float, *, threads: int, progress=None,
+    source: Source, scene: CodedScene, found: Pilot, effort: Effort, step: float, *, threads: int, progress=None,
     parameter_share: float = 1.0, rounds: int = 2,
 ) -> EncodedObject:  # fmt: skip
     """Solve, quantise and code every tile at one step."""

@@ -33,7 +33,7 @@ class Pixels:
 
 
 @dataclass(frozen=True)
-class Scene:
+class CodedScene:
     """centres (M, 3) of the cameras and lamps of every observation, light by light."""
 
     centres: np.ndarray
@@ -125,7 +125,7 @@ def see(pixels: Pixels, surface: Surface, design: Design) -> Seen | None:
     return Seen(extent, observations, cropped, feet, values)
 
 
-def refine_tile(seen: Seen, maps: Maps, scene: Scene, design: Design, effort: Effort) -> Refined:
+def refine_tile(seen: Seen, maps: Maps, scene: CodedScene, design: Design, effort: Effort) -> Refined:
     """Parameters of a tile such that the pictures of the model are right; zero where the design has no model."""
     maps = Maps(*(np.nan_to_num(a[seen.extent.texels].astype(np.float32)) for a in (maps.kd, maps.ks, maps.sigma)))
     if not design.model:
@@ -142,7 +142,7 @@ def refine_tile(seen: Seen, maps: Maps, scene: Scene, design: Design, effort: Ef
 def encode_tile(
     seen: Seen,
     refined: Refined,
-    scene: Scene,
+    scene: CodedScene,
     design: Design,
     effort: Effort,
     typical: Typical,
@@ -174,7 +174,7 @@ def encode_tile(
     return CodedTile(parameters, tuple(residual), seen.extent, pixels, *errors)
 
 
-def model_of(maps: Maps, seen: Seen, scene: Scene, design: Design, component: str) -> np.ndarray:
+def model_of(maps: Maps, seen: Seen, scene: CodedScene, design: Design, component: str) -> np.ndarray:
     """(C, observations, rows, columns) float32: the model's texels in a block, in the capture's encoding."""
     lamps = [scene.lamps[o] for o in seen.observations]
     arguments = (seen.surface, scene.centres[seen.observations], lamps, design.encoding)

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from nishiki.archive.damage import shown
-from nishiki.archive.pack import Scene, pack, write_zip
+from nishiki.archive.pack import PackedScene, pack, write_zip
 from nishiki.artifacts.artifact import Artifact, open_artifact
 from nishiki.artifacts.stage import PROJECT_VERSION
 from nishiki.engine.plan import Plan
@@ -45,7 +45,7 @@ def expect_outside(target: Path, results: Path) -> None:
             raise UserError(f"{target}: inside the sealed capture {parent}. Remedy: another folder")
 
 
-def _scene(flow: Workflow, name: str, plan: Plan) -> Scene:
+def _scene(flow: Workflow, name: str, plan: Plan) -> PackedScene:
     from nishiki.capture.folder import payload_of
     from nishiki.capture.schema import read_capture_file
 
@@ -55,7 +55,7 @@ def _scene(flow: Workflow, name: str, plan: Plan) -> Scene:
         stage: {"key": planned.key, "settings": planned.settings, "upstream": planned.upstream}
         for stage, planned in plan.stages.items()
     }
-    return Scene(
+    return PackedScene(
         name=name,
         version=PROJECT_VERSION,
         artifacts=_artifacts(flow, name, plan),

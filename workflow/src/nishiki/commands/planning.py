@@ -10,7 +10,7 @@ from nishiki.engine.plan import Plan
 from nishiki.engine.project import load_yaml
 from nishiki.engine.workflow import Workflow
 from nishiki.errors import UserError
-from nishiki.observations.reading import reading_of
+from nishiki.observations.capture_usage import usage_of
 from nishiki.packages import EXTRAS, PURPOSE, install_command, installed
 from nishiki.stages.base import SceneFacts
 from nishiki.stages.table import CHAIN
@@ -32,7 +32,7 @@ def scene_plan(flow: Workflow, name: str) -> dict[str, Any]:
     made = flow.plans[name]
     ingest = made.stages["ingest"].settings
     parts = {key: ingest[key] for key in ("without", "channels", "tile_mib", "white_block")}
-    reading = reading_of(load_capture(made.scene.capture), **parts)
+    reading = usage_of(load_capture(made.scene.capture), **parts)
     loaded = tuple(dict.fromkeys(p for names in made.packages.values() for p in names if p in EXTRAS))
     missing = tuple(package for package in loaded if not installed(package))
     return {

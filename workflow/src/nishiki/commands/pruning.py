@@ -6,9 +6,9 @@ import sys
 from pathlib import Path
 
 from nishiki.archive.damage import shown
+from nishiki.archive.inventory import PRUNED, Item, Place, Pruning
 from nishiki.archive.prune import decide
 from nishiki.archive.removal import remove
-from nishiki.archive.standing import PRUNED, Item, Place, Pruning
 from nishiki.engine.project import SWEEPS
 from nishiki.engine.records import records, refuse_while_running
 from nishiki.engine.running_lock import registered

@@ -12,7 +12,7 @@ from nishiki.stages.table import CHAIN
 
 
 @dataclass(frozen=True)
-class Part:
+class CapturePart:
     """what: the files, in words; idle: why they are left out, beside that no stage of the plan looks at them."""
 
     what: str
@@ -26,22 +26,26 @@ def surface_from(facts: SceneFacts, settings: SceneSettings) -> str:
 
 
 PARTS = {
-    "check": Part("photographs under check lights", lambda facts, settings: "only evaluate looks at them"),
-    "flat": Part("flat frames", lambda facts, settings: "no stage uses flat frames; white boards do their work"),
-    "states": Part(
+    "check": CapturePart("photographs under check lights", lambda facts, settings: "only evaluate looks at them"),
+    "flat": CapturePart("flat frames", lambda facts, settings: "no stage uses flat frames; white boards do their work"),
+    "states": CapturePart(
         "photographs through the other polariser states",
         lambda facts, settings: "only polarise looks at them; the others take the state off",
     ),
-    "white_states": Part("white boards through polarisers", lambda facts, settings: "only polarise looks at them"),
-    "photographs": Part("photographs of the object", lambda facts, settings: "no stage of the plan looks at a picture"),
-    "calibration": Part(
+    "white_states": CapturePart(
+        "white boards through polarisers", lambda facts, settings: "only polarise looks at them"
+    ),
+    "photographs": CapturePart(
+        "photographs of the object", lambda facts, settings: "no stage of the plan looks at a picture"
+    ),
+    "calibration": CapturePart(
         "pictures of the calibration board",
         lambda facts, settings: "the camera matrices are given" if poses_of(facts, settings) == "matrices" else "",
     ),
-    "silhouettes": Part("silhouettes", lambda facts, settings: "only mesh looks at them"),
-    "mesh": Part("the mesh file", lambda facts, settings: surface_from(facts, settings)),
-    "scans": Part("range scans", lambda facts, settings: surface_from(facts, settings)),
-    "oblique": Part(
+    "silhouettes": CapturePart("silhouettes", lambda facts, settings: "only mesh looks at them"),
+    "mesh": CapturePart("the mesh file", lambda facts, settings: surface_from(facts, settings)),
+    "scans": CapturePart("range scans", lambda facts, settings: surface_from(facts, settings)),
+    "oblique": CapturePart(
         "photographs with the light away from the normal",
         lambda facts, settings: "only the fit of the fabric and its evaluation look at them",
     ),

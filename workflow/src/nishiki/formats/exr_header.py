@@ -18,7 +18,7 @@ MOST_ATTRIBUTE_BYTES = 1 << 24
 
 
 @dataclass(frozen=True)
-class Part:
+class ExrPart:
     """window: x and y of the first, x and y of the last pixel; channels: (name, bytes a sample, subsampled); ratio: how
     many times smaller than its pixels the coded part can be, 0: without bound."""
 
@@ -40,7 +40,7 @@ class Part:
         return self.rows * self.columns * sum(size for _, size, subsampled in self.channels if not subsampled)
 
 
-def read_parts(file: BinaryIO) -> list[Part]:
+def read_parts(file: BinaryIO) -> list[ExrPart]:
     """Every part's header. ValueError, EOFError or struct.error where one is damaged, deep, or larger than is read."""
     file.seek(4)
     (version,) = struct.unpack("<I", file.read(4))
@@ -48,7 +48,7 @@ def read_parts(file: BinaryIO) -> list[Part]:
         raise ValueError(f"version {version & 0xFF} with flags {version >> 8:#x}; version 2 is read")
     if version & _DEEP:
         raise ValueError("deep images (several samples a pixel) are not read")
-    parts: list[Part] = []
+    parts: list[ExrPart] = []
     while True:
         attributes = _attributes(file, 255 if version & _LONG_NAMES else 31)
         if attributes:
@@ -85,7 +85,7 @@ def _text(file: BinaryIO, longest: int) -> str:
     return letters.decode("latin-1")
 
 
-def _part(attributes: dict[str, tuple[str, bytes]]) -> Part:
+def _part(attributes: dict[str, tuple[str, bytes]]) -> ExrPart:
     missing = [name for name in ("channels", "compression", "dataWindow") if name not in attributes]
     if missing:
         raise ValueError(f"header without {', '.join(missing)}")
@@ -93,7 +93,7 @@ def _part(attributes: dict[str, tuple[str, bytes]]) -> Part:
         raise ValueError("deep images (several samples a pixel) are not read")
     window = struct.unpack("<iiii", attributes["dataWindow"][1])
     (compression,) = struct.unpack("<B", attributes["compression"][1])
-    part = Part(window, _channels(attributes["channels"][1]), _RATIO.get(compression, 0))
+    part = ExrPart(window, _channels(attributes["channels"][1]), _RATIO.get(compression, 0))
     if part.rows < 1 or part.columns < 1:
         raise ValueError(f"data window {window}")
     if "tiles" in attributes:

@@ -15,7 +15,7 @@ from nishiki.geometry.camera import Camera
 
 
 @dataclass(frozen=True)
-class Turn:
+class CameraPath:
     """axis (3,) unit vector and point (3,) on it, world; position (views,) radians along the path, rising, starting at
     0; length: radians from the first view back to the first (a full turn) or to the last; closed: whether the last
     view neighbours the first; deviation_deg: largest angle between the axis of a step and the common one."""
@@ -33,7 +33,7 @@ class Turn:
         return float(self.position[index] + fraction * (following - self.position[index]))
 
 
-def fit_turn(cameras: list[Camera], *, full_turn: bool) -> Turn:
+def fit_turn(cameras: list[Camera], *, full_turn: bool) -> CameraPath:
     """Axis and path of the cameras, in their order.
 
     The direction of the axis is the mean of the steps' rotation vectors, the point the least-squares centre of the
@@ -50,7 +50,7 @@ def fit_turn(cameras: list[Camera], *, full_turn: bool) -> Turn:
     off = np.degrees(np.arccos(np.clip(moving @ axis, -1, 1))).max() if len(moving) else 0.0
     sums = np.concatenate([[0.0], np.cumsum(angles)])
     length = float(sums[-1])
-    return Turn(axis, axis_point(cameras, axis), sums[: len(cameras)], length, full_turn, float(off))
+    return CameraPath(axis, axis_point(cameras, axis), sums[: len(cameras)], length, full_turn, float(off))
 
 
 def axis_point(cameras: list[Camera], axis: np.ndarray) -> np.ndarray:
@@ -69,7 +69,7 @@ def axis_point(cameras: list[Camera], axis: np.ndarray) -> np.ndarray:
     return mean + a * first + b * second
 
 
-def camera_between(cameras: list[Camera], turn: Turn, index: int, fraction: float) -> Camera:
+def camera_between(cameras: list[Camera], turn: CameraPath, index: int, fraction: float) -> Camera:
     """The camera `fraction` (0..1) of the way from view `index` to the next one.
 
     Both neighbours are turned about the axis to the place; on an ideal turn they coincide there, and what calibration
@@ -92,7 +92,7 @@ def camera_between(cameras: list[Camera], turn: Turn, index: int, fraction: floa
     )
 
 
-def turned(camera: Camera, turn: Turn, angle: float) -> Camera:
+def turned(camera: Camera, turn: CameraPath, angle: float) -> Camera:
     """The camera turned about the axis by `angle` radians."""
     spin = rotation_matrix(angle * turn.axis)
     rotation = camera.rotation @ spin.T

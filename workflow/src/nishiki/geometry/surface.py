@@ -16,7 +16,7 @@ MEASURED = 40_000
 
 
 @dataclass(frozen=True)
-class Lighter:
+class SimplifiedMesh:
     """mesh; deviation_px: how far the original's surface is from it, in pixels of the sharpest view: 99 in 100 vertices
     are nearer; deviation_largest_px: the farthest (tips of needles); before: triangles of the original."""
 
@@ -107,14 +107,14 @@ def point_to_triangle(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 def fewest_triangles(
     mesh: Mesh, cameras: list[Camera], *, deviation_px: float, most: int | None = None, rounds: int = 6
-) -> Lighter:
+) -> SimplifiedMesh:
     """The lightest mesh whose surface stays within `deviation_px` pixels of 99 in 100 vertices of the original.
 
     Pixels as `pixels_per_unit`. Found by bisection on the number of triangles (`rounds` halvings of its logarithm); 0
     keeps all. most: no more triangles than this, whatever the deviation. Deterministic.
     """
     scale = pixels_per_unit(mesh.vertices, cameras)
-    best = Lighter(mesh, 0.0, 0.0, len(mesh.triangles))
+    best = SimplifiedMesh(mesh, 0.0, 0.0, len(mesh.triangles))
     if most is not None and most < len(mesh.triangles):
         best = _measured(mesh, decimate(mesh, most), scale)
     if deviation_px <= 0 or best.deviation_px > deviation_px:
@@ -130,11 +130,11 @@ def fewest_triangles(
     return best
 
 
-def _measured(original: Mesh, mesh: Mesh, scale: np.ndarray) -> Lighter:
+def _measured(original: Mesh, mesh: Mesh, scale: np.ndarray) -> SimplifiedMesh:
     used = np.unique(original.triangles)
     used = used[:: max(1, len(used) // MEASURED)]
     off = distances(original.vertices[used], mesh) * scale[used]
-    return Lighter(mesh, float(np.percentile(off, 99)), float(off.max()), len(original.triangles))
+    return SimplifiedMesh(mesh, float(np.percentile(off, 99)), float(off.max()), len(original.triangles))
 
 
 def snapped(mesh: Mesh, step: float) -> Mesh:

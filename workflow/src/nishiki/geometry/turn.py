@@ -8,7 +8,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class Turn:
+class CircleCheck:
     """The circle nearest to the camera centres.
 
     axis: (3,) unit, the way the cameras go round (counter-clockwise seen from its tip); centre: (3,) of the circle;
@@ -29,7 +29,7 @@ class Turn:
         return asdict(self)
 
 
-def turn_of(centres: np.ndarray) -> Turn | None:
+def turn_of(centres: np.ndarray) -> CircleCheck | None:
     """Circle through camera centres (n, 3) in the order of the turn, by plane and algebraic circle fit.
 
     None where fewer than 3 distinct centres, or centres on a line, determine no circle.
@@ -52,7 +52,7 @@ def turn_of(centres: np.ndarray) -> Turn | None:
     steps = np.remainder(np.diff(angles, append=angles[0]) + np.pi, 2 * np.pi) - np.pi
     sign = -1.0 if np.median(steps) < 0 else 1.0
     axis = sign * np.cross(directions[0], directions[1])
-    return Turn(
+    return CircleCheck(
         axis=tuple(axis.tolist()),
         centre=tuple((middle + solution[:2] @ directions[:2]).tolist()),
         radius=float(radii.mean()),

@@ -10,7 +10,7 @@ import numpy as np
 
 from nishiki.goniometry.normalise import reflectance
 from nishiki.goniometry.whites import assign_boards
-from nishiki.goniometry.windows import Reading, central_window, read_window, regions_in_view
+from nishiki.goniometry.windows import WindowSample, central_window, read_window, regions_in_view
 
 
 class Photograph(Protocol):
@@ -87,7 +87,7 @@ def read_all(
     return Readings(values, noise, valid, pixels, saturated, rules)
 
 
-def _middle(photograph: Photograph, window_px: int) -> Reading:
+def _middle(photograph: Photograph, window_px: int) -> WindowSample:
     inside = central_window(photograph.usable.shape, window_px)
     return read_window(photograph.linear, inside & photograph.usable, photograph.saturated)
 
@@ -104,7 +104,7 @@ def _masks(photograph: Photograph, angles_deg: np.ndarray, window_px: int, regio
     return [seen == number for number in regions.numbers]
 
 
-def _light_of(readings: Sequence[Reading], factors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _light_of(readings: Sequence[WindowSample], factors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mean light of the boards, each times its factor, and its standard deviation."""
     means = np.array([r.mean * f for r, f in zip(readings, factors, strict=True)])
     noises = np.array([r.noise * f for r, f in zip(readings, factors, strict=True)])

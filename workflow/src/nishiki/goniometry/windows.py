@@ -13,7 +13,7 @@ TILE = 4  # pixels: the noise of neighbours, and the texture of yarns, go togeth
 
 
 @dataclass(frozen=True)
-class Reading:
+class WindowSample:
     """mean (channels,) float64 in the units of the pixels; noise (channels,): standard deviation of the mean; pixels:
     number that entered; saturated: share of the window's pixels."""
 
@@ -23,7 +23,7 @@ class Reading:
     saturated: float
 
 
-def read_window(linear: np.ndarray, usable: np.ndarray, saturated: np.ndarray) -> Reading:
+def read_window(linear: np.ndarray, usable: np.ndarray, saturated: np.ndarray) -> WindowSample:
     """Mean over the usable pixels of an image (rows, columns, channels) and its standard deviation.
 
     The scatter is that between tiles of TILE x TILE pixels, each weighted by its usable pixels: neighbours that vary
@@ -34,7 +34,7 @@ def read_window(linear: np.ndarray, usable: np.ndarray, saturated: np.ndarray) -
     chosen = usable.ravel()
     count = int(chosen.sum())
     if count == 0:
-        return Reading(np.zeros(channels), np.zeros(channels), 0, 0.0)
+        return WindowSample(np.zeros(channels), np.zeros(channels), 0, 0.0)
     tile = tile.ravel()[chosen]
     values = linear.reshape(-1, channels)[chosen].astype(np.float64)
     share = np.bincount(tile) / count
@@ -47,7 +47,7 @@ def read_window(linear: np.ndarray, usable: np.ndarray, saturated: np.ndarray) -
         scatter = ((sums / count - share[:, None] * mean) ** 2).sum(axis=0) * tiles / (tiles - 1)
     else:
         scatter = values.var(axis=0) / count
-    return Reading(mean, np.sqrt(scatter), count, float(saturated.ravel()[chosen].mean()))
+    return WindowSample(mean, np.sqrt(scatter), count, float(saturated.ravel()[chosen].mean()))
 
 
 def central_window(shape: tuple[int, int], side: int) -> np.ndarray:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from nishiki.artifacts.bounds import at_bounds
-from nishiki.artifacts.limits import Limit, readings
+from nishiki.artifacts.limits import Limit, limit_checks
 from nishiki.report.numbers import plain
 
 
@@ -19,7 +19,7 @@ def conditions(manifests: Iterable[Mapping[str, Any]], limits: Mapping[str, Iter
     rows = []
     for manifest in manifests:
         allow = manifest["settings"].get("allow", ())
-        for each in readings(limits.get(manifest["stage"], ()), manifest["diagnostics"], allow):
+        for each in limit_checks(limits.get(manifest["stage"], ()), manifest["diagnostics"], allow):
             state = "" if not each.limit.stated else "beyond, allowed" if each.beyond else "within"
             rows.append(
                 {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from nishiki.report.colour_map import coloured, heat, hexadecimal
-from nishiki.report.pictures import Picture, Scale, encoded
+from nishiki.report.pictures import PagePicture, Scale, encoded
 from nishiki.report.svg import GRID, PALETTE, SOFT, Curve, _line, _open, _text, chart
 
 MODEL_NAMES = {
@@ -119,7 +119,7 @@ def disc_directions(size: int = DISC) -> tuple[np.ndarray, np.ndarray]:
     return np.stack([across * x[inside], across * y[inside], np.cos(theta)], axis=1), inside
 
 
-def disc_picture(values: np.ndarray, inside: np.ndarray, low: float, high: float) -> Picture:
+def disc_picture(values: np.ndarray, inside: np.ndarray, low: float, high: float) -> PagePicture:
     """Logarithmic picture of values (n,) at the pixels of a disc; white outside."""
     table, picture = heat(), np.full((*inside.shape, 3), 255, np.uint8)
     logs = np.log10(np.maximum(values, 1e-12))

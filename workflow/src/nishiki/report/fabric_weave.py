@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from nishiki.report.pictures import Picture, encoded
+from nishiki.report.pictures import PagePicture, encoded
 from nishiki.report.svg import PALETTE, Curve, chart
 
 MEANINGS = {
@@ -30,7 +30,7 @@ def weave_section(
     stored: dict[str, Any],
     told: dict[str, Any],
     drawings: dict[str, str],
-    pictures: dict[str, Picture],
+    pictures: dict[str, PagePicture],
     confidence: float,
 ) -> list[dict]:
     """Regions of weave.json as the page shows them.
@@ -65,7 +65,7 @@ def weave_section(
     ]
 
 
-def tile_picture(data: bytes, widest: int) -> Picture:
+def tile_picture(data: bytes, widest: int) -> PagePicture:
     """The upper part of a PNG of a repeating surface, about as high as wide: a long repeat would fill the page."""
     import cv2
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from nishiki.atlas.atlas import Atlas
 from nishiki.report.colour_map import sea
-from nishiki.report.pictures import Picture, brightened, brightening, colour_picture, scalar_picture
+from nishiki.report.pictures import PagePicture, brightened, brightening, colour_picture, scalar_picture
 
 Place = tuple[int, int]
 """Row and column of a cell."""
@@ -93,5 +93,5 @@ def three(values: np.ndarray) -> np.ndarray:
     return values if channels == 3 else values[..., [channels - 1, channels // 2, 0]]
 
 
-def _item(picture: Picture, name: str, caption: str) -> dict:
+def _item(picture: PagePicture, name: str, caption: str) -> dict:
     return {"picture": picture, "name": name, "caption": caption}

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from nishiki.report.object_plots import PART_NAMES, bytes_bars, rate_curve, turn_plot
-from nishiki.report.pictures import Picture, encoded
+from nishiki.report.pictures import PagePicture, encoded
 
 ABOUT = (("object_id", "Object"), ("creator", "Creator"), ("date", "Date"), ("rights", "Rights"), ("notes", "Notes"))
 
@@ -104,7 +104,7 @@ def geometry_section(mesh: dict[str, Any]) -> dict:
     return {"rows": [(name, value) for name, value in rows if value is not None]}
 
 
-def separation_section(polarise: dict[str, Any], pictures: list[tuple[str, Picture]]) -> dict:
+def separation_section(polarise: dict[str, Any], pictures: list[tuple[str, PagePicture]]) -> dict:
     """What the polarisers separated: mean share of each component and of doubtful pixels."""
     views = polarise.get("by_view") or []
 

@@ -23,7 +23,7 @@ class Scale:
 
 
 @dataclass(frozen=True)
-class Picture:
+class PagePicture:
     """A picture inside the page: `source` is a data URI; columns, rows its size; scale its colour bar, or None;
     key: (colour, meaning) of a map of classes; even: what to say in place of a picture of one flat colour;
     marks: (x, y, text), numbered places in pixels of the picture."""
@@ -97,7 +97,7 @@ def shrink(
     return np.concatenate(parts)
 
 
-def colour_picture(linear: np.ndarray, *, inside: np.ndarray | None = None) -> Picture:
+def colour_picture(linear: np.ndarray, *, inside: np.ndarray | None = None) -> PagePicture:
     """Picture of linear sRGB (rows, columns, 3), white at 1; NaN and pixels outside in the colour of missing values."""
     codes = np.round(255 * srgb_encode(linear)).astype(np.uint8)
     codes[~np.isfinite(linear).all(axis=-1)] = MISSING
@@ -126,7 +126,7 @@ def brightened(factor: float) -> str:
     return "" if factor == 1 else f" Shown {factor:g} times brighter than it is."
 
 
-def scalar_picture(values: np.ndarray, table: np.ndarray, *, unit: str, low=None, high=None, digits=2) -> Picture:
+def scalar_picture(values: np.ndarray, table: np.ndarray, *, unit: str, low=None, high=None, digits=2) -> PagePicture:
     """Picture of one quantity; ends of the scale: given, else the 1st and 99th percentile of the known values."""
     known = values[np.isfinite(values)]
     low = float(np.percentile(known, 1)) if low is None and known.size else float(low or 0.0)
@@ -134,13 +134,13 @@ def scalar_picture(values: np.ndarray, table: np.ndarray, *, unit: str, low=None
     if not high > low:
         high = low + 1.0
     if even := _even(values, unit, digits):
-        return Picture("", values.shape[1], values.shape[0], even=even)
+        return PagePicture("", values.shape[1], values.shape[0], even=even)
     stops = tuple(hexadecimal(colour) for colour in table[:: 255 // 5])
     scale = Scale(plain(low, digits), plain(high, digits), unit, stops)
     return encoded(coloured(values, table, low, high), scale=scale)
 
 
-def class_picture(classes: np.ndarray, key: dict[int, tuple[str, str]]) -> Picture:
+def class_picture(classes: np.ndarray, key: dict[int, tuple[str, str]]) -> PagePicture:
     """Picture of classes (rows, columns); key: class -> (#rrggbb, meaning); other values in the colour of missing.
 
     No picture, but a sentence, where (almost) all pixels are of one class.
@@ -150,7 +150,7 @@ def class_picture(classes: np.ndarray, key: dict[int, tuple[str, str]]) -> Pictu
     most = max(shares, key=lambda value: shares[value])
     if shares[most] >= EVEN_SHARE * total:
         where = EVERYWHERE if shares[most] == total else ALMOST_EVERYWHERE
-        return Picture("", classes.shape[1], classes.shape[0], even=f"{key[most][1]} {where}")
+        return PagePicture("", classes.shape[1], classes.shape[0], even=f"{key[most][1]} {where}")
     codes = np.empty((*classes.shape, 3), np.uint8)
     codes[...] = MISSING
     for value, (colour, _) in key.items():
@@ -158,7 +158,7 @@ def class_picture(classes: np.ndarray, key: dict[int, tuple[str, str]]) -> Pictu
     return encoded(codes, lossless=True, key=tuple(key.values()))
 
 
-def normal_picture(normals: np.ndarray) -> Picture:
+def normal_picture(normals: np.ndarray) -> PagePicture:
     """Normals as colours in the OpenGL convention: red x, green y (up), blue z, from -1..1 to 0..255."""
     with np.errstate(invalid="ignore", divide="ignore"):
         unit = normals / np.linalg.norm(normals, axis=-1, keepdims=True)
@@ -185,7 +185,7 @@ def hillshade(height: np.ndarray, *, step: float) -> np.ndarray:
     return np.clip(shade, 0, 1) ** 1.4
 
 
-def encoded(codes: np.ndarray, *, lossless: bool = False, scale: Scale | None = None, key=()) -> Picture:
+def encoded(codes: np.ndarray, *, lossless: bool = False, scale: Scale | None = None, key=()) -> PagePicture:
     """A picture (rows, columns, 3) uint8 sRGB as data URI: JPEG of quality 90, or PNG."""
     import cv2
 
@@ -196,10 +196,10 @@ def encoded(codes: np.ndarray, *, lossless: bool = False, scale: Scale | None = 
     if not done:
         raise RuntimeError(f"a picture of shape {codes.shape} could not be encoded as {kind}")
     mime = "image/jpeg" if kind == ".jpg" else "image/png"
-    return Picture(data_uri(data.tobytes(), mime), codes.shape[1], codes.shape[0], scale, key)
+    return PagePicture(data_uri(data.tobytes(), mime), codes.shape[1], codes.shape[0], scale, key)
 
 
-def file_picture(data: bytes, widest: int) -> Picture:
+def file_picture(data: bytes, widest: int) -> PagePicture:
     """A PNG as picture at most `widest` pixels wide, averaged in linear light. Raises ValueError if it is none."""
     import cv2
 

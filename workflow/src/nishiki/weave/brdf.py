@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from nishiki.brdf.cloth.interface import ArrayFields, halves, off_horizon, only_above
-from nishiki.weave.reading import columns, rows_of
+from nishiki.weave.model import columns, rows_of
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from math import exp, sqrt
 import numpy as np
 from numba import njit
 
-from nishiki.weave.reading import SIZE, fill_columns, shape_of
+from nishiki.weave.model import SIZE, fill_columns, shape_of
 
 UNKNOWNS = 2 * SIZE + 1
 

@@ -11,8 +11,8 @@ import numpy as np
 from nishiki.weave.descent import UNKNOWNS
 from nishiki.weave.identify import Identifiability, identify
 from nishiki.weave.intervals import noise_variance, profile_intervals
+from nishiki.weave.model import GAUSS, GGX, PAPER, SHADED, SIZE, YARNS, columns, plane_rows, shape_of
 from nishiki.weave.planes import Plane
-from nishiki.weave.reading import GAUSS, GGX, PAPER, SHADED, SIZE, YARNS, columns, plane_rows, shape_of
 from nishiki.weave.search import Problem, at_bounds, search
 from nishiki.weave.section import HALF_PI, WarpSection, WeftSection
 

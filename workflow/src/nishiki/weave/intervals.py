@@ -3,7 +3,7 @@
 import numpy as np
 
 from nishiki.weave.descent import descend
-from nishiki.weave.reading import PARAMETERS, PLANES, SIZE
+from nishiki.weave.model import PARAMETERS, PLANES, SIZE
 from nishiki.weave.search import Problem, bounds, cell_of, clipped, in_cell
 
 ROUNDS, WIDENINGS, HALVINGS = 25, 16, 7

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nishiki.weave.descent import UNKNOWNS, costs, descend
-from nishiki.weave.reading import PARAMETERS, PLANES, SIZE
+from nishiki.weave.model import PARAMETERS, PLANES, SIZE
 
 THETA_A = np.radians([2.0, 88.0])
 BOUNDS = (THETA_A, (0.0, 0.999), (0.02, 1.0), (np.log(0.02), np.log(3.0)), (0.15, np.pi / 2))

@@ -33,7 +33,7 @@ LEAST_SCATTER = 0.02  # of either
 SUBSET = 2000  # texels of a tile, at most, that the scatter is judged by
 DEFAULT_SIGMA = 0.2  # radians, where no highlight was seen on the whole object
 MOST_PULL = 1e20  # a precision that no data compare with
-UNTOLD = 0.1  # standard deviation of a texel's own K_s, relative to the mean K_d, above which it says nothing
+KS_UNCONSTRAINED = 0.1  # standard deviation of a texel's own K_s, relative to the mean K_d, above which it says nothing
 
 
 @dataclass(frozen=True)
@@ -248,8 +248,8 @@ def _third(tile: Tile, capture: Capture, widths: _Widths, gloss: _Gloss, first: 
         pull = np.where(first.fit.information > 0, 0.0, MOST_PULL)
     found = texel_fit.strengths(total, sigma[first.texel], ks[first.texel], pull, specular)
     kd[first.texel], ks[first.texel] = found.kd, found.ks
-    untold = gloss.noise > UNTOLD * gloss.level * np.sqrt(found.information)
-    flags = _flags(tile, total.seen, first, untold)
+    unconstrained = gloss.noise > KS_UNCONSTRAINED * gloss.level * np.sqrt(found.information)
+    flags = _flags(tile, total.seen, first, unconstrained)
     known = (flags & (TexelFlag.OUTSIDE | TexelFlag.UNSEEN)) == 0
     inside = tile.inside
     joined = np.concatenate([ks.reshape(*shape, channels), sigma.reshape(*shape, 1)], axis=-1)
@@ -259,9 +259,9 @@ def _third(tile: Tile, capture: Capture, widths: _Widths, gloss: _Gloss, first: 
     return Parameters(fill(kd.reshape(*shape, channels), known), joined[..., :channels], joined[..., channels], flags)
 
 
-def _flags(tile: Tile, seen: np.ndarray, first: _First, untold: np.ndarray) -> np.ndarray:
-    flags = np.full(tile.inside.size, TexelFlag.UNSEEN | TexelFlag.NO_HIGHLIGHT | TexelFlag.UNTOLD, np.uint8)
-    of_seen = np.where(seen < 2, TexelFlag.ONCE, 0) | np.where(untold, TexelFlag.UNTOLD, 0)
+def _flags(tile: Tile, seen: np.ndarray, first: _First, unconstrained: np.ndarray) -> np.ndarray:
+    flags = np.full(tile.inside.size, TexelFlag.UNSEEN | TexelFlag.NO_HIGHLIGHT | TexelFlag.KS_UNCONSTRAINED, np.uint8)
+    of_seen = np.where(seen < 2, TexelFlag.ONCE, 0) | np.where(unconstrained, TexelFlag.KS_UNCONSTRAINED, 0)
     of_seen |= np.where(first.fit.information > 0, 0, TexelFlag.NO_HIGHLIGHT)
     flags[first.texel] = np.where(seen > 0, of_seen, flags[first.texel])
     flags[~tile.inside.ravel()] = TexelFlag.OUTSIDE
@@ -270,7 +270,7 @@ def _flags(tile: Tile, seen: np.ndarray, first: _First, untold: np.ndarray) -> n
 
 def _counts(flags: np.ndarray) -> np.ndarray:
     inside = (flags & TexelFlag.OUTSIDE) == 0
-    bits = (TexelFlag.NO_HIGHLIGHT, TexelFlag.UNTOLD, TexelFlag.UNSEEN, TexelFlag.ONCE)
+    bits = (TexelFlag.NO_HIGHLIGHT, TexelFlag.KS_UNCONSTRAINED, TexelFlag.UNSEEN, TexelFlag.ONCE)
     return np.array([inside.sum(), *(np.sum(inside & ((flags & bit) != 0)) for bit in bits)], np.int64)
 
 

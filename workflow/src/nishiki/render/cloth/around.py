@@ -10,7 +10,7 @@ from numba import njit
 
 from nishiki.render.cloth.boxes import blocked
 from nishiki.render.cloth.local import LIFT, Samples
-from nishiki.render.cloth.scene import Around, Brdf, Scene, three
+from nishiki.render.cloth.scene import AmbientLight, Brdf, ClothScene, three
 from nishiki.threads import over_rows, threads
 
 THETAS, PHIS, LIGHTS = 10, 16, (14, 28)
@@ -22,13 +22,13 @@ class Surroundings:
     """open (v, 2), from_above (v, 2): cosine-weighted share of unblocked directions at each vertex, front and back, and
     how far up those point, 0 to 1; corners (f, 3): of the triangles."""
 
-    light: Around
+    light: AmbientLight
     open: np.ndarray
     from_above: np.ndarray
     corners: np.ndarray
 
     @classmethod
-    def of(cls, scene: Scene, light: Around) -> Surroundings:
+    def of(cls, scene: ClothScene, light: AmbientLight) -> Surroundings:
         """Test light.rays directions over each side of every vertex."""
         found = (smoothed(values, scene.mesh.triangles) for values in openness(scene, light.rays, light.reach))
         return cls(light, *found, np.ascontiguousarray(scene.mesh.triangles))
@@ -106,7 +106,7 @@ def smoothed(values: np.ndarray, triangles: np.ndarray, *, rounds: int = 2) -> n
     return values
 
 
-def openness(scene: Scene, rays: int, reach: float) -> tuple[np.ndarray, np.ndarray]:
+def openness(scene: ClothScene, rays: int, reach: float) -> tuple[np.ndarray, np.ndarray]:
     """See `Surroundings`: (v, 2) and (v, 2) float64, front and back; `reach` in the scene's unit."""
     count = len(scene.mesh.vertices)
     free, up = np.empty((count, 2)), np.empty((count, 2))

@@ -14,7 +14,7 @@ from nishiki.geometry.raster import rasterise
 from nishiki.render.cloth.around import Surroundings
 from nishiki.render.cloth.dyes import share_of, together
 from nishiki.render.cloth.local import Samples, gather, lit
-from nishiki.render.cloth.scene import Brdf, Lamp, Scene
+from nishiki.render.cloth.scene import Brdf, ClothScene, Lamp
 from nishiki.threads import threads
 
 BAND_SAMPLES = 1 << 20
@@ -28,7 +28,7 @@ LEAST_COSINE = 0.05
 
 
 @dataclass(frozen=True)
-class Take:
+class RenderVariant:
     """One way to show a scene from one camera: the BRDF of each material, a factor for each lamp, and one for the light
     from around."""
 
@@ -38,7 +38,7 @@ class Take:
 
 
 @dataclass(frozen=True)
-class Picture:
+class ClothPicture:
     """linear (rows, columns, 3) float32: radiance relative to a white that faces a lamp of colour 1, mean over the
     whole pixel (0 where nothing is); coverage (rows, columns) float32: part of the pixel that shows a surface,
     cloth: that shows material 0; samples: points shaded; evaluated: places of the BRDF computed for all takes;
@@ -64,8 +64,8 @@ class _Tally:
 
 
 def render(
-    scene: Scene,
-    takes: list[Take],
+    scene: ClothScene,
+    takes: list[RenderVariant],
     lamps: list[Lamp],
     camera: Camera,
     *,
@@ -73,7 +73,7 @@ def render(
     supersampling: int = 3,
     shadows: bool = True,
     within: float = WITHIN,
-) -> list[Picture]:
+) -> list[ClothPicture]:
     """The scene from a camera, once for every take; what they share (visibility, shadows, BRDF values) is computed
     once.
 
@@ -111,10 +111,10 @@ def render(
         cloth[first:stop] = covered.reshape(shape)
     shadowed = tally.blocked / tally.reaching if tally.reaching > 0 else 0.0
     bent = tally.bent / max(1, tally.samples)
-    return [Picture(one, coverage, cloth, tally.samples, tally.evaluated, bent, shadowed) for one in linear]
+    return [ClothPicture(one, coverage, cloth, tally.samples, tally.evaluated, bent, shadowed) for one in linear]
 
 
-def _check(scene: Scene, takes: list[Take], lamps: list[Lamp], supersampling: int) -> None:
+def _check(scene: ClothScene, takes: list[RenderVariant], lamps: list[Lamp], supersampling: int) -> None:
     if supersampling < 1:
         raise UserError(f"supersampling: expected 1 or more, found {supersampling}")
     needed = int(scene.material.max()) + 1

@@ -10,7 +10,7 @@ from numba import njit
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.raster import Raster
 from nishiki.render.cloth.boxes import blocked
-from nishiki.render.cloth.scene import Lamp, Scene
+from nishiki.render.cloth.scene import ClothScene, Lamp
 from nishiki.threads import over_rows
 
 LEAST_COSINE = 0.02
@@ -62,7 +62,7 @@ class Light:
     before: np.ndarray
 
 
-def gather(scene: Scene, raster: Raster, camera: Camera, supersampling: int, *, within: float = 0.0) -> Samples:
+def gather(scene: ClothScene, raster: Raster, camera: Camera, supersampling: int, *, within: float = 0.0) -> Samples:
     """The points behind a band of a picture's samples and their frames.
 
     within: radians; samples of a pixel, of one material and side, share a BRDF value with one whose normal and weft are
@@ -122,7 +122,7 @@ def gather(scene: Scene, raster: Raster, camera: Camera, supersampling: int, *, 
     )
 
 
-def lit(scene: Scene, samples: Samples, lamp: Lamp, shadows: bool) -> Light:
+def lit(scene: ClothScene, samples: Samples, lamp: Lamp, shadows: bool) -> Light:
     """What reaches the samples from a lamp."""
     count = len(samples.pixel)
     incident, strength, before = np.empty((count, 3)), np.empty(count), np.empty(count)

@@ -72,7 +72,7 @@ class Lamp:
 
 
 @dataclass(frozen=True)
-class Around:
+class AmbientLight:
     """Even light from all around: radiance (channels of the display) above and below, relative to a white that faces a
     lamp; rays: tested at each vertex for what stands in the way; reach: farther things do not."""
 
@@ -83,7 +83,7 @@ class Around:
 
 
 @dataclass(frozen=True)
-class Scene:
+class ClothScene:
     """Surfaces as one mesh: mesh; weft (v, 3) float64; material (f,) uint8; tree of all triangles; scale: extent."""
 
     mesh: Mesh
@@ -93,7 +93,7 @@ class Scene:
     scale: float
 
     @classmethod
-    def of(cls, surfaces: list[Surface]) -> Scene:
+    def of(cls, surfaces: list[Surface]) -> ClothScene:
         """The surfaces together. UserError where there is no triangle, or a number that is not finite."""
         if not surfaces or not all(len(surface.mesh.triangles) for surface in surfaces):
             raise UserError("scene: expected surfaces with at least one triangle each")

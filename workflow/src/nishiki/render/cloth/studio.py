@@ -12,8 +12,8 @@ from nishiki.geometry.camera import Camera
 from nishiki.geometry.camera_path import rotation_matrix
 from nishiki.geometry.mesh import Mesh
 from nishiki.render.cloth.around import Surroundings
-from nishiki.render.cloth.frame import Picture, Take, render
-from nishiki.render.cloth.scene import Around, Brdf, Lamp, Matte, Scene, Surface
+from nishiki.render.cloth.frame import ClothPicture, RenderVariant, render
+from nishiki.render.cloth.scene import AmbientLight, Brdf, ClothScene, Lamp, Matte, Surface
 from nishiki.render.cloth.sheet import cylinder, paper
 from nishiki.render.cloth.view import around, framed
 
@@ -38,7 +38,7 @@ class Studio:
     """scene: the cloth (material 0) and the paper (material 1, where there is one); camera at this azimuth about
     `middle`; lights, and as lamps in the scene; light from around."""
 
-    scene: Scene
+    scene: ClothScene
     camera: Camera
     azimuth: float
     middle: np.ndarray
@@ -64,12 +64,12 @@ class Studio:
         """The lamps turned about the vertical."""
         return replace(self, lamps=tuple(light.lamp(self.azimuth + angle) for light in self.lights))
 
-    def take(self, brdf: Brdf, lamps: tuple[float, ...] | None = None) -> Take:
+    def take(self, brdf: Brdf, lamps: tuple[float, ...] | None = None) -> RenderVariant:
         """The cloth of a BRDF under the lamps with these factors; all lamps in full where none are given."""
         materials = (brdf,) if self.paper is None else (brdf, self.paper)
-        return Take(materials, tuple(1.0 for _ in self.lamps) if lamps is None else lamps)
+        return RenderVariant(materials, tuple(1.0 for _ in self.lamps) if lamps is None else lamps)
 
-    def render(self, takes: list[Take], *, supersampling: int, shadows: bool = True) -> list[Picture]:
+    def render(self, takes: list[RenderVariant], *, supersampling: int, shadows: bool = True) -> list[ClothPicture]:
         """See `frame.render`."""
         return render(
             self.scene, takes, list(self.lamps), self.camera, surroundings=self.surroundings,
@@ -105,8 +105,8 @@ def studio(
     if reflectance > 0:
         ground = Matte((reflectance,) * 3)
         surfaces = [*surfaces, moved(_paper(extent, wall, azimuth), _foot(points, extent))]
-    scene = Scene.of(surfaces)
-    light = Around((level,) * 3, (level / 3,) * 3, reach=0.45 * extent)
+    scene = ClothScene.of(surfaces)
+    light = AmbientLight((level,) * 3, (level / 3,) * 3, reach=0.45 * extent)
     lamps = tuple(light.lamp(azimuth) for light in lights)
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
     return Studio(scene, camera, azimuth, middle, tuple(lights), lamps, Surroundings.of(scene, light), ground)

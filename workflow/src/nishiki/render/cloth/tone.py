@@ -6,13 +6,13 @@ import numpy as np
 
 from nishiki.colour.colour import srgb_matrix
 from nishiki.colour.encoding import decode
-from nishiki.render.cloth.frame import Picture
+from nishiki.render.cloth.frame import ClothPicture
 from nishiki.render.display import DisplayImage, display_image
 
 _WEIGHTS = np.float32([0.2126, 0.7152, 0.0722])  # luminance of linear sRGB, IEC 61966-2-1
 
 
-def exposure_for(pictures: list[Picture], *, level: float = 0.7, rest: float = 0.95) -> float:
+def exposure_for(pictures: list[ClothPicture], *, level: float = 0.7, rest: float = 0.95) -> float:
     """One factor for several pictures: the brightest cloth comes to `level` of the display's white, unless what else is
     in the pictures would then exceed `rest`. Judged by the 98th percentile; 1 where all is black."""
     tops = []

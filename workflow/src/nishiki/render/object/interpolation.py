@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from nishiki.geometry.camera_path import Turn
+from nishiki.geometry.camera_path import CameraPath
 
 Method = Literal["nearest", "linear", "cubic"]
 
@@ -21,7 +21,7 @@ class Neighbours:
 
 
 def neighbours(
-    turn: Turn, position: float, *, method: Method = "linear", without: frozenset[int] = frozenset()
+    turn: CameraPath, position: float, *, method: Method = "linear", without: frozenset[int] = frozenset()
 ) -> Neighbours:
     """The captured views around `position` (radians along the path) and their weights.
 

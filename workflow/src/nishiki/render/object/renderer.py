@@ -27,7 +27,7 @@ from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.raster import interpolate, rasterise
 from nishiki.render.object.interpolation import Method, Neighbours, neighbours
 from nishiki.render.object.pixels import asked_for, by_tile, extend, look_up, mix
-from nishiki.render.object.shots import Picture, Prepared, Shot, Tile
+from nishiki.render.object.shots import ObjectPicture, Prepared, Shot, Tile
 from nishiki.render.object.visibility import DepthMaps
 from nishiki.threads import threads as given_threads
 
@@ -100,12 +100,12 @@ class ObjectRenderer:
             plain = neighbours(self.turn, position, method="linear", without=without)
         return Shot(camera, full, plain, ((light, 1.0),))
 
-    def view(self, index: int, *, light: int = 0) -> Picture:
+    def view(self, index: int, *, light: int = 0) -> ObjectPicture:
         """A captured view; where it was left out of the fit, from the residual of its neighbours."""
         shot = self.predicted if index in self.without else self.captured
         return next(self.render([shot(index, light=light)]))
 
-    def render(self, shots: Iterable[Shot]) -> Iterator[Picture]:
+    def render(self, shots: Iterable[Shot]) -> Iterator[ObjectPicture]:
         """The pictures of the shots, in order; as many at a time as fit into the memory set aside for them."""
         batch, held = [], 0
         for shot in shots:
@@ -132,7 +132,7 @@ class ObjectRenderer:
         prepared.values = np.zeros((len(shot.lights), len(self.parts), len(pixels), self.channels), np.float32)
         return prepared
 
-    def _finish(self, batch: list[Prepared]) -> Iterator[Picture]:
+    def _finish(self, batch: list[Prepared]) -> Iterator[ObjectPicture]:
         if not self.model_only:
             self.depths.prepare(
                 [self.cameras[v] for prepared in batch if len(prepared.mixture[0]) > 1 for v in prepared.mixture[0]]
@@ -216,7 +216,7 @@ class ObjectRenderer:
         block = np.ascontiguousarray(self.residual.decode(tile, level=self.level, **named), np.float32)
         return block.reshape(len(block), -1, self.channels)
 
-    def _picture(self, prepared: Prepared) -> Picture:
+    def _picture(self, prepared: Prepared) -> ObjectPicture:
         raster, shot = prepared.raster, prepared.shot
         linear = np.zeros((raster.triangle.size, self.channels), np.float32)
         highest = np.inf if self.ceiling is None else self.ceiling
@@ -228,9 +228,9 @@ class ObjectRenderer:
         reached = extend(linear, covered, rings=self.rim)
         highest *= sum(abs(weight) for _, weight in shot.lights)
         np.clip(linear, 0, highest, out=linear, where=(reached & ~covered)[..., None])
-        return Picture(linear, covered, reached, raster.triangle, raster.barycentric, raster.depth)
+        return ObjectPicture(linear, covered, reached, raster.triangle, raster.barycentric, raster.depth)
 
-    def normals(self, picture: Picture, camera: Camera) -> np.ndarray:
+    def normals(self, picture: ObjectPicture, camera: Camera) -> np.ndarray:
         """(rows, columns, 3) float32 unit normals as the camera sees them (x right, y up, z to the camera), 0 where
         nothing is covered."""
         turned = self.mesh.normals @ (np.diag([1.0, -1.0, -1.0]) @ camera.rotation).T

@@ -24,7 +24,7 @@ class Shot:
 
 
 @dataclass(frozen=True)
-class Picture:
+class ObjectPicture:
     """linear (rows, columns, channels) float32, 0 where nothing is shown; covered (rows, columns) bool: pixel centres
     on the surface; reached: covered, or carried on beyond the edge by `rim` pixels; triangle, barycentric: what the
     pixels show (see `nishiki.geometry.raster.Raster`); depth (rows, columns) float32, +inf where not covered."""

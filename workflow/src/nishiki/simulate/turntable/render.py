@@ -23,7 +23,7 @@ _GOLDEN = 0.6180339887498949
 
 
 @dataclass(frozen=True)
-class Scene:
+class SimulatedScene:
     """The object, ready to be seen: its triangles, the tree over them, what every vertex sees, the key of its paint."""
 
     surface: Surface
@@ -69,15 +69,15 @@ class _Points:
     image: np.ndarray
 
 
-def make_scene(settings: TurntableSettings) -> Scene:
+def make_scene(settings: TurntableSettings) -> SimulatedScene:
     """The object that the settings describe; the same for any number of threads."""
     surface = make_surface(settings.triangles)
     tree = make_tree(surface.vertices, surface.triangles)
     around = look_around(surface, tree, directions=settings.directions, seed=settings.seed)
-    return Scene(surface, tree, around, subkey(settings.seed, "turntable paint"))
+    return SimulatedScene(surface, tree, around, subkey(settings.seed, "turntable paint"))
 
 
-def see(scene: Scene, view: Viewpoint, settings: TurntableSettings) -> Light:
+def see(scene: SimulatedScene, view: Viewpoint, settings: TurntableSettings) -> Light:
     """The light of one view; pixels are means over their area, without blur and noise."""
     indirect, radiosity = bounced(scene.around, irradiance(scene, view), settings.bounces)
     mirror = np.zeros_like(indirect)
@@ -120,7 +120,7 @@ def reference(view: Viewpoint) -> float:
     return float(np.sum((view.lamp - np.array(AIM_MM)) ** 2))
 
 
-def irradiance(scene: Scene, view: Viewpoint) -> np.ndarray:
+def irradiance(scene: SimulatedScene, view: Viewpoint) -> np.ndarray:
     """Irradiance (v,) of every vertex by the lamp, with shadows; 1 for a surface at the axis that faces it."""
     surface = scene.surface
     origins, total = surface.vertices + OFFSET_MM * surface.normals, np.zeros(len(surface.vertices))

@@ -39,7 +39,7 @@ from nishiki.render.plane.scene import Gloss, Light
 def run(context: Context) -> dict:
     """Compare everything that has a counterpart; lights one after the other, each band by band."""
     frames = Observations(context.inputs["ingest"].folder)
-    scene = Scene(context, frames)
+    scene = EvaluatedScene(context, frames)
     truth = read_truth(context, frames)
     rows, columns = frames.shape
     out = MapWriter(context.output.folder, rows=rows, columns=columns, band_rows=frames.band_rows, stamp=context.stamp)
@@ -53,7 +53,7 @@ def run(context: Context) -> dict:
     return headlines(found)
 
 
-class Scene:
+class EvaluatedScene:
     """The fitted maps of one scene and what is needed to see them."""
 
     def __init__(self, context: Context, frames: Observations):
@@ -134,7 +134,7 @@ def read_truth(context: Context, frames: Observations) -> Truth:
     return truth_from(load_arrays(tables[0]), shape=frames.shape, region=region, asked=asked)
 
 
-def against_truth(truth: Truth, scene: Scene, out: MapWriter) -> dict:
+def against_truth(truth: Truth, scene: EvaluatedScene, out: MapWriter) -> dict:
     """Errors of the maps themselves; None where there is no truth or no map of the kind."""
     found = {"normals": None, "height": None, "reflectance": None}
     if truth.normals is not None:
@@ -162,7 +162,7 @@ def against_truth(truth: Truth, scene: Scene, out: MapWriter) -> dict:
     return found
 
 
-def relight(context: Context, scene: Scene, truth: Truth, out: MapWriter):
+def relight(context: Context, scene: EvaluatedScene, truth: Truth, out: MapWriter):
     """Scores of every light that no fit has seen, and the pooled differences of all of them."""
     frames = scene.frames
     chosen = [
@@ -176,7 +176,7 @@ def relight(context: Context, scene: Scene, truth: Truth, out: MapWriter):
     return scores, pool.summary()
 
 
-def one_light(context: Context, scene: Scene, truth: Truth, out: MapWriter, j: int) -> tuple[dict, np.ndarray]:
+def one_light(context: Context, scene: EvaluatedScene, truth: Truth, out: MapWriter, j: int) -> tuple[dict, np.ndarray]:
     """Score of one light; its map of differences is written."""
     frames, name = scene.frames, scene.frames.lights[j]
     height = scene.height if context.settings.cast_shadows else None
@@ -215,7 +215,7 @@ def one_light(context: Context, scene: Scene, truth: Truth, out: MapWriter, j: i
     return score, comparison.de00_map
 
 
-def lamp(context: Context, scene: Scene, j: int) -> Light:
+def lamp(context: Context, scene: EvaluatedScene, j: int) -> Light:
     """The lamp of a light, at its position where the capture gives one."""
     frames = scene.frames
     position, centre = None, None
@@ -240,7 +240,7 @@ def describe_light(frames: Observations, j: int) -> dict:
     }
 
 
-def colours_for(scene: Scene) -> dict:
+def colours_for(scene: EvaluatedScene) -> dict:
     """Ways from the prediction to XYZ: under the capture's lamp, and, with spectra, under D65."""
     if scene.basis is None or "illuminant" not in scene.curves:
         return {} if scene.camera.rmse is None else {"lamp": channel_colour(scene.camera)}

@@ -9,7 +9,7 @@ from nishiki.colour.colour import srgb_matrix
 from nishiki.errors import UserError
 from nishiki.render.cloth.cloth import Cloth, Support, drape
 from nishiki.render.cloth.dyes import dyed
-from nishiki.render.cloth.frame import Picture
+from nishiki.render.cloth.frame import ClothPicture
 from nishiki.render.cloth.mesh_store import read_surface
 from nishiki.render.cloth.models import FabricModels
 from nishiki.render.cloth.scene import Brdf, Surface
@@ -70,7 +70,7 @@ def run(context: Context) -> dict:
     }
 
 
-def exposed(settings: FabricRenderSettings, pictures: list[Picture]) -> float:
+def exposed(settings: FabricRenderSettings, pictures: list[ClothPicture]) -> float:
     """The factor of the PNG pictures."""
     return exposure_for(pictures) if settings.exposure == "auto" else settings.exposure
 
@@ -143,7 +143,7 @@ def swatches(context: Context, brdf: Brdf, cloths: dict[str, Brdf]) -> dict:
     return {"cylinders": save(context, "cylinders", made[0], exposed(settings, made))}
 
 
-def save(context: Context, name: str, picture: Picture, exposure: float) -> dict:
+def save(context: Context, name: str, picture: ClothPicture, exposure: float) -> dict:
     """Linear EXR and 8-bit PNG; what the PNG could not show."""
     path, settings = context.output.path, context.settings
     xyz = picture.linear @ np.linalg.inv(srgb_matrix()).T

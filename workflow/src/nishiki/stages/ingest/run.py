@@ -12,11 +12,11 @@ from nishiki.capture.seal import capture_digest
 from nishiki.capture.turntable import TurntableCapture
 from nishiki.colour.colour import illuminant as cie_illuminant
 from nishiki.colour.sampling import resample
+from nishiki.observations.capture_usage import usage_of
 from nishiki.observations.choice import chosen
 from nishiki.observations.goniometer_store import STORE as WINDOWS
 from nishiki.observations.goniometer_store import write_goniometer
 from nishiki.observations.plane_store import STORE, write_observations
-from nishiki.observations.reading import reading_of
 from nishiki.observations.views_attributes import geometry_sources
 from nishiki.observations.views_store import STORE as VIEWS
 from nishiki.observations.views_store import write_views
@@ -57,7 +57,7 @@ def run_goniometer(capture: GoniometerCapture, context: Context) -> dict:
 def described(capture: Capture | TurntableCapture | GoniometerCapture, context: Context) -> dict:
     """What the capture says of itself, and what was read of it."""
     own = context.settings
-    read = reading_of(
+    read = usage_of(
         capture, without=own.without, channels=own.channels, tile_mib=own.tile_mib, white_block=own.white_block
     )
     return {"capture": capture.settings.model_dump(mode="json"), "read": read.as_dict()}

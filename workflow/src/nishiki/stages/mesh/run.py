@@ -14,7 +14,7 @@ from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.mesh_files import read_points, read_triangles, write_ply
 from nishiki.geometry.outlines import agreement, contradicted, known_from, outline_of
 from nishiki.geometry.silhouettes import display, segment
-from nishiki.geometry.surface import Lighter, fewest_triangles, shape_of, smoothed, snapped, without_small_parts
+from nishiki.geometry.surface import SimplifiedMesh, fewest_triangles, shape_of, smoothed, snapped, without_small_parts
 from nishiki.observations.views import Views
 from nishiki.render.output import write_png
 
@@ -60,7 +60,7 @@ def run(context: Context) -> dict:
     }
 
 
-def described(light: Lighter) -> dict:
+def described(light: SimplifiedMesh) -> dict:
     """Figures of the decimation."""
     return {
         "triangles_before": light.before,

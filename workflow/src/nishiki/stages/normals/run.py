@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from nishiki.artifacts.maps import Maps, MapWriter
-from nishiki.artifacts.scatter import Scattered
+from nishiki.artifacts.scatter import TiledStage
 from nishiki.artifacts.stage import Context
 from nishiki.brdf.body_shading import LAMBERT
 from nishiki.brdf.gloss_profile import GlossProfile
@@ -44,7 +44,7 @@ SMALL_PARCEL = 1024  # pixels
 WEIGHTED = 0.01  # mean change of the samples, relative, from which the shading is fitted to the mean of the channels
 
 
-def work(context: Context) -> dict:
+def map_tiles(context: Context) -> dict:
     """Solve band by band; memory does not grow with the number of rows."""
     frames = Observations(context.inputs["ingest"].folder)
     separate = context.inputs.get("separate")
@@ -92,7 +92,7 @@ def work(context: Context) -> dict:
     return {"same": same, "counts": dict(counts), "sigma": np.concatenate([np.empty(0, np.float32), *sigmas])}
 
 
-def told(context: Context, tallies: list[dict]) -> dict:
+def merge(context: Context, tallies: list[dict]) -> dict:
     """Counts of pixels and of flags; uncertainty over a sample of the pixels."""
     counts: Counter[str] = Counter()
     for tally in tallies:
@@ -320,4 +320,4 @@ def percentiles(sigma: np.ndarray) -> dict[str, float | None]:
     return {"sigma_median_deg": float(middle), "sigma_p95_deg": float(high)}
 
 
-run = Scattered(work, told)
+run = TiledStage(map_tiles, merge)

@@ -25,7 +25,7 @@ from nishiki.evaluate.object_rows import (
 )
 from nishiki.geometry.mesh import Mesh
 from nishiki.render.object.decoded_object import DecodedObject
-from nishiki.render.object.shots import Picture
+from nishiki.render.object.shots import ObjectPicture
 from nishiki.render.output import write_png
 
 
@@ -100,7 +100,7 @@ class Work:
             gathered[label] = picture
         return rows + self.judge(current, light, {**gathered, MODEL: next(models)})
 
-    def judge(self, view: int, light: int, made: dict[str, Picture]) -> list:
+    def judge(self, view: int, light: int, made: dict[str, ObjectPicture]) -> list:
         """Rows of one observation; its pictures side by side where they are to be shown."""
         encoding, similarity = self.decoded.encoding, self.settings.similarity
         name = self.decoded.views[view]

@@ -9,7 +9,7 @@ from nishiki.render.object.decoded_object import DecodedObject
 from nishiki.render.object.display import coverage, on_screen, three_channels
 from nishiki.render.object.film import frames
 from nishiki.render.object.renderer import ObjectRenderer
-from nishiki.render.object.shots import Picture, Shot, lit_by
+from nishiki.render.object.shots import ObjectPicture, Shot, lit_by
 from nishiki.render.output import write_exr, write_normals_exr, write_normals_png, write_png, write_video
 from nishiki.stages.object_render.declaration import ObjectRenderSettings
 
@@ -68,7 +68,7 @@ def stills(decoded: DecodedObject, renderer: ObjectRenderer, settings: ObjectRen
     return named
 
 
-def save(context: Context, renderer: ObjectRenderer, name: str, shot: Shot, picture: Picture) -> dict:
+def save(context: Context, renderer: ObjectRenderer, name: str, shot: Shot, picture: ObjectPicture) -> dict:
     """Linear EXR with alpha, 8-bit PNG, and normals and depth where asked for."""
     settings, stamp = context.settings, context.stamp
     alpha = np.where(picture.reached, coverage(renderer.mesh, shot.camera), 0).astype(np.float32)

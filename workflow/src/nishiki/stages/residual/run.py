@@ -16,7 +16,7 @@ from nishiki.codec.parameters import Maps
 from nishiki.codec.prediction import Surface
 from nishiki.codec.pursuit import Pursuit
 from nishiki.codec.store import write_residual
-from nishiki.codec.tile_code import Effort, Pixels, Scene, model_of, see
+from nishiki.codec.tile_code import CodedScene, Effort, Pixels, model_of, see
 from nishiki.colour.encoding import encode
 from nishiki.model_selection.decision import economy
 from nishiki.model_selection.sufficient import Left, decided, model_suffices, what_is_left
@@ -71,7 +71,7 @@ def run(context: Context) -> dict:
     return {**figures, "bytes": parts, "bits_per_pixel": bits, "economy": economy(decision)}
 
 
-def left_by_model(source: "ArtifactSource", scene: Scene, found: Pilot) -> Left:
+def left_by_model(source: "ArtifactSource", scene: CodedScene, found: Pilot) -> Left:
     """What the model alone leaves of the pictures, on tiles in even steps."""
     design, tiles = found.design, []
     there = [tile for tile in range(source.tiles) if found.refined[tile] is not None]
@@ -130,11 +130,11 @@ def channels_of(texels: Texels) -> int:
     return texels.channels if isinstance(texels.channels, int) else len(texels.channels)
 
 
-def scene_of(texels: Texels, lighting: dict) -> Scene:
+def scene_of(texels: Texels, lighting: dict) -> CodedScene:
     """Camera centres and lamps of every observation, light by light."""
     lamps = Lighting.from_dict(lighting)
     pairs = [(camera, light) for light in range(len(texels.lights)) for camera in texels.cameras]
-    return Scene(
+    return CodedScene(
         np.array([camera.centre for camera, _ in pairs]), [lamps.lamp(camera, light) for camera, light in pairs]
     )
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from nishiki.artifacts.maps import MapWriter
-from nishiki.artifacts.scatter import Scattered
+from nishiki.artifacts.scatter import TiledStage
 from nishiki.artifacts.stage import Context
 from nishiki.model_selection.decision import economy
 from nishiki.model_selection.fit_lights import choose_lights
@@ -13,7 +13,7 @@ from nishiki.photometric.light_selection import select_diffuse
 from nishiki.stages.separate.declaration import SeparateSettings
 
 
-def work(context: Context) -> dict:
+def map_tiles(context: Context) -> dict:
     """Select the lights band by band; usable lights are kept as one bit each."""
     frames = Observations(context.inputs["ingest"].folder)
     lights = frames.fit_lights(context.settings.hold_out)
@@ -76,7 +76,7 @@ def scaled(observations: np.ndarray, parcel: Parcel) -> np.ndarray:
     return observations * parcel.scale[:, None, None] if (parcel.scale != 1).any() else observations
 
 
-def told(context: Context, tallies: list[dict]) -> dict:
+def merge(context: Context, tallies: list[dict]) -> dict:
     """Fractions of all samples."""
     totals = np.sum([tally["totals"] for tally in tallies], axis=0)
     names = ("usable", "highlight", "shadow", "valid")
@@ -84,4 +84,4 @@ def told(context: Context, tallies: list[dict]) -> dict:
     return {**tallies[0]["same"], **fractions}
 
 
-run = Scattered(work, told)
+run = TiledStage(map_tiles, merge)

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.artifacts.maps import Maps, MapWriter
-from nishiki.artifacts.scatter import Scattered
+from nishiki.artifacts.scatter import TiledStage
 from nishiki.artifacts.stage import Context
 from nishiki.capture.spectra_tables import read_curves
 from nishiki.colour.basis import channel_weights
@@ -17,7 +17,7 @@ from nishiki.model_selection.bases import Bases, decided, output_bases, principa
 from nishiki.model_selection.decision import Decision, economy
 
 
-def work(context: Context) -> dict:
+def map_tiles(context: Context) -> dict:
     """Fit the estimator once, then apply it band by band."""
     settings = context.settings
     training = synthetic_reflectances() if settings.training == "synthetic" else measured_set(Path(settings.training))
@@ -67,7 +67,7 @@ def work(context: Context) -> dict:
     }
 
 
-def told(context: Context, tallies: list[dict]) -> dict:
+def merge(context: Context, tallies: list[dict]) -> dict:
     """The estimator, the pixels with each flag, and the expected colour error of the sampled pixels by light."""
     counts: Counter[str] = Counter()
     errors: Counter[str] = Counter()
@@ -107,4 +107,4 @@ def measured_set(path: Path) -> np.ndarray:
     return measured_reflectances(curves.wavelengths_nm, curves.values, name=str(path))
 
 
-run = Scattered(work, told)
+run = TiledStage(map_tiles, merge)

@@ -32,7 +32,7 @@ class Files:
 
 
 @dataclass(frozen=True)
-class Reading:
+class CaptureUsage:
     """files: by kind, only kinds that the capture has; channels, tiles: (read, of); tiles: bands of rows times lights
     of a plane, None elsewhere. Bytes are sizes of files: each photograph is read once to be proven against the seal and
     once to be decoded."""
@@ -52,9 +52,9 @@ class Reading:
         return {**asdict(self), "total": asdict(self.total)}
 
 
-def reading_of(
+def usage_of(
     capture: AnyCapture, *, without: Collection[str], channels: str, tile_mib: int, white_block: int = 16
-) -> Reading:
+) -> CaptureUsage:
     """What ingest reads with these settings (see `settings.ingest`); no file is decoded but a mask."""
     unopened = chosen(capture, without).files
     stored = len(capture.settings.camera.channels)
@@ -62,7 +62,7 @@ def reading_of(
         stored = len(capture.channels)
     kept = stored if channels in ("auto", "all") else 1
     tiles = _tiles(capture, without, kept, tile_mib, white_block) if isinstance(capture, Capture) else None
-    return Reading(_files(capture, unopened), (kept, stored), tiles)
+    return CaptureUsage(_files(capture, unopened), (kept, stored), tiles)
 
 
 def _files(capture: AnyCapture, unopened: frozenset[str]) -> tuple[Files, ...]:
