@@ -2,11 +2,11 @@
 
     python tests/benchmarks/compare_results.py results-before results-after [--scenes tiny]
 
-One JSON object a line for each stage of each scene: how many arrays and figures there are, how many have other bytes, and
-the largest difference, absolute and relative to the largest value of the array (`arrays`), or relative to the figure
-(`figures`). Keys may differ: artifacts are taken from `current/`. Times, digests, versions and host names are no
-figures. For checking that a change of structure changes no result; a difference beyond float32 rounding (1e-6) ends with
-exit status 1.
+One JSON object a line for each stage of each scene: how many arrays and figures there are, how many have other
+bytes, and the largest difference, absolute and relative to the largest value of the array (`arrays`), or
+relative to the figure (`figures`). Keys may differ: artifacts are taken from `current/`. Times, digests,
+versions and host names are no figures. For checking that a change of structure changes no result; a difference
+beyond float32 rounding (1e-6) ends with exit status 1.
 """
 
 import argparse
