@@ -13,14 +13,14 @@ from nishiki.contract.maps import Maps, MapWriter
 from nishiki.contract.scatter import Scattered
 from nishiki.contract.stage import Context, run_stage
 from nishiki.economy.decision import Decision, economy
-from nishiki.economy.refinement import clearly_matt, decided, thinned
+from nishiki.economy.refinement import clearly_matt, decided
 from nishiki.errors import UserError
 from nishiki.ingest.observations import Observations
 from nishiki.ingest.parcels import Parcel, parcels
 from nishiki.normals import flags as bits
 from nishiki.normals.gloss import refine_normals
 from nishiki.normals.gloss_profile import GlossProfile
-from nishiki.normals.gloss_scene import FEW_LIGHTS, GlossTile, SceneGloss, fit_scene_gloss
+from nishiki.normals.gloss_scene import FEW_LIGHTS, GlossTile, SceneGloss, fit_scene_gloss, thinned
 from nishiki.normals.reflectance import diffuse_reflectance, mean_of_channels
 from nishiki.normals.relighting import FEW_LIGHTS as RELIGHT_LIGHTS
 from nishiki.normals.relighting import fit_relighting
