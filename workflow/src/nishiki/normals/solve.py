@@ -142,15 +142,14 @@ def refine_lobe(stack, directions, usable, known, outputs, exponents, noise, max
     Returns the body shading (pixels, 3) float32 of `nishiki.brdf.body_shading`.
     """
     from nishiki.brdf.body_shading import LAMBERT
-    from nishiki.normals.refine import LANES, refine
+    from nishiki.normals.refine import refine
 
     if not set(exponents) <= {2, 4, 8, 16, 32}:
         raise UserError(f"normals: expected an exponent of 2, 4, 8, 16 or 32, found {exponents[0]}")
     lights = stack.shape[0]
     halves = directions + np.array([0.0, 0.0, 1.0])
     halves /= np.maximum(np.linalg.norm(halves, axis=1, keepdims=True), 1e-12)
-    vectors = np.zeros((6, -(-lights // LANES) * LANES), dtype=np.float32)
-    vectors[:3, :lights], vectors[3:, :lights] = directions.T, halves.T
+    vectors = np.concatenate([directions.T, halves.T]).astype(np.float32)
     everything = np.ones((lights, 1), dtype=np.uint8)
     shading = np.tile(np.array(LAMBERT, np.float32), (stack.shape[1], 1))
     settings = np.array([np.log2(exponents[0]), PRIOR, noise, RESELECTIONS, AT_LEAST, np.log2(exponents[-1])])
