@@ -24,7 +24,7 @@ from nishiki.normals.gloss_scene import FEW_LIGHTS, GlossTile, SceneGloss, fit_s
 from nishiki.normals.reflectance import diffuse_reflectance, mean_of_channels
 from nishiki.normals.relighting import FEW_LIGHTS as RELIGHT_LIGHTS
 from nishiki.normals.relighting import fit_relighting
-from nishiki.normals.solve import estimate_normals
+from nishiki.normals.solve import estimate_normals, shading_of_mean
 from nishiki.separation.body_colour import body_intensity
 from nishiki.settings.normals import NormalsSettings
 
@@ -262,16 +262,9 @@ def with_shading_of_mean(field, intensity, observations, parcel: Parcel, usable,
     There gloss was weighted down for the normals; light is predicted with all of it.
     """
     mean = mean_of_channels(observations)
-    change = np.abs(intensity - mean).sum(axis=0)
-    chosen = np.flatnonzero(change > WEIGHTED * np.abs(mean).sum(axis=0))
-    if not chosen.size:
-        return field
-    picked = [pick(np.broadcast_to(array, mean.shape), chosen) for array in (mean, usable, valid)]
-    of_mean = estimate_normals(
-        picked[0], parcel.directions, usable=picked[1], valid=picked[2], solver=settings.solver
-    ).shading
-    shading = field.shading.copy()
-    shading.reshape(-1, 3)[chosen] = of_mean.reshape(-1, 3)
+    shading = shading_of_mean(
+        intensity, mean, parcel.directions, field, usable=usable, valid=valid, least_change=WEIGHTED
+    )
     return replace(field, shading=shading)
 
 

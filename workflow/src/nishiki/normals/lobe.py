@@ -28,7 +28,7 @@ FIT = 7  # normal, a, b, d, penalised sum of squares: float64
 
 @njit(cache=True, inline="always")
 def powers(x, squarings):
-    """x to the power 2^squarings - 1 and 2^squarings, 1 to 5; a loop here would keep the caller's from becoming SIMD."""
+    """x to the power 2^squarings - 1 and 2^squarings, 1 to 5; a loop would keep the callers from becoming SIMD code."""
     x2 = x * x
     x4 = x2 * x2
     x8 = x4 * x4
@@ -97,7 +97,7 @@ def add_up(values, weights, vectors, surface, squarings, sums):
 
 @njit(cache=True, inline="always")
 def factorise(sums, p, damping, prior):
-    """L D L^T of a pixel's damped normal equations with the prior on b and d: elements of L, of D, and whether D > 0."""
+    """L D L^T of a pixel's damped normal equations with the prior on b and d: L, 1 / D, and whether D > 0."""
     f = np.float64
     ridge, more = 1e-9 * f(sums[p + 9 * BLOCK]), 1.0 + damping
     m00 = f(sums[p]) * more + ridge
@@ -134,7 +134,7 @@ def factorise(sums, p, damping, prior):
 
 @njit(cache=True, inline="always")
 def substitute(factors, inverses, r0, r1, r2, r3, r4):
-    """Solution of the factorised equations."""
+    """Solutions of the factorised equations."""
     l10, l20, l30, l40, l21, l31, l41, l32, l42, l43 = factors
     i0, i1, i2, i3, i4 = inverses
     r1 = r1 - l10 * r0
@@ -153,8 +153,8 @@ def substitute(factors, inverses, r0, r1, r2, r3, r4):
 def set_surface(fit, surface):
     """Unit normals and terms of a fit, as float32, with two tangents each.
 
-    Tangents by T. Duff et al., Building an orthonormal basis, revisited, JCGT 6 (1), 2017. The normals of the fit become
-    unit vectors.
+    Tangents by T. Duff et al., Building an orthonormal basis, revisited, JCGT 6 (1), 2017. The normals of the fit
+    become unit vectors.
     """
     f = np.float32
     for p in range(BLOCK):
