@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from nishiki.errors import UserError
-from nishiki.ingest.blocks import Edges, cells, edges_between, positions
+from nishiki.ingest.blocks import Edges, cells, edges_between, on_one_grid, positions
 from nishiki.ingest.chunks import chunk_path, read_chunk
 from nishiki.ingest.linearise import straight_scale
 from nishiki.outside.stored import open_group, understood
@@ -234,5 +234,4 @@ class Observations:
         """Gain and dark of the chosen lights on one grid."""
         gain = self.gain[chosen]
         dark = self.dark if len(self.dark) == 1 else self.dark[chosen]
-        shape = np.broadcast_shapes(gain.shape, dark.shape)
-        return tuple(np.ascontiguousarray(np.broadcast_to(field, shape)) for field in (gain, dark))
+        return on_one_grid(gain, dark)
