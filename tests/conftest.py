@@ -63,7 +63,8 @@ def pytest_collection_modifyitems(config, items):
 
 def group_of(item) -> str:
     """The scene that a test of the workflow needs, so that each scene is made once; of other tests, their file."""
-    needed = [*getattr(item, "fixturenames", ()), *getattr(getattr(item, "callspec", None), "params", {}).values()]
+    values = getattr(getattr(item, "callspec", None), "params", {}).values()
+    needed = {*getattr(item, "fixturenames", ()), *(value for value in values if isinstance(value, str))}
     return next((name for name in SITES if name in needed), item.path.stem)
 
 

@@ -7,7 +7,8 @@ of 33 values 400-720/10 nm a channel), illuminants (`*.spd`: nm, power), reflect
 and `reflectance`, or `*.csv` whose first line is the wavelengths), Kubelka-Munk pigment tables (quoted name, K then S,
 with the wavelengths in `spectra.txt` beside it), paints by maker (`*.rs`: quoted name, then 36 values 380-730/10 nm).
 One JSON object a line; `"default": true` marks the default settings. `--makers` measures the makers' paints alone:
-every method on every maker, the share of truth inside the error band, and training on the other makers' paints.
+every method on every maker, the share of truth inside the error band, and training on the other makers' paints. Each
+maker's paints are measured as they are and mixed with each other ("mixed": Kubelka-Munk below a smooth surface).
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from nishiki.colour.sampling import WAVELENGTHS_NM, resample
 from nishiki.colour.training import synthetic_reflectances
 
 DIFFERENCE_LIGHTS = (("", "D65"), ("_A", "A"), ("_F11", "FL11"))
+LEAST_MIXED = 9  # paints of a maker that are mixed with each other
 CONCENTRATIONS = (1.0, 0.6, 0.3, 0.15, 0.07, 0.03)
 
 
@@ -109,6 +111,30 @@ def _let_down(pairs: list[np.ndarray]) -> np.ndarray:
             ratio = absorption / scattering
             spectra.append(1.0 + ratio - np.sqrt(ratio**2 + 2.0 * ratio))
     return np.array(spectra)
+
+
+def mixed_paints(spectra: np.ndarray, count: int = 200, *, index: float = 1.5, seed: int = 0) -> np.ndarray:
+    """(count, 61) mixtures of one to three paints (M, 61) with the lightest of them, as seen through their surface.
+
+    Measured reflectances are taken below the surface and back (Saunderson, J. Opt. Soc. Am. 32, 1942), and mixed there
+    by Kubelka and Munk's law with scattering alike, so that a maker's white tints the maker's own pigments.
+    """
+    outside = ((index - 1) / (index + 1)) ** 2
+    inside = 1 - (1 - 0.0918) / index**2  # diffuse light; 0.0918: Lusher's value for light from outside, index 1.5
+    measured = np.clip(spectra, 0.005, 0.97)
+    below = np.clip(measured / ((1 - outside) * (1 - inside) + inside * measured), 0.004, 0.985)
+    ratio = (1 - below) ** 2 / (2 * below)
+    white, rng = ratio.mean(axis=1).argmin(), np.random.default_rng(seed)
+    shares = np.zeros((count, len(ratio)))
+    for row in shares:
+        paints = rng.choice(len(ratio), size=min(len(ratio), rng.choice([1, 1, 2, 3])), replace=False)
+        row[paints] = rng.dirichlet(np.ones(len(paints)))
+        tint = 0.0 if rng.random() < 0.25 else rng.uniform(0.1, 0.97)
+        row *= 1 - tint
+        row[white] += tint
+    mixed = shares @ ratio
+    body = 1 / (1 + mixed + np.sqrt(mixed**2 + 2 * mixed))
+    return (1 - outside) * (1 - inside) * body / (1 - inside * body)
 
 
 def locally_weighted(training, weights, responses, *, neighbours=40):
@@ -232,22 +258,28 @@ def lines_of_makers(makers, camera, lamp, munsell, *, others):
         ("wiener", "synthetic (shipped)"): fit_estimator(own, lamp, camera, method="wiener"),
         ("local", "synthetic (shipped)"): fit_estimator(own, lamp, camera),
     }
-    everything = []
-    for maker, spectra in {**makers, "Munsell": munsell}.items():
+    everything, white = [], white_xyz(lamp)
+    mixed = {f"{name}, mixed": mixed_paints(rows) for name, rows in makers.items() if len(rows) >= LEAST_MIXED}
+    for maker, spectra in {**makers, "Munsell": munsell, **mixed}.items():
         estimators = dict(fitted)
+        truth = xyz_to_lab(xyz_from_spectra(lamp, spectra), white)
         if others and maker in makers:
             training = np.concatenate([rows for name, rows in makers.items() if name != maker])
             estimators["local", "other makers"] = fit_estimator(np.clip(training, 1e-4, 1.0), lamp, camera)
         for (method, train), estimator in estimators.items():
             field = estimate_spectra(spectra @ weights.T, estimator)
             rmse = np.sqrt(np.mean((field.spectra() - spectra) ** 2, axis=1))
+            found = xyz_to_lab(xyz_from_spectra(lamp, field.spectra()), white)
             line = {"train": train, "method": method, "rmse": rmse, "ratio": rmse / field.sigma, "maker": maker}
+            line["de00"] = delta_e_2000(found, truth)
             everything.append(line)
             yield _summary(line)
     for train, method in dict.fromkeys((line["train"], line["method"]) for line in everything):
-        kept = [x for x in everything if (x["train"], x["method"]) == (train, method) and x["maker"] in makers]
-        joined = {key: np.concatenate([line[key] for line in kept]) for key in ("rmse", "ratio")}
-        yield _summary({"train": train, "method": method, "maker": "all makers", **joined})
+        for name, members in (("all makers", makers), ("all makers, mixed", mixed)):
+            kept = [x for x in everything if (x["train"], x["method"]) == (train, method) and x["maker"] in members]
+            if kept:
+                joined = {key: np.concatenate([line[key] for line in kept]) for key in ("rmse", "ratio", "de00")}
+                yield _summary({"train": train, "method": method, "maker": name, **joined})
 
 
 def _summary(line) -> dict:
@@ -258,6 +290,7 @@ def _summary(line) -> dict:
         "default": (line["method"], line["train"]) == ("local", "synthetic (shipped)"),
         "spectra": len(line["rmse"]),
         "rmse_mean": round(float(line["rmse"].mean()), 5),
+        "de00_mean": round(float(line["de00"].mean()), 4),  # under the lamp of the capture
         "within_1_sigma": round(float(np.mean(line["ratio"] <= 1.0)), 3),
         "within_2_sigma": round(float(np.mean(line["ratio"] <= 2.0)), 3),
     }

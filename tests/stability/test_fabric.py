@@ -2,6 +2,7 @@
 
 import mpmath
 import numpy as np
+import pytest
 from hypothesis import strategies as st
 from stability.cases import case, powers_of_ten, relative, worst_over
 
@@ -262,6 +263,7 @@ def test_identity():
     return worst
 
 
+@pytest.mark.slow
 @case(
     "Table of normal incidence that is 0, a spike, or 1e-12 to 1e12 times as large",
     hazard="logarithm of 0; floors of 1e-12 in the density of facets",
@@ -379,6 +381,7 @@ def test_views_without_a_logarithm():
     return worst
 
 
+@pytest.mark.slow
 @case(
     "Hemisphere from values times 1e-12 to 1e12, from equal values, from noise of any size",
     hazard="smoothing chosen by absolute errors",

@@ -2,6 +2,7 @@
 
 import mpmath
 import numpy as np
+import pytest
 from hypothesis import strategies as st
 from stability.cases import case, powers_of_ten, relative, worst_over
 from stability.samples import EXTREME, dome, matt_pixels
@@ -38,6 +39,7 @@ def decoded(codes, gain, dark, *, reduced=False, saturated=None):
     return out, valid
 
 
+@pytest.mark.slow
 @case(
     "Gains and dark levels that are NaN, infinite, 0, negative or huge",
     hazard="white boards that gave nothing; intensities of 1e-39: an infinite gain times a code",

@@ -2,6 +2,7 @@
 
 import mpmath
 import numpy as np
+import pytest
 from hypothesis import strategies as st
 from stability.cases import case, powers_of_ten, relative, worst_over
 from stability.samples import EXTREME
@@ -46,6 +47,7 @@ def _condition_error(floor, width):
     return abs(found / exact - 1) / (1e-14 + 1e-15 * exact) if exact < 1e14 else float(not found > 1e12)
 
 
+@pytest.mark.slow
 @case(
     "Condition of camera and lamp, narrow-band lamps included",
     hazard="cond(H) -> infinity",
@@ -78,6 +80,7 @@ def test_paper_with_a_line():
     return int(wrong)
 
 
+@pytest.mark.slow
 @case(
     "Estimated error under narrow-band lamps",
     hazard="an estimate without information that looks like a measurement",
@@ -98,6 +101,7 @@ def test_sigma_with_a_line():
     return worst
 
 
+@pytest.mark.slow
 @case(
     "Perfect white and black under every lamp and method",
     hazard="bookkeeping of the white board; 0 / 0 in the dark",

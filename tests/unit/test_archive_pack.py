@@ -117,6 +117,7 @@ def test_the_usual_tool_checks_the_files(made):
     assert done.returncode == 0
 
 
+@pytest.mark.slow
 def test_a_flipped_bit_is_found_in_every_file(crate):
     for name, sound in contents(crate).items():
         for at in {0, len(sound) // 2, len(sound) - 1}:

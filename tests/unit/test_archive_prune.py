@@ -228,6 +228,7 @@ remove(decide(Path(sys.argv[1]), {("a", "ingest", "0" * 12)}).remove, lambda ite
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", [0, 1, 2, 5, 9, 14, 20])
 def test_killed_in_the_middle_every_artifact_is_whole_or_gone(results, steps):
     made = write_scene(results / "a", published=False)

@@ -25,6 +25,7 @@ def detection():
     return detect_boards(pictures(), SHAPE)
 
 
+@pytest.mark.slow
 def test_corners_are_where_the_camera_puts_them():
     found = detection()
     assert [each.name for each in found.pictures] == list(POSES)

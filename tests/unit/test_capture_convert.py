@@ -162,6 +162,7 @@ EXPECTED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.data
 @pytest.mark.parametrize("name", EXPECTED)
 def test_measured_folders(data, tmp_path, name):

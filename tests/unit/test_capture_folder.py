@@ -137,6 +137,7 @@ seal.seal(Path(sys.argv[1]))
 """
 
 
+@pytest.mark.slow
 def test_killed_at_any_step_nothing_is_lost_and_sealing_again_finishes(tmp_path):
     original = make_capture(tmp_path / "original", lights=[(0, 0, 1), (0.5, 0, 0.8), (0, 0.5, 0.8)], checks=0)
     digest = capture_digest(original)

@@ -74,6 +74,7 @@ def slow(scene, brdf, lamp, view):
     return out
 
 
+@pytest.mark.slow
 def test_against_a_loop_over_all_triangles():
     scene = ClothScene.of([wavy()])
     lamp = Lamp(direction=(-0.9, 0.4, 0.6), colour=(1.0, 0.8, 0.6), radius=0.0)

@@ -74,6 +74,7 @@ def rendered(folder, fabric, **settings):
     return open_artifact(folder)
 
 
+@pytest.mark.slow
 def test_the_default_products(fabric, tmp_path):
     done = rendered(tmp_path / ("0" * 12), fabric)
     names = {"drape", "drape-light-left", "drape-light-right", "drape-dye-red", "drape-dye-indigo", "drape-dye-gold"}

@@ -231,6 +231,7 @@ def test_oblique_choice_is_apart_telling_and_recorded(cloth, first):
     assert len(choose_oblique(first, data.incident[rows], data.outgoing[rows], 0)) == 0
 
 
+@pytest.mark.slow
 def test_known_yarns_are_predicted_from_normal_incidence_and_better_with_oblique_images(cloth, first):
     truth, measured = cloth
     data = Measured.of(measured)
@@ -253,6 +254,7 @@ def test_known_yarns_are_predicted_from_normal_incidence_and_better_with_oblique
     assert np.all(more.spread <= SPREAD * 1.01)
 
 
+@pytest.mark.slow
 def test_all_models_are_fitted_on_what_they_may_use(cloth):
     _, measured = cloth
     data = Measured.of(measured)

@@ -372,6 +372,7 @@ def test_the_store_gives_back_what_it_was_given(tmp_path):
         Reflectances(tmp_path / "nowhere")
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_on_measured_paints_the_spline_beats_triangles(data):
     """A third of the views of each incidence left out, of every measured table: error of the logarithm."""

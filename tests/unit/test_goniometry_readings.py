@@ -98,6 +98,7 @@ def test_along_the_normal_the_regions_are_as_drawn():
     assert (seen[0] == 0).all()  # beyond the picture nothing is known
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("upright", ["cloth", "arm"])
 @pytest.mark.parametrize(("theta", "phi"), [(0.5, 0.3), (1.2, 2.1), (1.35, 4.0), (0.9, np.pi / 2), (0.0, 1.0)])
 def test_regions_lie_where_rays_meet_the_cloth(theta, phi, upright):

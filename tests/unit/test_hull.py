@@ -21,6 +21,7 @@ def in_all(points, masks, cameras, misses=0):
     return out <= misses
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("body", [sphere, box, torus])
 @pytest.mark.parametrize("distortion", [(0.0,) * 5, (-0.2, 0.05, 0.002, -0.001, 0.0)])
 def test_field_agrees_with_points_asked_one_by_one(body, distortion):
@@ -38,6 +39,7 @@ def test_field_agrees_with_points_asked_one_by_one(body, distortion):
         assert ((value > 0) == expected)[clear].all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cells", [24, 50])
 @pytest.mark.parametrize("body", [sphere, box])
 def test_carved_volume_is_that_of_the_reference(body, cells):
@@ -53,6 +55,7 @@ def test_carved_volume_is_that_of_the_reference(body, cells):
     assert facts.volume == pytest.approx(volume, rel=0.03 if cells == 24 else 0.015)
 
 
+@pytest.mark.slow
 def test_volume_converges_with_the_grid_and_cubes_decided_at_once_change_nothing(monkeypatch):
     cameras = turn()
     masks = [sphere(camera) for camera in cameras]
@@ -169,6 +172,7 @@ def test_bad_silhouettes_are_told():
         carve(apart, cameras, cells=16)
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_dinosaur_from_its_silhouettes(data):
     import cv2

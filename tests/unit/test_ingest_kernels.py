@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from nishiki.colour import encoding
 from nishiki.formats.problems import CaptureError
 from nishiki.observations.block_kernels import block_levels, count_outliers
-from nishiki.observations.blocks import block_edges, blocks_around, cells, edges_between, positions
+from nishiki.observations.blocks import block_edges, blocks_around, cells, edges_between, on_one_grid, positions
 from nishiki.observations.linearise import check_linearity, code_table, saturation_code
 from nishiki.observations.plane_decode import count_unusable, decode, to_luma
 from nishiki.observations.white import white_field
@@ -52,6 +52,16 @@ def test_blocks_around_the_object_keep_the_interpolation_of_the_whole(length, bl
     lower_of_whole, weight_of_whole = positions(whole, set_at[0], set_at[-1] + 1)
     np.testing.assert_array_equal(lower + np.searchsorted(whole, start), lower_of_whole)
     np.testing.assert_array_equal(weight, weight_of_whole)
+
+
+@pytest.mark.parametrize("dark_shape", [(3, 4, 5, 2), (1, 1, 1, 2)])
+def test_fields_on_one_grid_are_writable_so_that_kernels_are_compiled_once(dark_shape):
+    gain, dark = RNG.random((3, 4, 5, 2)).astype(np.float32), RNG.random(dark_shape).astype(np.float32)
+    fields = on_one_grid(gain, dark)
+    for field, given_field in zip(fields, (gain, dark), strict=True):
+        np.testing.assert_array_equal(field, np.broadcast_to(given_field, gain.shape))
+        assert field.flags.writeable
+        assert field.flags.c_contiguous
 
 
 def reference_decode(codes, table, gain, dark, row_edges, column_edges, usable, saturated, clip, channel):

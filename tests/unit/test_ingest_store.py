@@ -335,6 +335,7 @@ def test_bands_fit_into_their_memory():
     assert rows_of_band(3, 20, 10, 1, 128) == 24
 
 
+@pytest.mark.slow
 def test_the_script_by_hand_keeps_all_channels(tmp_path):
     """No plan has put a choice in place of `auto`: whatever stage comes next can do its work."""
     folder = make_capture(tmp_path / "c")
@@ -365,9 +366,10 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
 def test_memory_of_a_full_size_capture(data, tmp_path):
     convert(data / "rti_fossil", tmp_path / "c", link=False)
     environment = os.environ | {"PYTHONPATH": str(PROJECT / "workflow" / "src")}
-    command = [sys.executable, "-c", MEMORY, str(tmp_path / "c"), str(tmp_path / "o")]
-    done = subprocess.run(command, check=True, env=environment, capture_output=True, text=True)
-    assert float(done.stdout) < 700  # with the compiler in memory; the photographs would take 1400
+    for output in ("compiled", "o"):  # the first process compiles what nobody has compiled yet, which takes memory, too
+        command = [sys.executable, "-c", MEMORY, str(tmp_path / "c"), str(tmp_path / output)]
+        done = subprocess.run(command, check=True, env=environment, capture_output=True, text=True)
+    assert float(done.stdout) < 400  # MiB; the photographs would take 1400
     observations = Observations(tmp_path / "o")
     assert observations.shape == (2592, 4608)
     values, valid = observations.read(slice(1200, 1208), channel=0)
@@ -378,6 +380,7 @@ def test_memory_of_a_full_size_capture(data, tmp_path):
     assert valid.mean() > 0.9
 
 
+@pytest.mark.slow
 @pytest.mark.data
 @pytest.mark.parametrize("name", ["uw_cat", "diligent_ball", "psbox_cat"])
 def test_measured_sets(data, tmp_path, name):

@@ -203,6 +203,7 @@ def test_calibration_pictures_are_grey_and_named(tmp_path):
         views.calibration[6]
 
 
+@pytest.mark.slow
 def test_the_script_copies_geometry_and_stamps(tmp_path):
     """By hand as a user calls it: the artifact holds the views, the files of the geometry, and where they come from."""
     folder = make_turntable(tmp_path / "c", views=3)

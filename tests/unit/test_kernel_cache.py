@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 SOURCE = Path(__file__).resolve().parents[2] / "workflow/src"
 CALL = """
 import numpy as np
@@ -15,6 +17,7 @@ print(sum(facing_contact.stats.cache_hits.values()), sum(facing_contact.stats.ca
 """
 
 
+@pytest.mark.slow
 def test_a_copy_of_the_package_uses_the_kernels_of_the_first(tmp_path):
     copy = tmp_path / "copy"
     shutil.copytree(SOURCE, copy, ignore=shutil.ignore_patterns("__pycache__"))

@@ -49,6 +49,7 @@ def unit(rng):
     return vector / np.linalg.norm(vector)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("degrees", "shift", "noise"), [(8.0, 1.0, 0.0), (8.0, 1.0, 0.03)])
 def test_scans_nearly_in_place_are_brought_together(degrees, shift, noise):
     rng = np.random.default_rng(0)
@@ -61,6 +62,7 @@ def test_scans_nearly_in_place_are_brought_together(degrees, shift, noise):
         assert np.sqrt((off**2).sum(axis=1)).mean() < 0.05 + noise
 
 
+@pytest.mark.slow
 def test_scans_anywhere_are_found_again():
     rng = np.random.default_rng(3)
     scans = scans_of(body(4), 3, rng, 0.01)
@@ -72,6 +74,7 @@ def test_scans_anywhere_are_found_again():
         assert np.sqrt((off**2).sum(axis=1)).mean() < 0.15
 
 
+@pytest.mark.slow
 def test_scans_of_different_things_are_told():
     plate = np.random.default_rng(5).uniform(-30, 30, (3000, 3)) * [1, 1, 0.3]
     with pytest.raises(UserError, match="fits none of the others"):
@@ -97,6 +100,7 @@ def test_thinning_is_even_and_normals_are_right():
     assert (np.abs(np.einsum("ij,ij->i", cloud.normals, cloud.points)) > 0.99).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("triangles", [True, False])
 def test_merged_scans_are_the_body_again(filters, triangles):
     rng = np.random.default_rng(7)
@@ -113,6 +117,7 @@ def test_merged_scans_are_the_body_again(filters, triangles):
     assert np.median(np.einsum("ij,ij->i", mesh.normals, mesh.vertices)) > 0
 
 
+@pytest.mark.slow
 def test_scans_coarser_than_the_cells_are_merged_without_holes(filters):
     # What lies inside a measured triangle was measured, even where the merged surface's cells are far smaller.
     whole = body(3)

@@ -1,5 +1,7 @@
 """The joint fit of normals, reflectance and gloss: against its slow form, known surfaces, extremes, tiles."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -269,6 +271,27 @@ def test_scene_gloss_tells_varnish_from_matt():
             fit = refine_normals(observed, lights, normals=field.normals, gloss=found.profile)
             assert degrees(fit.normals, truth).mean() < 0.3 * degrees(field.normals, truth).mean()
             assert np.isfinite(list(v for v in found.described.values() if isinstance(v, float))).all()
+
+
+@pytest.mark.parametrize("share", [0.0, 0.4, 1.0])
+def test_lamps_at_several_incidences_tell_the_transmission(share):
+    """Gloss over a body that loses none, some or all of the light that a dielectric surface takes."""
+    lights, truth = np.vstack([ring(6, 25.0), ring(8, 58.0)[1:]]), tilted(2500, 35)
+    random = np.random.default_rng(8)
+    reflectance = random.uniform(0.2, 0.8, (1, 2500, 3))
+    gloss = replace(VARNISH, transmission=share)
+    observed = render(truth, reflectance, lights, gloss) + random.normal(0, 0.002, (len(lights), 1, 2500, 3))
+    observed = observed.astype(np.float32)
+    field, rho = start_of(observed, lights)
+    tile = GlossTile(observed, np.ones(observed.shape[:3], bool), lights, field.normals, field.flags, field.sigma, rho)
+    found = fit_scene_gloss([tile])
+    assert found.significant
+    assert found.profile.transmission == pytest.approx(share, abs=0.1)
+    fit = refine_normals(observed, lights, normals=field.normals, gloss=found.profile)
+    assert degrees(fit.normals, truth).mean() < 0.4
+    if share == 0.0:  # what the measurement saves from
+        lossy = refine_normals(observed, lights, normals=field.normals, gloss=replace(found.profile, transmission=1.0))
+        assert degrees(lossy.normals, truth).mean() > 2 * degrees(fit.normals, truth).mean()
 
 
 def test_bytes_do_not_depend_on_tiles_or_threads():

@@ -70,6 +70,7 @@ def at_start(path: Path) -> dict[str, str]:
     return {package: module.name for module in seen for package in imported(module, at_start=True)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stage", CHAIN.values(), ids=CHAIN)
 def test_importing_a_stage_loads_no_package_that_it_has_not_declared(stage):
     found = at_start(PROJECT / stage_program(stage.name))
@@ -82,6 +83,7 @@ def test_only_compiled_kernels_and_stores_are_imported_before_they_are_needed():
     assert not {name: found for name, found in eager.items() if found}
 
 
+@pytest.mark.slow
 def test_optional_packages_are_taken_where_this_list_says():
     places = {package: set() for package in EXTRAS}
     for path in [*SOURCE.rglob("*.py"), *(PROJECT / "scripts").glob("*.py")]:

@@ -162,6 +162,7 @@ def pictures_of(mesh, camera, raster):
     return np.where(raster.triangle[..., None] >= 0, colour(points), 0).astype(np.float32)
 
 
+@pytest.mark.slow
 def test_visible_texels_are_those_that_rays_reach(scene):
     """Reference: a ray from each texel's place to the camera, against every triangle."""
     mesh, cameras, atlas = scene
@@ -224,6 +225,7 @@ def write(folder, scene, *, lights=("",), hold_out=()):
     return writer.finish(), masks
 
 
+@pytest.mark.slow
 def test_store_round_trip(scene, tmp_path):
     _, cameras, atlas = scene
     mean, masks = write(tmp_path, scene, lights=("a", "b"), hold_out=("v3",))

@@ -70,6 +70,7 @@ def covered_twice(plane, chart, spacing) -> int:
     return worst
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("noise", "most"), [(0.0, 12), (0.01, 12), (0.06, 60)])
 def test_a_closed_surface_gives_few_flat_charts(noise, most):
     mesh = ball(noise=noise)

@@ -39,6 +39,7 @@ def test_canonical_text_distinguishes_true_from_one():
     assert canonical(True) != canonical(1)
 
 
+@pytest.mark.slow
 @given(settings, settings)
 def test_equal_text_means_no_difference(first, second):
     same = canonical(first) == canonical(second)

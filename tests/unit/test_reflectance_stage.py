@@ -162,6 +162,7 @@ def test_a_longer_and_a_shorter_exposure_make_one_reading(tmp_path):
     assert (told["saturated"], told["repeated"], told["unusable"]) == (1, 1, [0])
 
 
+@pytest.mark.slow
 def test_the_scripts_by_hand(tmp_path):
     """As a user calls them; the artifact knows where it comes from, and bad settings are told in one line."""
     folder = make_goniometer(tmp_path / "c")

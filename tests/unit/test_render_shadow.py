@@ -60,6 +60,7 @@ def slow_horizons(azimuth, rows, columns, pitch):
 AZIMUTHS = [0, 45, 90, 135, 180, 225, 270, 315, 10, 37, 77, 101, 163, 200, 248, 281, 349]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("azimuth", AZIMUTHS)
 def test_sweep_along_grid_and_diagonals_is_exact_and_close_between(azimuth):
     height, pitch = relief(24, 31), 0.5
@@ -79,6 +80,7 @@ def test_sweep_along_grid_and_diagonals_is_exact_and_close_between(azimuth):
                 assert difference.mean() < 0.08, difference.mean()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("elevation", [8, 25, 45, 70])
 @pytest.mark.parametrize("azimuth", [0, 63, 135, 222, 301])
 def test_march_equals_rays_exactly_and_sweep_up_to_the_edge(azimuth, elevation):

@@ -276,6 +276,7 @@ def test_changed_settings_and_reasons_are_told(full, tmp_path):
     assert "none were" in text
 
 
+@pytest.mark.slow
 def test_a_scene_of_luminance_and_a_mask_has_its_page(tmp_path):
     mask = np.zeros((24, 32), bool)
     mask[4:20, 5:30] = True

@@ -52,6 +52,7 @@ def squared_error(residual, source, scene, *, level=0, encoding="linear"):
     return total, count
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes",
     [
@@ -145,6 +146,7 @@ def test_nothing_is_stored_where_the_model_suffices(sphere, tmp_path):
     assert residual.stored(1)[1] == 0
 
 
+@pytest.mark.slow
 def test_search_meets_its_target(sphere):
     source, scene = SphereSource(sphere), scene_of(VIEWS)
     found = pilot(source, scene, design(), EFFORT, threads=2)

@@ -54,6 +54,7 @@ def test_sorting_network_sorts_every_zero_one_input():
         np.testing.assert_array_equal(values, expected)
 
 
+@pytest.mark.slow
 def test_thresholds_equal_the_paper_formula():
     stack, lights, _, _ = scene(9, 700, 1)
     valid = np.random.default_rng(2).uniform(size=stack.shape) > 0.1
@@ -67,6 +68,7 @@ def test_thresholds_equal_the_paper_formula():
     assert (total == 9).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("count", "keep"), [(5, (0.3, 0.7)), (12, (0.2, 0.8)), (41, (0.3, 0.7)), (96, (0.0, 0.5))])
 def test_ranks_equal_a_sort_of_each_pixel(count, keep):
     stack, lights, _, _ = scene(count, 150, 3)

@@ -143,6 +143,7 @@ def test_bounced_light_is_a_small_addition(tiny):
     assert 1e-4 < (lit - direct).mean() / direct.mean() < 0.05
 
 
+@pytest.mark.slow
 def test_relief_and_shadows_are_as_described():
     settings = SimulationSettings(rows=192, columns=256, pitch_mm=0.2)
     thing = make_object(settings)

@@ -150,6 +150,7 @@ def test_rays_against_short_even_steps(satin):
     assert far <= 3
 
 
+@pytest.mark.slow
 def test_what_is_told_to_be_free_is_free(satin):
     solids, random = satin.solids, np.random.default_rng(4)
     levels, rows, columns = solids.free.shape
@@ -220,6 +221,7 @@ def test_filaments_reflect_no_more_than_they_get(theta):
     assert 0.3 < total * (2.0 * math.pi / (400 * 100)) <= 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("direction", [(0.0, 0.0), (50.0, 0.0), (50.0, 90.0), (75.0, 30.0)])
 def test_points_stand_for_all_that_is_seen(satin, direction):
     """∫ V (n·d)⁺ dS is the cell's area times cosθ wherever no ray passes the cloth."""
@@ -270,6 +272,7 @@ def _path_traced(i, o, paths, bounces, numbers, free, twist, surface, dye, size,
     return total, squares
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bounces", [0, 2])
 def test_brdf_against_a_path_tracer_from_the_camera(bounces):
     cloth = make_cloth(make_settings("twill", dye="raw", repeats=1), candidates=150_000, chains=40_000, bounces=bounces)
@@ -289,6 +292,7 @@ def test_brdf_against_a_path_tracer_from_the_camera(bounces):
         assert abs(value - mean) < 4.0 * error + 0.008 * mean
 
 
+@pytest.mark.slow
 def test_brdf_is_reciprocal_and_the_same_each_time(satin):
     angles = session(quarter_views(30.0, 45.0), hemisphere_views(30.0, 90.0), incidences=(40.0,), azimuths=(0.0, 60.0))
     i, o = unit(angles[:, 0], angles[:, 1]), unit(angles[:, 2], angles[:, 3])
@@ -313,6 +317,7 @@ def _albedo(cloth, theta):
     return float((trace(cloth, unit(theta, 30.0), unit(views[:, 0], views[:, 1]))[:, 0] * weights).sum())
 
 
+@pytest.mark.slow
 def test_albedo_stays_below_one_and_grows_with_every_bounce():
     """Bodies that absorb little, hardly any mirror reflection: what is missing is on its way or went through."""
     white = make_settings("satin", repeats=1, index=1.05)

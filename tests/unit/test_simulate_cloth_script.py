@@ -107,6 +107,7 @@ def test_close_up_is_darker_between_the_yarns_and_has_the_dye(cloth):
     assert np.quantile(picture[..., 2], 0.01) < 0.4 * np.median(picture[..., 2])
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_few_directions")
 def test_capture_is_complete_and_reproducible(tmp_path):
     for name in ("a", "b"):
@@ -140,6 +141,7 @@ def _few_directions(monkeypatch):
     monkeypatch.setattr(presets, "session", lambda *_, **__: few_angles)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_few_directions")
 def test_two_cloths_have_their_regions(tmp_path):
     arguments = ["--output", str(tmp_path / "capture"), "--truth", str(tmp_path / "truth"), "--preset", "satin-tiny"]

@@ -255,6 +255,7 @@ def test_table_is_close_to_the_exact_sum(local):
     assert np.sqrt(np.mean(difference**2)) < 0.1 * error
 
 
+@pytest.mark.slow
 def test_local_beats_linear_on_unseen_spectra():
     training, unseen = synthetic_reflectances(1500, seed=1), synthetic_reflectances(500, seed=2)
     error = []
@@ -265,6 +266,7 @@ def test_local_beats_linear_on_unseen_spectra():
     assert error[1] < error[2]
 
 
+@pytest.mark.slow
 def test_more_channels_see_more():
     errors = []
     for channels in (1, 3, 6, 16):
@@ -275,6 +277,7 @@ def test_more_channels_see_more():
     assert errors[3] < errors[2]
 
 
+@pytest.mark.slow
 def test_expected_error_is_calibrated():
     e = fit_estimator(synthetic_reflectances(1000, seed=3), LAMP, camera(3))
     unseen = synthetic_reflectances(1000, seed=4)

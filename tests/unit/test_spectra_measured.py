@@ -42,6 +42,7 @@ def test_twenty_eight_cameras_are_read(measured):
     assert all(curves.shape == (3, 61) for curves in measured["cameras"].values())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("split", ["even", "odd", "random"])
 def test_munsell_half_for_training(measured, split):
     spectra = measured["munsell"]
@@ -57,6 +58,7 @@ def test_munsell_half_for_training(measured, split):
     assert error(fitted["local"], test, weights, noise=0.005) < 0.0115
 
 
+@pytest.mark.slow
 def test_paints_that_no_training_set_holds(measured):
     lamp, camera = measured["lamps"]["A"], measured["cameras"]["Canon 60D"]
     weights = channel_weights(lamp, camera)
@@ -68,6 +70,7 @@ def test_paints_that_no_training_set_holds(measured):
         assert found["local"] < 0.05
 
 
+@pytest.mark.slow
 def test_paints_of_makers_that_the_set_was_not_chosen_on(data, measured):
     """Little more than half of the paper's error, and no maker on which the linear estimate would have been better."""
     unseen = (
@@ -88,6 +91,7 @@ def test_paints_of_makers_that_the_set_was_not_chosen_on(data, measured):
     assert error(own["local"], paints, weights) < 0.58 * error(reference, paints, weights)
 
 
+@pytest.mark.slow
 def test_every_camera_and_lamp_keeps_white_and_order(measured):
     spectra = measured["munsell"]
     for index, name in enumerate(list(measured["cameras"])[::7]):

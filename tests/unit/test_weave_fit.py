@@ -84,6 +84,7 @@ def test_lobe_integral_is_quadrature(kind):
         assert lobe_integral(low, high, width, kind) == pytest.approx(expected, rel=1e-8, abs=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [0, 1])
 @pytest.mark.parametrize("section", [CLOTHS["satin"].weft, CLOTHS["satin"].warp])
 def test_pieces_are_the_sum_over_the_lit_and_seen_profile(section, kind):
@@ -110,6 +111,7 @@ def test_pieces_are_the_sum_over_the_lit_and_seen_profile(section, kind):
 # --- recovery ---
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reading", ["paper", "shaded"])
 @pytest.mark.parametrize("cloth", list(CLOTHS))
 def test_recovery_without_noise_is_within_one_per_cent(cloth, reading):
@@ -120,6 +122,7 @@ def test_recovery_without_noise_is_within_one_per_cent(cloth, reading):
     assert max(found.rms_rel.values()) < 1e-6
 
 
+@pytest.mark.slow
 def test_recovery_by_yarns_and_with_the_contact_searched():
     truth = of_reading(CLOTHS["satin"], "yarns", "ggx")
     truth = WeaveModel(**{**truth.__dict__, "weft": WeftSection(0.8, 0.03, 0.1, 4, 1.0)})
@@ -129,6 +132,7 @@ def test_recovery_by_yarns_and_with_the_contact_searched():
         assert found.model.parameters()[name] == pytest.approx(value, rel=0.01), name
 
 
+@pytest.mark.slow
 def test_with_noise_the_intervals_cover_the_truth():
     """95 % intervals of 9 noisy data sets: of 8 unknowns each, the truth lies within at least 85 % of them."""
     inside = total = 0
@@ -179,6 +183,7 @@ def test_strengths_of_channels_share_one_geometry():
     np.testing.assert_allclose(found.model.k_d, truth.k_d, rtol=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", [1e-9, 1e9])
 def test_fit_is_equivariant_in_the_radiometric_scale(scale):
     truth = of_reading(CLOTHS["plain"], "paper")

@@ -29,6 +29,7 @@ def random_angle(rng, section):
     return np.clip(np.pi / 2 - section.theta_a + rng.choice([-1, 1]) * 10 ** rng.uniform(-4, -2), 0, np.pi / 2 - 1e-4)
 
 
+@pytest.mark.slow
 def test_masking_is_brute_force_visibility_at_1000_random_geometries_and_angles():
     rng = np.random.default_rng(20)
     worst = 0.0

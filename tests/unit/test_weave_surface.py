@@ -92,6 +92,7 @@ def test_drawing_is_well_formed_and_escaped():
     assert brute_force(weft, 0.0) == pytest.approx(1.0, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_stage_from_reflectances_to_model_mesh_and_drawings(tmp_path):
     weft, warp, _ = CLOTHS["satin"]
     weft, warp = weft.scaled(1 / weft.period), warp.scaled(1 / warp.period)

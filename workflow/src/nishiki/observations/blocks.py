@@ -60,9 +60,14 @@ def cells(edges: np.ndarray, start: int, stop: int) -> np.ndarray:
 
 
 def on_one_grid(gain: np.ndarray, dark: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Gain and dark level (r, c, channels) float32 on one grid of blocks."""
+    """Gain and dark level (..., r, c, channels) as float32 on one grid of blocks, contiguous.
+
+    A field that has the grid's shape is returned as it is: through `broadcast_to` it would become read-only, and
+    kernels would be compiled once more for it.
+    """
     shape = np.broadcast_shapes(gain.shape, dark.shape)
-    return tuple(np.ascontiguousarray(np.broadcast_to(f, shape), dtype=np.float32) for f in (gain, dark))
+    fields = (field if field.shape == shape else np.broadcast_to(field, shape) for field in (gain, dark))
+    return tuple(np.ascontiguousarray(field, dtype=np.float32) for field in fields)
 
 
 def grid_of(nodes: tuple[int, int], shape: tuple[int, int], edges: Edges) -> tuple[np.ndarray, ...]:

@@ -12,7 +12,7 @@ import numpy as np
 from nishiki.errors import UserError
 from nishiki.formats.stored import open_group, understood
 from nishiki.formats.zarr_chunks import chunk_path, read_chunk
-from nishiki.observations.blocks import Edges, cells, edges_between, positions
+from nishiki.observations.blocks import Edges, cells, edges_between, on_one_grid, positions
 from nishiki.observations.linearise import straight_scale
 
 FORMAT = 1
@@ -236,5 +236,4 @@ class Observations:
         """Gain and dark of the chosen lights on one grid."""
         gain = self.gain[chosen]
         dark = self.dark if len(self.dark) == 1 else self.dark[chosen]
-        shape = np.broadcast_shapes(gain.shape, dark.shape)
-        return tuple(np.ascontiguousarray(np.broadcast_to(field, shape)) for field in (gain, dark))
+        return on_one_grid(gain, dark)

@@ -17,7 +17,10 @@ from nishiki.photometric.gloss import RefinedNormals, refine_normals
 
 ROUNDS = 3
 LARGEST_SIGMA = 0.1  # radians: where the normals are worse the blur is no longer a small one
+FIRST_LOOK = 4000  # pixels of a thinner sample; of fewer than 1500 the profile can be far off
 WORTHWHILE = 0.03  # gain of robust cost a value, from which gloss counts as shown
+TRANSMISSIONS = (0.0, 0.5, 1.0)  # tried; the least of the parabola through their costs is taken
+MEASURED = 0.01  # fall of the robust cost, relative, from which the lamps tell the transmission from a tilt
 FEW_LIGHTS = 24  # up to here the joint fit pays its time; with more the selection has diffuse samples enough
 
 
@@ -65,17 +68,23 @@ def fit_scene_gloss(
 ) -> SceneGloss:
     """Profile of the scene from a sample of its pixels; settings: of `refine_normals`.
 
-    The body is taken to lie below a dielectric surface (transmission 1) while the gloss is sought; where none is
-    significant there is no surface to show it, and the profile returned has no transmission loss either.
+    The body is taken to lie below a dielectric surface (transmission 1) while the gloss is sought; the last round uses
+    the transmission that the samples show, if they show any (`measure_transmission`). Where no gloss is significant
+    there is no surface to show it, and the profile returned has no transmission loss either.
     """
     unit = radiance_unit(tiles)
     nothing = GlossProfile(np.zeros(LADDER.size), LADDER, refractive_index, unit=unit)
     profile, found = nothing, [None] * len(tiles)
-    for _ in range(rounds):
+    for number in range(rounds):
+        if number > 0 and number == rounds - 1:
+            transmission = measure_transmission(tiles, profile, **settings)
+            if transmission != profile.transmission:
+                profile, nothing = (replace(p, transmission=transmission) for p in (profile, nothing))
+                found = [refined(tile, profile, **settings) for tile in tiles]
         histogram = SpecularHistogram.empty(refractive_index=refractive_index, value_unit=unit)
         for tile, fit in zip(tiles, found, strict=True):
             histogram = add_tile(histogram, tile, fit, profile)
-        profile = fit_gloss(histogram)
+        profile = fit_gloss(histogram, transmission=profile.transmission)
         found = [refined(tile, profile, **settings) for tile in tiles]
     without = [refined(tile, nothing, **settings) for tile in tiles]
     costs = mean_cost(tiles, found), mean_cost(tiles, without)
@@ -84,6 +93,40 @@ def fit_scene_gloss(
     if not significant:
         profile = replace(profile, transmission=0.0)
     return SceneGloss(profile, gain, significant, sum(tile.flags.size for tile in tiles), costs)
+
+
+def measure_transmission(tiles: Sequence[GlossTile], profile: GlossProfile, **settings) -> float:
+    """Share of the surface's loss that the body suffers, 0 to 1, by the robust cost of the fit on a thinner sample.
+
+    Bodies without a smooth surface, or with a rough one, lose less light than the exact losses of a dielectric say; the
+    joint fit with those losses then tilts their normals by degrees. Lamps at several incidences show it. Where the cost
+    does not fall by that part, MEASURED, below that of the profile's own transmission (a ring of lamps at one
+    incidence), that one is kept.
+    """
+    few = thinned(tiles) or tiles
+    costs = np.array(
+        [mean_cost(few, [refined(t, replace(profile, transmission=x), **settings) for t in few]) for x in TRANSMISSIONS]
+    )
+    curve = np.polynomial.Polynomial.fit(TRANSMISSIONS, costs, 2, domain=(0, 1), window=(0, 1))
+    bend = curve.coef[2]
+    best = TRANSMISSIONS[int(costs.argmin())] if bend <= 0 else float(np.clip(-curve.coef[1] / (2 * bend), 0, 1))
+    return best if curve(best) < (1 - MEASURED) * curve(profile.transmission) else profile.transmission
+
+
+def thinned(tiles: list[GlossTile], pixels: int = FIRST_LOOK) -> list[GlossTile] | None:
+    """About so many pixels of the tiles (lights, 1, pixels, ...), evenly; None where that is most of them."""
+    every = sum(tile.flags.size for tile in tiles) // pixels
+    if every < 2:
+        return None
+    out, seen = [], 0
+    for tile in tiles:
+        chosen = np.arange((-seen) % every, tile.flags.shape[1], every)
+        seen += tile.flags.shape[1]
+        if chosen.size:
+            of_lights = {name: getattr(tile, name)[:, :, chosen] for name in ("observations", "valid")}
+            of_pixels = {name: getattr(tile, name)[:, chosen] for name in ("normals", "flags", "sigma", "reflectance")}
+            out.append(replace(tile, **of_lights, **of_pixels))
+    return out
 
 
 def radiance_unit(tiles: Sequence[GlossTile]) -> float:

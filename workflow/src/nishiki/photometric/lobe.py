@@ -11,182 +11,332 @@ reflectances, IEEE Trans. PAMI 36 (6), 2014, with other terms. b and d are held 
 few lights or a matt surface the Lambertian estimate results. Solved by damped Gauss-Newton over the two tangential
 components of the normal and (a, b, d) together; then the samples are chosen again by their residuals, and so on.
 
-One pixel at a time; the sums over its lights are written as LANES partial sums, which the compiler makes SIMD code of
-without reordering anything: the result of a pixel depends neither on tiles and threads nor on the compiler's mood.
+BLOCK pixels at a time, as (lights, BLOCK) float32, so that the compiler makes SIMD code over the pixels. Each pixel is
+treated alone, and its lights are added up in their order: its result depends neither on the pixels that share its block
+nor on tiles and threads. Numbers of a block lie in one flat array, BLOCK of each kind after the other: the compiler
+then needs to check few pairs of arrays for overlap.
 """
 
 import numpy as np
 from numba import njit
 
-SUMS = 22
-LANES = 16  # lights are padded to a multiple, with weight 0
+BLOCK = 32
+SUMS = 21  # 15 products and 5 right-hand sides of the Gauss-Newton step, the sum of squares
+SURFACE = 12  # normal, two tangents, a, b, d: float32, as the samples are
+FIT = 7  # normal, a, b, d, penalised sum of squares: float64
 
 
 @njit(cache=True, inline="always")
-def raised(x, squarings):
-    """x to the power 2^squarings, 1 to 5; a loop here would keep the caller's loop from becoming SIMD code."""
+def powers(x, squarings):
+    """x to the power 2^squarings - 1 and 2^squarings, 1 to 5; a loop would keep the callers from becoming SIMD code."""
     x2 = x * x
     x4 = x2 * x2
     x8 = x4 * x4
-    x16 = x8 * x8
-    power = x4 if squarings >= 2 else x2
-    power = x8 if squarings >= 3 else power
-    power = x16 if squarings >= 4 else power
-    return x16 * x16 if squarings >= 5 else power
+    lower = x * x2 if squarings >= 2 else x
+    lower = lower * x4 if squarings >= 3 else lower
+    lower = lower * x8 if squarings >= 4 else lower
+    lower = lower * (x8 * x8) if squarings >= 5 else lower
+    return lower, lower * x
 
 
 @njit(cache=True, error_model="numpy")
-def add_up(value, weight, vectors, frame, terms, squarings, lanes, out):
-    """One pass over the lights: 15 products and 5 right-hand sides of the Gauss-Newton step, squares, sum of w c^2.
+def add_up(values, weights, vectors, surface, squarings, sums):
+    """One pass over the lights: into sums (SUMS * BLOCK) float32 what the Gauss-Newton step needs.
 
-    vectors (6, lights): l and h; frame: normal and two tangents (9 numbers); terms (a, b, d); out (SUMS,) float64;
-    lanes (SUMS * LANES) float32: partial sums, each over every LANES-th light. They fix the order of addition: left to
-    the compiler, it would differ between a kernel just compiled and the same kernel from the cache.
+    values, weights (lights, BLOCK) float32; vectors (6, lights) float32: l and h; surface (SURFACE * BLOCK) float32.
     """
-    n0, n1, n2, s0, s1, s2, t0, t1, t2 = frame
-    a, b, d = terms
     zero, least, slope = np.float32(0.0), np.float32(1e-3), np.float32(1 << squarings)
-    for k in range(SUMS * LANES):
-        lanes[k] = zero
-    for start in range(0, value.size, LANES):
-        values, weights = value[start : start + LANES], weight[start : start + LANES]
-        lx, ly, lz = (vectors[0, start : start + LANES], vectors[1, start : start + LANES],
-                      vectors[2, start : start + LANES])  # fmt: skip
-        hx, hy, hz = (vectors[3, start : start + LANES], vectors[4, start : start + LANES],
-                      vectors[5, start : start + LANES])  # fmt: skip
-        for j in range(LANES):
-            w = weights[j]
-            c = n0 * lx[j] + n1 * ly[j] + n2 * lz[j]
+    for k in range(SUMS * BLOCK):
+        sums[k] = zero
+    for j in range(values.shape[0]):
+        lx, ly, lz = vectors[0, j], vectors[1, j], vectors[2, j]
+        hx, hy, hz = vectors[3, j], vectors[4, j], vectors[5, j]
+        row, weight = values[j], weights[j]
+        for p in range(BLOCK):
+            n0, n1, n2 = surface[p], surface[p + BLOCK], surface[p + 2 * BLOCK]
+            s0, s1, s2 = surface[p + 3 * BLOCK], surface[p + 4 * BLOCK], surface[p + 5 * BLOCK]
+            t0, t1, t2 = surface[p + 6 * BLOCK], surface[p + 7 * BLOCK], surface[p + 8 * BLOCK]
+            a, b, d = surface[p + 9 * BLOCK], surface[p + 10 * BLOCK], surface[p + 11 * BLOCK]
+            w = weight[p]
+            c = n0 * lx + n1 * ly + n2 * lz
             w = w if c > zero else zero
             c = c if c > zero else zero
-            x = n0 * hx[j] + n1 * hy[j] + n2 * hz[j]
+            x = n0 * hx + n1 * hy + n2 * hz
             x = x if x > least else least
-            power = raised(x, squarings)
+            lower, power = powers(x, squarings)
             factor = a + b * c + d * power
-            r = values[j] - c * factor
+            r = row[p] - c * factor
             along = factor + b * c
-            skirt = slope * d * c * power / x
-            e0 = along * (s0 * lx[j] + s1 * ly[j] + s2 * lz[j]) + skirt * (s0 * hx[j] + s1 * hy[j] + s2 * hz[j])
-            e1 = along * (t0 * lx[j] + t1 * ly[j] + t2 * lz[j]) + skirt * (t0 * hx[j] + t1 * hy[j] + t2 * hz[j])
+            skirt = slope * d * c * lower
+            e0 = along * (s0 * lx + s1 * ly + s2 * lz) + skirt * (s0 * hx + s1 * hy + s2 * hz)
+            e1 = along * (t0 * lx + t1 * ly + t2 * lz) + skirt * (t0 * hx + t1 * hy + t2 * hz)
             e3, e4 = c * c, c * power
-            w0, w1, w2, w3, w4 = w * e0, w * e1, w * c, w * e3, w * e4
-            lanes[j] += w0 * e0
-            lanes[j + 1 * LANES] += w0 * e1
-            lanes[j + 2 * LANES] += w0 * c
-            lanes[j + 3 * LANES] += w0 * e3
-            lanes[j + 4 * LANES] += w0 * e4
-            lanes[j + 5 * LANES] += w1 * e1
-            lanes[j + 6 * LANES] += w1 * c
-            lanes[j + 7 * LANES] += w1 * e3
-            lanes[j + 8 * LANES] += w1 * e4
-            lanes[j + 9 * LANES] += w2 * c
-            lanes[j + 10 * LANES] += w2 * e3
-            lanes[j + 11 * LANES] += w2 * e4
-            lanes[j + 12 * LANES] += w3 * e3
-            lanes[j + 13 * LANES] += w3 * e4
-            lanes[j + 14 * LANES] += w4 * e4
-            lanes[j + 15 * LANES] += w0 * r
-            lanes[j + 16 * LANES] += w1 * r
-            lanes[j + 17 * LANES] += w2 * r
-            lanes[j + 18 * LANES] += w3 * r
-            lanes[j + 19 * LANES] += w4 * r
-            lanes[j + 20 * LANES] += w * r * r
-    half = LANES // 2
-    while half > 0:
-        for k in range(SUMS):
-            for j in range(half):
-                lanes[k * LANES + j] += lanes[k * LANES + j + half]
-        half //= 2
-    for k in range(SUMS - 1):
-        out[k] = lanes[k * LANES]
+            w0, w1, w2, w3, w4, wr = w * e0, w * e1, w * c, w * e3, w * e4, w * r
+            sums[p] += w0 * e0
+            sums[p + BLOCK] += w0 * e1
+            sums[p + 2 * BLOCK] += w0 * c
+            sums[p + 3 * BLOCK] += w0 * e3
+            sums[p + 4 * BLOCK] += w0 * e4
+            sums[p + 5 * BLOCK] += w1 * e1
+            sums[p + 6 * BLOCK] += w1 * c
+            sums[p + 7 * BLOCK] += w1 * e3
+            sums[p + 8 * BLOCK] += w1 * e4
+            sums[p + 9 * BLOCK] += w2 * c
+            sums[p + 10 * BLOCK] += w2 * e3
+            sums[p + 11 * BLOCK] += w2 * e4
+            sums[p + 12 * BLOCK] += w3 * e3
+            sums[p + 13 * BLOCK] += w3 * e4
+            sums[p + 14 * BLOCK] += w4 * e4
+            sums[p + 15 * BLOCK] += wr * e0
+            sums[p + 16 * BLOCK] += wr * e1
+            sums[p + 17 * BLOCK] += wr * c
+            sums[p + 18 * BLOCK] += wr * e3
+            sums[p + 19 * BLOCK] += wr * e4
+            sums[p + 20 * BLOCK] += wr * r
+
+
+@njit(cache=True, inline="always")
+def factorise(sums, p, damping, prior):
+    """L D L^T of a pixel's damped normal equations with the prior on b and d: L, 1 / D, and whether D > 0."""
+    f = np.float64
+    ridge, more = 1e-9 * f(sums[p + 9 * BLOCK]), 1.0 + damping
+    m00 = f(sums[p]) * more + ridge
+    m11 = f(sums[p + 5 * BLOCK]) * more + ridge
+    m22 = f(sums[p + 9 * BLOCK]) * more + ridge
+    m33 = (f(sums[p + 12 * BLOCK]) + prior) * more + ridge
+    m44 = (f(sums[p + 14 * BLOCK]) + prior) * more + ridge
+    m10, m20, m30, m40 = (
+        f(sums[p + BLOCK]),
+        f(sums[p + 2 * BLOCK]),
+        f(sums[p + 3 * BLOCK]),
+        f(sums[p + 4 * BLOCK]),
+    )
+    m21, m31, m41 = f(sums[p + 6 * BLOCK]), f(sums[p + 7 * BLOCK]), f(sums[p + 8 * BLOCK])
+    m32, m42, m43 = f(sums[p + 10 * BLOCK]), f(sums[p + 11 * BLOCK]), f(sums[p + 13 * BLOCK])
+    i0 = 1.0 / m00
+    l10, l20, l30, l40 = m10 * i0, m20 * i0, m30 * i0, m40 * i0
+    d1 = m11 - l10 * m10
+    m21, m31, m41 = m21 - l20 * m10, m31 - l30 * m10, m41 - l40 * m10
+    i1 = 1.0 / d1
+    l21, l31, l41 = m21 * i1, m31 * i1, m41 * i1
+    d2 = m22 - l20 * m20 - l21 * m21
+    m32, m42 = m32 - l30 * m20 - l31 * m21, m42 - l40 * m20 - l41 * m21
+    i2 = 1.0 / d2
+    l32, l42 = m32 * i2, m42 * i2
+    d3 = m33 - l30 * m30 - l31 * m31 - l32 * m32
+    m43 = m43 - l40 * m30 - l41 * m31 - l42 * m32
+    i3 = 1.0 / d3
+    l43 = m43 * i3
+    d4 = m44 - l40 * m40 - l41 * m41 - l42 * m42 - l43 * m43
+    positive = (m00 > 0.0) & (d1 > 0.0) & (d2 > 0.0) & (d3 > 0.0) & (d4 > 0.0)  # false for NaN
+    return (l10, l20, l30, l40, l21, l31, l41, l32, l42, l43), (i0, i1, i2, i3, 1.0 / d4), positive
+
+
+@njit(cache=True, inline="always")
+def substitute(factors, inverses, r0, r1, r2, r3, r4):
+    """Solutions of the factorised equations."""
+    l10, l20, l30, l40, l21, l31, l41, l32, l42, l43 = factors
+    i0, i1, i2, i3, i4 = inverses
+    r1 = r1 - l10 * r0
+    r2 = r2 - l20 * r0 - l21 * r1
+    r3 = r3 - l30 * r0 - l31 * r1 - l32 * r2
+    r4 = r4 - l40 * r0 - l41 * r1 - l42 * r2 - l43 * r3
+    r4 = r4 * i4
+    r3 = r3 * i3 - l43 * r4
+    r2 = r2 * i2 - l32 * r3 - l42 * r4
+    r1 = r1 * i1 - l21 * r2 - l31 * r3 - l41 * r4
+    r0 = r0 * i0 - l10 * r1 - l20 * r2 - l30 * r3 - l40 * r4
+    return r0, r1, r2, r3, r4
 
 
 @njit(cache=True, error_model="numpy")
-def cholesky_solve(sums, damping, prior, matrix, step):
-    """Solve the damped normal equations with the prior on b and d, in step; matrix is work. False: singular."""
-    k = 0
-    scale = sums[9]
-    for i in range(5):
-        for j in range(i, 5):
-            matrix[j, i] = sums[k]
-            k += 1
-        if i >= 3:
-            matrix[i, i] += prior
-        matrix[i, i] = matrix[i, i] * (1.0 + damping) + 1e-9 * scale
-    for i in range(5):
-        for j in range(i + 1):
-            total = matrix[i, j]
-            for m in range(j):
-                total -= matrix[i, m] * matrix[j, m]
-            if i == j:
-                if not total > 0.0:
-                    return False
-                matrix[i, i] = np.sqrt(total)
-            else:
-                matrix[i, j] = total / matrix[j, j]
-    for i in range(5):
-        total = step[i]
-        for m in range(i):
-            total -= matrix[i, m] * step[m]
-        step[i] = total / matrix[i, i]
-    for i in range(4, -1, -1):
-        total = step[i]
-        for m in range(i + 1, 5):
-            total -= matrix[m, i] * step[m]
-        step[i] = total / matrix[i, i]
-    return True
+def set_surface(fit, surface):
+    """Unit normals and terms of a fit, as float32, with two tangents each.
 
-
-@njit(cache=True, error_model="numpy")
-def frame_of(x, y, z):
-    """The unit normal with two tangents, as nine float32 (T. Duff et al., Building an orthonormal basis, JCGT 2017)."""
-    length = np.sqrt(x * x + y * y + z * z)
-    x, y, z = x / length, y / length, z / length
-    sign = 1.0 if z >= 0.0 else -1.0
-    a = -1.0 / (sign + z)
-    b = x * y * a
+    Tangents by T. Duff et al., Building an orthonormal basis, revisited, JCGT 6 (1), 2017. The normals of the fit
+    become unit vectors.
+    """
     f = np.float32
+    for p in range(BLOCK):
+        x, y, z = fit[p], fit[p + BLOCK], fit[p + 2 * BLOCK]
+        length = np.sqrt(x * x + y * y + z * z)
+        x, y, z = x / length, y / length, z / length
+        sign = 1.0 if z >= 0.0 else -1.0
+        k = -1.0 / (sign + z)
+        m = x * y * k
+        fit[p], fit[p + BLOCK], fit[p + 2 * BLOCK] = x, y, z
+        surface[p], surface[p + BLOCK], surface[p + 2 * BLOCK] = f(x), f(y), f(z)
+        surface[p + 3 * BLOCK] = f(1.0 + sign * x * x * k)
+        surface[p + 4 * BLOCK] = f(sign * m)
+        surface[p + 5 * BLOCK] = f(-sign * x)
+        surface[p + 6 * BLOCK] = f(m)
+        surface[p + 7 * BLOCK] = f(sign + y * y * k)
+        surface[p + 8 * BLOCK] = f(-y)
+        surface[p + 9 * BLOCK] = f(fit[p + 3 * BLOCK])
+        surface[p + 10 * BLOCK] = f(fit[p + 4 * BLOCK])
+        surface[p + 11 * BLOCK] = f(fit[p + 5 * BLOCK])
+
+
+@njit(cache=True, error_model="numpy")
+def propose(fit, surface, sums, damping, prior, moved, turn, active):
+    """The fits after one damped Gauss-Newton step, and by how much it turns each normal, radians.
+
+    A pixel whose equations are singular is no longer active and stays where it is.
+    """
+    for p in range(BLOCK):
+        b, d = fit[p + 4 * BLOCK], fit[p + 5 * BLOCK]
+        factors, inverses, positive = factorise(sums, p, damping[p], prior[p])
+        u, v, da, db, dd = substitute(
+            factors,
+            inverses,
+            np.float64(sums[p + 15 * BLOCK]),
+            np.float64(sums[p + 16 * BLOCK]),
+            np.float64(sums[p + 17 * BLOCK]),
+            np.float64(sums[p + 18 * BLOCK]) - prior[p] * b,
+            np.float64(sums[p + 19 * BLOCK]) - prior[p] * d,
+        )
+        go = 1.0 if positive else 0.0
+        go = go * active[p]
+        u, v = (u, v) if go > 0.0 else (0.0, 0.0)
+        size = np.sqrt(u * u + v * v)
+        shrink = 0.3 / (size if size > 0.3 else 0.3)
+        u, v = u * shrink, v * shrink
+        moved[p] = fit[p] + u * surface[p + 3 * BLOCK] + v * surface[p + 6 * BLOCK]
+        moved[p + BLOCK] = fit[p + BLOCK] + u * surface[p + 4 * BLOCK] + v * surface[p + 7 * BLOCK]
+        moved[p + 2 * BLOCK] = fit[p + 2 * BLOCK] + u * surface[p + 5 * BLOCK] + v * surface[p + 8 * BLOCK]
+        moved[p + 3 * BLOCK] = fit[p + 3 * BLOCK] + (da if go > 0.0 else 0.0)
+        moved[p + 4 * BLOCK] = b + (db if go > 0.0 else 0.0)
+        moved[p + 5 * BLOCK] = d + (dd if go > 0.0 else 0.0)
+        turn[p] = size
+        active[p] = go
+
+
+@njit(cache=True, error_model="numpy")
+def judge(fit, moved, sums, prior, damping, turn, active, better, start):
+    """Which of the active pixels' steps lower the penalised sum of squares; the next damping, and who goes on.
+
+    start: there is nothing to compare with yet.
+    """
+    for p in range(BLOCK):
+        b, d = moved[p + 4 * BLOCK], moved[p + 5 * BLOCK]
+        cost = sums[p + 20 * BLOCK] + prior[p] * (b * b + d * d)
+        moved[p + 6 * BLOCK] = cost
+        lower = 1.0 if start or cost < fit[p + 6 * BLOCK] else 0.0
+        better[p] = lower * active[p]
+        raised = damping[p] * 16.0
+        raised = raised if raised > 1e-2 else 1e-2
+        after = damping[p] * 0.25 if lower > 0.0 else raised
+        damping[p] = damping[p] if start else after
+        active[p] = active[p] if start or turn[p] >= 1e-3 else 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def take(chosen, source, target):
+    """Copy numbers of the chosen pixels (BLOCK,) from one flat array to another."""
+    for start in range(0, target.size, BLOCK):
+        for p in range(BLOCK):
+            target[start + p] = source[start + p] if chosen[p] > 0.0 else target[start + p]
+
+
+@njit(cache=True, error_model="numpy")
+def any_above_zero(active):
+    found = False
+    for p in range(BLOCK):
+        found |= active[p] > 0.0
+    return found
+
+
+@njit(cache=True, error_model="numpy")
+def descend(values, weights, vectors, squarings, prior, rounds, active, fit, surface, sums, work):
+    """Damped Gauss-Newton of the active pixels of a block from `fit`; fit, surface and sums are those of the end."""
+    moved, trial_surface, trial, damping, turn, better, going = work
+    moved[:] = fit
+    damping[:] = 1e-3
+    going[:] = active
+    for step in range(rounds + 1):  # the first one is that of no length
+        if step > 0:
+            propose(fit, surface, sums, damping, prior, moved, turn, going)
+        if not any_above_zero(going):
+            break
+        set_surface(moved, trial_surface)
+        add_up(values, weights, vectors, trial_surface, squarings, trial)
+        judge(fit, moved, trial, prior, damping, turn, going, better, step == 0)
+        take(better, moved, fit)
+        take(better, trial_surface, surface)
+        take(better, trial, sums)
+
+
+@njit(cache=True, error_model="numpy")
+def descent_work():
+    """Arrays for `descend`."""
     return (
-        (f(x), f(y), f(z), f(1.0 + sign * x * x * a), f(sign * b), f(-sign * x), f(b), f(sign + y * y * a), f(-y)),
-        (x, y, z),
+        np.zeros(FIT * BLOCK),
+        np.zeros(SURFACE * BLOCK, np.float32),
+        np.zeros(SUMS * BLOCK, np.float32),
+        np.zeros(BLOCK),
+        np.zeros(BLOCK),
+        np.zeros(BLOCK),
+        np.zeros(BLOCK),
     )
 
 
 @njit(cache=True, error_model="numpy")
-def descend(value, weight, vectors, normal, terms, squarings, prior, rounds, work):
-    """Damped Gauss-Newton from (normal, terms); returns both with the penalised sum of squares."""
-    sums, trial, matrix, step, lanes = work
-    frame, normal = frame_of(normal[0], normal[1], normal[2])
-    f = np.float32
-    add_up(value, weight, vectors, frame, (f(terms[0]), f(terms[1]), f(terms[2])), squarings, lanes, sums)
-    cost = sums[20] + prior * (terms[1] ** 2 + terms[2] ** 2)
-    damping = 1e-3
-    for _ in range(rounds):
-        for i in range(5):
-            step[i] = sums[15 + i]
-        step[3] -= prior * terms[1]
-        step[4] -= prior * terms[2]
-        if not cholesky_solve(sums, damping, prior, matrix, step):
-            break
-        turn = np.sqrt(step[0] ** 2 + step[1] ** 2)
-        shrink = min(1.0, 0.3 / max(turn, 1e-30))
-        u, v = step[0] * shrink, step[1] * shrink
-        moved, unit = frame_of(
-            normal[0] + u * frame[3] + v * frame[6],
-            normal[1] + u * frame[4] + v * frame[7],
-            normal[2] + u * frame[5] + v * frame[8],
-        )
-        a, b, d = terms[0] + step[2], terms[1] + step[3], terms[2] + step[4]
-        add_up(value, weight, vectors, moved, (f(a), f(b), f(d)), squarings, lanes, trial)
-        attempt = trial[20] + prior * (b * b + d * d)
-        if attempt < cost:
-            frame, normal, terms, cost = moved, unit, (a, b, d), attempt
-            sums[:] = trial
-            damping *= 0.25
-            if turn < 1e-3:
-                break
-        else:
-            damping = max(damping * 16.0, 1e-2)
-            if turn < 1e-3:
-                break
-    return normal, terms, cost
+def choose(values, known, vectors, surface, squarings, limit, weights, count):
+    """Weight 1 for the lit, known samples whose residual is at most `limit` (BLOCK,) float32; their number."""
+    zero, one, least = np.float32(0.0), np.float32(1.0), np.float32(1e-3)
+    for p in range(BLOCK):
+        count[p] = zero
+    for j in range(values.shape[0]):
+        lx, ly, lz = vectors[0, j], vectors[1, j], vectors[2, j]
+        hx, hy, hz = vectors[3, j], vectors[4, j], vectors[5, j]
+        row, may, weight = values[j], known[j], weights[j]
+        for p in range(BLOCK):
+            c = surface[p] * lx + surface[p + BLOCK] * ly + surface[p + 2 * BLOCK] * lz
+            x = surface[p] * hx + surface[p + BLOCK] * hy + surface[p + 2 * BLOCK] * hz
+            _, power = powers(x if x > least else least, squarings)
+            factor = surface[p + 9 * BLOCK] + surface[p + 10 * BLOCK] * c + surface[p + 11 * BLOCK] * power
+            r = row[p] - c * factor
+            w = may[p] if (r <= limit[p]) & (r >= -limit[p]) & (c > zero) else zero
+            weight[p] = w
+            count[p] += one if w > zero else zero
+
+
+@njit(cache=True, error_model="numpy")
+def disagreement(values, known, vectors, surface, squarings, per_scale, total):
+    """Sum over the known samples of the squared residual times per_scale^2, at most 9 each: what a fit leaves over."""
+    zero, least, most = np.float32(0.0), np.float32(1e-3), np.float32(9.0)
+    for p in range(BLOCK):
+        total[p] = zero
+    for j in range(values.shape[0]):
+        lx, ly, lz = vectors[0, j], vectors[1, j], vectors[2, j]
+        hx, hy, hz = vectors[3, j], vectors[4, j], vectors[5, j]
+        row, may = values[j], known[j]
+        for p in range(BLOCK):
+            c = surface[p] * lx + surface[p + BLOCK] * ly + surface[p + 2 * BLOCK] * lz
+            c = c if c > zero else zero
+            x = surface[p] * hx + surface[p + BLOCK] * hy + surface[p + 2 * BLOCK] * hz
+            _, power = powers(x if x > least else least, squarings)
+            factor = surface[p + 9 * BLOCK] + surface[p + 10 * BLOCK] * c + surface[p + 11 * BLOCK] * power
+            r = (row[p] - c * factor) * per_scale[p]
+            square = r * r
+            total[p] += may[p] * (square if square < most else most)
+
+
+@njit(cache=True, error_model="numpy")
+def tangential_variance(sums, prior, out):
+    """Trace of the tangential block of the inverse of the (undamped) normal equations; negative if singular."""
+    for p in range(BLOCK):
+        factors, inverses, positive = factorise(sums, p, 0.0, prior[p])
+        l10, l20, l30, l40, l21, l31, l41, l32, l42, l43 = factors
+        i0, i1, i2, i3, i4 = inverses
+        # the first two columns of the inverse of L
+        u1 = -l10
+        u2 = -l20 - l21 * u1
+        u3 = -l30 - l31 * u1 - l32 * u2
+        u4 = -l40 - l41 * u1 - l42 * u2 - l43 * u3
+        v2 = -l21
+        v3 = -l31 - l32 * v2
+        v4 = -l41 - l42 * v2 - l43 * v3
+        trace = i0 + u1 * u1 * i1 + u2 * u2 * i2 + u3 * u3 * i3 + u4 * u4 * i4
+        trace = trace + i1 + v2 * v2 * i2 + v3 * v3 * i3 + v4 * v4 * i4
+        out[p] = trace if positive else -1.0

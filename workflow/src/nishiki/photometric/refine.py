@@ -5,127 +5,108 @@ from numba import njit, prange
 
 from nishiki.photometric import flags as bits
 from nishiki.photometric.least_squares import LARGEST, LEAST_ALBEDO, eigenvalues
-from nishiki.photometric.lobe import LANES, SUMS, add_up, cholesky_solve, descend, frame_of, raised
+from nishiki.photometric.lobe import (
+    BLOCK,
+    FIT,
+    SUMS,
+    SURFACE,
+    add_up,
+    choose,
+    descend,
+    descent_work,
+    disagreement,
+    factorise,
+    set_surface,
+    substitute,
+    take,
+    tangential_variance,
+)
 
 WIDTH = 0.25  # standard deviation expected of b and d, relative to the albedo, where the samples scatter much
 FARTHEST = 1e12  # times the albedo
 SHADING_SQUARINGS = 3  # exponent 8 of `nishiki.brdf.body_shading`
 LEAST_FACTOR = 0.01  # mean body factor, relative to Lambert's albedo, below which Lambert's law is kept for the shading
-CHUNK = 256  # pixels that share one set of work arrays
+FIRST_ROUNDS, ROUNDS = 4, 3  # Gauss-Newton steps for the samples first chosen, and for those chosen again
+CHUNK = 512  # pixels that share one set of work arrays
 
 
 @njit(cache=True, error_model="numpy")
-def choose(value, known, vectors, normal, terms, squarings, limit, weight):
-    """Weight 1 for the lit, known samples whose residual is at most `limit`; their number."""
-    f = np.float32
-    n0, n1, n2 = f(normal[0]), f(normal[1]), f(normal[2])
-    a, b, d = f(terms[0]), f(terms[1]), f(terms[2])
-    bound = f(limit)
-    kept = 0
-    for j in range(value.size):
-        c = n0 * vectors[0, j] + n1 * vectors[1, j] + n2 * vectors[2, j]
-        x = n0 * vectors[3, j] + n1 * vectors[4, j] + n2 * vectors[5, j]
-        power = raised(x if x > f(1e-3) else f(1e-3), squarings)
-        r = value[j] - c * (a + b * c + d * power)
-        w = known[j] if r <= bound else f(0.0)
-        w = w if r >= -bound else f(0.0)
-        w = w if c > f(0.0) else f(0.0)
-        weight[j] = w
-        kept += 1 if w > f(0.0) else 0
-    return np.float64(kept)
+def load(observations, usable, known, index, width, scalars, normals, values, may, use, start):
+    """A block of pixels, `index` (BLOCK,) of which the first `width` are real: samples relative to the albedo.
 
-
-@njit(cache=True, error_model="numpy")
-def fit_pixel(value, known, weight, spare, vectors, normal, squarings, prior, noise, reselections, at_least, work):
-    """Fit, choose the samples again, fit again; values relative to the Lambertian albedo. weight: kept at the end."""
-    terms = (1.0, 0.0, 0.0)
-    normal, terms, _ = descend(value, weight, vectors, normal, terms, squarings, prior, 4, work)
-    kept = 0.0
-    for j in range(weight.size):
-        kept += weight[j]
-    for _ in range(reselections):
-        scale = np.sqrt(work[0][20] / max(kept - 5.0, 1.0)) + noise
-        more = choose(value, known, vectors, normal, terms, squarings, 3.0 * scale, spare)
-        if more < at_least:
-            break
-        kept = more
-        weight[:] = spare
-        normal, terms, _ = descend(value, weight, vectors, normal, terms, squarings, prior, 3, work)
-    return normal, terms, kept
-
-
-@njit(cache=True, error_model="numpy")
-def disagreement(value, known, vectors, normal, terms, squarings, scale):
-    """Sum over the known samples of the squared residual in units of scale, at most 9 each: what a fit leaves over."""
-    f = np.float32
-    n0, n1, n2 = f(normal[0]), f(normal[1]), f(normal[2])
-    a, b, d = f(terms[0]), f(terms[1]), f(terms[2])
-    per_scale, most = f(1.0 / max(scale, 1e-6)), f(9.0)
-    total = f(0.0)
-    for j in range(value.size):
-        c = n0 * vectors[0, j] + n1 * vectors[1, j] + n2 * vectors[2, j]
-        c = c if c > f(0.0) else f(0.0)
-        x = n0 * vectors[3, j] + n1 * vectors[4, j] + n2 * vectors[5, j]
-        power = raised(x if x > f(1e-3) else f(1e-3), squarings)
-        r = (value[j] - c * (a + b * c + d * power)) * per_scale
-        square = r * r
-        total += known[j] * (square if square < most else most)
-    return total
-
-
-@njit(cache=True, error_model="numpy")
-def fit_widths(
-    value, known, weight, spare, first, vectors, normal, widths, prior, noise, reselections, at_least, scale, work
-):
-    """The best of the fits with exponents 2^k, widths = (least k, largest k), and its k; weight and work are its own.
-
-    first (lights) holds the samples to start from. The fits are compared by `disagreement` with one common scale.
+    start (FIT * BLOCK): Lambert's fits. Samples of what is no real pixel are unknown.
     """
-    low, high = widths
-    record, chosen = np.inf, low
-    for k in range(low, high + 1) if high > low else range(0):
-        weight[:] = first
-        found, terms, _ = fit_pixel(
-            value, known, weight, spare, vectors, normal, k, prior, noise, reselections, at_least, work
-        )
-        score = disagreement(value, known, vectors, found, terms, k, scale)
-        if score < record:
-            record, chosen = score, k
-    weight[:] = first
-    normal, terms, kept = fit_pixel(
-        value, known, weight, spare, vectors, normal, chosen, prior, noise, reselections, at_least, work
+    lights = values.shape[0]
+    shared_usable, shared_known = usable.shape[1] == 1, known.shape[1] == 1
+    zero, one = np.float32(0.0), np.float32(1.0)
+    per_albedo = np.zeros(BLOCK)
+    for p in range(BLOCK):
+        q = index[p if p < width else 0]
+        per_albedo[p] = 1.0 / np.float64(scalars[0, q])
+        for k in range(3):
+            start[p + k * BLOCK] = normals[q, k]
+        start[p + 3 * BLOCK], start[p + 4 * BLOCK], start[p + 5 * BLOCK] = 1.0, 0.0, 0.0
+    for j in range(lights):
+        for p in range(BLOCK):
+            if p >= width:
+                values[j, p], may[j, p], use[j, p] = zero, zero, zero
+                continue
+            q = index[p]
+            there = known[j, 0] if shared_known else known[j, q]
+            taken = usable[j, 0] if shared_usable else usable[j, q]
+            # so far outside of the albedo that only its sign matters: its square has to fit into float32
+            value = min(max(observations[j, q] * per_albedo[p], -FARTHEST), FARTHEST)
+            values[j, p] = np.float32(value) if there else zero
+            may[j, p] = one if there else zero
+            use[j, p] = one if there and taken else zero
+
+
+@njit(cache=True, error_model="numpy")
+def fit_block(
+    values, known, usable, vectors, start, squarings, held, noise, reselections, at_least, active, result, own, work
+):
+    """Fit, choose the samples again, fit again; values relative to the Lambertian albedo.
+
+    result (fit, surface, sums, weights, kept): kept (BLOCK,) float32 samples, with weight 1, of the last fit.
+    """
+    fit, surface, sums, weights, kept = result
+    spare, limit, more, going = own
+    one = np.float32(1.0)
+    fit[:] = start
+    weights[:] = usable
+    going[:] = active
+    for choice in range(reselections + 1):
+        if choice == 0:
+            kept[:] = np.float32(0.0)
+            for j in range(values.shape[0]):
+                for p in range(BLOCK):
+                    kept[p] += weights[j, p]
+        else:
+            for p in range(BLOCK):
+                freedom = kept[p] - np.float32(5.0)
+                variance = np.float64(sums[p + 20 * BLOCK]) / (freedom if freedom > one else one)
+                limit[p] = np.float32(3.0 * (np.sqrt(variance) + noise))
+            choose(values, known, vectors, surface, squarings, limit, spare, more)
+            for p in range(BLOCK):
+                going[p] = going[p] if more[p] >= at_least else 0.0
+                kept[p] = more[p] if going[p] > 0.0 else kept[p]
+            for j in range(values.shape[0]):
+                for p in range(BLOCK):
+                    weights[j, p] = spare[j, p] if going[p] > 0.0 else weights[j, p]
+        rounds = FIRST_ROUNDS if choice == 0 else ROUNDS
+        descend(values, weights, vectors, squarings, held, rounds, going, fit, surface, sums, work)
+
+
+@njit(cache=True, error_model="numpy")
+def empty_result(lights):
+    """Arrays that hold the fits of a block: fit, surface, sums, weights, samples kept."""
+    return (
+        np.zeros(FIT * BLOCK),
+        np.zeros(SURFACE * BLOCK, np.float32),
+        np.zeros(SUMS * BLOCK, np.float32),
+        np.zeros((lights, BLOCK), np.float32),
+        np.zeros(BLOCK, np.float32),
     )
-    return normal, terms, kept, chosen
-
-
-@njit(cache=True, error_model="numpy")
-def normal_matrix_condition(weight, vectors):
-    """Condition number of the 3 x 3 normal matrix of the kept lights."""
-    t = np.zeros(6)
-    for j in range(weight.size):
-        if weight[j] > 0:
-            x, y, z = np.float64(vectors[0, j]), np.float64(vectors[1, j]), np.float64(vectors[2, j])
-            t[0] += x * x
-            t[1] += x * y
-            t[2] += x * z
-            t[3] += y * y
-            t[4] += y * z
-            t[5] += z * z
-    least, largest = eigenvalues(t[0], t[1], t[2], t[3], t[4], t[5])
-    return largest / max(least, 1e-30 * largest)
-
-
-@njit(cache=True, error_model="numpy")
-def tangential_variance(sums, prior, matrix, step):
-    """Trace of the tangential block of the inverse of the (undamped) normal equations; negative if singular."""
-    total = 0.0
-    for i in range(2):
-        for k in range(5):
-            step[k] = 1.0 if k == i else 0.0
-        if not cholesky_solve(sums, 0.0, prior, matrix, step):
-            return -1.0
-        total += step[i]
-    return total
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
@@ -135,138 +116,175 @@ def refine(
     """Refine the Lambertian estimates in the outputs of `solve_weighted` where there are samples enough.
 
     observations (lights, pixels) float32; usable, known (lights, pixels) uint8, or (lights, 1) for all pixels alike;
-    vectors (6, padded lights) float32; settings: least k of the exponents 2^k, prior, noise, reselections, at_least,
-    largest k; shading (pixels, 3) float32: (a, b, d) of `nishiki.brdf.body_shading`, Lambert's (1, 0, 0) before.
+    vectors (6, lights) float32; settings: least k of the exponents 2^k, prior, noise, reselections, at_least, largest
+    k; shading (pixels, 3) float32: (a, b, d) of `nishiki.brdf.body_shading`, Lambert's (1, 0, 0) before. Of several
+    exponents each pixel gets the one of least `disagreement`, with one common scale.
     """
     lights, pixels = observations.shape
-    padded = vectors.shape[1]
-    widths, reselections = (int(settings[0]), int(settings[5])), int(settings[3])
+    low, high, reselections = int(settings[0]), int(settings[5]), int(settings[3])
     prior, noise, at_least = settings[1], settings[2], settings[4]
-    shared_usable, shared_known = usable.shape[1] == 1, known.shape[1] == 1
     for chunk in prange((pixels + CHUNK - 1) // CHUNK):
-        value, allowed = np.zeros(padded, np.float32), np.zeros(padded, np.float32)
-        weight, spare, first = np.zeros_like(value), np.zeros_like(value), np.zeros_like(value)
-        work = (np.zeros(SUMS), np.zeros(SUMS), np.zeros((5, 5)), np.zeros(5), np.zeros(SUMS * LANES, np.float32))
-        for p in range(chunk * CHUNK, min((chunk + 1) * CHUNK, pixels)):
-            if flags[p] & bits.NO_ESTIMATE:
+        values, known_here = np.empty((lights, BLOCK), np.float32), np.empty((lights, BLOCK), np.float32)
+        use, spare = np.empty_like(values), np.empty_like(values)
+        start, held, active, variance = np.zeros(FIT * BLOCK), np.zeros(BLOCK), np.zeros(BLOCK), np.zeros(BLOCK)
+        own = (spare, np.zeros(BLOCK, np.float32), np.zeros(BLOCK, np.float32), np.zeros(BLOCK))
+        per_scale, score = np.zeros(BLOCK, np.float32), np.zeros(BLOCK, np.float32)
+        record, lower = np.zeros(BLOCK, np.float32), np.zeros(BLOCK)
+        chosen = np.zeros(BLOCK, np.int64)
+        result, best = empty_result(lights), empty_result(lights)
+        matrix = np.zeros(6 * BLOCK)
+        work = descent_work()
+        index = np.zeros(BLOCK, np.int64)
+        p = chunk * CHUNK
+        end = min(p + CHUNK, pixels)
+        while p < end:
+            width = 0
+            while p < end and width < BLOCK:
+                if not flags[p] & bits.NO_ESTIMATE:
+                    if lights_used[p] < at_least:
+                        flags[p] |= bits.FALLBACK
+                    else:
+                        index[width] = p
+                        width += 1
+                p += 1
+            if width == 0:
                 continue
-            if lights_used[p] < at_least:
-                flags[p] |= bits.FALLBACK
-                continue
-            albedo = np.float64(scalars[0, p])
-            for j in range(lights):
-                may = known[j, 0] if shared_known else known[j, p]
-                use = usable[j, 0] if shared_usable else usable[j, p]
-                # so far outside of the albedo that only its sign matters: its square has to fit into float32
-                value[j] = min(max(observations[j, p] / albedo, -FARTHEST), FARTHEST) if may else 0.0
-                allowed[j] = may
-                first[j] = use if may else 0
-            start = (np.float64(normals[p, 0]), np.float64(normals[p, 1]), np.float64(normals[p, 2]))
-            spread = np.float64(scalars[3, p]) / albedo
-            scale = noise + spread
-            # The second part is a Gaussian prior of standard deviation WIDTH, in units of the squared residuals.
-            held = prior * lights_used[p] / 3.0 + (spread / WIDTH) ** 2
-            normal, terms, kept, chosen = fit_widths(
-                value,
-                allowed,
-                weight,
-                spare,
-                first,
-                vectors,
-                start,
-                widths,
-                held,
-                noise,
-                reselections,
-                at_least,
-                scale,
-                work,
-            )
+            load(observations, usable, known, index, width, scalars, normals, values, known_here, use, start)
+            for i in range(BLOCK):
+                q = index[i if i < width else 0]
+                spread = np.float64(scalars[3, q]) / np.float64(scalars[0, q])
+                # The second part is a Gaussian prior of standard deviation WIDTH, in units of the squared residuals.
+                held[i] = prior * lights_used[q] / 3.0 + (spread / WIDTH) ** 2
+                per_scale[i] = np.float32(1.0 / max(noise + spread, 1e-6))
+                active[i] = 1.0 if i < width else 0.0
+            record[:] = np.inf
+            for k in range(low, high + 1):
+                fit_block(
+                    values, known_here, use, vectors, start, k, held, noise, reselections, at_least, active, result,
+                    own, work,
+                )  # fmt: skip
+                if high > low:
+                    disagreement(values, known_here, vectors, result[1], k, per_scale, score)
+                for i in range(BLOCK):
+                    less = score[i] < record[i] or k == low
+                    lower[i] = 1.0 if less else 0.0
+                    record[i] = score[i] if less else record[i]
+                    chosen[i] = k if less else chosen[i]
+                take(lower, result[0], best[0])
+                take(lower, result[1], best[1])
+                take(lower, result[2], best[2])
+                take(lower, result[3].reshape(-1), best[3].reshape(-1))
+                take(lower, result[4], best[4])
+            tangential_variance(best[2], held, variance)
+            normal_matrices(best[3], vectors, matrix)
             store(
-                normal,
-                terms,
-                kept,
-                chosen,
-                albedo,
-                value,
-                weight,
-                vectors,
-                held,
-                max_condition,
-                work,
-                p,
-                normals,
-                scalars,
-                lights_used,
-                flags,
+                index, width, best, variance, matrix, max_condition, normals, scalars, lights_used, flags, spare,
                 shading,
-            )
+            )  # fmt: skip
+            if low != SHADING_SQUARINGS or high != SHADING_SQUARINGS:
+                linear_terms(values, best, vectors, chosen, held, work[1], work[2])
+            store_shading(index, width, best, spare, shading)
 
 
 @njit(cache=True, error_model="numpy")
-def store(
-    normal,
-    terms,
-    kept,
-    squarings,
-    albedo,
-    value,
-    weight,
-    vectors,
-    prior,
-    max_condition,
-    work,
-    p,
-    normals,
-    scalars,
-    lights_used,
-    flags,
-    shading,
-):
-    """Write a refined pixel; where the fit is no surface (no diffuse part, singular) the Lambertian one stands."""
-    sums, _, matrix, step, _ = work
-    diffuse = terms[0] + terms[1] * sums[10] / max(sums[9], 1e-30)  # mean of a + b c over the samples, weighted c^2
-    variance = tangential_variance(sums, prior, matrix, step)
-    residual = np.sqrt(sums[20] / kept) * albedo
-    told = variance > 0.0 and kept > 5.0 and residual <= LARGEST  # false for NaN
-    if not (told and LEAST_ALBEDO <= diffuse * albedo <= LARGEST):
-        flags[p] |= bits.FALLBACK
-        return
-    condition = normal_matrix_condition(weight, vectors)
-    normals[p, 0], normals[p, 1], normals[p, 2] = normal[0], normal[1], normal[2]
-    scalars[0, p] = diffuse * albedo
-    scalars[1, p] = min(np.sqrt(variance * sums[20] / (kept - 5.0)), 0.5 * np.pi)
-    scalars[2, p] = min(condition, 3e38)
-    scalars[3, p] = residual
-    lights_used[p] = int(kept)
-    flag = flags[p] & ~(bits.ILL_CONDITIONED | bits.FACES_AWAY | bits.NO_REDUNDANCY)
-    if condition > max_condition:
-        flag |= bits.ILL_CONDITIONED
-    if normal[2] <= 0.0:
-        flag |= bits.FACES_AWAY
-    flags[p] = flag
-    if squarings != SHADING_SQUARINGS:
-        terms = linear_terms(value, weight, vectors, normal, terms, prior, work)
-    mean = terms[0] + (terms[1] * sums[10] + terms[2] * sums[11]) / sums[9]
-    if mean > LEAST_FACTOR:  # false for NaN
-        shading[p, 0], shading[p, 1], shading[p, 2] = terms[0] / mean, terms[1] / mean, terms[2] / mean
+def normal_matrices(weights, vectors, out):
+    """The six elements (6 * BLOCK) of the 3 x 3 normal matrix of each pixel's kept lights."""
+    out[:] = 0.0
+    for j in range(weights.shape[0]):
+        x, y, z = np.float64(vectors[0, j]), np.float64(vectors[1, j]), np.float64(vectors[2, j])
+        xx, xy, xz, yy, yz, zz = x * x, x * y, x * z, y * y, y * z, z * z
+        row = weights[j]
+        for p in range(BLOCK):
+            w = np.float64(row[p])
+            out[p] += w * xx
+            out[p + BLOCK] += w * xy
+            out[p + 2 * BLOCK] += w * xz
+            out[p + 3 * BLOCK] += w * yy
+            out[p + 4 * BLOCK] += w * yz
+            out[p + 5 * BLOCK] += w * zz
 
 
 @njit(cache=True, error_model="numpy")
-def linear_terms(value, weight, vectors, normal, terms, prior, work):
-    """(a, b, d) of a given normal with the exponent of the shading map, where the fit chose another one.
+def store(index, width, best, variance, matrix, max_condition, normals, scalars, lights_used, flags, stored, shading):
+    """Write refined pixels; where the fit is no surface (no diffuse part, singular) the Lambertian one stands.
 
-    One Gauss-Newton step from (terms[0], 0, 0): the model is linear in the terms. `work` then holds its sums.
+    stored (lights, BLOCK): its first row becomes 1 where a pixel was written.
     """
-    sums, _, matrix, step, lanes = work
-    f = np.float32
-    frame, _ = frame_of(normal[0], normal[1], normal[2])
-    add_up(value, weight, vectors, frame, (f(terms[0]), f(0.0), f(0.0)), SHADING_SQUARINGS, lanes, sums)
-    for k in range(9):
-        sums[k] = 1.0 if k == 0 or k == 5 else 0.0  # the normal stands: no tangential steps
-    sums[15], sums[16] = 0.0, 0.0
-    for i in range(5):
-        step[i] = sums[15 + i]
-    if not cholesky_solve(sums, 0.0, prior, matrix, step):
-        return (1.0, 0.0, 0.0)
-    return (terms[0] + step[2], step[3], step[4])
+    fit, _, sums, _, number = best
+    for i in range(width):
+        p, kept = index[i], np.float64(number[i])
+        albedo = np.float64(scalars[0, p])
+        # mean of a + b c over the samples, weighted c^2
+        diffuse = fit[i + 3 * BLOCK] + fit[i + 4 * BLOCK] * sums[i + 10 * BLOCK] / max(sums[i + 9 * BLOCK], 1e-30)
+        squares = np.float64(sums[i + 20 * BLOCK])
+        residual = np.sqrt(squares / kept) * albedo
+        told = variance[i] > 0.0 and kept > 5.0 and residual <= LARGEST  # false for NaN
+        stored[0, i] = np.float32(0.0)
+        if not (told and LEAST_ALBEDO <= diffuse * albedo <= LARGEST):
+            flags[p] |= bits.FALLBACK
+            continue
+        stored[0, i] = np.float32(1.0)
+        least, largest = eigenvalues(
+            matrix[i],
+            matrix[i + BLOCK],
+            matrix[i + 2 * BLOCK],
+            matrix[i + 3 * BLOCK],
+            matrix[i + 4 * BLOCK],
+            matrix[i + 5 * BLOCK],
+        )
+        condition = largest / max(least, 1e-30 * largest)
+        for k in range(3):
+            normals[p, k] = fit[i + k * BLOCK]
+        scalars[0, p] = diffuse * albedo
+        scalars[1, p] = min(np.sqrt(variance[i] * squares / (kept - 5.0)), 0.5 * np.pi)
+        scalars[2, p] = min(condition, 3e38)
+        scalars[3, p] = residual
+        lights_used[p] = int(kept)
+        flag = flags[p] & ~(bits.ILL_CONDITIONED | bits.FACES_AWAY | bits.NO_REDUNDANCY)
+        if condition > max_condition:
+            flag |= bits.ILL_CONDITIONED
+        if fit[i + 2 * BLOCK] <= 0.0:
+            flag |= bits.FACES_AWAY
+        flags[p] = flag
+
+
+@njit(cache=True, error_model="numpy")
+def store_shading(index, width, best, stored, shading):
+    """(a, b, d) of the stored pixels, scaled so that the body factor is 1 on average over the samples, weighted c^2."""
+    fit, _, sums, _, _ = best
+    for i in range(width):
+        if stored[0, i] > np.float32(0.0):
+            a, b, d = fit[i + 3 * BLOCK], fit[i + 4 * BLOCK], fit[i + 5 * BLOCK]
+            mean = a + (b * sums[i + 10 * BLOCK] + d * sums[i + 11 * BLOCK]) / np.float64(sums[i + 9 * BLOCK])
+            if mean > LEAST_FACTOR:  # false for NaN
+                p = index[i]
+                shading[p, 0], shading[p, 1], shading[p, 2] = a / mean, b / mean, d / mean
+
+
+@njit(cache=True, error_model="numpy")
+def linear_terms(values, best, vectors, chosen, prior, surface, trial):
+    """(a, b, d) of the fitted normals with the exponent of the shading map, where the fit chose another one.
+
+    One Gauss-Newton step from (a, 0, 0): the model is linear in the terms. The fits and sums of such pixels become its
+    own.
+    """
+    fit, _, sums, weights, _ = best
+    for p in range(BLOCK):
+        if chosen[p] != SHADING_SQUARINGS:
+            fit[p + 4 * BLOCK], fit[p + 5 * BLOCK] = 0.0, 0.0
+    set_surface(fit, surface)
+    add_up(values, weights, vectors, surface, SHADING_SQUARINGS, trial)
+    for p in range(BLOCK):
+        if chosen[p] == SHADING_SQUARINGS:
+            continue
+        for k in range(SUMS):
+            sums[p + k * BLOCK] = trial[p + k * BLOCK]
+        for k in range(9):  # the normal stands: no tangential steps
+            sums[p + k * BLOCK] = np.float32(1.0) if k == 0 or k == 5 else np.float32(0.0)
+        factors, inverses, positive = factorise(sums, p, 0.0, prior[p])
+        r2, r3, r4 = sums[p + 17 * BLOCK], sums[p + 18 * BLOCK], sums[p + 19 * BLOCK]
+        _, _, a, b, d = substitute(factors, inverses, 0.0, 0.0, np.float64(r2), np.float64(r3), np.float64(r4))
+        if positive:
+            fit[p + 3 * BLOCK], fit[p + 4 * BLOCK], fit[p + 5 * BLOCK] = fit[p + 3 * BLOCK] + a, b, d
+        else:
+            fit[p + 3 * BLOCK], fit[p + 4 * BLOCK], fit[p + 5 * BLOCK] = 1.0, 0.0, 0.0

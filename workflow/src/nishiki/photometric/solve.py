@@ -143,16 +143,12 @@ def refine_lobe(stack, directions, usable, known, outputs, exponents, noise, max
     Returns the body shading (pixels, 3) float32 of `nishiki.brdf.body_shading`.
     """
     from nishiki.brdf.body_shading import LAMBERT
-    from nishiki.photometric.refine import LANES, refine
+    from nishiki.photometric.refine import refine
 
     if not set(exponents) <= {2, 4, 8, 16, 32}:
         raise UserError(f"normals: expected an exponent of 2, 4, 8, 16 or 32, found {exponents[0]}")
-    lights = stack.shape[0]
-    halves = directions + np.array([0.0, 0.0, 1.0])
-    halves /= np.maximum(np.linalg.norm(halves, axis=1, keepdims=True), 1e-12)
-    vectors = np.zeros((6, -(-lights // LANES) * LANES), dtype=np.float32)
-    vectors[:3, :lights], vectors[3:, :lights] = directions.T, halves.T
-    everything = np.ones((lights, 1), dtype=np.uint8)
+    vectors = with_half_vectors(directions)
+    everything = np.ones((stack.shape[0], 1), dtype=np.uint8)
     shading = np.tile(np.array(LAMBERT, np.float32), (stack.shape[1], 1))
     settings = np.array([np.log2(exponents[0]), PRIOR, noise, RESELECTIONS, AT_LEAST, np.log2(exponents[-1])])
     refine(
@@ -164,6 +160,57 @@ def refine_lobe(stack, directions, usable, known, outputs, exponents, noise, max
         float(max_condition),
         *outputs,
         shading,
+    )
+    return shading
+
+
+def with_half_vectors(directions):
+    """(6, lights) float32: directions to the lights, and half vectors of light and view."""
+    halves = directions + np.array([0.0, 0.0, 1.0])
+    halves /= np.maximum(np.linalg.norm(halves, axis=1, keepdims=True), 1e-12)
+    return np.concatenate([directions.T, halves.T]).astype(np.float32)
+
+
+def shading_of_mean(intensity, mean, directions, field, *, usable, valid, least_change, noise=0.003):
+    """Body shading along the field's normals, fitted to the mean of the channels.
+
+    Parameters
+    ----------
+    intensity, mean : (lights, rows, columns) float32
+        What the normals were fitted to, and the mean of the channels.
+    directions : (lights, 3) float64
+    field : NormalField
+        Of a solver that fits a body shading.
+    usable, valid : (lights, rows, columns) bool
+        Samples to start from, and those to choose from again, by their residuals.
+    least_change : float
+        Sum of |intensity - mean| of a pixel, relative to that of |mean|, up to which its shading stays.
+    noise : float
+        Of the observations, relative to the albedo.
+
+    Returns
+    -------
+    (rows, columns, 3) float32
+        (a, b, d) of `nishiki.brdf.body_shading`; that of the field without an estimate or a lobe.
+    """
+    from nishiki.photometric.body_terms import fit_body_terms
+
+    stack, directions = checked_stack(mean, directions)
+    samples = np.ascontiguousarray(intensity, dtype=np.float32).reshape(stack.shape)
+    everything = np.ones((stack.shape[0], 1), dtype=np.uint8)
+    known = sample_weights(stack, valid, None, np.shape(mean))
+    usable = np.ascontiguousarray(usable, dtype=np.bool_).reshape(stack.shape).view(np.uint8)
+    shading = field.shading.copy()
+    fit_body_terms(
+        samples,
+        stack,
+        usable,
+        everything if known is None else known,
+        with_half_vectors(directions),
+        np.array([PRIOR, noise, AT_LEAST, least_change]),
+        np.ascontiguousarray(field.normals).reshape(-1, 3),
+        field.flags.reshape(-1),
+        shading.reshape(-1, 3),
     )
     return shading
 

@@ -13,17 +13,17 @@ from nishiki.brdf.gloss_profile import GlossProfile
 from nishiki.errors import UserError
 from nishiki.model_selection.decision import Decision, economy
 from nishiki.model_selection.fit_lights import choose_lights
-from nishiki.model_selection.refinement import clearly_matt, decided, thinned
+from nishiki.model_selection.refinement import clearly_matt, decided
 from nishiki.observations.parcels import Parcel, parcels
 from nishiki.observations.plane import Observations
 from nishiki.photometric import flags as bits
 from nishiki.photometric.body_colour import body_intensity
 from nishiki.photometric.gloss import refine_normals
-from nishiki.photometric.gloss_scene import FEW_LIGHTS, GlossTile, SceneGloss, fit_scene_gloss
+from nishiki.photometric.gloss_scene import FEW_LIGHTS, GlossTile, SceneGloss, fit_scene_gloss, thinned
 from nishiki.photometric.reflectance import diffuse_reflectance, mean_of_channels
 from nishiki.photometric.relighting import FEW_LIGHTS as RELIGHT_LIGHTS
 from nishiki.photometric.relighting import fit_relighting
-from nishiki.photometric.solve import estimate_normals
+from nishiki.photometric.solve import estimate_normals, shading_of_mean
 from nishiki.stages.normals.declaration import NormalsSettings
 
 MAPS = {
@@ -260,16 +260,9 @@ def with_shading_of_mean(field, intensity, observations, parcel: Parcel, usable,
     There gloss was weighted down for the normals; light is predicted with all of it.
     """
     mean = mean_of_channels(observations)
-    change = np.abs(intensity - mean).sum(axis=0)
-    chosen = np.flatnonzero(change > WEIGHTED * np.abs(mean).sum(axis=0))
-    if not chosen.size:
-        return field
-    picked = [pick(np.broadcast_to(array, mean.shape), chosen) for array in (mean, usable, valid)]
-    of_mean = estimate_normals(
-        picked[0], parcel.directions, usable=picked[1], valid=picked[2], solver=settings.solver
-    ).shading
-    shading = field.shading.copy()
-    shading.reshape(-1, 3)[chosen] = of_mean.reshape(-1, 3)
+    shading = shading_of_mean(
+        intensity, mean, parcel.directions, field, usable=usable, valid=valid, least_change=WEIGHTED
+    )
     return replace(field, shading=shading)
 
 
