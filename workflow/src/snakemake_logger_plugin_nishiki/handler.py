@@ -31,8 +31,11 @@ RETRY = re.compile(r"Trying to restart job (\S+)\.")
 KILLED = 128
 """A shell reports a signal as this number plus the signal's."""
 NOTHING_TO_DO = "Nothing to be done"
-EXPECTED_ERRORS = ("At least one job did not complete successfully", "Exiting because a job execution failed")
-"""Snakemake's errors that only repeat that a job failed."""
+REPEATED = (
+    *("At least one job did not complete successfully", "Exiting because a job execution failed"),
+    "Cannot restore",  # the output of a failed job that had none before
+)
+"""What Snakemake says where a job failed, which was told of already."""
 CHAINED = ("During handling of the above exception", "The above exception was the direct cause")
 LOG_TAIL = 2**16
 """Bytes of the end of a cluster's log of a failed job that are looked through."""
@@ -263,7 +266,7 @@ class RunHandler(LogHandlerBase):
         status = EXIT_STATUS.search(text)
         if status and ("CalledProcessError" in text or "CalledProcessError" in str(getattr(record, "exception", ""))):
             self._exit = _status_text(status)
-        elif not any(expected in text for expected in EXPECTED_ERRORS):
+        elif not any(words in text for words in REPEATED):
             self.screen.tell(text.rstrip())
 
     def _said(self, record: Any) -> None:
@@ -273,7 +276,7 @@ class RunHandler(LogHandlerBase):
         if retry:
             self.screen.tell(f"{self._names.get(retry[1], f'job {retry[1]}')}: tried again")
         elif record.levelno >= logging.WARNING:
-            if not any(expected in text for expected in EXPECTED_ERRORS):
+            if not any(words in text for words in REPEATED):
                 self.screen.tell(text)
         elif text.startswith(INTERRUPTED):
             self._interrupted = True
