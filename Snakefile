@@ -23,8 +23,15 @@ include: "workflow/rules/campaign.smk"
 rule all:
     default_target: True
     input:
-        lambda wildcards: [f"{RESULTS}/{scene}/current/index.json" for scene in SCENES],
+        lambda wildcards: [
+            f"{RESULTS}/{scene}/current/index.json"
+            for scene in SCENES
+            if FLOW.can_be_planned(scene)
+        ],
         # Each artifact is asked for: Snakemake would not make one again that is missing below an index that is there.
         lambda wildcards: [
-            manifest for scene in SCENES for manifest in FLOW.artifacts(scene)
+            manifest
+            for scene in SCENES
+            if FLOW.can_be_planned(scene)
+            for manifest in FLOW.artifacts(scene)
         ],

@@ -30,7 +30,8 @@ SUBMITTED = re.compile(r"(?:Group )?[Jj]ob \S+ has been submitted with SLURM job
 
 
 def through_slurm(arena: Arena, folder: Path) -> tuple[str, str]:
-    """Run the scenes through a Slurm of its own; what the run told, and Slurm's list of finished jobs."""
+    """Run the scenes through a Slurm of its own; Snakemake's log file with what the run told last, and Slurm's list of
+    finished jobs."""
     with cluster(folder / "slurm"):
         plugin = install_plugin(folder / "plugin")
         told = environment()
@@ -47,7 +48,8 @@ def through_slurm(arena: Arena, folder: Path) -> tuple[str, str]:
         )
         if done.returncode:
             raise SystemExit(done.stdout)
-        return done.stdout, (folder / "slurm/log/jobs").read_text()
+        log = max((arena.folder / ".snakemake/log").glob("*.log")).read_text()
+        return log + done.stdout, (folder / "slurm/log/jobs").read_text()
 
 
 def digests(arena: Arena, root: Path) -> dict[tuple[str, str, str], str]:

@@ -3,8 +3,11 @@
 from types import SimpleNamespace
 
 import pytest
+from unit.test_plan_economy import PLANE
 
 from nishiki.cli import main
+from nishiki.engine.workflow import LEAVE_OUT, Workflow
+from nishiki.errors import UserError
 
 
 def said(capsys, *words):
@@ -69,6 +72,57 @@ def test_a_capture_that_is_not_there_is_told_with_the_way_to_one(capsys, project
     assert status == 2
     for words in ("scene 'wing' of the scene table", "captures/wing: no such capture folder", "./nishiki convert"):
         assert words in told
+
+
+@pytest.fixture
+def three_scenes(project, monkeypatch):
+    """A table of three scenes, the second of which has no capture; what a run asks of Snakemake is not done."""
+
+    def facts(scene, results):
+        if scene.name == "wing":
+            raise UserError(f"scene {scene.name!r}: no such capture folder")
+        return PLANE
+
+    monkeypatch.setattr("nishiki.engine.workflow.remembered_facts", facts)
+    monkeypatch.setattr("nishiki.commands.planning.expect_packages", lambda flow: None)
+    rows = "".join(f"{name}\tcaptures/{name}\tnormals\n" for name in ("jar", "wing", "bowl"))
+    (project / "table.tsv").write_text("scene\tcapture\tproducts\n" + rows)
+    return project
+
+
+@pytest.mark.parametrize("status", [0, 1])
+def test_a_scene_that_cannot_be_planned_does_not_stop_the_others(capsys, three_scenes, monkeypatch, status):
+    called = []
+
+    def call(flow, command, *, failures, **options):
+        called.append((list(flow.plans), "--keep-going" in command))
+        if status:
+            failures.append({"scene": "jar", "stage": "ingest", "name": "jar/ingest", "why": "torn", "log": "x.log"})
+        return status
+
+    monkeypatch.setattr("nishiki.commands.engine.call_engine", call)
+    ended, told = said(capsys, "run", "--configfile", "mine.yaml")
+    assert (ended, called) == (1, [(["jar", "bowl"], True)])
+    assert told.startswith("nishiki run: left out: scene 'wing': no such capture folder\n")
+    assert "0 of 3 scenes are finished; not: jar (at ingest), bowl (at ingest), wing" in told
+    assert ("  jar/ingest: torn (log: x.log)\n" in told) == bool(status)
+    assert told.endswith("  scene 'wing': no such capture folder\n")
+    ended, told = said(capsys, "run", "--configfile", "mine.yaml", "--stop-at-first-failure")
+    assert (ended, len(called)) == (2, 1)
+    assert told == "nishiki run: scene 'wing': no such capture folder\n"
+
+
+def test_snakemake_leaves_out_what_cannot_be_planned_where_the_run_says_so(three_scenes, monkeypatch):
+    flow = Workflow(file="mine.yaml", lazy=True)
+    assert flow.can_be_planned("wing"), "not asked to leave anything out: its plan tells what is wrong"
+    monkeypatch.setenv(LEAVE_OUT, "1")
+    assert [flow.can_be_planned(name) for name in ("jar", "wing", "bowl")] == [True, False, True]
+
+
+def test_where_no_scene_can_be_planned_nothing_is_run(capsys, three_scenes):
+    (three_scenes / "table.tsv").write_text("scene\tcapture\nwing\tcaptures/wing\n")
+    told = "nishiki run: scene 'wing': no such capture folder\n"
+    assert said(capsys, "run", "--configfile", "mine.yaml") == (2, told)
 
 
 def test_verify_without_anything_to_verify_is_no_success(capsys, project):

@@ -1,6 +1,8 @@
 """What runs again, and what does not, as Snakemake sees it."""
 
 import json
+import os
+import re
 import shutil
 
 import pytest
@@ -191,8 +193,15 @@ def test_bad_scene_table_is_told_in_one_line_with_status_2(asked, table, message
 
 def test_scenes_side_by_side_have_one_thread_each_and_the_last_one_two(site):
     rows = "".join(f"{name}\tcaptures/tiny\t\tnormals\n" for name in ("first", "second"))
-    (site.folder / "config/scenes.tsv").write_text("scene\tcapture\ttruth\tproducts\n" + rows)
-    site.nishiki("run", "--cores", "2")
+    broken = "".join(f"{name}\tcaptures/{name}\t\tnormals\n" for name in ("cut", "gone"))
+    table, columns = site.folder / "config/scenes.tsv", "scene\tcapture\ttruth\tproducts\n"
+    table.write_text(columns + broken + rows)
+    shutil.copytree(site.folder / "captures/tiny", site.folder / "captures/cut")
+    os.truncate(site.folder / "captures/cut/data/frames/top.png", 1000)
+    done = site.nishiki("run", "--cores", "2", check=False)
+    shutil.rmtree(site.folder / "captures/cut")
+    assert_told_by_scene(done, site)
+    table.write_text(columns + rows)
     assert threads_of_normals(site, "first") == threads_of_normals(site, "second") == 1
     artifact = (site.folder / "results/second/current/normals").resolve()
     before = (artifact / "artifact.json").read_bytes()
@@ -201,6 +210,26 @@ def test_scenes_side_by_side_have_one_thread_each_and_the_last_one_two(site):
     assert threads_of_normals(site, "first") == 1
     assert threads_of_normals(site, "second") == 2
     assert (artifact / "artifact.json").read_bytes() == before
+
+
+def assert_told_by_scene(done, site):
+    """A line for each stage that was done, what is wrong with the other scenes, and nothing of Snakemake's own."""
+    assert done.returncode == 1
+    assert "\r" not in done.stderr
+    lines = done.stderr.splitlines()
+    for name in ("first", "second"):
+        for stage in ("ingest", "separate", "normals"):
+            assert any(re.fullmatch(rf"{name}/{stage}: done in [0-9.]+ \w+ \(\d of 9 stages\)", line) for line in lines)
+        assert any(line.startswith(f"{name}: finished (") and line.endswith(" of 4 scenes)") for line in lines)
+    assert any(line.startswith("nishiki cut/ingest: frames/top.png: changed after sealing") for line in lines)
+    assert any(line.startswith("cut/ingest: failed after") and ".snakemake/log/" in line for line in lines)
+    assert "2 of 4 scenes are finished; not: cut (at ingest), gone" in done.stderr
+    first, second = lines[lines.index("failed:") + 1 :]
+    assert first.startswith("  cut/ingest: frames/top.png")
+    assert second.startswith("  scene 'gone'")
+    assert "Select jobs to execute" not in done.stderr + done.stdout
+    log = max((site.folder / ".snakemake/log").glob("*.log"))
+    assert "Select jobs to execute" in log.read_text()
 
 
 def threads_of_normals(site, scene):

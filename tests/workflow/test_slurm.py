@@ -56,12 +56,13 @@ class SlurmRun:
         return json.loads((self.site.folder / results / "tiny/current/index.json").read_text())
 
     def finish(self, started: subprocess.Popen, *, seconds: float = 600) -> str:
-        """What the run told. It must have succeeded, through Slurm."""
+        """What the run told, on its screen and in Snakemake's log file. It must have succeeded, through Slurm."""
         try:
             text, _ = started.communicate(timeout=seconds)
         finally:
             started.kill()
         assert started.returncode == 0, text
+        text += max((self.site.folder / ".snakemake/log").glob("*.log")).read_text()
         assert "has been submitted with SLURM jobid" in text
         return text
 

@@ -72,6 +72,8 @@ def _parser() -> argparse.ArgumentParser:
     text = "processors to use (default: all; on a cluster: as many as it gives)"
     sub.add_argument("--cores", type=_cores, help=text)
     sub.add_argument("--profile", default="default", help="slurm for a cluster, or a folder of Snakemake's options")
+    text = "end the run where a scene fails or cannot be planned (default: the other scenes are made)"
+    sub.add_argument("--stop-at-first-failure", action="store_true", help=text)
     _with_gone(sub)
     sub = command(
         "sweep", "sweeping:sweep", "error against run time over variants of settings; further arguments: snakemake"

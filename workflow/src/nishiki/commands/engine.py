@@ -1,19 +1,23 @@
 """Snakemake, started as a registered run: beside no live one of the same scenes, behind what a dead one left, and on
 unfinished scenes only."""
 
+import json
 import os
 import re
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
+from statistics import fmean
 
+from nishiki.artifacts.provenance import SOURCE
 from nishiki.engine.finished import unfinished_scenes
 from nishiki.engine.plan import Plan
 from nishiki.engine.records import refuse_while_running
 from nishiki.engine.running_lock import registered
 from nishiki.engine.soundness import set_aside_unsound
-from nishiki.engine.workflow import Workflow
+from nishiki.engine.workflow import LEAVE_OUT, Workflow
 
 LOOKS_ONLY = {
     *("-n", "--dry-run", "--dryrun", "-S", "--summary", "-D", "--detailed-summary", "--dag", "--d3dag", "--rulegraph"),
@@ -37,6 +41,10 @@ WHAT_TO_MAKE = frozenset(
     )
 )
 """Options in a profile that decide what is made."""
+ITS_OWN_OUTPUT = {"--verbose", "--logger"}
+"""Options with which Snakemake prints for itself."""
+SAMPLED_SCENES = 200
+"""Scenes from which the expected time of each stage is taken."""
 
 
 def says_what_to_make(rest: Sequence[str], profile: dict) -> bool:
@@ -52,8 +60,17 @@ def says_what_to_make(rest: Sequence[str], profile: dict) -> bool:
     return not known or bool(decided) or "SNAKEMAKE_PROFILE" in os.environ
 
 
-def call_engine(flow: Workflow, command: list[str], *, gone: Iterable[str] = (), unfinished_only: bool = False) -> int:
+def call_engine(
+    flow: Workflow,
+    command: list[str],
+    *,
+    gone: Iterable[str] = (),
+    unfinished_only: bool = False,
+    failures: list[dict[str, str]] | None = None,
+) -> int:
     """Run Snakemake on the scenes of a workflow; its exit status.
+
+    failures: gets each failed job: scene, stage, name, why, log.
 
     unfinished_only: Snakemake hears only of scenes that are not finished (see `nishiki.engine.finished`), and is not
     started where all are.
@@ -64,6 +81,7 @@ def call_engine(flow: Workflow, command: list[str], *, gone: Iterable[str] = (),
     """
     # Every stage is a process: without compiled bytecode each would compile the same imports again.
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    environment |= {LEAVE_OUT: "1"} if flow.refused else {}
     if LOOKS_ONLY & set(command):  # whoever only looks takes no lock, and stumbles over none
         return subprocess.run([*command[:3], "--nolock", *command[3:]], check=False, env=environment).returncode
     results = Path(flow.results)
@@ -74,21 +92,52 @@ def call_engine(flow: Workflow, command: list[str], *, gone: Iterable[str] = (),
         scenes = list(flow.plans)
         if unfinished_only:
             scenes = list(unfinished_scenes(flow, contents=held.unclean))
-            done = len(flow.plans) - len(scenes)
+            done, total = len(flow.plans) - len(scenes), len(flow.plans) + len(flow.refused)
             if not scenes:
-                _tell(f"Nothing to be done: {done} of {done} scenes are finished")
+                _tell(f"Nothing to be done: {done} of {total} scenes are finished")
                 held.ended = "done"
                 return 0
             if done:
-                _tell(f"{done} of {len(flow.plans)} scenes are finished and left as they are")
+                _tell(f"{done} of {total} scenes are finished and left as they are")
             held.leave_out_finished(scenes)
         set_aside_unsound(dict(_plans(flow, scenes)), _tell, contents=held.unclean)
-        status = held.call(command, environment)
+        with tempfile.TemporaryFile() as failed:
+            counted = len(scenes) if unfinished_only else None
+            shown = [] if ITS_OWN_OUTPUT & set(command) else _display(flow, scenes, counted, failed.fileno())
+            environment["PYTHONPATH"] = os.pathsep.join(filter(None, (str(SOURCE), environment.get("PYTHONPATH"))))
+            status = held.call([*command[:3], *shown, *command[3:]], environment, keep=(failed.fileno(),))
+            failed.seek(0)
+            if failures is not None:
+                failures += [json.loads(line) for line in failed]
         if not status:
             held.ended = "done"
         elif held.ended == "interrupted":
             _tell("interrupted: its jobs were ended")
     return status
+
+
+def _display(flow: Workflow, scenes: list[str], unfinished: int | None, failed: int) -> list[str]:
+    """Options for Snakemake that leave its screen to the project's own logger plugin.
+
+    unfinished: number of scenes that the run makes, where it is known; failed: descriptor for what failed. Snakemake's
+    log file says more than a user wants to see, the rules with their reasons among it.
+    """
+    expected: dict[str, object] = {"seconds": expected_seconds(flow, scenes)}
+    if unfinished is not None:
+        expected |= {"scenes": len(flow.plans) + len(flow.refused), "finished": len(flow.plans) - unfinished}
+    own = ["--logger-nishiki-expected", json.dumps(expected), "--logger-nishiki-failures", str(failed)]
+    return ["--logger", "nishiki", *own, "--quiet", "host"]
+
+
+def expected_seconds(flow: Workflow, scenes: Sequence[str]) -> dict[str, float]:
+    """Processor seconds that a job of each rule is expected to take: means over some of the scenes."""
+    found: dict[str, list[float]] = {}
+    for scene in scenes[:: max(1, len(scenes) // SAMPLED_SCENES)]:
+        for stage in flow.plans[scene].stages:
+            parts = flow.parts(scene, stage)
+            rule = stage if parts == 1 else "part"  # the stage's own job only joins its parts
+            found.setdefault(rule, []).append(flow.seconds(scene, stage, 1 / parts))
+    return {rule: round(fmean(values), 3) for rule, values in found.items()}
 
 
 def _tell(text: str) -> None:

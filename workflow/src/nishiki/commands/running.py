@@ -19,7 +19,7 @@ DEMOS = {
     "satin": ("satin", "config/fabric.yaml"),
 }
 NAMED = 20
-"""Unfinished scenes that are told by name."""
+"""Scenes that are told by name: unfinished ones, failed ones."""
 TINY = {"plane": "tiny", "turntable": "object-tiny", "goniometer": "satin-tiny"}
 """A small simulated scene for each geometry."""
 
@@ -34,13 +34,21 @@ fabric_render: {view: {rows: 48, columns: 48}, cloth: {points: 33}, supersamplin
 
 
 def run(options: argparse.Namespace, rest: list[str]) -> int:
-    """Run the workflow on the configuration; the plan is checked first, so that bad input is told in one line."""
+    """Run the workflow on the configuration; the plan is checked first, so that bad input is told in one line.
+
+    A scene that cannot be planned, or fails, does not stop the others; the exit status is 1 then.
+    """
     from nishiki.commands.engine import LOOKS_ONLY, call_engine, says_what_to_make
     from nishiki.commands.planning import expect_packages
     from nishiki.engine.project import load_yaml
     from nishiki.engine.workflow import Workflow
 
-    flow = Workflow(load_yaml(options.configfile), folder=PROJECT, file=options.configfile)
+    values = load_yaml(options.configfile)
+    flow = Workflow(
+        values, folder=PROJECT, file=options.configfile, leave_out_refused=not options.stop_at_first_failure
+    )
+    for message in list(flow.refused.values())[:NAMED]:
+        print(f"nishiki run: left out: {message}", file=sys.stderr)
     expect_packages(flow)
     command = [
         sys.executable,
@@ -51,13 +59,20 @@ def run(options: argparse.Namespace, rest: list[str]) -> int:
         "--configfile",
         options.configfile,
         *profile_arguments(options.profile, options.cores, (map(Path, flow.artifacts(scene)) for scene in flow.plans)),
+        *([] if options.stop_at_first_failure else ["--keep-going"]),
         *rest,
     ]
     start = time.monotonic()
     whole = says_what_to_make(rest, load_yaml(profile_folder(options.profile) / "config.yaml"))
-    status = call_engine(flow, command, gone=options.host_is_gone, unfinished_only=not whole)
+    failures: list[dict[str, str]] = []
+    status = call_engine(flow, command, gone=options.host_is_gone, unfinished_only=not whole, failures=failures)
+    status = status or (1 if flow.refused else 0)
     if not LOOKS_ONLY & set(rest):
-        (_tell_unfinished if status else _tell)(flow, time.monotonic() - start)
+        seconds = time.monotonic() - start
+        if status:
+            _tell_unfinished(flow, seconds, failures)
+        else:
+            _tell(flow, seconds)
     return status if status in (0, 2) else 1  # 2: Snakemake does not know an option
 
 
@@ -104,19 +119,30 @@ def _tell(flow, seconds: float) -> None:
     print(f"done in {seconds:.1f} s")
 
 
-def _tell_unfinished(flow, seconds: float) -> None:
-    """Which scenes a run that failed has not finished, and where each stands."""
+def _tell_unfinished(flow, seconds: float, failures: list[dict[str, str]]) -> None:
+    """Which scenes a run that failed has not finished, where each stands, and why."""
     next_of = {}
     for scene, plan in flow.plans.items():
         missing = [stage for stage in plan.stages if not Path(flow.artifact(scene, stage)).is_file()]
         if missing:
             next_of[scene] = missing[0]
-    named = [f"{scene} (at {stage})" for scene, stage in next_of.items()]
-    text = ", ".join(named[:NAMED]) + (f" and {len(named) - NAMED} more" if len(named) > NAMED else "")
-    done = f"after {seconds:.1f} s {len(flow.plans) - len(named)} of {len(flow.plans)} scenes are finished"
+    named = [f"{scene} (at {stage})" for scene, stage in next_of.items()] + list(flow.refused)
+    total = len(flow.plans) + len(flow.refused)
+    done = f"after {seconds:.1f} s {total - len(named)} of {total} scenes are finished"
     if named:
-        done += f"; not: {text}"
+        done += f"; not: {_some(named, ', ')}"
     print(f"{done}. What is finished stays: the same command goes on from there", file=sys.stderr)
+    why = {failure["name"]: failure for failure in failures if failure["scene"] in next_of or not failure["scene"]}
+    lines = [f"  {name}: {failure['why']} (log: {failure['log']})" for name, failure in why.items()]
+    lines += [f"  {message}" for message in flow.refused.values()]
+    if lines:
+        print(f"failed:\n{_some(lines, chr(10))}", file=sys.stderr)
+
+
+def _some(texts: list[str], between: str) -> str:
+    """The first of some texts, and how many there are beside them."""
+    more = f"{between}and {len(texts) - NAMED} more" if len(texts) > NAMED else ""
+    return between.join(texts[:NAMED]) + more
 
 
 def demo(options: argparse.Namespace, rest: list[str]) -> int:
@@ -129,7 +155,9 @@ def demo(options: argparse.Namespace, rest: list[str]) -> int:
         status = simulate(options, ["--output", str(capture), "--truth", str(truth), "--preset", preset])
         if status:
             return status
-    options = argparse.Namespace(configfile=configuration, cores=None, profile="default", host_is_gone=[])
+    options = argparse.Namespace(
+        configfile=configuration, cores=None, profile="default", host_is_gone=[], stop_at_first_failure=False
+    )
     return run(options, rest)
 
 

@@ -32,7 +32,7 @@ def _one(named: str, options: argparse.Namespace, rest: list[str]) -> int:
     target = flow.sweep_path("sweep.json")
     command = [sys.executable, "-m", "snakemake", "--snakefile", str(PROJECT / "Snakefile"), "--configfile", configfile]
     command += profile_arguments(options.profile, options.cores)
-    command += [*rest, "--config", f"sweep={json.dumps(named)}", "--", target]
+    command += ["--keep-going", *rest, "--config", f"sweep={json.dumps(named)}", "--", target]
     status = call_engine(flow, command, gone=options.host_is_gone)
     if status or LOOKS_ONLY & set(rest):
         return 1 if status else 0

@@ -42,13 +42,14 @@ class HeldRun:
         self.facts[UNFINISHED] = sorted(unfinished)
         _write(self.descriptor, self.facts)
 
-    def call(self, command: list[str], environment: dict[str, str]) -> int:
-        """Run Snakemake as a part of this run and wait for its end; its exit status.
+    def call(self, command: list[str], environment: dict[str, str], *, keep: tuple[int, ...] = ()) -> int:
+        """Run Snakemake as a part of this run and wait for its end; its exit status. keep: descriptors that it gets.
 
         It gets an interrupt from the terminal by itself. A termination is passed on as an interrupt, which ends its
         jobs in order: Snakemake's own handler takes a lock that the very thread may hold, and then waits for ever.
         """
-        child = subprocess.Popen(command, env={**environment, MARK: self.facts["id"]}, pass_fds=(self.descriptor,))
+        passed = (self.descriptor, *keep)
+        child = subprocess.Popen(command, env={**environment, MARK: self.facts["id"]}, pass_fds=passed)
         ours = threading.current_thread() is threading.main_thread()
         heeded = signal.getsignal(signal.SIGINT) != signal.SIG_IGN  # a shell starts what stands before & without it
         passed_on = signal.SIGINT if heeded else signal.SIGTERM

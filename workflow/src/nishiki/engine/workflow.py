@@ -13,9 +13,12 @@ from nishiki.engine.plan import Outline, Plan, PlannedStage, make_plan
 from nishiki.engine.project import CONFIGURATION, SWEEPS, Scene, load_project
 from nishiki.engine.scheduling import Scheduling
 from nishiki.engine.sweep_plan import TIMINGS, PlannedSweep, PlannedVariant, SceneSweep, plan_sweep
-from nishiki.errors import UserError
+from nishiki.errors import UserError, of_the_machine
 from nishiki.stages.base import SceneFacts
 from nishiki.stages.table import CHAIN
+
+LEAVE_OUT = "NISHIKI_LEAVE_OUT_REFUSED"
+"""Environment variable: Snakemake leaves out scenes that cannot be planned, which the command line has told."""
 
 
 class Plans(Mapping):
@@ -38,6 +41,23 @@ class Plans(Mapping):
     def __len__(self) -> int:
         return len(self._names)
 
+    def leave_out_refused(self) -> dict[str, str]:
+        """Make all plans; scenes that cannot be planned are taken out and returned with the reason."""
+        refused = {}
+        for name in list(self._names):
+            try:
+                self[name]
+            except UserError as error:
+                refused[name] = str(error)
+            except OSError as error:
+                message = of_the_machine(error)
+                if message is None:
+                    raise
+                refused[name] = f"scene {name!r}: {message}"
+        for name in refused:
+            del self._names[name]
+        return refused
+
 
 class Workflow(Scheduling):
     """All plans of a configuration, and what follows from them for the rules."""
@@ -50,9 +70,14 @@ class Workflow(Scheduling):
         only: str | None = None,
         lazy: bool = False,
         file: str | Path = CONFIGURATION,
+        leave_out_refused: bool = False,
     ):
-        """Plan all scenes, or one of them; lazy: each when it is first asked for; file: where the configuration stands,
-        for messages. Raises UserError for bad input."""
+        """Plan all scenes, or one of them.
+
+        lazy: each when it is first asked for; file: where the configuration stands, for messages; leave_out_refused:
+        scenes that cannot be planned are left out and noted in `refused`, as long as another one can. Raises UserError
+        for bad input.
+        """
         self.folder = Path(folder)
         self.project = load_project(configuration, path=Path(file))
         self.results = str(self.project.results)
@@ -62,11 +87,17 @@ class Workflow(Scheduling):
         self._swept: dict[tuple[str, str, str], PlannedStage] = {}
         self._outlines: dict[Hashable, Outline] = {}
         self._known_facts: dict[tuple[Path, Path | None], SceneFacts] = {}
-        self.plans: Mapping[str, Plan] = Plans([only] if only else list(self.project.scenes), self._plan)
+        plans = Plans([only] if only else list(self.project.scenes), self._plan)
+        self.plans: Mapping[str, Plan] = plans
+        self.refused: dict[str, str] = {}
         if self.project.configuration.sweep:
             self._plan_sweep(self.project.configuration.sweep)
+        elif leave_out_refused:
+            self.refused = plans.leave_out_refused()
+            if not plans:
+                raise UserError("\n".join(self.refused.values()))
         elif not lazy:
-            dict(self.plans)
+            dict(plans)
 
     def _facts(self, scene: Scene) -> SceneFacts:
         place = (scene.capture, scene.truth)
@@ -87,6 +118,15 @@ class Workflow(Scheduling):
                 self._swept |= {
                     (swept.scene, name, planned.key): planned for name, planned in variant.plan.stages.items()
                 }
+
+    def can_be_planned(self, scene: str) -> bool:
+        """Whether a lazy plan can be made; asked only where scenes that cannot are to be left out."""
+        if LEAVE_OUT not in os.environ:
+            return True
+        try:
+            return bool(self.plans[scene])
+        except (UserError, OSError):
+            return False
 
     def stage(self, scene: str, stage: str, key: str) -> PlannedStage:
         """The planned stage of a scene that has this key, in whichever of the scene's plans."""

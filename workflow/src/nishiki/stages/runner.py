@@ -1,6 +1,9 @@
 """One stage by name, as the workflow or a person calls it: `python scripts/stage.py NAME --help`."""
 
+import argparse
 import sys
+import traceback
+import warnings
 from importlib import import_module
 from importlib.util import find_spec
 
@@ -8,7 +11,10 @@ from nishiki.artifacts.stage import run_stage
 
 
 def main() -> None:
-    """Arguments in, one artifact out; the first argument names the stage."""
+    """Arguments in, one artifact out; the first argument names the stage.
+
+    A bug ends with exit status 1 and a traceback, whose last line names the scene and the stage.
+    """
     arguments = sys.argv[1:]
     name = arguments[0] if arguments else ""
     if not name.isidentifier() or find_spec(f"nishiki.stages.{name}") is None:
@@ -18,12 +24,35 @@ def main() -> None:
             f"nishiki: unknown stage {name!r}; usage: stage.py NAME --help. Stages: {', '.join(NAMES)}", file=sys.stderr
         )
         raise SystemExit(2)
-    declared = import_module(f"nishiki.stages.{name}.declaration").STAGE
-    module = import_module(f"nishiki.stages.{name}.run")
-    run_stage(
-        declared.settings,
-        module.run,
-        module.__doc__,
-        arguments=arguments[1:],
-        digest_of_capture=getattr(module, "digest_of_capture", None),
+    who = _who(name, arguments[1:])
+    warnings.formatwarning = lambda text, category, file, line, source=None: (
+        f"nishiki {who}: warning: {category.__name__}: {' '.join(str(text).split())} ({file}:{line})\n"
     )
+    try:
+        declared = import_module(f"nishiki.stages.{name}.declaration").STAGE
+        module = import_module(f"nishiki.stages.{name}.run")
+        run_stage(
+            declared.settings,
+            module.run,
+            module.__doc__,
+            arguments=arguments[1:],
+            digest_of_capture=getattr(module, "digest_of_capture", None),
+        )
+    except Exception as error:
+        print(_bug(who, error), file=sys.stderr)
+        raise SystemExit(1) from None
+
+
+def _who(stage: str, arguments: list[str]) -> str:
+    """Scene and stage, for messages."""
+    parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--scene", default="")
+    scene = parser.parse_known_args(arguments)[0].scene
+    return f"{scene}/{stage}" if scene else stage
+
+
+def _bug(who: str, error: Exception) -> str:
+    """The traceback of an error, and the error itself on one line."""
+    *above, last = traceback.format_exception(error)
+    message = " ".join(last.split())
+    return "".join(above) + f"nishiki {who}: {message}"
