@@ -2,8 +2,8 @@
 
 Parsing all modules of the project takes seconds, at every start and in every job of a cluster. Both answers depend on
 the file's bytes alone (and on the version of Python, whose trees differ), so they are kept under the SHA-256 of these
-bytes in `.kernels` (in an installation: in the user's cache), beside the compiled kernels. Where nothing may be written,
-files are parsed each time.
+bytes in `.kernels` (of an installation: in the user's cache), beside the compiled kernels. Where nothing may be
+written, files are parsed each time.
 """
 
 import ast
