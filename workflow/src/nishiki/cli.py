@@ -66,11 +66,8 @@ def _parser() -> argparse.ArgumentParser:
     which = sub.add_mutually_exclusive_group()
     which.add_argument("--object", action="store_true", help="an object on a turntable in place of the painting")
     which.add_argument("--fabric", action="store_true", help="a satin on a gonioreflectometer in place of the painting")
-    command(
-        "test",
-        "running:test",
-        f"run the tests{' (only in a checkout)' if INSTALLED else ''}; further arguments go to pytest",
-    )
+    where = " (only in a checkout of the project)" if INSTALLED else ""
+    command("test", "running:test", f"run the tests{where}; further arguments go to pytest")
     sub = command("run", "running:run", "make everything that the configuration asks for; further arguments: snakemake")
     sub.add_argument("--configfile", default="config/config.yaml", help="configuration (default %(default)s)")
     text = "processors to use (default: all; on a cluster: as many as it gives)"

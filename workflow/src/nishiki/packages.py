@@ -74,6 +74,6 @@ def install_command(packages: tuple[str, ...]) -> str:
 
 def install_extras(*extras: str) -> str:
     """The command that installs extras: the launcher of a checkout, or pip for an installed package."""
-    return (
-        f"pip install 'nishiki[{','.join(extras)}]'" if INSTALLED else f"./nishiki install --extras {' '.join(extras)}"
-    )
+    if INSTALLED:
+        return f"pip install 'nishiki[{','.join(extras)}]'"
+    return f"./nishiki install --extras {' '.join(extras)}"

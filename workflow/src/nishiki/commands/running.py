@@ -193,7 +193,7 @@ def simulate(options: argparse.Namespace, rest: list[str]) -> int:
 def test(options: argparse.Namespace, rest: list[str]) -> int:
     """Run the tests with pytest; all of them: files side by side, a file's tests in one process."""
     if INSTALLED:
-        raise UserError("an installed package has no tests. Remedy: call ./nishiki test in a checkout of the project")
+        raise UserError("an installed package has no tests. Remedy: call the launcher of a checkout of the project")
     try:
         import pytest  # noqa: F401
     except ImportError:
