@@ -9,7 +9,10 @@ import sys
 from pathlib import Path
 
 PROJECT = Path(__file__).resolve().parents[1]
-SOURCE = PROJECT / "workflow" / "src"
+if (PROJECT / "workflow" / "src").is_dir():  # a checkout; an installed package is on the path
+    sys.path.insert(0, str(PROJECT / "workflow" / "src"))
+
+from nishiki.installation import PACKAGE, cache_folder  # noqa: E402
 
 
 def _report(kind, error, trace) -> None:
@@ -30,16 +33,16 @@ def use_kernel_cache() -> None:
     another file does: an edit would rerun a stage with the old machine code.
     """
     os.environ.setdefault("NUMBA_CACHE_LOCATOR_CLASSES", "nishiki.kernel_cache.ByModule,UserProvidedCacheLocator")
-    if "NUMBA_CACHE_DIR" in os.environ or not os.access(PROJECT, os.W_OK):
+    folder = None if "NUMBA_CACHE_DIR" in os.environ else cache_folder()
+    if folder is None:
         return
     digest = hashlib.sha256()
-    for path in sorted(SOURCE.rglob("*.py")):
+    for path in sorted(PACKAGE.rglob("*.py")):
         text = path.read_bytes()
         if b"numba" in text:
             digest.update(text)
-    os.environ["NUMBA_CACHE_DIR"] = str(PROJECT / ".kernels" / digest.hexdigest()[:12])
+    os.environ["NUMBA_CACHE_DIR"] = str(folder / digest.hexdigest()[:12])
 
 
-sys.path.insert(0, str(SOURCE))
 use_kernel_cache()
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # numba's threads sleep between kernels; by default they spin

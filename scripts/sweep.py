@@ -7,7 +7,7 @@ import json
 import os
 from pathlib import Path
 
-import _project
+import _project  # noqa: F401
 from nishiki.artifacts.artifact import open_artifact
 from nishiki.artifacts.stage import PROJECT_VERSION
 from nishiki.engine.sweep_plan import PlannedVariant, SceneSweep
@@ -27,7 +27,7 @@ def main() -> None:
     parser.add_argument("--output", type=Path, required=True, help="sweep.json to make")
     arguments = parser.parse_args()
     try:
-        flow = Workflow(json.loads(arguments.configuration), folder=_project.PROJECT)
+        flow = Workflow(json.loads(arguments.configuration))
         content = content_of(flow)
     except UserError as error:
         raise SystemExit(f"nishiki sweep: {error}") from None

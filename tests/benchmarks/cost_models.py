@@ -46,7 +46,7 @@ def compared(configfile: Path) -> list[dict]:
     from nishiki.engine.workflow import Workflow
     from nishiki.stages.table import CHAIN
 
-    flow = Workflow(load_yaml(configfile), folder=PROJECT)
+    flow = Workflow(load_yaml(configfile))
     lines = []
     for scene, plan in flow.plans.items():
         for stage in plan.stages:

@@ -361,7 +361,7 @@ def test_the_shell_sees_one_argument_whatever_a_capture_is_called(tmp_path, monk
     table = "scene\tcapture\n" + f's\t"{name.replace(chr(34), chr(34) * 2)}"\n'
     (tmp_path / "scenes.tsv").write_text(table)
     (tmp_path / "config.yaml").write_text("scenes: scenes.tsv\nresults: out put's\n")
-    flow = Workflow(load_yaml(Path("config.yaml")), folder=PROJECT)
+    flow = Workflow(load_yaml(Path("config.yaml")))
     arguments = shlex.split(flow.source("s", "ingest"))
     assert arguments[:2] == ["--capture", f"./{name}"]
     command = [sys.executable, "-m", "snakemake", "--snakefile", str(PROJECT / "Snakefile"), "--cores", "1", "--quiet"]

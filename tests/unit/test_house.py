@@ -11,6 +11,7 @@ from types import FunctionType
 import pytest
 import yaml
 
+import nishiki
 from nishiki.artifacts.closed import Closed
 from nishiki.artifacts.provenance import SOURCE
 from nishiki.artifacts.syntax import syntax_of
@@ -96,7 +97,22 @@ def test_every_setting_says_what_it_means(stage):
 
 
 def test_packages_are_empty_so_that_one_stage_does_not_import_all():
-    assert not [path for path in PACKAGE.rglob("__init__.py") if path.read_text().strip()]
+    root = PACKAGE / "__init__.py"
+    assert not [path for path in PACKAGE.rglob("__init__.py") if path != root and path.read_text().strip()]
+    # That of the package names what is public and imports nothing by itself; the block is for type checkers.
+    statements = [node for node in ast.parse(root.read_text()).body if not isinstance(node, ast.If | ast.FunctionDef)]
+    assert not [node for node in statements if isinstance(node, ast.Import | ast.ImportFrom)]
+    blocks = [node for node in ast.parse(root.read_text()).body if isinstance(node, ast.If)]
+    assert [ast.unparse(node.test) for node in blocks] == ["TYPE_CHECKING"]
+
+
+def test_no_module_calls_what_is_public_through_the_package():
+    """The package's own `__init__.py` is no part of a code digest: nothing that decides a result may go through it."""
+    paths = [*PACKAGE.rglob("*.py"), *(PROJECT / "scripts").glob("*.py")]
+    public = {f"nishiki.{name}" for name in nishiki.__all__}
+    others = [path for path in paths if path != PACKAGE / "__init__.py"]
+    assert not [path.name for path in others if public & set(syntax_of(path).names)]
+    assert not [path.name for path in others if re.search(r"^\s*import nishiki$", path.read_text(), re.M)]
 
 
 def test_rooms_do_not_import_the_workflow_engine():

@@ -94,7 +94,7 @@ def project(tmp_path, monkeypatch):
 
 def test_code_files_follow_imports_inside_functions(project):
     _, script, _ = project
-    assert [path.name for path in code_files(script)] == ["stage.py", "__init__.py", "deep.py", "used.py"]
+    assert [path.name for path in code_files(script)] == ["stage.py", "deep.py", "used.py"]
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import json
 
 import pytest
+from examples import run_examples
 
 pytestmark = pytest.mark.slow
 
@@ -29,6 +30,14 @@ def test_pictures_are_near_the_photographs_and_nearer_than_the_model(object_site
     psnr = artifact(object_site, "object_evaluate")["diagnostics"]["psnr"]
     assert psnr["captured"]["worst_psnr_db"] > psnr["model_alone"]["mean_psnr_db"]
     assert psnr["captured"]["mean_psnr_db"] > 30
+
+
+@pytest.mark.parametrize("name", ["read_object", "render_view"])
+def test_examples_of_the_public_functions_run(object_site, tmp_path, monkeypatch, name):
+    (tmp_path / "results").mkdir()
+    (tmp_path / "results/jar").symlink_to(object_site.folder / "results/tiny")
+    monkeypatch.chdir(tmp_path)
+    run_examples(name)
 
 
 def test_an_amount_of_bytes_reruns_from_the_residual_on(object_site):

@@ -5,7 +5,9 @@ import shlex
 import sys
 
 PROJECT_FOLDER = workflow.basedir
-sys.path.insert(0, os.path.join(PROJECT_FOLDER, "workflow", "src"))
+SOURCE = os.path.join(PROJECT_FOLDER, "workflow", "src")
+if os.path.isdir(SOURCE):  # a checkout; an installed package is on the path
+    sys.path.insert(0, SOURCE)
 
 from nishiki.errors import UserError
 from nishiki.artifacts.provenance import canonical
@@ -19,7 +21,7 @@ from snakemake.exceptions import WorkflowError
 shell.prefix(f"export PATH={shlex.quote(os.path.dirname(sys.executable))}:$PATH; ")
 
 try:
-    FLOW = Workflow(config, folder=PROJECT_FOLDER, lazy=True)
+    FLOW = Workflow(config, lazy=True)
 except UserError as error:
     raise WorkflowError(str(error)) from None
 

@@ -1,0 +1,69 @@
+"""Photographs under controlled light to normals, spectra, reflection models and renders.
+
+The functions below are what people call from Python; the workflow calls the same ones. Arrays go in and out, with the
+last axis for channels or directions. The coordinate frame of pictures is x right, y up, z towards the camera.
+
+Each function is imported when it is first used, so `import nishiki` costs nothing.
+"""
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from nishiki.api import Observed, fit_cloth, read_object, read_observations, render_view
+    from nishiki.brdf.cloth.store import load_brdf as read_cloth
+    from nishiki.brdf.cloth.store import save_brdf as write_cloth
+    from nishiki.brdf.torrance_sparrow import fresnel
+    from nishiki.brdf.torrance_sparrow import specular as torrance_sparrow
+    from nishiki.capture.folder import load_capture as read_capture
+    from nishiki.colour.estimate import estimate_spectra, fit_estimator
+    from nishiki.colour.training import synthetic_reflectances
+    from nishiki.photometric.solve import estimate_normals
+
+__all__ = [
+    "Observed",
+    "estimate_normals",
+    "estimate_spectra",
+    "fit_cloth",
+    "fit_estimator",
+    "fresnel",
+    "read_capture",
+    "read_cloth",
+    "read_object",
+    "read_observations",
+    "render_view",
+    "synthetic_reflectances",
+    "torrance_sparrow",
+    "write_cloth",
+]
+
+_PLACES = {
+    "Observed": "api:Observed",
+    "estimate_normals": "photometric.solve:estimate_normals",
+    "estimate_spectra": "colour.estimate:estimate_spectra",
+    "fit_cloth": "api:fit_cloth",
+    "fit_estimator": "colour.estimate:fit_estimator",
+    "fresnel": "brdf.torrance_sparrow:fresnel",
+    "read_capture": "capture.folder:load_capture",
+    "read_cloth": "brdf.cloth.store:load_brdf",
+    "read_object": "api:read_object",
+    "read_observations": "api:read_observations",
+    "render_view": "api:render_view",
+    "synthetic_reflectances": "colour.training:synthetic_reflectances",
+    "torrance_sparrow": "brdf.torrance_sparrow:specular",
+    "write_cloth": "brdf.cloth.store:save_brdf",
+}
+"""Module below this package and name in it of everything public."""
+
+
+def __getattr__(name: str):
+    if name not in _PLACES:
+        raise AttributeError(f"module 'nishiki' has no attribute {name!r}; public are {', '.join(__all__)}")
+    import importlib
+
+    module, _, inner = _PLACES[name].partition(":")
+    value = getattr(importlib.import_module(f"nishiki.{module}"), inner)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -4,16 +4,17 @@ import argparse
 import sys
 
 from nishiki.errors import UserError, of_the_machine
+from nishiki.installation import COMMAND, INSTALLED
 from nishiki.version import PROJECT_VERSION
 
-DESCRIPTION = """\
+DESCRIPTION = f"""\
 From photographs under controlled light to the appearance of an object, with provenance.
 
 first steps:
-  ./nishiki demo                              simulate a painting, digitise it, write the report
-  ./nishiki convert photographs/ captures/x   turn a folder of photographs, with its lights or cameras, into a capture
-  ./nishiki check captures/x                  everything that is wrong with a capture, in one pass
-  ./nishiki run                               make what config/config.yaml and config/scenes.tsv ask for
+  {COMMAND} demo                              simulate a painting, digitise it, write the report
+  {COMMAND} convert photographs/ captures/x   turn a folder of photographs, with its lights or cameras, into a capture
+  {COMMAND} check captures/x                  everything that is wrong with a capture, in one pass
+  {COMMAND} run                               make what config/config.yaml and config/scenes.tsv ask for
 """
 
 
@@ -29,7 +30,9 @@ def main(arguments: list[str] | None = None) -> None:
     try:
         raise SystemExit(options.call(options, rest) or 0)
     except UserError as error:
-        print(f"nishiki {options.command}: {error}", file=sys.stderr)
+        # Remedies name the launcher of a checkout; an installed package has the command instead.
+        message = str(error).replace("./nishiki ", f"{COMMAND} ")
+        print(f"nishiki {options.command}: {message}", file=sys.stderr)
         raise SystemExit(2) from None
     except BrokenPipeError:
         raise SystemExit(0) from None
@@ -63,7 +66,8 @@ def _parser() -> argparse.ArgumentParser:
     which = sub.add_mutually_exclusive_group()
     which.add_argument("--object", action="store_true", help="an object on a turntable in place of the painting")
     which.add_argument("--fabric", action="store_true", help="a satin on a gonioreflectometer in place of the painting")
-    sub = command("test", "running:test", "run the tests; further arguments go to pytest")
+    where = " (only in a checkout of the project)" if INSTALLED else ""
+    sub = command("test", "running:test", f"run the tests{where}; further arguments go to pytest")
     tier = sub.add_mutually_exclusive_group()
     tier.add_argument("--quick", action="store_true", help="under three minutes: without tests marked slow or long")
     tier.add_argument("--long", action="store_true", help="also fuzzing, faults, Slurm and many scenes; about an hour")

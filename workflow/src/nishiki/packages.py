@@ -6,6 +6,7 @@ from importlib.util import find_spec
 from types import ModuleType
 
 from nishiki.errors import UserError
+from nishiki.installation import INSTALLED
 
 MODULES = {
     "OpenEXR": "OpenEXR",
@@ -68,4 +69,11 @@ def optional(package: str) -> ModuleType:
 
 def install_command(packages: tuple[str, ...]) -> str:
     """The command that installs what is missing beside what is there."""
-    return f"./nishiki install --extras {' '.join(sorted({EXTRAS[name] for name in packages}))}"
+    return install_extras(*sorted({EXTRAS[name] for name in packages}))
+
+
+def install_extras(*extras: str) -> str:
+    """The command that installs extras: the launcher of a checkout, or pip for an installed package."""
+    if INSTALLED:
+        return f"pip install 'nishiki[{','.join(extras)}]'"
+    return f"./nishiki install --extras {' '.join(extras)}"

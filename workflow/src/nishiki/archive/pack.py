@@ -21,6 +21,7 @@ from nishiki.archive.tree import FolderTree
 from nishiki.artifacts.artifact import MANIFEST as ARTIFACT
 from nishiki.artifacts.artifact import RUN, Artifact
 from nishiki.errors import UserError
+from nishiki.installation import CARRIED, PACKAGE
 
 CODE = ("Snakefile", "LICENSE", "pyproject.toml", "uv.lock", "workflow", "scripts", "envs")
 """What of the project is packed: what runs, and the lock of its libraries."""
@@ -116,7 +117,7 @@ def _told(artifacts: list[Artifact], tell: Tell) -> Iterator[Artifact]:
 
 
 def _copy_artifact(crate: Crate, scene: PackedScene, item: Artifact, project: Path) -> PackedStage:
-    from nishiki.artifacts.provenance import code_digest, stage_program
+    from nishiki.artifacts.provenance import code_digest, program_of, stage_program
 
     folder = f"artifacts/{item.stage}/{item.key}"
     for name, entry in sorted(item.manifest["files"].items()):
@@ -129,6 +130,7 @@ def _copy_artifact(crate: Crate, scene: PackedScene, item: Artifact, project: Pa
             f"{item.path(RUN)}: says not when the stage ran. Remedy: ./nishiki verify --set-aside, run again"
         )
     script = project / stage_program(item.stage)
+    script = script if script.is_file() else program_of(item.stage)  # of an installed package
     same = script.is_file() and code_digest(script) == item.manifest.get("code")
     files = {name: crate.files[f"{folder}/{name}"] for name in (ARTIFACT, RUN)}
     return PackedStage(item.manifest, run, same, scene.does.get(item.stage, item.stage), files)
@@ -151,14 +153,17 @@ def _copy_capture(crate: Crate, scene: PackedScene, with_capture: bool, tell: Te
 
 
 def _copy_code(crate: Crate, project: Path) -> None:
-    for name in CODE:
-        path = project / name
+    places = {name: project / name for name in CODE}
+    if project == CARRIED:  # an installed package has its code in a folder of its own
+        places["workflow/src/nishiki"] = PACKAGE
+    for name, path in places.items():
         if not path.exists():  # a copy of the project need not have its lock or its licence
             continue
         inner = FolderTree(path).listing().files if path.is_dir() else {"": 0}
         for file in sorted(inner):
             parts = file.split("/")
-            if any(part.startswith((".", "__pycache__")) for part in parts if part):
+            carried = path == PACKAGE and parts[0] == CARRIED.name
+            if carried or any(part.startswith((".", "__pycache__")) for part in parts if part):
                 continue
             if os.path.splitext(file)[1] in CODE_SUFFIXES:
                 crate.copy(path / file if file else path, f"code/{name}/{file}" if file else f"code/{name}")

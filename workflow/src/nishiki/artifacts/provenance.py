@@ -4,7 +4,9 @@ The key of a stage is the start of the SHA-256 of a canonical text of everything
 code: stage name and format version, exactly the settings that it reads, and the keys of its upstream artifacts.
 The code digest covers the syntax trees of the stage's `run.py` and of every module of this project that it imports,
 directly or not, without comments and docstrings; declarations of stages are left out, because the settings stand in the
-key as values, and costs, texts and limits change no byte of a result.
+key as values, and costs, texts and limits change no byte of a result. So is the package's own `__init__.py`, which only
+names what users call. Modules go by their names below the package and scripts by theirs, so that the digests of a
+checkout and of an installed package are the same.
 """
 
 import functools
@@ -18,9 +20,9 @@ from typing import Any
 
 from nishiki.artifacts.syntax import syntax_of
 from nishiki.errors import UserError
+from nishiki.installation import SCRIPTS, SOURCE
 
 KEY_DIGITS = 12
-SOURCE = Path(__file__).resolve().parents[2]
 PACKAGE = "nishiki"
 STAGES = SOURCE / PACKAGE / "stages"
 DECLARATIONS = ("declaration.py", "table.py")
@@ -79,8 +81,14 @@ def differences(first: dict, second: dict, path: str = "") -> list[str]:
 
 
 def stage_program(stage: str) -> str:
-    """Path of a stage's code below the project's folder."""
+    """Path of a stage's code below the folder of a checkout, as in a packed crate."""
     return f"workflow/src/{PACKAGE}/stages/{stage}/run.py"
+
+
+def program_of(name: str) -> Path:
+    """The file that runs a stage of this name; for other names a script of the project."""
+    program = STAGES / name / "run.py"
+    return program if program.is_file() else SCRIPTS / f"{name}.py"
 
 
 def code_digest(script: Path) -> str:
@@ -90,8 +98,7 @@ def code_digest(script: Path) -> str:
     script = Path(script).resolve()
     files = code_files(script)
     for path in files:
-        name = path.relative_to(SOURCE) if SOURCE in path.parents else path.name
-        digest.update(f"{name}\0{syntax_of(path).tree}\0".encode())
+        digest.update(f"{_name(path)}\0{syntax_of(path).tree}\0".encode())
     for path in data_files(files):
         digest.update(f"{path.relative_to(SOURCE)}\0{file_digest(path)}\0".encode())
     return digest.hexdigest()[:KEY_DIGITS]
@@ -107,7 +114,17 @@ def code_files(script: Path) -> list[Path]:
         if path not in seen:
             seen.add(path)
             queue += _imports(path)
-    return [script, *sorted(seen - {script})]
+    return [script, *sorted(seen - {script}, key=_name)]
+
+
+def _is_module(path: Path) -> bool:
+    """Whether a file is part of the package; an installed one also carries the project's scripts."""
+    return SOURCE in path.parents and SCRIPTS not in path.parents
+
+
+def _name(path: Path) -> Path:
+    """A file's name in a digest, which says nothing of where the project lies."""
+    return path.relative_to(SOURCE) if _is_module(path) else Path(path.name)
 
 
 @functools.cache
@@ -119,10 +136,10 @@ def _imports(path: Path) -> tuple[Path, ...]:
         local = path.parent / f"{parts[0]}.py"
         if parts[0] == PACKAGE:
             found |= set(_module_files(name))
-        elif path.parent != SOURCE / PACKAGE and len(parts) == 1 and local.is_file() and SOURCE not in path.parents:
+        elif len(parts) == 1 and local.is_file() and not _is_module(path):
             found.add(local.resolve())  # a script's neighbour in scripts/
     declared = {module for module in found if module.name in DECLARATIONS and STAGES in module.parents}
-    return tuple(sorted(found - {path} - declared))
+    return tuple(sorted(found - {path, SOURCE / PACKAGE / "__init__.py"} - declared))
 
 
 def _module_files(name: str) -> list[Path]:
@@ -135,7 +152,7 @@ def _module_files(name: str) -> list[Path]:
 
 def data_files(modules: list[Path]) -> list[Path]:
     """Tables and templates that lie in the folders of the modules: they decide the result as code does."""
-    folders = {path.parent for path in modules if SOURCE / PACKAGE in path.parent.parents}
+    folders = {path.parent for path in modules if SOURCE / PACKAGE in path.parent.parents and _is_module(path)}
     return sorted(
         item for folder in folders for item in folder.iterdir() if item.is_file() and item.suffix not in (".py", ".md")
     )

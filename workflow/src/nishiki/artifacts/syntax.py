@@ -2,7 +2,8 @@
 
 Parsing all modules of the project takes seconds, at every start and in every job of a cluster. Both answers depend on
 the file's bytes alone (and on the version of Python, whose trees differ), so they are kept under the SHA-256 of these
-bytes in `.kernels`, beside the compiled kernels. Where that may not be written to, files are parsed each time.
+bytes in `.kernels` (of an installation: in the user's cache), beside the compiled kernels. Where nothing may be
+written, files are parsed each time.
 """
 
 import ast
@@ -16,7 +17,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
-PROJECT = Path(__file__).resolve().parents[4]
+from nishiki.installation import cache_folder
+
 MOST = 5000
 """Entries that are kept at most; more are those of edited files, and none is kept then but the present ones."""
 
@@ -65,15 +67,17 @@ def _without_docstrings(tree: ast.Module) -> str:
 class _Store:
     """Syntaxes by the digest of the file, as they were kept, and those of this process."""
 
-    def __init__(self, path: Path):
+    def __init__(self, path: Path | None):
         self.path, self.known, self.used = path, {}, {}
+        if path is None:
+            return
         with suppress(OSError, ValueError, TypeError, AttributeError):
             entries = json.loads(path.read_bytes())
             self.known = {name: Syntax(str(tree), tuple(names)) for name, (tree, names) in entries.items()}
 
     def keep(self) -> None:
         """Write what is new."""
-        if self.used.keys() <= self.known.keys():
+        if self.path is None or self.used.keys() <= self.known.keys():
             return
         every = self.known | self.used
         partial = self.path.with_name(f"{self.path.name}.{os.getpid()}")
@@ -87,6 +91,7 @@ class _Store:
 
 @functools.cache
 def _store() -> _Store:
-    store = _Store(PROJECT / ".kernels" / f"syntax-{sys.version_info.major}.{sys.version_info.minor}.json")
+    folder, name = cache_folder(), f"syntax-{sys.version_info.major}.{sys.version_info.minor}.json"
+    store = _Store(folder / name if folder else None)
     atexit.register(store.keep)
     return store

@@ -72,12 +72,45 @@ def facet_distribution(phi, gamma) -> np.ndarray:
 
 
 def fresnel(cos_theta, refractive_index) -> np.ndarray:
-    """Reflectance of a smooth dielectric for unpolarised light, 0 .. 1 (P eq. 12 with g^2 = n^2 + cos^2 - 1).
+    """Fresnel reflectance of a smooth dielectric for unpolarised light.
 
-    `cos_theta`: cosine of the incidence on the facet, 0 .. 1; `refractive_index`: n >= 1, relative to air.  With
-    c = cos_theta and g = sqrt((n - 1)(n + 1) + c^2) the textbook's g - c is (n^2 - 1) / (g + c), so that neither n -> 1
-    nor c -> 0 loses digits:  F = 1/2 (d / s)^2 (1 + ((c s - 1) / (c d + 1))^2), s = g + c, d = (n^2 - 1) / s.
-    F is 1 at c = 0 for n > 1 and 0 everywhere for n = 1 (the limit c -> 0 at n = 1 exactly is 0/0; it is set to 0).
+    Parameters
+    ----------
+    cos_theta : (...,) array_like of float
+        Cosine of the angle of incidence on the facet, 0 to 1.
+    refractive_index : float or array_like that broadcasts
+        Relative to air, 1 or more.
+
+    Returns
+    -------
+    (...,) float ndarray
+        Share of the light that is reflected, 0 to 1: 1 at grazing incidence for an index above 1, and 0 everywhere
+        for an index of 1.
+
+    Raises
+    ------
+    nishiki.errors.UserError
+        For an index below 1.
+
+    Notes
+    -----
+    With c = cos_theta and g = sqrt((n - 1)(n + 1) + c^2) the textbook's g - c is (n^2 - 1) / (g + c), so that neither
+    n -> 1 nor c -> 0 loses digits:  F = 1/2 (d / s)^2 (1 + ((c s - 1) / (c d + 1))^2), s = g + c, d = (n^2 - 1) / s.
+    The limit c -> 0 at n = 1 exactly is 0 / 0; it is set to 0.
+
+    References
+    ----------
+    S. Tominaga and N. Tanaka (2004), Measuring and rendering art paintings using a color camera, eq. 12.
+
+    Examples
+    --------
+    Varnish at normal incidence reflects ((n - 1) / (n + 1))^2:
+
+    >>> import nishiki
+    >>> round(float(nishiki.fresnel(1.0, 1.5)), 6)
+    0.04
+    >>> float(nishiki.fresnel(0.0, 1.5))
+    1.0
     """
     c, n = np.asarray(cos_theta), refractive_index
     if not np.all(np.asarray(n) >= 1):
@@ -120,10 +153,59 @@ def attenuation(geometry: HalfVectorGeometry, refractive_index) -> np.ndarray:
 
 
 def specular(normals, lights, views, *, beta, gamma, refractive_index) -> np.ndarray:
-    """beta D F G / cos_r of P eq. 10, relative to the white reference.
+    """Specular term of the Torrance-Sparrow model, beta D F G / cos(theta_r), relative to the white reference.
 
-    Directions: unit, (..., 3), broadcast.  `beta` >= 0 (no unit), `gamma` radians > 0, `refractive_index` >= 1; each
-    broadcasts against the directions' leading axes.  0 where light or view is not above the surface.
+    D is the distribution of facets, F the Fresnel reflectance and G the masking of V-shaped grooves. The whole model
+    adds rho cos(theta_i), with the diffuse reflectance rho.
+
+    Parameters
+    ----------
+    normals, lights, views : (..., 3) array_like of float
+        Unit vectors away from the surface, which broadcast against each other.
+    beta : float or (...,) array_like
+        Strength of the term, 0 or more, without unit.
+    gamma : float or (...,) array_like
+        Half width at half maximum of the facets' angles, radians, above 0.
+    refractive_index : float or (...,) array_like
+        Relative to air, 1 or more.
+
+    Returns
+    -------
+    (...,) float ndarray
+        1 is a perfect white diffuser that faces the lamp; 0 where light or view is not above the surface.
+
+    Raises
+    ------
+    nishiki.errors.UserError
+        For a gamma that is not above 0, and an index below 1.
+
+    See Also
+    --------
+    fresnel : The reflectance F.
+
+    References
+    ----------
+    K. E. Torrance and E. M. Sparrow (1967), Theory for off-specular reflection from roughened surfaces.
+    S. Tominaga and N. Tanaka (2004), Measuring and rendering art paintings using a color camera, eq. 10 to 13.
+
+    Examples
+    --------
+    Light and view along the normal, where D and G are 1 and F is 0.04:
+
+    >>> import numpy as np
+    >>> import nishiki
+    >>> up = np.array([0.0, 0.0, 1.0])
+    >>> round(float(nishiki.torrance_sparrow(up, up, up, beta=2.0, gamma=0.1, refractive_index=1.5)), 6)
+    0.08
+
+    Across the lobe the value falls to half where the half vector is gamma off the normal:
+
+    >>> light = np.array([np.sin(0.2), 0.0, np.cos(0.2)])
+    >>> values = nishiki.torrance_sparrow(up, np.stack([up, light]), up, beta=2.0, gamma=0.1, refractive_index=1.5)
+    >>> values.shape
+    (2,)
+    >>> round(float(values[1] / values[0]), 2)
+    0.5
     """
     geometry = half_vector_geometry(normals, lights, views)
     return beta * facet_distribution(geometry.phi, gamma) * attenuation(geometry, refractive_index)

@@ -90,10 +90,40 @@ def payload_of(root: Path) -> Path:
 
 
 def load_capture(root: Path | str) -> Capture | TurntableCapture | GoniometerCapture:
-    """Read and check a capture folder, by its geometry a Capture, TurntableCapture or GoniometerCapture; no photograph
-    is opened.
+    """Read and check the tables of a capture folder; no photograph is opened.
 
-    Raises CaptureError (a UserError) that holds every error found, not only the first.
+    Parameters
+    ----------
+    root : str or Path
+        Capture folder, sealed or not: the folder that holds `capture.yaml`, or the one above its `data`.
+
+    Returns
+    -------
+    Capture, TurntableCapture or GoniometerCapture
+        By its geometry, `plane`, `turntable` or `goniometer`. All have `settings` (the checked `capture.yaml`),
+        `frames` (name, role and lamp of each photograph) and `warnings`; a plane also has `lights` and `directions`,
+        a (photographs, 3) float64 ndarray of unit vectors to the lamps, x right, y up, z towards the camera.
+
+    Raises
+    ------
+    nishiki.formats.problems.CaptureError
+        A `UserError` that lists every error found in the tables, not only the first.
+
+    References
+    ----------
+    The folder's format: "Capture folders" in the documentation. Sealed folders: J. Kunze and others (2018), The BagIt
+    File Packaging Format, RFC 8493.
+
+    Examples
+    --------
+    >>> import nishiki
+    >>> capture = nishiki.read_capture("captures/painting")
+    >>> capture.geometry
+    'plane'
+    >>> len(capture.observed), capture.directions.shape
+    (5, (5, 3))
+    >>> [frame.role for frame in capture.observed]
+    ['sample', 'sample', 'sample', 'sample', 'check']
     """
     capture, problems = examine(Path(root))
     raise_errors(problems)

@@ -127,22 +127,65 @@ def fit_estimator(
 ) -> SpectralEstimator:
     """Learn how to turn camera responses into reflectances.
 
+    Every spectrum is an array over 400 to 700 nm in steps of 5 nm, 61 values
+    (`nishiki.colour.sampling.resample` brings measured curves onto them).
+
     Parameters
     ----------
-    training : (M, 61) reflectances in [0, 1]; illuminant : (61,); sensitivities : (N, 61), N >= 1.
-    method : `"paper"` (principal bases and matrix inverse, P eq. 8), `"wiener"` (linear with training covariance and
-        noise), `"local"` (Wiener plus the kernel correction of `nishiki.colour.local`).
-    bases : paper: number of principal bases (default 3, at most N). Others: size K of the output basis, the constant
+    training : (M, 61) array_like of float
+        Reflectances, 0 to 1, of surfaces like those photographed.
+    illuminant : (61,) array_like of float
+        Spectral power of the lamp, in any unit.
+    sensitivities : (N, 61) array_like of float
+        Sensitivity of each channel of the camera, in any unit; N is 1 or more.
+    method : {'local', 'wiener', 'paper'}, optional
+        `paper`: principal bases and matrix inverse (Tominaga and Tanaka, 2004). `wiener`: linear, from the
+        covariance of the training set and the noise. `local`: Wiener and a correction by kernels in the space of the
+        responses (`nishiki.colour.local`).
+    bases : int or rule, optional
+        paper: number of principal bases (default 3, at most N). Others: size K of the output basis, the constant
         included (default 12, wiener at most N + 1), or a rule that gives it (`nishiki.colour.fitting.BasesRule`).
-    noise : standard deviation of a response, white = 1; >= 0.
-    white_width : the perfect white returns S = 1 exactly; the correction that sees to it fades as a Gaussian of this
-        width (root mean square over channels) round the white response. 0: none, the method as it is.
-    centres, radius, ridge : the local correction; see `fit_correction`.
-    condition_limit : paper: singular values of H below largest / limit are left out and every pixel is flagged.
-    unit_tolerance : S is flagged below -tolerance and above 1 + tolerance.
-    rule : integration over wavelength, see `integration_weights`.
+    noise : float, optional
+        Standard deviation of a response, 0 or more; white is 1.
+    white_width : float, optional
+        The perfect white returns a reflectance of 1 exactly; the correction that sees to it fades as a Gaussian of
+        this width (root mean square over channels) round the white response. 0: none, the method as it is.
+    centres, radius, ridge : optional
+        Of the local correction; see `nishiki.colour.local.fit_correction`.
+    condition_limit : float, optional
+        paper: singular values of the system matrix below the largest over this limit are left out, and every pixel is
+        flagged.
+    unit_tolerance : float, optional
+        Reflectances below -tolerance and above 1 + tolerance are flagged.
+    rule : {'trapezoid', 'rectangle'}, optional
+        Integration over wavelength.
 
-    Raises UserError for unknown methods, wrong shapes, NaN, too few spectra, settings out of range.
+    Returns
+    -------
+    SpectralEstimator
+        Arrays and numbers only; for `estimate_spectra`.
+
+    Raises
+    ------
+    nishiki.errors.UserError
+        For unknown methods, wrong shapes, values that are not finite, too few spectra, and settings out of range.
+
+    References
+    ----------
+    S. Tominaga and N. Tanaka (2004), Measuring and rendering art paintings using a color camera, eq. 5 to 8.
+    H. Haneishi and others (2000), System design for accurately estimating the spectral reflectance of art paintings.
+
+    Examples
+    --------
+    A camera with three broad channels under light of equal energy:
+
+    >>> import numpy as np
+    >>> import nishiki
+    >>> nm = np.arange(400, 701, 5)
+    >>> camera = np.exp(-(((nm - np.array([[600], [540], [460]])) / 40) ** 2))
+    >>> estimator = nishiki.fit_estimator(nishiki.synthetic_reflectances(200), np.ones(61), camera, method="wiener")
+    >>> estimator.basis.shape
+    (4, 61)
     """
     spectra = checked_spectra(training, "training reflectances")
     _check_settings(method, noise, white_width, centres, radius, ridge, condition_limit, unit_tolerance)
@@ -160,13 +203,49 @@ def fit_estimator(
 def estimate_spectra(
     responses: np.ndarray, estimator: SpectralEstimator, *, threads: int | None = None
 ) -> SpectralField:
-    """Spectral reflectance of every pixel.
+    """Spectral reflectance of every pixel from its responses in the camera's channels.
 
-    responses : (..., N) white-normalised, incidence-corrected diffuse observations (perfect white = 1 in each channel);
-    any real dtype. Non-finite responses give zero coefficients and the flag NOT_FINITE; zero responses give S = 0;
-    negative responses go through the linear part (noise stays unbiased) and are flagged.
-    threads : how many to use; None: as many as the process may. The result does not depend on it.
-    Raises UserError where the number of channels differs from the estimator's.
+    Parameters
+    ----------
+    responses : (..., N) array_like of float
+        Diffuse observations relative to the white reference and divided by the cosine of the incidence: a perfect
+        white is 1 in each channel. Responses that are not finite give zero coefficients and the flag NOT_FINITE; zero
+        responses give a reflectance of 0; negative ones go through the linear part (noise stays unbiased) and are
+        flagged.
+    estimator : SpectralEstimator
+        From `fit_estimator`.
+    threads : int, optional
+        How many to use. Default: as many as the process may. The result does not depend on it.
+
+    Returns
+    -------
+    SpectralField
+        `spectra()` gives the (..., 61) float64 reflectances over 400 to 700 nm in steps of 5 nm, not clipped;
+        `coefficients` (..., K) float32 on the `basis` (K, 61); `sigma` (...) float32, the expected root mean square
+        error over the bands; `flags` (...) uint8, the bits of `FLAG_MEANINGS`.
+
+    Raises
+    ------
+    nishiki.errors.UserError
+        Where the number of channels differs from the estimator's.
+
+    References
+    ----------
+    S. Tominaga and N. Tanaka (2004), Measuring and rendering art paintings using a color camera, eq. 8.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import nishiki
+    >>> nm = np.arange(400, 701, 5)
+    >>> camera = np.exp(-(((nm - np.array([[600], [540], [460]])) / 40) ** 2))
+    >>> estimator = nishiki.fit_estimator(nishiki.synthetic_reflectances(200), np.ones(61), camera, method="wiener")
+    >>> responses = np.array([[1.0, 1.0, 1.0], [0.5, 0.2, 0.1], [0.0, 0.0, 0.0]])
+    >>> spectra = nishiki.estimate_spectra(responses, estimator).spectra()
+    >>> spectra.shape
+    (3, 61)
+    >>> bool(np.allclose(spectra[0], 1, atol=1e-5)), bool(spectra[1, -1] > spectra[1, 0])
+    (True, True)
     """
     observed = np.asarray(responses)
     channels = estimator.linear.shape[1]

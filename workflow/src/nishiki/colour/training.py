@@ -31,19 +31,35 @@ def synthetic_reflectances(count: int = 2000, *, seed: int = 20240) -> np.ndarra
 
     Parameters
     ----------
-    count : at least 10.
-    seed : the same set for the same seed on every machine (to rounding).
+    count : int, optional
+        Number of spectra, at least 10.
+    seed : int, optional
+        The same set for the same seed on every machine (to rounding).
 
     Returns
     -------
-    (count, 61) reflectances in (0, 1).
+    (count, 61) float64 ndarray
+        Reflectances above 0 and below 1, over 400 to 700 nm in steps of 5 nm.
 
     Raises
     ------
-    UserError for fewer than 10.
+    nishiki.errors.UserError
+        For fewer than 10.
 
-    Sources: Kubelka and Munk, Z. tech. Phys. 12 (1931) 593-601; Kubelka, J. Opt. Soc. Am. 38 (1948) 448-457, eq. 24
-    (glazes); Saunderson, J. Opt. Soc. Am. 32 (1942) 727-736 (surface).
+    References
+    ----------
+    P. Kubelka and F. Munk (1931), Ein Beitrag zur Optik der Farbanstriche.
+    P. Kubelka (1948), New contributions to the optics of intensely light-scattering materials, eq. 24 (glazes).
+    J. L. Saunderson (1942), Calculation of the color of pigmented plastics (the paint's surface).
+
+    Examples
+    --------
+    >>> import nishiki
+    >>> paints = nishiki.synthetic_reflectances(100)
+    >>> paints.shape
+    (100, 61)
+    >>> bool((paints > 0).all() and (paints < 1).all())
+    True
     """
     if count < 10:
         raise UserError(f"synthetic training set: expected at least 10 spectra, found {count}; ask for more")

@@ -12,11 +12,9 @@ from nishiki.engine.workflow import Workflow
 from nishiki.errors import UserError
 from nishiki.stages.table import CHAIN
 
-PROJECT = Path(__file__).resolve().parents[4]
-
 
 def _workflow(options: argparse.Namespace) -> Workflow:
-    return Workflow(load_yaml(options.configfile), folder=PROJECT, only=options.scene, file=options.configfile)
+    return Workflow(load_yaml(options.configfile), only=options.scene, file=options.configfile)
 
 
 def stage_state(flow: Workflow, scene: str, stage: str) -> tuple[str, list[str]]:

@@ -10,10 +10,10 @@ from nishiki.artifacts.stage import PROJECT_VERSION
 from nishiki.engine.plan import Plan
 from nishiki.engine.workflow import Workflow
 from nishiki.errors import UserError
+from nishiki.installation import PROJECT
 from nishiki.progress import Progress
 from nishiki.stages.table import CHAIN
 
-PROJECT = Path(__file__).resolve().parents[4]
 ABOUT = ("title", "creator", "date", "object_id", "rights", "notes")
 
 
@@ -22,7 +22,7 @@ def pack_scene(options: argparse.Namespace, rest: list[str]) -> int:
     from nishiki.engine.project import load_yaml
 
     target = Path(options.output)
-    flow = Workflow(load_yaml(options.configfile), folder=PROJECT, only=options.scene, file=options.configfile)
+    flow = Workflow(load_yaml(options.configfile), only=options.scene, file=options.configfile)
     (name,) = flow.plans
     expect_outside(target, Path(flow.results))
     scene = _scene(flow, name, flow.plans[name])

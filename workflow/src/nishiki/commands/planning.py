@@ -5,7 +5,7 @@ import json
 from typing import Any
 
 from nishiki.capture.folder import load_capture
-from nishiki.commands.inspecting import PROJECT, stage_state
+from nishiki.commands.inspecting import stage_state
 from nishiki.engine.plan import Plan
 from nishiki.engine.project import load_yaml
 from nishiki.engine.workflow import Workflow
@@ -21,7 +21,7 @@ def plan(options: argparse.Namespace, rest: list[str]) -> None:
 
     With --json one JSON object a scene and line.
     """
-    flow = Workflow(load_yaml(options.configfile), folder=PROJECT, only=options.scene, file=options.configfile)
+    flow = Workflow(load_yaml(options.configfile), only=options.scene, file=options.configfile)
     for name in flow.plans:
         told = scene_plan(flow, name)
         print(json.dumps(told, sort_keys=True) if options.json else text_of(told))

@@ -15,8 +15,6 @@ from nishiki.engine.running_lock import registered
 from nishiki.engine.sweep_plan import TIMINGS
 from nishiki.errors import UserError
 
-PROJECT = Path(__file__).resolve().parents[4]
-
 
 def prune(options: argparse.Namespace, rest: list[str]) -> int:
     """List what no configuration references, and remove it where --delete says so. Exit status 1 where something that
@@ -56,7 +54,7 @@ def _referenced(options: argparse.Namespace) -> list[tuple[Path, set[Place], set
         files.setdefault(named, []).append(sweep)
     found: dict[Path, tuple[Path, set[Place], set[str]]] = {}
     for name, sweeps in files.items():
-        flow = Workflow(load_yaml(Path(name)), folder=PROJECT)
+        flow = Workflow(load_yaml(Path(name)))
         results = Path(flow.results)
         _, planned, known = found.setdefault(results.resolve(), (results, set(), set()))
         planned |= flow.planned(sweeps)

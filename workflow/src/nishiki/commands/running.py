@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -10,9 +11,8 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from nishiki.errors import UserError
+from nishiki.installation import INSTALLED, PROFILES, PROJECT, SCRIPTS, SNAKEFILE
 
-PROJECT = Path(__file__).resolve().parents[4]
-PROFILES = PROJECT / "workflow/profiles"
 DEMOS = {
     "painting": ("painting", "config/config.yaml"),
     "jar": ("object", "config/object.yaml"),
@@ -44,9 +44,7 @@ def run(options: argparse.Namespace, rest: list[str]) -> int:
     from nishiki.engine.workflow import Workflow
 
     values = load_yaml(options.configfile)
-    flow = Workflow(
-        values, folder=PROJECT, file=options.configfile, leave_out_refused=not options.stop_at_first_failure
-    )
+    flow = Workflow(values, file=options.configfile, leave_out_refused=not options.stop_at_first_failure)
     for message in list(flow.refused.values())[:NAMED]:
         print(f"nishiki run: left out: {message}", file=sys.stderr)
     expect_packages(flow)
@@ -55,7 +53,7 @@ def run(options: argparse.Namespace, rest: list[str]) -> int:
         "-m",
         "snakemake",
         "--snakefile",
-        str(PROJECT / "Snakefile"),
+        str(SNAKEFILE),
         "--configfile",
         options.configfile,
         *profile_arguments(options.profile, options.cores, (map(Path, flow.artifacts(scene)) for scene in flow.plans)),
@@ -87,6 +85,7 @@ def profile_arguments(name: str, cores: str | None, scenes: Iterable[Iterable[Pa
 
     from nishiki.engine.machine import memory_arguments, thread_arguments
     from nishiki.engine.project import load_yaml
+    from nishiki.packages import install_extras
 
     folder = profile_folder(name)
     if not (folder / "config.yaml").is_file():
@@ -98,8 +97,7 @@ def profile_arguments(name: str, cores: str | None, scenes: Iterable[Iterable[Pa
         plugin = f"snakemake_executor_plugin_{executor.replace('-', '_')}"
         if importlib.util.find_spec(plugin) is None:
             raise UserError(
-                f"--profile {name}: the plugin for {executor} is not installed. Remedy: "
-                f"./nishiki install --extras {executor}"
+                f"--profile {name}: the plugin for {executor} is not installed. Remedy: {install_extras(executor)}"
             )
         return arguments + (["--cores", cores] if cores else [])
     return [*arguments, *memory_arguments(), *thread_arguments(cores, scenes), "--cores", cores or "all"]
@@ -146,8 +144,11 @@ def _some(texts: list[str], between: str) -> str:
 
 
 def demo(options: argparse.Namespace, rest: list[str]) -> int:
-    """Simulate the painting, object or cloth, where it is not there yet; then run the configuration."""
-    os.chdir(PROJECT)
+    """Simulate the painting, object or cloth, where it is not there yet; then run the configuration.
+
+    In the folder of the checkout; an installed package makes the folder `nishiki-demo` where it is called.
+    """
+    os.chdir(demo_folder() if INSTALLED else PROJECT)
     name = "jar" if options.object else "satin" if options.fabric else "painting"
     preset, configuration = DEMOS[name]
     capture, truth = Path(f"captures/{name}"), Path(f"captures/{name}-truth")
@@ -159,6 +160,20 @@ def demo(options: argparse.Namespace, rest: list[str]) -> int:
         configfile=configuration, cores=None, profile="default", host_is_gone=[], stop_at_first_failure=False
     )
     return run(options, rest)
+
+
+def demo_folder() -> Path:
+    """The folder of an installed package's demonstrations; the configuration is copied where it is not there yet."""
+    folder = Path("nishiki-demo").absolute()
+    shutil.copytree(PROJECT / "config", folder / "config", dirs_exist_ok=True, copy_function=_copy_new)
+    print(f"the demonstration's configuration, photographs and results: {folder}", file=sys.stderr)
+    return folder
+
+
+def _copy_new(source: str, target: str) -> None:
+    """Copy a file where there is none yet."""
+    if not os.path.lexists(target):
+        shutil.copyfile(source, target)
 
 
 def compile_kernels(options: argparse.Namespace, rest: list[str]) -> int:
@@ -198,7 +213,7 @@ def compile_kernels(options: argparse.Namespace, rest: list[str]) -> int:
 
 def simulate(options: argparse.Namespace, rest: list[str]) -> int:
     """Photograph a simulated painting."""
-    return subprocess.run([sys.executable, str(PROJECT / "scripts/simulate.py"), *rest], check=False).returncode
+    return subprocess.run([sys.executable, str(SCRIPTS / "simulate.py"), *rest], check=False).returncode
 
 
 def test(options: argparse.Namespace, rest: list[str]) -> int:
@@ -206,6 +221,8 @@ def test(options: argparse.Namespace, rest: list[str]) -> int:
 
     tests/conftest.py says which tests belong to a tier and to a group.
     """
+    if INSTALLED:
+        raise UserError("an installed package has no tests. Remedy: call the launcher of a checkout of the project")
     try:
         import pytest  # noqa: F401
     except ImportError:
@@ -221,8 +238,6 @@ def install_for_meshlab() -> None:
 
     Elsewhere, or where it fails, a message names the command; the tests that need the filters are then skipped.
     """
-    import shutil
-
     from nishiki.geometry.meshlab import APT_LINE, missing_filters
 
     if not missing_filters():

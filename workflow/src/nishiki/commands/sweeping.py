@@ -5,8 +5,9 @@ import json
 import sys
 from pathlib import Path
 
-from nishiki.commands.running import PROJECT, profile_arguments
+from nishiki.commands.running import profile_arguments
 from nishiki.errors import UserError
+from nishiki.installation import SNAKEFILE
 
 
 def sweep(options: argparse.Namespace, rest: list[str]) -> int:
@@ -27,10 +28,10 @@ def _one(named: str, options: argparse.Namespace, rest: list[str]) -> int:
     values = load_yaml(Path(configfile))
     if not isinstance(values, dict):
         raise UserError(f"{configfile}: expected a block of keys and values, found {type(values).__name__}")
-    flow = Workflow({**values, "sweep": named}, folder=PROJECT, file=configfile)
+    flow = Workflow({**values, "sweep": named}, file=configfile)
     tell_plan(flow)
     target = flow.sweep_path("sweep.json")
-    command = [sys.executable, "-m", "snakemake", "--snakefile", str(PROJECT / "Snakefile"), "--configfile", configfile]
+    command = [sys.executable, "-m", "snakemake", "--snakefile", str(SNAKEFILE), "--configfile", configfile]
     command += profile_arguments(options.profile, options.cores)
     command += ["--keep-going", *rest, "--config", f"sweep={json.dumps(named)}", "--", target]
     status = call_engine(flow, command, gone=options.host_is_gone)

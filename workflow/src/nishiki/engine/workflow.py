@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 
 from nishiki.artifacts.artifact import MANIFEST
-from nishiki.artifacts.provenance import canonical, code_digest, library_version, stage_program
+from nishiki.artifacts.provenance import canonical, code_digest, library_version, program_of
 from nishiki.engine.facts_cache import remembered_facts
 from nishiki.engine.plan import Outline, Plan, PlannedStage, make_plan
 from nishiki.engine.project import CONFIGURATION, SWEEPS, Scene, load_project
@@ -66,7 +66,6 @@ class Workflow(Scheduling):
         self,
         configuration: dict | None = None,
         *,
-        folder: str | Path = ".",
         only: str | None = None,
         lazy: bool = False,
         file: str | Path = CONFIGURATION,
@@ -78,7 +77,6 @@ class Workflow(Scheduling):
         scenes that cannot be planned are left out and noted in `refused`, as long as another one can. Raises UserError
         for bad input.
         """
-        self.folder = Path(folder)
         self.project = load_project(configuration, path=Path(file))
         self.results = str(self.project.results)
         if only and only not in self.project.scenes:
@@ -180,8 +178,7 @@ class Workflow(Scheduling):
     @cache  # noqa: B019  one Workflow a process
     def code(self, stage: str) -> str:
         """Digest of a stage's code."""
-        script = self.folder / "scripts" / f"{stage}.py"
-        return code_digest(self.folder / stage_program(stage) if stage in CHAIN else script)
+        return code_digest(program_of(stage))
 
     def libraries(self, scene: str, stage: str, key: str) -> str:
         """Versions of the libraries that a stage loads in this scene."""

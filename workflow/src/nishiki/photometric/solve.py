@@ -74,23 +74,69 @@ def estimate_normals(
     noise=0.003,
     exponent=EXPONENT,
 ):
-    """Normals and albedo from I = albedo * max(n . l, 0) on the usable samples (P section 3).
+    """Normals and albedo of every pixel from its observations under known lights.
 
-    observations (lights, rows, columns) relative to the white reference; directions (lights, 3) unit vectors to the
-    lights; usable (lights, rows, columns) bool, from `nishiki.photometric.light_selection.select_diffuse`, None for
-    all; what is not `valid` (likewise bool, None for all) enters no fit, chosen or not; weights (lights,) or (lights,
-    rows, columns), not negative, or None; max_condition: bound on the condition number of the weighted 3 x 3 normal
-    matrix above which a pixel is flagged.
+    Without gloss the observations are albedo * max(n . l, 0), with the normal n and the direction l to the light.
 
-    solver, "default" being "lobe"
-        "least_squares": ordinary (weighted) least squares on the usable samples.
-        "lobe": from there, a reflectance with a diffuse fall-off and a gloss lobe (`nishiki.photometric.lobe`),
-        choosing the samples again among those of `valid`, if None those of `usable`; it starts from all of
-        `valid` where the selection is not to be followed (`nishiki.photometric.distrust`); noise: the
-        observations' noise relative to the albedo; exponent: 2, 4, 8, 16 or 32, of the lobe. Takes no weights.
-        "lobes": the same with the exponents 2, 4, 8 and 16 in turn, and at each pixel the one that leaves least over.
+    Parameters
+    ----------
+    observations : (lights, rows, columns) array_like of float
+        Relative to the white reference: 1 is a perfect white diffuser that faces the lamp.
+    directions : (lights, 3) array_like of float
+        Unit vectors to the lights; x right, y up, z towards the camera.
+    usable : (lights, rows, columns) array_like of bool, optional
+        Samples that the fit starts from, as `nishiki.photometric.light_selection.select_diffuse` chooses them.
+        Default: all.
+    weights : (lights,) or (lights, rows, columns) array_like of float, optional
+        Weights of the samples, zero or more; only for the solver `least_squares`.
+    valid : (lights, rows, columns) array_like of bool, optional
+        What is not valid enters no fit, chosen or not. Default: all.
+    solver : {'default', 'lobe', 'lobes', 'least_squares'}, optional
+        `least_squares`: ordinary (weighted) least squares on the usable samples. `lobe`, the default: from there, a
+        reflectance with a diffuse fall-off and a gloss lobe (`nishiki.photometric.lobe`), which chooses the samples
+        again among the valid ones; it starts from all valid ones where the selection is not to be followed
+        (`nishiki.photometric.distrust`). `lobes`: the same with the exponents 2, 4, 8 and 16 in turn, and at each
+        pixel the one with the smallest residual.
+    max_condition : float, optional
+        Condition number of the weighted 3 x 3 normal matrix above which a pixel is flagged.
+    noise : float, optional
+        Standard deviation of the observations relative to the albedo; for `lobe` and `lobes`.
+    exponent : {2, 4, 8, 16, 32}, optional
+        Exponent of the gloss lobe; for `lobe`.
 
-    Raises UserError on shapes that do not fit, negative weights and unknown solvers. Returns a NormalField.
+    Returns
+    -------
+    NormalField
+        `normals` (rows, columns, 3) float32, unit vectors; `albedo` (rows, columns) float32, relative to the white
+        reference; `sigma` float32, expected error of the direction in radians; `flags` uint8, the bits of
+        `nishiki.photometric.flags`; `valid` bool: where there is an estimate.
+
+    Raises
+    ------
+    nishiki.errors.UserError
+        For shapes that do not fit, negative weights, and unknown solvers.
+
+    References
+    ----------
+    R. J. Woodham (1980), Photometric method for determining surface orientation from multiple images.
+    S. Tominaga and N. Tanaka (2004), Measuring and rendering art paintings using a color camera, section 3.
+    B. Shi, P. Tan, Y. Matsushita and K. Ikeuchi (2014), Bi-polynomial modeling of low-frequency reflectances (the
+    model that the solver `lobe` follows, with other terms).
+
+    Examples
+    --------
+    A matt plane that is tilted by 10 degrees, under four lamps:
+
+    >>> import numpy as np
+    >>> import nishiki
+    >>> normal = np.array([np.sin(np.radians(10)), 0, np.cos(np.radians(10))])
+    >>> lights = np.array([[0.6, 0, 0.8], [-0.6, 0, 0.8], [0, 0.6, 0.8], [0, -0.6, 0.8]])
+    >>> observations = np.broadcast_to(0.5 * (lights @ normal)[:, None, None], (4, 2, 3))
+    >>> field = nishiki.estimate_normals(observations, lights, solver="least_squares")
+    >>> field.normals.shape
+    (2, 3, 3)
+    >>> bool(np.allclose(field.normals, normal, atol=1e-6)), bool(np.allclose(field.albedo, 0.5))
+    (True, True)
     """
     if solver not in SOLVERS:
         raise UserError(f"normals: expected a solver of {', '.join(SOLVERS)}, found {solver!r}")

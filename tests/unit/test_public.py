@@ -1,0 +1,115 @@
+"""The public functions: documented in full, loaded one by one, and their examples run."""
+
+import ast
+import inspect
+import re
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from captures import make_capture
+from examples import run_examples
+
+import nishiki
+from nishiki.artifacts.provenance import PACKAGE, SOURCE, code_files, program_of
+from nishiki.brdf.cloth.store import save_brdf
+from nishiki.brdf.cloth.yarn_facets import uncorrected
+from nishiki.brdf.cloth.yarn_parameters import CENTRE, shape_of
+from nishiki.stages.table import NAMES
+
+INIT = SOURCE / PACKAGE / "__init__.py"
+DIGITISED = {"read_object", "render_view"}
+"""Their examples need a digitised object: tests/workflow/test_object.py runs them."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """What the examples read: a capture of five lights, and a fitted cloth."""
+    folder = tmp_path_factory.mktemp("examples")
+    make_capture(folder / "captures/painting")
+    (folder / "results/satin/current").mkdir(parents=True)
+    save_brdf(folder / "results/satin/current/brdf.npz", uncorrected(shape_of(CENTRE), [0.05, 0.1], [0.0, 0.01]))
+    return folder
+
+
+def sections(name: str) -> dict[str, str]:
+    """Sections of a docstring by their titles."""
+    parts = re.split(r"^([A-Z][A-Za-z ]+)\n-{3,}\n", inspect.cleandoc(getattr(nishiki, name).__doc__), flags=re.M)
+    return dict(zip(parts[1::2], parts[2::2], strict=True))
+
+
+@pytest.mark.parametrize("name", nishiki.__all__)
+def test_public_names_are_documented_in_full(name):
+    thing, found = getattr(nishiki, name), sections(name)
+    assert {"Parameters", "Examples"} <= set(found)
+    entries = re.findall(r"^([a-z_]+(?:, [a-z_]+)*)(?: : .+)?$", found["Parameters"], re.M)
+    described = {single for entry in entries for single in entry.split(", ")}
+    assert described == set(inspect.signature(thing).parameters)
+    if not inspect.isclass(thing):
+        assert "Raises" in found
+        assert "Returns" in found or inspect.signature(thing).return_annotation in (None, "None")
+
+
+@pytest.mark.parametrize("name", [name for name in nishiki.__all__ if name not in DIGITISED])
+def test_examples_run(name, folder, tmp_path, monkeypatch):
+    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
+    monkeypatch.chdir(tmp_path)
+    run_examples(name)
+
+
+def test_public_names_are_listed_once_and_each_has_its_place():
+    assert list(nishiki.__all__) == sorted(nishiki.__all__)
+    assert set(nishiki.__all__) == set(nishiki._PLACES)
+    assert set(nishiki.__all__) <= set(dir(nishiki))
+    with pytest.raises(AttributeError, match="no attribute 'normals_of'"):
+        nishiki.normals_of  # noqa: B018
+
+
+def test_what_type_checkers_read_is_what_is_loaded():
+    shown = {}
+    for node in ast.walk(ast.parse(INIT.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom):
+            shown |= {alias.asname or alias.name: f"{node.module}:{alias.name}" for alias in node.names}
+    assert shown == {name: f"nishiki.{place}" for name, place in nishiki._PLACES.items()}
+
+
+def test_one_name_does_not_load_the_others():
+    code = "import sys, nishiki; nishiki.fresnel; print(*[name for name in sys.modules if name.startswith('nishiki.')])"
+    environment = {"PYTHONPATH": str(SOURCE), "PATH": ""}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment)
+    loaded = set(done.stdout.split())
+    assert "nishiki.brdf.torrance_sparrow" in loaded
+    assert not {name for name in loaded if name.split(".")[1] in ("capture", "colour", "photometric", "api", "stages")}
+
+
+def test_no_stage_depends_on_the_public_names():
+    for name in NAMES:
+        files = {path.relative_to(SOURCE / PACKAGE).as_posix() for path in code_files(program_of(name))}
+        assert not files & {"__init__.py", "api.py"}
+
+
+def test_observations_are_what_was_photographed(folder):
+    observed = nishiki.read_observations(folder / "captures/painting", white_block=1)
+    field = nishiki.estimate_normals(
+        observed.values[~observed.check, ..., 1],
+        observed.directions[~observed.check],
+        valid=observed.valid[~observed.check],
+        solver="least_squares",
+    )
+    assert np.degrees(np.arccos(np.clip(field.normals[..., 2], -1, 1))).max() < 0.5
+    assert 0.39 < field.albedo.min() < field.albedo.max() < 0.51
+
+
+def test_a_geometry_of_many_views_is_refused_in_one_sentence(tmp_path, monkeypatch):
+    from types import SimpleNamespace
+
+    monkeypatch.setattr("nishiki.capture.folder.load_capture", lambda root: SimpleNamespace(geometry="turntable"))
+    with pytest.raises(nishiki.errors.UserError, match="expected a capture of geometry plane, found turntable"):
+        nishiki.read_observations(tmp_path)
+
+
+def test_a_folder_without_an_object_is_told(tmp_path):
+    with pytest.raises(nishiki.errors.UserError, match="found no cameras"):
+        nishiki.read_object(tmp_path)

@@ -1,0 +1,308 @@
+"""What the public functions of `nishiki` need beside the functions that the stages call: whole captures and results.
+
+The workflow works band by band on files; these functions hold one capture or one object in memory.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from nishiki.errors import UserError
+
+if TYPE_CHECKING:
+    from nishiki.render.object.decoded_object import DecodedObject
+
+STAGES_OF_OBJECT = ("cameras", "mesh", "texels", "reflection", "residual")
+
+
+class Observed(NamedTuple):
+    """Photographs of a flat object as linear values relative to a white board.
+
+    Parameters
+    ----------
+    values : (lights, rows, columns, channels) float32 ndarray
+        1 where a perfect white diffuser that faces the lamp would be; 0 where no value can be formed. Glossy
+        highlights exceed 1.
+    valid : (lights, rows, columns) bool ndarray
+        Inside the object's mask, neither saturated nor at the lowest code nor defect.
+    directions : (lights, 3) float64 ndarray
+        Unit vectors from the object's centre to the lamps; x right, y up, z towards the camera.
+    lights : tuple of str
+        Names of the lamps.
+    check : (lights,) bool ndarray
+        Lamps kept for evaluation, which fits should not see.
+    channels : tuple of str
+        Names of the channels.
+
+    See Also
+    --------
+    read_observations : Reads them from a capture folder.
+
+    Examples
+    --------
+    >>> import nishiki
+    >>> observed = nishiki.read_observations("captures/painting")
+    >>> fit = ~observed.check
+    >>> observed.values[fit].shape
+    (4, 24, 32, 3)
+    """
+
+    values: np.ndarray
+    valid: np.ndarray
+    directions: np.ndarray
+    lights: tuple[str, ...]
+    check: np.ndarray
+    channels: tuple[str, ...]
+
+
+def read_observations(capture: str | Path, *, white_block: int = 16) -> Observed:
+    """Read the photographs of a flat object under many lamps, relative to the white board.
+
+    The dark level is subtracted and each lamp is divided by the white board under the same lamp, so that uneven light,
+    exposure and gain cancel. The observations of all lamps are held in memory: 4 bytes for each lamp, pixel and
+    channel.
+
+    Parameters
+    ----------
+    capture : str or Path
+        Capture folder of geometry `plane`, sealed or not; see "Capture folders" in the documentation.
+    white_block : int, optional
+        Side in pixels of the blocks over which the white board is averaged; 1 divides pixel by pixel
+        (Tominaga and Tanaka, 2004, eq. 3).
+
+    Returns
+    -------
+    Observed
+        Values, what of them is valid, and the directions of the lamps.
+
+    Raises
+    ------
+    nishiki.errors.UserError
+        Where the capture cannot be used; the message lists everything that is wrong. Also for other geometries.
+
+    References
+    ----------
+    S. Tominaga and N. Tanaka (2004), Measuring and rendering art paintings using a color camera, eq. 3.
+
+    Examples
+    --------
+    >>> import nishiki
+    >>> observed = nishiki.read_observations("captures/painting")
+    >>> observed.lights
+    ('L01', 'L02', 'L03', 'L04', 'L05')
+    >>> observed.values.dtype, observed.values.shape
+    (dtype('float32'), (5, 24, 32, 3))
+    >>> bool(observed.valid.all())
+    True
+    """
+    from nishiki.capture.folder import load_capture
+    from nishiki.observations.plane import Observations
+    from nishiki.observations.plane_store import IngestSettings, write_observations
+
+    described = load_capture(capture)
+    if described.geometry != "plane":
+        raise UserError(
+            f"{capture}: expected a capture of geometry plane, found {described.geometry}. Remedy: digitise it with "
+            "the command `nishiki run`, and read the results"
+        )
+    with tempfile.TemporaryDirectory() as folder:
+        write_observations(described, folder, settings=IngestSettings(white_block=white_block))
+        stored = Observations(folder)
+        values, valid = stored.read(slice(0, stored.shape[0]))
+        check = np.array([role == "check" for role in stored.roles])
+        return Observed(values, valid, stored.directions, stored.lights, check, stored.channels)
+
+
+def read_object(folder: str | Path) -> DecodedObject:
+    """Open a digitised and coded object: mesh, reflection model, and the residual that is decoded on demand.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Folder `results/SCENE/current` of a finished turntable scene.
+
+    Returns
+    -------
+    DecodedObject
+        `views` and `lights` are the names of what was captured; `residual.decode(tile)` gives the decoded residual of
+        one tile, a (observations, T, T, channels) float32 ndarray in the encoding of the capture; `renderer()` makes
+        pictures of any view of the turn.
+
+    Raises
+    ------
+    nishiki.errors.UserError
+        Where a stage of the object is missing or damaged.
+
+    See Also
+    --------
+    render_view : Renders a captured view of the object.
+
+    References
+    ----------
+    D. Miyazaki, T. Shibata and K. Ikeuchi (2007), Wavelet-Texture method.
+
+    Examples
+    --------
+    >>> import nishiki
+    >>> jar = nishiki.read_object("results/jar/current")
+    >>> len(jar.views), jar.channels
+    (12, 3)
+    >>> residual = jar.residual.decode(0)
+    >>> residual.shape == (len(jar.views) * len(jar.lights), jar.residual.size, jar.residual.size, 3)
+    True
+    """
+    from nishiki.artifacts.artifact import open_artifact
+    from nishiki.render.object.decoded_object import DecodedObject
+
+    folder = Path(folder)
+    missing = [stage for stage in STAGES_OF_OBJECT if not (folder / stage).is_dir()]
+    if missing:
+        raise UserError(
+            f"{folder}: expected the results of {', '.join(STAGES_OF_OBJECT)}, found no {missing[0]}. Remedy: give the "
+            "folder `current` of a finished turntable scene"
+        )
+    stages = [stage for stage in ("ingest", *STAGES_OF_OBJECT) if (folder / stage).is_dir()]
+    return DecodedObject.open({stage: open_artifact((folder / stage).resolve()) for stage in stages})
+
+
+def render_view(
+    decoded: DecodedObject, view: str, *, lights: dict[str, float] | None = None, predicted: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
+    """Render a captured view of a coded object, from its own residual or from that of its neighbours.
+
+    Parameters
+    ----------
+    decoded : DecodedObject
+        Object, from `read_object`.
+    view : str
+        Name of the view, one of `decoded.views`.
+    lights : dict of str to float, optional
+        Weights of the captured lights, by name. Default: the first light, with weight 1.
+    predicted : bool, optional
+        True: interpolate the residual between the neighbouring views, as for a view that was never photographed.
+
+    Returns
+    -------
+    linear : (rows, columns, channels) float32 ndarray
+        Linear light relative to the white board, 0 beyond the object.
+    covered : (rows, columns) bool ndarray
+        Pixels whose centre shows the object.
+
+    Raises
+    ------
+    nishiki.errors.UserError
+        Where a view or a light of that name does not exist, or the residual is damaged.
+
+    References
+    ----------
+    D. Miyazaki, T. Shibata and K. Ikeuchi (2007), Wavelet-Texture method, eq. 12 to 16.
+
+    Examples
+    --------
+    >>> import nishiki
+    >>> jar = nishiki.read_object("results/jar/current")
+    >>> linear, covered = nishiki.render_view(jar, jar.views[0])
+    >>> linear.shape, linear.dtype
+    ((96, 96, 3), dtype('float32'))
+    >>> bool((linear[covered] > 0).mean() > 0.9)
+    True
+    """
+    from nishiki.render.object.shots import lit_by
+
+    number, weights = decoded.number(view), decoded.light_weights(lights or {})
+    renderer = decoded.renderer()
+    shot = renderer.predicted(number) if predicted else renderer.captured(number)
+    picture = next(renderer.render([lit_by(shot, weights)]))
+    return picture.linear, picture.covered
+
+
+def fit_cloth(
+    incident: np.ndarray,
+    outgoing: np.ndarray,
+    values: np.ndarray,
+    *,
+    model: str = "yarn_facets",
+    symmetry: str = "quarter",
+    oblique: int = 20,
+):
+    """Fit a reflection model of a woven cloth to measured reflectances.
+
+    The models `yarn_facets` (the default), `facets`, `bard_linear` and `bard_great_circle` need measurements that are
+    lit along the normal; the first also uses oblique ones. The models `ggx`, `ward` and `ashikhmin_shirley` take any.
+
+    Parameters
+    ----------
+    incident, outgoing : (n, 3) array_like of float
+        Directions from the cloth to the lamp and to the camera, in the frame x weft, y warp, z normal. They need not
+        have unit length.
+    values : (n, channels) array_like of float
+        Bidirectional reflectance, in 1 / sr, zero or more. (n,) is taken as one channel.
+    model : str, optional
+        `yarn_facets`, `facets`, `bard_linear`, `bard_great_circle`, `bard_scaled`, `ggx`, `ward` or
+        `ashikhmin_shirley`.
+    symmetry : {'quarter', 'half', 'none'}, optional
+        Symmetry of the reflectance at normal incidence: two mirror planes, a half turn, or none.
+    oblique : int, optional
+        Largest number of obliquely lit measurements that the fit uses; they are chosen where they tell most.
+
+    Returns
+    -------
+    FabricBrdf
+        Its method `evaluate(incident, outgoing)` takes unit vectors (..., 3) that broadcast against each other and
+        gives the bidirectional reflectance in 1 / sr, (..., channels) float64, 0 below the horizon.
+
+    Raises
+    ------
+    nishiki.errors.UserError
+        For an unknown model, too few measurements, or measurements that are all black.
+    ValueError
+        For arrays whose shapes disagree and values that are not finite.
+
+    See Also
+    --------
+    read_cloth, write_cloth : Store a fitted model.
+
+    References
+    ----------
+    Y. Takeda, V. H. Q. Huy, S. Takemura, Y. Sakaguchi and H. T. Tanaka, Image-based anisotropic reflectance modeling
+    of woven fabrics for digital archive of Noh costume, eq. 5 to 9 (the models `bard_linear`, `bard_great_circle` and
+    `bard_scaled`).
+
+    Examples
+    --------
+    A cloth with a broad gloss, measured from 60 directions under each of two lamps:
+
+    >>> import numpy as np
+    >>> import nishiki
+    >>> angles = np.radians(np.stack(np.meshgrid(np.arange(0, 75, 15), np.arange(0, 360, 30)), -1).reshape(-1, 2))
+    >>> polar, azimuth = angles.T
+    >>> views = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], axis=1)
+    >>> lamps = np.array([[0, 0, 1], [0.6, 0, 0.8]])
+    >>> incident, outgoing = np.repeat(lamps, 60, axis=0), np.tile(views, (2, 1))
+    >>> half = incident + outgoing
+    >>> half /= np.linalg.norm(half, axis=1, keepdims=True)
+    >>> values = 0.05 + 0.01 * half[:, 2:] ** 40 / (incident[:, 2:] * outgoing[:, 2:])
+    >>> cloth = nishiki.fit_cloth(incident, outgoing, values, model="ggx")
+    >>> predicted = cloth.evaluate(incident, outgoing)
+    >>> predicted.shape
+    (120, 1)
+    >>> bool(np.abs(predicted / values - 1).max() < 0.1)
+    True
+    """
+    from nishiki.brdf.cloth.models import MODELS, PEERS, fit_models
+    from nishiki.brdf.cloth.yarn_fit import Measured
+    from nishiki.goniometry.hemisphere import complete
+    from nishiki.goniometry.table import ReflectanceSet
+
+    if model not in MODELS:
+        raise UserError(f"model of a cloth: expected one of {', '.join(MODELS)}, found {model!r}")
+    measured = ReflectanceSet.of(np.asarray(incident), np.asarray(outgoing), np.asarray(values), symmetry=symmetry)
+    basic = None
+    if model not in PEERS:
+        measured = complete(measured)[0]
+        basic = (measured.basic.evaluate, measured.basic.values[0])
+    return fit_models(Measured.of(measured), basic, (model,), oblique=oblique)[model].brdf
