@@ -23,7 +23,9 @@ from nishiki.packages import EXTRAS
 from nishiki.stages.base import SceneFacts, Stage
 from nishiki.stages.table import CHAIN, PRODUCTS, chain_of
 
-LINE = re.compile(r"^Declared in \[[^]]*\]\((?:\.\./)((?:\.\./)*)workflow/src/nishiki/([a-z_/]+)\.py\)\.$", re.MULTILINE)
+LINE = re.compile(
+    r"^Declared in \[[^]]*\]\((?:\.\./)((?:\.\./)*)workflow/src/nishiki/([a-z_/]+)\.py\)\.$", re.MULTILINE
+)
 PAGE = re.compile(r"\bdocs/((?:\w+/)*([\w-]+)\.md)")
 GEOMETRIES = {"plane": "flat scenes", "turntable": "objects on a turntable", "goniometer": "cloths on a goniometer"}
 INDEX = {"plane": "A flat scene", "turntable": "An object on a turntable", "goniometer": "A cloth on a goniometer"}
@@ -58,7 +60,10 @@ def tables(module: str) -> str:
     stage = CHAIN[module.removeprefix("stages/").removesuffix("/declaration")]
     parts = [settings_table(stage.settings), facts_table(stage)]
     if any(limit.stated for limit in stage.limits):
-        parts += ["A result beyond one of these limits stops the run, unless `allow` names the limit:", limits_table(stage)]
+        parts += [
+            "A result beyond one of these limits stops the run, unless `allow` names the limit:",
+            limits_table(stage),
+        ]
     return "\n\n".join(parts)
 
 
@@ -80,7 +85,12 @@ def _rows(block: Mapping[str, Any], known: Mapping[str, Any], prefix: str) -> It
         if "$ref" in field and field["$ref"].endswith("Settings") and prefix == "" and name in CHAIN:
             continue
         default = _default(field["default"]) if "default" in field else "required"
-        yield f"`{prefix}{name}`", _values(field, known), default, html.escape(field.get("description", ""), quote=False)
+        yield (
+            f"`{prefix}{name}`",
+            _values(field, known),
+            default,
+            html.escape(field.get("description", ""), quote=False),
+        )
         for path, inner in _blocks(field, known, f"{prefix}{name}"):
             yield from _rows(inner, known, f"{path}.")
 
@@ -191,7 +201,9 @@ def _cost(stage: Stage) -> str:
 def limits_table(stage: Stage) -> str:
     """Figures of the result beyond which the run stops."""
     rows = [
-        (f"`{limit.name}`", limit.meaning, limit.stated, limit.why, limit.remedy) for limit in stage.limits if limit.stated
+        (f"`{limit.name}`", limit.meaning, limit.stated, limit.why, limit.remedy)
+        for limit in stage.limits
+        if limit.stated
     ]
     return table(("limit", "of", "is", "reason", "remedy"), rows)
 
@@ -199,7 +211,12 @@ def limits_table(stage: Stage) -> str:
 def stage_list(geometry: str) -> str:
     """Stages of one kind of capture, in the order of the flow."""
     rows = [
-        (f"[{name}]({name}.md)", stage.does, f"`{stage.asked_as}`" if name != "ingest" else "", _cost_short(stage, geometry))
+        (
+            f"[{name}]({name}.md)",
+            stage.does,
+            f"`{stage.asked_as}`" if name != "ingest" else "",
+            _cost_short(stage, geometry),
+        )
         for name, stage in chain_of(geometry).items()
     ]
     return table(("stage", "does", "asked for as", f"most processor time for {EXAMPLE_WORDS[geometry]}, s"), rows)
