@@ -1,8 +1,8 @@
 """Pages and navigation of the documentation site that follow from other files (a hook of mkdocs; see mkdocs.yml).
 
-README, CONTRIBUTING and CHANGELOG stand at the root of the repository, for readers there, and become pages. Stages come into
-the navigation from their table, and a stage whose page nobody has written yet gets one with its tables. Decisions come
-into the navigation from their folder.
+README, CONTRIBUTING and CHANGELOG stand at the root of the repository, for readers there, and become pages. Stages come
+into the navigation from their table, and a stage whose page nobody has written yet gets one with its tables. Decisions
+come into the navigation from their folder.
 """
 
 import re

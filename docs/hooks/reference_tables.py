@@ -1,9 +1,9 @@
 """Reference tables of the stages, written from their declarations (a hook of mkdocs; see mkdocs.yml).
 
-A page of a stage says `Declared in [declaration.py](../../workflow/.../stages/NAME/declaration.py).`, a link that readers
-of the repository can follow. On the site the tables of settings, limits, inputs and cost stand in its place. The line
-`Declared in [the table of stages](...table.py).` becomes the list of all stages, `Declared in [project.py](...).` the
-settings that stand beside the stages' own.
+A page of a stage says `Declared in [declaration.py](../../workflow/.../stages/NAME/declaration.py).`, a link that
+readers of the repository can follow. On the site the tables of settings, limits, inputs and cost replace it. The
+line `Declared in [table.py](...).` becomes the list of all stages, `Declared in [project.py](...).` the settings that
+stand beside the stages' own.
 """
 
 import html
@@ -193,9 +193,10 @@ def _cost(stage: Stage) -> str:
     cost, pixels = stage.cost(facts), facts.pixels
     samples = pixels * facts.observations
     memory, seconds = cost.memory_mb(pixels, samples, tile_mib=128), cost.processor_seconds(pixels, samples)
-    parts = f", {stage.threads} threads" if stage.threads > 1 else ", 1 thread"
+    limits = f"at most {memory:,.0f} MiB and {seconds:,.0f} s of processor time for {EXAMPLE_WORDS[geometry]}"
+    threads = f"{stage.threads} threads" if stage.threads > 1 else "1 thread"
     divided = "; can be divided over several jobs" if stage.scatter else ""
-    return f"at most {memory:,.0f} MiB and {seconds:,.0f} s of processor time for {EXAMPLE_WORDS[geometry]}{parts}{divided}"
+    return f"{limits}, {threads}{divided}"
 
 
 def limits_table(stage: Stage) -> str:

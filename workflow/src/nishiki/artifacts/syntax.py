@@ -66,7 +66,9 @@ class _Store:
     """Syntaxes by the digest of the file, as they were kept, and those of this process."""
 
     def __init__(self, path: Path):
-        self.path, self.known, self.used = path, {}, {}
+        self.path = path
+        self.known: dict[str, Syntax] = {}
+        self.used: dict[str, Syntax] = {}
         with suppress(OSError, ValueError, TypeError, AttributeError):
             entries = json.loads(path.read_bytes())
             self.known = {name: Syntax(str(tree), tuple(names)) for name, (tree, names) in entries.items()}

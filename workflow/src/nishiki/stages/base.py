@@ -89,7 +89,7 @@ class Cost:
         return self.seconds + (pixels * self.us_per_pixel + samples * self.us_per_sample) * 1e-6
 
 
-SceneSettings = Mapping[str, Closed]
+SceneSettings = Mapping[str, Any]
 """Settings of all stages of a scene, by the name of the stage."""
 Reason = Callable[[SceneFacts, SceneSettings], str | None]
 Asked = tuple[str, ...]
@@ -163,7 +163,7 @@ class Stage:
         return self.geometry in (None, geometry)
 
 
-def no_method(facts: SceneFacts, settings: Closed) -> str | None:
+def no_method(facts: SceneFacts, settings: Any) -> str | None:
     """Reason to leave a stage out whose method is none."""
     return "its method is set to none" if settings.method == "none" else None
 
