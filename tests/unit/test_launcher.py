@@ -86,10 +86,10 @@ def test_tests_bring_their_tools_and_they_stay(home):
     assert home.installed == [{"raw"}, {*USUAL, "dev", "bench"}]
 
 
-def test_all_is_what_the_tests_need(home):
+def test_all_is_what_tests_types_and_documentation_need(home):
     home.call("install", "--all")
     home.call("test")
-    assert home.installed == [{*USUAL, "dev", "bench"}]
+    assert home.installed == [{*USUAL, "dev", "bench", "docs", "types"}]
 
 
 def test_another_lock_installs_the_same_extras_again(home):

@@ -264,7 +264,7 @@ class ArtifactWriter:
         An artifact that stands there already (made by older code under the same settings) is kept beside the new one
         as `<key>.superseded-<its digest>`.
         """
-        files = {}
+        files: dict[str, dict[str, Any]] = {}
         for name, path in _files(self.folder):
             files[name] = {"bytes": path.stat().st_size, "sha256": file_digest(path)}
             if _is_chunk(name) and files[name]["bytes"] >= 4:

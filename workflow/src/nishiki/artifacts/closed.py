@@ -2,6 +2,7 @@
 
 import difflib
 import re
+from collections.abc import Sequence
 from typing import Any, ClassVar, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
@@ -57,7 +58,7 @@ def parse(model: type[Model], values: Any, where: str) -> Model:
         raise UserError(f"{where}: {'; '.join(_explained(model, values, error.errors()))}") from None
 
 
-def _explained(model: type[Closed], values: dict, problems: list[dict]) -> list[str]:
+def _explained(model: type[Closed], values: dict, problems: Sequence[Any]) -> list[str]:
     """One text for each value that is wrong. A value of several kinds has a problem for each: those of the kind that it
     comes nearest to are told, or all in one."""
     found: dict[tuple, list[tuple[tuple, dict]]] = {}
@@ -72,8 +73,8 @@ def _explained(model: type[Closed], values: dict, problems: list[dict]) -> list[
             texts += [_explain(model, {**problem, "loc": path}) for path, problem in nearest]
         else:
             wanted = dict.fromkeys(_plain(problem["msg"]).removeprefix("input should be ") for _, problem in nearest)
-            path = ".".join(map(str, chosen))
-            texts.append(f"{path}: input should be {' or '.join(wanted)}, found {nearest[0][1]['input']!r}")
+            place = ".".join(map(str, chosen))
+            texts.append(f"{place}: input should be {' or '.join(wanted)}, found {nearest[0][1]['input']!r}")
     return texts
 
 

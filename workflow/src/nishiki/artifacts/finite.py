@@ -10,9 +10,10 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -122,7 +123,7 @@ def _words(path: Path, name: str, pattern: str | re.Pattern) -> Iterator[str]:
         yield f"{name}: {found.group(0).strip(' ,:[')!r} at character {found.start()}"
 
 
-def _blocks(array) -> Iterator[tuple[tuple[int, ...], np.ndarray]]:
+def _blocks(array: Any) -> Iterator[tuple[tuple[int, ...], np.ndarray]]:
     """Parts of a Zarr array along its first axis, whole chunks each, with the index of their first value."""
     if not array.ndim:
         yield (), np.asarray(array[...])
@@ -133,7 +134,9 @@ def _blocks(array) -> Iterator[tuple[tuple[int, ...], np.ndarray]]:
         yield (first,) + (0,) * (array.ndim - 1), array[first : first + step]
 
 
-def _counted(blocks) -> tuple[int, int, tuple[int, ...] | None, tuple[int, ...] | None]:
+def _counted(
+    blocks: Iterable[tuple[tuple[int, ...], np.ndarray]],
+) -> tuple[int, int, tuple[int, ...] | None, tuple[int, ...] | None]:
     """Number of NaN, of infinities, and the index of the first of each."""
     nans = infinities = 0
     first_nan = first_infinity = None

@@ -31,8 +31,8 @@ class Limit:
 
     def beyond(self, value: float) -> bool:
         """Whether a value is beyond the limit; a NaN is."""
-        above, below = self.most is not None, self.least is not None
-        return (above and not value <= self.most) or (below and not value >= self.least)
+        above = self.most is not None and not value <= self.most
+        return above or (self.least is not None and not value >= self.least)
 
     @property
     def stated(self) -> str:

@@ -5,6 +5,7 @@ written like any other: a missing chunk is damage, not data.
 """
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import zarr
@@ -26,7 +27,9 @@ class MapWriter:
         self.band_rows = band_rows
         self.group = zarr.create_group(Path(folder) / STORE, attributes={"stamp": stamp})
 
-    def create(self, name: str, trailing: tuple[int, ...] = (), *, dtype: str = "float32", **attributes) -> zarr.Array:
+    def create(
+        self, name: str, trailing: tuple[int, ...] = (), *, dtype: str = "float32", **attributes: Any
+    ) -> zarr.Array:
         """An array (rows, columns, *trailing); `attributes` say unit and meaning; `nan`, what a NaN means in it: an
         array without this attribute may not hold one (`nishiki.artifacts.finite`)."""
         rows, columns = self.shape
@@ -40,7 +43,7 @@ class MapWriter:
             config={"write_empty_chunks": True},
         )
 
-    def write(self, name: str, values: np.ndarray, **attributes) -> None:
+    def write(self, name: str, values: np.ndarray, **attributes: Any) -> None:
         """A whole map at once."""
         values = np.asarray(values)
         self.create(name, values.shape[2:], dtype=str(values.dtype), **attributes)[...] = values

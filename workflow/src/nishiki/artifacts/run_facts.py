@@ -14,7 +14,7 @@ from nishiki.threads import threads
 class RunFacts:
     """Clocks and counters from the moment that a stage's imports are done."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.clock, self.cpu, self.read = time.perf_counter(), time.process_time(), bytes_read()
 
     def finish(self, capture: Path | None) -> dict[str, Any]:

@@ -76,7 +76,7 @@ class TiledStage:
 
 def write_tally(folder: Path, tally: dict[str, Any]) -> None:
     """Keep a tally in a folder: arrays in one file, everything else as JSON."""
-    arrays = {name: value for name, value in tally.items() if isinstance(value, np.ndarray)}
+    arrays: dict[str, Any] = {name: value for name, value in tally.items() if isinstance(value, np.ndarray)}
     rest = {name: value for name, value in tally.items() if name not in arrays}
     (folder / TALLY).write_text(json.dumps(rest, sort_keys=True, allow_nan=False) + "\n")
     np.savez(folder / TALLY_ARRAYS, **arrays)

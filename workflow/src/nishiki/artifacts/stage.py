@@ -58,10 +58,10 @@ def run_stage(
     arguments: of the command line, after the stage's name; None: those of this process.
     digest_of_capture: for the first stage, whose key starts from the capture instead of upstream artifacts.
     """
-    arguments = _arguments(settings_model, description, arguments)
-    who = settings_model.STAGE if arguments.scene == NAMELESS else f"{arguments.scene}/{settings_model.STAGE}"
+    values = _arguments(settings_model, description, arguments)
+    who = settings_model.STAGE if values.scene == NAMELESS else f"{values.scene}/{settings_model.STAGE}"
     try:
-        _run(settings_model, run, arguments, digest_of_capture)
+        _run(settings_model, run, values, digest_of_capture)
     except UserError as error:
         print(f"nishiki {who}: {error}", file=sys.stderr)
         raise SystemExit(2) from None
@@ -125,7 +125,7 @@ def _run(
     values = settings.model_dump(mode="json")
     key = stage_key(model.STAGE, model.VERSION, values, upstream)
     read = {name: {"key": item.key, "digest": item.digest} for name, item in inputs.items()}
-    parts = in_order(parts, key=key, code=arguments.code, upstream=read) if parts else ()
+    joined = in_order(parts, key=key, code=arguments.code, upstream=read) if parts else ()
     part = _part(arguments.part, run, model.STAGE)
     target = arguments.output if part else _target(arguments.output, key)
     stamp = {"scene": arguments.scene, "stage": model.STAGE, "key": key, "version": PROJECT_VERSION}
@@ -139,7 +139,7 @@ def _run(
             stamp,
             Progress(f"{arguments.scene}/{model.STAGE}"),
             part,
-            parts,
+            tuple(joined),
         )
         diagnostics = run(context)
         if not part:

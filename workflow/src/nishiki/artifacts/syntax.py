@@ -68,7 +68,9 @@ class _Store:
     """Syntaxes by the digest of the file, as they were kept, and those of this process."""
 
     def __init__(self, path: Path | None):
-        self.path, self.known, self.used = path, {}, {}
+        self.path = path
+        self.known: dict[str, Syntax] = {}
+        self.used: dict[str, Syntax] = {}
         if path is None:
             return
         with suppress(OSError, ValueError, TypeError, AttributeError):

@@ -14,6 +14,7 @@ from contextlib import suppress
 from dataclasses import asdict
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from nishiki.artifacts.provenance import PACKAGE, SOURCE
 from nishiki.engine.facts import scene_facts
@@ -84,7 +85,8 @@ def _read(path: Path, signature: str) -> SceneFacts | None:
         found = json.loads(path.read_bytes())
         if found.pop("signature") != signature:
             return None
-        return SceneFacts(**{name: tuple(value) if isinstance(value, list) else value for name, value in found.items()})
+        values: dict[str, Any] = {name: tuple(each) if isinstance(each, list) else each for name, each in found.items()}
+        return SceneFacts(**values)
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None  # absent, torn or of another version: read afresh
 

@@ -143,7 +143,9 @@ def _read_by_ingest(
     scene: Scene, facts: SceneFacts, settings: dict[str, Closed], wanted: set[str], held_out: tuple[str, ...]
 ) -> tuple[Closed, dict[str, str]]:
     """Settings of ingest: the channels that the wanted stages need, and no part of the capture that none looks at."""
-    own, reasons, everything = settings["ingest"], {}, scene.settings.leave_out == "nothing"
+    own: Any = settings["ingest"]
+    reasons: dict[str, str] = {}
+    everything = scene.settings.leave_out == "nothing"
     if own.channels == "auto":
         colour = (everything or any(CHAIN[name].needs_colour for name in wanted)) and facts.channels > 1
         own = own.model_copy(update={"channels": "all" if colour else "luminance"})

@@ -5,7 +5,7 @@ import os
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import yaml
 from pydantic import Field, create_model
@@ -20,6 +20,11 @@ from nishiki.sweep.settings import SweepName, SweepSettings
 CONFIGURATION = "config/config.yaml"
 COLUMNS = ("scene", "capture", "truth", "products", "settings")
 SCATTERED = tuple(name for name, stage in CHAIN.items() if stage.scatter)
+if TYPE_CHECKING:  # the names stand in the table of stages
+    DividedStage = str
+    Product = str
+else:
+    DividedStage, Product = Literal[SCATTERED], Literal[PRODUCTS]
 SWEEPS = "sweeps"
 """Folder of the results that holds the pages and timings of sweeps."""
 
@@ -37,19 +42,25 @@ class Shared(Closed):
         description="nothing: every product, photograph and channel, asked for or not, and every package loaded; "
         "for measuring what leaving out saves (docs/leaving-out.md)",
     )
-    scatter: Literal["none", "auto"] | dict[Literal[SCATTERED], Annotated[int, Field(ge=1, le=256)]] = Field(
+    scatter: Literal["none", "auto"] | dict[DividedStage, Annotated[int, Field(ge=1, le=256)]] = Field(
         "none",
         description="parts that a stage is divided into, each a job: {normals: 4}; auto: of about a quarter of an "
         "hour; the results have the same keys and bytes (docs/cluster.md)",
     )
 
 
-StageSettings = create_model(
-    "StageSettings",
-    __base__=Shared,
-    __doc__="Settings of the stages; everything has a default.",
-    **{name: (stage.settings, stage.settings()) for name, stage in CHAIN.items()},
-)
+if TYPE_CHECKING:
+
+    class StageSettings(Shared):
+        def __getattr__(self, stage: str) -> Any: ...
+
+else:
+    StageSettings = create_model(
+        "StageSettings",
+        __base__=Shared,
+        __doc__="Settings of the stages; everything has a default.",
+        **{name: (stage.settings, stage.settings()) for name, stage in CHAIN.items()},
+    )
 
 
 class Configuration(StageSettings):
@@ -57,7 +68,7 @@ class Configuration(StageSettings):
 
     scenes: str = Field("config/scenes.tsv", description="scene table: scene, capture, truth, products, settings")
     results: str = Field("results", description="folder of the results", min_length=1, pattern=r"^[^{}\x00-\x1f]+$")
-    products: tuple[Literal[PRODUCTS], ...] = Field(
+    products: tuple[Product, ...] = Field(
         ("render", "evaluate", "report"), min_length=1, description="what is wanted, where a scene does not say"
     )
     sweeps: dict[SweepName, SweepSettings] = Field(

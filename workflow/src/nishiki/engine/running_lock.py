@@ -54,7 +54,7 @@ class HeldRun:
         heeded = signal.getsignal(signal.SIGINT) != signal.SIG_IGN  # a shell starts what stands before & without it
         passed_on = signal.SIGINT if heeded else signal.SIGTERM
 
-        def stop(*_) -> None:
+        def stop(*_: object) -> None:
             self.ended = "interrupted"
             child.send_signal(passed_on)
 

@@ -147,8 +147,8 @@ def _merged(plans: dict[str, Plan], evaluation: str, reference: Plan) -> tuple[P
 
 def _changes(plan: Plan, reference: Plan) -> list[str]:
     """Settings in which a variant differs from the default, as `stage.setting: default -> variant`."""
-    settings = [{name: stage.settings for name, stage in made.stages.items()} for made in (reference, plan)]
-    return differences(*settings)
+    before, after = ({name: stage.settings for name, stage in made.stages.items()} for made in (reference, plan))
+    return differences(before, after)
 
 
 def _counted(named: str, sweep: SweepSettings, plans: dict[str, Plan], evaluation: str) -> tuple[str, ...]:

@@ -53,8 +53,8 @@ def match_channels(present: tuple[str, ...], wanted: tuple[str, ...]) -> list[st
     found = []
     for name in wanted:
         aliases = (name, *_COLOURS.get(name.casefold(), ()))
-        found.append(next((folded[a.casefold()] for a in aliases if a.casefold() in folded), None))
-    if all(found):
+        found += [folded[alias.casefold()] for alias in aliases if alias.casefold() in folded][:1]
+    if len(found) == len(wanted):
         return found
     colour = [name for name in ("R", "G", "B") if name in present]
     rest = sorted(set(present) - set(colour) - {"A"})

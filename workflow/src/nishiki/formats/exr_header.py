@@ -104,7 +104,8 @@ def _part(attributes: dict[str, tuple[str, bytes]]) -> ExrPart:
 
 
 def _channels(value: bytes) -> tuple[tuple[str, int, bool], ...]:
-    found, place = [], 0
+    found: list[tuple[str, int, bool]] = []
+    place = 0
     while place < len(value) and value[place]:
         end = value.index(b"\0", place)
         kind, _, across, down = struct.unpack("<iB3xii", value[end + 1 : end + 17])

@@ -13,7 +13,7 @@ from typing import BinaryIO
 
 from nishiki.formats.bounds import BOUNDS, bound, remedy
 from nishiki.formats.files import Refused, open_regular
-from nishiki.formats.image_header import RAW_SUFFIXES, ImageHeader
+from nishiki.formats.image_header import RAW_SUFFIXES, ImageHeader, Sample
 from nishiki.formats.problems import CaptureError, Problem, error
 from nishiki.formats.text_tables import refusal
 
@@ -99,7 +99,7 @@ def _png(file: BinaryIO) -> ImageHeader:
     if depth not in (1, 2, 4, 8, 16):
         raise ValueError(f"samples of {depth} bits")
     channels = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}[colour]
-    sample = "uint16" if depth == 16 else "uint8"
+    sample: Sample = "uint16" if depth == 16 else "uint8"
     stored = rows * (columns * (1 if colour == 3 else channels) * depth // 8)
     return ImageHeader(
         "png", rows, columns, channels, sample, alpha=colour in (4, 6), stored_bytes=stored, ratio=DEFLATE_RATIO

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -124,7 +125,12 @@ def _decode(path: Path, header: ImageHeader, channels: tuple[str, ...], luma: bo
     return _without_alpha(_opencv(data, header, luma), len(channels) if not luma else 1)
 
 
-def _decode_pages(stored: bytes, data: np.ndarray, decode_tiff, opencv_reads) -> np.ndarray:
+def _decode_pages(
+    stored: bytes,
+    data: np.ndarray,
+    decode_tiff: Callable[[bytes], np.ndarray],
+    opencv_reads: Callable[[bytes], bool],
+) -> np.ndarray:
     if not opencv_reads(stored):
         return decode_tiff(stored)
     import cv2
@@ -172,7 +178,7 @@ def _without_alpha(codes: np.ndarray, count: int) -> np.ndarray:
 
 def check_png(data: np.ndarray) -> None:
     """ValueError unless every chunk is whole, has its checksum and the last one is there: decoders let some pass."""
-    view, place, tag = memoryview(data), 8, b""
+    view, place, tag = memoryview(data.data), 8, b""
     while tag != b"IEND":
         if place + 12 > len(view):
             raise EOFError(f"PNG ends after {len(view)} bytes, within its data")

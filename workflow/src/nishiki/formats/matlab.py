@@ -39,9 +39,9 @@ def read_matlab(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
     while place < len(data):
         kind, content, place = _element(data, place, order)
         if kind == _PACKED:
-            content = _unpacked(content, left)
-            left -= len(content)
-            kind, content, _ = _element(content, 0, order)
+            unpacked = _unpacked(content, left)
+            left -= len(unpacked)
+            kind, content, _ = _element(unpacked, 0, order)
         if kind == _MATRIX:
             name, values = _variable(content, order, names)
             if values is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from nishiki.formats.problems import CaptureError, error
 from nishiki.packages import install_command
 
 
-def _rawpy(name: str):
+def _rawpy(name: str) -> ModuleType:
     try:
         import rawpy
     except ImportError as e:

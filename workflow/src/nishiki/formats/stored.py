@@ -11,7 +11,7 @@ import math
 import os
 import struct
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
@@ -32,7 +32,7 @@ _LONGEST_HEADER = 18  # bytes of a zstd frame: magic number 4, flags 1, window 1
 _BUFFER = 512  # bytes read about a header: many small blocks cost no call each, large ones are stepped over
 
 
-def open_group(path: Path | str):
+def open_group(path: Path | str) -> Any:
     """A Zarr group for reading. UserError where it is none or not as this project writes them; see `expect_store`."""
     import zarr
 
@@ -40,7 +40,7 @@ def open_group(path: Path | str):
     return _opened(zarr.open_group, path)
 
 
-def open_array(path: Path | str):
+def open_array(path: Path | str) -> Any:
     """A Zarr array for reading, as `open_group`."""
     import zarr
 
@@ -48,7 +48,7 @@ def open_array(path: Path | str):
     return _opened(zarr.open_array, path)
 
 
-def _opened(opening, path: Path | str):
+def _opened(opening: Callable[..., Any], path: Path | str) -> Any:
     try:
         return opening(path, mode="r", zarr_format=3)
     except Exception as error:  # whatever metadata that are wrong in themselves make the library stumble over

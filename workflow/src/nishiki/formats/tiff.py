@@ -10,11 +10,11 @@ import struct
 import zlib
 from dataclasses import dataclass
 from io import BytesIO
-from typing import BinaryIO
+from typing import BinaryIO, Literal
 
 import numpy as np
 
-from nishiki.formats.image_header import ImageHeader
+from nishiki.formats.image_header import ImageHeader, Sample
 
 _NUMBERS = frozenset((1, 3, 4, 6, 8, 9, 13, 16, 18))  # kinds of field that hold whole numbers
 _TYPES = {1: "B", 2: "c", 3: "H", 4: "I", 5: "II", 6: "b", 8: "h", 9: "i", 11: "f", 12: "d", 13: "I", 16: "Q", 18: "Q"}
@@ -35,13 +35,15 @@ class Directory:
     """One page: its fields by number, and the file's byte order ('<' or '>')."""
 
     fields: dict[int, tuple]
-    order: str
+    order: Literal["<", ">"]
 
     def one(self, field: int, default: int | None = None) -> int:
         values = self.fields.get(field)
-        if not values and default is None:
+        if values:
+            return int(values[0])
+        if default is None:
             raise ValueError(f"TIFF field {field} is missing")
-        return int(values[0]) if values else default
+        return default
 
     @property
     def channels(self) -> int:
@@ -49,9 +51,9 @@ class Directory:
         return 3 if self.one(_PHOTOMETRIC, 1) == 3 else self.one(_SAMPLES, 1)
 
     @property
-    def sample(self) -> str:
+    def sample(self) -> Sample:
         bits, form = self.one(_BITS, 1), self.one(_FORMAT, 1)
-        known = {
+        known: dict[tuple[int, int], Sample] = {
             (1, 1): "uint8",
             (2, 1): "uint8",
             (4, 1): "uint8",
@@ -108,10 +110,11 @@ def read_directories(file: BinaryIO) -> list[Directory]:
     """Every page's directory; thumbnails (reduced-resolution pages) are passed over."""
     file.seek(0)
     start = file.read(16)
-    order = "<" if start[:2] == b"II" else ">"
+    order: Literal["<", ">"] = "<" if start[:2] == b"II" else ">"
     big = struct.unpack(order + "H", start[2:4])[0] == 43
     (offset,) = struct.unpack(order + ("Q" if big else "I"), start[8:16] if big else start[4:8])
-    pages, seen = [], set()
+    pages: list[Directory] = []
+    seen: set[int] = set()
     while offset:
         if offset in seen or len(seen) >= MAX_PAGES:
             raise ValueError("TIFF directories form a circle or are too many")

@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import os
 from pathlib import Path
+from typing import Any
 
 import google_crc32c
 import numpy as np
@@ -19,7 +20,7 @@ from nishiki.errors import UserError
 ZSTD_LEVEL = 1
 
 
-def create_array(group, name: str, shape: tuple, chunks: tuple, dtype, *, compression: str = "none"):
+def create_array(group: Any, name: str, shape: tuple, chunks: tuple, dtype: Any, *, compression: str = "none") -> Any:
     """A Zarr array whose chunks this module can write. compression: 'none' | 'zstd'."""
     from zarr.codecs import Crc32cCodec, ZstdCodec
 
@@ -42,7 +43,8 @@ def chunk_path(array_folder: Path, light: int, band: int) -> Path:
 
 def write_chunk(path: Path, values: np.ndarray, *, compression: str) -> None:
     """Write one whole chunk of little-endian values. Raises OSError with the file's name where the disk lacks space."""
-    payload = np.ascontiguousarray(values, values.dtype.newbyteorder("<")).reshape(-1).view(np.uint8)  # no copy
+    bare = np.ascontiguousarray(values, values.dtype.newbyteorder("<")).reshape(-1).view(np.uint8)  # no copy
+    payload: Any = bare
     if compression == "zstd":
         from numcodecs.zstd import Zstd
 

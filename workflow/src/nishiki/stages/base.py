@@ -22,13 +22,30 @@ Bases = Literal["auto"] | Annotated[int, Field(ge=1, le=16)]
 class SceneFacts:
     """What a plan has to know of a scene before anything is read from its photographs.
 
-    geometry: plane (one view, many lights), turntable (many views) or goniometer (many pairs of directions); views,
-    states (of polarisers): of a turntable; has_poses: matrices, boards or correspondences tell where its cameras were;
-    measurements: pairs of directions of a goniometer, frontal: of these, lit along the normal of the cloth.
-    truth_sha256: empty where there is no truth. given: what a turntable's capture comes with (matrices, boards,
-    correspondences, silhouettes of all views); parts: number of files of each part that a scene may do without (see
-    `nishiki.engine.leaving_out`); suffixes: of the photographs' names, in small letters; table: reflectances instead
-    of photographs.
+    Attributes
+    ----------
+    capture_digest, truth_sha256 : str
+        Digests of capture and truth; the latter is empty where there is no truth.
+    lights, check_lights, channels, pixels
+        Names of the lights; of those kept for evaluation; number of channels; pixels of one photograph.
+    has_sensitivities, has_illuminant : bool
+        Whether the spectra of camera and lamp are known.
+    geometry : str
+        plane (one view, many lights), turntable (many views) or goniometer (many pairs of directions).
+    views, states : tuple of str
+        Of a turntable: its views, and the states of its polarisers.
+    has_poses : bool
+        Whether matrices, boards or correspondences say where a turntable's cameras were.
+    measurements, frontal : int
+        Pairs of directions of a goniometer; of these, lit along the normal of the cloth.
+    given : tuple of str
+        What a turntable's capture comes with: matrices, boards, correspondences, silhouettes of all views.
+    parts : mapping of str to int
+        Number of files of each part that a scene may do without (see `nishiki.engine.leaving_out`).
+    suffixes : tuple of str
+        Of the photographs' names, in small letters.
+    table : bool
+        Whether the capture holds reflectances instead of photographs.
     """
 
     capture_digest: str
@@ -65,10 +82,18 @@ class SceneFacts:
 class Cost:
     """What a stage takes at its default settings: a part of its own, one for each pixel, one for each sample.
 
-    A sample is one pixel of one photograph, all channels together. tiles: memory in tiles, of the stages that hold one
-    tile of the observations at a time. Memory is the peak of the resident memory, time is processor time of all
-    threads with compiled kernels. The numbers are upper limits of measurements, at most about twice what was measured
-    (tests/benchmarks/cost_models.py, docs/cluster.md).
+    A sample is one pixel of one photograph, all channels together. Memory is the peak of the resident memory, time is
+    processor time of all threads with compiled kernels. The numbers are upper limits of measurements, at most about
+    twice what was measured (tests/benchmarks/cost_models.py, docs/cluster.md).
+
+    Attributes
+    ----------
+    mib, bytes_per_pixel, bytes_per_sample : float
+        Memory: MiB of its own, bytes for each pixel and each sample.
+    tiles : float
+        Memory in tiles, of the stages that hold one tile of the observations at a time.
+    seconds, us_per_pixel, us_per_sample : float
+        Time: seconds of its own, microseconds for each pixel and each sample.
     """
 
     mib: float = 400.0
@@ -89,7 +114,7 @@ class Cost:
         return self.seconds + (pixels * self.us_per_pixel + samples * self.us_per_sample) * 1e-6
 
 
-SceneSettings = Mapping[str, Closed]
+SceneSettings = Mapping[str, Any]
 """Settings of all stages of a scene, by the name of the stage."""
 Reason = Callable[[SceneFacts, SceneSettings], str | None]
 Asked = tuple[str, ...]
@@ -100,24 +125,41 @@ Parts = Callable[[SceneFacts, SceneSettings, Asked], tuple[str, ...]]
 class Stage:
     """One stage of a chain.
 
-    settings : model of its settings, with the stage's name, the version of its output and the limits of its result
-    does : what it makes, in a few words
-    geometry : of the captures that it is for; None: all
-    product : name under which a scene asks for it, where that is not its own: the `render` of a plane and that of a
-        turntable are different stages with one name for the user
-    requires, wants, uses : stages without which it cannot run; those pulled into the plan where the capture can feed
-        them; those that it reads where the plan has them anyway
-    lacks : reason why the capture cannot feed the stage, or None
-    needs_colour : ingest keeps all channels for it
-    looks_at : parts of the capture (see `nishiki.engine.leaving_out`) that it reads, from the facts, all settings of
-        the scene and the products asked for
-    filled : settings that only the plan knows, from its own settings and those of the scene
-    libraries : packages that it loads; their versions decide whether it runs again
-    idle : of some of these, the reason why a scene does without, or None where it is loaded
-    deliverables : patterns of its files that a user wants to open; they are linked into `current/`
-    threads : that it can use
-    cost : memory and time, from the facts of the scene
-    scatter : its work can be divided over jobs
+    Attributes
+    ----------
+    settings : type of Guarded
+        Model of its settings, with the stage's name, the version of its output and the limits of its result.
+    does : str
+        What it makes, in a few words.
+    geometry : str or None
+        Of the captures that it is for; None: all.
+    product : str
+        Name under which a scene asks for it, where that is not its own: the `render` of a plane and that of a
+        turntable are different stages with one name for the user.
+    requires, wants, uses
+        Stages without which it cannot run; those pulled into the plan where the capture can feed them; those that it
+        reads where the plan has them anyway.
+    lacks : callable
+        Reason why the capture cannot feed the stage, or None.
+    needs_colour : bool
+        Ingest keeps all channels for it.
+    looks_at : callable
+        Parts of the capture (see `nishiki.engine.leaving_out`) that it reads, from the facts, all settings of the
+        scene and the products asked for.
+    filled : callable
+        Settings that only the plan knows, from its own settings and those of the scene.
+    libraries : tuple of str
+        Packages that it loads; their versions decide whether it runs again.
+    idle : mapping of str to callable
+        Of some of these, the reason why a scene does without, or None where it is loaded.
+    deliverables : tuple of str
+        Patterns of its files that a user wants to open; they are linked into `current/`.
+    threads : int
+        That it can use.
+    cost : callable
+        Memory and time, from the facts of the scene.
+    scatter : bool
+        Its work can be divided over jobs.
     """
 
     settings: type[Guarded]
@@ -163,7 +205,7 @@ class Stage:
         return self.geometry in (None, geometry)
 
 
-def no_method(facts: SceneFacts, settings: Closed) -> str | None:
+def no_method(facts: SceneFacts, settings: Any) -> str | None:
     """Reason to leave a stage out whose method is none."""
     return "its method is set to none" if settings.method == "none" else None
 

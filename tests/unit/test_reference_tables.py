@@ -1,0 +1,72 @@
+"""The documentation's tables of settings, limits and stages say what the declarations say."""
+
+import importlib.util
+import re
+from pathlib import Path
+
+import pytest
+
+from nishiki.stages.table import CHAIN
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+
+
+def load_hook():
+    spec = importlib.util.spec_from_file_location("reference_tables", DOCS / "hooks/reference_tables.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+HOOK = load_hook()
+
+
+def cells(markdown: str) -> dict[str, list[str]]:
+    """Rows of all tables by their first cell, without its code marks."""
+    rows = [re.split(r" (?<!\\)\| ", line.strip("| ")) for line in markdown.splitlines() if line.startswith("| ")]
+    return {row[0].strip("`"): row[1:] for row in rows}
+
+
+def page(name: str) -> str:
+    return HOOK.on_page_markdown((DOCS / "stages" / f"{name}.md").read_text(encoding="utf-8"), None, None, None)
+
+
+@pytest.mark.parametrize(("name", "stage"), CHAIN.items(), ids=CHAIN)
+def test_the_page_of_a_stage_has_every_setting_and_limit(name, stage):
+    rows = cells(page(name))
+    assert set(stage.settings.model_fields) <= set(rows)
+    assert {limit.name for limit in stage.limits if limit.stated} <= set(rows)
+    assert "Declared in" not in page(name)
+
+
+@pytest.mark.parametrize("name", CHAIN)
+def test_no_page_lists_settings_by_hand(name):
+    text = (DOCS / "stages" / f"{name}.md").read_text(encoding="utf-8")
+    assert text.count("Declared in [declaration.py]") == 1
+    assert not re.search(r"^\| *setting *\|", text, re.MULTILINE)
+
+
+def test_a_row_says_choices_bounds_default_and_meaning():
+    rows = cells(page("normals"))
+    assert rows["solver"][0] == "`default`, `lobe`, `lobes`, `least_squares`"
+    assert rows["lights"][:2] == ["`all`, `auto` or integer from 4 to 4,096", "`auto`"]
+    assert rows["refractive_index"][:2] == ["number above 1 to 3", "`1.45`"]
+    assert "[economy](../economy.md)" in rows["lights"][2]
+    assert rows["needs"] == ["[ingest](ingest.md)"]
+
+
+def test_settings_inside_blocks_and_lists_have_dotted_names():
+    assert cells(page("fabric_render"))["cloth.side_m"][:2] == ["number from 0.2 to 3", "`1.0`"]
+    assert cells(page("fabric_render"))["film.frames"][1] == "`96`"
+    assert cells(page("render"))["pictures[].lights[].illuminant"][1] == "`D65`"
+
+
+def test_the_list_of_stages_has_all_of_them():
+    text = HOOK.on_page_markdown((DOCS / "stages/README.md").read_text(encoding="utf-8"), None, None, None)
+    assert set(CHAIN) <= set(re.findall(r"\]\((\w+)\.md\)", text))
+
+
+def test_settings_beside_the_stages_are_listed_apart():
+    rows = cells(HOOK.on_page_markdown((DOCS / "settings.md").read_text(encoding="utf-8"), None, None, None))
+    assert {"hold_out", "leave_out", "scatter", "products", "results"} <= set(rows)
+    assert not set(CHAIN) & set(rows)
