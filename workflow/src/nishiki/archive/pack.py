@@ -21,7 +21,7 @@ from nishiki.archive.tree import FolderTree
 from nishiki.artifacts.artifact import MANIFEST as ARTIFACT
 from nishiki.artifacts.artifact import RUN, Artifact
 from nishiki.errors import UserError
-from nishiki.installation import CARRIED, PACKAGE
+from nishiki.installation import CARRIED, LOGGER, PACKAGE
 
 CODE = ("Snakefile", "LICENSE", "pyproject.toml", "uv.lock", "workflow", "scripts", "envs")
 """What of the project is packed: what runs, and the lock of its libraries."""
@@ -155,7 +155,7 @@ def _copy_capture(crate: Crate, scene: PackedScene, with_capture: bool, tell: Te
 def _copy_code(crate: Crate, project: Path) -> None:
     places = {name: project / name for name in CODE}
     if project == CARRIED:  # an installed package has its code in a folder of its own
-        places["workflow/src/nishiki"] = PACKAGE
+        places |= {f"workflow/src/{package.name}": package for package in (PACKAGE, LOGGER)}
     for name, path in places.items():
         if not path.exists():  # a copy of the project need not have its lock or its licence
             continue
