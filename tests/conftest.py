@@ -1,11 +1,11 @@
 """The three tiers of the tests, which random cases they draw, and where the measured data are.
 
-./nishiki test --quick    no test marked slow or long: under three minutes on two processors
-./nishiki test            no test marked long: what continuous integration runs
-./nishiki test --long     all tests: also fuzzing, faults, Slurm and many scenes
+./nishiki test --quick    no test marked slow or long; meant to take less than 3 minutes on two processors
+./nishiki test            no test marked long: what continuous integration runs; meant to take at most 12 minutes
+./nishiki test --long     all tests: also much fuzzing, the campaign of faults, Slurm and ten thousand scenes
 
-Pytest itself takes the same two options. Mark a test slow where it takes more than two seconds or starts the workflow,
-and long where it takes more than half a minute or repeats what another test checks, only with more cases.
+Pytest itself takes the same two options. Mark a test slow where it takes more than one or two seconds or starts the
+workflow, and long where it takes more than half a minute or repeats what another test checks, only with more cases.
 """
 
 import os
