@@ -352,6 +352,7 @@ def test_a_billion_laughs_are_not_laughed(tmp_path, quick):
     assert plain_yaml.load("a: [1, 2]\nb: 'text & more * !'\n") == {"a": [1, 2], "b": "text & more * !"}
 
 
+@pytest.mark.slow
 def test_the_shell_sees_one_argument_whatever_a_capture_is_called(tmp_path, monkeypatch):
     """The command of the ingest rule as Snakemake forms it, run by its shell: obeyed, it would make a file."""
     monkeypatch.chdir(tmp_path)

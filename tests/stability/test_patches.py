@@ -4,6 +4,7 @@ from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
+import pytest
 from hypothesis import strategies as st
 from stability.cases import case, worst_over
 from turned_cameras import turn
@@ -74,6 +75,7 @@ def _needle(ax, ay, bx, by, thin):
     return float(wrong)
 
 
+@pytest.mark.slow
 @case(
     "Needles thinner than any pixel",
     hazard="edge functions of a triangle 1e-12 px wide are all rounding",

@@ -1,6 +1,7 @@
 """Pictures at grazing light and view, of broken maps, narrow lobes, near lamps, extreme scales."""
 
 import numpy as np
+import pytest
 from hypothesis import strategies as st
 from stability.cases import case, powers_of_ten, relative, worst_over
 from stability.samples import EXTREME, tilted
@@ -56,6 +57,7 @@ def _any_scene(seed, brightness, size, pitch):
     return wrong
 
 
+@pytest.mark.slow
 @case(
     "Pictures of any maps, lamps and views",
     hazard="missing normals, infinite colours, lamps in the plane, an eye on the surface, lobes of 1e-6",

@@ -58,6 +58,7 @@ def slow_pose(camera: Camera, points, pixels) -> tuple[np.ndarray, np.ndarray]:
     return Rotation.from_rotvec(fit.x[:3]).as_matrix(), fit.x[3:]
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(
     seed=st.integers(0, 10_000),

@@ -126,6 +126,7 @@ def test_poses_from_the_board_of_every_view(pictures, tmp_path):
     expect_true(in_mm, degrees=0.3, share=0.01)
 
 
+@pytest.mark.slow
 def test_poses_from_correspondences_with_a_wrong_one(pictures, tmp_path):
     rng = np.random.default_rng(0)
     rows = ["view,column,row,x,y,z"]

@@ -149,7 +149,7 @@ def test_an_interrupt_is_told_in_one_line(capsys, monkeypatch):
     assert said(capsys, "schema") == (130, "nishiki schema: interrupted\n")
 
 
-SIDE_BY_SIDE = ("--dist", "loadgroup", "--no-loadscope-reorder")
+SIDE_BY_SIDE = ("--dist", "loadfile", "--no-loadscope-reorder")
 
 
 @pytest.mark.parametrize(

@@ -141,6 +141,7 @@ def measured_without_leaving_out(flow):
     flow.plans["second"].scene = replace(scene, settings=StageSettings(leave_out="nothing"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "reason"),
     [

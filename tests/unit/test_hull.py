@@ -94,6 +94,7 @@ def test_torus_keeps_its_hole_and_faces_outwards():
     assert (outwards > 0).all()
 
 
+@pytest.mark.slow
 def test_one_wrong_mask_is_forgiven_where_a_miss_is_allowed():
     cameras = turn()
     masks = [sphere(camera) for camera in cameras]

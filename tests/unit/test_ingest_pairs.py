@@ -37,6 +37,7 @@ def levels(directions, *, seed=0, blocks=36, unequal=0.2, gloss=1.5, tilt=0.35, 
     return np.maximum(photographs, 1e-6), field * facing, facing
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 @pytest.mark.parametrize(
     "options", [{}, {"gloss": 6.0}, {"unequal": 0.0}, {"unequal": 0.5}, {"tilt": 0.7}, {"near": 1.0}]

@@ -291,6 +291,7 @@ def diligent(folder):
     return stack, lights / np.linalg.norm(lights, axis=1, keepdims=True), truth
 
 
+@pytest.mark.slow
 @pytest.mark.data
 @pytest.mark.parametrize(("name", "plain", "best"), [("diligent_ball", 4.10, 1.75), ("diligent_cat", 8.41, 4.7)])
 def test_real_objects(data, name, plain, best):

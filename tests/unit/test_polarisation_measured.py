@@ -68,6 +68,7 @@ def regions(stack: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     return largest(bright & rough, 5), largest(bright & ~rough, rows // 4 + 1), float(black)
 
 
+@pytest.mark.slow
 def test_the_whole_mueller_matrix_fits_as_published(separated):
     _, sense, told, sums = separated
     assert len(sums.elements) == 16

@@ -103,6 +103,7 @@ def _inside_slowly(solids, x, y, z):
     return 0
 
 
+@pytest.mark.slow
 def test_points_in_yarns_against_the_definition(satin):
     solids = satin.solids
     random = np.random.default_rng(1)

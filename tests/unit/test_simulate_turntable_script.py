@@ -21,6 +21,7 @@ def contents(folder):
     return {str(file.relative_to(folder)): file.read_bytes() for file in sorted(folder.rglob("*")) if file.is_file()}
 
 
+@pytest.mark.slow
 def test_capture_is_complete_and_reproducible(tmp_path):
     for name in ("a", "b"):
         (tmp_path / name).mkdir()

@@ -69,8 +69,8 @@ def _parser() -> argparse.ArgumentParser:
     where = " (only in a checkout of the project)" if INSTALLED else ""
     sub = command("test", "running:test", f"run the tests{where}; further arguments go to pytest")
     tier = sub.add_mutually_exclusive_group()
-    tier.add_argument("--quick", action="store_true", help="under three minutes: without tests marked slow or long")
-    tier.add_argument("--long", action="store_true", help="also fuzzing, faults, Slurm and many scenes; about an hour")
+    tier.add_argument("--quick", action="store_true", help="without the tests that are marked slow or long")
+    tier.add_argument("--long", action="store_true", help="also much fuzzing, faults, Slurm and many scenes")
     sub = command("run", "running:run", "make everything that the configuration asks for; further arguments: snakemake")
     sub.add_argument("--configfile", default="config/config.yaml", help="configuration (default %(default)s)")
     text = "processors to use (default: all; on a cluster: as many as it gives)"

@@ -217,9 +217,9 @@ def simulate(options: argparse.Namespace, rest: list[str]) -> int:
 
 
 def test(options: argparse.Namespace, rest: list[str]) -> int:
-    """Run one tier of the tests with pytest; without further arguments, groups of tests run side by side.
+    """Run one tier of the tests with pytest; without further arguments, test files run side by side.
 
-    tests/conftest.py says which tests belong to a tier and to a group.
+    tests/conftest.py says which tests belong to a tier.
     """
     if INSTALLED:
         raise UserError("an installed package has no tests. Remedy: call the launcher of a checkout of the project")
@@ -229,7 +229,7 @@ def test(options: argparse.Namespace, rest: list[str]) -> int:
         raise UserError("pytest is not installed; remove .venv and call ./nishiki test again") from None
     install_for_meshlab()
     tier = [option for option, given in (("--quick", options.quick), ("--long", options.long)) if given]
-    rest = rest or ["-n", str(min(os.cpu_count() or 1, 4)), "--dist", "loadgroup", "--no-loadscope-reorder"]
+    rest = rest or ["-n", str(min(os.cpu_count() or 1, 4)), "--dist", "loadfile", "--no-loadscope-reorder"]
     return subprocess.run([sys.executable, "-m", "pytest", *tier, *rest], cwd=PROJECT, check=False).returncode
 
 

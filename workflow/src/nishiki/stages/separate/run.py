@@ -38,7 +38,7 @@ def map_tiles(context: Context) -> dict:
             chosen, found = select(frames, rows_of_strip, lights, observations, valid, settings)
             packed[strip] = np.moveaxis(np.packbits(chosen, axis=0, bitorder="little"), 0, -1)
             counts[:, strip] = found
-            totals += [a.sum(dtype=np.int64) for a in (chosen, *found, valid)]
+            totals += [np.count_nonzero(chosen), *(a.sum(dtype=np.int64) for a in found), np.count_nonzero(valid)]
         usable[band], highlights[band], shadows[band] = packed, *counts
     same = {"lights": [frames.lights[j] for j in lights], "economy": economy(decision)}
     return {"same": same, "samples": rows * columns * len(lights), "totals": totals.tolist()}
