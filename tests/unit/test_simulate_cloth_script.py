@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
-import simulate
 from nishiki.capture.folder import load_capture
 from nishiki.capture.goniometer import goniometer_facts
 from nishiki.errors import UserError
+from nishiki.simulate import command as simulate
 from nishiki.simulate.cloth.closeup import close_up
 from nishiki.simulate.cloth.directions import quarter_views, session, unit
 from nishiki.simulate.cloth.photographs import TINT, cell_maps, photographs, region_labels, white_board

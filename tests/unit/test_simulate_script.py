@@ -7,9 +7,9 @@ import pytest
 import yaml
 import zarr
 
-import simulate
 from nishiki.capture.folder import load_capture
 from nishiki.formats.images import read_codes
+from nishiki.simulate import command as simulate
 
 SMALL = ("--rows", "32", "--columns", "48", "--ring-lights", "4", "--checks", "20", "60")
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import zarr
 
-import simulate
 from nishiki.capture.folder import load_capture
 from nishiki.capture.turntable import turntable_facts
 from nishiki.formats.images import read_codes
+from nishiki.simulate import command as simulate
 
 SMALL = ("--preset", "object-tiny", "--rows", "24", "--columns", "32", "--views", "3", "--triangles", "3600")
 

@@ -130,7 +130,7 @@ def xyz_to_lab(xyz: np.ndarray, white: np.ndarray) -> np.ndarray:
 def delta_e_2000(lab1: np.ndarray, lab2: np.ndarray) -> np.ndarray:
     """CIEDE2000 colour difference (...) of Lab arrays (..., 3), kL = kC = kH = 1.
 
-    Source: Sharma, Wu, Dalal, Color Res. Appl. 30 (2005) 21-30, eq. 2-22; tested on 14 of their pairs, one of each kind.
+    Source: Sharma, Wu, Dalal, Color Res. Appl. 30 (2005) 21-30, eq. 2-22; tested on 14 of their pairs.
     """
     lab1, lab2 = np.asarray(lab1, dtype=float), np.asarray(lab2, dtype=float)
     l1, l2 = lab1[..., 0], lab2[..., 0]

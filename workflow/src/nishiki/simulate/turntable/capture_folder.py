@@ -1,4 +1,4 @@
-"""Files of a simulated turntable capture, and of the truth behind it (see simulate.py)."""
+"""Files of a simulated turntable capture, and of the truth behind it (see `nishiki.simulate.command`)."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def settings_from(options, defaults) -> TurntableSettings:
 
 
 def write_all(settings: TurntableSettings, capture: Path, truth: Path, options, report, write_image, write_csv) -> None:
-    """Both folders. report(text) tells the progress; write_image, write_csv are those of simulate.py."""
+    """Both folders. report(text) tells the progress; write_image, write_csv are those of `nishiki.simulate.command`."""
     import yaml
 
     from nishiki.simulate.turntable import describe
