@@ -83,3 +83,14 @@ def test_pixels_without_an_estimate_are_unknown_and_touch_no_others():
     assert np.array_equal(found, expected_error(spoilt, sigma, valid))
     assert (found[~valid] == np.float32(module.UNKNOWN)).all()
     assert np.isfinite(expected_error(normals, sigma, np.zeros_like(valid))).all()
+
+
+def test_slope_error_is_finite_beside_rough_ground():
+    """Running sums leave a rest, of either sign, where a flat surface follows slopes of very different size."""
+    random = np.random.default_rng(2)
+    slopes = random.normal(0, 2, (2, 60, 90))
+    slopes[:, :, 30:50] *= 1e-4
+    slopes[:, :, 50:] = 0
+    error = slope_error(from_slopes(*slopes), np.ones((60, 90), bool))
+    assert np.isfinite(error).all()
+    assert error[:, 62:].max() < 1e-5 < 0.1 < error[:, :25].min()

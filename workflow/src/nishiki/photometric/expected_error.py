@@ -68,7 +68,8 @@ def slope_error(normals: np.ndarray, valid: np.ndarray) -> np.ndarray:
     curl = np.zeros(valid.shape, np.float32)
     curl[:-1, :-1] = -0.5 * (down + right) * known[:-1, :-1]
     delta = window_mean(curl, known) * np.float32(WINDOW / 4)
-    return np.sqrt(window_mean(delta * delta * known, known))
+    # the rest that running sums leave behind large values may be negative
+    return np.sqrt(np.maximum(window_mean(delta * delta * known, known), 0))
 
 
 def window_mean(values: np.ndarray, known: np.ndarray) -> np.ndarray:
@@ -77,5 +78,5 @@ def window_mean(values: np.ndarray, known: np.ndarray) -> np.ndarray:
 
     share = uniform_filter(known, WINDOW, mode="constant")
     total = uniform_filter(values, WINDOW, mode="constant")
-    # running sums leave roundings: below half a pixel there is none, and a mean of squares is not negative
+    # running sums leave roundings: below half a pixel there is none
     return np.where(share > 0.5 / WINDOW**2, total / np.maximum(share, 0.5 / WINDOW**2), np.float32(0))
