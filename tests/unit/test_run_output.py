@@ -159,13 +159,15 @@ def test_of_a_group_the_stage_that_has_a_message_is_told(console, failures, tmp_
     for number, stage in enumerate(("ingest", "normals", "height")):
         console.start(number, "bowl", stage)
     jobs = [{"jobid": number} for number in range(3)]
-    told = console.say(LogEvent.GROUP_ERROR, "", logging.ERROR, aux_logs=[str(log)], job_error_info=jobs)
+    facts = {"groupid": "level0-a", "aux_logs": [str(log)], "job_error_info": jobs}
+    told = console.say(LogEvent.GROUP_ERROR, "", logging.ERROR, **facts)
     assert told.splitlines() == [
         "nishiki bowl/normals: no light is left",
         f"bowl/normals: failed in a job of 3 stages; log: {log}",
     ]
     assert console.fail(1) == "", "the jobs of a group are not told of once more"
     assert [row["name"] for row in failures[1]()] == ["bowl/normals"]
+    assert console.say(None, "Trying to restart job level0-a.") == "bowl/normals: tried again\n"
 
 
 def test_jobs_that_an_interrupt_ended_are_no_failures(console, failures):

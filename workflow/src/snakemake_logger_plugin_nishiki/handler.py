@@ -66,8 +66,9 @@ class RunHandler(LogHandlerBase):
         self._output: StageOutput | None = None
         if self.stream is None:
             logging.raiseExceptions = False  # a log file that cannot be written must not fill the screen
-            self._output = StageOutput(self.take_line)
-            self.screen = Screen(self._output.terminal())
+            with self._state:  # no line is taken before there is a screen
+                self._output = StageOutput(self.take_line)
+                self.screen = Screen(self._output.terminal())
             atexit.register(self.close)  # a traceback of Snakemake itself is still in the pipe then
             threading.Thread(target=self._tick, daemon=True, name="live line").start()
         else:
@@ -233,6 +234,7 @@ class RunHandler(LogHandlerBase):
         named = [job for job in jobs if (job.scene, job.stage) in self._messages] or jobs
         messages = [self._messages.pop((job.scene, job.stage), "") for job in named]
         text = ", ".join(job.name for job in named)
+        self._names[str(getattr(record, "groupid", ""))] = text
         self._tell_failure(f"{text}: failed in a job of {len(jobs)} stages", named, messages[0], "", logs)
 
     def _tell_failure(self, text: str, jobs: Iterable[Job], message: str, status: str, logs: list[str]) -> None:

@@ -65,4 +65,5 @@ class StageOutput:
                 if read:
                     read.set()
                 elif text:
-                    self._take(text)
+                    with suppress(Exception):  # were the pipe no longer read, the jobs would wait for ever
+                        self._take(text)
