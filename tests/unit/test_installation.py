@@ -81,6 +81,14 @@ def test_a_run_is_planned_from_any_folder(site, tmp_path):
     assert {"ingest", "normals", "report", "publish"} <= {line.split()[0] for line in done.stdout.splitlines() if line}
 
 
+def test_a_folder_without_a_configuration_is_told(site, tmp_path):
+    done = call(site, "-m", "nishiki", "run", cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.startswith("nishiki run: config/config.yaml: file not found. Remedy: name the configuration")
+    assert "nishiki demo makes one to try" in done.stderr
+    assert "./nishiki" not in done.stderr
+
+
 def test_tests_are_only_in_a_checkout(site, tmp_path):
     done = call(site, "-m", "nishiki", "test", cwd=tmp_path)
     assert done.returncode == 2
