@@ -14,7 +14,7 @@ from captures import make_capture
 from nishiki.archive.pack import CODE, Crate, _copy_code
 from nishiki.artifacts.provenance import code_digest, program_of
 from nishiki.capture.seal import seal
-from nishiki.installation import PACKAGE, PROJECT, cache_folder
+from nishiki.installation import PACKAGE, PACKAGES, PROJECT, cache_folder
 from nishiki.stages.table import NAMES
 
 PROGRAMS = (*NAMES, "publish", "sweep", "repeat")
@@ -103,6 +103,11 @@ def test_a_crate_holds_the_same_code(site, tmp_path):
     assert done.returncode == 0, done.stderr
     assert {name: tuple(entry) for name, entry in json.loads(done.stdout).items()} == expected
     assert {name.split("/")[1] for name in expected} == set(CODE) - LEFT_OUT
+
+
+def test_every_package_of_the_project_is_installed(site):
+    assert {path.name for path in (PROJECT / "workflow/src").iterdir() if any(path.glob("*.py"))} == set(PACKAGES)
+    assert all((site / name / "__init__.py").is_file() for name in PACKAGES)
 
 
 def test_the_command_is_that_of_the_project_file():

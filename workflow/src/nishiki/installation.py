@@ -12,6 +12,8 @@ from pathlib import Path
 PACKAGE = Path(__file__).resolve().parent
 SOURCE = PACKAGE.parent
 """The folder on the path of Python that holds the package."""
+PACKAGES = (PACKAGE.name, "snakemake_logger_plugin_nishiki")
+"""What of that folder is the project's; Snakemake finds its plugin for messages by its name."""
 CARRIED = PACKAGE / "project"
 """Copies of the project's files; only in an installation."""
 INSTALLED = CARRIED.is_dir()
