@@ -362,6 +362,15 @@ def test_the_description_names_people_licences_libraries_settings_and_every_resu
         }
 
 
+def test_a_lock_is_named_only_where_the_project_has_one(made, scene, tmp_path):
+    project = shutil.copytree(scene[1], tmp_path / "project")
+    (project / "uv.lock").unlink()
+    packed((scene[0], project), tmp_path / "crate")
+    assert "lock" in (made / "ro-crate-metadata.json").read_text()
+    assert "lock" not in (tmp_path / "crate/ro-crate-metadata.json").read_text()
+    assert audit(tmp_path / "crate")[0] == []
+
+
 def test_every_reference_of_the_description_leads_to_an_entity_or_a_file(made):
     """What the shapes of the profiles ask of the graph as a whole, without the package that holds them."""
     described = json.loads((made / "ro-crate-metadata.json").read_text())

@@ -14,7 +14,7 @@ from captures import make_capture
 from nishiki.archive.pack import CODE, Crate, _copy_code
 from nishiki.artifacts.provenance import code_digest, program_of
 from nishiki.capture.seal import seal
-from nishiki.installation import PACKAGE, PROJECT, cache_folder
+from nishiki.installation import PACKAGE, PACKAGES, PROJECT, cache_folder
 from nishiki.stages.table import NAMES
 
 PROGRAMS = (*NAMES, "publish", "sweep", "repeat")
@@ -81,6 +81,14 @@ def test_a_run_is_planned_from_any_folder(site, tmp_path):
     assert {"ingest", "normals", "report", "publish"} <= {line.split()[0] for line in done.stdout.splitlines() if line}
 
 
+def test_a_folder_without_a_configuration_is_told(site, tmp_path):
+    done = call(site, "-m", "nishiki", "run", cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.startswith("nishiki run: config/config.yaml: file not found. Remedy: name the configuration")
+    assert "nishiki demo makes one to try" in done.stderr
+    assert "./nishiki" not in done.stderr
+
+
 def test_tests_are_only_in_a_checkout(site, tmp_path):
     done = call(site, "-m", "nishiki", "test", cwd=tmp_path)
     assert done.returncode == 2
@@ -95,6 +103,11 @@ def test_a_crate_holds_the_same_code(site, tmp_path):
     assert done.returncode == 0, done.stderr
     assert {name: tuple(entry) for name, entry in json.loads(done.stdout).items()} == expected
     assert {name.split("/")[1] for name in expected} == set(CODE) - LEFT_OUT
+
+
+def test_every_package_of_the_project_is_installed(site):
+    assert {path.name for path in (PROJECT / "workflow/src").iterdir() if any(path.glob("*.py"))} == set(PACKAGES)
+    assert all((site / name / "__init__.py").is_file() for name in PACKAGES)
 
 
 def test_the_command_is_that_of_the_project_file():

@@ -12,8 +12,8 @@ from pathlib import Path
 PACKAGE = Path(__file__).resolve().parent
 SOURCE = PACKAGE.parent
 """The folder on the path of Python that holds the package."""
-LOGGER = SOURCE / "snakemake_logger_plugin_nishiki"
-"""Package that shows how far a run is; Snakemake finds it by its name."""
+PACKAGES = (PACKAGE.name, "snakemake_logger_plugin_nishiki")
+"""What of that folder is the project's; Snakemake finds its plugin for messages by its name."""
 CARRIED = PACKAGE / "project"
 """Copies of the project's files; only in an installation."""
 INSTALLED = CARRIED.is_dir()

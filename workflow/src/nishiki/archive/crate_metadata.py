@@ -20,7 +20,7 @@ PROFILES = {
     "https://w3id.org/ro/wfrun/provenance/0.5": ("Provenance Run Crate", "0.5"),
     WORKFLOW: ("Workflow RO-Crate", "1.0"),
 }
-MAIN = "code/Snakefile"
+MAIN, LOCK = "code/Snakefile", "code/uv.lock"
 
 
 @dataclass(frozen=True)
@@ -44,10 +44,10 @@ def metadata(scene: str, version: str, capture: PackedCapture, stages: list[Pack
             for name, (title, number) in PROFILES.items()
         ),
         *_people_and_rights(capture),
-        *_workflow(version, stages),
+        *_workflow(version, stages, locked=LOCK in others),
         *_capture(capture, stages),
         *(entity for number, stage in enumerate(stages) for entity in stage_entities(stage, number, stages)),
-        *_whole_run(scene, stages),
+        *_whole_run(scene, stages, locked=LOCK in others),
         *library_entities(stages),
         *(_other(name) for name in others),
     ]
@@ -146,7 +146,8 @@ def _capture(capture: PackedCapture, stages: list[PackedStage]) -> list[Entity]:
     return [found]
 
 
-def _workflow(version: str, stages: list[PackedStage]) -> list[Entity]:
+def _workflow(version: str, stages: list[PackedStage], *, locked: bool) -> list[Entity]:
+    code = "The workflow's code" + (", and the lock of all libraries" if locked else "")
     return [
         {
             "@id": MAIN,
@@ -170,7 +171,7 @@ def _workflow(version: str, stages: list[PackedStage]) -> list[Entity]:
             "identifier": {"@id": "https://doi.org/10.1093/bioinformatics/bts480"},
             "url": {"@id": "https://snakemake.readthedocs.io"},
         },
-        {"@id": "code/", "@type": "Dataset", "name": "The workflow's code, and the lock of all libraries"},
+        {"@id": "code/", "@type": "Dataset", "name": code},
         _parameter("capture", "capture/"),
         *(_parameter(stage.stage, stage.folder) for stage in stages),
     ]
@@ -187,7 +188,8 @@ def _parameter(name: str, example: str) -> Entity:
     }
 
 
-def _whole_run(scene: str, stages: list[PackedStage]) -> list[Entity]:
+def _whole_run(scene: str, stages: list[PackedStage], *, locked: bool) -> list[Entity]:
+    engine = {"softwareVersion": f"the version in {LOCK}"} if locked else {}  # an installation has no lock
     return [
         {
             "@id": "#run",
@@ -214,7 +216,7 @@ def _whole_run(scene: str, stages: list[PackedStage]) -> list[Entity]:
             "@type": "SoftwareApplication",
             "name": "Snakemake",
             "url": "https://snakemake.github.io",
-            "softwareVersion": "the version in code/uv.lock",
+            **engine,
         },
     ]
 

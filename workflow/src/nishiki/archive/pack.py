@@ -14,14 +14,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from nishiki.archive.crate_metadata import METADATA, PackedCapture, metadata
+from nishiki.archive.crate_metadata import LOCK, METADATA, PackedCapture, metadata
 from nishiki.archive.crate_names import MANIFEST, manifest_text
 from nishiki.archive.crate_stages import PackedStage
 from nishiki.archive.tree import FolderTree
 from nishiki.artifacts.artifact import MANIFEST as ARTIFACT
 from nishiki.artifacts.artifact import RUN, Artifact
 from nishiki.errors import UserError
-from nishiki.installation import CARRIED, LOGGER, PACKAGE
+from nishiki.installation import CARRIED, PACKAGES, SOURCE
 
 CODE = ("Snakefile", "LICENSE", "pyproject.toml", "uv.lock", "workflow", "scripts", "envs")
 """What of the project is packed: what runs, and the lock of its libraries."""
@@ -100,7 +100,7 @@ def pack(scene: PackedScene, project: Path, target: Path, *, with_capture: bool,
         crate.write("scene.json", _json({"scene": scene.name, **scene.facts}))
         crate.write("README.md", _readme(scene, stages, capture))
         others = ["README.md", "scene.json", MANIFEST]
-        others += [name for name in ("code/LICENSE", "code/uv.lock") if name in crate.files]
+        others += [name for name in ("code/LICENSE", LOCK) if name in crate.files]
         crate.write(METADATA, _json(metadata(scene.name, scene.version, capture, stages, others)))
         text = manifest_text({name: sha256 for name, (_, sha256) in crate.files.items()})
         crate.write(MANIFEST, text)
@@ -154,15 +154,15 @@ def _copy_capture(crate: Crate, scene: PackedScene, with_capture: bool, tell: Te
 
 def _copy_code(crate: Crate, project: Path) -> None:
     places = {name: project / name for name in CODE}
-    if project == CARRIED:  # an installed package has its code in a folder of its own
-        places |= {f"workflow/src/{package.name}": package for package in (PACKAGE, LOGGER)}
+    if project == CARRIED:  # an installation has its packages elsewhere
+        places |= {f"workflow/src/{name}": SOURCE / name for name in PACKAGES}
     for name, path in places.items():
         if not path.exists():  # a copy of the project need not have its lock or its licence
             continue
         inner = FolderTree(path).listing().files if path.is_dir() else {"": 0}
         for file in sorted(inner):
             parts = file.split("/")
-            carried = path == PACKAGE and parts[0] == CARRIED.name
+            carried = path / parts[0] == CARRIED
             if carried or any(part.startswith((".", "__pycache__")) for part in parts if part):
                 continue
             if os.path.splitext(file)[1] in CODE_SUFFIXES:

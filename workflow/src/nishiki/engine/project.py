@@ -106,7 +106,8 @@ def load_yaml(path: Path) -> dict:
     try:
         return plain_yaml.load(read_text(path, "settings_bytes", name=str(path))) or {}
     except FileNotFoundError:
-        raise UserError(f"{path}: file not found") from None
+        remedy = "Remedy: name the configuration with --configfile; ./nishiki demo makes one to try"
+        raise UserError(f"{path}: file not found" + (f". {remedy}" if str(path) == CONFIGURATION else "")) from None
     except UnicodeDecodeError as error:
         raise UserError(f"{path}: expected UTF-8 text ({error.reason} at byte {error.start})") from None
     except yaml.YAMLError as error:
