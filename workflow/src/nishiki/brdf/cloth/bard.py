@@ -129,7 +129,7 @@ class _Bard(ArrayFields):
 
 @dataclass(frozen=True)
 class LinearBard(_Bard):
-    """B eq. 5-9 as printed."""
+    """Takeda et al., eq. 5-9 as printed."""
 
     KIND: ClassVar[str] = "bard_linear"
 
