@@ -125,7 +125,7 @@ def _values(field: Mapping[str, Any], known: Mapping[str, Any]) -> str:
     if kind == "object":
         items = field.get("additionalProperties")
         of = _values(items, known) if isinstance(items, dict) else "values"
-        return f"names and {'blocks' if of == 'a block' else of}"
+        return f"names, each with {of}"
     words = {"number": "number", "integer": "integer", "boolean": "`true`, `false`", "string": "text", "null": "`null`"}
     return words.get(kind or "", "any") + _bounds(field)
 
