@@ -78,7 +78,7 @@ def radiance(p, camera):
 
 
 def predict(kd, ks, width, positions, normals, camera):
-    """(..., 3): O eq. 6 and 8 with the sphere's own normals, lamp at the camera."""
+    """(..., 3): Miyazaki et al. (2007), eq. 6 and 8 with the sphere's own normals, lamp at the camera."""
     v = camera - positions
     v = v / np.linalg.norm(v, axis=-1, keepdims=True)
     cosine = np.sum(normals * v, -1)

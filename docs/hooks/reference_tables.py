@@ -85,6 +85,8 @@ def _rows(block: Mapping[str, Any], known: Mapping[str, Any], prefix: str) -> It
         if "$ref" in field and field["$ref"].endswith("Settings") and prefix == "" and name in CHAIN:
             continue
         default = _default(field["default"]) if "default" in field else "required"
+        if isinstance(field.get("default"), dict) and field["default"] and list(_blocks(field, known, "")):
+            default = "as below" if "additionalProperties" not in field else default
         yield (
             f"`{prefix}{name}`",
             _values(field, known),
@@ -123,13 +125,15 @@ def _values(field: Mapping[str, Any], known: Mapping[str, Any]) -> str:
     if kind == "object":
         items = field.get("additionalProperties")
         of = _values(items, known) if isinstance(items, dict) else "values"
-        return f"names and {'blocks' if of == 'a block' else of}"
+        return f"names, each with {of}"
     words = {"number": "number", "integer": "integer", "boolean": "`true`, `false`", "string": "text", "null": "`null`"}
     return words.get(kind or "", "any") + _bounds(field)
 
 
 def _bounds(field: Mapping[str, Any]) -> str:
-    words = {"minimum": "from", "exclusiveMinimum": "above", "maximum": "to", "exclusiveMaximum": "below"}
+    upper = "maximum" in field or "exclusiveMaximum" in field
+    least = "from" if upper else "of at least"
+    words = {"minimum": least, "exclusiveMinimum": "above", "maximum": "to", "exclusiveMaximum": "below"}
     return "".join(f" {word} {field[key]:,.10g}" for key, word in words.items() if key in field)
 
 

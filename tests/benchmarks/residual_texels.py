@@ -1,7 +1,7 @@
 """The paper's counting: texels of every patch over the views, and the error against the share of coefficients kept.
 
 Nothing is quantised or entropy coded here, parameters and mesh are not counted: this is the domain of the published
-figures (paper O, figures 11 to 14). What a picture costs and how good it is, see `residual_pictures`.
+figures (Miyazaki et al. 2007, figures 11 to 14). What a picture costs and how good it is, see `residual_pictures`.
 """
 
 from collections.abc import Iterator

@@ -28,7 +28,7 @@ def _unit(theta, phi):
 
 
 def exact_specular(n, light, view, gamma, index):
-    """D F G / cos_r in 60 digits from the floats as they are (P eq. 10-13)."""
+    """D F G / cos_r in 60 digits from the floats as they are (Tominaga and Tanaka 2004, eq. 10-13)."""
     n, i, o = ([mpmath.mpf(float(v)) for v in d] for d in (n, light, view))
 
     def dot(a, b):

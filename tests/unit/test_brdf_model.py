@@ -14,7 +14,8 @@ mpmath.mp.dps = 50
 
 
 def exact_specular(normal, light, view, gamma, index):
-    """D F G / cos_r as printed in P eq. 10-13 (with the corrected g), 50 digits; not simplified."""
+    """D F G / cos_r as printed in Tominaga and Tanaka (2004), eq. 10-13 (with the corrected g), 50 digits; not
+    simplified."""
     n, light, view = ([mpmath.mpf(float(x)) for x in v] for v in (normal, light, view))
     dot = lambda a, b: sum(x * y for x, y in zip(a, b, strict=True))  # noqa: E731
     h = [a + b for a, b in zip(light, view, strict=True)]

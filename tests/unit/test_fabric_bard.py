@@ -18,7 +18,7 @@ from nishiki.brdf.torrance_sparrow import fresnel
 
 HALF_PI = np.pi / 2
 THETAS_DEG = np.array([0, 15, 30, 45, 60, 75])
-RATIOS = {  # B tables 1 to 3: measured peak reflectance over that of normal incidence
+RATIOS = {  # Takeda et al., tables 1 to 3: measured peak reflectance over that of normal incidence
     "incidence plane": [1, 1.409, 1.670, 2.033, 4.841, 20.403],
     "cloth plane": [1, 1.060, 1.323, 1.996, 4.008, 10.493],
     "inclined plane": [1, 0.975, 1.301, 2.087, 4.765, 17.045],

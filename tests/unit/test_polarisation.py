@@ -115,7 +115,8 @@ def test_states_that_cannot_be_separated(states):
 
 
 def test_circular_states_with_beta_of_each_channel():
-    """A circular polariser passes beta of unpolarised light and nothing of what a mirror returns (O eq. 2-5, A.4)."""
+    """A circular polariser passes beta of unpolarised light and nothing of what a mirror returns (Miyazaki et al. 2007,
+    eq. 2-5, A.4)."""
     diffuse, specular = parts(5)
     beta = np.array([0.31, 0.27, 0.4])
     found, sums, _ = separate(("off", "on"), lambda s: diffuse + specular if s == "off" else beta * diffuse, beta=beta)

@@ -32,7 +32,7 @@ def lamp_at(*place, form=POINT, reference=0.0):
 
 
 def slow(kd, ks, sigma, positions, normals, centre, place):
-    """O eq. 6 and 8 in float64, with the grazing limit."""
+    """Miyazaki et al. (2007), eq. 6 and 8 in float64, with the grazing limit."""
     to_lamp, to_camera = unit(place - positions), unit(centre - positions)
     cos_i, cos_r = (np.sum(normals * v, axis=-1) for v in (to_lamp, to_camera))
     half = unit(to_lamp + to_camera)

@@ -21,8 +21,8 @@ def transmittance(cosine: np.ndarray, refractive_index: float) -> np.ndarray:
     """Light that passes a smooth dielectric surface, relative to normal incidence: (1 - F(c)) / (1 - F(1)).
 
     The body of a varnished paint is lit through its surface and seen through it: its shading is c T(c) T(n . v), and
-    its reflectance is that of light and view along the normal (B. Walter et al., EGSR 2007; F: P eq. 12). The path of
-    the light that the surface reflects back into the body does not depend on either angle.
+    its reflectance is that of light and view along the normal (B. Walter et al., EGSR 2007; F: Tominaga and Tanaka
+    2004, eq. 12). The path of the light that the surface reflects back into the body does not depend on either angle.
 
     Parameters
     ----------

@@ -1,4 +1,5 @@
-"""The published fit of a scene (P eq. 14-18), the baseline: brightest light, smoothed normals, thinned samples."""
+"""The published fit of a scene (Tominaga and Tanaka 2004, eq. 14-18), the baseline: brightest light, smoothed normals,
+thinned samples."""
 
 from dataclasses import dataclass
 

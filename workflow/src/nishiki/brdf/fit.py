@@ -3,7 +3,8 @@
 The strengths (K_s, K_d, or beta) enter linearly and the half width gamma does not.  The default eliminates the
 strengths and searches log gamma globally (variable projection): there is no start value to choose, and beta = 164
 beside gamma = 0.07 is no harder than beta = 1 beside gamma = 1.  Levenberg-Marquardt on everything is the published
-choice (P eq. 18) and stays selectable as the baseline.  Fits over a whole scene are in `nishiki.brdf.scene`.
+choice (Tominaga and Tanaka 2004, eq. 18) and stays selectable as the baseline.  Fits over a whole scene are in
+`nishiki.brdf.scene`.
 """
 
 from dataclasses import dataclass
@@ -26,7 +27,7 @@ class PointFits:
     """Lambert + one lobe at each point: I' = diffuse * q + specular * a * D(phi; gamma).
 
     Arrays have the float type of the fit.  Points whose flags contain NO_HIGHLIGHT or TOO_FEW have specular 0 and
-    gamma NaN: they take these from their neighbours (paper O) or from the scene.
+    gamma NaN: they take these from their neighbours (Miyazaki et al. 2007) or from the scene.
     """
 
     gamma: np.ndarray  # (points,) half width at half maximum, radians
@@ -55,8 +56,9 @@ def fit_torrance_sparrow(
 
     phi: (points, observations), angle(normal, half vector), radians, 0 .. pi.  amplitude: (points, observations,
     channels), observations relative to the white reference (or specular parts alone, with `diffuse` None).
-    attenuation a: (points, observations), F G / cos theta_r (P eq. 10; K_s is then beta) or 1 / cos theta_r (O eq. 8);
-    ones if None.  diffuse q: (points, observations), the Lambert term max(cos theta_i, 0); no diffuse term if None.
+    attenuation a: (points, observations), F G / cos theta_r (Tominaga and Tanaka 2004, eq. 10; K_s is then beta) or 1 /
+    cos theta_r (Miyazaki et al. 2007, eq. 8); ones if None.  diffuse q: (points, observations), the Lambert term
+    max(cos theta_i, 0); no diffuse term if None.
     weights: (points, observations), >= 0, inverse variances up to a factor; 0 leaves an observation out, as does any
     value that is not finite.  gamma_bounds: radians, the range searched.  method: "projection" (default) or
     "levenberg_marquardt" (the baseline: slow, from one start, no bounds).  threads: that work on the points; the result

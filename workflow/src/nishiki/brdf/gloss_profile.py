@@ -2,7 +2,7 @@
 
 A facet distribution of any tail (GGX, for one) is a mixture of Gaussians of different widths. So the profile is
 
-    z(phi) = sum_k beta_k exp(-ln 2 (phi / gamma_k)^2),   beta_k >= 0                              (P eq. 11, a sum)
+    z(phi) = sum_k beta_k exp(-ln 2 (phi / gamma_k)^2),   beta_k >= 0     (Tominaga and Tanaka 2004, eq. 11, a sum)
 
 on a fixed ladder of half widths. Normals that are uncertain by sigma along each tangent blur every Gaussian into a
 wider one, so that the strengths behind the blur follow from one non-negative least-squares problem (C. L. Lawson and

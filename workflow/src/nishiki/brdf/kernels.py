@@ -99,7 +99,8 @@ def lobe_coordinates_scalar(nx, ny, nz, lx, ly, lz, vx, vy, vz, widest, refracti
 
 @njit(cache=True, error_model="numpy")
 def specular_scalar(nx, ny, nz, lx, ly, lz, vx, vy, vz, gamma, refractive_index):
-    """D F G / cos_r of P eq. 10 for unit normal n, direction to the light l and to the viewer v; multiply by beta.
+    """D F G / cos_r of Tominaga and Tanaka (2004), eq. 10 for unit normal n, direction to the light l and to the viewer
+    v; multiply by beta.
 
     `gamma` radians > 0, `refractive_index` >= 1.  0 where n . l <= 0 or n . v <= 0, and where D is below 2^-60.
     """

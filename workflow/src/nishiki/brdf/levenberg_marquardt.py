@@ -1,4 +1,5 @@
-"""Levenberg-Marquardt, the published way to fit the Torrance-Sparrow model (P eq. 18): the baseline.
+"""Levenberg-Marquardt, the published way to fit the Torrance-Sparrow model (Tominaga and Tanaka 2004, eq. 18): the
+baseline.
 
 It needs a start, and parameters of like size: here it works on the strengths and on log gamma, from a start that the
 caller may choose.  scipy's `least_squares(method="lm")` is MINPACK's lmder (More, The Levenberg-Marquardt algorithm:

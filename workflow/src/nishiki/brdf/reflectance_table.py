@@ -1,9 +1,10 @@
 """Lambert and one or two lobes fitted to a table of measured spectral reflectances (a gonioreflectometer's).
 
 The BRDF of the model is f = rho_d / pi (cos theta_i cos theta_r)^a + sum_l beta_l D_l F G / (pi cos theta_i cos
-theta_r): P eq. 10 divided by pi cos theta_i, the light of a white diffuser, with the body of Minnaert (The reciprocity
-principle in lunar photometry, 1941, eq. 7; his k is a + 1).  Gloss of a dielectric is neutral: one beta, gamma and
-refractive index for all bands, one rho_d a band; the exponent a >= 0 is common to the bands, too, and 0 for Lambert.
+theta_r): Tominaga and Tanaka (2004), eq. 10 divided by pi cos theta_i, the light of a white diffuser, with the body of
+Minnaert (The reciprocity principle in lunar photometry, 1941, eq. 7; his k is a + 1).  Gloss of a dielectric is
+neutral: one beta, gamma and refractive index for all bands, one rho_d a band; the exponent a >= 0 is common to the
+bands, too, and 0 for Lambert.
 
 Reflectances span four decades, so the error is measured after a cube root, which weighs light and dark about as the eye
 does: e = (w f)^(1/3) - (w f_model)^(1/3) with w = cos theta_i cos theta_r.  The fit minimises that very error by
@@ -75,7 +76,8 @@ def fit_reflectance_table(
     """Fit a table: lights, views (samples, 3) unit directions, z the normal; brdf (samples, bands), 1 / sr.
 
     lobes: 1 or 2.  distribution: "ggx" (Walter et al., Microfacet models for refraction through rough surfaces, 2007;
-    normalised to 1 at phi = 0, with the F and G of P) or "torrance_sparrow" (P eq. 11, Gaussian in phi).
+    normalised to 1 at phi = 0, with the F and G of eq. 12 and 13) or "torrance_sparrow" (Tominaga and Tanaka 2004, eq.
+    11, Gaussian in phi).
     refractive_index: None to fit it (1.02 .. 4), or a value.  body_exponent: None to fit it (0 .. 2), or a value, 0 for
     Lambert.  shared_from: "bands" (gloss and exponent from all bands) or "mean" (from the mean over the bands, then
     only rho_d in each band).  Samples at or behind the horizon, not finite or negative are an error.

@@ -1,4 +1,5 @@
-"""One set of Torrance-Sparrow parameters for a scene or a region, from its specular profile (P eq. 14-18, improved).
+"""One set of Torrance-Sparrow parameters for a scene or a region, from its specular profile (Tominaga and Tanaka 2004,
+eq. 14-18, improved).
 
 The profile z(phi) = beta D(phi; gamma) gathers all lights of all usable pixels (`specular_histogram`).  Normals that
 are uncertain by sigma in each tangent direction blur the lobe: seen over the estimated phi it is the convolution of two
@@ -51,9 +52,9 @@ def fit_scene(
 ) -> tuple[TorranceSparrowFit, ...]:
     """Torrance-Sparrow parameters of each region of the histogram, one entry a region.
 
-    lobes: 1 (the model of P eq. 10), 2 (a narrow and a wide lobe, for varnish with long tails), or "auto": 2 where a
-    second lobe of another width is significant (F ratio above 12) and both are determined; regions with one lobe get a
-    second of strength 0 where another region has two.  normal_noise: undo
+    lobes: 1 (the model of Tominaga and Tanaka (2004), eq. 10), 2 (a narrow and a wide lobe, for varnish with long
+    tails), or "auto": 2 where a second lobe of another width is significant (F ratio above 12) and both are determined;
+    regions with one lobe get a second of strength 0 where another region has two.  normal_noise: undo
     the blur by uncertain normals, with the sigma that was given to the histogram.  reject: outlier fence, see
     `SpecularHistogram.profile`; where the lobe proves narrower than the normals are certain, its samples are themselves
     rare and nothing is rejected.  gamma_bounds: radians.

@@ -1,11 +1,12 @@
 """The Torrance-Sparrow reflection model: facet distribution, Fresnel reflectance, masking, and their product.
 
-Paper P eq. 10-13 writes the reflected light of an illuminant of unit irradiance as
+Tominaga and Tanaka (2004, eq. 10-13) write the reflected light of an illuminant of unit irradiance as
 
     Y = rho_d cos(theta_i) + beta D F G / cos(theta_r),      D = exp(-ln 2 (phi / gamma)^2)
 
 with phi the angle between the surface normal and the half vector, gamma the half width at half maximum of D, F the
-exact Fresnel reflectance of a dielectric and G the masking of V-shaped grooves.  Paper O eq. 8 drops F and G:
+exact Fresnel reflectance of a dielectric and G the masking of V-shaped grooves.  Miyazaki et al. (2007, eq. 8) drop F
+and G:
 
     I_s = K_s / cos(theta_r) exp(-phi^2 / (2 sigma^2)),      gamma = sigma sqrt(2 ln 2).
 
@@ -58,7 +59,7 @@ def half_vector_geometry(normals, lights, views) -> HalfVectorGeometry:
 
 
 def facet_distribution(phi, gamma) -> np.ndarray:
-    """D = exp(-ln 2 (phi / gamma)^2), 1 at phi = 0 and 1/2 at phi = gamma (P eq. 11).
+    """D = exp(-ln 2 (phi / gamma)^2), 1 at phi = 0 and 1/2 at phi = gamma (Tominaga and Tanaka 2004, eq. 11).
 
     phi and gamma in radians, broadcast against each other; gamma > 0 and may be infinite (D = 1).  The quotient is
     formed before the square, so that no width underflows.
@@ -124,7 +125,8 @@ def fresnel(cos_theta, refractive_index) -> np.ndarray:
 
 
 def masking(cos_phi, cos_i, cos_r, cos_q) -> np.ndarray:
-    """G = min(1, 2 cos phi cos_r / cos_q, 2 cos phi cos_i / cos_q), 0 .. 1 (P eq. 13); 0 with light or view behind."""
+    """G = min(1, 2 cos phi cos_r / cos_q, 2 cos phi cos_i / cos_q), 0 .. 1 (Tominaga and Tanaka 2004, eq. 13); 0 with
+    light or view behind."""
     lit = (np.asarray(cos_i) > 0) & (np.asarray(cos_r) > 0) & (np.asarray(cos_q) > 0)
     groove = 2 * np.asarray(cos_phi) * np.minimum(cos_i, cos_r) / np.where(lit, cos_q, 1)
     return np.where(lit, np.clip(groove, 0, 1), 0)
@@ -147,7 +149,8 @@ def masking_over_cos_r(cos_phi, cos_i, cos_r, cos_q) -> np.ndarray:
 
 
 def attenuation(geometry: HalfVectorGeometry, refractive_index) -> np.ndarray:
-    """F G / cos_r: all of the specular term but beta D, which is what a fit divides out (P eq. 10)."""
+    """F G / cos_r: all of the specular term but beta D, which is what a fit divides out (Tominaga and Tanaka 2004, eq.
+    10)."""
     g = geometry
     return fresnel(g.cos_q, refractive_index) * masking_over_cos_r(g.cos_phi, g.cos_i, g.cos_r, g.cos_q)
 
@@ -212,7 +215,8 @@ def specular(normals, lights, views, *, beta, gamma, refractive_index) -> np.nda
 
 
 def simplified_specular(alpha, cos_r, *, strength, sigma) -> np.ndarray:
-    """K_s / cos_r exp(-alpha^2 / (2 sigma^2)) of O eq. 8: `alpha` angle(normal, half vector) and `sigma` in radians.
+    """K_s / cos_r exp(-alpha^2 / (2 sigma^2)) of Miyazaki et al. (2007), eq. 8: `alpha` angle(normal, half vector) and
+    `sigma` in radians.
 
     `strength` is K_s, relative to the white reference.  The form has no masking to hold it at grazing view: it grows
     as 1 / cos_r, and is 0 where the view is not above the surface (cos_r <= 0).

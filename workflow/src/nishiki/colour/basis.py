@@ -1,4 +1,4 @@
-"""Bases of reflectance and the system matrix of camera and lamp (P eq. 5-7)."""
+"""Bases of reflectance and the system matrix of camera and lamp (Tominaga and Tanaka 2004, eq. 5-7)."""
 
 from __future__ import annotations
 
@@ -27,8 +27,9 @@ class PrincipalBasis:
 def principal_basis(reflectances: np.ndarray, count: int, *, centred: bool = False) -> PrincipalBasis:
     """Principal vectors of measured reflectances.
 
-    Uncentred (the default) is the paper's form, S = sum_k sigma_k S_k (P eq. 5): singular vectors of the data as they
-    are, so that black is a zero of all coefficients. `centred=True` is principal component analysis about the mean.
+    Uncentred (the default) is the paper's form, S = sum_k sigma_k S_k (Tominaga and Tanaka 2004, eq. 5): singular
+    vectors of the data as they are, so that black is a zero of all coefficients. `centred=True` is principal component
+    analysis about the mean.
 
     reflectances : (M, 61) in [0, 1]; count : 1 <= K <= min(M, 61). Raises UserError for other shapes or NaN.
     """
@@ -82,7 +83,7 @@ def normalised(curves: np.ndarray) -> np.ndarray:
 def system_matrix(
     illuminant: np.ndarray, basis: np.ndarray, sensitivities: np.ndarray, *, rule: str = "trapezoid"
 ) -> np.ndarray:
-    """H (N, K), P eq. 7, in white-normalised form.
+    """H (N, K), Tominaga and Tanaka (2004), eq. 7, in white-normalised form.
 
     `H[i, k] = integral(E S_k R_i) / integral(E R_i)`, so that observations normalised by the white reference are
     `H @ sigma`. basis : (K, 61). See `channel_weights` for the other arguments and errors.

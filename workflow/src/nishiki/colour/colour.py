@@ -55,7 +55,8 @@ def xyz_matrix(illuminant: np.ndarray, basis: np.ndarray) -> np.ndarray:
     """A (3, K) with XYZ = A @ sigma for S = sigma @ basis; Y = 1 for the perfect white S = 1.
 
     illuminant : (61,); basis : (K, 61). Sums over the 61 bands as CIE 015:2018 eq. 7 tabulates them. For XYZ of spectra
-    themselves use `xyz_from_spectra`. Source: P eq. 19, exact because the diffuse term is linear in sigma.
+    themselves use `xyz_from_spectra`. Source: Tominaga and Tanaka (2004), eq. 19, exact because the diffuse term is
+    linear in sigma.
     """
     lamp = normalised(checked_spectra(illuminant, "illuminant")[0])
     weights = cie_1931_cmfs() * lamp

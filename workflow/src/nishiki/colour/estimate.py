@@ -1,4 +1,4 @@
-"""Spectral reflectance of every pixel from its white-normalised camera response (P §4).
+"""Spectral reflectance of every pixel from its white-normalised camera response (Tominaga and Tanaka 2004, section 4).
 
 `fit_estimator` learns from a training set, `estimate_spectra` applies the result to any number of pixels. Whatever the
 method, a spectrum leaves as a few coefficients on an explicit basis, S = coefficients @ basis, so that everything

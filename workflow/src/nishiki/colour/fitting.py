@@ -50,7 +50,8 @@ class Parts:
 
 
 def fit_paper(problem: Problem, bases: int | None, *, white: bool, condition_limit: float) -> Parts:
-    """Principal bases and sigma = H^-1 rho' (P eq. 5-8); with `white`, one more row for the white anchor.
+    """Principal bases and sigma = H^-1 rho' (Tominaga and Tanaka 2004, eq. 5-8); with `white`, one more row for the
+    white anchor.
 
     The extra row d = 1 - S(white response) is what the bases cannot say about the perfect white. Where H is inverted
     exactly, no channel sees d (it is a metameric black), so adding any amount of it contradicts no observation.

@@ -1,4 +1,4 @@
-"""Linear estimators of reflectance: the paper's matrix inverse (P eq. 6-8) and Wiener's."""
+"""Linear estimators of reflectance: the paper's matrix inverse (Tominaga and Tanaka 2004, eq. 6-8) and Wiener's."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from nishiki.errors import UserError
 
 
 def paper_map(weights: np.ndarray, basis: np.ndarray, *, condition_limit: float) -> tuple[np.ndarray, bool]:
-    """(K, N) map from white-normalised responses to the paper's coefficients, sigma = H^-1 rho' (P eq. 8).
+    """(K, N) map from white-normalised responses to the paper's coefficients, sigma = H^-1 rho' (Tominaga and Tanaka
+    2004, eq. 8).
 
     weights : (N, 61) from `channel_weights`; basis : (K, 61), K <= N (least squares for K < N).
     Singular values of H below the largest / `condition_limit` are left out (minimum-norm solution), in which case the

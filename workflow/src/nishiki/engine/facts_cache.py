@@ -16,9 +16,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from nishiki.artifacts.provenance import PACKAGE, SOURCE
+from nishiki.artifacts.provenance import PACKAGE
 from nishiki.engine.facts import scene_facts
 from nishiki.engine.project import Scene
+from nishiki.installation import SOURCE
 from nishiki.stages.base import SceneFacts
 
 FOLDER = Path(".cache", "facts")

@@ -51,9 +51,10 @@ def predict_light(
 ) -> PredictedLight:
     """Observation I' = (rho c f + beta D F G / cos_r) E with c = max(n.l, 0), frontal view, in camera channels.
 
-    P eq. 10, with the factor f of the body shading (1: Lambert). light : with a direction, or a position relative to
-    the centre of the maps in the unit of `pitch`; E is 1 but for a lamp with fall-off, where no white board has divided
-    it out. height : (rows, columns) in the unit of `pitch`, for cast shadows; None: none are cast.
+    Tominaga and Tanaka (2004), eq. 10, with the factor f of the body shading (1: Lambert). light : with a direction, or
+    a position relative to the centre of the maps in the unit of `pitch`; E is 1 but for a lamp with fall-off, where no
+    white board has divided it out. height : (rows, columns) in the unit of `pitch`, for cast shadows; None: none are
+    cast.
     """
     (seen,) = predict_observations(
         model.normals,

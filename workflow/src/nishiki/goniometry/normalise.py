@@ -1,4 +1,5 @@
-"""Reflectances from the light of the cloth and of the white board (W eq. 4); repeats of a direction as one."""
+"""Reflectances from the light of the cloth and of the white board (Takeda and Tanaka, eq. 4); repeats of a direction as
+one."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ def output_bases(estimates: np.ndarray, mean_square: float, *, limit: float = LO
 
 
 def principal_bases(spectra: np.ndarray, weights: np.ndarray, *, noise: float, most: int = 3) -> Bases:
-    """Number of principal bases with the least expected error, for the inverse of H (P eq. 8).
+    """Number of principal bases with the least expected error, for the inverse of H (Tominaga and Tanaka 2004, eq. 8).
 
     spectra (M, 61) of the training set, weights (N, 61) of the channels, noise: standard deviation of a response. With
     K <= N bases B and their map onto coefficients H+, the expected mean square over the bands is

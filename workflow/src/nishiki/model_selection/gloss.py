@@ -48,7 +48,8 @@ def gloss_evidence(
     """Evidence from samples of any shape.
 
     phi: angle of normal and half vector, radians; residual: observation minus Lambert's term; attenuation: F G / cos
-    theta_r (P eq. 10), 0 where the sample is neither lit nor seen; usable: False where it is saturated or masked;
+    theta_r (Tominaga and Tanaka 2004, eq. 10), 0 where the sample is neither lit nor seen; usable: False where it is
+    saturated or masked;
     sigma: deviation of the normals per tangent axis, radians.
 
     A lobe is fitted to the sample as to a scene (`nishiki.brdf.scene`); it has to pass that fit's F test (12) and to

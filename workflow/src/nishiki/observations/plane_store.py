@@ -41,8 +41,9 @@ class Settings(Protocol):
 
 @dataclass(frozen=True)
 class IngestSettings:
-    """channels: which to keep (auto: all); white_block: pixels of a gain block (1: per pixel, P eq. 3); tile_mib: float
-    memory of one band over all lights; compression of the stored codes; without: parts that are not opened."""
+    """channels: which to keep (auto: all); white_block: pixels of a gain block (1: per pixel, Tominaga and Tanaka
+    (2004), eq. 3); tile_mib: float memory of one band over all lights; compression of the stored codes; without: parts
+    that are not opened."""
 
     channels: str = "all"
     white_block: int = 16

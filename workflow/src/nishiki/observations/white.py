@@ -1,4 +1,5 @@
-"""The white board: how bright the lamp was at each place, and so the gain that makes a perfect white 1 (P eq. 3)."""
+"""The white board: how bright the lamp was at each place, and so the gain that makes a perfect white 1 (Tominaga and
+Tanaka 2004, eq. 3)."""
 
 from __future__ import annotations
 

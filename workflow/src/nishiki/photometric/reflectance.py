@@ -32,7 +32,8 @@ def diffuse_reflectance(observations, directions, normals, *, usable, method="le
 
     method, with the shading s = cos f
         "least_squares": sum(I s) / sum(s^2), the maximum-likelihood weight for equal noise in all lights.
-        "mean": mean of I / s over the selected lights (P eq. 6), which lets grazing lights weigh most.
+        "mean": mean of I / s over the selected lights (Tominaga and Tanaka 2004, eq. 6), which lets grazing lights
+        weigh most.
 
     Raises UserError on an unknown method or shapes that do not fit. Returns a DiffuseReflectance.
     """

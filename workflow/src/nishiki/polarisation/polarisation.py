@@ -81,10 +81,11 @@ def components(
 ) -> SeparatedView:
     """The two components of planes made by `sum_planes` with `sums.weights`.
 
-    none: all counts as diffuse. circular (O 2.2, app. 1): I_d = I_on / beta, I_s = I_off - I_d; beta broadcasts against
-    a picture, NaN where it is unknown (those pixels become invalid). crossed, pairs: I_d = 2 crossed, I_s = parallel -
-    crossed. linear: I_d = 2 (a - b), I_s = 2 b; b is the amplitude of each pixel, or, with a phase (radians), the
-    amplitude at that common angle, which may be negative. mueller: I_s = (m11 + sense m22) / 2, I_d = m00 - I_s.
+    none: all counts as diffuse. circular (Miyazaki et al. 2007, section 2.2): I_d = I_on / beta, I_s = I_off - I_d;
+    beta broadcasts against a picture, NaN where it is unknown (those pixels become invalid). crossed, pairs: I_d = 2
+    crossed, I_s = parallel - crossed. linear: I_d = 2 (a - b), I_s = 2 b; b is the amplitude of each pixel, or, with a
+    phase (radians), the amplitude at that common angle, which may be negative. mueller: I_s = (m11 + sense m22) / 2,
+    I_d = m00 - I_s.
     gain: factor on both, broadcasts; NaN where unknown.
     """
     if (beta is None) == (sums.method == "circular"):

@@ -2,12 +2,13 @@
 
 from typing import Any
 
+PAINTINGS = "Tominaga and Tanaka 2004"
 PAPER_CHOICES = {
-    ("separate", "method"): ("threshold", "selection of the lights", "thresholds w1, w2 (P 3.2)"),
-    ("normals", "solver"): ("least_squares", "normals", "plain least squares (P 3.3)"),
+    ("separate", "method"): ("threshold", "selection of the lights", f"thresholds w1, w2 ({PAINTINGS}, section 3.2)"),
+    ("normals", "solver"): ("least_squares", "normals", f"plain least squares ({PAINTINGS}, section 3.3)"),
     ("normals", "refine"): ("none", "normals and gloss together", "one after the other"),
-    ("spectra", "method"): ("paper", "spectra", "three bases and matrix inverse (P eq. 8)"),
-    ("brdf", "method"): ("paper", "gloss", "brightest light, Levenberg-Marquardt (P eq. 14–18)"),
+    ("spectra", "method"): ("paper", "spectra", f"three bases and matrix inverse ({PAINTINGS}, eq. 8)"),
+    ("brdf", "method"): ("paper", "gloss", f"brightest light, Levenberg-Marquardt ({PAINTINGS}, eq. 14–18)"),
 }
 
 

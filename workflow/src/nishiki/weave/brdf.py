@@ -2,7 +2,8 @@
 
 A direction in space sees a section as its projection on the section's plane does. Both sections' surfaces are taken as
 crossing each other independently: gloss and body are products of a factor of the weft plane and one of the warp plane,
-which for light along the normal and views in either plane is W eq. 15 exactly (the other plane's factor is 1 there).
+which for light along the normal and views in either plane is eq. 15 of Takeda and Tanaka exactly (the other plane's
+factor is 1 there).
 """
 
 from dataclasses import dataclass
@@ -19,8 +20,8 @@ class WeaveBrdf(ArrayFields):
     """Weave model in 4-D, reciprocal; see the fields of `nishiki.weave.fit.WeaveModel`.
 
     diffuse, specular (channels,): k_d and k_s F0, sr^-1. weft, warp (6,): theta_a, l, r, m, n, contact. width (2,): of
-    the lobes, weft and warp plane. index: refractive index. reading: 0, 1 W's reading with Gaussian or GGX lobe, 2, 3
-    the shaded one, 4, 5 yarns.
+    the lobes, weft and warp plane. index: refractive index. reading: 0, 1 the paper's reading with Gaussian or GGX
+    lobe, 2, 3 the shaded one, 4, 5 yarns.
     """
 
     KIND: ClassVar[str] = "weave"

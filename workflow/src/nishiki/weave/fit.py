@@ -26,9 +26,10 @@ NOTHING = 1e-6  # a length over the period, or a strength, that is left out of w
 class WeaveModel:
     """Both sections and what their surface does with light.
 
-    weft, warp: sections, each scaled to a period of 1. a_weft, a_warp: widths of D = exp(-theta_h^2 / a^2) (W's e and
-    a). index: refractive index. k_s, k_d (channels,): strengths of gloss and body (k_d stands for W's k_d d), one pair
-    for both planes. reading: "paper", "shaded" or "yarns" (see `reading`); lobe: "gauss" (W's) or "ggx".
+    weft, warp: sections, each scaled to a period of 1. a_weft, a_warp: widths of D = exp(-theta_h^2 / a^2) (the paper's
+    e and a). index: refractive index. k_s, k_d (channels,): strengths of gloss and body (k_d stands for the paper's k_d
+    d), one pair for both planes. reading: "paper", "shaded" or "yarns" (see `reading`); lobe: "gauss" (the paper's) or
+    "ggx".
     """
 
     weft: WeftSection
@@ -53,7 +54,7 @@ class WeaveModel:
         return both[..., :1] * (self.k_s * self.f0), both[..., 1:] * self.k_d
 
     def predict(self, plane: str, theta_i, theta_r) -> np.ndarray:
-        """Reflectance (..., channels) sr^-1: W eq. 15 (reading "paper"), or its shaded form."""
+        """Reflectance (..., channels) sr^-1: Takeda and Tanaka, eq. 15 (reading "paper"), or its shaded form."""
         gloss, body = self.parts(plane, theta_i, theta_r)
         return gloss + body
 
@@ -101,11 +102,11 @@ def fit_weave(
 ) -> WeaveFit:
     """The weave model that explains both planes best; deterministic.
 
-    reading : "paper" (W eq. 15), "shaded" or "yarns". lobe : "gauss" (W's) or "ggx". contact : angle of the weft
-    section's contacts; None: searched. harness : yarns of a repeat, of which one is bound, where the weave is known:
-    then n = harness - 1; several: whichever fits best; None: n is searched. index : refractive index; None: searched
-    (it and k_s can hardly be told apart). confidence : of the intervals. intervals : False leaves them out (empty),
-    for speed.
+    reading : "paper" (Takeda and Tanaka, eq. 15), "shaded" or "yarns". lobe : "gauss" (the paper's) or "ggx". contact :
+    angle of the weft section's contacts; None: searched. harness : yarns of a repeat, of which one is bound, where the
+    weave is known: then n = harness - 1; several: whichever fits best; None: n is searched. index : refractive index;
+    None: searched (it and k_s can hardly be told apart). confidence : of the intervals. intervals : False leaves them
+    out (empty), for speed.
     """
     best = None
     for yarns in harness if isinstance(harness, tuple) else (harness,):

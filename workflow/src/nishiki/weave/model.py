@@ -3,7 +3,7 @@
 A direction in space sees a section as its projection on the section's plane does, so each column is made of a factor of
 the weft plane (x, z) and one of the warp plane (y, z). Three readings of the same sections:
 
-* paper: W eq. 15, rho = k_s D F G / cos(theta_r) + k_d d G; a section enters by its masking alone.
+* paper: Takeda and Tanaka, eq. 15, rho = k_s D F G / cos(theta_r) + k_d d G; a section enters by its masking alone.
 * shaded: every piece of a section that is lit and seen reflects by its own slope, the gloss by facets that scatter
   about it, D(theta_h - slope), the body by Lambert's law; integrated over these pieces in closed form.
 * yarns: shaded, and the pieces are those of yarns. In the weft section the row of yarns is the warp's, cut across, and
@@ -14,7 +14,8 @@ the weft plane (x, z) and one of the warp plane (y, z). Three readings of the sa
 Light off the normal: G is the share that is lit and seen, the gloss is divided by cos(theta_i) as well. For light and
 view along the normal both columns are 1 without the Fresnel term, so a strength is its part of rho: k_s F0, k_d d.
 
-The lobe D is W's exp(-x^2 / a^2), or that of GGX in the plane (Walter et al., EGSR 2007), whose tails are those of
+The lobe D is the paper's exp(-x^2 / a^2), or that of GGX in the plane (Walter et al., EGSR 2007), whose tails are those
+of
 fibres: 1 / (cos^2 x + sin^2 x / a^2)^2.
 """
 

@@ -42,7 +42,8 @@ class Section:
     def masking(self, theta_r) -> np.ndarray:
         """G: share of the surface's length that is seen from theta_r (radians, any shape, sign of no effect).
 
-        1 at theta_r = 0, never rising with |theta_r|, 0 beyond pi/2. W eq. 5-13 with the arcs worked out.
+        1 at theta_r = 0, never rising with |theta_r|, 0 beyond pi/2. Takeda and Tanaka, eq. 5-13 with the arcs worked
+        out.
         """
         theta = np.atleast_1d(np.asarray(theta_r, np.float64))
         out = _masking(self.shape, np.ascontiguousarray(theta).ravel())

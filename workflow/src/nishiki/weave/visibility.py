@@ -1,7 +1,8 @@
 """How much of a woven cross-section is seen from a direction: closed forms, element by element.
 
 A section is a train of two humps of equal height a period. A hump is a straight flank of slope theta_a and length l,
-an arc of radius r and angle theta_a, and the mirror image of both (W figs. 5 and 6). The first hump may carry a flat
+an arc of radius r and angle theta_a, and the mirror image of both (Takeda and Tanaka, figs. 5 and 6). The first hump
+may carry a flat
 top of length m between its arcs, or be a row of n yarns: n - 1 contacts, each of two further arcs of angle `contact`.
 From any direction what is seen of one side of a hump is one piece that begins at its top, so a single length says all:
 that is why two directions (lamp and camera) cost no more than one, the smaller of the two lengths is lit and seen.

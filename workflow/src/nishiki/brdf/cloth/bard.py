@@ -1,4 +1,5 @@
-"""The paper's law: the pattern of normal incidence shifted towards the mirror direction (B eq. 5-9), the baseline.
+"""The paper's law: the pattern of normal incidence shifted towards the mirror direction (Takeda et al., eq. 5-9), the
+baseline.
 
 Light from theta_i moves every point of the pattern in the plane of the view V and of R_xy, the mirror direction
 projected on the cloth: with beta the angle from R_xy to V,
@@ -7,8 +8,8 @@ projected on the cloth: with beta the angle from R_xy to V,
     beta0 = ((pi/2) beta + pi theta_i) / (pi/2 + theta_i)              otherwise,
     f(i, o) = rho_d + rho0(V0) / cos^2 theta_i,
 
-V0 at the angle beta0 on the great circle from R_xy through V (exact), or by B eq. 8-9, which turns both spherical
-coordinates in the same ratio (the paper's linear approximation).  Neither is reciprocal nor keeps energy.
+V0 at the angle beta0 on the great circle from R_xy through V (exact), or by Takeda et al., eq. 8-9, which turns both
+spherical coordinates in the same ratio (the paper's linear approximation).  Neither is reciprocal nor keeps energy.
 """
 
 from dataclasses import dataclass
@@ -26,7 +27,7 @@ _HALF_PI = np.pi / 2
 
 
 def stretched_angle(beta: np.ndarray, theta_i: np.ndarray) -> np.ndarray:
-    """beta0 of B eq. 6, radians: 0 at 0, pi/2 at pi/2 - theta_i, pi at pi; beta itself at theta_i = 0.
+    """beta0 of Takeda et al., eq. 6, radians: 0 at 0, pi/2 at pi/2 - theta_i, pi at pi; beta itself at theta_i = 0.
 
     At theta_i = pi/2 the first branch has no extent and beta0 = (beta + pi) / 2.
     """
@@ -67,7 +68,8 @@ def great_circle_view(incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
 
 
 def linear_view(incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
-    """V0 (..., 3) by B eq. 8-9: theta0 = pi/2 - (beta0 / beta)(pi/2 - theta_r), phi0 = (beta0 / beta) phi_r from R_xy.
+    """V0 (..., 3) by Takeda et al., eq. 8-9: theta0 = pi/2 - (beta0 / beta)(pi/2 - theta_r), phi0 = (beta0 / beta)
+    phi_r from R_xy.
 
     Exact in the plane of incidence on the mirror's side, where theta0 < 0 means beyond the normal; elsewhere it leaves
     the great circle.  beta -> 0 is R_xy itself.
@@ -88,7 +90,7 @@ def linear_view(incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
 
 
 def amplitude(incident: np.ndarray) -> np.ndarray:
-    """1 / cos^2 theta_i (B eq. 5), held from 89 degrees on, where it would go to infinity."""
+    """1 / cos^2 theta_i (Takeda et al., eq. 5), held from 89 degrees on, where it would go to infinity."""
     return 1.0 / np.maximum(np.asarray(incident, float)[..., 2], GRAZING_COSINE) ** 2
 
 
@@ -127,7 +129,7 @@ class _Bard(ArrayFields):
 
 @dataclass(frozen=True)
 class LinearBard(_Bard):
-    """B eq. 5-9 as printed."""
+    """Takeda et al., eq. 5-9 as printed."""
 
     KIND: ClassVar[str] = "bard_linear"
 

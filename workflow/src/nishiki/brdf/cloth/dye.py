@@ -1,8 +1,8 @@
 """Any dye on a measured gloss: the dichromatic model (Shafer, Using color to separate reflection components, 1985).
 
 Light that a fibre's surface reflects has the lamp's colour; light that comes from within has the dye's.  A black cloth
-shows the first alone (B §2).  For another dye the light from within is added: that of a diffuser under the gloss, which
-gets only what the gloss lets through on the way in and out,
+shows the first alone (Takeda et al., section 2).  For another dye the light from within is added: that of a diffuser
+under the gloss, which gets only what the gloss lets through on the way in and out,
 
     f = f_gloss + albedo / pi (1 - a(i)) (1 - a(o)) / (1 - a_mean),
 

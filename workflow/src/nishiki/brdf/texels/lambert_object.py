@@ -21,7 +21,8 @@ def fit_lambert(
     *,
     threads: int = 1,
 ) -> ObjectFit:
-    """Fit all tiles, as `object_fit.fit_object` does: K_d by weighted least squares (O 3.1), K_s = 0, one sigma.
+    """Fit all tiles, as `object_fit.fit_object` does: K_d by weighted least squares (Miyazaki et al. 2007, section
+    3.1), K_s = 0, one sigma.
 
     Of tiles with components the total is fitted: without gloss it is the diffuse one.
     """

@@ -1,4 +1,4 @@
-"""Lambert and the simplified Torrance-Sparrow model at points of a surface (O eq. 6 and 8).
+"""Lambert and the simplified Torrance-Sparrow model at points of a surface (Miyazaki et al. 2007, eq. 6 and 8).
 
     I_d = K_d cos(theta_i)                                 I_s = K_s / cos(theta_r) exp(-alpha^2 / (2 sigma^2))
 
@@ -49,7 +49,8 @@ def predict(
     """Diffuse and specular radiance of points under one lamp, seen by one camera; both (..., channels) float32.
 
     kd, ks: (..., channels); sigma: (...), radians >= 0; positions, normals: (..., 3) in the object's frame, normals of
-    unit length; camera_centre: (3,).  Linear, relative: 1 is a white diffuser that faces the lamp.  O eq. 6 and 8.
+    unit length; camera_centre: (3,).  Linear, relative: 1 is a white diffuser that faces the lamp.  Miyazaki et al.
+    (2007), eq. 6 and 8.
     """
     kd, ks = (np.ascontiguousarray(a, np.float32) for a in (kd, ks))
     sigma = np.ascontiguousarray(sigma, np.float32).reshape(-1)

@@ -57,7 +57,8 @@ def observed(
 
     centres (M, 3): of the cameras; lamps: one an observation.  encoding: in which errors count; "srgb" weighs each
     observation by the squared slope of the curve.  bright: (M, T, T, channels) values that this slope is taken at, the
-    values themselves if None.  Observations that are not finite are left out.  Weighted by cos(theta_r) (O 3.1).
+    values themselves if None.  Observations that are not finite are left out.  Weighted by cos(theta_r) (Miyazaki et
+    al. 2007, section 3.1).
     """
     texel, view = _slots(np.ascontiguousarray(visible))
     points, slots = view.shape

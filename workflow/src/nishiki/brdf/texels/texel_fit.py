@@ -41,7 +41,7 @@ def first_fit(
     total: Observed, specular: Observed | None = None, *, method: str = "projection", threads: int = 1
 ) -> FirstFit:
     """Fit each texel alone.  total: observations of Lambert + lobe; where `specular` (the same slots) is given, `total`
-    holds the diffuse component, and the two terms are fitted apart (O 3.1, 3.2).
+    holds the diffuse component, and the two terms are fitted apart (Miyazaki et al. 2007, sections 3.1, 3.2).
 
     method: "projection", or "levenberg_marquardt" (the paper's, slow).
     """
@@ -65,7 +65,8 @@ def first_fit(
 
 
 def lambert(data: Observed) -> np.ndarray:
-    """K_d (points, channels) float32 of the Lambert term alone: least squares weighted by cos(theta_r), O 3.1."""
+    """K_d (points, channels) float32 of the Lambert term alone: least squares weighted by cos(theta_r), Miyazaki et al.
+    (2007), section 3.1."""
     weighted = data.weights * data.diffuse
     top = np.einsum("ps,psc->pc", weighted, data.values)
     below = np.einsum("ps,ps->p", weighted, data.diffuse)[:, None]

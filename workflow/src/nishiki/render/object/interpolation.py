@@ -25,8 +25,9 @@ def neighbours(
 ) -> Neighbours:
     """The captured views around `position` (radians along the path) and their weights.
 
-    linear: the two nearest, one to each side (the form of O 4.3.3).  cubic: four, by the polynomial through them
-    (Lagrange), which is exact for residuals that change up to the third power of the angle.  nearest: one.
+    linear: the two nearest, one to each side (the form of Miyazaki et al. 2007, section 4.3.3).  cubic: four, by the
+    polynomial through them (Lagrange), which is exact for residuals that change up to the third power of the angle.
+    nearest: one.
     without: views that may not take part (left out, or the one that is to be predicted).  At the ends of an open path
     the last views take the place of missing ones.
     """

@@ -1,4 +1,5 @@
-"""Pictures of a decoded object: captured views, views between them, sums of captured lights (O eq. 12 to 16).
+"""Pictures of a decoded object: captured views, views between them, sums of captured lights (Miyazaki et al. 2007, eq.
+12 to 16).
 
 The value of a pixel is a bilinear look-up, at the surface point behind its centre, among texels of
 

@@ -38,7 +38,7 @@ class ObjectPicture:
 
 
 def lit_by(shot: Shot, lights: tuple[tuple[int, float], ...]) -> Shot:
-    """The same picture under a sum of captured lights (index, L_j / L) (O eq. 13 to 15)."""
+    """The same picture under a sum of captured lights (index, L_j / L) (Miyazaki et al. 2007, eq. 13 to 15)."""
     return replace(shot, lights=lights)
 
 

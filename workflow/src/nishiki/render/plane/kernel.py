@@ -2,7 +2,7 @@
 
 A light meets a pixel in two numbers only: the irradiance on the facet (diffuse) and the specular term D F G / cos_r.
 Colour is linear in both, so that they are summed over the lights that share a spectrum and multiplied by the 3 x K
-matrix of that spectrum once (P eq. 19 without its loop over wavelengths).
+matrix of that spectrum once (Tominaga and Tanaka 2004, eq. 19, without its loop over wavelengths).
 
 The work goes in blocks of BLOCK pixels of a row.  All intermediate values of a block lie in one flat float64 array, in
 lanes of constant distance: the compiler can then prove that no store meets a later load and emits vector instructions.

@@ -36,7 +36,8 @@ class Shading:
 
 
 def colour_groups(scene: PlaneScene, lights: list[Light], ambient: Ambient) -> ColourGroups:
-    """3 x K colour matrices of the distinct spectra of the lights and the ambient term (P eq. 19), to XYZ.
+    """3 x K colour matrices of the distinct spectra of the lights and the ambient term (Tominaga and Tanaka 2004, eq.
+    19), to XYZ.
 
     Without a spectral basis, channels go to XYZ by `scene.channels_to_xyz` (white point D65), then by Bradford's
     adaptation to the white of the lamp, a stand-in for spectra that are not known: an adapted eye sees no change.
@@ -71,7 +72,8 @@ def shade_xyz(
     eye: np.ndarray = FRONTAL_EYE,
     plane: np.ndarray | None = None,
 ) -> Shading:
-    """Linear XYZ (rows, columns, 3) of the scene's maps: P eq. 10 and 19, self-shadow where n . l <= 0.
+    """Linear XYZ (rows, columns, 3) of the scene's maps: Tominaga and Tanaka (2004), eq. 10 and 19,
+    self-shadow where n . l <= 0.
 
     visibility: (lights, rows, columns) float32, 1 lit .. 0 in cast shadow, or None; eye: homogeneous (4,), direction
     and 0 or position and 1; plane: (3, 3) from (column, row, 1) of the maps to the plane (`pixel_to_plane` by default).

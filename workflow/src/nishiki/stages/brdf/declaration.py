@@ -25,7 +25,9 @@ class BrdfSettings(Guarded):
     smoothing_px: float = Field(
         0.4, ge=0, le=16, description="paper: Gaussian that smooths the normals, standard deviation"
     )
-    refractive_index: float = Field(1.45, gt=1, le=3, description="of the varnish or binder (P: 1.45)")
+    refractive_index: float = Field(
+        1.45, gt=1, le=3, description="of the varnish or binder (Tominaga and Tanaka: 1.45)"
+    )
     max_slope_deg: float = Field(50, gt=0, le=90, description="steeper pixels are left out of the fit")
     lobes: Literal["ladder", 1, 2] = Field(
         "ladder",

@@ -141,7 +141,8 @@ def gloss_of_regions(context: Context, frames: Observations, maps: Maps, labels:
 
 
 def fit_brightest(context: Context, frames: Observations, maps: Maps, labels: np.ndarray | None) -> list[dict]:
-    """The published fit (P eq. 14-18) of each region: the brightest light of each pixel, thinned samples, one lobe."""
+    """The published fit (Tominaga and Tanaka 2004, eq. 14-18) of each region: the brightest light of each pixel,
+    thinned samples, one lobe."""
     settings = context.settings
     lights = frames.fit_lights(settings.hold_out)
     count = 1 if labels is None else int(labels.max()) + 1

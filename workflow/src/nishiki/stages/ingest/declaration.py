@@ -38,7 +38,11 @@ class IngestSettings(Guarded):
         "name of one channel of the capture",
     )
     white_block: int = Field(
-        16, ge=1, le=256, description="white board averaged over blocks of this many pixels; 1: per pixel (P eq. 3)"
+        16,
+        ge=1,
+        le=256,
+        description="white board averaged over blocks of this many pixels; 1: per pixel (Tominaga and Tanaka 2004, "
+        "eq. 3)",
     )
     tile_mib: int = Field(128, ge=8, le=4096, description="memory for one tile of all lights as float32, MiB")
     compression: Literal["none", "zstd"] = Field("none", description="zstd: a third of the bytes, twice the time")

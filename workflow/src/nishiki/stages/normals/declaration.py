@@ -41,7 +41,8 @@ LIMITS = (
 
 
 class NormalsSettings(Guarded):
-    """Photometric stereo on the selected lights (P 3.3), and the reflectance of each channel."""
+    """Photometric stereo on the selected lights (Tominaga and Tanaka 2004, section 3.3); reflectance of each
+    channel."""
 
     STAGE: ClassVar[str] = "normals"
     VERSION: ClassVar[int] = 1
@@ -58,9 +59,13 @@ class NormalsSettings(Guarded):
     refine: Literal["auto", "gloss", "none"] = Field(
         "auto", description="fit normals, reflectance and gloss together; auto: where few lights show gloss that counts"
     )
-    refractive_index: float = Field(1.45, gt=1, le=3, description="of the varnish or binder, for refine (P: 1.45)")
+    refractive_index: float = Field(
+        1.45, gt=1, le=3, description="of the varnish or binder, for refine (Tominaga and Tanaka: 1.45)"
+    )
     reflectance: Literal["least_squares", "mean"] = Field(
-        "least_squares", description="of each channel, without refine; mean: of I / cos over the lights (P eq. 6)"
+        "least_squares",
+        description="of each channel, without refine; mean: of I / cos over the lights (Tominaga and Tanaka 2004, "
+        "eq. 6)",
     )
     max_condition: float = Field(1e4, gt=1, description="pixels with a worse conditioned light matrix are flagged")
     hold_out: tuple[str, ...] = Field((), description="lights left out of the fit; filled in by the plan")

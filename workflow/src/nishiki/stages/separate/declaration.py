@@ -39,7 +39,8 @@ class SeparateSettings(Guarded):
 
     method: Literal["refit", "threshold", "trimmed", "none"] = Field(
         "refit",
-        description="refit: by residuals of a robust fit; threshold: the paper's w1, w2 (P 3.2); trimmed: by rank",
+        description="refit: by residuals of a robust fit; threshold: w1, w2 (Tominaga and Tanaka 2004, section 3.2); "
+        "trimmed: by rank",
     )
     w1: float = Field(1.2, gt=0, description="threshold: highlight above w1 times the mean over lights")
     w2: float = Field(0.1, ge=0, description="threshold: shadow below w2 times the mean over lights")

@@ -38,7 +38,7 @@ class SpectraSettings(Guarded):
     LIMITS: ClassVar[tuple[Limit, ...]] = LIMITS
 
     method: Literal["local", "wiener", "paper"] = Field(
-        "local", description="paper: three bases, inverse of H (P eq. 8)"
+        "local", description="paper: three bases, inverse of H (Tominaga and Tanaka 2004, eq. 8)"
     )
     bases: Bases = Field(
         "auto", description="number of basis functions; auto: as many as camera and lamp support (docs/economy.md)"

@@ -40,11 +40,11 @@ class WeaveSettings(Guarded):
 
     reading: Literal["paper", "shaded", "yarns"] = Field(
         "shaded",
-        description="what the section does with light: paper: masking alone (W eq. 15); shaded: each visible piece "
-        "reflects by its own slope; yarns: and warp and weft scatter along and across their own way",
+        description="what the section does with light: paper: masking alone (Takeda and Tanaka, eq. 15); shaded: each "
+        "visible piece reflects by its own slope; yarns: and warp and weft scatter along and across their own way",
     )
     lobe: Literal["gauss", "ggx"] = Field(
-        "gauss", description="form of the gloss: gauss: W's exp(-x²/a²); ggx: long tails"
+        "gauss", description="form of the gloss: gauss: the paper's exp(-x²/a²); ggx: long tails"
     )
     contact_deg: float | None = Field(
         90.0, gt=8.0, le=90.0, description="steepest slope where yarns touch; 90: circles, as the paper; null: fitted"
