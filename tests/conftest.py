@@ -39,8 +39,7 @@ def pytest_addoption(parser):
 
 
 def pytest_configure(config):
-    """Make the marker of the longest tier known."""
-    config.addinivalue_line("markers", "long: only in ./nishiki test --long")
+    """Refuse two tiers at once."""
     if config.getoption("quick") and config.getoption("long"):
         raise pytest.UsageError("--quick leaves tests out and --long adds tests. Remedy: give one of them")
 
