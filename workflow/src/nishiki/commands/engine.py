@@ -11,13 +11,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from statistics import fmean
 
-from nishiki.artifacts.provenance import SOURCE
 from nishiki.engine.finished import unfinished_scenes
 from nishiki.engine.plan import Plan
 from nishiki.engine.records import refuse_while_running
 from nishiki.engine.running_lock import registered
 from nishiki.engine.soundness import set_aside_unsound
 from nishiki.engine.workflow import LEAVE_OUT, Workflow
+from nishiki.installation import SOURCE
 
 LOOKS_ONLY = {
     *("-n", "--dry-run", "--dryrun", "-S", "--summary", "-D", "--detailed-summary", "--dag", "--d3dag", "--rulegraph"),
