@@ -89,6 +89,12 @@ def test_a_folder_without_a_configuration_is_told(site, tmp_path):
     assert "./nishiki" not in done.stderr
 
 
+def test_snakemake_finds_what_prints_a_run(site, tmp_path):
+    registry = "from snakemake_interface_logger_plugins.registry import LoggerPluginRegistry as Registry"
+    done = call(site, "-c", f"{registry}; print(Registry().is_installed('nishiki'))", cwd=tmp_path)
+    assert done.stdout == "True\n", done.stderr
+
+
 def test_tests_are_only_in_a_checkout(site, tmp_path):
     done = call(site, "-m", "nishiki", "test", cwd=tmp_path)
     assert done.returncode == 2

@@ -17,7 +17,7 @@ from nishiki.engine.records import refuse_while_running
 from nishiki.engine.running_lock import registered
 from nishiki.engine.soundness import set_aside_unsound
 from nishiki.engine.workflow import LEAVE_OUT, Workflow
-from nishiki.installation import SOURCE
+from nishiki.installation import INSTALLED, SOURCE
 
 LOOKS_ONLY = {
     *("-n", "--dry-run", "--dryrun", "-S", "--summary", "-D", "--detailed-summary", "--dag", "--d3dag", "--rulegraph"),
@@ -104,7 +104,9 @@ def call_engine(
         with tempfile.TemporaryFile() as failed:
             counted = len(scenes) if unfinished_only else None
             shown = [] if ITS_OWN_OUTPUT & set(command) else _display(flow, scenes, counted, failed.fileno())
-            environment["PYTHONPATH"] = os.pathsep.join(filter(None, (str(SOURCE), environment.get("PYTHONPATH"))))
+            if not INSTALLED:  # Snakemake looks for its plugins on the path of Python
+                path = (str(SOURCE), environment.get("PYTHONPATH"))
+                environment["PYTHONPATH"] = os.pathsep.join(filter(None, path))
             status = held.call([*command[:3], *shown, *command[3:]], environment, keep=(failed.fileno(),))
             failed.seek(0)
             if failures is not None:
