@@ -33,7 +33,8 @@ def largest(coefficients: list[np.ndarray], count: int) -> float:
 def keep_largest(
     residuals: list[np.ndarray], visible: list[np.ndarray], blocks: list[Block], *, count: int, rounds: int = 16
 ) -> Kept:
-    """Keep the `count` largest coefficients of the whole object, without quantisation (O section 4.1).
+    """Keep the `count` largest coefficients of the whole object, without quantisation (Miyazaki et al. 2007,
+    section 4.1).
 
     residuals: per tile (channels, lights, views, T, T); visible: per tile (lights, views, T, T) bool. In each round
     the invisible samples take the values that the kept coefficients give there, and the coefficients are chosen anew;

@@ -1,9 +1,9 @@
 """One stage of one large scene in several jobs: parts that each do a share of the work, and a stage that joins them.
 
-A stage that can be divided says what a share of its work is (`work`, over `context.share(...)` of its bands), and what
-it tells of all shares together (`told`). Undivided, it is one share and the telling. A part writes its files and the
-*tally* of its share; the stage that joins the parts takes over their files and tells from their tallies, so that the
-artifact has the same bytes however the work was divided. Nothing of the division enters a key.
+A stage that can be divided consists of `map_tiles`, which does a share of the work (`context.share(...)` of its bands),
+and `merge`, which turns the *tallies* of all shares into the diagnostics. Undivided, the stage is one share. A part
+writes its files and the tally of its share; the stage that joins the parts takes over their files and merges their
+tallies, so that the artifact has the same bytes however the work was divided. The division is part of no key.
 """
 
 import json

@@ -30,7 +30,7 @@ SWEEPS = "sweeps"
 
 
 class Shared(Closed):
-    """What several stages of a scene are told."""
+    """Settings of a scene that concern several stages."""
 
     hold_out: Literal["auto", "none"] | tuple[str, ...] = Field(
         "auto",

@@ -73,7 +73,8 @@ def select_diffuse(
         observations' noise relative to the albedo, below which no disagreement is taken seriously; starts: number of
         windows of ranks tried.
         "none": every valid sample.
-        "threshold": P section 3.2: reject above w1 and below w2 times the pixel's mean over the lights.
+        "threshold": reject above w1 and below w2 times the pixel's mean over the lights (Tominaga and Tanaka 2004,
+        section 3.2).
         "trimmed": keep = (low, high): the share of the valid samples, in order of brightness, that is kept; at least
         min_lights of them where there are so many.
 

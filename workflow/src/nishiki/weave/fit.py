@@ -1,4 +1,4 @@
-"""Fit of the weave model (W section 4) to reflectances in the two symmetry planes.
+"""Fit of the weave model (Takeda and Tanaka, weave geometry, section 4) to reflectances in the two symmetry planes.
 
 Unknowns: theta_a and the ratios of lengths of both sections, the widths of both gloss lobes, and the strengths k_s, k_d
 (eliminated). See `search` for how the jumps in theta_a are dealt with.

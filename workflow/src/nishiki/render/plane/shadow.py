@@ -1,6 +1,6 @@
 """Cast shadows from a height map: the horizon of each pixel towards a lamp, and how much of the lamp is above it.
 
-The paper could not show these (P section 6 works with normals only).  Two ways to the same horizon:
+Tominaga and Tanaka (2004, section 6) work with normals only, and so without these.  Two ways to the same horizon:
 
 sweep  lamps at infinity: parallel lines run across the map towards the lamp, one pixel apart; from the lamp's side each
        line keeps the upper convex hull of the heights it has passed, and the tangent from a point to that hull is the
