@@ -94,7 +94,7 @@ def page(log: str, jobs: str, local: dict, other: dict) -> str:
     for row in sorted(rows, key=lambda row: int(row["JobId"])):
         wanted = [row[name] for name in ("JobId", "JobState", "NodeList", "Tres", "StartTime", "EndTime", "TimeLimit")]
         lines.append("| " + " | ".join(wanted) + " |")
-    lines += ["", "## What the run told", "", "```", *shortened(log), "```", ""]
+    lines += ["", "## What the run printed", "", "```", *shortened(log), "```", ""]
     return "\n".join(lines)
 
 
