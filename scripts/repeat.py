@@ -1,6 +1,6 @@
 """Repeat: run a stage once more on the same inputs, into a folder that is thrown away, and record what it took.
 
-Everything after -- are the arguments of the stage's script, but for --output.
+Everything after -- are the arguments of scripts/stage.py, without the stage's name and --output.
 """
 
 import argparse
@@ -43,7 +43,7 @@ def main() -> None:
 
 
 def repeat(first: Artifact, folder: Path, rest: list[str], threads: int) -> tuple[int, dict]:
-    """Exit status of the stage's script, and what its run took; whether its artifact has the bytes of the first."""
+    """Exit status of scripts/stage.py, and what its run took; whether its artifact has the bytes of the first."""
     load = os.getloadavg()[0]
     target = folder / first.key / MANIFEST
     script = _project.PROJECT / "scripts" / "stage.py"

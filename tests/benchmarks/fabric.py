@@ -68,7 +68,7 @@ def read(path: Path) -> ReflectanceSet:
 
 
 def stage(name: str, place: str, *arguments: str) -> Path:
-    """Run the script of a stage; the artifact's folder."""
+    """Run a stage; the artifact's folder."""
     out = Path(place) / name
     command = [sys.executable, str(ROOT / "scripts/stage.py"), name, *arguments, "--output", str(out)]
     subprocess.run(command, check=True, stdout=sys.stderr, env={**os.environ, "PYTHONPATH": str(ROOT / "workflow/src")})

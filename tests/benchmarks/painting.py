@@ -4,7 +4,7 @@
     python tests/benchmarks/painting.py --data FOLDER          (also captures of tests/benchmarks/path_traced.py)
 
 FOLDER holds captures NAME with their truth NAME-truth (truth.zarr as scripts/simulate.py writes it). `simulated` makes
-captures of different seed, finish and relief first. Every method runs through the scripts of the stages, so that the
+captures of different seed, finish and relief first. Every method runs through scripts/stage.py, so that the
 figures are those a user gets. One JSON object a line: angles in degrees; de00_*: CIEDE2000 between the predicted and
 the photographed check light, through the camera's colour map (de00_truth_*: between XYZ from the spectra and noise-free
 XYZ); `lights`: the same for each check light, split into pixels without (diffuse) and with highlights by the truth.

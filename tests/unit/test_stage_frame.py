@@ -1,4 +1,4 @@
-"""The frame around a stage's script: what it tells of a machine that lacks something."""
+"""The frame around a stage: what it reports of a machine that lacks something."""
 
 import errno
 import os

@@ -1,4 +1,4 @@
-"""The woven surface: its crest lines are the sections, its mesh is sound; drawings and the stage's script."""
+"""The woven surface: its crest lines are the sections, its mesh is sound; drawings and the stage."""
 
 import json
 import subprocess
