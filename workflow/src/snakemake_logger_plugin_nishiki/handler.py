@@ -234,7 +234,6 @@ class RunHandler(LogHandlerBase):
         named = [job for job in jobs if (job.scene, job.stage) in self._messages] or jobs
         messages = [self._messages.pop((job.scene, job.stage), "") for job in named]
         text = ", ".join(job.name for job in named)
-        self._names[str(getattr(record, "groupid", ""))] = text
         self._tell_failure(f"{text}: failed in a job of {len(jobs)} stages", named, messages[0], "", logs)
 
     def _tell_failure(self, text: str, jobs: Iterable[Job], message: str, status: str, logs: list[str]) -> None:
@@ -276,7 +275,7 @@ class RunHandler(LogHandlerBase):
         text = record.getMessage().strip()
         retry = RETRY.match(text)
         if retry:
-            self.screen.tell(f"{self._names.get(retry[1], f'job {retry[1]}')}: tried again")
+            self.screen.tell(f"{self._names.get(retry[1], 'a job of several stages')}: tried again")
         elif record.levelno >= logging.WARNING:
             if not any(words in text for words in REPEATED):
                 self.screen.tell(text)
