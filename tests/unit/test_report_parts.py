@@ -277,7 +277,7 @@ def test_captions_state_the_exposure():
 def test_parameters_at_a_bound_are_rows_of_the_conditions():
     told = {"gamma": 1.0, "at_bounds": ["half width of lobe 1: 92 degrees, the upper end"], "red": {"at_bounds": ["n"]}}
     manifest = {"stage": "brdf", "settings": {}, "diagnostics": told}
-    rows = [row for row in conditions([manifest]) if row["state"] == "at its bound"]
+    rows = [row for row in conditions([manifest], {}) if row["state"] == "at its bound"]
     assert [row["meaning"] for row in rows] == [
         "fitted parameter at a bound: half width of lobe 1: 92 degrees, the upper end",
         "fitted parameter at a bound: red: n",

@@ -63,7 +63,7 @@ def test_a_new_stage_is_a_folder_and_a_line(site):
         (folder / name).write_text(text)
     table = site.folder / "workflow/src/nishiki/stages/table.py"
     table.write_text(table.read_text().replace('    "height",\n', '    "brightness",\n    "height",\n'))
-    site.configure(products=["brightness", "report"], brightness={"percentile": 90})
+    site.configure(products=["brightness", "render", "evaluate", "report"], brightness={"percentile": 90})
     assert "how bright the object is" in site.nishiki("plan").stdout
     site.nishiki("run")
     current = site.folder / "results/tiny/current"
