@@ -16,13 +16,12 @@ def main() -> None:
     A bug ends with exit status 1 and a traceback, whose last line names the scene and the stage.
     """
     arguments = sys.argv[1:]
-    name = arguments[0] if arguments else ""
+    name = arguments[0] if arguments else "--help"
+    if name in ("-h", "--help"):
+        print(_usage())
+        return
     if not name.isidentifier() or find_spec(f"nishiki.stages.{name}") is None:
-        from nishiki.stages.table import NAMES
-
-        print(
-            f"nishiki: unknown stage {name!r}; usage: stage.py NAME --help. Stages: {', '.join(NAMES)}", file=sys.stderr
-        )
+        print(f"nishiki: unknown stage {name!r}. {_usage()}", file=sys.stderr)
         raise SystemExit(2)
     who = _who(name, arguments[1:])
     warnings.formatwarning = lambda text, category, file, line, source=None: (
@@ -41,6 +40,12 @@ def main() -> None:
     except Exception as error:
         print(_bug(who, error), file=sys.stderr)
         raise SystemExit(1) from None
+
+
+def _usage() -> str:
+    from nishiki.stages.table import NAMES
+
+    return f"usage: stage.py NAME --help. Stages: {', '.join(NAMES)}"
 
 
 def _who(stage: str, arguments: list[str]) -> str:

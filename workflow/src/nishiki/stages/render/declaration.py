@@ -1,6 +1,6 @@
 """Declaration of the stage `render`: settings, inputs, limits of its result, cost."""
 
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, PositiveFloat
 
@@ -58,7 +58,7 @@ class RenderSettings(Guarded):
     STAGE: ClassVar[str] = "render"
     VERSION: ClassVar[int] = 2
 
-    pictures: tuple[PictureSettings, ...] = (
+    pictures: Annotated[tuple[PictureSettings, ...], Field(description="pictures to make")] = (
         PictureSettings(name="daylight"),
         PictureSettings(name="raking", lights=(LightSettings(elevation_deg=15, azimuth_deg=180),), ambient=0.0),
         PictureSettings(name="lamplight", lights=(LightSettings(illuminant="A"),)),
@@ -68,7 +68,9 @@ class RenderSettings(Guarded):
             view=ViewSettings(kind="pinhole", elevation_deg=45, azimuth_deg=-90),
         ),
     )
-    sequences: tuple[SequenceSettings, ...] = (SequenceSettings(name="moving-light"),)
+    sequences: tuple[SequenceSettings, ...] = Field(
+        (SequenceSettings(name="moving-light"),), description="videos to make"
+    )
     cast_shadows: bool = Field(True, description="shadows thrown by the integrated height")
     export_normals: bool = Field(True, description="also write the normals as 16-bit PNG (y up) and EXR")
     curves_sha256: dict[str, str] = Field({}, description="digests of the illuminant tables; filled in by the plan")
