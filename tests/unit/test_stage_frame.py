@@ -9,6 +9,7 @@ import pytest
 
 from nishiki.artifacts.stage import run_stage
 from nishiki.stages.height.declaration import HeightSettings
+from nishiki.stages.runner import main
 
 
 def stage(monkeypatch, tmp_path, error):
@@ -40,3 +41,14 @@ def test_a_machine_that_lacks_something_is_told_in_one_line(monkeypatch, tmp_pat
 def test_other_errors_are_bugs_and_keep_their_trace(monkeypatch, tmp_path):
     with pytest.raises(FileNotFoundError):
         stage(monkeypatch, tmp_path, FileNotFoundError(errno.ENOENT, "no such file"))
+
+
+def test_a_stage_that_does_not_exist_is_named_beside_those_that_do(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["stage.py", "heigth", "--help"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    assert re.search(r"unknown stage 'heigth'.*usage: stage\.py NAME --help.*height", capsys.readouterr().err)
+    monkeypatch.setattr(sys, "argv", ["stage.py"])
+    main()
+    assert "Stages: ingest, " in capsys.readouterr().out
