@@ -43,12 +43,13 @@ def test_other_errors_are_bugs_and_keep_their_trace(monkeypatch, tmp_path):
         stage(monkeypatch, tmp_path, FileNotFoundError(errno.ENOENT, "no such file"))
 
 
-def test_a_stage_that_does_not_exist_is_named_beside_those_that_do(monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["stage.py", "heigth", "--help"])
+@pytest.mark.parametrize("name", ["heigth", "table", "--output"])
+def test_a_stage_that_does_not_exist_is_named_beside_those_that_do(monkeypatch, capsys, name):
+    monkeypatch.setattr(sys, "argv", ["stage.py", name, "--help"])
     with pytest.raises(SystemExit) as ended:
         main()
     assert ended.value.code == 2
-    assert re.search(r"unknown stage 'heigth'.*usage: stage\.py NAME --help.*height", capsys.readouterr().err)
+    assert re.search(rf"unknown stage '{name}'.*usage: stage\.py NAME --help.*height", capsys.readouterr().err)
     monkeypatch.setattr(sys, "argv", ["stage.py"])
     main()
     assert "Stages: ingest, " in capsys.readouterr().out

@@ -5,8 +5,8 @@ import sys
 import traceback
 import warnings
 from importlib import import_module
-from importlib.util import find_spec
 
+from nishiki.artifacts.provenance import STAGES
 from nishiki.artifacts.stage import run_stage
 
 
@@ -20,7 +20,7 @@ def main() -> None:
     if name in ("-h", "--help"):
         print(_usage())
         return
-    if not name.isidentifier() or find_spec(f"nishiki.stages.{name}") is None:
+    if not name.isidentifier() or not (STAGES / name / "run.py").is_file():
         print(f"nishiki: unknown stage {name!r}. {_usage()}", file=sys.stderr)
         raise SystemExit(2)
     who = _who(name, arguments[1:])
