@@ -221,10 +221,10 @@ def views(runs: Runs, data: Path | None):
     """A cloth fitted to all views of normal incidence, to fewer, and to as many as are taken: oblique pairs judged."""
     capture = runs.simulate("satin", "--preset", "satin-tiny")
     ingest = runs.stage("ingest", capture=capture, channels="all")
-    measured = runs.stage("reflectance", [ingest])
+    measured = runs.stage("goniometer_samples", [ingest])
     for setting in ("all", 34, "auto"):
-        fitted = runs.stage("fabric", [measured], measurements=setting, compare=[], oblique=0)
-        judged = runs.stage("fabric_evaluate", [measured, fitted])
+        fitted = runs.stage("cloth_brdf", [measured], measurements=setting, compare=[], oblique=0)
+        judged = runs.stage("cloth_evaluate", [measured, fitted])
         yield {
             "scene": "satin-tiny",
             "what": "measurements",
@@ -246,7 +246,7 @@ def turned(runs: Runs, data: Path | None):
         mesh = runs.stage("mesh", [ingest, cameras])
         texels = runs.stage("texels", [ingest, cameras, mesh])
         for setting in ("auto", "keep", "drop"):
-            fitted = runs.stage("reflection", [ingest, texels], specular=setting)
+            fitted = runs.stage("object_brdf", [ingest, texels], specular=setting)
             yield {
                 "scene": name,
                 "what": "specular",
@@ -257,7 +257,7 @@ def turned(runs: Runs, data: Path | None):
             }
         if name == "oxford_dino":
             continue
-        fitted = runs.stage("reflection", [ingest, texels])
+        fitted = runs.stage("object_brdf", [ingest, texels])
         for setting in ("auto", "never"):
             coded = runs.stage("residual", [texels, fitted], target="psnr", amount=30, sufficient=setting)
             yield {

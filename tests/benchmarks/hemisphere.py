@@ -28,7 +28,7 @@ from nishiki.goniometry.directions import disc, unit  # noqa: E402
 from nishiki.goniometry.hemisphere import gathered  # noqa: E402
 from nishiki.goniometry.scattered import fit_linear, fit_spline  # noqa: E402
 from nishiki.goniometry.symmetry import images, reduced  # noqa: E402
-from nishiki.stages.reflectance.declaration import ReflectanceSettings  # noqa: E402
+from nishiki.stages.goniometer_samples.declaration import GoniometerSamplesSettings  # noqa: E402
 
 FEWEST = 60
 SHARES = (0.3, 0.7)
@@ -88,7 +88,7 @@ def main() -> None:
     parser.add_argument("--data", type=Path)
     parser.add_argument("--rounds", type=int, default=3)
     options = parser.parse_args()
-    default = ReflectanceSettings().interpolation
+    default = GoniometerSamplesSettings().interpolation
     quarter = images("quarter")[:, [0, 1], [0, 1]]
     mirror = np.array([[1.0, 1.0], [1.0, -1.0]])
     for name, theta, phi, views, values in (tables(options.data) if options.data else []) or lobes():

@@ -28,7 +28,7 @@ from nishiki.artifacts.artifact import open_artifact
 from nishiki.geometry.raster import rasterise
 from nishiki.render.object.decoded_object import DecodedObject
 
-STAGES = ("cameras", "mesh", "texels", "reflection", "residual")
+STAGES = ("cameras", "mesh", "texels", "object_brdf", "residual")
 
 
 def results(folder):
@@ -67,8 +67,8 @@ def run_chain(capture, output):
     stage("cameras", ("ingest",))
     stage("mesh", ("ingest", "cameras"))
     stage("texels", ("ingest", "polarise", "cameras", "mesh"))
-    stage("reflection", ("ingest", "cameras", "mesh", "texels"))
-    stage("residual", ("cameras", "mesh", "texels", "reflection"))
+    stage("object_brdf", ("ingest", "cameras", "mesh", "texels"))
+    stage("residual", ("cameras", "mesh", "texels", "object_brdf"))
 
 
 def shortest(work, *, repeat):

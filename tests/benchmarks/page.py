@@ -28,13 +28,13 @@ PROGRAMS = {
     "overhead": (["--data", "simulated"], "Overhead of the workflow", None),
     "leaving_out": ([], "What leaving out saves", "../leaving-out.md"),
     "texels": ([], "Texels of a surface", "texels.md"),
-    "texel_fit": ([], "Reflection of texels", "reflection.md"),
+    "texel_fit": ([], "Reflection of texels", "object_brdf.md"),
     "residual": (["--data", "{data}/oxford_dino"], "Coded residual of a turntable", "residual.md"),
-    "fabric": (["--data", "captures/satin"], "Reflection of a cloth (the satin of the demo)", "fabric.md"),
+    "cloth_brdf": (["--data", "captures/satin"], "Reflection of a cloth (the satin of the demo)", "cloth_brdf.md"),
 }
 SHOWN = {
     "spectra": {"camera": "Canon 60D", "illuminant": "A"},
-    "fabric": {"azimuth": "all"},
+    "cloth_brdf": {"azimuth": "all"},
 }  # of long results; the others stay in the JSON lines
 INTRODUCTION = """\
 # Benchmarks

@@ -22,7 +22,7 @@ PROJECT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(PROJECT / "scripts"), str(Path(__file__).parent), str(PROJECT / "tests")]
 import _project  # noqa: E402, F401
 
-NEEDED = ("ingest", "cameras", "mesh", "texels", "reflection")
+NEEDED = ("ingest", "cameras", "mesh", "texels", "object_brdf")
 
 
 def artifacts_of(data: Path, work: Path) -> dict:
@@ -43,7 +43,7 @@ def run_upstream(data: Path, work: Path) -> Path:
     if not (capture / "bagit.txt").is_file():
         raise SystemExit(f"{capture} is not sealed: ./nishiki seal {capture}")
     (work / "scenes.tsv").write_text(f"scene\tcapture\nobject\t{capture.resolve()}\n")
-    (work / "config.yaml").write_text("scenes: scenes.tsv\nproducts: [reflection]\nhold_out: none\n")
+    (work / "config.yaml").write_text("scenes: scenes.tsv\nproducts: [object_brdf]\nhold_out: none\n")
     nishiki("run", "--configfile", "config.yaml", cwd=work)
     return work / "results/object/current"
 
@@ -76,8 +76,8 @@ def texel_rows(inputs: dict, every: int) -> Iterator[dict]:
     from nishiki.brdf.texels.lighting import Lighting
     from nishiki.brdf.texels.store import ParameterMaps
 
-    lighting = json.loads(inputs["reflection"].path("reflection.json").read_text())["lighting"]
-    folder = inputs["reflection"].folder
+    lighting = json.loads(inputs["object_brdf"].path("object_brdf.json").read_text())["lighting"]
+    folder = inputs["object_brdf"].folder
     yield from curves(Texels(inputs["texels"].folder), ParameterMaps(folder), Lighting.from_dict(lighting), every=every)
 
 

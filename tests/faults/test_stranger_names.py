@@ -200,7 +200,7 @@ def test_names_that_become_file_names_have_no_folders_in_them(tmp_path, name):
 
 
 def test_no_file_of_an_artifact_lies_outside_it(tmp_path):
-    with ArtifactWriter(tmp_path / "results/s/fabric/0123456789ab") as output:
+    with ArtifactWriter(tmp_path / "results/s/cloth_brdf/0123456789ab") as output:
         for name in ("../x", "models/../../x", "/tmp/x", "models//x"):
             with pytest.raises(UserError, match="inside an artifact"):
                 output.path(name)

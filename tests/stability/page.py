@@ -26,9 +26,9 @@ TITLES = {
     "render": "Rendering",
     "geometry": "Geometry",
     "patches": "Charts and texels",
-    "reflection": "Reflection model of an object",
+    "object_brdf": "Reflection model of an object",
     "residual": "Residual",
-    "fabric": "Reflection of a cloth",
+    "cloth_brdf": "Reflection of a cloth",
     "weave": "Weave",
     "frame": "The frame of the stages",
 }

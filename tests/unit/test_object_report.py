@@ -31,11 +31,11 @@ from nishiki.report.object_sections import (
 from nishiki.stages.cameras.declaration import CamerasSettings
 from nishiki.stages.ingest.declaration import IngestSettings
 from nishiki.stages.mesh.declaration import MeshSettings
+from nishiki.stages.object_brdf.declaration import ObjectBrdfSettings
 from nishiki.stages.object_evaluate.declaration import ObjectEvaluateSettings
 from nishiki.stages.object_render.declaration import ObjectRenderSettings
 from nishiki.stages.object_report.declaration import ObjectReportSettings
 from nishiki.stages.polarise.declaration import PolariseSettings
-from nishiki.stages.reflection.declaration import ReflectionSettings
 from nishiki.stages.residual.declaration import ResidualSettings
 from nishiki.stages.texels.declaration import TexelsSettings
 
@@ -196,7 +196,7 @@ def inputs(tmp_path_factory):
         artifact(root, MeshSettings(), mesh_of),
         artifact(root, PolariseSettings(), polarise_of),
         artifact(root, TexelsSettings(hold_out=("003",)), texels_of),
-        artifact(root, ReflectionSettings(width="texel"), reflection_of),
+        artifact(root, ObjectBrdfSettings(width="texel"), reflection_of),
         artifact(root, ResidualSettings(), residual_of),
         artifact(root, ObjectRenderSettings(), render_of),
         artifact(root, ObjectEvaluateSettings(), evaluation_of),
@@ -287,7 +287,7 @@ def test_a_large_video_is_named_not_carried(inputs, tmp_path):
 
 
 def test_parameters_round_trip(inputs):
-    maps = ParameterMaps(inputs["reflection"].folder)
+    maps = ParameterMaps(inputs["object_brdf"].folder)
     assert (maps.tiles, maps.size, maps.channels) == (2, 8, 3)
     part = maps.read(1)
     assert part.kd.shape == (8, 8, 3)

@@ -76,12 +76,12 @@ def without(plan: Plan) -> tuple[str, ...]:
         (OBJECT, ["render"], {"cameras": {"source": "boards"}}, ("scans",)),
         (CLOTH, ["render", "evaluate", "report"], {}, ()),
         (CLOTH, ["weave", "report"], {}, ("oblique",)),
-        (CLOTH, ["reflectance"], {}, ()),
+        (CLOTH, ["goniometer_samples"], {}, ()),
         # light within normal_deg counts as along the normal, and lies among what ingest takes for oblique
-        (CLOTH, ["weave"], {"reflectance": {"normal_deg": 5}}, ()),
-        (CLOTH, ["fabric"], {"fabric": {"oblique": 0}}, ()),
-        (CLOTH, ["fabric"], {"fabric": {"oblique": 0, "compare": ["ward"]}}, ("oblique",)),
-        (CLOTH, ["render", "evaluate"], {"fabric": {"oblique": 0, "compare": []}}, ()),
+        (CLOTH, ["weave"], {"goniometer_samples": {"normal_deg": 5}}, ()),
+        (CLOTH, ["cloth_brdf"], {"cloth_brdf": {"oblique": 0}}, ()),
+        (CLOTH, ["cloth_brdf"], {"cloth_brdf": {"oblique": 0, "compare": ["ward"]}}, ("oblique",)),
+        (CLOTH, ["render", "evaluate"], {"cloth_brdf": {"oblique": 0, "compare": []}}, ()),
     ],
 )
 def test_parts_that_no_stage_of_the_plan_looks_at(facts, products, settings, expected):
@@ -136,7 +136,7 @@ def test_the_report_is_told_of_parts_and_packages():
         (OBJECT, {"object_render": {"film": None}, "mesh": {"source": "silhouettes"}}, {"scikit-image"}),
         (OBJECT, {"mesh": {"source": "scans"}}, {"av", "trimesh", "pymeshlab"}),
         (CLOTH, {}, set()),
-        (CLOTH, {"fabric_render": {"film": {"moves": "turn"}}}, {"av"}),
+        (CLOTH, {"cloth_render": {"film": {"moves": "turn"}}}, {"av"}),
     ],
 )
 def test_optional_packages_of_a_scene(facts, settings, loaded):

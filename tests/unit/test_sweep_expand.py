@@ -40,10 +40,12 @@ def test_the_stage_s_own_prefix_is_left_out_of_names_and_values_are_told():
     assert found[1].name == "refine=none, separate.keep=0.2/0.8, x=yes"
 
 
-def test_a_setting_called_like_a_stage_is_a_setting_and_a_block_is_a_stage():
+def test_a_name_with_a_value_is_a_setting_and_with_a_block_a_stage():
     assert nested({"reflectance": "mean"}, "normals", CHAIN, "x") == {"normals": {"reflectance": "mean"}}
-    assert nested({"reflectance": {"window_px": 8}}, "normals", CHAIN, "x") == {"reflectance": {"window_px": 8}}
-    assert nested({"cloth.points": 65}, "fabric_render", CHAIN, "x") == {"fabric_render": {"cloth": {"points": 65}}}
+    assert nested({"goniometer_samples": {"window_px": 8}}, "normals", CHAIN, "x") == {
+        "goniometer_samples": {"window_px": 8}
+    }
+    assert nested({"cloth.points": 65}, "cloth_render", CHAIN, "x") == {"cloth_render": {"cloth": {"points": 65}}}
 
 
 @pytest.mark.parametrize(

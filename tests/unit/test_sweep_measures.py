@@ -21,7 +21,7 @@ def test_paths_stars_and_settings():
     assert value("a.b") == 2.0
     assert value("regions.*.m.15") == 3.0
     assert value("regions.x.m.*") == 2.0
-    assert value("regions.*.{fabric.model}.*", settings={"fabric": {"model": "m"}}) == 3.0
+    assert value("regions.*.{cloth_brdf.model}.*", settings={"cloth_brdf": {"model": "m"}}) == 3.0
 
 
 @pytest.mark.parametrize("path", ["a.c", "a", "a.text", "a.yes", "a.b.c", "none"])
@@ -48,8 +48,8 @@ def test_values_that_are_not_finite_are_none():
 
 
 def test_a_setting_that_the_variant_lacks_is_told():
-    with pytest.raises(UserError, match=r"fabric\.model"):
-        value("{fabric.model}")
+    with pytest.raises(UserError, match=r"cloth_brdf\.model"):
+        value("{cloth_brdf.model}")
 
 
 def test_usual_measures():

@@ -111,6 +111,7 @@ def test_the_file_may_name_its_configuration(project):
     ("block", "message"),
     [
         ({"stage": "normal", "vary": {"solver": ["lobe"]}}, "unknown stage 'normal'"),
+        ({"stage": "reflection", "vary": {"width": ["texel"]}}, "it is now called 'object_brdf'"),
         ({"vary": {"solver": ["lobe"]}}, "key 'stage' is missing"),
         ({"stage": "normals", "vary": {"solvr": ["lobe"]}}, "did you mean 'solver'"),
         ({"stage": "normals", "vary": {"solver": ["magic"]}}, "normals.solver"),

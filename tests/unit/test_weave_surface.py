@@ -104,13 +104,19 @@ def test_stage_from_reflectances_to_model_mesh_and_drawings(tmp_path):
     view = view.reshape(-1, 3)
     lamp = np.broadcast_to([0.0, 0.0, 1.0], view.shape)
     table = ReflectanceSet.of(lamp, view, brdf_of(truth).evaluate(lamp, view), weave="satin")
-    with ArtifactWriter(tmp_path / "reflectance" / "0") as out:
+    with ArtifactWriter(tmp_path / "goniometer_samples" / "0") as out:
         write_reflectances(out.folder, table)
         names = ("scene", "stage", "key", "version", "code")
-        manifest = dict(zip(names, ("cloth", "reflectance", "0", "0", ""), strict=True))
+        manifest = dict(zip(names, ("cloth", "goniometer_samples", "0", "0", ""), strict=True))
         empty = {"settings": {}, "upstream": {}, "libraries": {}, "diagnostics": {}}
         out.finish({**manifest, **empty, "format_version": 1}, {})
-    command = [sys.executable, PROJECT / "scripts" / "stage.py", "weave", "--inputs", tmp_path / "reflectance" / "0"]
+    command = [
+        sys.executable,
+        PROJECT / "scripts" / "stage.py",
+        "weave",
+        "--inputs",
+        tmp_path / "goniometer_samples" / "0",
+    ]
     subprocess.run([*command, "--settings", '{"harness": 5}', "--output", tmp_path / "weave"], check=True)
     artifact = open_artifact(next((tmp_path / "weave").iterdir()))
     assert set(artifact.manifest["files"]) == {

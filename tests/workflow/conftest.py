@@ -18,12 +18,12 @@ SMALL_RENDER = {
     "pictures": [{"name": "daylight"}],
     "sequences": [{"name": "moving-light", "frames": 3, "columns": 64}],
 }
-SMALL_FABRIC_RENDER = {"view": {"rows": 72, "columns": 72}, "cloth": {"points": 33}, "supersampling": 1}
+SMALL_CLOTH_RENDER = {"view": {"rows": 72, "columns": 72}, "cloth": {"points": 33}, "supersampling": 1}
 SMALL_OBJECT_RENDER = {"views": 6, "between": 1, "film": {"frames_per_step": 1, "columns": 64, "supersampling": 1}}
 SMALL = {
     "plane": {"render": SMALL_RENDER},
     "turntable": {"object_render": SMALL_OBJECT_RENDER},
-    "goniometer": {"fabric_render": SMALL_FABRIC_RENDER},
+    "goniometer": {"cloth_render": SMALL_CLOTH_RENDER},
 }
 
 
@@ -129,9 +129,9 @@ def finished_object(tmp_path_factory) -> Site:
 
 
 @pytest.fixture(scope="session")
-def finished_fabric(tmp_path_factory) -> Site:
+def finished_cloth(tmp_path_factory) -> Site:
     """A cloth on a gonioreflectometer, simulated and run once."""
-    return finished(tmp_path_factory.mktemp("fabric"), "goniometer", "satin-tiny")
+    return finished(tmp_path_factory.mktemp("cloth_brdf"), "goniometer", "satin-tiny")
 
 
 @pytest.fixture
@@ -166,9 +166,9 @@ def object_site(finished_object):
 
 
 @pytest.fixture
-def fabric_site(finished_fabric):
+def cloth_site(finished_cloth):
     """The finished cloth; configuration, code and results are put back afterwards."""
-    yield from put_back(finished_fabric)
+    yield from put_back(finished_cloth)
 
 
 LENT = ("workflow", "config", "results", ".snakemake")

@@ -18,7 +18,7 @@ def run_facts(site) -> dict[str, dict]:
     return {path.parent.name: json.loads(path.read_text()) for path in current.glob("*/run.json")}
 
 
-@pytest.fixture(params=["finished_site", "finished_object", "finished_fabric"])
+@pytest.fixture(params=["finished_site", "finished_object", "finished_cloth"])
 def any_site(request):
     return request.getfixturevalue(request.param)
 

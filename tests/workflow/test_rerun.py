@@ -180,6 +180,7 @@ def test_broken_yaml_is_told_with_its_file(asked, text, message):
         ("scene\tcapture\n../x\tcaptures/tiny\n", "letters, digits"),
         ("scene\tcapture\ttruth\ntiny\tcaptures/tiny\tcaptures/none\n", "truth not found"),
         ("scene\tcapture\ttruth\tproducts\ntiny\tcaptures/tiny\t\tpicture\n", "unknown product"),
+        ("scene\tcapture\ttruth\tproducts\ntiny\tcaptures/tiny\t\treflectance\n", "now called 'goniometer_samples'"),
         ("scene\tcapture\ttruth\tproducts\tsettings\ntiny\tcaptures/tiny\t\t\tnone.yaml\n", "none.yaml"),
     ],
 )

@@ -75,8 +75,8 @@ def test_a_scene_in_parts_through_slurm_has_the_bytes_of_a_local_run(slurm, site
     assert not list((site.folder / run.results / ".parts").rglob("*.json"))
 
 
-def test_scenes_of_all_chains_through_slurm_have_the_bytes_of_local_runs(slurm, site, object_site, fabric_site):
-    runs = [SlurmRun(one, slurm) for one in (site, object_site, fabric_site)]
+def test_scenes_of_all_chains_through_slurm_have_the_bytes_of_local_runs(slurm, site, object_site, cloth_site):
+    runs = [SlurmRun(one, slurm) for one in (site, object_site, cloth_site)]
     for run, started in [(run, run.start()) for run in runs]:
         run.finish(started)
         assert run.index(run.results) == run.index("results")

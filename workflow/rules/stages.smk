@@ -1,5 +1,5 @@
 # One rule a stage, from the table of the stages.
-ENVIRONMENTS = {"turntable": "object", "goniometer": "fabric"}
+ENVIRONMENTS = {"turntable": "object", "goniometer": "cloth"}
 
 for stage in CHAIN.values():
 

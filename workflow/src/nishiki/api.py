@@ -16,7 +16,7 @@ from nishiki.errors import UserError
 if TYPE_CHECKING:
     from nishiki.render.object.decoded_object import DecodedObject
 
-STAGES_OF_OBJECT = ("cameras", "mesh", "texels", "reflection", "residual")
+STAGES_OF_OBJECT = ("cameras", "mesh", "texels", "object_brdf", "residual")
 
 
 class Observed(NamedTuple):
@@ -251,7 +251,7 @@ def fit_cloth(
 
     Returns
     -------
-    FabricBrdf
+    ClothBrdf
         Its method `evaluate(incident, outgoing)` takes unit vectors (..., 3) that broadcast against each other and
         gives the bidirectional reflectance in 1 / sr, (..., channels) float64, 0 below the horizon.
 

@@ -65,7 +65,7 @@ def _parser() -> argparse.ArgumentParser:
     sub = command("demo", "running:demo", "simulate a painting, run the whole workflow on it, name the report")
     which = sub.add_mutually_exclusive_group()
     which.add_argument("--object", action="store_true", help="an object on a turntable in place of the painting")
-    which.add_argument("--fabric", action="store_true", help="a satin on a gonioreflectometer in place of the painting")
+    which.add_argument("--cloth", action="store_true", help="a satin on a gonioreflectometer in place of the painting")
     where = " (only in a checkout of the project)" if INSTALLED else ""
     sub = command("test", "running:test", f"run the tests{where}; further arguments go to pytest")
     tier = sub.add_mutually_exclusive_group()

@@ -2,7 +2,7 @@
 
 import difflib
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
@@ -15,6 +15,9 @@ class Closed(BaseModel):
     """Base of every settings model: frozen, no unknown keys, no silent conversion of strings to numbers."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=False, allow_inf_nan=False)
+
+    RENAMED: ClassVar[Mapping[str, str]] = {}
+    """Present names of keys and values that had another name in earlier versions."""
 
 
 class Guarded(Closed):
@@ -115,14 +118,19 @@ def _plain(message: str) -> str:
 
 def _explain(model: type[Closed], problem: dict) -> str:
     path = ".".join(str(part) for part in problem["loc"])
+    last, value = str(problem["loc"][-1]) if problem["loc"] else "", problem["input"]
     if problem["type"] == "extra_forbidden":
+        if last in model.RENAMED:
+            return f"{path!r} is now called {model.RENAMED[last]!r}"
         known = _known_keys(model, problem["loc"][:-1])
-        near = difflib.get_close_matches(str(problem["loc"][-1]), known, n=1)
+        near = difflib.get_close_matches(last, known, n=1)
         hint = f"did you mean {near[0]!r}?" if near else f"known keys: {', '.join(known)}"
         return f"unknown key {path!r}; {hint}"
     if problem["type"] == "missing":
         return f"key {path!r} is missing"
-    return f"{path}: {_plain(problem['msg'])}, found {problem['input']!r}"
+    renamed = isinstance(value, str) and value in model.RENAMED
+    hint = f"; it is now called {model.RENAMED[value]!r}" if renamed else ""
+    return f"{path}: {_plain(problem['msg'])}, found {value!r}{hint}"
 
 
 def _known_keys(model: type[Closed], path: tuple) -> list[str]:

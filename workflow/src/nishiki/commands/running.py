@@ -16,7 +16,7 @@ from nishiki.installation import INSTALLED, PROFILES, PROJECT, SCRIPTS, SNAKEFIL
 DEMOS = {
     "painting": ("painting", "config/config.yaml"),
     "jar": ("object", "config/object.yaml"),
-    "satin": ("satin", "config/fabric.yaml"),
+    "satin": ("satin", "config/cloth.yaml"),
 }
 NAMED = 20
 """Scenes that are told by name: unfinished ones, failed ones."""
@@ -28,7 +28,7 @@ SMALL_PICTURES = """\
 scenes: scenes.tsv
 render: {sequences: [{name: moving-light, frames: 2, columns: 48}]}
 object_render: {views: 4, between: 1, film: {frames_per_step: 1, columns: 48, supersampling: 1}}
-fabric_render: {view: {rows: 48, columns: 48}, cloth: {points: 33}, supersampling: 1}
+cloth_render: {view: {rows: 48, columns: 48}, cloth: {points: 33}, supersampling: 1}
 """
 """Configuration of runs of which only the compiled kernels are wanted."""
 
@@ -149,7 +149,7 @@ def demo(options: argparse.Namespace, rest: list[str]) -> int:
     In the folder of the checkout; an installed package makes the folder `nishiki-demo` where it is called.
     """
     os.chdir(demo_folder() if INSTALLED else PROJECT)
-    name = "jar" if options.object else "satin" if options.fabric else "painting"
+    name = "jar" if options.object else "satin" if options.cloth else "painting"
     preset, configuration = DEMOS[name]
     capture, truth = Path(f"captures/{name}"), Path(f"captures/{name}-truth")
     if not capture.is_dir() or not truth.is_dir():

@@ -47,7 +47,7 @@ PARTS = {
     "scans": CapturePart("range scans", lambda facts, settings: surface_from(facts, settings)),
     "oblique": CapturePart(
         "photographs with the light away from the normal",
-        lambda facts, settings: "only the fit of the fabric and its evaluation look at them",
+        lambda facts, settings: "only the fit of the reflection and its evaluation look at them",
     ),
 }
 """Every part that can be left out, by its name in the setting `ingest.without`."""

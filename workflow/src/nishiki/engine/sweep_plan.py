@@ -11,7 +11,7 @@ from nishiki.engine.plan import Plan, make_plan
 from nishiki.engine.project import Project, Scene, Shared, load_yaml, scene_with
 from nishiki.errors import UserError
 from nishiki.stages.base import SceneFacts
-from nishiki.stages.table import CHAIN
+from nishiki.stages.table import CHAIN, FORMER_NAMES
 from nishiki.sweep.expand import AS_CONFIGURED, Variant, expand, nested
 from nishiki.sweep.settings import SweepSettings
 
@@ -94,7 +94,9 @@ def plan_sweep(named: str, project: Project, facts_of: Callable[[Scene], SceneFa
     if unknown:
         raise UserError(f"{named}: no scene {unknown[0]!r} in the scene table; scenes: {', '.join(project.scenes)}")
     if sweep.stage not in CHAIN:
-        raise UserError(f"{named}: stage: unknown stage {sweep.stage!r}; stages: {', '.join(CHAIN)}")
+        present = FORMER_NAMES.get(sweep.stage)
+        hint = f"it is now called {present!r}" if present else f"stages: {', '.join(CHAIN)}"
+        raise UserError(f"{named}: stage: unknown stage {sweep.stage!r}; {hint}")
     variants = expand(sweep, stages=CHAIN, where=named)
     scenes = [project.scenes[scene] for scene in sweep.scenes or project.scenes]
     return PlannedSweep(name, sweep, tuple(_scene_sweep(named, sweep, variants, scene, facts_of) for scene in scenes))

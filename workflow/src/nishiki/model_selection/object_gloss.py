@@ -10,7 +10,7 @@ LIMIT_DB = 0.1  # by which a lobe has to bring unseen observations nearer
 SIGMAS = tuple(np.geomspace(0.03, 0.8, 9))  # radians
 FOLDS = 3
 FEWEST = 30  # texels below which nothing is said
-OVERRIDE = "reflection.specular: keep"
+OVERRIDE = "object_brdf.specular: keep"
 
 
 @dataclass(frozen=True)

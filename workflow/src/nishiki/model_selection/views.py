@@ -10,7 +10,7 @@ from nishiki.goniometry.table import ReflectanceSet
 from nishiki.model_selection.decision import Decision
 from nishiki.model_selection.spread import spread_order
 
-OVERRIDE = "fabric.measurements: all, auto or a number"
+OVERRIDE = "cloth_brdf.measurements: all, auto or a number"
 LIMIT = 0.01  # relative error at the views not used; a sixth of what a cloth's model is expected to miss
 FEWEST = 48
 GROWTH = 1.4  # from one number that is tried to the next

@@ -19,22 +19,23 @@ NAMES = (
     "cameras",
     "mesh",
     "texels",
-    "reflection",
+    "object_brdf",
     "residual",
     "object_render",
     "object_evaluate",
     "object_report",
-    "reflectance",
+    "goniometer_samples",
     "weave",
-    "fabric",
-    "fabric_render",
-    "fabric_evaluate",
-    "fabric_report",
+    "cloth_brdf",
+    "cloth_render",
+    "cloth_evaluate",
+    "cloth_report",
 )
 """A stage is a folder of this package with `declaration.py` and `run.py`, and one line here."""
 
 CHAIN: dict[str, Stage] = {name: import_module(f"nishiki.stages.{name}.declaration").STAGE for name in NAMES}
 PRODUCTS = tuple(dict.fromkeys(stage.asked_as for stage in CHAIN.values() if stage.name != "ingest"))
+FORMER_NAMES = {stage.formerly: name for name, stage in CHAIN.items() if stage.formerly}
 LIMITS: dict[str, tuple[Limit, ...]] = {name: stage.limits for name, stage in CHAIN.items()}
 """Stages that judge and show (render, evaluate, report) have none: a bad result must be shown as well."""
 

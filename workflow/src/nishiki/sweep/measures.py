@@ -18,7 +18,7 @@ CAPTURED = MeasureSettings(
     path="psnr.captured.mean_psnr_db", label="PSNR of the captured views", unit="dB", better="higher"
 )
 CLOTH = MeasureSettings(
-    path="regions.*.rms_rel.{fabric.model}.*", label="relative rms error of measurements that no fit saw"
+    path="regions.*.rms_rel.{cloth_brdf.model}.*", label="relative rms error of measurements that no fit saw"
 )
 USUAL = {
     "plane": (NORMALS, RELIGHTING),

@@ -12,7 +12,7 @@ from typing import ClassVar, Protocol, Self
 import numpy as np
 
 
-class FabricBrdf(Protocol):
+class ClothBrdf(Protocol):
     """The interface."""
 
     KIND: ClassVar[str]  # a class that is reciprocal by construction says so: RECIPROCAL = True

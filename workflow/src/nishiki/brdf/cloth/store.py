@@ -44,7 +44,7 @@ def save_brdf(path: Path, brdf) -> None:
     ----------
     path : str or Path
         File to write; one that exists is replaced.
-    brdf : FabricBrdf
+    brdf : ClothBrdf
         Model, from `nishiki.fit_cloth` for example.
 
     Raises
@@ -76,7 +76,7 @@ def save_brdf(path: Path, brdf) -> None:
 
 
 def load_brdf(path: Path):
-    """Read a reflection model of a cloth: a result of the stage fabric, or what `nishiki.write_cloth` wrote.
+    """Read a reflection model of a cloth: a result of the stage cloth_brdf, or what `nishiki.write_cloth` wrote.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def load_brdf(path: Path):
 
     Returns
     -------
-    FabricBrdf
+    ClothBrdf
         Its method `evaluate(incident, outgoing)` takes unit vectors (..., 3), x weft, y warp, z normal, and gives the
         bidirectional reflectance in 1 / sr, (..., channels) float64.
 

@@ -103,7 +103,7 @@ class Lighting:
         Raises UserError for unknown lighting (it has to be fitted first) and for a light that is not there.
         """
         if self.kind == "unknown":
-            raise UserError("lighting: unknown; fit it first (stage reflection), or state the lights in capture.yaml")
+            raise UserError("lighting: unknown; fit it first (stage object_brdf), or state the lights in capture.yaml")
         if not 0 <= light_index < len(self.vectors):
             raise UserError(f"light {light_index}: expected 0 to {len(self.vectors) - 1}")
         rotation = TO_LAMP_FRAME @ camera.rotation

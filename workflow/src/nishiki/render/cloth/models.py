@@ -1,4 +1,4 @@
-"""The models that the stage fabric left: which there are, what each was fitted to, and their BRDFs."""
+"""The models that the stage cloth_brdf left: which there are, what each was fitted to, and their BRDFs."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from nishiki.brdf.cloth.store import load_brdf
 from nishiki.errors import UserError
 
 
-class FabricModels:
-    """Reader of an artifact of the stage fabric."""
+class ClothModels:
+    """Reader of an artifact of the stage cloth_brdf."""
 
     def __init__(self, folder: Path):
-        """UserError where there is no fabric.json."""
+        """UserError where there is no cloth_brdf.json."""
         self.folder = Path(folder)
-        path = self.folder / "fabric.json"
+        path = self.folder / "cloth_brdf.json"
         if not path.is_file():
-            raise UserError(f"{path}: expected the models of the stage fabric, found none. Remedy: run fabric first")
+            raise UserError(f"{path}: file not found. Remedy: run the stage cloth_brdf first")
         self.told: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
 
     @property

@@ -41,7 +41,7 @@ class DecodedObject:
     def open(cls, inputs: Mapping[str, Artifact]) -> DecodedObject:
         """From the artifacts of cameras, mesh, texels, reflection and residual; ingest gives the ceiling alone."""
         texels = Texels(inputs["texels"].folder)
-        lighting = json.loads(inputs["reflection"].path("reflection.json").read_text())["lighting"]
+        lighting = json.loads(inputs["object_brdf"].path("object_brdf.json").read_text())["lighting"]
         atlas = texels.atlas
         mesh, cameras = Mesh.load(inputs["mesh"].path("mesh.npz")), load_cameras(inputs["cameras"].path("cameras.json"))
         if len(mesh.triangles) != len(atlas.chart) or [camera.name for camera in cameras] != list(texels.views):

@@ -141,9 +141,9 @@ def comparisons(artifact: Artifact | None, evaluation: dict | None) -> list[dict
 
 def model(inputs: dict[str, Artifact], widest: int) -> dict | None:
     """Parameter maps as sheets of all charts, and what the fit says of itself."""
-    if "reflection" not in inputs or "texels" not in inputs:
+    if "object_brdf" not in inputs or "texels" not in inputs:
         return None
-    maps, told = ParameterMaps(inputs["reflection"].folder), inputs["reflection"].diagnostics
+    maps, told = ParameterMaps(inputs["object_brdf"].folder), inputs["object_brdf"].diagnostics
 
     def read(tile: int) -> dict:
         part = maps.read(tile)

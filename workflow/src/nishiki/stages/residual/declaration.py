@@ -73,7 +73,7 @@ STAGE = Stage(
     settings=ResidualSettings,
     does="captured minus model, as coded wavelet coefficients",
     geometry="turntable",
-    requires=("texels", "reflection"),
+    requires=("texels", "object_brdf"),
     needs_colour=True,
     libraries=("numpy", "scipy", "numba", "zarr", "pywavelets"),
     cost=lambda facts: Cost(mib=340, bytes_per_sample=22, seconds=14, us_per_sample=36),

@@ -30,9 +30,9 @@ def run(context: Context) -> dict:
     """Refine the parameters, find the step for the target, store the pass that meets it."""
     settings = context.settings
     texels = Texels(context.inputs["texels"].folder)
-    reflection = context.inputs["reflection"].folder
+    reflection = context.inputs["object_brdf"].folder
     source = ArtifactSource(texels, ParameterMaps(reflection), settings)
-    fitted = json.loads((reflection / "reflection.json").read_text())
+    fitted = json.loads((reflection / "object_brdf.json").read_text())
     scene = scene_of(texels, fitted["lighting"])
     effort = Effort(
         pursuit=Pursuit(rounds=settings.rounds, inner=settings.inner),

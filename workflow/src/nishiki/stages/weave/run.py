@@ -17,7 +17,7 @@ from nishiki.weave.surface import USUAL, harness_of, make_surface, shade
 def run(context: Context) -> dict:
     """Fit each region; write its model, drawings, surface and picture."""
     settings = context.settings
-    reflectances = Reflectances(context.inputs["reflectance"].folder)
+    reflectances = Reflectances(context.inputs["goniometer_samples"].folder)
     regions, diagnostics = {}, {}
     for number, name in enumerate(reflectances.regions):
         context.progress.tell(f"region {name}")

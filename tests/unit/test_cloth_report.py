@@ -1,0 +1,265 @@
+"""The page of a cloth: with everything, with the least, and its parts."""
+
+import html.parser
+import importlib
+import json
+import re
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from nishiki.artifacts.artifact import ArtifactWriter
+from nishiki.artifacts.stage import Context
+from nishiki.brdf.cloth.peers import Ward
+from nishiki.brdf.cloth.store import save_brdf
+from nishiki.goniometry.directions import unit
+from nishiki.goniometry.hemisphere import complete
+from nishiki.goniometry.store import write_reflectances
+from nishiki.goniometry.table import ReflectanceSet
+from nishiki.progress import Progress
+from nishiki.report.cloth_plots import disc_directions, disc_picture, error_chart, lobes_plot, plane_chart
+from nishiki.report.cloth_weave import curve, notes, parameters, tile_picture
+from nishiki.stages.cloth_evaluate.declaration import ClothEvaluateSettings
+from nishiki.stages.cloth_render.declaration import ClothRenderSettings
+from nishiki.stages.cloth_report.declaration import ClothReportSettings
+from nishiki.stages.goniometer_samples.declaration import GoniometerSamplesSettings
+from nishiki.stages.weave.declaration import WeaveSettings
+
+PROJECT = Path(__file__).resolve().parents[2]
+STAMP = {"scene": "small", "stage": "cloth_report", "key": "0" * 12, "version": "0.1.0"}
+TITLE = 'Robe <b>&"quoted"</b>'
+WARD = Ward(diffuse=np.array([0.02]), specular=np.array([0.2]), alpha_x=0.5, alpha_y=0.2)
+PART = {"incidences": 1, "views": 9, "rms_rel": 0.1234, "worst_rms_rel": 0.2}
+PART |= {"peak_value_rel": 0.25, "peak_direction_deg": 3.5}
+ROW = {"theta_i_deg": 30.0, "phi_i_deg": 90.0, "plane": "warp", "views": 9, "rms_rel": 0.1234, "bias_rel": -0.01}
+ROW |= {"peak_direction_deg": None, "peak_value_rel": None, "noise_rel": 0.004}
+
+
+def script(name="cloth_report"):
+    """A stage's module."""
+    return importlib.import_module(f"nishiki.stages.{name}.run")
+
+
+def artifact(root, stage, settings, fill):
+    with ArtifactWriter(root / stage / ("a" * 12)) as writer:
+        manifest = {
+            **STAMP,
+            "stage": stage,
+            "key": "a" * 12,
+            "diagnostics": fill(writer) or {},
+            "settings": json.loads(settings.model_dump_json()) if settings else {},
+            "upstream": {},
+            "code": "c0de",
+            "libraries": {"numpy": "2"},
+        }
+        return writer.finish(manifest, {})
+
+
+def measured():
+    theta, phi = np.meshgrid(np.radians(np.arange(5, 90, 10)), np.radians(np.arange(0, 91, 15)))
+    views = np.concatenate([[[0, 0, 1.0]], unit(theta.ravel(), phi.ravel())])
+    incident = np.tile([0, 0, 1.0], (len(views), 1))
+    found = ReflectanceSet.of(incident, views, WARD.evaluate(incident, views))
+    return complete(found, grid_deg=10, method="spline")[0]
+
+
+def reflectance_of(writer):
+    light = {"theta_deg": 0.0, "phi_deg": 0.0, "views": 64, "unusable": 1, "covered": 0.875, "gap_deg": 9.0}
+    more = {"coverage": [{**light, "steepest_deg": 85.0}]}
+    write_reflectances(writer.folder, measured(), more=more)
+    writer.path("coverage.svg").write_text('<svg viewBox="0 0 9 9"><circle cx="4" cy="4" r="3"/></svg>')
+    return {"directions": 64, "incidences": 1, "normal_incidence": 64, "regions": ["cloth"], "channels": ["grey"],
+            "symmetry": "quarter", "weave": "satin", "noise_relative": 0.0123}  # fmt: skip
+
+
+def cloth_of(writer):
+    for name in ("facets", "ward"):
+        save_brdf(writer.path(f"models/cloth/{name}.npz"), WARD)
+    told = {name: {"used": [0, 1], "seconds": None, "albedo": 0.25, "words": "x"} for name in ("facets", "ward")}
+    text = json.dumps({"default": "facets", "regions": ["cloth"], "models": {"cloth": told}})
+    writer.path("cloth_brdf.json").write_text(text)
+    facts = {"used": 564, "reciprocity_error": 0.01234, "albedo_max": {"0": 0.25, "60": 1.75}}
+    return {"default": "facets", "regions": {"cloth": {"facets": facts, "ward": {"used": 3}}}}
+
+
+def png(shape=(6, 8)):
+    done, data = cv2.imencode(".png", np.full((*shape, 3), 120, np.uint8))
+    assert done
+    return data.tobytes()
+
+
+def weave_of(writer):
+    plane = {"theta_i_deg": [0.0, 0.0, 30.0], "theta_r_deg": [40.0, 10.0, 20.0], "measured": [0.1, 0.2, 0.3],
+             "gloss": [0.05, 0.1, 0.1], "body": [0.04, 0.1, 0.1], "interpolated": False}  # fmt: skip
+    entry = {
+        "weave": "satin", "harness": 5, "weft": {"theta_a": 0.5, "n": 4.0}, "warp": {"theta_a": 0.2, "m": 0.3},
+        "rms_rel": {"weft": 0.0321, "warp": 0.05}, "curves": {"weft": plane, "warp": plane},
+        "identifiability": {"free": ["l_warp · r_warp"], "weak": ["r_warp", "k_s · index"], "weak_error": [12.0, 0.25]},
+        "at_bounds": ["index"],
+    }  # fmt: skip
+    writer.path("weave.json").write_text(json.dumps({"format": 1, "regions": {"cloth": entry}}))
+    for name in ("weft", "warp"):
+        writer.path(f"section_{name}.svg").write_text(f'<svg viewBox="0 0 9 9"><title>{name}</title></svg>')
+    writer.path("weave.png").write_bytes(png((90, 20)))
+    told = {"parameters": {"theta_a_weft": 0.5, "k_s": 1.5}, "intervals": {"theta_a_weft": [0.25, 0.75]}}
+    return {"regions": {"cloth": told}}
+
+
+def render_of(writer):
+    names = ("drape", "drape-light-left", "drape-dye-red", "drape-dye-gold", "cylinders")
+    for name in names:
+        writer.path(f"{name}.png").write_bytes(png())
+    writer.path("film.mp4").write_bytes(b"\0" * 2000)
+    return {"model": "facets", "pictures": {name: {} for name in names}, "notes": ["a note"],
+            "video": {"file": "film.mp4", "frames": 96}}  # fmt: skip
+
+
+def evaluation_of(writer):
+    kind = {"measurements": 9, "rows": [ROW], "by_incidence": {"30": PART}}
+    none = {"measurements": 0, "rows": [], "by_incidence": {}}
+    models = {
+        "facets": {"facts": {}, "reference": False, "held_out": kind, "fitted": kind},
+        "bard_scaled": {"facts": {}, "reference": True, "held_out": kind, "fitted": none},
+    }
+    line = {"theta_i_deg": 30.0, "phi_i_deg": 90.0, "plane": "warp", "theta_r_deg": [-10.0, 0.0, 20.0]}
+    line |= {"held_out": [True] * 3, "measured": [0.1, 0.2, 0.1], "predicted": {"facets": [0.1, 0.2, 0.2]}}
+    region = {"valid": 99, "held_out": 9, "models": models, "curves": [line, {**line, "held_out": [False] * 3}]}
+    text = json.dumps({"default": "facets", "regions": {"cloth": region}})
+    writer.path("evaluation.json").write_text(text)
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory):
+    root = tmp_path_factory.mktemp("artifacts")
+    made = [
+        artifact(root, "goniometer_samples", GoniometerSamplesSettings(), reflectance_of),
+        artifact(root, "weave", WeaveSettings(), weave_of),
+        artifact(root, "cloth_brdf", None, cloth_of),
+        artifact(root, "cloth_render", ClothRenderSettings(supersampling=2), render_of),
+        artifact(root, "cloth_evaluate", ClothEvaluateSettings(), evaluation_of),
+    ]
+    return {item.stage: item for item in made}
+
+
+def page_of(folder, inputs, **settings):
+    with ArtifactWriter(folder) as writer:
+        context = Context(inputs, ClothReportSettings(**settings), writer, None, None, STAMP, Progress("test"))
+        module = script()
+        # The page's records need only stages that are in the table; the parts here are those of any table.
+        diagnostics = module.run(context)
+        text = writer.path("report.html").read_text(encoding="utf-8")
+    assert diagnostics["bytes"] == len(text.encode())
+    assert diagnostics["stages"] == sorted(inputs)
+    return text
+
+
+class Checker(html.parser.HTMLParser):
+    """Counts open tags and gathers outside references."""
+
+    VOID = ("meta", "img", "br", "link", "circle", "path", "line", "rect", "hr", "stop")
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.references, self.ids = [], [], []
+
+    def handle_starttag(self, tag, attributes):
+        values = dict(attributes)
+        self.references += [values[name] for name in ("src", "href") if name in values]
+        self.ids += [values["id"]] if "id" in values else []
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        if tag not in self.VOID:
+            assert self.open.pop() == tag
+
+
+def test_the_whole_page(inputs, tmp_path):
+    text = page_of(tmp_path / "one", inputs, title=TITLE, left_out={"ingest": "not asked for"})
+    checker = Checker()
+    checker.feed(text)
+    assert checker.open == []
+    anchors = {reference[1:] for reference in checker.references if reference.startswith("#")}
+    assert anchors <= set(checker.ids)
+    assert [r for r in checker.references if not r.startswith(("#", "data:"))] == []
+    assert '<b>&"quoted"' not in text
+    assert "Robe &lt;b&gt;" in text
+    for expected in ("facet reading", "BARD, best factor (has seen these)", "0.123", "25 %, 3.5°", "Gold", "Red",
+                     "Light left alone", "A satin of 5 yarns a repeat", "3.2 %", "l_warp · r_warp",
+                     "r_warp: not; k_s · index: to 25 %", "28.6", "43",
+                     "not asked for", "a note", "taken for the fit", "Light at 30°, plane of the warp", "87.50", "96",
+                     "0.250", "1.75", "0.0123", "Coverage", "1.23"):  # fmt: skip
+        assert expected in text, expected
+    assert len(re.findall(r"<video", text)) == 1
+    assert page_of(tmp_path / "two", inputs, title=TITLE, left_out={"ingest": "not asked for"}) == text
+
+
+def test_the_least(inputs, tmp_path):
+    text = page_of(tmp_path / "few", {"goniometer_samples": inputs["goniometer_samples"]})
+    checker = Checker()
+    checker.feed(text)
+    assert "<h1>small</h1>" in text
+    for section in ("rendered", "weave", "lobes", "errors", "curves"):
+        assert section not in checker.ids
+        assert f'"#{section}"' not in text
+    assert {"coverage", "made", "verify"} <= set(checker.ids)
+
+
+def test_a_large_video_is_named_not_carried(inputs, tmp_path):
+    text = page_of(tmp_path / "video", inputs, video_mb=0.001)
+    assert "<video" not in text
+    assert "cloth_render/aaaaaaaaaaaa/film.mp4" in text
+
+
+def test_discs_show_every_view_once():
+    views, inside = disc_directions(40)
+    assert np.allclose(np.linalg.norm(views, axis=1), 1)
+    assert np.all(views[:, 2] > 0)
+    assert inside.sum() == len(views)
+    picture = disc_picture(np.linspace(0.01, 1, len(views)), inside, 0.01, 1.0)
+    assert (picture.columns, picture.rows) == (40, 40)
+    image = np.zeros(inside.shape)
+    image[inside] = views[:, 0]
+    assert image[20, 35] > 0.5  # weft to the right
+    image[inside] = views[:, 1]
+    assert image[5, 20] > 0.5  # warp upwards
+
+
+def test_lobes_reach_the_rim_at_the_brightest_value():
+    angle = np.radians(np.arange(-80, 81, 10))
+    svg = lobes_plot([("a", angle, np.where(np.arange(17) == 8, 4.0, 1.0)), ("b", angle, np.ones(17))])
+    path = re.findall(r'd="(M[^"]*)" fill="#', svg)[0]
+    points = np.array([[float(v) for v in p.split()] for p in re.split("[ML]", path)[1:]])
+    foot = np.array([260.0, 288.0])
+    radii = np.linalg.norm(points - foot, axis=1)
+    assert radii.argmax() == 8
+    assert radii[0] == pytest.approx(radii[8] / 2, abs=0.1)
+    assert lobes_plot([("dark", angle, np.zeros(17))]).startswith("<svg")
+
+
+def test_charts_without_anything_to_show():
+    assert error_chart({}, "facets") == ""
+    assert error_chart({"facets": {}}, "facets") == ""
+    line = {"theta_r_deg": [0.0, 1.0], "measured": [0.0, 0.0], "predicted": {}}
+    assert plane_chart(line, ["facets"], "facets").startswith("<svg")
+
+
+def test_parts_of_the_weave():
+    told = {"parameters": {"theta_a_weft": np.pi / 6, "k_s": 2.0, "n_weft": 4.0}, "intervals": {"n_weft": [3.0, 5.0]}}
+    rows = {row["name"]: row for row in parameters(told)}
+    assert rows["theta_a_weft"]["value"] == pytest.approx(30)
+    assert rows["theta_a_weft"]["low"] is None
+    assert (rows["n_weft"]["low"], rows["n_weft"]["high"]) == (3.0, 5.0)
+    assert rows["n_weft"]["meaning"].endswith(", weft")
+    assert rows["k_s"]["meaning"].startswith("strength of the gloss")
+    assert notes({}) == []
+    values = {"theta_i_deg": [0.0, 45.0], "theta_r_deg": [10.0, 10.0], "measured": [0.1, 9.0]}
+    drawn = curve({**values, "gloss": [0.05, 9.0], "body": [0.05, 9.0], "interpolated": True}, "warp")
+    assert drawn["caption"] == "light at 0°."
+    assert ">interpolated<" in drawn["svg"]
+    tile = tile_picture(png((900, 300)), 100)
+    assert (tile.columns, tile.rows) == (100, 100)
+    with pytest.raises(ValueError, match="not a picture"):
+        tile_picture(b"nothing", 100)

@@ -1,0 +1,58 @@
+"""The cloth chain through the workflow: everything is made, only what depends on a change is made again."""
+
+import json
+
+import pytest
+
+pytestmark = pytest.mark.slow
+
+AFTER_CLOTH_BRDF = ["cloth_render", "cloth_evaluate", "cloth_report", "publish"]
+
+
+def artifact(site, stage):
+    return json.loads((site.folder / "results/tiny/current" / stage / "artifact.json").read_text())
+
+
+def test_every_stage_ran_and_nothing_is_left_to_do(cloth_site):
+    assert set(cloth_site.run_facts()) == set(cloth_site.stages())
+    assert cloth_site.would_run() == []
+
+
+def test_what_a_user_opens_is_there(cloth_site):
+    current = cloth_site.folder / "results/tiny/current"
+    assert {".html", ".png", ".exr", ".ply", ".npz"} <= {path.suffix for path in current.iterdir()}
+    assert (current / "report.html").stat().st_size > 20_000
+
+
+def test_fewer_oblique_measurements_rerun_from_the_fit_on(cloth_site):
+    cloth_site.configure(cloth_brdf={"oblique": 0})
+    assert cloth_site.would_run() == ["cloth_brdf", *AFTER_CLOTH_BRDF]
+
+
+def test_another_dye_reruns_pictures_and_report_only(cloth_site):
+    small = {"view": {"rows": 72, "columns": 72}, "cloth": {"points": 33}, "supersampling": 1}
+    cloth_site.configure(cloth_render={**small, "dyes": {"green": "#207040"}})
+    assert cloth_site.would_run() == ["cloth_render", "cloth_report", "publish"]
+
+
+def test_a_painting_or_object_setting_reruns_nothing(cloth_site):
+    cloth_site.configure(normals={"solver": "least_squares"}, residual={"amount": 1.0})
+    assert cloth_site.would_run() == []
+
+
+def test_the_plan_says_what_the_capture_holds(cloth_site):
+    assert "pairs of directions" in cloth_site.nishiki("plan").stdout
+
+
+@pytest.mark.parametrize("stage", ["goniometer_samples", "cloth_brdf", "cloth_render"])
+def test_a_flipped_bit_is_named(cloth_site, stage):
+    folder = cloth_site.folder / "results/tiny" / stage
+    victim = max((path for path in folder.rglob("*") if path.is_file()), key=lambda path: path.stat().st_size)
+    sound = victim.read_bytes()
+    victim.write_bytes(sound[:-9] + bytes([sound[-9] ^ 16]) + sound[-8:])
+    try:
+        done = cloth_site.nishiki("verify", check=False)
+        assert done.returncode == 1
+        assert victim.name in done.stdout
+    finally:
+        victim.write_bytes(sound)

@@ -1,0 +1,95 @@
+"""Declaration of the stage `cloth_brdf`: settings, inputs, limits of its result, cost."""
+
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal
+
+from pydantic import Field
+
+from nishiki.artifacts.closed import Closed, Guarded
+from nishiki.artifacts.limits import Limit, extreme
+from nishiki.stages.base import Asked, Cost, Measurements, SceneFacts, Stage
+
+
+def _cloth_error(told: Mapping[str, Any]) -> float | None:
+    """At the incidences that the default model was fitted to."""
+    chosen = told.get("default")
+    models = [region.get(chosen) or {} for region in (told.get("regions") or {}).values()]
+    return extreme("all")({"all": [(model.get("rms_rel_used") or {}) for model in models]})
+
+
+LIMITS = (
+    Limit(
+        "misfit",
+        "relative rms error of the default model at the incidences that it was fitted to, worst region",
+        _cloth_error,
+        most=2,
+        remedy="set cloth_brdf.model, and check directions and regions of the capture",
+        why="models gave 0.0003 to 0.95 where they were fitted; at 2 the errors are twice the light",
+    ),
+)
+
+
+Model = Literal[
+    "yarn_facets",
+    "facets",
+    "bard_linear",
+    "bard_great_circle",
+    "bard_scaled",
+    "ward",
+    "ashikhmin_shirley",
+    "ggx",
+    "weave",
+]
+
+
+class ClothBrdfSettings(Guarded):
+    """The BRDF of the whole hemisphere of every region, from normal incidence and a few oblique measurements."""
+
+    STAGE: ClassVar[str] = "cloth_brdf"
+    VERSION: ClassVar[int] = 1
+    LIMITS: ClassVar[tuple[Limit, ...]] = LIMITS
+
+    model: Model = Field("yarn_facets", description="the model that stands for the cloth")
+    compare: tuple[Model, ...] = Field(
+        ("facets", "bard_linear", "bard_great_circle", "bard_scaled", "ward", "ashikhmin_shirley", "ggx"),
+        description="models fitted beside it; weave: where the stage weave has run",
+    )
+    oblique: int = Field(
+        20,
+        ge=0,
+        le=2000,
+        description="most oblique measurements that a fit may use, chosen by what they tell; 0: normal incidence alone",
+    )
+    measurements: Measurements = Field(
+        "auto",
+        description="views of normal incidence that a fit uses: all; so many evenly spread ones; auto: as many as tell "
+        "the others within 1 % (docs/economy.md)",
+    )
+    index: float = Field(1.5, gt=1, le=3, description="refractive index of the model facets, which takes it as given")
+    export: tuple[Literal["table", "csv", "utia"], ...] = Field(
+        ("csv",), description="table: sampled 4-D table (npz); csv: rows of angles and values; utia: .bin of doubles"
+    )
+
+
+EVERY_OBLIQUE = {"bard_scaled"}
+"""Models that use every oblique measurement, whatever the setting `oblique` says."""
+
+
+def _looks_at(facts: SceneFacts, settings: Mapping[str, Closed], asked: Asked) -> tuple[str, ...]:
+    own = settings["cloth_brdf"]
+    return ("oblique",) if own.oblique or not EVERY_OBLIQUE.isdisjoint((own.model, *own.compare)) else ()
+
+
+STAGE = Stage(
+    settings=ClothBrdfSettings,
+    does="reflectance for every direction of light and view",
+    formerly="fabric",
+    geometry="goniometer",
+    requires=("goniometer_samples",),
+    wants=lambda settings: ("weave",) * ("weave" in (settings.model, *settings.compare)),
+    needs_colour=True,
+    looks_at=_looks_at,
+    libraries=("numpy", "scipy", "numba"),
+    deliverables=("*.npz", "*.csv"),
+    cost=lambda facts: Cost(mib=400, seconds=12, us_per_sample=1.2),
+)

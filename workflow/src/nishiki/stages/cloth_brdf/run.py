@@ -1,0 +1,131 @@
+"""Cloth BRDF: of the whole hemisphere of every region of a cloth, and the models beside it."""
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.artifacts.stage import Context
+from nishiki.brdf.cloth.measures import directional_albedo, incidences, prediction_error, reciprocity_error
+from nishiki.brdf.cloth.models import Fitted, fit_models
+from nishiki.brdf.cloth.store import save_brdf
+from nishiki.brdf.cloth.table import TableBrdf, goniometer_rows, utia_planes
+from nishiki.brdf.cloth.weights import solid_angles
+from nishiki.brdf.cloth.yarn_fit import Measured
+from nishiki.errors import UserError
+from nishiki.goniometry.directions import unit
+from nishiki.goniometry.hemisphere import complete
+from nishiki.goniometry.store import Reflectances
+from nishiki.goniometry.table import ReflectanceSet
+from nishiki.model_selection.decision import Decision, economy
+from nishiki.model_selection.views import measured_choice, static_choice, with_normal_rows
+from nishiki.weave.store import Weave
+
+FORMAT = 1
+ALBEDO_DEG = (0, 30, 60, 80)
+EXPORT_INCIDENT_DEG = [
+    (0.0, 0.0),
+    *((t, p) for t in (15.0, 30.0, 45.0, 60.0, 75.0) for p in np.arange(0.0, 360.0, 15.0)),
+]
+EXPORT_VIEWS_DEG = [(0.0, 0.0), *((t, p) for t in np.arange(5.0, 90.0, 5.0) for p in np.arange(0.0, 360.0, 15.0))]
+
+
+def run(context: Context) -> dict:
+    """Fit every model of every region; write the models, the default's exports and cloth_brdf.json."""
+    settings = context.settings
+    reflectances, decision = used_measurements(context)
+    names = tuple(dict.fromkeys((settings.model, *settings.compare)))
+    told, diagnostics = {}, {}
+    for number, region in enumerate(reflectances.regions):
+        context.progress.tell(f"region {region}: {', '.join(names)}")
+        measured = Measured.of(reflectances, number)
+        fitted = fits(context, reflectances, measured, number, names)
+        folder = Path("models") / region
+        for name, found in fitted.items():
+            save_brdf(context.output.path(str(folder / f"{name}.npz")), found.brdf)
+        several = len(reflectances.regions) > 1
+        save_brdf(context.output.path(f"brdf_{region}.npz" if several else "brdf.npz"), fitted[settings.model].brdf)
+        export(context, fitted[settings.model].brdf, f"_{region}" if several else "", reflectances.channels)
+        told[region] = {name: {"used": found.used.tolist(), **found.facts} for name, found in fitted.items()}
+        diagnostics[region] = {name: judged(measured, found) for name, found in fitted.items()}
+    stored = {"format": FORMAT, "default": settings.model, "regions": list(reflectances.regions), "models": told}
+    text = json.dumps(stored, indent=1, sort_keys=True, allow_nan=False)
+    context.output.path("cloth_brdf.json").write_text(text + "\n")
+    return {"default": settings.model, "regions": diagnostics, "economy": economy(decision)}
+
+
+def used_measurements(context: Context) -> tuple[ReflectanceSet, Decision | None]:
+    """The reflectances with the views of normal incidence that fits may use, the hemisphere completed from those."""
+    artifact = context.inputs["goniometer_samples"]
+    measured = Reflectances(artifact.folder)
+    setting = context.settings.measurements
+    made = {"grid_deg": artifact.settings["grid_deg"], "method": artifact.settings["interpolation"]}
+    if setting == "auto":
+        rows, decision = measured_choice(measured, **made) if measured.basic is not None else (None, None)
+    else:
+        rows, decision = static_choice(measured, setting)
+    if decision:
+        context.progress.tell(str(decision))
+    if rows is None:
+        return measured, decision
+    fewer = with_normal_rows(measured, rows)
+    if measured.basic is not None:
+        fewer = complete(fewer, **made)[0]
+    return fewer, decision
+
+
+def fits(context: Context, reflectances, measured: Measured, number: int, names) -> dict[str, Fitted]:
+    """All models of one region, the weave's from its own stage."""
+    basic = reflectances.basic
+    settings = context.settings
+    if basic is not None:
+        basic = (lambda views: reflectances.basic.evaluate(views, number), basic.values[number])
+    own = [name for name in names if name != "weave"]
+    out = fit_models(measured, basic, own, oblique=settings.oblique, index=settings.index)
+    if "weave" in names:
+        if "weave" not in context.inputs:
+            raise UserError("model weave: expected the artifact of the stage weave among the inputs. Remedy: run weave")
+        weave = Weave(context.inputs["weave"].folder, number)
+        out["weave"] = Fitted(weave.brdf(), np.flatnonzero(measured.normal))
+    return {name: out[name] for name in names}
+
+
+def judged(measured: Measured, found: Fitted) -> dict:
+    """Reciprocity, albedo, and the error on what the fit used, by polar angle of the light."""
+    used = measured.take(found.used)
+    predicted = found.brdf.evaluate(used.incident, used.outgoing)
+    errors = {}
+    for theta, _, rows in incidences(used.incident):
+        quarter = measured.quarter and theta < np.radians(1)
+        solid = solid_angles(used.outgoing[rows], quarter=quarter)
+        error = prediction_error(used.outgoing[rows], used.values[rows], predicted[rows], solid)
+        errors.setdefault(f"{np.degrees(theta):.0f}", []).append(error.rms_rel)
+    albedo = {}
+    for theta in ALBEDO_DEG:
+        light = unit(np.radians(theta), np.radians([0.0, 45.0, 90.0]))
+        albedo[str(theta)] = round(float(directional_albedo(found.brdf, light).max()), 5)
+    return {
+        "used": len(found.used),
+        "rms_rel_used": {angle: round(float(np.mean(values)), 5) for angle, values in errors.items()},
+        "reciprocity_error": round(reciprocity_error(found.brdf), 6),
+        "albedo_max": albedo,
+        "at_bounds": found.facts.get("at_bounds", []),
+    }
+
+
+def export(context: Context, brdf, suffix: str, channels) -> None:
+    """The default model in the formats asked for."""
+    wanted = context.settings.export
+    if "table" in wanted:
+        save_brdf(context.output.path(f"table{suffix}.npz"), TableBrdf.sample(brdf))
+    if "utia" in wanted:
+        context.output.path(f"brdf{suffix}_utia.bin").write_bytes(utia_planes(brdf).tobytes())
+    if "csv" in wanted:
+        rows = goniometer_rows(brdf, incident_deg=EXPORT_INCIDENT_DEG, outgoing_deg=EXPORT_VIEWS_DEG)
+        with context.output.path(f"brdf{suffix}.csv").open("w", newline="") as file:
+            table = csv.writer(file)
+            table.writerow(["theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg", *channels])
+            table.writerows(
+                [*(f"{angle:g}" for angle in row[:4]), *(f"{value:.6g}" for value in row[4:])] for row in rows
+            )

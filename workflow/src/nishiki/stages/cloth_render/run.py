@@ -1,0 +1,191 @@
+"""Cloth pictures: pictures of the cloth, draped and on cylinders, under its lamps and in its dyes."""
+
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.artifacts.stage import Context
+from nishiki.colour.colour import srgb_matrix
+from nishiki.errors import UserError
+from nishiki.render.cloth.cloth import Cloth, Support, drape
+from nishiki.render.cloth.dyes import dyed
+from nishiki.render.cloth.frame import ClothPicture
+from nishiki.render.cloth.mesh_store import read_surface
+from nishiki.render.cloth.models import ClothModels
+from nishiki.render.cloth.scene import Brdf, Surface
+from nishiki.render.cloth.sheet import sheet
+from nishiki.render.cloth.studio import Lighting, linear_colour, studio, tubes, turning
+from nishiki.render.cloth.tangent import from_direction, from_texture
+from nishiki.render.cloth.tone import developed, exposure_for
+from nishiki.render.output import write_exr, write_png, write_video
+from nishiki.stages.cloth_render.declaration import ClothRenderSettings
+
+AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
+SUPPORTS = {"ball": Support("ball", 0.16, 0.46), "table": Support("table", 0.24, 0.42)}
+LEVELS = ((33, 1.5), (65, 0.6), (129, 0.25), (257, 0.12))
+"""Points along a side of the cloth, coarse to fine, and the seconds simulated with each."""
+
+
+def run(context: Context) -> dict:
+    """Write every picture that the settings name."""
+    settings = context.settings
+    models = ClothModels(context.inputs["cloth_brdf"].folder)
+    brdf = models.brdf(settings.region or models.regions[0], settings.model or None)
+    context.progress.tell("the cloth falls")
+    surface, shape = surface_of(settings)
+    view = settings.view
+    place = {"elevation": np.radians(view.elevation_deg), "azimuth": np.radians(view.azimuth_deg)}
+    size = {"rows": view.rows, "columns": view.columns, "distance": view.distance}
+    stage = studio([surface], lights_of(settings), **place, **size, **room(settings))
+    cloths = dyed(brdf, {name: linear_colour(colour) for name, colour in settings.dyes.items()})
+    named, takes = {}, []
+    if settings.as_measured:
+        named |= {"drape": len(takes)}
+        takes.append(stage.take(brdf))
+        for k, name in enumerate(settings.lights):
+            named[f"drape-light-{name}"] = len(takes)
+            takes.append(stage.take(brdf, tuple(float(k == other) for other in range(len(settings.lights)))))
+    for name, cloth in cloths.items():
+        named[f"drape-dye-{name}"] = len(takes)
+        takes.append(stage.take(cloth))
+    context.progress.tell(f"{len(takes)} pictures of {view.columns} x {view.rows} pixels")
+    made = stage.render(takes, supersampling=settings.supersampling, shadows=settings.shadows) if takes else []
+    own = exposed(settings, [made[k] for name, k in named.items() if name == "drape"])
+    dyes = exposed(settings, [made[k] for name, k in named.items() if name.startswith("drape-dye-")])
+    pictures = {
+        name: save(context, name, made[k], dyes if name.startswith("drape-dye-") else own) for name, k in named.items()
+    }
+    if settings.swatches:
+        context.progress.tell("cylinders")
+        pictures |= swatches(context, brdf, cloths)
+    video, notes = film(context, surface, next(iter(cloths.values()), brdf))
+    return {
+        "region": settings.region or models.regions[0],
+        "model": settings.model or models.default,
+        "surface": shape,
+        "exposure": {"own": own, "dyes": dyes},
+        "pictures": pictures,
+        "video": video,
+        "notes": notes,
+    }
+
+
+def exposed(settings: ClothRenderSettings, pictures: list[ClothPicture]) -> float:
+    """The factor of the PNG pictures."""
+    return exposure_for(pictures) if settings.exposure == "auto" else settings.exposure
+
+
+def surface_of(settings: ClothRenderSettings) -> tuple[Surface, dict]:
+    """The draped cloth, or the surface of the file, with its weft; and what is to be said of it."""
+    if settings.mesh is not None:
+        found = read_surface(Path(settings.mesh.file), sha256=settings.mesh.sha256, smooth=settings.mesh.smooth)
+        mesh, turn = found.mesh, np.radians(settings.mesh.turned_deg)
+        if settings.mesh.weft == "texture":
+            if found.uv is None:
+                raise UserError(
+                    f"{settings.mesh.file}: expected texture coordinates, one pair a vertex, found none. Remedy: set "
+                    "mesh.weft to x, y or z, the axis along which the weft is laid on"
+                )
+            field = from_texture(mesh.vertices, mesh.triangles, mesh.normals, found.uv, turn=turn)
+        else:
+            axis = np.array(AXES[settings.mesh.weft], float)
+            field = from_direction(mesh.vertices, mesh.triangles, mesh.normals, axis, turn=turn)
+        told = {"transported": int(field.filled.sum()), "arbitrary": field.arbitrary, "sha256": found.sha256}
+        return Surface(mesh, field.weft), {"kind": "file", **sizes(mesh), **told}
+    cloth = settings.cloth
+    levels = [level for level in LEVELS if level[0] < cloth.points] + [(cloth.points, 0.25)]
+    draped = drape(
+        SUPPORTS[cloth.over],
+        Cloth(side=cloth.side_m, weight=cloth.weight_g_m2 / 1000, bend=cloth.bending_n_mm / 1000),
+        levels=tuple(n for n, _ in levels),
+        seconds=tuple(seconds for _, seconds in levels),
+        turned=np.radians(cloth.turned_deg),
+        seed=cloth.seed,
+    )
+    surface, _ = sheet(draped.points)
+    told = {name: getattr(draped, name) for name in ("settled", "strain", "strain_largest", "nearest")}
+    return surface, {"kind": cloth.over, **sizes(surface.mesh), **told}
+
+
+def sizes(mesh) -> dict:
+    """Counts of a mesh."""
+    return {"vertices": len(mesh.vertices), "triangles": len(mesh.triangles)}
+
+
+def lights_of(settings: ClothRenderSettings) -> list[Lighting]:
+    """The lamps."""
+    return [
+        Lighting(
+            np.radians(lamp.elevation_deg),
+            np.radians(lamp.azimuth_deg),
+            tuple(lamp.intensity * value for value in linear_colour(lamp.colour)),
+            np.radians(lamp.radius_deg),
+        )
+        for lamp in settings.lights.values()
+    ]
+
+
+def room(settings: ClothRenderSettings) -> dict:
+    """Light from around, and the paper."""
+    return {"level": settings.around, "reflectance": settings.paper}
+
+
+def swatches(context: Context, brdf: Brdf, cloths: dict[str, Brdf]) -> dict:
+    """Cylinders: warp upright, oblique and around, as measured or in the first dye."""
+    settings = context.settings
+    columns, rows = settings.view.columns, round(settings.view.columns * 0.62)
+    stage = studio(
+        tubes(), lights_of(settings), elevation=np.radians(12), azimuth=0.0, distance=2.6, rows=rows, columns=columns,
+        margin=1.1, **room(settings),
+    )  # fmt: skip
+    shown = brdf if settings.as_measured else next(iter(cloths.values()), brdf)
+    made = stage.render([stage.take(shown)], supersampling=settings.supersampling, shadows=settings.shadows)
+    return {"cylinders": save(context, "cylinders", made[0], exposed(settings, made))}
+
+
+def save(context: Context, name: str, picture: ClothPicture, exposure: float) -> dict:
+    """Linear EXR and 8-bit PNG; what the PNG could not show."""
+    path, settings = context.output.path, context.settings
+    xyz = picture.linear @ np.linalg.inv(srgb_matrix()).T
+    write_exr(path(f"{name}.exr"), xyz, stamp=context.stamp, colours="srgb", coverage=picture.coverage)
+    image = developed(picture.linear, picture.coverage, exposure=exposure, soft=settings.tone == "soft")
+    write_png(path(f"{name}.png"), image.pixels, stamp=context.stamp)
+    return {
+        "samples": picture.samples,
+        "evaluated": picture.evaluated,
+        "above_white": image.clipped_high,
+        "bent_normals": picture.bent,
+        "shadowed": picture.shadowed,
+        "brightest": float(picture.linear.max()),
+    }
+
+
+def film(context: Context, surface: Surface, brdf: Brdf) -> tuple[dict, list[str]]:
+    """The video: what was written, and notes."""
+    wanted = context.settings.film
+    if wanted is None:
+        return {}, []
+    frames = context.progress.through(frames_of(context, surface, brdf), wanted.frames, "frame")
+    written = write_video(
+        context.output.path("film.mp4"), frames, frames_per_second=wanted.frames_per_second, stamp=context.stamp
+    )
+    return {"frames": written.frames, "file": written.path.name}, [written.note] if written.note else []
+
+
+def frames_of(context: Context, surface: Surface, brdf: Brdf):
+    """Frames (rows, columns, 3) uint8; a turn of the cloth is one of camera and lamps about it."""
+    settings, wanted = context.settings, context.settings.film
+    rows = round(wanted.columns * settings.view.rows / settings.view.columns)
+    rows += rows % 2
+    view = settings.view
+
+    stage = studio(
+        [surface], lights_of(settings), elevation=np.radians(view.elevation_deg), azimuth=np.radians(view.azimuth_deg),
+        distance=view.distance, rows=rows, columns=wanted.columns, wall=False, **room(settings),
+    )  # fmt: skip
+    exposure = None
+    for angle in turning(wanted.frames):
+        now = stage.turned(angle) if wanted.moves == "turn" else stage.lit_from(angle)
+        picture = now.render([now.take(brdf)], supersampling=wanted.supersampling, shadows=settings.shadows)[0]
+        exposure = exposure or exposed(settings, [picture])
+        yield developed(picture.linear, picture.coverage, exposure=exposure, soft=settings.tone == "soft").pixels

@@ -1,0 +1,132 @@
+"""Reflection: Lambert and the simplified Torrance-Sparrow model at every texel of an object."""
+
+import json
+from dataclasses import asdict
+
+import numpy as np
+
+from nishiki.artifacts.stage import Context
+from nishiki.atlas.store import Texels
+from nishiki.brdf.texels.lambert_object import fit_lambert
+from nishiki.brdf.texels.lighting import Lighting
+from nishiki.brdf.texels.model import GRAZING, factors
+from nishiki.brdf.texels.object_fit import fit_object
+from nishiki.brdf.texels.settle import Sample, sample_texels, settle
+from nishiki.brdf.texels.store import ParameterWriter
+from nishiki.brdf.texels.tile import Capture, Tile
+from nishiki.colour.encoding import encoding_slope
+from nishiki.errors import UserError
+from nishiki.model_selection.decision import Decision, economy
+from nishiki.model_selection.object_gloss import decided, unseen_gain
+from nishiki.observations.views import Views
+from nishiki.threads import threads
+
+
+def run(context: Context) -> dict:
+    """Settle the lighting on a sample of texels, then fit tile by tile."""
+    settings = context.settings
+    texels, views = Texels(context.inputs["texels"].folder), Views(context.inputs["ingest"].folder)
+    separated = settings.components != "total" and {"diffuse", "specular"} <= set(texels.components)
+    read = reader(texels, separated, settings.hold_out)
+    lighting, cameras, light_of = lamps(texels, views, settings.lighting)
+    numbers = list(range(texels.tiles))
+    sample = sample_texels(read, numbers)
+    lighting, found = settle(lighting, sample, cameras, light_of, falloff=settings.falloff, encoding=texels.encoding)
+    capture = Capture(
+        np.array([camera.centre for camera in cameras]),
+        [lighting.lamp(camera, int(light)) for camera, light in zip(cameras, light_of, strict=True)],
+        texels.encoding,
+    )
+    out = ParameterWriter(
+        context.output.folder, tiles=texels.tiles, size=texels.size, channels=channels(texels), stamp=context.stamp
+    )
+    context.progress.tell(f"{texels.tiles} tiles, {len(cameras)} observations")
+    specular, decision = shows_gloss(sample, capture, settings.specular)
+    context.progress.tell(str(decision))
+    if specular:
+        fit = fit_object(
+            read,
+            numbers,
+            capture,
+            out.write,
+            width=settings.width,
+            method=settings.method,
+            apart=settings.components == "apart",
+            threads=threads(),
+        )
+    else:
+        fit = fit_lambert(read, numbers, capture, out.write, threads=threads())
+    used = settings.components if separated else "total"
+    report = {"lighting": lighting.as_dict(), "found": found, "fit": asdict(fit), "components": used}
+    report["specular"] = specular
+    text = json.dumps(report, indent=1, sort_keys=True, allow_nan=False)
+    context.output.path("object_brdf.json").write_text(text + "\n")
+    return {
+        "lighting": lighting.kind,
+        **found,
+        **asdict(fit),
+        "at_bounds": widths_at_bounds(fit.at_bound_share) if specular else [],
+        "components": used,
+        "width": settings.width,
+        "economy": economy(decision),
+    }
+
+
+def widths_at_bounds(share: float) -> list[str]:
+    """In words: the share of texels whose own lobe ended at the end of the range of its width; empty where none did."""
+    return [f"width of the lobe, {100 * share:.2g} % of the texels; the neighbours' is taken there"] if share else []
+
+
+def shows_gloss(sample: Sample, capture: Capture, setting: str) -> tuple[bool, Decision]:
+    """Whether the specular part is fitted, by the setting or by a sample of texels, and what was decided."""
+    if setting != "auto":
+        return setting == "keep", decided(None, setting)
+    shape = sample.visible.shape
+    diffuse, attenuation, alpha, weights = (np.zeros(shape, np.float32) for _ in range(4))
+    for o, (centre, lamp) in enumerate(zip(capture.centres, capture.lamps, strict=True)):
+        irradiance, angles = factors(sample.positions, sample.normals, centre, lamp, 1)
+        facing = np.maximum(angles[:, 1], 0)
+        diffuse[:, o], alpha[:, o] = irradiance[:, 0], np.sqrt(angles[:, 2])
+        attenuation[:, o] = angles[:, 0] / np.maximum(facing, GRAZING)
+        weights[:, o] = sample.visible[:, o] * facing
+    weights *= np.isfinite(sample.values).all(axis=-1)
+    values = np.nan_to_num(sample.values)
+    if capture.encoding == "srgb":
+        weights *= encoding_slope(values.mean(axis=-1), "srgb") ** 2
+    found = unseen_gain(values, diffuse, attenuation, alpha, weights)
+    return found.keep, decided(found, setting)
+
+
+def channels(texels: Texels) -> int:
+    """Number of channels of the store."""
+    return texels.channels if isinstance(texels.channels, int) else len(texels.channels)
+
+
+def lamps(texels: Texels, views: Views, kind: str) -> tuple[Lighting, list, np.ndarray]:
+    """The lighting as stated, the camera of every observation and the index of its light."""
+    count = len(texels.lights)
+    stated = {"camera": {"kind": "camera"}, "fitted": {"kind": "unknown"}}.get(kind, views.lamp)
+    lighting = Lighting.from_capture(stated, lights=count, unit=views.unit)
+    cameras = list(texels.cameras)
+    if texels.observations != count * len(cameras):
+        raise UserError(
+            f"texels: {texels.observations} observations, expected {count} lights x {len(cameras)} views. Remedy: "
+            "run the texels stage again."
+        )
+    light_of = np.repeat(np.arange(count), len(cameras))
+    return lighting, cameras * count, light_of
+
+
+def reader(texels: Texels, separated: bool, hold_out: tuple[str, ...]):
+    """read(tile) for the fit; views left out are not visible in it, whatever the store holds."""
+    kept = np.array([view not in hold_out for _ in texels.lights for view in texels.views])
+
+    def read(tile: int) -> Tile:
+        positions, normals, inside = texels.geometry(tile)
+        visible = texels.visible(tile) & kept[:, None, None]
+        if separated:
+            values, specular = texels.read("diffuse", tile), texels.read("specular", tile)
+            return Tile(values, visible, positions, normals, inside, specular)
+        return Tile(texels.read("total", tile), visible, positions, normals, inside)
+
+    return read
