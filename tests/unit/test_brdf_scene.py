@@ -5,10 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from captures import make_capture
+from published_fits import fit_brightest_light
 
 from nishiki.artifacts.maps import Maps, MapWriter
 from nishiki.brdf.body_shading import transmittance
-from nishiki.brdf.brightest_light import brightest_light_samples, fit_brightest_light, thin
+from nishiki.brdf.brightest_light import brightest_light_samples, thin
 from nishiki.brdf.flags import FitFlag
 from nishiki.brdf.scene import fit_scene
 from nishiki.brdf.specular_histogram import COUNT, SpecularHistogram

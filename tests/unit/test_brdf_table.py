@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+import reflectance_table as rt
 from scipy.optimize import least_squares
 
-from nishiki.brdf import reflectance_table as rt
 from nishiki.brdf.torrance_sparrow import attenuation, facet_distribution, half_vector_geometry
 from nishiki.errors import UserError
 

@@ -18,7 +18,6 @@ from nishiki.render.output import (
     write_normals_exr,
     write_normals_png,
     write_png,
-    write_spectral_exr,
     write_video,
 )
 
@@ -92,16 +91,7 @@ def test_exr_in_srgb_primaries_and_half(tmp_path):
         write_exr(tmp_path / "b.exr", xyz, stamp=STAMP, colours="lab")
 
 
-def test_spectral_and_normals_exr(tmp_path):
-    wavelengths = np.arange(400, 701, 5)
-    spectra = np.random.default_rng(1).uniform(0, 1, (3, 4, 61)).astype(np.float32)
-    write_spectral_exr(tmp_path / "s.exr", spectra, wavelengths, stamp=STAMP, half=False)
-    header, channels = read_exr(tmp_path / "s.exr")
-    assert header["spectralLayoutVersion"] == "1.0"
-    assert len(channels) == 61
-    np.testing.assert_array_equal(channels["T.550,000000nm"], spectra[..., 30])
-    with pytest.raises(UserError, match="bands"):
-        write_spectral_exr(tmp_path / "s.exr", spectra, wavelengths[1:], stamp=STAMP)
+def test_normals_exr(tmp_path):
     normals = np.zeros((3, 4, 3), np.float32) + np.float32([0.6, 0, 0.8])
     write_normals_exr(tmp_path / "n.exr", normals, stamp=STAMP)
     np.testing.assert_array_equal(read_exr(tmp_path / "n.exr")[1]["N.X"], normals[..., 0])

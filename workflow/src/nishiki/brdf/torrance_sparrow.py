@@ -214,24 +214,6 @@ def specular(normals, lights, views, *, beta, gamma, refractive_index) -> np.nda
     return beta * facet_distribution(geometry.phi, gamma) * attenuation(geometry, refractive_index)
 
 
-def simplified_specular(alpha, cos_r, *, strength, sigma) -> np.ndarray:
-    """K_s / cos_r exp(-alpha^2 / (2 sigma^2)) of Miyazaki et al. (2007), eq. 8: `alpha` angle(normal, half vector) and
-    `sigma` in radians.
-
-    `strength` is K_s, relative to the white reference.  The form has no masking to hold it at grazing view: it grows
-    as 1 / cos_r, and is 0 where the view is not above the surface (cos_r <= 0).
-    """
-    cos_r = np.asarray(cos_r)
-    seen = cos_r > 0
-    lobe = facet_distribution(alpha, gamma_from_sigma(sigma))
-    return np.where(seen, strength * lobe / np.where(seen, cos_r, 1), 0)
-
-
 def gamma_from_sigma(sigma):
     """Half width at half maximum of a Gaussian of standard deviation sigma: gamma = sigma sqrt(2 ln 2)."""
     return sigma * GAMMA_PER_SIGMA
-
-
-def sigma_from_gamma(gamma):
-    """Standard deviation of a Gaussian of half width gamma: sigma = gamma / sqrt(2 ln 2)."""
-    return gamma / GAMMA_PER_SIGMA

@@ -20,11 +20,11 @@ from nishiki.observations.choice import chosen
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.goniometer_frames import code_problems, region_labels, white_level, windowed
 from nishiki.observations.reference import DarkField, Edges, measure_darks
+from nishiki.observations.store_parts import PhotographCounter, Tick, write_small_arrays
 
 STORE, NAMES, TABLE = "goniometer.zarr", "goniometer.json", "table.npz"
 FORMAT = 1
 CHUNK_BYTES = 4 << 20
-Tick = Callable[[str], None]
 
 
 class Settings(Protocol):
@@ -75,13 +75,7 @@ def write_goniometer(
         return _write_table(capture, folder)
     choice = chosen(capture, settings.without)
     capture = choice.capture
-    done, total = [0], len(capture.frames)
-
-    def tick(file: str) -> None:
-        done[0] += 1
-        if progress:
-            progress(done[0], total, file)
-
+    tick = PhotographCounter(progress, len(capture.frames))
     reader = windowed(FrameReader.of(capture, settings.channels, unopened=choice.files), capture)
     edges = tuple(block_edges(n, settings.white_block) for n in reader.region[2:])
     import zarr
@@ -91,7 +85,10 @@ def write_goniometer(
     frames = (*capture.observed, *capture.frames_of("white"))
     group = zarr.open_group(folder / STORE, mode="w-", zarr_format=3)
     found = _write_codes(folder / STORE, group, reader, frames, darks, edges, tick)
-    _write_fields(group, reader, darks, labels)
+    shape = np.broadcast_shapes(*(level.shape for level in darks.levels))
+    levels = np.stack([np.broadcast_to(level, shape) for level in darks.levels]).astype(np.float32)
+    arrays = {"dark": levels} if labels is None else {"dark": levels, "regions": labels}
+    write_small_arrays(group, reader, darks.defect, arrays)
     _write_names(capture, folder, reader, frames, darks, settings.white_block)
     problems = (*capture.warnings, *reader.warnings(), *darks.problems, *found.problems)
     return GoniometerDiagnostics(
@@ -159,20 +156,6 @@ def _in_blocks(reader: FrameReader, frames: tuple[Frame, ...], depth: int, tick:
         if i % depth == depth - 1 or i == len(frames) - 1:
             yield block
             block = np.zeros(shape, reader.dtype)
-
-
-def _write_fields(group, reader: FrameReader, darks: DarkField, labels: np.ndarray | None) -> None:
-    """The small arrays beside the codes."""
-    shape = np.broadcast_shapes(*(level.shape for level in darks.levels))
-    fields = {"dark": np.stack([np.broadcast_to(level, shape) for level in darks.levels]).astype(np.float32)}
-    if reader.dtype.kind == "u":
-        fields["lut"] = reader.table
-    if darks.defect.any():
-        fields["defect"] = darks.defect.astype(np.uint8)
-    if labels is not None:
-        fields["regions"] = labels
-    for name, values in fields.items():
-        create_array(group, name, values.shape, values.shape, values.dtype)[...] = values
 
 
 def _write_names(

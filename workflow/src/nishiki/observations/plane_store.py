@@ -12,20 +12,25 @@ import numpy as np
 from nishiki.capture.folder import Capture
 from nishiki.capture.frames import Frame
 from nishiki.formats.images import read_labels, read_mask
-from nishiki.formats.problems import CaptureError, Problem, error, warning
+from nishiki.formats.problems import CaptureError, Problem, error
 from nishiki.formats.zarr_chunks import chunk_path, create_array, write_chunk
 from nishiki.observations.choice import chosen
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.pairs_check import PairLevels
 from nishiki.observations.plane_decode import count_unusable
-from nishiki.observations.reference import DarkField, Gains, measure_darks, measure_gains
+from nishiki.observations.reference import Gains, measure_darks, measure_gains
 from nishiki.observations.region import edges_of, region_around, window_of
+from nishiki.observations.store_parts import (
+    PhotographCounter,
+    refuse_unusable,
+    sample_warnings,
+    write_small_arrays,
+)
 from nishiki.observations.tiles import bands_with_object, rows_of_band
 
 STORE = "frames.zarr"
 FORMAT = 1
 ALL_SATURATED = 0.99
-MANY_SATURATED = 0.05
 MANY_REGIONS = 256
 
 
@@ -100,7 +105,9 @@ def write_observations(
     settings = settings or IngestSettings()
     choice = chosen(capture, settings.without)
     capture = choice.capture
-    tick = _Ticker(progress, len(capture.frames_of("dark")) + len(capture.frames_of("white")) + len(capture.observed))
+    tick = PhotographCounter(
+        progress, len(capture.frames_of("dark")) + len(capture.frames_of("white")) + len(capture.observed)
+    )
     reader = FrameReader.of(capture, settings.channels, unopened=choice.files)
     asked, mask = reader.region, mask_of(capture, reader)
     if capture.mask is not None:
@@ -119,22 +126,14 @@ def write_observations(
         Path(folder) / STORE, group, reader, mask, band_rows, settings.compression, tick, look
     )
     defect = darks.defect | gains.defect
-    _write_fields(group, reader, mask, defect, darks, gains)
+    arrays = {"mask": mask, "gain": gains.gain, "dark": darks.for_frames(capture.observed)}
+    labels = regions_of(capture, reader)
+    if labels is not None:
+        arrays["regions"] = labels
+    write_small_arrays(group, reader, defect, arrays)
     group.attrs.update({**_attributes(capture, reader, settings, band_rows), "asked_region": list(asked)})
     problems = (*capture.warnings, *reader.warnings(), *darks.problems, *gains.problems, *pairs.problems(), *problems)
     return _diagnostics(reader, counts, mask, defect, gains, problems, band_rows)
-
-
-class _Ticker:
-    """Counts photographs for the caller's progress line."""
-
-    def __init__(self, progress: Callable[[int, int, str], None] | None, total: int):
-        self.progress, self.total, self.done = progress, total, 0
-
-    def __call__(self, file: str) -> None:
-        self.done += 1
-        if self.progress:
-            self.progress(self.done, self.total, file)
 
 
 def mask_of(capture: Capture, reader: FrameReader) -> np.ndarray:
@@ -222,35 +221,9 @@ def frame_problems(frame: Frame, counts: np.ndarray, highest: float, reader: Fra
     """What the sample values of one frame say; CaptureError (bits-exceeded, all-saturated, all-dark) if unusable."""
     saturated, dark, broken, inside = (int(v) for v in counts)
     reader.see(frame, highest)
-    if saturated > ALL_SATURATED * inside:
-        remedy = "Expose less, or leave this light out"
-        raise CaptureError(error("all-saturated", frame.file, "the whole object is saturated", remedy=remedy))
-    if dark > ALL_SATURATED * inside:
-        remedy = "Expose longer, or leave this light out"
-        raise CaptureError(error("all-dark", frame.file, "the whole object is black", remedy=remedy))
-    problems = []
-    if broken:
-        found = f"{broken} pixels"
-        problems.append(warning("not-finite", frame.file, "NaN or infinite samples are not used", found=found))
-    if saturated > MANY_SATURATED * inside:
-        found = f"{100 * saturated / inside:.1f} % of the object"
-        problems.append(warning("many-saturated", frame.file, "many saturated samples", found=found))
-    return problems
-
-
-def _write_fields(group, reader: FrameReader, mask: np.ndarray, defect: np.ndarray, darks: DarkField, gains: Gains):
-    """The small arrays beside the codes."""
-    fields = {"mask": mask, "gain": gains.gain, "dark": darks.for_frames(reader.capture.observed)}
-    if reader.dtype.kind == "u":
-        fields["lut"] = reader.table
-    if defect.any():
-        fields["defect"] = defect.astype(np.uint8)
-    labels = regions_of(reader.capture, reader)
-    if labels is not None:
-        fields["regions"] = labels
-    for name, values in fields.items():
-        array = create_array(group, name, values.shape, values.shape, values.dtype)
-        array[...] = values
+    limit = ALL_SATURATED * inside
+    refuse_unusable(frame, bright=saturated > limit, black=dark > limit, shown="object", leave_out="light")
+    return sample_warnings(frame, broken, saturated, inside)
 
 
 def _attributes(capture: Capture, reader: FrameReader, settings: Settings, band_rows: int) -> dict:

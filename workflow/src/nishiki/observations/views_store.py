@@ -13,7 +13,7 @@ from nishiki.capture.frames import Frame
 from nishiki.capture.turntable import TurntableCapture
 from nishiki.colour.encoding import encode
 from nishiki.formats.images import read_mask
-from nishiki.formats.problems import CaptureError, Problem, error, warning
+from nishiki.formats.problems import CaptureError, Problem, error
 from nishiki.formats.zarr_chunks import chunk_path, create_array, write_chunk
 from nishiki.observations.blocks import block_edges
 from nishiki.observations.choice import chosen
@@ -21,13 +21,18 @@ from nishiki.observations.frames import FrameReader
 from nishiki.observations.linearise import LUMA_WEIGHTS
 from nishiki.observations.plane_decode import count_unusable
 from nishiki.observations.reference import DarkField, Edges, measure_darks
+from nishiki.observations.store_parts import (
+    PhotographCounter,
+    Tick,
+    refuse_unusable,
+    sample_warnings,
+    write_small_arrays,
+)
 from nishiki.observations.views_attributes import attributes_of
 from nishiki.observations.views_white import Whites, mean_boards, measure_whites
 
 STORE = "views.zarr"
 ALL_SATURATED = 0.99
-MANY_SATURATED = 0.05
-Tick = Callable[[str], None]
 
 
 class Settings(Protocol):
@@ -83,13 +88,7 @@ def write_views(
     """
     choice = chosen(capture, settings.without)
     capture, opened = choice.capture, "photographs" not in choice.skipped
-    done, total = [0], len(capture.frames) - (0 if opened else len(capture.observed))
-
-    def tick(file: str) -> None:
-        done[0] += 1
-        if progress:
-            progress(done[0], total, file)
-
+    tick = PhotographCounter(progress, len(capture.frames) - (0 if opened else len(capture.observed)))
     reader = FrameReader.of(capture, settings.channels, unopened=choice.files)
     edges = tuple(block_edges(n, settings.white_block) for n in (reader.rows, reader.columns))
     import zarr
@@ -103,7 +102,8 @@ def write_views(
     boards = _write_boards(path, group, reader, darks, whites, edges, tick)
     _write_calibration(path, group, reader, tick)
     defect = darks.defect | whites.defect
-    _write_fields(group, reader, darks, whites, defect)
+    arrays = {"gain": whites.gain, "dark": darks.for_frames(capture.observed)}
+    write_small_arrays(group, reader, defect, arrays)
     block = settings.white_block
     group.attrs.update(attributes_of(capture, reader, whites, white_block=block, silhouettes=outlines, boards=boards))
     problems = (*capture.warnings, *reader.warnings(), *darks.problems, *whites.problems, *problems)
@@ -173,21 +173,11 @@ def view_problems(
     """
     saturated, dark, broken, inside = (int(v) for v in counts)
     reader.see(frame, highest)
-    if saturated > (ALL_SATURATED * inside if outlined else inside - 1):
-        remedy = "Expose less, or leave this photograph out"
-        raise CaptureError(error("all-saturated", frame.file, "the whole object is saturated", remedy=remedy))
-    if dark == inside:
-        remedy = "Expose longer, or leave this photograph out"
-        raise CaptureError(error("all-dark", frame.file, "the whole picture is black", remedy=remedy))
-    problems = []
-    if broken:
-        found = f"{broken} pixels"
-        problems.append(warning("not-finite", frame.file, "NaN or infinite samples are not used", found=found))
-    bright = reader.capture.settings.turntable.background == "bright" and not outlined
-    if saturated > MANY_SATURATED * inside and not bright:
-        found = f"{100 * saturated / inside:.1f} % of the {'object' if outlined else 'picture'}"
-        problems.append(warning("many-saturated", frame.file, "many saturated samples", found=found))
-    return problems
+    bright = saturated > (ALL_SATURATED * inside if outlined else inside - 1)
+    refuse_unusable(frame, bright=bright, black=dark == inside, shown="picture", leave_out="photograph")
+    expected = reader.capture.settings.turntable.background == "bright" and not outlined
+    shown = "object" if outlined else "picture"
+    return sample_warnings(frame, broken, 0 if expected else saturated, inside, shown=shown)
 
 
 def _write_boards(
@@ -225,18 +215,6 @@ def grey_picture(codes: np.ndarray, reader: FrameReader) -> np.ndarray:
     if reader.capture.settings.camera.encoding == "linear":
         grey = encode(np.nan_to_num(grey), "srgb")
     return np.rint(255 * np.clip(grey, 0, 1)).astype(np.uint8)[:, :, None]
-
-
-def _write_fields(group, reader: FrameReader, darks: DarkField, whites: Whites, defect: np.ndarray) -> None:
-    """The small arrays beside the codes."""
-    fields = {"gain": whites.gain, "dark": darks.for_frames(reader.capture.observed)}
-    if reader.dtype.kind == "u":
-        fields["lut"] = reader.table
-    if defect.any():
-        fields["defect"] = defect.astype(np.uint8)
-    for name, values in fields.items():
-        array = create_array(group, name, values.shape, values.shape, values.dtype)
-        array[...] = values
 
 
 def _diagnostics(

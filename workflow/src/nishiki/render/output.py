@@ -1,4 +1,4 @@
-"""Pictures to files: OpenEXR (linear XYZ or sRGB primaries, normals, spectra), PNG, and moving pictures.
+"""Pictures to files: OpenEXR (linear XYZ or sRGB primaries, normals), PNG, and moving pictures.
 
 Every file carries the stamp that the caller gives (scene, stage, key, project version) and is written under another
 name first, then renamed.  EXR and PNG bytes depend on the values alone: no date, no host.
@@ -63,21 +63,6 @@ def write_normals_exr(path: Path, normals: np.ndarray, *, stamp: Mapping[str, st
     """Unit normals (rows, columns, 3) as float32 channels N.X, N.Y, N.Z: x right, y up, z out of the surface."""
     channels = {f"N.{n}": np.ascontiguousarray(normals[..., k], np.float32) for k, n in enumerate("XYZ")}
     _write_exr(path, {}, channels, stamp)
-
-
-def write_spectral_exr(
-    path: Path, reflectance: np.ndarray, wavelengths_nm: np.ndarray, *, stamp: Mapping[str, str], half: bool = True
-) -> None:
-    """Reflectance (rows, columns, bands) in the spectral layout of Fichet, Pacanowski and Wilkie 2021, version 1.0.
-
-    One channel a band, "T.550,000000nm" for a reflectance (JCGT 10(3), An OpenEXR layout for spectral images).
-    """
-    if reflectance.shape[-1] != len(wavelengths_nm):
-        raise UserError(f"spectral EXR: expected {len(wavelengths_nm)} bands, found {reflectance.shape[-1]}")
-    kind = np.float16 if half else np.float32
-    names = [f"T.{wavelength:.6f}nm".replace(".", ",").replace(",", ".", 1) for wavelength in wavelengths_nm]
-    channels = {name: np.ascontiguousarray(reflectance[..., k], kind) for k, name in enumerate(names)}
-    _write_exr(path, {"spectralLayoutVersion": "1.0"}, channels, stamp)
 
 
 def _write_exr(path: Path, header: dict, channels: dict, stamp: Mapping[str, str]) -> None:

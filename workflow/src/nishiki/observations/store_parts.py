@@ -1,0 +1,59 @@
+"""What the stores of all three geometries share: counting photographs, judging their samples, the small arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from nishiki.capture.frames import Frame
+from nishiki.formats.problems import CaptureError, Problem, error, warning
+from nishiki.formats.zarr_chunks import create_array
+from nishiki.observations.frames import FrameReader
+
+MANY_SATURATED = 0.05
+Tick = Callable[[str], None]
+
+
+class PhotographCounter:
+    """Called with the file of each photograph done; calls progress(done, of, file)."""
+
+    def __init__(self, progress: Callable[[int, int, str], None] | None, total: int):
+        self.progress, self.total, self.done = progress, total, 0
+
+    def __call__(self, file: str) -> None:
+        self.done += 1
+        if self.progress:
+            self.progress(self.done, self.total, file)
+
+
+def refuse_unusable(frame: Frame, *, bright: bool, black: bool, shown: str, leave_out: str) -> None:
+    """CaptureError (all-saturated, all-dark) for a photograph that cannot be used; shown: what of it is black."""
+    if bright:
+        remedy = f"Expose less, or leave this {leave_out} out"
+        raise CaptureError(error("all-saturated", frame.file, "the whole object is saturated", remedy=remedy))
+    if black:
+        remedy = f"Expose longer, or leave this {leave_out} out"
+        raise CaptureError(error("all-dark", frame.file, f"the whole {shown} is black", remedy=remedy))
+
+
+def sample_warnings(frame: Frame, broken: int, saturated: int, inside: int, *, shown: str = "object") -> list[Problem]:
+    """Warnings of a photograph's counts: samples that are not finite, many saturated ones of the `inside` pixels."""
+    problems = []
+    if broken:
+        what = "NaN or infinite samples are not used"
+        problems.append(warning("not-finite", frame.file, what, found=f"{broken} pixels"))
+    if saturated > MANY_SATURATED * inside:
+        found = f"{100 * saturated / inside:.1f} % of the {shown}"
+        problems.append(warning("many-saturated", frame.file, "many saturated samples", found=found))
+    return problems
+
+
+def write_small_arrays(group, reader: FrameReader, defect: np.ndarray, arrays: dict[str, np.ndarray]) -> None:
+    """These arrays, the linearisation `lut` of integer codes, and `defect` where a pixel has one."""
+    if reader.dtype.kind == "u":
+        arrays = {**arrays, "lut": reader.table}
+    if defect.any():
+        arrays = {**arrays, "defect": defect.astype(np.uint8)}
+    for name, values in arrays.items():
+        create_array(group, name, values.shape, values.shape, values.dtype)[...] = values
