@@ -11,11 +11,12 @@ import nishiki.simulate
 from nishiki import threads
 from nishiki.errors import UserError
 from nishiki.simulate import photographs
-from nishiki.simulate.lamp import board_cosine, direction_error_deg, place_lamps, planck_spectrum
-from nishiki.simulate.objects import make_object
-from nishiki.simulate.photographs import BOARD_REFLECTANCE, dark_frame, make_tables, photograph, white_board
+from nishiki.simulate.painting.lamp import board_cosine, direction_error_deg, place_lamps, planck_spectrum
+from nishiki.simulate.painting.objects import make_object
+from nishiki.simulate.painting.photographs import BOARD_REFLECTANCE, dark_frame, make_tables, photograph, white_board
+from nishiki.simulate.painting.settings import LightSettings, SimulationSettings
 from nishiki.simulate.sensor import FINE_NM, expose, sensitivities
-from nishiki.simulate.settings import CameraSettings, LightSettings, SimulationSettings
+from nishiki.simulate.settings import CameraSettings
 
 TINY = SimulationSettings(rows=64, columns=96)
 QUIET = CameraSettings(noise=False, bits=16)

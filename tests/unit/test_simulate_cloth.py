@@ -10,15 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nishiki.errors import UserError
-from nishiki.simulate.cloth.directions import hemisphere_views, quarter_views, session, unit
 from nishiki.simulate.cloth.filament import body, facets, in_frame
-from nishiki.simulate.cloth.path import SAMPLES, centre_line, make_descent
-from nishiki.simulate.cloth.pattern import weave_pattern
 from nishiki.simulate.cloth.points import turned_frame
-from nishiki.simulate.cloth.presets import make_settings
 from nishiki.simulate.cloth.rays import escapes, first_hit, inside
 from nishiki.simulate.cloth.reflectance import make_cloth, seen_from, trace
-from nishiki.simulate.cloth.sections import highest, sections
+from nishiki.simulate.cloth.settings import hemisphere_views, make_settings, quarter_views, session, unit
+from nishiki.simulate.cloth.yarn_path import SAMPLES, centre_line, make_descent, weave_pattern
 from nishiki.simulate.reflection import fresnel
 
 QUALITY = {"candidates": 30_000, "chains": 12_000}
@@ -339,17 +336,3 @@ def test_satin_shines_along_the_weft_plane_farther_than_along_the_warp(satin):
     black = make_cloth(make_settings("satin", dye="black", repeats=1), **QUALITY)
     weft, warp = (trace(black, unit(0, 0), unit(np.array([50.0, 60.0, 70.0]), phi))[:, 0].mean() for phi in (0.0, 90.0))
     assert weft > 1.8 * warp
-
-
-def test_sections_show_the_yarns(satin):
-    found = sections(satin.solids)
-    assert len(found["weft"]) == len(found["warp"]) == 5
-    for plane, system in (("weft", satin.solids.weft), ("warp", satin.solids.warp)):
-        for section in found[plane]:
-            surface, along = np.array(section["surface"]), np.array(section["along"])
-            upper = np.interp(surface[:, 0], *along[: len(along) // 2].T)
-            assert (surface[:, 1] >= upper - 1e-3).all()  # nothing is below the yarn that runs along the section
-            assert len(section["across"]) == 5
-            assert surface[-1, 0] < system.length
-    flat = highest(satin.solids, np.random.default_rng(0).uniform(0.0, 0.5, (500, 2)))
-    assert flat.max() <= satin.solids.numbers[3]

@@ -7,8 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nishiki.simulate.palette import REGIONS, make_palette
-from nishiki.simulate.pigments import PIGMENTS, grey, mixture, surface_corrected, thick_layer
+from nishiki.simulate.painting.paints import (
+    PIGMENTS,
+    REGIONS,
+    grey,
+    make_palette,
+    mixture,
+    surface_corrected,
+    thick_layer,
+)
 from nishiki.simulate.reflection import fresnel, ggx_gloss, rough_body
 
 cosines = st.floats(1e-6, 1.0)

@@ -6,9 +6,14 @@ import numpy as np
 import pytest
 
 from nishiki.simulate import relief
-from nishiki.simulate.bounce import bounced_irradiance
-from nishiki.simulate.relief import level_out, pixel_maps, weave_under_paint
-from nishiki.simulate.shadows import lit_share, shadow_map
+from nishiki.simulate.painting.relief import (
+    bounced_irradiance,
+    level_out,
+    lit_share,
+    pixel_maps,
+    visible_share,
+    weave_under_paint,
+)
 
 
 def hills(size=48, seed=0):
@@ -43,6 +48,13 @@ def disc(direction, radius, count=24):
     up = np.cross(side, direction)
     points = direction + np.tan(r)[:, None] * (np.cos(turn)[:, None] * side + np.sin(turn)[:, None] * up)
     return points / np.linalg.norm(points, axis=1, keepdims=True)
+
+
+def shadow_map(height, light, *, step_mm, angular_radius):
+    """Share of the lamp that each sample sees past the relief."""
+    rest = (*light, step_mm, float(height.max()), angular_radius)
+    rows, columns = height.shape
+    return np.array([[visible_share(height, i, j, *rest) for j in range(columns)] for i in range(rows)])
 
 
 @pytest.mark.parametrize("azimuth", [0.3, 2.0, 4.1])

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
-from nishiki.simulate.canvas_map import CanvasMap
+from nishiki.simulate.painting.picture import CanvasMap
+from nishiki.simulate.painting.strokes import Strokes, apply_strokes, stroke_profile
 from nishiki.simulate.randomness import fractal_noise, hash_uint, line_noise, normal, plane_noise, uniform
-from nishiki.simulate.strokes import Strokes, apply_strokes, stroke_profile
 
 MASK = (1 << 64) - 1
 

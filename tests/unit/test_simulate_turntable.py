@@ -12,14 +12,13 @@ import nishiki.simulate.turntable
 from nishiki import threads
 from nishiki.errors import UserError
 from nishiki.simulate.settings import CameraSettings
-from nishiki.simulate.turntable import describe as words
 from nishiki.simulate.turntable.interreflection import bounced, cosine_directions, look_around
 from nishiki.simulate.turntable.materials import NUMBERS, describe
 from nishiki.simulate.turntable.optics import INDEX, reflected
 from nishiki.simulate.turntable.photographs import components, make_optics, photograph, signal, white_board
 from nishiki.simulate.turntable.rays import cast, make_tree
 from nishiki.simulate.turntable.render import irradiance, make_scene, see
-from nishiki.simulate.turntable.settings import BETA, BOARD_REFLECTANCE, LEAK, TurntableSettings
+from nishiki.simulate.turntable.settings import BETA, BOARD_REFLECTANCE, LAMP_MM, LEAK, TurntableSettings
 from nishiki.simulate.turntable.shape import distance
 from nishiki.simulate.turntable.surface import Surface, make_surface, scanned
 from nishiki.simulate.turntable.viewpoints import place_views
@@ -321,7 +320,7 @@ def test_camera_goes_round_the_object():
     for view in views:
         assert np.linalg.det(view.rotation) == pytest.approx(1)
         lamp = view.rotation @ (view.lamp - view.centre)
-        np.testing.assert_allclose(lamp * [1, -1, -1], [float(v) for v in words.light_table()[1][1:]])
+        np.testing.assert_allclose(lamp * [1, -1, -1], LAMP_MM)
     turns = [math.degrees(math.atan2(v.centre[0], v.centre[2])) for v in views]
     np.testing.assert_allclose(np.diff(np.unwrap(turns, period=360)), -10, atol=1e-9)
 

@@ -1,17 +1,10 @@
-"""What a simulated capture looks like: one frozen set of settings, checked when it is made."""
+"""What all simulated captures have in common: the camera, and how settings are checked."""
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 from nishiki.errors import UserError
-
-ROUGHNESS = {"none": 0.0, "matte": 0.42, "satin": 0.22, "varnish": 0.11}
-RELIEFS = ("flat", "canvas", "impasto")
-SCENES = ("painting", "spheres")
-BODIES = ("rough", "lambert")
-PRESETS = {"painting": (384, 512), "tiny": (64, 96), "large": (1536, 2048), "full": (3000, 4000)}
 
 
 @dataclass(frozen=True)
@@ -32,105 +25,34 @@ class CameraSettings:
     white_level: float = 0.7
     noise: bool = True
 
-
-@dataclass(frozen=True)
-class LightSettings:
-    """The lamp and where it stands.
-
-    rings, ring_lights : number of rings and of lights in each. top : whether there is a light beside the camera.
-    checks_deg : incidence of the check lights. distance_mm : from the centre of the object; None = 80 half diagonals.
-    angular_diameter_deg : of the lamp seen from the object. colour_temperature_k : of its Planckian spectrum.
-    """
-
-    rings: int = 1
-    ring_lights: int = 8
-    top: bool = True
-    checks_deg: tuple[float, ...] = (20.0, 30.0, 50.0, 60.0)
-    distance_mm: float | None = None
-    angular_diameter_deg: float = 1.5
-    colour_temperature_k: float = 3200.0
+    def ranges(self, *, channels: tuple[int, int]) -> list[tuple]:
+        """Rows of `check_ranges`; channels: least and largest number."""
+        return [
+            ("channels", self.channels, *channels),
+            ("bits", self.bits, 8, 16),
+            ("full_well", self.full_well, 100.0, 1e9),
+            ("read_noise", self.read_noise, 0.0, 1e4),
+            ("black_level", self.black_level, 0, 2**self.bits // 4),
+            ("white_level", self.white_level, 0.01, 1.0),
+        ]
 
 
-@dataclass(frozen=True)
-class SimulationSettings:
-    """Everything that decides the bytes of a simulated capture.
-
-    rows, columns : camera pixels. pitch_mm : size of one on the object. supersampling : points a pixel in each
-    direction. scene, relief, gloss, body : see docs/simulator.md. roughness : GGX width, None = that of `gloss`.
-    bounce : whether light that reaches a point by way of its surroundings is added. `relief_gain` scales all heights.
-    """
-
-    rows: int = 384
-    columns: int = 512
-    seed: int = 1
-    scene: str = "painting"
-    relief: str = "impasto"
-    gloss: str = "varnish"
-    body: str = "rough"
-    roughness: float | None = None
-    refractive_index: float = 1.5
-    relief_gain: float = 1.0
-    pitch_mm: float = 0.2
-    supersampling: int = 2
-    bounce: bool = True
-    camera: CameraSettings = field(default_factory=CameraSettings)
-    lights: LightSettings = field(default_factory=LightSettings)
-
-    def __post_init__(self):
-        check(self)
-
-    @property
-    def half_diagonal_mm(self) -> float:
-        """Distance of a corner from the centre, mm."""
-        return 0.5 * self.pitch_mm * math.hypot(self.rows, self.columns)
-
-    @property
-    def distance_mm(self) -> float:
-        """Distance of the lamp from the centre of the object, mm."""
-        return self.lights.distance_mm or 80.0 * self.half_diagonal_mm
-
-    @property
-    def alpha(self) -> float:
-        """GGX roughness before it varies from region to region; 0 = no gloss at all."""
-        return ROUGHNESS[self.gloss] if self.roughness is None else self.roughness
+def camera_from(options, camera: CameraSettings) -> CameraSettings:
+    """A camera with what the command line asks for."""
+    level = camera.white_level if options.white_level is None else options.white_level
+    return replace(camera, bits=options.bits, noise=not options.no_noise, white_level=level)
 
 
-def check(settings: SimulationSettings) -> None:
-    """Raise UserError where a setting is outside its range."""
-    camera, lights = settings.camera, settings.lights
-    for name, value, allowed in (
-        ("scene", settings.scene, SCENES),
-        ("relief", settings.relief, RELIEFS),
-        ("gloss", settings.gloss, tuple(ROUGHNESS)),
-        ("body", settings.body, BODIES),
-    ):
-        if value not in allowed:
-            raise UserError(f"simulation: {name} expected one of {', '.join(allowed)}, found {value!r}; choose one")
-    for name, value, low, high in (
-        ("rows", settings.rows, 16, 20000),
-        ("columns", settings.columns, 16, 20000),
-        ("seed", settings.seed, 0, 2**53),
-        ("pitch_mm", settings.pitch_mm, 1e-3, 10.0),
-        ("supersampling", settings.supersampling, 1, 4),
-        ("refractive_index", settings.refractive_index, 1.05, 3.0),
-        ("relief_gain", settings.relief_gain, 0.0, 10.0),
-        ("roughness", settings.alpha, 0.0 if settings.gloss == "none" else 0.02, 1.0),
-        ("channels", camera.channels, 3, 8),
-        ("bits", camera.bits, 8, 16),
-        ("full_well", camera.full_well, 100.0, 1e9),
-        ("read_noise", camera.read_noise, 0.0, 1e4),
-        ("black_level", camera.black_level, 0, 2**camera.bits // 4),
-        ("white_level", camera.white_level, 0.01, 1.0),
-        ("rings", lights.rings, 0, 8),
-        ("ring_lights", lights.ring_lights, 3, 64),
-        ("distance_mm", settings.distance_mm, 2.0 * settings.half_diagonal_mm, 1e9),
-        ("angular_diameter_deg", lights.angular_diameter_deg, 0.0, 20.0),
-        ("colour_temperature_k", lights.colour_temperature_k, 1500.0, 25000.0),
-        *(("checks_deg", angle, 0.0, 85.0) for angle in lights.checks_deg),
-    ):
+def check_ranges(rows) -> None:
+    """Raise UserError for the first row (name, value, low, high) whose value is outside its range."""
+    for name, value, low, high in rows:
         if not low <= value <= high:
             raise UserError(
                 f"simulation: {name} expected {low:g} to {high:g}, found {value!r}; choose a value in that range"
             )
-    if lights.rings * lights.ring_lights + lights.top < 3:
-        raise UserError("simulation: expected at least 3 sample lights, found fewer; use at least one ring of lights")
+
+
+def check_choice(name: str, value: str, choices) -> None:
+    """Raise UserError where the value is none of the choices."""
+    if value not in choices:
+        raise UserError(f"simulation: {name} expected one of {', '.join(choices)}, found {value!r}; choose one")

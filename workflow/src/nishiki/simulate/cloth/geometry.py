@@ -12,10 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.simulate.cloth.path import SAMPLES, Descent, centre_line
-from nishiki.simulate.cloth.pattern import weave_pattern
 from nishiki.simulate.cloth.rays import POWERS, fill_voxels
 from nishiki.simulate.cloth.settings import ClothSettings, YarnSettings
+from nishiki.simulate.cloth.yarn_path import SAMPLES, Descent, centre_line, weave_pattern
 from nishiki.simulate.randomness import subkey
 from nishiki.threads import over_rows
 

@@ -9,10 +9,9 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from nishiki.simulate.cloth.directions import unit
 from nishiki.simulate.cloth.filament import body, facets, in_frame
-from nishiki.simulate.cloth.presets import GoniometerSettings
 from nishiki.simulate.cloth.reflectance import Cloth, blocks, bounced
+from nishiki.simulate.cloth.settings import GoniometerSettings, unit
 from nishiki.simulate.randomness import subkey, uniform
 from nishiki.simulate.sensor import expose
 from nishiki.threads import over_rows

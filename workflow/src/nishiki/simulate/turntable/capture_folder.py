@@ -2,63 +2,49 @@
 
 from __future__ import annotations
 
-import dataclasses
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 
 from nishiki.errors import UserError
+from nishiki.simulate.folders import DARK_FRAMES, Truth, write_csv, write_description, write_image
+from nishiki.simulate.settings import camera_from
+from nishiki.simulate.turntable import settings as constants
+from nishiki.simulate.turntable.photographs import Optics, components, dark_frame, make_optics, photograph, white_board
+from nishiki.simulate.turntable.render import Light, SimulatedScene, make_scene, see
 from nishiki.simulate.turntable.settings import PRESETS, TurntableSettings
+from nishiki.simulate.turntable.shape import PARTS
+from nishiki.simulate.turntable.surface import make_surface, scanned
+from nishiki.simulate.turntable.viewpoints import Viewpoint, place_views
 
-DARK_FRAMES = 3
+LAMP = "lamp"
 EXPOSURE_S = "0.25"
-# Options of the painting that mean something else, or nothing, on a turntable.
-FOREIGN = ("scene", "relief", "relief_gain", "gloss", "roughness", "body", "pitch_mm", "rings", "ring_lights", "no_top")
-FOREIGN += ("checks", "distance_mm", "lamp_diameter_deg", "channels")
-OWN = ("views", "mesh_noise_mm", "triangles", "scan_triangles")  # options that mean something on a turntable only
 
 
-def settings_from(options, defaults) -> TurntableSettings:
-    """The settings that the command line asks for; `defaults` are the values of options that were not given."""
-    for name in FOREIGN:
-        if getattr(options, name) != getattr(defaults, name):
-            option = f"--{name.replace('_', '-')}"
-            raise UserError(f"{option} belongs to the plane scenes, found with --preset {options.preset}; leave it out")
+def settings_from(options) -> TurntableSettings:
+    """The settings that the command line asks for."""
     if options.lights_as == "direction":
         raise UserError("--lights-as: on a turntable expected position or camera, found direction; choose one")
     values = dict(PRESETS[options.preset])
-    for name in ("rows", "columns", "views", "triangles", "scan_triangles", "mesh_noise_mm"):
-        if getattr(options, name) is not None:
-            values["scan_noise_mm" if name == "mesh_noise_mm" else name] = getattr(options, name)
-    if options.supersampling is not None:
-        values["samples"] = options.supersampling
+    names = {name: name for name in ("rows", "columns", "views", "triangles", "scan_triangles")}
+    names |= {"mesh_noise_mm": "scan_noise_mm", "supersampling": "samples"}
+    values |= {name: getattr(options, key) for key, name in names.items() if getattr(options, key) is not None}
     if options.no_bounce:
         values["bounces"] = 0
-    camera = TurntableSettings().camera
-    changes = {"bits": options.bits, "noise": not options.no_noise}
-    if options.white_level is not None:
-        changes["white_level"] = options.white_level
-    camera = dataclasses.replace(camera, **changes)
+    camera = camera_from(options, TurntableSettings().camera)
     return TurntableSettings(**values, seed=options.seed, polariser=options.polariser == "circular", camera=camera)
 
 
-def write_all(settings: TurntableSettings, capture: Path, truth: Path, options, report, write_image, write_csv) -> None:
-    """Both folders. report(text) tells the progress; write_image, write_csv are those of `nishiki.simulate.command`."""
-    import yaml
-
-    from nishiki.simulate.turntable import describe
-    from nishiki.simulate.turntable.photographs import dark_frame, make_optics, photograph, white_board
-    from nishiki.simulate.turntable.render import make_scene, see
-    from nishiki.simulate.turntable.viewpoints import place_views
-
-    image_format = options.format or "png"
+def write_all(settings: TurntableSettings, capture: Path, truth: Path, options, report) -> None:
+    """Both folders; report(text) tells the progress."""
     views = place_views(settings)
     scene = make_scene(settings)
     report(f"object: {len(scene.surface.triangles)} triangles")
     optics = make_optics(views[0], settings)
     states = ("off", "on") if settings.polariser else ("",)
-    lamp = describe.LAMP if options.lights_as != "camera" else ""
-    store = TruthStore(truth, settings, views, scene, optics)
+    lamp = LAMP if options.lights_as != "camera" else ""
+    store = ObjectTruth(truth, settings, views, scene, optics)
     frames = []
 
     def keep(file: str, role: str, codes: np.ndarray, *, view="", light="", state="", silhouette="") -> None:
@@ -73,7 +59,7 @@ def write_all(settings: TurntableSettings, capture: Path, truth: Path, options, 
             mask = np.where(light.coverage >= 0.5, 255, 0).astype(np.uint8)
             write_image(capture / outline, np.repeat(mask[..., None], 3, axis=2))
         for state in states:
-            file = f"frames/{view.name}{'-' * bool(state)}{state}.{image_format}"
+            file = f"frames/{view.name}{'-' * bool(state)}{state}.{options.format}"
             codes = photograph(light, optics, settings, view=view.name, state=state)
             keep(file, "sample", codes, view=view.name, light=lamp, state=state, silhouette=outline)
         report(f"view {view.name}")
@@ -83,40 +69,63 @@ def write_all(settings: TurntableSettings, capture: Path, truth: Path, options, 
         if not state:
             boards = [np.rint(np.mean(boards, axis=0)).astype(np.uint16)]
         for number, codes in enumerate(boards, start=1):
-            keep(f"white/{state or 'board'}-{number}.{image_format}", "white", codes, light=lamp, state=state)
+            keep(f"white/{state or 'board'}-{number}.{options.format}", "white", codes, light=lamp, state=state)
     for number in range(1, DARK_FRAMES + 1):
-        keep(f"dark/{number}.{image_format}", "dark", dark_frame(number, settings))
+        keep(f"dark/{number}.{options.format}", "dark", dark_frame(number, settings))
     header = ("file", "role", "view", "light", "polariser", "exposure_s", "silhouette")
     write_csv(capture / "frames.csv", [header, *frames])
-    write_csv(capture / "cameras.csv", describe.camera_table(views))
+    header = ("view", *(f"p{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3, 4)))
+    rows = [(view.name, *(f"{value:.17g}" for value in view.matrix.ravel())) for view in views]
+    write_csv(capture / "cameras.csv", [header, *rows])
     if lamp:
-        write_csv(capture / "lights.csv", describe.light_table())
+        # In the camera's frame: x right, y up, z towards the photographer.
+        rows = [("light", "x", "y", "z"), (LAMP, *(f"{value:.3f}" for value in constants.LAMP_MM))]
+        write_csv(capture / "lights.csv", rows)
     if options.mesh == "scan":
         (capture / "object.ply").write_bytes(scan_of(scene, settings))
-    lights_as = "camera" if not lamp else "position"
-    text = describe.capture_description(settings, lights_as=lights_as, with_mesh=options.mesh == "scan")
-    (capture / "capture.yaml").write_text(yaml.safe_dump(text, sort_keys=False))
-    store.finish()
-    report("capture and truth written", end="\n")
+    write_description(
+        capture,
+        f"Simulated jar on a turntable (seed {settings.seed})",
+        "turntable",
+        ("red", "green", "blue"),
+        settings.camera,
+        lights={"file": "lights.csv", "kind": "position_mm"} if lamp else {"kind": "camera"},
+        white={"reflectance": constants.BOARD_REFLECTANCE, "normal": [0, 0, 1]},
+        turntable={
+            "full_turn": True,
+            "unit": "mm",
+            "cameras": "cameras.csv",
+            **({"mesh": "object.ply"} if options.mesh == "scan" else {}),
+            "background": "dark",
+        },
+    )
+    store.finish(truth_attributes(settings, views), truth_readme(settings))
 
 
-def scan_of(scene, settings: TurntableSettings) -> bytes:
+def scan_of(scene: SimulatedScene, settings: TurntableSettings) -> bytes:
     """The PLY file that a scanner delivers: the object's own triangles or others, with noise."""
-    from nishiki.simulate.turntable.describe import mesh_bytes
-    from nishiki.simulate.turntable.surface import make_surface, scanned
-
     surface = make_surface(settings.scan_triangles) if settings.scan_triangles else scene.surface
     return mesh_bytes(*scanned(surface, noise_mm=settings.scan_noise_mm, seed=settings.seed))
 
 
-class TruthStore:
-    """truth.zarr, filled view by view, and a README that says what is in it."""
+def mesh_bytes(vertices: np.ndarray, triangles: np.ndarray) -> bytes:
+    """A binary PLY file of a triangle mesh, millimetres, float32."""
+    header = (
+        "ply\nformat binary_little_endian 1.0\ncomment simulated scan, millimetres\n"
+        f"element vertex {len(vertices)}\nproperty float x\nproperty float y\nproperty float z\n"
+        f"element face {len(triangles)}\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    faces = np.empty(len(triangles), np.dtype([("count", "u1"), ("corners", "<i4", 3)]))
+    faces["count"], faces["corners"] = 3, triangles
+    return header.encode("ascii") + np.ascontiguousarray(vertices, "<f4").tobytes() + faces.tobytes()
 
-    def __init__(self, folder: Path, settings: TurntableSettings, views, scene, optics):
-        import zarr
 
-        self.folder, self.settings, self.views = folder, settings, views
-        self.group = zarr.open_group(folder / "truth.zarr", mode="w", zarr_format=3)
+class ObjectTruth(Truth):
+    """The truth of an object, filled view by view."""
+
+    def __init__(self, folder: Path, settings: TurntableSettings, views, scene: SimulatedScene, optics: Optics):
+        super().__init__(folder)
+        self.settings = settings
         self.put("vertices", scene.surface.vertices)
         self.put("triangles", scene.surface.triangles)
         self.put("vertex_normals", scene.surface.normals.astype(np.float32))
@@ -128,23 +137,57 @@ class TruthStore:
         for name, kind in (("coverage", np.float32), ("depth", np.float32), ("part", np.uint8)):
             self.make(name, shape, kind)
 
-    def make(self, name: str, shape, dtype):
-        return self.group.create_array(name, shape=shape, dtype=dtype, chunks=(1, *shape[1:]))
-
-    def put(self, name: str, values: np.ndarray) -> None:
-        self.group.create_array(name, shape=values.shape, dtype=values.dtype, chunks=values.shape)[...] = values
-
-    def add(self, place: int, light) -> None:
-        from nishiki.simulate.turntable.photographs import components
-
+    def add(self, place: int, light: Light) -> None:
+        """What one view shows."""
         diffuse, specular = components(light, self.settings)
         for name, values in (("diffuse", diffuse), ("specular", specular), ("total", diffuse + specular)):
             self.group[name][place] = values.astype(np.float32)
         for name in ("coverage", "depth", "normals", "albedo", "part"):
             self.group[name][place] = getattr(light, name)
 
-    def finish(self) -> None:
-        from nishiki.simulate.turntable.describe import truth_attributes, truth_readme
 
-        self.group.attrs.update(truth_attributes(self.settings, self.views))
-        (self.folder / "README.md").write_text(truth_readme(self.settings))
+def truth_attributes(settings: TurntableSettings, views: tuple[Viewpoint, ...]) -> dict:
+    """Attributes of truth.zarr."""
+    return {
+        "views": [view.name for view in views],
+        "parts": list(PARTS),
+        "cameras": {view.name: view.matrix.tolist() for view in views},
+        "lamp_in_camera_mm": list(constants.LAMP_MM),
+        "lamp_radius_mm": constants.LAMP_RADIUS_MM,
+        "beta": list(constants.BETA),
+        "leak": list(constants.LEAK),
+        "board_reflectance": constants.BOARD_REFLECTANCE,
+        "settings": asdict(settings),
+    }
+
+
+def truth_readme(settings: TurntableSettings) -> str:
+    """Text of the README in a truth folder."""
+    return f"""# Truth of a simulated turntable capture
+
+Seed {settings.seed}, {settings.views} views of {settings.rows} × {settings.columns} pixels, lengths in mm.
+Use it to judge results, never to fit.
+
+`truth.zarr` (Zarr v3; views in the order of the turn; row 0 at the top):
+
+| array | shape | meaning |
+|---|---|---|
+| `diffuse` | views, rows, columns, 3 | light that has lost its polarisation, stray light and cloth included |
+| `specular` | views, rows, columns, 3 | the lamp's mirror reflection |
+| `total` | views, rows, columns, 3 | their sum: what the camera sees without crossed polarisers |
+| `coverage` | views, rows, columns | share of the pixel that the object fills |
+| `depth` | views, rows, columns | along the optical axis; 0 where there is no object |
+| `normals` | views, rows, columns, 3 | unit normal of the smooth surface, in the object's frame |
+| `albedo` | views, rows, columns, 3 | albedo of the body below its surface |
+| `part` | views, rows, columns | part of the object, names in the attribute `parts`; 255 = none |
+| `sensitivity` | rows, columns, 3 | share of full scale that a perfect white at the axis gives |
+| `board` | rows, columns | light from the white board |
+| `beta` | rows, columns, 3 | factor of the second polariser |
+| `vertices`, `triangles`, `vertex_normals` | | the object itself; the mesh in the capture is a noisy scan of it |
+
+Light is relative to a perfect white on the axis that faces the lamp, without noise, behind the lens's blur. The codes
+of a photograph are (full scale − black) × sensitivity × total + black, with crossed polarisers
+(full scale − black) × sensitivity × beta × (diffuse + leak × specular) + black, plus noise; those of the board likewise
+with sensitivity × (board + {constants.STRAY}). Where observations are divided by the board, the truth to compare them
+with is total / (board + {constants.STRAY}) × {constants.BOARD_REFLECTANCE}.
+"""

@@ -10,8 +10,7 @@ import math
 import numba
 import numpy as np
 
-from nishiki.simulate.randomness import hash_uint, uniform
-from nishiki.simulate.turntable.noise import crack_distance, solid_fractal, solid_noise
+from nishiki.simulate.randomness import crack_distance, hash_uint, solid_fractal, solid_noise, uniform
 from nishiki.simulate.turntable.shape import ANIMAL, BODY, FLUTES, FRUIT, HANDLES, LID, ROPE
 from nishiki.threads import over_rows
 

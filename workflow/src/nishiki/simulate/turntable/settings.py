@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from nishiki.errors import UserError
-from nishiki.simulate.settings import CameraSettings
+from nishiki.simulate.settings import CameraSettings, check_ranges
 
 DISTANCE_MM = 1200.0  # from the camera to the axis
 ELEVATION_DEG = 20.0  # the camera looks down on the object
@@ -48,29 +47,21 @@ class TurntableSettings:
     )
 
     def __post_init__(self):
-        camera = self.camera
-        for name, value, low, high in (
-            ("rows", self.rows, 16, 20000),
-            ("columns", self.columns, 16, 20000),
-            ("views", self.views, 2, 3600),
-            ("seed", self.seed, 0, 2**53),
-            ("triangles", self.triangles, LEAST_TRIANGLES, 5_000_000),
-            ("scan_triangles", self.scan_triangles or LEAST_TRIANGLES, LEAST_TRIANGLES, 5_000_000),
-            ("samples", self.samples, 1, 8),
-            ("directions", self.directions, 16, 4096),
-            ("bounces", self.bounces, 0, 4),
-            ("scan_noise_mm", self.scan_noise_mm, 0.0, 5.0),
-            ("channels", camera.channels, 3, 3),
-            ("bits", camera.bits, 8, 16),
-            ("full_well", camera.full_well, 100.0, 1e9),
-            ("read_noise", camera.read_noise, 0.0, 1e4),
-            ("black_level", camera.black_level, 0, 2**camera.bits // 4),
-            ("white_level", camera.white_level, 0.01, 1.0),
-        ):
-            if not low <= value <= high:
-                raise UserError(
-                    f"simulation: {name} expected {low:g} to {high:g}, found {value!r}; choose a value in that range"
-                )
+        check_ranges(
+            [
+                ("rows", self.rows, 16, 20000),
+                ("columns", self.columns, 16, 20000),
+                ("views", self.views, 2, 3600),
+                ("seed", self.seed, 0, 2**53),
+                ("triangles", self.triangles, LEAST_TRIANGLES, 5_000_000),
+                ("scan_triangles", self.scan_triangles or LEAST_TRIANGLES, LEAST_TRIANGLES, 5_000_000),
+                ("samples", self.samples, 1, 8),
+                ("directions", self.directions, 16, 4096),
+                ("bounces", self.bounces, 0, 4),
+                ("scan_noise_mm", self.scan_noise_mm, 0.0, 5.0),
+                *self.camera.ranges(channels=(3, 3)),
+            ]
+        )
 
 
 PRESETS = {

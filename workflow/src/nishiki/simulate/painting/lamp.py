@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nishiki.simulate.painting.settings import SimulationSettings
 from nishiki.simulate.randomness import subkey
-from nishiki.simulate.settings import SimulationSettings
 
 TOP_INCIDENCE_DEG = 4.0  # a lamp cannot stand where the camera is
 _SECOND_RADIATION_CONSTANT_NM_K = 1.438776877e7

@@ -7,14 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.simulate.colour_tables import camera_tables, xyz_tables
-from nishiki.simulate.lamp import Lamp, beam_strength, board_cosine, planck_spectrum
-from nishiki.simulate.objects import SimulatedObject
-from nishiki.simulate.palette import make_palette
+from nishiki.simulate.painting.lamp import Lamp, beam_strength, board_cosine, planck_spectrum
+from nishiki.simulate.painting.objects import SimulatedObject
+from nishiki.simulate.painting.paints import camera_tables, make_palette, xyz_tables
+from nishiki.simulate.painting.settings import SimulationSettings
+from nishiki.simulate.painting.shading import shade
 from nishiki.simulate.randomness import subkey
 from nishiki.simulate.sensor import expose, vignette
-from nishiki.simulate.settings import SimulationSettings
-from nishiki.simulate.shading import shade
 
 BOARD_REFLECTANCE = 0.98
 WAVELENGTHS_NM = np.arange(400.0, 700.5, 5.0)

@@ -8,13 +8,11 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from nishiki.simulate.bounce import REACH_PIXELS, bounced_irradiance
-from nishiki.simulate.lamp import Lamp
-from nishiki.simulate.objects import SimulatedObject
+from nishiki.simulate.painting.lamp import Lamp
+from nishiki.simulate.painting.objects import SimulatedObject
+from nishiki.simulate.painting.relief import REACH_PIXELS, bounced_irradiance, slopes_at, visible_share
+from nishiki.simulate.painting.settings import SimulationSettings
 from nishiki.simulate.reflection import ggx_gloss, rough_body
-from nishiki.simulate.relief import slopes_at
-from nishiki.simulate.settings import SimulationSettings
-from nishiki.simulate.shadows import visible_share
 from nishiki.threads import over_rows
 
 BODY_SIGMA = 0.20  # roughness of the paint itself, radians (Oren-Nayar)

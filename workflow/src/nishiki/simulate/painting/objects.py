@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.simulate.landscape import BRANCHES, branch_curve, plan_landscape
-from nishiki.simulate.palette import REGION, REGIONS, Palette, make_palette
+from nishiki.simulate.painting.paints import REGION, REGIONS, Palette, make_palette
+from nishiki.simulate.painting.picture import BRANCHES, branch_curve, plan_landscape
+from nishiki.simulate.painting.relief import level_out, pixel_maps, weave_under_paint
+from nishiki.simulate.painting.settings import SimulationSettings
+from nishiki.simulate.painting.strokes import LAYERS, Strokes, apply_strokes, place_strokes
 from nishiki.simulate.randomness import fractal_noise, subkey
-from nishiki.simulate.relief import level_out, pixel_maps, weave_under_paint
 from nishiki.simulate.sensor import FINE_NM
-from nishiki.simulate.settings import SimulationSettings
-from nishiki.simulate.strokes import LAYERS, Strokes, apply_strokes, place_strokes
 
 PICTURE_HEIGHT_MM = 77.0  # the brushes were chosen for a picture of this height
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from nishiki.simulate.canvas_map import CanvasMap
-from nishiki.simulate.palette import Palette
+from nishiki.simulate.painting.paints import Palette
+from nishiki.simulate.painting.picture import CanvasMap
 from nishiki.simulate.randomness import line_noise, plane_noise, subkey
 
 # (width mm, spacing mm, thickness mm, only where the plan wants strokes finer than this share)

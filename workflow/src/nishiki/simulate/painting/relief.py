@@ -1,0 +1,216 @@
+"""The height of the painting: canvas weave under paint, slopes, cast shadows, and one bounce of light on it."""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+from nishiki.threads import over_rows
+
+THREAD_MM = 1.15  # distance of neighbouring threads
+WEAVE_MM = 0.055  # height of a thread's crest over its trough
+HIDING_MM = 0.20  # paint of this thickness hides the weave to 1/e
+_BAND = 256  # rows at a time, for the memory of the intermediate arrays
+
+
+def weave_under_paint(paint_mm: np.ndarray, *, step_mm: float, scale: float = 1.0) -> np.ndarray:
+    """Height (rows, columns) float32 in mm of canvas with paint of the given thickness on it.
+
+    step_mm : distance of neighbouring samples. scale : size of the threads, 1 = 1.15 mm apart. Plain weave: warp and
+    weft pass over each other in turn; a soft maximum joins their crests.
+    """
+    out = np.empty(paint_mm.shape, np.float32)
+    x = (np.arange(paint_mm.shape[1]) + 0.5)[None, :] * step_mm / (THREAD_MM * scale)
+    along, sign_x = np.sin(np.pi * x), np.cos(np.pi * np.floor(x))
+    for start in range(0, len(out), _BAND):
+        band = slice(start, start + _BAND)
+        y = (np.arange(len(out))[band] + 0.5)[:, None] * step_mm / (THREAD_MM * scale)
+        across, sign_y = np.sin(np.pi * y), np.cos(np.pi * np.floor(y))
+        warp = np.abs(along) * (0.5 + 0.5 * across * sign_x)
+        weft = np.abs(across) * (0.5 - 0.5 * along * sign_y)
+        weave = np.logaddexp(6.0 * warp, 6.0 * weft) / 6.0
+        out[band] = paint_mm[band] + WEAVE_MM * scale * weave * np.exp(-paint_mm[band] / (HIDING_MM * scale))
+    return out
+
+
+def level_out(height_mm: np.ndarray) -> np.ndarray:
+    """One pass of the 3×3 binomial filter: wet paint and varnish round off what is finer than a sample."""
+    out = np.empty_like(height_mm)
+    quarter, half = np.float32(0.25), np.float32(0.5)
+    for start in range(0, len(out), _BAND):
+        stop = min(start + _BAND, len(out))
+        rows = np.clip(np.arange(start - 1, stop + 1), 0, len(out) - 1)
+        part = height_mm[rows]
+        part = half * part[1:-1] + quarter * (part[:-2] + part[2:])
+        part = np.pad(part, ((0, 0), (1, 1)), mode="edge")
+        out[start:stop] = half * part[:, 1:-1] + quarter * (part[:, :-2] + part[:, 2:])
+    return out
+
+
+@numba.njit(cache=True)
+def slopes_at(height, i, j, step):
+    """Slopes (dh/dx to the right, dh/dy upwards) by central differences; one-sided at the edges."""
+    rows, columns = height.shape
+    up, down = max(i - 1, 0), min(i + 1, rows - 1)
+    left, right = max(j - 1, 0), min(j + 1, columns - 1)
+    slope_x = (np.float64(height[i, right]) - np.float64(height[i, left])) / ((right - left) * step)
+    slope_y = (np.float64(height[up, j]) - np.float64(height[down, j])) / ((down - up) * step)
+    return slope_x, slope_y
+
+
+def slopes_of_rows(height_mm: np.ndarray, start: int, stop: int, step_mm: float) -> tuple[np.ndarray, np.ndarray]:
+    """Slopes of rows start..stop as `slopes_at` gives them, float64, for whole rows at once."""
+    count = len(height_mm)
+    rows = np.arange(start, stop)
+    up, down = np.maximum(rows - 1, 0), np.minimum(rows + 1, count - 1)
+    slope_y = (height_mm[up].astype(float) - height_mm[down]) / ((down - up) * step_mm)[:, None]
+    slope_x = np.gradient(height_mm[start:stop].astype(float), step_mm, axis=1)
+    return slope_x, slope_y
+
+
+def pixel_maps(height_mm: np.ndarray, *, step_mm: float, supersampling: int):
+    """Area averages on camera pixels: normals (rows, columns, 3), height (rows, columns) mm, steepest slope in radians.
+
+    The normal of a pixel is the normalised mean of the unit normals of its samples. All float32.
+    """
+    s = supersampling
+    rows, columns = height_mm.shape[0] // s, height_mm.shape[1] // s
+    normals = np.empty((rows, columns, 3), np.float32)
+    mean, steepest = np.empty((rows, columns), np.float32), np.empty((rows, columns), np.float32)
+    for start in range(0, rows, _BAND):
+        stop = min(start + _BAND, rows)
+        blocks = (stop - start, s, columns, s)
+        p, q = slopes_of_rows(height_mm, start * s, stop * s, step_mm)
+        square = p * p + q * q
+        inverse = 1.0 / np.sqrt(1.0 + square)
+        total = np.stack([(v * inverse).reshape(blocks).mean(axis=(1, 3)) for v in (-p, -q, np.ones_like(p))], axis=-1)
+        normals[start:stop] = total / np.linalg.norm(total, axis=-1, keepdims=True)
+        mean[start:stop] = height_mm[start * s : stop * s].reshape(blocks).mean(axis=(1, 3), dtype=float)
+        steepest[start:stop] = np.arctan(np.sqrt(square.reshape(blocks).max(axis=(1, 3))))
+    return normals, mean, steepest
+
+
+@numba.njit(cache=True)
+def height_between(height, y, x):
+    """Bilinear height at fractional sample coordinates inside the field."""
+    i, j = int(y), int(x)
+    i, j = min(i, height.shape[0] - 2), min(j, height.shape[1] - 2)
+    fy, fx = y - i, x - j
+    top = np.float64(height[i, j]) * (1.0 - fx) + np.float64(height[i, j + 1]) * fx
+    bottom = np.float64(height[i + 1, j]) * (1.0 - fx) + np.float64(height[i + 1, j + 1]) * fx
+    return top * (1.0 - fy) + bottom * fy
+
+
+@numba.njit(cache=True)
+def horizon_slope(height, i, j, ux, uy, step, ceiling, least):
+    """Largest slope (rise over run) under which sample (i, j) sees the field towards (ux, uy), at least `least`.
+
+    ux, uy : unit direction on the picture, x right, y up. step : mm between samples. ceiling : highest point of the
+    field, mm. The march takes one sample distance a step and stops where even the highest point could not rise above
+    the slope found so far.
+    """
+    start = np.float64(height[i, j])
+    best = least
+    y, x, run = np.float64(i), np.float64(j), 0.0
+    last_row, last_column = height.shape[0] - 1.0, height.shape[1] - 1.0
+    while True:
+        y -= uy
+        x += ux
+        run += step
+        if y < 0.0 or x < 0.0 or y > last_row or x > last_column or ceiling - start <= best * run:
+            return best
+        slope = (height_between(height, y, x) - start) / run
+        if slope > best:
+            best = slope
+
+
+@numba.njit(cache=True)
+def lit_share(elevation, horizon, radius):
+    """Share of a lamp's disc (angular radius, centre at `elevation`) above a straight edge at `horizon`, radians."""
+    if radius <= 0.0:
+        return 1.0 if elevation > horizon else 0.0
+    z = (elevation - horizon) / radius
+    if z >= 1.0:
+        return 1.0
+    if z <= -1.0:
+        return 0.0
+    return 0.5 + (math.asin(z) + z * math.sqrt(1.0 - z * z)) / math.pi
+
+
+@numba.njit(cache=True)
+def visible_share(height, i, j, lx, ly, lz, step, ceiling, radius):
+    """Share of the lamp that sample (i, j) sees past the relief; (lx, ly, lz) is the unit direction to its centre."""
+    flat = math.sqrt(lx * lx + ly * ly)
+    elevation = math.atan2(lz, flat)
+    if flat < 1e-9 or elevation - radius >= 1.5:
+        return 1.0
+    least = math.tan(max(elevation - radius, 0.0))  # relief below the lamp's lower rim hides nothing
+    slope = horizon_slope(height, i, j, lx / flat, ly / flat, step, ceiling, least)
+    if slope <= least:
+        return 1.0 if elevation > radius else lit_share(elevation, 0.0, radius)
+    return lit_share(elevation, math.atan(slope), radius)
+
+
+DIRECTIONS = 16
+REACH_PIXELS = 8
+
+
+def _neighbours(pitch: float) -> tuple[np.ndarray, np.ndarray]:
+    """Row and column offsets (directions, rings, 2) and, likewise, distance mm and area on the plane over π, mm²."""
+    ring = np.arange(1, REACH_PIXELS + 1)
+    turn = 2.0 * math.pi / DIRECTIONS
+    angle = turn * (np.arange(DIRECTIONS)[:, None] + 0.5)
+    offsets = np.floor(np.stack([-ring * np.sin(angle), ring * np.cos(angle)], axis=-1) + 0.5).astype(np.int64)
+    run = pitch * np.hypot(offsets[..., 0], offsets[..., 1])
+    # The area of a ring's sector about the rounded place: r · Δφ · Δr.
+    area = np.broadcast_to(ring * turn * pitch * pitch, run.shape) / math.pi
+    return offsets, np.stack([run, area], axis=-1)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _gather(start, stop, height, slope_x, slope_y, irradiance, pitch, offsets, sizes, out):
+    rows, columns = height.shape
+    for i in range(start, stop):
+        for j in range(columns):
+            p, q, here = slope_x[i, j] * pitch, slope_y[i, j] * pitch, np.float64(height[i, j])
+            total = 0.0
+            for direction in range(offsets.shape[0]):
+                horizon = -1e30
+                for ring in range(offsets.shape[1]):
+                    down, right = offsets[direction, ring, 0], offsets[direction, ring, 1]
+                    row, column = i + down, j + right
+                    if row < 0 or column < 0 or row >= rows or column >= columns:
+                        break
+                    run = sizes[direction, ring, 0]
+                    rise = np.float64(height[row, column]) - here
+                    if rise <= horizon * run:
+                        continue  # hidden behind something nearer
+                    horizon = rise / run
+                    arriving = rise - p * right + q * down
+                    if arriving <= 0.0:
+                        continue  # below the own tangent plane
+                    # cosθ cosθ′ dA/(π r²): the area on the plane over n_z′ cancels the length of the other normal.
+                    leaving = (slope_x[row, column] * right - slope_y[row, column] * down) * pitch - rise
+                    if leaving > 0.0:
+                        square = run * run + rise * rise
+                        total += (
+                            irradiance[row, column] * arriving * leaving * sizes[direction, ring, 1] / (square * square)
+                        )
+            out[i, j] = total / math.sqrt(1.0 + slope_x[i, j] ** 2 + slope_y[i, j] ** 2)
+
+
+def bounced_irradiance(
+    irradiance: np.ndarray, height_mm: np.ndarray, slope_x: np.ndarray, slope_y: np.ndarray, *, pitch_mm: float
+) -> np.ndarray:
+    """Irradiance (rows, columns) float32 that reaches each pixel from its surroundings if those were perfectly white.
+
+    A quadrature of the one-bounce integral on camera pixels: 16 directions, 8 rings, with occlusion by whatever rises
+    higher on the way. irradiance : direct, any scale. slope_x, slope_y : dh/dx to the right and dh/dy upwards.
+    Relief finer than a pixel, farther than 8 pixels, and further bounces are left out.
+    """
+    out = np.empty(irradiance.shape, np.float32)
+    offsets, sizes = _neighbours(pitch_mm)
+    over_rows(_gather, len(out), height_mm, slope_x, slope_y, irradiance, pitch_mm, offsets, sizes, out)
+    return out
