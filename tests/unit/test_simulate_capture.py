@@ -10,7 +10,7 @@ import pytest
 import nishiki.simulate
 from nishiki import threads
 from nishiki.errors import UserError
-from nishiki.simulate import photographs
+from nishiki.simulate.painting import photographs
 from nishiki.simulate.painting.lamp import board_cosine, direction_error_deg, place_lamps, planck_spectrum
 from nishiki.simulate.painting.objects import make_object
 from nishiki.simulate.painting.photographs import BOARD_REFLECTANCE, dark_frame, make_tables, photograph, white_board
@@ -218,9 +218,16 @@ def test_impossible_settings_are_refused(wrong):
 
 
 def test_nothing_is_imported_from_the_fitted_models():
-    """The simulator must not share code with what it judges; errors, threads, colour and the seal are no models."""
+    """The simulator must not share code with what it judges; rays, colour and the seal are no models."""
     folder = Path(nishiki.simulate.__file__).parent
-    common = ("nishiki.simulate", "nishiki.errors", "nishiki.threads", "nishiki.packages", "nishiki.colour.colour")
+    common = (
+        "nishiki.simulate",
+        "nishiki.errors",
+        "nishiki.threads",
+        "nishiki.packages",
+        "nishiki.colour.colour",
+        "nishiki.geometry.ray_tree",
+    )
     for file in folder.rglob("*.py"):
         allowed = (*common, "nishiki.capture.seal") if file.name == "command.py" else common
         for node in ast.walk(ast.parse(file.read_text())):

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from nishiki.simulate import relief
+from nishiki.simulate.painting import relief
 from nishiki.simulate.painting.relief import (
     bounced_irradiance,
     level_out,

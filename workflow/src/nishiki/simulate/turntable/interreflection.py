@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
+from nishiki.geometry.ray_tree import RayTree, cast
 from nishiki.simulate.randomness import subkey
 from nishiki.simulate.turntable.materials import describe
-from nishiki.simulate.turntable.rays import Tree, cast
 from nishiki.simulate.turntable.surface import Surface
 from nishiki.threads import over_rows
 
@@ -41,7 +41,7 @@ def cosine_directions(count: int) -> np.ndarray:
     return np.column_stack([r * np.cos(turn), r * np.sin(turn), np.sqrt(1.0 - r * r)])
 
 
-def look_around(surface: Surface, tree: Tree, *, directions: int, seed: int) -> Surroundings:
+def look_around(surface: Surface, tree: RayTree, *, directions: int, seed: int) -> Surroundings:
     """Send rays from every vertex; average the materials about it."""
     count = len(surface.vertices)
     toward = cosine_directions(directions)

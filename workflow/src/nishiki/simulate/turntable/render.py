@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
+from nishiki.geometry.ray_tree import Hits, RayTree, cast, make_tree
 from nishiki.simulate.randomness import hash_uint, subkey, uniform
 from nishiki.simulate.turntable.interreflection import OFFSET_MM, Surroundings, bounced, look_around, mirrored
 from nishiki.simulate.turntable.materials import describe
 from nishiki.simulate.turntable.optics import INDEX, metal_fresnel, reflected
-from nishiki.simulate.turntable.rays import Hits, Tree, cast, make_tree
 from nishiki.simulate.turntable.settings import LAMP_RADIUS_MM, TurntableSettings
 from nishiki.simulate.turntable.surface import Surface, make_surface
 from nishiki.simulate.turntable.viewpoints import AIM_MM, Viewpoint
@@ -27,7 +27,7 @@ class SimulatedScene:
     """The object, ready to be seen: its triangles, the tree over them, what every vertex sees, the key of its paint."""
 
     surface: Surface
-    tree: Tree
+    tree: RayTree
     around: Surroundings
     key: int
 

@@ -1,4 +1,4 @@
-"""A tree of boxes over triangles, and whether anything stands between a point and a lamp.
+"""Rays against triangles: a tree of boxes, the nearest hit, and whether anything stands in the way.
 
 Each node's triangles are halved at the median of their centres, so that the tree is a complete binary one and needs
 no links: node k has the children 2 k + 1 and 2 k + 2.
@@ -15,10 +15,11 @@ from nishiki.threads import over_rows
 
 LEAF = 4
 """Triangles in a leaf."""
+SLACK = 1e-9  # of the corners' weights
 
 
 @dataclass(frozen=True)
-class Boxes:
+class RayTree:
     """boxes (2 L - 1, 6) float32: lower and upper corner, L leaves; triangles (4 L, 9) float64: a corner and two edges,
     in the order of the leaves, some of them twice; order (4 L,) int32: their numbers in the mesh."""
 
@@ -27,7 +28,17 @@ class Boxes:
     order: np.ndarray
 
 
-def boxes_of(vertices: np.ndarray, triangles: np.ndarray) -> Boxes:
+@dataclass(frozen=True)
+class Hits:
+    """triangle (n,) int32: in the mesh, -1 where nothing is met; distance (n,) float64, in multiples of the ray's
+    direction; weights (n, 2) float64 of the triangle's second and third corner."""
+
+    triangle: np.ndarray
+    distance: np.ndarray
+    weights: np.ndarray
+
+
+def make_tree(vertices: np.ndarray, triangles: np.ndarray) -> RayTree:
     """The tree over a mesh: vertices (v, 3), triangles (f, 3), f > 0, all finite."""
     corners = np.asarray(vertices, np.float64)[triangles]
     leaves = 1 << max(0, int(np.ceil(np.log2(max(1, len(corners)) / LEAF))))
@@ -52,7 +63,7 @@ def boxes_of(vertices: np.ndarray, triangles: np.ndarray) -> Boxes:
         axis=1,
     )
     packed = np.concatenate([corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=1)
-    return Boxes(np.ascontiguousarray(boxes, np.float32), np.ascontiguousarray(packed), order.astype(np.int32))
+    return RayTree(np.ascontiguousarray(boxes, np.float32), np.ascontiguousarray(packed), order.astype(np.int32))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -79,12 +90,15 @@ def _halve(centres, order, leaves):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def blocked(boxes, triangles, stack, ox, oy, oz, dx, dy, dz, far):
-    """Whether a ray meets a triangle at a distance within (0, far); the direction need not be a unit vector.
+def meet(boxes, triangles, stack, ox, oy, oz, dx, dy, dz, far, any_hit):
+    """What a ray meets at a distance within (0, far): place among the leaves' triangles or -1, distance in multiples of
+    its direction, weights of the second and third corner.
 
-    stack (64,) int32 is scratch. Triangles: T. Moeller, B. Trumbore, Fast, minimum storage ray/triangle intersection,
-    Journal of Graphics Tools 1997.
+    any_hit: return the first hit found, whichever it is. stack (64,) int32 is scratch. Triangles: T. Moeller, B.
+    Trumbore, Fast, minimum storage ray/triangle intersection, Journal of Graphics Tools 1997; a slack of 1e-9 keeps
+    rays from slipping through between neighbours.
     """
+    found, best_u, best_v = -1, 0.0, 0.0
     ix = 1.0 / dx if abs(dx) > 1e-30 else 1e30
     iy = 1.0 / dy if abs(dy) > 1e-30 else 1e30
     iz = 1.0 / dz if abs(dz) > 1e-30 else 1e30
@@ -132,33 +146,51 @@ def blocked(boxes, triangles, stack, ox, oy, oz, dx, dy, dz, far):
             share = 1.0 / volume
             sx, sy, sz = ox - triangles[k, 0], oy - triangles[k, 1], oz - triangles[k, 2]
             u = (sx * px + sy * py + sz * pz) * share
-            if u < 0.0 or u > 1.0:
+            if u < -SLACK or u > 1.0 + SLACK:
                 continue
             qx, qy, qz = sy * az - sz * ay, sz * ax - sx * az, sx * ay - sy * ax
             v = (dx * qx + dy * qy + dz * qz) * share
-            if v < 0.0 or u + v > 1.0:
+            if v < -SLACK or u + v > 1.0 + SLACK:
                 continue
             distance = (bx * qx + by * qy + bz * qz) * share
             if 0.0 < distance < far:
-                return True
-    return False
+                far, found, best_u, best_v = distance, k, u, v
+                if any_hit:
+                    return found, far, best_u, best_v
+    return found, far, best_u, best_v
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _cast(boxes, triangles, origins, directions, far, first, last, out):
+def blocked(boxes, triangles, stack, ox, oy, oz, dx, dy, dz, far):
+    """Whether a ray meets a triangle at a distance within (0, far), in multiples of its direction."""
+    return meet(boxes, triangles, stack, ox, oy, oz, dx, dy, dz, far, True)[0] >= 0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cast(start, stop, boxes, triangles, order, origins, directions, far, any_hit, triangle, distance, weights):
     stack = np.empty(64, np.int32)
-    for k in range(first, last):
-        o, d = origins[k], directions[k]
-        out[k] = blocked(boxes, triangles, stack, o[0], o[1], o[2], d[0], d[1], d[2], far[k])
+    for ray in range(start, stop):
+        o, d = origins[ray], directions[ray]
+        place, t, u, v = meet(boxes, triangles, stack, o[0], o[1], o[2], d[0], d[1], d[2], far[ray], any_hit)
+        triangle[ray] = order[place] if place >= 0 else -1
+        distance[ray], weights[ray, 0], weights[ray, 1] = t, u, v
 
 
-def occluded(tree: Boxes, origins: np.ndarray, directions: np.ndarray, far: np.ndarray | float) -> np.ndarray:
-    """(n,) bool: whether rays (n, 3), (n, 3) meet a triangle nearer than `far`, in multiples of their directions."""
-    count = len(origins)
-    out = np.zeros(count, np.bool_)
-    origins = np.ascontiguousarray(origins, np.float64)
-    directions = np.ascontiguousarray(np.broadcast_to(directions, origins.shape), np.float64)
-    far = np.ascontiguousarray(np.broadcast_to(far, count), np.float64)
+def cast(
+    tree: RayTree, origins: np.ndarray, directions: np.ndarray, *, far: np.ndarray | float = 1e9, any_hit: bool = False
+) -> Hits:
+    """First hits of rays (n, 3), (n, 3) nearer than `far`, in multiples of their directions.
+
+    any_hit: stop at the first hit found, whichever it is (for shadows: only whether there is one means something).
+    """
+    count = len(directions)
+    directions = np.ascontiguousarray(directions, np.float64)
+    origins = np.array(np.broadcast_to(origins, directions.shape), np.float64, order="C")
+    far = np.array(np.broadcast_to(far, count), np.float64)
+    hits = Hits(np.empty(count, np.int32), np.empty(count), np.empty((count, 2)))
     if count:
-        over_rows(lambda a, b: _cast(tree.boxes, tree.triangles, origins, directions, far, a, b, out), count)
-    return out
+        over_rows(
+            _cast, count, tree.boxes, tree.triangles, tree.order, origins, directions, far, any_hit,
+            hits.triangle, hits.distance, hits.weights,
+        )  # fmt: skip
+    return hits

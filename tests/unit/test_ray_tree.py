@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 
-from nishiki.render.cloth.boxes import boxes_of, occluded
+from nishiki.geometry.ray_tree import cast, make_tree
+
+
+def occluded(tree, origins, directions, far):
+    """Whether each ray meets a triangle nearer than `far`."""
+    return cast(tree, origins, np.broadcast_to(directions, np.shape(origins)), far=far, any_hit=True).triangle >= 0
 
 
 def slow(vertices, triangles, origins, directions, far):
@@ -27,7 +32,7 @@ def test_against_every_triangle(count):
     origins, directions = rng.normal(size=(2, 150, 3))
     for far in (0.7, 50.0):
         expected = slow(vertices, triangles, origins, directions, far)
-        assert np.array_equal(occluded(boxes_of(vertices, triangles), origins, directions, far), expected)
+        assert np.array_equal(occluded(make_tree(vertices, triangles), origins, directions, far), expected)
         assert far < 1 or count < 60 or 0 < expected.sum() < len(expected)
 
 
@@ -35,7 +40,7 @@ def test_every_triangle_is_in_the_tree_and_inside_its_boxes():
     rng = np.random.default_rng(0)
     vertices = rng.normal(size=(300, 3)) * [1, 100, 1e-3]
     triangles = rng.integers(0, 300, (517, 3))
-    tree = boxes_of(vertices, triangles)
+    tree = make_tree(vertices, triangles)
     assert set(tree.order) == set(range(517))
     leaves = (len(tree.boxes) + 1) // 2
     for leaf in range(leaves):
@@ -51,7 +56,7 @@ def test_every_triangle_is_in_the_tree_and_inside_its_boxes():
 
 def test_rays_along_the_axes_and_in_the_plane_of_a_triangle():
     vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
-    tree = boxes_of(vertices, np.array([[0, 1, 2]]))
+    tree = make_tree(vertices, np.array([[0, 1, 2]]))
     origins = np.array([[0.2, 0.2, 1], [0.2, 0.2, 1], [0.9, 0.9, 1], [-1, 0.2, 0]])
     directions = np.array([[0, 0, -1.0], [0, 0, 1], [0, 0, -1], [1, 0, 0]])
     assert occluded(tree, origins, directions, 10.0).tolist() == [True, False, False, False]
