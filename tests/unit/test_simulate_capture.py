@@ -13,9 +13,9 @@ from nishiki.errors import UserError
 from nishiki.simulate.painting import photographs
 from nishiki.simulate.painting.lamp import board_cosine, direction_error_deg, place_lamps, planck_spectrum
 from nishiki.simulate.painting.objects import make_object
-from nishiki.simulate.painting.photographs import BOARD_REFLECTANCE, dark_frame, make_tables, photograph, white_board
+from nishiki.simulate.painting.photographs import BOARD_REFLECTANCE, make_tables, photograph, white_board
 from nishiki.simulate.painting.settings import LightSettings, SimulationSettings
-from nishiki.simulate.sensor import FINE_NM, expose, sensitivities
+from nishiki.simulate.sensor import FINE_NM, dark_frame, expose, sensitivities
 from nishiki.simulate.settings import CameraSettings
 
 TINY = SimulationSettings(rows=64, columns=96)
@@ -85,7 +85,7 @@ def test_noise_has_the_stated_mean_and_variance():
 
 
 def test_dark_frames_and_saturation():
-    dark = dark_frame(1, TINY).astype(float)
+    dark = dark_frame((TINY.rows, TINY.columns, 3), TINY.camera, key=1).astype(float)
     assert dark.mean() == pytest.approx(64, abs=0.2)
     assert dark.std() == pytest.approx(np.hypot(8.0 * (4095 - 64) / 30000, 12**-0.5), rel=0.1)
     codes = expose(np.full((4, 4, 3), 3.0, np.float32), CameraSettings(), key=1)

@@ -45,13 +45,6 @@ def _lobe(w, peak, centre, below, above):
     return peak * np.exp(-0.5 * ((w - centre) / np.where(w < centre, below, above)) ** 2)
 
 
-def vignette(settings, rows: slice) -> np.ndarray:
-    """Light fall-off of the lens (rows, columns): 4 % in the corners."""
-    u = (np.arange(settings.columns) + 0.5 - 0.5 * settings.columns) * settings.pitch_mm / settings.half_diagonal_mm
-    v = (np.arange(settings.rows)[rows] + 0.5 - 0.5 * settings.rows) * settings.pitch_mm / settings.half_diagonal_mm
-    return 1.0 - 0.04 * (u[None, :] ** 2 + v[:, None] ** 2)
-
-
 @numba.njit(cache=True, nogil=True)
 def _expose(start, stop, signal, full_scale, black, electrons, read_noise, noisy, key, first, codes):
     columns, channels = signal.shape[1], signal.shape[2]
@@ -65,6 +58,11 @@ def _expose(start, stop, signal, full_scale, black, electrons, read_noise, noisy
                     count += math.sqrt(count + read_noise * read_noise) * normal(key, place)
                 code = math.floor(black + count / electrons * (full_scale - black) + 0.5)
                 codes[row, column, channel] = min(max(code, 0.0), full_scale)
+
+
+def dark_frame(shape: tuple[int, ...], camera: CameraSettings, *, key: int) -> np.ndarray:
+    """Codes (rows, columns, channels) with the lens closed: black level and read noise."""
+    return expose(np.zeros(shape, np.float32), camera, key=key)
 
 
 def expose(signal: np.ndarray, camera: CameraSettings, *, key: int, first_row: int = 0) -> np.ndarray:

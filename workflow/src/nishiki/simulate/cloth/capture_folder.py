@@ -9,10 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.errors import UserError
-from nishiki.simulate.cloth.photographs import dark_frame, photographs, region_labels, white_board
+from nishiki.simulate.cloth.photographs import photographs, region_labels, white_board
 from nishiki.simulate.cloth.reflectance import Cloth, make_cloth
 from nishiki.simulate.cloth.settings import PRESETS, GoniometerSettings, preset
 from nishiki.simulate.folders import DARK_FRAMES, write_csv, write_description, write_image
+from nishiki.simulate.randomness import subkey
+from nishiki.simulate.sensor import dark_frame
 from nishiki.simulate.settings import CameraSettings, camera_from
 
 REGION_NAMES = ("ground", "figure")
@@ -51,7 +53,8 @@ def write_all(settings: GoniometerSettings, capture: Path, truth: Path, options,
         write_image(capture / f"white/{number}.{options.format}", codes)
         rows.append(frame_row(f"white/{number}.{options.format}", "white", (theta, phi, None, None), exposure))
     for number in range(1, DARK_FRAMES + 1):
-        write_image(capture / f"dark/{number}.{options.format}", dark_frame(number, settings))
+        codes = dark_frame(codes.shape, settings.camera, key=subkey(settings.seed, f"cloth dark {number}"))
+        write_image(capture / f"dark/{number}.{options.format}", codes)
         rows.append(frame_row(f"dark/{number}.{options.format}", "dark", (None,) * 4, None))
     write_csv(capture / "frames.csv", [HEADING, *rows])
     describe_capture(capture, settings)

@@ -160,9 +160,3 @@ def white_board(number: int, theta_i_deg: float, settings: GoniometerSettings) -
     exposure = exposure_for(light, settings)
     signal = light * (settings.camera.white_level * exposure / BASE_S)
     return expose(signal, settings.camera, key=subkey(settings.seed, f"cloth noise white {number}")), exposure
-
-
-def dark_frame(number: int, settings: GoniometerSettings) -> np.ndarray:
-    """Codes with the lens closed: black level and read noise."""
-    shape = (settings.rows, settings.columns, len(TINT))
-    return expose(np.zeros(shape), settings.camera, key=subkey(settings.seed, f"cloth dark {number}"))

@@ -16,14 +16,14 @@ from nishiki.simulate.painting.photographs import (
     BOARD_REFLECTANCE,
     WAVELENGTHS_NM,
     Photograph,
-    dark_frame,
     make_tables,
     photograph,
     true_spectra,
     white_board,
 )
 from nishiki.simulate.painting.settings import PRESETS, LightSettings, SimulationSettings
-from nishiki.simulate.sensor import channel_names, sensitivities
+from nishiki.simulate.randomness import subkey
+from nishiki.simulate.sensor import channel_names, dark_frame, sensitivities
 from nishiki.simulate.settings import CameraSettings, camera_from
 
 
@@ -75,7 +75,8 @@ def write_all(settings: SimulationSettings, capture: Path, truth: Path, options,
         report(f"light {lamp.name}")
     for index in range(1, DARK_FRAMES + 1):
         file = f"dark/{index}.{options.format}"
-        write_image(capture / file, dark_frame(index, settings))
+        key = subkey(settings.seed, f"noise dark {index}")
+        write_image(capture / file, dark_frame(shot.codes.shape, settings.camera, key=key))
         frames.append((file, "dark", ""))
     write_csv(capture / "frames.csv", [("file", "role", "light"), *frames])
     write_tables(capture, settings, lamps, directions=options.lights_as != "position")

@@ -81,6 +81,12 @@ def beam_strength(lamp: Lamp, settings: SimulationSettings, rows: slice) -> np.n
     return lamp.power * beam * settings.distance_mm**2 / square
 
 
+def vignette(settings: SimulationSettings, rows: slice) -> np.ndarray:
+    """Light fall-off of the lens (rows, columns): 4 % in the corners."""
+    u, v = (axis / settings.half_diagonal_mm for axis in plane_coordinates(settings, rows))
+    return 1.0 - 0.04 * (u[None, :] ** 2 + v[:, None] ** 2)
+
+
 def board_cosine(lamp: Lamp, settings: SimulationSettings, rows: slice) -> np.ndarray:
     """Cosine of incidence (rows, columns) on a flat board in the plane of the object, for the lamp's true position."""
     x, y = plane_coordinates(settings, rows)

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.simulate.painting.lamp import Lamp, beam_strength, board_cosine, planck_spectrum
+from nishiki.simulate.painting.lamp import Lamp, beam_strength, board_cosine, planck_spectrum, vignette
 from nishiki.simulate.painting.objects import SimulatedObject
 from nishiki.simulate.painting.paints import camera_tables, make_palette, xyz_tables
 from nishiki.simulate.painting.settings import SimulationSettings
 from nishiki.simulate.painting.shading import shade
 from nishiki.simulate.randomness import subkey
-from nishiki.simulate.sensor import expose, vignette
+from nishiki.simulate.sensor import expose
 
 BOARD_REFLECTANCE = 0.98
 WAVELENGTHS_NM = np.arange(400.0, 700.5, 5.0)
@@ -114,9 +114,3 @@ def white_board(lamp: Lamp, settings: SimulationSettings, tables: Tables) -> np.
         signal = BOARD_REFLECTANCE * light[..., None] * tables.signal
         codes[rows] = expose(signal, settings.camera, key=key, first_row=rows.start)
     return codes
-
-
-def dark_frame(index: int, settings: SimulationSettings) -> np.ndarray:
-    """Codes (rows, columns, channels) with the lens closed: black level and read noise."""
-    shape = (settings.rows, settings.columns, settings.camera.channels)
-    return expose(np.zeros(shape, np.float32), settings.camera, key=subkey(settings.seed, f"noise dark {index}"))

@@ -9,14 +9,15 @@ import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.simulate.folders import DARK_FRAMES, Truth, write_csv, write_description, write_image
+from nishiki.simulate.randomness import subkey
+from nishiki.simulate.sensor import dark_frame
 from nishiki.simulate.settings import camera_from
 from nishiki.simulate.turntable import settings as constants
-from nishiki.simulate.turntable.photographs import Optics, components, dark_frame, make_optics, photograph, white_board
+from nishiki.simulate.turntable.photographs import Optics, components, make_optics, photograph, white_board
 from nishiki.simulate.turntable.render import Light, SimulatedScene, make_scene, see
-from nishiki.simulate.turntable.settings import PRESETS, TurntableSettings
+from nishiki.simulate.turntable.settings import PRESETS, TurntableSettings, Viewpoint, place_views
 from nishiki.simulate.turntable.shape import PARTS
 from nishiki.simulate.turntable.surface import make_surface, scanned
-from nishiki.simulate.turntable.viewpoints import Viewpoint, place_views
 
 LAMP = "lamp"
 EXPOSURE_S = "0.25"
@@ -71,7 +72,8 @@ def write_all(settings: TurntableSettings, capture: Path, truth: Path, options, 
         for number, codes in enumerate(boards, start=1):
             keep(f"white/{state or 'board'}-{number}.{options.format}", "white", codes, light=lamp, state=state)
     for number in range(1, DARK_FRAMES + 1):
-        keep(f"dark/{number}.{options.format}", "dark", dark_frame(number, settings))
+        key = subkey(settings.seed, f"turntable dark {number}")
+        keep(f"dark/{number}.{options.format}", "dark", dark_frame(codes.shape, settings.camera, key=key))
     header = ("file", "role", "view", "light", "polariser", "exposure_s", "silhouette")
     write_csv(capture / "frames.csv", [header, *frames])
     header = ("view", *(f"p{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3, 4)))

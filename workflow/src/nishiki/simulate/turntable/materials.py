@@ -1,4 +1,5 @@
-"""What each place of the object is made of: enamelled porcelain, woven and gilded parts, lacquer, glaze.
+"""What each place of the object is made of: enamelled porcelain, woven and gilded parts, lacquer, glaze; and
+how it reflects.
 
 A material is a row m of 15 numbers: 0-2 albedo of the body (red, green, blue); 3-5 reflectance of a metal at normal
 incidence, 0 where there is none; 6, 7 GGX roughness along and across the tangent; 8 Oren-Nayar roughness, radians;
@@ -11,10 +12,12 @@ import numba
 import numpy as np
 
 from nishiki.simulate.randomness import crack_distance, hash_uint, solid_fractal, solid_noise, uniform
+from nishiki.simulate.reflection import facets, fresnel, rough_matter
 from nishiki.simulate.turntable.shape import ANIMAL, BODY, FLUTES, FRUIT, HANDLES, LID, ROPE
 from nishiki.threads import over_rows
 
 NUMBERS = 15
+INDEX = 1.5  # of glazes and lacquer
 GOLD = (0.94, 0.72, 0.34)
 _ENAMELS = np.array(
     [
@@ -356,3 +359,50 @@ def describe(parts: np.ndarray, points: np.ndarray, normals: np.ndarray, *, key:
         arrays = (np.ascontiguousarray(a, np.float64) for a in (parts, points, normals))
         over_rows(_describe_all, len(points), *arrays, np.uint64(key), out)
     return out
+
+
+@numba.njit(cache=True)
+def _reflect(m, lx, ly, lz, vx, vy, vz, body, gloss):
+    """Body and mirror reflection (3,) each of the material m for unit directions to light and view."""
+    nx, ny, nz = m[9], m[10], m[11]
+    n_l, n_v = nx * lx + ny * ly + nz * lz, nx * vx + ny * vy + nz * vz
+    l_v = lx * vx + ly * vy + lz * vz
+    matter = rough_matter(n_l, n_v, l_v, m[8], INDEX)
+    length = math.sqrt(max(2.0 + 2.0 * l_v, 1e-12))
+    hx, hy, hz = (lx + vx) / length, (ly + vy) / length, (lz + vz) / length
+    tx, ty, tz = m[12], m[13], m[14]
+    bx, by, bz = ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx
+    shape = facets(
+        n_l,
+        n_v,
+        hx * tx + hy * ty + hz * tz,
+        hx * bx + hy * by + hz * bz,
+        hx * nx + hy * ny + hz * nz,
+        lx * tx + ly * ty + lz * tz,
+        lx * bx + ly * by + lz * bz,
+        vx * tx + vy * ty + vz * tz,
+        vx * bx + vy * by + vz * bz,
+        m[6],
+        m[7],
+    )
+    cosine = min(max(hx * vx + hy * vy + hz * vz, 0.0), 1.0)
+    glass, grazing = fresnel(cosine, INDEX), (1.0 - cosine) ** 5
+    for c in range(3):
+        body[c] = m[c] * matter
+        gloss[c] = shape * (m[3 + c] + (1.0 - m[3 + c]) * grazing if m[3] > 0.0 else glass)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _reflect_all(start, stop, materials, lights, views, body, gloss):
+    for p in range(start, stop):
+        s, v = lights[p], views[p]
+        _reflect(materials[p], s[0], s[1], s[2], v[0], v[1], v[2], body[p], gloss[p])
+
+
+def reflected(materials: np.ndarray, lights: np.ndarray, views: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Body and mirror reflection (n, 3) of materials (n, NUMBERS) for unit directions to light and view (n, 3)."""
+    body, gloss = np.zeros((len(materials), 3)), np.zeros((len(materials), 3))
+    if len(materials):
+        arrays = (np.ascontiguousarray(a, np.float64) for a in (materials, lights, views))
+        over_rows(_reflect_all, len(materials), *arrays, body, gloss)
+    return body, gloss

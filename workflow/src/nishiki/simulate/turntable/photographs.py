@@ -10,6 +10,7 @@ from nishiki.simulate.randomness import subkey
 from nishiki.simulate.sensor import expose
 from nishiki.simulate.turntable.render import Light
 from nishiki.simulate.turntable.settings import (
+    AIM_MM,
     BETA,
     BLUR_PIXELS,
     BOARD_REFLECTANCE,
@@ -18,8 +19,8 @@ from nishiki.simulate.turntable.settings import (
     STRAY,
     WHITE_RATIO,
     TurntableSettings,
+    Viewpoint,
 )
-from nishiki.simulate.turntable.viewpoints import AIM_MM, Viewpoint
 
 STATES = ("off", "on")
 
@@ -116,9 +117,3 @@ def white_board(index: int, optics: Optics, settings: TurntableSettings, *, stat
         level = level * optics.beta
     key = subkey(settings.seed, f"turntable noise white {index} {state}")
     return expose(level.astype(np.float32), settings.camera, key=key)
-
-
-def dark_frame(index: int, settings: TurntableSettings) -> np.ndarray:
-    """Codes with the lens closed: black level and read noise."""
-    shape = (settings.rows, settings.columns, 3)
-    return expose(np.zeros(shape, np.float32), settings.camera, key=subkey(settings.seed, f"turntable dark {index}"))

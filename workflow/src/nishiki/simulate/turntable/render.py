@@ -9,12 +9,11 @@ import numpy as np
 
 from nishiki.geometry.ray_tree import Hits, RayTree, cast, make_tree
 from nishiki.simulate.randomness import hash_uint, subkey, uniform
+from nishiki.simulate.reflection import metal_fresnel
 from nishiki.simulate.turntable.interreflection import OFFSET_MM, Surroundings, bounced, look_around, mirrored
-from nishiki.simulate.turntable.materials import describe
-from nishiki.simulate.turntable.optics import INDEX, metal_fresnel, reflected
-from nishiki.simulate.turntable.settings import LAMP_RADIUS_MM, TurntableSettings
+from nishiki.simulate.turntable.materials import INDEX, describe, reflected
+from nishiki.simulate.turntable.settings import AIM_MM, LAMP_RADIUS_MM, TurntableSettings, Viewpoint
 from nishiki.simulate.turntable.surface import Surface, make_surface
-from nishiki.simulate.turntable.viewpoints import AIM_MM, Viewpoint
 from nishiki.threads import over_rows
 
 _LAMP_POINTS = 8  # lamp points a vertex, for the light that bounces

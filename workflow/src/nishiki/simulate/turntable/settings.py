@@ -1,8 +1,10 @@
-"""What a simulated turntable capture looks like: one frozen set of settings, checked when it is made."""
+"""What a simulated turntable capture looks like: its settings, and where the camera stands, seen from the object."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+
+import numpy as np
 
 from nishiki.simulate.settings import CameraSettings, check_ranges
 
@@ -17,6 +19,8 @@ WHITE_RATIO = (0.86, 1.0, 0.78)  # what a white gives in each channel, the large
 STRAY = 0.0015  # light scattered inside the lens, of a white's
 CLOTH = 0.004  # the black cloth behind the object, of a white's
 BOARD_REFLECTANCE = 0.98
+AIM_MM = (0.0, 86.0, 0.0)  # the point of the axis that the camera looks at
+_WIDTH_MM, _HEIGHT_MM = 204.0, 200.0  # what the picture must hold, at the axis
 LEAST_TRIANGLES = 3500  # with fewer, thin parts fall apart
 
 
@@ -77,3 +81,41 @@ PRESETS = {
     },
     "object-large": {"rows": 3000, "columns": 4000, "triangles": 250_000, "samples": 2, "directions": 96},
 }
+
+
+@dataclass(frozen=True)
+class Viewpoint:
+    """One view. rotation (3, 3): object to camera (x right, y down, z into the scene); centre (3,): the camera, mm;
+    lamp (3,): the lamp's centre, mm, object's frame; focal: pixels; principal: column, row of the optical axis."""
+
+    name: str
+    rotation: np.ndarray
+    centre: np.ndarray
+    lamp: np.ndarray
+    focal: float
+    principal: tuple[float, float]
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """(3, 4) projection: homogeneous (column, row) of object points; the top left pixel's centre is (0, 0)."""
+        k = np.array([[self.focal, 0.0, self.principal[0]], [0.0, self.focal, self.principal[1]], [0.0, 0.0, 1.0]])
+        return k @ np.column_stack([self.rotation, -self.rotation @ self.centre])
+
+
+def place_views(settings: TurntableSettings) -> tuple[Viewpoint, ...]:
+    """Views in the order of the turn: each has turned the object on by 360°/views, anticlockwise seen from above."""
+    focal = DISTANCE_MM * min(settings.columns / _WIDTH_MM, settings.rows / _HEIGHT_MM)
+    principal = (0.5 * settings.columns - 0.5 + 1.7, 0.5 * settings.rows - 0.5 - 0.9)
+    elevation = np.radians(ELEVATION_DEG)
+    views = []
+    for index in range(settings.views):
+        turn = -2.0 * np.pi * index / settings.views
+        back = np.array(
+            [np.cos(elevation) * np.sin(turn), np.sin(elevation), np.cos(elevation) * np.cos(turn)]
+        )  # from the object to the camera
+        right = np.array([np.cos(turn), 0.0, -np.sin(turn)])
+        up = np.cross(back, right)
+        centre = np.array(AIM_MM) + DISTANCE_MM * back
+        lamp = centre + LAMP_MM[0] * right + LAMP_MM[1] * up + LAMP_MM[2] * back
+        views.append(Viewpoint(f"{index:03d}", np.stack([right, -up, -back]), centre, lamp, focal, principal))
+    return tuple(views)
