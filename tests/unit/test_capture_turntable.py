@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.io import savemat
 
-from nishiki.capture.cameras import camera_centre, read_cameras, turn_of
+from nishiki.capture.cameras import camera_centre, read_cameras
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
 from nishiki.capture.polariser import parse_state
@@ -21,6 +21,7 @@ from nishiki.capture.turntable import turntable_facts
 from nishiki.cli import main
 from nishiki.formats.problems import CaptureError
 from nishiki.geometry.camera import Camera
+from nishiki.geometry.turn import turn_of
 from nishiki.observations.check import check_capture
 
 PLY = (

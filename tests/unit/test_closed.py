@@ -42,7 +42,7 @@ TOLD = {
         {"normals": {"solver": "x"}},
         "normals.solver: input should be 'default', 'lobe', 'lobes' or 'least_squares', found 'x'",
     ),
-    "a stage by its former name": ({"fabric": {"oblique": 0}}, "'fabric' is now called 'cloth_brdf'"),
+    "a stage by its former name": ({"fabric": {"oblique": 0}}, "unknown key 'fabric'; it is now called 'cloth_brdf'"),
     "a key that is near": ({"heigth": {}}, "unknown key 'heigth'; did you mean 'height'?"),
 }
 

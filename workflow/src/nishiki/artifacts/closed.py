@@ -2,7 +2,8 @@
 
 import difflib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, ClassVar, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
@@ -46,6 +47,36 @@ class Guarded(Closed):
 Model = TypeVar("Model", bound=Closed)
 
 
+@dataclass(frozen=True)
+class Fault:
+    """A value that a closed model refuses.
+
+    Attributes
+    ----------
+    kind : {"unknown-key", "missing-key", "wrong-value"}
+        What is wrong.
+    key : str
+        Its place, with dots; empty where several values contradict one another.
+    text, hint : str
+        What is expected, and where to look for the right key.
+    value : object
+        What was given.
+    """
+
+    kind: str
+    key: str
+    text: str = ""
+    hint: str = ""
+    value: Any = None
+
+    def __str__(self) -> str:
+        if self.kind == "missing-key":
+            return f"key {self.key!r} is missing"
+        if self.kind == "unknown-key":
+            return f"unknown key {self.key!r}; {self.hint}"
+        return f"{self.key}: {self.text}, found {self.value!r}" + (f"; {self.hint}" if self.hint else "")
+
+
 def parse(model: type[Model], values: Any, where: str) -> Model:
     """`values` as a checked `model`.
 
@@ -58,27 +89,27 @@ def parse(model: type[Model], values: Any, where: str) -> Model:
     try:
         return model.model_validate(values)
     except ValidationError as error:
-        raise UserError(f"{where}: {'; '.join(_explained(model, values, error.errors()))}") from None
+        raise UserError(f"{where}: {'; '.join(map(str, faults(model, values, error)))}") from None
 
 
-def _explained(model: type[Closed], values: dict, problems: Sequence[Any]) -> list[str]:
-    """One text for each value that is wrong. A value of several kinds has a problem for each: those of the kind that it
-    comes nearest to are told, or all in one."""
-    found: dict[tuple, list[tuple[tuple, dict]]] = {}
-    for problem in problems:
+def faults(model: type[Closed], values: dict, error: ValidationError) -> list[Fault]:
+    """What is wrong with `values`. A value of several kinds has a problem for each: those of the kind that it comes
+    nearest to are given, or all in one."""
+    by_place: dict[tuple, list[tuple[tuple, Any]]] = {}
+    for problem in error.errors():
         path, chosen = _written(values, problem["loc"])
-        found.setdefault(chosen, []).append((path, problem))
-    texts = []
-    for chosen, several in found.items():
+        by_place.setdefault(chosen, []).append((path, problem))
+    result = []
+    for chosen, several in by_place.items():
         deepest = max(len(path) for path, _ in several)
         nearest = [(path, problem) for path, problem in several if len(path) == deepest]
         if len(nearest) == 1 or deepest > len(chosen):
-            texts += [_explain(model, {**problem, "loc": path}) for path, problem in nearest]
+            result += [_fault(model, path, problem) for path, problem in nearest]
         else:
-            wanted = dict.fromkeys(_plain(problem["msg"]).removeprefix("input should be ") for _, problem in nearest)
-            place = ".".join(map(str, chosen))
-            texts.append(f"{place}: input should be {' or '.join(wanted)}, found {nearest[0][1]['input']!r}")
-    return texts
+            kinds = dict.fromkeys(_plain(problem["msg"]).removeprefix("input should be ") for _, problem in nearest)
+            text = f"input should be {' or '.join(kinds)}"
+            result.append(Fault("wrong-value", _joined(chosen), text, value=nearest[0][1]["input"]))
+    return result
 
 
 def _written(values: Any, place: tuple) -> tuple[tuple, tuple]:
@@ -116,21 +147,25 @@ def _plain(message: str) -> str:
     return re.sub(r"a valid (integer|number), unable to parse string as (an?) \w+", r"\2 \1", text)
 
 
-def _explain(model: type[Closed], problem: dict) -> str:
-    path = ".".join(str(part) for part in problem["loc"])
-    last, value = str(problem["loc"][-1]) if problem["loc"] else "", problem["input"]
+def _fault(model: type[Closed], path: tuple, problem: Any) -> Fault:
+    key, last, value = _joined(path), str(path[-1]) if path else "", problem["input"]
+    if problem["type"] == "missing":
+        return Fault("missing-key", key)
     if problem["type"] == "extra_forbidden":
-        if last in model.RENAMED:
-            return f"{path!r} is now called {model.RENAMED[last]!r}"
-        known = _known_keys(model, problem["loc"][:-1])
+        known = _known_keys(model, path[:-1])
         near = difflib.get_close_matches(last, known, n=1)
         hint = f"did you mean {near[0]!r}?" if near else f"known keys: {', '.join(known)}"
-        return f"unknown key {path!r}; {hint}"
-    if problem["type"] == "missing":
-        return f"key {path!r} is missing"
-    renamed = isinstance(value, str) and value in model.RENAMED
-    hint = f"; it is now called {model.RENAMED[value]!r}" if renamed else ""
-    return f"{path}: {_plain(problem['msg'])}, found {value!r}{hint}"
+        return Fault("unknown-key", key, hint=_renamed(model, last) or hint)
+    return Fault("wrong-value", key, _plain(problem["msg"]), _renamed(model, value), value)
+
+
+def _renamed(model: type[Closed], name: Any) -> str:
+    present = model.RENAMED.get(name) if isinstance(name, str) else None
+    return f"it is now called {present!r}" if present else ""
+
+
+def _joined(path: tuple) -> str:
+    return ".".join(map(str, path))
 
 
 def _known_keys(model: type[Closed], path: tuple) -> list[str]:

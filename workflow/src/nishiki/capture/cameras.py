@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,15 +15,6 @@ from nishiki.geometry.camera import Camera
 MATRIX_COLUMNS = tuple(f"p{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3, 4))
 POINT_COLUMNS = ("view", "column", "row", "x", "y", "z")
 FEWEST_POINTS = 4
-LARGEST_STEP = 1.6  # of the median: a turn closes where its last step is like the others
-
-
-@dataclass(frozen=True)
-class TurnSteps:
-    """Whether the views go once round, and the smallest, median and largest step in radians (the closing one last)."""
-
-    full: bool
-    steps: np.ndarray
 
 
 def read_cameras(path: Path, name: str) -> dict[str, np.ndarray]:
@@ -108,28 +98,6 @@ def read_points(path: Path, name: str, views: tuple[str, ...]) -> dict[str, np.n
 def camera_centre(matrix: np.ndarray) -> np.ndarray:
     """(3,) place of the camera of a 3x4 matrix: the point that it maps to zero."""
     return -np.linalg.solve(matrix[:, :3], matrix[:, 3])
-
-
-def turn_of(centres: np.ndarray) -> TurnSteps:
-    """Whether cameras at these places (views, 3), in this order, go once round the object at about equal steps.
-
-    Angles are taken in the plane that the places lie in best, round the centre of the circle that fits them there
-    (linear least squares on the squared radius). Full: all steps in one sense, together one turn, and none, the closing
-    one included, above 1.6 times their median.
-    """
-    centres = np.asarray(centres, np.float64)
-    if len(centres) < 3:
-        return TurnSteps(False, np.zeros(0))
-    offset = centres - centres.mean(axis=0)
-    _, _, axes = np.linalg.svd(offset, full_matrices=False)
-    plane = offset @ axes[:2].T
-    circle = np.linalg.lstsq(np.column_stack([2 * plane, np.ones(len(plane))]), (plane**2).sum(axis=1), rcond=None)[0]
-    plane = plane - circle[:2]
-    angles = np.arctan2(plane[:, 1], plane[:, 0])
-    steps = np.mod(np.diff(angles, append=angles[:1]) + np.pi, 2 * np.pi) - np.pi
-    steps = steps if steps.sum() >= 0 else -steps
-    once = abs(steps.sum() - 2 * np.pi) < 1e-6 and (steps > 0).all()
-    return TurnSteps(bool(once and steps.max() <= LARGEST_STEP * np.median(steps)), steps)
 
 
 def _rows(path: Path, name: str, kind: str) -> list[tuple[int, list[str]]]:

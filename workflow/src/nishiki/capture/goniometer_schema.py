@@ -6,7 +6,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from nishiki.capture.schema_base import Closed, Positive, Session
+from nishiki.artifacts.closed import Closed
+from nishiki.capture.schema_base import Positive, Session
 from nishiki.formats.files import is_label
 
 Reflectance = Annotated[float, Field(gt=0, le=1.1)]

@@ -7,8 +7,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from nishiki.artifacts.closed import Closed
 from nishiki.capture.goniometer_schema import GoniometerFile
-from nishiki.capture.schema_base import Closed, Positive, Session, read_mapping, validate
+from nishiki.capture.schema_base import Positive, Session, read_mapping, validate
 from nishiki.capture.turntable_schema import TurntableFile
 from nishiki.formats.problems import CaptureError
 

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import difflib
 from datetime import date as Date
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, get_args
+from typing import Annotated, Any, Literal, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import Field, ValidationError, field_validator
 
+from nishiki.artifacts.closed import Closed, Fault, faults
 from nishiki.formats import plain_yaml
 from nishiki.formats.files import Refused, is_plain, read_text
 from nishiki.formats.problems import CaptureError, Problem, error
@@ -19,10 +19,6 @@ FORMAT = 1
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Count = Annotated[int, Field(strict=True, ge=0)]
-
-
-class Closed(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class Camera(Closed):
@@ -127,7 +123,7 @@ def read_mapping(path: Path) -> dict:
     return parsed
 
 
-Model = TypeVar("Model", bound=BaseModel)
+Model = TypeVar("Model", bound=Closed)
 
 
 def validate(model: type[Model], parsed: dict, file: str) -> Model:
@@ -135,31 +131,17 @@ def validate(model: type[Model], parsed: dict, file: str) -> Model:
     try:
         return model.model_validate(parsed)
     except ValidationError as e:
-        raise CaptureError([_explain(item, file, model) for item in e.errors()]) from e
+        raise CaptureError([_problem(fault, file) for fault in faults(model, parsed, e)]) from e
 
 
-def _explain(item: dict, file: str, model: type[BaseModel]) -> Problem:
-    """One pydantic finding as a Problem, in the words of the file's author."""
-    key = ".".join(str(part) for part in item["loc"])
-    if item["type"] == "extra_forbidden":
-        known = _known_keys(model, item["loc"][:-1])
-        near = difflib.get_close_matches(str(item["loc"][-1]), known, n=1, cutoff=0.5)
-        remedy = f"Did you mean '{near[0]}'?" if near else f"Known keys: {', '.join(known)}"
-        return error("unknown-key", file, f"unknown key '{key}'", remedy=remedy)
-    if item["type"] == "missing":
-        return error("missing-key", file, f"key '{key}' is missing", remedy="Add it; see the capture folder format")
-    message = item["msg"].removeprefix("Value error, ")
-    what = f"key '{key}'" if key else "keys disagree"
-    return error("wrong-value", file, what, expected=message, found=_short(item["input"]) if key else "")
-
-
-def _known_keys(model: type[BaseModel], location: tuple) -> list[str]:
-    for part in location:
-        annotation = model.model_fields[part].annotation if part in model.model_fields else None
-        model = next((a for a in (annotation, *get_args(annotation)) if hasattr(a, "model_fields")), model)
-    return list(model.model_fields)
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."
+def _problem(fault: Fault, file: str) -> Problem:
+    if fault.kind == "unknown-key":
+        remedy = fault.hint[0].upper() + fault.hint[1:]
+        return error("unknown-key", file, f"unknown key '{fault.key}'", remedy=remedy)
+    if fault.kind == "missing-key":
+        return error("missing-key", file, str(fault), remedy="Add it; see the capture folder format")
+    what = f"key '{fault.key}'" if fault.key else "keys disagree"
+    given = repr(fault.value) if fault.key else ""
+    return error(
+        "wrong-value", file, what, expected=fault.text, found=given if len(given) <= 60 else given[:57] + "..."
+    )

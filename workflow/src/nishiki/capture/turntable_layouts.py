@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.capture.cameras import camera_centre, camera_problems, turn_of
+from nishiki.capture.cameras import camera_centre, camera_problems
 from nishiki.capture.layouts import natural_key, photographs_in
 from nishiki.capture.polariser import parse_state
 from nishiki.capture.seal import sha256_of
@@ -20,6 +20,7 @@ from nishiki.formats.image_header import IMAGE_SUFFIXES
 from nishiki.formats.matlab import read_matlab
 from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, warning
 from nishiki.formats.text_tables import expect_rows, reading, refusal
+from nishiki.geometry.turn import turn_of
 
 STATES = re.compile(r"(\d+(?:\.\d+)?)_(\d+(?:\.\d+)?)")
 FEWEST_STATES = 3
@@ -195,7 +196,9 @@ def _turntable(
     raise_errors([p for view, m in zip(views, matrices, strict=True) for p in camera_problems(view, m, file)])
     turn = turn_of(np.array([camera_centre(m) for m in matrices]))
     states = ("",) * len(views)
-    return RoundLayout(name, tuple(photographs), views, states, matrices, turn.full, calibration, tuple(notes))
+    return RoundLayout(
+        name, tuple(photographs), views, states, matrices, turn is not None and turn.full, calibration, tuple(notes)
+    )
 
 
 def view_names(photographs: list[Path]) -> tuple[str, ...]:

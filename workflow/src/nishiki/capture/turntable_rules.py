@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 
-from nishiki.capture.cameras import camera_centre, turn_of
+from nishiki.capture.cameras import camera_centre
 from nishiki.capture.frames import Frame
 from nishiki.capture.lights import Lights
 from nishiki.capture.polariser import state_problems
@@ -15,6 +15,7 @@ from nishiki.capture.turntable_schema import TurntableFile
 from nishiki.formats.bounds import bound
 from nishiki.formats.bounds import remedy as bound_remedy
 from nishiki.formats.problems import Problem, error, warning
+from nishiki.geometry.turn import turn_of
 
 TABLE = "frames.csv"
 TOLD = 100  # photographs that are missing from the grid of views, lights and states
@@ -203,13 +204,16 @@ def _camera_problems(
     if problems or len(views) < 3:
         return problems
     turn = turn_of(np.array([camera_centre(matrices[view]) for view in views]))
-    if settings.turntable.full_turn and not turn.full:
-        found = f"steps of {np.degrees(turn.steps.min()):.1f} to {np.degrees(turn.steps.max()):.1f} degrees"
+    full = turn is not None and turn.full
+    if settings.turntable.full_turn and not full:
+        found = (
+            f"steps of {min(turn.steps_deg):.1f} to {max(turn.steps_deg):.1f} degrees" if turn else "a straight line"
+        )
         what, expected = "full_turn is true but the cameras do not go once round at about equal steps", "equal steps"
         remedy = f"List the views in the order of the turn in {TABLE}, or set full_turn: false"
         problems.append(warning("turn-uneven", "capture.yaml turntable.full_turn", what,
                                 expected=expected, found=found, remedy=remedy))  # fmt: skip
-    if turn.full and not settings.turntable.full_turn:
+    if full and not settings.turntable.full_turn:
         remedy = "Set full_turn: true: the residual is then coded as periodic over the views"
         what = "the cameras go once round, but full_turn is false"
         problems.append(warning("turn-full", "capture.yaml turntable.full_turn", what, remedy=remedy))

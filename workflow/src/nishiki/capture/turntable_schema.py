@@ -7,7 +7,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from nishiki.capture.schema_base import Closed, Positive, Session, read_mapping, validate
+from nishiki.artifacts.closed import Closed
+from nishiki.capture.schema_base import Positive, Session, read_mapping, validate
 
 UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "arbitrary": None}
 MARKERS = {"4X4": (50, 100, 250, 1000), "5X5": (50, 100, 250, 1000), "6X6": (50, 100, 250, 1000)}

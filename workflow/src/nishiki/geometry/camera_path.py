@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nishiki.geometry.camera import Camera
+from nishiki.geometry.turn import circle_centre
 
 
 @dataclass(frozen=True)
@@ -63,9 +64,7 @@ def axis_point(cameras: list[Camera], axis: np.ndarray) -> np.ndarray:
     x, y = (centres - mean) @ first, (centres - mean) @ second
     if len(cameras) < 3:
         return mean
-    # circle x^2 + y^2 = 2 a x + 2 b y + c: linear in a, b, c (I. Kasa, IEEE Trans. Instrum. Meas. 25, 1976)
-    system = np.column_stack([2 * x, 2 * y, np.ones_like(x)])
-    (a, b, _), *_ = np.linalg.lstsq(system, x * x + y * y, rcond=None)
+    a, b = circle_centre(np.column_stack([x, y]))
     return mean + a * first + b * second
 
 
@@ -136,11 +135,14 @@ def rotation_vector(rotation: np.ndarray) -> np.ndarray:
     return angle * column / np.linalg.norm(column)
 
 
-def rotation_matrix(vector: np.ndarray) -> np.ndarray:
-    """(3, 3) rotation about the vector by its length in radians (Rodrigues)."""
-    angle = float(np.linalg.norm(vector))
-    if angle < 1e-300:
-        return np.eye(3)
-    x, y, z = np.asarray(vector, np.float64) / angle
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.eye(3) + np.sin(angle) * cross + 2 * np.sin(angle / 2) ** 2 * (cross @ cross)
+def rotation_matrix(vectors: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) rotations about vectors (..., 3) by their lengths in radians (Rodrigues)."""
+    vectors = np.asarray(vectors, np.float64)
+    angles = np.linalg.norm(vectors, axis=-1)
+    # sin(x)/x and (1 - cos x)/x^2 without a division by zero
+    ratio = np.sinc(angles / np.pi)
+    half = np.sinc(angles / (2 * np.pi)) ** 2 / 2
+    cross = np.zeros((*vectors.shape, 3))
+    cross[..., 0, 1], cross[..., 0, 2], cross[..., 1, 2] = -vectors[..., 2], vectors[..., 1], -vectors[..., 0]
+    cross -= np.swapaxes(cross, -1, -2)
+    return np.eye(3) + ratio[..., None, None] * cross + half[..., None, None] * (cross @ cross)

@@ -1,10 +1,12 @@
-"""Do camera centres lie on a circle, as those of a turntable must? A check that needs no board."""
+"""The circle of the camera centres: do they lie on one, as those of a turntable must, and do they go once round?"""
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 
 import numpy as np
+
+LARGEST_STEP = 1.6  # of a full turn, relative to the median step
 
 
 @dataclass(frozen=True)
@@ -24,9 +26,25 @@ class CircleCheck:
     off_plane: float
     steps_deg: tuple[float, ...]
 
+    @property
+    def full(self) -> bool:
+        """Whether the views go once round: steps in one sense, together one turn, none above 1.6 times the median."""
+        steps = np.array(self.steps_deg)
+        once = abs(steps.sum() - 360) < 1e-4 and (steps > 0).all()
+        return bool(once and steps.max() <= LARGEST_STEP * np.median(steps))
+
     def as_dict(self) -> dict:
         """Plain data, for JSON."""
         return asdict(self)
+
+
+def circle_centre(points: np.ndarray) -> np.ndarray:
+    """Centre (2,) of the circle nearest to points (n, 2), n >= 3, in the sense of squared radii.
+
+    |p|^2 = 2 p.c + (r^2 - |c|^2) is linear in the centre c and in the last term (Kåsa, 1976).
+    """
+    design = np.column_stack([2 * points, np.ones(len(points))])
+    return np.linalg.lstsq(design, (points**2).sum(axis=1), rcond=None)[0][:2]
 
 
 def turn_of(centres: np.ndarray) -> CircleCheck | None:
@@ -42,11 +60,8 @@ def turn_of(centres: np.ndarray) -> CircleCheck | None:
     if sizes[1] <= 1e-9 * max(sizes[0], np.abs(centres).max()):
         return None
     plane = (centres - middle) @ directions[:2].T
-    # |p|^2 = 2 p.c + (r^2 - |c|^2) is linear in the centre c and in the last term (I. Kasa, A circle fitting procedure
-    # and its error analysis, IEEE Trans. Instrumentation and Measurement 25, 1976).
-    design = np.column_stack([2 * plane, np.ones(len(plane))])
-    solution = np.linalg.lstsq(design, (plane**2).sum(axis=1), rcond=None)[0]
-    around = plane - solution[:2]
+    centre = circle_centre(plane)
+    around = plane - centre
     radii = np.linalg.norm(around, axis=1)
     angles = np.arctan2(around[:, 1], around[:, 0])
     steps = np.remainder(np.diff(angles, append=angles[0]) + np.pi, 2 * np.pi) - np.pi
@@ -54,7 +69,7 @@ def turn_of(centres: np.ndarray) -> CircleCheck | None:
     axis = sign * np.cross(directions[0], directions[1])
     return CircleCheck(
         axis=tuple(axis.tolist()),
-        centre=tuple((middle + solution[:2] @ directions[:2]).tolist()),
+        centre=tuple((middle + centre @ directions[:2]).tolist()),
         radius=float(radii.mean()),
         radius_min=float(radii.min() / radii.mean()),
         radius_max=float(radii.max() / radii.mean()),

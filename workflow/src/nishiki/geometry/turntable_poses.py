@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nishiki.geometry.camera import Camera, distort
+from nishiki.geometry.camera_path import rotation_matrix
 from nishiki.geometry.pose import Sight, refine_pose
 
 FOLDS = 3
@@ -159,8 +160,8 @@ class _Model:
         axis = axis / np.linalg.norm(axis)
         point = x[8:10] @ self.across
         angles = self.angles(x[10:])
-        rest = _rotations(x[None, :3])[0] @ self.camera.rotation
-        turns = _rotations(angles[:, None] * axis)
+        rest = rotation_matrix(x[:3]) @ self.camera.rotation
+        turns = rotation_matrix(angles[:, None] * axis)
         return rest @ turns, x[3:6] + (point - turns @ point) @ rest.T, axis, point, angles
 
     def residuals(self, x: np.ndarray) -> np.ndarray:
@@ -194,15 +195,3 @@ def _axis_of(cameras: list[Camera]) -> tuple[np.ndarray, np.ndarray]:
         axis=1,
     )
     return axis, np.arctan2(skew @ axis / 2, (np.trace(relative, axis1=1, axis2=2) - 1) / 2)
-
-
-def _rotations(vectors: np.ndarray) -> np.ndarray:
-    """(n, 3, 3) rotations by the lengths of vectors (n, 3) about them (Rodrigues)."""
-    angles = np.linalg.norm(vectors, axis=1)
-    # sin(x)/x and (1 - cos x)/x^2 without the division by zero.
-    ratio = np.sinc(angles / np.pi)
-    half = np.sinc(angles / (2 * np.pi)) ** 2 / 2
-    cross = np.zeros((len(vectors), 3, 3))
-    cross[:, 0, 1], cross[:, 0, 2], cross[:, 1, 2] = -vectors[:, 2], vectors[:, 1], -vectors[:, 0]
-    cross -= np.swapaxes(cross, 1, 2)
-    return np.eye(3) + ratio[:, None, None] * cross + half[:, None, None] * (cross @ cross)
