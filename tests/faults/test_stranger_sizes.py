@@ -108,10 +108,8 @@ def test_absurd_pictures_are_refused_before_they_are_decoded(tmp_path, name, qui
     path.write_bytes(content)
     before = _peak_mb()
     with pytest.raises(CaptureError) as told:
-        read_header(path)
+        read_codes(path, tuple(f"c{i}" for i in range(read_header(path).channels)))
     assert told.value.problems[0].kind in ("image-absurd", "image-truncated")
-    with pytest.raises(CaptureError):
-        read_codes(path, ("red", "green", "blue"))
     assert _peak_mb() - before < 200
 
 

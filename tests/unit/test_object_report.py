@@ -154,7 +154,7 @@ def evaluation_of(writer):
     figures |= {"mean_covered_psnr_db": 42.0, "uncovered_pixels": 3, "pixels": 900}
     row = {"view": "000", "light": "", "left_out": False, "picture": "decoded", "against": "photograph", "pixels": 9}
     row |= {"psnr_db": 41.5, "covered_psnr_db": 42.0, "similarity": None, "uncovered_pixels": 3}
-    sizes = {"mesh_triangles": 500, "residual_parameters": 200, "residual_total": 3000, "total": 3700}
+    sizes = {"mesh": 500, "residual_parameters": 200, "residual_total": 3000, "total": 3700}
     evaluation = {
         "figures": {"captured": figures, "left_out_interpolated": {**figures, "mean_psnr_db": 33.25}},
         "left_out": {"views": ["003"], "used": "interpolated"},

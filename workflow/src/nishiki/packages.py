@@ -11,6 +11,7 @@ from nishiki.installation import INSTALLED
 MODULES = {
     "OpenEXR": "OpenEXR",
     "av": "av",
+    "dracopy": "DracoPy",
     "jinja2": "jinja2",
     "numba": "numba",
     "numpy": "numpy",

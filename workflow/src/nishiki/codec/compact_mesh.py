@@ -1,9 +1,8 @@
-"""A mesh in few bytes: grid positions predicted from their neighbours, and the triangles as a walk.
+"""A mesh in few bytes: positions on a grid and triangles, coded without loss by Draco.
 
-What a renderer needs beside the residual.  The bytes are those of a form that `decode_mesh` reads back; its vertices
-and triangles come in the order of the walk.  Prediction: the mean over the parallelograms that known triangles span
-(C. Touma and C. Gotsman, Triangle mesh compression, Graphics Interface 1998; several of them: M. Isenburg and
-P. Alliez, Compressing polygon mesh geometry with parallelogram prediction, IEEE Visualization 2002).
+What a renderer needs beside the residual.  Draco (https://google.github.io/draco; glTF's KHR_draco_mesh_compression)
+walks over the surface from edge to edge and predicts each position from its neighbours, so that vertices and triangles
+come back in the order of that walk.
 """
 
 from __future__ import annotations
@@ -12,168 +11,81 @@ import struct
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
-from nishiki.codec.connectivity import CONTEXTS, describe, follow, twins_of
-from nishiki.codec.integer_code import code_integer, decoder, encode_integers, new_chances
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
 
-_HEADER = struct.Struct("<4sIIIIi3i")  # magic, vertices, triangles, bytes of triangles, of positions, step, origin
-_MAGIC = b"nms2"
-CONTEXT_SIZES = 14  # contexts of one axis: size of the last residuals
+_HEADER = struct.Struct("<i3i")  # exponent of the grid's step, lowest corner in steps
+_LEVELS = (7, 10)  # of Draco's effort: the first gives fewer bytes below some thousand triangles, the second above
+_LARGEST = 2**29  # steps along an axis; Draco predicts in 32-bit integers
 
 
 @dataclass(frozen=True)
 class CompactMesh:
-    """data: the bytes; vertices (v,) and triangles (f,) int64: numbers, in the mesh that was coded, of the decoded
-    vertices and triangles, first (f,) the corner each starts with; parts: bytes by what they hold; unused: vertices of
-    no triangle, which are not coded; step: of the grid."""
+    """data: the bytes; order (n,) int64: number, in the mesh that was coded, of each decoded triangle; step: of the
+    grid."""
 
     data: bytes
-    vertices: np.ndarray
-    triangles: np.ndarray
-    first: np.ndarray
-    parts: dict[str, int]
-    unused: int
+    order: np.ndarray
     step: float
 
     def restored(self, mesh: Mesh) -> Mesh:
         """The decoded positions in the order of `mesh`, the mesh that was coded: what a renderer of the bytes sees,
         with triangles numbered as the atlas numbers them.  Normals are computed from the decoded positions."""
-        decoded = decode_mesh(self.data)
-        vertices = mesh.vertices.copy()
-        vertices[self.vertices] = decoded.vertices
-        return Mesh.of(vertices, mesh.triangles)
+        return Mesh.of(np.round(mesh.vertices / self.step) * self.step, mesh.triangles)
 
 
 def encode_mesh(mesh: Mesh, *, step: float) -> CompactMesh:
-    """Positions rounded to multiples of `step` (a power of two, world's unit), triangles without loss.
+    """Positions rounded to multiples of `step` (a power of two, world's unit), triangles without loss; triangles of
+    which two corners fall on one point of the grid are left out.
 
-    Raises ValueError where the step is no power of two, or so small that positions do not fit in 31 bits.
+    Raises ValueError where the step is no power of two, or too small for the size of the mesh.
     """
+    import DracoPy
+
     exponent = int(np.log2(step))
     if 2.0**exponent != step:
         raise ValueError(f"expected a step that is a power of two, found {step!r}")
-    triangles = np.ascontiguousarray(mesh.triangles, np.int64)
     grid = np.round(np.asarray(mesh.vertices, np.float64) / step)
-    used = np.unique(triangles)
-    if len(used) and np.abs(grid[used]).max() >= 2**31:
+    corners = grid[mesh.triangles]
+    kept = np.flatnonzero(~(corners == np.roll(corners, 1, axis=1)).all(axis=2).any(axis=1))
+    used, triangles = np.unique(mesh.triangles[kept], return_inverse=True)
+    triangles = triangles.reshape(-1, 3).astype(np.uint32)
+    lowest = grid[used].min(axis=0)
+    points = grid[used] - lowest
+    if points.max() >= _LARGEST or np.abs(lowest).max() >= 2**31:
         raise ValueError(f"step {step!r} is too small for positions up to {np.abs(mesh.vertices[used]).max()!r}")
-    twins = twins_of(triangles)
-    values, contexts, order, first, number = describe(triangles, twins, len(mesh.vertices))
-    vertices = np.argsort(np.where(number < 0, len(number), number), kind="stable")[: len(used)]
-    walk = encode_integers(values, contexts, CONTEXTS)
-    corners = (first[:, None] + np.arange(3)) % 3
-    renumbered = number[np.take_along_axis(triangles[order], corners, axis=1)]
-    points = np.ascontiguousarray(grid[vertices], np.int64).reshape(-1, 3)
-    origin = points[0] if len(points) else np.zeros(3, np.int64)
-    residuals, sizes = predict(points - origin, renumbered, twins_of(renumbered))
-    places = encode_integers(residuals.reshape(-1), sizes.reshape(-1), 3 * CONTEXT_SIZES)
-    head = _HEADER.pack(_MAGIC, len(used), len(order), len(walk), len(places), exponent, *(int(v) for v in origin))
-    parts = {"header": len(head), "triangles": len(walk), "positions": len(places)}
-    data = head + walk.tobytes() + places.tobytes()
-    return CompactMesh(data, vertices, order, first, parts, len(mesh.vertices) - len(used), step)
+    forms = [DracoPy.encode(points.astype(np.uint32), triangles, compression_level=level) for level in _LEVELS]
+    data = _HEADER.pack(exponent, *lowest.astype(int).tolist()) + min(forms, key=len)
+    decoded = decode_mesh(data)
+    order = _same_triangles(grid[used], triangles, np.round(decoded.vertices / step), decoded.triangles)
+    return CompactMesh(data, kept[order], step)
 
 
 def decode_mesh(data: bytes) -> Mesh:
     """The mesh of the bytes of `encode_mesh`.  Raises ValueError where they are not such bytes or are cut short."""
-    if len(data) < _HEADER.size or data[:4] != _MAGIC:
-        raise ValueError("not a compact mesh")
-    _, vertices, count, walk, places, exponent, *origin = _HEADER.unpack_from(data)
-    if len(data) != _HEADER.size + walk + places:
-        raise ValueError(f"compact mesh: expected {_HEADER.size + walk + places} bytes, found {len(data)}")
-    body = np.frombuffer(data, np.uint8, offset=_HEADER.size)
-    triangles = follow(body[:walk].copy(), count, vertices)
-    wide = triangles.astype(np.int64)
-    points = restore(body[walk:].copy(), wide, twins_of(wide), vertices)
-    return Mesh.of((points + np.array(origin, np.int64)) * 2.0**exponent, triangles)
+    import DracoPy
+
+    try:
+        exponent, *lowest = _HEADER.unpack_from(data)
+        decoded = DracoPy.decode(data[_HEADER.size :])
+    except Exception as error:  # Draco has errors of its own
+        raise ValueError(f"not a compact mesh ({error})") from None
+    points = np.asarray(decoded.points).astype(np.int64)
+    return Mesh.of((points + np.array(lowest)) * 2.0**exponent, np.asarray(decoded.faces).astype(np.int32))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _corner_lists(triangles, vertices):
-    """Corners of each vertex: first (vertices + 1,), and (3 f,) numbers 3 t + k with triangles[t, k] = vertex."""
-    first = np.zeros(vertices + 1, np.int64)
-    for t in range(len(triangles)):
-        for k in range(3):
-            first[triangles[t, k] + 1] += 1
-    for v in range(vertices):
-        first[v + 1] += first[v]
-    place, found = first.copy(), np.empty(3 * len(triangles), np.int64)
-    for t in range(len(triangles)):
-        for k in range(3):
-            v = triangles[t, k]
-            found[place[v]] = 3 * t + k
-            place[v] += 1
-    return first, found
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _expected(vertex, points, triangles, twins, first, found, guess):
-    """Prediction of a vertex from those of lower numbers, into guess (3,) int64."""
-    total, count = np.zeros(3, np.int64), 0
-    near, beside = np.zeros(3, np.int64), 0
-    for at in range(first[vertex], first[vertex + 1]):
-        t, k = found[at] // 3, found[at] % 3
-        a, b = triangles[t, (k + 1) % 3], triangles[t, (k + 2) % 3]
-        for v in (a, b):
-            if v < vertex:
-                near += points[v]
-                beside += 1
-        twin = twins[3 * t + (k + 1) % 3]
-        if a < vertex and b < vertex and twin >= 0:
-            across = triangles[twin // 3, (twin % 3 + 2) % 3]
-            if across < vertex:
-                total += points[a] + points[b] - points[across]
-                count += 1
-    for axis in range(3):
-        if count:
-            guess[axis] = (2 * total[axis] + count) // (2 * count)
-        elif beside:
-            guess[axis] = (2 * near[axis] + beside) // (2 * beside)
-        else:
-            guess[axis] = points[vertex - 1, axis] if vertex else 0
-    return count
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _size(value):
-    size = 0
-    while value >> size:
-        size += 1
-    return min(size, CONTEXT_SIZES - 1)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def predict(points, triangles, twins):
-    """Residuals (v, 3) int64 of the positions against their predictions, and the contexts to code them in."""
-    first, found = _corner_lists(triangles, len(points))
-    residuals, contexts = np.empty_like(points), np.empty_like(points)
-    guess, recent = np.zeros(3, np.int64), np.zeros(3, np.int64)
-    for v in range(len(points)):
-        _expected(v, points, triangles, twins, first, found, guess)
-        for axis in range(3):
-            contexts[v, axis] = axis * CONTEXT_SIZES + _size(recent[axis])
-            residuals[v, axis] = points[v, axis] - guess[axis]
-            recent[axis] = (recent[axis] + 2 * abs(residuals[v, axis]) + 1) // 2
-    return residuals, contexts
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def restore(data, triangles, twins, vertices):
-    """Positions (v, 3) int64 from the coded residuals of `predict`."""
-    first, found = _corner_lists(triangles, vertices)
-    points = np.zeros((vertices, 3), np.int64)
-    guess, recent = np.zeros(3, np.int64), np.zeros(3, np.int64)
-    chances, state = new_chances(3 * CONTEXT_SIZES), decoder(data)
-    for v in range(vertices):
-        _expected(v, points, triangles, twins, first, found, guess)
-        for axis in range(3):
-            context = axis * CONTEXT_SIZES + _size(recent[axis])
-            residual = code_integer(0, context, chances, state, data, True)
-            points[v, axis] = guess[axis] + residual
-            recent[axis] = (recent[axis] + 2 * abs(residual) + 1) // 2
-    return points
+def _same_triangles(points, triangles, decoded_points, decoded_triangles) -> np.ndarray:
+    """For each decoded triangle the number (f,) of the one with the same three points in the same turn."""
+    _, places = np.unique(np.concatenate([points, decoded_points]), axis=0, return_inverse=True)
+    places = places.reshape(-1)
+    ranks = []
+    for corners in (places[triangles], places[len(points) :][decoded_triangles]):
+        first = corners.argmin(axis=1)[:, None]
+        ranks.append(np.lexsort(np.take_along_axis(corners, (first + np.arange(3)) % 3, axis=1).T))
+    order = np.empty(len(ranks[0]), np.int64)
+    order[ranks[1]] = ranks[0]
+    return order
 
 
 def grid_step(mesh: Mesh, cameras: list[Camera], *, shift_px: float = 0.05) -> float:

@@ -29,12 +29,12 @@ def cost_of(mesh: Mesh, chart: np.ndarray, cameras: list, lighting: dict, residu
     """chart (f,): of the atlas; lighting: as plain data; residual: its bytes by part, parameters included (a "total"
     among them is left out)."""
     coded = encode_mesh(mesh, step=own_step(mesh, cameras))
-    used = coded.vertices
-    moved = shift(mesh.vertices[used], coded.restored(mesh).vertices[used], cameras) if len(used) else 0.0
+    used = np.unique(mesh.triangles)
+    moved = shift(mesh.vertices[used], coded.restored(mesh).vertices[used], cameras)
     parts = {f"residual_{name}": int(size) for name, size in residual.items() if name != "total"}
-    parts |= {f"mesh_{name}": size for name, size in coded.parts.items()}
     parts |= {
-        "charts": chart_bytes(chart, coded.triangles),
+        "mesh": len(coded.data),
+        "charts": chart_bytes(chart, coded.order),
         "cameras": len(pack_cameras(cameras)),
         "lamps": lamp_bytes(lighting),
     }

@@ -1,4 +1,4 @@
-"""Integers in few bytes, for small streams (mesh, charts): Exp-Golomb codes of adaptive bits.
+"""Integers in few bytes, for small streams (charts): Exp-Golomb codes of adaptive bits.
 
 The unary part (number of digits), the sign and the digit after the leading one have adaptive probabilities of their
 own, one set a context; further digits cost a bit each. The bits go through the range coder of the residual.
@@ -79,17 +79,10 @@ def encode_integers(values: np.ndarray, contexts: np.ndarray, count: int) -> np.
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def decoder(data):
-    """State of a decoder at the start of `data` (uint8)."""
-    state = np.zeros(4, np.int64)
-    begin(state, data, True)
-    return state
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def decode_integers(data, contexts, count):
     """Inverse of `encode_integers`: the contexts have to be known beforehand."""
-    chances, state = new_chances(count), decoder(data)
+    chances, state = new_chances(count), np.zeros(4, np.int64)
+    begin(state, data, True)
     values = np.empty(contexts.size, np.int64)
     for i in range(contexts.size):
         values[i] = code_integer(0, contexts[i], chances, state, data, True)

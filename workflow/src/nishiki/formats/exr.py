@@ -3,29 +3,42 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 
-from nishiki.formats.exr_header import read_parts
 from nishiki.formats.image_header import ImageHeader
 
 _COLOURS = {"red": ("R", "red"), "green": ("G", "green"), "blue": ("B", "blue"), "grey": ("Y", "L"), "gray": ("Y", "L")}
 
 
-def exr_header(file: BinaryIO) -> ImageHeader:
-    """Header of the first part; ValueError, EOFError or struct.error where the file is damaged.
+_RATIO = {"NO_COMPRESSION": 1, "RLE_COMPRESSION": 130, "ZIPS_COMPRESSION": 1040, "ZIP_COMPRESSION": 1040}
+"""How many times smaller than its pixels a coded part can be; other compressions have no bound."""
+_LEAST_SAMPLE = 2  # bytes; a header tells no types of its channels
+
+
+def exr_header(path: Path) -> ImageHeader:
+    """Header of the first part; ValueError or RuntimeError where the file is damaged or has several samples a pixel.
 
     The library decodes all parts: those after the first may not be larger than it (views, layers).
     """
-    first, *others = read_parts(file)
-    if sum(part.stored_bytes for part in others) > 8 * max(first.stored_bytes, 1):
+    import OpenEXR
+
+    with OpenEXR.File(str(path), header_only=True) as file:
+        headers = [dict(part.header) for part in file.parts]
+    if any(header["type"] in (OpenEXR.deepscanline, OpenEXR.deeptile) for header in headers):
+        raise ValueError("deep images (several samples a pixel) are not read")
+    shapes, samples = [], []
+    for header in headers:
+        first, last = header["dataWindow"]
+        columns, rows = (int(n) for n in last.astype(np.int64) - first + 1)
+        shapes.append((rows, columns))
+        samples.append(rows * columns * sum(c.xSampling == c.ySampling == 1 for c in header["channels"]))
+    if sum(samples[1:]) > 8 * max(samples[0], 1):
         raise ValueError("the file's further parts are much larger than its first")
-    names = tuple(sorted(name for name, _, _ in first.channels))
-    alpha = "A" in names and len(names) > 1
+    names = tuple(sorted(channel.name for channel in headers[0]["channels"]))
     return ImageHeader(
-        "exr", first.rows, first.columns, len(names), "float32", alpha, names=names,
-        stored_bytes=sum(part.stored_bytes for part in (first, *others)), ratio=first.ratio,
+        "exr", *shapes[0], len(names), "float32", "A" in names and len(names) > 1, names=names,
+        stored_bytes=_LEAST_SAMPLE * sum(samples), ratio=_RATIO.get(headers[0]["compression"].name, 0),
     )  # fmt: skip
 
 

@@ -60,8 +60,8 @@ def _parse(file: BinaryIO, start: bytes, path: Path, name: str) -> ImageHeader:
         if start.startswith(b"\x76\x2f\x31\x01"):
             from nishiki.formats.exr import exr_header
 
-            return exr_header(file)
-    except (struct.error, IndexError, KeyError, ValueError, EOFError, OSError, OverflowError) as e:
+            return exr_header(path)
+    except (struct.error, IndexError, KeyError, ValueError, EOFError, OSError, OverflowError, RuntimeError) as e:
         what = "image header is damaged or cut off"
         raise CaptureError(error("image-truncated", name, what, found=str(e) or type(e).__name__)) from e
     expected = "PNG, JPEG, TIFF, OpenEXR or camera raw"

@@ -9,9 +9,7 @@ import numpy as np
 from nishiki.report.svg import GRID, PALETTE, SOFT, Curve, _open, _text, bars, chart
 
 PART_NAMES = {
-    "mesh_positions": "vertices of the mesh",
-    "mesh_triangles": "triangles of the mesh",
-    "mesh_header": "mesh, rest",
+    "mesh": "mesh",
     "charts": "charts",
     "cameras": "cameras",
     "lamps": "lamps",

@@ -39,6 +39,6 @@ STAGE = Stage(
     wants=lambda settings: ("polarise",),
     needs_colour=True,
     looks_at=photographs_or_states,
-    libraries=("numpy", "scipy", "numba", "zarr", "pywavelets", "opencv-contrib-python-headless"),
+    libraries=("numpy", "scipy", "numba", "zarr", "pywavelets", "opencv-contrib-python-headless", "dracopy"),
     cost=lambda facts: Cost(mib=380, bytes_per_sample=90, seconds=5, us_per_sample=3),
 )
