@@ -34,7 +34,7 @@ ASKED = {"plane": ["normals"], "turntable": ["cameras", "mesh"], "goniometer": [
 SMALL = {
     "render": {"pictures": [{"name": "daylight"}], "sequences": [{"name": "light", "frames": 3, "columns": 64}]},
     "object_render": {"views": 6, "between": 1, "film": {"frames_per_step": 1, "columns": 64, "supersampling": 1}},
-    "cloth_render": {"view": {"rows": 72, "columns": 72}, "cloth": {"points": 33}, "supersampling": 1},
+    "cloth_render": {"view": {"rows": 72, "columns": 72}, "supersampling": 1},
 }
 """Few and small pictures: this is about reading, loading and stages, not about painting pictures."""
 PARTS = {

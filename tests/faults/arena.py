@@ -16,7 +16,7 @@ PROJECT = Path(__file__).resolve().parents[2]
 PRESETS = {"plane": "tiny", "turntable": "object-tiny", "goniometer": "satin-tiny"}
 SMALL = {
     "render": {"pictures": [{"name": "daylight"}], "sequences": [{"name": "moving-light", "frames": 2, "columns": 48}]},
-    "cloth_render": {"view": {"rows": 48, "columns": 48}, "cloth": {"points": 33}, "supersampling": 1},
+    "cloth_render": {"view": {"rows": 48, "columns": 48}, "supersampling": 1},
     "object_render": {"views": 4, "between": 1, "film": {"frames_per_step": 1, "columns": 48, "supersampling": 1}},
 }
 UNSTABLE = ("run.json",)  # facts of one run: times, memory, host

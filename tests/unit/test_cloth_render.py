@@ -27,7 +27,6 @@ STAMP = {"scene": "small", "stage": "cloth_render", "key": "0" * 12, "version": 
 SMALL = {
     "view": {"rows": 48, "columns": 48},
     "supersampling": 1,
-    "cloth": {"points": 33},
     "around": 0.2,
     "film": None,
 }

@@ -56,7 +56,7 @@ def test_a_row_says_choices_bounds_default_and_meaning():
 
 
 def test_settings_inside_blocks_and_lists_have_dotted_names():
-    assert cells(page("cloth_render"))["cloth.side_m"][:2] == ["number from 0.2 to 3", "`1.0`"]
+    assert cells(page("cloth_render"))["view.distance"][:2] == ["number from 0.8 to 100", "`2.2`"]
     assert cells(page("cloth_render"))["film.frames"][1] == "`96`"
     assert cells(page("render"))["pictures[].lights[].illuminant"][1] == "`D65`"
 

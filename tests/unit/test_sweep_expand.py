@@ -45,7 +45,7 @@ def test_a_name_with_a_value_is_a_setting_and_with_a_block_a_stage():
     assert nested({"goniometer_samples": {"window_px": 8}}, "normals", CHAIN, "x") == {
         "goniometer_samples": {"window_px": 8}
     }
-    assert nested({"cloth.points": 65}, "cloth_render", CHAIN, "x") == {"cloth_render": {"cloth": {"points": 65}}}
+    assert nested({"view.rows": 65}, "cloth_render", CHAIN, "x") == {"cloth_render": {"view": {"rows": 65}}}
 
 
 @pytest.mark.parametrize(

@@ -18,7 +18,7 @@ SMALL_RENDER = {
     "pictures": [{"name": "daylight"}],
     "sequences": [{"name": "moving-light", "frames": 3, "columns": 64}],
 }
-SMALL_CLOTH_RENDER = {"view": {"rows": 72, "columns": 72}, "cloth": {"points": 33}, "supersampling": 1}
+SMALL_CLOTH_RENDER = {"view": {"rows": 72, "columns": 72}, "supersampling": 1}
 SMALL_OBJECT_RENDER = {"views": 6, "between": 1, "film": {"frames_per_step": 1, "columns": 64, "supersampling": 1}}
 SMALL = {
     "plane": {"render": SMALL_RENDER},

@@ -30,7 +30,7 @@ def test_fewer_oblique_measurements_rerun_from_the_fit_on(cloth_site):
 
 
 def test_another_dye_reruns_pictures_and_report_only(cloth_site):
-    small = {"view": {"rows": 72, "columns": 72}, "cloth": {"points": 33}, "supersampling": 1}
+    small = {"view": {"rows": 72, "columns": 72}, "supersampling": 1}
     cloth_site.configure(cloth_render={**small, "dyes": {"green": "#207040"}})
     assert cloth_site.would_run() == ["cloth_render", "cloth_report", "publish"]
 

@@ -28,7 +28,7 @@ SMALL_PICTURES = """\
 scenes: scenes.tsv
 render: {sequences: [{name: moving-light, frames: 2, columns: 48}]}
 object_render: {views: 4, between: 1, film: {frames_per_step: 1, columns: 48, supersampling: 1}}
-cloth_render: {view: {rows: 48, columns: 48}, cloth: {points: 33}, supersampling: 1}
+cloth_render: {view: {rows: 48, columns: 48}, supersampling: 1}
 """
 """Configuration of runs of which only the compiled kernels are wanted."""
 

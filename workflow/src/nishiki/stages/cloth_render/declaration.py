@@ -12,18 +12,6 @@ Colour = Annotated[str, Field(pattern=COLOUR)]
 Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$")]
 
 
-class ClothSettings(Closed):
-    """The square of cloth that falls over a ball or a round table."""
-
-    over: Literal["ball", "table"] = Field("ball", description="what it falls over")
-    side_m: float = Field(1.0, ge=0.2, le=3, description="side of the square")
-    weight_g_m2: float = Field(250, ge=20, le=2000)
-    bending_n_mm: float = Field(0.15, ge=0, le=50, description="stiffness against bending; fine silk 0.02, brocade 0.5")
-    turned_deg: float = Field(17, ge=-360, le=360, description="of the square about the vertical")
-    seed: int = Field(1, ge=0, description="of the small waves with which it starts to fall")
-    points: int = Field(129, ge=33, le=257, description="simulated points along a side")
-
-
 class MeshSettings(Closed):
     """A surface from a file in place of the shipped cloth."""
 
@@ -81,7 +69,6 @@ class ClothRenderSettings(Guarded):
 
     region: str = Field("", description="region of the capture whose cloth is shown; empty: the first")
     model: str = Field("", description="model of the cloth_brdf stage; empty: its default")
-    cloth: ClothSettings = Field(ClothSettings(), description="the draped cloth")
     mesh: MeshSettings | None = Field(None, description="a surface from a file instead; null: the draped cloth")
     view: ViewSettings = Field(ViewSettings(), description="camera of the draped pictures")
     lights: dict[Name, LampSettings] = Field(LAMPS, description="lamps by name; a picture under each, and under all")
@@ -125,5 +112,5 @@ STAGE = Stage(
         "trimesh": lambda facts, settings: None if settings["cloth_render"].mesh else "no mesh file is draped",
     },
     deliverables=("*.png", "*.exr", "*.mp4"),
-    cost=lambda facts: Cost(mib=900, seconds=95),
+    cost=lambda facts: Cost(mib=900, seconds=90),
 )
