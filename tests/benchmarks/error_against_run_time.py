@@ -134,7 +134,7 @@ SUBJECTS = {
     "satin": Subject(
         "A black satin of 5 harnesses on a gonioreflectometer (simulated)",
         "5940 photographs; the error is that of all measurements which no fit of the variant used.",
-        (Part("satin", "cloth_brdf", without=("40 oblique", "ashikhmin-shirley", "paper, linear form")),),
+        (Part("satin", "cloth", without=("40 oblique", "ashikhmin-shirley", "paper, linear form")),),
         simulate=("--preset", "satin"),
     ),
 }

@@ -9,13 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nishiki.colour.colour import srgb_matrix, xyz_to_lab
-from nishiki.report.appearance_section import describe, exposed
 from nishiki.report.colour_map import MISSING, balance, coloured, heat, sea
-from nishiki.report.colour_section import _of_places, _widest_place, spread_out
-from nishiki.report.conditions import conditions
-from nishiki.report.gloss_section import gloss_section
-from nishiki.report.numbers import plain
-from nishiki.report.page import degrees, figure, percent, signed
+from nishiki.report.numbers import degrees, figure, percent, plain, signed
+from nishiki.report.page import Figures, Table
 from nishiki.report.pictures import (
     block_of,
     class_picture,
@@ -26,12 +22,15 @@ from nishiki.report.pictures import (
     scalar_picture,
     shrink,
 )
-from nishiki.report.provenance import flat, settings_of, text
-from nishiki.report.relighting_section import chosen, signed_difference, signed_end
-from nishiki.report.summary import choices
-from nishiki.report.svg import Curve, bars, chart, lights_plot, ticks
+from nishiki.report.scene_page import conditions, flat, settings_rows, text
+from nishiki.report.svg import Axis, Curve, bars, chart, lights_plot, ticks
+from nishiki.stages.brdf.report import gloss_section
+from nishiki.stages.evaluate.report import chosen, signed_difference, signed_end
 from nishiki.stages.render.declaration import RenderSettings
+from nishiki.stages.render.report import describe, exposed
+from nishiki.stages.report.summary import choices
 from nishiki.stages.separate.declaration import SeparateSettings
+from nishiki.stages.spectra.report import _of_places, _widest_place, spread_out
 
 
 def decoded(picture) -> np.ndarray:
@@ -240,7 +239,7 @@ def test_marks_stand_at_the_places_whose_spectra_are_drawn():
     charts, marks = _of_places(small, small @ np.eye(3), basis, 4)
     assert [text for _, _, text in marks] == [str(k + 1) for k in range(len(charts))]
     for chart_, (x, y, number) in zip(charts, marks, strict=True):
-        assert chart_["label"] == f"{number}: row {int(y) * 4 + 2}, column {int(x) * 4 + 2}"
+        assert chart_.heading == f"{number}: row {int(y) * 4 + 2}, column {int(x) * 4 + 2}"
 
 
 def test_a_region_is_marked_where_it_is_widest():
@@ -277,8 +276,8 @@ def test_captions_state_the_exposure():
 def test_parameters_at_a_bound_are_rows_of_the_conditions():
     told = {"gamma": 1.0, "at_bounds": ["half width of lobe 1: 92 degrees, the upper end"], "red": {"at_bounds": ["n"]}}
     manifest = {"stage": "brdf", "settings": {}, "diagnostics": told}
-    rows = [row for row in conditions([manifest], {}) if row["state"] == "at its bound"]
-    assert [row["meaning"] for row in rows] == [
+    rows = [row for row in conditions(manifest, ()) if row[-1] == "at its bound"]
+    assert [row[1] for row in rows] == [
         "fitted parameter at a bound: half width of lobe 1: 92 degrees, the upper end",
         "fitted parameter at a bound: red: n",
     ]
@@ -291,10 +290,11 @@ def test_percent_and_degrees():
 
 def test_settings_that_differ_are_marked_and_planned_ones_are_not():
     values = SeparateSettings(w1=1.5, hold_out=("a",)).model_dump(mode="json") | {"w2": 0.1}
-    rows = {row.name: row for row in settings_of(values, SeparateSettings)}
-    assert [name for name, row in rows.items() if row.changed] == ["w1"]
-    assert rows["hold_out"].planned
-    assert (rows["w1"].value, rows["w1"].default) == ("1.5", "1.2")
+    rows, changed = settings_rows(values, SeparateSettings)
+    by_name = {name: rest for name, *rest in rows}
+    assert [rows[number][0] for number in changed] == ["<code>w1</code>"]
+    assert by_name["<code>hold_out</code>"][1] == "set by the plan"
+    assert by_name["<code>w1</code>"][:2] == ["1.5", "1.2"]
 
 
 def test_diagnostics_become_short_lines():
@@ -315,8 +315,11 @@ def test_chosen_lights_hold_the_best_and_the_worst():
 
 
 def test_choices_name_the_published_method():
-    found = choices({"separate": {"method": "threshold"}, "normals": {"solver": "default"}})
-    assert [(row["step"], row["is_paper"]) for row in found] == [("selection of the lights", True), ("normals", False)]
+    rows = choices({"separate": {"method": "threshold"}, "normals": {"solver": "default"}}).rows
+    assert [row[:2] for row in rows] == [
+        ("selection of the lights", "threshold (the published one)"),
+        ("normals", "default"),
+    ]
 
 
 def test_pictures_are_described_in_words():
@@ -335,14 +338,20 @@ def _parameters(gamma):
     return {"method": "robust", "regions": [region | {"profile": profile}], "transmission": 0.0}
 
 
+def blocks_of(section, kind):
+    return [block for block in section.blocks if isinstance(block, kind)]
+
+
 def test_gloss_is_drawn_twice_and_measured_in_degrees():
-    found = gloss_section(_parameters(0.1), true_gamma=[0.05, 0.07, 0.09])
-    assert [item["log"] for item in found["charts"]] == [False, True]
-    for item in found["charts"]:
-        ElementTree.fromstring(item["svg"])
-    assert found["rows"][0]["flags"] == "width at its bound, no gloss: Lambert"
-    assert found["rows"][0]["gamma_deg"] == pytest.approx(np.degrees(0.1))
-    assert found["true_gamma_deg"] == pytest.approx(np.degrees([0.05, 0.07, 0.09]))
+    section = gloss_section(_parameters(0.1), true_gamma=[0.05, 0.07, 0.09])
+    ((linear, logarithmic),) = (figures.items for figures in blocks_of(section, Figures))
+    assert "logarithmic" in logarithmic.heading
+    for item in (linear, logarithmic):
+        ElementTree.fromstring(item.svg)
+    (row,) = blocks_of(section, Table)[0].rows
+    assert row[-1] == "width at its bound, no gloss: Lambert"
+    assert row[4] == pytest.approx(np.degrees(0.1))
+    assert f"from {figure(np.degrees(0.05))}°" in section.blocks[-1]
 
 
 def test_gloss_of_a_matte_scene_has_no_chart():
@@ -350,4 +359,13 @@ def test_gloss_of_a_matte_scene_has_no_chart():
     region = parameters["regions"][0]
     region["beta"] = [0.0]
     region["profile"] = {"phi": [], "value": [], "count": [], "fitted": []}
-    assert gloss_section(parameters)["charts"] == []
+    assert blocks_of(gloss_section(parameters), Figures)[0].items == []
+    assert gloss_section(None) is None
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.9, 30.0), (1e-5, 3.0)])
+def test_a_logarithmic_axis_has_round_ticks_at_their_places(low, high):
+    axis = Axis(low, high, 0.0, 100.0, logarithmic=True)
+    assert axis.marks() == ([1.0, 2.0, 5.0, 10.0, 20.0] if low > 0.1 else [1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0])
+    assert axis(high) == pytest.approx(100)
+    assert np.isnan(axis(0.0))

@@ -34,3 +34,35 @@ def plain(value: float, digits: int = 4, *, padded: bool = False) -> str:
 def power_of_ten(exponent: int) -> str:
     """10 with a raised exponent."""
     return "10" + str(exponent).translate(_RAISED)
+
+
+def figure(value: float | None, digits: int = 3, unit: str = "") -> str:
+    """A measured figure as text: `digits` significant ones, a dash where there is none."""
+    if value is None:
+        return "–"
+    if isinstance(value, int):
+        digits = max(digits, len(str(abs(value))))
+    shown = plain(value, digits, padded=not isinstance(value, int))
+    return f"{shown}{NARROW_SPACE}{unit}" if unit else shown
+
+
+def percent(value: float | None) -> str:
+    """A share in per cent, to a hundredth."""
+    if value is None:
+        return "–"
+    if 0 < value < 0.01:
+        return "< 0.01\u202f%"
+    return f"{value:.2f}\u202f%" if value else "0"
+
+
+def signed(share: float | None) -> str:
+    """A share in per cent with its sign, to a tenth."""
+    if share is None:
+        return "–"
+    tenths = round(1000 * share)
+    return f"{tenths / 10:+.1f}\u202f%".replace("-", "−") if tenths else "0\u202f%"
+
+
+def degrees(value: float | None) -> str:
+    """An angle to a degree, with a true minus and without a negative zero."""
+    return "–" if value is None else f"{round(value):d}°".replace("-", "−")

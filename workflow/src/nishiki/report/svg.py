@@ -1,14 +1,141 @@
-"""Small drawings as SVG text: curves, light directions, bars. Plain shapes only, no script, no outside reference."""
+"""Drawings as SVG text: curves, light directions, bars. Plain shapes only, no script, no outside reference."""
 
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 
 import numpy as np
 
-from nishiki.report.numbers import plain, power_of_ten
+from nishiki.report.numbers import plain
 
 PALETTE = ("#1f4e79", "#b5542b", "#3f7f4c", "#7a5195", "#a0892c", "#4b8a99")
-INK, SOFT, GRID = "#22262b", "#6b7178", "#e3e3df"
+INK, SOFT, GRID, PAPER = "#22262b", "#6b7178", "#e3e3df", "#fff"
+FONT = "Source Sans 3,Segoe UI,Roboto,Arial,sans-serif"
+LEFT, BOTTOM = 58, 44
+"""Room for the labels of the axes, pixels."""
+
+
+class Drawing:
+    """Shapes in pixels, y downwards. The title is read out, not drawn. alone : a file of its own, on white."""
+
+    def __init__(self, width: float, height: float, title: str, *, alone: bool = False):
+        space = f'xmlns="http://www.w3.org/2000/svg" font-family="{FONT}" ' if alone else ""
+        size = f'viewBox="0 0 {width:g} {height:g}" width="{width:g}" height="{height:g}"'
+        self.parts = [f'<svg {space}{size} role="img" aria-label="{escape(title, quote=True)}">']
+        if alone:
+            self.parts.append(f'<rect width="{width:g}" height="{height:g}" fill="{PAPER}"/>')
+
+    def finish(self) -> str:
+        """The whole drawing."""
+        return "".join([*self.parts, "</svg>"])
+
+    def text(self, x, y, text, *, anchor="start", size=12, colour=INK, upwards=False) -> None:
+        """A text whose `anchor` (start, middle, end) is at x."""
+        turned = f' transform="rotate(-90 {x:.1f} {y:.1f})"' if upwards else ""
+        self.parts.append(
+            f'<text x="{x:.1f}" y="{y:.1f}" font-size="{size}" fill="{colour}" text-anchor="{anchor}"{turned}>'
+            f"{escape(str(text))}</text>"
+        )
+
+    def line(self, x0, y0, x1, y1, colour) -> None:
+        """A thin line."""
+        self.parts.append(f'<line x1="{x0:.1f}" y1="{y0:.1f}" x2="{x1:.1f}" y2="{y1:.1f}" stroke="{colour}"/>')
+
+    def circle(self, x, y, radius, *, tip="", **paint) -> None:
+        """A disc or a ring; tip : what a pointer on it is told."""
+        self._shape(f'circle cx="{x:.1f}" cy="{y:.1f}" r="{radius:g}"', tip, **paint)
+
+    def path(self, commands, *, tip="", **paint) -> None:
+        """Any outline, by the commands of SVG."""
+        self._shape(f'path d="{commands}"', tip, **paint)
+
+    def diamond(self, x, y, half, *, tip="", **paint) -> None:
+        """A square that stands on its corner."""
+        self.path(f"M{x:.1f} {y - half:.1f}l{half} {half}l-{half} {half}l-{half} -{half}z", tip=tip, **paint)
+
+    def bar(self, x, y, width, height, colour) -> None:
+        """A filled rectangle."""
+        self.parts.append(f'<rect x="{x:.1f}" y="{y:.1f}" width="{width:.1f}" height="{height:.1f}" fill="{colour}"/>')
+
+    def _shape(self, shape, tip, *, fill="none", stroke="", width=1.0, dashed=False, opacity=1.0) -> None:
+        paint = f' fill="{fill}"' + (f' fill-opacity="{opacity:.2g}"' if opacity < 1 else "")
+        if stroke:
+            paint += f' stroke="{stroke}" stroke-width="{width:g}"' + (' stroke-dasharray="5 4"' if dashed else "")
+        end = f"><title>{escape(tip)}</title></{shape.split()[0]}>" if tip else "/>"
+        self.parts.append(f"<{shape}{paint}{end}")
+
+
+def outline(x: np.ndarray, y: np.ndarray) -> str:
+    """Path commands of a line through points in pixels; NaN breaks it."""
+    commands, drawing = [], False
+    for a, b in zip(x, y, strict=True):
+        known = bool(np.isfinite(a) and np.isfinite(b))
+        if known:
+            commands.append(f"{'L' if drawing else 'M'}{a:.1f} {b:.1f}")
+        drawing = known
+    return "".join(commands)
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A linear or logarithmic axis from values (low to high) to pixels (start to end)."""
+
+    low: float
+    high: float
+    start: float
+    end: float
+    logarithmic: bool = False
+
+    def __call__(self, values) -> np.ndarray:
+        """Pixels of values; those that a logarithm has none of are NaN."""
+        values = np.asarray(values, float)
+        low, high = self.low, self.high
+        if self.logarithmic:
+            values = np.log(np.where(values > 0, values, np.nan))
+            low, high = math.log(low), math.log(high)
+        return self.start + (values - low) / (high - low) * (self.end - self.start)
+
+    def marks(self) -> list[float]:
+        """Round values for the ticks; powers of ten on a long logarithmic axis, with 2 and 5 between on a short one."""
+        if not self.logarithmic:
+            return ticks(self.low, self.high)
+        first, last = math.floor(math.log10(self.low)), math.ceil(math.log10(self.high))
+        factors = (1, 2, 5) if last - first <= 3 else (1,)
+        values = [float(f"{factor}e{power}") for power in range(first, last + 1) for factor in factors]
+        return [value for value in values if self.low <= value <= self.high]
+
+
+def ticks(low: float, high: float, count: int = 6) -> list[float]:
+    """Round numbers (1, 2, 2.5 or 5 times a power of ten apart) inside low..high, about `count` of them."""
+    span = high - low
+    if not (np.isfinite(span) and span > 0):
+        return [float(low)] if np.isfinite(low) else []
+    raw = span / max(count, 1)
+    power = 10.0 ** np.floor(np.log10(raw))
+    step = next(power * factor for factor in (1, 2, 2.5, 5, 10) if power * factor >= raw * 0.999)
+    first = np.ceil(low / step - 1e-9)
+    return [float((first + k) * step) for k in range(int(np.floor((high - first * step) / step + 1e-9)) + 1)]
+
+
+def draw_axes(drawing: Drawing, x: Axis, y: Axis, x_label: str, y_label: str) -> None:
+    """Grid, numbers and labels of two axes."""
+    for value, at in zip(x.marks(), x(x.marks()), strict=True):
+        drawing.line(at, y.end, at, y.start, GRID)
+        drawing.text(at, max(y.start, y.end) + 16, _number(value), anchor="middle")
+    for value, at in zip(y.marks(), y(y.marks()), strict=True):
+        drawing.line(x.start, at, x.end, at, GRID)
+        drawing.text(x.start - 7, at + 4, _number(value), anchor="end")
+    floor, middle = max(y.start, y.end), (y.start + y.end) / 2
+    drawing.line(x.start, floor, x.end, floor, SOFT)
+    drawing.text((x.start + x.end) / 2, floor + 35, x_label, anchor="middle")
+    drawing.text(14, middle, y_label, anchor="middle", upwards=True)
+
+
+def _number(value: float) -> str:
+    return plain(0.0 if abs(value) < 1e-12 else value, 6)
 
 
 @dataclass(frozen=True)
@@ -26,30 +153,8 @@ class Curve:
     strength: np.ndarray | None = None
 
 
-def ticks(low: float, high: float, count: int = 5) -> list[float]:
-    """Round numbers (1, 2, 2.5 or 5 times a power of ten apart) inside low..high, about `count` of them."""
-    span = high - low
-    if not (np.isfinite(span) and span > 0):
-        return [float(low)] if np.isfinite(low) else []
-    raw = span / max(count, 1)
-    power = 10.0 ** np.floor(np.log10(raw))
-    step = next(power * factor for factor in (1, 2, 2.5, 5, 10) if power * factor >= raw * 0.999)
-    first = np.ceil(low / step - 1e-9)
-    return [float((first + k) * step) for k in range(int(np.floor((high - first * step) / step + 1e-9)) + 1)]
-
-
-def number(value: float) -> str:
-    """A tick's label, without needless digits."""
-    return plain(0.0 if abs(value) < 1e-12 else value, 6)
-
-
-def decade(exponent: float) -> str:
-    """Label of a power of ten."""
-    return power_of_ten(round(exponent))
-
-
 def chart(
-    curves: list[Curve],
+    curves: Sequence[Curve],
     *,
     x_label: str,
     y_label: str,
@@ -58,89 +163,34 @@ def chart(
     y_range: tuple[float, float] | None = None,
     width: int = 560,
     height: int = 300,
-    decades: bool = False,
+    logarithmic: bool = False,
 ) -> str:
-    """Curves over common axes; the legend stands in the upper right corner. `title` is read out, not drawn.
-
-    decades : the y values are logarithms to the base 10, and so labelled.
-    """
-    left, right, top, bottom = 58, 12, 10, 44
-    x0, x1 = x_range or _range([curve.x for curve in curves])
-    y0, y1 = y_range or _range([curve.y for curve in curves], zero=True)
-    inner_width, inner_height = width - left - right, height - top - bottom
-
-    def px(x):
-        return left + (np.asarray(x, float) - x0) / (x1 - x0) * inner_width
-
-    def py(y):
-        return top + (y1 - np.asarray(y, float)) / (y1 - y0) * inner_height
-
-    parts = [_open(width, height, title)]
-    for value in ticks(x0, x1, 6):
-        at = float(px(value))
-        parts.append(_line(at, top, at, top + inner_height, GRID))
-        parts.append(_text(at, height - bottom + 16, number(value), anchor="middle"))
-    for value in np.arange(np.ceil(y0), y1 + 1e-9) if decades else ticks(y0, y1, 5):
-        at = float(py(value))
-        parts.append(_line(left, at, width - right, at, GRID))
-        parts.append(_text(left - 7, at + 4, decade(value) if decades else number(value), anchor="end"))
-    parts.append(_line(left, top + inner_height, width - right, top + inner_height, SOFT))
-    parts.append(_text(left + inner_width / 2, height - 8, x_label, anchor="middle"))
-    middle = top + inner_height / 2
-    parts.append(_text(14, middle, y_label, anchor="middle", turn=f"rotate(-90 14 {middle:.1f})"))
+    """Curves over common axes; the legend stands in the upper right corner. logarithmic : the y axis."""
+    x = Axis(*(x_range or _range([curve.x for curve in curves])), LEFT, width - 12)
+    low, high = y_range or _range([curve.y for curve in curves], zero=True)
+    y = Axis(low, high, height - BOTTOM, 10, logarithmic)
+    drawing = Drawing(width, height, title)
+    draw_axes(drawing, x, y, x_label, y_label)
+    margin = 0.02 * (y.start - y.end)
     for curve in curves:
-        x, y = np.asarray(curve.x, float), np.asarray(curve.y, float)
-        margin = 0.02 * (y1 - y0)
-        inside = (x >= x0) & (x <= x1) & (y >= y0 - margin) & (y <= y1 + margin)
-        if not curve.dots:  # a line runs to the edge; a point outside is not drawn at all
-            y, inside = np.clip(y, y0 - margin, y1 + margin), (x >= x0) & (x <= x1)
-        parts.append(_curve(px(np.where(inside, x, np.nan)), py(y), curve))
-    parts += _legend([curve for curve in curves if curve.label], width - right - 8, top + 12)
-    return "".join([*parts, "</svg>"])
-
-
-def lights_plot(directions: np.ndarray, names: list[str], kinds: list[str], *, size: int = 340) -> str:
-    """Light directions (lights, 3) seen from the camera: distance from the middle grows evenly with incidence.
-
-    The rim is 90 degrees. kinds: sample | check | held out. Names are drawn up to 16 lights.
-    """
-    middle, radius = size / 2, size / 2 - 30
-    parts = [_open(size, size, "directions of the lights, seen from the camera")]
-    for degrees in (30, 60, 90):
-        parts.append(
-            f'<circle cx="{middle:g}" cy="{middle:g}" r="{radius * degrees / 90:.1f}" fill="none" stroke="{GRID}"/>'
-        )
-        aside = 0.7071 * radius * degrees / 90
-        parts.append(_text(middle - aside - 3, middle + aside + 10, f"{degrees}°", anchor="end", size=10, colour=SOFT))
-    parts.append(_line(middle - radius, middle, middle + radius, middle, GRID))
-    parts.append(_line(middle, middle - radius, middle, middle + radius, GRID))
-    for text, dx, dy in (("top", 0, -1), ("right", 1, 0), ("bottom", 0, 1), ("left", -1, 0)):
-        parts.append(
-            _text(middle + dx * (radius + 14), middle + dy * (radius + 14) + 4, text, anchor="middle", colour=SOFT)
-        )
-    for direction, name, kind in zip(np.asarray(directions, float), names, kinds, strict=True):
-        x, y, z = direction
-        horizontal = float(np.hypot(x, y))
-        reach = np.degrees(np.arctan2(horizontal, z)) / 90 * radius / horizontal if horizontal > 0 else 0.0
-        at = middle + x * reach, middle - y * reach
-        parts.append(_mark(at, kind, name))
-        if len(names) <= 16:
-            parts.append(_text(at[0] + 8, at[1] + 4, name, size=10))
-    return "".join([*parts, "</svg>"])
-
-
-def bars(values: list[float], labels: list[str], *, title: str, unit: str, width: int = 560) -> str:
-    """Horizontal bars with their values, from 0; `values` >= 0."""
-    top, line, left = 4, 20, 110
-    largest = max([*values, 0.0]) or 1.0
-    parts = [_open(width, top * 2 + line * len(values), title)]
-    for k, (value, label) in enumerate(zip(values, labels, strict=True)):
-        y = top + k * line
-        long = (width - left - 90) * value / largest
-        parts.append(_text(left - 8, y + 14, label, anchor="end", size=11))
-        parts.append(f'<rect x="{left}" y="{y + 4}" width="{max(long, 0.5):.1f}" height="12" fill="{PALETTE[0]}"/>')
-        parts.append(_text(left + long + 6, y + 14, f"{number(float(f'{value:.3g}'))} {unit}", size=11))
-    return "".join([*parts, "</svg>"])
+        across, up = x(curve.x), y(curve.y)
+        inside = (across >= x.start - 1e-6) & (across <= x.end + 1e-6) & np.isfinite(up)
+        if curve.dots:  # a point outside is not drawn at all
+            inside &= (up >= y.end - margin) & (up <= y.start + margin)
+            strength = np.full(across.shape, 0.6) if curve.strength is None else np.asarray(curve.strength, float)
+            for a, b, opacity in zip(across[inside], up[inside], strength[inside], strict=True):
+                drawing.circle(a, b, 2.2, fill=curve.colour, opacity=opacity)
+        else:  # a line runs to the edge
+            commands = outline(np.where(inside, across, np.nan), np.clip(up, y.end - margin, y.start + margin))
+            drawing.path(commands, stroke=curve.colour, width=1.8, dashed=curve.dashed)
+    for k, curve in enumerate(curve for curve in curves if curve.label):
+        right, at = width - 20, 22 + 16 * k
+        drawing.text(right - 26, at + 4, curve.label, anchor="end", size=11)
+        if curve.dots:
+            drawing.circle(right - 10, at, 2.6, fill=curve.colour)
+        else:
+            drawing.path(f"M{right - 20} {at}h20", stroke=curve.colour, width=2, dashed=curve.dashed)
+    return drawing.finish()
 
 
 def _range(arrays: list[np.ndarray], *, zero: bool = False) -> tuple[float, float]:
@@ -155,63 +205,46 @@ def _range(arrays: list[np.ndarray], *, zero: bool = False) -> tuple[float, floa
     return (low, high) if high > low else (low - 0.5, low + 0.5)
 
 
-def _open(width: int, height: int, title: str) -> str:
-    return (
-        f'<svg viewBox="0 0 {width} {height}" width="{width}" height="{height}" role="img" '
-        f'aria-label="{escape(title, quote=True)}">'
-    )
+def lights_plot(directions: np.ndarray, names: list[str], kinds: list[str], *, size: int = 340) -> str:
+    """Light directions (lights, 3) seen from the camera: distance from the middle grows evenly with incidence.
 
-
-def _line(x0, y0, x1, y1, colour) -> str:
-    return f'<line x1="{x0:.1f}" y1="{y0:.1f}" x2="{x1:.1f}" y2="{y1:.1f}" stroke="{colour}"/>'
-
-
-def _text(x, y, text, *, anchor="start", size=12, colour=INK, turn="") -> str:
-    turned = f' transform="{turn}"' if turn else ""
-    return (
-        f'<text x="{x:.1f}" y="{y:.1f}" font-size="{size}" fill="{colour}" text-anchor="{anchor}"{turned}>'
-        f"{escape(str(text))}</text>"
-    )
-
-
-def _curve(x: np.ndarray, y: np.ndarray, curve: Curve) -> str:
-    known = np.isfinite(x) & np.isfinite(y)
-    if curve.dots:
-        strength = np.full(x.shape, 0.6) if curve.strength is None else np.asarray(curve.strength, float)
-        places = zip(x[known], y[known], strength[known], strict=True)
-        shapes = (f'<circle cx="{a:.1f}" cy="{b:.1f}" r="2.2" fill-opacity="{s:.2g}"/>' for a, b, s in places)
-        return f'<g fill="{curve.colour}">{"".join(shapes)}</g>'
-    commands, drawing = [], False
-    for a, b, there in zip(x, y, known, strict=True):
-        if there:
-            commands.append(f"{'L' if drawing else 'M'}{a:.1f} {b:.1f}")
-        drawing = bool(there)
-    dash = ' stroke-dasharray="5 4"' if curve.dashed else ""
-    return f'<path d="{"".join(commands)}" fill="none" stroke="{curve.colour}" stroke-width="1.8"{dash}/>'
-
-
-def _legend(curves: list[Curve], right: float, top: float) -> list[str]:
-    parts = []
-    for k, curve in enumerate(curves):
-        y = top + 16 * k
-        parts.append(_text(right - 26, y + 4, curve.label, anchor="end", size=11))
-        if curve.dots:
-            parts.append(f'<circle cx="{right - 10:.1f}" cy="{y:.1f}" r="2.6" fill="{curve.colour}"/>')
+    The rim is 90 degrees. kinds: sample | check | held out. Names are drawn up to 16 lights.
+    """
+    middle, radius = size / 2, size / 2 - 30
+    drawing = Drawing(size, size, "directions of the lights, seen from the camera")
+    for degrees in (30, 60, 90):
+        drawing.circle(middle, middle, radius * degrees / 90, stroke=GRID)
+        aside = 0.7071 * radius * degrees / 90
+        drawing.text(middle - aside - 3, middle + aside + 10, f"{degrees}°", anchor="end", size=10, colour=SOFT)
+    drawing.line(middle - radius, middle, middle + radius, middle, GRID)
+    drawing.line(middle, middle - radius, middle, middle + radius, GRID)
+    for text, dx, dy in (("top", 0, -1), ("right", 1, 0), ("bottom", 0, 1), ("left", -1, 0)):
+        x, y = middle + dx * (radius + 14), middle + dy * (radius + 14) + 4
+        drawing.text(x, y, text, anchor="middle", colour=SOFT)
+    for direction, name, kind in zip(np.asarray(directions, float), names, kinds, strict=True):
+        x, y, z = direction
+        horizontal = float(np.hypot(x, y))
+        reach = np.degrees(np.arctan2(horizontal, z)) / 90 * radius / horizontal if horizontal > 0 else 0.0
+        x, y, tip = middle + x * reach, middle - y * reach, f"{name} ({kind})"
+        if kind == "check":
+            drawing.circle(x, y, 5, fill=PAPER, stroke=PALETTE[1], width=2, tip=tip)
+        elif kind == "held out":
+            drawing.diamond(x, y, 6, fill=PAPER, stroke=PALETTE[1], width=2, tip=tip)
         else:
-            dash = ' stroke-dasharray="5 4"' if curve.dashed else ""
-            parts.append(
-                f'<line x1="{right - 20:.1f}" y1="{y:.1f}" x2="{right:.1f}" y2="{y:.1f}" stroke="{curve.colour}" '
-                f'stroke-width="2"{dash}/>'
-            )
-    return parts
+            drawing.circle(x, y, 4.5, fill=PALETTE[0], tip=tip)
+        if len(names) <= 16:
+            drawing.text(x + 8, y + 4, name, size=10)
+    return drawing.finish()
 
 
-def _mark(at: tuple[float, float], kind: str, name: str) -> str:
-    x, y = at
-    title = f"<title>{escape(name)} ({escape(kind)})</title>"
-    ring = f'fill="#fff" stroke="{PALETTE[1]}" stroke-width="2"'
-    if kind == "check":
-        return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="5" {ring}>{title}</circle>'
-    if kind == "held out":
-        return f'<path d="M{x:.1f} {y - 6:.1f}l6 6l-6 6l-6 -6z" {ring}>{title}</path>'
-    return f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4.5" fill="{PALETTE[0]}">{title}</circle>'
+def bars(values: list[float], labels: list[str], *, title: str, unit: str, width: int = 560) -> str:
+    """Horizontal bars with their values, from 0; `values` >= 0."""
+    top, line, left = 4, 20, 20 + 6 * max(map(len, labels), default=0)
+    largest = max([*values, 0.0]) or 1.0
+    drawing = Drawing(width, top * 2 + line * len(values), title)
+    for k, (value, label) in enumerate(zip(values, labels, strict=True)):
+        y, length = top + k * line, (width - left - 90) * value / largest
+        drawing.text(left - 8, y + 14, label, anchor="end", size=11)
+        drawing.bar(left, y + 4, max(length, 0.5), 12, PALETTE[0])
+        drawing.text(left + length + 6, y + 14, f"{plain(value, 3)} {unit}", size=11)
+    return drawing.finish()

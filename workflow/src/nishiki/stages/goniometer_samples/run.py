@@ -13,7 +13,7 @@ from nishiki.goniometry.store import write_reflectances
 from nishiki.goniometry.symmetry import departure
 from nishiki.goniometry.table import ReflectanceSet
 from nishiki.observations.goniometer import Measurements
-from nishiki.report.coverage_plot import coverage_plot
+from nishiki.stages.goniometer_samples.drawing import coverage_plot
 
 LISTED = 60  # directions of light whose coverage is among the diagnostics; all are in the artifact
 

@@ -1,6 +1,4 @@
-"""Report: one page that tells everything, from the artifacts of all other stages."""
-
-import json
+"""Report: one page on a painting, from the artifacts of all other stages."""
 
 from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.maps import Maps
@@ -10,98 +8,80 @@ from nishiki.evaluate.camera_colour import CameraColour, assumed_colour, fitted_
 from nishiki.formats.stored import load_arrays
 from nishiki.observations.plane import Observations
 from nishiki.photometric.flags import NO_ESTIMATE
-from nishiki.report.appearance_section import appearance_section
-from nishiki.report.capture_section import capture_section
-from nishiki.report.colour_section import colour_section
-from nishiki.report.conditions import conditions
-from nishiki.report.gloss_section import gloss_section
-from nishiki.report.left_out_section import left_out_section
-from nishiki.report.page import render_page
+from nishiki.report.files import read_json
 from nishiki.report.pictures import ruler
-from nishiki.report.provenance import stage_record
-from nishiki.report.relighting_section import relighting_section
-from nishiki.report.shape_section import shape_section
-from nishiki.report.summary import at_a_glance, choices
-from nishiki.stages.table import CHAIN, LIMITS
+from nishiki.report.scene_page import write_scene_page
+from nishiki.stages.brdf.report import gloss_section
+from nishiki.stages.evaluate.report import relighting_section
+from nishiki.stages.ingest.report import capture_section, facts_of_painting, kind_of
+from nishiki.stages.normals.report import shape_section
+from nishiki.stages.render.report import appearance_section
+from nishiki.stages.report.summary import at_a_glance, choices
+from nishiki.stages.spectra.report import colour_section
+from nishiki.stages.table import CHAIN
+
+NO_TRUTH = (
+    "No truth was given, so errors are known only where lights were kept from the fits{}. Truth can be given for "
+    "normals, height, reflectance and the colours under check lights, as an .npz or a truth.zarr in the column truth "
+    "of the scene table (docs/stages/evaluate.md, formats of truth)."
+)
 
 
 def run(context: Context) -> dict:
     """Collect the sections that this scene has, and write the page."""
-    page = render_page(content_of(context))
-    context.output.path("report.html").write_text(page, encoding="utf-8")
-    return {"bytes": len(page.encode()), "stages": sorted(context.inputs)}
-
-
-def content_of(context: Context) -> dict:
-    """Everything that the template names."""
-    inputs, settings = context.inputs, context.settings
+    inputs, widest = context.inputs, context.settings.picture_columns
+    told = {name: artifact.diagnostics for name, artifact in inputs.items()}
     frames = Observations(inputs["ingest"].folder)
     maps = {name: Maps(artifact.folder) for name, artifact in inputs.items() if artifact.path("maps.zarr").is_dir()}
     evaluation = read_json(inputs.get("evaluate"), "evaluation.json")
-    parameters = read_json(inputs.get("brdf"), "parameters.json")
-    known = frames.mask & ((maps["normals"].read("flags") & NO_ESTIMATE) == 0)
-    records = [
-        stage_record(inputs[name].manifest, CHAIN[name].settings, CHAIN[name].does) for name in CHAIN if name in inputs
-    ]
-    widest = settings.picture_columns
-    return {
-        "title": settings.title or inputs["ingest"].diagnostics["capture"]["title"] or context.stamp["scene"],
-        "scene": context.stamp["scene"],
-        "stamp": context.stamp,
-        "glance": at_a_glance(
-            inputs["normals"].diagnostics,
-            evaluation,
-            inputs["height"].diagnostics if "height" in inputs else None,
-            inputs["spectra"].diagnostics if "spectra" in inputs else None,
-        ),
-        "choices": choices({name: artifact.settings for name, artifact in inputs.items()}),
-        "capture": capture_section(
-            inputs["ingest"].diagnostics,
-            lights=list(frames.lights),
-            roles=list(frames.roles),
-            directions=frames.directions,
-            held_out=list(inputs["normals"].settings["hold_out"]),
-            channels=list(frames.channels),
-            pitch_mm=frames.pixel_pitch_mm,
-        ),
-        "appearance": appearance(inputs.get("render"), widest),
-        "relighting": relighting(inputs.get("evaluate"), maps.get("evaluate"), evaluation, widest),
-        "shape": shape_section(
-            maps["normals"],
-            widest=widest,
-            height=maps.get("height"),
-            pitch=frames.pixel_pitch_mm,
-            evaluated=maps.get("evaluate"),
-            mask=frames.mask,
-        ),
-        "normals": {"refined": False, **inputs["normals"].diagnostics},
-        "ruler": ruler(frames.shape[1], frames.pixel_pitch_mm),
-        "colour": colour_section(
-            maps["normals"],
-            widest=widest,
-            camera=camera_of(inputs["ingest"], len(frames.channels)),
-            spectra=maps.get("spectra"),
-            evaluated=maps.get("evaluate"),
-            evaluation=evaluation,
-            known=known,
-        ),
-        "expected_de00": inputs["spectra"].diagnostics.get("expected_de00") if "spectra" in inputs else None,
-        "gloss": None
-        if parameters is None
-        else gloss_section(parameters, true_gamma=((evaluation or {}).get("gloss") or {}).get("true_gamma_rad")),
-        "evaluation": evaluation,
-        "left_out": left_out_section(
-            settings.left_out, {name: inputs[name].diagnostics for name in CHAIN if name in inputs}
-        ),
-        "conditions": conditions((inputs[name].manifest for name in CHAIN if name in inputs), LIMITS),
-        "records": records,
-        "with_truth": any((evaluation or {}).get(name) for name in ("normals", "height", "reflectance")),
-    }
-
-
-def read_json(artifact: Artifact | None, name: str) -> dict | None:
-    """A JSON file of an artifact; None where the stage is not there."""
-    return None if artifact is None else json.loads(artifact.path(name).read_text(encoding="utf-8"))
+    scale_bar = ruler(frames.shape[1], frames.pixel_pitch_mm)
+    held_out = inputs["normals"].settings["hold_out"]
+    kinds = [kind_of(name, role, held_out) for name, role in zip(frames.lights, frames.roles, strict=True)]
+    relighting = relighting_section(inputs.get("evaluate"), maps.get("evaluate"), evaluation, widest)
+    truth = evaluation or {}
+    return write_scene_page(
+        context,
+        CHAIN,
+        title=told["ingest"]["capture"]["title"],
+        about=f"digitised from {len(frames.lights)} photographs, each under another light",
+        facts=facts_of_painting(told["ingest"], list(frames.channels), frames.pixel_pitch_mm, kinds),
+        tiles=at_a_glance(told["normals"], evaluation, told.get("height"), told.get("spectra")),
+        sections=[
+            appearance_section(inputs.get("render"), widest, scale_bar),
+            relighting,
+            shape_section(
+                maps["normals"],
+                widest=widest,
+                height=maps.get("height"),
+                pitch=frames.pixel_pitch_mm,
+                evaluated=maps.get("evaluate"),
+                mask=frames.mask,
+                evaluation=evaluation,
+                refined=told["normals"].get("refined", False),
+                ruler=scale_bar,
+            ),
+            colour_section(
+                maps["normals"],
+                widest=widest,
+                camera=camera_of(inputs["ingest"], len(frames.channels)),
+                spectra=maps.get("spectra"),
+                evaluated=maps.get("evaluate"),
+                evaluation=evaluation,
+                known=frames.mask & ((maps["normals"].read("flags") & NO_ESTIMATE) == 0),
+                expected_de00=told.get("spectra", {}).get("expected_de00"),
+                ruler=scale_bar,
+            ),
+            gloss_section(
+                read_json(inputs.get("brdf"), "parameters.json"),
+                true_gamma=(truth.get("gloss") or {}).get("true_gamma_rad"),
+            ),
+            capture_section(told["ingest"], lights=list(frames.lights), kinds=kinds, directions=frames.directions),
+        ],
+        more_left_out=[]
+        if any(truth.get(name) for name in ("normals", "height", "reflectance"))
+        else [NO_TRUTH.format("" if relighting else "; none were")],
+        more_made=[choices({name: artifact.settings for name, artifact in inputs.items()})],
+    )
 
 
 def camera_of(ingest: Artifact, channels: int) -> CameraColour:
@@ -111,26 +91,3 @@ def camera_of(ingest: Artifact, channels: int) -> CameraColour:
     if "sensitivities" not in curves or "illuminant" not in curves or len(curves["sensitivities"]) != channels:
         return assumed_colour(channels)
     return fitted_colour(synthetic_reflectances(), curves["illuminant"], curves["sensitivities"])
-
-
-def appearance(render: Artifact | None, widest: int) -> dict | None:
-    """Rendered pictures, those that the artifact lists."""
-    if render is None:
-        return None
-
-    def read(name: str) -> bytes | None:
-        return render.path(name).read_bytes() if name in render.manifest["files"] else None
-
-    folder = f"render/{render.key}"
-    return appearance_section(render.settings, render.diagnostics, read=read, widest=widest, folder=folder)
-
-
-def relighting(evaluate: Artifact | None, maps: Maps | None, evaluation: dict | None, widest: int) -> dict | None:
-    """Predictions beside photographs, where lights were kept from the fits."""
-    if evaluation is None or not evaluation["lights"]:
-        return None
-    previews = {
-        light["index"]: load_arrays(evaluate.path(f"preview_{light['index']:03d}.npz"))
-        for light in evaluation["lights"]
-    }
-    return relighting_section(evaluation, maps, previews, widest=widest)

@@ -7,7 +7,7 @@ from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.mesh_files import write_ply
 from nishiki.goniometry.store import Reflectances
 from nishiki.render.output import write_png
-from nishiki.report.weave_drawing import draw_section
+from nishiki.stages.weave.drawing import draw_section
 from nishiki.weave.fit import WeaveFit, fit_weave
 from nishiki.weave.planes import planes_of
 from nishiki.weave.store import describe, write_weave

@@ -2,6 +2,8 @@
 
 from typing import Any
 
+from nishiki.report.page import Table, Tile
+
 PAINTINGS = "Tominaga and Tanaka 2004"
 PAPER_CHOICES = {
     ("separate", "method"): ("threshold", "selection of the lights", f"thresholds w1, w2 ({PAINTINGS}, section 3.2)"),
@@ -12,26 +14,22 @@ PAPER_CHOICES = {
 }
 
 
-def choices(settings: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
+def choices(settings: dict[str, dict[str, Any]]) -> Table:
     """For each step where the paper's choice can be selected: what ran, and whether it was the paper's.
 
     settings : stage name -> its settings, of the stages that ran.
     """
-    found = []
+    rows = []
     for (stage, name), (paper, step, meaning) in PAPER_CHOICES.items():
-        if stage in settings and name in settings[stage]:
+        if name in settings.get(stage, {}):
             ran = str(settings[stage][name])
-            found.append(
-                {
-                    "step": step,
-                    "ran": ran,
-                    "setting": f"{stage}.{name}",
-                    "is_paper": ran == paper,
-                    "paper": paper,
-                    "meaning": meaning,
-                }
-            )
-    return found
+            published = " (the published one)" if ran == paper else ""
+            rows.append((step, f"{ran}{published}", f"{stage}.{name}", f"{paper}: {meaning}"))
+    return Table(
+        ("Step", "ran", "setting", "published choice"), rows, "llll",
+        "Which method ran where the published one can be chosen as well. Only what ran is in this page; to see the "
+        "other, give the scene table a second row with that setting.",
+    )  # fmt: skip
 
 
 def at_a_glance(
@@ -39,8 +37,8 @@ def at_a_glance(
     evaluation: dict[str, Any] | None,
     height: dict[str, Any] | None = None,
     spectra: dict[str, Any] | None = None,
-) -> list[dict[str, Any]]:
-    """Tiles: figure, unit, what it is.
+) -> list[Tile]:
+    """The figures that matter most.
 
     normals, height, spectra : diagnostics of those stages, None where one is left out; evaluation : evaluation.json or
     None.
@@ -53,21 +51,21 @@ def at_a_glance(
         guessed = (evaluation.get("colour") or {}).get("rmse_xyz") is None
         lamp = "colours taken as under D65" if guessed else "under the lamp of the capture"
         tiles.append(
-            _tile(
+            Tile(
                 overall["mean"],
                 "ΔE00",
                 f"mean difference, prediction to photograph, {count} unseen light{'s' * (count > 1)}, {lamp}; "
                 "of the camera's channels, the spectra take no part",
             )
         )
-        tiles.append(_tile(overall["p90"], "ΔE00", "90th percentile of that difference"))
+        tiles.append(Tile(overall["p90"], "ΔE00", "90th percentile of that difference"))
     if evaluation.get("normals"):
-        tiles.append(_tile(evaluation["normals"]["estimated"]["mean"], "°", "mean angle of the normals to the truth"))
+        tiles.append(Tile(evaluation["normals"]["estimated"]["mean"], "°", "mean angle of the normals to the truth"))
     elif expected is not None:
-        tiles.append(_tile(expected, "°", "median expected error of a normal"))
+        tiles.append(Tile(expected, "°", "median expected error of a normal"))
     if evaluation.get("reflectance"):
         tiles.append(
-            _tile(
+            Tile(
                 evaluation["reflectance"]["de00"]["D65"]["mean"],
                 "ΔE00",
                 "mean colour difference of the reflectance to the truth, D65",
@@ -75,12 +73,12 @@ def at_a_glance(
         )
     elif colour_error := (spectra or {}).get("expected_de00"):
         tiles.append(
-            _tile(colour_error["D65"], "ΔE00", "expected mean colour error of the spectra under daylight (D65)")
+            Tile(colour_error["D65"], "ΔE00", "expected mean colour error of the spectra under daylight (D65)")
         )
     if evaluation.get("height") and evaluation["height"]["rms"] is not None:
         height = evaluation["height"]
         tiles.append(
-            _tile(
+            Tile(
                 1000 * height["rms"],
                 "µm",
                 f"rms error of the height; the relief itself has {1000 * height['relief_rms']:.0f} µm",
@@ -88,9 +86,5 @@ def at_a_glance(
         )
     share = normals["valid_pixels"] / normals["object_pixels"] if normals.get("object_pixels") else None
     if share is not None:
-        tiles.append(_tile(100 * share, "%", "of the object's pixels have a normal"))
+        tiles.append(Tile(100 * share, "%", "of the object's pixels have a normal"))
     return tiles
-
-
-def _tile(value: float | None, unit: str, meaning: str) -> dict[str, Any]:
-    return {"value": value, "unit": unit, "meaning": meaning}

@@ -1,4 +1,4 @@
-"""The weave on a cloth's page: sections, parameters with their intervals, measured against fitted reflectance."""
+"""The section of a cloth's page on its weave: cross-sections, parameters with their intervals, the fit."""
 
 from __future__ import annotations
 
@@ -6,8 +6,11 @@ from typing import Any
 
 import numpy as np
 
+from nishiki.artifacts.artifact import Artifact
+from nishiki.report.files import contents, read_json
+from nishiki.report.page import Block, Cell, Figure, Figures, Heading, Section, Table
 from nishiki.report.pictures import PagePicture, encoded
-from nishiki.report.svg import PALETTE, Curve, chart
+from nishiki.report.svg import INK, PALETTE, Curve, chart
 
 MEANINGS = {
     "theta_a": "slope of the straight flanks, degrees",
@@ -22,47 +25,36 @@ MEANINGS = {
     "k_d": "strength of the light from within, mean of the channels",
 }
 ANGLES = ("theta_a", "contact")
-SHOWN_WEAK = 3
+MOST_WEAK = 3
 """Combinations of parameters named as badly determined."""
+PLANES = ("weft", "warp")
 
 
-def weave_section(
-    stored: dict[str, Any],
-    told: dict[str, Any],
-    drawings: dict[str, str],
-    pictures: dict[str, PagePicture],
-    confidence: float,
-) -> list[dict]:
-    """Regions of weave.json as the page shows them.
-
-    told: diagnostics of the stage by region; drawings: SVG text by file name; pictures by file name.
-    """
-    regions = stored.get("regions") or {}
-    return [
-        {
-            "region": name,
-            "text": summary(entry),
-            "parameters": parameters((told.get("regions") or {}).get(name) or {}),
-            "confidence": confidence,
-            "drawings": [
-                {"svg": drawings[file], "name": f"Section along the {plane}", "caption": section_words(entry[plane])}
-                for plane in ("weft", "warp")
-                if (file := f"section_{plane}{suffix(name, regions)}.svg") in drawings
-            ],
-            "pictures": [
-                {
-                    "picture": pictures[file],
-                    "name": "The surface",
-                    "caption": f"{entry['weave']}, as fitted, from above: the weft runs to the right.",
-                }
-                for file in (f"weave{suffix(name, regions)}.png",)
-                if file in pictures
-            ],
-            "curves": [curve(entry["curves"][plane], plane) for plane in ("weft", "warp") if plane in entry["curves"]],
-            "notes": notes(entry),
-        }
-        for name, entry in regions.items()
-    ]
+def weave_section(weave: Artifact | None, widest: int) -> Section | None:
+    """Every region of weave.json; None where no weave was fitted."""
+    regions = (read_json(weave, "weave.json") or {}).get("regions") or {}
+    blocks: list[Block] = []
+    for name, entry in regions.items():
+        suffix = f"_{name}" if len(regions) > 1 else ""
+        if suffix:
+            blocks.append(Heading(name))
+        items = []
+        for plane in PLANES:
+            if drawing := contents(weave, f"section_{plane}{suffix}.svg"):
+                items.append(Figure(f"Section along the {plane}", section_words(entry[plane]), svg=drawing.decode()))
+        if data := contents(weave, f"weave{suffix}.png"):
+            caption = f"{entry['weave']}, as fitted, from above: the weft runs to the right."
+            items.append(Figure("The surface", caption, tile_picture(data, widest)))
+        blocks += [summary(entry), Figures(items)]
+        if rows := parameters((weave.diagnostics.get("regions") or {}).get(name) or {}):
+            caption = (
+                f"Parameters with their confidence intervals ({round(100 * weave.settings['confidence'])} %). Lengths "
+                "are known up to a common scale."
+            )
+            blocks.append(Table(("parameter", "value", "from", "to", "meaning"), rows, "lrrrw", caption))
+        curves = [curve(entry["curves"][plane], plane) for plane in PLANES if plane in entry["curves"]]
+        blocks += [Figures(curves), *notes(entry)]
+    return Section("weave", "Weave", blocks) if blocks else None
 
 
 def tile_picture(data: bytes, widest: int) -> PagePicture:
@@ -77,11 +69,6 @@ def tile_picture(data: bytes, widest: int) -> PagePicture:
     if columns > widest:
         codes = cv2.resize(codes, (widest, round(len(codes) * widest / columns)), interpolation=cv2.INTER_AREA)
     return encoded(codes[..., ::-1])
-
-
-def suffix(name: str, regions: dict) -> str:
-    """End of the names of a region's files."""
-    return f"_{name}" if len(regions) > 1 else ""
 
 
 def summary(entry: dict[str, Any]) -> str:
@@ -100,22 +87,21 @@ def section_words(section: dict[str, float]) -> str:
     return f"{text}, {section['n']:.2g} yarns side by side." if "n" in section else f"{text}."
 
 
-def parameters(told: dict[str, Any]) -> list[dict]:
-    """Value, interval and meaning of each parameter."""
-    rows = []
+def parameters(told: dict[str, Any]) -> list[list[Cell]]:
+    """Name, value, ends of the interval and meaning of each parameter; told : diagnostics of a region."""
+    rows: list[list[Cell]] = []
     for name, value in (told.get("parameters") or {}).items():
         stem, _, plane = name.rpartition("_")
-        kind = stem if plane in ("weft", "warp") else name
+        kind = stem if plane in PLANES else name
         low, high = (told.get("intervals") or {}).get(name) or (None, None)
         factor = 180 / np.pi if kind in ANGLES else 1.0
-        low, value, high = (None if v is None else factor * v for v in (low, value, high))
         meaning = MEANINGS.get(kind, "")
-        meaning += f", {plane}" if plane in ("weft", "warp") and meaning else ""
-        rows.append({"name": name, "value": value, "low": low, "high": high, "meaning": meaning})
+        meaning += f", {plane}" if plane in PLANES and meaning else ""
+        rows.append([name, *(None if v is None else factor * v for v in (value, low, high)), meaning])
     return rows
 
 
-def curve(values: dict[str, Any], plane: str) -> dict:
+def curve(values: dict[str, Any], plane: str) -> Figure:
     """Measured and fitted reflectance at normal incidence (or at the first incidence there is) of one plane."""
     theta_i, theta_r = np.array(values["theta_i_deg"]), np.array(values["theta_r_deg"])
     first = theta_i[np.argmin(np.abs(theta_i))] if len(theta_i) else 0.0
@@ -124,12 +110,12 @@ def curve(values: dict[str, Any], plane: str) -> dict:
     angle = theta_r[rows]
     measured, gloss, body = (np.array(values[name])[rows] for name in ("measured", "gloss", "body"))
     curves = [
-        Curve("interpolated" if values["interpolated"] else "measured", angle, measured, colour="#22262b", dots=True),
+        Curve("interpolated" if values["interpolated"] else "measured", angle, measured, colour=INK, dots=True),
         Curve("fitted", angle, gloss + body),
         Curve("of which from within", angle, body, colour=PALETTE[1], dashed=True),
     ]
     svg = chart(curves, x_label="view, degrees", y_label="BRDF, 1/sr", title=f"reflectance in the plane of the {plane}")
-    return {"svg": svg, "heading": f"Plane of the {plane}", "caption": f"light at {abs(first):.0f}°."}
+    return Figure(f"Plane of the {plane}", f"light at {abs(first):.0f}°.", svg=svg)
 
 
 def notes(entry: dict[str, Any]) -> list[str]:
@@ -138,15 +124,12 @@ def notes(entry: dict[str, Any]) -> list[str]:
     texts = []
     if found.get("free"):
         texts.append(f"No measurement of this kind can tell: {'; '.join(found['free'])}.")
-    pairs = list(zip(several(found.get("weak")), several(found.get("weak_error")), strict=True))[:SHOWN_WEAK]
+    pairs = list(zip(found.get("weak") or [], found.get("weak_error") or [], strict=True))[:MOST_WEAK]
     if pairs:
-        told = "; ".join(f"{name}: {'not' if error > 1 else f'to {100 * error:.2g} %'}" for name, error in pairs)
+        told = "; ".join(
+            f"{name}: {'not determined' if error > 1 else f'to {100 * error:.2g} %'}" for name, error in pairs
+        )
         texts.append(f"Least well determined combinations (one standard deviation): {told}.")
     if entry.get("at_bounds"):
         texts.append(f"At the end of their range: {', '.join(entry['at_bounds'])}.")
     return texts
-
-
-def several(value) -> list:
-    """A list, of one where it is none of these, empty where there is nothing."""
-    return value if isinstance(value, list) else [value] if value else []

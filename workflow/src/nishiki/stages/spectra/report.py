@@ -1,4 +1,4 @@
-"""The part of the page on colour: diffuse reflectance as a picture, spectra of some places or regions."""
+"""The section of a painting's page on colour: diffuse reflectance as a picture, spectra of some places or regions."""
 
 from dataclasses import replace
 from typing import Any
@@ -17,55 +17,108 @@ from nishiki.colour.colour import (
 from nishiki.colour.sampling import WAVELENGTHS_NM
 from nishiki.evaluate.camera_colour import CameraColour
 from nishiki.report.colour_map import heat, hexadecimal
-from nishiki.report.pictures import block_of, brightened, brightening, colour_picture, scalar_picture, shrink
+from nishiki.report.page import Block, Figure, Figures, Heading, Section, Table
+from nishiki.report.pictures import Ruler, block_of, brightened, brightening, colour_picture, scalar_picture, shrink
 from nishiki.report.svg import INK, PALETTE, Curve, chart
 
 CURVES = 9
 LEAST_SHARE = 0.002
+LIGHTS = {"D65": "daylight, D65", "A": "incandescent, A", "FL11": "fluorescent of three narrow bands, FL11"}
+UNDER_D65 = "CIEDE2000 of the diffuse reflectance under D65, not under the lamp of the capture."
+EXPECTED_ERROR = "for surfaces like those of the training set; light patches are colours unlike any of them."
+PLACES = (
+    "Places that differ most in colour, numbered in the picture above. A camera of few channels fixes the colour, not "
+    "the curve: fine structure comes from the training set."
+)
+VARNISH = (
+    "The spectra are those of the surface as the camera sees it, that is through the varnish: a yellowed or matt "
+    "varnish is part of them."
+)
 
 
 def colour_section(
-    normals, *, widest: int, camera: CameraColour, spectra=None, evaluated=None, evaluation=None, known=None
-) -> dict[str, Any]:
-    """Content of the section.
+    normals,
+    *,
+    widest: int,
+    camera: CameraColour,
+    spectra=None,
+    evaluated=None,
+    evaluation: dict[str, Any] | None = None,
+    known: np.ndarray | None = None,
+    expected_de00: dict[str, float] | None = None,
+    ruler: Ruler | None = None,
+) -> Section:
+    """Diffuse reflectance, spectra where there are some, and their errors.
 
     normals, spectra, evaluated : `Maps` of those stages or None; camera : map of the channels to XYZ, used where there
-    are no spectra; evaluation : evaluation.json or None; known : (rows, columns) bool, pixels with an estimate.
+    are no spectra; evaluation : evaluation.json or None; known : (rows, columns) bool, pixels with an estimate;
+    expected_de00 : diagnostic of the spectra.
     """
     shape = tuple(normals.group["reflectance"].shape[:2])
     block = block_of(shape[1], widest)
-    content = {"spectra": [], "how": "", "de00": None, "sigma": None, "against_truth": False}
     maps, name = (normals, "reflectance") if spectra is None else (spectra, "coefficients")
     small = shrink(lambda rows: _masked(maps.read(name, rows), known, rows), shape, block)
     if spectra is None:
-        content |= _diffuse(xyz_to_srgb_linear(camera.xyz(small), white=camera.white), camera.how)
-        return content
+        figure = _diffuse(xyz_to_srgb_linear(camera.xyz(small), white=camera.white), camera.how, (), ruler)
+        return Section("colour", "Colour", [Figures([figure])])
     basis = np.array(spectra.attributes("coefficients")["basis"])
-    lamp = illuminant("D65")
-    xyz = small @ xyz_matrix(lamp, basis).T
-    content |= _diffuse(xyz_to_srgb_linear(xyz), "from the spectra of the pixels, under D65")
-    sigma = shrink(lambda rows: _masked(spectra.read("sigma", rows), known, rows), shape, block)
-    content["sigma"] = scalar_picture(sigma, heat(), unit="reflectance, expected rms", low=0.0)
-    regions = ((evaluation or {}).get("reflectance") or {}).get("regions")
-    if regions:
+    xyz = small @ xyz_matrix(illuminant("D65"), basis).T
+    truth = (evaluation or {}).get("reflectance") or {}
+    if truth.get("regions"):
         labels = None
         if evaluated is not None and "regions" in evaluated:
             labels = np.asarray(evaluated.read("regions"))[block // 2 :: block, block // 2 :: block]
-        content["spectra"], marks = _of_regions(regions, evaluation["reflectance"]["region_names"], labels)
-        content["diffuse"] = replace(content["diffuse"], marks=marks)
-        content["against_truth"] = True
+        curves, marks = _of_regions(truth["regions"], truth["region_names"], labels)
+        numbered = ", each numbered in the picture above where it is widest" if marks else ""
+        means = "mean of the estimated spectra, and of the true ones (dashed)"
+        about = f"Regions that differ most in colour{numbered}: {means}."
     else:
-        content["spectra"], marks = _of_places(small, xyz, basis, block)
-        content["diffuse"] = replace(content["diffuse"], marks=marks)
+        curves, marks = _of_places(small, xyz, basis, block)
+        about = PLACES
+    items = [_diffuse(xyz_to_srgb_linear(xyz), "from the spectra of the pixels, under D65", marks, ruler)]
     if evaluated is not None and "reflectance_de00" in evaluated:
         difference = shrink(lambda rows: evaluated.read("reflectance_de00", rows), shape, block)
-        content["de00"] = scalar_picture(difference, heat(), unit="ΔE00 under D65", low=0.0)
-    return content
+        picture = scalar_picture(difference, heat(), unit="ΔE00 under D65", low=0.0)
+        items.append(Figure("Difference to the true reflectance", UNDER_D65, picture))
+    sigma = shrink(lambda rows: _masked(spectra.read("sigma", rows), known, rows), shape, block)
+    picture = scalar_picture(sigma, heat(), unit="reflectance, expected rms", low=0.0)
+    items.append(Figure("Expected error of the spectra", EXPECTED_ERROR, picture))
+    blocks: list[Block] = [Figures(items)]
+    if curves:
+        blocks += [Heading("Spectra"), f"{about} {VARNISH}", Figures(curves, 3)]
+    return Section("colour", "Colour", [*blocks, *_tables(expected_de00 or {}, truth)])
 
 
-def _diffuse(linear: np.ndarray, how: str) -> dict[str, Any]:
+def _diffuse(linear: np.ndarray, how: str, marks: tuple, ruler: Ruler | None) -> Figure:
     factor = brightening(linear)
-    return {"diffuse": colour_picture(factor * linear), "how": f"{how}.{brightened(factor)}"}
+    numbers = " The numbers are the places of the spectra below." if marks else ""
+    caption = f"the object without highlights, shadows and shading; {how}.{brightened(factor)}{numbers}"
+    return Figure("Diffuse reflectance", caption, replace(colour_picture(factor * linear), marks=marks), ruler=ruler)
+
+
+def _tables(expected_de00: dict[str, float], truth: dict[str, Any]) -> list[Block]:
+    """Colour errors to be expected, and errors of the reflectance against a truth."""
+    tables: list[Block] = []
+    if expected_de00:
+        rows = [[LIGHTS[light], value] for light, value in expected_de00.items()]
+        caption = (
+            "Colour under lights that the camera has not seen: mean ΔE00 to be expected of the estimated spectra, from "
+            "training spectra of like colours"
+        )
+        if truth:
+            rows = [[*row, truth["de00"][light]["mean"]] for row, light in zip(rows, expected_de00, strict=True)]
+            tables.append(
+                Table(("Light", "expected", "measured"), rows, "lrr", f"{caption}; measured: against the truth.")
+            )
+        else:
+            tables.append(Table(("Light", "expected"), rows, "lr", f"{caption}."))
+    if truth:
+        parts = {"rms over 61 bands, reflectance": truth["rmse"]}
+        parts |= {f"ΔE00 under {name}": part for name, part in truth["de00"].items()}
+        rows = [[name, *(part[key] for key in ("mean", "median", "p90", "count"))] for name, part in parts.items()]
+        head = ("Measure", "mean", "median", "90 %", "number")
+        tables.append(Table(head, rows, "lrrrr", "Reflectance of the pixels against truth."))
+    return tables
 
 
 def spread_out(points: np.ndarray, count: int, first: int) -> list[int]:
@@ -89,7 +142,7 @@ def _masked(values: np.ndarray, known: np.ndarray | None, rows: slice) -> np.nda
     return values
 
 
-def _of_regions(regions: list[dict], names: list[str], labels: np.ndarray | None) -> tuple[list[dict], tuple]:
+def _of_regions(regions: list[dict], names: list[str], labels: np.ndarray | None) -> tuple[list[Figure], tuple]:
     """Charts of regions that differ most in colour, the largest first; regions of a few pixels are left out.
 
     labels : (rows, columns) region of each pixel of the picture, or None. The marks stand where the regions are widest.
@@ -103,7 +156,7 @@ def _of_regions(regions: list[dict], names: list[str], labels: np.ndarray | None
         region = large[k]
         label = names[region["label"]] if region["label"] < len(names) else f"region {region['label']}"
         curves = [(region["estimate"], False), (region["truth"], True)]
-        note = f"{region['pixels']} pixels, rms {region['rmse']:.3f}"
+        note = f"{region['pixels']} pixels, rms {region['rmse']:.3f}."
         if labels is not None and (labels == region["label"]).any():
             label = f"{number}: {label}"
             marks.append((*_widest_place(labels == region["label"]), str(number)))
@@ -120,7 +173,7 @@ def _widest_place(inside: np.ndarray) -> tuple[float, float]:
     return column + 0.5, row + 0.5
 
 
-def _of_places(small: np.ndarray, xyz: np.ndarray, basis: np.ndarray, block: int) -> tuple[list[dict], tuple]:
+def _of_places(small: np.ndarray, xyz: np.ndarray, basis: np.ndarray, block: int) -> tuple[list[Figure], tuple]:
     """Charts of places that differ most in colour: means over blocks of pixels, away from the extremes; their marks."""
     step = max(1, int(np.sqrt(small.shape[0] * small.shape[1] / 4000)))
     rows, columns = (axis.ravel() for axis in np.mgrid[0 : small.shape[0] : step, 0 : small.shape[1] : step])
@@ -140,7 +193,7 @@ def _of_places(small: np.ndarray, xyz: np.ndarray, basis: np.ndarray, block: int
     return charts, tuple(marks)
 
 
-def _spectrum_chart(label: str, note: str, curves: list[tuple[Any, bool]]) -> dict[str, Any]:
+def _spectrum_chart(label: str, note: str, curves: list[tuple[Any, bool]]) -> Figure:
     swatch = srgb_encode(xyz_to_srgb_linear(xyz_from_spectra(illuminant("D65"), np.asarray(curves[0][0], float))))
     drawn = [
         Curve("", WAVELENGTHS_NM, np.asarray(values, float), INK if dashed else PALETTE[1], dashed)
@@ -157,4 +210,4 @@ def _spectrum_chart(label: str, note: str, curves: list[tuple[Any, bool]]) -> di
         width=330,
         height=220,
     )
-    return {"label": label, "note": note, "svg": svg, "swatch": hexadecimal(np.round(255 * swatch))}
+    return Figure(label, note, svg=svg, swatch=hexadecimal(np.round(255 * swatch)))

@@ -1,0 +1,232 @@
+"""The page of a scene: the sections of its stages, then what was left out, conditions, how it was made and verified."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
+
+from markupsafe import Markup
+
+from nishiki.artifacts.artifact import Artifact
+from nishiki.artifacts.bounds import at_bounds
+from nishiki.artifacts.closed import Closed
+from nishiki.artifacts.limits import Limit, limit_checks
+from nishiki.artifacts.provenance import canonical
+from nishiki.artifacts.stage import Context
+from nishiki.report.numbers import figure, plain
+from nishiki.report.page import Block, Cell, Facts, Fold, Listing, Page, Section, Table, Tile, render_page
+
+PLANNED = ("hold_out", "without", "truth_sha256", "training_sha256", "left_out")
+"""Settings that the plan fills in; a user does not write them."""
+LONGEST_TEXT = 160
+
+
+class Declared(Protocol):
+    """What the page takes from the declaration of a stage (`nishiki.stages.base.Stage`)."""
+
+    settings: Any
+    does: str
+    limits: tuple[Limit, ...]
+
+
+def write_scene_page(
+    context: Context,
+    stages: Mapping[str, Declared],
+    *,
+    title: str | None,
+    about: str,
+    facts: Sequence[tuple[str, str]],
+    tiles: Sequence[Tile],
+    sections: Sequence[Section | None],
+    warnings: Sequence[str] = (),
+    more_left_out: Sequence[Block] = (),
+    more_made: Sequence[Block] = (),
+) -> dict[str, Any]:
+    """Write `report.html`; what the stage reports of it.
+
+    stages : declarations in the order of the flow; title : of the capture; about : what the scene is; sections : of the
+    stages, None where one has nothing to show; more_left_out, more_made : blocks of this kind of scene.
+    """
+    stamp, settings = context.stamp, context.settings
+    closing = closing_sections(context.inputs, stages, stamp, settings.left_out, more_left_out, more_made)
+    page = Page(
+        title=settings.title or title or stamp["scene"],
+        subtitle=Markup("Scene <code>{}</code>, {}.").format(stamp["scene"], about),
+        sections=[section for section in sections if section is not None] + closing,
+        version=stamp["version"],
+        footer=f"Nishiki {stamp['version']}, scene {stamp['scene']}, report {stamp['key']}.",
+        stamp=f"{stamp['scene']}/{stamp['stage']}/{stamp['key']}",
+        facts=facts,
+        tiles=tiles,
+        warnings=warnings,
+    )
+    html = render_page(page)
+    context.output.path("report.html").write_text(html, encoding="utf-8")
+    return {"bytes": len(html.encode()), "stages": sorted(context.inputs)}
+
+
+def closing_sections(
+    inputs: Mapping[str, Artifact],
+    stages: Mapping[str, Declared],
+    stamp: Mapping[str, str],
+    left_out: Mapping[str, str],
+    more_left_out: Sequence[Block] = (),
+    more_made: Sequence[Block] = (),
+) -> list[Section]:
+    """The last four sections. left_out : of the plan, name to reason."""
+    there = [name for name in stages if name in inputs]
+    told = {name: inputs[name].diagnostics for name in there}
+    rows = [row for name in there for row in conditions(inputs[name].manifest, stages[name].limits)]
+    made = (
+        "Each stage below left one artifact, named by a key over its settings and inputs. Settings that differ from "
+        "the default are marked. Times and memory of a run are in its run.json, outside of what is digested, so that "
+        "the same inputs give the same bytes."
+    )
+    return [
+        Section("left-out", "What was read and what was left out, and why",
+                [*left_out_blocks(left_out, told), *more_left_out], "Left out"),
+        Section("conditions", "Conditions and flags", [Table(
+            ("Stage", "figure", "value", "expected", "state"), rows, "lwrll",
+            "Condition numbers, flagged shares and errors of every stage, with the limits beyond which a run stops "
+            "unless the stage's setting “allow” names them.")], "Conditions"),
+        Section("made", "How it was made",
+                [*more_made, made, *(record(inputs[name].manifest, stages[name]) for name in there)]),
+        Section("verify", "How to verify", verification(stamp)),
+    ]  # fmt: skip
+
+
+def left_out_blocks(left_out: Mapping[str, str], diagnostics: Mapping[str, Mapping[str, Any]]) -> list[Block]:
+    """What the plan left out, what ingest read of the capture, what stages decided by a measurement.
+
+    diagnostics : of every stage by its name: `read` of ingest says what was read, `economy` of any stage what it
+    decided (see `nishiki.model_selection.decision`).
+    """
+    blocks: list[Block] = []
+    if read := diagnostics.get("ingest", {}).get("read"):
+        files = [
+            (row["what"], row["read"], row["of"], f"{row['bytes_read'] / 1e6:.2f}", f"{row['bytes_of'] / 1e6:.2f}")
+            for row in [*read["files"], {**read["total"], "what": "all files"}]
+        ]
+        caption = "Files of the capture. Those that no stage of the plan looks at were not opened."
+        blocks.append(Table(("files", "read", "of", "MB read", "MB of"), files, "lrrrr", caption, last_is_sum=True))
+        kept = "{} of {} channels".format(*read["channels"])
+        if read["tiles"]:
+            kept += "; {} of {} tiles, bands of rows times lights".format(*read["tiles"])
+        blocks.append(f"Kept of that: {kept}.")
+    blocks.append(Facts(sorted(left_out.items())) if left_out else "The plan left nothing out.")
+    decided = [
+        (stage, what.replace("_", " "), *(entry.get(name) for name in ("decision", "criterion")),
+         *("" if entry.get(name) is None else entry[name] for name in ("measured", "limit")),
+         *(entry.get(name) for name in ("loss", "override")))
+        for stage, told in diagnostics.items()
+        for what, entry in (told.get("economy") or {}).items()
+    ]  # fmt: skip
+    if decided:
+        head = ("stage", "what", "decision", "criterion", "measured", "limit", "loss", "to decide otherwise")
+        caption = "Decided by the stages themselves, each by what it measured; a setting overrides each."
+        blocks.append(Table(head, decided, "llwwrrww", caption))
+    return blocks
+
+
+def conditions(manifest: Mapping[str, Any], limits: Sequence[Limit]) -> list[tuple[Cell, ...]]:
+    """Rows (stage, meaning, value, limit, state) of one artifact; last, the parameters that ended at a bound.
+
+    A run stops where a result is beyond a limit and not allowed to be.
+    """
+    stage, rows = manifest["stage"], []
+    for check in limit_checks(limits, manifest["diagnostics"], manifest["settings"].get("allow", ())):
+        limit = check.limit
+        stated = "none"
+        if limit.most is not None:
+            stated = f"at most {plain(limit.most)}"
+        elif limit.least is not None:
+            stated = f"at least {plain(limit.least)}"
+        state = "–" if not limit.stated else "beyond, allowed" if check.beyond else "within"
+        rows.append((stage, limit.meaning, plain(check.value), stated, state))
+    for parameter in at_bounds(manifest["diagnostics"]):
+        rows.append((stage, f"fitted parameter at a bound: {parameter}", None, "inside its range", "at its bound"))
+    return rows
+
+
+def record(manifest: Mapping[str, Any], stage: Declared) -> Fold:
+    """Settings, diagnostics, inputs, code and libraries of one stage."""
+    name, key = manifest["stage"], manifest["key"]
+    rows, changed = settings_rows(manifest["settings"], stage.settings)
+    upstream = [
+        Markup("{} <code>{}</code>").format(other, entry.get("key") or f"sha256 {entry['digest'][:12]}…")
+        for other, entry in manifest["upstream"].items()
+    ]
+    libraries = [f"{library} {version}" for library, version in sorted(manifest.get("libraries", {}).items())]
+    megabytes = sum(entry["bytes"] for entry in manifest["files"].values()) / 1e6
+    code = Markup("<code>{}</code>").format
+    blocks = [
+        Table(("name", "value", "default", "meaning"), rows, "lwww", "Settings", marked=changed),
+        Table((), [(code(place), value) for place, value in flat(manifest["diagnostics"])], "lw", "Diagnostics"),
+        Facts([
+            ("Made from", Markup(", ").join(upstream)),
+            ("Code", code(manifest.get("code") or "not recorded")),
+            ("Libraries", ", ".join(libraries) or "not recorded"),
+            ("Files", f"{figure(len(manifest['files']))}, {megabytes:.1f} MB"),
+            ("Times, memory", code(f"{name}/{key}/run.json")),
+        ]),
+    ]  # fmt: skip
+    mark = f"{len(changed)} setting{'s' * (len(changed) > 1)} changed" if changed else ""
+    return Fold(name, stage.does, blocks, code=key, mark=mark)
+
+
+def settings_rows(values: Mapping[str, Any], model: type[Closed]) -> tuple[list[tuple[Cell, ...]], set[int]]:
+    """Name, value, default and meaning of each setting in the order of the model; numbers of the changed ones."""
+    defaults = model().model_dump(mode="json")
+    rows, changed = [], set()
+    for number, (name, field) in enumerate(model.model_fields.items()):
+        value = values.get(name, defaults[name])
+        planned = name in PLANNED
+        if not planned and canonical(value) != canonical(defaults[name]):
+            changed.add(number)
+        default = "set by the plan" if planned else text(defaults[name])
+        rows.append((Markup("<code>{}</code>").format(name), text(value), default, field.description or ""))
+    return rows, changed
+
+
+def verification(stamp: Mapping[str, str]) -> list[Block]:
+    """The commands that check all of it."""
+    scene, code = stamp["scene"], Markup("<code>{}</code>").format
+    return [
+        Markup(
+            "Every file of every artifact is listed with its SHA-256 in an <code>artifact.json</code>, which also "
+            "names the artifacts that it was made from and their digests. Paths are relative to {}."
+        ).format(code(f"results/{scene}/")),
+        Listing(
+            f"./nishiki verify results/{scene}       # recompute every digest; names each damaged, missing or foreign "
+            f"file\n./nishiki explain {scene}              # would anything run again, and why\n"
+            "./nishiki run                        # make whatever is missing or out of date"
+        ),
+        Markup(
+            "This page is itself an artifact: {}. It holds no date: the same inputs give the same page byte for byte."
+        ).format(code(f"{stamp['stage']}/{stamp['key']}")),
+    ]
+
+
+def flat(values: Mapping[str, Any], path: str = "") -> list[tuple[str, str]]:
+    """Diagnostics as (name, text) lines; blocks become dotted names, long lists are cut."""
+    lines = []
+    for name, value in values.items():
+        place = f"{path}.{name}" if path else name
+        lines += flat(value, place) if isinstance(value, dict) else [(place, text(value))]
+    return lines
+
+
+def text(value: Any) -> str:
+    """A setting or diagnostic as short text."""
+    if value is None:
+        return "none"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return plain(value, 6)
+    if isinstance(value, dict):
+        value = ", ".join(f"{key}: {text(item)}" for key, item in value.items()) or "none"
+    elif isinstance(value, list | tuple):
+        value = ", ".join(text(item) for item in value) or "none"
+    line = str(value) or "(empty)"
+    return line if len(line) <= LONGEST_TEXT else line[: LONGEST_TEXT - 1] + "…"

@@ -1,0 +1,195 @@
+"""The section of a painting's page on lights that no fit has seen: prediction beside photograph."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from nishiki.artifacts.artifact import Artifact
+from nishiki.artifacts.maps import Maps
+from nishiki.evaluate.classes import DIFFUSE, HIGHLIGHT, SHADOW
+from nishiki.evaluate.museum import FADGI, ISO_19264
+from nishiki.formats.stored import load_arrays
+from nishiki.report.colour_map import balance, heat
+from nishiki.report.numbers import signed
+from nishiki.report.page import Block, Cell, Figure, Figures, Heading, Note, Section, Table
+from nishiki.report.pictures import (
+    block_of,
+    brightened,
+    brightening,
+    class_picture,
+    colour_picture,
+    scalar_picture,
+    shrink,
+)
+
+MOST_LIGHTS = 4
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # of linear sRGB, IEC 61966-2-1
+LEAST_SIGNED_END = 1.0  # per cent of the white: smaller differences are the camera's noise
+LARGEST_DE00 = 10.0
+"""End of the scale of difference maps: the same for all lights, so that they can be compared."""
+CLASSES = ("diffuse", "highlight", "shadow")
+CLASS_KEY = {
+    DIFFUSE: ("#a9c0c9", "diffuse"),
+    HIGHLIGHT: ("#e3a72f", "highlight in view"),
+    SHADOW: ("#3c4657", "shadow"),
+}
+
+
+def relighting_section(
+    evaluate: Artifact | None, maps: Maps | None, evaluation: dict[str, Any] | None, widest: int
+) -> Section | None:
+    """None where no light was kept from the fits. maps : of the artifact; evaluation : its evaluation.json."""
+    if evaluation is None or not evaluation["lights"]:
+        return None
+    lights, overall, how = evaluation["lights"], evaluation["overall"], evaluation["colour"]["how"]
+    lamp = "as if under D65" if evaluation["colour"]["rmse_xyz"] is None else "under the lamp of the capture"
+    from_truth = evaluation["classes_from"] == "truth"
+    blocks: list[Block] = [
+        "The lights below were kept from every fit. Every colour difference of this section is taken "
+        f"{lamp}, relative to a perfect white that faces that lamp. The record predicts what the camera would see "
+        "under each of them; the photograph shows what it did see. Both are shown through the same map from camera "
+        f"channels to display colour ({how}).",
+    ]
+    shown = [lights[k] for k in chosen(lights)]
+    previews = [load_arrays(evaluate.path(f"preview_{light['index']:03d}.npz")) for light in shown]
+    differences = [signed_difference(preview) for preview in previews]
+    end = signed_end(differences)
+    for light, preview, difference in zip(shown, previews, differences, strict=True):
+        aside = f"({light['role']}, {light['incidence_deg']:.0f}° from the normal of the plane)"
+        blocks.append(Heading(f"Light {light['name']}", aside))
+        captions = _captions(from_truth) if light is shown[0] else [""] * 5
+        blocks.append(Figures(_pictures(light, preview, maps, difference, end, widest, captions), 5))
+    classes_from = (
+        "the truth"
+        if from_truth
+        else "the prediction, never from the photograph, so that an error cannot hide by changing its class"
+    )
+    blocks += [
+        _table_of_lights(lights, overall, lamp),
+        f"Classes are taken from {classes_from}. Left out: pixels of the object that are saturated or dark in the "
+        "photograph, or have no estimate.",
+        *_against_truth(lights),
+        _in_museum_terms(overall["levels"]),
+    ]
+    return Section("relighting", "Prediction and photograph", blocks)
+
+
+def _captions(from_truth: bool) -> list[str]:
+    source = "the true parts of the light" if from_truth else "the prediction"
+    return [
+        "as the camera saw it.",
+        "from the record alone; highlights and shadows should lie where the photograph has them.",
+        "dark is good; hardly anybody sees 1, and from 10 on the colours are plainly different.",
+        "prediction less photograph, luminance in per cent of the white: blue is too dark, red too bright; in "
+        "highlights, too little or too much gloss.",
+        f"by {source}; a highlight is more than a tenth of all light from a pixel.",
+    ]
+
+
+def _pictures(light, preview, maps: Maps, difference: np.ndarray, end: float, widest: int, captions) -> list[Figure]:
+    inside = np.asarray(preview["inside"])
+    observed, predicted = (np.asarray(preview[name], np.float32) for name in ("observed", "predicted"))
+    factor = brightening(observed[inside])
+    de00, classes = f"de00_{light['index']:03d}", f"classes_{light['index']:03d}"
+    shape = tuple(maps.group[de00].shape)
+    block = block_of(shape[1], widest)
+    in_view = shrink(lambda rows: _ranked(maps.read(classes, rows)), shape, block, worst=True)
+    small = shrink(lambda rows: maps.read(de00, rows), shape, block)
+    pictures = {
+        "Photograph": colour_picture(factor * observed, inside=inside),
+        "Prediction": colour_picture(factor * predicted, inside=inside),
+        "Difference": scalar_picture(small, heat(), unit="ΔE00", low=0.0, high=LARGEST_DE00),
+        "Signed difference": scalar_picture(difference, balance(), unit="% of white", low=-end, high=end),
+        "What is in view": class_picture(in_view, CLASS_KEY),
+    }
+    notes = [brightened(factor)] * 2 + [""] * 3
+    items = zip(pictures.items(), captions, notes, strict=True)
+    return [Figure(name, (caption + note).strip(), picture) for (name, picture), caption, note in items]
+
+
+def _table_of_lights(lights: list[dict[str, Any]], overall: dict[str, Any], lamp: str) -> Table:
+    rows: list[list[Cell]] = []
+    for light in lights:
+        row = [light["name"], light["role"], f"{light['incidence_deg']:.0f}°", *_mean_and_p90(light["de00"])]
+        for name in CLASSES:
+            row += _mean_and_p90(light["by_class"][name]["de00"])
+            if name == "highlight":
+                row.append(signed(light["by_class"][name]["bias"]))
+        rows.append([*row, light["psnr_linear_db"], light["psnr_coded_db"], sum(light["excluded"].values())])
+    rows.append(["all lights", "", "", *_mean_and_p90(overall["de00"]), *[""] * 10])
+    head = ["Light", "kept as", "from normal", *["mean", "90 %"] * 3, "signed", *["mean", "90 %"]]
+    return Table(
+        [*head, "linear", "coded", "left out"], rows, "llr" + "r" * 12,
+        f"Colour difference (CIEDE2000 {lamp}, mean and 90th percentile over pixels), signed error in highlights (mean "
+        "of prediction less photograph, in per cent of the white: negative where the predicted gloss is too weak), and "
+        "PSNR (dB, peak = white) of prediction against photograph. The photograph's own noise is part of every figure.",
+        (("", 3), ("all pixels", 2), ("diffuse", 2), ("highlight", 3), ("shadow", 2), ("PSNR", 2), ("", 1)),
+        last_is_sum=True,
+    )  # fmt: skip
+
+
+def _mean_and_p90(part: dict[str, float | None]) -> list[Cell]:
+    return [part["mean"], part["p90"]]
+
+
+def _against_truth(lights: list[dict[str, Any]]) -> list[Block]:
+    """The table of the prediction against noise-free truth, where there is one."""
+    cases = sorted({case for light in lights for case in (light.get("truth") or {})}, key=lambda case: case != "lamp")
+    if not cases:
+        return []
+    rows: list[list[Cell]] = []
+    for light in lights:
+        if light.get("truth"):
+            parts = [light["truth"][case] for case in cases]
+            cells = [[*_mean_and_p90(p["de00"]), *(p["by_class"][name]["mean"] for name in CLASSES)] for p in parts]
+            rows.append([light["name"], *(cell for part in cells for cell in part)])
+    return [
+        Table(
+            ["Light", *["mean", "90 %", *CLASSES] * len(cases)], rows, "l" + "rrrrr" * len(cases),
+            "The same prediction against noise-free truth (CIEDE2000). Under the lamp of the capture it is the error "
+            "of the record without the photograph's noise; under D65 it also contains what the spectra got wrong.",
+            [("", 1), *(("lamp of the capture" if case == "lamp" else case, 5) for case in cases)],
+        )
+    ]  # fmt: skip
+
+
+def _in_museum_terms(levels: dict[str, str]) -> Note:
+    iso = f"level {levels['iso_19264']}" if levels["iso_19264"] in ("A", "B") else levels["iso_19264"]
+    stars = [f"{level.mean:g}" + (f" and {level.p90:g}" if level.p90 else "") + f" ({level.name})" for level in FADGI]
+    grades = [f"{level.mean:g} ({level.name})" for level in ISO_19264]
+    return Note([
+        "In museum terms: held against the limits for colour accuracy of two guidelines, the differences over all "
+        f"lights are of the order of FADGI: {levels['fadgi']}, ISO 19264-1: {iso}.",
+        f"Limits used: FADGI 2023, mean and 90th percentile of ΔE00 below {', '.join(stars)}; ISO 19264-1:2021, mean "
+        f"at most {', '.join(grades)}. Both are defined for the patches of a colour target under the studio's light, "
+        "not for pixels of a prediction under new lights: this is an orientation, not a certificate.",
+    ])  # fmt: skip
+
+
+def chosen(lights: list[dict[str, Any]], count: int = MOST_LIGHTS) -> list[int]:
+    """Which lights to show: all, or evenly through the ranks of their mean difference, best and worst among them."""
+    if len(lights) <= count:
+        return list(range(len(lights)))
+    ranks = sorted(range(len(lights)), key=lambda k: (lights[k]["de00"]["mean"] or 0.0, k))
+    places = np.round(np.linspace(0, len(ranks) - 1, count)).astype(int)
+    return sorted(ranks[p] for p in places)
+
+
+def signed_difference(pair: Mapping[str, Any]) -> np.ndarray:
+    """Luminance of prediction less photograph, per cent of the white, of a preview; NaN outside the object."""
+    difference = np.asarray(pair["predicted"], np.float32) - np.asarray(pair["observed"], np.float32)
+    return np.where(np.asarray(pair["inside"]), 100 * (difference @ LUMINANCE), np.nan)
+
+
+def signed_end(maps: list[np.ndarray]) -> float:
+    """End of the common scale of signed maps: the 98th percentile of all magnitudes, up to 1, 2 or 5 times 10^n."""
+    values = np.concatenate([np.abs(values[np.isfinite(values)]) for values in maps])
+    wanted = max(float(np.percentile(values, 98)) if values.size else 0.0, LEAST_SIGNED_END)
+    power = 10.0 ** np.floor(np.log10(wanted))
+    return float(next(power * step for step in (1, 2, 5, 10) if power * step >= wanted * (1 - 1e-9)))
+
+
+def _ranked(classes: np.ndarray) -> np.ndarray:
+    """Classes as floats, 0 (not compared) as NaN, so that a block takes its gravest."""
+    return np.where(classes > 0, classes, np.nan).astype(np.float32)
