@@ -22,11 +22,12 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 sys.path.insert(1, str(Path(__file__).resolve().parents[1]))
 sys.path.insert(2, str(Path(__file__).resolve().parents[2] / "workflow/src"))
-from published_fits import fit_brightest_light, fit_points, point_problem
+from published_fits import fit_brightest_light
 from reflectance_table import directions, fit_reflectance_table, predict_reflectances, r2_cube_root
 
 import _project  # noqa: F401
 from nishiki.brdf.fit import fit_torrance_sparrow
+from nishiki.brdf.levenberg_marquardt import fit_points, point_problem
 from nishiki.brdf.scene import fit_scene
 from nishiki.brdf.specular_histogram import SpecularHistogram
 from nishiki.brdf.torrance_sparrow import attenuation, fresnel, half_vector_geometry, specular

@@ -17,12 +17,9 @@ import numpy as np
 
 PROJECT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(PROJECT / "scripts"))
-sys.path.insert(1, str(PROJECT / "tests"))
-sys.path.insert(2, str(PROJECT / "workflow/src"))
-
-from published_fits import fit_points, point_problem  # noqa: E402
 
 import _project  # noqa: E402, F401
+from nishiki.brdf.levenberg_marquardt import fit_points, point_problem  # noqa: E402
 from nishiki.brdf.texels.lighting import Lighting  # noqa: E402
 from nishiki.brdf.texels.stack import Observed, observed  # noqa: E402
 from nishiki.brdf.texels.texel_fit import first_fit, strengths  # noqa: E402

@@ -1,10 +1,5 @@
 """The published fit of a scene (Tominaga and Tanaka 2004, eq. 14-18), the baseline: brightest light, smoothed normals,
-thinned samples, Levenberg-Marquardt.
-
-The search needs a start, and parameters of like size: it works on the strength and on log gamma.  scipy's
-`least_squares(method="lm")` is MINPACK's lmder (More, The Levenberg-Marquardt algorithm: implementation and theory,
-1978).
-"""
+thinned samples."""
 
 import numpy as np
 
@@ -12,9 +7,6 @@ from nishiki.brdf.body_shading import body_factor
 from nishiki.brdf.torrance_sparrow import attenuation, half_vector_geometry
 
 STEEPEST = np.deg2rad(50.0)
-START_GAMMA = 0.1
-FARTHEST = 2000.0  # 2^-2000 is 0
-TWO_LN2 = 2.0 * np.log(2.0)
 
 
 def brightest_light_samples(
@@ -63,42 +55,3 @@ def thin(phi, *, bins=60, per_bin=50, seed=0):
     start = np.searchsorted(index[ranked], np.arange(bins))
     rank = np.arange(phi.size) - start[index[ranked]]
     return np.sort(order[ranked[rank < per_bin]])
-
-
-def squared_ratio(phi, log_gamma):
-    """(phi / gamma)^2, held where 2^-ratio is 0 or 1 in float64: the search may pass any width."""
-    return np.minimum((phi / np.exp(np.clip(log_gamma, -50.0, 50.0))) ** 2, FARTHEST)
-
-
-def fit_lobe(phi, amplitude, attenuation, *, start=(1.0, START_GAMMA)):
-    """beta and gamma of one lobe from specular samples alone: minimise sum (amplitude - beta a D(phi; gamma))^2.
-
-    phi (radians), amplitude, attenuation a: (samples,).  start: (beta, gamma).  Returns (beta, gamma, covariance of
-    (beta, gamma), root mean square residual, converged); the covariance is infinite where it is not defined.
-    """
-    from scipy.optimize import least_squares
-
-    def residual(p):
-        return p[0] * attenuation * np.exp2(-squared_ratio(phi, p[1])) - amplitude
-
-    def jacobian(p):
-        ratio2 = squared_ratio(phi, p[1])
-        s = attenuation * np.exp2(-ratio2)
-        return np.stack([s, p[0] * s * TWO_LN2 * ratio2], axis=1)
-
-    first = np.array([start[0], np.log(start[1])], float)
-    with np.errstate(over="ignore", under="ignore"):
-        found = least_squares(residual, first, jac=jacobian, method="lm")
-    beta, gamma = found.x[0], float(np.exp(np.clip(found.x[1], -50.0, 50.0)))
-    variance = 2 * found.cost / max(phi.size - 2, 1)
-    normal = found.jac.T @ found.jac
-    scale = np.sqrt(np.diag(normal))
-    if np.all(scale > 0) and np.linalg.cond(normal / np.outer(scale, scale)) < 1e14:
-        covariance = variance * np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
-    else:
-        covariance = np.full((2, 2), np.inf)
-    to_gamma = np.array([1.0, gamma])
-    covariance = covariance * np.outer(to_gamma, to_gamma)
-    # where the search ran off to no width, or to one so large that none is told, it stops: that is no convergence
-    converged = bool(found.success and np.isfinite(covariance).all() and 1e-6 < gamma < 10)
-    return float(beta), gamma, covariance, float(np.sqrt(2 * found.cost / phi.size)), converged

@@ -1,9 +1,10 @@
-"""Torrance-Sparrow at every point: Lambert and one specular lobe from the observations of each.
+"""Torrance-Sparrow at every point: Lambert and one specular lobe from the observations of each, and its baseline.
 
-The strengths (K_s, K_d, or beta) enter linearly and the half width gamma does not.  The fit eliminates the strengths
-and searches log gamma globally (variable projection): there is no start value to choose, and beta = 164 beside gamma =
-0.07 is no harder than beta = 1 beside gamma = 1.  Levenberg-Marquardt on everything is the published choice (Tominaga
-and Tanaka 2004, eq. 18), a baseline of the benchmarks.  Fits over a whole scene are in `nishiki.brdf.scene`.
+The strengths (K_s, K_d, or beta) enter linearly and the half width gamma does not.  The default eliminates the
+strengths and searches log gamma globally (variable projection): there is no start value to choose, and beta = 164
+beside gamma = 0.07 is no harder than beta = 1 beside gamma = 1.  Levenberg-Marquardt on everything is the published
+choice (Tominaga and Tanaka 2004, eq. 18) and stays selectable as the baseline.  Fits over a whole scene are in
+`nishiki.brdf.scene`.
 """
 
 from dataclasses import dataclass
@@ -46,6 +47,7 @@ def fit_torrance_sparrow(
     attenuation=None,
     diffuse=None,
     gamma_bounds=GAMMA_BOUNDS,
+    method="projection",
     threads=1,
 ) -> PointFits:
     """Fit K_d q + K_s a D(phi; gamma) to the observations of many points; K per channel, gamma per point.
@@ -56,8 +58,9 @@ def fit_torrance_sparrow(
     cos theta_r (Miyazaki et al. 2007, eq. 8); ones if None.  diffuse q: (points, observations), the Lambert term
     max(cos theta_i, 0); no diffuse term if None.
     weights: (points, observations), >= 0, inverse variances up to a factor; 0 leaves an observation out, as does any
-    value that is not finite.  gamma_bounds: radians, the range searched.  threads: that work on the points; the
-    result does not depend on it.
+    value that is not finite.  gamma_bounds: radians, the range searched.  method: "projection" (default) or
+    "levenberg_marquardt" (the baseline: slow, from one start, no bounds).  threads: that work on the points; the result
+    does not depend on it.
 
     Fitted in float32 if amplitude is float32, else in float64.  Raises UserError for shapes that do not agree, negative
     weights, or bounds that are not 0 < low < high.
@@ -69,7 +72,14 @@ def fit_torrance_sparrow(
     points, _, channels = arrays[1].shape
     strengths = np.zeros((points, channels, 2), arrays[1].dtype)
     reports = np.zeros((points, vp.REPORT), arrays[1].dtype)
-    _in_threads(arrays, float(np.log(low)), float(np.log(high)), strengths, reports, threads)
+    if method == "projection":
+        _in_threads(arrays, float(np.log(low)), float(np.log(high)), strengths, reports, threads)
+    elif method == "levenberg_marquardt":
+        from nishiki.brdf.levenberg_marquardt import fit_points
+
+        fit_points(*arrays, strengths, reports)
+    else:
+        raise UserError(f"method: expected 'projection' or 'levenberg_marquardt', found {method!r}")
     return _judged(arrays, strengths, reports, low, high)
 
 

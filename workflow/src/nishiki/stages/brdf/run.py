@@ -7,8 +7,9 @@ import numpy as np
 from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.maps import Maps, MapWriter, shading_normals
 from nishiki.artifacts.stage import Context
-from nishiki.brdf.brightest_light import brightest_light_samples, fit_lobe, thin
+from nishiki.brdf.brightest_light import brightest_light_samples, thin
 from nishiki.brdf.gloss_profile import LADDER, GlossProfile, blurred_lobes, fit_gloss, specular_samples
+from nishiki.brdf.levenberg_marquardt import fit_lobe
 from nishiki.brdf.parameters import (
     described,
     described_brightest,
