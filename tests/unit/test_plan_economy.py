@@ -10,7 +10,8 @@ from nishiki.engine.leaving_out import PARTS
 from nishiki.engine.plan import Plan, make_plan
 from nishiki.engine.project import Scene, StageSettings
 from nishiki.errors import UserError
-from nishiki.report.left_out_section import left_out_section
+from nishiki.report.page import Facts
+from nishiki.report.scene_page import left_out_blocks
 from nishiki.stages.base import SceneFacts
 from nishiki.stages.table import CHAIN
 
@@ -205,14 +206,14 @@ def test_section_of_the_report():
         "loss": "none",
         "override": "x: y",
     }
-    section = left_out_section(
+    files, kept, planned_out, decided = left_out_blocks(
         {"b": "2", "a": "1"}, {"ingest": {"read": read}, "brdf": {"economy": {"the_lobe": entry}}}
     )
-    assert section["planned"] == [("a", "1"), ("b", "2")]
-    assert [row["megabytes_read"] for row in section["files"]] == [3.0, 3.0]
-    assert section["kept"] == [("channels", 1, 3)]
-    assert section["decided"] == [{"stage": "brdf", "what": "the lobe", **entry}]
-    assert left_out_section({}, {})["files"] == []
+    assert [row[3] for row in files.rows] == ["3.00", "3.00"]
+    assert kept == "Kept of that: 1 of 3 channels."
+    assert planned_out == Facts([("a", "1"), ("b", "2")])
+    assert decided.rows == [("brdf", "the lobe", *entry.values())]
+    assert left_out_blocks({}, {}) == ["The plan left nothing out."]
 
 
 def test_versions_of_packages_that_a_scene_does_not_load_are_no_reason_to_run_again():
