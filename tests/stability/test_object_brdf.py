@@ -4,7 +4,7 @@ import mpmath
 import numpy as np
 from hypothesis import strategies as st
 from stability.cases import case, powers_of_ten, relative, worst_over
-from unit.test_reflection_object import patch, ring
+from unit.test_object_brdf import patch, ring
 
 from nishiki.brdf.texels.environment import fit_environment
 from nishiki.brdf.texels.environment import residuals as left_of

@@ -18,8 +18,7 @@ from nishiki.commands.engine import says_what_to_make
 from nishiki.engine import finished
 from nishiki.engine.plan import PlannedStage, make_plan
 from nishiki.engine.project import Scene, StageSettings
-from nishiki.engine.records import RUNS
-from nishiki.engine.running_lock import MARK, registered, scenes_to_make
+from nishiki.engine.running_lock import MARK, RUNS, registered, scenes_to_make
 
 NAMES = ("first", "second", "third")
 

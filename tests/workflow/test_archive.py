@@ -33,9 +33,9 @@ def test_a_killed_run_is_resumed_by_one_command_and_a_live_one_is_left_alone(sit
     site.configure(height={"method": "weighted"})
     process = site.start("run")
     try:
-        wait_for(lambda: list((site.folder / ".snakemake/locks").glob("*.lock")), process)
+        wait_for(lambda: list((site.folder / "results/.runs").glob("*.json")), process)
         os.killpg(process.pid, signal.SIGSTOP)  # alive, and still so when the last of the commands has been asked
-        for command in (["run"], ["run", "--unlock"], ["prune", "--delete"]):
+        for command in (["run"], ["prune", "--delete"]):
             done = site.nishiki(*command, check=False)
             assert (done.returncode, "a run" in done.stderr, "alive" in done.stderr) == (2, True, True), command
             assert str(process.pid) in done.stderr
@@ -44,7 +44,7 @@ def test_a_killed_run_is_resumed_by_one_command_and_a_live_one_is_left_alone(sit
         with suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)
         process.wait()
-    assert list((site.folder / ".snakemake/locks").glob("*.lock"))
+    assert list((site.folder / "results/.runs").glob("*.json"))
     done = site.nishiki("run")
     assert "resuming after a run that was killed" in done.stderr
     assert not list((site.folder / "results/.runs").glob("*.json"))

@@ -11,7 +11,7 @@ from nishiki.archive.survey import CAPTURE
 from nishiki.archive.tree import FolderTree
 from nishiki.artifacts.artifact import MANIFEST, RUN, parse_manifest
 from nishiki.artifacts.publish import INDEX
-from nishiki.engine.records import RUNS
+from nishiki.engine.running_lock import RUNS
 from nishiki.processes import host, is_alive, owner_of
 
 FINISHED = re.compile(r"([0-9a-f]{12})(?:\.superseded-[0-9a-f]{8})?")

@@ -1,5 +1,7 @@
-"""Snakemake, started as a registered run: beside no live one of the same scenes, behind what a dead one left, and on
-unfinished scenes only."""
+"""Snakemake, started as a registered run: beside no live one of the same scenes, after clearing up behind dead ones,
+and on unfinished scenes only.
+
+Snakemake's own locks are switched off: they stay where a run is killed, and do not say whose they are."""
 
 import json
 import os
@@ -13,7 +15,6 @@ from statistics import fmean
 
 from nishiki.engine.finished import unfinished_scenes
 from nishiki.engine.plan import Plan
-from nishiki.engine.records import refuse_while_running
 from nishiki.engine.running_lock import registered
 from nishiki.engine.soundness import set_aside_unsound
 from nishiki.engine.workflow import LEAVE_OUT, Workflow
@@ -23,7 +24,7 @@ LOOKS_ONLY = {
     *("-n", "--dry-run", "--dryrun", "-S", "--summary", "-D", "--detailed-summary", "--dag", "--d3dag", "--rulegraph"),
     *("--filegraph", "--lint", "-l", "--list", "--list-rules", "--lt", "--list-target-rules", "--report", "--lu"),
     *("--list-untracked", "--lc", "--list-changes", "--li", "--list-input-changes", "--lp", "--list-params-changes"),
-    *("-h", "--help", "-v", "--version"),
+    *("-h", "--help", "-v", "--version", "--unlock"),
 }
 """Options with which Snakemake runs nothing."""
 HOW_ONLY = {
@@ -82,13 +83,9 @@ def call_engine(
     # Every stage is a process: without compiled bytecode each would compile the same imports again.
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     environment |= {LEAVE_OUT: "1"} if flow.refused else {}
-    if LOOKS_ONLY & set(command):  # whoever only looks takes no lock, and stumbles over none
+    if LOOKS_ONLY & set(command):
         return subprocess.run([*command[:3], "--nolock", *command[3:]], check=False, env=environment).returncode
-    results = Path(flow.results)
-    if "--unlock" in command:
-        refuse_while_running(results, "the lock stays")
-        return subprocess.run(command, check=False, env=environment).returncode
-    with registered(results, flow.plans, gone=gone, tell=_tell) as held:
+    with registered(Path(flow.results), flow.plans, gone=gone, tell=_tell) as held:
         scenes = list(flow.plans)
         if unfinished_only:
             scenes = list(unfinished_scenes(flow, contents=held.unclean))
@@ -107,7 +104,7 @@ def call_engine(
             if not INSTALLED:  # Snakemake looks for its plugins on the path of Python
                 path = (str(SOURCE), environment.get("PYTHONPATH"))
                 environment["PYTHONPATH"] = os.pathsep.join(filter(None, path))
-            status = held.call([*command[:3], *shown, *command[3:]], environment, keep=(failed.fileno(),))
+            status = held.call([*command[:3], "--nolock", *shown, *command[3:]], environment, keep=(failed.fileno(),))
             failed.seek(0)
             if failures is not None:
                 failures += [json.loads(line) for line in failed]

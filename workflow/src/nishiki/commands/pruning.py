@@ -10,8 +10,7 @@ from nishiki.archive.inventory import PRUNED, Item, Place, Pruning
 from nishiki.archive.prune import decide
 from nishiki.archive.removal import remove
 from nishiki.engine.project import SWEEPS
-from nishiki.engine.records import records, refuse_while_running
-from nishiki.engine.running_lock import registered
+from nishiki.engine.running_lock import records, refuse_while_running, registered
 from nishiki.engine.sweep_plan import TIMINGS
 from nishiki.errors import UserError
 

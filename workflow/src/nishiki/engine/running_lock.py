@@ -1,8 +1,19 @@
-"""Registering a run on its results: never beside a live run of the same scene, always behind a dead one."""
+"""Which runs are alive on some results: never two of one scene, and recovery after a run that was killed.
 
+Every run keeps a record in `<results>/.runs/` under an exclusive flock(2), which its Snakemake inherits: the kernel
+gives the lock free when both have ended, however they ended. So a record whose lock can be taken, and that was written
+on this machine, belongs to a dead run: that is proof, and no clock is asked. The record of another machine proves
+nothing here. One lock serves all scenes of a run: a lock a scene would need as many open files.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import getpass
 import json
 import os
 import secrets
+import shutil
 import signal
 import subprocess
 import threading
@@ -11,20 +22,89 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from nishiki import processes
-from nishiki.engine import engine_locks
-from nishiki.engine.records import RUNS, Record, here, records, take
 from nishiki.errors import UserError
 
+RUNS = ".runs"
 MARK = "NISHIKI_RUN"
 """Environment variable that all processes of a run carry."""
 UNFINISHED = "unfinished"
 """Entry of a run's record: scenes that its Snakemake is to look at; all, where there is none."""
-PATIENCE_S = 120.0
-SHARED = ("sweeps",)
-"""Folders of the results that hold what runs make beside their scenes."""
+LARGEST = 2**24
+"""Bytes of the largest record that is read; the names of a hundred thousand scenes have a tenth of that."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """A run as it registered itself, and what has become of it.
+
+    alive; dead: killed, which is certain; ended: by itself, without success; elsewhere: cannot be told from here.
+    """
+
+    path: Path
+    facts: dict[str, Any]
+    state: Literal["alive", "dead", "ended", "elsewhere"]
+
+    @property
+    def scenes(self) -> set[str]:
+        """Scenes that it makes."""
+        return set(self.facts.get("scenes", ()))
+
+    @property
+    def host(self) -> str:
+        """Machine that it was started on; empty where the record cannot be read."""
+        return str(self.facts.get("host", ""))
+
+    @property
+    def unclean(self) -> bool:
+        """Whether files may be torn: it was killed, or ended while clearing up after one that was."""
+        return self.state != "ended" or bool(self.facts.get("unclean"))
+
+    def __str__(self) -> str:
+        facts = {"process": "?", "host": "?", "user": "?", "started": "?", **self.facts}
+        pid = str(facts["process"]).split("-")[0]
+        return f"process {pid} on {facts['host']}, user {facts['user']}, since {facts['started']}"
+
+    def meets(self, scenes: set[str]) -> bool:
+        """Whether it makes any of these scenes; one whose record cannot be read may make all."""
+        return not self.facts or bool(self.scenes & scenes)
+
+    def unknown(self) -> str:
+        """What to tell of a run that this machine knows nothing certain about, and the remedy."""
+        if not self.facts:
+            return f"an unreadable record of a run. Remedy: make sure that no run is alive, then delete {self.path}"
+        who = f"user {self.facts.get('user')} on {self.host}" if self.host == processes.host() else f"on {self.host}"
+        return (
+            f"a run did not end, and whether it is alive cannot be told from here: {self}. Remedy: run again as {who}; "
+            f"or, where nothing of it can be alive, ./nishiki run --host-is-gone {self.host}"
+        )
+
+
+def records(results: Path) -> list[Record]:
+    """Runs registered on some results, with what has become of them; changes nothing."""
+    examined = (_examined(path) for path in sorted((results / RUNS).glob("*.json")))
+    return [record for record in examined if record is not None]
+
+
+def refuse_while_running(results: Path, what: str) -> None:
+    """UserError where a run is alive on these results, or may be; `what`: what is not done then."""
+    for record in records(results):
+        if record.state == "alive":
+            raise UserError(f"{results}: {what}: a run is alive: {record}. Remedy: wait for its end")
+        if record.state == "elsewhere":
+            raise UserError(f"{results}: {what}: {record.unknown()}")
+
+
+def scenes_to_make(results: Path, scenes: Iterable[str]) -> list[str]:
+    """Scenes that the run which this process is a part of has left to make; all of them outside of such a run."""
+    with suppress(OSError, ValueError, AttributeError, TypeError):
+        unfinished = json.loads((results / RUNS / f"{os.environ.get(MARK, '')}.json").read_bytes()).get(UNFINISHED)
+        if unfinished is not None:
+            chosen = set(unfinished)
+            return [scene for scene in scenes if scene in chosen]
+    return list(scenes)
 
 
 @dataclass
@@ -74,7 +154,7 @@ class HeldRun:
 def registered(
     results: Path, scenes: Iterable[str], *, gone: Iterable[str] = (), tell: Callable[[str], None] = print
 ) -> Iterator[HeldRun]:
-    """Register this run on some scenes of some results, after clearing up behind dead ones.
+    """Register this run on some scenes of some results, after clearing up after dead ones.
 
     results: as the configuration names it; gone: machines of which it is known that nothing runs there any more.
     Whoever uses it sets `ended` to "done" after success. Raises UserError where another run of one of the scenes is
@@ -82,14 +162,13 @@ def registered(
     """
     scenes, gone = set(scenes), set(gone)
     with _one_at_a_time(results):
-        found = records(results)
-        met = [record for record in found if record.meets(scenes)]
+        every = records(results)
+        met = [record for record in every if record.meets(scenes)]
         for record in met:
             _refuse(results, record, scenes, gone)
-        alive = {scene for record in found if record.state == "alive" for scene in record.scenes}
+        alive = {scene for record in every if record.state == "alive" for scene in record.scenes}
         for record in met:
             _clear_up(record, alive, tell)
-        _refuse_strange_locks(results, scenes)
         run = _register(results, scenes, unclean=any(record.unclean for record in met))
         for record in met:
             _forget(record, scenes)
@@ -102,50 +181,54 @@ def registered(
         _end(run)
 
 
-def scenes_to_make(results: Path, scenes: Iterable[str]) -> list[str]:
-    """Scenes that the run which this process is a part of has left to make; all of them outside of such a run."""
-    name = os.environ.get(MARK, "")
-    with suppress(OSError, ValueError, AttributeError, TypeError):
-        found = json.loads((results / RUNS / f"{name}.json").read_bytes()).get(UNFINISHED)
-        if found is not None:
-            chosen = set(found)
-            return [scene for scene in scenes if scene in chosen]
-    return list(scenes)
-
-
-def _refuse(results: Path, record: Record, scenes: set[str], gone: set[str]) -> None:
-    if record.state == "alive":
-        which = sorted(record.scenes & scenes)
-        named = ", ".join(which[:5]) + (f" and {len(which) - 5} more" if len(which) > 5 else "")
-        left = "" if processes.is_alive(record.facts.get("process", "")) else _left_of(record)
-        raise UserError(f"{results}: a run of {named} is alive: {record}{left}. Remedy: wait for its end, or end it")
-    if record.state == "elsewhere" and record.host not in gone:
-        raise UserError(f"{results}: {record.unknown()}")
-
-
-def _left_of(record: Record) -> str:
-    """Processes of a run whose own process is gone, for whoever wants to end them."""
-    left = processes.marked(MARK, record.facts.get("id", ""))
-    return f"; that process is gone, its Snakemake and jobs go on: {', '.join(map(str, left))}" if left else ""
-
-
 @contextmanager
 def _one_at_a_time(results: Path) -> Iterator[None]:
-    """While inside, no other run registers on these results."""
+    """While inside, no other run registers on these results; it waits until this one has."""
     try:
         (results / RUNS).mkdir(parents=True, exist_ok=True)
         descriptor = os.open(results / RUNS / "register", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o664)
     except OSError as error:
         raise UserError(f"{results}: cannot be written ({error.strerror}), which a run has to") from None
     try:
-        until = time.monotonic() + PATIENCE_S
-        while not take(descriptor):
-            if time.monotonic() > until:
-                raise UserError(f"{results}: another run has been starting for {PATIENCE_S:.0f} s. Remedy: end it")
-            time.sleep(0.1)
+        with suppress(OSError):  # a file system without locks
+            fcntl.flock(descriptor, fcntl.LOCK_EX)
         yield
     finally:
         os.close(descriptor)
+
+
+def _refuse(results: Path, record: Record, scenes: set[str], gone: set[str]) -> None:
+    if record.state == "alive":
+        which = sorted(record.scenes & scenes)
+        named = ", ".join(which[:5]) + (f" and {len(which) - 5} more" if len(which) > 5 else "")
+        left = ""
+        if not processes.is_alive(record.facts.get("process", "")):
+            pids = ", ".join(map(str, processes.marked(MARK, record.facts.get("id", ""))))
+            left = f"; that process is gone, its Snakemake and jobs go on: {pids}"
+        raise UserError(f"{results}: a run of {named} is alive: {record}{left}. Remedy: wait for its end, or end it")
+    if record.state == "elsewhere" and record.host not in gone:
+        raise UserError(f"{results}: {record.unknown()}")
+
+
+def _clear_up(record: Record, alive: set[str], tell: Callable[[str], None]) -> None:
+    """End the jobs that a run left on this machine, and remove what Snakemake had put by of its manifests.
+
+    Snakemake puts manifests by to restore them where a job fails; after a kill they would come back when a job of a
+    later run fails. alive: scenes of live runs, whose files stay.
+    """
+    if not record.facts:
+        return
+    orphans = processes.marked(MARK, record.facts["id"])
+    if orphans:
+        tell(f"ending {len(orphans)} processes that a dead run left behind ({record})")
+        left = processes.stop(lambda: processes.marked(MARK, record.facts["id"]))
+        if left:
+            raise UserError(f"processes of a dead run do not end: {', '.join(map(str, left))}. Remedy: end them")
+    backups = Path(record.facts["directory"], ".snakemake/backups", record.facts["results"].lstrip("/"))
+    for scene in record.scenes - alive if backups.is_dir() else ():
+        shutil.rmtree(backups / scene, ignore_errors=True)
+    if record.state != "ended":
+        tell(f"resuming after a run that was killed ({record})")
 
 
 def _register(results: Path, scenes: set[str], *, unclean: bool) -> HeldRun:
@@ -164,7 +247,7 @@ def _register(results: Path, scenes: set[str], *, unclean: bool) -> HeldRun:
     half = path.with_suffix(".part")
     try:
         descriptor = os.open(half, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o664)
-        take(descriptor)
+        _is_free(descriptor, fcntl.LOCK_EX)
         _write(descriptor, facts)
         os.rename(half, path)
     except OSError as error:
@@ -201,47 +284,73 @@ def _forget(record: Record, scenes: set[str]) -> None:
     os.replace(half, record.path)
 
 
-def _clear_up(record: Record, alive: set[str], tell: Callable[[str], None]) -> None:
-    """End the jobs that a run left behind on this machine, and release the locks of its Snakemake.
+def _is_free(descriptor: int, kind: int) -> bool:
+    """Take the lock of an open file without waiting; False where another process has it.
 
-    alive: scenes of live runs, whose locks stay.
+    True as well on a file system that has no locks: there the process numbers in the records decide.
     """
-    if not record.facts:
-        return
-    _end_orphans(record, tell)
-    directory, results = Path(record.facts["directory"]), record.facts["results"]
-    mine = record.scenes | set(SHARED)
-    named = {lock: engine_locks.scenes_named(lock, results) for lock in engine_locks.lock_files(directory)}
-    locks = [lock for lock, scenes in named.items() if scenes & mine and not scenes & alive]
-    strangers = engine_locks.engines(directory, MARK) if locks else []
-    if strangers:
-        what = "a Snakemake that ./nishiki did not start is alive there"
-        raise UserError(f"{directory}: {what}: process {strangers[0]}. Remedy: wait for its end")
-    for lock in locks:
-        lock.unlink(missing_ok=True)
-    engine_locks.forget_backups(directory, results, record.scenes - alive)
-    if record.state != "ended":
-        tell(f"resuming after a run that was killed ({record})")
+    try:
+        fcntl.flock(descriptor, kind | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return True
+    return True
 
 
-def _end_orphans(record: Record, tell: Callable[[str], None]) -> None:
-    orphans = processes.marked(MARK, record.facts["id"])
-    if not orphans:
-        return
-    tell(f"ending {len(orphans)} processes that a dead run left behind ({record})")
-    left = processes.stop(lambda: processes.marked(MARK, record.facts["id"]))
-    if left:
-        raise UserError(f"processes of a dead run do not end: {', '.join(map(str, left))}. Remedy: end them")
+def _examined(path: Path) -> Record | None:
+    try:
+        descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
+    except FileNotFoundError:
+        return None
+    except OSError:
+        return Record(path, {}, "elsewhere")
+    try:
+        facts = _parsed(os.pread(descriptor, LARGEST, 0))
+        # Shared: two that look at the same time do not take each other for the run.
+        return Record(path, facts, _state(facts) if _is_free(descriptor, fcntl.LOCK_SH) else "alive")
+    finally:
+        os.close(descriptor)
 
 
-def _refuse_strange_locks(results: Path, scenes: set[str]) -> None:
-    directory = Path.cwd()
-    locks = [
-        lock for lock in engine_locks.lock_files(directory) if engine_locks.scenes_named(lock, str(results)) & scenes
-    ]
-    if not locks:
-        return
-    strangers = engine_locks.engines(directory, MARK)
-    who = f"by process {strangers[0]}" if strangers else "by a Snakemake that ./nishiki did not start"
-    remedy = "Remedy: make sure that it has ended, then ./nishiki run --unlock"
-    raise UserError(f"{locks[0]}: these scenes are locked {who}. {remedy}")
+def _parsed(data: bytes) -> dict[str, Any]:
+    with suppress(ValueError, RecursionError):
+        facts = json.loads(data)
+        texts = ("id", "host", "process", "directory", "results")
+        if isinstance(facts, dict) and all(isinstance(facts.get(name), str) for name in texts):
+            scenes = facts.get("scenes")
+            if isinstance(scenes, list) and all(isinstance(name, str) for name in scenes):
+                return facts
+    return {}
+
+
+def _state(facts: dict[str, Any]) -> Literal["alive", "dead", "ended", "elsewhere"]:
+    """What has become of a run whose lock is free."""
+    if not facts:
+        return "elsewhere"
+    if facts.get("ended"):
+        return "ended"
+    now = here()
+    if facts.get("boot") == now["boot"] and now["boot"]:
+        # Its processes are seen, and can be ended, from the same container and by the same user or root.
+        ours = facts.get("user") == now["user"] or os.geteuid() == 0
+        if facts.get("namespace") != now["namespace"] or not ours:
+            return "elsewhere"
+        return "alive" if processes.is_alive(facts["process"]) else "dead"
+    same_machine = now["machine"] and all(facts.get(name) == now[name] for name in ("host", "machine"))
+    return "dead" if same_machine else "elsewhere"
+
+
+def here() -> dict[str, str]:
+    """What tells this machine, this start of it, this container and this user from others."""
+    try:
+        user = getpass.getuser()
+    except (KeyError, OSError):
+        user = str(os.getuid())
+    return {
+        "host": processes.host(),
+        "machine": processes.machine(),
+        "boot": processes.boot(),
+        "namespace": processes.namespace(),
+        "user": user,
+    }
