@@ -3,6 +3,9 @@
 The selection needs many small fits; their accuracy need only be that of a decision, so float32 suffices. Every
 operation treats each pixel alone: the result does not depend on which pixels share a block. Only the loops that take
 most of the time are inlined by numba, which costs seconds of compilation for each.
+
+Loops of little work run to the length of their arrays instead of BLOCK, and conditions are joined by & and |: the
+compiler unrolls short loops of known length, and loops with branches, into scalar code, which takes four times as long.
 """
 
 import numpy as np
@@ -14,7 +17,7 @@ RIDGE = np.float32(1e-6)  # of the trace: keeps degenerate windows of lights fin
 FAR = np.float32(3e38)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, error_model="numpy")
 def sort_block(values, comparators):
     """Sort the columns of values (lights, BLOCK) upwards, in place, by a sorting network."""
     for c in range(comparators.shape[0]):
@@ -27,7 +30,7 @@ def sort_block(values, comparators):
             lower[p] = b if b > a else a
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, error_model="numpy")
 def add_up(values, weights, products, sums):
     """Normal equations of each pixel into sums (TERMS * BLOCK): six products, three right-hand sides, the weight.
 
@@ -79,27 +82,29 @@ def solve_block(sums, at_least, scaled):
         scaled[p + 3 * BLOCK] = np.sqrt(x * x + y * y + z * z) + np.float32(1e-20)
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, error_model="numpy")
 def distances(values, known, directions, scaled, above, out):
     """How badly each sample fits: |residual|, times `above` where the sample is too bright; FAR if unlit or unknown."""
+    zero = np.float32(0.0)
     for j in range(values.shape[0]):
         row = values[j]
         mask = known[j]
         target = out[j]
         x, y, z = directions[j, 0], directions[j, 1], directions[j, 2]
-        for p in range(BLOCK):
+        for p in range(len(row)):
             shading = scaled[p] * x + scaled[p + BLOCK] * y + scaled[p + 2 * BLOCK] * z
             r = row[p] - shading
-            far = shading <= np.float32(0.0) or mask[p] == np.float32(0.0)
-            d = above * r if r > np.float32(0.0) else -r
+            far = (shading <= zero) | (mask[p] == zero)
+            d = above * r if r > zero else -r
             target[p] = FAR if far else d
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, error_model="numpy")
 def keep_below(distance, limit, weights):
     """Weight 1 for the samples whose distance is at most the pixel's limit (and not FAR), else 0."""
+    one, zero = np.float32(1.0), np.float32(0.0)
     for j in range(distance.shape[0]):
         row = distance[j]
         weight = weights[j]
-        for p in range(BLOCK):
-            weight[p] = np.float32(1.0) if row[p] <= limit[p] and row[p] < FAR else np.float32(0.0)
+        for p in range(len(row)):
+            weight[p] = one if (row[p] <= limit[p]) & (row[p] < FAR) else zero

@@ -20,21 +20,29 @@ TERMS = 11  # six products of (c, c^2, c x^8), three right-hand sides, the sum o
 def load_block(intensity, mean, usable, known, start, width, values, may, use, change):
     """Samples of the mean of a block, and the change of its samples by the weights of the channels, relative."""
     shared_usable, shared_known = usable.shape[1] == 1, known.shape[1] == 1
-    zero, one = np.float32(0.0), np.float32(1.0)
+    zero = np.float32(0.0)
     total = np.zeros(BLOCK, np.float32)
     change[:] = zero
     for j in range(mean.shape[0]):
-        for p in range(width):
-            q = start + p
-            there = known[j, 0 if shared_known else q] != 0
-            taken = usable[j, 0 if shared_usable else q] != 0
-            values[j, p] = mean[j, q] if there else zero
-            may[j, p] = one if there else zero
-            use[j, p] = one if there & taken else zero
-            change[p] += abs(intensity[j, q] - mean[j, q]) if there else zero
-            total[p] += abs(mean[j, q]) if there else zero
+        block = slice(start, start + width)
+        there = np.full(width, known[j, 0]) if shared_known else known[j, block]
+        taken = np.full(width, usable[j, 0]) if shared_usable else usable[j, block]
+        load_row(intensity[j, block], mean[j, block], there, taken, values[j], may[j], use[j], change, total)
     for p in range(BLOCK):
         change[p] = change[p] / total[p] if total[p] > zero else zero
+
+
+@njit(cache=True, error_model="numpy")
+def load_row(intensity, mean, known, usable, values, may, use, change, total):
+    """One light of a block: its samples, and the sums of their change and of their size."""
+    zero, one = np.float32(0.0), np.float32(1.0)
+    for p in range(len(mean)):
+        there = known[p] != 0
+        values[p] = mean[p] if there else zero
+        may[p] = one if there else zero
+        use[p] = one if there & (usable[p] != 0) else zero
+        change[p] += abs(intensity[p] - mean[p]) if there else zero
+        total[p] += abs(mean[p]) if there else zero
 
 
 @njit(cache=True, error_model="numpy")

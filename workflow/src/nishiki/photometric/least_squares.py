@@ -6,6 +6,9 @@ from numba import njit, prange
 from nishiki.photometric import flags as bits
 
 BLOCK = 64
+CHUNK = 64  # blocks that share one set of kept matrices
+SLOT_BITS = 8
+SLOTS = 1 << SLOT_BITS
 COPLANAR = 1e12  # condition above which double precision cannot tell the normal matrix from a singular one
 LEAST_ALBEDO, LARGEST = 1e-45, 3.4028234e38  # of float32, subnormal numbers included
 TERMS = 10  # six products of the direction, three of the right-hand side, the sum of squares
@@ -208,17 +211,29 @@ def matrix_of(whole, taken, products, t):
     for j in range(len(taken)):
         count += taken[j] != 0
     few = 2 * count < len(taken)
-    for k in range(6):
-        t[k] = 0.0 if few else whole[k]
+    start, sign = (0.0, 1.0) if few else (1.0, -1.0)
+    a, b, c, d, e, f = (
+        start * whole[0],
+        start * whole[1],
+        start * whole[2],
+        start * whole[3],
+        start * whole[4],
+        start * whole[5],
+    )
     for j in range(len(taken)):
-        if few == (taken[j] != 0):
-            for k in range(6):
-                t[k] += products[j, k] if few else -products[j, k]
+        w = sign if few == (taken[j] != 0) else 0.0  # no branch: which lights are left out is next to random
+        a += w * products[j, 0]
+        b += w * products[j, 1]
+        c += w * products[j, 2]
+        d += w * products[j, 3]
+        e += w * products[j, 4]
+        f += w * products[j, 5]
+    t[0], t[1], t[2], t[3], t[4], t[5] = a, b, c, d, e, f
     return count
 
 
 @njit(cache=True, error_model="numpy")
-def add_masked(row, mask, x, y, z, sums):
+def add_masked(row, mask, x, y, z, bit, sums, left_out):
     """Add one light's samples of a block to the right-hand side and the squares; a mask of 0: no sample.
 
     A function of its own, or the compiler does not make SIMD code of it.
@@ -229,15 +244,14 @@ def add_masked(row, mask, x, y, z, sums):
         sums[p + BLOCK] += value * y
         sums[p + 2 * BLOCK] += value * z
         sums[p + 3 * BLOCK] += value * value
+    for p in range(len(row)):
+        left_out[p] |= np.uint64(0) if mask[p] != 0 else bit
 
 
 @njit(cache=True, error_model="numpy")
-def all_taken(mask):
-    """Whether no value of the mask is 0."""
-    taken = True
-    for p in range(len(mask)):
-        taken &= mask[p] != 0
-    return taken
+def slot_of(pattern):
+    """Place of a pattern of lights among SLOTS (multiplicative hashing: Knuth, volume 3, section 6.4)."""
+    return int((pattern * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(64 - SLOT_BITS))
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
@@ -245,7 +259,8 @@ def solve_masked(observations, taken, products, max_condition, normals, scalars,
     """Least squares on the samples that `taken` (lights, pixels) uint8 marks; otherwise as `solve_weighted`.
 
     Most samples are taken: the normal matrix is that of all lights less the few that are left out, so that only the
-    right-hand side and the squares are added up at every pixel. Neighbours that leave out the same lights share it.
+    right-hand side and the squares are added up at every pixel. Pixels nearby leave out the same lights in few
+    different ways: the inverse of each is kept, by the pattern of these lights.
     """
     lights, pixels = observations.shape
     whole = np.zeros(TERMS)
@@ -253,30 +268,39 @@ def solve_masked(observations, taken, products, max_condition, normals, scalars,
         for k in range(6):
             whole[k] += products[j, k]
     whole_condition, whole_inverse = conditioned(whole, lights)
-    for block in prange((pixels + BLOCK - 1) // BLOCK):
-        start = block * BLOCK
-        width = min(BLOCK, pixels - start)
-        sums = np.zeros(4 * BLOCK)
-        left_out = np.zeros(BLOCK, np.uint64)  # bit j % 64: light j
-        for j in range(lights):
-            row, mask = observations[j, start : start + width], taken[j, start : start + width]
-            x, y, z = products[j, 6], products[j, 7], products[j, 8]
-            bit = np.uint64(1) << np.uint64(j % 64)
-            add_masked(row, mask, x, y, z, sums)
-            if not all_taken(mask):
-                for p in range(width):
-                    left_out[p] |= np.uint64(0) if mask[p] != 0 else bit
-        t, before = np.empty(TERMS), np.uint64(0)
-        count, condition, m = lights, whole_condition, whole_inverse
-        t[:6] = whole[:6]
-        for p in range(width):
-            if left_out[p] != before or (lights > 64 and before != 0):
-                before = left_out[p]
-                count = matrix_of(whole, taken[:, start + p], products, t)
-                condition, m = conditioned(t, count) if count < lights else (whole_condition, whole_inverse)
-            for k in range(4):
-                t[6 + k] = sums[p + k * BLOCK]
-            write_pixel(t, condition, m, count, count, max_condition, start + p, normals, scalars, lights_used, flags)
+    blocks = (pixels + BLOCK - 1) // BLOCK
+    for chunk in prange((blocks + CHUNK - 1) // CHUNK):
+        sums, left_out = np.empty(4 * BLOCK), np.empty(BLOCK, np.uint64)  # bit j % 64: light j
+        patterns = np.zeros(SLOTS, np.uint64)  # 0: nothing kept here
+        kept, counts = np.empty((SLOTS, 7)), np.empty(SLOTS, np.int64)
+        t = np.empty(TERMS)
+        for block in range(chunk * CHUNK, min((chunk + 1) * CHUNK, blocks)):
+            start = block * BLOCK
+            width = min(BLOCK, pixels - start)
+            sums[:] = 0.0
+            left_out[:] = 0
+            for j in range(lights):
+                row, mask = observations[j, start : start + width], taken[j, start : start + width]
+                x, y, z = products[j, 6], products[j, 7], products[j, 8]
+                add_masked(row, mask, x, y, z, np.uint64(1) << np.uint64(j % 64), sums, left_out)
+            for p in range(width):
+                pattern = left_out[p]
+                count, condition, m = lights, whole_condition, whole_inverse
+                if pattern != 0:
+                    slot = slot_of(pattern)
+                    if patterns[slot] != pattern or lights > 64:
+                        counts[slot] = matrix_of(whole, taken[:, start + p], products, t)
+                        condition, m = conditioned(t, counts[slot])
+                        patterns[slot], kept[slot, 6] = pattern, condition
+                        for k in range(6):
+                            kept[slot, k] = m[k]
+                    count, condition = counts[slot], kept[slot, 6]
+                    m = (kept[slot, 0], kept[slot, 1], kept[slot, 2], kept[slot, 3], kept[slot, 4], kept[slot, 5])
+                for k in range(4):
+                    t[6 + k] = sums[p + k * BLOCK]
+                write_pixel(
+                    t, condition, m, count, count, max_condition, start + p, normals, scalars, lights_used, flags
+                )
 
 
 @njit(cache=True, parallel=True, error_model="numpy")

@@ -14,7 +14,9 @@ components of the normal and (a, b, d) together; then the samples are chosen aga
 BLOCK pixels at a time, as (lights, BLOCK) float32, so that the compiler makes SIMD code over the pixels. Each pixel is
 treated alone, and its lights are added up in their order: its result depends neither on the pixels that share its block
 nor on tiles and threads. Numbers of a block lie in one flat array, BLOCK of each kind after the other: the compiler
-then needs to check few pairs of arrays for overlap.
+then needs to check few pairs of arrays for overlap. Loops of little work run to the length of their arrays instead of
+BLOCK: short loops of known length are unrolled into scalar code. The sums over the lights are formed by fused
+multiply-add, where the processor has it: half of the time, and one rounding less.
 """
 
 import numpy as np
@@ -39,7 +41,7 @@ def powers(x, squarings):
     return lower, lower * x
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
 def add_up(values, weights, vectors, surface, squarings, sums):
     """One pass over the lights: into sums (SUMS * BLOCK) float32 what the Gauss-Newton step needs.
 
@@ -234,8 +236,9 @@ def judge(fit, moved, sums, prior, damping, turn, active, better, start):
 def take(chosen, source, target):
     """Copy numbers of the chosen pixels (BLOCK,) from one flat array to another."""
     for start in range(0, target.size, BLOCK):
-        for p in range(BLOCK):
-            target[start + p] = source[start + p] if chosen[p] > 0.0 else target[start + p]
+        new, old = source[start : start + BLOCK], target[start : start + BLOCK]
+        for p in range(len(chosen)):
+            old[p] = new[p] if chosen[p] > 0.0 else old[p]
 
 
 @njit(cache=True, error_model="numpy")

@@ -38,7 +38,6 @@ def load(observations, usable, known, index, width, scalars, normals, values, ma
     """
     lights = values.shape[0]
     shared_usable, shared_known = usable.shape[1] == 1, known.shape[1] == 1
-    zero, one = np.float32(0.0), np.float32(1.0)
     per_albedo = np.zeros(BLOCK)
     for p in range(BLOCK):
         q = index[p if p < width else 0]
@@ -46,19 +45,33 @@ def load(observations, usable, known, index, width, scalars, normals, values, ma
         for k in range(3):
             start[p + k * BLOCK] = normals[q, k]
         start[p + 3 * BLOCK], start[p + 4 * BLOCK], start[p + 5 * BLOCK] = 1.0, 0.0, 0.0
+    first = index[0]
+    neighbours = width == BLOCK and index[BLOCK - 1] == first + BLOCK - 1
+    row, there, taken = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.uint8), np.empty(BLOCK, np.uint8)
     for j in range(lights):
+        if neighbours and not shared_known and not shared_usable:
+            block = slice(first, first + BLOCK)
+            load_row(observations[j, block], known[j, block], usable[j, block], per_albedo, values[j], may[j], use[j])
+            continue
         for p in range(BLOCK):
-            if p >= width:
-                values[j, p], may[j, p], use[j, p] = zero, zero, zero
-                continue
-            q = index[p]
-            there = known[j, 0] if shared_known else known[j, q]
-            taken = usable[j, 0] if shared_usable else usable[j, q]
-            # so far outside of the albedo that only its sign matters: its square has to fit into float32
-            value = min(max(observations[j, q] * per_albedo[p], -FARTHEST), FARTHEST)
-            values[j, p] = np.float32(value) if there else zero
-            may[j, p] = one if there else zero
-            use[j, p] = one if there and taken else zero
+            q = index[p if p < width else 0]
+            row[p] = observations[j, q]
+            there[p] = (known[j, 0] if shared_known else known[j, q]) if p < width else 0
+            taken[p] = usable[j, 0] if shared_usable else usable[j, q]
+        load_row(row, there, taken, per_albedo, values[j], may[j], use[j])
+
+
+@njit(cache=True, error_model="numpy")
+def load_row(samples, known, usable, per_albedo, values, may, use):
+    """One light of a block, relative to the albedo; samples that are not known are 0."""
+    zero, one = np.float32(0.0), np.float32(1.0)
+    for p in range(len(samples)):
+        # so far outside of the albedo that only its sign matters: its square has to fit into float32
+        value = min(max(samples[p] * per_albedo[p], -FARTHEST), FARTHEST)
+        there = known[p] != 0
+        values[p] = np.float32(value) if there else zero
+        may[p] = one if there else zero
+        use[p] = one if there & (usable[p] != 0) else zero
 
 
 @njit(cache=True, error_model="numpy")
@@ -79,8 +92,9 @@ def fit_block(
         if choice == 0:
             kept[:] = np.float32(0.0)
             for j in range(values.shape[0]):
-                for p in range(BLOCK):
-                    kept[p] += weights[j, p]
+                row = weights[j]
+                for p in range(len(row)):
+                    kept[p] += row[p]
         else:
             for p in range(BLOCK):
                 freedom = kept[p] - np.float32(5.0)
@@ -90,9 +104,7 @@ def fit_block(
             for p in range(BLOCK):
                 going[p] = going[p] if more[p] >= at_least else 0.0
                 kept[p] = more[p] if going[p] > 0.0 else kept[p]
-            for j in range(values.shape[0]):
-                for p in range(BLOCK):
-                    weights[j, p] = spare[j, p] if going[p] > 0.0 else weights[j, p]
+            take(going, spare.reshape(-1), weights.reshape(-1))
         rounds = FIRST_ROUNDS if choice == 0 else ROUNDS
         descend(values, weights, vectors, squarings, held, rounds, going, fit, surface, sums, work)
 

@@ -23,24 +23,46 @@ CHUNK = 32  # blocks that share one set of work arrays
 @njit(cache=True, error_model="numpy")
 def load_block(observations, valid, start, width, values, known, count):
     """Copy a block, divided by each pixel's largest sample, so that every radiometric scale is treated alike."""
+    zero, one = np.float32(0.0), np.float32(1.0)
     shared = valid.shape[1] == 1
     peak = np.zeros(BLOCK, dtype=np.float32)
-    for p in range(BLOCK):
-        count[p] = 0.0
+    count[:] = zero
+    if width < BLOCK:
+        values[:] = zero
+        known[:] = zero
     for j in range(observations.shape[0]):
-        for p in range(BLOCK):
-            inside = p < width and (valid[j, 0] if shared else valid[j, start + p])
-            value = observations[j, start + p] if inside else np.float32(0.0)
-            values[j, p] = value
-            known[j, p] = np.float32(1.0) if inside else np.float32(0.0)
-            count[p] += known[j, p]
-            peak[p] = max(peak[p], value)
+        if shared:
+            for p in range(width):
+                known[j, p] = one if valid[j, 0] else zero
+        else:
+            mark(valid[j, start : start + width], known[j, :width])
+        load_row(observations[j, start : start + width], known[j], values[j], count, peak)
     for p in range(BLOCK):
         # Two divisions by normal numbers: 1 / peak would overflow where the peak is subnormal.
-        peak[p] = peak[p] if peak[p] > np.float32(0.0) else np.float32(1.0)
+        peak[p] = peak[p] if peak[p] > zero else one
     for j in range(observations.shape[0]):
-        for p in range(BLOCK):
-            values[j, p] = values[j, p] / peak[p]
+        row = values[j]
+        for p in range(len(row)):
+            row[p] = row[p] / peak[p]
+
+
+@njit(cache=True, error_model="numpy")
+def mark(chosen, weights):
+    """Weight 1 where a sample is chosen (bool), else 0."""
+    one, zero = np.float32(1.0), np.float32(0.0)
+    for p in range(len(chosen)):
+        weights[p] = one if chosen[p] else zero
+
+
+@njit(cache=True, error_model="numpy")
+def load_row(samples, known, values, count, peak):
+    """One light of a block: its known samples, 0 for the others; their number and the largest so far."""
+    zero = np.float32(0.0)
+    for p in range(len(samples)):
+        value = samples[p] if known[p] > zero else zero
+        values[p] = value
+        count[p] += known[p]
+        peak[p] = peak[p] if peak[p] >= value else value
 
 
 @njit(cache=True, error_model="numpy")
@@ -57,18 +79,21 @@ def rank_limits(ordered, count, share, part, at_least, low, high):
 @njit(cache=True, error_model="numpy")
 def window_weights(values, known, low, high, weights):
     """Weight 1 for known samples from low to high."""
+    one, zero = np.float32(1.0), np.float32(0.0)
     for j in range(values.shape[0]):
-        for p in range(BLOCK):
-            inside = known[j, p] > 0 and low[p] <= values[j, p] and values[j, p] <= high[p]
-            weights[j, p] = np.float32(1.0) if inside else np.float32(0.0)
+        row, mask, weight = values[j], known[j], weights[j]
+        for p in range(len(row)):
+            inside = (mask[p] > zero) & (low[p] <= row[p]) & (row[p] <= high[p])
+            weight[p] = one if inside else zero
 
 
-@njit(cache=True, inline="always")
+@njit(cache=True, error_model="numpy")
 def concentrate(distance, ordered, comparators, count, coverage, at_least, limit, weights):
     """Keep each pixel's `coverage` share of best fitting samples (equal ones with them)."""
     for j in range(distance.shape[0]):
-        for p in range(BLOCK):
-            ordered[j, p] = distance[j, p]
+        row, target = distance[j], ordered[j]
+        for p in range(len(row)):
+            target[p] = row[p]
     sort_block(ordered, comparators)
     for p in range(BLOCK):
         size = min(max(at_least, np.ceil(coverage * count[p])), count[p])
@@ -82,10 +107,12 @@ def judge(distance, weights, scaled, count, coverage, at_least, floor, quality):
     kept = np.zeros(BLOCK, dtype=np.float32)
     total = np.zeros(BLOCK, dtype=np.float32)
     for j in range(distance.shape[0]):
-        for p in range(BLOCK):
-            ratio = min(distance[j, p] / scaled[p + 3 * BLOCK], np.float32(10.0))
-            kept[p] += weights[j, p]
-            total[p] += weights[j, p] * ratio * ratio
+        row, weight = distance[j], weights[j]
+        for p in range(len(row)):
+            ratio = row[p] / scaled[p + 3 * BLOCK]
+            ratio = ratio if ratio < np.float32(10.0) else np.float32(10.0)
+            kept[p] += weight[p]
+            total[p] += weight[p] * ratio * ratio
     for p in range(BLOCK):
         size = min(max(at_least, np.ceil(coverage * count[p])), count[p])
         enough = kept[p] >= at_least
@@ -100,10 +127,11 @@ def spread(values, directions, weights, scaled, floor, scale):
     kept = np.zeros(BLOCK, dtype=np.float32)
     for j in range(values.shape[0]):
         x, y, z = directions[j, 0], directions[j, 1], directions[j, 2]
-        for p in range(BLOCK):
-            r = values[j, p] - (scaled[p] * x + scaled[p + BLOCK] * y + scaled[p + 2 * BLOCK] * z)
-            total[p] += weights[j, p] * r * r
-            kept[p] += weights[j, p]
+        row, weight = values[j], weights[j]
+        for p in range(len(row)):
+            r = row[p] - (scaled[p] * x + scaled[p + BLOCK] * y + scaled[p + 2 * BLOCK] * z)
+            total[p] += weight[p] * r * r
+            kept[p] += weight[p]
     for p in range(BLOCK):
         variance = total[p] / max(kept[p] - np.float32(3.0), np.float32(1.0))
         scale[p] = np.sqrt(variance) + floor * scaled[p + 3 * BLOCK]
@@ -112,14 +140,15 @@ def spread(values, directions, weights, scaled, floor, scale):
 @njit(cache=True, error_model="numpy")
 def accept(values, known, directions, scaled, scale, brighter, darker, weights):
     """Weight 1 for every lit sample within -darker .. brighter times the scale of the fit."""
+    one, zero = np.float32(1.0), np.float32(0.0)
     for j in range(values.shape[0]):
         x, y, z = directions[j, 0], directions[j, 1], directions[j, 2]
-        for p in range(BLOCK):
+        row, mask, weight = values[j], known[j], weights[j]
+        for p in range(len(row)):
             shading = scaled[p] * x + scaled[p + BLOCK] * y + scaled[p + 2 * BLOCK] * z
-            r = values[j, p] - shading
-            fits = r <= brighter * scale[p] and r >= -darker * scale[p]
-            inside = fits and shading > np.float32(0.0) and known[j, p] > np.float32(0.0)
-            weights[j, p] = np.float32(1.0) if inside else np.float32(0.0)
+            r = row[p] - shading
+            fits = (r <= brighter * scale[p]) & (r >= -darker * scale[p])
+            weight[p] = one if fits & (shading > zero) & (mask[p] > zero) else zero
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
@@ -148,8 +177,7 @@ def refit_selection(observations, valid, directions, products, comparators, sett
             width = min(BLOCK, pixels - start)
             load_block(observations, valid, start, width, values, known, count)
             for j in range(lights):
-                for p in range(BLOCK):
-                    ranked[j, p] = values[j, p] if known[j, p] > np.float32(0.0) else FAR
+                far_unless(known[j], values[j], ranked[j])
             sort_block(ranked, comparators)
             best[:] = 0.0
             limit[:] = 0.0
@@ -182,24 +210,48 @@ def refit_selection(observations, valid, directions, products, comparators, sett
 
 
 @njit(cache=True, error_model="numpy")
+def far_unless(known, values, out):
+    """Values of the known samples, FAR for the others."""
+    for p in range(len(values)):
+        out[p] = values[p] if known[p] > np.float32(0.0) else FAR
+
+
+@njit(cache=True, error_model="numpy")
 def write_block(values, known, directions, scaled, weights, at_least, start, width, usable, highlights, shadows):
     """Samples kept and the reasons for the others; a pixel without a trustworthy fit keeps every known sample."""
+    kept = np.zeros(BLOCK, np.float32)
+    bright, dark = np.zeros(BLOCK, np.float32), np.zeros(BLOCK, np.float32)
+    for j in range(values.shape[0]):
+        weight = weights[j]
+        for p in range(len(weight)):
+            kept[p] += weight[p]
+    for j in range(values.shape[0]):
+        keep_trusted(kept, at_least, known[j], weights[j])
+        count_rejected(values[j], known[j], weights[j], directions[j], scaled, bright, dark)
+        row, weight = usable[j, start : start + width], weights[j]
+        for p in range(len(row)):
+            row[p] = weight[p] > np.float32(0.0)
     for p in range(width):
-        kept = np.float32(0.0)
-        for j in range(values.shape[0]):
-            kept += weights[j, p]
-        trusted = kept >= at_least
-        bright, dark = 0, 0
-        for j in range(values.shape[0]):
-            inside = known[j, p] > np.float32(0.0)
-            taken = weights[j, p] > np.float32(0.0) if trusted else inside
-            shading = scaled[p] * directions[j, 0]
-            shading += scaled[p + BLOCK] * directions[j, 1] + scaled[p + 2 * BLOCK] * directions[j, 2]
-            usable[j, start + p] = taken
-            if inside and not taken:
-                if values[j, p] > max(shading, np.float32(0.0)):
-                    bright += 1
-                else:
-                    dark += 1
-        highlights[start + p] = bright
-        shadows[start + p] = dark
+        highlights[start + p] = int(bright[p])
+        shadows[start + p] = int(dark[p])
+
+
+@njit(cache=True, error_model="numpy")
+def keep_trusted(kept, at_least, known, weights):
+    """Weights of the pixels that keep enough samples; where a fit is not to be trusted, all known ones."""
+    for p in range(len(weights)):
+        weights[p] = weights[p] if kept[p] >= at_least else known[p]
+
+
+@njit(cache=True, error_model="numpy")
+def count_rejected(values, known, weights, direction, scaled, bright, dark):
+    """Add one light's rejected samples to those brighter than the fit, and to the others."""
+    one, zero = np.float32(1.0), np.float32(0.0)
+    x, y, z = direction[0], direction[1], direction[2]
+    for p in range(len(values)):
+        shading = scaled[p] * x
+        shading += scaled[p + BLOCK] * y + scaled[p + 2 * BLOCK] * z
+        shading = shading if shading > zero else zero
+        rejected = (known[p] > zero) & (weights[p] <= zero)
+        bright[p] += one if rejected & (values[p] > shading) else zero
+        dark[p] += one if rejected & (values[p] <= shading) else zero
