@@ -1,4 +1,4 @@
-"""Chunks of the observations, written past the array library."""
+"""Chunks and arrays in bands of rows, written and read past the array library."""
 
 import errno
 import resource
@@ -6,8 +6,13 @@ import signal
 
 import numpy as np
 import pytest
+import zarr
+from zarr.codecs import ZstdCodec
 
+from nishiki.errors import UserError
+from nishiki.formats.stored import open_bands
 from nishiki.formats.zarr_chunks import read_chunk, write_chunk
+from nishiki.formats.zarr_store import BandedGroup
 
 
 @pytest.mark.parametrize("compression", ["none", "zstd"])
@@ -32,3 +37,54 @@ def test_a_file_that_takes_only_a_piece_ends_with_its_name_and_the_reason(tmp_pa
         signal.signal(signal.SIGXFSZ, before)
     assert told.value.errno == errno.EFBIG
     assert path.stat().st_size == 1000
+
+
+@pytest.mark.parametrize("compression", ["none", "zstd"])
+@pytest.mark.parametrize("dtype", ["float32", "uint8", "uint16", "float64", "bool"])
+def test_the_array_library_reads_what_is_written_in_bands(tmp_path, dtype, compression):
+    values = np.random.default_rng(2).integers(0, 200, (21, 6, 3)).astype(dtype)
+    group = BandedGroup.create(tmp_path / "a.zarr", {"stamp": {"scene": "x"}})
+    array = group.create_array("map", (21, 6, 3), (8, 6, 3), dtype, compression=compression, attributes={"unit": "m"})
+    for start in (16, 0, 8):
+        array[start : start + 8] = values[start : start + 8]
+    group.update(pitch=None)
+    stored = zarr.open_group(tmp_path / "a.zarr", mode="r")
+    np.testing.assert_array_equal(stored["map"][...], values)
+    assert stored["map"].dtype == dtype
+    assert dict(stored["map"].attrs) == {"unit": "m"}
+    assert dict(stored.attrs) == {"stamp": {"scene": "x"}, "pitch": None}
+
+
+def test_bands_that_the_array_library_wrote_are_read(tmp_path):
+    values = np.random.default_rng(3).normal(size=(21, 6)).astype("float32")
+    stored = zarr.create_group(tmp_path / "a.zarr", attributes={"format": 1})
+    packers = [ZstdCodec(level=1, checksum=True)]
+    stored.create_array("map", shape=(21, 6), chunks=(8, 6), dtype="float32", compressors=packers)[...] = values
+    group = open_bands(tmp_path / "a.zarr")
+    assert group.attrs == {"format": 1}
+    assert "map" in group
+    assert "other" not in group
+    for rows in (..., slice(3, 17), slice(8, 8), slice(20, None)):
+        np.testing.assert_array_equal(group["map"][rows], values[rows])
+
+
+@pytest.mark.parametrize("damage", ["flip", "remove"])
+@pytest.mark.parametrize("compression", ["none", "zstd"])
+def test_a_damaged_band_is_told(tmp_path, compression, damage):
+    group = BandedGroup.create(tmp_path / "a.zarr")
+    group.create_array("map", (20, 600), (8, 600), "float32", compression=compression)[...] = np.ones((20, 600))
+    path = group["map"].path(1)
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+    if damage == "remove":
+        path.unlink()
+    with pytest.raises(UserError, match="Run the stage that made it again"):
+        group["map"][...]
+    np.testing.assert_array_equal(group["map"][:8], 1)
+
+
+def test_parts_of_bands_are_not_written(tmp_path):
+    array = BandedGroup.create(tmp_path / "a.zarr").create_array("map", (20, 6), (8, 6), "float32")
+    with pytest.raises(ValueError, match="no whole chunks"):
+        array[4:12] = np.zeros((8, 6))

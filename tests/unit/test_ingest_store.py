@@ -236,7 +236,7 @@ def test_damage_in_the_store_is_found(tmp_path, damage):
     path.write_bytes(data[: len(data) // 2] if damage == "cut" else data)
     if damage == "remove":
         path.unlink()
-    with pytest.raises(UserError, match="Run ingest again"):
+    with pytest.raises(UserError, match="Run the stage that made it again"):
         Observations(tmp_path / "o").read(slice(0, 8))
     Observations(tmp_path / "o").read(slice(0, 8), lights=np.array([0, 1]))
 

@@ -1,22 +1,19 @@
 """Maps of a plane scene in Zarr: one array a quantity, one chunk a band of rows, written and read by bands.
 
-Chunks carry a checksum (zstd frames with their own, so that a flipped bit cannot pass), and chunks of fill value are
-written like any other: a missing chunk is damage, not data.
+Chunks carry a checksum, and chunks of fill value are written like any other: a missing chunk is damage, not data.
+Measured floats hardly shrink under zstd (to 0.8), which takes as long as all else that writing does, so they are stored
+as they are; counts, flags and bits are packed.
 """
 
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import zarr
-from zarr.codecs import ZstdCodec
 
-from nishiki.formats.stored import open_group
+from nishiki.formats.stored import open_bands
+from nishiki.formats.zarr_store import BandedArray, BandedGroup
 
 STORE = "maps.zarr"
-ZSTD_LEVEL = -1
-"""Fast enough to cost nothing beside the checksum. Measured floats hardly shrink at any level (to 0.9 at level 1);
-counts, flags and what is empty do."""
 
 
 class MapWriter:
@@ -25,22 +22,21 @@ class MapWriter:
     def __init__(self, folder: Path, *, rows: int, columns: int, band_rows: int, stamp: dict[str, str]):
         self.shape = (rows, columns)
         self.band_rows = band_rows
-        self.group = zarr.create_group(Path(folder) / STORE, attributes={"stamp": stamp})
+        self.group = BandedGroup.create(Path(folder) / STORE, {"stamp": stamp})
 
     def create(
         self, name: str, trailing: tuple[int, ...] = (), *, dtype: str = "float32", **attributes: Any
-    ) -> zarr.Array:
+    ) -> BandedArray:
         """An array (rows, columns, *trailing); `attributes` say unit and meaning; `nan`, what a NaN means in it: an
         array without this attribute may not hold one (`nishiki.artifacts.finite`)."""
         rows, columns = self.shape
         return self.group.create_array(
             name,
-            shape=(rows, columns, *trailing),
-            chunks=(min(self.band_rows, rows), columns, *trailing),
-            dtype=dtype,
-            compressors=[ZstdCodec(level=ZSTD_LEVEL, checksum=True)],
+            (rows, columns, *trailing),
+            (min(self.band_rows, rows), columns, *trailing),
+            dtype,
+            compression="none" if np.dtype(dtype).kind == "f" else "zstd",
             attributes=attributes,
-            config={"write_empty_chunks": True},
         )
 
     def write(self, name: str, values: np.ndarray, **attributes: Any) -> None:
@@ -53,7 +49,7 @@ class Maps:
     """The maps of one artifact, for reading."""
 
     def __init__(self, folder: Path):
-        self.group = open_group(Path(folder) / STORE)
+        self.group = open_bands(Path(folder) / STORE)
 
     def __contains__(self, name: str) -> bool:
         return name in self.group
@@ -64,7 +60,7 @@ class Maps:
 
     def attributes(self, name: str) -> dict:
         """What was said of a map when it was written."""
-        return dict(self.group[name].attrs)
+        return self.group[name].attrs
 
 
 def shading_normals(maps: Maps, rows: slice = slice(None)) -> np.ndarray:

@@ -21,6 +21,7 @@ import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.formats.files import Refused, expect_bound, expect_memory, open_regular, read_json, walk
+from nishiki.formats.zarr_store import BandedGroup
 
 TYPES = frozenset("bool int8 int16 int32 int64 uint8 uint16 uint32 uint64 float16 float32 float64".split())
 CODECS = frozenset(("bytes", "zstd", "crc32c"))
@@ -40,6 +41,12 @@ def open_group(path: Path | str) -> Any:
     return _opened(zarr.open_group, path)
 
 
+def open_bands(path: Path | str) -> BandedGroup:
+    """A group of arrays in bands of rows for reading, without the array library; otherwise as `open_group`."""
+    expect_store(Path(path), library=False)
+    return _opened(lambda folder, **_: BandedGroup(folder), path)
+
+
 def open_array(path: Path | str) -> Any:
     """A Zarr array for reading, as `open_group`."""
     import zarr
@@ -55,9 +62,12 @@ def _opened(opening: Callable[..., Any], path: Path | str) -> Any:
         raise UserError(f"{path}: Zarr store cannot be opened ({str(error)[:200]}). {REMEDY}") from None
 
 
-def expect_store(path: Path) -> None:
+def expect_store(path: Path, *, library: bool = True) -> None:
     """UserError unless every node of a Zarr store is one that may be opened: its size, type and codecs, no links, and
-    no chunk that unpacks to more than its array says. FileNotFoundError where there is no store."""
+    no chunk that unpacks to more than its array says. FileNotFoundError where there is no store.
+
+    library: the array library has to be able to open every array, too.
+    """
     if not (path / METADATA).is_file():
         raise FileNotFoundError(f"{path}: no Zarr store here")
     files: dict[str, list[str]] = {}
@@ -69,10 +79,10 @@ def expect_store(path: Path) -> None:
             files.setdefault(name.removesuffix(METADATA), [])
     expect_bound(len(files), "store_arrays", str(path))
     for node in files:
-        _expect_node(path / node)
+        _expect_node(path / node, library=library)
 
 
-def _expect_node(folder: Path) -> None:
+def _expect_node(folder: Path, *, library: bool) -> None:
     file = folder / METADATA
     node = read_json(file)
     if node.get("zarr_format") != 3 or node.get("node_type") not in ("array", "group"):
@@ -80,12 +90,10 @@ def _expect_node(folder: Path) -> None:
     if not isinstance(node.get("attributes", {}), dict) or node.get("consolidated_metadata"):
         raise Refused(str(file), "attributes that are no block, or consolidated metadata", remedy=REMEDY)
     if node["node_type"] == "array":
-        _expect_array(folder, node)
+        _expect_array(folder, node, library=library)
 
 
-def _expect_array(folder: Path, node: dict[str, Any]) -> None:
-    import zarr
-
+def _expect_array(folder: Path, node: dict[str, Any], *, library: bool) -> None:
     file = str(folder / METADATA)
     try:
         shape, chunk = node["shape"], node["chunk_grid"]["configuration"]["chunk_shape"]
@@ -115,7 +123,10 @@ def _expect_array(folder: Path, node: dict[str, Any]) -> None:
         raise Refused(file, "most of an array is missing", expected=expected, found=found, remedy=REMEDY)
     if 100 * chunks < math.prod(counts):
         expect_memory(math.prod(shape) * item, file)
-    _opened(zarr.open_array, folder)
+    if library:
+        import zarr
+
+        _opened(zarr.open_array, folder)
 
 
 def _expect_chunks(folder: Path, unpacked: int, *, packed: bool, check: int) -> int:

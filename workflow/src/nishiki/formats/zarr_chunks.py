@@ -20,22 +20,6 @@ from nishiki.errors import UserError
 ZSTD_LEVEL = 1
 
 
-def create_array(group: Any, name: str, shape: tuple, chunks: tuple, dtype: Any, *, compression: str = "none") -> Any:
-    """A Zarr array whose chunks this module can write. compression: 'none' | 'zstd'."""
-    from zarr.codecs import Crc32cCodec, ZstdCodec
-
-    packers = [ZstdCodec(level=ZSTD_LEVEL)] if compression == "zstd" else []
-    return group.create_array(
-        name,
-        shape=shape,
-        chunks=chunks,
-        dtype=dtype,
-        compressors=[*packers, Crc32cCodec()],
-        filters=None,
-        config={"write_empty_chunks": True},
-    )
-
-
 def chunk_path(array_folder: Path, light: int, band: int) -> Path:
     """File of the chunk of one light and band of an array (lights, rows, columns, channels) chunked over both."""
     return array_folder / "c" / str(light) / str(band) / "0" / "0"
@@ -65,22 +49,33 @@ def _write_all(file: io.RawIOBase, part: bytes, path: Path) -> None:
             raise OSError(error.errno, error.strerror, str(path)) from None
 
 
-def read_chunk(path: Path, shape: tuple, dtype: np.dtype, *, compression: str) -> np.ndarray:
-    """Read one chunk and verify its checksum; UserError where it is missing or damaged."""
-    remedy = "Run ingest again"
+def read_chunk(path: Path, shape: tuple, dtype: np.dtype, *, compression: str, checksum: bool = True) -> np.ndarray:
+    """Read one chunk and verify its checksum; UserError where it is missing or damaged.
+
+    checksum: whether a CRC-32C ends it; a zstd frame may have one of its own instead.
+    """
+    remedy = "Run the stage that made it again"
+    size = 4 if checksum else 0
     try:
         with path.open("rb", buffering=0) as file:
             length = os.fstat(file.fileno()).st_size
-            payload, checksum = file.read(max(length - 4, 0)), file.read()
+            payload, end = file.read(max(length - size, 0)), file.read()
     except FileNotFoundError as e:
-        raise UserError(f"{path}: part of the ingested frames is missing. {remedy}") from e
-    if len(checksum) != 4 or google_crc32c.value(payload) != int.from_bytes(checksum, "little"):
-        raise UserError(f"{path}: part of the ingested frames is damaged (checksum differs). {remedy}")
+        raise UserError(f"{path}: part of a stored array is missing. {remedy}") from e
+    if checksum and (len(end) != 4 or google_crc32c.value(payload) != int.from_bytes(end, "little")):
+        raise UserError(f"{path}: part of a stored array is damaged (checksum differs). {remedy}")
     if compression == "zstd":
-        from numcodecs.zstd import Zstd
-
-        payload = Zstd().decode(payload)
+        payload = _unpacked(payload, path, remedy)
     values = np.frombuffer(payload, np.dtype(dtype).newbyteorder("<"))
     if values.size != np.prod(shape):
         raise UserError(f"{path}: {values.size} values, expected {tuple(shape)}. {remedy}")
     return values.reshape(shape)
+
+
+def _unpacked(payload: bytes, path: Path, remedy: str) -> bytes:
+    from numcodecs.zstd import Zstd
+
+    try:
+        return Zstd().decode(payload)
+    except RuntimeError as error:
+        raise UserError(f"{path}: part of a stored array is damaged ({error}). {remedy}") from None

@@ -14,7 +14,8 @@ from nishiki.capture.frames import Frame, inside
 from nishiki.capture.goniometer import GoniometerCapture
 from nishiki.capture.seal import expect_sealed, sealed_digests
 from nishiki.formats.problems import Problem, warning
-from nishiki.formats.zarr_chunks import chunk_path, create_array, write_chunk
+from nishiki.formats.zarr_chunks import chunk_path, write_chunk
+from nishiki.formats.zarr_store import BandedGroup
 from nishiki.observations.blocks import block_edges
 from nishiki.observations.choice import chosen
 from nishiki.observations.frames import FrameReader
@@ -78,12 +79,10 @@ def write_goniometer(
     tick = PhotographCounter(progress, len(capture.frames))
     reader = windowed(FrameReader.of(capture, settings.channels, unopened=choice.files), capture)
     edges = tuple(block_edges(n, settings.white_block) for n in reader.region[2:])
-    import zarr
-
     labels = region_labels(capture, (reader.rows, reader.columns))
     darks = measure_darks(reader, edges, tick)
     frames = (*capture.observed, *capture.frames_of("white"))
-    group = zarr.open_group(folder / STORE, mode="w-", zarr_format=3)
+    group = BandedGroup.create(folder / STORE)
     found = _write_codes(folder / STORE, group, reader, frames, darks, edges, tick)
     shape = np.broadcast_shapes(*(level.shape for level in darks.levels))
     levels = np.stack([np.broadcast_to(level, shape) for level in darks.levels]).astype(np.float32)
@@ -115,12 +114,18 @@ class _Found:
 
 
 def _write_codes(
-    path: Path, group, reader: FrameReader, frames: tuple[Frame, ...], darks: DarkField, edges: Edges, tick: Tick
+    path: Path,
+    group: BandedGroup,
+    reader: FrameReader,
+    frames: tuple[Frame, ...],
+    darks: DarkField,
+    edges: Edges,
+    tick: Tick,
 ) -> _Found:
     """Windows of all frames, several to a chunk; what was found in them."""
     size = (*reader.region[2:], len(reader.names))
     depth = frames_a_chunk(size, reader.dtype, len(frames))
-    create_array(group, "codes", (len(frames), *size), (depth, *size), reader.dtype, compression="zstd")
+    group.create_array("codes", (len(frames), *size), (depth, *size), reader.dtype, compression="zstd")
     problems, levels, hot, cold = [], [], 0, 0
     for i, block in enumerate(_in_blocks(reader, frames, depth, tick)):
         for j, frame in enumerate(frames[i * depth : (i + 1) * depth]):

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from nishiki.errors import UserError
-from nishiki.formats.stored import open_group, understood
+from nishiki.formats.stored import open_bands, understood
 from nishiki.formats.zarr_chunks import chunk_path, read_chunk
 from nishiki.observations.blocks import Edges, cells, edges_between, on_one_grid, positions
 from nishiki.observations.linearise import straight_scale
@@ -33,7 +33,7 @@ class Observations:
         path = Path(folder)
         path = path if path.name.endswith(".zarr") else path / "frames.zarr"
         try:
-            group = open_group(path)
+            group = open_bands(path)
             stored = dict(group.attrs)
             self._codes = group["codes"]
         except (FileNotFoundError, KeyError) as e:
@@ -52,8 +52,8 @@ class Observations:
             positions_mm = stored["positions_mm"]
             self.positions_mm = None if positions_mm is None else np.array(positions_mm, np.float64)
             self.channels: tuple[str, ...] = tuple(stored["channels"])
-            self.shape: tuple[int, int] = tuple(self._codes.shape[1:3])
-            self.dtype = np.dtype(self._codes.dtype)
+            self.shape: tuple[int, int] = self._codes.shape[1:3]
+            self.dtype = self._codes.dtype
             self.band_rows: int = stored["band_rows"]
             self.pixel_pitch_mm: float | None = stored["pixel_pitch_mm"]
             self.image_centre: tuple[float, float] = tuple(stored["image_centre"])

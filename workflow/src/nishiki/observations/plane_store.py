@@ -13,7 +13,8 @@ from nishiki.capture.folder import Capture
 from nishiki.capture.frames import Frame
 from nishiki.formats.images import read_labels, read_mask
 from nishiki.formats.problems import CaptureError, Problem, error
-from nishiki.formats.zarr_chunks import chunk_path, create_array, write_chunk
+from nishiki.formats.zarr_chunks import chunk_path, write_chunk
+from nishiki.formats.zarr_store import BandedGroup
 from nishiki.observations.choice import chosen
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.pairs_check import PairLevels
@@ -117,9 +118,7 @@ def write_observations(
     darks = measure_darks(reader, edges, tick)
     pairs = PairLevels(reader, darks, mask)
     gains = measure_gains(reader, darks, edges, mask, tick, pairs.add)
-    import zarr
-
-    group = zarr.open_group(Path(folder) / STORE, mode="w-", zarr_format=3)
+    group = BandedGroup.create(Path(folder) / STORE)
     band_rows = rows_of_band(len(capture.observed), rows, columns, len(reader.names), settings.tile_mib)
     look = pairs.add if capture.frames_of("white") else None
     counts, problems = _write_frames(
@@ -131,7 +130,7 @@ def write_observations(
     if labels is not None:
         arrays["regions"] = labels
     write_small_arrays(group, reader, defect, arrays)
-    group.attrs.update({**_attributes(capture, reader, settings, band_rows), "asked_region": list(asked)})
+    group.update(**_attributes(capture, reader, settings, band_rows), asked_region=list(asked))
     problems = (*capture.warnings, *reader.warnings(), *darks.problems, *gains.problems, *pairs.problems(), *problems)
     return _diagnostics(reader, counts, mask, defect, gains, problems, band_rows)
 
@@ -184,7 +183,7 @@ def regions_of(capture: Capture, reader: FrameReader) -> np.ndarray | None:
 
 def _write_frames(
     path: Path,
-    group,
+    group: BandedGroup,
     reader: FrameReader,
     mask: np.ndarray,
     band_rows: int,
@@ -199,7 +198,7 @@ def _write_frames(
     _, _, rows, columns = reader.region
     observed, count = reader.capture.observed, len(reader.names)
     shape, chunk = (len(observed), rows, columns, count), (1, band_rows, columns, count)
-    create_array(group, "codes", shape, chunk, reader.dtype, compression=compression)
+    group.create_array("codes", shape, chunk, reader.dtype, compression=compression)
     counts, problems = np.zeros((len(observed), 4), np.int64), []
     bands = bands_with_object(mask, band_rows)
     for j, (frame, codes) in enumerate(reader.read_all(observed)):

@@ -8,7 +8,7 @@ import numpy as np
 
 from nishiki.capture.frames import Frame
 from nishiki.formats.problems import CaptureError, Problem, error, warning
-from nishiki.formats.zarr_chunks import create_array
+from nishiki.formats.zarr_store import BandedGroup
 from nishiki.observations.frames import FrameReader
 
 MANY_SATURATED = 0.05
@@ -49,11 +49,13 @@ def sample_warnings(frame: Frame, broken: int, saturated: int, inside: int, *, s
     return problems
 
 
-def write_small_arrays(group, reader: FrameReader, defect: np.ndarray, arrays: dict[str, np.ndarray]) -> None:
+def write_small_arrays(
+    group: BandedGroup, reader: FrameReader, defect: np.ndarray, arrays: dict[str, np.ndarray]
+) -> None:
     """These arrays, the linearisation `lut` of integer codes, and `defect` where a pixel has one."""
     if reader.dtype.kind == "u":
         arrays = {**arrays, "lut": reader.table}
     if defect.any():
         arrays = {**arrays, "defect": defect.astype(np.uint8)}
     for name, values in arrays.items():
-        create_array(group, name, values.shape, values.shape, values.dtype)[...] = values
+        group.create_array(name, values.shape, values.shape, values.dtype)[...] = values

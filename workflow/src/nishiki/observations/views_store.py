@@ -14,7 +14,8 @@ from nishiki.capture.turntable import TurntableCapture
 from nishiki.colour.encoding import encode
 from nishiki.formats.images import read_mask
 from nishiki.formats.problems import CaptureError, Problem, error
-from nishiki.formats.zarr_chunks import chunk_path, create_array, write_chunk
+from nishiki.formats.zarr_chunks import chunk_path, write_chunk
+from nishiki.formats.zarr_store import BandedGroup
 from nishiki.observations.blocks import block_edges
 from nishiki.observations.choice import chosen
 from nishiki.observations.frames import FrameReader
@@ -91,10 +92,8 @@ def write_views(
     tick = PhotographCounter(progress, len(capture.frames) - (0 if opened else len(capture.observed)))
     reader = FrameReader.of(capture, settings.channels, unopened=choice.files)
     edges = tuple(block_edges(n, settings.white_block) for n in (reader.rows, reader.columns))
-    import zarr
-
     path = Path(folder) / STORE
-    group = zarr.open_group(path, mode="w-", zarr_format=3)
+    group = BandedGroup.create(path)
     outlines = _write_silhouettes(path, group, capture, reader)
     darks = measure_darks(reader, edges, tick)
     whites = measure_whites(reader, darks, edges, tick)
@@ -105,18 +104,18 @@ def write_views(
     arrays = {"gain": whites.gain, "dark": darks.for_frames(capture.observed)}
     write_small_arrays(group, reader, defect, arrays)
     block = settings.white_block
-    group.attrs.update(attributes_of(capture, reader, whites, white_block=block, silhouettes=outlines, boards=boards))
+    group.update(**attributes_of(capture, reader, whites, white_block=block, silhouettes=outlines, boards=boards))
     problems = (*capture.warnings, *reader.warnings(), *darks.problems, *whites.problems, *problems)
     return _diagnostics(capture, reader, counts, whites, defect, outlines, boards, problems)
 
 
-def _write_silhouettes(path: Path, group, capture: TurntableCapture, reader: FrameReader) -> list[str]:
+def _write_silhouettes(path: Path, group: BandedGroup, capture: TurntableCapture, reader: FrameReader) -> list[str]:
     """Given silhouettes, one chunk a view; returns the views that have one."""
     named = [(i, view, frame) for i, view in enumerate(capture.views) if (frame := capture.silhouette_of(view))]
     if not named:
         return []
     size = (reader.rows, reader.columns)
-    create_array(group, "silhouettes", (len(capture.views), *size, 1), (1, *size, 1), np.uint8, compression="zstd")
+    group.create_array("silhouettes", (len(capture.views), *size, 1), (1, *size, 1), np.uint8, compression="zstd")
     for i, _, frame in named:
         outline = expect_silhouette(frame, size)
         write_chunk(chunk_path(path / "silhouettes", i, 0), outline.astype(np.uint8), compression="zstd")
@@ -138,7 +137,7 @@ def expect_silhouette(frame: Frame, size: tuple[int, int]) -> np.ndarray:
 
 
 def _write_codes(
-    path: Path, group, reader: FrameReader, outlines: list[str], tick: Tick, *, opened: bool
+    path: Path, group: BandedGroup, reader: FrameReader, outlines: list[str], tick: Tick, *, opened: bool
 ) -> tuple[np.ndarray, list[Problem]]:
     """Every frame of the object into its chunk; counts (frames, 4) and what was found in the frames.
 
@@ -147,7 +146,7 @@ def _write_codes(
     observed = reader.capture.observed
     size = (reader.rows, reader.columns, len(reader.names))
     frames = len(observed) if opened else 0
-    create_array(group, "codes", (frames, *size), (1, *size), reader.dtype, compression="zstd")
+    group.create_array("codes", (frames, *size), (1, *size), reader.dtype, compression="zstd")
     if not opened:
         return np.zeros((0, 4), np.int64), []
     counts, problems = np.zeros((len(observed), 4), np.int64), []
@@ -181,7 +180,7 @@ def view_problems(
 
 
 def _write_boards(
-    path: Path, group, reader: FrameReader, darks: DarkField, whites: Whites, edges: Edges, tick: Tick
+    path: Path, group: BandedGroup, reader: FrameReader, darks: DarkField, whites: Whites, edges: Edges, tick: Tick
 ) -> list[list[str]]:
     """Mean white board of each light and polariser state; returns [light, state] of each."""
     frames = [f for f in reader.capture.frames_of("white") if f.polariser]
@@ -189,19 +188,19 @@ def _write_boards(
     if not keys:
         return []
     size = (reader.rows, reader.columns, len(reader.names))
-    create_array(group, "boards", (len(keys), *size), (1, *size), np.float32, compression="zstd")
+    group.create_array("boards", (len(keys), *size), (1, *size), np.float32, compression="zstd")
     for i, mean in enumerate(mean_boards(reader, keys, darks, whites, edges, tick)):
         write_chunk(chunk_path(path / "boards", i, 0), mean, compression="zstd")
     return [list(key) for key in keys]
 
 
-def _write_calibration(path: Path, group, reader: FrameReader, tick: Tick) -> None:
+def _write_calibration(path: Path, group: BandedGroup, reader: FrameReader, tick: Tick) -> None:
     """Pictures of the calibration board, grey, 8 bits, coded for display so that dark squares keep their steps."""
     frames = reader.capture.frames_of("board")
     if not frames:
         return
     size = (reader.rows, reader.columns, 1)
-    create_array(group, "calibration", (len(frames), *size), (1, *size), np.uint8, compression="zstd")
+    group.create_array("calibration", (len(frames), *size), (1, *size), np.uint8, compression="zstd")
     for i, (frame, codes) in enumerate(reader.read_all(frames)):
         write_chunk(chunk_path(path / "calibration", i, 0), grey_picture(codes, reader), compression="zstd")
         tick(frame.file)

@@ -8,7 +8,8 @@ import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.formats.stored import open_group
-from nishiki.formats.zarr_chunks import chunk_path, create_array, read_chunk, write_chunk
+from nishiki.formats.zarr_chunks import chunk_path, read_chunk, write_chunk
+from nishiki.formats.zarr_store import BandedGroup
 from nishiki.polarisation.polarisation import SeparatedView
 
 STORE = "components.zarr"
@@ -28,10 +29,8 @@ class ComponentWriter:
         channels: tuple[str, ...],
         stamp: dict[str, str],
     ):
-        import zarr
-
         self.path = Path(folder) / STORE
-        group = zarr.open_group(self.path, mode="w-", zarr_format=3)
+        group = BandedGroup.create(self.path)
         count = len(views) * len(lights)
         for name, depth, dtype in (
             ("diffuse", len(channels), np.float32),
@@ -39,16 +38,14 @@ class ComponentWriter:
             ("valid", 1, np.uint8),
         ):
             whole = (count, *shape, depth)
-            create_array(group, name, whole, (1, *whole[1:]), dtype, compression="zstd")
-        group.attrs.update(
-            {
-                "format": FORMAT,
-                "views": list(views),
-                "lights": list(lights),
-                "channels": list(channels),
-                "shape": list(shape),
-                "stamp": stamp,
-            }
+            group.create_array(name, whole, (1, *whole[1:]), dtype, compression="zstd")
+        group.update(
+            format=FORMAT,
+            views=list(views),
+            lights=list(lights),
+            channels=list(channels),
+            shape=list(shape),
+            stamp=stamp,
         )
 
     def write(self, observation: int, view: SeparatedView) -> None:

@@ -3,7 +3,6 @@
 import shutil
 
 import numpy as np
-import zarr
 
 from nishiki.artifacts.stage import Context
 from nishiki.capture.folder import Capture, load_capture
@@ -12,6 +11,7 @@ from nishiki.capture.seal import capture_digest
 from nishiki.capture.turntable import TurntableCapture
 from nishiki.colour.colour import illuminant as cie_illuminant
 from nishiki.colour.sampling import resample
+from nishiki.formats.zarr_store import BandedGroup
 from nishiki.observations.capture_usage import usage_of
 from nishiki.observations.choice import chosen
 from nishiki.observations.goniometer_store import STORE as WINDOWS
@@ -65,7 +65,7 @@ def described(capture: Capture | TurntableCapture | GoniometerCapture, context: 
 
 def stamp_store(context: Context, store: str) -> None:
     """Say inside the store where it comes from."""
-    zarr.open_group(context.output.folder / store, mode="r+").attrs["stamp"] = context.stamp
+    BandedGroup(context.output.folder / store).update(stamp=context.stamp)
 
 
 def write_curves(capture: Capture | TurntableCapture | GoniometerCapture, context: Context) -> None:

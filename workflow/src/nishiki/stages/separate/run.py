@@ -23,7 +23,7 @@ def map_tiles(context: Context) -> dict:
         context.progress.tell(str(decision))
     rows, columns = frames.shape
     maps = MapWriter(context.output.folder, rows=rows, columns=columns, band_rows=frames.band_rows, stamp=context.stamp)
-    maps.group.attrs["lights"] = [frames.lights[j] for j in lights]
+    maps.group.update(lights=[frames.lights[j] for j in lights])
     usable = maps.create("usable", (-(-len(lights) // 8),), dtype="uint8", meaning="bit j of byte i: light 8 i + j")
     highlights = maps.create("highlights", dtype="uint16", unit="lights")
     shadows = maps.create("shadows", dtype="uint16", unit="lights")
