@@ -15,10 +15,8 @@ def clearly_matt(first: SceneGloss, *, limit: float = WORTHWHILE) -> bool:
     return abs(first.gain) < CLEAR * limit
 
 
-def decided(gloss: SceneGloss | None, setting: str, *, limit: float = WORTHWHILE) -> Decision | None:
-    """What was decided, for the log and the diagnostics; None where nothing was looked at."""
-    if gloss is None:
-        return None
+def decided(gloss: SceneGloss, setting: str, *, limit: float = WORTHWHILE) -> Decision:
+    """What was decided, for the log and the diagnostics."""
     joint = gloss.significant or setting == "gloss"
     words = "normals fitted together with gloss" if joint else "no joint fit: gloss does not count"
     if setting == "gloss":

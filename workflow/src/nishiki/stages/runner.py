@@ -1,6 +1,7 @@
 """One stage by name, as the workflow or a person calls it: `python scripts/stage.py NAME --help`."""
 
 import argparse
+import gc
 import sys
 import traceback
 import warnings
@@ -30,6 +31,8 @@ def main() -> None:
     try:
         declared = import_module(f"nishiki.stages.{name}.declaration").STAGE
         module = import_module(f"nishiki.stages.{name}.run")
+        gc.freeze()
+        gc.enable()
         run_stage(
             declared.settings,
             module.run,

@@ -1,7 +1,13 @@
-"""Normals: photometric stereo on the selected lights, with uncertainty, and the reflectance of each channel."""
+"""Normals: photometric stereo on the selected lights, with uncertainty, and the reflectance of each channel.
+
+What the joint fit of normals and gloss needs is imported where it is used: few scenes make it, and it takes 50 ms.
+"""
+
+from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -9,22 +15,22 @@ from nishiki.artifacts.maps import Maps, MapWriter
 from nishiki.artifacts.scatter import TiledStage
 from nishiki.artifacts.stage import Context
 from nishiki.brdf.body_shading import LAMBERT
-from nishiki.brdf.gloss_profile import GlossProfile
 from nishiki.errors import UserError
 from nishiki.model_selection.decision import Decision, economy
 from nishiki.model_selection.fit_lights import choose_lights
-from nishiki.model_selection.refinement import clearly_matt, decided
 from nishiki.observations.parcels import Parcel, parcels
 from nishiki.observations.plane import Observations
 from nishiki.photometric import flags as bits
 from nishiki.photometric.body_colour import body_intensity
-from nishiki.photometric.gloss import refine_normals
-from nishiki.photometric.gloss_scene import FEW_LIGHTS, GlossTile, SceneGloss, fit_scene_gloss, thinned
 from nishiki.photometric.reflectance import diffuse_reflectance, mean_of_channels
 from nishiki.photometric.relighting import FEW_LIGHTS as RELIGHT_LIGHTS
 from nishiki.photometric.relighting import fit_relighting
 from nishiki.photometric.solve import estimate_normals, shading_of_mean
-from nishiki.stages.normals.declaration import NormalsSettings
+from nishiki.stages.normals.declaration import FEW_LIGHTS, NormalsSettings
+
+if TYPE_CHECKING:
+    from nishiki.brdf.gloss_profile import GlossProfile
+    from nishiki.photometric.gloss_scene import GlossTile, SceneGloss
 
 MAPS = {
     "normals": ("float32", "unit vector, x right, y up, z to the camera"),
@@ -59,9 +65,7 @@ def map_tiles(context: Context) -> dict:
     profile = gloss.profile if wanted(gloss, context.settings) else None
     relight = profile is None and len(lights) <= RELIGHT_LIGHTS and context.settings.solver != "least_squares"
     arrays = create_maps(context, frames, relight=relight)
-    refinement = decided(gloss, context.settings.refine)
-    if refinement:
-        context.progress.tell(str(refinement))
+    refinement = None if gloss is None else decision_to_refine(gloss, context)
     counts: Counter[str] = Counter()
     sigmas = []
     for band in context.progress.over(context.share(frames.bands()), "band"):
@@ -111,6 +115,15 @@ def fit_lights(
     return lights[chosen], decision
 
 
+def decision_to_refine(gloss: SceneGloss, context: Context) -> Decision:
+    """What was decided about the joint fit; the user is told."""
+    from nishiki.model_selection.refinement import decided
+
+    decision = decided(gloss, context.settings.refine)
+    context.progress.tell(str(decision))
+    return decision
+
+
 def wanted(gloss: SceneGloss | None, settings: NormalsSettings) -> bool:
     """Whether the joint fit is used on all pixels."""
     return gloss is not None and (settings.refine == "gloss" or gloss.significant)
@@ -125,6 +138,9 @@ def scene_gloss(
     """
     if settings.refine == "none" or (settings.refine == "auto" and len(lights) > FEW_LIGHTS):
         return None
+    from nishiki.model_selection.refinement import clearly_matt
+    from nishiki.photometric.gloss_scene import fit_scene_gloss, thinned
+
     bands = frames.bands()
     bands = [bands[i] for i in np.unique(np.linspace(0, len(bands) - 1, SAMPLE_BANDS).round().astype(int))]
     step = max(1, sum(int(frames.mask[band].sum()) for band in bands) // SAMPLE_PIXELS)
@@ -160,6 +176,8 @@ def pick(array: np.ndarray, chosen: np.ndarray) -> np.ndarray:
 
 def gloss_tile(observations, usable, valid, parcel: Parcel, settings: NormalsSettings) -> GlossTile:
     """Sampled pixels with their estimates from the selected lights."""
+    from nishiki.photometric.gloss_scene import GlossTile
+
     maps = solve(observations, usable, valid, parcel, settings, None)
     return GlossTile(
         scaled(observations, parcel),
@@ -234,6 +252,8 @@ def solve(
         del found["shading"]
     if gloss is None:
         return found
+    from nishiki.photometric.gloss import refine_normals
+
     fit = refine_normals(
         observations,
         parcel.directions,
