@@ -1,6 +1,6 @@
 """Normals: photometric stereo on the selected lights, with uncertainty, and the reflectance of each channel.
 
-What the joint fit of normals and gloss needs is imported where it is used: few scenes make it, and it takes 50 ms.
+What the joint fit of normals and gloss needs is imported where it is used: it takes 50 ms.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from nishiki.photometric.reflectance import diffuse_reflectance, mean_of_channel
 from nishiki.photometric.relighting import FEW_LIGHTS as RELIGHT_LIGHTS
 from nishiki.photometric.relighting import fit_relighting
 from nishiki.photometric.solve import estimate_normals, shading_of_mean
-from nishiki.stages.normals.declaration import FEW_LIGHTS, NormalsSettings
+from nishiki.stages.normals.declaration import NormalsSettings
 
 if TYPE_CHECKING:
     from nishiki.brdf.gloss_profile import GlossProfile
@@ -136,10 +136,13 @@ def scene_gloss(
 
     The sample is the same for every machine and number of threads; it bounds the memory to that of one band.
     """
-    if settings.refine == "none" or (settings.refine == "auto" and len(lights) > FEW_LIGHTS):
+    if settings.refine == "none":
         return None
     from nishiki.model_selection.refinement import clearly_matt
-    from nishiki.photometric.gloss_scene import fit_scene_gloss, thinned
+    from nishiki.photometric.gloss_scene import FEW_LIGHTS, fit_scene_gloss, thinned
+
+    if settings.refine == "auto" and len(lights) > FEW_LIGHTS:
+        return None
 
     bands = frames.bands()
     bands = [bands[i] for i in np.unique(np.linspace(0, len(bands) - 1, SAMPLE_BANDS).round().astype(int))]
