@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from nishiki.archive.inventory import PRUNED, Item
+from nishiki.formats.files import flush_folder
 from nishiki.processes import owner
 
 
@@ -43,13 +44,5 @@ def _remove(folder: Path) -> None:
             number += 1
             doomed = folder.with_name(f".{name}.{number}.{owner()}{PRUNED}")
         os.rename(folder, doomed)
-        _flush(folder.parent)
+        flush_folder(folder.parent)
     shutil.rmtree(doomed)
-
-
-def _flush(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

@@ -19,6 +19,7 @@ from typing import Any
 
 from nishiki.artifacts.provenance import canonical, file_digest
 from nishiki.errors import UserError
+from nishiki.formats.files import flush_folder
 from nishiki.processes import host, identity, is_alive, owner, owner_of
 
 FORMAT = 1
@@ -278,7 +279,7 @@ class ArtifactWriter:
         _flush(self.folder)
         old = _retire(self.target, self.folder)
         os.rename(self.folder, self.target)
-        _flush_folder(self.target.parent)
+        flush_folder(self.target.parent)
         if old:
             shutil.rmtree(old, ignore_errors=True)
         return Artifact(self.target, manifest)
@@ -323,12 +324,4 @@ def _flush(folder: Path) -> None:
         with open(path, "rb") as handle:
             os.fsync(handle.fileno())
     for root, _, _ in os.walk(folder):
-        _flush_folder(Path(root))
-
-
-def _flush_folder(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+        flush_folder(Path(root))

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from datetime import date as Date
 from pathlib import Path
 
-from nishiki.formats.files import Refused, is_plain, leads_out, open_regular, read_bytes, walk
+from nishiki.formats.files import Refused, flush_folder, is_plain, leads_out, open_regular, read_bytes, walk
 from nishiki.formats.problems import WHERE_IS_IT, CaptureError, Problem, error, raise_errors
 from nishiki.formats.text_tables import refusal
 
@@ -162,7 +162,7 @@ def seal(root: Path, *, progress: Callable[[str], None] | None = None) -> str:
     _write_tags(half, root, progress)
     os.rename(root, half / "data")
     os.rename(half, root)
-    _sync_folder(root.parent)
+    flush_folder(root.parent)
     return capture_digest(root)
 
 
@@ -266,7 +266,7 @@ def _write_tags(bag: Path, payload: Path, progress: Callable[[str], None] | None
             file.flush()
             os.fsync(file.fileno())
         os.replace(temporary, bag / name)
-    _sync_folder(bag)
+    flush_folder(bag)
 
 
 def _refuse_links(root: Path) -> None:
@@ -278,14 +278,6 @@ def _refuse_links(root: Path) -> None:
             [error("seal-link", name, "link in a sealed capture, or one to be sealed", remedy=remedy) for name in links]
         )
     payload_files(root)
-
-
-def _sync_folder(folder: Path) -> None:
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def _encode(name: str) -> str:

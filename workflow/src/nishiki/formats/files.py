@@ -155,3 +155,12 @@ def walk(folder: Path, most: str = "folder_entries") -> Iterator[tuple[str, os.D
                 pending.append((entry.path, f"{prefix}{entry.name}/", depth + 1))
             else:
                 yield f"{prefix}{entry.name}", entry
+
+
+def flush_folder(folder: Path) -> None:
+    """Wait until the names in a folder are on the disk: files that were made in it, renamed or removed."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

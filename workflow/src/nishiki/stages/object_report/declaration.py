@@ -2,22 +2,15 @@
 
 from typing import ClassVar
 
-from pydantic import Field
-
-from nishiki.artifacts.closed import Guarded
+from nishiki.report.settings import PageSettings
 from nishiki.stages.base import Cost, Stage
 
 
-class ObjectReportSettings(Guarded):
+class ObjectReportSettings(PageSettings):
     """One HTML file on a turntable scene that opens offline."""
 
     STAGE: ClassVar[str] = "object_report"
     VERSION: ClassVar[int] = 1
-
-    picture_columns: int = Field(720, ge=128, le=4096, description="width of the pictures inside the page")
-    video_mb: float = Field(2.5, ge=0, le=64, description="largest video that the page carries; larger ones are named")
-    title: str = Field("", description="heading; empty: title of the capture")
-    left_out: dict[str, str] = Field({}, description="what the plan leaves out, and why; filled in by the plan")
 
 
 STAGE = Stage(

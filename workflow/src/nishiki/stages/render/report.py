@@ -10,10 +10,9 @@ from nishiki.report.pictures import Ruler, file_picture
 from nishiki.report.scene_page import text
 
 MOST_PICTURES = 8
-LARGEST_FILM_MB = 2.5
 
 
-def appearance_section(render: Artifact | None, widest: int, ruler: Ruler | None) -> Section | None:
+def appearance_section(render: Artifact | None, widest: int, video_mb: float, ruler: Ruler | None) -> Section | None:
     """Pictures of at most `widest` pixels across, None without any; ruler : below those seen from the front."""
     if render is None:
         return None
@@ -36,7 +35,7 @@ def appearance_section(render: Artifact | None, widest: int, ruler: Ruler | None
         if facts.get("file") in render.manifest["files"]:
             moves = f"The {entry['moves']} goes round at {entry['elevation_deg']:g}° above the plane."
             caption = f"{moves} {exposed(facts.get('exposure'), chosen=True)}".strip()
-            shown = film(render, facts["file"], entry["name"].capitalize(), caption, LARGEST_FILM_MB)
+            shown = film(render, facts["file"], entry["name"].capitalize(), caption, video_mb)
             (items if isinstance(shown, Figure) else others).append(shown)
     if named:
         others.append(f"Also made: {', '.join(named)}.")

@@ -29,7 +29,8 @@ NO_TRUTH = (
 
 def run(context: Context) -> dict:
     """Collect the sections that this scene has, and write the page."""
-    inputs, widest = context.inputs, context.settings.picture_columns
+    inputs, settings = context.inputs, context.settings
+    widest = settings.picture_columns
     told = {name: artifact.diagnostics for name, artifact in inputs.items()}
     frames = Observations(inputs["ingest"].folder)
     maps = {name: Maps(artifact.folder) for name, artifact in inputs.items() if artifact.path("maps.zarr").is_dir()}
@@ -47,7 +48,7 @@ def run(context: Context) -> dict:
         facts=facts_of_painting(told["ingest"], list(frames.channels), frames.pixel_pitch_mm, kinds),
         tiles=at_a_glance(told["normals"], evaluation, told.get("height"), told.get("spectra")),
         sections=[
-            appearance_section(inputs.get("render"), widest, scale_bar),
+            appearance_section(inputs.get("render"), widest, settings.video_mb, scale_bar),
             relighting,
             shape_section(
                 maps["normals"],
