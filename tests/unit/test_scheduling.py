@@ -1,14 +1,22 @@
 """Groups and parts of jobs: no way leaves a group and comes back; costs follow the table."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
+from captures import make_capture
 from hypothesis import given
 from hypothesis import strategies as st
 
+from nishiki.capture.folder import load_capture
+from nishiki.capture.seal import seal
+from nishiki.engine.facts import scene_facts
 from nishiki.engine.plan import PlannedStage
 from nishiki.engine.project import StageSettings
 from nishiki.engine.scheduling import SHORT_SECONDS, Scheduling
+from nishiki.observations.plane import Observations
+from nishiki.observations.plane_store import write_observations
 from nishiki.stages.base import SceneFacts
 from nishiki.stages.table import CHAIN, chain_of
 
@@ -88,3 +96,21 @@ def test_a_further_attempt_gets_more(stage):
     assert second == pytest.approx(1.5 * first, abs=2)
     assert flow.minutes("x", stage.name, 2) >= 2 * flow.minutes("x", stage.name, 1) - 2
     assert flow.minutes("x", stage.name) * 60 >= 4 * flow.seconds("x", stage.name)
+
+
+def test_a_small_object_in_a_large_picture_is_planned_by_its_bounding_box(tmp_path):
+    mask = np.zeros((200, 300), bool)
+    mask[90:100, 120:150] = True
+    folder = make_capture(tmp_path / "c", mask=mask, rows=200, columns=300)
+    seal(folder)
+    facts = scene_facts(SimpleNamespace(name="x", capture=folder, truth=None))
+    write_observations(load_capture(folder), tmp_path)
+    assert facts.kept_pixels == np.prod(Observations(tmp_path).shape) < facts.pixels == 60_000
+    settings = SimpleNamespace(settings=StageSettings())
+    small, large = Scheduling(), Scheduling()
+    small.plans = {"x": SimpleNamespace(facts=facts, scene=settings)}
+    large.plans = {"x": SimpleNamespace(facts=replace(facts, kept_pixels=0), scene=settings)}
+    assert small.seconds("x", "ingest") == large.seconds("x", "ingest")
+    for stage in ("separate", "normals", "height", "evaluate"):
+        assert small.seconds("x", stage) < large.seconds("x", stage)
+        assert small.memory_mb("x", stage) <= large.memory_mb("x", stage)

@@ -9,7 +9,12 @@ from nishiki.capture.turntable import TurntableCapture, TurntableFacts, turntabl
 from nishiki.engine.project import Scene
 from nishiki.errors import UserError
 from nishiki.formats.image_headers import read_header
+from nishiki.formats.images import read_mask
+from nishiki.formats.problems import CaptureError
+from nishiki.observations.region import region_around, region_of
 from nishiki.stages.base import SceneFacts
+
+USUAL_BLOCK = 16  # pixels, as `ingest.white_block` is by default: the rim about the object has at least one block
 
 
 def scene_facts(scene: Scene) -> SceneFacts:
@@ -42,6 +47,7 @@ def _of_plane(scene: Scene, capture: Capture, truth: str) -> SceneFacts:
         has_sensitivities=capture.sensitivities is not None,
         has_illuminant=capture.illuminant is not None,
         truth_sha256=truth,
+        kept_pixels=_kept_pixels(capture),
     )
 
 
@@ -122,3 +128,20 @@ def _pixels(capture: Capture) -> int:
         return region[2] * region[3]
     header = read_header(capture.observed[0].path, name=capture.observed[0].file)
     return header.rows * header.columns
+
+
+def _kept_pixels(capture: Capture) -> int:
+    """Pixels of the bounding box of the mask inside the region of interest; 0 without a mask, or with one that ingest
+    will refuse."""
+    if capture.mask is None:
+        return 0
+    header = read_header(capture.observed[0].path, name=capture.observed[0].file)
+    try:
+        region = region_of(capture, header.rows, header.columns)
+        mask = read_mask(capture.mask, region=region, name=capture.settings.mask)
+    except CaptureError:
+        return 0
+    if mask.shape != region[2:] or not mask.any():
+        return 0
+    _, _, rows, columns = region_around(mask, region, USUAL_BLOCK)
+    return rows * columns

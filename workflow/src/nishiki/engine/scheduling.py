@@ -32,14 +32,14 @@ class Scheduling:
         beside: memory of what runs beside the stage in its job.
         """
         plan = self.plans[scene]
-        pixels, samples = self._size(scene)
+        pixels, samples = self._size(scene, stage)
         tile = min(plan.scene.settings.ingest.tile_mib, samples * plan.facts.channels * 4 / 2**20)
         memory = CHAIN[stage].cost(plan.facts).memory_mb(pixels, samples, tile_mib=tile)
         return math.ceil((memory + beside) * 1.5 ** (attempt - 1))
 
     def seconds(self, scene: str, stage: str, share: float = 1.0) -> float:
         """Processor time that a share of a stage's work is expected to take, in seconds."""
-        pixels, samples = self._size(scene)
+        pixels, samples = self._size(scene, stage)
         return CHAIN[stage].cost(self.plans[scene].facts).processor_seconds(pixels * share, samples * share)
 
     def minutes(self, scene: str, stage: str, attempt: int = 1, share: float = 1.0) -> int:
@@ -82,7 +82,8 @@ class Scheduling:
         upstream = {name: above for name, above in self.stage(scene, stage, key).upstream.items() if name in CHAIN}
         return max((self._level(scene, *item) + self._is_long(scene, item[0]) for item in upstream.items()), default=0)
 
-    def _size(self, scene: str) -> tuple[int, int]:
-        """Pixels of a photograph, and samples of all photographs."""
+    def _size(self, scene: str, stage: str) -> tuple[int, int]:
+        """Pixels of a photograph that the stage sees, and samples of all photographs: ingest decodes whole ones."""
         facts = self.plans[scene].facts
-        return facts.pixels, facts.pixels * facts.observations
+        pixels = facts.pixels if stage == "ingest" else facts.kept_pixels or facts.pixels
+        return pixels, pixels * facts.observations

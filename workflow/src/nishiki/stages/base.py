@@ -28,6 +28,8 @@ class SceneFacts:
         Digests of capture and truth; the latter is empty where there is no truth.
     lights, check_lights, channels, pixels
         Names of the lights; of those kept for evaluation; number of channels; pixels of one photograph.
+    kept_pixels : int
+        Pixels that ingest keeps of each: with a mask those of its bounding box. 0: all of them.
     has_sensitivities, has_illuminant : bool
         Whether the spectra of camera and lamp are known.
     geometry : str
@@ -66,6 +68,7 @@ class SceneFacts:
     parts: Mapping[str, int] = field(default_factory=dict)
     suffixes: tuple[str, ...] = ()
     table: bool = False
+    kept_pixels: int = 0
 
     @property
     def observations(self) -> int:
