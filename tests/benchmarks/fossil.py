@@ -18,6 +18,9 @@ from pathlib import Path
 
 PROJECT = Path(__file__).resolve().parents[2]
 CASES = {
+    "least_squares, luminance": (
+        "ingest: {channels: luminance}\nseparate: {method: none}\nnormals: {solver: least_squares, refine: none}\n"
+    ),
     "least_squares": "separate: {method: none}\nnormals: {solver: least_squares, refine: none}\n",
     "trimmed": "separate: {method: trimmed}\nnormals: {solver: least_squares, refine: none}\n",
     "refit": "normals: {solver: least_squares, refine: none}\n",
@@ -100,8 +103,8 @@ def main() -> None:
             crop = folder / f"{source.name}-crop"
             nishiki(folder, "convert", str(source), str(crop), "--roi", "64", "64", "256", "256")
             for case, settings in CASES.items():
-                run_case(folder, crop, f"warm-{case}", settings, "normals")
-                facts = run_case(folder, capture, case, settings, "normals")
+                run_case(folder, crop, f"warm-{case}".replace(", ", "-"), settings, "normals")
+                facts = run_case(folder, capture, case.replace(", ", "-"), settings, "normals")
                 print(
                     json.dumps({"object": source.name, "method": case, **facts, "default": case == "default"}),
                     flush=True,

@@ -227,11 +227,12 @@ def _size(path: str) -> int | None:
 
 def _files(folder: Path) -> Iterator[tuple[str, Path]]:
     """Each file below `folder` with its name relative to it, in a fixed order; links count as files."""
+    start = len(str(folder)) + 1
     for root, folders, names in os.walk(folder):
         folders.sort()
+        below = Path(root[start:]).as_posix() + "/" if root[start:] else ""
         for name in sorted(names):
-            path = Path(root, name)
-            yield path.relative_to(folder).as_posix(), path
+            yield below + name, Path(root, name)
 
 
 class ArtifactWriter:
@@ -320,8 +321,8 @@ def _retire(target: Path, successor: Path) -> Path | None:
 
 
 def _flush(folder: Path) -> None:
-    for _, path in _files(folder):
-        with open(path, "rb") as handle:
-            os.fsync(handle.fileno())
-    for root, _, _ in os.walk(folder):
+    for root, _, names in os.walk(folder, topdown=False):
+        for name in names:
+            with open(os.path.join(root, name), "rb") as handle:
+                os.fsync(handle.fileno())
         flush_folder(Path(root))

@@ -18,6 +18,8 @@ import numpy as np
 from nishiki.errors import UserError
 
 ZSTD_LEVEL = 1
+CHECKSUM_BYTES = 4
+REMEDY = "Run the stage that made it again"
 
 
 def chunk_path(array_folder: Path, light: int, band: int) -> Path:
@@ -54,28 +56,47 @@ def read_chunk(path: Path, shape: tuple, dtype: np.dtype, *, compression: str, c
 
     checksum: whether a CRC-32C ends it; a zstd frame may have one of its own instead.
     """
-    remedy = "Run the stage that made it again"
-    size = 4 if checksum else 0
-    try:
-        with path.open("rb", buffering=0) as file:
-            length = os.fstat(file.fileno()).st_size
-            payload, end = file.read(max(length - size, 0)), file.read()
-    except FileNotFoundError as e:
-        raise UserError(f"{path}: part of a stored array is missing. {remedy}") from e
-    if checksum and (len(end) != 4 or google_crc32c.value(payload) != int.from_bytes(end, "little")):
-        raise UserError(f"{path}: part of a stored array is damaged (checksum differs). {remedy}")
+    with _opened(path) as file:
+        length = os.fstat(file.fileno()).st_size
+        payload, end = file.read(max(length - CHECKSUM_BYTES * checksum, 0)), file.read()
+    if checksum:
+        _expect_checksum(payload, end, path)
     if compression == "zstd":
-        payload = _unpacked(payload, path, remedy)
+        payload = _unpacked(payload, path)
     values = np.frombuffer(payload, np.dtype(dtype).newbyteorder("<"))
     if values.size != np.prod(shape):
-        raise UserError(f"{path}: {values.size} values, expected {tuple(shape)}. {remedy}")
+        raise UserError(f"{path}: {values.size} values, expected {tuple(shape)}. {REMEDY}")
     return values.reshape(shape)
 
 
-def _unpacked(payload: bytes, path: Path, remedy: str) -> bytes:
+def read_chunk_into(path: Path, values: np.ndarray) -> None:
+    """Read one chunk that is not compressed into a contiguous array of its size; otherwise as `read_chunk`."""
+    payload = values.reshape(-1).view(np.uint8)
+    with _opened(path) as file:
+        length, end = file.readinto(payload.data), file.read()
+    if length != len(payload):
+        raise UserError(f"{path}: {length} bytes, expected {len(payload)}. {REMEDY}")
+    _expect_checksum(payload, end, path)
+    if values.dtype != values.dtype.newbyteorder("<"):
+        values.byteswap(inplace=True)
+
+
+def _opened(path: Path) -> io.FileIO:
+    try:
+        return path.open("rb", buffering=0)
+    except FileNotFoundError as e:
+        raise UserError(f"{path}: part of a stored array is missing. {REMEDY}") from e
+
+
+def _expect_checksum(payload: Any, end: bytes, path: Path) -> None:
+    if len(end) != CHECKSUM_BYTES or google_crc32c.value(payload) != int.from_bytes(end, "little"):
+        raise UserError(f"{path}: part of a stored array is damaged (checksum differs). {REMEDY}")
+
+
+def _unpacked(payload: bytes, path: Path) -> bytes:
     from numcodecs.zstd import Zstd
 
     try:
         return Zstd().decode(payload)
     except RuntimeError as error:
-        raise UserError(f"{path}: part of a stored array is damaged ({error}). {remedy}") from None
+        raise UserError(f"{path}: part of a stored array is damaged ({error}). {REMEDY}") from None

@@ -11,7 +11,7 @@ import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.formats.stored import open_bands, understood
-from nishiki.formats.zarr_chunks import chunk_path, read_chunk
+from nishiki.formats.zarr_chunks import chunk_path, read_chunk, read_chunk_into
 from nishiki.observations.blocks import Edges, cells, edges_between, on_one_grid, positions
 from nishiki.observations.linearise import straight_scale
 
@@ -193,10 +193,14 @@ class Observations:
                 continue
             inner = slice(max(start - top, 0), min(stop - top, self.band_rows))
             outer = slice(top + inner.start - start, top + inner.stop - start)
+            compression = self.attributes["compression"]
+            whole = (inner.stop - inner.start, right - left) == chunk[:2] and compression == "none"
             for j, light in enumerate(chosen):
                 path = chunk_path(self.path / "codes", int(light), number)
-                values = read_chunk(path, chunk, self.dtype, compression=self.attributes["compression"])
-                codes[j, outer] = values[inner, left:right]
+                if whole:
+                    read_chunk_into(path, codes[j, outer])
+                else:
+                    codes[j, outer] = read_chunk(path, chunk, self.dtype, compression=compression)[inner, left:right]
         return codes, start
 
     @cached_property

@@ -47,6 +47,15 @@ def add_up(values, weights, vectors, surface, squarings, sums):
 
     values, weights (lights, BLOCK) float32; vectors (6, lights) float32: l and h; surface (SURFACE * BLOCK) float32.
     """
+    if squarings == 3:  # the usual exponent, known to the compiler
+        add_up_lights(values, weights, vectors, surface, 3, sums)
+    else:
+        add_up_lights(values, weights, vectors, surface, squarings, sums)
+
+
+@njit(cache=True, inline="always")
+def add_up_lights(values, weights, vectors, surface, squarings, sums):
+    """`add_up`, to be compiled for one exponent or for all."""
     zero, least, slope = np.float32(0.0), np.float32(1e-3), np.float32(1 << squarings)
     for k in range(SUMS * BLOCK):
         sums[k] = zero
@@ -238,7 +247,8 @@ def take(chosen, source, target):
     for start in range(0, target.size, BLOCK):
         new, old = source[start : start + BLOCK], target[start : start + BLOCK]
         for p in range(len(chosen)):
-            old[p] = new[p] if chosen[p] > 0.0 else old[p]
+            value, present = new[p], old[p]  # both are read, or the compiler chooses between their places by a branch
+            old[p] = value if chosen[p] > 0.0 else present
 
 
 @njit(cache=True, error_model="numpy")
