@@ -19,8 +19,9 @@ from nishiki.progress import Progress
 from nishiki.render.cloth.frame import ClothPicture
 from nishiki.render.cloth.mesh_store import read_surface
 from nishiki.render.cloth.models import ClothModels
-from nishiki.render.cloth.tone import developed, exposure_for, shoulder
+from nishiki.render.display import developed, shoulder
 from nishiki.stages.cloth_render.declaration import ClothRenderSettings
+from nishiki.stages.cloth_render.run import exposed
 
 PROJECT = Path(__file__).resolve().parents[2]
 STAMP = {"scene": "small", "stage": "cloth_render", "key": "0" * 12, "version": "0.1.0"}
@@ -172,11 +173,12 @@ def test_tone():
     cloth = np.zeros((4, 4), np.float32)
     cloth[:2] = 1
     linear = np.full((4, 4, 3), 0.2, np.float32)
-    shown = ClothPicture(linear, np.ones((4, 4), np.float32), cloth, 16, 16, 0.0, 0.0)
-    assert exposure_for([shown]) == pytest.approx(3.5, rel=1e-3)
+    picture = ClothPicture(linear, np.ones((4, 4), np.float32), cloth, 16, 16, 0.0, 0.0)
+    automatic = ClothRenderSettings()
+    assert exposed(automatic, [picture]) == pytest.approx(3.5, rel=1e-3)
     linear[2:] = 0.38  # the paper is brighter, and bounds the exposure
-    assert exposure_for([shown]) == pytest.approx(2.5, rel=1e-3)
-    assert exposure_for([replace(shown, linear=0 * linear)]) == 1
-    assert exposure_for([]) == 1
-    image = developed(np.full((2, 2, 3), 0.25, np.float32), np.full((2, 2), 0.0, np.float32), soft=False)
+    assert exposed(automatic, [picture]) == pytest.approx(2.5, rel=1e-3)
+    assert exposed(automatic, [replace(picture, linear=0 * linear)]) == 1
+    assert exposed(automatic, []) == 1
+    image = developed(np.full((2, 2, 3), 0.25, np.float32), np.full((2, 2), 0.0, np.float32), background=1.0)
     assert np.all(image.pixels == 255)

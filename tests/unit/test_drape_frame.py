@@ -5,6 +5,7 @@ import pytest
 
 from nishiki.brdf.cloth.peers import Ward
 from nishiki.errors import UserError
+from nishiki.geometry.camera import look_at
 from nishiki.geometry.mesh import Mesh
 from nishiki.render.cloth.around import Surroundings, lookup, openness, shares
 from nishiki.render.cloth.dyes import dyed, gloss_alone, share_of, together
@@ -13,7 +14,7 @@ from nishiki.render.cloth.local import disc_point
 from nishiki.render.cloth.scene import AmbientLight, ClothScene, Lamp, Matte, Surface
 from nishiki.render.cloth.sheet import cylinder, paper, sheet, swatch
 from nishiki.render.cloth.studio import linear_colour
-from nishiki.render.cloth.view import framed, look_at
+from nishiki.render.cloth.view import framed
 
 WARD = Ward(diffuse=np.array([0.1, 0.2, 0.3]), specular=np.array([0.3, 0.3, 0.3]), alpha_x=0.4, alpha_y=0.15)
 

@@ -12,7 +12,8 @@ from nishiki.evaluate.object_rows import DECODED, INTERPOLATED, MODEL, SLOT, bet
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.camera_path import rotation_matrix
 from nishiki.geometry.mesh import Mesh
-from nishiki.render.object.display import block_mean, coverage, on_screen, reduced, three_channels
+from nishiki.render.display import developed, three_channels
+from nishiki.render.object.coverage import block_mean, coverage, reduced
 from nishiki.render.object.film import places
 
 
@@ -77,20 +78,21 @@ def test_block_means_of_covered_samples_only():
     covered[0, 0] = covered[2:, 2:] = False
     values, part = reduced(linear, covered, 2)
     np.testing.assert_allclose(part, [[0.75, 1], [1, 0]])
-    np.testing.assert_allclose(values[part > 0], 1)
+    np.testing.assert_allclose(values, part[..., None] * np.ones(3))
     assert not values[1, 1].any()
     assert block_mean(np.zeros((5, 7, 2), np.float32), 2).shape == (2, 3, 2)
 
 
 def test_screen_values_are_srgb_over_the_background():
     linear = np.full((1, 3, 3), [0.2145], np.float32)
-    pixels, clipped = on_screen(linear, np.array([[1.0, 0.0, 0.5]]), background=0.25)
-    assert clipped == 0
-    assert pixels[0, 0].tolist() == [128] * 3  # 0.2140 is the linear value of 0.5
-    assert pixels[0, 1].tolist() == [64] * 3
-    bright, clipped = on_screen(linear * 9, np.ones((1, 3)))
-    assert (bright == 255).all()
-    assert clipped == 1
+    covered = np.array([[1.0, 0.0, 0.5]])
+    image = developed(linear * covered[..., None], covered, background=0.25)
+    assert image.clipped_high == 0
+    assert image.pixels[0, 0].tolist() == [128] * 3  # 0.2140 is the linear value of 0.5
+    assert image.pixels[0, 1].tolist() == [64] * 3
+    bright = developed(linear * 9, np.ones((1, 3)))
+    assert (bright.pixels == 255).all()
+    assert bright.clipped_high == 1
     assert three_channels(np.ones((2, 2, 5))).shape == (2, 2, 3)
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from nishiki.colour.encoding import decode
-from nishiki.render.object.display import block_mean, on_screen, three_channels
+from nishiki.render.display import developed, three_channels
+from nishiki.render.object.coverage import block_mean
 
 AMPLIFIED = 10
 
@@ -31,7 +32,7 @@ def comparison(
     for name, values in (("photograph", photograph), ("rendered", rendered), ("model", model)):
         linear = np.where(mask[..., None], decode(np.ascontiguousarray(values[box]), encoding), np.float32(0))
         shown = block_mean(linear.astype(np.float32), size)
-        out[name] = on_screen(shown, np.ones(shown.shape[:2], np.float32))[0]
+        out[name] = developed(shown, np.ones(shown.shape[:2], np.float32)).pixels
     delta = three_channels(np.where(mask[..., None], rendered[box] - photograph[box], 0).astype(np.float32))
     grey = 0.5 + AMPLIFIED * block_mean(delta, size)
     out["error"] = np.floor(np.clip(grey, 0, 1) * 255 + 0.5).astype(np.uint8)

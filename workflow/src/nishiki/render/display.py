@@ -1,12 +1,17 @@
-"""From linear XYZ to what a screen shows, and normals as colours: pure array functions; `output` writes the files."""
+"""From linear light to what a screen shows, for all renderers: exposure, tone, background, 8 bits; normals as colours.
+
+Pure array functions; `output` writes the files.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from nishiki.colour.colour import srgb_encode, xyz_to_srgb_linear
+from nishiki.colour.encoding import decode
 from nishiki.errors import UserError
 
+_LUMINANCE = np.float32([0.2126, 0.7152, 0.0722])  # of linear sRGB, IEC 61966-2-1
 ADAPTED_PERCENTILE, ADAPTED_LEVEL, ADAPTED_BOUNDS = 98, 0.8, (0.5, 8.0)
 
 
@@ -27,11 +32,73 @@ def display_image(xyz: np.ndarray, *, white: np.ndarray | None = None, exposure:
     """
     if not (np.isfinite(exposure) and exposure > 0):
         raise UserError(f"exposure: expected a finite factor above 0, found {exposure!r}")
-    linear = xyz_to_srgb_linear(np.asarray(xyz, np.float32) * np.float32(exposure), white=white)
+    return encoded(xyz_to_srgb_linear(np.asarray(xyz, np.float32) * np.float32(exposure), white=white))
+
+
+def encoded(linear: np.ndarray) -> DisplayImage:
+    """8 bits of linear sRGB (rows, columns, 3)."""
     # half a step of the coding is not clipping: a perfect white is 1 to within rounding
     high = np.count_nonzero((linear > 1.0 + 1e-3).any(axis=2)) / max(1, linear[..., 0].size)
     low = np.count_nonzero((linear < -1e-3).any(axis=2)) / max(1, linear[..., 0].size)
     return DisplayImage(np.floor(srgb_encode(linear) * 255 + 0.5).astype(np.uint8), high, low)
+
+
+def three_channels(linear: np.ndarray) -> np.ndarray:
+    """(..., 3): three channels stand for linear sRGB, which is a guess about the camera; any other number for grey."""
+    if linear.shape[-1] == 3:
+        return linear
+    return np.repeat(linear.mean(axis=-1, keepdims=True), 3, axis=-1)
+
+
+def developed(
+    linear: np.ndarray, coverage: np.ndarray, *, exposure: float = 1.0, soft: bool = False, background: float = 0.0
+) -> DisplayImage:
+    """8-bit picture over an even background.
+
+    Parameters
+    ----------
+    linear : (rows, columns, channels) linear light of the surface in a pixel, times the share of it that it covers.
+    coverage : (rows, columns) float, that share.
+    exposure : factor of the light.
+    soft : whether luminances near white are bent (`shoulder`) or clipped.
+    background : sRGB-coded grey.
+
+    Returns
+    -------
+    DisplayImage
+        clipped_high is the share of the pixels that show the surface whose light is beyond the screen's white.
+    """
+    values = three_channels(linear) * np.float32(exposure)
+    seen = coverage > 0
+    beyond = (values > (1.0 + 1e-3) * coverage[..., None]).any(axis=-1) & seen
+    high = np.count_nonzero(beyond) / max(1, np.count_nonzero(seen))
+    behind = np.float32(decode(np.float64(background), "srgb"))
+    image = encoded((shoulder(values) if soft else values) + behind * (1 - coverage[..., None]))
+    return DisplayImage(image.pixels, high, image.clipped_low)
+
+
+def exposure_for(parts: list[tuple[np.ndarray, float]]) -> float:
+    """One factor at which no part of several pictures becomes too bright: linear sRGB (n, 3) of each, and the level of
+    the display's white that its 98th percentile may reach. 1 where all is black."""
+    tops = [np.percentile(linear @ _LUMINANCE, ADAPTED_PERCENTILE) / level for linear, level in parts if len(linear)]
+    top = float(max(tops, default=0.0))
+    return 1 / top if top > 0 else 1.0
+
+
+def shoulder(linear: np.ndarray, *, start: float = 0.6) -> np.ndarray:
+    """Linear sRGB (..., 3) with luminances above `start` bent so that they reach 1 only at infinity.
+
+    y -> start + (1 - start) t / (1 + t), t = (y - start) / (1 - start): value and slope go on at `start`. Channels
+    share one factor, which keeps the hue; what then still exceeds 1 in a channel is drawn towards grey of the same
+    luminance.
+    """
+    y = np.maximum(linear @ _LUMINANCE, 0)[..., None]
+    t = np.maximum(y - start, 0) / (1 - start)
+    bent = np.where(y > start, start + (1 - start) * t / (1 + t), y)
+    out = linear * (bent / np.maximum(y, 1e-12))
+    top = out.max(axis=-1, keepdims=True)
+    grey = np.where(top > 1, (1 - bent) / np.maximum(top - bent, 1e-12), 1)
+    return bent + (out - bent) * np.clip(grey, 0, 1)
 
 
 def adapted_exposure(xyz: np.ndarray, *, seen: np.ndarray, sheet: float) -> float:

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.colour.colour import xyz_to_srgb_linear
 from nishiki.errors import OF_THE_MACHINE, UserError
 from nishiki.packages import install_command
 from nishiki.render.display import normals_as_colours
@@ -28,7 +27,7 @@ _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 def write_exr(
     path: Path,
-    xyz: np.ndarray,
+    linear: np.ndarray,
     *,
     stamp: Mapping[str, str],
     colours: str = "xyz",
@@ -38,7 +37,7 @@ def write_exr(
     owner: str = "",
     captured: str = "",
 ) -> None:
-    """Linear picture (rows, columns, 3) as R, G, B with the chromaticities of CIE XYZ or of sRGB (= Rec. 709).
+    """Linear picture (rows, columns, 3) in XYZ or linear sRGB (= Rec. 709) as R, G, B with their chromaticities.
 
     white_luminance: cd/m^2 of the value 1; the values are relative to the white reference, so that this is a statement
     about the room and no measurement.  captured: "YYYY:MM:DD hh:mm:ss", the photographs' date.  coverage becomes alpha.
@@ -46,8 +45,7 @@ def write_exr(
     """
     if colours not in _CHROMATICITIES:
         raise UserError(f"EXR colours: expected xyz or srgb, found {colours!r}; choose one of the two")
-    values = np.asarray(xyz, np.float32)
-    values = values if colours == "xyz" else xyz_to_srgb_linear(values).astype(np.float32)
+    values = np.asarray(linear, np.float32)
     if half and values.size and np.abs(values).max() > 65504:
         raise UserError(f"{path}: {np.abs(values).max():g} does not fit in 16 bits (65504); write float32 instead")
     kind = np.float16 if half else np.float32

@@ -4,27 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nishiki.errors import UserError
-from nishiki.geometry.camera import Camera
-
-
-def look_at(
-    eye, target, *, rows: int, columns: int, field_of_view: float, up=(0.0, 1.0, 0.0), name: str = "view"
-) -> Camera:
-    """A pinhole camera at `eye` towards `target`; field_of_view: vertical, radians; up: as the picture shows it."""
-    eye, target, up = (np.asarray(v, np.float64) for v in (eye, target, up))
-    ahead = target - eye
-    length = np.linalg.norm(ahead)
-    right = np.cross(ahead, up)
-    if not length > 0 or np.linalg.norm(right) < 1e-9 * length * max(np.linalg.norm(up), 1e-300):
-        raise UserError(f"camera: expected an eye apart from its target and up across the line; found {eye}, {target}")
-    if not (0 < field_of_view < np.pi) or rows < 1 or columns < 1:
-        raise UserError(f"camera: expected a field of view of 0 to 180 degrees, found {np.degrees(field_of_view):g}")
-    ahead, right = ahead / length, right / np.linalg.norm(right)
-    rotation = np.stack([right, -np.cross(right, ahead), ahead])
-    focal = rows / (2 * np.tan(field_of_view / 2))
-    intrinsics = np.array([[focal, 0, (columns - 1) / 2], [0, focal, (rows - 1) / 2], [0, 0, 1]])
-    return Camera(name, intrinsics, rotation, -rotation @ eye, rows, columns)
+from nishiki.geometry.camera import Camera, look_at
 
 
 def around(target, *, elevation: float, azimuth: float, distance: float) -> np.ndarray:

@@ -7,7 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from nishiki.geometry.camera_path import scaled
-from nishiki.render.object.display import on_screen, reduced
+from nishiki.render.display import developed
+from nishiki.render.object.coverage import reduced
 from nishiki.render.object.renderer import ObjectRenderer
 from nishiki.render.object.shots import lit_by
 
@@ -41,4 +42,4 @@ def frames(
     shots = (lit_by(renderer.between(view, fraction, scale=scale), lights) for view, fraction in along)
     for picture in renderer.render(shots):
         linear, alpha = reduced(picture.linear, picture.covered, supersampling)
-        yield on_screen(linear, alpha, background=background)[0]
+        yield developed(linear, alpha, background=background).pixels

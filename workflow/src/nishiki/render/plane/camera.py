@@ -23,15 +23,8 @@ def screen_to_plane(view: View, scene: PlaneScene) -> np.ndarray:
     if view.eye_mm is None:
         step = scene.pitch * max(scene.shape[0] / rows, scene.shape[1] / columns)
         return np.array([[step, 0, -step * (columns - 1) / 2], [0, -step, step * (rows - 1) / 2], [0, 0, 1.0]])
-    eye, target, up = (np.asarray(v, np.float64) for v in (view.eye_mm, view.target_mm, view.up))
-    forward = (target - eye) / np.linalg.norm(target - eye)
-    right = np.cross(forward, up)
-    right /= np.linalg.norm(right)
-    above = np.cross(right, forward)
-    unit = 2 * np.tan(view.field_of_view / 2) / rows  # a pixel on the image plane at distance 1
-    # direction of a ray as a linear map of (column, row, 1)
-    corner = forward - right * unit * (columns - 1) / 2 + above * unit * (rows - 1) / 2
-    ray = np.stack([right * unit, -above * unit, corner], axis=1)
+    eye, camera = np.asarray(view.eye_mm, np.float64), view.camera()
+    ray = camera.rotation.T @ np.linalg.inv(camera.intrinsics)  # directions of rays, linear in (column, row, 1)
     # eye + t ray meets z = 0 at t = -eye_z / ray_z: multiply by -ray_z, which is positive where t is
     return np.stack([eye[2] * ray[0] - eye[0] * ray[2], eye[2] * ray[1] - eye[1] * ray[2], -ray[2]])
 

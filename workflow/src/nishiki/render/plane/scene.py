@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from nishiki.errors import UserError
+from nishiki.geometry.camera import Camera, look_at
 
 BANDS = 61  # 400 .. 700 nm every 5 nm
 
@@ -125,19 +126,18 @@ class View:
             raise UserError(f"view: expected rows and columns >= 1, found {self.rows} and {self.columns}; give both")
         if self.eye_mm is None:
             return
-        eye, target = _finite_vector("eye", self.eye_mm, 3), _finite_vector("target", self.target_mm, 3)
-        up = _finite_vector("up", self.up, 3)
-        if not eye[2] > 0:
-            raise UserError(f"view: expected an eye in front of the painting (z > 0), found {eye.tolist()}")
-        if not 0 < self.field_of_view < np.pi:
-            raise UserError(
-                f"view: expected a field of view between 0 and 180 degrees, found {np.degrees(self.field_of_view):g}"
-            )
-        scale = np.linalg.norm(target - eye) * np.linalg.norm(up)
-        if not np.linalg.norm(np.cross(target - eye, up)) > 1e-9 * scale:
-            raise UserError("view: expected an up vector across the line of sight, found one along it; tilt it")
+        for name, value in (("eye", self.eye_mm), ("target", self.target_mm), ("up", self.up)):
+            _finite_vector(name, value, 3)
+        if not self.eye_mm[2] > 0:
+            raise UserError(f"view: expected an eye in front of the painting (z > 0), found {self.eye_mm}")
         if self.rows is None:
             raise UserError("view: a pinhole view needs rows and columns; give the size of the image")
+        self.camera()
+
+    def camera(self) -> Camera:
+        """The pinhole camera of a view with an eye."""
+        size = {"rows": self.rows, "columns": self.columns}
+        return look_at(self.eye_mm, self.target_mm, up=self.up, field_of_view=self.field_of_view, **size)
 
 
 @dataclass(frozen=True)

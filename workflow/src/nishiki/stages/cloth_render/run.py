@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.artifacts.stage import Context
-from nishiki.colour.colour import srgb_matrix
 from nishiki.errors import UserError
 from nishiki.render.cloth.drape import read_drape
 from nishiki.render.cloth.dyes import dyed
@@ -16,7 +15,7 @@ from nishiki.render.cloth.scene import Brdf, Surface
 from nishiki.render.cloth.sheet import sheet
 from nishiki.render.cloth.studio import Lighting, linear_colour, studio, tubes, turning
 from nishiki.render.cloth.tangent import from_direction, from_texture
-from nishiki.render.cloth.tone import developed, exposure_for
+from nishiki.render.display import DisplayImage, developed, exposure_for
 from nishiki.render.output import write_exr, write_png, write_video
 from nishiki.stages.cloth_render.declaration import ClothRenderSettings
 
@@ -70,7 +69,17 @@ def run(context: Context) -> dict:
 
 def exposed(settings: ClothRenderSettings, pictures: list[ClothPicture]) -> float:
     """The factor of the PNG pictures."""
-    return exposure_for(pictures) if settings.exposure == "auto" else settings.exposure
+    if settings.exposure != "auto":
+        return settings.exposure
+    # The cloth comes to 0.7 of the display's white, unless what else is in the pictures would then exceed 0.95.
+    cloth = [(picture.linear[picture.cloth > 0.9], 0.7) for picture in pictures]
+    return exposure_for(cloth + [(picture.linear[picture.coverage > 0.5], 0.95) for picture in pictures])
+
+
+def shown(settings: ClothRenderSettings, picture: ClothPicture, exposure: float) -> DisplayImage:
+    """The PNG picture, over white."""
+    soft = settings.tone == "soft"
+    return developed(picture.linear, picture.coverage, exposure=exposure, soft=soft, background=1.0)
 
 
 def surface_of(settings: ClothRenderSettings) -> tuple[Surface, dict]:
@@ -126,17 +135,16 @@ def swatches(context: Context, brdf: Brdf, cloths: dict[str, Brdf]) -> dict:
         tubes(), lights_of(settings), elevation=np.radians(12), azimuth=0.0, distance=2.6, rows=rows, columns=columns,
         margin=1.1, **room(settings),
     )  # fmt: skip
-    shown = brdf if settings.as_measured else next(iter(cloths.values()), brdf)
-    made = stage.render([stage.take(shown)], supersampling=settings.supersampling, shadows=settings.shadows)
+    chosen = brdf if settings.as_measured else next(iter(cloths.values()), brdf)
+    made = stage.render([stage.take(chosen)], supersampling=settings.supersampling, shadows=settings.shadows)
     return {"cylinders": save(context, "cylinders", made[0], exposed(settings, made))}
 
 
 def save(context: Context, name: str, picture: ClothPicture, exposure: float) -> dict:
     """Linear EXR and 8-bit PNG; what the PNG could not show."""
     path, settings = context.output.path, context.settings
-    xyz = picture.linear @ np.linalg.inv(srgb_matrix()).T
-    write_exr(path(f"{name}.exr"), xyz, stamp=context.stamp, colours="srgb", coverage=picture.coverage)
-    image = developed(picture.linear, picture.coverage, exposure=exposure, soft=settings.tone == "soft")
+    write_exr(path(f"{name}.exr"), picture.linear, stamp=context.stamp, colours="srgb", coverage=picture.coverage)
+    image = shown(settings, picture, exposure)
     write_png(path(f"{name}.png"), image.pixels, stamp=context.stamp)
     return {
         "samples": picture.samples,
@@ -176,4 +184,4 @@ def frames_of(context: Context, surface: Surface, brdf: Brdf):
         now = stage.turned(angle) if wanted.moves == "turn" else stage.lit_from(angle)
         picture = now.render([now.take(brdf)], supersampling=wanted.supersampling, shadows=settings.shadows)[0]
         exposure = exposure or exposed(settings, [picture])
-        yield developed(picture.linear, picture.coverage, exposure=exposure, soft=settings.tone == "soft").pixels
+        yield shown(settings, picture, exposure).pixels

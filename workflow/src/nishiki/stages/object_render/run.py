@@ -3,10 +3,10 @@
 import numpy as np
 
 from nishiki.artifacts.stage import Context
-from nishiki.colour.colour import srgb_matrix
 from nishiki.errors import UserError
+from nishiki.render.display import developed, three_channels
+from nishiki.render.object.coverage import coverage
 from nishiki.render.object.decoded_object import DecodedObject
-from nishiki.render.object.display import coverage, on_screen, three_channels
 from nishiki.render.object.film import frames
 from nishiki.render.object.renderer import ObjectRenderer
 from nishiki.render.object.shots import ObjectPicture, Shot, lit_by
@@ -73,11 +73,10 @@ def save(context: Context, renderer: ObjectRenderer, name: str, shot: Shot, pict
     settings, stamp = context.settings, context.stamp
     alpha = np.where(picture.reached, coverage(renderer.mesh, shot.camera), 0).astype(np.float32)
     linear = three_channels(picture.linear)
-    xyz = linear @ np.linalg.inv(srgb_matrix()).T
     path = context.output.path
-    write_exr(path(f"{name}.exr"), xyz, stamp=stamp, colours="srgb", coverage=alpha)
-    pixels, clipped = on_screen(picture.linear, alpha, background=settings.background)
-    write_png(path(f"{name}.png"), pixels, stamp=stamp)
+    write_exr(path(f"{name}.exr"), linear, stamp=stamp, colours="srgb", coverage=alpha)
+    image = developed(linear * alpha[..., None], alpha, background=settings.background)
+    write_png(path(f"{name}.png"), image.pixels, stamp=stamp)
     if settings.export_normals:
         normals = renderer.normals(picture, shot.camera)
         write_normals_png(path(f"{name}-normals.png"), normals, stamp=stamp)
@@ -85,7 +84,7 @@ def save(context: Context, renderer: ObjectRenderer, name: str, shot: Shot, pict
         np.save(path(f"{name}-depth.npy"), np.where(picture.covered, picture.depth, np.float32(0)))
     return {
         "pixels": int(np.count_nonzero(picture.covered)),
-        "clipped_fraction": clipped,
+        "clipped_fraction": image.clipped_high,
         "views": [renderer.cameras[view].name for view in shot.fallback.views],
     }
 
