@@ -25,9 +25,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import _project  # noqa: F401
-from nishiki.brdf.cloth.measures import incidences, prediction_error
+from nishiki.brdf.cloth.measures import incidences, prediction_error, solid_angles
 from nishiki.brdf.cloth.models import DEFAULT, MODELS, REFERENCE, fit_models
-from nishiki.brdf.cloth.weights import solid_angles
 from nishiki.brdf.cloth.yarn_fit import Measured
 from nishiki.goniometry.hemisphere import complete
 from nishiki.goniometry.store import Reflectances

@@ -13,9 +13,8 @@ from nishiki.brdf.cloth.interface import LEAST_COSINE
 from nishiki.brdf.cloth.peer_fit import fit_peer
 from nishiki.brdf.cloth.peers import AshikhminShirley, Ggx, Ward
 from nishiki.brdf.cloth.table import TableBrdf
-from nishiki.brdf.cloth.yarn_facets import uncorrected
+from nishiki.brdf.cloth.yarn_facets import CENTRE, SPREAD, shape_of, uncorrected
 from nishiki.brdf.cloth.yarn_fit import Measured, fit_yarn_facets
-from nishiki.brdf.cloth.yarn_parameters import CENTRE, SPREAD, shape_of
 from nishiki.errors import UserError
 from nishiki.goniometry.coverage import spread
 from nishiki.goniometry.directions import unit

@@ -7,15 +7,34 @@ import pytest
 
 from nishiki.brdf.cloth.dye import gloss_of
 from nishiki.brdf.cloth.interface import polar
-from nishiki.brdf.cloth.measures import directional_albedo, hemisphere, prediction_error, reciprocity_error
+from nishiki.brdf.cloth.measures import (
+    directional_albedo,
+    hemisphere,
+    prediction_error,
+    reciprocity_error,
+    single,
+    solid_angles,
+    together,
+)
 from nishiki.brdf.cloth.models import MODELS, fit_models
 from nishiki.brdf.cloth.oblique import choose_oblique
 from nishiki.brdf.cloth.parametric import fit_shape
 from nishiki.brdf.cloth.store import load_brdf, save_brdf
-from nishiki.brdf.cloth.weights import single, solid_angles, together
-from nishiki.brdf.cloth.yarn_facets import ACROSS, ALONG, HALF_PI, WEFT, corrected, hump, hump_limits, uncorrected
+from nishiki.brdf.cloth.yarn_facets import (
+    ACROSS,
+    ALONG,
+    CENTRE,
+    HALF_PI,
+    NAMES,
+    SPREAD,
+    WEFT,
+    corrected,
+    hump,
+    hump_limits,
+    shape_of,
+    uncorrected,
+)
 from nishiki.brdf.cloth.yarn_fit import Measured, fit_normal, fit_yarn_facets
-from nishiki.brdf.cloth.yarn_parameters import CENTRE, NAMES, SPREAD, shape_of, vector_of
 from nishiki.brdf.torrance_sparrow import fresnel
 from nishiki.errors import UserError
 from nishiki.goniometry.hemisphere import complete
@@ -142,12 +161,6 @@ def test_extreme_shapes_stay_finite():
             x = CENTRE.copy()
             x[k] += low * SPREAD[k]
             assert np.all(np.isfinite(uncorrected(shape_of(x), [0.5], [0.0]).evaluate(views[:, None], views[None])))
-
-
-def test_vector_and_shape_are_inverse():
-    x = CENTRE + SPREAD * RNG.normal(size=CENTRE.size)
-    assert np.allclose(vector_of(shape_of(x)), x)
-    assert len(NAMES) == CENTRE.size == SPREAD.size
 
 
 def test_correction_is_periodic_and_constant_beyond_45_degrees():

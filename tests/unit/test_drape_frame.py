@@ -13,8 +13,7 @@ from nishiki.render.cloth.frame import RenderVariant, render
 from nishiki.render.cloth.local import disc_point
 from nishiki.render.cloth.scene import AmbientLight, ClothScene, Lamp, Matte, Surface
 from nishiki.render.cloth.sheet import cylinder, paper, sheet, swatch
-from nishiki.render.cloth.studio import linear_colour
-from nishiki.render.cloth.view import framed
+from nishiki.render.cloth.studio import framed, linear_colour
 
 WARD = Ward(diffuse=np.array([0.1, 0.2, 0.3]), specular=np.array([0.3, 0.3, 0.3]), alpha_x=0.4, alpha_y=0.15)
 

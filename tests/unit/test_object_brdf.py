@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from nishiki.brdf.texels.flags import TexelFlag
 from nishiki.brdf.texels.lighting import Lighting
 from nishiki.brdf.texels.object_fit import fit_object
-from nishiki.brdf.texels.parameters import Parameters
+from nishiki.brdf.texels.parameters import Parameters, TexelFlag
 from nishiki.brdf.texels.texel_fit import lambert
 from nishiki.brdf.texels.tile import Capture, Tile
 from nishiki.geometry.camera import Camera

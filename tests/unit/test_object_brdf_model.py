@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nishiki.brdf.texels.environment import fit_environment, harmonics
+from nishiki.brdf.texels.environment import fit_environment, fit_highlight, harmonics, hemisphere
 from nishiki.brdf.texels.fill import fill
-from nishiki.brdf.texels.highlight import fit_highlight, hemisphere
 from nishiki.brdf.texels.lighting import DISTANT, ENVIRONMENT, POINT, Lamp, Lighting
 from nishiki.brdf.texels.model import GRAZING, factors, predict
 from nishiki.brdf.texels.neighbours import Lattice, Neighbourhood, spread

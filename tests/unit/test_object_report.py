@@ -13,8 +13,7 @@ from pages import make_artifact, parsed
 from nishiki.artifacts.artifact import ArtifactWriter
 from nishiki.artifacts.stage import Context
 from nishiki.atlas.atlas import Atlas
-from nishiki.brdf.texels.flags import TexelFlag
-from nishiki.brdf.texels.parameters import Parameters
+from nishiki.brdf.texels.parameters import Parameters, TexelFlag
 from nishiki.brdf.texels.store import ParameterMaps, ParameterWriter
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.cameras_file import save_cameras

@@ -15,8 +15,7 @@ from examples import run_examples
 import nishiki
 from nishiki.artifacts.provenance import PACKAGE, SOURCE, code_files, program_of
 from nishiki.brdf.cloth.store import save_brdf
-from nishiki.brdf.cloth.yarn_facets import uncorrected
-from nishiki.brdf.cloth.yarn_parameters import CENTRE, shape_of
+from nishiki.brdf.cloth.yarn_facets import CENTRE, shape_of, uncorrected
 from nishiki.stages.table import NAMES
 
 INIT = SOURCE / PACKAGE / "__init__.py"

@@ -13,8 +13,7 @@ from nishiki.geometry.camera import Camera
 from nishiki.geometry.camera_path import rotation_matrix
 from nishiki.geometry.mesh import Mesh
 from nishiki.render.display import developed, three_channels
-from nishiki.render.object.coverage import block_mean, coverage, reduced
-from nishiki.render.object.film import places
+from nishiki.render.object.film import block_mean, coverage, places, reduced
 
 
 def camera(distortion=(0.0,) * 5, *, turned=0.4):

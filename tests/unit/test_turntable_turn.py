@@ -13,7 +13,7 @@ from nishiki.geometry.camera_path import (
     turned,
     twist,
 )
-from nishiki.render.object.interpolation import lagrange, neighbours
+from nishiki.render.object.shots import lagrange, neighbours
 
 AXIS = np.array([0.1, 0.97, -0.2]) / np.linalg.norm([0.1, 0.97, -0.2])
 POINT = np.array([0.3, -0.2, 0.5])

@@ -6,7 +6,7 @@ import numpy as np
 
 from nishiki.colour.encoding import decode
 from nishiki.render.display import developed, three_channels
-from nishiki.render.object.coverage import block_mean
+from nishiki.render.object.film import block_mean
 
 AMPLIFIED = 10
 

@@ -6,12 +6,11 @@ import numpy as np
 
 from nishiki.brdf.cloth.bard import GreatCircleBard, LinearBard, ScaledBard
 from nishiki.brdf.cloth.facets import read_facets
-from nishiki.brdf.cloth.measures import incidences
+from nishiki.brdf.cloth.measures import incidences, solid_angles
 from nishiki.brdf.cloth.oblique import choose_oblique
 from nishiki.brdf.cloth.peer_fit import PARAMETERS, PRIORS, fit_peer
-from nishiki.brdf.cloth.weights import solid_angles
+from nishiki.brdf.cloth.yarn_facets import NAMES
 from nishiki.brdf.cloth.yarn_fit import Measured, fit_normal, fit_yarn_facets
-from nishiki.brdf.cloth.yarn_parameters import NAMES
 from nishiki.errors import UserError
 
 DEFAULT = "yarn_facets"

@@ -9,11 +9,10 @@ choice can be made before the images are taken.
 import numpy as np
 
 from nishiki.brdf.cloth.interface import polar
+from nishiki.brdf.cloth.measures import single
 from nishiki.brdf.cloth.parametric import ShapeFit
-from nishiki.brdf.cloth.weights import single
-from nishiki.brdf.cloth.yarn_facets import shape_parts
+from nishiki.brdf.cloth.yarn_facets import shape_of, shape_parts
 from nishiki.brdf.cloth.yarn_fit import MISS_OBLIQUE, brdf_of, levels
-from nishiki.brdf.cloth.yarn_parameters import shape_of
 
 STEEPEST = np.radians(80.0)  # views beyond are left out: a goniometer's cosines are least certain there
 NEIGHBOUR = 2 * np.sin(np.radians(20.0) / 2)  # distance of unit vectors 20 degrees apart

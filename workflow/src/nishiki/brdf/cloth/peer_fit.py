@@ -5,10 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from nishiki.brdf.cloth.interface import halves
-from nishiki.brdf.cloth.measures import incidences
+from nishiki.brdf.cloth.measures import incidences, single
 from nishiki.brdf.cloth.parametric import ShapeFit, fit_shape
 from nishiki.brdf.cloth.peers import AshikhminShirley, Ggx, Ward
-from nishiki.brdf.cloth.weights import single
 from nishiki.brdf.cloth.yarn_fit import MISS, MISS_OBLIQUE, Measured, normal_weights, refuse_black
 
 # Shape parameters as logarithms (the reflectance a logit, the index log(n - 1)): prior centres and spreads, then starts

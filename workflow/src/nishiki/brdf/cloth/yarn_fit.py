@@ -11,11 +11,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nishiki.brdf.cloth.interface import polar
-from nishiki.brdf.cloth.measures import hemisphere, incidences
+from nishiki.brdf.cloth.measures import hemisphere, incidences, single, solid_angles, together
 from nishiki.brdf.cloth.parametric import ShapeFit, fit_shape
-from nishiki.brdf.cloth.weights import single, solid_angles, together
-from nishiki.brdf.cloth.yarn_facets import YarnFacets, corrected, shape_parts, uncorrected
-from nishiki.brdf.cloth.yarn_parameters import CENTRE, SPREAD, shape_of
+from nishiki.brdf.cloth.yarn_facets import CENTRE, SPREAD, YarnFacets, corrected, shape_of, shape_parts, uncorrected
 from nishiki.errors import UserError
 
 NORMAL = np.array([0.0, 0.0, 1.0])

@@ -7,9 +7,8 @@ import numpy as np
 
 from nishiki.brdf.texels import texel_fit
 from nishiki.brdf.texels.fill import fill
-from nishiki.brdf.texels.flags import TexelFlag
 from nishiki.brdf.texels.object_fit import DEFAULT_SIGMA, ObjectFit
-from nishiki.brdf.texels.parameters import Parameters
+from nishiki.brdf.texels.parameters import Parameters, TexelFlag
 from nishiki.brdf.texels.tile import Capture, Tile
 
 

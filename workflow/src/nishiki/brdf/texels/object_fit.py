@@ -19,9 +19,8 @@ import numpy as np
 from nishiki.brdf.flags import FitFlag
 from nishiki.brdf.texels import texel_fit
 from nishiki.brdf.texels.fill import fill
-from nishiki.brdf.texels.flags import TexelFlag
 from nishiki.brdf.texels.neighbours import Field, Lattice, Neighbourhood, spread
-from nishiki.brdf.texels.parameters import Parameters
+from nishiki.brdf.texels.parameters import Parameters, TexelFlag
 from nishiki.brdf.texels.tile import Capture, Tile
 
 WIDTHS = ("smooth", "texel", "object")

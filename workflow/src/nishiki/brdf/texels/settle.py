@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nishiki.brdf.texels.environment import fit_environment, residuals
-from nishiki.brdf.texels.highlight import fit_highlight
+from nishiki.brdf.texels.environment import fit_environment, fit_highlight, residuals
 from nishiki.brdf.texels.lighting import TO_LAMP_FRAME, Lighting
 from nishiki.brdf.texels.model import factors
 from nishiki.brdf.texels.tile import Tile

@@ -26,9 +26,8 @@ from nishiki.geometry.camera import Camera
 from nishiki.geometry.camera_path import camera_between, fit_turn
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.raster import interpolate, rasterise
-from nishiki.render.object.interpolation import Method, Neighbours, neighbours
 from nishiki.render.object.pixels import asked_for, by_tile, extend, look_up, mix
-from nishiki.render.object.shots import ObjectPicture, Prepared, Shot, Tile
+from nishiki.render.object.shots import Method, Neighbours, ObjectPicture, Prepared, Shot, Tile, neighbours
 from nishiki.render.object.visibility import DepthMaps
 from nishiki.threads import threads as given_threads
 

@@ -7,11 +7,16 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.artifacts.stage import Context
-from nishiki.brdf.cloth.measures import directional_albedo, incidences, prediction_error, reciprocity_error
+from nishiki.brdf.cloth.measures import (
+    directional_albedo,
+    incidences,
+    prediction_error,
+    reciprocity_error,
+    solid_angles,
+)
 from nishiki.brdf.cloth.models import Fitted, fit_models
 from nishiki.brdf.cloth.store import save_brdf
 from nishiki.brdf.cloth.table import TableBrdf, goniometer_rows, utia_planes
-from nishiki.brdf.cloth.weights import solid_angles
 from nishiki.brdf.cloth.yarn_fit import Measured
 from nishiki.errors import UserError
 from nishiki.goniometry.directions import unit

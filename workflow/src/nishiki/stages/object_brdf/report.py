@@ -9,7 +9,7 @@ import numpy as np
 from nishiki.artifacts.artifact import Artifact
 from nishiki.atlas.atlas import Atlas
 from nishiki.atlas.store import ATLAS
-from nishiki.brdf.texels.flags import TexelFlag
+from nishiki.brdf.texels.parameters import TexelFlag
 from nishiki.brdf.texels.store import ParameterMaps
 from nishiki.report.colour_map import sea
 from nishiki.report.numbers import figure, percent
