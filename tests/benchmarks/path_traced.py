@@ -13,7 +13,6 @@ Needs mitsuba, and libLLVM 19 named by DRJIT_LIBLLVM_PATH. Seconds a painting ar
 """
 
 import argparse
-import csv
 import json
 import os
 import sys
@@ -22,16 +21,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.ndimage import map_coordinates
 
 PROJECT = Path(__file__).resolve().parents[2]
 sys.path[0] = str(PROJECT / "scripts")
-sys.path.insert(1, str(PROJECT / "workflow" / "src"))
+sys.path[1:1] = [str(PROJECT / "workflow" / "src"), str(PROJECT / "tests")]
 
-WAVELENGTHS = np.arange(400.0, 701.0, 20.0)  # nm, traced four at a time; spectra are straight between them
-FINE = np.arange(400.0, 701.0, 5.0)  # nm, of the truth's spectra
-VERTICES = 4  # of the mesh, a pixel and side
-PITCH_MM = 0.2
+from brush_relief import PITCH_MM, VERTICES, split, surface, vertex_normals  # noqa: E402
+from measured_paints import FINE, WAVELENGTHS, camera_curves, lamp_power, palette  # noqa: E402
+
+from nishiki.simulate.folders import Truth, write_csv, write_image  # noqa: E402
+
 BOARD = 0.96  # reflectance of the white board
 WHITE_LEVEL, BITS, BLACK = 0.65, 12, 32  # share of full scale of a white facing the lamp; of the converter
 FULL_WELL, READ_NOISE = 30_000.0, 6.0  # electrons
@@ -103,157 +103,6 @@ def main():
 def all_paintings() -> dict[str, Painting]:
     """Both halves."""
     return {**PAINTINGS["tuned"], **PAINTINGS["unseen"]}
-
-
-# ---------------------------------------------------------------- measured tables
-
-
-def read_rows(path: Path) -> dict[str, np.ndarray]:
-    """Lines `"name" value value ...`."""
-    rows = {}
-    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
-        parts = line.rsplit('"', 1)
-        if len(parts) == 2 and parts[0].startswith('"'):
-            rows[parts[0][1:]] = np.array(parts[1].split(), float)
-    return rows
-
-
-def absorption_and_scattering(spectra: Path, pigments: str, rng) -> tuple[np.ndarray, np.ndarray]:
-    """K and S (paints, 16) of nine chosen paints, the first the whitest."""
-    if pigments == "okumura":
-        table = np.array(list(read_rows(spectra / "paints_okumura" / "okumura_ks.txt").values()))
-        nm = np.linspace(360.0, 750.0, table.shape[1] // 2)
-        k, s = (resampled(nm, part) for part in np.split(table, 2, axis=1))
-    else:
-        table = np.array(
-            [r for r in read_rows(spectra / "paints_measured" / f"{pigments}.rs").values() if len(r) == 36]
-        )
-        measured = np.clip(resampled(np.linspace(380.0, 730.0, 36), table), 0.005, 0.97)
-        inside = below_surface(measured, 1.5)
-        k, s = (1 - inside) ** 2 / (2 * inside), np.ones_like(inside)
-    light = (k / s).mean(axis=1)
-    order = np.concatenate([[np.argmin(light)], rng.permutation(len(light))])
-    chosen = order[np.sort(np.unique(order, return_index=True)[1])][:9]
-    return np.maximum(k[chosen], 1e-5), np.maximum(s[chosen], 1e-5)
-
-
-def resampled(nm: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Rows at the traced wavelengths, the end value beyond the table."""
-    return np.array([np.interp(WAVELENGTHS, nm, row) for row in values])
-
-
-def below_surface(measured: np.ndarray, index: float) -> np.ndarray:
-    """Reflectance below the surface from that measured above it. J. L. Saunderson, JOSA 32, 1942; diffuse inside."""
-    outside = ((index - 1) / (index + 1)) ** 2
-    inside = 1 - (1 - 0.0918) / index**2  # diffuse light from within, E. A. Lusher's value for 1.5 outside: 0.0918
-    level = measured / ((1 - outside) * (1 - inside) + inside * measured)
-    return np.clip(level, 0.004, 0.985)
-
-
-def palette(spectra: Path, painting: Painting, rng, count: int = 28) -> np.ndarray:
-    """(count, 16) reflectances of mixed paints: R = 1 + K/S - sqrt((K/S)^2 + 2 K/S), Kubelka and Munk 1931."""
-    k, s = absorption_and_scattering(spectra, painting.pigments, rng)
-    mixed = []
-    for i in range(count):
-        parts = np.zeros(len(k))
-        colours = rng.choice(np.arange(1, len(k)), size=rng.choice([1, 1, 2, 3]), replace=False)
-        parts[colours] = rng.dirichlet(np.ones(len(colours)))
-        white = 0.0 if i % 4 == 0 else rng.uniform(0.1, 0.97)
-        parts = parts * (1 - white)
-        parts[0] += white
-        ratio = (parts @ k) / (parts @ s)
-        mixed.append(1 + ratio - np.sqrt(ratio**2 + 2 * ratio))
-    return np.clip(np.array(mixed), 0.004, 0.985)
-
-
-def camera_curves(spectra: Path, name: str) -> np.ndarray:
-    """(3, 61) red, green, blue."""
-    lines = (spectra / "cameras" / "camspec_database.txt").read_text().splitlines()
-    at = [line.strip() for line in lines].index(name)
-    table = np.array([line.split() for line in lines[at + 1 : at + 4]], float)
-    return np.array([np.interp(FINE, np.linspace(400.0, 720.0, 33), row) for row in table])
-
-
-def lamp_power(spectra: Path, name: str, nm: np.ndarray) -> np.ndarray:
-    """Relative spectral power."""
-    file = {"A": "cie.stdillum.A.spd", "D65": "cie.stdillum.D6500.spd"}[name]
-    table = np.loadtxt(spectra / "illuminants" / file)
-    return np.interp(nm, table[:, 0], table[:, 1])
-
-
-# ---------------------------------------------------------------- relief and composition
-
-
-def noise(rng, shape, length) -> np.ndarray:
-    """Smooth random field of standard deviation 1; correlation length in vertices."""
-    field = gaussian_filter(rng.standard_normal(shape), length, mode="wrap")
-    return (field - field.mean()) / field.std()
-
-
-def surface(painting: Painting, rows: int, columns: int, paints: int) -> tuple[np.ndarray, np.ndarray]:
-    """Heights in mm and paint numbers on the vertices (rows VERTICES + 1, columns VERTICES + 1)."""
-    rng = np.random.default_rng(painting.seed)
-    shape, step = (rows * VERTICES + 1, columns * VERTICES + 1), PITCH_MM / VERTICES
-    y, x = (axis * step for axis in np.indices(shape, float))
-    area = noise(rng, shape, 60) + 0.5 * noise(rng, shape, 20)
-    label = np.clip(((area - area.min()) / np.ptp(area) * paints * 0.999).astype(int), 0, paints - 1)
-    label = rng.permutation(paints)[label]
-    height = 0.12 * noise(rng, shape, 90)
-    if painting.relief == "canvas":
-        height = height * 0.3 + weave(x, y, 0.9 + 0.2 * rng.random(), 0.055)
-        size, thick, count, bristles = (6.0, 1.6), 0.02, 260, 0.003
-    elif painting.relief == "impasto":
-        size, thick, count, bristles = (7.0, 2.6), 0.16, 330, 0.010
-    else:
-        size, thick, count, bristles = (9.0, 2.0), 0.06, 420, 0.011
-    turn = np.pi * noise(rng, shape, 150)
-    for _ in range(count):
-        stroke(rng, height, label, turn, step, size, thick, bristles, paints)
-    height = painting.gain * gaussian_filter(height, 0.09 / step) + 0.0006 * noise(rng, shape, 1.5)
-    return height, label
-
-
-def weave(x, y, pitch, depth) -> np.ndarray:
-    """Plain weave: yarns over and under each other."""
-    i, j = np.round(x / pitch), np.round(y / pitch)
-    over = 1 - 2 * ((i + j) % 2)
-    u, v = np.cos(np.pi * (x / pitch - i)), np.cos(np.pi * (y / pitch - j))
-    return depth * np.maximum(u * (1 + 0.6 * over * v), v * (1 - 0.6 * over * u))
-
-
-def stroke(rng, height, label, turn, step, size, thick, bristles, paints) -> None:
-    """One stroke of the brush or knife over what lies there: raised edges, furrows of the bristles, its own paint."""
-    rows, columns = height.shape
-    row, column = rng.integers(rows), rng.integers(columns)
-    long, wide = size[0] * rng.uniform(0.5, 1.4) / 2, size[1] * rng.uniform(0.6, 1.3) / 2
-    reach = int(np.hypot(long, wide) / step) + 2
-    r0, r1, c0, c1 = max(row - reach, 0), min(row + reach, rows), max(column - reach, 0), min(column + reach, columns)
-    yy, xx = np.mgrid[r0:r1, c0:c1].astype(float)
-    angle = turn[row, column] + rng.normal(0, 0.35)
-    dx, dy = (xx - column) * step, (yy - row) * step
-    u = (np.cos(angle) * dx + np.sin(angle) * dy) / long
-    v = (-np.sin(angle) * dx + np.cos(angle) * dy) / wide + rng.normal(0, 0.25) * u**2
-    ragged = 0.12 * np.interp(v, np.linspace(-1.5, 1.5, 40), rng.standard_normal(40))
-    inside = 1 / (1 + np.exp((np.abs(v) - 1) * 18)) / (1 + np.exp((np.abs(u + ragged) - 1) * 18))
-    furrows = np.interp(v, np.linspace(-1.5, 1.5, 64), gaussian_filter(rng.standard_normal(64), 0.8))
-    fade = 0.6 + 0.4 * np.cos(2.2 * u + rng.uniform(0, 6))
-    edge = 0.35 * np.exp(-(((np.abs(v) - 0.85) / 0.14) ** 2)) + 0.5 * np.exp(-(((u - 0.85) / 0.12) ** 2))
-    body = thick * rng.uniform(0.5, 1.2) * (0.7 * (1 - 0.4 * v**2) + edge) + bristles * furrows * fade
-    patch = height[r0:r1, c0:c1]
-    patch[...] = patch * (1 - 0.55 * inside) + inside * body
-    if rng.random() < 0.75:
-        label[r0:r1, c0:c1][inside > 0.5] = rng.integers(paints)
-
-
-def vertex_normals(height: np.ndarray) -> np.ndarray:
-    """(.., 3), x right, y up, z to the viewer."""
-    step = PITCH_MM / VERTICES
-    down, right = np.gradient(height, step)
-    found = np.stack([-right, down, np.ones_like(height)], axis=-1)
-    return found / np.linalg.norm(found, axis=-1, keepdims=True)
-
-
-# ---------------------------------------------------------------- light
 
 
 def lamps(painting: Painting) -> list[tuple[str, str, np.ndarray]]:
@@ -394,27 +243,6 @@ class Studio:
         return np.array(found)
 
 
-def split(height, label, shape) -> dict:
-    """Meshes {paint: (points, normals, faces)}; a quadrangle belongs to the paint of its first corner."""
-    step, (rows, columns) = PITCH_MM / VERTICES, height.shape
-    y, x = np.indices(height.shape) * step
-    points = np.stack([x, -y, height], axis=-1).reshape(-1, 3)
-    normals = vertex_normals(height).reshape(-1, 3)
-    corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)[None, :]).ravel()
-    faces = np.stack(
-        [corner, corner + columns, corner + 1, corner + 1, corner + columns, corner + columns + 1], axis=-1
-    )
-    own, found = label[:-1, :-1].ravel(), {}
-    for number in np.unique(own):
-        picked = faces[own == number].reshape(-1, 3)
-        used, index = np.unique(picked, return_inverse=True)
-        found[int(number)] = (points[used], normals[used], index.reshape(-1, 3))
-    return found
-
-
-# ---------------------------------------------------------------- capture and truth
-
-
 def make(folder: Path, painting: Painting, options) -> None:
     """One capture, sealed, and its truth."""
     from nishiki.capture.seal import seal
@@ -423,7 +251,7 @@ def make(folder: Path, painting: Painting, options) -> None:
         raise SystemExit(f"{folder}: exists already; remove it or choose another folder")
     use_mitsuba()
     shape, rng = (options.rows, options.columns), np.random.default_rng(painting.seed)
-    reflectances = palette(options.spectra, painting, rng)
+    reflectances = palette(options.spectra, painting.pigments, rng)
     height, label = surface(painting, *shape, len(reflectances))
     studio = Studio(painting, height, label, reflectances, shape, options.samples)
     view = Observer(options.spectra, painting, shape)
@@ -432,7 +260,7 @@ def make(folder: Path, painting: Painting, options) -> None:
     rig, truth = lamps(painting), {"lit": [], "xyz_lamp": [], "xyz_d65": [], "gloss": [], "body": []}
     frames = [(f"dark/{i}.png", "dark", "") for i in (1, 2, 3)]
     for file, *_ in frames:
-        write_png(draft / file, view.codes(np.zeros((*shape, 3))))
+        write_image(draft / file, view.codes(np.zeros((*shape, 3))))
     for name, role, towards in rig:
         studio.set_lamp(towards)
         light = studio.spectral()
@@ -449,7 +277,7 @@ def make(folder: Path, painting: Painting, options) -> None:
         board = np.full((*shape, 3), BOARD * towards[2])
         for kind, values in ((role, view.channels(light)), ("white", board)):
             file = f"{'white' if kind == 'white' else 'frames'}/{name}.png"
-            write_png(draft / file, view.codes(values))
+            write_image(draft / file, view.codes(values))
             frames.append((file, kind, name))
     write_description(draft, folder.name, painting, view, rig, frames)
     write_truth(folder.with_name(f"{folder.name}-truth"), studio, height, label, rig, truth, shape)
@@ -506,22 +334,6 @@ class Observer:
         return np.clip(np.rint(BLACK + seen / FULL_WELL * (full - BLACK)), 0, full).astype(np.uint16)
 
 
-def write_png(path: Path, codes) -> None:
-    """RGB of 16 bits."""
-    import cv2
-
-    path.parent.mkdir(exist_ok=True)
-    if not cv2.imwrite(str(path), codes[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 1]):
-        raise SystemExit(f"{path}: could not be written")
-
-
-def write_csv(path: Path, rows) -> None:
-    """A table with its heading."""
-    path.parent.mkdir(exist_ok=True)
-    with path.open("w", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerows(rows)
-
-
 def write_description(draft: Path, name: str, painting: Painting, view: Observer, rig, frames) -> None:
     """capture.yaml, frames.csv, lamps and curves."""
     (draft / "capture.yaml").write_text(
@@ -534,6 +346,7 @@ def write_description(draft: Path, name: str, painting: Painting, view: Observer
     write_csv(draft / "frames.csv", [("file", "role", "light"), *frames])
     lines = [f"{lamp} " + " ".join(f"{v:.6f}" for v in towards) for lamp, _, towards in rig]
     (draft / "lights.lp").write_text("\n".join([str(len(rig)), *lines]) + "\n")
+    (draft / "spectra").mkdir()
     curves = [(f"{w:g}", *(f"{v:.8f}" for v in row)) for w, row in zip(FINE, view.curves.T, strict=True)]
     write_csv(draft / "spectra" / "camera.csv", [("wavelength_nm", "red", "green", "blue"), *curves])
     power = [(f"{w:g}", f"{p:.6f}") for w, p in zip(FINE, view.power, strict=True)]
@@ -542,8 +355,6 @@ def write_description(draft: Path, name: str, painting: Painting, view: Observer
 
 def write_truth(folder: Path, studio: Studio, height, label, rig, lights: dict, shape) -> None:
     """truth.zarr, named as nishiki.evaluate.truth reads it."""
-    import zarr
-
     rows, columns = shape
     place = [studio.y.ravel() / PITCH_MM * VERTICES, studio.x.ravel() / PITCH_MM * VERTICES]
     normals = [
@@ -561,10 +372,10 @@ def write_truth(folder: Path, studio: Studio, height, label, rig, lights: dict, 
         "roughness": np.array([studio.painting.alpha], np.float32),
         **{name: np.array(values) for name, values in lights.items()},
     }
-    group = zarr.open_group(folder / "truth.zarr", mode="w", zarr_format=3)
+    truth = Truth(folder)
     for name, values in arrays.items():
-        group.create_array(name, shape=values.shape, dtype=values.dtype, chunks=values.shape)[...] = values
-    group.attrs.update(
+        truth.put(name, values)
+    truth.group.attrs.update(
         lights=[name for name, *_ in rig],
         checks=[name for name, role, _ in rig if role == "check"],
         directions=[towards.tolist() for *_, towards in rig],
