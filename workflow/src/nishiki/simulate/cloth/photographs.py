@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from nishiki.simulate.cloth.filament import body, facets, in_frame
-from nishiki.simulate.cloth.reflectance import Cloth, blocks, bounced
+from nishiki.simulate.cloth.reflectance import Cloth, blocks, cell_maps
 from nishiki.simulate.cloth.settings import GoniometerSettings, unit
 from nishiki.simulate.randomness import subkey, uniform
 from nishiki.simulate.sensor import expose
@@ -20,7 +19,6 @@ BASE_S = 1.0 / 15.0  # exposure in which a perfect white that faces the lamp rea
 STOPS = (-3, 8)  # exposures are base · 2^k
 BRIGHTEST = 0.85  # share of full scale that the brightest pixel of a photograph may reach
 TINT = (0.86, 1.0, 0.78)  # what a white gives in each channel, the largest = 1
-BINS_A_YARN = 2
 _SAMPLES = 24  # a pixel
 _R2 = (0.7548776662466927, 0.5698402909980532)  # Roberts' sequence in two dimensions: 1/p, 1/p², p³ = p + 1
 
@@ -50,49 +48,6 @@ def photographs(cloths: tuple[Cloth, ...], settings: GoniometerSettings) -> Iter
             signal = light * (settings.camera.white_level * exposure / BASE_S)
             key = subkey(settings.seed, f"cloth noise {row}")
             yield Shot(int(row), expose(signal, settings.camera, key=key), exposure, reflectance)
-
-
-def cell_maps(cloth: Cloth, lamps, views, index: np.ndarray) -> np.ndarray:
-    """BRDF as the camera sees it over one period of the cloth: (pairs, bins in y, bins in x, channels), 1/sr.
-
-    A point is seen where its line of sight meets the plane z = 0. Light that met the yarns more than once is
-    spread evenly. The mean over the bins is the BRDF of `trace`.
-    """
-    solids, points = cloth.solids, cloth.points
-    shape = (BINS_A_YARN * len(solids.weft.shape), BINS_A_YARN * len(solids.warp.shape))
-    cell = np.array([solids.weft.length, solids.warp.length])
-    maps = np.zeros((len(index), *shape, cloth.dye.shape[1]))
-    over_rows(
-        _bin, len(index), index, lamps.directions, views.directions, lamps.lit, views.lit, points.place,
-        points.frame, points.area, points.kind, cloth.surface, cloth.dye, cell, maps,
-    )  # fmt: skip
-    maps *= shape[0] * shape[1]
-    maps += bounced(cloth, lamps, views, index)[:, None, None]
-    cosines = lamps.directions[index[:, 0], 2] * views.directions[index[:, 1], 2]
-    return maps / (solids.area * cosines[:, None, None, None])
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _bin(start, stop, index, lamps, views, lit, seen, place, frame, area, kind, surface, dye, cell, maps):
-    rows, columns, channels = maps.shape[1:]
-    for n in range(start, stop):
-        lamp, view = index[n, 0], index[n, 1]
-        sx, sy, sz = lamps[lamp, 0], lamps[lamp, 1], lamps[lamp, 2]
-        tx, ty, tz = views[view, 0], views[view, 1], views[view, 2]
-        for p in range(area.shape[0]):
-            share = np.float64(lit[lamp, p]) * np.float64(seen[view, p]) * area[p]
-            if share > 0.0:
-                f, k = frame[p], kind[p]
-                ix, iy, iz = in_frame(sx, sy, sz, f)
-                ox, oy, oz = in_frame(tx, ty, tz, f)
-                mirror = facets(ix, iy, iz, ox, oy, oz, surface[k, 0], surface[k, 1], surface[k, 2])
-                white = body(iz, oz, surface[k, 2])
-                u = (place[p, 0] - place[p, 2] * tx / tz) / cell[0]
-                v = (place[p, 1] - place[p, 2] * ty / tz) / cell[1]
-                i = min(int((u - math.floor(u)) * columns), columns - 1)
-                j = min(int((v - math.floor(v)) * rows), rows - 1)
-                for channel in range(channels):
-                    maps[n, j, i, channel] += share * (mirror + dye[k, channel] * white)
 
 
 def on_sensor(cells: list[np.ndarray], cloths, angles_deg: np.ndarray, settings: GoniometerSettings) -> np.ndarray:

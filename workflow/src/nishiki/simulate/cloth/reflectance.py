@@ -25,6 +25,7 @@ _DIRECTIONS = 64  # held at a time
 _STRONG = 0.05  # ends that pass on less than this (1/sr) are traced by lot, at least one in
 _LOT = 8.0
 _GOLDEN = 0.6180339887498949
+BINS_A_YARN = 2
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,7 @@ def trace(settings: ClothSettings | Cloth, incident, outgoing, **quality) -> np.
     )
     values = np.zeros((len(incident), cloth.dye.shape[1]))
     for rows, lamps, views, index in blocks(cloth, incident, outgoing):
-        values[rows] = pair_values(cloth, lamps, views, index)
+        values[rows] = cell_maps(cloth, lamps, views, index).mean(axis=(1, 2))
     return values
 
 
@@ -129,18 +130,47 @@ def _enter(cloth: Cloth, directions: np.ndarray, lit: np.ndarray, ends: Ends) ->
     return out
 
 
-def pair_values(cloth: Cloth, lamps: Reach, views: Reach, index: np.ndarray) -> np.ndarray:
-    """BRDF (pairs, channels): index (pairs, 2) says which lamp and which view belong together."""
-    parts = np.empty((len(index), 4))
-    points = cloth.points
+def cell_maps(cloth: Cloth, lamps, views, index: np.ndarray) -> np.ndarray:
+    """BRDF as the camera sees it over one period of the cloth: (pairs, bins in y, bins in x, channels), 1/sr.
+
+    A point is seen where its line of sight meets the plane z = 0. Light that met the yarns more than once is
+    spread evenly. The mean over the bins is the BRDF.
+    """
+    solids, points = cloth.solids, cloth.points
+    shape = (BINS_A_YARN * len(solids.weft.shape), BINS_A_YARN * len(solids.warp.shape))
+    cell = np.array([solids.weft.length, solids.warp.length])
+    maps = np.zeros((len(index), *shape, cloth.dye.shape[1]))
     over_rows(
-        _direct, len(index), index, lamps.directions, views.directions, lamps.lit, views.lit,
-        points.frame, points.area, points.kind, cloth.surface, parts,
+        _bin, len(index), index, lamps.directions, views.directions, lamps.lit, views.lit, points.place,
+        points.frame, points.area, points.kind, cloth.surface, cloth.dye, cell, maps,
     )  # fmt: skip
-    values = parts[:, :2].sum(axis=1)[:, None] + parts[:, 2:] @ cloth.dye
-    values = values + bounced(cloth, lamps, views, index)
+    maps *= shape[0] * shape[1]
+    maps += bounced(cloth, lamps, views, index)[:, None, None]
     cosines = lamps.directions[index[:, 0], 2] * views.directions[index[:, 1], 2]
-    return values / (cloth.solids.area * cosines[:, None])
+    return maps / (solids.area * cosines[:, None, None, None])
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _bin(start, stop, index, lamps, views, lit, seen, place, frame, area, kind, surface, dye, cell, maps):
+    rows, columns, channels = maps.shape[1:]
+    for n in range(start, stop):
+        lamp, view = index[n, 0], index[n, 1]
+        sx, sy, sz = lamps[lamp, 0], lamps[lamp, 1], lamps[lamp, 2]
+        tx, ty, tz = views[view, 0], views[view, 1], views[view, 2]
+        for p in range(area.shape[0]):
+            share = np.float64(lit[lamp, p]) * np.float64(seen[view, p]) * area[p]
+            if share > 0.0:
+                f, k = frame[p], kind[p]
+                ix, iy, iz = in_frame(sx, sy, sz, f)
+                ox, oy, oz = in_frame(tx, ty, tz, f)
+                mirror = facets(ix, iy, iz, ox, oy, oz, surface[k, 0], surface[k, 1], surface[k, 2])
+                white = body(iz, oz, surface[k, 2])
+                u = (place[p, 0] - place[p, 2] * tx / tz) / cell[0]
+                v = (place[p, 1] - place[p, 2] * ty / tz) / cell[1]
+                i = min(int((u - math.floor(u)) * columns), columns - 1)
+                j = min(int((v - math.floor(v)) * rows), rows - 1)
+                for channel in range(channels):
+                    maps[n, j, i, channel] += share * (mirror + dye[k, channel] * white)
 
 
 def bounced(cloth: Cloth, lamps: Reach, views: Reach, index: np.ndarray) -> np.ndarray:
@@ -192,22 +222,3 @@ def _ends(start, stop, directions, lit, point, place, frame, kind, toward, numbe
             white = body(iz, oz, surface[k, 2])
             for channel in range(out.shape[1]):
                 out[d, channel, p] = iz * (mirror + dye[k, channel] * white) / share
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _direct(start, stop, index, lamps, views, lit, seen, frame, area, kind, surface, parts):
-    """parts (pairs, 4): mirror reflection of warp and weft, reflection of white bodies of warp and weft."""
-    for n in range(start, stop):
-        lamp, view = index[n, 0], index[n, 1]
-        sx, sy, sz = lamps[lamp, 0], lamps[lamp, 1], lamps[lamp, 2]
-        tx, ty, tz = views[view, 0], views[view, 1], views[view, 2]
-        parts[n] = 0.0
-        for p in range(area.shape[0]):
-            share = np.float64(lit[lamp, p]) * np.float64(seen[view, p])
-            if share > 0.0:
-                f, k = frame[p], kind[p]
-                ix, iy, iz = in_frame(sx, sy, sz, f)
-                ox, oy, oz = in_frame(tx, ty, tz, f)
-                mirror = facets(ix, iy, iz, ox, oy, oz, surface[k, 0], surface[k, 1], surface[k, 2])
-                parts[n, k] += share * area[p] * mirror
-                parts[n, 2 + k] += share * area[p] * body(iz, oz, surface[k, 2])
