@@ -125,7 +125,7 @@ def bands(scene, lights):
     gloss = scene.gloss
     lamps = np.array([[*light.homogeneous(), _reference2(light)] for light in lights])
     weights = _powers(lights)[:, None] * cie_1931_cmfs()
-    _bands(scene.normals, scene.coefficients, scene.basis, lamps, weights, pixel_to_plane(scene),
+    _bands(scene.normals, scene.coefficients, scene.basis, lamps, weights, pixel_to_plane(scene.pitch, scene.shape),
            gloss.gamma[0, 0], gloss.refractive_index[0], gloss.beta[0, 0], out)  # fmt: skip
     return out
 
@@ -141,7 +141,7 @@ def _powers(lights):
 def _weights(scene, lights, kind):
     """Diffuse and specular weight of each light at each pixel, in plain NumPy."""
     rows, columns = scene.shape
-    normals, plane = scene.normals.astype(kind), pixel_to_plane(scene)
+    normals, plane = scene.normals.astype(kind), pixel_to_plane(scene.pitch, scene.shape)
     points = np.zeros((rows, columns, 3), kind)
     points[..., 0] = plane[0, 0] * np.arange(columns) + plane[0, 2]
     points[..., 1] = (plane[1, 1] * np.arange(rows) + plane[1, 2])[:, None]

@@ -108,7 +108,7 @@ def test_sampling_is_bilinear_and_normals_stay_unit():
 
 def test_a_pinhole_sees_a_ramp_where_its_rays_meet_it():
     rows, columns = 200, 260
-    plane = pixel_to_plane(flat(rows, columns))
+    plane = pixel_to_plane(flat(rows, columns).pitch, (rows, columns))
     column, row = np.meshgrid(np.arange(columns), np.arange(rows))
     ramp = 0.5 + 0.002 * (plane[0, 0] * column + plane[0, 2]) - 0.001 * (plane[1, 1] * row + plane[1, 2])
     view = dataclasses.replace(OBLIQUE, field_of_view=0.5)

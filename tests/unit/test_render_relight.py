@@ -50,30 +50,6 @@ def test_prediction_is_the_model_in_the_channels_of_the_camera(channels):
     assert np.all(predicted[0].flags == 0)
 
 
-def test_tiles_make_the_whole():
-    normals, albedo, labels, height = maps()
-    lights = [Light(direction=(1, 2, 2)), Light(position_mm=(-20, 15, 30), angular_radius=0.03)]
-    settings = {"gloss": GLOSS, "pitch": 0.8}
-    whole = list(predict_observations(normals, albedo, lights, labels=labels, **settings))
-    tile = np.s_[8:19, 5:33]
-    parts = list(
-        predict_observations(
-            normals[tile], albedo[tile], lights, labels=labels[tile], origin=(8, 5), whole=(30, 41), **settings
-        )
-    )
-    for a, b in zip(whole, parts, strict=True):
-        np.testing.assert_allclose(b.observations, a.observations[tile], rtol=1e-6)
-    shadowed = list(predict_observations(normals, albedo, lights, height=height, **settings))
-    tiles = list(
-        predict_observations(
-            normals[tile], albedo[tile], lights, height=height[tile], origin=(8, 5), whole=(30, 41), **settings
-        )
-    )
-    # in the middle of the tile, further from its edge than any shadow is long
-    for a, b in zip(shadowed, tiles, strict=True):
-        np.testing.assert_allclose(b.observations[5:-5, 8:-8], a.observations[tile][5:-5, 8:-8], rtol=1e-5, atol=2e-5)
-
-
 def test_missing_normals_and_shapes():
     normals, albedo, _, height = maps()
     normals[3, 4] = 0

@@ -337,7 +337,8 @@ def test_grazing_light_and_view_stay_finite():
 
 
 def test_pixel_to_plane_puts_the_first_row_at_the_top():
-    plane = pixel_to_plane(make_scene(rows=3, columns=5))
+    scene = make_scene(rows=3, columns=5)
+    plane = pixel_to_plane(scene.pitch, scene.shape)
     np.testing.assert_allclose(plane @ [0, 0, 1], [-1.4, 0.7, 1], atol=1e-12)
     np.testing.assert_allclose(plane @ [2, 1, 1], [0, 0, 1], atol=1e-12)
 

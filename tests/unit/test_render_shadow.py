@@ -10,7 +10,7 @@ from nishiki.errors import UserError
 from nishiki.evaluate.prediction import FittedModel, predict_light
 from nishiki.photometric.height import integrate_normals
 from nishiki.render.plane.scene import Light
-from nishiki.render.plane.shadow import cast_shadows, shadow_reach
+from nishiki.render.plane.shadow import cast_shadows
 
 
 def relief(rows=40, columns=57, seed=0, amplitude=6.0):
@@ -114,7 +114,6 @@ def test_a_wall_casts_a_shadow_of_its_height_over_the_tangent():
         expected = np.ones(60)
         expected[(np.arange(60) < 30) & (30 - np.arange(60) < length)] = 0
         np.testing.assert_array_equal(visibility, np.broadcast_to(expected, (9, 60)))
-    assert shadow_reach(height, light, pitch=1.0) >= length
 
 
 def test_rows_run_downwards():

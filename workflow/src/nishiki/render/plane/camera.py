@@ -178,4 +178,4 @@ def _sample(
 
 def map_from_plane(scene: PlaneScene) -> np.ndarray:
     """(3, 3): (x, y, 1) on the painting to (column, row, 1) of the maps."""
-    return np.linalg.inv(pixel_to_plane(scene))
+    return np.linalg.inv(pixel_to_plane(scene.pitch, scene.shape))

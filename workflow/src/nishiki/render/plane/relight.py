@@ -12,7 +12,7 @@ import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.render.plane.scene import Gloss, Light
-from nishiki.render.plane.shade import ColourGroups, shade_channels, tile_to_plane
+from nishiki.render.plane.shade import ColourGroups, pixel_to_plane, shade_channels
 from nishiki.render.plane.shadow import cast_shadows
 
 
@@ -37,16 +37,12 @@ def predict_observations(
     height: np.ndarray | None = None,
     pitch: float = 1.0,
     shadows: str = "sweep",
-    origin: tuple[int, int] = (0, 0),
-    whole: tuple[int, int] | None = None,
 ) -> Iterator[Prediction]:
     """One prediction a light, in order, so that a stack of them need not be held in memory.
 
     normals: (rows, columns, 3); albedo: (rows, columns, channels), perfect white 1; shading, slopes, gloss, labels,
     height, pitch as in `PlaneScene`; shadows: "sweep", "march" or "none".  The spectra of the lights are not used; a
-    white board at the same place has divided out intensity and fall-off, which should therefore stay 1 and False.  For
-    a tile, `origin` is its first (row, column) and `whole` the (rows, columns) of the map: directions to near lamps are
-    those of the whole.
+    white board at the same place has divided out intensity and fall-off, which should therefore stay 1 and False.
     """
     if albedo.ndim != 3 or albedo.shape[:2] != normals.shape[:2] or normals.shape[2:] != (3,):
         raise UserError(
@@ -55,8 +51,7 @@ def predict_observations(
         )
     if height is not None and height.shape != normals.shape[:2]:
         raise UserError(f"height: expected the shape of the normals {normals.shape[:2]}, found {height.shape}")
-    whole = normals.shape[:2] if whole is None else whole
-    plane = tile_to_plane(pitch, origin, whole)
+    plane = pixel_to_plane(pitch, normals.shape[:2])
     channels = albedo.shape[2]
     groups = ColourGroups(
         np.eye(channels)[None], np.zeros((1, channels)), np.ones((1, channels)), np.zeros(1, np.int64), 0
@@ -64,7 +59,7 @@ def predict_observations(
     for light in lights:
         visibility = None
         if height is not None and shadows != "none":
-            cast = cast_shadows(height, [light], pitch=pitch, method=shadows, origin=origin, whole=whole)
+            cast = cast_shadows(height, [light], pitch=pitch, method=shadows)
             visibility = cast.visibility
         seen = shade_channels(
             normals,

@@ -89,7 +89,7 @@ def shade_xyz(
         gloss=scene.gloss,
         labels=scene.labels,
         visibility=visibility,
-        plane=pixel_to_plane(scene) if plane is None else plane,
+        plane=pixel_to_plane(scene.pitch, scene.shape) if plane is None else plane,
         eye=eye,
         ambient_level=ambient.level,
     )
@@ -156,19 +156,9 @@ def shade_channels(
     return Shading(values, flags)
 
 
-def pixel_to_plane(
-    scene: PlaneScene, *, origin: tuple[int, int] = (0, 0), whole: tuple[int, int] | None = None
-) -> np.ndarray:
-    """(3, 3): (column, row, 1) of the maps to (x, y, 1) on the painting; (0, 0) at its centre, y up.
-
-    For maps that are a tile, `origin` is their first (row, column) and `whole` the (rows, columns) of the painting.
-    """
-    return tile_to_plane(scene.pitch, origin, scene.shape if whole is None else whole)
-
-
-def tile_to_plane(pitch: float, origin: tuple[int, int], whole: tuple[int, int]) -> np.ndarray:
-    """`pixel_to_plane` without a scene."""
-    left, top = origin[1] - (whole[1] - 1) / 2, (whole[0] - 1) / 2 - origin[0]
+def pixel_to_plane(pitch: float, shape: tuple[int, int]) -> np.ndarray:
+    """(3, 3): (column, row, 1) of maps (rows, columns) to (x, y, 1) on the painting; (0, 0) at its centre, y up."""
+    left, top = -(shape[1] - 1) / 2, (shape[0] - 1) / 2
     return np.array([[pitch, 0, pitch * left], [0, -pitch, pitch * top], [0, 0, 1]], dtype=np.float64)
 
 

@@ -39,15 +39,11 @@ def cast_shadows(
     *,
     pitch: float,
     method: str = "sweep",
-    origin: tuple[int, int] = (0, 0),
-    whole: tuple[int, int] | None = None,
 ) -> CastShadows:
     """What each pixel sees of each lamp.  height: (rows, columns), in the unit of `pitch`.
 
     method: "sweep" (lamps at a finite distance are marched all the same) or "march".  A lamp of angular radius 0 gives
-    hard edges; otherwise it is a uniform disc that a straight horizon cuts.  For a tile, `origin` is its first (row,
-    column) and `whole` the (rows, columns) of the map; further than `shadow_reach` from the tile's edges the result is
-    that of the whole map, where no pieces of the tile meet outside it.
+    hard edges; otherwise it is a uniform disc that a straight horizon cuts.
     """
     if method not in ("sweep", "march"):
         raise UserError(f"shadow method: expected sweep or march, found {method!r}; choose one of the two")
@@ -61,10 +57,9 @@ def cast_shadows(
     visibility = np.empty((len(lights), *height.shape), np.float32)
     for j, light in enumerate(lights):
         if method == "sweep" and light.position_mm is None:
-            visibility[j] = _sweep_light(surface, pieces, count, light, pitch, origin)
+            visibility[j] = _sweep_light(surface, pieces, count, light, pitch)
         else:
-            size = height.shape if whole is None else whole
-            _march_light(surface, pieces, light, pitch, origin, size, visibility[j])
+            _march_light(surface, pieces, light, pitch, visibility[j])
         visibility[j][~known] = 1
     shadowed = 1 - visibility.mean(axis=(1, 2), dtype=np.float64)
     return CastShadows(visibility, shadowed, int(known.size - np.count_nonzero(known)))
@@ -84,8 +79,8 @@ def separate_pieces(known: np.ndarray) -> tuple[np.ndarray, int]:
     return (np.ascontiguousarray(pieces, np.int32), count + 1) if count > 1 else (np.zeros((0, 0), np.int32), 1)
 
 
-def _sweep_light(surface, pieces, count: int, light: Light, pitch: float, origin: tuple[int, int]) -> np.ndarray:
-    """Visibility (rows, columns) of a lamp at infinity; the lines of a tile are those of the whole map."""
+def _sweep_light(surface, pieces, count: int, light: Light, pitch: float) -> np.ndarray:
+    """Visibility (rows, columns) of a lamp at infinity; the same lines from either side."""
     x, y, z = light.central_direction()
     elevation = float(np.arctan2(z, np.hypot(x, y)))
     azimuth = np.arctan2(y, x)
@@ -106,8 +101,7 @@ def _sweep_light(surface, pieces, count: int, light: Light, pitch: float, origin
     rows, columns = surface.shape
     drift = slope * (columns - 1)
     first, last = int(np.floor(min(0.0, -drift))) - 1, int(np.ceil(rows - 1 + max(0.0, -drift))) + 1
-    start = origin[0] if swap else origin[1]
-    phase = (-slope * (start + columns - 1) if flip else slope * start) % 1.0
+    phase = (-slope * (columns - 1)) % 1.0 if flip else 0.0
     step = pitch * np.hypot(1.0, slope)
     floor = _lowest_tangent(elevation, light.angular_radius)
     out = np.ones(surface.shape, np.float32)
@@ -123,21 +117,6 @@ def _sweep_light(surface, pieces, count: int, light: Light, pitch: float, origin
     return out.T if swap else out
 
 
-def shadow_reach(height: np.ndarray, light: Light, *, pitch: float) -> int:
-    """Pixels beyond a tile that can cast a shadow into it: the relief's range over half the tangent of the elevation.
-
-    For a lamp at a finite distance, of its lowest elevation over the map.
-    """
-    relief = float(np.nanmax(height) - np.nanmin(height))
-    x, y, z = light.homogeneous()[:3]
-    horizontal = float(np.hypot(x, y))
-    if light.position_mm is not None:
-        horizontal += 0.5 * pitch * float(np.hypot(*height.shape))
-    floor = _lowest_tangent(np.arctan2(z, horizontal), light.angular_radius)
-    longest = int(np.ceil(np.hypot(*height.shape)))
-    return longest if floor <= 0 else min(longest, int(np.ceil(relief / floor / pitch)) + 1)
-
-
 def _lowest_tangent(elevation: float, radius: float) -> float:
     """Horizons below this cannot matter: half the tangent of the lamp's lower edge, as the sweep averages two lines.
 
@@ -150,14 +129,14 @@ def _rows_of(kernel, *arguments):
     return lambda first, last: kernel(first, last, *arguments)
 
 
-def _march_light(surface, pieces, light, pitch, origin, whole, out) -> None:
+def _march_light(surface, pieces, light, pitch, out) -> None:
     source = light.homogeneous()
-    rows, columns = whole
+    rows, columns = surface.shape
     scaled = source[:3] / (pitch if source[3] else 1.0)
     # to pixels: columns to the right, rows downwards, heights in pixels too
     column, row = scaled[0], -scaled[1]
     if source[3]:
-        column, row = column + (columns - 1) / 2 - origin[1], row + (rows - 1) / 2 - origin[0]
+        column, row = column + (columns - 1) / 2, row + (rows - 1) / 2
     highest = float(np.nanmax(surface)) / pitch if np.any(np.isfinite(surface)) else 0.0
     arguments = (surface, pieces, pitch, column, row, scaled[2], source[3], highest, light.angular_radius, out)
     over_rows(_rows_of(horizon.march, *arguments), len(surface))
