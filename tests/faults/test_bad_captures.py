@@ -16,6 +16,7 @@ from nishiki.errors import UserError
 from nishiki.formats.problems import CaptureError
 from nishiki.observations.check import check_capture
 from nishiki.observations.plane_store import write_observations
+from nishiki.stages.ingest.declaration import IngestSettings
 
 ROWS, COLUMNS = 24, 32
 CAMERA = {"channels": ["red", "green", "blue"], "encoding": "linear", "bits": 12, "saturation": 0.98}
@@ -311,7 +312,7 @@ def test_ingest_refuses_what_it_cannot_use(tmp_path, name):
     change, kind, _ = BROKEN[name]
     change(folder)
     with pytest.raises(UserError) as caught:
-        write_observations(load_capture(folder), tmp_path / "o")
+        write_observations(load_capture(folder), tmp_path / "o", settings=IngestSettings())
     assert isinstance(caught.value, CaptureError)
     assert kind in {p.kind for p in caught.value.problems}
 
@@ -354,7 +355,7 @@ def test_codes_near_the_top_of_fewer_bits_are_told_where_no_bits_are_stated(tmp_
     edit_yaml(folder, camera=camera)
     told = [p for p in check_capture(folder, level="full") if p.kind == "bits-unsaid"]
     assert [f"camera.bits: {bits};" in str(p) for p in told] == ([True] if bits else [])
-    diagnostics = write_observations(load_capture(folder), tmp_path / "o")
+    diagnostics = write_observations(load_capture(folder), tmp_path / "o", settings=IngestSettings())
     assert any("camera.bits" in text for text in diagnostics.warnings) == bool(bits)
     edit_yaml(folder, camera={**camera, "bits": 16})
     assert "bits-unsaid" not in {p.kind for p in check_capture(folder, level="full")}
@@ -404,7 +405,7 @@ def test_ingest_proves_every_file_of_a_sealed_capture(tmp_path, name):
     else:
         path.write_text(path.read_text() + "\n")
     with pytest.raises(CaptureError) as caught:
-        write_observations(load_capture(folder), tmp_path / "o")
+        write_observations(load_capture(folder), tmp_path / "o", settings=IngestSettings())
     assert [p.kind for p in caught.value.problems] == ["seal-changed"]
     assert name in str(caught.value)
     assert sorted(p.file for p in check_capture(folder, level="full") if p.kind == "seal-changed") == [f"data/{name}"]

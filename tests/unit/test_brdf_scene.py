@@ -21,6 +21,7 @@ from nishiki.observations.plane_store import write_observations
 from nishiki.progress import Progress
 from nishiki.stages.brdf.declaration import BrdfSettings
 from nishiki.stages.brdf.run import fit_regions, gather
+from nishiki.stages.ingest.declaration import IngestSettings
 
 VIEW = np.array([0.0, 0.0, 1.0])
 INDEX = 1.45
@@ -206,7 +207,9 @@ def test_twelve_orders_of_radiometric_scale():
 def test_the_stage_tells_outliers_in_the_unit_of_the_observations(tmp_path, reflectance, unit):
     """Without a white board observations have any unit; cells that end at 10^6 of another one hold outliers and
     highlights together, and the strength came out 1.7 times too large."""
-    write_observations(load_capture(make_capture(tmp_path / "c", rows=24, columns=32)), tmp_path)
+    write_observations(
+        load_capture(make_capture(tmp_path / "c", rows=24, columns=32)), tmp_path, settings=IngestSettings()
+    )
     frames = Observations(tmp_path)
     out = MapWriter(tmp_path, rows=24, columns=32, band_rows=frames.band_rows, stamp={})
     out.write("normals", np.broadcast_to(np.array([0, 0, 1], np.float32), (24, 32, 3)))

@@ -10,6 +10,7 @@ from nishiki.capture.folder import load_capture
 from nishiki.observations.check import check_capture
 from nishiki.observations.pairs_check import find_exchanges, level_problems
 from nishiki.observations.plane_store import write_observations
+from nishiki.stages.ingest.declaration import IngestSettings
 
 
 def dome(lamps=16, seed=0):
@@ -148,5 +149,5 @@ def test_check_and_ingest_tell_an_exchanged_board(tmp_path, options):
     assert told.kind == "white-exchanged"
     assert "white/L01.png for light L01" in told.found
     assert "white/L09.png for light L09" in told.found
-    diagnostics = write_observations(load_capture(folder), tmp_path)
+    diagnostics = write_observations(load_capture(folder), tmp_path, settings=IngestSettings())
     assert any("other boards fit better" in text for text in diagnostics.warnings)

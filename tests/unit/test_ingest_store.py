@@ -16,8 +16,9 @@ from nishiki.capture.folder import load_capture
 from nishiki.errors import UserError
 from nishiki.observations.check import check_capture
 from nishiki.observations.plane import Observations
-from nishiki.observations.plane_store import IngestSettings, write_observations
+from nishiki.observations.plane_store import write_observations
 from nishiki.observations.tiles import rows_of_band
+from nishiki.stages.ingest.declaration import IngestSettings
 
 ROWS, COLUMNS = 24, 32
 TEXTURE = 0.5 * (0.8 + 0.2 * np.random.default_rng(1).random((ROWS, COLUMNS, 3)))
@@ -25,7 +26,7 @@ TEXTURE = 0.5 * (0.8 + 0.2 * np.random.default_rng(1).random((ROWS, COLUMNS, 3))
 
 def ingest(folder, out, **settings):
     capture = load_capture(folder)
-    diagnostics = write_observations(capture, out, settings=IngestSettings(**settings))
+    diagnostics = write_observations(capture, out, settings=IngestSettings.model_construct(**settings))
     return Observations(out), diagnostics
 
 
@@ -185,7 +186,7 @@ def test_any_part_is_the_part_of_the_whole(tmp_path, compression):
     folder = make_capture(tmp_path / "c", rows=70, columns=40)
     capture = load_capture(folder)
     whole, _ = ingest(folder, tmp_path / "a", compression=compression)
-    settings = IngestSettings(tile_mib=0, compression=compression)
+    settings = IngestSettings.model_construct(tile_mib=0, compression=compression)
     write_observations(capture, tmp_path / "b", settings=settings)
     banded = Observations(tmp_path / "b")
     assert banded.band_rows == 8
@@ -278,7 +279,12 @@ def test_float_frames_with_region_and_progress(tmp_path):
     edit_yaml(folder, camera={}, region_of_interest=[3, 2, 12, 20])
     seen = []
     capture = load_capture(folder)
-    write_observations(capture, tmp_path / "o", progress=lambda done, of, file: seen.append((done, of, file)))
+    write_observations(
+        capture,
+        tmp_path / "o",
+        settings=IngestSettings(),
+        progress=lambda done, of, file: seen.append((done, of, file)),
+    )
     observations = Observations(tmp_path / "o")
     values, valid = observations.read(slice(0, 12))
     expected = frames[:, 3:15, 2:22]
@@ -356,7 +362,8 @@ MEMORY = """
 import sys
 from nishiki.artifacts.run_facts import peak_memory_kib
 from nishiki.capture.folder import load_capture
-from nishiki.observations.plane_store import IngestSettings, write_observations
+from nishiki.observations.plane_store import write_observations
+from nishiki.stages.ingest.declaration import IngestSettings
 write_observations(load_capture(sys.argv[1]), sys.argv[2], settings=IngestSettings(channels="luminance"))
 print(peak_memory_kib() / 1024)
 """

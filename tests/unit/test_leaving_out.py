@@ -16,7 +16,6 @@ from nishiki.observations.choice import chosen
 from nishiki.observations.goniometer import Measurements
 from nishiki.observations.goniometer_store import write_goniometer
 from nishiki.observations.plane import Observations
-from nishiki.observations.plane_store import IngestSettings as PlaneSettings
 from nishiki.observations.plane_store import write_observations
 from nishiki.observations.tiles import bands_with_object
 from nishiki.observations.views import Views
@@ -27,7 +26,7 @@ WHOLE = slice(0, 24)
 
 
 def plane(folder: Path, output: Path, **settings) -> Observations:
-    write_observations(load_capture(folder), output, settings=PlaneSettings(**settings))
+    write_observations(load_capture(folder), output, settings=IngestSettings.model_construct(**settings))
     return Observations(output)
 
 

@@ -101,7 +101,8 @@ def read_observations(capture: str | Path, *, white_block: int = 16) -> Observed
     """
     from nishiki.capture.folder import load_capture
     from nishiki.observations.plane import Observations
-    from nishiki.observations.plane_store import IngestSettings, write_observations
+    from nishiki.observations.plane_store import write_observations
+    from nishiki.stages.ingest.declaration import IngestSettings
 
     described = load_capture(capture)
     if described.geometry != "plane":

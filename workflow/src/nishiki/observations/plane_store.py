@@ -36,26 +36,13 @@ MANY_REGIONS = 256
 
 
 class Settings(Protocol):
-    """What ingest reads of its settings."""
+    """What ingest reads of its settings (`nishiki.stages.ingest.declaration.IngestSettings`)."""
 
     channels: str
     white_block: int
     tile_mib: int
     compression: Literal["none", "zstd"]
     without: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class IngestSettings:
-    """channels: which to keep (auto: all); white_block: pixels of a gain block (1: per pixel, Tominaga and Tanaka
-    (2004), eq. 3); tile_mib: float memory of one band over all lights; compression of the stored codes; without: parts
-    that are not opened."""
-
-    channels: str = "all"
-    white_block: int = 16
-    tile_mib: int = 128
-    compression: Literal["none", "zstd"] = "none"
-    without: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -95,7 +82,7 @@ def write_observations(
     capture: Capture,
     folder: Path | str,
     *,
-    settings: Settings | None = None,
+    settings: Settings,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> IngestDiagnostics:
     """Write `frames.zarr` into the folder, which must not hold one; read it with `Observations`.
@@ -103,7 +90,6 @@ def write_observations(
     progress(done, of, file) is called once a photograph. Two frames at a time are in memory. Raises CaptureError
     (a UserError) for photographs that cannot be used.
     """
-    settings = settings or IngestSettings()
     choice = chosen(capture, settings.without)
     capture = choice.capture
     tick = PhotographCounter(
