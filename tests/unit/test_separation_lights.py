@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from nishiki.errors import UserError
 from nishiki.photometric import light_selection as rooms
-from nishiki.photometric.light_selection import select_diffuse
+from nishiki.photometric.light_selection import pack_lights, select_diffuse, unpack_lights
 from nishiki.photometric.ranks import sorting_network
 
 
@@ -212,3 +212,11 @@ def test_wrong_directions_are_named():
         select_diffuse(stack, lights * 2)
     with pytest.raises(UserError, match="three axes"):
         select_diffuse(stack[0], lights)
+
+
+@pytest.mark.parametrize("lights", [1, 7, 8, 9, 41])
+def test_chosen_lights_come_back_from_their_bits(lights):
+    chosen = np.random.default_rng(lights).random((lights, 5, 6)) < 0.5
+    packed = pack_lights(chosen)
+    np.testing.assert_array_equal(np.moveaxis(packed, -1, 0), np.packbits(chosen, axis=0, bitorder="little"))
+    np.testing.assert_array_equal(unpack_lights(np.ascontiguousarray(packed), lights), chosen)

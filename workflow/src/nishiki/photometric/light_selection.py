@@ -181,3 +181,24 @@ def checked_valid(stack, valid, shape):
         raise UserError(f"mask of valid samples: expected shape {shape} as the observations, found {valid.shape}")
     known = np.ascontiguousarray(valid.reshape(stack.shape))
     return known if finite else known & np.isfinite(stack)
+
+
+def pack_lights(chosen: np.ndarray) -> np.ndarray:
+    """Samples (lights, rows, columns) bool as bits (rows, columns, bytes): bit j of byte i is light 8 i + j.
+
+    A light at a time, all pixels at once: packing along the axis of the lights takes twenty times as long.
+    """
+    planes = np.zeros((-(-len(chosen) // 8), *chosen.shape[1:]), np.uint8)
+    for j, light in enumerate(chosen.view(np.uint8)):
+        planes[j // 8] |= light << (j % 8)
+    return np.moveaxis(planes, 0, -1)
+
+
+def unpack_lights(packed: np.ndarray, lights: int) -> np.ndarray:
+    """Samples (lights, rows, columns) bool of the bits of `pack_lights`."""
+    planes = np.ascontiguousarray(np.moveaxis(packed, -1, 0))
+    chosen = np.empty((lights, *packed.shape[:-1]), np.uint8)
+    for j in range(lights):
+        np.right_shift(planes[j // 8], j % 8, out=chosen[j])
+        chosen[j] &= 1
+    return chosen.view(bool)

@@ -22,6 +22,7 @@ from nishiki.observations.parcels import Parcel, parcels
 from nishiki.observations.plane import Observations
 from nishiki.photometric import flags as bits
 from nishiki.photometric.body_colour import body_intensity
+from nishiki.photometric.light_selection import unpack_lights
 from nishiki.photometric.reflectance import diffuse_reflectance, mean_of_channels
 from nishiki.photometric.relighting import FEW_LIGHTS as RELIGHT_LIGHTS
 from nishiki.photometric.relighting import fit_relighting
@@ -74,7 +75,7 @@ def map_tiles(context: Context) -> dict:
         packed = None if selection is None else selection.read("usable", band)
         for rows, observations, valid in frames.strips(band, lights=lights):
             strip = slice(rows.start - band.start, rows.stop - band.start)
-            usable = valid if packed is None else unpacked(packed[strip], len(lights))
+            usable = valid if packed is None else unpack_lights(packed[strip], len(lights))
             for parcel in parcels(frames, rows, lights):
                 area = np.s_[:, parcel.rows, parcel.columns]
                 maps = solve(observations[area], usable[area], valid[area], parcel, context.settings, profile)
@@ -312,12 +313,7 @@ def read_usable(selection: Maps | None, band: slice, lights: int, valid: np.ndar
     """Samples (lights, rows, columns) that separate chose; all valid ones where it was left out."""
     if selection is None:
         return valid
-    return unpacked(selection.read("usable", band), lights)
-
-
-def unpacked(packed: np.ndarray, lights: int) -> np.ndarray:
-    """Samples (lights, rows, columns) bool of bits (rows, columns, bytes)."""
-    return np.unpackbits(np.moveaxis(packed, -1, 0), axis=0, count=lights, bitorder="little").view(bool)
+    return unpack_lights(selection.read("usable", band), lights)
 
 
 def count_flags(flags: np.ndarray, inside: np.ndarray) -> dict[str, int]:

@@ -9,7 +9,7 @@ from nishiki.model_selection.decision import economy
 from nishiki.model_selection.fit_lights import choose_lights
 from nishiki.observations.parcels import Parcel, parcels
 from nishiki.observations.plane import Observations
-from nishiki.photometric.light_selection import select_diffuse
+from nishiki.photometric.light_selection import pack_lights, select_diffuse
 from nishiki.stages.separate.declaration import SeparateSettings
 
 
@@ -36,7 +36,7 @@ def map_tiles(context: Context) -> dict:
         for rows_of_strip, observations, valid in frames.strips(band, lights=lights, channel="mean"):
             strip = slice(rows_of_strip.start - band.start, rows_of_strip.stop - band.start)
             chosen, found = select(frames, rows_of_strip, lights, observations, valid, settings)
-            packed[strip] = np.moveaxis(np.packbits(chosen, axis=0, bitorder="little"), 0, -1)
+            packed[strip] = pack_lights(chosen)
             counts[:, strip] = found
             totals += [np.count_nonzero(chosen), *(a.sum(dtype=np.int64) for a in found), np.count_nonzero(valid)]
         usable[band], highlights[band], shadows[band] = packed, *counts
