@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import combinations
-from math import comb
 
 import numpy as np
 
@@ -13,7 +11,8 @@ from nishiki.geometry.camera import NO_DISTORTION, Camera
 
 LEAST_POINTS = 4
 DRAWS = 400
-STEPS = 100
+CONFIDENCE = 0.9999
+STOP = (3, 100, 1e-15)  # of Levenberg-Marquardt: so many steps, or one that changes nothing
 # Where the second pose of a flat set fits worse by less than this many noise variances, the picture cannot tell.
 DISTINCT = 20.0
 FLAT = 0.05
@@ -49,9 +48,9 @@ def estimate_pose(
     columns: int,
     outlier_px: float,
 ) -> Pose:
-    """Start from the best of many four-point solutions (SQPnP: G. Terzakis and M. Lourakis, ECCV 2020; scored as in
-    MSAC), then Levenberg-Marquardt on the points within outlier_px, until they stay the same. Draws are fixed: equal
-    input gives equal output.
+    """Start from the pose of a few points that most others agree with (RANSAC of SQPnP: G. Terzakis and M. Lourakis,
+    ECCV 2020), then Levenberg-Marquardt on the points within outlier_px, until they stay the same. Draws are fixed:
+    equal input gives equal output.
 
     Raises UserError, naming the view and what to do: fewer than 4 points; points on a line; fewer than 5, or less than
     half of them, agree with one pose; points behind the camera; flat points with two poses that fit equally well.
@@ -60,7 +59,7 @@ def estimate_pose(
     _expect_spread(sight, np.ones(len(sight.points), bool))
     whole, (sight, middle, size) = sight, _unit(sight)
     lens = _Lens.of(intrinsics, distortion, rows, columns)
-    start = _best_draw(sight, lens, outlier_px)
+    start = _first_pose(sight, lens, outlier_px)
     if start is None:
         raise UserError(f"view {sight.name!r}: no camera sees these {len(sight.points)} points there. {REMEDY}")
     vector, inliers = _settle(sight, lens, start, outlier_px)
@@ -162,36 +161,16 @@ def _expect_spread(sight: Sight, chosen: np.ndarray) -> None:
             )
 
 
-def _best_draw(sight: Sight, lens: _Lens, outlier_px: float) -> np.ndarray | None:
-    """Rotation vector and translation (6,) of the draw of four points that the others contradict least."""
-    count = len(sight.points)
-    pixels = lens.straighten(sight.pixels)
-    draws = (
-        combinations(range(count), LEAST_POINTS)
-        if comb(count, LEAST_POINTS) <= DRAWS
-        else (np.random.default_rng(draw).choice(count, LEAST_POINTS, replace=False) for draw in range(DRAWS))
-    )
-    best, least = None, np.inf
-    for chosen in (list(range(count)), *(list(draw) for draw in draws)):
-        vector = _solve(lens, sight.points[chosen], pixels[chosen])
-        if vector is None:
-            continue
-        errors = _errors(lens, vector, sight.points, sight.pixels)
-        score = np.minimum(errors, outlier_px**2).sum()
-        if score < least:
-            best, least = vector, score
-    return best
-
-
-def _solve(lens: _Lens, points: np.ndarray, pixels: np.ndarray) -> np.ndarray | None:
+def _first_pose(sight: Sight, lens: _Lens, outlier_px: float) -> np.ndarray | None:
+    """Rotation vector and translation (6,) that most of the points agree with; None where there is none."""
     import cv2
 
-    try:
-        done, turn, shift = cv2.solvePnP(points, pixels, lens.upright, lens.distortion, flags=cv2.SOLVEPNP_SQPNP)
-    except cv2.error:
-        return None
-    vector = np.concatenate([turn.ravel(), shift.ravel()]) if done else None
-    return vector if done and np.isfinite(vector).all() else None
+    done, turn, shift, _ = cv2.solvePnPRansac(
+        sight.points, lens.straighten(sight.pixels), lens.upright, lens.distortion,
+        iterationsCount=DRAWS, reprojectionError=outlier_px, confidence=CONFIDENCE, flags=cv2.SOLVEPNP_SQPNP,
+    )  # fmt: skip
+    vector = np.concatenate([turn.ravel(), shift.ravel()]) if done else np.full(6, np.nan)
+    return vector if np.isfinite(vector).all() else None
 
 
 def _errors(lens: _Lens, vector: np.ndarray, points: np.ndarray, pixels: np.ndarray) -> np.ndarray:
@@ -215,38 +194,14 @@ def _settle(sight: Sight, lens: _Lens, vector: np.ndarray, outlier_px: float) ->
 
 
 def _refine(lens: _Lens, vector: np.ndarray, points: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """Levenberg-Marquardt from rotation vector and translation (6,), scaled by the columns of the Jacobian."""
-    straight = lens.straighten(pixels)
-    errors, slopes = _residuals(lens, vector, points, straight)
-    best, damping = errors @ errors, 1e-3
-    for _ in range(STEPS):
-        scale = np.linalg.norm(slopes, axis=0)
-        scale[scale == 0] = 1.0
-        scaled = slopes / scale
-        step = np.linalg.solve(scaled.T @ scaled + damping * np.eye(6), -scaled.T @ errors) / scale
-        tried, tried_slopes = _residuals(lens, vector + step, points, straight)
-        total = tried @ tried
-        if not total < best:
-            damping *= 8
-            if damping > 1e8:
-                break
-            continue
-        settled = best - total <= 1e-14 * best
-        vector, errors, slopes, best, damping = vector + step, tried, tried_slopes, total, max(damping / 8, 1e-12)
-        if settled:
-            break
-    return vector
-
-
-def _residuals(
-    lens: _Lens, vector: np.ndarray, points: np.ndarray, straight: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """(2 n,) pixels off and (2 n, 6) their derivatives by rotation vector and translation."""
+    """The pose of least squares from rotation vector and translation (6,), by Levenberg-Marquardt."""
     import cv2
 
-    shape = np.ascontiguousarray(points, np.float64)
-    found, slopes = cv2.projectPoints(shape, vector[:3], vector[3:], lens.upright, lens.distortion)[:2]
-    return (found.reshape(-1, 2) - straight).ravel(), np.asarray(slopes)[:, :6]
+    turn, shift = vector[:3, None].copy(), vector[3:, None].copy()  # columns: others are not changed
+    cv2.solvePnPRefineLM(
+        np.ascontiguousarray(points), lens.straighten(pixels), lens.upright, lens.distortion, turn, shift, STOP
+    )
+    return np.concatenate([turn.ravel(), shift.ravel()])
 
 
 def _expect_one(sight: Sight, lens: _Lens, vector: np.ndarray, inliers: np.ndarray) -> np.ndarray:

@@ -83,7 +83,13 @@ def _write_exr(path: Path, header: dict, channels: dict, stamp: Mapping[str, str
 
 def write_png(path: Path, pixels: np.ndarray, *, stamp: Mapping[str, str], srgb: bool = True) -> None:
     """(rows, columns, 3) uint8 or uint16 as PNG; `srgb` says that the values are sRGB-coded colours."""
-    _write_bytes(path, _PNG_SIGNATURE + b"".join(_png_chunks(pixels, stamp, srgb)))
+    import cv2
+
+    if pixels.dtype not in (np.uint8, np.uint16) or pixels.ndim != 3 or pixels.shape[2] != 3:
+        raise UserError(f"PNG: expected (rows, columns, 3) uint8 or uint16, found {pixels.shape} {pixels.dtype}")
+    level = [cv2.IMWRITE_PNG_COMPRESSION, 6]
+    encoded = cv2.imencode(".png", np.ascontiguousarray(pixels[..., ::-1]), level)[1]
+    _write_bytes(path, _stamped_png(encoded, stamp, srgb))
 
 
 def write_normals_png(path: Path, normals: np.ndarray, *, stamp: Mapping[str, str]) -> None:
@@ -91,27 +97,13 @@ def write_normals_png(path: Path, normals: np.ndarray, *, stamp: Mapping[str, st
     write_png(path, normals_as_colours(normals), stamp=stamp, srgb=False)
 
 
-def _png_chunks(pixels: np.ndarray, stamp: Mapping[str, str], srgb: bool) -> list[bytes]:
-    import cv2
-
-    if pixels.dtype not in (np.uint8, np.uint16) or pixels.ndim != 3 or pixels.shape[2] != 3:
-        raise UserError(f"PNG: expected (rows, columns, 3) uint8 or uint16, found {pixels.shape} {pixels.dtype}")
-    level = [cv2.IMWRITE_PNG_COMPRESSION, 6]
-    encoded = cv2.imencode(".png", np.ascontiguousarray(pixels[..., ::-1]), level)[1].tobytes()
-    chunks = [chunk for chunk in _split_png(encoded) if chunk[4:8] in (b"IHDR", b"IDAT", b"IEND")]
-    # sRGB: perceptual intent; it has to stand before the image data
-    notes = [_chunk(b"sRGB", b"\x00")] if srgb else []
+def _stamped_png(encoded: np.ndarray, stamp: Mapping[str, str], srgb: bool) -> bytes:
+    """A PNG with the stamp as text, and with the note that its colours are sRGB, before the image data."""
+    content = encoded.tobytes()
+    end = len(_PNG_SIGNATURE) + 25  # of IHDR, which comes first
+    notes = [_chunk(b"sRGB", b"\x00")] if srgb else []  # perceptual intent
     notes += [_text_chunk(f"nishiki.{name}", str(text)) for name, text in stamp.items()]
-    return [chunks[0], *notes, *chunks[1:]]
-
-
-def _split_png(encoded: bytes) -> list[bytes]:
-    chunks, at = [], len(_PNG_SIGNATURE)
-    while at < len(encoded):
-        end = at + 12 + struct.unpack(">I", encoded[at : at + 4])[0]
-        chunks.append(encoded[at:end])
-        at = end
-    return chunks
+    return b"".join([content[:end], *notes, content[end:]])
 
 
 def _chunk(kind: bytes, body: bytes) -> bytes:
@@ -177,29 +169,21 @@ def write_video(
 def write_animated_png(
     path: Path, frames: Iterable[np.ndarray], *, frames_per_second: int = 25, stamp: Mapping[str, str]
 ) -> int:
-    """Frames (rows, columns, 3) uint8 sRGB as an animated PNG that repeats for ever; the number of frames."""
-    body, count, sequence, shape, head = [], 0, 0, None, []
+    """Frames (rows, columns, 3) uint8 sRGB as an animated PNG that repeats for ever; the number of frames, all of which
+    are held at once."""
+    import cv2
+
+    pictures: list[np.ndarray] = []
     for pixels in frames:
-        chunks = _png_chunks(pixels, stamp if shape is None else {}, shape is None)
-        shape = pixels.shape if shape is None else shape
-        _check_frame(pixels, shape, count)
-        control = struct.pack(">IIIIIHHBB", sequence, shape[1], shape[0], 0, 0, 1, frames_per_second, 0, 0)
-        body.append(_chunk(b"fcTL", control))
-        sequence += 1
-        data = [chunk[8:-4] for chunk in chunks if chunk[4:8] == b"IDAT"]
-        if count == 0:
-            head = [chunk for chunk in chunks if chunk[4:8] not in (b"IDAT", b"IEND")]
-            body += [_chunk(b"IDAT", part) for part in data]
-        else:
-            for part in data:
-                body.append(_chunk(b"fdAT", struct.pack(">I", sequence) + part))
-                sequence += 1
-        count += 1
-    if not count:
+        _check_frame(pixels, pictures[0].shape if pictures else pixels.shape, len(pictures))
+        pictures.append(np.ascontiguousarray(pixels[..., ::-1]))
+    if not pictures:
         raise UserError(f"{path}: expected at least one frame, found none; give a light or view path with a step")
-    animation = _chunk(b"acTL", struct.pack(">II", count, 0))
-    _write_bytes(path, b"".join([_PNG_SIGNATURE, *head, animation, *body, _chunk(b"IEND", b"")]))
-    return count
+    animation = cv2.Animation()
+    animation.frames, animation.loop_count = pictures, 0
+    animation.durations = np.full(len(pictures), round(1000 / frames_per_second))  # ms
+    _write_bytes(path, _stamped_png(cv2.imencodeanimation(".png", animation)[1], stamp, srgb=True))
+    return len(pictures)
 
 
 def _check_frame(pixels: np.ndarray, shape: tuple, number: int) -> None:
