@@ -1,10 +1,11 @@
-"""Run every benchmark and write the benchmark page.
+"""Run every benchmark and write the tables of the appendix to the benchmark page.
 
     python tests/benchmarks/page.py --data FOLDER_OF_MEASURED_DATA
     python tests/benchmarks/page.py --data FOLDER --only normals spectra      renew some, keep the others
-    python tests/benchmarks/page.py --from-results                           write the page from the stored lines
+    python tests/benchmarks/page.py --from-results                           write the tables from the stored lines
 
-The JSON lines are kept in docs/benchmarks/, the page is docs/benchmarks.md.
+The JSON lines are kept in docs/benchmarks/, the tables in docs/benchmarks-tables.md. What they show is said in words in
+docs/benchmarks.md, which is written by hand.
 """
 
 import argparse
@@ -16,10 +17,18 @@ from pathlib import Path
 
 PROJECT = Path(__file__).resolve().parents[2]
 STORED = PROJECT / "docs/benchmarks"
-PAGE = PROJECT / "docs/benchmarks.md"
+PAGE = PROJECT / "docs/benchmarks-tables.md"
+FEW_LIGHTS = ("diligent_ball-24", "diligent_ball-12", "diligent_cat-24", "diligent_cat-12", "uw_gray", "uw_cat")
+PROGRAM_OF = {"few_lights": "relighting"}
+"""Where the program is not called as its lines are."""
 PROGRAMS = {
     "normals": (["--data", "{data}"], "Normals", "normals.md"),
     "relighting": (["--data", "{data}"], "Relighting: lamps left out", "normals.md"),
+    "few_lights": (
+        ["--data", "{data}", "--refine", "auto", "gloss", "none", "--no-peers", "--only", *FEW_LIGHTS],
+        "Few lights: normals and gloss fitted together, or one after the other",
+        "normals.md",
+    ),
     "spectra": (["--data", "{data}"], "Spectra", "spectra.md"),
     "brdf": (["--data", "{data}"], "Reflection model", "brdf.md"),
     "painting": (["--data", "simulated"], "Simulated painting", None),
@@ -37,10 +46,11 @@ SHOWN = {
     "cloth_brdf": {"azimuth": "all"},
 }  # of long results; the others stay in the JSON lines
 INTRODUCTION = """\
-# Benchmarks
+# Benchmarks: tables
 
-Written by `python tests/benchmarks/page.py`; the JSON lines behind the tables are in `docs/benchmarks/`. Measured data
-are not part of the project; each program says with `--help` what it looks for. **Bold** rows are the shipped defaults.
+What these tables show is said in [benchmarks](benchmarks.md). Written by `python tests/benchmarks/page.py`; the JSON
+lines behind the tables are in `docs/benchmarks/`. Measured data are not part of the project; each program says with
+`--help` what it looks for. **Bold** rows are the shipped defaults.
 """
 
 
@@ -61,7 +71,7 @@ def measure(name: str, data: str) -> list[dict]:
     arguments = [argument.format(data=data) for argument in PROGRAMS[name][0]]
     print(f"{name} {' '.join(arguments)}", file=sys.stderr, flush=True)
     done = subprocess.run(
-        [sys.executable, str(PROJECT / f"tests/benchmarks/{name}.py"), *arguments],
+        [sys.executable, str(PROJECT / f"tests/benchmarks/{PROGRAM_OF.get(name, name)}.py"), *arguments],
         cwd=PROJECT,
         stdout=subprocess.PIPE,
         text=True,
@@ -118,7 +128,9 @@ def page() -> str:
             more += (
                 f" Shown: {', '.join(f'{key} {value}' for key, value in only.items())}; the rest is in the JSON lines."
             )
-        command = f"`python tests/benchmarks/{name}.py {' '.join(arguments).format(data='FOLDER')}`"
+        command = (
+            f"`python tests/benchmarks/{PROGRAM_OF.get(name, name)}.py {' '.join(arguments).format(data='FOLDER')}`"
+        )
         parts.append(f"## {title}\n\n{command} on {about['machine']}.{more}\n\n{tables(rows)}\n")
     return "\n".join(parts)
 
@@ -127,7 +139,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", help="folder of the measured data")
     parser.add_argument("--only", nargs="*", choices=PROGRAMS, help="programs to run (default: all)")
-    parser.add_argument("--from-results", action="store_true", help="run nothing, write the page from stored lines")
+    parser.add_argument("--from-results", action="store_true", help="run nothing, write the tables from stored lines")
     options = parser.parse_args()
     if not options.from_results and not options.data:
         parser.error("--data is needed, or --from-results")

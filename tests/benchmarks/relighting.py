@@ -2,6 +2,7 @@
 
     python tests/benchmarks/relighting.py --data FOLDER_OF_MEASURED_DATA
     python tests/benchmarks/relighting.py --data FOLDER --only uw_cat diligent_ball-12
+    python tests/benchmarks/relighting.py --data FOLDER --only uw_cat --refine auto gloss none --no-peers
 
 Every set is converted; some of its lamps are held out, and every method predicts the photographs under them from the
 others. One JSON line a set and method: mean CIEDE2000 over all pixels of the object that the photograph shows neither
@@ -105,11 +106,15 @@ def held_out(name: str, lights: tuple[str, ...]) -> list[list[str]]:
     return [list(lights[fold::8]) for fold in range(FOLDS)]
 
 
-def run_chain(folder: Path, name: str, capture: Path, lamps: list[str], truth: Path | None) -> tuple[Path, float]:
-    """The folder of the current results after a run from nothing, and the CPU seconds of the stages that fit."""
+def run_chain(folder: Path, capture: Path, lamps: list[str], truth: Path | None, refine: str) -> tuple[Path, float]:
+    """The folder of the current results after a run from nothing, and the CPU seconds of the stages that fit.
+
+    refine : setting of the stage normals, whether normals and gloss are fitted together.
+    """
     work = Path(tempfile.mkdtemp(dir=folder))
     (work / "scenes.tsv").write_text(f"scene\tcapture\ttruth\none\t{capture}\t{truth or ''}\n")
     settings = {"scenes": "scenes.tsv", "products": ["evaluate"], "hold_out": lamps}
+    settings["normals"] = {"refine": refine}
     (work / "config.yaml").write_text(yaml.safe_dump(settings))
     nishiki(work, "run", "--configfile", "config.yaml", "--cores", "1")
     current = work / "results/one/current"
@@ -220,7 +225,7 @@ def known_pixels(current: Path) -> np.ndarray:
     return (Maps(current / "normals").read("flags") & NO_ESTIMATE) == 0
 
 
-def measure(data: Path, folder: Path, name: str) -> None:
+def measure(data: Path, folder: Path, name: str, refine: list[str], peers: tuple[str, ...]) -> None:
     """Print the lines of one set."""
     capture = capture_of(data, folder, name)
     truth = data / name.partition("-")[0] / "normals_gt.npz"
@@ -228,21 +233,23 @@ def measure(data: Path, folder: Path, name: str) -> None:
     table = (capture / "data/frames.csv").read_text().splitlines()
     column = table[0].split(",").index("light")
     lights = tuple(line.split(",")[column] for line in table[1:])
-    rows = {method: {"sum": 0.0, "count": 0, "psnr": [], "angles": [], "cpu": []} for method in ("chain", *COMPARED)}
+    chains = {"default" if setting == "auto" else f"refine: {setting}": setting for setting in refine}
+    rows = {method: {"sum": 0.0, "count": 0, "psnr": [], "angles": [], "cpu": []} for method in (*chains, *peers)}
     folds = held_out(name, lights)
     for lamps in folds:
-        current, seconds = run_chain(folder, name, capture, lamps, truth)
-        chain = of_chain(current)
-        rows["chain"]["cpu"].append(seconds)
-        for key in ("sum", "count", "psnr"):
-            rows["chain"][key] += chain[key]
-        rows["chain"].setdefault("missing", chain["missing"])
-        rows["chain"]["angles"] += [chain["normals"]] if chain["normals"] is not None else []
+        for method, setting in chains.items():
+            current, seconds = run_chain(folder, capture, lamps, truth, setting)
+            chain = of_chain(current)
+            rows[method]["cpu"].append(seconds)
+            for key in ("sum", "count", "psnr"):
+                rows[method][key] += chain[key]
+            rows[method].setdefault("missing", chain["missing"])
+            rows[method]["angles"] += [chain["normals"]] if chain["normals"] is not None else []
         frames = Observations(current / "ingest")
         fit, targets = frames.fit_lights(lamps), frames.check_lights(lamps)
         channels = np.concatenate([frames.read(band)[0][:, frames.mask[band]] for band in frames.bands()], axis=1)
         known = known_pixels(current)
-        for method in COMPARED:
+        for method in peers:
             start = time.process_time()
             found, normals = predictions(
                 method, channels[fit].astype(np.float64), frames.directions[fit], frames.directions[targets]
@@ -257,11 +264,11 @@ def measure(data: Path, folder: Path, name: str) -> None:
                 rows[method]["angles"].append(float(np.nanmean(angular_error_deg(normals, true))))
     for method, row in rows.items():
         line = {
-            "set": name, "lamps": len(lights) - len(folds[0]), "method": "default" if method == "chain" else method,
+            "set": name, "lamps": len(lights) - len(folds[0]), "method": method,
             "de00": round(row["sum"] / row["count"], 3), "psnr_db": round(float(np.mean(row["psnr"])), 2),
             "normals_deg": round(float(np.mean(row["angles"])), 3) if row["angles"] else None,
             "cpu_s": round(float(np.mean(row["cpu"])), 2),
-            "missing": round(row["missing"], 4) if method == "chain" else None, "default": method == "chain",
+            "missing": round(row["missing"], 4) if method in chains else None, "default": method == "default",
         }  # fmt: skip
         print(json.dumps(line), flush=True)
 
@@ -270,6 +277,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", required=True, type=Path, help="folder of the measured sets")
     parser.add_argument("--only", nargs="+", choices=SETS, default=SETS)
+    parser.add_argument("--refine", nargs="+", choices=("auto", "gloss", "none"), default=["auto"])
+    parser.add_argument("--no-peers", action="store_true", help="the chain alone")
     parser.add_argument("--work", type=Path, help="keep captures and results here")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
@@ -277,7 +286,7 @@ def main() -> None:
         folder.mkdir(parents=True, exist_ok=True)
         for item in options.only:
             if (options.data / item.partition("-")[0]).is_dir():
-                measure(options.data.resolve(), folder, item)
+                measure(options.data.resolve(), folder, item, options.refine, () if options.no_peers else COMPARED)
             else:
                 print(f"{item}: not in {options.data}", file=sys.stderr)
 
