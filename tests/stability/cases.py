@@ -34,7 +34,7 @@ class Case:
     """One stated hazard, how it is treated, and the function that measures how well."""
 
     name: str
-    room: str  # of the file's name: test_<room>.py
+    area: str  # of the file's name: test_<area>.py
     hazard: str
     treatment: str
     reference: str
@@ -65,8 +65,8 @@ def case(
         source = f"{path.name}::{measure.__name__}"
         if name in REGISTRY and REGISTRY[name].source != source:
             raise ValueError(f"two cases are called {name!r}: {REGISTRY[name].source} and {source}")
-        room = path.stem.removeprefix("test_")
-        REGISTRY[name] = Case(name, room, hazard, treatment, reference, bound, unit, outcome, measure, source)
+        area = path.stem.removeprefix("test_")
+        REGISTRY[name] = Case(name, area, hazard, treatment, reference, bound, unit, outcome, measure, source)
 
         @functools.wraps(measure)
         def test() -> None:

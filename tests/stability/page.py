@@ -35,12 +35,12 @@ TITLES = {
 
 
 def load() -> list[Case]:
-    """All cases, by room in the page's order."""
+    """All cases, by area in the page's order."""
     for path in sorted(HERE.glob("test_*.py")):
         spec = importlib.util.spec_from_file_location(f"stability.{path.stem}", path)
         spec.loader.exec_module(importlib.util.module_from_spec(spec))
     order = list(TITLES)
-    return sorted(REGISTRY.values(), key=lambda item: order.index(item.room) if item.room in order else len(order))
+    return sorted(REGISTRY.values(), key=lambda item: order.index(item.area) if item.area in order else len(order))
 
 
 def found() -> list[dict[str, str]]:
@@ -106,13 +106,13 @@ def _standing() -> dict[str, list[str]]:
 
 
 def page(cases: list[Case], only: set[str]) -> str:
-    """Text of the page; the cases of the rooms in `only` are run now, the sections of the others stay as they are."""
+    """Text of the page; the cases of the areas in `only` are run now, the sections of the others stay as they are."""
     lines = [(HERE / "introduction.md").read_text(encoding="utf-8").rstrip(), "", "## Cases", ""]
     standing = _standing()
-    for room in dict.fromkeys(item.room for item in cases):
-        title = TITLES[room]
-        if room in only:
-            lines += _section(title, [item for item in cases if item.room == room])
+    for area in dict.fromkeys(item.area for item in cases):
+        title = TITLES[area]
+        if area in only:
+            lines += _section(title, [item for item in cases if item.area == area])
         else:
             lines += standing.get(title, [])
     lines += [*_limits(), "## Cases that failed when they were first written", ""]
@@ -121,7 +121,7 @@ def page(cases: list[Case], only: set[str]) -> str:
 
 
 def main() -> None:
-    """Run the cases and write the page; with --only, those of some rooms, and leave the other sections as they are."""
+    """Run the cases and write the page; with --only, those of some areas, and leave the other sections as they are."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", nargs="+", metavar="ROOM", choices=TITLES, help="run the cases of test_ROOM.py")
     only = parser.parse_args().only

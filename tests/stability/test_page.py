@@ -9,7 +9,7 @@ def test_every_case_is_on_the_page():
 
 
 def test_every_case_belongs_to_a_section():
-    assert {item.room for item in load()} <= set(TITLES)
+    assert {item.area for item in load()} <= set(TITLES)
 
 
 def test_what_failed_at_first_is_a_case_now():

@@ -137,7 +137,7 @@ def test_files_that_the_system_refuses_are_told_in_one_line(capsys, project, mon
         raise PermissionError(13, "Permission denied", "/nowhere/x\n")
 
     monkeypatch.setattr("nishiki.commands.inspecting.schema", refuse)
-    told = "nishiki schema: Permission denied (/nowhere/x\\n). Remedy: see to its permissions and run again\n"
+    told = "nishiki schema: Permission denied (/nowhere/x\\n). Remedy: check its permissions and run again\n"
     assert said(capsys, "schema") == (2, told)
 
 

@@ -154,7 +154,7 @@ def measured_without_leaving_out(flow):
         (another_key, "no finished artifact"),
         (another_stage_wanted, "no finished artifact"),
         (stage_no_longer_wanted, "not published"),
-        (upstream_made_again, "made from another separate"),
+        (upstream_made_again, "made from another version of separate"),
         (made_by_other_code, "code of report"),
         (made_with_another_library, "library of report"),
         (not_published, "not published"),

@@ -139,7 +139,7 @@ def test_the_engine_of_a_dead_command_line_is_alive(start):
     process = start("a", CALL.format(child=child))
     kill(process)
     (engine,) = processes.marked(MARK, records(Path("results"))[0].facts["id"])
-    with pytest.raises(UserError, match=f"that process is gone, its Snakemake and jobs go on: {engine}[.]"):
+    with pytest.raises(UserError, match=f"that process has ended, its Snakemake and jobs continue: {engine}[.]"):
         run_once("a")
     with pytest.raises(UserError, match="is alive"):
         run_once("a")
@@ -225,7 +225,7 @@ def test_a_run_of_another_machine_is_never_ended_from_here():
     path = record_of(host="far-away", machine="another", boot="another")
     with pytest.raises(UserError, match=r"far-away.*--host-is-gone far-away"):
         run_once("a")
-    with pytest.raises(UserError, match="cannot be told"):
+    with pytest.raises(UserError, match="cannot check"):
         refuse_while_running(Path("results"), "nothing is deleted")
     assert path.exists()
     held, _ = run_once("a", gone=["far-away"])

@@ -73,7 +73,7 @@ def _parser() -> argparse.ArgumentParser:
     tier.add_argument("--long", action="store_true", help="also much fuzzing, faults, Slurm and many scenes")
     sub = command("run", "running:run", "make everything that the configuration asks for; further arguments: snakemake")
     sub.add_argument("--configfile", default="config/config.yaml", help="configuration (default %(default)s)")
-    text = "processors to use (default: all; on a cluster: as many as it gives)"
+    text = "processors to use (default: all; on a cluster: as many as are allocated)"
     sub.add_argument("--cores", type=_cores, help=text)
     sub.add_argument("--profile", default="default", help="slurm for a cluster, or a folder of Snakemake's options")
     text = "end the run where a scene fails or cannot be planned (default: the other scenes are made)"
@@ -108,7 +108,7 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--without-capture", action="store_true", help="not the photographs, only their names and digests")
     sub.add_argument("--zip", action="store_true", help="the folder as a ZIP file too, beside it")
     sub.add_argument("--configfile", default="config/config.yaml", help="configuration (default %(default)s)")
-    sub = command("prune", "pruning:prune", "list what of the results no configuration references; --delete removes it")
+    sub = command("prune", "pruning:prune", "list results that no configuration references; --delete removes them")
     sub.add_argument("--configfile", action="append", help="configuration (repeatable; default config/config.yaml)")
     sub.add_argument("--sweep", action="append", default=[], help="file of a sweep to keep (repeatable)")
     sub.add_argument("--unnamed", action="store_true", help="also scenes and sweeps that no given configuration names")
@@ -148,7 +148,7 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--roi", nargs=4, type=int, metavar=("ROW", "COLUMN", "ROWS", "COLUMNS"), help="crop")
     sub = command("compile", "running:compile_kernels", "compile all kernels, by running tiny scenes somewhere else")
     sub.add_argument("--plane", action="store_true", help="only what paintings need")
-    text = "photograph a simulated painting, object or cloth; --help tells more"
+    text = "photograph a simulated painting, object or cloth; see --help"
     command("simulate", "running:simulate", text, add_help=False)
     command("schema", "inspecting:schema", "print the JSON schema of config.yaml")
     return parser
@@ -160,7 +160,7 @@ def _with_scene(sub: argparse.ArgumentParser) -> None:
 
 
 def _with_gone(sub: argparse.ArgumentParser) -> None:
-    text = "a machine on which no run is alive any more, though its record says no end (repeatable)"
+    text = "a machine whose unfinished runs are certainly dead (repeatable)"
     sub.add_argument("--host-is-gone", action="append", default=[], metavar="HOST", help=text)
 
 

@@ -29,9 +29,9 @@ OF_THE_MACHINE = {
     errno.ENOSPC: "Remedy: free space there and run again",
     errno.EDQUOT: "Remedy: free space within the quota and run again",
     errno.EROFS: "Remedy: make it writable, or name another folder with the key results, and run again",
-    errno.EACCES: "Remedy: see to its permissions and run again",
-    errno.EPERM: "Remedy: see to its permissions and run again",
-    errno.EIO: "Remedy: look after the disk, then ./nishiki verify, and run again",
+    errno.EACCES: "Remedy: check its permissions and run again",
+    errno.EPERM: "Remedy: check its permissions and run again",
+    errno.EIO: "Remedy: check the disk, then ./nishiki verify, and run again",
     errno.EMFILE: "Remedy: raise the limit of open files (ulimit -n) and run again",
 }
 """What a machine may refuse, as the system numbers it, and what to do then."""

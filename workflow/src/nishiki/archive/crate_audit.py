@@ -57,7 +57,7 @@ def audit_crate(audit: CrateAudit, *, threads: int, tell: Callable[[int, int, st
     try:
         tree = ZipTree(audit.root) if audit.root.is_file() else FolderTree(audit.root)
     except (BadZipFile, OSError, ValueError, NotImplementedError, struct.error) as error:
-        yield audit.damage("", "unreadable", f"not a ZIP file that can be read: {error}")
+        yield audit.damage("", "unreadable", f"not a readable ZIP file: {error}")
         return
     listing = tree.listing()
     yield from _shape(audit, tree, listing)
@@ -88,7 +88,7 @@ def _shape(audit: CrateAudit, tree: Tree, listing: Listing) -> Iterator[Damage]:
         yield audit.damage(name, "unreadable", why)
     if isinstance(tree, ZipTree):
         for name in tree.repeated:
-            yield audit.damage(name, "foreign", "stands in the ZIP file more than once")
+            yield audit.damage(name, "foreign", "appears more than once in the ZIP file")
         for name in tree.members:
             if not is_inside(name.rstrip("/")) or name_fault(name):
                 yield audit.damage("", "foreign", f"a name that may lead outside: {name}")

@@ -12,7 +12,7 @@ KINDS = {
     "unreadable": "the system does not let it be read",
     "wrong-key": "the name is not what settings and upstream artifacts give",
     "misplaced": "an artifact in the folder of another stage or scene",
-    "stale": "made from another version of an upstream artifact than the one that stands there",
+    "stale": "made from another version of an upstream artifact than the present one",
     "incomplete": "a packed scene lacks a part of the way from the photographs to the result",
 }
 

@@ -92,7 +92,7 @@ def _judge_finished(folder: Path, finished: list[Finished], pruning: Pruning) ->
     if (manifest["stage"], manifest["key"]) != (folder.parent.name, folder.name[:12]):
         pruning.left_alone.append(Item(folder, "its manifest names another stage or key", total))
     elif strange:
-        pruning.left_alone.append(Item(folder, f"holds what is not its own: {min(strange)}", total))
+        pruning.left_alone.append(Item(folder, f"holds files that its manifest does not list: {min(strange)}", total))
     else:
         upstream = {
             stage: (str(entry.get("key")), str(entry.get("digest")))
@@ -107,13 +107,13 @@ def judge_unfinished(folder: Path, pruning: Pruning, hosts: set[str]) -> None:
     """Sort a folder that is being written or removed; hosts: machines of which no process lives any more."""
     at, process = owner_of(folder.name)
     if folder.name.endswith(PRUNED):
-        pruning.remove.append(Item(folder, "half removed before", size_of(folder)))
+        pruning.remove.append(Item(folder, "left by an interrupted removal", size_of(folder)))
     elif at in ("", host()) and is_alive(process):
         pruning.keep.append(Item(folder, f"process {process.split('-')[0]} is writing it", size_of(folder)))
     elif at not in ("", host(), *hosts):
         pruning.keep.append(Item(folder, f"of {at}; --host-is-gone {at} lists it", size_of(folder)))
     else:
-        pruning.remove.append(Item(folder, "unfinished, its process is dead", size_of(folder)))
+        pruning.remove.append(Item(folder, "unfinished; its process has ended", size_of(folder)))
 
 
 def judge_current(folder: Path, pruning: Pruning) -> None:

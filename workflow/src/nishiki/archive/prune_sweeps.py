@@ -18,7 +18,7 @@ def judge_sweeps(results: Path, kept: set[Place], sweeps: set[str], unnamed: boo
         return
     for folder in folders_in(root, pruning):
         if folder.name.endswith(PRUNED):
-            pruning.remove.append(Item(folder, "half removed before", size_of(folder)))
+            pruning.remove.append(Item(folder, "left by an interrupted removal", size_of(folder)))
         elif folder.name == TIMINGS:
             for scene in folders_in(folder, pruning):
                 for stage in folders_in(scene, pruning):
@@ -33,7 +33,7 @@ def judge_sweeps(results: Path, kept: set[Place], sweeps: set[str], unnamed: boo
 def _judge_timing(folder: Path, kept: set[Place], pruning: Pruning) -> None:
     scene, stage, key = folder.parts[-3:]
     if key.endswith(PRUNED):
-        pruning.remove.append(Item(folder, "half removed before", size_of(folder)))
+        pruning.remove.append(Item(folder, "left by an interrupted removal", size_of(folder)))
         return
     if (scene, stage, key) in kept or not FINISHED.fullmatch(key):
         return

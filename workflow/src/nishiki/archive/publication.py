@@ -24,7 +24,7 @@ def check_publication(folder: Path, references: "References") -> list[Damage]:
         again = index_text(described["scene"], artifacts, described.get("code", ""))
         sound = again.encode() == data and described["scene"] == folder.parent.name
     except FileNotFoundError:
-        return [*found, Damage(index, "missing", "the folder was not published whole; delete it and run again")]
+        return [*found, Damage(index, "missing", "the folder is incomplete; delete it and run again")]
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         sound, artifacts, keys = False, {}, {}
     if not sound:

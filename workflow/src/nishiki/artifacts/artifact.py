@@ -191,12 +191,12 @@ def run_problem(data: bytes, manifest: bytes) -> str | None:
         found = facts["manifest_sha256"]
         again = run_text({name: value for name, value in facts.items() if name != "sha256"}, manifest).encode()
     except (ValueError, RecursionError, TypeError, KeyError):
-        return "damaged: it does not vouch for the manifest"
+        return "damaged: it holds no digest of the manifest"
     if data == again:
         return None
     if found != hashlib.sha256(manifest).hexdigest():
         return f"{MANIFEST} or {RUN} is damaged: this is not the manifest that was written with it"
-    return "damaged: its digest of itself differs"
+    return "damaged: its own digest is wrong"
 
 
 def _is_chunk(name: str) -> bool:

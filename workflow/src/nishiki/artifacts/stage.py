@@ -72,7 +72,7 @@ def run_stage(
         message = of_the_machine(error)
         if message is None:
             raise
-        print(f"nishiki {who}: {message}. Nothing finished is lost.", file=sys.stderr)
+        print(f"nishiki {who}: {message}. Finished results are kept.", file=sys.stderr)
         raise SystemExit(2) from None
 
 

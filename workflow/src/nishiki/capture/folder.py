@@ -71,7 +71,7 @@ def payload_of(root: Path) -> Path:
     if not root.is_dir():
         half = root.with_name(root.name + ".sealing")
         if (half / "data").is_dir():
-            remedy = "Run seal again on the same name: it finishes what was begun; nothing is lost"
+            remedy = "Run seal again on the same name: it completes the sealing; nothing is lost"
             what = "sealing was interrupted"
             raise CaptureError(error("seal-interrupted", str(root), what, found=half.name, remedy=remedy))
         raise CaptureError(error("folder-missing", str(root), "no such capture folder", remedy=WHERE_IS_IT))

@@ -70,7 +70,7 @@ def names_apart(paths: Sequence[Path], folder: str) -> list[tuple[Token, ...]]:
     first: dict[tuple, Path] = {}
     for path, name in zip(paths, whole, strict=True):
         if name in first:
-            remedy = "Rename one, or move it away; suffixes, capitals and leading zeros do not tell names apart"
+            remedy = "Rename one, or move it away; names must differ in more than suffix, capitals and leading zeros"
             found = f"{first[name].name}, {path.name}"
             what = "two pictures of the same name"
             raise CaptureError(error("pairing-ambiguous", folder, what, found=found, remedy=remedy))

@@ -114,7 +114,9 @@ def read_mapping(path: Path) -> dict:
         where = f"{path.name} line {mark.line + 1}" if mark else path.name
         found = getattr(e, "problem", None) or str(e)
         raise CaptureError(
-            error("yaml-invalid", where, "not valid plain YAML", found=found, remedy="Mend the line; tags are not used")
+            error(
+                "yaml-invalid", where, "not valid plain YAML", found=found, remedy="Correct the line; tags are not used"
+            )
         ) from e
     if not isinstance(parsed, dict):
         raise CaptureError(

@@ -173,9 +173,9 @@ def _clear_half(half: Path) -> None:
     own = {f".{name}.part" for name in (*TAGS, TAG_MANIFEST)} | {*TAGS, TAG_MANIFEST}
     strange = sorted({path.name for path in half.iterdir()} - own)
     if strange:
-        remedy = "Look at it: it may hold another capture; move it away and seal again"
+        remedy = "It may hold another capture: check it, move it away and seal again"
         found = ", ".join(strange[:5])
-        raise CaptureError(error("seal-occupied", str(half), "folder is in the way", found=found, remedy=remedy))
+        raise CaptureError(error("seal-occupied", str(half), "folder exists already", found=found, remedy=remedy))
     for path in half.iterdir():
         path.unlink()
     half.rmdir()

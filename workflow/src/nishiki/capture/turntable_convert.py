@@ -113,7 +113,7 @@ def _states_of(boards: list[Path], layout: RoundLayout, folder: str) -> list[tup
     expected = f"one for each of the polariser states {', '.join(sorted(known))}" if known else "one"
     found = ", ".join(p.name for p in boards[:5])
     remedy = "Name each board by its state (off, on, 45, 0_90); keep one board where there are no states"
-    what = "white boards cannot be told apart"
+    what = "white boards cannot be assigned to polariser states"
     raise CaptureError(error("white-unnamed", folder, what, expected=expected, found=found, remedy=remedy))
 
 

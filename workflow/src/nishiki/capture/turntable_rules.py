@@ -246,7 +246,7 @@ def _pose_problems(frames: tuple[Frame, ...], views: tuple[str, ...], settings: 
         return []
     posed = {f.view for f in frames if f.role == "board" and f.view}
     if not posed:
-        what = "nothing tells where the views were taken from: only separation by polarisers is possible"
+        what = "camera positions are unknown: only separation by polarisers is possible"
         remedy = "Give turntable.cameras, correspondences, or pictures of a board in each view"
         return [warning("cameras-none", "capture.yaml", what, remedy=remedy)]
     return [

@@ -1,4 +1,5 @@
-"""Orthonormal separable transform of a tile over (u, v, observation): O section 4.1, with boundaries that lose none.
+"""Orthonormal separable transform of a tile over (u, v, observation), perfectly invertible at the tile's boundaries
+(Miyazaki et al. 2007, section 4.1).
 
 Coefficients lie as the samples do, (channel, light, view, row, column): planes in Mallat's order (coarsest band in a
 corner), the observation axis by frequency. The basis vectors have unit length, also those of the biorthogonal families

@@ -129,7 +129,7 @@ def _tell_unfinished(flow, seconds: float, failures: list[dict[str, str]]) -> No
     done = f"after {seconds:.1f} s {total - len(named)} of {total} scenes are finished"
     if named:
         done += f"; not: {_some(named, ', ')}"
-    print(f"{done}. What is finished stays: the same command goes on from there", file=sys.stderr)
+    print(f"{done}. Finished results are kept; the same command continues from there", file=sys.stderr)
     why = {failure["name"]: failure for failure in failures if failure["scene"] in next_of or not failure["scene"]}
     lines = [f"  {name}: {failure['why']} (log: {failure['log']})" for name, failure in why.items()]
     lines += [f"  {message}" for message in flow.refused.values()]

@@ -47,7 +47,7 @@ def reason_to_run(flow: Workflow, scene: str, *, contents: bool = False) -> str:
             return f"a library of {name} changed"
         for other in planned.upstream:
             if other in CHAIN and manifest["upstream"].get(other, {}).get("digest") != published[other]["digest"]:
-                return f"{name} was made from another {other} than the one that stands there"
+                return f"{name} was made from another version of {other} than the present one"
         published[name] = {"key": planned.key, "digest": artifact.sha256}
     return "" if _is_published(f"{folder}/current/{INDEX}", published, flow.code("publish")) else "not published"
 

@@ -77,8 +77,8 @@ class Record:
             return f"an unreadable record of a run. Remedy: make sure that no run is alive, then delete {self.path}"
         who = f"user {self.facts.get('user')} on {self.host}" if self.host == processes.host() else f"on {self.host}"
         return (
-            f"a run did not end, and whether it is alive cannot be told from here: {self}. Remedy: run again as {who}; "
-            f"or, where nothing of it can be alive, ./nishiki run --host-is-gone {self.host}"
+            f"a run did not finish, and this machine cannot check whether it is alive: {self}. Remedy: run again as "
+            f"{who}; or, if none of its processes can be alive, ./nishiki run --host-is-gone {self.host}"
         )
 
 
@@ -188,7 +188,7 @@ def _one_at_a_time(results: Path) -> Iterator[None]:
         (results / RUNS).mkdir(parents=True, exist_ok=True)
         descriptor = os.open(results / RUNS / "register", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o664)
     except OSError as error:
-        raise UserError(f"{results}: cannot be written ({error.strerror}), which a run has to") from None
+        raise UserError(f"{results}: cannot be written ({error.strerror}), but a run must write there") from None
     try:
         with suppress(OSError):  # a file system without locks
             fcntl.flock(descriptor, fcntl.LOCK_EX)
@@ -204,7 +204,7 @@ def _refuse(results: Path, record: Record, scenes: set[str], gone: set[str]) -> 
         left = ""
         if not processes.is_alive(record.facts.get("process", "")):
             pids = ", ".join(map(str, processes.marked(MARK, record.facts.get("id", ""))))
-            left = f"; that process is gone, its Snakemake and jobs go on: {pids}"
+            left = f"; that process has ended, its Snakemake and jobs continue: {pids}"
         raise UserError(f"{results}: a run of {named} is alive: {record}{left}. Remedy: wait for its end, or end it")
     if record.state == "elsewhere" and record.host not in gone:
         raise UserError(f"{results}: {record.unknown()}")
@@ -220,10 +220,10 @@ def _clear_up(record: Record, alive: set[str], tell: Callable[[str], None]) -> N
         return
     orphans = processes.marked(MARK, record.facts["id"])
     if orphans:
-        tell(f"ending {len(orphans)} processes that a dead run left behind ({record})")
+        tell(f"ending {len(orphans)} processes left by a run that was killed ({record})")
         left = processes.stop(lambda: processes.marked(MARK, record.facts["id"]))
         if left:
-            raise UserError(f"processes of a dead run do not end: {', '.join(map(str, left))}. Remedy: end them")
+            raise UserError(f"processes left by a killed run do not end: {', '.join(map(str, left))}. Remedy: end them")
     backups = Path(record.facts["directory"], ".snakemake/backups", record.facts["results"].lstrip("/"))
     for scene in record.scenes - alive if backups.is_dir() else ():
         shutil.rmtree(backups / scene, ignore_errors=True)
@@ -252,7 +252,7 @@ def _register(results: Path, scenes: set[str], *, unclean: bool) -> HeldRun:
         os.rename(half, path)
     except OSError as error:
         half.unlink(missing_ok=True)
-        raise UserError(f"{path}: cannot be written ({error.strerror}), which a run has to") from None
+        raise UserError(f"{path}: cannot be written ({error.strerror}), but a run must write there") from None
     return HeldRun(path, descriptor, facts, unclean)
 
 

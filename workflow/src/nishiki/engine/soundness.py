@@ -54,7 +54,7 @@ def _of_scene(stages: list[tuple[str, Path, tuple[str, ...]]], contents: bool) -
             continue
         stale = [other for other in upstream if other in sound and _made_from(artifact, other) != sound[other]]
         if stale:
-            yield Unsound(folder, f"made from another {stale[0]} than the one that stands there")
+            yield Unsound(folder, f"made from another version of {stale[0]} than the present one")
         else:
             sound[name] = file_digest(folder / MANIFEST)
 

@@ -61,7 +61,7 @@ def gloss_evidence(
     taken = lit & usable
     noise = float(1.4826 * np.median(np.abs(residual[taken]))) if taken.any() else 0.0
     if taken.sum() < FEWEST:
-        return Evidence(True, "too few samples to tell", 0.0, 0.0, 0.0, noise, int(taken.sum()))
+        return Evidence(True, "too few samples to decide", 0.0, 0.0, 0.0, noise, int(taken.sum()))
     near = lit & (phi < NEAR)
     spoilt, beside = (1 - float(usable[part].mean()) if part.any() else 0.0 for part in (near, lit & ~near))
     if spoilt > SPOILT and spoilt > BESIDE * beside:

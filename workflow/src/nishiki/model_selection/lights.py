@@ -43,7 +43,7 @@ def static_choice(directions: np.ndarray, setting: int) -> tuple[np.ndarray, Dec
         "number set",
         None,
         None,
-        f"standard error of the normals about {lost:.0f} % larger (noise alone), fewer samples to tell highlights by",
+        f"standard error of the normals about {lost:.0f} % larger (noise alone), fewer samples to detect highlights",
         OVERRIDE,
     )
     return chosen, decision

@@ -94,5 +94,5 @@ def decided(left: Left, target: str, amount: float, setting: str, *, limit: floa
         )  # fmt: skip
     most = -10 * np.log10(max(1 - left.structure, 1e-3))
     loss = f"at most {most:.2g} dB beside the noise, the model reaching {left.psnr_db:.1f} dB" if enough else "nothing"
-    criterion = "share of what the model leaves that neighbouring pixels tell (noise: 0)"
+    criterion = "share of the model's residual that neighbouring pixels predict (noise: 0)"
     return Decision("residual", words, criterion, left.structure, limit, loss, OVERRIDE)

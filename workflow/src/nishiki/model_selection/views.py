@@ -75,7 +75,7 @@ def measured_choice(
         return None, None
     saved = number < len(order)
     words = f"{number} of {len(order)} views at normal incidence" + ", evenly spread" * saved
-    loss = f"views not used are told within {100 * error:.2g} % (rms, cosine-weighted)" if saved else "nothing"
+    loss = f"unused views are predicted within {100 * error:.2g} % (rms, cosine-weighted)" if saved else "nothing"
     criterion = "relative error at the views at normal incidence that are not used"
     decision = Decision("measurements", words, criterion, float(error), limit, loss, OVERRIDE)
     return np.sort(order[:number]) if saved else None, decision

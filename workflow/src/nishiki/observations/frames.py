@@ -201,7 +201,7 @@ class FrameReader:
             found.append(warning("jpeg", "frames.csv", what, remedy="Photograph in raw or 16-bit TIFF"))
             if self.capture.settings.camera.encoding == "linear":
                 what = "JPEG files are declared linear"
-                remedy = "Set camera.encoding: srgb unless the camera was told otherwise"
+                remedy = "Set camera.encoding: srgb unless the camera was set to linear output"
                 found.append(warning("jpeg-linear", "capture.yaml", what, remedy=remedy))
         return found
 

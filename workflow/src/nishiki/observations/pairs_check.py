@@ -134,7 +134,9 @@ class PairLevels:
                 f.file for f in capture.observed if capture.lights.names[capture.lights.index(f.light)] == names[i]
             )
             factor, than = np.exp(abs(found.alone[i])), "brighter" if found.alone[i] > 0 else "darker"
-            what = f"photograph is {factor:.1f} times {than} than its white board and the other photographs let expect"
+            what = (
+                f"photograph is {factor:.1f} times {than} than expected from its white board and the other photographs"
+            )
             remedy = "Check exposure, lamp and board of this light"
             problems.append(warning("white-disagrees", file, what, found=f"board {board[names[i]]}", remedy=remedy))
         return problems

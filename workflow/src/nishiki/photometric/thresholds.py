@@ -1,4 +1,4 @@
-"""Selection by two fixed thresholds on the mean observation, as the painting paper does it."""
+"""Selection by two fixed thresholds on the mean observation, as published (Tominaga and Tanaka 2004, section 3.2)."""
 
 import numpy as np
 from numba import njit, prange
@@ -8,7 +8,7 @@ BLOCK = 256  # pixels handled together: the innermost loops run over neighbourin
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def threshold_selection(observations, valid, above, below, usable, highlights, shadows):
-    """Mark in `usable` the samples within [below, above] times the pixel's mean over its valid lights (P section 3.2).
+    """Mark in `usable` the samples within [below, above] times the pixel's mean over its valid lights.
 
     observations (lights, pixels) float32; valid (lights, pixels) bool, or (lights, 1) for "the same everywhere";
     usable (lights, pixels) bool, highlights and shadows (pixels,) uint16 are written.

@@ -50,7 +50,7 @@ def board_ratio(
         raise UserError(
             f"{what}: the board through the polarisers has {channel[place]:.2g} of its light in channel {place}, "
             "the limit is "
-            f"{least:g}; what is left would be noise divided by almost nothing. Remedy: leave the channel out, expose "
+            f"{least:g}; the result would be mostly noise. Remedy: leave the channel out, expose "
             "longer, or turn the polariser"
         )
     blocks = channel[None, None]

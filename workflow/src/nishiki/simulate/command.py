@@ -81,7 +81,7 @@ OPTIONS = {  # name, help, settings of argparse
         ("distance-mm", "from the lamp to the centre of the object (80 half diagonals)", _NUMBER),
         (
             "lights-as",
-            "what the capture tells of the lamps (direction; on a turntable position, or camera: beside the camera)",
+            "what the capture states of the lamps (direction; on a turntable position, or camera: beside the camera)",
             {"choices": ("direction", "position", "camera")},
         ),
         ("lamp-diameter-deg", "size of the lamp seen from the object (1.5)", {**_NUMBER, "default": 1.5}),

@@ -105,7 +105,7 @@ def fit_weave(
     reading : "paper" (Takeda and Tanaka, eq. 15), "shaded" or "yarns". lobe : "gauss" (the paper's) or "ggx". contact :
     angle of the weft section's contacts; None: searched. harness : yarns of a repeat, of which one is bound, where the
     weave is known: then n = harness - 1; several: whichever fits best; None: n is searched. index : refractive index;
-    None: searched (it and k_s can hardly be told apart). confidence : of the intervals. intervals : False leaves them
+    None: searched (strongly correlated with k_s). confidence : of the intervals. intervals : False leaves them
     out (empty), for speed.
     """
     best = None

@@ -1,4 +1,4 @@
-"""Cross-sections of a woven cloth: the surface model of W section 4, its masking and its explicit profile.
+"""Cross-sections of a woven cloth: surface model, masking and profile (Takeda and Tanaka n.d., section 4).
 
 Both sections are trains of two humps a period. Lengths are in any unit: masking depends on their ratios alone.
 The weft section's row of yarns touches at the equator (contact = pi/2). The paper prints 2 a' as the length of a
@@ -42,8 +42,8 @@ class Section:
     def masking(self, theta_r) -> np.ndarray:
         """G: share of the surface's length that is seen from theta_r (radians, any shape, sign of no effect).
 
-        1 at theta_r = 0, never rising with |theta_r|, 0 beyond pi/2. Takeda and Tanaka, eq. 5-13 with the arcs worked
-        out.
+        1 at theta_r = 0, never rising with |theta_r|, 0 beyond pi/2. Equations 5-13 of the paper, with the
+        arcs worked out.
         """
         theta = np.atleast_1d(np.asarray(theta_r, np.float64))
         out = _masking(self.shape, np.ascontiguousarray(theta).ravel())

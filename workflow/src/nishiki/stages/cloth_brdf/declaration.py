@@ -58,11 +58,11 @@ class ClothBrdfSettings(Guarded):
         20,
         ge=0,
         le=2000,
-        description="most oblique measurements that a fit may use, chosen by what they tell; 0: normal incidence alone",
+        description="most oblique measurements that a fit may use, best ones first; 0: normal incidence alone",
     )
     measurements: Measurements = Field(
         "auto",
-        description="views of normal incidence that a fit uses: all; so many evenly spread ones; auto: as many as tell "
+        description="views of normal incidence that a fit uses: all; so many, evenly spread; auto: as many as predict "
         "the others within 1 % (docs/economy.md)",
     )
     index: float = Field(1.5, gt=1, le=3, description="refractive index of the model facets, which takes it as given")

@@ -19,7 +19,7 @@ class ClothReportSettings(PageSettings):
 
 STAGE = Stage(
     settings=ClothReportSettings,
-    does="one page that tells everything",
+    does="HTML report of the scene",
     formerly="fabric_report",
     geometry="goniometer",
     product="report",

@@ -15,7 +15,7 @@ LIMITS = (
         at("unseen_share"),
         most=0.9,
         remedy="views from more sides, or a mesh without inner surfaces",
-        why="captures gave 0.02 to 0.07; a mesh that stood wrong gave 0.98",
+        why="captures gave 0.02 to 0.07; a misplaced mesh gave 0.98",
     ),
     Limit(
         "psnr",

@@ -15,7 +15,7 @@ class ObjectReportSettings(PageSettings):
 
 STAGE = Stage(
     settings=ObjectReportSettings,
-    does="one page that tells everything",
+    does="HTML report of the scene",
     geometry="turntable",
     product="report",
     requires=("ingest",),

@@ -15,7 +15,7 @@ class ReportSettings(PageSettings):
 
 STAGE = Stage(
     settings=ReportSettings,
-    does="one page that tells everything",
+    does="HTML report of the scene",
     requires=("ingest", "normals"),
     uses=("separate", "height", "spectra", "brdf", "render", "evaluate"),
     libraries=("numpy", "jinja2", "zarr", "opencv-contrib-python-headless"),

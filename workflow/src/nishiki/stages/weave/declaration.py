@@ -50,7 +50,7 @@ class WeaveSettings(Guarded):
         90.0, gt=8.0, le=90.0, description="steepest slope where yarns touch; 90: circles, as the paper; null: fitted"
     )
     refractive_index: float | None = Field(
-        1.5, gt=1.2, lt=2.2, description="of the fibres; null: fitted (it and k_s can hardly be told apart)"
+        1.5, gt=1.2, lt=2.2, description="of the fibres; null: fitted (strongly correlated with k_s)"
     )
     oblique: bool = Field(False, description="use lamps off the normal as well, where they lie in the planes")
     relative_error: float = Field(

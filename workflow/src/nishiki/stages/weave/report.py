@@ -123,7 +123,7 @@ def notes(entry: dict[str, Any]) -> list[str]:
     found = entry.get("identifiability") or {}
     texts = []
     if found.get("free"):
-        texts.append(f"No measurement of this kind can tell: {'; '.join(found['free'])}.")
+        texts.append(f"Not determined by measurements of this kind: {'; '.join(found['free'])}.")
     pairs = list(zip(found.get("weak") or [], found.get("weak_error") or [], strict=True))[:MOST_WEAK]
     if pairs:
         told = "; ".join(
