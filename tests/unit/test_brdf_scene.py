@@ -11,6 +11,7 @@ from nishiki.artifacts.maps import Maps, MapWriter
 from nishiki.brdf.body_shading import transmittance
 from nishiki.brdf.brightest_light import brightest_light_samples, thin
 from nishiki.brdf.flags import FitFlag
+from nishiki.brdf.gloss_profile import LADDER, GlossProfile, specular_samples
 from nishiki.brdf.scene import fit_scene
 from nishiki.brdf.specular_histogram import COUNT, SpecularHistogram
 from nishiki.brdf.torrance_sparrow import attenuation, fresnel, half_vector_geometry, specular
@@ -63,6 +64,25 @@ def test_tile_kernel_equals_the_array_form():
     total = np.sum(factor**2)
     assert plain.weight.sum() == pytest.approx(total, rel=1e-12)
     assert np.sum(plain.weight * plain.value) == pytest.approx(np.sum((factor * residual)[factor > 0]), rel=1e-9)
+
+
+@pytest.mark.parametrize("terms", [3, 5])
+def test_tile_kernel_takes_the_body_shading_away(terms):
+    """Against the array form, with the terms of shadows from one side."""
+    normals, lights = relief(slope=0.2).astype(np.float32), ring()
+    observations, albedo = photographs(normals.astype(float), lights, beta=20.0, gamma=0.2)
+    shading = np.random.default_rng(1).normal([0.9, 0.1, 0.1, 0.2, -0.3][:terms], 0.05, (*normals.shape[:2], terms))
+    shading = shading.astype(np.float32)
+    observations, albedo = observations.astype(np.float32), albedo.astype(np.float32)
+    tile = SpecularHistogram.empty().add_tile(observations, normals, albedo, lights, shading=shading)
+    nothing = GlossProfile(np.zeros(LADDER.size), LADDER, INDEX, 0.0)
+    valid = np.ones(observations.shape, bool)
+    samples = specular_samples(
+        observations[..., None], lights, normals, albedo[..., None], nothing, valid=valid, shading=shading
+    )
+    plain = SpecularHistogram.empty().add_samples(*samples)
+    np.testing.assert_allclose(tile.values.sum(), plain.values.sum(), rtol=1e-3)
+    np.testing.assert_allclose(tile.rows.sum(axis=1), plain.rows.sum(axis=1), rtol=1e-3, atol=1e-3)
 
 
 def test_histogram_is_a_monoid():

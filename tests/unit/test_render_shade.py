@@ -86,7 +86,7 @@ def slow_xyz(scene, lights, *, eye=FRONTAL_EYE, ambient=None, visibility=None):
         cosine = np.maximum(np.sum(normals * directions, axis=-1), 0)
         if scene.shading is not None:
             half_cosine = np.sum(normals * unit(directions + views), axis=-1)
-            cosine = cosine * body_factor(scene.shading, cosine, half_cosine)
+            cosine = cosine * body_factor(scene.shading, cosine, half_cosine, directions[..., :2])
         cosine = cosine * passed(scene, np.sum(normals * directions, axis=-1), labels)
         cosine = cosine * passed(scene, np.sum(normals * views, axis=-1), labels)
         radiance += (irradiance * cosine)[..., None] * reflectance * power
@@ -131,8 +131,10 @@ def ambient_factor(scene):
     if scene.shading is None:
         return 1.0
     cosine = (np.arange(20000) + 0.5) / 20000
-    a, b, d = np.moveaxis(scene.shading.astype(np.float64), -1, 0)
+    a, b, d, *e = np.moveaxis(scene.shading.astype(np.float64), -1, 0)
     means = [np.mean(2 * cosine * values) for values in (cosine, ((1 + cosine) / 2) ** 4)]
+    if e:  # the mean direction of that light is along the normal
+        b = b + e[0] * scene.normals[..., 0] + e[1] * scene.normals[..., 1]
     return np.maximum(a + b * means[0] + d * means[1], 0)[..., None]
 
 
@@ -143,11 +145,12 @@ def assert_close(values, reference, tolerance=1e-6):
 
 @pytest.mark.parametrize("bands", [1, 3, 8])
 @pytest.mark.parametrize("eye", [(0, 0, 1, 0), (40, -30, 90, 1), (300, 0, 20, 1)])
-@pytest.mark.parametrize("shaded", [False, True])
-def test_matrix_form_equals_61_bands(bands, eye, shaded):
+@pytest.mark.parametrize("terms", [0, 3, 5])
+def test_matrix_form_equals_61_bands(bands, eye, terms):
     scene = make_scene(bands=bands, mean=np.linspace(0.1, 0.2, 61))
-    if shaded:  # some factors below 0, which count as 0
-        shading = np.random.default_rng(2).normal([0.8, -0.3, 0.5], 0.5, (*scene.shape, 3)).astype(np.float32)
+    if terms:  # some factors below 0, which count as 0
+        shading = np.random.default_rng(2).normal([0.8, -0.3, 0.5, 0.2, -0.1][:terms], 0.5, (*scene.shape, terms))
+        shading = shading.astype(np.float32)
         gloss = dataclasses.replace(scene.gloss, transmission=0.8)
         scene = dataclasses.replace(scene, shading=shading, gloss=gloss)
     ambient = Ambient(illuminant("FL2"), 0.3)

@@ -63,6 +63,11 @@ class Maps:
         return self.group[name].attrs
 
 
+def directional_shading(maps: Maps) -> bool:
+    """Whether the body shading of normals holds the shadows that surroundings throw: none are cast on top of it."""
+    return "shading" in maps and maps.group["shading"].shape[-1] > 3
+
+
 def shading_normals(maps: Maps, rows: slice = slice(None)) -> np.ndarray:
     """Normals of the body shading, of some rows: the stage's own maps of them where it made any, else its normals."""
     return maps.read("shading_normals" if "shading_normals" in maps else "normals", rows)

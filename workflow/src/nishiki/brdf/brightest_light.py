@@ -36,7 +36,7 @@ def brightest_light_samples(
     top = np.take_along_axis(observations, brightest[None], axis=0)[0]
     cosine = np.maximum(np.sum(normals * lights[brightest], axis=-1), 0)
     half_cosine = np.cos(half_vector_geometry(normals, lights[brightest], view).phi)
-    value = top - diffuse_albedo * cosine * body_factor(shading, cosine, half_cosine)
+    value = top - diffuse_albedo * cosine * body_factor(shading, cosine, half_cosine, lights[brightest][..., :2])
     smooth = gaussian_filter(normals, (smoothing, smoothing, 0)) if smoothing > 0 else normals
     length = np.linalg.norm(smooth, axis=-1, keepdims=True)
     smooth = smooth / np.where(length > 0, length, 1)

@@ -26,6 +26,7 @@ LADDER = np.geomspace(0.01, 0.9, 11)
 PROFILE_ERROR = 0.05  # relative error of a row beside its scatter: the model is not the surface
 PEAK_ERROR = 0.01  # likewise, relative to the highest row
 FEWEST = 20  # samples of a row
+MOST_STEPS = 1000  # of the active set; SciPy stops with an error after 33, which scenes with next to no gloss reach
 MUCH = 0.1  # share of the strength with which a lobe at an end of the ladder is told
 
 
@@ -125,8 +126,8 @@ def body_shading(cosine: np.ndarray, normal_z: np.ndarray, gloss: GlossProfile) 
 def specular_samples(observations, directions, normals, reflectance, gloss, *, valid, shading=None):
     """(phi, residual, F G / cos_r) of every lit sample: (lights, ...) each, attenuation 0 where there is none.
 
-    observations (lights, ..., C), normals (..., 3), reflectance (..., C), valid (lights, ...) bool; shading (..., 3) of
-    `nishiki.brdf.body_shading`, or None for Lambert's law.
+    observations (lights, ..., C), normals (..., 3), reflectance (..., C), valid (lights, ...) bool; shading (..., 3 or
+    5) of `nishiki.brdf.body_shading`, or None for Lambert's law.
     """
     lights = light_table(directions, gloss.refractive_index)
     normals = np.asarray(normals, np.float64)
@@ -134,7 +135,8 @@ def specular_samples(observations, directions, normals, reflectance, gloss, *, v
     cosine = np.moveaxis(normals @ lights[:, :3].T, -1, 0)
     x = np.moveaxis(normals @ lights[:, 3:6].T, -1, 0)
     nz = normals[..., 2]
-    body = body_shading(cosine, nz, gloss) * body_factor(shading, cosine, x)
+    across = lights[:, :2].reshape(*shape, 2)
+    body = body_shading(cosine, nz, gloss) * body_factor(shading, cosine, x, across)
     residual = observations.mean(axis=-1) - body * np.asarray(reflectance, np.float64).mean(axis=-1)
     fresnel, cos_q = lights[:, 6].reshape(shape), lights[:, 7].reshape(shape)
     usable = valid & (cosine > 0.05) & (nz > 0.5)
@@ -142,6 +144,18 @@ def specular_samples(observations, directions, normals, reflectance, gloss, *, v
     groove = 2 * x / cos_q * np.minimum(1, cosine / safe)
     attenuation = np.where(usable, fresnel * np.minimum(1 / safe, groove), 0)
     return np.arccos(np.clip(x, -1, 1)), residual, np.maximum(attenuation, 0)
+
+
+def predicted_radiance(directions, normals, reflectance, gloss, *, shading=None):
+    """Body and gloss (lights, ..., C) of pixels under lamps at `directions`; arguments as in `specular_samples`.
+
+    Gloss at grazing light or view, which no fit uses, is left out.
+    """
+    black = np.zeros((len(directions), *np.shape(reflectance)))
+    phi, below, attenuation = specular_samples(
+        black, directions, normals, np.ones_like(reflectance), gloss, valid=True, shading=shading
+    )
+    return -below[..., None] * reflectance + (gloss.value(phi) * attenuation)[..., None]
 
 
 def fit_gloss(
@@ -159,7 +173,7 @@ def fit_gloss(
         scatter = profile.spread[enough] / np.sqrt(profile.count[enough])
         error = np.sqrt((PROFILE_ERROR * value) ** 2 + (PEAK_ERROR * np.abs(value).max()) ** 2 + scatter**2)
         error = np.maximum(error, np.finfo(np.float64).tiny)
-        beta, _ = nnls(columns / error[:, None], value / error)
+        beta, _ = nnls(columns / error[:, None], value / error, maxiter=MOST_STEPS)
     return GlossProfile(beta, ladder, histogram.refractive_index, transmission, histogram.value_unit)
 
 

@@ -97,8 +97,8 @@ class SpecularHistogram:
         unit, towards the lamp; usable: bool (light, row, column), e.g. neither saturated nor in cast shadow; view: (3,)
         unit; sigma: (row, column), deviation of the normals per tangent axis, radians (0 if None); regions: integer
         (row, column), -1 leaves a pixel out (all region 0 if None).
-        shading: (row, column, 3) of `nishiki.brdf.body_shading`, or None for Lambert's law; transmission: share of the
-        loss of a dielectric surface (`transmittance` there) that the body's light suffers on its way in and out.
+        shading: (row, column, 3 or 5) of `nishiki.brdf.body_shading`, or None for Lambert's law; transmission: share
+        of the loss of a dielectric surface (`transmittance` there) that the body's light suffers on its way in and out.
         every: only rows and columns 0, every, 2 every ... of the tile, to save time.
         """
         shape = np.shape(observations)
@@ -223,8 +223,7 @@ def _add_tile(
                 a = f * masking_over_cos_r_scalar(cos_phi, cos_i, cos_r, cos_q)
                 body = cos_i
                 if shading.shape[0] > 0:
-                    abd = shading[r, c]
-                    body *= body_factor_scalar(abd[0], abd[1], abd[2], cos_i, cos_phi)
+                    body *= body_factor_scalar(shading[r, c], cos_i, cos_phi, lights[k])
                 if transmission > 0.0:
                     body *= 1.0 - transmission * (1.0 - transmittance_scalar(cos_i, refractive_index))
                     body *= 1.0 - transmission * (1.0 - transmittance_scalar(cos_r, refractive_index))

@@ -1,4 +1,6 @@
-"""Whether normals are fitted together with the gloss: a first look at few pixels, then the whole sample."""
+"""Whether normals are fitted together with the gloss: a first look at few pixels, the whole sample, lamps left out."""
+
+import numpy as np
 
 from nishiki.model_selection.decision import Decision
 from nishiki.photometric.gloss_scene import WORTHWHILE, SceneGloss
@@ -15,12 +17,28 @@ def clearly_matt(first: SceneGloss, *, limit: float = WORTHWHILE) -> bool:
     return abs(first.gain) < CLEAR * limit
 
 
-def decided(gloss: SceneGloss, setting: str, *, limit: float = WORTHWHILE) -> Decision:
-    """What was decided, for the log and the diagnostics."""
-    joint = gloss.significant or setting == "gloss"
-    words = "normals fitted together with gloss" if joint else "no joint fit: gloss does not count"
+def decided(
+    gloss: SceneGloss, setting: str, errors: dict[str, np.ndarray] | None = None, *, limit: float = WORTHWHILE
+) -> tuple[bool, Decision]:
+    """Whether the joint fit is used, and what was decided.
+
+    errors : CIEDE2000 of captured lamps left out, with "plain" and "joint"
+    (`nishiki.model_selection.relighting.left_out_errors`), or None. Where gloss counts, the joint fit must predict them
+    better: on surfaces whose gloss it takes for another, and on matt ones with interreflections, it does not, and its
+    normals are worse.
+    """
+    joint, words = gloss.significant, "no joint fit: gloss does not count"
+    if joint and errors is not None:
+        gain = float(errors["plain"].mean() - errors["joint"].mean())
+        joint = gain > 0
+        words = "normals fitted together with gloss" if joint else "no joint fit: it predicts lamps less well"
+        criterion = "CIEDE2000 of captured lamps left out that the joint fit takes off"
+        return joint, Decision("refine", words, criterion, gain, 0.0, "nothing", OVERRIDE)
+    joint = joint or setting == "gloss"
+    if joint:
+        words = "normals fitted together with gloss"
     if setting == "gloss":
         words += " (set)"
     loss = "nothing" if joint else f"robust cost {max(gloss.gain, 0.0):.2g} a value higher than with a gloss profile"
     criterion = "robust cost a value (light and channel) that gloss takes off, on a sample"
-    return Decision("refine", words, criterion, float(gloss.gain), limit, loss, OVERRIDE)
+    return joint, Decision("refine", words, criterion, float(gloss.gain), limit, loss, OVERRIDE)

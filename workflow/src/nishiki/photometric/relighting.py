@@ -1,16 +1,20 @@
-"""Body shading for the prediction of lamps, where few lamps light a pixel: normal, fall-off, skirt and reflectance.
+"""Body shading for the prediction of lamps: normal, terms and reflectance fitted again to all samples of a pixel.
 
 The normals of the stage are to be near the surface's. What predicts a photograph best also carries what lamps share:
 errors of their directions and strengths, and light from neighbouring facets. With 96 lamps the two agree; with 12 in a
 narrow cone a selection that leaves out a third of the samples costs more prediction than it gains. So, for relighting
-alone, all lit samples j of a pixel are fitted again: first I_j = g . l_j, whose direction n is the shading normal, then
+alone, the samples j of a pixel are fitted again by one of two models:
 
-    I_j = a c_j + b c_j^2 + d c_j x_j^8,    c = max(n . l, 0),  x = max(n . h, 0).
+    plain        I_j = g . l_j along g, the shading normal n; then I_j = c_j (a + b c_j + d x_j^8)
+    directional  the same n, with many lamps that of the stage; then I_j = c_j (a + b c_j + d x_j^8 + e . l_j), e
+                 across the view: the pixel darkens towards the side from which its surroundings shade it
 
-Both are linear. Weights are Cauchy's, 1 / (1 + (r / 2.4 s)^2) with s from the median of |r| (P. W. Holland and R. E.
-Welsch, Robust regression using iteratively reweighted least-squares, Communications in Statistics A 6 (9), 1977), so
-that cast shadows and highlights lose their say but not the samples next to them. Priors hold g to the normal of the
-stage and b and d to 0, the weaker the more the samples scatter about the stage's fit.
+with c = max(n . l, 0), x = max(n . h, 0). All are linear. In `plain` and for the normal of `directional` weights are
+Cauchy's, 1 / (1 + (r / 2.4 s)^2) with s from the median of |r| (P. W. Holland and R. E. Welsch, Robust regression using
+iteratively reweighted least-squares, Communications in Statistics A 6 (9), 1977), so that cast shadows and highlights
+lose their say but not the samples next to them; priors hold g to the normal of the stage and b and d to 0, the weaker
+the more the samples scatter about the stage's fit. The terms of `directional` are least squares with next to no prior:
+there the shadows are to be predicted. `nishiki.model_selection.relighting` chooses.
 """
 
 import numba
@@ -19,18 +23,19 @@ import numpy as np
 from nishiki.errors import UserError
 
 FEW_LIGHTS = 24  # with more, shading and normals of the solver `lobe` predict as well, and this fit is not made
+MODELS = ("plain", "directional")
 ROUNDS_NORMAL, ROUNDS_TERMS = 6, 3
 TUNING = 2.4  # of Cauchy's weight, in standard deviations: 95 % efficiency for normal errors
 NOISE = 0.003  # least standard deviation of a sample, relative to the reflectance
 WIDTH_NORMAL, WIDTH_TERMS = 0.3, 0.25  # standard deviations expected of g - n and of b and d where samples scatter much
 LEAST_PRIOR = 1e-4  # times a third of the number of lamps, as in `nishiki.photometric.solve`
 ALONG = 0.1  # of the prior on g along z, which is the level and not a tilt
-TERMS = 3
+TERMS = {"plain": 3, "directional": 5}  # of the map `shading`
 LEAST_FACTOR = 0.01  # mean body factor, relative to Lambert's, below which a pixel keeps what it came with
 LARGEST = 1e30  # reflectance
 
 
-def fit_relighting(observations, directions, normals, *, valid, scatter, reflectance, shading, known):
+def fit_relighting(observations, directions, normals, *, valid, scatter, reflectance, shading, known, model="plain"):
     """Shading normals, body shading and reflectance that predict lamps.
 
     Parameters
@@ -42,10 +47,12 @@ def fit_relighting(observations, directions, normals, *, valid, scatter, reflect
     scatter : (rows, columns) float, rms of the residuals of the normals' fit relative to the albedo.
     reflectance, shading : (rows, columns, channels), (rows, columns, 3) float32, kept where nothing can be fitted.
     known : (rows, columns) bool, pixels to fit.
+    model : one of MODELS.
 
     Returns
     -------
-    dict of float32 arrays: shading_normals (rows, columns, 3), shading (rows, columns, 3), reflectance.
+    dict of float32 arrays: shading_normals (rows, columns, 3), shading (rows, columns, 3; 5 of the model directional),
+    reflectance.
 
     Raises
     ------
@@ -63,9 +70,10 @@ def fit_relighting(observations, directions, normals, *, valid, scatter, reflect
     pixels = rows * columns
     fitted = {
         "shading_normals": np.array(normals, np.float32, order="C").reshape(pixels, 3).copy(),
-        "shading": np.array(shading, np.float32, order="C").reshape(pixels, 3).copy(),
+        "shading": np.zeros((pixels, TERMS[model]), np.float32),
         "reflectance": np.array(reflectance, np.float32, order="C").reshape(pixels, channels).copy(),
     }
+    fitted["shading"][:, :3] = np.reshape(shading, (pixels, 3))
     _fit(
         np.ascontiguousarray(observations, np.float32).reshape(lights, pixels, channels),
         np.ascontiguousarray(valid).reshape(lights, pixels),
@@ -106,13 +114,23 @@ def _solve(matrix, right):
 
 @numba.njit(cache=True, error_model="numpy")
 def _shading_basis(g, directions, halves, basis):
-    """Rows (c, c^2, c x^8) of every lamp, for the normal along g."""
+    """Rows (c, c^2, c x^8) or (c, c^2, c x^8, c l_x, c l_y) of every lamp, for the normal along g."""
     length = np.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
     for j in range(len(directions)):
         c = (g[0] * directions[j, 0] + g[1] * directions[j, 1] + g[2] * directions[j, 2]) / length
         x = (g[0] * halves[j, 0] + g[1] * halves[j, 1] + g[2] * halves[j, 2]) / length
         c, x = max(c, 0.0), max(x, 0.0)
         basis[j, 0], basis[j, 1], basis[j, 2] = c, c * c, c * x**8
+        for k in range(3, basis.shape[1]):
+            basis[j, k] = c * directions[j, k - 3]
+
+
+@numba.njit(cache=True, error_model="numpy", inline="always")
+def _shade(basis, terms, j):
+    total = 0.0
+    for i in range(terms.size):
+        total += basis[j, i] * terms[i]
+    return total
 
 
 @numba.njit(cache=True, error_model="numpy")
@@ -120,7 +138,7 @@ def _reweigh(level, allowed, basis, terms, residual, scratch, weight):
     """Cauchy's weights of the lit samples; lit means that the fit lights them."""
     lit = 0
     for j in range(level.size):
-        shade = basis[j, 0] * terms[0] + basis[j, 1] * terms[1] + basis[j, 2] * terms[2]
+        shade = _shade(basis, terms, j)
         weight[j] = 1.0 if allowed[j] and shade > 0.0 else 0.0
         residual[j] = abs(level[j] - max(shade, 0.0))
         if weight[j] > 0.0:
@@ -128,28 +146,34 @@ def _reweigh(level, allowed, basis, terms, residual, scratch, weight):
             lit += 1
     if lit == 0:
         return
-    freedom = np.sqrt(lit / max(lit - TERMS + 1.0, 1.0))
+    freedom = np.sqrt(lit / max(lit - terms.size + 1.0, 1.0))
     scale = TUNING * (1.4826 * np.median(scratch[:lit]) * freedom + NOISE)
     for j in range(level.size):
         weight[j] /= 1.0 + (residual[j] / scale) ** 2
 
 
 @numba.njit(cache=True, error_model="numpy")
+def _least_squares(level, weight, basis, first, held, matrix, terms):
+    """Terms of level = basis . terms by weighted least squares with the prior `held` about `first`; False: none."""
+    for i in range(terms.size):
+        total = held[i] * first[i]
+        for j in range(level.size):
+            total += weight[j] * basis[j, i] * level[j]
+        terms[i] = total
+        for k in range(i + 1):
+            total = held[i] if i == k else 0.0
+            for j in range(level.size):
+                total += weight[j] * basis[j, i] * basis[j, k]
+            matrix[i, k] = total
+    return _solve(matrix, terms)
+
+
+@numba.njit(cache=True, error_model="numpy")
 def _robust_fit(level, allowed, basis, first, held, rounds, work, terms, weight):
-    """Terms of level = basis . terms by reweighted least squares with the prior `held` about `first`; False: none."""
+    """The same, reweighted."""
     matrix, residual, scratch = work
     for _ in range(rounds):
-        for i in range(TERMS):
-            total = held[i] * first[i]
-            for j in range(level.size):
-                total += weight[j] * basis[j, i] * level[j]
-            terms[i] = total
-            for k in range(i + 1):
-                total = held[i] if i == k else 0.0
-                for j in range(level.size):
-                    total += weight[j] * basis[j, i] * basis[j, k]
-                matrix[i, k] = total
-        if not _solve(matrix, terms):
+        if not _least_squares(level, weight, basis, first, held, matrix, terms):
             return False
         _reweigh(level, allowed, basis, terms, residual, scratch, weight)
     return True
@@ -158,12 +182,15 @@ def _robust_fit(level, allowed, basis, first, held, rounds, work, terms, weight)
 @numba.njit(cache=True, parallel=True, error_model="numpy")
 def _fit(observations, valid, directions, halves, scatter, known, normals, shading, reflectance):
     lights, pixels, channels = observations.shape
+    size = shading.shape[1]
+    plain = size == 3
     block = 1024
     for start in numba.prange((pixels + block - 1) // block):
         level, weight, allowed = np.empty(lights), np.empty(lights), np.empty(lights, np.bool_)
-        basis, first, held = np.empty((lights, TERMS)), np.empty(TERMS), np.empty(TERMS)
-        g, abd, sums = np.empty(TERMS), np.empty(TERMS), np.empty(channels)
-        work = (np.empty((TERMS, TERMS)), np.empty(lights), np.empty(lights))
+        first, held, g = np.empty(3), np.empty(3), np.empty(3)
+        basis, terms, before, prior = np.empty((lights, size)), np.empty(size), np.empty(size), np.empty(size)
+        sums = np.empty(channels)
+        work = (np.empty((size, size)), np.empty(lights), np.empty(lights))
         for p in range(start * block, min((start + 1) * block, pixels)):
             if not known[p]:
                 continue
@@ -186,22 +213,31 @@ def _fit(observations, valid, directions, halves, scatter, known, normals, shadi
             least = LEAST_PRIOR * lights / 3.0
             held[:] = (scatter[p] / WIDTH_NORMAL) ** 2 + least
             held[2] *= ALONG
-            if not _robust_fit(level, allowed, directions, first, held, ROUNDS_NORMAL, work, g, weight):
-                continue
+            solved = True
+            if plain or lights <= FEW_LIGHTS:
+                solved = _robust_fit(level, allowed, directions, first, held, ROUNDS_NORMAL, work, g, weight)
+            else:
+                g[:] = first
             length = np.sqrt(g[0] * g[0] + g[1] * g[1] + g[2] * g[2])
-            if not (length > LEAST_FACTOR and g[2] > 0.0):
+            if not (solved and length > LEAST_FACTOR and g[2] > 0.0):
                 continue
             _shading_basis(g, directions, halves, basis)
-            first[0], first[1], first[2] = length, 0.0, 0.0
-            held[:] = (scatter[p] / WIDTH_TERMS) ** 2 + least
-            held[0] = 0.0
-            if not _robust_fit(level, allowed, basis, first, held, ROUNDS_TERMS, work, abd, weight):
+            before[:], prior[:] = 0.0, least
+            before[0], prior[0] = length, 0.0
+            if plain:
+                prior[1:] += (scatter[p] / WIDTH_TERMS) ** 2
+                solved = _robust_fit(level, allowed, basis, before, prior, ROUNDS_TERMS, work, terms, weight)
+            else:
+                for j in range(lights):
+                    weight[j] = 1.0 if allowed[j] else 0.0
+                solved = _least_squares(level, weight, basis, before, prior, work[0], terms)
+            if not solved:
                 continue
             # reflectance of each channel for this shading, whose mean factor is scaled to 1
             bodies, cosines = 0.0, 0.0
             sums[:] = 0.0
             for j in range(lights):
-                shade = max(abd[0] * basis[j, 0] + abd[1] * basis[j, 1] + abd[2] * basis[j, 2], 0.0)
+                shade = max(_shade(basis, terms, j), 0.0)
                 if weight[j] > 0.0:
                     bodies, cosines = bodies + weight[j] * shade * shade, cosines + weight[j] * basis[j, 0] * shade
                     for k in range(channels):
@@ -211,5 +247,7 @@ def _fit(observations, valid, directions, halves, scatter, known, normals, shadi
                 continue
             for k in range(channels):
                 reflectance[p, k] = max(sums[k] / bodies * scale, 0.0)
-            for i in range(TERMS):
-                normals[p, i], shading[p, i] = g[i] / length, abd[i] / scale
+            for i in range(3):
+                normals[p, i] = g[i] / length
+            for i in range(size):
+                shading[p, i] = terms[i] / scale

@@ -75,7 +75,7 @@ class MapSamples:
 
     normals: np.ndarray  # (h, w, 3) float32, unit length or 0
     coefficients: np.ndarray  # (h, w, K) float32
-    shading: np.ndarray | None  # (h, w, 3) float32
+    shading: np.ndarray | None  # (h, w, 3 or 5) float32
     labels: np.ndarray | None  # (h, w) uint8, of the nearest pixel
     visibility: np.ndarray | None  # (lights, h, w) float32
     inside: np.ndarray  # (h, w) bool
@@ -93,7 +93,8 @@ def sample_maps(
     lights = 0 if visibility is None else len(visibility)
     normals = np.empty((height, width, 3), np.float32)
     coefficients = np.empty((height, width, scene.coefficients.shape[2]), np.float32)
-    shading = np.empty((height, width, 3) if scene.shading is not None else (0, 0, 0), np.float32)
+    terms = (0, 0, 0) if scene.shading is None else (height, width, scene.shading.shape[2])
+    shading = np.empty(terms, np.float32)
     labels = np.empty((height, width) if scene.labels is not None else (0, 0), np.uint8)
     visible = np.empty((lights, height, width), np.float32)
     inside = np.empty((height, width), np.bool_)

@@ -25,7 +25,8 @@ _LX, _LY, _LZ, _E = (k * BLOCK for k in range(8, 12))
 _COSI, _PHI2, _FG, _X, _Y, _CONTRAST, _WD, _WS, _BETA, _INVG2 = (k * BLOCK for k in range(12, 22))
 _SA, _SB, _SD = (k * BLOCK for k in range(22, 25))
 _LEAVE, _ENTER, _SXX, _SXY, _SYY, _DX, _DY, _Q = (k * BLOCK for k in range(25, 33))
-_LOBES = 33  # first of the lanes that hold beta, 1 / gamma^2 of each lobe
+_EX, _EY = 33 * BLOCK, 34 * BLOCK
+_LOBES = 35  # first of the lanes that hold beta, 1 / gamma^2 of each lobe
 # A facet distribution below 2^-60 counts as 0, as in the scalar form.
 _NEGLIGIBLE = 60.0
 # Mean of x^8 over a uniform half space, weighted by the cosine, for a facet that faces the eye: 4 int (2u - 1) u^4 du.
@@ -124,11 +125,15 @@ def _load_gloss(buf, labels, gloss, index, entering, n):
 
 @njit(cache=True, error_model="numpy")
 def _load_shading(buf, shading, n):
-    """(a, b, d) of the body shading of a block into their lanes."""
+    """(a, b, d) or (a, b, d, e_x, e_y) of the body shading of a block into their lanes; the last two stay 0 else."""
     for i in range(n):
         buf[_SA + i] = shading[i, 0]
         buf[_SB + i] = shading[i, 1]
         buf[_SD + i] = shading[i, 2]
+    if shading.shape[1] > 3:
+        for i in range(n):
+            buf[_EX + i] = shading[i, 3]
+            buf[_EY + i] = shading[i, 4]
 
 
 @njit(cache=True, error_model="numpy")
@@ -254,7 +259,8 @@ def _diffuse_cosines(buf, n):
 
 @njit(cache=True, error_model="numpy")
 def _body_shading(buf, n):
-    """c max(a + b c + d x^8, 0) in the place of c, x = n . h of light and view (`nishiki.brdf.body_shading`)."""
+    """c max(a + b c + d x^8 + e . l, 0) in the place of c, x = n . h of light and view; see
+    `nishiki.brdf.body_shading`."""
     for i in range(n):
         nx, ny, nz = buf[_NX + i], buf[_NY + i], buf[_NZ + i]
         sx, sy, sz = buf[_LX + i] + buf[_VX + i], buf[_LY + i] + buf[_VY + i], buf[_LZ + i] + buf[_VZ + i]
@@ -265,6 +271,7 @@ def _body_shading(buf, n):
         x2 = along * along / (length2 if length2 > 1e-12 else 1e-12)
         x4 = x2 * x2
         factor = buf[_SA + i] + buf[_SB + i] * c + buf[_SD + i] * (x4 * x4)
+        factor += buf[_EX + i] * buf[_LX + i] + buf[_EY + i] * buf[_LY + i]
         buf[_COSI + i] = c * (factor if factor > 0.0 else 0.0)
 
 
@@ -455,9 +462,9 @@ def shade(first, last, normals, coefficients, shading, slopes, labels, gloss, in
           group, matrices, offsets, whites, visibility, plane, eye, ambient, widest, out, flags):  # fmt: skip
     """Rows first .. last - 1 of: sum over the lights of (A sigma + a0) E c f + white E beta D F G / cos_r.
 
-    c = max(n.l, 0), f the factor of the body shading. normals (R, C, 3), coefficients (R, C, K), shading (R, C, 3) or
-    (0, 0, 0): f = 1, and slopes (R, C, 3), covariance of the slopes in a pixel, or (0, 0, 0): none, float32; labels
-    (R, C) uint8 or (0, 0): all pixels row 0; gloss (regions, 2 lobes): beta, 1 / gamma^2 of each lobe; index
+    c = max(n.l, 0), f the factor of the body shading. normals (R, C, 3), coefficients (R, C, K), shading (R, C, 3
+    or 5) or (0, 0, 0): f = 1, and slopes (R, C, 3), covariance of the slopes in a pixel, or (0, 0, 0): none, float32;
+    labels (R, C) uint8 or (0, 0): all pixels row 0; gloss (regions, 2 lobes): beta, 1 / gamma^2 of each lobe; index
     (regions,); transmission: share of the surface's loss that the body's light suffers, entering (regions,): what is
     left of ambient light on its way in; lights (L, 6): x, y, z, w, intensity, squared reference distance; group (L,)
     row of matrices (G, channels, K), offsets and whites (G, channels), in rising order; visibility (L, R, C) float32 or
@@ -505,7 +512,8 @@ def shade(first, last, normals, coefficients, shading, slopes, labels, gloss, in
                     buf[_WD + i] *= buf[_ENTER + i] * buf[_LEAVE + i]
             if shading.shape[0] > 0:
                 for i in range(n):
-                    mean = buf[_SA + i] + buf[_SB + i] * (2.0 / 3.0) + buf[_SD + i] * _AMBIENT_SKIRT
+                    tilt = buf[_EX + i] * buf[_NX + i] + buf[_EY + i] * buf[_NY + i]
+                    mean = buf[_SA + i] + (buf[_SB + i] + tilt) * (2.0 / 3.0) + buf[_SD + i] * _AMBIENT_SKIRT
                     buf[_WD + i] *= mean if mean > 0.0 else 0.0
             for c in range(total.shape[0]):
                 for i in range(n):

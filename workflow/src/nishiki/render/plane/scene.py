@@ -190,7 +190,7 @@ class PlaneScene:
     coefficients: (rows, columns, K) float32, diffuse reflectance.  With `basis` (K, 61), S = coefficients . basis (+
     `mean` (61,)).  Without a basis they are the albedo in K channels and `channels_to_xyz` (3, K) carries them to XYZ
     (white point D65); for K = 3 it defaults to that of linear sRGB, which is a guess about the camera.
-    shading: (rows, columns, 3) float32, (a, b, d) of the body shading (`nishiki.brdf.body_shading`), or None: Lambert.
+    shading: (rows, columns, 3 or 5) float32, terms of the body shading (`nishiki.brdf.body_shading`), or None: Lambert.
     slopes: (rows, columns, 3) float32, covariance of the slopes in a pixel (`nishiki.brdf.slopes`), or None: no blur.
     height: (rows, columns) float32 in the unit of `pitch`, or None: no cast shadows.
     labels: (rows, columns) uint8 row of `gloss` for each pixel, or None: row 0 everywhere.
@@ -218,10 +218,11 @@ class PlaneScene:
             value = getattr(self, name)
             if value is not None and value.shape != self.shape:
                 raise UserError(f"{name}: expected the shape of the normals {self.shape}, found {value.shape}")
-        for name in ("shading", "slopes"):
+        for name, terms in (("shading", (3, 5)), ("slopes", (3,))):
             value = getattr(self, name)
-            if value is not None and value.shape != (*self.shape, 3):
-                raise UserError(f"{name}: expected {(*self.shape, 3)}, found {value.shape}")
+            if value is not None and value.shape not in [(*self.shape, count) for count in terms]:
+                expected = " or ".join(str((*self.shape, count)) for count in terms)
+                raise UserError(f"{name}: expected {expected}, found {value.shape}")
         if self.labels is not None and self.labels.dtype != np.uint8:
             raise UserError(f"labels: expected uint8, found {self.labels.dtype}; a scene has at most 256 regions")
         if self.labels is not None and self.labels.max() >= len(self.gloss.refractive_index):

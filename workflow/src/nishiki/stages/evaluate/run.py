@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
-from nishiki.artifacts.maps import Maps, MapWriter, shading_normals
+from nishiki.artifacts.maps import Maps, MapWriter, directional_shading, shading_normals
 from nishiki.artifacts.provenance import truth_digest
 from nishiki.artifacts.stage import Context
 from nishiki.brdf.parameters import gloss_table, is_facets
@@ -68,6 +68,7 @@ class EvaluatedScene:
         slopes = slope_covariance(normals) if facets else None
         self.model = FittedModel(normals, maps.read("reflectance"), gloss, labels, shading, slopes)
         self.known = ((self.flags & NO_ESTIMATE) == 0) & np.isfinite(self.model.reflectance).all(axis=-1)
+        self.casts_shadows = not directional_shading(maps)
         self.height, self.height_unit = None, "pixels"
         if "height" in inputs:
             height = Maps(inputs["height"].folder)
@@ -179,7 +180,7 @@ def relight(context: Context, scene: EvaluatedScene, truth: Truth, out: MapWrite
 def one_light(context: Context, scene: EvaluatedScene, truth: Truth, out: MapWriter, j: int) -> tuple[dict, np.ndarray]:
     """Score of one light; its map of differences is written."""
     frames, name = scene.frames, scene.frames.lights[j]
-    height = scene.height if context.settings.cast_shadows else None
+    height = scene.height if context.settings.cast_shadows and scene.casts_shadows else None
     predicted = predict_light(scene.model, lamp(context, scene, j), height=height, pitch=scene.pitch)
     known_truth = truth.check(name)
     comparison = LightComparison.of(frames.shape, scene.camera)

@@ -45,7 +45,7 @@ class NormalsSettings(Guarded):
     channel."""
 
     STAGE: ClassVar[str] = "normals"
-    VERSION: ClassVar[int] = 1
+    VERSION: ClassVar[int] = 2
     LIMITS: ClassVar[tuple[Limit, ...]] = LIMITS
 
     solver: Literal["default", "lobe", "lobes", "least_squares"] = Field(
@@ -66,6 +66,11 @@ class NormalsSettings(Guarded):
         "least_squares",
         description="of each channel, without refine; mean: of I / cos over the lights (Tominaga and Tanaka 2004, "
         "eq. 6)",
+    )
+    relighting: Literal["auto", "plain", "directional"] = Field(
+        "auto",
+        description="model that predicts lamps, without refine; auto: the one that predicts captured lamps left out "
+        "of the fit in turn",
     )
     max_condition: float = Field(1e4, gt=1, description="pixels with a worse conditioned light matrix are flagged")
     hold_out: tuple[str, ...] = Field((), description="lights left out of the fit; filled in by the plan")

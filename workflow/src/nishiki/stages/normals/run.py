@@ -25,12 +25,13 @@ from nishiki.photometric.body_colour import body_intensity
 from nishiki.photometric.light_selection import unpack_lights
 from nishiki.photometric.reflectance import diffuse_reflectance, mean_of_channels
 from nishiki.photometric.relighting import FEW_LIGHTS as RELIGHT_LIGHTS
-from nishiki.photometric.relighting import fit_relighting
+from nishiki.photometric.relighting import MODELS, TERMS, fit_relighting
 from nishiki.photometric.solve import estimate_normals, shading_of_mean
 from nishiki.stages.normals.declaration import NormalsSettings
 
 if TYPE_CHECKING:
     from nishiki.brdf.gloss_profile import GlossProfile
+    from nishiki.model_selection.relighting import Fitted, Sampled
     from nishiki.photometric.gloss_scene import GlossTile, SceneGloss
 
 MAPS = {
@@ -40,13 +41,14 @@ MAPS = {
     "sigma": ("float32", "radians, rms error of the direction"),
     "lights_used": ("uint16", "lights"),
     "condition": ("float32", "of the weighted 3 x 3 normal matrix"),
-    "shading": ("float32", "weights (a, b, d) of c, c^2 and c x^8, see docs/stages/normals.md"),
-    "shading_normals": ("float32", "unit vector of the body shading, where few lamps light a pixel"),
+    "shading": ("float32", "weights (a, b, d) of c, c^2 and c x^8, or with e_x, e_y; see docs/stages/normals.md"),
+    "shading_normals": ("float32", "unit vector of the body shading, where it was fitted for relighting"),
     "residual": ("float32", "rms, relative to white"),
     "flags": ("uint8", "bits, see docs/stages/normals.md"),
 }
 
 SAMPLE_BANDS, SAMPLE_PIXELS = 12, 20_000  # of the scene, for its gloss
+RELIGHTING_PIXELS = 2000  # likewise, for the model that predicts lamps
 SMALL_PARCEL = 1024  # pixels
 WEIGHTED = 0.01  # mean change of the samples, relative, from which the shading is fitted to the mean of the channels
 
@@ -63,10 +65,12 @@ def map_tiles(context: Context) -> dict:
         )
     lights, decision = fit_lights(frames, selection, context.settings)
     gloss = scene_gloss(frames, selection, lights, context.settings)
-    profile = gloss.profile if wanted(gloss, context.settings) else None
-    relight = profile is None and len(lights) <= RELIGHT_LIGHTS and context.settings.solver != "least_squares"
-    arrays = create_maps(context, frames, relight=relight)
-    refinement = None if gloss is None else decision_to_refine(gloss, context)
+    profile, model, decisions = choose_fit(frames, selection, lights, gloss, context.settings)
+    relight = model is not None and len(lights) <= RELIGHT_LIGHTS
+    for made in decisions:
+        if made:
+            context.progress.tell(str(made))
+    arrays = create_maps(context, frames, terms=TERMS.get(model, 3), relight=relight)
     counts: Counter[str] = Counter()
     sigmas = []
     for band in context.progress.over(context.share(frames.bands()), "band"):
@@ -79,10 +83,10 @@ def map_tiles(context: Context) -> dict:
             for parcel in parcels(frames, rows, lights):
                 area = np.s_[:, parcel.rows, parcel.columns]
                 maps = solve(observations[area], usable[area], valid[area], parcel, context.settings, profile)
-                if relight:
-                    maps.update(relit(observations[area], valid[area], parcel, maps))
-                for name, values in maps.items():
-                    found[name][strip][area[1:]] = values
+                if model is not None:
+                    maps.update(relit(observations[area], valid[area], parcel, maps, model))
+                for name in arrays:
+                    found[name][strip][area[1:]] = maps[name]
         for name, array in arrays.items():
             array[band] = found[name]
         inside = frames.mask[band]
@@ -92,7 +96,8 @@ def map_tiles(context: Context) -> dict:
         "lights": [frames.lights[j] for j in lights],
         "refined": profile is not None,
         **({} if gloss is None else gloss.described),
-        "economy": economy(decision, refinement),
+        "relighting": model,
+        "economy": economy(decision, *decisions),
     }
     return {"same": same, "counts": dict(counts), "sigma": np.concatenate([np.empty(0, np.float32), *sigmas])}
 
@@ -116,18 +121,62 @@ def fit_lights(
     return lights[chosen], decision
 
 
-def decision_to_refine(gloss: SceneGloss, context: Context) -> Decision:
-    """What was decided about the joint fit; the user is told."""
-    from nishiki.model_selection.refinement import decided
+def choose_fit(
+    frames: Observations,
+    selection: Maps | None,
+    lights: np.ndarray,
+    gloss: SceneGloss | None,
+    settings: NormalsSettings,
+) -> tuple[GlossProfile | None, str | None, list[Decision | None]]:
+    """Gloss of the joint fit, or None; the model of relighting, or None where there is none; what was decided.
 
-    decision = decided(gloss, context.settings.refine)
-    context.progress.tell(str(decision))
-    return decision
+    Captured lamps that are left out in turn decide, on a sample of the pixels, where the settings leave it open.
+    """
+    models = () if settings.solver == "least_squares" else MODELS
+    profile = gloss.profile if gloss is not None and gloss.significant else None
+    errors, refinement = None, None
+    if settings.refine != "gloss" and (profile is not None or (models and settings.relighting == "auto")):
+        errors = prediction_errors(frames, selection, lights, profile, models, settings)
+    if gloss is not None:
+        from nishiki.model_selection.refinement import decided
+
+        joint, refinement = decided(gloss, settings.refine, errors)
+        if joint:
+            return gloss.profile, None, [refinement]
+    if not models:
+        return None, None, [refinement]
+    if settings.relighting != "auto" or errors is None:
+        return None, MODELS[0] if settings.relighting == "auto" else settings.relighting, [refinement]
+    from nishiki.model_selection.relighting import choose_model
+
+    model, relighting = choose_model(errors)
+    return None, model, [refinement, relighting]
 
 
-def wanted(gloss: SceneGloss | None, settings: NormalsSettings) -> bool:
-    """Whether the joint fit is used on all pixels."""
-    return gloss is not None and (settings.refine == "gloss" or gloss.significant)
+def prediction_errors(
+    frames: Observations,
+    selection: Maps | None,
+    lights: np.ndarray,
+    profile: GlossProfile | None,
+    models: tuple[str, ...],
+    settings: NormalsSettings,
+) -> dict[str, np.ndarray] | None:
+    """CIEDE2000 (lights,) of lamps left out in turn, by candidate; None without pixels or with too few lights."""
+    from nishiki.model_selection.relighting import FEWEST, Fitted, left_out_errors
+
+    def fit(piece: Sampled) -> dict[str, Fitted]:
+        given = piece.observations, piece.usable, piece.valid, piece.parcel
+        maps = solve(*given, settings, None)
+        found = {"plain": Fitted(maps)}
+        for name in models:
+            found[name] = Fitted(maps | relit(piece.observations, piece.valid, piece.parcel, maps, name))
+        if profile is not None:
+            found["joint"] = Fitted(solve(*given, settings, profile), profile)
+        return found
+
+    bands = sample_bands(frames, RELIGHTING_PIXELS)
+    pieces = sampled_pixels(frames, selection, lights, bands, RELIGHTING_PIXELS) if len(lights) >= FEWEST else []
+    return left_out_errors(pieces, fit) if pieces else None
 
 
 def scene_gloss(
@@ -145,10 +194,39 @@ def scene_gloss(
     if settings.refine == "auto" and len(lights) > FEW_LIGHTS:
         return None
 
+    tiles = [
+        gloss_tile(piece.observations, piece.usable, piece.valid, piece.parcel, settings)
+        for piece in sampled_pixels(frames, selection, lights, sample_bands(frames), SAMPLE_PIXELS)
+    ]
+    if not tiles:
+        return None
+    if settings.refine == "auto" and (fewer := thinned(tiles)):
+        first = fit_scene_gloss(fewer, refractive_index=settings.refractive_index)
+        if clearly_matt(first):
+            return first
+    return fit_scene_gloss(tiles, refractive_index=settings.refractive_index)
+
+
+def sample_bands(frames: Observations, pixels: int | None = None) -> list[slice]:
+    """A few bands that lie evenly; of distant lamps, where pixels are given, the rows in their middle that hold eight
+    times as many."""
     bands = frames.bands()
     bands = [bands[i] for i in np.unique(np.linspace(0, len(bands) - 1, SAMPLE_BANDS).round().astype(int))]
-    step = max(1, sum(int(frames.mask[band].sum()) for band in bands) // SAMPLE_PIXELS)
-    tiles, seen, parcel_number = [], 0, 0
+    if pixels is None or frames.positions_mm is not None:
+        return bands
+    rows = -(-8 * pixels // (len(bands) * frames.shape[1]))
+    starts = [max(band.start, (band.start + band.stop - rows) // 2) for band in bands]
+    return [slice(start, min(start + rows, band.stop)) for start, band in zip(starts, bands, strict=True)]
+
+
+def sampled_pixels(
+    frames: Observations, selection: Maps | None, lights: np.ndarray, bands: list[slice], pixels: int
+) -> list[Sampled]:
+    """About `pixels` pixels of the object from some bands: the same on every machine."""
+    from nishiki.model_selection.relighting import Sampled
+
+    step = max(1, sum(int(frames.mask[band].sum()) for band in bands) // pixels)
+    pieces, seen, parcel_number = [], 0, 0
     for band in bands:
         observations, valid = frames.read(band, lights=lights)
         usable = read_usable(selection, band, len(lights), valid)
@@ -162,15 +240,8 @@ def scene_gloss(
                 chosen = here[(-seen) % step :: step]
             parcel_number, seen = parcel_number + 1, seen + here.size
             if chosen.size:
-                picked = [pick(array[area], chosen) for array in (observations, usable, valid)]
-                tiles.append(gloss_tile(*picked, parcel, settings))
-    if not tiles:
-        return None
-    if settings.refine == "auto" and (fewer := thinned(tiles)):
-        first = fit_scene_gloss(fewer, refractive_index=settings.refractive_index)
-        if clearly_matt(first):
-            return first
-    return fit_scene_gloss(tiles, refractive_index=settings.refractive_index)
+                pieces.append(Sampled(*(pick(array[area], chosen) for array in (observations, usable, valid)), parcel))
+    return pieces
 
 
 def pick(array: np.ndarray, chosen: np.ndarray) -> np.ndarray:
@@ -194,12 +265,12 @@ def gloss_tile(observations, usable, valid, parcel: Parcel, settings: NormalsSet
     )
 
 
-def create_maps(context: Context, frames: Observations, *, relight: bool) -> dict:
-    """The arrays of the artifact."""
+def create_maps(context: Context, frames: Observations, *, terms: int, relight: bool) -> dict:
+    """The arrays of the artifact; terms: of the map `shading`, relight: with `shading_normals`."""
     rows, columns = frames.shape
     maps = MapWriter(context.output.folder, rows=rows, columns=columns, band_rows=frames.band_rows, stamp=context.stamp)
-    maps.group.update(pixel_pitch_mm=frames.pixel_pitch_mm)
-    trailing = {"normals": (3,), "reflectance": (len(frames.channels),), "shading": (3,), "shading_normals": (3,)}
+    maps.group.attrs["pixel_pitch_mm"] = frames.pixel_pitch_mm
+    trailing = {"normals": (3,), "reflectance": (len(frames.channels),), "shading": (terms,), "shading_normals": (3,)}
     left_out = {"shading"} if context.settings.solver == "least_squares" else set()
     left_out |= set() if relight else {"shading_normals"}
     return {
@@ -290,8 +361,10 @@ def with_shading_of_mean(field, intensity, observations, parcel: Parcel, usable,
     return replace(field, shading=shading)
 
 
-def relit(observations: np.ndarray, valid: np.ndarray, parcel: Parcel, maps: dict) -> dict:
-    """The maps that predict lamps, fitted again to all lit samples of a parcel."""
+def relit(observations: np.ndarray, valid: np.ndarray, parcel: Parcel, maps: dict, model: str) -> dict:
+    """The maps that predict lamps, fitted again to the samples of a parcel; with many lights `plain` keeps its own."""
+    if model == "plain" and len(parcel.directions) > RELIGHT_LIGHTS:
+        return {}
     return fit_relighting(
         scaled(observations, parcel),
         parcel.directions,
@@ -301,6 +374,7 @@ def relit(observations: np.ndarray, valid: np.ndarray, parcel: Parcel, maps: dic
         reflectance=maps["reflectance"],
         shading=maps["shading"],
         known=(maps["flags"] & bits.NO_ESTIMATE) == 0,
+        model=model,
     )
 
 

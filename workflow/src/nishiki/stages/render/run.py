@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
-from nishiki.artifacts.maps import Maps, shading_normals
+from nishiki.artifacts.maps import Maps, directional_shading, shading_normals
 from nishiki.artifacts.stage import Context
 from nishiki.brdf.parameters import gloss_table, is_facets
 from nishiki.brdf.slopes import slope_covariance
@@ -70,7 +70,7 @@ def load_scene(inputs: dict[str, Artifact], *, cast_shadows: bool) -> PlaneScene
     fields = {"normals": normals, "pitch": maps.group.attrs.get("pixel_pitch_mm") or 1.0, **colours(inputs, maps)}
     if "shading" in maps:
         fields["shading"] = maps.read("shading")
-    if "height" in inputs and cast_shadows:
+    if "height" in inputs and cast_shadows and not directional_shading(maps):
         fields["height"] = Maps(inputs["height"].folder).read("height")
     if "brdf" in inputs:
         parameters = json.loads(inputs["brdf"].path("parameters.json").read_text())

@@ -1,0 +1,115 @@
+"""What predicts lamps best: captured lamps left out, synthetic scenes of each kind."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from nishiki.brdf.gloss_profile import GlossProfile
+from nishiki.model_selection.refinement import decided
+from nishiki.model_selection.relighting import ERRORS, MARGIN, Fitted, Sampled, choose_model, left_out_errors
+from nishiki.observations.parcels import Parcel
+from nishiki.stages.normals.declaration import NormalsSettings
+from nishiki.stages.normals.run import relit, solve
+
+PIXELS = 300
+
+
+def lamps(count=40, widest=1.0, seed=1):
+    rng = np.random.default_rng(seed)
+    lights = np.column_stack([rng.uniform(-widest, widest, (count, 2)), np.ones(count)])
+    return lights / np.linalg.norm(lights, axis=1, keepdims=True)
+
+
+def piece(lights, factor=1.0, scale=1.0):
+    """A matt scene in 8-bit steps; factor: (lights, pixels) on its light, scale: of the parcel."""
+    rng = np.random.default_rng(2)
+    normals = rng.normal(size=(PIXELS, 3)) * [0.3, 0.3, 0] + [0, 0, 1]
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    light = np.maximum(lights @ normals.T, 0) * factor
+    values = light[..., None] * rng.uniform(0.2, 0.8, (PIXELS, 3))
+    values = np.float32(np.round(values * 255) / 255 / scale)[:, None]
+    seen = np.ones((len(lights), 1, PIXELS), bool)
+    parcel = Parcel(slice(0, 1), slice(0, PIXELS), lights, np.full(len(lights), scale, np.float32))
+    return Sampled(values, seen, seen, parcel)
+
+
+def fit(sampled):
+    maps = solve(sampled.observations, sampled.usable, sampled.valid, sampled.parcel, NormalsSettings(), None)
+    return {
+        name: Fitted(maps | relit(sampled.observations, sampled.valid, sampled.parcel, maps, name))
+        for name in ("plain", "directional")
+    }
+
+
+def test_a_matt_scene_stays_plain():
+    model, decision = choose_model(left_out_errors([piece(lamps())], fit))
+    assert model == "plain"
+    assert decision.measured < decision.limit
+    assert "relighting" in decision.as_dict()
+
+
+def test_shadows_from_one_side_ask_for_the_directional_terms():
+    lights = lamps()
+    side = np.random.default_rng(3).uniform(-1, 1, (PIXELS, 2))
+    shaded = np.where(lights[:, :2] @ side.T > -0.15, 1.0, 0.15)
+    model, decision = choose_model(left_out_errors([piece(lights, shaded)], fit))
+    assert model == "directional"
+    assert decision.measured > decision.limit
+
+
+def test_lamps_of_unlike_strength_do_not_ask_for_them():
+    lights = lamps(12, widest=0.4)
+    strengths = np.random.default_rng(5).uniform(0.5, 1.5, (12, 1))
+    assert choose_model(left_out_errors([piece(lights, strengths)], fit))[0] == "plain"
+
+
+def test_errors_are_those_of_the_left_out_lamps():
+    """A lamp is never among those that predict it; the exact prediction of one lamp has no error, in any unit."""
+    lights = lamps(10)
+    sampled = piece(lights, scale=2.0)
+    fits = []
+
+    def flat(kept):
+        fits.append(kept.parcel.directions)
+        shape = kept.valid.shape[1:]
+        reflectance = np.zeros((*shape, 3), np.float32)
+        maps = {
+            "normals": np.tile(np.float32([0, 0, 1]), (*shape, 1)),
+            "reflectance": reflectance,
+            "flags": np.zeros(shape, np.uint8),
+        }
+        matt = GlossProfile(np.zeros(1), np.ones(1), transmission=0.0)
+        left_out = np.setdiff1d(np.arange(10), [int(np.argmin(np.abs(lights - d).sum(1))) for d in fits[-1]])
+        first = left_out[0]
+        exact = sampled.observations[first] * 2.0 / lights[first, 2]
+        return {"black": Fitted(maps, matt), "first": Fitted(maps | {"reflectance": exact}, matt)}
+
+    errors = left_out_errors([sampled], flat)
+    assert [len(kept) for kept in fits] == [8] * 5
+    assert (errors["black"] > 1).all()
+    np.testing.assert_allclose(errors["first"][:5], 0, atol=0.01)
+    assert (errors["first"][5:] > 0.1).all()
+
+
+def test_the_margin_and_the_scatter_of_the_lamps():
+    plain = np.full(20, 2.0)
+    one_lamp = plain - np.eye(20)[0] * 10
+    for directional, model in (
+        (plain * (1 - 1.2 * MARGIN), "directional"),
+        (plain * (1 - 0.8 * MARGIN), "plain"),
+        (one_lamp, "plain"),
+    ):
+        assert choose_model({"plain": plain, "directional": directional})[0] == model
+    assert 0.5 < ERRORS * 10 / 20  # the gain of that one lamp is large enough, its standard error larger
+
+
+def test_the_joint_fit_has_to_predict_lamps_better():
+    glossy = SimpleNamespace(significant=True, gain=0.2)
+    matt = SimpleNamespace(significant=False, gain=0.001)
+    worse, better = ({"plain": np.full(12, 2.0), "joint": np.full(12, error)} for error in (2.1, 1.9))
+    assert decided(glossy, "auto", better)[0]
+    assert not decided(glossy, "auto", worse)[0]
+    assert "less well" in decided(glossy, "auto", worse)[1].decision
+    assert decided(glossy, "auto")[0]  # too few lights to leave any out
+    assert not decided(matt, "auto")[0]
+    assert decided(matt, "gloss")[0]

@@ -1,0 +1,147 @@
+"""What predicts lamps best, decided by captured lamps that are left out in turn.
+
+Lamps of the fit are left out by fifths, the others fit every candidate on a sample of the pixels, and the CIEDE2000 of
+predictions against photographs is compared: normals by the selection alone (`plain`), with directional terms
+(`nishiki.photometric.relighting`), or fitted jointly with the gloss. Gloss is fitted to what a body leaves. Shadows
+that objects throw, and gloss that is not what the joint fit takes it for, show nowhere else: a residual of the fit
+falls with every term.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from nishiki.brdf.gloss_profile import LADDER, GlossProfile, fit_gloss, predicted_radiance, specular_samples
+from nishiki.brdf.specular_histogram import SpecularHistogram, unit_of
+from nishiki.evaluate.camera_colour import assumed_colour
+from nishiki.evaluate.relighting import difference_of
+from nishiki.model_selection.decision import Decision
+from nishiki.observations.parcels import Parcel
+from nishiki.photometric.flags import NO_ESTIMATE
+
+FOLDS = 5
+FEWEST = 8  # lights: with fewer, what the rest of them says differs too much from what all of them say
+MARGIN = 0.05  # part of the plain model's error that the directional terms must take off
+ERRORS = 3.0  # and standard errors of that gain over the lamps: one lamp of a wrong strength outweighs nine others
+MID_GREY = 0.2  # that the median sample becomes: a colour difference depends on the level, which may have any unit
+OVERRIDE = "normals.relighting: plain"
+LARGEST_SIGMA = 0.1  # radians: where normals are worse, their blur of the gloss is no longer a small one
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """Pixels under one set of directions: observations (lights, 1, pixels, channels), usable and valid (lights, 1,
+    pixels) bool, and their parcel."""
+
+    observations: np.ndarray
+    usable: np.ndarray
+    valid: np.ndarray
+    parcel: Parcel
+
+    def under(self, lights: np.ndarray) -> "Sampled":
+        """The same under some of the lights."""
+        parcel = replace(self.parcel, directions=self.parcel.directions[lights], scale=self.parcel.scale[lights])
+        return Sampled(self.observations[lights], self.usable[lights], self.valid[lights], parcel)
+
+    @property
+    def scaled(self) -> np.ndarray:
+        """Observations as if the lamps were as far from the parcel as from the centre."""
+        return self.observations * self.parcel.scale[:, None, None, None]
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """One candidate: maps of `nishiki.stages.normals`, and the gloss that they were fitted with, or None."""
+
+    maps: dict
+    gloss: GlossProfile | None = None
+
+    @property
+    def normals(self) -> np.ndarray:
+        """Normals that shade (1, pixels, 3)."""
+        return self.maps.get("shading_normals", self.maps["normals"])
+
+    @property
+    def known(self) -> np.ndarray:
+        """Pixels with an estimate (1, pixels)."""
+        return (self.maps["flags"] & NO_ESTIMATE) == 0
+
+
+def choose_model(errors: dict[str, np.ndarray]) -> tuple[str, Decision]:
+    """Name of the model of relighting, and the decision; "plain" where the directional terms are not clearly better.
+
+    errors : of `left_out_errors`, of "plain" and "directional".
+    """
+    plain, directional = errors["plain"], errors["directional"]
+    gains = plain - directional
+    gain, deviation = gains.mean(), gains.std(ddof=1) / np.sqrt(gains.size)
+    limit = max(MARGIN * plain.mean(), ERRORS * deviation)
+    model = "directional" if gain > limit else "plain"
+    decision = Decision(
+        "relighting",
+        f"lamps are predicted {'with' if model == 'directional' else 'without'} directional terms (captured lamps left "
+        f"out: mean CIEDE2000 {plain.mean():.2f} without, {directional.mean():.2f} with them)",
+        "CIEDE2000 of captured lamps left out that directional terms take off",
+        float(gain),
+        float(limit),
+        "nothing" if model == "directional" or gain <= 0 else f"at most {gain:.2g} CIEDE2000",
+        OVERRIDE,
+    )
+    return model, decision
+
+
+def left_out_errors(pieces: Sequence[Sampled], fit: Callable[[Sampled], dict[str, Fitted]]) -> dict[str, np.ndarray]:
+    """Mean CIEDE2000 (lights,) over the valid samples of each light, left out of the fit in turn, by candidate."""
+    lights = np.arange(len(pieces[0].valid))
+    unit = float(np.median(np.concatenate([p.scaled.mean(axis=-1)[p.valid] for p in pieces]))) / MID_GREY
+    sums: dict[str, np.ndarray] = {}
+    for fold in range(FOLDS):
+        kept, left_out = lights[lights % FOLDS != fold], lights[fold::FOLDS]
+        seen, unseen = ([piece.under(part) for piece in pieces] for part in (kept, left_out))
+        fits = [fit(piece) for piece in seen]
+        for name in fits[0]:
+            candidates = [fitted[name] for fitted in fits]
+            gloss = candidates[0].gloss or remaining_gloss(seen, candidates)
+            total = sums.setdefault(name, np.zeros((2, lights.size)))
+            for piece, candidate in zip(unseen, candidates, strict=True):
+                predicted = predicted_radiance(
+                    piece.parcel.directions,
+                    candidate.normals,
+                    candidate.maps["reflectance"],
+                    gloss,
+                    shading=candidate.maps.get("shading"),
+                )
+                compared = piece.valid & candidate.known
+                found = colour_differences(predicted / unit, piece.scaled / unit, compared)
+                total[:, left_out] += found.sum(axis=(1, 2), dtype=np.float64), compared.sum(axis=(1, 2))
+    return {name: total / np.maximum(count, 1) for name, (total, count) in sums.items()}
+
+
+def remaining_gloss(pieces: Sequence[Sampled], candidates: Sequence[Fitted]) -> GlossProfile:
+    """Gloss of all pieces together, fitted to what the body of a candidate leaves."""
+    unit = unit_of([candidate.maps["reflectance"] for candidate in candidates])
+    nothing = GlossProfile(np.zeros(LADDER.size), LADDER, transmission=0.0, unit=unit)
+    histogram = SpecularHistogram.empty(value_unit=unit)
+    for piece, candidate in zip(pieces, candidates, strict=True):
+        samples = specular_samples(
+            piece.scaled,
+            piece.parcel.directions,
+            candidate.normals,
+            candidate.maps["reflectance"],
+            nothing,
+            valid=piece.valid & candidate.known,
+            shading=candidate.maps.get("shading"),
+        )
+        sigma = np.minimum(candidate.maps["sigma"], LARGEST_SIGMA) / np.sqrt(2)
+        histogram = histogram.add_samples(*samples, sigma=sigma)
+    return fit_gloss(histogram, transmission=0.0)
+
+
+def colour_differences(first: np.ndarray, second: np.ndarray, compared: np.ndarray) -> np.ndarray:
+    """CIEDE2000 of pictures (lights, rows, columns, channels), 0 where not compared; channels as linear sRGB."""
+    colour = assumed_colour(first.shape[-1])
+    found = np.zeros(compared.shape, np.float32)
+    for one, other, where, values in zip(first, second, compared, found, strict=True):
+        difference_of(one, other, colour.matrix, colour.white, where.astype(np.uint8), values)
+    return found
