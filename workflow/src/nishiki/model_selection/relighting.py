@@ -24,6 +24,7 @@ FOLDS = 5
 FEWEST = 8  # lights: with fewer, what the rest of them says differs too much from what all of them say
 MARGIN = 0.05  # part of the plain model's error that the directional terms must take off
 ERRORS = 3.0  # and standard errors of that gain over the lamps: one lamp of a wrong strength outweighs nine others
+DARKEST = 1e-9  # median sample: a black scene has no level
 MID_GREY = 0.2  # that the median sample becomes: a colour difference depends on the level, which may have any unit
 OVERRIDE = "normals.relighting: plain"
 LARGEST_SIGMA = 0.1  # radians: where normals are worse, their blur of the gloss is no longer a small one
@@ -94,7 +95,8 @@ def choose_model(errors: dict[str, np.ndarray]) -> tuple[str, Decision]:
 def left_out_errors(pieces: Sequence[Sampled], fit: Callable[[Sampled], dict[str, Fitted]]) -> dict[str, np.ndarray]:
     """Mean CIEDE2000 (lights,) over the valid samples of each light, left out of the fit in turn, by candidate."""
     lights = np.arange(len(pieces[0].valid))
-    unit = float(np.median(np.concatenate([p.scaled.mean(axis=-1)[p.valid] for p in pieces]))) / MID_GREY
+    levels = np.concatenate([piece.scaled[piece.valid] for piece in pieces])
+    unit, brightest = max(float(np.median(levels.mean(axis=-1))), DARKEST) / MID_GREY, float(levels.max())
     sums: dict[str, np.ndarray] = {}
     for fold in range(FOLDS):
         kept, left_out = lights[lights % FOLDS != fold], lights[fold::FOLDS]
@@ -113,6 +115,7 @@ def left_out_errors(pieces: Sequence[Sampled], fit: Callable[[Sampled], dict[str
                     shading=candidate.maps.get("shading"),
                 )
                 compared = piece.valid & candidate.known
+                predicted = np.fmin(np.fmax(predicted, 0), brightest)  # no photograph shows more
                 found = colour_differences(predicted / unit, piece.scaled / unit, compared)
                 total[:, left_out] += found.sum(axis=(1, 2), dtype=np.float64), compared.sum(axis=(1, 2))
     return {name: total / np.maximum(count, 1) for name, (total, count) in sums.items()}

@@ -176,6 +176,7 @@ def prediction_errors(
 
     bands = sample_bands(frames, RELIGHTING_PIXELS)
     pieces = sampled_pixels(frames, selection, lights, bands, RELIGHTING_PIXELS) if len(lights) >= FEWEST else []
+    pieces = [piece for piece in pieces if piece.valid.any()]
     return left_out_errors(pieces, fit) if pieces else None
 
 
