@@ -89,7 +89,7 @@ def _halve(centres, order, leaves):
         parts *= 2
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def meet(boxes, triangles, stack, ox, oy, oz, dx, dy, dz, far, any_hit):
     """What a ray meets at a distance within (0, far): place among the leaves' triangles or -1, distance in multiples of
     its direction, weights of the second and third corner.
