@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -120,30 +119,19 @@ def _decode(path: Path, header: ImageHeader, channels: tuple[str, ...], luma: bo
         from nishiki.formats.tiff import decode_tiff, opencv_reads
 
         stored = data.tobytes()
-        if header.pages > 1 or not opencv_reads(stored):
-            return _without_alpha(_decode_pages(stored, data, decode_tiff, opencv_reads), len(channels))
+        if not opencv_reads(stored):
+            return _without_alpha(decode_tiff(stored), len(channels))
     return _without_alpha(_opencv(data, header, luma), len(channels) if not luma else 1)
-
-
-def _decode_pages(
-    stored: bytes,
-    data: np.ndarray,
-    decode_tiff: Callable[[bytes], np.ndarray],
-    opencv_reads: Callable[[bytes], bool],
-) -> np.ndarray:
-    if not opencv_reads(stored):
-        return decode_tiff(stored)
-    import cv2
-
-    done, pages = cv2.imdecodemulti(data, cv2.IMREAD_UNCHANGED)
-    if not done:
-        raise ValueError("pages cannot be decoded")
-    return np.concatenate([_to_rgb(page) for page in pages], axis=2)
 
 
 def _opencv(data: np.ndarray, header: ImageHeader, luma: bool) -> np.ndarray:
     import cv2
 
+    if header.pages > 1:
+        done, pages = cv2.imdecodemulti(data, cv2.IMREAD_UNCHANGED)
+        if not done:
+            raise ValueError("pages cannot be decoded")
+        return np.concatenate([_to_rgb(page) for page in pages], axis=2)
     if header.kind == "jpeg":
         # EXIF orientation would turn frames against their mask; IMREAD_UNCHANGED ignores it too but is slower.
         flag = cv2.IMREAD_GRAYSCALE if luma or header.channels == 1 else cv2.IMREAD_COLOR_RGB
