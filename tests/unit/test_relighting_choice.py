@@ -106,7 +106,7 @@ def test_the_margin_and_the_scatter_of_the_lamps():
 def test_the_joint_fit_has_to_predict_lamps_better():
     glossy = SimpleNamespace(significant=True, gain=0.2)
     matt = SimpleNamespace(significant=False, gain=0.001)
-    worse, better = ({"plain": np.full(12, 2.0), "joint": np.full(12, error)} for error in (2.1, 1.9))
+    worse, better = ({"plain": np.full(12, 2.0), "joint": np.full(12, error)} for error in (1.97, 1.9))
     assert decided(glossy, "auto", better)[0]
     assert not decided(glossy, "auto", worse)[0]
     assert "less well" in decided(glossy, "auto", worse)[1].decision

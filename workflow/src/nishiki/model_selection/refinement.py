@@ -5,6 +5,7 @@ import numpy as np
 from nishiki.model_selection.decision import Decision
 from nishiki.photometric.gloss_scene import WORTHWHILE, SceneGloss
 
+LEAST_GAIN = 0.02  # part of the error of left-out lamps that the joint fit takes off where it counts
 CLEAR = 1 / 3  # of the limit: a gain nearer to 0 in the first look is not looked at again
 OVERRIDE = "normals.refine: gloss"
 
@@ -24,16 +25,16 @@ def decided(
 
     errors : CIEDE2000 of captured lamps left out, with "plain" and "joint"
     (`nishiki.model_selection.relighting.left_out_errors`), or None. Where gloss counts, the joint fit must predict them
-    better: on surfaces whose gloss it takes for another, and on matt ones with interreflections, it does not, and its
-    normals are worse.
+    better by LEAST_GAIN: on surfaces whose gloss it takes for another, and on matt ones with interreflections, it does
+    not, and its normals are worse.
     """
     joint, words = gloss.significant, "no joint fit: gloss does not count"
     if joint and errors is not None:
-        gain = float(errors["plain"].mean() - errors["joint"].mean())
-        joint = gain > 0
+        gain, least = float(errors["plain"].mean() - errors["joint"].mean()), LEAST_GAIN * float(errors["plain"].mean())
+        joint = gain > least
         words = "normals fitted together with gloss" if joint else "no joint fit: it predicts lamps less well"
         criterion = "CIEDE2000 of captured lamps left out that the joint fit takes off"
-        return joint, Decision("refine", words, criterion, gain, 0.0, "nothing", OVERRIDE)
+        return joint, Decision("refine", words, criterion, gain, least, "nothing", OVERRIDE)
     joint = joint or setting == "gloss"
     if joint:
         words = "normals fitted together with gloss"

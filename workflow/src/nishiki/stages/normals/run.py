@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -209,15 +210,18 @@ def scene_gloss(
 
 
 def sample_bands(frames: Observations, pixels: int | None = None) -> list[slice]:
-    """A few bands that lie evenly; of distant lamps, where pixels are given, the rows in their middle that hold eight
-    times as many."""
-    bands = frames.bands()
-    bands = [bands[i] for i in np.unique(np.linspace(0, len(bands) - 1, SAMPLE_BANDS).round().astype(int))]
+    """A few bands that lie evenly; of distant lamps, where pixels are given, thin ones that hold eight times as many,
+    evenly over the rows of the object."""
     if pixels is None or frames.positions_mm is not None:
-        return bands
-    rows = -(-8 * pixels // (len(bands) * frames.shape[1]))
-    starts = [max(band.start, (band.start + band.stop - rows) // 2) for band in bands]
-    return [slice(start, min(start + rows, band.stop)) for start, band in zip(starts, bands, strict=True)]
+        bands = frames.bands()
+        return [bands[i] for i in np.unique(np.linspace(0, len(bands) - 1, SAMPLE_BANDS).round().astype(int))]
+    rows = np.flatnonzero(frames.mask.any(axis=1))
+    if not rows.size:
+        return []
+    edges = np.unique(np.linspace(rows[0], rows[-1] + 1, SAMPLE_BANDS + 1).round().astype(int))
+    height = -(-8 * pixels // (SAMPLE_BANDS * frames.shape[1]))
+    starts = [max(a, (a + b - height) // 2) for a, b in pairwise(edges)]
+    return [slice(int(a), int(min(a + height, b))) for a, b in zip(starts, edges[1:], strict=True)]
 
 
 def sampled_pixels(
