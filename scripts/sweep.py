@@ -61,24 +61,24 @@ def content_of(flow: Workflow) -> dict:
 
 def errors_of(flow: Workflow, swept: SceneSweep) -> tuple[list[MeasureSettings], dict[str, list[float]]]:
     """The sweep's measures, or the usual one that the evaluations hold, and their values for every variant."""
-    found = {variant.name: evaluation_of(flow, swept, variant) for variant in swept.variants}
+    evaluations = {variant.name: evaluation_of(flow, swept, variant) for variant in swept.variants}
     settings = {
         variant.name: {name: stage.settings for name, stage in variant.plan.stages.items()}
         for variant in swept.variants
     }
 
     def values(measure: MeasureSettings) -> dict[str, float | None]:
-        return compared({name: values_of(measure, sources, settings[name]) for name, sources in found.items()})
+        return compared({name: values_of(measure, sources, settings[name]) for name, sources in evaluations.items()})
 
     asked = [as_measure(given) for given in flow.sweep.settings.error]
     if not asked:
         usual = candidates(flow.sweep.settings.stage, swept.facts.geometry)
         asked = [next((one for one in usual if None not in values(one).values()), usual[-1])]
-    table = {name: [] for name in found}
+    table = {name: [] for name in evaluations}
     for measure in asked:
         for name, value in values(measure).items():
             if value is None:
-                known = ", ".join(paths_in(found[name][0])[:40])
+                known = ", ".join(paths_in(evaluations[name][0])[:40])
                 raise UserError(
                     f"the evaluation of {swept.scene}, variant {name!r}, has no figure {measure.path!r}. Remedy: name "
                     f"another one under `error`; its diagnostics hold: {known}"

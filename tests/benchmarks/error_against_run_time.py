@@ -22,7 +22,7 @@ import yaml
 PROJECT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(PROJECT / "workflow/src"))
 
-from nishiki.sweep.content import SAID_OF_AXES, scene_content  # noqa: E402
+from nishiki.sweep.content import AXIS_NAMES, scene_content  # noqa: E402
 from nishiki.sweep.settings import MeasureSettings  # noqa: E402
 from nishiki.sweep.summary import Spread, VariantRow  # noqa: E402
 
@@ -297,7 +297,7 @@ def section(part: Part, scene: dict, notes: dict, files: dict[Path, str]) -> str
     for k, measure in enumerate(scene["measures"]):
         drawing = DRAWINGS / scene["plots"][k]["file"]
         files[drawing] = scene["plots"][k]["svg"] + "\n"
-        lines += [f"![{measure['label']} against {SAID_OF_AXES[scene['axis']]}](sweeps/{drawing.name})", ""]
+        lines += [f"![{measure['label']} against {AXIS_NAMES[scene['axis']]}](sweeps/{drawing.name})", ""]
         lines += [f"* {text}" for text in scene["advice"][k]]
         if notes.get("default"):
             lines.append(f"* {' '.join(notes['default'].split())}" if k == 0 else "")
@@ -314,7 +314,7 @@ def table(scene: dict) -> str:
     measures = [
         f"{measure['label']}{', ' + measure['unit'] if measure['unit'] else ''}" for measure in scene["measures"]
     ]
-    heads = ["variant", *measures, f"{SAID_OF_AXES[axis]}, s", "from … to", "memory, MiB", "MB", "front"]
+    heads = ["variant", *measures, f"{AXIS_NAMES[axis]}, s", "from … to", "memory, MiB", "MB", "front"]
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
     for row in scene["rows"]:
         time = row["times"][axis]

@@ -153,10 +153,10 @@ def timing(ingested, settings):
         start = time.perf_counter()
         gloss = script.scene_gloss(frames, None, lights, chosen)
         gloss_seconds.append(time.perf_counter() - start)
+        profile = script.choose_fit(frames, None, lights, gloss, chosen)[0]
         start = time.perf_counter()
         level = np.ascontiguousarray(observations.mean(axis=-1))
         usable = select_diffuse(level, directions, valid=valid, **settings.get("separate", {})).usable
-        profile = gloss.profile if script.wanted(gloss, chosen) else None
         script.solve(observations, usable, valid, parcel, chosen, profile)
         seconds.append(time.perf_counter() - start)
     return {

@@ -328,7 +328,7 @@ WARNED = {
 
 
 @pytest.mark.parametrize("name", WARNED)
-def test_warnings_do_not_stop_ingest_but_are_told(tmp_path, name):
+def test_warnings_do_not_stop_ingest_but_are_reported(tmp_path, name):
     options, change, kind = WARNED[name]
     folder = make_turntable(tmp_path / "c", **options)
     change(folder)

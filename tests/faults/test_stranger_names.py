@@ -135,7 +135,7 @@ def test_endless_files_are_not_read(tmp_path, quick):
         seal(folder)
 
 
-def test_links_put_into_a_sealed_capture_are_told(tmp_path, secret, quick):
+def test_links_put_into_a_sealed_capture_are_reported(tmp_path, secret, quick):
     folder = make_capture(tmp_path / "c")
     seal(folder)
     photograph = next((folder / "data/frames").iterdir())

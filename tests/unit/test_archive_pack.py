@@ -278,13 +278,13 @@ def test_links_bombs_and_doubles_in_a_zip_file_are_named_and_not_read(made, tmp_
 
 
 @pytest.mark.parametrize("data", [b"", b"PK", b"PK\x05\x06" + bytes(18), b"not a zip file" * 100])
-def test_what_is_no_zip_file_is_told(tmp_path, data):
+def test_what_is_no_zip_file_is_reported(tmp_path, data):
     path = tmp_path / "x.zip"
     path.write_bytes(data)
     assert audit(path)[0]
 
 
-def test_cut_zip_files_are_told(made, tmp_path):
+def test_cut_zip_files_are_reported(made, tmp_path):
     write_zip(made, tmp_path / "x.zip")
     whole = (tmp_path / "x.zip").read_bytes()
     for at in (100, len(whole) // 2, len(whole) - 30, len(whole) - 1):

@@ -79,7 +79,7 @@ def test_the_natural_order_that_was_used_before_gives_wrong_pairs_here():
     assert [p.stem for p in paired(photographs, boards).partners] == [f"board_{x}" for x in LAMPS]
 
 
-def test_running_numbers_without_a_common_value_are_paired_in_order_and_every_pair_is_told():
+def test_running_numbers_without_a_common_value_are_paired_in_order_and_every_pair_is_reported():
     photographs, boards = paths([f"DSC{i:04d}" for i in range(8, 13)]), paths([f"DSC{i:04d}" for i in range(98, 103)])
     found = paired(photographs, boards[::-1])
     assert found.partners == tuple(boards)
@@ -132,7 +132,7 @@ def test_convert_gives_every_photograph_its_own_board(tmp_path):
 
 
 @pytest.mark.parametrize("option", ["white", "dark"])
-def test_a_folder_that_is_missing_is_told(tmp_path, option):
+def test_a_folder_that_is_missing_is_reported(tmp_path, option):
     write_set(tmp_path / "s", "abc")
     with pytest.raises(CaptureError) as caught:
         convert(tmp_path / "s", tmp_path / "c", **{option: tmp_path / "s/a.png"})

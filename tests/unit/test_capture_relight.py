@@ -83,14 +83,14 @@ def test_an_lp_file_comes_first_and_another_info_json_is_none(tmp_path):
         (json.dumps(project(images=project()["images"] * 2)), "light-duplicate"),
     ],
 )
-def test_what_is_no_such_file_is_told(tmp_path, text, kind):
+def test_what_is_no_such_file_is_reported(tmp_path, text, kind):
     (tmp_path / "x.relight").write_text(text)
     with pytest.raises(CaptureError) as caught:
         read_relight(tmp_path / "x.relight")
     assert caught.value.problems[0].kind == kind
 
 
-def test_pictures_of_formats_that_are_not_read_are_told(tmp_path):
+def test_pictures_of_formats_that_are_not_read_are_reported(tmp_path):
     (tmp_path / "s").mkdir()
     for i in range(3):
         (tmp_path / f"s/{i}.tga").write_bytes(b"tga")

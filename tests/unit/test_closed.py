@@ -48,7 +48,7 @@ TOLD = {
 
 
 @pytest.mark.parametrize("name", TOLD)
-def test_what_is_told(name):
+def test_what_is_reported(name):
     values, words = TOLD[name]
     with pytest.raises(UserError) as told:
         parse(Configuration, values, "c.yaml")

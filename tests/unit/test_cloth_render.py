@@ -147,7 +147,7 @@ def test_a_film(cloth_brdf, tmp_path, moves):
     assert done.path(done.diagnostics["video"]["file"]).stat().st_size > 500
 
 
-def test_unknown_names_are_told(cloth_brdf, tmp_path):
+def test_unknown_names_are_reported(cloth_brdf, tmp_path):
     with pytest.raises(UserError, match="ward, dull"):
         rendered(tmp_path / ("0" * 12), cloth_brdf, model="velvet")
     with pytest.raises(UserError, match="among cloth"):

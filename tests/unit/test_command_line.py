@@ -52,7 +52,7 @@ def test_mistakes_in_settings_name_the_file_that_was_given(capsys, project, text
     assert words in told
 
 
-def test_a_table_without_scenes_is_told(capsys, project):
+def test_a_table_without_scenes_is_reported(capsys, project):
     assert said(capsys, "plan", "--configfile", "mine.yaml") == (
         2,
         "nishiki plan: table.tsv: no scene in the table. Remedy: add a row: name, capture folder\n",

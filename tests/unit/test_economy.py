@@ -315,7 +315,7 @@ def left_over(structure, noise, *, seed=1):
     return (pattern + noise * rng.standard_normal((3, 3600))).astype(np.float32), observation, s, t
 
 
-def test_noise_is_no_structure_and_structure_is_told():
+def test_noise_is_no_structure_and_structure_is_reported():
     noise, both, pattern = (what_is_left([left_over(*of)]) for of in ((0, 0.01), (0.02, 0.01), (0.02, 1e-4)))
     assert noise.structure < 0.05
     assert 0.3 < both.structure < 0.7  # the pattern's energy is half of all

@@ -14,7 +14,7 @@ from unit.test_plan_economy import CLOTH, OBJECT, PLANE
 from nishiki.artifacts.artifact import MANIFEST, RUN, open_artifact, run_text
 from nishiki.artifacts.provenance import canonical, stage_key
 from nishiki.artifacts.publish import publish
-from nishiki.commands.engine import says_what_to_make
+from nishiki.commands.engine import names_targets
 from nishiki.engine import finished
 from nishiki.engine.plan import PlannedStage, make_plan
 from nishiki.engine.project import Scene, StageSettings
@@ -247,6 +247,6 @@ def test_the_engine_of_a_run_is_told_which_scenes_are_left(tmp_path, monkeypatch
 )
 def test_options_that_say_what_to_make_leave_the_decision_to_the_engine(rest, profile, says, monkeypatch):
     monkeypatch.delenv("SNAKEMAKE_PROFILE", raising=False)
-    assert says_what_to_make(rest, profile) == says
+    assert names_targets(rest, profile) == says
     monkeypatch.setenv("SNAKEMAKE_PROFILE", "mine")
-    assert says_what_to_make(rest, profile)
+    assert names_targets(rest, profile)

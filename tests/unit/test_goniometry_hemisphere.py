@@ -87,7 +87,7 @@ def test_one_representative_for_each_set_of_images(symmetry):
     assert all(same)
 
 
-def test_departure_from_symmetry_is_told():
+def test_departure_from_symmetry_is_reported():
     outgoing = np.concatenate([views() @ m.T for m in images("quarter")])
     incident = np.tile(NORMAL, (len(outgoing), 1))
     clean = lobe(outgoing)

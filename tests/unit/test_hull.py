@@ -157,7 +157,7 @@ def test_signed_distance_of_a_half_plane_and_of_masks_without_outline():
         assert ((found > 0) == value).all()
 
 
-def test_bad_silhouettes_are_told():
+def test_bad_silhouettes_are_reported():
     cameras = turn(4)
     masks = [sphere(camera) for camera in cameras]
     with pytest.raises(UserError, match="two views at least, found 1"):

@@ -70,7 +70,7 @@ def test_bands_that_the_array_library_wrote_are_read(tmp_path):
 
 @pytest.mark.parametrize("damage", ["flip", "remove"])
 @pytest.mark.parametrize("compression", ["none", "zstd"])
-def test_a_damaged_band_is_told(tmp_path, compression, damage):
+def test_a_damaged_band_is_reported(tmp_path, compression, damage):
     group = BandedGroup.create(tmp_path / "a.zarr")
     group.create_array("map", (20, 600), (8, 600), "float32", compression=compression)[...] = np.ones((20, 600))
     path = group["map"].path(1)

@@ -104,7 +104,7 @@ def test_too_little_to_tell_is_not_judged():
     assert find_exchanges(photographs * np.nan, boards, cosines, directions) is None
 
 
-def test_lights_whose_boards_do_not_follow_the_cosine_are_told():
+def test_lights_whose_boards_do_not_follow_the_cosine_are_reported():
     directions = dome()
     expected, names = np.log(directions[:, 2]), [f"L{i}" for i in range(16)]
     strengths = np.random.default_rng(1).normal(0, 0.03, 16)

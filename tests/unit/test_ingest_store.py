@@ -259,7 +259,7 @@ def test_one_channel_is_what_the_channels_give(tmp_path, channels):
     np.testing.assert_allclose(values, every.read(slice(0, ROWS))[0] @ weights, rtol=2e-3)
 
 
-def test_a_channel_that_the_capture_does_not_have_is_told(tmp_path):
+def test_a_channel_that_the_capture_does_not_have_is_reported(tmp_path):
     with pytest.raises(UserError, match=r"or a channel of the capture \(red, green, blue\), found infrared"):
         ingest(make_capture(tmp_path / "c"), tmp_path / "a", channels="infrared")
 

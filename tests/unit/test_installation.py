@@ -81,7 +81,7 @@ def test_a_run_is_planned_from_any_folder(site, tmp_path):
     assert {"ingest", "normals", "report", "publish"} <= {line.split()[0] for line in done.stdout.splitlines() if line}
 
 
-def test_a_folder_without_a_configuration_is_told(site, tmp_path):
+def test_a_folder_without_a_configuration_is_reported(site, tmp_path):
     done = call(site, "-m", "nishiki", "run", cwd=tmp_path)
     assert done.returncode == 2
     assert done.stderr.startswith("nishiki run: config/config.yaml: file not found. Remedy: name the configuration")

@@ -84,14 +84,14 @@ HEADING = (
         (HEADING + "0 0 0\n1 0", "damaged PLY"),
     ],
 )
-def test_broken_files_are_told(tmp_path, text, said):
+def test_broken_files_are_reported(tmp_path, text, said):
     path = tmp_path / "broken.ply"
     path.write_text(text)
     with pytest.raises(UserError, match=said):
         read_triangles(path)
 
 
-def test_cut_off_and_foreign_files_are_told(ball, tmp_path):
+def test_cut_off_and_foreign_files_are_reported(ball, tmp_path):
     path = tmp_path / "cut.ply"
     data = trimesh.exchange.ply.export_ply(ball)
     path.write_bytes(data[: len(data) // 2])

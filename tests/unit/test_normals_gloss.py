@@ -364,7 +364,7 @@ def test_rotation_is_orthogonal():
         assert np.allclose(rotation[0], 1 / np.sqrt(channels))
 
 
-def test_bad_input_is_told():
+def test_bad_input_is_reported():
     lights = ring()
     observed = np.ones((9, 2, 2, 3), np.float32)
     with pytest.raises(UserError, match="joint fit"):

@@ -109,6 +109,6 @@ def test_a_geometry_of_many_views_is_refused_in_one_sentence(tmp_path, monkeypat
         nishiki.read_observations(tmp_path)
 
 
-def test_a_folder_without_an_object_is_told(tmp_path):
+def test_a_folder_without_an_object_is_reported(tmp_path):
     with pytest.raises(nishiki.errors.UserError, match="found no cameras"):
         nishiki.read_object(tmp_path)

@@ -214,7 +214,7 @@ def test_a_large_video_is_named_not_carried(page):
     assert "render/aaaaaaaaaaaa/moving-light.mp4" in page
 
 
-def test_changed_settings_and_reasons_are_told(full, tmp_path):
+def test_changed_settings_and_reasons_are_reported(full, tmp_path):
     settings = ReportSettings(title="Own title", left_out={"separate": "its method is set to none"})
     inputs = {name: full[name] for name in ("ingest", "normals")}
     text = run(tmp_path, "report", inputs, settings).path("report.html").read_text(encoding="utf-8")

@@ -106,7 +106,7 @@ def test_nothing_is_hardly_anything():
     assert len(encode(block, 4, trained).data) < 12
 
 
-def test_damaged_start_states_are_told():
+def test_damaged_start_states_are_reported():
     data = pack(train([encode(np.ones((1, 1, 8, 8), np.int32), 1, Model.untrained())]))
     with pytest.raises(UserError, match="damaged"):
         unpack(data[:-7])

@@ -129,7 +129,7 @@ def test_every_flipped_bit_is_noticed(sphere, tmp_path):
     assert squared_error(Residual(tmp_path), source, scene) == expected
 
 
-def test_missing_stores_are_told(tmp_path):
+def test_missing_stores_are_reported(tmp_path):
     with pytest.raises(UserError, match="no residual here"):
         Residual(tmp_path)
     with pytest.raises(UserError, match="begin with"):

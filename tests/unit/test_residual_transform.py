@@ -103,7 +103,7 @@ def test_sizes_that_cannot_be_halved_stop_early():
     np.testing.assert_allclose(analysis_matrix("db2", 9, 3), np.eye(9))
 
 
-def test_wrong_families_are_told():
+def test_wrong_families_are_reported():
     with pytest.raises(UserError, match="wavelet"):
         plane_transform("daubechies", 16, 16, 2)
     with pytest.raises(UserError, match="symmetric"):

@@ -153,7 +153,7 @@ def test_a_failed_job_that_is_tried_again_and_then_done_is_no_longer_a_failure(c
     assert console.progress.stages() == (1, 4)
 
 
-def test_of_a_group_the_stage_that_has_a_message_is_told(console, failures, tmp_path):
+def test_of_a_group_the_stage_that_has_a_message_is_reported(console, failures, tmp_path):
     log = tmp_path / "17.log"
     log.write_text("Building DAG of jobs...\nnishiki bowl/normals: no light is left\n")
     for number, stage in enumerate(("ingest", "normals", "height")):

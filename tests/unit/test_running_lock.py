@@ -252,7 +252,7 @@ def test_a_process_number_used_again_is_another_process():
     assert records(Path("results"))[0].state == "dead"
 
 
-def test_results_that_cannot_be_written_are_told(somewhere):
+def test_results_that_cannot_be_written_are_reported(somewhere):
     Path("results").write_text("a file")
     with pytest.raises(UserError, match="cannot be written"):
         run_once("a")

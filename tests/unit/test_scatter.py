@@ -25,7 +25,7 @@ def test_shares_cover_everything_once_in_order_and_evenly(items, total):
 
 
 @pytest.mark.parametrize("text", ["", "2", "0/3", "4/3", "-1/2", "1/2/3", "a/b", "1.0/2"])
-def test_what_is_no_part_is_told(text):
+def test_what_is_no_part_is_reported(text):
     with pytest.raises(UserError, match="--part"):
         StagePart.parse(text)
 

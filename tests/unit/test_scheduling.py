@@ -18,6 +18,7 @@ from nishiki.engine.scheduling import SHORT_SECONDS, Scheduling
 from nishiki.observations.plane import Observations
 from nishiki.observations.plane_store import write_observations
 from nishiki.stages.base import SceneFacts
+from nishiki.stages.ingest.declaration import IngestSettings
 from nishiki.stages.table import CHAIN, chain_of
 
 PLANE = tuple(chain_of("plane"))
@@ -104,7 +105,7 @@ def test_a_small_object_in_a_large_picture_is_planned_by_its_bounding_box(tmp_pa
     folder = make_capture(tmp_path / "c", mask=mask, rows=200, columns=300)
     seal(folder)
     facts = scene_facts(SimpleNamespace(name="x", capture=folder, truth=None))
-    write_observations(load_capture(folder), tmp_path)
+    write_observations(load_capture(folder), tmp_path, settings=IngestSettings())
     assert facts.kept_pixels == np.prod(Observations(tmp_path).shape) < facts.pixels == 60_000
     settings = SimpleNamespace(settings=StageSettings())
     small, large = Scheduling(), Scheduling()

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nishiki.errors import UserError
-from nishiki.photometric import light_selection as rooms
+from nishiki.photometric import light_selection as selection
 from nishiki.photometric.light_selection import pack_lights, select_diffuse, unpack_lights
 from nishiki.photometric.ranks import sorting_network
 
@@ -96,17 +96,17 @@ def slow_refit(values, lights, noise=0.003, starts=3, at_least=4):
 
     def keep(b):
         r = values - lights @ b
-        distance = np.where(lights @ b > 0, np.where(r > 0, rooms.ABOVE * r, -r), np.inf)
-        size = min(max(at_least, int(np.ceil(rooms.COVERAGE * n))), n)
+        distance = np.where(lights @ b > 0, np.where(r > 0, selection.ABOVE * r, -r), np.inf)
+        size = min(max(at_least, int(np.ceil(selection.COVERAGE * n))), n)
         return distance, (distance <= np.sort(distance)[size - 1]) & np.isfinite(distance), size
 
     b = np.zeros(3)
-    window, record = min(max(at_least, int(np.floor(rooms.WINDOW * n + 0.5))), n), np.inf
+    window, record = min(max(at_least, int(np.floor(selection.WINDOW * n + 0.5))), n), np.inf
     for s in range(starts):
         first = int(np.floor(s / (starts - 1) * (n - window) + 0.5))
         ranked = np.sort(values)
         mask = (values >= ranked[first]) & (values <= ranked[first + window - 1])
-        for _ in range(rooms.STEPS + 1):
+        for _ in range(selection.STEPS + 1):
             b = solve(mask) if mask.sum() >= at_least else b
             distance, mask, size = keep(b)
         ratio = np.minimum(distance[mask] / np.linalg.norm(b), 10)
@@ -116,10 +116,10 @@ def slow_refit(values, lights, noise=0.003, starts=3, at_least=4):
     _, mask, _ = keep(best)
     r = values - lights @ best
     scale = np.sqrt(np.sum(r[mask] ** 2) / max(mask.sum() - 3, 1)) + noise * np.linalg.norm(best)
-    for k in range(rooms.ROUNDS + 1):
+    for k in range(selection.ROUNDS + 1):
         r = values - lights @ best
-        mask = (r <= rooms.BRIGHTER * scale) & (r >= -rooms.DARKER * scale) & (lights @ best > 0)
-        best = solve(mask) if k < rooms.ROUNDS and mask.sum() >= at_least else best
+        mask = (r <= selection.BRIGHTER * scale) & (r >= -selection.DARKER * scale) & (lights @ best > 0)
+        best = solve(mask) if k < selection.ROUNDS and mask.sum() >= at_least else best
     return mask if mask.sum() >= at_least else np.ones(n, dtype=bool)
 
 

@@ -35,7 +35,7 @@ def test_named_variants_change_several_settings_at_once():
     }
 
 
-def test_the_stage_s_own_prefix_is_left_out_of_names_and_values_are_told():
+def test_the_stage_s_own_prefix_is_left_out_of_names_and_values_are_reported():
     found = variants(vary={"normals.refine": [None], "separate.keep": [[0.2, 0.8]], "normals.x": [True]})
     assert found[1].name == "refine=none, separate.keep=0.2/0.8, x=yes"
 

@@ -47,7 +47,7 @@ def test_values_that_are_not_finite_are_none():
     assert value("a", [{"a": float("nan")}]) is None
 
 
-def test_a_setting_that_the_variant_lacks_is_told():
+def test_a_setting_that_the_variant_lacks_is_reported():
     with pytest.raises(UserError, match=r"cloth_brdf\.model"):
         value("{cloth_brdf.model}")
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nishiki.codec.compact_mesh import decode_mesh, encode_mesh, grid_step, own_step, shift
+from nishiki.codec.compact_mesh import decode_mesh, encode_mesh, grid_step, mesh_step, shift
 from nishiki.codec.integer_code import decode_integers, encode_integers
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
@@ -147,10 +147,10 @@ def test_a_mesh_on_a_grid_is_coded_on_that_grid():
     intrinsics = np.array([[900.0, 0, 320], [0, 900, 240], [0, 0, 1]])
     camera = Camera("a", intrinsics, np.eye(3), np.array([0, 0, 4.0]), 480, 640)
     needed = grid_step(mesh, [camera])
-    assert own_step(mesh, [camera]) == needed
+    assert mesh_step(mesh, [camera]) == needed
     for step in (needed * 8, needed, needed / 4):
         snapped = Mesh.of(np.round(mesh.vertices / step) * step, mesh.triangles)
-        assert own_step(snapped, [camera]) == step
+        assert mesh_step(snapped, [camera]) == step
 
 
 def test_bad_bytes_are_refused():

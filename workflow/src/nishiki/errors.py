@@ -22,7 +22,7 @@ def printable(text: str) -> str:
 
     Names of files come from strangers: a terminal would obey some of them, and UTF-8 has no place for others.
     """
-    return UNSEEN.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+    return UNSEEN.sub(lambda match: match[0].encode("unicode_escape").decode(), text)
 
 
 OF_THE_MACHINE = {

@@ -42,9 +42,9 @@ def loaded() -> tuple[str, ...]:
 
     scipy counts where a part of it is there that we call: numba takes scipy.linalg for itself, whatever it compiles.
     """
-    found = {name: module in sys.modules for name, module in MODULES.items()}
-    found["scipy"] = any(f"scipy.{part}" in sys.modules for part in PARTS_OF_SCIPY)
-    return tuple(sorted(name for name, there in found.items() if there))
+    present = {name: module in sys.modules for name, module in MODULES.items()}
+    present["scipy"] = any(f"scipy.{part}" in sys.modules for part in PARTS_OF_SCIPY)
+    return tuple(sorted(name for name, there in present.items() if there))
 
 
 def load_all() -> None:

@@ -69,8 +69,8 @@ def is_alive(name: str) -> bool:
     pid, _, ticks = name.partition("-")
     if not pid.isdigit():
         return False
-    found = start_ticks(int(pid))
-    return found is not None and (not ticks or ticks == str(found))
+    started = start_ticks(int(pid))
+    return started is not None and (not ticks or ticks == str(started))
 
 
 def owner() -> str:
@@ -90,9 +90,9 @@ def marked(variable: str, value: str) -> list[int]:
 
     Whatever a process starts inherits its environment: children are found even where their parents are gone.
     """
-    wanted = f"{variable}={value}".encode()
-    found = [pid for pid in pids() if pid != os.getpid() and wanted in _environment(pid)]
-    return [pid for pid in found if start_ticks(pid) is not None]
+    entry = f"{variable}={value}".encode()
+    matching = [pid for pid in pids() if pid != os.getpid() and entry in _environment(pid)]
+    return [pid for pid in matching if start_ticks(pid) is not None]
 
 
 def pids() -> list[int]:
@@ -111,11 +111,11 @@ def stop(find: Callable[[], list[int]], *, patience_s: float = 5.0) -> list[int]
     """End the processes that `find` names, and those that it names afterwards; whichever are left at the end."""
     for number, seconds in ((signal.SIGTERM, patience_s), (signal.SIGKILL, patience_s)):
         until = time.monotonic() + seconds
-        while (found := find()) and time.monotonic() < until:
-            for pid in found:
+        while (running := find()) and time.monotonic() < until:
+            for pid in running:
                 with suppress(ProcessLookupError, PermissionError):
                     os.kill(pid, number)
             time.sleep(0.1)
-        if not found:
+        if not running:
             return []
     return find()

@@ -187,7 +187,7 @@ class RunHandler(LogHandlerBase):
             case LogEvent.ERROR:
                 self._error(record)
             case None if not getattr(record, "of_stage", False):
-                self._said(record)
+                self._show_message(record)
         if self.screen.live and self.progress.waiting:
             self.screen.show(self.progress.line())
 
@@ -270,7 +270,7 @@ class RunHandler(LogHandlerBase):
         elif not any(words in text for words in REPEATED):
             self.screen.tell(text.rstrip())
 
-    def _said(self, record: Any) -> None:
+    def _show_message(self, record: Any) -> None:
         """Show Snakemake's warnings and errors, and the little of its information that a user has to know."""
         text = record.getMessage().strip()
         retry = RETRY.match(text)

@@ -28,7 +28,7 @@ Result = TypeVar("Result")
 
 
 @dataclass
-class Found:
+class AuditTargets:
     """What stands below some folders: artifacts, published links, stray links, unfinished and set-aside folders."""
 
     artifacts: list[Path] = field(default_factory=list)
@@ -54,66 +54,70 @@ class Counts:
     problems: int = 0
 
 
-def find_artifacts(folders: Iterable[Path]) -> Found:
+def find_artifacts(folders: Iterable[Path]) -> AuditTargets:
     """Everything to audit at or below folders: results, a scene, a stage or an artifact. No link is followed."""
-    found = Found()
+    targets = AuditTargets()
     todo = [Path(folder) for folder in folders]
     while todo:
-        _look(todo.pop(), found, todo)
-    for items in (found.artifacts, found.crates, found.publications, found.unfinished, found.aside):
+        _look(todo.pop(), targets, todo)
+    for items in (targets.artifacts, targets.crates, targets.publications, targets.unfinished, targets.aside):
         items[:] = sorted(set(items))
-    return found
+    return targets
 
 
-def _look(folder: Path, found: Found, todo: list[Path]) -> None:
+def _look(folder: Path, targets: AuditTargets, todo: list[Path]) -> None:
     if ARTIFACT_NAME.fullmatch(folder.name) or (folder / MANIFEST).is_file():
         # Snakemake makes the folder of an output before its stage starts: an empty one is not lost, but not begun.
-        (found.artifacts if any(folder.iterdir()) else found.unfinished).append(folder)
+        (targets.artifacts if any(folder.iterdir()) else targets.unfinished).append(folder)
         return
     if (folder / METADATA).is_file():
-        found.crates.append(folder)
+        targets.crates.append(folder)
         return
     if folder.name == CURRENT and (folder / "index.json").exists():
-        found.publications.append(folder)
+        targets.publications.append(folder)
         return
     try:
         with os.scandir(folder) as entries:
             inner = list(entries)
     except OSError as error:
-        found.damages.append(Damage(folder, "unreadable", str(error.strerror)))
+        targets.damages.append(Damage(folder, "unreadable", str(error.strerror)))
         return
     for entry in inner:
         path = folder / entry.name
         if entry.is_symlink():
-            told = f"not followed, to {os.readlink(path)}; verify its target itself"
-            found.damages.append(Damage(path, "link", told))
+            detail = f"not followed, to {os.readlink(path)}; verify its target itself"
+            targets.damages.append(Damage(path, "link", detail))
         elif not entry.is_dir(follow_symlinks=False):
-            found.crates += [path] if path.suffix.lower() == ".zip" else []
+            targets.crates += [path] if path.suffix.lower() == ".zip" else []
         elif ".set-aside-" in entry.name:
-            found.aside.append(path)
+            targets.aside.append(path)
         elif entry.name.startswith("."):
-            found.unfinished += [path] if entry.name.endswith(UNFINISHED) else []
+            targets.unfinished += [path] if entry.name.endswith(UNFINISHED) else []
         elif entry.name == CURRENT:
-            found.publications.append(path)
+            targets.publications.append(path)
         elif entry.name != SWEEPS:
             todo.append(path)
 
 
-def audit(found: Found, counts: Counts, *, threads: int, tell: Callable[[int, int, str], None]) -> Iterator[Damage]:
+def audit(
+    targets: AuditTargets, counts: Counts, *, threads: int, tell: Callable[[int, int, str], None]
+) -> Iterator[Damage]:
     """Every damage of what was found, while it is found, always in the same order.
 
     tell: called with artifacts done, their number, and what was done last. Held in memory: a few portions of files at
     a time, and of every artifact its place, digest and upstream artifacts.
     """
     references = References()
-    yield from _counted(found.damages, counts)
+    yield from _counted(targets.damages, counts)
     with ThreadPoolExecutor(threads) as pool:
-        surveys = in_order(pool, lambda folder: survey_artifact(FolderTree(folder)), found.artifacts, 4 * threads)
-        portions = _portions(surveys, references, counts, len(found.artifacts), tell)
+        surveys = in_order(pool, lambda folder: survey_artifact(FolderTree(folder)), targets.artifacts, 4 * threads)
+        portions = _portions(surveys, references, counts, len(targets.artifacts), tell)
         for damages in in_order(pool, _of_portion, portions, 4 * threads):
             yield from _counted(damages, counts)
         yield from _counted(references.problems(), counts)
-        publications = in_order(pool, lambda folder: check_publication(folder, references), found.publications, threads)
+        publications = in_order(
+            pool, lambda folder: check_publication(folder, references), targets.publications, threads
+        )
         for damages in publications:
             yield from _counted(damages, counts)
 

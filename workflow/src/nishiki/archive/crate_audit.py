@@ -69,11 +69,11 @@ def audit_crate(audit: CrateAudit, *, threads: int, tell: Callable[[int, int, st
         return
     audit.digest = hashlib.sha256(data).hexdigest()
     yield from _names(audit, listing, listed)
-    found: dict[str, str] = {}
-    yield from _contents(audit, tree, listing, listed, found, threads, tell)
+    digests_read: dict[str, str] = {}
+    yield from _contents(audit, tree, listing, listed, digests_read, threads, tell)
     surveys = _surveys(tree, listing)
     for survey in surveys:
-        yield from _artifact(survey, found)
+        yield from _artifact(survey, digests_read)
     yield from _chain(audit, surveys)
     yield from _capture(audit, tree, listing, listed, surveys)
     yield from _description(audit, tree, surveys)
@@ -109,11 +109,11 @@ def _contents(
     tree: Tree,
     listing: Listing,
     listed: dict[str, str],
-    found: dict[str, str],
+    digests_read: dict[str, str],
     threads: int,
     tell: Callable[[int, int, str], None],
 ) -> Iterator[Damage]:
-    """Digest every listed file once; `found` is filled with what they are."""
+    """Digest every listed file once; `digests_read` is filled with their digests."""
     names = [name for name in sorted(listed) if name in listing.files]
     portions = [names[start : start + PORTION] for start in range(0, len(names), PORTION)]
     # A ZIP file is one file handle: several threads would only wait for each other.
@@ -122,7 +122,7 @@ def _contents(
             for name, digest, error in digests:
                 audit.files += 1
                 audit.bytes += listing.files[name]
-                found[name] = digest
+                digests_read[name] = digest
                 if error:
                     yield audit.damage(name, "unreadable", error)
                 elif digest != listed[name]:
@@ -143,11 +143,11 @@ def _surveys(tree: Tree, listing: Listing) -> list[Survey]:
     return [survey_artifact(tree, folder, name=key) for folder, key in folders]
 
 
-def _artifact(survey: Survey, found: dict[str, str]) -> Iterator[Damage]:
+def _artifact(survey: Survey, digests_read: dict[str, str]) -> Iterator[Damage]:
     """An artifact against its own manifest; its files were read before."""
     yield from survey.damages
     for name, _, sha256 in survey.to_read:
-        digest = found.get(survey.named(name))
+        digest = digests_read.get(survey.named(name))
         if digest is not None and digest != sha256:
             yield Damage(survey.folder / name, "damaged", f"not what its {ARTIFACT} says", survey.folder)
     if survey.stage and survey.stage != survey.folder.parent.name:
@@ -205,14 +205,14 @@ def _capture(
 
 def parse_seal(data: bytes) -> dict[str, str]:
     """Digest by name from the manifest of a bag. Raises ValueError where a line is none or a name leads outside."""
-    found = {}
+    digests = {}
     for number, line in enumerate(data.decode("utf-8").splitlines(), start=1):
         match = re.fullmatch(r"([0-9a-fA-F]{64})[ \t]+\*?(.+)", line)
         if match is None or not is_inside(match[2]):
             raise ValueError(f"line {number}: expected 64 hexadecimal digits and a name inside the bag")
         name = re.sub(r"%(25|0[dD]|0[aA])", lambda code: chr(int(code[1], 16)), match[2])
-        found[name] = match[1].lower()
-    return found
+        digests[name] = match[1].lower()
+    return digests
 
 
 def _description(audit: CrateAudit, tree: Tree, surveys: list[Survey]) -> Iterator[Damage]:
@@ -222,13 +222,13 @@ def _description(audit: CrateAudit, tree: Tree, surveys: list[Survey]) -> Iterat
         entities = {str(entity["@id"]): entity for entity in graph}
         for survey in surveys:
             folder = f"{survey.below}/"
-            told = entities.get(folder, {}).get("identifier")
+            identifier = entities.get(folder, {}).get("identifier")
             made = {entry["@id"] for entry in entities.get(f"#run-{survey.stage}", {}).get("object", [])}
             above = {
                 "capture/" if stage == CAPTURE else f"artifacts/{stage}/{key}/"
                 for stage, (key, _) in survey.upstream.items()
             }
-            if told != f"sha256:{survey.digest}" or not above <= made:
+            if identifier != f"sha256:{survey.digest}" or not above <= made:
                 yield audit.damage(METADATA, "damaged", f"does not describe {folder} as it is")
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         yield audit.damage(METADATA, "damaged", f"not a description of a crate ({type(error).__name__})")

@@ -27,8 +27,8 @@ Entity = dict[str, Any]
 
 def ids(names: Iterable[str]) -> list[Entity] | Entity:
     """References to entities; to a single one without a list, as the compact form has it."""
-    found = [{"@id": name} for name in names]
-    return found[0] if len(found) == 1 else found
+    references = [{"@id": name} for name in names]
+    return references[0] if len(references) == 1 else references
 
 
 def quoted(name: str) -> str:

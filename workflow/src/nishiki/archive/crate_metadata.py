@@ -47,7 +47,7 @@ def metadata(scene: str, version: str, capture: PackedCapture, stages: list[Pack
         *_workflow(version, stages, locked=LOCK in others),
         *_capture(capture, stages),
         *(entity for number, stage in enumerate(stages) for entity in stage_entities(stage, number, stages)),
-        *_whole_run(scene, stages, locked=LOCK in others),
+        *_workflow_run(scene, stages, locked=LOCK in others),
         *library_entities(stages),
         *(_other(name) for name in others),
     ]
@@ -55,10 +55,10 @@ def metadata(scene: str, version: str, capture: PackedCapture, stages: list[Pack
 
 
 def _other(name: str) -> Entity:
-    found: Entity = {"@id": name, "@type": "File", "name": name, "encodingFormat": media_type(name)}
+    entity: Entity = {"@id": name, "@type": "File", "name": name, "encodingFormat": media_type(name)}
     if name == "README.md":
-        found["about"] = {"@id": "./"}
-    return found
+        entity["about"] = {"@id": "./"}
+    return entity
 
 
 def last_end(stages: list[PackedStage]) -> str:
@@ -101,7 +101,7 @@ def _root(scene: str, capture: PackedCapture, stages: list[PackedStage], others:
 def _people_and_rights(capture: PackedCapture) -> list[Entity]:
     about = capture.about
     rights = about.get("rights")
-    found: list[Entity] = [
+    entities: list[Entity] = [
         {
             "@id": _rights_id(rights),
             "@type": "CreativeWork",
@@ -113,11 +113,11 @@ def _people_and_rights(capture: PackedCapture) -> list[Entity]:
         {"@id": PROJECT_LICENCE, "@type": "CreativeWork", "name": "BSD 3-Clause License"},
     ]
     if about.get("creator"):
-        found.append({"@id": "#creator", "@type": "Person", "name": about["creator"]})
+        entities.append({"@id": "#creator", "@type": "Person", "name": about["creator"]})
     if about.get("object_id"):
         title = about.get("title") or about["object_id"]
-        found.append({"@id": "#object", "@type": "Thing", "name": title, "identifier": about["object_id"]})
-    return found
+        entities.append({"@id": "#object", "@type": "Thing", "name": title, "identifier": about["object_id"]})
+    return entities
 
 
 def _rights_id(rights: str | None) -> str:
@@ -128,7 +128,7 @@ def _capture(capture: PackedCapture, stages: list[PackedStage]) -> list[Entity]:
     what = "The sealed capture: a BagIt bag (RFC 8493) with the photographs, lights, cameras and tables."
     without = "The manifest of the sealed capture (BagIt, RFC 8493): names and SHA-256; the files are kept elsewhere."
     about = capture.about
-    found: Entity = {
+    entity: Entity = {
         "@id": "capture/",
         "@type": "Dataset",
         "name": "Capture",
@@ -138,12 +138,12 @@ def _capture(capture: PackedCapture, stages: list[PackedStage]) -> list[Entity]:
         "exampleOfWork": {"@id": "#parameter-capture"},
     }
     if about.get("date"):
-        found["dateCreated"] = about["date"]
+        entity["dateCreated"] = about["date"]
     if about.get("creator"):
-        found["creator"] = {"@id": "#creator"}
+        entity["creator"] = {"@id": "#creator"}
     if about.get("notes"):
-        found["disambiguatingDescription"] = about["notes"]
-    return [found]
+        entity["disambiguatingDescription"] = about["notes"]
+    return [entity]
 
 
 def _workflow(version: str, stages: list[PackedStage], *, locked: bool) -> list[Entity]:
@@ -188,7 +188,7 @@ def _parameter(name: str, example: str) -> Entity:
     }
 
 
-def _whole_run(scene: str, stages: list[PackedStage], *, locked: bool) -> list[Entity]:
+def _workflow_run(scene: str, stages: list[PackedStage], *, locked: bool) -> list[Entity]:
     engine = {"softwareVersion": f"the version in {LOCK}"} if locked else {}  # an installation has no lock
     return [
         {

@@ -24,12 +24,12 @@ def parse_manifest_text(data: bytes) -> dict[str, str]:
         text = data.decode("utf-8")
     except UnicodeDecodeError as error:
         raise ValueError(f"not UTF-8 ({error.reason})") from None
-    found = {}
+    digests = {}
     for number, line in enumerate(text.split("\n")[:-1], start=1):
         match = LINE.fullmatch(line)
         if match is None or not is_inside(match[2]) or name_fault(match[2]):
             raise ValueError(f"line {number}: expected 64 hexadecimal digits and a name inside the crate")
-        found[match[2]] = match[1]
-    if manifest_text(found).encode("utf-8") != data:
+        digests[match[2]] = match[1]
+    if manifest_text(digests).encode("utf-8") != data:
         raise ValueError("not as it was written: lines are sorted, each name stands once")
-    return found
+    return digests

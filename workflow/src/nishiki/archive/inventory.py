@@ -83,11 +83,11 @@ def _judge_finished(folder: Path, finished: list[Finished], pruning: Pruning) ->
         data = FolderTree(folder).read(MANIFEST)
         manifest = parse_manifest(data)
     except (OSError, ValueError):
-        told = "no readable manifest; ./nishiki verify --set-aside renames it"
-        pruning.left_alone.append(Item(folder, told, sum(listing.files.values())))
+        reason = "no readable manifest; ./nishiki verify --set-aside renames it"
+        pruning.left_alone.append(Item(folder, reason, sum(listing.files.values())))
         return
-    own = {*manifest["files"], MANIFEST, RUN}
-    strange = [*listing.links, *listing.others, *listing.unreadable, *(set(listing.files) - own)]
+    expected = {*manifest["files"], MANIFEST, RUN}
+    strange = [*listing.links, *listing.others, *listing.unreadable, *(set(listing.files) - expected)]
     total = sum(listing.files.values())
     if (manifest["stage"], manifest["key"]) != (folder.parent.name, folder.name[:12]):
         pruning.left_alone.append(Item(folder, "its manifest names another stage or key", total))

@@ -109,7 +109,7 @@ def pack(scene: PackedScene, project: Path, target: Path, *, with_capture: bool,
     partial.mkdir(parents=True)
     try:
         crate = Crate(partial)
-        stages = [_copy_artifact(crate, scene, item, project) for item in _told(scene.artifacts, tell)]
+        stages = [_copy_artifact(crate, scene, item, project) for item in _reporting(scene.artifacts, tell)]
         capture = _copy_capture(crate, scene, with_capture, tell)
         _copy_code(crate, project)
         crate.write("scene.json", _json({"scene": scene.name, **scene.facts}))
@@ -125,7 +125,7 @@ def pack(scene: PackedScene, project: Path, target: Path, *, with_capture: bool,
     return crate.files[MANIFEST][1]
 
 
-def _told(artifacts: list[Artifact], tell: Tell) -> Iterator[Artifact]:
+def _reporting(artifacts: list[Artifact], tell: Tell) -> Iterator[Artifact]:
     for number, item in enumerate(artifacts):
         tell(number, len(artifacts), f"copying {item.stage}")
         yield item

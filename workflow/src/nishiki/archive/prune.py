@@ -77,14 +77,14 @@ def _look_into(scene: Path, named: bool, finished: list[Finished], pruning: Prun
 
 def _published(results: Path, scenes: set[str]) -> set[Place]:
     """Artifacts that the folders of published links name."""
-    found = set()
+    published = set()
     for scene in scenes:
         try:
             index = json.loads(FolderTree(results / scene / CURRENT).read(INDEX))
-            found |= {(scene, str(stage), str(entry["key"])) for stage, entry in index["artifacts"].items()}
+            published |= {(scene, str(stage), str(entry["key"])) for stage, entry in index["artifacts"].items()}
         except (OSError, ValueError, KeyError, TypeError, AttributeError):
             continue
-    return found
+    return published
 
 
 def _kept(finished: list[Finished], planned: set[Place], published: set[Place]) -> dict[Path, str]:

@@ -26,7 +26,7 @@ def judge_sweeps(results: Path, kept: set[Place], sweeps: set[str], unnamed: boo
                         _judge_timing(timing, kept, pruning)
         elif folder.name not in sweeps:
             page = Item(folder, "a sweep that no given configuration names", size_of(folder))
-            of_ours = unnamed and _says(folder / "sweep.json", folder.name)
+            of_ours = unnamed and _is_page_of(folder / "sweep.json", folder.name)
             (pruning.remove if of_ours else pruning.keep if not unnamed else pruning.left_alone).append(page)
 
 
@@ -38,14 +38,14 @@ def _judge_timing(folder: Path, kept: set[Place], pruning: Pruning) -> None:
     if (scene, stage, key) in kept or not FINISHED.fullmatch(key):
         return
     listing = FolderTree(folder).listing()
-    own = all(re.fullmatch(r"\d+\.json", name) for name in listing.files)
+    records_only = all(re.fullmatch(r"\d+\.json", name) for name in listing.files)
     item = Item(folder, "timing of an artifact that no configuration asks for", sum(listing.files.values()))
-    (pruning.remove if own and not listing.links and not listing.others else pruning.left_alone).append(item)
+    (pruning.remove if records_only and not listing.links and not listing.others else pruning.left_alone).append(item)
 
 
-def _says(path: Path, name: str) -> bool:
+def _is_page_of(path: Path, name: str) -> bool:
     try:
-        found: Any = json.loads(FolderTree(path.parent).read(path.name))
+        content: Any = json.loads(FolderTree(path.parent).read(path.name))
     except (OSError, ValueError, RecursionError):
         return False
-    return isinstance(found, dict) and found.get("name") == name
+    return isinstance(content, dict) and content.get("name") == name

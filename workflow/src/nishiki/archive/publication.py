@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 def check_publication(folder: Path, references: "References") -> list[Damage]:
     """Every damage of a folder of published links. References: digests of the artifacts that it may link to."""
-    found = [damage for name in sorted(os.listdir(folder)) if (damage := _of_link(folder / name))]
+    damages = [damage for name in sorted(os.listdir(folder)) if (damage := _of_link(folder / name))]
     index = folder / INDEX
     try:
         data = index.read_bytes() if not index.is_symlink() else b""
@@ -24,14 +24,14 @@ def check_publication(folder: Path, references: "References") -> list[Damage]:
         again = index_text(described["scene"], artifacts, described.get("code", ""))
         sound = again.encode() == data and described["scene"] == folder.parent.name
     except FileNotFoundError:
-        return [*found, Damage(index, "missing", "the folder is incomplete; delete it and run again")]
+        return [*damages, Damage(index, "missing", "the folder is incomplete; delete it and run again")]
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         sound, artifacts, keys = False, {}, {}
     if not sound:
-        found.append(Damage(index, "damaged", "not as it was written; delete the folder and run again"))
+        damages.append(Damage(index, "damaged", "not as it was written; delete the folder and run again"))
     for stage, key in keys.items():
-        found += _of_stage(folder, stage, key, artifacts[stage].get("digest"), references)
-    return found
+        damages += _of_stage(folder, stage, key, artifacts[stage].get("digest"), references)
+    return damages
 
 
 def _of_link(path: Path) -> Damage | None:
@@ -48,14 +48,14 @@ def _of_link(path: Path) -> Damage | None:
 
 
 def _of_stage(folder: Path, stage: str, key: str, digest: Any, references: "References") -> list[Damage]:
-    found = []
+    damages = []
     if not stage.isidentifier() or not key.isalnum():
         return [Damage(folder / INDEX, "damaged", f"names no artifact: {stage} {key}")]
     if not (folder / stage).is_symlink() or os.readlink(folder / stage) != f"../{stage}/{key}":
-        found.append(Damage(folder / stage, "missing", f"link to ../{stage}/{key}; delete the folder and run again"))
+        damages.append(Damage(folder / stage, "missing", f"link to ../{stage}/{key}; delete the folder and run again"))
     standing = references.digest(folder.parent / stage / key)
     if standing is None:
-        found.append(Damage(folder.parent / stage / key, "missing", f"published in {folder}; run again"))
+        damages.append(Damage(folder.parent / stage / key, "missing", f"published in {folder}; run again"))
     elif standing != digest:
-        found.append(Damage(folder / INDEX, "stale", f"{stage} is not the one that was published; run again"))
-    return found
+        damages.append(Damage(folder / INDEX, "stale", f"{stage} is not the one that was published; run again"))
+    return damages

@@ -53,8 +53,8 @@ class References:
             if stage == CAPTURE:
                 continue
             upstream = folder.parents[1] / stage / key
-            found = self.digest(upstream)
-            if found is None:
+            present = self.digest(upstream)
+            if present is None:
                 yield Damage(upstream, "missing", f"{folder} was made from it; run again")
-            elif found != digest:
+            elif present != digest:
                 yield Damage(folder, "stale", f"made from another version of {upstream}; run again", folder)

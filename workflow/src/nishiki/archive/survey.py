@@ -67,129 +67,129 @@ class Survey:
 
 def survey_artifact(tree: Tree, below: str = "", *, name: str | None = None) -> Survey:
     """Survey of the artifact in a folder of a tree; `name`: of that folder, where the tree does not know it."""
-    found = Survey(tree, below)
+    survey = Survey(tree, below)
     listing = tree.listing(below)
     for kind, things in (("unreadable", listing.unreadable), ("foreign", listing.others)):
         for file, detail in things.items():
-            found.add(file, kind, detail)
+            survey.add(file, kind, detail)
     for link, target in listing.links.items():
-        found.add(link, "link", f"an artifact holds files, not links; to {target}")
-    manifest = _manifest(found, listing)
+        survey.add(link, "link", f"an artifact holds files, not links; to {target}")
+    manifest = _manifest(survey, listing)
     if manifest is None:
-        return found
-    _check_names(found, manifest, name or found.folder.name)
-    _check_files(found, manifest, listing)
-    _note_upstream(found, manifest)
-    return found
+        return survey
+    _check_names(survey, manifest, name or survey.folder.name)
+    _check_files(survey, manifest, listing)
+    _note_upstream(survey, manifest)
+    return survey
 
 
-def _manifest(found: Survey, listing: Listing) -> dict[str, Any] | None:
+def _manifest(survey: Survey, listing: Listing) -> dict[str, Any] | None:
     if MANIFEST not in listing.files:
         if MANIFEST not in listing.links:
-            found.add(MANIFEST, "missing", "no finished artifact here; run the stage again")
+            survey.add(MANIFEST, "missing", "no finished artifact here; run the stage again")
         return None
     try:
-        data = found.tree.read(found.named(MANIFEST))
+        data = survey.tree.read(survey.named(MANIFEST))
         manifest = parse_manifest(data)
     except OSError as error:
-        found.add(MANIFEST, "unreadable", str(error.strerror))
+        survey.add(MANIFEST, "unreadable", str(error.strerror))
         return None
     except ValueError as error:
-        found.add(MANIFEST, "damaged", str(error))
+        survey.add(MANIFEST, "damaged", str(error))
         return None
-    found.digest = hashlib.sha256(data).hexdigest()
-    _check_run(found, listing, data)
+    survey.digest = hashlib.sha256(data).hexdigest()
+    _check_run(survey, listing, data)
     return manifest
 
 
-def _check_run(found: Survey, listing: Listing, manifest: bytes) -> None:
+def _check_run(survey: Survey, listing: Listing, manifest: bytes) -> None:
     if RUN not in listing.files:
         if RUN not in listing.links:
-            found.add(RUN, "missing", "facts of the run, and the digest of the manifest")
+            survey.add(RUN, "missing", "facts of the run, and the digest of the manifest")
         return
     try:
-        wrong = run_problem(found.tree.read(found.named(RUN)), manifest)
+        wrong = run_problem(survey.tree.read(survey.named(RUN)), manifest)
     except OSError as error:
-        found.add(RUN, "unreadable", str(error.strerror))
+        survey.add(RUN, "unreadable", str(error.strerror))
         return
     except ValueError as error:
         wrong = str(error)
     if wrong:
-        found.add(RUN, "damaged", wrong)
+        survey.add(RUN, "damaged", wrong)
 
 
-def _check_names(found: Survey, manifest: dict[str, Any], name: str) -> None:
+def _check_names(survey: Survey, manifest: dict[str, Any], name: str) -> None:
     """The folder's name, and the key against what it stands for: stage, format version, settings, upstream keys."""
-    found.scene, found.stage, found.key = manifest["scene"], manifest["stage"], manifest["key"]
-    if found.key != name.split(".")[0]:
-        found.add(MANIFEST, "wrong-key", f"says key {found.key}, folder is {name}")
+    survey.scene, survey.stage, survey.key = manifest["scene"], manifest["stage"], manifest["key"]
+    if survey.key != name.split(".")[0]:
+        survey.add(MANIFEST, "wrong-key", f"says key {survey.key}, folder is {name}")
     expected = name.partition(".superseded-")[2]
-    if expected and not found.digest.startswith(expected):
-        found.add(MANIFEST, "wrong-key", f"folder is {name}, digest is {found.digest[:8]}")
+    if expected and not survey.digest.startswith(expected):
+        survey.add(MANIFEST, "wrong-key", f"folder is {name}, digest is {survey.digest[:8]}")
     try:
         reads = {stage: entry["digest" if stage == CAPTURE else "key"] for stage, entry in manifest["upstream"].items()}
-        key = stage_key(found.stage, manifest["format_version"], manifest["settings"], reads)
+        key = stage_key(survey.stage, manifest["format_version"], manifest["settings"], reads)
     except (KeyError, TypeError, ValueError, RecursionError) as error:
-        found.add(MANIFEST, "wrong-key", f"no key follows from it ({type(error).__name__}: {error})")
+        survey.add(MANIFEST, "wrong-key", f"no key follows from it ({type(error).__name__}: {error})")
         return
-    if key != found.key:
-        found.add(MANIFEST, "wrong-key", f"says key {found.key}; its settings and upstream artifacts give {key}")
+    if key != survey.key:
+        survey.add(MANIFEST, "wrong-key", f"says key {survey.key}; its settings and upstream artifacts give {key}")
 
 
-def _note_upstream(found: Survey, manifest: dict[str, Any]) -> None:
+def _note_upstream(survey: Survey, manifest: dict[str, Any]) -> None:
     """The upstream artifacts, after a look at their names: a path is made of them."""
     for stage, entry in manifest["upstream"].items():
         key, digest = entry.get("key", ""), entry.get("digest")
         named = key == "" if stage == CAPTURE else stage.isidentifier() and KEY.fullmatch(str(key))
         if named and is_digest(digest):
-            found.upstream[stage] = (key, digest)
+            survey.upstream[stage] = (key, digest)
         else:
-            found.add(MANIFEST, "damaged", f"does not name an upstream artifact: {stage} {key}")
+            survey.add(MANIFEST, "damaged", f"does not name an upstream artifact: {stage} {key}")
     if not manifest["upstream"]:
-        found.add(MANIFEST, "damaged", "names neither a capture nor an upstream artifact")
+        survey.add(MANIFEST, "damaged", "names neither a capture nor an upstream artifact")
 
 
-def _check_files(found: Survey, manifest: dict[str, Any], listing: Listing) -> None:
+def _check_files(survey: Survey, manifest: dict[str, Any], listing: Listing) -> None:
     files = manifest["files"]
     for name, entry in files.items():
         size = listing.files.get(name)
         if size is None:
             if name not in listing.links:
-                found.add(name, "missing", f"expected {entry['bytes']} bytes")
+                survey.add(name, "missing", f"expected {entry['bytes']} bytes")
             continue
         if size != entry["bytes"]:
-            where = next((o for o, e in files.items() if e["bytes"] == size and _is(found, name, e["sha256"])), None)
+            where = next((o for o, e in files.items() if e["bytes"] == size and _is(survey, name, e["sha256"])), None)
             kind, detail = ("swapped", f"content of {where}") if where else ("damaged", f"{size} bytes")
-            found.add(name, kind, f"{detail}, expected {entry['bytes']} bytes")
+            survey.add(name, kind, f"{detail}, expected {entry['bytes']} bytes")
             continue
-        found.to_read.append((name, size, entry["sha256"]))
+        survey.to_read.append((name, size, entry["sha256"]))
     for name in listing.files:
         if name not in files and name not in (MANIFEST, RUN):
-            found.add(name, "foreign", "not in the manifest")
-    found.files, found.bytes = len(files), sum(entry["bytes"] for entry in files.values())
+            survey.add(name, "foreign", "not in the manifest")
+    survey.files, survey.bytes = len(files), sum(entry["bytes"] for entry in files.values())
 
 
-def _is(found: Survey, name: str, sha256: str) -> bool:
+def _is(survey: Survey, name: str, sha256: str) -> bool:
     try:
-        return found.tree.digest(found.named(name)) == sha256
+        return survey.tree.digest(survey.named(name)) == sha256
     except OSError:
         return False
 
 
 def read_portion(survey: Survey, portion: list[tuple[str, int, str]]) -> list[Damage]:
     """Digest a portion of an artifact's files; what is not as listed."""
-    found = []
+    damages = []
     for name, _, sha256 in portion:
         try:
             digest = survey.tree.digest(survey.named(name))
         except OSError as error:
-            found.append(Damage(survey.folder / name, "unreadable", str(error.strerror), survey.folder))
+            damages.append(Damage(survey.folder / name, "unreadable", str(error.strerror), survey.folder))
             continue
         if digest != sha256:
             other = next((name for name, _, listed in survey.to_read if listed == digest), None)
             kind, detail = ("swapped", f"content of {other}") if other else ("damaged", f"sha256 {digest[:12]}…")
-            found.append(Damage(survey.folder / name, kind, f"{detail}, expected {sha256[:12]}…", survey.folder))
-    return found
+            damages.append(Damage(survey.folder / name, kind, f"{detail}, expected {sha256[:12]}…", survey.folder))
+    return damages
 
 
 def verify_artifact(folder: Path) -> list[Damage]:

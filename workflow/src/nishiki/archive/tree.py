@@ -49,7 +49,7 @@ class FolderTree:
 
     def listing(self, below: str = "") -> Listing:
         """Everything below a folder of the tree, names relative to that folder, in a fixed order."""
-        found = Listing()
+        listing = Listing()
         folders = [""]
         start = os.path.join(self.root, below) if below else str(self.root)
         while folders:
@@ -58,11 +58,11 @@ class FolderTree:
                 with os.scandir(os.path.join(start, folder) if folder else start) as entries:
                     inner = sorted(entries, key=lambda entry: entry.name)
             except OSError as error:
-                found.unreadable[folder or "."] = str(error.strerror)
+                listing.unreadable[folder or "."] = str(error.strerror)
                 continue
             names = [(f"{folder}/{entry.name}" if folder else entry.name, entry) for entry in inner]
-            folders += [name for name, entry in reversed(names) if _sort_in(found, name, entry)]
-        return found
+            folders += [name for name, entry in reversed(names) if _sort_in(listing, name, entry)]
+        return listing
 
     def read(self, name: str) -> bytes:
         """Content of a small file. Raises OSError; ValueError for one that is larger than LARGEST_TEXT."""
@@ -75,16 +75,16 @@ class FolderTree:
             return _digest(handle)
 
 
-def _sort_in(found: Listing, name: str, entry: os.DirEntry) -> bool:
+def _sort_in(listing: Listing, name: str, entry: os.DirEntry) -> bool:
     """Note one entry of a folder; True where it is a folder to look into."""
     if entry.is_symlink():
-        found.links[name] = os.readlink(entry.path)
+        listing.links[name] = os.readlink(entry.path)
     elif entry.is_dir(follow_symlinks=False):
         return True
     elif entry.is_file(follow_symlinks=False):
-        found.files[name] = entry.stat(follow_symlinks=False).st_size
+        listing.files[name] = entry.stat(follow_symlinks=False).st_size
     else:
-        found.others[name] = stat.filemode(entry.stat(follow_symlinks=False).st_mode)
+        listing.others[name] = stat.filemode(entry.stat(follow_symlinks=False).st_mode)
     return False
 
 
@@ -139,19 +139,19 @@ class ZipTree:
 
     def listing(self, below: str = "") -> Listing:
         """Everything below a folder of the tree, names relative to that folder, in a fixed order."""
-        found = Listing()
+        listing = Listing()
         prefix = f"{below}/" if below else ""
         for name, member in sorted(self.members.items()):
             if not name.startswith(prefix) or member.is_dir():
                 continue
             mode = member.external_attr >> 16
             if stat.S_ISLNK(mode):
-                found.links[name[len(prefix) :]] = "(inside a ZIP file)"
+                listing.links[name[len(prefix) :]] = "(inside a ZIP file)"
             elif member.compress_type != zipfile.ZIP_STORED or member.flag_bits & 1:
-                found.others[name[len(prefix) :]] = "compressed or encrypted"
+                listing.others[name[len(prefix) :]] = "compressed or encrypted"
             else:
-                found.files[name[len(prefix) :]] = member.file_size
-        return found
+                listing.files[name[len(prefix) :]] = member.file_size
+        return listing
 
     def read(self, name: str) -> bytes:
         """Content of a small file. Raises OSError; ValueError for one that is larger than LARGEST_TEXT."""

@@ -127,8 +127,8 @@ def _read_manifest(folder: Path) -> tuple[dict[str, Any], str]:
     digest = hashlib.sha256(data).hexdigest()
     run = f"{folder}/{RUN}"
     if os.path.isfile(run) and digest.encode() not in _bytes_of(run):  # looked for, not parsed; see `run_problem`
-        told = f"{MANIFEST} is not the manifest that was written with {RUN}"
-        raise UserError(f"{folder}: {told}. Remedy: delete this folder and run again.")
+        problem = f"{MANIFEST} is not the manifest that was written with {RUN}"
+        raise UserError(f"{folder}: {problem}. Remedy: delete this folder and run again.")
     return manifest, digest
 
 
@@ -188,13 +188,13 @@ def run_problem(data: bytes, manifest: bytes) -> str | None:
     """What is wrong with run.json beside the bytes of a manifest; None where all of both is as it was written."""
     try:
         facts = json.loads(data)
-        found = facts["manifest_sha256"]
+        recorded = facts["manifest_sha256"]
         again = run_text({name: value for name, value in facts.items() if name != "sha256"}, manifest).encode()
     except (ValueError, RecursionError, TypeError, KeyError):
         return "damaged: it holds no digest of the manifest"
     if data == again:
         return None
-    if found != hashlib.sha256(manifest).hexdigest():
+    if recorded != hashlib.sha256(manifest).hexdigest():
         return f"{MANIFEST} or {RUN} is damaged: this is not the manifest that was written with it"
     return "damaged: its own digest is wrong"
 
@@ -219,10 +219,10 @@ def _tail(path: Path) -> str:
 def _size(path: str) -> int | None:
     """Bytes of a regular file; None where there is none, or a link in its place."""
     try:
-        found = os.lstat(path)
+        status = os.lstat(path)
     except OSError:
         return None
-    return found.st_size if stat.S_ISREG(found.st_mode) else None
+    return status.st_size if stat.S_ISREG(status.st_mode) else None
 
 
 def _files(folder: Path) -> Iterator[tuple[str, Path]]:

@@ -11,13 +11,13 @@ NAME = "at_bounds"
 
 def at_bounds(diagnostics: Mapping[str, Any]) -> list[str]:
     """Parameters at a bound, each with the block of the diagnostics that it belongs to."""
-    found = []
+    names = []
     for name, value in diagnostics.items():
         if name == NAME:
-            found += [str(each) for each in value]
+            names += [str(each) for each in value]
         elif isinstance(value, Mapping):
-            found += [f"{name}: {each}" for each in at_bounds(value)]
-    return found
+            names += [f"{name}: {each}" for each in at_bounds(value)]
+    return names
 
 
 def at_end(value: float, low: float, high: float, *, near: float = 1e-4) -> str:

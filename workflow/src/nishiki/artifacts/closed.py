@@ -182,7 +182,7 @@ def _inner_model(annotation: Any) -> type[Closed] | None:
     if isinstance(annotation, type) and issubclass(annotation, Closed):
         return annotation
     for argument in getattr(annotation, "__args__", ()):
-        found = _inner_model(argument)
-        if found is not None:
-            return found
+        inner = _inner_model(argument)
+        if inner is not None:
+            return inner
     return None

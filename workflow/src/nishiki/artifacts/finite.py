@@ -33,10 +33,10 @@ def expect_finite(folder: Path, stage: str) -> None:
 
     Raises NotFinite naming the stage and for each array the number of such values and the first index.
     """
-    found = [text for text in problems(Path(folder)) if text]
-    if found:
+    texts = [text for text in problems(Path(folder)) if text]
+    if texts:
         raise NotFinite(
-            f"{stage} wrote values that are not finite, which is a defect of this program: {'; '.join(found)}. "
+            f"{stage} wrote values that are not finite, which is a defect of this program: {'; '.join(texts)}. "
             "Nothing of this stage is kept; please report it with the capture or its settings"
         )
 
@@ -67,29 +67,29 @@ def _names(folder: Path) -> Iterator[str]:
 
 
 def _zarr(path: Path, name: str) -> Iterator[str]:
-    told = json.loads(path.read_bytes())
-    if told.get("node_type") != "array" or not str(told.get("data_type")).startswith(("float", "complex")):
+    metadata = json.loads(path.read_bytes())
+    if metadata.get("node_type") != "array" or not str(metadata.get("data_type")).startswith(("float", "complex")):
         return
-    if _whole_chunks_are_finite(path.parent, told):
+    if _chunk_files_are_finite(path.parent, metadata):
         return
     import zarr
 
     array = zarr.open_array(path.parent, mode="r")
-    yield _told(name, _counted(_blocks(array)), nan_means=bool(array.attrs.get("nan")))
+    yield _described(name, _counted(_blocks(array)), nan_means=bool(array.attrs.get("nan")))
 
 
-def _whole_chunks_are_finite(folder: Path, told: dict) -> bool:
+def _chunk_files_are_finite(folder: Path, metadata: dict) -> bool:
     """Whether every chunk file of an array has finite values only, read past the array library, which takes four times
     as long. False where it cannot be told so: other codecs, a chunk without a file."""
-    codecs = [codec["name"] for codec in told["codecs"]]
-    little = told["codecs"][0].get("configuration", {}).get("endian", "little") == "little"
+    codecs = [codec["name"] for codec in metadata["codecs"]]
+    little = metadata["codecs"][0].get("configuration", {}).get("endian", "little") == "little"
     known = codecs[:1] == ["bytes"] and little and codecs[1:] in ([], ["zstd"], ["crc32c"], ["zstd", "crc32c"])
-    chunks = told["chunk_grid"]["configuration"]["chunk_shape"]
-    wanted = math.prod(-(-size // chunk) for size, chunk in zip(told["shape"], chunks, strict=True))
+    chunks = metadata["chunk_grid"]["configuration"]["chunk_shape"]
+    chunk_count = math.prod(-(-size // chunk) for size, chunk in zip(metadata["shape"], chunks, strict=True))
     files = [Path(root, name) for root, _, names in os.walk(folder) for name in names if name != "zarr.json"]
-    if not known or len(files) != wanted:
+    if not known or len(files) != chunk_count:
         return False
-    dtype = np.dtype(told["data_type"]).newbyteorder("<")
+    dtype = np.dtype(metadata["data_type"]).newbyteorder("<")
 
     def finite(path: Path) -> bool:
         payload = path.read_bytes()
@@ -115,7 +115,7 @@ def _npz(path: Path, name: str) -> Iterator[str]:
         for key in stored.files:
             values = stored[key]
             if values.dtype.kind in "fc":
-                yield _told(f"{name}: {key}", _counted([((0,) * values.ndim, values)]))
+                yield _described(f"{name}: {key}", _counted([((0,) * values.ndim, values)]))
 
 
 def _exr(path: Path, name: str) -> Iterator[str]:
@@ -124,13 +124,13 @@ def _exr(path: Path, name: str) -> Iterator[str]:
     with OpenEXR.File(str(path), separate_channels=True) as stored:
         for key, channel in stored.channels().items():
             if channel.pixels.dtype.kind == "f":
-                yield _told(f"{name}: {key}", _counted([((0,) * channel.pixels.ndim, channel.pixels)]))
+                yield _described(f"{name}: {key}", _counted([((0,) * channel.pixels.ndim, channel.pixels)]))
 
 
 def _words(path: Path, name: str, pattern: str | re.Pattern) -> Iterator[str]:
-    found = re.search(pattern, path.read_text(encoding="utf-8", errors="replace"))
-    if found:
-        yield f"{name}: {found.group(0).strip(' ,:[')!r} at character {found.start()}"
+    match = re.search(pattern, path.read_text(encoding="utf-8", errors="replace"))
+    if match:
+        yield f"{name}: {match.group(0).strip(' ,:[')!r} at character {match.start()}"
 
 
 def _blocks(array: Any) -> Iterator[tuple[tuple[int, ...], np.ndarray]]:
@@ -167,7 +167,7 @@ def _index(mask: np.ndarray, start: tuple[int, ...]) -> tuple[int, ...]:
     return tuple(int(a) + b for a, b in zip(place, start, strict=True))
 
 
-def _told(name: str, counted: tuple, *, nan_means: bool = False) -> str:
+def _described(name: str, counted: tuple, *, nan_means: bool = False) -> str:
     nans, infinities, first_nan, first_infinity = counted
     parts = [f"{infinities} infinite, the first at {first_infinity}"] if infinities else []
     if nans and not nan_means:

@@ -55,8 +55,8 @@ class LimitCheck:
 def at(path: str) -> Figure:
     """The diagnostic at a dotted path; None where it is missing."""
 
-    def figure(told: Mapping[str, Any]) -> float | None:
-        value: Any = told
+    def figure(diagnostics: Mapping[str, Any]) -> float | None:
+        value: Any = diagnostics
         for part in path.split("."):
             value = value.get(part) if isinstance(value, Mapping) else None
         return None if value is None else float(value)
@@ -64,11 +64,11 @@ def at(path: str) -> Figure:
     return figure
 
 
-def share(part: str, whole: str) -> Figure:
+def share(part: str, total_path: str) -> Figure:
     """One diagnostic as a share of another; 0 of nothing is 0."""
 
-    def figure(told: Mapping[str, Any]) -> float | None:
-        value, total = at(part)(told), at(whole)(told)
+    def figure(diagnostics: Mapping[str, Any]) -> float | None:
+        value, total = at(part)(diagnostics), at(total_path)(diagnostics)
         return None if value is None or total is None else value / total if total else 0.0
 
     return figure
@@ -77,8 +77,8 @@ def share(part: str, whole: str) -> Figure:
 def extreme(path: str, of: Callable[[Iterable[float]], float] = max) -> Figure:
     """The largest (or smallest) number in the list or block at a dotted path."""
 
-    def figure(told: Mapping[str, Any]) -> float | None:
-        value: Any = told
+    def figure(diagnostics: Mapping[str, Any]) -> float | None:
+        value: Any = diagnostics
         for part in path.split("."):
             value = value.get(part) if isinstance(value, Mapping) else None
         numbers = [float(each) for each in _leaves(value) if each is not None]
@@ -106,26 +106,26 @@ def limit_checks(
     limits: Iterable[Limit], diagnostics: Mapping[str, Any], allow: Iterable[str] = ()
 ) -> list[LimitCheck]:
     """Every figure that has a limit or counts flags, in the order of the limits."""
-    allow, found = set(allow), []
+    allow, checks = set(allow), []
     for limit in limits:
         value = limit.figure(diagnostics)
         if value is not None:
             beyond = limit.beyond(value)
-            found.append(LimitCheck(limit, value, beyond, beyond and limit.name in allow))
-    return found
+            checks.append(LimitCheck(limit, value, beyond, beyond and limit.name in allow))
+    return checks
 
 
 def check(stage: str, limits: Iterable[Limit], diagnostics: Mapping[str, Any], allow: Iterable[str] = ()) -> None:
     """UserError naming each limit that the result of a stage is beyond, with its remedy, unless it is allowed."""
     wrong = [each for each in limit_checks(limits, diagnostics, allow) if each.beyond and not each.allowed]
     if wrong:
-        told = "; ".join(
+        failed = "; ".join(
             f"{each.limit.meaning} is {each.value:.4g}, expected {each.limit.stated} (limit {each.limit.name}). "
             f"Remedy: {each.limit.remedy}"
             for each in wrong
         )
         names = ", ".join(each.limit.name for each in wrong)
         raise UserError(
-            f"the result is beyond what can be trusted and is not kept: {told}. To keep such a result all the same, "
+            f"the result is beyond what can be trusted and is not kept: {failed}. To keep such a result all the same, "
             f"set {stage}.allow: [{names}]; what finished before stays"
         )

@@ -69,15 +69,15 @@ def key_of_text(stage: str, version: int, settings: str, upstream: dict[str, str
 
 def differences(first: dict, second: dict, path: str = "") -> list[str]:
     """Each place where two settings blocks differ, as `place: first -> second`."""
-    found = []
+    texts = []
     for key in sorted(set(first) | set(second), key=str):
         place = f"{path}.{key}" if path else str(key)
         a, b = first.get(key, "(absent)"), second.get(key, "(absent)")
         if isinstance(a, dict) and isinstance(b, dict):
-            found += differences(a, b, place)
+            texts += differences(a, b, place)
         elif _normal(a) != _normal(b):
-            found.append(f"{place}: {a!r} -> {b!r}")
-    return found
+            texts.append(f"{place}: {a!r} -> {b!r}")
+    return texts
 
 
 def stage_program(stage: str) -> str:
@@ -130,16 +130,16 @@ def _name(path: Path) -> Path:
 @functools.cache
 def _imports(path: Path) -> tuple[Path, ...]:
     """Project modules named in any import statement of a file, late imports inside functions included."""
-    found = set()
+    modules = set()
     for name in syntax_of(path).names:
         parts = name.split(".")
         local = path.parent / f"{parts[0]}.py"
         if parts[0] == PACKAGE:
-            found |= set(_module_files(name))
+            modules |= set(_module_files(name))
         elif len(parts) == 1 and local.is_file() and not _is_module(path):
-            found.add(local.resolve())  # a script's neighbour in scripts/
-    declared = {module for module in found if module.name in DECLARATIONS and STAGES in module.parents}
-    return tuple(sorted(found - {path, SOURCE / PACKAGE / "__init__.py"} - declared))
+            modules.add(local.resolve())  # a script's neighbour in scripts/
+    declared = {module for module in modules if module.name in DECLARATIONS and STAGES in module.parents}
+    return tuple(sorted(modules - {path, SOURCE / PACKAGE / "__init__.py"} - declared))
 
 
 def _module_files(name: str) -> list[Path]:

@@ -100,8 +100,8 @@ def in_order(
     if len(numbered) != len(parts) or set(numbered) != {StagePart(number, total) for number in range(1, total + 1)}:
         raise UserError(f"expected parts 1 to {total}, found {', '.join(map(str, numbered))}")
     expected = (key, code, upstream)
-    found = {part.folder: (part.key, part.manifest["code"], part.manifest["upstream"]) for part in parts}
-    foreign = [folder for folder, what in found.items() if what != expected]
+    origins = {part.folder: (part.key, part.manifest["code"], part.manifest["upstream"]) for part in parts}
+    foreign = [folder for folder, what in origins.items() if what != expected]
     if foreign:
         raise UserError(f"{foreign[0]}: made from other settings, inputs or code. Remedy: delete it, run again")
     return tuple(numbered[part] for part in sorted(numbered, key=lambda part: part.number))

@@ -35,13 +35,13 @@ def syntax_of(path: Path) -> Syntax:
     """Syntax of a Python file. Raises SyntaxError."""
     data = path.read_bytes()
     store, name = _store(), hashlib.sha256(data).hexdigest()
-    found = store.known.get(name)
-    if found is None:
+    syntax = store.known.get(name)
+    if syntax is None:
         tree = ast.parse(data)
         names = tuple(sorted(_imported(tree)))  # before docstrings go
-        found = Syntax(hashlib.sha256(_without_docstrings(tree).encode()).hexdigest(), names)
-    store.used[name] = found
-    return found
+        syntax = Syntax(hashlib.sha256(_without_docstrings(tree).encode()).hexdigest(), names)
+    store.used[name] = syntax
+    return syntax
 
 
 def _imported(tree: ast.Module) -> set[str]:

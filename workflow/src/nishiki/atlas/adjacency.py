@@ -19,9 +19,9 @@ def across_edges(corners: np.ndarray) -> np.ndarray:
     lengths = np.diff(first, append=len(ranked))
     pair = first[lengths == 2]
     one, other = order[pair], order[pair + 1]
-    found = np.full(3 * count, -1, np.int32)
-    found[one], found[other] = other // 3, one // 3
-    return found.reshape(count, 3)
+    neighbours = np.full(3 * count, -1, np.int32)
+    neighbours[one], neighbours[other] = other // 3, one // 3
+    return neighbours.reshape(count, 3)
 
 
 def smoothed(vectors: np.ndarray, weights: np.ndarray, neighbours: np.ndarray, *, rounds: int) -> np.ndarray:
@@ -90,23 +90,23 @@ def components(labels, neighbours):
     Triangles with a negative label get -1.
     """
     count = len(labels)
-    found = np.full(count, -1, np.int32)
+    numbers = np.full(count, -1, np.int32)
     stack = np.empty(count, np.int32)
     number = 0
     for seed in range(count):
-        if found[seed] >= 0 or labels[seed] < 0:
+        if numbers[seed] >= 0 or labels[seed] < 0:
             continue
-        found[seed], stack[0], top = number, seed, 1
+        numbers[seed], stack[0], top = number, seed, 1
         while top > 0:
             top -= 1
             here = stack[top]
             for k in range(3):
                 there = neighbours[here, k]
-                if there >= 0 and found[there] < 0 and labels[there] == labels[seed]:
-                    found[there], stack[top] = number, there
+                if there >= 0 and numbers[there] < 0 and labels[there] == labels[seed]:
+                    numbers[there], stack[top] = number, there
                     top += 1
         number += 1
-    return found
+    return numbers
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

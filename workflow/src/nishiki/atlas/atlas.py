@@ -48,8 +48,8 @@ class Atlas:
 
         flat = np.ascontiguousarray(triangle, np.int32).reshape(-1)
         weights = np.ascontiguousarray(barycentric, np.float32).reshape(-1, 2)
-        found = place(flat, weights, self.chart, self.corners, self.chart_grid, self.cells, self.size)
-        return tuple(values.reshape(np.shape(triangle)) for values in found)
+        located = place(flat, weights, self.chart, self.corners, self.chart_grid, self.cells, self.size)
+        return tuple(values.reshape(np.shape(triangle)) for values in located)
 
     def save(self, path: Path) -> None:
         """Write as .npz, deterministic."""

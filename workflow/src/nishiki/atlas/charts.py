@@ -162,13 +162,13 @@ def directions_of(labels: np.ndarray, normals: np.ndarray, areas: np.ndarray) ->
 def merge_small(labels, normals, areas, neighbours, lengths, *, smallest: float, lowest: float) -> np.ndarray:
     """Give pieces smaller than `smallest` of the surface to the neighbour with the longest common border that no
     triangle of the piece turns away from; a piece that no neighbour can take stays."""
-    whole = areas.sum()
+    total = areas.sum()
     for _ in range(40):
         count = int(labels.max(initial=-1)) + 1
         size = np.bincount(labels[labels >= 0], areas[labels >= 0], minlength=count)
         directions = directions_of(labels, normals, areas)
         pairs, common = borders(labels, neighbours, lengths)
-        small = size[pairs[:, 0]] < smallest * whole
+        small = size[pairs[:, 0]] < smallest * total
         pairs, common = pairs[small], common[small]
         order = np.lexsort((-common, pairs[:, 0], size[pairs[:, 0]]))
         rank = np.argsort(labels, kind="stable")

@@ -32,11 +32,11 @@ def sampling_density(mesh: Mesh, plane: np.ndarray, cameras: list[Camera], *, pe
         facing_areas(np.ascontiguousarray(pixels), depths, corners, camera.rows, camera.columns, seen[index])
     place = round(percentile / 100 * (len(cameras) - 1))
     chosen = np.argpartition(seen, place, axis=0)[place] if len(corners) else np.zeros(0, np.int64)
-    found = np.zeros(len(corners)), np.zeros((len(corners), 2))
+    fields = np.zeros(len(corners)), np.zeros((len(corners), 2))
     for index, camera in enumerate(cameras):
         pixels, _ = camera.project(mesh.vertices)
-        metric(np.ascontiguousarray(pixels), corners, plane, seen[index], chosen == index, *found)
-    return Density(*found)
+        metric(np.ascontiguousarray(pixels), corners, plane, seen[index], chosen == index, *fields)
+    return Density(*fields)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -55,7 +55,7 @@ def overlapping(
     order = order[np.searchsorted(chart[order], 0) :].astype(np.int32)
     first = np.flatnonzero(np.diff(chart[order], prepend=-1))
     stop = np.append(first[1:], len(order))
-    told = np.zeros(len(chart), np.bool_)
+    overlaps = np.zeros(len(chart), np.bool_)
     reached = np.zeros(len(chart), np.bool_)
     for begin, end in zip(first, stop, strict=True):
         members = order[begin:end]
@@ -66,13 +66,13 @@ def overlapping(
         coarser = max(1.0, np.sqrt(size.prod() / 6.4e7))
         size = np.ceil(size / coarser).astype(np.int64) + 1
         grid = np.zeros(tuple(size), np.bool_)
-        grow(plane, members, chart, neighbours, low, 1 / (spacing * coarser), grid, reached, told)
-    return told
+        grow(plane, members, chart, neighbours, low, 1 / (spacing * coarser), grid, reached, overlaps)
+    return overlaps
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def grow(plane, members, chart, neighbours, low, scale, grid, reached, told):
-    """One chart of `overlapping`: fills `told`; `reached` is a note of who has been looked at."""
+def grow(plane, members, chart, neighbours, low, scale, grid, reached, overlaps):
+    """One chart of `overlapping`: fills `overlaps`; `reached` is a note of who has been looked at."""
     queue = np.empty(len(members), np.int32)
     points = np.empty((3, 2))
     for seed in members:
@@ -86,7 +86,7 @@ def grow(plane, members, chart, neighbours, low, scale, grid, reached, told):
                 points[k, 0] = (plane[here, k, 1] - low[1]) * scale
                 points[k, 1] = (plane[here, k, 0] - low[0]) * scale
             if take(points, grid, False):
-                told[here] = True
+                overlaps[here] = True
                 continue
             take(points, grid, True)
             for k in range(3):

@@ -101,18 +101,18 @@ def sample_view(
     see(points, camera.centre, towards, pixels, depths, rotation, inverse, depth, usable, tolerance, seen)
     visible = np.zeros(inside.size, np.bool_)
     visible[index] = seen
-    found = []
+    sampled = []
     for picture in pictures:
         values = np.zeros((inside.size, picture.shape[2]), np.float32)
         bilinear(pixels, seen, index, np.ascontiguousarray(picture, np.float32), values)
-        found.append(Sampled(values.reshape(*inside.shape, -1), visible.reshape(inside.shape)))
-    return found
+        sampled.append(Sampled(values.reshape(*inside.shape, -1), visible.reshape(inside.shape)))
+    return sampled
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def turned_to(points, normals, inside, centre, least):
     """Numbers of the texels that are inside and face the camera's centre, the cosine above `least`."""
-    found = np.empty(len(points), np.int64)
+    texels = np.empty(len(points), np.int64)
     count = 0
     for i in range(len(points)):
         if not inside[i]:
@@ -123,9 +123,9 @@ def turned_to(points, normals, inside, centre, least):
             towards += normals[i, k] * ray
             length += ray * ray
         if towards > least * np.sqrt(length):
-            found[count] = i
+            texels[count] = i
             count += 1
-    return found[:count].copy()
+    return texels[:count].copy()
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

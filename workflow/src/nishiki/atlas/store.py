@@ -94,7 +94,7 @@ class Texels:
     def samples(self, component: str, tile: int) -> Samples:
         """Every valid object pixel of every observation that falls into a tile; those of held-out views too."""
         self._known(component)
-        found = []
+        parts = []
         for light in range(len(self.lights)):
             for view in range(len(self.views)):
                 part = slice(*self._offsets[view, tile : tile + 2])
@@ -103,17 +103,17 @@ class Texels:
                 kept = self._of_pixels("valid", view, part, light) != 0
                 place = {name: self._of_pixels(name, view, part)[kept] for name in ("s", "t", "row", "column")}
                 values = self._of_pixels(f"values/{component}", view, part, light)[kept]
-                found.append((np.full(len(values), light * len(self.views) + view, np.int32), place, values))
-        if not found:
+                parts.append((np.full(len(values), light * len(self.views) + view, np.int32), place, values))
+        if not parts:
             nothing = np.zeros(0, np.float32), np.zeros(0, np.int32)
             empty = np.zeros((0, self.channels), np.float32)
             return Samples(nothing[1], nothing[0], nothing[0], empty, nothing[1], nothing[1])
-        joined = {name: np.concatenate([place[name] for _, place, _ in found]) for name in ("s", "t", "row", "column")}
+        joined = {name: np.concatenate([place[name] for _, place, _ in parts]) for name in ("s", "t", "row", "column")}
         return Samples(
-            np.concatenate([observation for observation, _, _ in found]),
+            np.concatenate([observation for observation, _, _ in parts]),
             joined["s"],
             joined["t"],
-            np.concatenate([values for _, _, values in found]),
+            np.concatenate([values for _, _, values in parts]),
             joined["row"].astype(np.int32),
             joined["column"].astype(np.int32),
         )

@@ -117,9 +117,9 @@ class TexelsWriter:
         self.positions = np.empty((tiles, size, size, 3), np.float32)
         self.normals, self.inside = np.empty_like(self.positions), np.empty((tiles, size, size), bool)
         for part in self.groups():
-            found = texel_points(self.mesh, self.atlas, surface, part)
-            self.positions[part], self.normals[part], self.inside[part] = found
-            self.group["positions"][part], self.group["normals"][part] = found[:2]
+            geometry = texel_points(self.mesh, self.atlas, surface, part)
+            self.positions[part], self.normals[part], self.inside[part] = geometry
+            self.group["positions"][part], self.group["normals"][part] = geometry[:2]
         self.sums = np.zeros((tiles, size, size, self.channels), np.float32)
         self.counts = np.zeros((tiles, size, size), np.uint16)
 
@@ -159,7 +159,7 @@ class TexelsWriter:
         usable = np.zeros_like(valid) if held else view.shown & valid
 
         def one(group: slice) -> int:
-            found = sample_view(
+            results = sample_view(
                 self.positions[group],
                 self.normals[group],
                 self.inside[group],
@@ -170,13 +170,13 @@ class TexelsWriter:
                 tolerance=self.tolerance,
                 grazing_deg=self.grazing_deg,
             )
-            self.group["visible"][observation, group] = found[0].visible
-            for name, sampled in zip(self.components, found, strict=True):
+            self.group["visible"][observation, group] = results[0].visible
+            for name, sampled in zip(self.components, results, strict=True):
                 self.group[f"values/{name}"][observation, group] = sampled.values
                 if name == "total":
                     self.sums[group] += sampled.values
                     self.counts[group] += sampled.visible
-            return int(found[0].visible.sum())
+            return int(results[0].visible.sum())
 
         with ThreadPoolExecutor(threads()) as pool:
             visible = sum(pool.map(one, self.groups()))

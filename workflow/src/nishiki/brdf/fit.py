@@ -168,5 +168,5 @@ def _lambert_alone(amplitude, diffuse, weights):
         q = np.multiply(np.where(good, weights, 0), np.where(good, diffuse, 0), dtype=np.float64)
         top = np.einsum("po,poc->pc", q, np.where(good[..., None], amplitude, 0), dtype=np.float64)
         bottom = np.einsum("po,po->p", q, np.where(good, diffuse, 0), dtype=np.float64)[:, None]
-        found = np.maximum(np.where(bottom > 0, top / np.where(bottom > 0, bottom, 1), 0), 0)
-    return np.where(found <= np.finfo(amplitude.dtype).max, found, 0)
+        kd = np.maximum(np.where(bottom > 0, top / np.where(bottom > 0, bottom, 1), 0), 0)
+    return np.where(kd <= np.finfo(amplitude.dtype).max, kd, 0)

@@ -38,10 +38,10 @@ def fit_lobe(phi, amplitude, attenuation, *, start=(1.0, START_GAMMA)):
 
     first = np.array([start[0], np.log(start[1])], float)
     with np.errstate(over="ignore", under="ignore"):
-        found = least_squares(residual, first, jac=jacobian, method="lm")
-    beta, gamma = found.x[0], float(np.exp(np.clip(found.x[1], -50.0, 50.0)))
-    variance = 2 * found.cost / max(phi.size - 2, 1)
-    normal = found.jac.T @ found.jac
+        solution = least_squares(residual, first, jac=jacobian, method="lm")
+    beta, gamma = solution.x[0], float(np.exp(np.clip(solution.x[1], -50.0, 50.0)))
+    variance = 2 * solution.cost / max(phi.size - 2, 1)
+    normal = solution.jac.T @ solution.jac
     scale = np.sqrt(np.diag(normal))
     if np.all(scale > 0) and np.linalg.cond(normal / np.outer(scale, scale)) < 1e14:
         covariance = variance * np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
@@ -50,8 +50,8 @@ def fit_lobe(phi, amplitude, attenuation, *, start=(1.0, START_GAMMA)):
     to_gamma = np.array([1.0, gamma])
     covariance = covariance * np.outer(to_gamma, to_gamma)
     # where the search ran off to no width, or to one so large that none is told, it stops: that is no convergence
-    converged = bool(found.success and np.isfinite(covariance).all() and 1e-6 < gamma < 10)
-    return float(beta), gamma, covariance, float(np.sqrt(2 * found.cost / phi.size)), converged
+    converged = bool(solution.success and np.isfinite(covariance).all() and 1e-6 < gamma < 10)
+    return float(beta), gamma, covariance, float(np.sqrt(2 * solution.cost / phi.size)), converged
 
 
 def point_problem(phi, amplitude, attenuation, diffuse, root_weights):
@@ -99,14 +99,14 @@ def fit_points(phi, amplitude, attenuation, diffuse, weights, strengths, reports
             continue
         residual, jacobian, start = point_problem(x, y, a, q, np.sqrt(w))
         with np.errstate(over="ignore", under="ignore"):
-            found = least_squares(residual, start, jac=jacobian if analytic else "2-point", method="lm")
-        strengths[p, :, 0], strengths[p, :, 1] = found.x[channels : 2 * channels], found.x[:channels]
-        gamma = np.exp(np.clip(found.x[-1], -80, 80))
+            solution = least_squares(residual, start, jac=jacobian if analytic else "2-point", method="lm")
+        strengths[p, :, 0], strengths[p, :, 1] = solution.x[channels : 2 * channels], solution.x[:channels]
+        gamma = np.exp(np.clip(solution.x[-1], -80, 80))
         basis = np.sqrt(w) * q
         best = np.maximum(basis @ (np.sqrt(w)[:, None] * y) / max(basis @ basis, 1e-300), 0)
-        reports[p, vp.GAMMA], reports[p, vp.RSS] = gamma, 2 * found.cost
+        reports[p, vp.GAMMA], reports[p, vp.RSS] = gamma, 2 * solution.cost
         reports[p, vp.RSS_DIFFUSE] = np.sum(w[:, None] * (y - np.outer(q, best)) ** 2)
-        reports[p, vp.CURVATURE] = _projected_curvature(found.jac)
+        reports[p, vp.CURVATURE] = _projected_curvature(solution.jac)
         reports[p, vp.NEAREST], reports[p, vp.LIT] = x.min(), np.sum(x < 2 * gamma)
 
 

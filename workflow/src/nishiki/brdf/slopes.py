@@ -26,11 +26,11 @@ def slope_covariance(normals: np.ndarray) -> np.ndarray:
     normals = np.asarray(normals, np.float32)
     known = np.abs(np.einsum("rck,rck->rc", normals, normals) - 1) < 0.02
     slopes = normals[..., :2] / np.maximum(normals[..., 2:], np.float32(STEEPEST))
-    found = np.zeros(normals.shape, np.float32)
+    covariance = np.zeros(normals.shape, np.float32)
     pairs = (((slice(None, -1),), (slice(1, None),)), ((slice(None), slice(None, -1)), (slice(None), slice(1, None))))
     for first, second in pairs:  # neighbours down, then across
         step = (slopes[second] - slopes[first]) * (known[first] & known[second])[..., None]
         squares = np.stack([step[..., 0] ** 2, step[..., 0] * step[..., 1], step[..., 1] ** 2], axis=-1) / 24
-        found[first] += squares
-        found[second] += squares
-    return found
+        covariance[first] += squares
+        covariance[second] += squares
+    return covariance

@@ -56,9 +56,9 @@ class SpecularHistogram:
     def empty(cls, *, regions=1, refractive_index=1.45, value_unit=1.0) -> "SpecularHistogram":
         """No samples.  value_unit: what counts as 1 when outliers are told apart (radiance of the white reference)."""
         if not (refractive_index > 1 and value_unit > 0):
-            found = f"{refractive_index}, {value_unit}"
+            values = f"{refractive_index}, {value_unit}"
             raise UserError(
-                f"expected refractive_index > 1 and value_unit > 0, found {found}: no gloss without contrast"
+                f"expected refractive_index > 1 and value_unit > 0, found {values}: no gloss without contrast"
             )
         cells = (regions, ROWS, COLUMNS)
         return cls(np.zeros(cells), np.zeros(cells), np.zeros((regions, ROWS, 4)), refractive_index, value_unit)
@@ -112,8 +112,10 @@ class SpecularHistogram:
                 f"regions: expected indices below {count}, found {regions.max()}; make empty(regions=...) larger"
             )
         if usable.shape != shape or np.shape(normals) != (*shape[1:], 3) or len(lights) != shape[0]:
-            found = f"{usable.shape}, {np.shape(normals)}, {len(lights)} lights"
-            raise UserError(f"usable, normals, lights: expected them to agree with observations {shape}, found {found}")
+            shapes = f"{usable.shape}, {np.shape(normals)}, {len(lights)} lights"
+            raise UserError(
+                f"usable, normals, lights: expected them to agree with observations {shape}, found {shapes}"
+            )
         new = replace(self, weights=self.weights.copy(), values=self.values.copy(), rows=self.rows.copy())
         shading = np.empty((0, 0, 3), real) if shading is None else np.asarray(shading, real)
         maps = (np.asarray(observations, real), np.asarray(normals, real), np.asarray(diffuse_albedo, real), shading)

@@ -72,7 +72,7 @@ def read_points(path: Path, name: str, views: tuple[str, ...]) -> dict[str, np.n
     if not rows or tuple(c.casefold() for c in rows[0][1]) != POINT_COLUMNS:
         found = ",".join(rows[0][1])[:90] if rows else "no heading"
         raise CaptureError(error("points-columns", name, "columns", expected=",".join(POINT_COLUMNS), found=found))
-    found_points: dict[str, list] = {}
+    rows_by_view: dict[str, list] = {}
     problems: list[Problem] = []
     for number, cells in rows[1:]:
         where, values = f"{name} row {number}", _numbers(cells[1:])
@@ -83,16 +83,16 @@ def read_points(path: Path, name: str, views: tuple[str, ...]) -> dict[str, np.n
         if cells[0] not in views:
             remedy = "Name the view as frames.csv does"
             problems.append(error("points-view", where, f"no view '{cells[0]}'", remedy=remedy))
-        found_points.setdefault(cells[0], []).append(values)
+        rows_by_view.setdefault(cells[0], []).append(values)
     if not problems:
         for view in views:
-            count = len(found_points.get(view, ()))
+            count = len(rows_by_view.get(view, ()))
             if count < FEWEST_POINTS:
                 expected, remedy = f"at least {FEWEST_POINTS}", "Mark more points of the object in this view"
                 what = f"points in view '{view}'"
                 problems.append(error("points-few", name, what, expected=expected, found=str(count), remedy=remedy))
     raise_errors(problems)
-    return {view: np.array(points) for view, points in found_points.items()}
+    return {view: np.array(points) for view, points in rows_by_view.items()}
 
 
 def camera_centre(matrix: np.ndarray) -> np.ndarray:

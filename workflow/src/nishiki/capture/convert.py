@@ -72,15 +72,15 @@ def convert(
     if table is not None:
         refuse_for_table(mask=mask, white=white, dark=dark, check=checks, encoding=encoding, roi=region)
         return _of_table(target, table, title, link)
-    found = recognise_round(source) if lights_file is None and source.is_dir() and not has_lamps(source) else None
-    if found is not None:
+    turntable = recognise_round(source) if lights_file is None and source.is_dir() and not has_lamps(source) else None
+    if turntable is not None:
         refuse_for_round(checks, region)
         raise_errors(folder_problems(mask=mask))
 
         def write_turntable(partial: Path) -> list[Problem]:
             return write_round(
                 partial,
-                found,
+                turntable,
                 source,
                 silhouettes=mask,
                 white=white,
@@ -90,16 +90,20 @@ def convert(
                 link=link,
             )
 
-        notes = _whole(target, write_turntable)
-        return Conversion(target, found.name, len(found.photographs), (*found.warnings, *notes), "turntable")
+        notes = _write_complete(target, write_turntable)
+        return Conversion(
+            target, turntable.name, len(turntable.photographs), (*turntable.warnings, *notes), "turntable"
+        )
     layout = recognise(source, lights_file=lights_file, mask=mask)
     unknown = [name for name in checks if layout.lights.index(name) is None]
     if unknown:
-        expected, found = f"one of {', '.join(layout.lights.names)}", ", ".join(unknown)
+        expected, turntable = f"one of {', '.join(layout.lights.names)}", ", ".join(unknown)
         what = "no such light to keep for evaluation"
         remedy = "The names of the lamps are those of their photographs, without the suffix"
-        raise CaptureError(error("light-unknown", str(source), what, expected=expected, found=found, remedy=remedy))
-    notes = _whole(target, lambda p: _write(p, layout, source, white, dark, checks, encoding, title, region, link))
+        raise CaptureError(error("light-unknown", str(source), what, expected=expected, found=turntable, remedy=remedy))
+    notes = _write_complete(
+        target, lambda p: _write(p, layout, source, white, dark, checks, encoding, title, region, link)
+    )
     return Conversion(target, layout.name, len(layout.photographs), (*layout.warnings, *notes))
 
 
@@ -122,12 +126,12 @@ def _of_table(target: Path, table: Path, title: str | None, link: bool) -> Conve
         read.append(content)
         return notes
 
-    notes = _whole(target, write)
+    notes = _write_complete(target, write)
     count, channels = len(read[0].values), read[0].channels
     return Conversion(target, "table of reflectances", count, tuple(notes), "goniometer", channels)
 
 
-def _whole(target: Path, write: Callable[[Path], list[Problem]]) -> list[Problem]:
+def _write_complete(target: Path, write: Callable[[Path], list[Problem]]) -> list[Problem]:
     """Write into a folder beside the target and rename it when it is whole."""
     partial = target.with_name(f".{target.name}.partial")
     if partial.exists():

@@ -162,8 +162,8 @@ def examine(root: Path) -> tuple[Capture | TurntableCapture | GoniometerCapture 
     illuminant = _illuminant(settings, named, attempt)
     if geometry != "plane":
         look = examine_turntable if geometry == "turntable" else examine_goniometer
-        capture, found = look(root, payload, settings, frames, (sensitivities, illuminant), attempt)
-        return capture, problems + found
+        capture, remarks = look(root, payload, settings, frames, (sensitivities, illuminant), attempt)
+        return capture, problems + remarks
     lights_path = named(settings.lights.file, "lights.file")
     lights = attempt(lambda: read_lights(lights_path, kind=settings.lights.kind)) if lights_path else None
     mask, regions = named(settings.mask, "mask"), named(settings.regions, "regions")
@@ -172,9 +172,9 @@ def examine(root: Path) -> tuple[Capture | TurntableCapture | GoniometerCapture 
         return None, problems
     intensities = attempt(lambda: read_intensities(scales, lights, names)) if scales else None
     problems += match_frames(frames, lights, settings)
-    found = tuple(p for p in (*problems, *lights.warnings) if p.severity == "warning")
+    remarks = tuple(p for p in (*problems, *lights.warnings) if p.severity == "warning")
     capture = Capture(
-        root, payload, settings, frames, lights, intensities, sensitivities, illuminant, mask, regions, found
+        root, payload, settings, frames, lights, intensities, sensitivities, illuminant, mask, regions, remarks
     )
     return capture, problems + list(lights.warnings)
 

@@ -25,7 +25,7 @@ TURNTABLE_COLUMNS = ("file", "role", "view", "light", "polariser", "exposure_s",
 GONIOMETER_ROLES = ("sample", "white", "dark")
 GONIOMETER_COLUMNS = ("file", "role", "theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg", "exposure_s")
 ANGLE_COLUMNS = GONIOMETER_COLUMNS[2:6]
-TOLD = 20  # unknown columns that are named
+MOST_NAMED = 20  # unknown columns that are named
 DIALECTS = {
     "plane": (ROLES, COLUMNS),
     "turntable": (TURNTABLE_ROLES, TURNTABLE_COLUMNS),
@@ -108,7 +108,7 @@ def dialect_of(table: Path) -> str:
 
 def _check_columns(columns: list[str], file: str, known: tuple[str, ...]) -> None:
     problems = []
-    for name in [c for c in columns if c not in known][:TOLD]:
+    for name in [c for c in columns if c not in known][:MOST_NAMED]:
         near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
         remedy = f"Did you mean '{near[0]}'?" if near else f"Known columns: {', '.join(known)}"
         problems.append(error("unknown-column", file, f"unknown column '{name}'", remedy=remedy))

@@ -78,9 +78,9 @@ def goniometer_facts(capture: GoniometerCapture) -> GoniometerFacts:
     pixels = 1
     if capture.table is None:
         header = read_header(capture.observed[0].path, name=capture.observed[0].file)
-        whole = capture.regions is not None
-        pixels = (header.rows if whole else min(header.rows, block.crop_px)) * (
-            header.columns if whole else min(header.columns, block.crop_px)
+        has_regions = capture.regions is not None
+        pixels = (header.rows if has_regions else min(header.rows, block.crop_px)) * (
+            header.columns if has_regions else min(header.columns, block.crop_px)
         )
     normal = sum(a[0] < NORMAL_DEG for a in angles)
     oblique = {(round(a[0], 1), round(a[1] % 360, 1) % 360) for a in angles if a[0] >= NORMAL_DEG}

@@ -22,12 +22,12 @@ def recognise_table(source: Path) -> Path | None:
         return source if is_table(source) else None
     if not source.is_dir() or photographs_in(source):
         return None
-    found = sorted(path for path in source.iterdir() if path.is_file() and is_table(path))
-    if len(found) > 1:
-        what, remedy = "several tables of reflectances", f"Convert one: {found[0]}"
-        named = ", ".join(path.name for path in found[:5])
+    tables = sorted(path for path in source.iterdir() if path.is_file() and is_table(path))
+    if len(tables) > 1:
+        what, remedy = "several tables of reflectances", f"Convert one: {tables[0]}"
+        named = ", ".join(path.name for path in tables[:5])
         raise CaptureError(error("layout-unknown", str(source), what, found=named, remedy=remedy))
-    return found[0] if found else None
+    return tables[0] if tables else None
 
 
 def refuse_for_table(**options) -> None:

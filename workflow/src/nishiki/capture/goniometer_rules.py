@@ -87,11 +87,11 @@ def nearest(directions: list[tuple[float, float]], others: list[tuple[float, flo
     """Angle in degrees from each direction (theta, phi in degrees) to the nearest of the others, infinite for none."""
     if not others:
         return np.full(len(directions), np.inf)
-    found, boards = np.empty(len(directions)), _unit(others)
+    chords, boards = np.empty(len(directions)), _unit(others)
     for first in range(0, len(directions), 256):  # a table may hold thousands of each
         apart = _unit(directions[first : first + 256])[:, None] - boards
-        found[first : first + 256] = np.sqrt((apart**2).sum(axis=2).min(axis=1))
-    return np.degrees(2 * np.arcsin(np.minimum(found / 2, 1.0)))  # from the chord: exact for small angles
+        chords[first : first + 256] = np.sqrt((apart**2).sum(axis=2).min(axis=1))
+    return np.degrees(2 * np.arcsin(np.minimum(chords / 2, 1.0)))  # from the chord: exact for small angles
 
 
 def _unit(angles_deg: list[tuple[float, float]]) -> np.ndarray:

@@ -28,7 +28,7 @@ QUANTITIES = {
 """What the name of a column says of its quantity, looked for in this order without capitals."""
 BRDF, UNSAID = "BRDF (1/sr)", "no quantity in the name"
 SHOWN = 5  # wrong rows told of one kind
-TOLD = 20  # rows that cannot be read, before reading stops
+MOST_PROBLEMS = 20  # rows that cannot be read, before reading stops
 Lines = Iterator[tuple[int, str]]
 
 
@@ -52,8 +52,8 @@ def read_table(path: Path, name: str) -> ReflectanceTable:
     """
     with reading(name, "table"):
         lines = table_lines(path, name, limit="reflectances_bytes")
-        found = (_cornell if path.suffix.lower() == ".brdf" else _csv)(lines, name)
-    return _checked(*found, name)
+        table = (_cornell if path.suffix.lower() == ".brdf" else _csv)(lines, name)
+    return _checked(*table, name)
 
 
 def is_table(path: Path) -> bool:
@@ -93,7 +93,7 @@ def _csv(lines: Lines, name: str) -> tuple[np.ndarray, tuple[str, ...], array]:
         except ValueError as e:
             expected, found = f"{len(heading)} numbers", str(e)[:80]
             problems.append(error("table-unreadable", f"{name} line {line}", "row", expected=expected, found=found))
-            if len(problems) > TOLD:
+            if len(problems) > MOST_PROBLEMS:
                 break
         expect_rows(len(numbers), "reflectances_values", name, "table")
     raise_errors(problems)
@@ -104,8 +104,8 @@ def quantity_of(column: str) -> str:
     """What a column holds, as far as its name tells: a key of QUANTITIES, or UNSAID."""
     folded = column.casefold()
     for quantity, pattern in QUANTITIES.items():
-        found = pattern.search(folded.replace("_", " ").replace("-", " "))
-        if found:
+        match = pattern.search(folded.replace("_", " ").replace("-", " "))
+        if match:
             return quantity
     return UNSAID
 

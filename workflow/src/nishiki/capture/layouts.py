@@ -52,8 +52,8 @@ def photographs_in(folder: Path) -> list[Path]:
     CaptureError (outside-folder, name-unusable) where one is a link that leads out of the folder, or its name cannot
     be that of a file in a capture.
     """
-    found = (p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file())
-    chosen = sorted((p for p in found if not MASK_WORD.search(p.stem)), key=natural_key)
+    pictures = (p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file())
+    chosen = sorted((p for p in pictures if not MASK_WORD.search(p.stem)), key=natural_key)
     raise_errors(problem for path in chosen for problem in source_problems(path, folder))
     if not chosen:
         _refuse_unread(folder)
@@ -188,7 +188,7 @@ def _with_spheres(source: Path, probes: list[Path], mask: Path | None) -> Layout
     """Lamps from mirror spheres photographed together with the object; both in natural order of the file names."""
     numbered = re.compile(r"\d")
     folders = [p for p in source.iterdir() if p.is_dir() and p not in probes]
-    objects = [found for found in map(photographs_in, folders) if found]
+    objects = [pictures for pictures in map(photographs_in, folders) if pictures]
     if len(objects) != 1:
         what = "exactly one folder of photographs is expected beside the mirror spheres"
         raise CaptureError(error("layout-unknown", str(source), what, found=f"{len(objects)}"))

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from nishiki.formats.problems import CaptureError, Problem, error, warning
 
-TOLD = 5  # names listed of one kind
+MOST_NAMED = 5  # names listed of one kind
 Token = str | int
 
 
@@ -34,27 +34,27 @@ def pair_by_name(photographs: Sequence[Path], others: Sequence[Path], *, what: s
     apart from the suffix come first, and others may then be left over; otherwise the counts must agree.
     Raises CaptureError (pairing-ambiguous, pairing-count, pairing-unmatched).
     """
-    wanted, present = [names_apart(paths, folder) for paths in (photographs, others)]
+    parts, present = [names_apart(paths, folder) for paths in (photographs, others)]
     by_stem = {tokens(p.stem): p for p in others}
     if all(tokens(p.stem) in by_stem for p in photographs):
         partners = tuple(by_stem[tokens(p.stem)] for p in photographs)
         left = [p.name for p in others if p not in set(partners)]
         return Pairing(partners, _left_over(left, what, folder))
-    if len(wanted) != len(present):
+    if len(parts) != len(present):
         expected, found = f"{len(photographs)}, one a photograph", f"{len(others)}"
         remedy = f"Name the {what} as the photographs, or move the others away"
         raise CaptureError(error("pairing-count", folder, what, expected=expected, found=found, remedy=remedy))
     by_part = dict(zip(present, others, strict=True))
-    if set(wanted) == set(present):
-        return Pairing(tuple(by_part[part] for part in wanted))
-    if counts_in_step(wanted, present):
+    if set(parts) == set(present):
+        return Pairing(tuple(by_part[part] for part in parts))
+    if counts_in_step(parts, present):
         partners = tuple(path for _, path in sorted(by_part.items()))
-        order = sorted(range(len(wanted)), key=lambda i: wanted[i])
+        order = sorted(range(len(parts)), key=lambda i: parts[i])
         placed = dict(zip(order, partners, strict=True))
-        chosen = tuple(placed[i] for i in range(len(wanted)))
+        chosen = tuple(placed[i] for i in range(len(parts)))
         return Pairing(chosen, (_in_order(photographs, chosen, what, folder),))
-    lacking = [p.name for p, part in zip(photographs, wanted, strict=True) if part not in by_part]
-    strange = [p.name for p, part in zip(others, present, strict=True) if part not in set(wanted)]
+    lacking = [p.name for p, part in zip(photographs, parts, strict=True) if part not in by_part]
+    strange = [p.name for p, part in zip(others, present, strict=True) if part not in set(parts)]
     remedy = (
         f"Give the {what} the names of their photographs, with any prefix or suffix that all of them share; "
         "or list the pairs in frames.csv by hand"
@@ -66,16 +66,16 @@ def pair_by_name(photographs: Sequence[Path], others: Sequence[Path], *, what: s
 
 def names_apart(paths: Sequence[Path], folder: str) -> list[tuple[Token, ...]]:
     """The varying part of each name, see `varying_parts`. CaptureError (pairing-ambiguous) where two are the same."""
-    whole = [tokens(p.stem) for p in paths]
+    names = [tokens(p.stem) for p in paths]
     first: dict[tuple, Path] = {}
-    for path, name in zip(paths, whole, strict=True):
+    for path, name in zip(paths, names, strict=True):
         if name in first:
             remedy = "Rename one, or move it away; names must differ in more than suffix, capitals and leading zeros"
             found = f"{first[name].name}, {path.name}"
             what = "two pictures of the same name"
             raise CaptureError(error("pairing-ambiguous", folder, what, found=found, remedy=remedy))
         first[name] = path
-    return varying_parts(whole)
+    return varying_parts(names)
 
 
 def tokens(stem: str) -> tuple[Token, ...]:
@@ -94,11 +94,11 @@ def varying_parts(names: Sequence[tuple[Token, ...]]) -> list[tuple[Token, ...]]
     return [name[start : len(name) - end] for name in names]
 
 
-def counts_in_step(wanted: Sequence[tuple], present: Sequence[tuple]) -> bool:
+def counts_in_step(parts: Sequence[tuple], present: Sequence[tuple]) -> bool:
     """Whether both are running numbers of no common value, one set the other shifted."""
-    if any(len(part) != 1 or not isinstance(part[0], int) for part in (*wanted, *present)):
+    if any(len(part) != 1 or not isinstance(part[0], int) for part in (*parts, *present)):
         return False
-    ours, theirs = (sorted(part[0] for part in some) for some in (wanted, present))
+    ours, theirs = (sorted(part[0] for part in some) for some in (parts, present))
     return not set(ours) & set(theirs) and len({b - a for a, b in zip(ours, theirs, strict=True)}) == 1
 
 
@@ -117,5 +117,5 @@ def _left_over(names: list[str], what: str, folder: str) -> tuple[Problem, ...]:
 
 
 def _some(names: Sequence[str]) -> str:
-    more = f" and {len(names) - TOLD} more" if len(names) > TOLD else ""
-    return ", ".join(names[:TOLD]) + more
+    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+    return ", ".join(names[:MOST_NAMED]) + more

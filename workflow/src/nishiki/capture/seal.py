@@ -44,16 +44,16 @@ def payload_files(folder: Path) -> Iterator[Path]:
     CaptureError (seal-link, file-special, name-unusable) for links that lead out of the folder or nowhere, for pipes
     and devices, which could be read for ever, and for names that are not UTF-8.
     """
-    found, problems = [], []
+    files, problems = [], []
     for name, entry in walk(folder):
         path = Path(entry.path)
         problem = _strange(name, entry, folder)
         if problem is not None:
             problems.append(problem)
         elif not path.is_dir():
-            found.append((name, path))
+            files.append((name, path))
     raise_errors(problems)
-    return iter(path for _, path in sorted(found))
+    return iter(path for _, path in sorted(files))
 
 
 def _strange(name: str, entry: os.DirEntry, folder: Path) -> Problem | None:
@@ -170,8 +170,8 @@ def _clear_half(half: Path) -> None:
     """Remove what a sealing killed before its first rename left: tag files only. Anything else is left alone."""
     if not half.exists():
         return
-    own = {f".{name}.part" for name in (*TAGS, TAG_MANIFEST)} | {*TAGS, TAG_MANIFEST}
-    strange = sorted({path.name for path in half.iterdir()} - own)
+    tag_files = {f".{name}.part" for name in (*TAGS, TAG_MANIFEST)} | {*TAGS, TAG_MANIFEST}
+    strange = sorted({path.name for path in half.iterdir()} - tag_files)
     if strange:
         remedy = "It may hold another capture: check it, move it away and seal again"
         found = ", ".join(strange[:5])
@@ -195,12 +195,12 @@ def expect_sealed(path: Path, name: str, digests: dict[str, str]) -> None:
     remedy = "Restore the file from a backup; a sealed capture must stay as it was"
     if name not in digests:
         raise CaptureError(error("seal-foreign", name, "not listed in the manifest", remedy=remedy))
-    found = sha256_of(path)
-    if found != digests[name]:
+    digest = sha256_of(path)
+    if digest != digests[name]:
         expected = f"sha256 {digests[name][:12]}..."
         what = "changed after sealing"
         raise CaptureError(
-            error("seal-changed", name, what, expected=expected, found=f"{found[:12]}...", remedy=remedy)
+            error("seal-changed", name, what, expected=expected, found=f"{digest[:12]}...", remedy=remedy)
         )
 
 
@@ -228,12 +228,12 @@ def verify_seal(root: Path, *, digests: bool = True) -> list[Problem]:
         what = "not listed in the manifest"
         problems.append(error("seal-foreign", name, what, remedy="Remove it, or make a new capture that holds it"))
     for name in sorted(set(listed) & set(present)) if digests else ():
-        found = sha256_of(present[name])
-        if found != listed[name]:
+        present_digest = sha256_of(present[name])
+        if present_digest != listed[name]:
             expected = f"sha256 {listed[name][:12]}..."
             what = "changed after sealing"
             problems.append(
-                error("seal-changed", name, what, expected=expected, found=f"{found[:12]}...", remedy=remedy)
+                error("seal-changed", name, what, expected=expected, found=f"{present_digest[:12]}...", remedy=remedy)
             )
     if (root / TAG_MANIFEST).is_file():
         try:

@@ -35,8 +35,8 @@ def read_curves(path: Path, *, names: tuple[str, ...] | None = None, label: str 
     if header[:1] != ["wavelength_nm"] or len(header) < 2:
         expected = "wavelength_nm, then one column a curve"
         raise CaptureError(error("spectra-columns", label, "columns", expected=expected, found=",".join(header)[:80]))
-    wanted = list(names) if names else header[1:]
-    missing = [n for n in wanted if n not in header[1:]]
+    selected = list(names) if names else header[1:]
+    missing = [n for n in selected if n not in header[1:]]
     if missing or len(set(header)) != len(header):
         what = f"no column for {', '.join(missing)}" if missing else "a column appears twice"
         remedy = "Name the columns as camera.channels does"
@@ -45,9 +45,9 @@ def read_curves(path: Path, *, names: tuple[str, ...] | None = None, label: str 
         numbers = np.array([[float(v) for v in row] for row in rows], dtype=np.float64).reshape(-1, len(header))
     except ValueError as e:
         raise CaptureError(error("spectra-unreadable", label, "a value is not a number", found=str(e))) from e
-    wavelengths, values = numbers[:, 0], numbers[:, [header.index(n) for n in wanted]]
+    wavelengths, values = numbers[:, 0], numbers[:, [header.index(n) for n in selected]]
     raise_errors(_mistakes(wavelengths, values, label))
-    return Curves(tuple(wanted), wavelengths, values)
+    return Curves(tuple(selected), wavelengths, values)
 
 
 def _table(path: Path, label: str) -> tuple[list[str], list[list[str]]]:

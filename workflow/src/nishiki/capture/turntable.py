@@ -49,10 +49,12 @@ class TurntableCapture(Photographed):
     @property
     def observed(self) -> tuple[Frame, ...]:
         """Frames of the object, ordered by light, then view, then polariser state: how observations are numbered."""
-        found = {(f.light, f.view, f.polariser): f for f in self.frames_of("sample")}
+        by_state = {(f.light, f.view, f.polariser): f for f in self.frames_of("sample")}
         orders = [{name: i for i, name in enumerate(n)} for n in (self.light_names, self.views, self.states)]
-        known = (key for key in found if all(name in order for name, order in zip(key, orders, strict=True)))
-        return tuple(found[key] for key in sorted(known, key=lambda k: [o[n] for n, o in zip(k, orders, strict=True)]))
+        known = (key for key in by_state if all(name in order for name, order in zip(key, orders, strict=True)))
+        return tuple(
+            by_state[key] for key in sorted(known, key=lambda k: [o[n] for n, o in zip(k, orders, strict=True)])
+        )
 
     def silhouette_of(self, view: str) -> Frame | None:
         """The frame whose row names the silhouette of this view."""

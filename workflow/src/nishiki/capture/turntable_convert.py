@@ -42,10 +42,10 @@ def write_round(
     folder.mkdir(parents=True)
     header = read_header(layout.photographs[0])
     outlines, notes = _match_silhouettes(layout, silhouettes) if silhouettes else ({}, ())
-    taken = {path: take(path, folder / "silhouettes" / path.name, link) for path in set(outlines.values())}
+    copies = {path: take(path, folder / "silhouettes" / path.name, link) for path in set(outlines.values())}
     rows = []
     for i, (photograph, file) in enumerate(zip(layout.photographs, file_names(layout.photographs), strict=True)):
-        outline = taken.get(outlines.get(photograph), "")
+        outline = copies.get(outlines.get(photograph), "")
         name = take(photograph, folder / "frames" / file, link)
         rows.append((name, "sample", layout.views[i], layout.states[i], outline))
     for board, state in _states_of(photographs_in(white), layout, str(white)) if white else ():

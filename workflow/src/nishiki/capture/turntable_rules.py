@@ -18,7 +18,7 @@ from nishiki.formats.problems import Problem, error, warning
 from nishiki.geometry.turn import turn_of
 
 TABLE = "frames.csv"
-TOLD = 100  # photographs that are missing from the grid of views, lights and states
+MOST_PROBLEMS = 100  # photographs that are missing from the grid of views, lights and states
 
 
 def turntable_problems(
@@ -110,12 +110,15 @@ def _grid_problems(samples: list[Frame], views: tuple[str, ...]) -> list[Problem
     last = {(f.light, f.view, f.polariser): f for f in samples}
     for key, count in counts.items():
         if count > 1:
-            found, remedy = f"{count} frames of {_said(*key)}", "Keep one frame of each view, light and polariser state"
+            found, remedy = (
+                f"{count} frames of {_frame_name(*key)}",
+                "Keep one frame of each view, light and polariser state",
+            )
             problems.append(error("frame-repeated", _row(last[key]), "one frame each", found=found, remedy=remedy))
     if any(p.kind == "polariser-mixed" for p in problems):
         return problems
     for light, view in product(lights, views):
-        if len(problems) > TOLD:
+        if len(problems) > MOST_PROBLEMS:
             break
         lacking = [state for state in states if (light, view, state) not in counts]
         if len(lacking) == len(states):
@@ -124,7 +127,7 @@ def _grid_problems(samples: list[Frame], views: tuple[str, ...]) -> list[Problem
             problems.append(error("light-missing", TABLE, what, remedy=remedy))
         elif lacking:
             found = ", ".join(repr(state) for state in lacking[:4])
-            what, remedy = f"{_said(light, view, None)} lacks a polariser state", "Photograph it in every state"
+            what, remedy = f"{_frame_name(light, view, None)} lacks a polariser state", "Photograph it in every state"
             expected = f"{len(states)} states"
             problems.append(
                 error("polariser-missing", TABLE, what, expected=expected, found=f"no {found}", remedy=remedy)
@@ -132,7 +135,7 @@ def _grid_problems(samples: list[Frame], views: tuple[str, ...]) -> list[Problem
     return problems
 
 
-def _said(light: str, view: str, state: str | None) -> str:
+def _frame_name(light: str, view: str, state: str | None) -> str:
     parts = [f"view '{view}'"] + ([f"light '{light}'"] if light else []) + ([f"polariser '{state}'"] if state else [])
     return ", ".join(parts)
 

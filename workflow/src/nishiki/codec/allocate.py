@@ -158,8 +158,8 @@ def pilot(source: Source, scene: CodedScene, design: Design, effort: Effort, *, 
     total = [sum((m[k] for m in moments if m is not None), np.zeros((design.channels,) * 2)) for k in _range(design)]
     colour = tuple(_tuple(principal_channels(moment)) for moment in total)
     design = replace(design, colour=colour)
-    squares, whole = np.sum(densities, axis=0)
-    density = float(squares / whole) if whole else 1.0
+    squares, density_sum = np.sum(densities, axis=0)
+    density = float(squares / density_sum) if density_sum else 1.0
     if not design.model:
         return Pilot(list(refined), design, Typical((0.0, 0.0, 0.0), density))
     design, weights = _parameter_statistics([r for r in refined if r is not None], design)
@@ -179,10 +179,10 @@ def _parameter_statistics(refined: list[Refined], design: Design) -> tuple[Desig
     for name in ("kd", "ks"):
         values = np.concatenate([getattr(r.maps, name).reshape(-1, design.channels) for r in refined]).astype(float)
         weight = np.concatenate([getattr(r.weights, name).reshape(-1, design.channels) for r in refined]).mean(axis=1)
-        whole = weight.sum() or 1.0
-        mean = np.round(weight @ values / whole, 4)
+        total = weight.sum() or 1.0
+        mean = np.round(weight @ values / total, 4)
         means.append(tuple(float(v) for v in mean))
-        mixes.append(_tuple(principal_channels((values - mean).T @ ((values - mean) * weight[:, None]) / whole)))
+        mixes.append(_tuple(principal_channels((values - mean).T @ ((values - mean) * weight[:, None]) / total)))
         typical.append(_usual(weight))
     weight = np.concatenate([r.weights.sigma.ravel() for r in refined]).astype(float)
     width = np.log(np.clip(np.concatenate([r.maps.sigma.ravel() for r in refined]), 1e-3, 1e3)).astype(float)
@@ -205,17 +205,17 @@ def at_step(design: Design, step: float, typical: Typical, *, parameter_share: f
 
 
 def one_pass(
-    source: Source, scene: CodedScene, found: Pilot, effort: Effort, step: float, *, threads: int, progress=None,
+    source: Source, scene: CodedScene, piloted: Pilot, effort: Effort, step: float, *, threads: int, progress=None,
     parameter_share: float = 1.0, rounds: int = 2,
 ) -> EncodedObject:  # fmt: skip
     """Solve, quantise and code every tile at one step."""
-    design = at_step(found.design, step, found.typical, parameter_share=parameter_share)
+    design = at_step(piloted.design, step, piloted.typical, parameter_share=parameter_share)
 
     def work(tile: int):
-        if found.refined[tile] is None:
+        if piloted.refined[tile] is None:
             return None
         seen = see(source.pixels(tile), source.surface(tile), design)
-        coded = encode_tile(seen, found.refined[tile], scene, design, effort, found.typical)
+        coded = encode_tile(seen, piloted.refined[tile], scene, design, effort, piloted.typical)
         blocks = (coded.parameters, *coded.residual)
         empty = np.zeros(0, np.int32)
         light = replace(coded, parameters=empty, residual=())

@@ -112,7 +112,7 @@ def shift(points: np.ndarray, moved: np.ndarray, cameras: list[Camera]) -> float
     return worst
 
 
-def own_step(mesh: Mesh, cameras: list[Camera]) -> float:
+def mesh_step(mesh: Mesh, cameras: list[Camera]) -> float:
     """The step to code a mesh with: that of the grid its vertices lie on, so that nothing changes, where there is one
     at most 16 times finer than needed; else that of `grid_step`."""
     needed = grid_step(mesh, cameras)

@@ -33,13 +33,13 @@ def unpack_cameras(data: bytes) -> list[Camera]:
     """Inverse of `pack_cameras`, to float32 precision; cameras are named by their place."""
     rows, columns, size = (int(v) for v in np.frombuffer(data, "<i4", 3))
     table = np.frombuffer(data, "<f4", offset=12).reshape(-1, size).astype(np.float64)
-    found = []
+    cameras = []
     for number, (fx, skew, fy, cx, cy, *rest) in enumerate(table):
         intrinsics = np.array([[fx, skew, cx], [0, fy, cy], [0, 0, 1]])
         distortion = tuple(rest[6:]) if size > _SAME else NO_DISTORTION
         rotation = rotation_matrix(np.array(rest[:3]))
-        found.append(Camera(str(number), intrinsics, rotation, np.array(rest[3:6]), rows, columns, distortion))
-    return found
+        cameras.append(Camera(str(number), intrinsics, rotation, np.array(rest[3:6]), rows, columns, distortion))
+    return cameras
 
 
 def chart_bytes(chart: np.ndarray, order: np.ndarray) -> int:

@@ -90,19 +90,19 @@ def unpack_head(data: bytes) -> Contents:
         raw = _inflated(parts[3], tiles * (12 + 4 * streams))
     except (zlib.error, ValueError, KeyError, TypeError, RecursionError) as error:
         raise UserError(f"residual: header damaged ({error}); run the stage again") from None
-    numbers = _whole(raw[: 12 * tiles], np.uint16, (tiles, 6))
+    numbers = _joined_planes(raw[: 12 * tiles], np.uint16, (tiles, 6))
     extents = [Extent(*(int(v) for v in row)) for row in numbers]
-    lengths = _whole(raw[12 * tiles :], np.uint32, (tiles, streams)).astype(np.int64)
+    lengths = _joined_planes(raw[12 * tiles :], np.uint32, (tiles, streams)).astype(np.int64)
     return Contents(design, (unpack(parts[1]), unpack(parts[2])), extents, lengths, end)
 
 
 def _inflated(data: bytes, most: int) -> bytes:
     """Deflated bytes, at most so many: a few of a stranger's could unfold to any number."""
     stream = zlib.decompressobj()
-    found = stream.decompress(data, max(most, 1))
-    if not stream.eof or len(found) > most:
+    inflated = stream.decompress(data, max(most, 1))
+    if not stream.eof or len(inflated) > most:
         raise ValueError(f"cut off, or larger than {most} bytes")
-    return found
+    return inflated
 
 
 def _planes(values: np.ndarray) -> bytes:
@@ -111,7 +111,7 @@ def _planes(values: np.ndarray) -> bytes:
     return np.ascontiguousarray(columns.view(np.uint8).reshape(-1, values.itemsize).T).tobytes()
 
 
-def _whole(data: bytes, dtype, shape: tuple[int, int]) -> np.ndarray:
+def _joined_planes(data: bytes, dtype, shape: tuple[int, int]) -> np.ndarray:
     size = np.dtype(dtype).itemsize
     planes = np.frombuffer(data, np.uint8).reshape(size, -1)
     return np.ascontiguousarray(planes.T).view(dtype).reshape(shape[::-1]).T

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.codec.compact_mesh import CompactMesh, encode_mesh, own_step, shift
+from nishiki.codec.compact_mesh import CompactMesh, encode_mesh, mesh_step, shift
 from nishiki.codec.compact_parts import chart_bytes, lamp_bytes, pack_cameras
 from nishiki.geometry.mesh import Mesh
 
@@ -28,7 +28,7 @@ class Cost:
 def cost_of(mesh: Mesh, chart: np.ndarray, cameras: list, lighting: dict, residual: dict[str, int]) -> Cost:
     """chart (f,): of the atlas; lighting: as plain data; residual: its bytes by part, parameters included (a "total"
     among them is left out)."""
-    coded = encode_mesh(mesh, step=own_step(mesh, cameras))
+    coded = encode_mesh(mesh, step=mesh_step(mesh, cameras))
     used = np.unique(mesh.triangles)
     moved = shift(mesh.vertices[used], coded.restored(mesh).vertices[used], cameras)
     parts = {f"residual_{name}": int(size) for name, size in residual.items() if name != "total"}

@@ -83,10 +83,10 @@ def bands_of(rows: int, columns: int, levels: int) -> np.ndarray:
 def encode(values: np.ndarray, levels: int, model: Model) -> Coded:
     """Bytes of integers (channels, frequencies, rows, columns) int32, magnitudes below 2^31."""
     values = np.ascontiguousarray(values, np.int32)
-    found, length = _encoded(values, levels, model, 4 * values.size + 4096)
+    coded, length = _encoded(values, levels, model, 4 * values.size + 4096)
     if length > 4 * values.size + 4096:  # large magnitudes everywhere; the coder says what they take
-        found, _ = _encoded(values, levels, model, length)
-    return found
+        coded, _ = _encoded(values, levels, model, length)
+    return coded
 
 
 def _encoded(values: np.ndarray, levels: int, model: Model, size: int) -> tuple[Coded, int]:
@@ -103,24 +103,24 @@ def _encoded(values: np.ndarray, levels: int, model: Model, size: int) -> tuple[
 def decode(data: bytes, shape: tuple[int, int, int, int], levels: int, model: Model, *, drop: int = 0) -> np.ndarray:
     """Inverse of `encode`: (channels, frequencies, rows, columns) int32; the `drop` finest levels stay zero, unread."""
     bands = bands_of(*shape[-2:], levels)
-    wanted = len(bands) - 3 * min(drop, levels)
+    bands_read = len(bands) - 3 * min(drop, levels)
     values = np.zeros(shape, np.int32)
     chance, seen, weights = model.chance.copy(), model.seen.copy(), model.weights.copy()
     tally = np.zeros((CONTEXTS, 2), np.int64)
     stream = np.frombuffer(data, np.uint8).copy()
     ends = np.zeros(len(bands), np.int64)
-    code_block(values, bands, wanted, chance, seen, tally, weights, TABLES, stream, True, ends)
+    code_block(values, bands, bands_read, chance, seen, tally, weights, TABLES, stream, True, ends)
     return values
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def code_block(values, bands, wanted, chance, seen, tally, weights, tables, data, decoding, ends):
-    """Code the first `wanted` bands; number of bytes written (encoding)."""
+def code_block(values, bands, count, chance, seen, tally, weights, tables, data, decoding, ends):
+    """Code the first `count` bands; number of bytes written (encoding)."""
     state = np.zeros(4, np.int64)
     begin(state, data, decoding)
     channels, frequencies = values.shape[0], values.shape[1]
     filled = np.zeros((bands.shape[0], frequencies, channels), np.int64)
-    for b in range(wanted):
+    for b in range(count):
         for k in range(frequencies):
             for c in range(channels):
                 band = bands[b]

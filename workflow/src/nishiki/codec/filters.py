@@ -91,10 +91,10 @@ def _reflect(index: int, length: int) -> int:
     return period - index if index >= length else index
 
 
-def levels_of(length: int, wanted: int) -> int:
-    """Levels that `length` allows: as many halvings as are exact, at most `wanted`."""
+def levels_of(length: int, most: int) -> int:
+    """Levels that `length` allows: as many halvings as are exact, at most `most`."""
     levels = 0
-    while levels < wanted and length % 2 == 0 and length > 1:
+    while levels < most and length % 2 == 0 and length > 1:
         length //= 2
         levels += 1
     return levels

@@ -39,8 +39,8 @@ def _solve_planes(planes: np.ndarray, share: np.ndarray, block: Block, step: flo
     operator = Operator(lambda v: v * root, lambda v: v * root, float(share.max(initial=0)))
     shape = (len(planes), 1, 1, *planes.shape[1:])
     data = planes[:, None] * root
-    found = solve(data, operator, block, shape, threshold=threshold * step, iterations=ITERATIONS)
-    return quantise(found.coefficients, step)[:, 0, 0]
+    solution = solve(data, operator, block, shape, threshold=threshold * step, iterations=ITERATIONS)
+    return quantise(solution.coefficients, step)[:, 0, 0]
 
 
 def decode_parameters(values: np.ndarray, design: Design, extent: Extent) -> Maps:

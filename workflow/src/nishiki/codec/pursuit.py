@@ -62,8 +62,8 @@ def curvatures(block: Block, density: np.ndarray) -> np.ndarray:
     plane, lights, views = block.plane, block.lights, block.views
     lengths = squared_lengths(plane, density.astype(np.float64)) * (transfers(plane) / plane.gains**2)
     lengths = lengths.reshape(len(lights), len(views), *plane.shape)
-    found = np.tensordot(lights**2, np.moveaxis(np.tensordot(views**2, lengths, (1, 1)), 1, 0), 1)
-    return np.maximum(found, FLOOR * found.max(initial=0)).astype(np.float32)
+    expected = np.tensordot(lights**2, np.moveaxis(np.tensordot(views**2, lengths, (1, 1)), 1, 0), 1)
+    return np.maximum(expected, FLOOR * expected.max(initial=0)).astype(np.float32)
 
 
 def pursue(

@@ -22,8 +22,8 @@ def _quantise(values, step, dead, rounding, out):
             continue
         if not size <= MOST:
             return n
-        whole = max(int(size + rounding), 1)
-        out[n] = whole if values[n] > 0 else -whole
+        steps = max(int(size + rounding), 1)
+        out[n] = steps if values[n] > 0 else -steps
     return -1
 
 

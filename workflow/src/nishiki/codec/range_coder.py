@@ -17,7 +17,7 @@ from numba import njit
 INPUTS = 8
 LIMIT = 250
 LOW, HIGH, PLACE, WORD = 0, 1, 2, 3
-WHOLE = 0xFFFFFFFF
+FULL_RANGE = 0xFFFFFFFF
 UNIT = 65536
 
 
@@ -56,12 +56,12 @@ def code_bit(bit, p_one, state, data, decoding):
         place = state[PLACE]
         if decoding:
             following = data[place] if place < data.shape[0] else 0
-            state[WORD] = ((state[WORD] << 8) & WHOLE) | following
+            state[WORD] = ((state[WORD] << 8) & FULL_RANGE) | following
         elif place < data.shape[0]:
             data[place] = high >> 24
         state[PLACE] = place + 1
-        low = (low << 8) & WHOLE
-        high = ((high << 8) & WHOLE) | 255
+        low = (low << 8) & FULL_RANGE
+        high = ((high << 8) & FULL_RANGE) | 255
     state[LOW], state[HIGH] = low, high
     return bit
 
@@ -69,7 +69,7 @@ def code_bit(bit, p_one, state, data, decoding):
 @njit(cache=True, nogil=True, error_model="numpy")
 def begin(state, data, decoding):
     """Set a coder to its start; a decoder reads its first four bytes (bytes beyond the end are zeros)."""
-    state[LOW], state[HIGH], state[PLACE], state[WORD] = 0, WHOLE, 0, 0
+    state[LOW], state[HIGH], state[PLACE], state[WORD] = 0, FULL_RANGE, 0, 0
     if decoding:
         for k in range(4):
             state[WORD] = (state[WORD] << 8) | (data[k] if k < data.shape[0] else 0)

@@ -133,9 +133,9 @@ def refine_tile(seen: Seen, maps: Maps, scene: CodedScene, design: Design, effor
         return Refined(Maps(zero, zero, np.ones_like(maps.sigma)), Weights(zero, zero, zero[..., 0]))
     centres, lamps = scene.centres[seen.observations], [scene.lamps[o] for o in seen.observations]
     factors = model_factors(design.channels, seen.surface, centres, lamps)
-    whole = seen.values[0] if len(seen.values) == 1 else sum(seen.values)
+    joined = seen.values[0] if len(seen.values) == 1 else sum(seen.values)
     moved = (True, effort.gloss, False)
-    maps = refine(maps, factors, seen.feet, whole, design.encoding, iterations=effort.refinements, move=moved)
+    maps = refine(maps, factors, seen.feet, joined, design.encoding, iterations=effort.refinements, move=moved)
     return Refined(maps, texel_weights(maps, factors, seen.feet, design.encoding))
 
 
@@ -165,8 +165,8 @@ def encode_tile(
         if design.model:
             left = values - seen.feet.look_up(model_of(maps, seen, scene, design, component))
         data = (design.mix(index) @ left).astype(np.float32)
-        found = pursue(data, operator, block, shape, curvature, price=price, bits=bits, effort=effort.pursuit)
-        integers = quantise(found.coefficients, design.step, dead_zone=effort.dead_zone, rounding=effort.rounding)
+        solution = pursue(data, operator, block, shape, curvature, price=price, bits=bits, effort=effort.pursuit)
+        integers = quantise(solution.coefficients, design.step, dead_zone=effort.dead_zone, rounding=effort.rounding)
         after = data - operator.look(samples_of(block, (integers * np.float32(design.step)).astype(np.float32)))
         errors += [float(np.sum(a.astype(np.float64) ** 2)) for a in (after, data, values)]
         residual.append(integers.reshape(design.residual_shape(seen.extent)))

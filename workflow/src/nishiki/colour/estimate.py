@@ -337,8 +337,8 @@ def _assemble(problem: Problem, parts: Parts, method: str, white_width: float, u
 
 def _with_exact_white(estimator: SpectralEstimator, white: np.ndarray) -> SpectralEstimator:
     """Anchor = what the very code that serves pixels lacks at the white response."""
-    found = estimate_spectra(np.ones(estimator.linear.shape[1]), estimator).coefficients
-    return replace(estimator, anchor=white - found)
+    estimated = estimate_spectra(np.ones(estimator.linear.shape[1]), estimator).coefficients
+    return replace(estimator, anchor=white - estimated)
 
 
 def _check_settings(method, noise, white_width, centres, radius, ridge, condition_limit, unit_tolerance):

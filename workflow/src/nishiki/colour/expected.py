@@ -18,11 +18,11 @@ NEIGHBOURS = 24
 SAMPLE = 2000
 
 
-def colour_differences(found: np.ndarray, true: np.ndarray, light: str) -> np.ndarray:
+def colour_differences(estimated: np.ndarray, true: np.ndarray, light: str) -> np.ndarray:
     """CIEDE2000 (...) between spectra (..., 61) under a CIE illuminant."""
     lamp = illuminant(light)
     white = white_xyz(lamp)
-    return delta_e_2000(*(xyz_to_lab(xyz_from_spectra(lamp, spectra), white) for spectra in (found, true)))
+    return delta_e_2000(*(xyz_to_lab(xyz_from_spectra(lamp, spectra), white) for spectra in (estimated, true)))
 
 
 def expected_colour_error(
@@ -49,8 +49,8 @@ def expected_colour_error(
     those of the training set, for responses without noise (what noise adds is in every light's picture alike).
     """
     seen = training @ weights.T
-    found = estimate_spectra(seen, estimator).spectra()
-    errors = np.array([colour_differences(found, training, light) for light in lights])
+    estimated = estimate_spectra(seen, estimator).spectra()
+    errors = np.array([colour_differences(estimated, training, light) for light in lights])
     space = ResponseSpace(estimator.mean, estimator.whiten, estimator.low, estimator.high)
     apart = distances(space.coordinates(np.asarray(responses, float)), space.coordinates(seen))
     count = min(NEIGHBOURS, len(training))

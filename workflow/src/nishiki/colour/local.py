@@ -141,7 +141,7 @@ def _ridge_regression(residuals, design, smooth, ridges):
         error = (residuals - modes @ (shrink[:, None] * target)) / np.maximum(1.0 - leverage, 0.05)[:, None]
         candidates.append((root @ (shrink[:, None] * target), np.mean(error**2, axis=1)))
     limit = (1.0 + RIDGE_TOLERANCE) ** 2 * min(mean_square.mean() for _, mean_square in candidates)
-    return next(found for found in reversed(candidates) if found[1].mean() <= limit)
+    return next(candidate for candidate in reversed(candidates) if candidate[1].mean() <= limit)
 
 
 def evaluate_correction(

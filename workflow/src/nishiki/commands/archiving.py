@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 
-from nishiki.archive.audit import Counts, Found, audit, find_artifacts
+from nishiki.archive.audit import AuditTargets, Counts, audit, find_artifacts
 from nishiki.archive.crate_audit import CrateAudit, audit_crate, is_crate
 from nishiki.archive.damage import Damage, shown
 from nishiki.errors import UserError
@@ -25,27 +25,27 @@ def verify(options: argparse.Namespace, rest: list[str]) -> int:
             raise UserError(f"{folder}: neither a folder nor a ZIP file. Remedy: name the folder of the results")
     counts = Counts()
     threads = options.threads or given_threads()
-    found = find_artifacts(folder for folder in folders if not is_crate(folder))
-    crates = [*(folder for folder in folders if is_crate(folder)), *found.crates]
+    targets = find_artifacts(folder for folder in folders if not is_crate(folder))
+    crates = [*(folder for folder in folders if is_crate(folder)), *targets.crates]
     for crate in crates:
         counts.problems += _verify_crate(crate, threads, options.json)
-    if crates and not found.artifacts and not options.capture:
+    if crates and not targets.artifacts and not options.capture:
         return 1 if counts.problems else 0
-    if folders and not crates and found.empty and not options.capture:
+    if folders and not crates and targets.empty and not options.capture:
         what = "neither an artifact nor a crate in it"
         raise UserError(f"{', '.join(map(str, folders))}: {what}. Remedy: name results, a scene or a stage")
-    unsound = _told(audit(found, counts, threads=threads, tell=Progress("verify")), options.json)
+    unsound = _print_damages(audit(targets, counts, threads=threads, tell=Progress("verify")), options.json)
     for capture in options.capture:
         from nishiki.capture.seal import verify_seal
 
         problems = list(verify_seal(Path(capture)))
         for problem in problems:
-            _tell(Damage(Path(capture), "damaged", str(problem)), options.json)
+            _print_damage(Damage(Path(capture), "damaged", str(problem)), options.json)
         counts.problems += len(problems)
         if not options.json:
             print(f"{shown(Path(capture))}: {amount(len(problems), 'problem') if problems else 'as it was sealed'}")
     if folders or options.json:
-        _summary(found, counts, options.json)
+        _summary(targets, counts, options.json)
     if options.set_aside:
         _set_aside(unsound)
     return 1 if counts.problems else 0
@@ -57,7 +57,7 @@ def _verify_crate(path: Path, threads: int, as_json: bool) -> int:
     problems = 0
     for damage in audit_crate(audited, threads=threads, tell=Progress(f"verify {shown(path.name)}")):
         problems += 1
-        _tell(damage, as_json)
+        _print_damage(damage, as_json)
     if as_json:
         print(json.dumps({**asdict(audited), "root": str(path), "problems": problems, "sound": not problems}))
         return problems
@@ -71,33 +71,33 @@ def _verify_crate(path: Path, threads: int, as_json: bool) -> int:
     return problems
 
 
-def _told(damages: Iterable[Damage], as_json: bool) -> set[Path]:
+def _print_damages(damages: Iterable[Damage], as_json: bool) -> set[Path]:
     """Tell each damage; folders of the artifacts that have one."""
     unsound = set()
     for damage in damages:
-        _tell(damage, as_json)
+        _print_damage(damage, as_json)
         if damage.artifact is not None:
             unsound.add(damage.artifact)
     return unsound
 
 
-def _tell(damage: Damage, as_json: bool) -> None:
+def _print_damage(damage: Damage, as_json: bool) -> None:
     if as_json:
         print(json.dumps({name: str(value or "") for name, value in asdict(damage).items()}))
     else:
         print(damage)
 
 
-def _summary(found: Found, counts: Counts, as_json: bool) -> None:
+def _summary(targets: AuditTargets, counts: Counts, as_json: bool) -> None:
     if as_json:
-        others = {"unfinished": len(found.unfinished), "set_aside": len(found.aside)}
+        others = {"unfinished": len(targets.unfinished), "set_aside": len(targets.aside)}
         print(json.dumps({**asdict(counts), **others, "sound": not counts.problems}))
         return
     state = amount(counts.problems, "problem") if counts.problems else "sound"
     size = f"{counts.files} files, {counts.bytes / 1e9:.3f} GB"
     print(f"{amount(counts.artifacts, 'artifact')} verified, {size}: {state}")
-    if found.unfinished or found.aside:
-        unfinished, aside = len(found.unfinished), len(found.aside)
+    if targets.unfinished or targets.aside:
+        unfinished, aside = len(targets.unfinished), len(targets.aside)
         print(f"not audited: {unfinished} unfinished folders, {aside} set aside; see ./nishiki prune")
 
 

@@ -48,7 +48,7 @@ SAMPLED_SCENES = 200
 """Scenes from which the expected time of each stage is taken."""
 
 
-def says_what_to_make(rest: Sequence[str], profile: dict) -> bool:
+def names_targets(rest: Sequence[str], profile: dict) -> bool:
     """Whether options for Snakemake may ask for more, or for less, than what is not finished.
 
     rest: of the command line; profile: keys and values of a profile. Then Snakemake decides on every scene, and so it
@@ -124,19 +124,19 @@ def _display(flow: Workflow, scenes: list[str], unfinished: int | None, failed: 
     expected: dict[str, object] = {"seconds": expected_seconds(flow, scenes)}
     if unfinished is not None:
         expected |= {"scenes": len(flow.plans) + len(flow.refused), "finished": len(flow.plans) - unfinished}
-    own = ["--logger-nishiki-expected", json.dumps(expected), "--logger-nishiki-failures", str(failed)]
-    return ["--logger", "nishiki", *own, "--quiet", "host"]
+    plugin_options = ["--logger-nishiki-expected", json.dumps(expected), "--logger-nishiki-failures", str(failed)]
+    return ["--logger", "nishiki", *plugin_options, "--quiet", "host"]
 
 
 def expected_seconds(flow: Workflow, scenes: Sequence[str]) -> dict[str, float]:
     """Processor seconds that a job of each rule is expected to take: means over some of the scenes."""
-    found: dict[str, list[float]] = {}
+    seconds: dict[str, list[float]] = {}
     for scene in scenes[:: max(1, len(scenes) // SAMPLED_SCENES)]:
         for stage in flow.plans[scene].stages:
             parts = flow.parts(scene, stage)
             rule = stage if parts == 1 else "part"  # the stage's own job only joins its parts
-            found.setdefault(rule, []).append(flow.seconds(scene, stage, 1 / parts))
-    return {rule: round(fmean(values), 3) for rule, values in found.items()}
+            seconds.setdefault(rule, []).append(flow.seconds(scene, stage, 1 / parts))
+    return {rule: round(fmean(values), 3) for rule, values in seconds.items()}
 
 
 def _tell(text: str) -> None:

@@ -23,19 +23,19 @@ def stage_state(flow: Workflow, scene: str, stage: str) -> tuple[str, list[str]]
     if not path.is_file():
         return "run", [f"no artifact for key {path.parent.name}", *_nearest(path.parent, flow, scene, stage)]
     try:
-        found = open_artifact(path.parent, contents=False)
+        artifact = open_artifact(path.parent, contents=False)
     except UserError as error:
         return "run", [str(error)]
     reasons = []
-    if found.manifest["code"] != flow.code(stage):
-        reasons.append(f"its code changed: {found.manifest['code'] or '(none)'} -> {flow.code(stage)}")
+    if artifact.manifest["code"] != flow.code(stage):
+        reasons.append(f"its code changed: {artifact.manifest['code'] or '(none)'} -> {flow.code(stage)}")
     versions = json.loads(flow.libraries(scene, stage, path.parent.name))
-    reasons += [f"library {text}" for text in differences(found.manifest["libraries"], versions)]
-    reasons += _upstream_reasons(flow, scene, stage, found)
+    reasons += [f"library {text}" for text in differences(artifact.manifest["libraries"], versions)]
+    reasons += _upstream_reasons(flow, scene, stage, artifact)
     return ("run" if reasons else "done"), reasons
 
 
-def _upstream_reasons(flow: Workflow, scene: str, stage: str, found: Artifact) -> list[str]:
+def _upstream_reasons(flow: Workflow, scene: str, stage: str, artifact: Artifact) -> list[str]:
     reasons = []
     for upstream in flow.plans[scene].stages[stage].upstream:
         if upstream not in CHAIN:
@@ -44,7 +44,7 @@ def _upstream_reasons(flow: Workflow, scene: str, stage: str, found: Artifact) -
         state, _ = stage_state(flow, scene, upstream)
         if state == "run":
             reasons.append(f"{upstream} will run before it")
-        elif open_artifact(path, contents=False).digest != found.manifest["upstream"][upstream]["digest"]:
+        elif open_artifact(path, contents=False).digest != artifact.manifest["upstream"][upstream]["digest"]:
             reasons.append(f"{upstream} was made again since, with another result")
     return reasons
 
@@ -86,13 +86,13 @@ def _explain_scene(flow: Workflow, name: str, made: Plan) -> None:
 
 
 def _explain_keys(results: Path, first: str, second: str) -> int:
-    found = []
+    manifests = []
     for key in (first, second):
         folders = [path for path in results.glob(f"*/*/{key}*") if (path / MANIFEST).is_file()]
         if not folders:
             raise UserError(f"no artifact with key {key} below {results}")
-        found.append(json.loads((folders[0] / MANIFEST).read_text()))
-    a, b = found
+        manifests.append(json.loads((folders[0] / MANIFEST).read_text()))
+    a, b = manifests
     print(f"{a['scene']}/{a['stage']}/{a['key']} and {b['scene']}/{b['stage']}/{b['key']}")
     keys = ("stage", "scene", "format_version", "settings", "upstream", "code", "libraries")
     for text in differences({key: a.get(key) for key in keys}, {key: b.get(key) for key in keys}) or ["no difference"]:

@@ -75,13 +75,13 @@ def _scene(flow: Workflow, name: str, plan: Plan) -> PackedScene:
 
 def _artifacts(flow: Workflow, name: str, plan: Plan) -> list[Artifact]:
     """The artifacts of a scene, each made from the others. Raises UserError where a run has to come first."""
-    found: dict[str, Artifact] = {}
+    artifacts: dict[str, Artifact] = {}
     for stage in plan.stages:
         try:
-            found[stage] = open_artifact(Path(flow.artifact(name, stage)))
+            artifacts[stage] = open_artifact(Path(flow.artifact(name, stage)))
         except UserError as error:
             raise UserError(f"{name} is not finished: {error}") from None
-        for above, entry in found[stage].manifest["upstream"].items():
-            if above in found and found[above].digest != entry.get("digest"):
-                raise UserError(f"{found[stage].folder}: made from another {above}. Remedy: ./nishiki run first")
-    return list(found.values())
+        for above, entry in artifacts[stage].manifest["upstream"].items():
+            if above in artifacts and artifacts[above].digest != entry.get("digest"):
+                raise UserError(f"{artifacts[stage].folder}: made from another {above}. Remedy: ./nishiki run first")
+    return list(artifacts.values())

@@ -23,8 +23,8 @@ def plan(options: argparse.Namespace, rest: list[str]) -> None:
     """
     flow = Workflow(load_yaml(options.configfile), only=options.scene, file=options.configfile)
     for name in flow.plans:
-        told = scene_plan(flow, name)
-        print(json.dumps(told, sort_keys=True) if options.json else text_of(told))
+        summary = scene_plan(flow, name)
+        print(json.dumps(summary, sort_keys=True) if options.json else text_of(summary))
 
 
 def scene_plan(flow: Workflow, name: str) -> dict[str, Any]:
@@ -92,17 +92,19 @@ def described(facts: SceneFacts) -> str:
     return f"{size}, {len(facts.views)} views{lights}{states}, {channels}"
 
 
-def text_of(told: dict[str, Any]) -> str:
+def text_of(summary: dict[str, Any]) -> str:
     """The plan of a scene for reading."""
-    width = max(len(stage["stage"]) for stage in told["stages"])
-    lines = [f"{told['scene']}: {told['what']}"]
-    for stage in told["stages"]:
+    width = max(len(stage["stage"]) for stage in summary["stages"])
+    lines = [f"{summary['scene']}: {summary['what']}"]
+    for stage in summary["stages"]:
         cost = f"{stage['memory_mb']:6} MiB {_duration(stage['seconds']):>7}"
         lines.append(f"  {stage['stage']:{width}}  {stage['key']}  {stage['state']:4}  {cost}  {stage['does']}")
-    lines += _total_lines(told["stages"]) + _read_lines(told["reads"]) + _package_lines(told["optional_packages"])
-    if told["held_out"]:
-        lines.append(f"  held out of every fit and predicted instead: {', '.join(told['held_out'])}")
-    lines += [f"  without {left}: {why}" for left, why in told["left_out"].items()]
+    lines += (
+        _total_lines(summary["stages"]) + _read_lines(summary["reads"]) + _package_lines(summary["optional_packages"])
+    )
+    if summary["held_out"]:
+        lines.append(f"  held out of every fit and predicted instead: {', '.join(summary['held_out'])}")
+    lines += [f"  without {left}: {why}" for left, why in summary["left_out"].items()]
     return "\n".join(lines)
 
 

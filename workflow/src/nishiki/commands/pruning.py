@@ -51,14 +51,14 @@ def _referenced(options: argparse.Namespace) -> list[tuple[Path, set[Place], set
     for sweep in options.sweep:
         named = configuration_of(Path(sweep)) or configurations[0]
         files.setdefault(named, []).append(sweep)
-    found: dict[Path, tuple[Path, set[Place], set[str]]] = {}
+    referenced: dict[Path, tuple[Path, set[Place], set[str]]] = {}
     for name, sweeps in files.items():
         flow = Workflow(load_yaml(Path(name)))
         results = Path(flow.results)
-        _, planned, known = found.setdefault(results.resolve(), (results, set(), set()))
+        _, planned, known = referenced.setdefault(results.resolve(), (results, set(), set()))
         planned |= flow.planned(sweeps)
         known |= {read_sweep(sweep, flow.project)[0] for sweep in (*flow.project.configuration.sweeps, *sweeps)}
-    return list(found.values())
+    return list(referenced.values())
 
 
 def _refuse_unknown_sweeps(results: Path, known: set[str], unnamed: bool) -> None:

@@ -38,7 +38,7 @@ def run(options: argparse.Namespace, rest: list[str]) -> int:
 
     A scene that cannot be planned, or fails, does not stop the others; the exit status is 1 then.
     """
-    from nishiki.commands.engine import LOOKS_ONLY, call_engine, says_what_to_make
+    from nishiki.commands.engine import LOOKS_ONLY, call_engine, names_targets
     from nishiki.commands.planning import expect_packages
     from nishiki.engine.project import load_yaml
     from nishiki.engine.workflow import Workflow
@@ -61,9 +61,9 @@ def run(options: argparse.Namespace, rest: list[str]) -> int:
         *rest,
     ]
     start = time.monotonic()
-    whole = says_what_to_make(rest, load_yaml(profile_folder(options.profile) / "config.yaml"))
+    targets_named = names_targets(rest, load_yaml(profile_folder(options.profile) / "config.yaml"))
     failures: list[dict[str, str]] = []
-    status = call_engine(flow, command, gone=options.host_is_gone, unfinished_only=not whole, failures=failures)
+    status = call_engine(flow, command, gone=options.host_is_gone, unfinished_only=not targets_named, failures=failures)
     status = status or (1 if flow.refused else 0)
     if not LOOKS_ONLY & set(rest):
         seconds = time.monotonic() - start

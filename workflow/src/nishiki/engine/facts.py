@@ -52,52 +52,52 @@ def _of_plane(scene: Scene, capture: Capture, truth: str) -> SceneFacts:
 
 
 def _of_turntable(scene: Scene, capture: TurntableCapture, truth: str) -> SceneFacts:
-    found = turntable_facts(capture)
+    facts = turntable_facts(capture)
     return SceneFacts(
         capture_digest=capture_digest(scene.capture),
-        lights=found.lights,
+        lights=facts.lights,
         check_lights=(),
-        channels=found.channels,
-        pixels=found.pixels,
-        has_sensitivities=found.has_sensitivities,
-        has_illuminant=found.has_illuminant,
+        channels=facts.channels,
+        pixels=facts.pixels,
+        has_sensitivities=facts.has_sensitivities,
+        has_illuminant=facts.has_illuminant,
         truth_sha256=truth,
         geometry="turntable",
-        views=found.views,
-        states=found.states,
-        has_poses=found.cameras or found.view_boards or found.correspondences,
-        given=_given(found),
+        views=facts.views,
+        states=facts.states,
+        has_poses=facts.cameras or facts.view_boards or facts.correspondences,
+        given=_given(facts),
         parts=_turntable_parts(capture),
         suffixes=_suffixes(capture.frames),
     )
 
 
 def _of_goniometer(scene: Scene, capture: GoniometerCapture, truth: str) -> SceneFacts:
-    found = goniometer_facts(capture)
+    facts = goniometer_facts(capture)
     return SceneFacts(
         capture_digest=capture_digest(scene.capture),
         lights=(),
         check_lights=(),
-        channels=found.channels,
-        pixels=found.pixels,
-        has_sensitivities=found.has_sensitivities,
-        has_illuminant=found.has_illuminant,
+        channels=facts.channels,
+        pixels=facts.pixels,
+        has_sensitivities=facts.has_sensitivities,
+        has_illuminant=facts.has_illuminant,
         truth_sha256=truth,
         geometry="goniometer",
-        measurements=found.measurements,
-        frontal=found.normal,
-        parts={} if found.table or not found.normal else {"oblique": found.oblique},
+        measurements=facts.measurements,
+        frontal=facts.normal,
+        parts={} if facts.table or not facts.normal else {"oblique": facts.oblique},
         suffixes=_suffixes(capture.frames),
-        table=found.table,
+        table=facts.table,
     )
 
 
-def _given(found: TurntableFacts) -> tuple[str, ...]:
+def _given(facts: TurntableFacts) -> tuple[str, ...]:
     there = {
-        "matrices": found.cameras,
-        "boards": found.view_boards,
-        "correspondences": found.correspondences,
-        "silhouettes": found.silhouettes,
+        "matrices": facts.cameras,
+        "boards": facts.view_boards,
+        "correspondences": facts.correspondences,
+        "silhouettes": facts.silhouettes,
     }
     return tuple(name for name, is_there in there.items() if is_there)
 

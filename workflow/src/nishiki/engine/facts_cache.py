@@ -31,12 +31,12 @@ def remembered_facts(scene: Scene, results: Path) -> SceneFacts:
     signature = _signature(scene)
     place = f"{os.path.abspath(scene.capture)}\0{scene.truth and os.path.abspath(scene.truth)}"
     path = Path(results) / FOLDER / f"{hashlib.sha256(place.encode()).hexdigest()[:16]}.json"
-    found = _read(path, signature)
-    if found is None:
-        found = scene_facts(scene)
+    facts = _read(path, signature)
+    if facts is None:
+        facts = scene_facts(scene)
         if signature == _signature(scene):  # nothing was changed while it was read
-            _write(path, signature, found)
-    return found
+            _write(path, signature, facts)
+    return facts
 
 
 def _signature(scene: Scene) -> str:
@@ -66,10 +66,10 @@ def _stats(root: str) -> Iterator[str]:
 
 def _stat(name: str, path: str) -> str:
     try:
-        found = os.stat(path)
+        status = os.stat(path)
     except OSError as error:
         return f"{name}\0{error.errno}\n"
-    return f"{name}\0{found.st_size}\0{found.st_mtime_ns}\0{found.st_ctime_ns}\0{found.st_ino}\0{found.st_mode}\n"
+    return f"{name}\0{status.st_size}\0{status.st_mtime_ns}\0{status.st_ctime_ns}\0{status.st_ino}\0{status.st_mode}\n"
 
 
 @cache
@@ -83,10 +83,12 @@ def _source() -> str:
 
 def _read(path: Path, signature: str) -> SceneFacts | None:
     try:
-        found = json.loads(path.read_bytes())
-        if found.pop("signature") != signature:
+        content = json.loads(path.read_bytes())
+        if content.pop("signature") != signature:
             return None
-        values: dict[str, Any] = {name: tuple(each) if isinstance(each, list) else each for name, each in found.items()}
+        values: dict[str, Any] = {
+            name: tuple(each) if isinstance(each, list) else each for name, each in content.items()
+        }
         return SceneFacts(**values)
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None  # absent, torn or of another version: read afresh

@@ -22,8 +22,8 @@ def unfinished_scenes(flow: Workflow, *, contents: bool = False) -> dict[str, st
 
     contents: look at the files of artifacts more closely than at their sizes (see `open_artifact`).
     """
-    found = ((scene, reason_to_run(flow, scene, contents=contents)) for scene in flow.plans)
-    return {scene: reason for scene, reason in found if reason}
+    reasons = ((scene, reason_to_run(flow, scene, contents=contents)) for scene in flow.plans)
+    return {scene: reason for scene, reason in reasons if reason}
 
 
 def reason_to_run(flow: Workflow, scene: str, *, contents: bool = False) -> str:

@@ -54,10 +54,10 @@ PARTS = {
 
 
 def left_parts(
-    facts: SceneFacts, settings: SceneSettings, wanted: set[str], asked: Asked
+    facts: SceneFacts, settings: SceneSettings, stages: set[str], asked: Asked
 ) -> tuple[tuple[str, ...], dict[str, str]]:
-    """Parts of the capture that no wanted stage looks at, in a fixed order, and the reason for each, by its words."""
-    looked = {part for stage in wanted for part in CHAIN[stage].looks_at(facts, settings, asked)}
+    """Parts of the capture that no stage looks at, in a fixed order, and the reason for each, by its words."""
+    looked = {part for stage in stages for part in CHAIN[stage].looks_at(facts, settings, asked)}
     without = tuple(part for part in PARTS if facts.parts.get(part) and part not in looked)
     return without, {f"{facts.parts[part]} {PARTS[part].what}": _why(part, facts, settings) for part in without}
 

@@ -105,30 +105,30 @@ def _outline(scene: Scene, facts: SceneFacts) -> Outline:
     held_out = held_out_of(scene.settings.hold_out, scene, facts)
     settings = {name: _filled(name, scene, facts, held_out) for name in chain}
     left_out: dict[str, str] = {}
-    wanted: set[str] = set()
+    needed: set[str] = set()
     products = scene.products if scene.settings.leave_out == "auto" else _all_products(chain)
     for product in products:
         stage = next((name for name in chain if product in (name, chain[name].product)), None)
         if stage is None:
             left_out[product] = f"captures of a {facts.geometry} have no such stage"
         else:
-            _reach(stage, facts, settings, wanted, left_out)
-    if not wanted:
+            _reach(stage, facts, settings, needed, left_out)
+    if not needed:
         raise UserError(
             f"scene {scene.name!r}: nothing to make: {'; '.join(f'{name}: {why}' for name, why in left_out.items())}"
         )
     for name in chain:
-        if name not in wanted and name not in left_out:
+        if name not in needed and name not in left_out:
             left_out[name] = "no product asked for needs it"
-    settings["ingest"], reasons = _read_by_ingest(scene, facts, settings, wanted, held_out)
+    settings["ingest"], reasons = _read_by_ingest(scene, facts, settings, needed, held_out)
     left_out |= reasons
-    packages = {name: packages_of(chain[name], facts, settings) for name in chain if name in wanted}
+    packages = {name: packages_of(chain[name], facts, settings) for name in chain if name in needed}
     idle = _idle(chain, packages, facts, settings)
     stages: dict[str, StageOutline] = {}
     for name in packages:
         if chain[name].asked_as == "report":
-            told = left_out | {f"package {package}": why for package, why in idle.items()}
-            settings[name] = settings[name].model_copy(update={"left_out": told})
+            reasons_shown = left_out | {f"package {package}": why for package, why in idle.items()}
+            settings[name] = settings[name].model_copy(update={"left_out": reasons_shown})
         values = settings[name].model_dump(mode="json")
         stages[name] = StageOutline(values, canonical(values), _reads(name, settings[name], stages), packages[name])
     return Outline(stages, left_out, held_out, packages, idle)
@@ -140,24 +140,24 @@ def _all_products(chain: dict[str, Stage]) -> tuple[str, ...]:
 
 
 def _read_by_ingest(
-    scene: Scene, facts: SceneFacts, settings: dict[str, Closed], wanted: set[str], held_out: tuple[str, ...]
+    scene: Scene, facts: SceneFacts, settings: dict[str, Closed], needed: set[str], held_out: tuple[str, ...]
 ) -> tuple[Closed, dict[str, str]]:
-    """Settings of ingest: the channels that the wanted stages need, and no part of the capture that none looks at."""
-    own: Any = settings["ingest"]
+    """Settings of ingest: the channels that the stages need, and no part of the capture that none looks at."""
+    ingest: Any = settings["ingest"]
     reasons: dict[str, str] = {}
     everything = scene.settings.leave_out == "nothing"
-    if own.channels == "auto":
-        colour = (everything or any(CHAIN[name].needs_colour for name in wanted)) and facts.channels > 1
-        own = own.model_copy(update={"channels": "all" if colour else "luminance"})
+    if ingest.channels == "auto":
+        colour = (everything or any(CHAIN[name].needs_colour for name in needed)) and facts.channels > 1
+        ingest = ingest.model_copy(update={"channels": "all" if colour else "luminance"})
         if not colour and facts.channels > 1:
             reasons["colour"] = "no product asked for needs more than luminance: one channel is decoded and kept"
     if everything:
-        return own, reasons
-    without, why = left_parts(facts, settings, wanted, scene.products)
-    if held_out and facts.geometry == "plane" and "evaluate" not in wanted:
+        return ingest, reasons
+    without, why = left_parts(facts, settings, needed, scene.products)
+    if held_out and facts.geometry == "plane" and "evaluate" not in needed:
         without += tuple(f"{LIGHT}{name}" for name in held_out)
         why[f"{len(held_out)} photographs under the lights held out"] = "only evaluate looks at them"
-    return own.model_copy(update={"without": without}), reasons | why
+    return ingest.model_copy(update={"without": without}), reasons | why
 
 
 def _idle(
@@ -203,21 +203,21 @@ def _filled(name: str, scene: Scene, facts: SceneFacts, held_out: tuple[str, ...
     return settings.model_copy(update=update)
 
 
-def _reach(name: str, facts: SceneFacts, settings: dict, wanted: set[str], left_out: dict[str, str]) -> bool:
+def _reach(name: str, facts: SceneFacts, settings: dict, needed: set[str], left_out: dict[str, str]) -> bool:
     """Add a stage and what it needs to the plan; False, with the reason noted, where the capture cannot feed it."""
-    if name in wanted:
+    if name in needed:
         return True
     reason = CHAIN[name].lacks(facts, settings[name])
     if reason:
         left_out[name] = reason
         return False
     for upstream in CHAIN[name].requires:
-        if not _reach(upstream, facts, settings, wanted, left_out):
+        if not _reach(upstream, facts, settings, needed, left_out):
             left_out[name] = f"it needs {upstream}, which is left out: {left_out[upstream]}"
             return False
     for upstream in CHAIN[name].wants(settings[name]):
-        _reach(upstream, facts, settings, wanted, left_out)
-    wanted.add(name)
+        _reach(upstream, facts, settings, needed, left_out)
+    needed.add(name)
     return True
 
 

@@ -147,12 +147,12 @@ def _read_scenes(configuration: Configuration, values: dict, table: Path) -> lis
         raise UserError(f"{table}: expected a tab-separated table in UTF-8 ({error})") from None
     header = tuple(rows[0]) if rows else ()
     if not {"scene", "capture"} <= set(header) <= set(COLUMNS):
-        found = ", ".join(header)[:200] or "an empty file"
-        raise UserError(f"{table}: expected tab-separated columns {', '.join(COLUMNS)}, found {found}")
+        text = ", ".join(header)[:200] or "an empty file"
+        raise UserError(f"{table}: expected tab-separated columns {', '.join(COLUMNS)}, found {text}")
     for row in rows[1:]:
         if any(cell.strip() for cell in row[len(header) :]):
-            found = f"found {len(row)} values: {', '.join(row)[:120]}"
-            raise UserError(f"{table}: scene {row[0]!r}: expected {len(header)} values as there are columns, {found}")
+            text = f"found {len(row)} values: {', '.join(row)[:120]}"
+            raise UserError(f"{table}: scene {row[0]!r}: expected {len(header)} values as there are columns, {text}")
     return [_scene(dict(zip(header, row, strict=False)), configuration, values, table) for row in rows[1:]]
 
 
@@ -175,29 +175,31 @@ def _scene(row: dict[str, str], configuration: Configuration, values: dict, tabl
         hint = f"it is now called {present!r}" if present else f"known: {', '.join(PRODUCTS)}"
         raise UserError(f"{table}: scene {name!r}: unknown product {unknown[0]!r}; {hint}")
     truth = row.get("truth", "").strip()
-    return Scene(name, _place(capture), _place(truth) if truth else None, products, _own(row, configuration, values))
+    return Scene(
+        name, _place(capture), _place(truth) if truth else None, products, _scene_settings(row, configuration, values)
+    )
 
 
 def _place(text: str) -> Path:
     return Path(os.path.expandvars(text)).expanduser()
 
 
-def _own(row: dict[str, str], configuration: Configuration, values: dict) -> StageSettings:
+def _scene_settings(row: dict[str, str], configuration: Configuration, values: dict) -> StageSettings:
     """Settings of one scene: the project's, with those of the scene's own file over them."""
     path = row.get("settings", "").strip()
     if not path:
         return configuration
-    own = load_yaml(Path(path))
-    if not isinstance(own, dict):
-        raise UserError(f"{path}: expected a block of keys and values, found {type(own).__name__}")
+    overrides = load_yaml(Path(path))
+    if not isinstance(overrides, dict):
+        raise UserError(f"{path}: expected a block of keys and values, found {type(overrides).__name__}")
     shared = {key: value for key, value in values.items() if key in StageSettings.model_fields}
-    return parse(StageSettings, _merged(shared, own), path)
+    return parse(StageSettings, _merged(shared, overrides), path)
 
 
 def scene_with(scene: Scene, overrides: dict, where: str) -> Scene:
     """A scene with some settings changed: blocks by stage over its own. Raises UserError naming `where` and the key."""
-    own = scene.settings.model_dump(exclude_unset=True, include=set(StageSettings.model_fields))
-    return replace(scene, settings=parse(StageSettings, _merged(own, overrides), where))
+    base = scene.settings.model_dump(exclude_unset=True, include=set(StageSettings.model_fields))
+    return replace(scene, settings=parse(StageSettings, _merged(base, overrides), where))
 
 
 def _merged(below: dict, above: dict) -> dict:

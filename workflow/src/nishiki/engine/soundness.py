@@ -39,7 +39,7 @@ def unsound_artifacts(
     not the one that it was made from. Sizes are looked at; contents: what a stage checks of its inputs too, as after a
     power cut; `./nishiki verify` reads everything.
     """
-    return [found for stages in plans.values() for found in _of_scene(stages, contents)]
+    return [item for stages in plans.values() for item in _of_scene(stages, contents)]
 
 
 def _of_scene(stages: list[tuple[str, Path, tuple[str, ...]]], contents: bool) -> Iterator[Unsound]:
@@ -80,12 +80,12 @@ def set_aside_unsound(
     plans: dict[str, list[tuple[str, Path, tuple[str, ...]]]], tell: Callable[[str], None], *, contents: bool = False
 ) -> list[Unsound]:
     """Set every torn or stale artifact aside and tell each; what was found."""
-    found = list({item.folder: item for item in unsound_artifacts(plans, contents=contents)}.values())
-    for item in found:
+    unsound = list({item.folder: item for item in unsound_artifacts(plans, contents=contents)}.values())
+    for item in unsound:
         target = set_aside(item.folder)
         tell(f"set aside and made again: {item}; kept as {target.name}")
     put_dates_right(plans)
-    return found
+    return unsound
 
 
 def put_dates_right(plans: dict[str, list[tuple[str, Path, tuple[str, ...]]]]) -> None:
@@ -101,8 +101,8 @@ def put_dates_right(plans: dict[str, list[tuple[str, Path, tuple[str, ...]]]]) -
             manifest = folder / MANIFEST
             if not manifest.is_file():
                 continue
-            found = manifest.stat().st_mtime_ns
-            dates[name] = max([min(found, now), *(dates[other] for other in upstream if other in dates)])
-            if dates[name] != found:
+            modified = manifest.stat().st_mtime_ns
+            dates[name] = max([min(modified, now), *(dates[other] for other in upstream if other in dates)])
+            if dates[name] != modified:
                 with contextlib.suppress(OSError):  # results that cannot be written: the run tells of that itself
                     os.utime(manifest, ns=(dates[name], dates[name]))

@@ -62,23 +62,23 @@ def read_sweep(named: str, project: Project) -> tuple[str, SweepSettings]:
     path = Path(named)
     if path.suffix in (".yaml", ".yml"):
         values = {key: value for key, value in _block(load_yaml(path), named).items() if key not in FILE_KEYS}
-        name, found = path.stem, parse(SweepSettings, values, named)
+        name, settings = path.stem, parse(SweepSettings, values, named)
     elif named in project.configuration.sweeps:
-        name, found = named, project.configuration.sweeps[named]
+        name, settings = named, project.configuration.sweeps[named]
     else:
         known = ", ".join(project.configuration.sweeps) or "none"
         raise UserError(f"no sweep {named!r}: name a .yaml file, or a block of `sweeps` in the configuration ({known})")
     if name == TIMINGS or not name.isascii() or not name.replace("-", "").replace("_", "").isalnum():
         raise UserError(f"{named}: a sweep's name is made of letters, digits, - and _, and is not {TIMINGS!r}")
-    return name, found
+    return name, settings
 
 
 def configuration_of(path: Path) -> str | None:
     """The configuration that a sweep's file names, relative to the working folder; None where it names none."""
-    found = _block(load_yaml(path), str(path)).get("configuration")
-    if found is not None and not isinstance(found, str):
-        raise UserError(f"{path}: configuration: expected the path of a configuration, found {found!r}")
-    return found
+    name = _block(load_yaml(path), str(path)).get("configuration")
+    if name is not None and not isinstance(name, str):
+        raise UserError(f"{path}: configuration: expected the path of a configuration, found {name!r}")
+    return name
 
 
 def _block(values: Any, where: str) -> dict:
@@ -113,8 +113,8 @@ def _scene_sweep(
     plans: dict[str, Plan] = {}
     for variant in variants:
         where = f"{named}: variant {variant.name!r}"
-        own = replace(scene_with(below, variant.overrides, where), products=("evaluate",))
-        plans[variant.name] = _evaluated(own, facts, where)
+        changed = replace(scene_with(below, variant.overrides, where), products=("evaluate",))
+        plans[variant.name] = _evaluated(changed, facts, where)
     evaluation = _evaluation(next(iter(plans.values())))
     reference = plans[sweep.default or AS_CONFIGURED]
     return SceneSweep(
@@ -177,14 +177,14 @@ def _counted(named: str, sweep: SweepSettings, plans: dict[str, Plan], evaluatio
 
 def _before(plan: Plan, stage: str) -> set[str]:
     """Stages that a stage reads, directly or not."""
-    found: set[str] = set()
+    stages: set[str] = set()
     queue = [stage]
     while queue:
         for upstream in plan.stages[queue.pop()].upstream:
-            if upstream in CHAIN and upstream not in found:
-                found.add(upstream)
+            if upstream in CHAIN and upstream not in stages:
+                stages.add(upstream)
                 queue.append(upstream)
-    return found
+    return stages
 
 
 def _flow(names: set[str]) -> list[str]:

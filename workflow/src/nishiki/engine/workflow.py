@@ -139,14 +139,14 @@ class Workflow(Scheduling):
     def planned(self, sweeps: Sequence[str] = ()) -> set[tuple[str, str, str]]:
         """(scene, stage, key) of everything that the configuration asks for: its scenes, its blocks of sweeps, and
         these sweeps of files of their own."""
-        found = set(self._swept)
+        places = set(self._swept)
         for scene, plan in self.plans.items():
-            found |= {(scene, name, stage.key) for name, stage in plan.stages.items()}
+            places |= {(scene, name, stage.key) for name, stage in plan.stages.items()}
         for named in (*self.project.configuration.sweeps, *sweeps):
             for swept in plan_sweep(named, self.project, self._facts).scenes:
                 for variant in swept.variants:
-                    found |= {(swept.scene, name, stage.key) for name, stage in variant.plan.stages.items()}
-        return found
+                    places |= {(swept.scene, name, stage.key) for name, stage in variant.plan.stages.items()}
+        return places
 
     def path(self, scene: str, stage: str, key: str) -> str:
         """Path of the manifest of an artifact."""
@@ -213,9 +213,9 @@ class Workflow(Scheduling):
     def sweep_inputs(self) -> list[str]:
         """Everything that the page of the sweep is made from."""
         pairs = [(swept, variant) for swept in self.sweep.scenes for variant in swept.variants] if self.sweep else []
-        found = [self.evaluation(*pair) for pair in pairs]
-        found += [path for pair in pairs for paths in self.timings(*pair).values() for path in paths]
-        return list(dict.fromkeys(found))
+        inputs = [self.evaluation(*pair) for pair in pairs]
+        inputs += [path for pair in pairs for paths in self.timings(*pair).values() for path in paths]
+        return list(dict.fromkeys(inputs))
 
     def sweep_text(self) -> str:
         """What the page of the sweep depends on besides its inputs: its settings, and the variants' names and keys."""

@@ -92,12 +92,12 @@ def judge(
 
 def by_incidence(rows: list[Judged]) -> dict[str, dict]:
     """Means over the planes of one polar angle, by the angle rounded to a degree, and the worst rms_rel."""
-    found = {}
+    means = {}
     for angle in sorted({round(row.theta_i_deg) for row in rows}):
         mine = [row for row in rows if round(row.theta_i_deg) == angle]
         values = [abs(row.peak_value_rel) for row in mine if row.peak_value_rel is not None]
         turns = [row.peak_direction_deg for row in mine if row.peak_direction_deg is not None]
-        found[str(angle)] = {
+        means[str(angle)] = {
             "incidences": len(mine),
             "views": sum(row.views for row in mine),
             "rms_rel": float(np.mean([row.rms_rel for row in mine])),
@@ -105,7 +105,7 @@ def by_incidence(rows: list[Judged]) -> dict[str, dict]:
             "peak_value_rel": float(np.mean(values)) if values else None,
             "peak_direction_deg": float(np.mean(turns)) if turns else None,
         }
-    return found
+    return means
 
 
 def in_plane(outgoing: np.ndarray, azimuth: float, *, within: float = 0.05) -> tuple[np.ndarray, np.ndarray]:

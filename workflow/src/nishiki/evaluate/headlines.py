@@ -5,10 +5,10 @@ from typing import Any
 
 def headlines(evaluation: dict[str, Any]) -> dict[str, Any]:
     """Flat figures from a whole evaluation: what the artifact's manifest and the report's first lines show."""
-    found: dict[str, Any] = {"lights": [light["name"] for light in evaluation["lights"]]}
+    figures: dict[str, Any] = {"lights": [light["name"] for light in evaluation["lights"]]}
     overall = evaluation["overall"]
     if evaluation["lights"]:
-        found |= {
+        figures |= {
             "relighting_de00_mean": overall["de00"]["mean"],
             "relighting_de00_p90": overall["de00"]["p90"],
             "relighting_psnr_db": {light["name"]: light["psnr_coded_db"] for light in evaluation["lights"]},
@@ -16,17 +16,17 @@ def headlines(evaluation: dict[str, Any]) -> dict[str, Any]:
         }
         against = [light["truth"]["lamp"]["de00"] for light in evaluation["lights"] if light.get("truth")]
         if against:
-            found["relighting_truth_de00_mean"] = {
+            figures["relighting_truth_de00_mean"] = {
                 light["name"]: light["truth"]["lamp"]["de00"]["mean"]
                 for light in evaluation["lights"]
                 if light.get("truth")
             }
     if normals := evaluation.get("normals"):
-        found |= {f"normals_{name}_deg": normals["estimated"][name] for name in ("mean", "median", "p90")}
-        found["normals_inside_mean_deg"] = normals["inside"]["mean"]
+        figures |= {f"normals_{name}_deg": normals["estimated"][name] for name in ("mean", "median", "p90")}
+        figures["normals_inside_mean_deg"] = normals["inside"]["mean"]
     if height := evaluation.get("height"):
-        found |= {"height_rms_mm": height["rms"], "relief_rms_mm": height["relief_rms"]}
+        figures |= {"height_rms_mm": height["rms"], "relief_rms_mm": height["relief_rms"]}
     if reflectance := evaluation.get("reflectance"):
-        found["reflectance_rmse_mean"] = reflectance["rmse"]["mean"]
-        found |= {f"reflectance_de00_{name}_mean": part["mean"] for name, part in reflectance["de00"].items()}
-    return found
+        figures["reflectance_rmse_mean"] = reflectance["rmse"]["mean"]
+        figures |= {f"reflectance_de00_{name}_mean": part["mean"] for name, part in reflectance["de00"].items()}
+    return figures

@@ -26,7 +26,7 @@ class Row:
     left_out: bool
     picture: str
     against: str
-    whole: Difference
+    judged: Difference
     covered: Difference
     similarity: float | None
 
@@ -35,11 +35,11 @@ class Row:
         values = {name: value for name, value in asdict(self).items() if name in COLUMNS}
         return {
             **values,
-            "psnr_db": self.whole.psnr_db,
+            "psnr_db": self.judged.psnr_db,
             "covered_psnr_db": self.covered.psnr_db,
             "similarity": self.similarity,
-            "pixels": self.whole.pixels,
-            "uncovered_pixels": self.whole.uncovered,
+            "pixels": self.judged.pixels,
+            "uncovered_pixels": self.judged.uncovered,
         }
 
 
@@ -55,7 +55,7 @@ def compare(
     """coded, counterpart (rows, columns, channels) in the capture's encoding; inside: pixels judged; covered: pixels
     that the surface meets; named: the other fields of the row."""
     return Row(
-        whole=difference(coded, counterpart, inside, covered),
+        judged=difference(coded, counterpart, inside, covered),
         covered=difference(coded, counterpart, inside & covered),
         similarity=structural_similarity(coded, counterpart, inside) if similarity else None,
         **named,
@@ -65,7 +65,7 @@ def compare(
 def figures(rows: Iterable[Row]) -> dict:
     """Summaries by kind of picture: captured views, the model alone, left-out views both ways, and against truth."""
     rows = list(rows)
-    found = {}
+    summaries = {}
     for name, picture, left_out, against in (
         ("captured", DECODED, False, "photograph"),
         ("model_alone", MODEL, False, "photograph"),
@@ -80,19 +80,19 @@ def figures(rows: Iterable[Row]) -> dict:
         chosen = [r for r in rows if (r.picture, r.left_out, r.against) == (picture, left_out, against)]
         if chosen:
             similarities = [r.similarity for r in chosen if r.similarity is not None]
-            found[name] = {
-                **summary([r.whole for r in chosen]),
+            summaries[name] = {
+                **summary([r.judged for r in chosen]),
                 "mean_covered_psnr_db": summary([r.covered for r in chosen])["mean_psnr_db"],
                 "mean_similarity": float(np.mean(similarities)) if similarities else None,
             }
-    return found
+    return summaries
 
 
-def better_prediction(found: dict) -> str | None:
+def better_prediction(summaries: dict) -> str | None:
     """INTERPOLATED or SLOT, whichever predicts the left-out views better on average; None without left-out views."""
     scores = {
-        name: found[key]["mean_psnr_db"]
+        name: summaries[key]["mean_psnr_db"]
         for name, key in ((INTERPOLATED, "left_out_interpolated"), (SLOT, "left_out_slot"))
-        if key in found and found[key]["mean_psnr_db"] is not None
+        if key in summaries and summaries[key]["mean_psnr_db"] is not None
     }
     return max(scores, key=scores.get) if scores else None

@@ -87,12 +87,14 @@ def reflectance_errors(
     for start in range(0, shape[0], _BAND_ROWS):
         band = slice(start, start + _BAND_ROWS)
         used = pixels[band]
-        found = coefficients[band][used].astype(np.float64) @ basis
+        estimated = coefficients[band][used].astype(np.float64) @ basis
         true = spectra[paints[band][used]].mean(axis=1, dtype=np.float64)
-        rmse[band][used] = np.sqrt(np.mean((found - true) ** 2, axis=1))
+        rmse[band][used] = np.sqrt(np.mean((estimated - true) ** 2, axis=1))
         for name, (matrix, white) in eyes.items():
-            maps[name][band][used] = delta_e_2000(xyz_to_lab(found @ matrix, white), xyz_to_lab(true @ matrix, white))
-        means.add(regions[band][used], found, true)
+            maps[name][band][used] = delta_e_2000(
+                xyz_to_lab(estimated @ matrix, white), xyz_to_lab(true @ matrix, white)
+            )
+        means.add(regions[band][used], estimated, true)
     return ReflectanceErrors(
         rmse=summarise(rmse, where=pixels),
         de00={name: summarise(values, where=pixels) for name, values in maps.items()},
@@ -108,17 +110,17 @@ class _RegionMeans:
         self.size = np.zeros(regions, np.int64)
         self.sums = np.zeros((2, regions, bands))
 
-    def add(self, labels: np.ndarray, found: np.ndarray, true: np.ndarray) -> None:
+    def add(self, labels: np.ndarray, estimated: np.ndarray, true: np.ndarray) -> None:
         for label in np.unique(labels):
             chosen = labels == label
             self.size[label] += np.count_nonzero(chosen)
-            self.sums[0, label] += found[chosen].sum(axis=0)
+            self.sums[0, label] += estimated[chosen].sum(axis=0)
             self.sums[1, label] += true[chosen].sum(axis=0)
 
     def spectra(self) -> tuple[RegionSpectrum, ...]:
         result = []
         for label in np.flatnonzero(self.size):
-            found, true = self.sums[:, label] / self.size[label]
-            rmse = float(np.sqrt(np.mean((found - true) ** 2)))
-            result.append(RegionSpectrum(int(label), int(self.size[label]), found, true, rmse))
+            estimated, true = self.sums[:, label] / self.size[label]
+            rmse = float(np.sqrt(np.mean((estimated - true) ** 2)))
+            result.append(RegionSpectrum(int(label), int(self.size[label]), estimated, true, rmse))
         return tuple(result)

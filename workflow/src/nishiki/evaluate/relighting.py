@@ -131,10 +131,10 @@ def truth_difference(
 
     white : (3,) XYZ of the perfect white that faces the lamp; classes : (rows, columns), 0 is left out.
     """
-    found = np.full(classes.shape, np.nan, np.float32)
-    difference_of(xyz, true_xyz, np.eye(3), white, classes, found)
-    by_class = {name: summarise(found, where=classes == label) for label, name in NAMES.items()}
-    return summarise(found, where=classes > 0), by_class, found
+    differences = np.full(classes.shape, np.nan, np.float32)
+    difference_of(xyz, true_xyz, np.eye(3), white, classes, differences)
+    by_class = {name: summarise(differences, where=classes == label) for label, name in NAMES.items()}
+    return summarise(differences, where=classes > 0), by_class, differences
 
 
 def difference_of(

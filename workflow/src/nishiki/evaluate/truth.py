@@ -107,16 +107,16 @@ def truth_from(
     )
 
 
-def _window(found: tuple[int, int], shape: tuple[int, int], region, asked) -> tuple[slice, slice]:
-    if found == tuple(shape):
+def _window(size: tuple[int, int], shape: tuple[int, int], region, asked) -> tuple[slice, slice]:
+    if size == tuple(shape):
         return slice(None), slice(None)
     if region is not None and tuple(region[2:]) == tuple(shape):
         row, column, rows, columns = region
-        if asked is not None and found == tuple(asked[2:]):
+        if asked is not None and size == tuple(asked[2:]):
             row, column = row - asked[0], column - asked[1]
-        if row + rows <= found[0] and column + columns <= found[1]:
+        if row + rows <= size[0] and column + columns <= size[1]:
             return slice(row, row + rows), slice(column, column + columns)
     raise UserError(
         f"truth: expected {shape[0]} x {shape[1]} pixels as the scene, or the whole photograph, found "
-        f"{found[0]} x {found[1]}; give the truth of this very capture"
+        f"{size[0]} x {size[1]}; give the truth of this very capture"
     )

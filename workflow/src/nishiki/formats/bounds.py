@@ -81,7 +81,7 @@ def machine_memory() -> int:
 
 @cache
 def _raised(text: str) -> dict[str, int]:
-    found = {}
+    bounds = {}
     for part in filter(None, (part.strip() for part in text.split(","))):
         name, _, value = (word.strip() for word in part.partition("="))
         if name not in BOUNDS or not value.isdecimal() or not 0 < len(value) <= 18:
@@ -89,8 +89,8 @@ def _raised(text: str) -> dict[str, int]:
                 f"{VARIABLE}: expected name=number, several apart by commas, found {part[:60]!r}. Names: "
                 f"{', '.join(BOUNDS)}"
             )
-        found[name] = int(value)
-    return found
+        bounds[name] = int(value)
+    return bounds
 
 
 def remedy(name: str) -> str:

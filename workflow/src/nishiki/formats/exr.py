@@ -42,7 +42,7 @@ def exr_header(path: Path) -> ImageHeader:
     )  # fmt: skip
 
 
-def read_exr(path: Path, wanted: tuple[str, ...]) -> np.ndarray:
+def read_exr(path: Path, names: tuple[str, ...]) -> np.ndarray:
     """Pixels (rows, columns, channels) float32 in the order of the wanted channel names.
 
     A wanted name matches a channel of the same name (case apart), or R, G, B for red, green, blue; if none of the
@@ -53,25 +53,25 @@ def read_exr(path: Path, wanted: tuple[str, ...]) -> np.ndarray:
 
     with OpenEXR.File(str(path), separate_channels=True) as file:
         channels = {name: channel.pixels for name, channel in file.channels().items()}
-    order = match_channels(tuple(channels), wanted)
+    order = match_channels(tuple(channels), names)
     shapes = {channels[name].shape for name in order}
     if len(shapes) != 1:
         raise ValueError(f"channels of different size {sorted(shapes)}")
     return np.stack([channels[name].astype(np.float32) for name in order], axis=2)
 
 
-def match_channels(present: tuple[str, ...], wanted: tuple[str, ...]) -> list[str]:
+def match_channels(present: tuple[str, ...], names: tuple[str, ...]) -> list[str]:
     """Which of the file's channels stand for the wanted ones, in their order."""
     folded = {name.casefold(): name for name in present}
-    found = []
-    for name in wanted:
+    matched = []
+    for name in names:
         aliases = (name, *_COLOURS.get(name.casefold(), ()))
-        found += [folded[alias.casefold()] for alias in aliases if alias.casefold() in folded][:1]
-    if len(found) == len(wanted):
-        return found
+        matched += [folded[alias.casefold()] for alias in aliases if alias.casefold() in folded][:1]
+    if len(matched) == len(names):
+        return matched
     colour = [name for name in ("R", "G", "B") if name in present]
     rest = sorted(set(present) - set(colour) - {"A"})
     order = colour + rest if len(colour) == 3 else sorted(set(present) - {"A"})
-    if len(order) != len(wanted):
-        raise ValueError(f"channels {', '.join(present)} do not give {len(wanted)} ({', '.join(wanted)})")
+    if len(order) != len(names):
+        raise ValueError(f"channels {', '.join(present)} do not give {len(names)} ({', '.join(names)})")
     return order

@@ -147,10 +147,10 @@ def walk(folder: Path, most: str = "folder_entries") -> Iterator[tuple[str, os.D
         if depth > bound("folder_depth"):
             expect_bound(depth, "folder_depth", str(folder))
         with os.scandir(place) as entries:
-            found = sorted(entries, key=lambda entry: entry.name)
-        seen += len(found)
+            ordered = sorted(entries, key=lambda entry: entry.name)
+        seen += len(ordered)
         expect_bound(seen, most, str(folder))
-        for entry in found:
+        for entry in ordered:
             if entry.is_dir(follow_symlinks=False):
                 pending.append((entry.path, f"{prefix}{entry.name}/", depth + 1))
             else:

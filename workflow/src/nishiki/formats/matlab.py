@@ -35,7 +35,7 @@ def read_matlab(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
     order = "<" if data[126:128] == b"IM" else ">"
     if struct.unpack(order + "H", data[124:126])[0] >> 8 != 1:
         raise ValueError("a MATLAB file of another level than 5 (-v7.3 is HDF5)")
-    place, found, left = _HEADING, {}, bound("matlab_bytes")
+    place, variables, left = _HEADING, {}, bound("matlab_bytes")
     while place < len(data):
         kind, content, place = _element(data, place, order)
         if kind == _PACKED:
@@ -45,8 +45,8 @@ def read_matlab(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
         if kind == _MATRIX:
             name, values = _variable(content, order, names)
             if values is not None:
-                found[name] = values
-    return found
+                variables[name] = values
+    return variables
 
 
 def _element(data: bytes | memoryview, place: int, order: str) -> tuple[int, memoryview, int]:

@@ -48,7 +48,7 @@ def expect_mesh_file(path: Path, file: str) -> None:
     # in text a value is a digit and a blank; the very last needs no blank
     needed = sum(e.count * (2 * e.properties if text_file else e.least) for e in elements)
     if needed > size - start + 1:
-        expected, found = f"{needed} bytes or more for {_said(elements)}", f"{size - start} bytes after its heading"
+        expected, found = f"{needed} bytes or more for {_counts(elements)}", f"{size - start} bytes after its heading"
         what = "damaged PLY file: it is cut off, or its heading is wrong"
         raise Refused(file, what, expected=expected, found=found, remedy=REMEDY)
 
@@ -86,5 +86,5 @@ def _with_property(element: Element, size: int) -> Element:
     return Element(element.name, element.count, element.least + size, element.properties + 1)
 
 
-def _said(elements: list[Element]) -> str:
+def _counts(elements: list[Element]) -> str:
     return ", ".join(f"{e.count} {e.name[:20]}" for e in elements[:4])

@@ -28,7 +28,7 @@ def expect_mesh(path: Path, file: str, where: str, *, scan: bool) -> None:
     if path.suffix.lower() == ".obj":
         if not re.search(rb"^v\s", start, re.MULTILINE):
             raise CaptureError(error("mesh-unreadable", where, "OBJ file without vertices", found=file))
-        _expect_whole(path, file)
+        _expect_complete(path, file)
         return
     end = start.find(b"end_header")
     if not start.startswith(b"ply") or end < 0:
@@ -41,10 +41,10 @@ def expect_mesh(path: Path, file: str, where: str, *, scan: bool) -> None:
             what, found = f"PLY file without {name.decode()} elements", file
             remedy = "Give a surface of triangles under turntable.mesh, or points under turntable.scans"
             raise CaptureError(error("mesh-empty", where, what, found=found, remedy=remedy))
-    _expect_whole(path, file)
+    _expect_complete(path, file)
 
 
-def _expect_whole(path: Path, file: str) -> None:
+def _expect_complete(path: Path, file: str) -> None:
     """CaptureError (mesh-unreadable) where the file is too large, or cannot hold what its heading claims."""
     try:
         expect_mesh_file(path, file)

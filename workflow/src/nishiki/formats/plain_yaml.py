@@ -16,7 +16,7 @@ LONGEST_BITS = 1024
 SafeLoader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
-class Unwanted(yaml.MarkedYAMLError):
+class NotPlain(yaml.MarkedYAMLError):
     """YAML that is not plain data, or too much of it."""
 
 
@@ -27,17 +27,17 @@ def load(text: str, loader: type = SafeLoader) -> Any:
     """
     try:
         _look_through(text)
-        found = yaml.load(text, Loader=loader)
-        _expect_numbers(found)
-        return found
+        content = yaml.load(text, Loader=loader)
+        _expect_numbers(content)
+        return content
     except (ValueError, OverflowError, RecursionError, TypeError) as error:
         # dates and numbers that do not exist (2024-13-45, an integer of 5000 digits), texts that are not Unicode
-        raise Unwanted(None, None, str(error)[:200] or type(error).__name__, None) from None
+        raise NotPlain(None, None, str(error)[:200] or type(error).__name__, None) from None
 
 
-def _expect_numbers(found: Any) -> None:
+def _expect_numbers(content: Any) -> None:
     """ValueError for whole numbers too long to be written out (Python refuses to), which hexadecimal ones can be."""
-    pending = [found]
+    pending = [content]
     while pending:
         value = pending.pop()
         if isinstance(value, int) and value.bit_length() > LONGEST_BITS:
@@ -69,4 +69,4 @@ def _look_through(text: str) -> None:
         if values > 2 * bound("settings_values"):
             problem = f"more than {bound('settings_values')} values"
         if problem:
-            raise Unwanted(None, None, problem, event.start_mark)
+            raise NotPlain(None, None, problem, event.start_mark)

@@ -252,7 +252,7 @@ def understood(where: Path | str) -> Iterator[None]:
     try:
         yield
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as error:
-        found = f"{type(error).__name__}: {str(error)[:120]}"
+        cause = f"{type(error).__name__}: {str(error)[:120]}"
         raise UserError(
-            f"{where}: what describes the data is damaged, or of another program ({found}). {REMEDY}"
+            f"{where}: what describes the data is damaged, or of another program ({cause}). {REMEDY}"
         ) from None

@@ -80,7 +80,7 @@ def detect_boards(pictures: Iterable[tuple[str, np.ndarray]], shape: BoardShape)
     parameters = cv2.aruco.DetectorParameters()
     parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
     detectors = [cv2.aruco.CharucoDetector(board, detectorParams=parameters) for board in boards]
-    found: list[list[BoardCorners]] = [[], []]
+    detected: list[list[BoardCorners]] = [[], []]
     names = []
     for name, image in pictures:
         names.append(name)
@@ -88,10 +88,10 @@ def detect_boards(pictures: Iterable[tuple[str, np.ndarray]], shape: BoardShape)
         for place, (board, detector) in enumerate(zip(boards, detectors, strict=True)):
             corners = _corners(name, image, board, detector)
             if corners is not None:
-                found[place].append(corners)
-    counts = [sum(len(corners.ids) for corners in each) for each in found]
+                detected[place].append(corners)
+    counts = [sum(len(corners.ids) for corners in each) for each in detected]
     legacy = counts[1] > counts[0]
-    seen = found[legacy]
+    seen = detected[legacy]
     known = {corners.name for corners in seen}
     return Detection(tuple(seen), tuple(name for name in names if name not in known), bool(legacy))
 

@@ -165,11 +165,11 @@ def _fit_from(start: np.ndarray, pictures: list[BoardCorners], rows: int, column
         flags=flags | cv2.CALIB_USE_INTRINSIC_GUESS,
         criteria=(cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 100, 1e-12),
     )
-    sigma, found = np.asarray(sigma).ravel(), np.asarray(coefficients).ravel()[:5]
-    finite = np.isfinite(matrix).all() and np.isfinite(found).all() and np.isfinite(sigma[:4]).all()
+    sigma, fitted = np.asarray(sigma).ravel(), np.asarray(coefficients).ravel()[:5]
+    finite = np.isfinite(matrix).all() and np.isfinite(fitted).all() and np.isfinite(sigma[:4]).all()
     return _Fit(
         matrix,
-        tuple(found.tolist()),
+        tuple(fitted.tolist()),
         float(rms) if finite else float("inf"),
         np.asarray(errors, np.float64).ravel(),
         float(max(sigma[0] / matrix[0, 0], sigma[1] / matrix[1, 1])),

@@ -107,9 +107,9 @@ def field_of(silhouettes: list[np.ndarray | None], cameras: list[Camera], *, fin
     return Field(tuple(names), np.array(poses), np.array(lenses), np.array(frames, np.int64), np.concatenate(maps))
 
 
-def _expect_two(found: int) -> None:
-    if found < 2:
-        raise UserError(f"expected silhouettes in two views at least, found {found}; give masks or a background")
+def _expect_two(count: int) -> None:
+    if count < 2:
+        raise UserError(f"expected silhouettes in two views at least, found {count}; give masks or a background")
 
 
 def _lens(camera: Camera) -> list[float]:
@@ -126,8 +126,8 @@ def _area_of(silhouette: np.ndarray, camera: Camera) -> tuple[slice, slice]:
             "in the settings of mesh, or leave the view out"
         )
 
-    def span(found: np.ndarray, size: int) -> slice:
-        return slice(max(0, found[0] - MARGIN_PX), min(size, found[-1] + 1 + MARGIN_PX))
+    def span(occupied: np.ndarray, size: int) -> slice:
+        return slice(max(0, occupied[0] - MARGIN_PX), min(size, occupied[-1] + 1 + MARGIN_PX))
 
     return span(rows, silhouette.shape[0]), span(columns, silhouette.shape[1])
 
@@ -157,8 +157,8 @@ def bounding_box(silhouettes: list[np.ndarray | None], cameras: list[Camera], *,
                 failure = error
         if not freed:
             raise failure
-        for found, _ in freed:
-            box = found if box is None else np.array([np.minimum(box[0], found[0]), np.maximum(box[1], found[1])])
+        for extent, _ in freed:
+            box = extent if box is None else np.array([np.minimum(box[0], extent[0]), np.maximum(box[1], extent[1])])
         binding = max(freed, key=lambda item: float(np.prod(item[0][1] - item[0][0])))[1]
         planes = planes[:binding] + planes[binding + 1 :]
     return _extent(planes, middle, size) if box is None else box
@@ -188,21 +188,21 @@ def _solved(planes: list[np.ndarray], middle: np.ndarray, size: float) -> np.nda
     box = np.empty((2, 3))
     for axis in range(3):
         for end, sign in enumerate((1.0, -1.0)):
-            found = linprog(
+            solution = linprog(
                 sign * np.eye(3)[axis],
                 A_ub=-joined[:, :3],
                 b_ub=(joined[:, :3] @ middle + joined[:, 3]) / size,
                 bounds=[(None, None)] * 3,
                 method="highs",
             )
-            if found.status == 2:
+            if solution.status == 2:
                 raise UserError(
                     "the silhouettes have no point of space in common: expected cameras that all see the object. "
                     "Remedy: look at the silhouettes and at the order of the camera matrices"
                 )
-            if found.status != 0:
+            if solution.status != 0:
                 raise UserError("the silhouettes do not bound the object: more views from other sides are needed")
-            box[end, axis] = middle[axis] + size * found.x[axis]
+            box[end, axis] = middle[axis] + size * solution.x[axis]
     return box
 
 

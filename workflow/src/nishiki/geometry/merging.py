@@ -24,10 +24,12 @@ def merge(
     if len(scans) == 1 and faces[0] is not None:
         return scans[0], faces[0], {"merged": False, "guessed_triangles": 0}
     cell = float(np.ptp(np.concatenate(scans), axis=0).max()) / cells
-    scans, faces = zip(*(_filled(each, own, 3 * cell) for each, own in zip(scans, faces, strict=True)), strict=True)
+    scans, faces = zip(
+        *(_filled(each, triangles_of, 3 * cell) for each, triangles_of in zip(scans, faces, strict=True)), strict=True
+    )
     points = np.concatenate(scans)
-    normals = [_scan_normals(each, own) for each, own in zip(scans, faces, strict=True)]
-    if any(found is None for found in normals):
+    normals = [_scan_normals(each, triangles_of) for each, triangles_of in zip(scans, faces, strict=True)]
+    if any(scan_normals is None for scan_normals in normals):
         normals = [_outward_normals(each, points.mean(axis=0)) for each in scans]
     vertices, triangles = _poisson(points, np.concatenate(normals), cells)
     distance, _ = cKDTree(points).query(vertices)
@@ -105,5 +107,5 @@ def _poisson(points: np.ndarray, normals: np.ndarray, cells: int) -> tuple[np.nd
     work.add_mesh(pymeshlab.Mesh(vertex_matrix=(points - centre) / size, v_normals_matrix=normals))
     depth = int(np.clip(np.rint(np.log2(1.1 * cells)), 4, 11))
     work.generate_surface_reconstruction_screened_poisson(depth=depth, threads=1, preclean=False)
-    found = work.current_mesh()
-    return found.vertex_matrix() * size + centre, found.face_matrix().astype(np.int64)
+    surface = work.current_mesh()
+    return surface.vertex_matrix() * size + centre, surface.face_matrix().astype(np.int64)

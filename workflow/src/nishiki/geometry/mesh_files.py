@@ -72,15 +72,15 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
     try:
         expect_mesh_file(path, str(path))
         with open(path, "rb") as stream:
-            found = load_geometry(stream, kind)
+            loaded = load_geometry(stream, kind)
     except FileNotFoundError:
         raise UserError(f"{path}: file not found") from None
     except UserError:
         raise
     except Exception as error:  # whatever a damaged file makes the reader stumble over
         raise UserError(f"{path}: damaged {kind.upper()} file ({error}). Remedy: export the mesh again") from None
-    if isinstance(found, trimesh.Scene):
-        parts = [part for part in found.geometry.values() if hasattr(part, "faces")]
+    if isinstance(loaded, trimesh.Scene):
+        parts = [part for part in loaded.geometry.values() if hasattr(part, "faces")]
         vertices, triangles, count = [np.empty((0, 3))], [np.empty((0, 3), np.int64)], 0
         for part in parts:
             vertices.append(np.asarray(part.vertices))
@@ -88,7 +88,7 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
             count += len(part.vertices)
         vertices, triangles = np.concatenate(vertices), np.concatenate(triangles)
     else:
-        vertices, triangles = np.asarray(found.vertices), np.asarray(getattr(found, "faces", np.empty((0, 3))))
+        vertices, triangles = np.asarray(loaded.vertices), np.asarray(getattr(loaded, "faces", np.empty((0, 3))))
     if not len(vertices):
         raise UserError(f"{path}: no vertices in it. Remedy: export the mesh again")
     bad = ~np.isfinite(vertices).all(axis=1)

@@ -57,7 +57,7 @@ def estimate_pose(
     """
     sight = Sight(sight.name, np.asarray(sight.points, np.float64), np.asarray(sight.pixels, np.float64))
     _expect_spread(sight, np.ones(len(sight.points), bool))
-    whole, (sight, middle, size) = sight, _unit(sight)
+    given, (sight, middle, size) = sight, _unit(sight)
     lens = _Lens.of(intrinsics, distortion, rows, columns)
     start = _first_pose(sight, lens, outlier_px)
     if start is None:
@@ -74,14 +74,14 @@ def estimate_pose(
     vector = _expect_one(sight, lens, vector, inliers)
     camera = lens.camera(sight.name, vector)
     camera = replace(camera, translation=size * camera.translation - camera.rotation @ middle)
-    found, depth = camera.project(whole.points)
+    projected, depth = camera.project(given.points)
     if (depth[inliers] <= 0).any():
         raise UserError(
             f"view {sight.name!r}: {int((depth[inliers] <= 0).sum())} points lie behind the camera that fits them "
             "best. "
             f"{REMEDY}"
         )
-    errors = np.linalg.norm(found - sight.pixels, axis=1)[inliers]
+    errors = np.linalg.norm(projected - sight.pixels, axis=1)[inliers]
     return Pose(camera, inliers, float(np.sqrt((errors**2).mean())), float(errors.max()))
 
 
@@ -175,8 +175,8 @@ def _first_pose(sight: Sight, lens: _Lens, outlier_px: float) -> np.ndarray | No
 
 def _errors(lens: _Lens, vector: np.ndarray, points: np.ndarray, pixels: np.ndarray) -> np.ndarray:
     """(n,) squared distances in pixels; infinite behind the camera."""
-    found, depth = lens.camera("", vector).project(points)
-    return np.where(depth > 0, ((found - pixels) ** 2).sum(axis=1), np.inf)
+    projected, depth = lens.camera("", vector).project(points)
+    return np.where(depth > 0, ((projected - pixels) ** 2).sum(axis=1), np.inf)
 
 
 def _settle(sight: Sight, lens: _Lens, vector: np.ndarray, outlier_px: float) -> tuple[np.ndarray, np.ndarray]:

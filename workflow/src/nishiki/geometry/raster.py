@@ -112,10 +112,10 @@ def fill(pixels, depths, corners, first_row, cull, triangle, barycentric, depth)
                 wc = edge(pixels, a, b, x, y)
                 if not (wc > 0 or (wc == 0 and on_c)):
                     continue
-                whole = wa + wb + wc
+                weight_sum = wa + wb + wc
                 wa, wb, wc = wa / za, wb / zb, wc / zc
                 total = wa + wb + wc
-                near = np.float32(whole / total)
+                near = np.float32(weight_sum / total)
                 if near < depth[row, column]:
                     depth[row, column] = near
                     triangle[row, column] = index
@@ -132,8 +132,8 @@ def interpolate(attributes: np.ndarray, corners: np.ndarray, triangle: np.ndarra
     flat = np.ascontiguousarray(triangle, np.int32).reshape(-1)
     weights = np.ascontiguousarray(barycentric, np.float32).reshape(-1, 2)
     values = np.ascontiguousarray(attributes, np.float64)
-    found = blend(values, np.ascontiguousarray(corners, np.int32), flat, weights)
-    return found.reshape(*np.shape(triangle), values.shape[1])
+    values_at = blend(values, np.ascontiguousarray(corners, np.int32), flat, weights)
+    return values_at.reshape(*np.shape(triangle), values.shape[1])
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -98,7 +98,7 @@ def meet(boxes, triangles, stack, ox, oy, oz, dx, dy, dz, far, any_hit):
     Trumbore, Fast, minimum storage ray/triangle intersection, Journal of Graphics Tools 1997; a slack of 1e-9 keeps
     rays from slipping through between neighbours.
     """
-    found, best_u, best_v = -1, 0.0, 0.0
+    hit, best_u, best_v = -1, 0.0, 0.0
     ix = 1.0 / dx if abs(dx) > 1e-30 else 1e30
     iy = 1.0 / dy if abs(dy) > 1e-30 else 1e30
     iz = 1.0 / dz if abs(dz) > 1e-30 else 1e30
@@ -154,10 +154,10 @@ def meet(boxes, triangles, stack, ox, oy, oz, dx, dy, dz, far, any_hit):
                 continue
             distance = (bx * qx + by * qy + bz * qz) * share
             if 0.0 < distance < far:
-                far, found, best_u, best_v = distance, k, u, v
+                far, hit, best_u, best_v = distance, k, u, v
                 if any_hit:
-                    return found, far, best_u, best_v
-    return found, far, best_u, best_v
+                    return hit, far, best_u, best_v
+    return hit, far, best_u, best_v
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

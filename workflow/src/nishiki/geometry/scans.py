@@ -125,14 +125,14 @@ def register(scans: list[np.ndarray], *, overlap: float = 0.5) -> Registered:
     order, searched = [0], []
     while len(motions) < len(scans):
         target = _joined(clouds, motions)
-        found = []
+        candidates = []
         for index in sorted(set(range(len(scans))) - set(motions)):
             motion, residual = align(clouds[index], target, Motion.none(), overlap=overlap)
-            found.append((residual, index, motion))
-        residual, index, motion = min(found, key=lambda item: item[:2])
+            candidates.append((residual, index, motion))
+        residual, index, motion = min(candidates, key=lambda item: item[:2])
         if residual > GOOD_ENOUGH * clouds[index].spacing:
-            found = [(*_search(clouds[i], target, overlap), i) for _, i, _ in found]
-            motion, residual, index = min(found, key=lambda item: item[1:])
+            candidates = [(*_search(clouds[i], target, overlap), i) for _, i, _ in candidates]
+            motion, residual, index = min(candidates, key=lambda item: item[1:])
             searched.append(index)
             if residual > WORST * clouds[index].spacing:
                 raise UserError(

@@ -200,7 +200,7 @@ def best_level(distance: np.ndarray) -> float:
     levels = np.linspace(*np.log([LOWEST_LEVEL + 0.5, HIGHEST_LEVEL + 0.5]), 11)
     step = 0.5 * (levels[1] - levels[0])
     means = [slope[np.abs(smooth - level) < step] for level in levels]
-    steepness = np.array([found.mean() if found.size > 20 else 0.0 for found in means])
+    steepness = np.array([gradients.mean() if gradients.size > 20 else 0.0 for gradients in means])
     return float(np.exp(levels[int(np.argmax(steepness))]) - 0.5)
 
 

@@ -59,11 +59,11 @@ def distances(points: np.ndarray, mesh: Mesh, *, spacing: float | None = None) -
     areas = 0.5 * np.linalg.norm(face_vectors(mesh.vertices, mesh.triangles), axis=1)
     spacing = spacing or float(np.sqrt(areas.sum() / max(1, len(points)))) or 1.0
     samples, owners = sample(mesh, spacing)
-    _, found = cKDTree(samples).query(points, k=min(CANDIDATES, len(samples)), workers=-1)
-    found = owners[np.atleast_2d(found.T).T if found.ndim == 1 else found]
+    _, candidates = cKDTree(samples).query(points, k=min(CANDIDATES, len(samples)), workers=-1)
+    candidates = owners[np.atleast_2d(candidates.T).T if candidates.ndim == 1 else candidates]
     best = np.full(len(points), np.inf)
-    for k in range(found.shape[1]):
-        corners = mesh.vertices[mesh.triangles[found[:, k]]]
+    for k in range(candidates.shape[1]):
+        corners = mesh.vertices[mesh.triangles[candidates[:, k]]]
         best = np.minimum(best, point_to_triangle(points, corners))
     return best
 
@@ -220,8 +220,8 @@ def parts_of(triangles: np.ndarray, vertices: int) -> tuple[int, np.ndarray]:
     ends = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]]])
     graph = coo_matrix((np.ones(len(ends), np.int8), (ends[:, 0], ends[:, 1])), shape=(vertices, vertices))
     _, labels = connected_components(graph, directed=False)
-    found, mine = np.unique(labels[triangles[:, 0]], return_inverse=True)
-    return len(found), mine
+    numbers, mine = np.unique(labels[triangles[:, 0]], return_inverse=True)
+    return len(numbers), mine
 
 
 def without_small_parts(mesh: Mesh, *, smallest: float) -> tuple[Mesh, int]:

@@ -59,9 +59,9 @@ def choose_poses(sights: list[Sight], cameras: list[Camera], *, steps: str = "fr
     for fold in range(FOLDS):
         kept = [_part(sight, fold, keep=True) for sight in sights]
         tests = [_part(sight, fold, keep=False) for sight in sights]
-        own = [refine_pose(c, s.points, s.pixels) for c, s in zip(cameras, kept, strict=True)]
+        free = [refine_pose(c, s.points, s.pixels) for c, s in zip(cameras, kept, strict=True)]
         tied = fit_turntable(kept, cameras, steps=steps, full_turn=full_turn).cameras
-        free_sum += sum(_squares(c, s) for c, s in zip(own, tests, strict=True))
+        free_sum += sum(_squares(c, s) for c, s in zip(free, tests, strict=True))
         turn_sum += sum(_squares(c, s) for c, s in zip(tied, tests, strict=True))
         count += sum(len(sight.points) for sight in tests)
     free_px, turn_px = (float(np.sqrt(total / count)) for total in (free_sum, turn_sum))
@@ -75,8 +75,8 @@ def _part(sight: Sight, fold: int, *, keep: bool) -> Sight:
 
 
 def _squares(camera: Camera, sight: Sight) -> float:
-    found, _ = camera.project(sight.points)
-    return float(((found - sight.pixels) ** 2).sum())
+    projected, _ = camera.project(sight.points)
+    return float(((projected - sight.pixels) ** 2).sum())
 
 
 def fit_turntable(
@@ -95,12 +95,12 @@ def fit_turntable(
     # The point of the axis nearest to the centre of the points seen: the choice along the axis is free.
     middle = np.concatenate([sight.points for sight in sights]).mean(axis=0)
     point = point + axis * (axis @ (middle - point))
-    found = tuple(
+    fitted = tuple(
         replace(camera, rotation=rotation, translation=translation)
         for camera, rotation, translation in zip(cameras, rotations, translations, strict=True)
     )
     rms = float(np.sqrt((fit.fun**2).sum() / len(model.points)))
-    return TurntablePoses(found, axis, point, np.degrees(angles - angles[0]), rms)
+    return TurntablePoses(fitted, axis, point, np.degrees(angles - angles[0]), rms)
 
 
 @dataclass(frozen=True)

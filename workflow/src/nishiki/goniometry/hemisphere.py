@@ -66,7 +66,7 @@ def complete(
         np.logical_or.reduce([part.basic.extrapolated for part in parts]),
     )
     weights = solid_angles(basic)
-    found = Interpolation(
+    interpolation = Interpolation(
         basic,
         tuple(part.left_out[0] for part in parts),
         tuple(part.smoothing[0] for part in parts),
@@ -74,7 +74,7 @@ def complete(
         float((weights * basic.measured).sum()),
         float((weights * basic.extrapolated).sum()),
     )
-    return replace(plain(measured), basic=basic), found
+    return replace(plain(measured), basic=basic), interpolation
 
 
 def positive(values: np.ndarray) -> np.ndarray:

@@ -73,10 +73,10 @@ def read_all(
     for i, board in enumerate(boards):
         photograph = read_sample(i)
         masks = _masks(photograph, sample_deg[i], window_px, regions)
-        own = [read_white(int(w)) for w in board.which] if board.rule == "own" and regions is not None else None
+        boards_read = [read_white(int(w)) for w in board.which] if board.rule == "own" and regions is not None else None
         for k, mask in enumerate(masks):
             reading = read_window(photograph.linear, mask & photograph.usable, photograph.saturated)
-            over = [read_window(w.linear, mask & w.usable, w.saturated) for w in own] if own else None
+            over = [read_window(w.linear, mask & w.usable, w.saturated) for w in boards_read] if boards_read else None
             white, white_noise = _light_of(over or [middles[int(w)] for w in board.which], board.factors)
             values[i, k], noise[i, k] = reflectance(reading.mean, reading.noise, white, white_noise, white_reflectance)
             pixels[i, k], saturated[i, k] = reading.pixels, reading.saturated

@@ -48,8 +48,8 @@ class Reflectances(ReflectanceSet):
         except UserError as e:
             raise UserError(f"{folder}: no reflectances that can be read here ({e}); run reflectance first") from e
         if names.get("format") != FORMAT:
-            found = names.get("format")
-            raise UserError(f"{folder}: reflectances of format {found}, expected {FORMAT}; run reflectance again")
+            stored = names.get("format")
+            raise UserError(f"{folder}: reflectances of format {stored}, expected {FORMAT}; run reflectance again")
         basic = (
             BasicReflectance(**{name: arrays[f"basic_{name}"] for name in GRID}) if "basic_theta" in arrays else None
         )

@@ -28,8 +28,8 @@ def reduced(incident: np.ndarray, outgoing: np.ndarray, symmetry: str) -> tuple[
     if symmetry == "quarter":
         sign = np.ones_like(incident)
         for axis in (0, 1):
-            told = np.where(np.abs(incident[:, axis]) > ON_PLANE, incident[:, axis], outgoing[:, axis])
-            sign[:, axis] = np.where(told < 0, -1.0, 1.0)
+            deciding = np.where(np.abs(incident[:, axis]) > ON_PLANE, incident[:, axis], outgoing[:, axis])
+            sign[:, axis] = np.where(deciding < 0, -1.0, 1.0)
         return incident * sign, outgoing * sign
     if symmetry == "half":
         across = np.hypot(incident[:, 0], incident[:, 1]) > ON_PLANE

@@ -47,8 +47,8 @@ def assign_boards(sample_deg: np.ndarray, white_deg: np.ndarray) -> list[Boards]
 def _of(light: np.ndarray, view: np.ndarray, lights: np.ndarray, views: np.ndarray, cosines: np.ndarray) -> Boards:
     same_light = between(lights, light) < SAME
     with np.errstate(invalid="ignore"):
-        own = same_light & (between(views, view) < SAME)
-    for rule, chosen in (("own", own), ("incidence", same_light)):
+        same_pair = same_light & (between(views, view) < SAME)
+    for rule, chosen in (("own", same_pair), ("incidence", same_light)):
         which = np.flatnonzero(chosen)
         if len(which):
             return Boards(rule, which, np.ones(len(which)))

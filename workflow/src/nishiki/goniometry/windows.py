@@ -90,9 +90,9 @@ def regions_in_view(
     """
     right, up = axes_of(theta_r, phi_r, upright)
     to_cloth = np.linalg.inv(np.array([right[:2], up[:2]]))  # (right, up) of the picture to (weft, warp) of the cloth
-    found = np.empty(shape, np.uint16)
-    _project(np.ascontiguousarray(labels, np.uint16), scale * to_cloth, found)
-    return found
+    projected = np.empty(shape, np.uint16)
+    _project(np.ascontiguousarray(labels, np.uint16), scale * to_cloth, projected)
+    return projected
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

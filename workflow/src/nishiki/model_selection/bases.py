@@ -64,17 +64,17 @@ def principal_bases(spectra: np.ndarray, weights: np.ndarray, *, noise: float, m
     return _first(counts, losses, 0.0)
 
 
-def decided(found: Bases, *, method: str, limit: float = LOSS) -> Decision:
+def decided(bases: Bases, *, method: str, limit: float = LOSS) -> Decision:
     """What was decided, for the log and the diagnostics."""
     paper = method == "paper"
-    criterion = "expected error above that of " + ("the best number" if paper else f"{found.counts[-1]} bases")
+    criterion = "expected error above that of " + ("the best number" if paper else f"{bases.counts[-1]} bases")
     return Decision(
         "bases",
-        f"{found.count} spectral bases",
+        f"{bases.count} spectral bases",
         f"{criterion}, relative",
-        found.loss,
+        bases.loss,
         0.0 if paper else limit,
-        f"expected rms error of a spectrum {100 * found.loss:.2g} % larger",
+        f"expected rms error of a spectrum {100 * bases.loss:.2g} % larger",
         OVERRIDE,
     )
 

@@ -33,8 +33,8 @@ def solver_of(settings):
     def solve(observations: np.ndarray, directions: np.ndarray, valid: np.ndarray) -> tuple[np.ndarray, NormalField]:
         usable = valid
         if hasattr(settings, "method"):
-            own = {"method": settings.method, "w1": settings.w1, "w2": settings.w2, "keep": settings.keep}
-            usable = select_diffuse(observations, directions, valid=valid, **own).usable
+            selection = {"method": settings.method, "w1": settings.w1, "w2": settings.w2, "keep": settings.keep}
+            usable = select_diffuse(observations, directions, valid=valid, **selection).usable
         return usable, estimate_normals(observations, directions, usable=usable, valid=valid)
 
     return solve

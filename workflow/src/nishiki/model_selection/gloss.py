@@ -58,25 +58,25 @@ def gloss_evidence(
     unusable, gloss may have saturated them: the specular part is kept.
     """
     lit = attenuation > 0
-    taken = lit & usable
-    noise = float(1.4826 * np.median(np.abs(residual[taken]))) if taken.any() else 0.0
-    if taken.sum() < FEWEST:
-        return Evidence(True, "too few samples to decide", 0.0, 0.0, 0.0, noise, int(taken.sum()))
+    samples = lit & usable
+    noise = float(1.4826 * np.median(np.abs(residual[samples]))) if samples.any() else 0.0
+    if samples.sum() < FEWEST:
+        return Evidence(True, "too few samples to decide", 0.0, 0.0, 0.0, noise, int(samples.sum()))
     near = lit & (phi < NEAR)
     spoilt, beside = (1 - float(usable[part].mean()) if part.any() else 0.0 for part in (near, lit & ~near))
     if spoilt > SPOILT and spoilt > BESIDE * beside:
         why = (
             f"{100 * spoilt:.0f} % of the samples near the mirror direction are unusable: gloss may have saturated them"
         )
-        return Evidence(True, why, 0.0, 0.0, 0.0, noise, int(taken.sum()))
-    at, deviation = np.asarray(attenuation)[taken], np.broadcast_to(sigma, phi.shape)[taken]
+        return Evidence(True, why, 0.0, 0.0, 0.0, noise, int(samples.sum()))
+    at, deviation = np.asarray(attenuation)[samples], np.broadcast_to(sigma, phi.shape)[samples]
     histogram = SpecularHistogram.empty(refractive_index=refractive_index)
-    fit = fit_scene(histogram.add_samples(phi[taken], residual[taken], at, sigma=deviation), lobes=1)[0]
+    fit = fit_scene(histogram.add_samples(phi[samples], residual[samples], at, sigma=deviation), lobes=1)[0]
     if fit.flags & (FitFlag.NO_HIGHLIGHT | FitFlag.TOO_FEW):
-        return Evidence(False, "no lobe is significant", 0.0, 0.0, 0.0, noise, int(taken.sum()))
+        return Evidence(False, "no lobe is significant", 0.0, 0.0, 0.0, noise, int(samples.sum()))
     with np.errstate(under="ignore"):
-        specular = fit.beta[0] * np.exp2(-((phi[taken] / fit.gamma[0]) ** 2)) * at
-    noise = float(1.4826 * np.median(np.abs(residual[taken] - specular)))  # a wide lobe is no scatter
+        specular = fit.beta[0] * np.exp2(-((phi[samples] / fit.gamma[0]) ** 2)) * at
+    noise = float(1.4826 * np.median(np.abs(residual[samples] - specular)))  # a wide lobe is no scatter
     strongest = np.sort(specular)[-max(1, int(BRIGHTEST * specular.size)) :]
     brightest, everywhere = (float(np.sqrt(np.mean(values**2))) for values in (strongest, specular))
     ratio = brightest / max(noise, 1e-30)
@@ -87,7 +87,7 @@ def gloss_evidence(
         brightest,
         everywhere,
         noise,
-        int(taken.sum()),
+        int(samples.sum()),
     )
 
 

@@ -81,23 +81,23 @@ def _fitted(values: np.ndarray, diffuse: np.ndarray, lobe: np.ndarray, weights: 
     a, b, d = (np.sum(weights * x * y, axis=1)[:, None] for x, y in ((lobe, lobe), (lobe, diffuse), (diffuse, diffuse)))
     u, v = (np.einsum("to,toc->tc", weights * x, values) for x in (lobe, diffuse))
     lit = np.where(d > 0, d, 1)
-    own, told = np.maximum(a - b * b / lit, 0), u - b * v / lit  # K_d eliminated
-    whole = np.maximum(told.sum(axis=0) / max(own.sum(), 1e-30), 0)
-    pull = own.mean() + 1e-30
-    ks = np.maximum((told + pull * whole) / (own + pull), 0)
+    information, correlation = np.maximum(a - b * b / lit, 0), u - b * v / lit  # K_d eliminated
+    mean_ks = np.maximum(correlation.sum(axis=0) / max(information.sum(), 1e-30), 0)
+    pull = information.mean() + 1e-30
+    ks = np.maximum((correlation + pull * mean_ks) / (information + pull), 0)
     kd = np.maximum((v - b * ks) / lit, 0)
     return diffuse[..., None] * kd[:, None] + lobe[..., None] * ks[:, None]
 
 
-def decided(found: Gain | None, setting: str, *, limit_db: float = LIMIT_DB) -> Decision:
-    """What was decided, for the log and the diagnostics; found: None where a setting decided."""
-    if found is None:
+def decided(gain: Gain | None, setting: str, *, limit_db: float = LIMIT_DB) -> Decision:
+    """What was decided, for the log and the diagnostics; gain: None where a setting decided."""
+    if gain is None:
         words = {"keep": "specular part kept", "drop": "no gloss: Lambert"}[setting]
         return Decision("specular", words, "set", None, None, "not measured", OVERRIDE)
     criterion = "decibels by which a lobe predicts unseen observations of a sample of texels better"
-    if found.keep:
+    if gain.keep:
         words, loss = "specular part kept", "nothing"
     else:
         words = "no gloss: Lambert"
-        loss = f"{max(found.gain_db, 0.0):.2g} dB of the model alone on unseen observations"
-    return Decision("specular", words, criterion, found.gain_db, limit_db, loss, OVERRIDE)
+        loss = f"{max(gain.gain_db, 0.0):.2g} dB of the model alone on unseen observations"
+    return Decision("specular", words, criterion, gain.gain_db, limit_db, loss, OVERRIDE)

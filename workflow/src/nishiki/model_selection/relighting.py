@@ -116,8 +116,8 @@ def left_out_errors(pieces: Sequence[Sampled], fit: Callable[[Sampled], dict[str
                 )
                 compared = piece.valid & candidate.known
                 predicted = np.fmin(np.fmax(predicted, 0), brightest)  # no photograph shows more
-                found = colour_differences(predicted / unit, piece.scaled / unit, compared)
-                total[:, left_out] += found.sum(axis=(1, 2), dtype=np.float64), compared.sum(axis=(1, 2))
+                differences = colour_differences(predicted / unit, piece.scaled / unit, compared)
+                total[:, left_out] += differences.sum(axis=(1, 2), dtype=np.float64), compared.sum(axis=(1, 2))
     return {name: total / np.maximum(count, 1) for name, (total, count) in sums.items()}
 
 
@@ -144,7 +144,7 @@ def remaining_gloss(pieces: Sequence[Sampled], candidates: Sequence[Fitted]) -> 
 def colour_differences(first: np.ndarray, second: np.ndarray, compared: np.ndarray) -> np.ndarray:
     """CIEDE2000 of pictures (lights, rows, columns, channels), 0 where not compared; channels as linear sRGB."""
     colour = assumed_colour(first.shape[-1])
-    found = np.zeros(compared.shape, np.float32)
-    for one, other, where, values in zip(first, second, compared, found, strict=True):
+    differences = np.zeros(compared.shape, np.float32)
+    for one, other, where, values in zip(first, second, compared, differences, strict=True):
         difference_of(one, other, colour.matrix, colour.white, where.astype(np.uint8), values)
-    return found
+    return differences

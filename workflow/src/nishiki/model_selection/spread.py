@@ -22,11 +22,11 @@ def spread_order(directions: np.ndarray) -> np.ndarray:
         return order
     order[0] = np.argmin(_squares(directions, directions.mean(axis=0)))
     nearest = _squares(directions, directions[order[0]])
-    taken = np.zeros(count, bool)
-    taken[order[0]] = True
+    ordered = np.zeros(count, bool)
+    ordered[order[0]] = True
     for k in range(1, count):
-        order[k] = np.argmax(np.where(taken, -1.0, nearest))
-        taken[order[k]] = True
+        order[k] = np.argmax(np.where(ordered, -1.0, nearest))
+        ordered[order[k]] = True
         nearest = np.minimum(nearest, _squares(directions, directions[order[k]]))
     return order
 

@@ -47,8 +47,8 @@ def what_is_left(tiles) -> Left:
     for left, observation, s, t in tiles:
         squares += float(np.sum(left.astype(np.float64) ** 2))
         count += left.size
-        for k, (own, other) in enumerate(_pairs(observation, s, t)):
-            a, b = left[:, own].astype(np.float64), left[:, other].astype(np.float64)
+        for k, (texel, other) in enumerate(_pairs(observation, s, t)):
+            a, b = left[:, texel].astype(np.float64), left[:, other].astype(np.float64)
             sums[k] += np.sum(a * b), np.sum(a * a), np.sum(b * b)
     energy = np.sqrt(sums[:, 1] * sums[:, 2])
     correlation = np.where(energy > 0, sums[:, 0] / np.where(energy > 0, energy, 1), 0.0)
@@ -56,21 +56,21 @@ def what_is_left(tiles) -> Left:
 
 
 def _pairs(observation: np.ndarray, s: np.ndarray, t: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Indices (own, other) of nearest neighbours: in the same picture, and in another one."""
+    """Indices (texel, neighbour) of nearest neighbours: in the same picture, and in another one."""
     from scipy.spatial import cKDTree
 
     places = np.column_stack([s, t]).astype(np.float64)
-    own = np.arange(0, len(places), max(1, len(places) // MOST))
+    texels = np.arange(0, len(places), max(1, len(places) // MOST))
     if len(places) < 2:
         return []
-    distance, near = cKDTree(places).query(places[own], k=min(NEIGHBOURS, len(places)))
-    apart = near != own[:, None]
-    same = observation[near] == observation[own][:, None]
+    distance, near = cKDTree(places).query(places[texels], k=min(NEIGHBOURS, len(places)))
+    apart = near != texels[:, None]
+    same = observation[near] == observation[texels][:, None]
     pairs = []
-    for wanted in (apart & same, apart & ~same):
-        found = wanted & (distance <= REACH)
-        first, there = np.argmax(found, axis=1), found.any(axis=1)
-        pairs.append((own[there], near[there, first[there]]))
+    for group in (apart & same, apart & ~same):
+        eligible = group & (distance <= REACH)
+        first, there = np.argmax(eligible, axis=1), eligible.any(axis=1)
+        pairs.append((texels[there], near[there, first[there]]))
     return pairs
 
 

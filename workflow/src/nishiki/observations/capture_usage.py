@@ -72,15 +72,15 @@ def _files(capture: AnyCapture, unopened: frozenset[str]) -> tuple[Files, ...]:
         block = capture.settings.turntable
         kinds |= {Path(scan).as_posix(): "range scans" for scan in block.scans}
         kinds |= {Path(block.mesh).as_posix(): "mesh file"} if block.mesh else {}
-    found: dict[str, list[int]] = {what: [0, 0, 0, 0] for what in (*ROLES.values(), "silhouettes")}
+    counts: dict[str, list[int]] = {what: [0, 0, 0, 0] for what in (*ROLES.values(), "silhouettes")}
     left = {Path(name).as_posix() for name in unopened}
     for path in payload_files(capture.payload):
         name, size = path.relative_to(capture.payload).as_posix(), path.stat().st_size
-        entry = found.setdefault(kinds.get(name, OTHERS), [0, 0, 0, 0])
+        entry = counts.setdefault(kinds.get(name, OTHERS), [0, 0, 0, 0])
         for place, value in enumerate((1, size)):
             entry[2 * place + 1] += value
             entry[2 * place] += value if name not in left else 0
-    order = sorted(found.items(), key=lambda item: item[0] == OTHERS)
+    order = sorted(counts.items(), key=lambda item: item[0] == OTHERS)
     return tuple(Files(what, entry[0], entry[1], entry[2], entry[3]) for what, entry in order if entry[1])
 
 

@@ -59,16 +59,16 @@ def check_capture(
     return sorted(distinct, key=lambda p: p.severity != "error")
 
 
-def _look_at_plane(capture: Capture, headers: dict, whole: bool, tick: Callable[[str], None]) -> list[Problem]:
+def _look_at_plane(capture: Capture, headers: dict, contents: bool, tick: Callable[[str], None]) -> list[Problem]:
     problems = _same_directions(capture) + _strength_problems(capture) + _mask_problems(capture, headers)
-    return problems + (_content_problems(capture, tick) if whole else [])
+    return problems + (_content_problems(capture, tick) if contents else [])
 
 
-def _look_round(capture: TurntableCapture, headers: dict, whole: bool, tick: Callable[[str], None]) -> list[Problem]:
+def _look_round(capture: TurntableCapture, headers: dict, contents: bool, tick: Callable[[str], None]) -> list[Problem]:
     if not capture.frames_of("sample"):
         return []  # reported already; there is nothing to compare with
     problems = silhouette_problems(capture, headers)
-    return problems + (turntable_content_problems(capture, tick) if whole else [])
+    return problems + (turntable_content_problems(capture, tick) if contents else [])
 
 
 def _strange_entries(root: Path) -> list[Problem]:
@@ -102,9 +102,9 @@ def _unlisted(capture: Capture | TurntableCapture | GoniometerCapture) -> list[P
     """Files in the payload that nothing names: harmless, but perhaps a forgotten photograph."""
     payload = capture.payload
     files = (name for name, entry in walk(payload) if entry.is_file())
-    own = {"bagit.txt", "bag-info.txt", "manifest-sha256.txt", "tagmanifest-sha256.txt"}
+    tag_files = {"bagit.txt", "bag-info.txt", "manifest-sha256.txt", "tagmanifest-sha256.txt"}
     remedy = "List it in frames.csv, or move it out of the capture"
-    extra = sorted(set(files) - _listed(capture) - own)
+    extra = sorted(set(files) - _listed(capture) - tag_files)
     return [warning("file-unlisted", name, "no table names this file", remedy=remedy) for name in extra]
 
 

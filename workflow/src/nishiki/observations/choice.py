@@ -123,5 +123,5 @@ def unneeded_darks(frames: Iterable[Frame]) -> set[Frame]:
     times = tuple(dict.fromkeys(f.exposure_s for f in darks))
     if not times or None in times or None in lit or not lit:
         return set()
-    needed = {min(times, key=lambda own: abs(np.log(own / time))) for time in lit}
+    needed = {min(times, key=lambda dark_time: abs(np.log(dark_time / time))) for time in lit}
     return {f for f in darks if f.exposure_s not in needed}

@@ -191,19 +191,19 @@ class FrameReader:
     def warnings(self) -> list[Problem]:
         """What the user should know about these files as measurements, once the frames have been seen."""
         kinds = {frame.path.suffix.lower() for frame in self.capture.frames}
-        found = self._unsaid_bits()
+        warnings = self._unsaid_bits()
         if self.capture.settings.camera.encoding == "srgb":
             what = "photographs are sRGB-coded: decoded with the standard curve, which cameras do not follow exactly"
             remedy = "Values are not linear radiance; photograph in raw where radiometry matters"
-            found.append(warning("not-linear", "capture.yaml", what, remedy=remedy))
+            warnings.append(warning("not-linear", "capture.yaml", what, remedy=remedy))
         if kinds & {".jpg", ".jpeg"}:
             what = "JPEG is lossy and of 8 bits: shadows are coarse and edges have artefacts"
-            found.append(warning("jpeg", "frames.csv", what, remedy="Photograph in raw or 16-bit TIFF"))
+            warnings.append(warning("jpeg", "frames.csv", what, remedy="Photograph in raw or 16-bit TIFF"))
             if self.capture.settings.camera.encoding == "linear":
                 what = "JPEG files are declared linear"
                 remedy = "Set camera.encoding: srgb unless the camera was set to linear output"
-                found.append(warning("jpeg-linear", "capture.yaml", what, remedy=remedy))
-        return found
+                warnings.append(warning("jpeg-linear", "capture.yaml", what, remedy=remedy))
+        return warnings
 
     def _unsaid_bits(self) -> list[Problem]:
         """A warning where the largest code of all frames lies near the top of fewer bits than the files have room for.

@@ -53,8 +53,8 @@ class Measurements:
         except UserError as e:
             raise UserError(f"{self.folder}: no ingested measurements of a goniometer here; run ingest first") from e
         if stored.get("format") != FORMAT:
-            found = stored.get("format")
-            raise UserError(f"{self.folder}: measurements of format {found}, expected {FORMAT}; run ingest again")
+            version = stored.get("format")
+            raise UserError(f"{self.folder}: measurements of format {version}, expected {FORMAT}; run ingest again")
         self.attributes: dict = stored
         with understood(self.folder / NAMES):
             self.kind: str = stored["kind"]

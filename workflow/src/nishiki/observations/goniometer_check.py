@@ -16,7 +16,7 @@ from nishiki.observations.goniometer_frames import code_problems, region_labels,
 from nishiki.observations.reference import DarkField, measure_darks
 
 CHECK_BLOCK = 16
-TOLD = 5  # saturated photographs that are named
+MOST_NAMED = 5  # saturated photographs that are named
 Tick = Callable[[str], None]
 
 
@@ -29,9 +29,9 @@ def goniometer_files(capture: GoniometerCapture) -> set[str]:
 
 
 def look_at_windows(
-    capture: GoniometerCapture, headers: dict[str, ImageHeader], whole: bool, tick: Tick
+    capture: GoniometerCapture, headers: dict[str, ImageHeader], contents: bool, tick: Tick
 ) -> list[Problem]:
-    """Regions against the frames' size; with `whole`, every photograph decoded."""
+    """Regions against the frames' size; with `contents`, every photograph decoded."""
     first = next((headers[f.file] for f in capture.observed if f.file in headers), None)
     if first is None:
         return []  # a table, or reported already
@@ -40,7 +40,7 @@ def look_at_windows(
         region_labels(capture, (first.rows, first.columns))
     except CaptureError as e:
         problems += e.problems
-    return problems + (_content_problems(capture, tick) if whole else [])
+    return problems + (_content_problems(capture, tick) if contents else [])
 
 
 def _content_problems(capture: GoniometerCapture, tick: Tick) -> list[Problem]:
@@ -65,8 +65,8 @@ def _content_problems(capture: GoniometerCapture, tick: Tick) -> list[Problem]:
         problems += _frame_problems(reader, frame, darks, hot)
         tick(frame.file)
     if hot:
-        what, more = "photographs of the cloth have saturated pixels", " ..." if len(hot) > TOLD else ""
-        found = f"{len(hot)} of {len(capture.observed)}: {', '.join(hot[:TOLD])}{more}"
+        what, more = "photographs of the cloth have saturated pixels", " ..." if len(hot) > MOST_NAMED else ""
+        found = f"{len(hot)} of {len(capture.observed)}: {', '.join(hot[:MOST_NAMED])}{more}"
         remedy = "Photograph them again with a shorter exposure_s beside the longer"
         problems.append(warning("some-saturated", "frames.csv", what, found=found, remedy=remedy))
     return reader.warnings() + problems

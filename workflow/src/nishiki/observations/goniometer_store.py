@@ -83,13 +83,13 @@ def write_goniometer(
     darks = measure_darks(reader, edges, tick)
     frames = (*capture.observed, *capture.frames_of("white"))
     group = BandedGroup.create(folder / STORE)
-    found = _write_codes(folder / STORE, group, reader, frames, darks, edges, tick)
+    written = _write_codes(folder / STORE, group, reader, frames, darks, edges, tick)
     shape = np.broadcast_shapes(*(level.shape for level in darks.levels))
     levels = np.stack([np.broadcast_to(level, shape) for level in darks.levels]).astype(np.float32)
     arrays = {"dark": levels} if labels is None else {"dark": levels, "regions": labels}
     write_small_arrays(group, reader, darks.defect, arrays)
     _write_names(capture, folder, reader, frames, darks, settings.white_block)
-    problems = (*capture.warnings, *reader.warnings(), *darks.problems, *found.problems)
+    problems = (*capture.warnings, *reader.warnings(), *darks.problems, *written.problems)
     return GoniometerDiagnostics(
         kind="photographs",
         channels=reader.names,
@@ -97,16 +97,16 @@ def write_goniometer(
         whites=len(frames) - len(capture.observed),
         rows=reader.region[2],
         columns=reader.region[3],
-        saturated=found.saturated,
-        dark=found.dark,
-        white_level=(min(found.levels), max(found.levels)),
+        saturated=written.saturated,
+        dark=written.dark,
+        white_level=(min(written.levels), max(written.levels)),
         defects=int(darks.defect.sum()),
         warnings=tuple(str(p) for p in problems),
     )
 
 
 @dataclass(frozen=True)
-class _Found:
+class _Written:
     saturated: int
     dark: int
     levels: tuple[float, ...]
@@ -121,7 +121,7 @@ def _write_codes(
     darks: DarkField,
     edges: Edges,
     tick: Tick,
-) -> _Found:
+) -> _Written:
     """Windows of all frames, several to a chunk; what was found in them."""
     size = (*reader.region[2:], len(reader.names))
     depth = frames_a_chunk(size, reader.dtype, len(frames))
@@ -143,7 +143,7 @@ def _write_codes(
             "Photograph them again with a shorter exposure_s beside the longer",
         )
         problems.append(warning("some-saturated", "frames.csv", what, found=found, remedy=remedy))
-    return _Found(hot, cold, tuple(levels), tuple(problems))
+    return _Written(hot, cold, tuple(levels), tuple(problems))
 
 
 def frames_a_chunk(size: tuple[int, ...], dtype: np.dtype, frames: int) -> int:

@@ -43,7 +43,7 @@ STEEP = 0.2  # spread of log cos(theta) from which the boards' levels must follo
 FOLLOWS = 0.3  # correlation of the two
 LEVEL_GAIN = 0.15  # log units by which both of two exchanged lights must stand out
 LEVEL_CLEARLY = 5.0  # times the usual misfit
-TOLD = 12
+MOST_NAMED = 12
 
 
 @dataclass
@@ -96,8 +96,8 @@ class PairLevels:
         photographs, boards = (np.stack([kept[i] for i in places]) for kept in (self.photographs, self.boards))
         cosines = np.stack([self._cosines(i) for i in places])
         names, directions = [lights.names[i] for i in places], lights.directions[places]
-        found = find_exchanges(photographs, boards, cosines, directions)
-        problems = self._told(found, names) if found else []
+        exchange = find_exchanges(photographs, boards, cosines, directions)
+        problems = self._exchange_warnings(exchange, names) if exchange else []
         if any(p.kind == "white-exchanged" for p in problems):
             return problems
         with quiet():
@@ -117,23 +117,23 @@ class PairLevels:
         near = self.reader.capture.settings.lights.kind == "position_mm"
         return np.linalg.norm(lights.vectors[places], axis=1) if near else np.ones(len(places))
 
-    def _told(self, found: Exchange, names: list[str]) -> list[Problem]:
+    def _exchange_warnings(self, exchange: Exchange, names: list[str]) -> list[Problem]:
         capture, problems = self.reader.capture, []
-        moved = np.flatnonzero(found.better != np.arange(len(names)))
+        moved = np.flatnonzero(exchange.better != np.arange(len(names)))
         board = {name: frame.file for name in names if (frame := capture.white_of(name))}
         if len(moved):
-            pairs = [f"{board[names[found.better[i]]]} for light {names[i]}" for i in moved[:TOLD]]
-            more = f" and {len(moved) - TOLD} more" if len(moved) > TOLD else ""
-            was, would = (100 * np.expm1(x[moved].mean()) for x in (found.before, found.after))
+            pairs = [f"{board[names[exchange.better[i]]]} for light {names[i]}" for i in moved[:MOST_NAMED]]
+            more = f" and {len(moved) - MOST_NAMED} more" if len(moved) > MOST_NAMED else ""
+            was, would = (100 * np.expm1(x[moved].mean()) for x in (exchange.before, exchange.after))
             what = "white boards do not belong to their photographs: other boards fit better"
             remedy = "Compare the boards with the photographs and correct the column light of the white frames"
             said = f"{', '.join(pairs)}{more}; mean misfit {was:.0f} % as listed, {would:.0f} % then"
             problems.append(warning("white-exchanged", "frames.csv", what, found=said, remedy=remedy))
-        for i in np.flatnonzero(found.alone):
+        for i in np.flatnonzero(exchange.alone):
             file = next(
                 f.file for f in capture.observed if capture.lights.names[capture.lights.index(f.light)] == names[i]
             )
-            factor, than = np.exp(abs(found.alone[i])), "brighter" if found.alone[i] > 0 else "darker"
+            factor, than = np.exp(abs(exchange.alone[i])), "brighter" if exchange.alone[i] > 0 else "darker"
             what = (
                 f"photograph is {factor:.1f} times {than} than expected from its white board and the other photographs"
             )
@@ -166,7 +166,7 @@ def level_problems(levels: np.ndarray, expected: np.ndarray, directions: np.ndar
         return []
     what = "levels of white boards would follow cos(theta) and their neighbours if lights were exchanged"
     remedy = "Check that these lights, boards and photographs belong together"
-    return [warning("white-levels", "frames.csv", what, found="; ".join(odd[:TOLD]), remedy=remedy)]
+    return [warning("white-levels", "frames.csv", what, found="; ".join(odd[:MOST_NAMED]), remedy=remedy)]
 
 
 def _least_absolute(terms: np.ndarray, values: np.ndarray, rounds: int = 20) -> np.ndarray:
@@ -231,32 +231,35 @@ def _exchanges(levels: np.ndarray, whites: np.ndarray, cosines: np.ndarray, dire
         fitted = _fit_lambert(np.exp(levels - whites[order] + cosines), directions)
         return _log_shading(fitted, directions) - cosines
 
-    own = np.arange(lamps)
-    first = reflected(own)
+    identity = np.arange(lamps)
+    first = reflected(identity)
     misfits = _misfits(levels - first, whites)
-    before = misfits[own, own]
+    before = misfits[identity, identity]
 
     def settle(stay: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Best order, its misfits, and those of the own boards beside it, where leaving the own board costs `stay`."""
         penalty = stay * (1 - np.eye(lamps))
-        best, after, kept = own, before, before
+        best, after, kept = identity, before, before
         # once from the photographs as they are paired, once from a flat grey object
         for shading in (first, _flat(levels, whites, cosines, directions)):
-            order = own
+            order = identity
             for _ in range(6):
                 last, order = order, linear_sum_assignment(_misfits(levels - shading, whites) + penalty)[1]
                 shading = reflected(order)
                 if (order == last).all():
                     break
             table = _misfits(levels - shading, whites)
-            if table[own, order].sum() + stay * (order != own).sum() < after.sum() + stay * (best != own).sum():
-                best, after, kept = order, table[own, order], table[own, own]
+            if (
+                table[identity, order].sum() + stay * (order != identity).sum()
+                < after.sum() + stay * (best != identity).sum()
+            ):
+                best, after, kept = order, table[identity, order], table[identity, identity]
         return best, after, kept
 
     free = settle(0.0)
     usual = min(float(np.median(before)), FLOOR * float(np.median(free[1])))
     best, after, _ = settle(max(GAIN / 2, usual))
-    better = own.copy()
+    better = identity.copy()
     # a pairing hardly better than chance, which another order makes far better: most boards are wrong
     chance = misfits.mean()
     if chance >= 2 * GAIN and before.mean() >= BY_CHANCE * chance and free[1].mean() <= FAR_BETTER * before.mean():
@@ -273,7 +276,7 @@ def _exchanges(levels: np.ndarray, whites: np.ndarray, cosines: np.ndarray, dire
         signed = np.nan_to_num(np.nanmedian(levels - first - whites, axis=1))
     steep = directions[:, 2]
     odd = np.abs(signed) > max(ALONE, 5 * usual)
-    odd &= np.where(signed < 0, steep > GRAZING, steep < FACING) & (better == own)
+    odd &= np.where(signed < 0, steep > GRAZING, steep < FACING) & (better == identity)
     return Exchange(better, before, after, usual, np.where(odd, signed, 0.0))
 
 
@@ -323,11 +326,11 @@ def quiet() -> Iterator[None]:
 
 def _cycles(order: np.ndarray) -> list[np.ndarray]:
     """Groups of lamps among which an assignment exchanges boards."""
-    left, found = set(np.flatnonzero(order != np.arange(len(order))).tolist()), []
+    left, cycles = set(np.flatnonzero(order != np.arange(len(order))).tolist()), []
     while left:
         cycle = [min(left)]
         while (following := int(order[cycle[-1]])) != cycle[0]:
             cycle.append(following)
         left -= set(cycle)
-        found.append(np.array(cycle))
-    return found
+        cycles.append(np.array(cycle))
+    return cycles

@@ -62,7 +62,7 @@ class Observations:
 
     def indices(self, role: Literal["sample", "check"]) -> np.ndarray:
         """Which lights have this role, (n,) int64."""
-        return np.flatnonzero([own == role for own in self.roles])
+        return np.flatnonzero([light_role == role for light_role in self.roles])
 
     def fit_lights(self, hold_out: Collection[str] = ()) -> np.ndarray:
         """Lights that fits may use, (n,) int64: those of samples, without the names held out."""
@@ -194,10 +194,10 @@ class Observations:
             inner = slice(max(start - top, 0), min(stop - top, self.band_rows))
             outer = slice(top + inner.start - start, top + inner.stop - start)
             compression = self.attributes["compression"]
-            whole = (inner.stop - inner.start, right - left) == chunk[:2] and compression == "none"
+            aligned = (inner.stop - inner.start, right - left) == chunk[:2] and compression == "none"
             for j, light in enumerate(chosen):
                 path = chunk_path(self.path / "codes", int(light), number)
-                if whole:
+                if aligned:
                     read_chunk_into(path, codes[j, outer])
                 else:
                     codes[j, outer] = read_chunk(path, chunk, self.dtype, compression=compression)[inner, left:right]
@@ -211,8 +211,8 @@ class Observations:
         starts = (kept[0] - asked[0], kept[1] - asked[1])
         block = self.attributes["white_block"]
         return tuple(
-            edges_between(whole, block, start, start + n)
-            for whole, start, n in zip(asked[2:], starts, self.shape, strict=True)
+            edges_between(extent, block, start, start + n)
+            for extent, start, n in zip(asked[2:], starts, self.shape, strict=True)
         )
 
     @cached_property

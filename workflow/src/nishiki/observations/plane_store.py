@@ -126,12 +126,15 @@ def mask_of(capture: Capture, reader: FrameReader) -> np.ndarray:
     if capture.mask is None:
         return np.ones(reader.region[2:], np.uint8)
     name = capture.settings.mask
-    whole = read_mask(capture.mask, name=name)
-    if whole.shape != (reader.rows, reader.columns):
-        expected, found = f"{reader.rows} x {reader.columns} as the frames", f"{whole.shape[0]} x {whole.shape[1]}"
+    full_mask = read_mask(capture.mask, name=name)
+    if full_mask.shape != (reader.rows, reader.columns):
+        expected, found = (
+            f"{reader.rows} x {reader.columns} as the frames",
+            f"{full_mask.shape[0]} x {full_mask.shape[1]}",
+        )
         raise CaptureError(error("mask-size", name, "size of the mask", expected=expected, found=found))
     row, column, rows, columns = reader.region
-    mask = whole[row : row + rows, column : column + columns].astype(np.uint8)
+    mask = full_mask[row : row + rows, column : column + columns].astype(np.uint8)
     if not mask.any():
         remedy = "Non-zero pixels mark the object; check the mask and the region of interest"
         raise CaptureError(error("mask-empty", name, "mask has no pixels", remedy=remedy))
@@ -153,12 +156,15 @@ def regions_of(capture: Capture, reader: FrameReader) -> np.ndarray | None:
     if capture.regions is None:
         return None
     name = capture.settings.regions
-    whole = read_labels(capture.regions, name=name)
-    if whole.shape != (reader.rows, reader.columns):
-        expected, found = f"{reader.rows} x {reader.columns} as the frames", f"{whole.shape[0]} x {whole.shape[1]}"
+    full_labels = read_labels(capture.regions, name=name)
+    if full_labels.shape != (reader.rows, reader.columns):
+        expected, found = (
+            f"{reader.rows} x {reader.columns} as the frames",
+            f"{full_labels.shape[0]} x {full_labels.shape[1]}",
+        )
         raise CaptureError(error("regions-size", name, "size of the regions", expected=expected, found=found))
     row, column, rows, columns = reader.region
-    labels, index = np.unique(whole[row : row + rows, column : column + columns], return_inverse=True)
+    labels, index = np.unique(full_labels[row : row + rows, column : column + columns], return_inverse=True)
     if len(labels) > MANY_REGIONS:
         remedy = "Join regions of the same material: each gets its own reflection parameters"
         found = f"{len(labels)} labels"

@@ -35,7 +35,7 @@ class DarkField:
         """The level whose exposure is nearest (in ratio); the only one where exposures are not given."""
         if exposure_s is None or self.exposures_s[0] is None:
             return self.levels[0]
-        ratios = [abs(np.log(own / exposure_s)) for own in self.exposures_s]
+        ratios = [abs(np.log(level_exposure / exposure_s)) for level_exposure in self.exposures_s]
         return self.levels[int(np.argmin(ratios))]
 
     def for_frames(self, frames: tuple[Frame, ...]) -> np.ndarray:
@@ -110,7 +110,7 @@ def _dark_problems(reader: FrameReader, exposures: tuple[float | None, ...]) -> 
     if None in exposures:
         return ()
     lit = {f.exposure_s for f in reader.capture.frames if f.role in ("sample", "check", "white") and f.exposure_s}
-    far = [t for t in sorted(lit) if all(abs(t / own - 1) > SAME_EXPOSURE for own in exposures)]
+    far = [t for t in sorted(lit) if all(abs(t / dark_exposure - 1) > SAME_EXPOSURE for dark_exposure in exposures)]
     if not far:
         return ()
     found = f"exposures {', '.join(f'{t:g} s' for t in far[:4])}"
@@ -153,8 +153,8 @@ def measure_gains(
         problems += field.problems
         if len(whites) <= 255:
             board = field.level.astype(np.float32) + darks.at(frame.exposure_s).mean(axis=(0, 1))
-            whole = np.broadcast_to(board, (len(edges[0]) - 1, len(edges[1]) - 1, len(board)))
-            count_outliers(codes, reader.table, np.ascontiguousarray(whole), *edges, DEAD, np.inf, dead)
+            expected = np.broadcast_to(board, (len(edges[0]) - 1, len(edges[1]) - 1, len(board)))
+            count_outliers(codes, reader.table, np.ascontiguousarray(expected), *edges, DEAD, np.inf, dead)
         tick(frame.file)
     defect = dead == len(whites) if len(whites) <= 255 else np.zeros(shape, bool)
     return Gains(np.stack(gains), tuple(levels.tolist()), tuple(uniformity.tolist()), defect, tuple(problems))

@@ -150,10 +150,10 @@ def _write_codes(
     if not opened:
         return np.zeros((0, 4), np.int64), []
     counts, problems = np.zeros((len(observed), 4), np.int64), []
-    whole = np.ones(size[:2], np.uint8)
+    full_mask = np.ones(size[:2], np.uint8)
     for i, (frame, codes) in enumerate(reader.read_all(observed)):
         named = reader.capture.silhouette_of(frame.view) if frame.view in outlines else None
-        inside = read_mask(named.silhouette_path).astype(np.uint8) if named else whole
+        inside = read_mask(named.silhouette_path).astype(np.uint8) if named else full_mask
         *tally, highest = count_unusable(codes, inside, reader.saturated, reader.clip)
         counts[i] = tally
         problems += view_problems(frame, counts[i], float(highest), reader, outlined=named is not None)

@@ -71,8 +71,8 @@ def measure_whites(reader: FrameReader, darks: DarkField, edges: Edges, tick: Ti
         levels.append(float(field.level.min()))
         problems += field.problems
         board = field.level.astype(np.float32) + dark.mean(axis=(0, 1))
-        whole = np.broadcast_to(board, (len(edges[0]) - 1, len(edges[1]) - 1, len(board)))
-        count_outliers(codes, reader.table, np.ascontiguousarray(whole), *edges, DEAD, np.inf, dead)
+        expected = np.broadcast_to(board, (len(edges[0]) - 1, len(edges[1]) - 1, len(board)))
+        count_outliers(codes, reader.table, np.ascontiguousarray(expected), *edges, DEAD, np.inf, dead)
         tick(frame.file)
     # a board that does not fill the picture leaves dark surroundings, which are no dead pixels
     known = np.isfinite(np.stack(gains)).all(axis=(0, 3))

@@ -26,8 +26,8 @@ def load_block(intensity, mean, usable, known, start, width, values, may, use, c
     for j in range(mean.shape[0]):
         block = slice(start, start + width)
         there = np.full(width, known[j, 0]) if shared_known else known[j, block]
-        taken = np.full(width, usable[j, 0]) if shared_usable else usable[j, block]
-        load_row(intensity[j, block], mean[j, block], there, taken, values[j], may[j], use[j], change, total)
+        is_usable = np.full(width, usable[j, 0]) if shared_usable else usable[j, block]
+        load_row(intensity[j, block], mean[j, block], there, is_usable, values[j], may[j], use[j], change, total)
     for p in range(BLOCK):
         change[p] = change[p] / total[p] if total[p] > zero else zero
 

@@ -34,10 +34,10 @@ def distrusted(stack, directions, usable, known, outputs):
     """
     halves = directions + np.array([0.0, 0.0, 1.0])
     halves /= np.maximum(np.linalg.norm(halves, axis=1, keepdims=True), 1e-12)
-    found = np.zeros(stack.shape[1], np.bool_)
+    distrust = np.zeros(stack.shape[1], np.bool_)
     normals, scalars, _, flags = outputs
-    _distrusted(stack, np.ascontiguousarray(directions), halves, usable, known, normals, scalars, flags, found)
-    return found
+    _distrusted(stack, np.ascontiguousarray(directions), halves, usable, known, normals, scalars, flags, distrust)
+    return distrust
 
 
 @njit(cache=True, error_model="numpy")
@@ -77,7 +77,7 @@ def gloss_explains(stack, directions, halves, usable, known, normal, albedo, p):
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def _distrusted(stack, directions, halves, usable, known, normals, scalars, flags, found):
+def _distrusted(stack, directions, halves, usable, known, normals, scalars, flags, distrust):
     pixels = stack.shape[1]
     for chunk in prange((pixels + CHUNK - 1) // CHUNK):
         sums = np.empty(6)
@@ -87,8 +87,8 @@ def _distrusted(stack, directions, halves, usable, known, normals, scalars, flag
                 continue
             least = condition_of(known, directions, p, sums)
             if condition > WORSE * least:
-                found[p] = True
+                distrust[p] = True
             elif condition > SOMEWHAT * least:
-                found[p] = not gloss_explains(
+                distrust[p] = not gloss_explains(
                     stack, directions, halves, usable, known, normals[p], np.float64(scalars[0, p]), p
                 )

@@ -100,10 +100,10 @@ def refine_normals(
         float(max_condition),
     )
     in_threads(lambda first, last: refine_pixels(*shared, first, last, *fields), pixels, threads)
-    found, rho, scalars, used, marks, cost = fields
+    refined, rho, scalars, used, marks, cost = fields
     albedo, sigma, condition, residual = scalars.reshape(4, *shape[1:3])
     return RefinedNormals(
-        normals=found.reshape(*shape[1:3], 3),
+        normals=refined.reshape(*shape[1:3], 3),
         reflectance=rho.reshape(*shape[1:3], channels),
         albedo=albedo,
         sigma=sigma,

@@ -175,25 +175,25 @@ def descend(y, known, lights, table, settings, floor, n, rho, rows, work):
     t, trial, equations, gradient = work[0:6], work[6:9], work[9:14], work[14:18]
     root, tolerance = np.sqrt(np.float64(rho.size)), settings[TOLERANCE]
     trial[:] = n
-    damping, before, length, refused, taken = 1e-3, 0.0, np.inf, 0, 0
+    damping, before, length, refused, accepted = 1e-3, 0.0, np.inf, 0, 0
     while True:
         predict(trial, known, lights, table, settings, floor, root, rows, t, gradient)
-        if taken == 0:
+        if accepted == 0:
             for j in range(known.size):
                 rows[W_LEVEL, j] = rows[LIT, j] / rows[VAR_LEVEL, j]
                 rows[W_COLOUR, j] = rows[LIT, j] / rows[VAR_COLOUR, j]
         strengths(y, rows, rho)
-        if taken == 0 or refused == DAMPINGS or not squares(y, rows, rho) > before * (1.0 + 1e-9):
+        if accepted == 0 or refused == DAMPINGS or not squares(y, rows, rho) > before * (1.0 + 1e-9):
             n[:] = trial
-            damping = max(0.2 * damping, 1e-6) if taken else damping
-            for _ in range(1 if taken else 2):
+            damping = max(0.2 * damping, 1e-6) if accepted else damping
+            for _ in range(1 if accepted else 2):
                 weigh(y, rows, rho, tolerance)
                 strengths(y, rows, rho)
-            if length < SETTLED or taken == int(settings[ITERATIONS]):
+            if length < SETTLED or accepted == int(settings[ITERATIONS]):
                 break
             gauss_newton(y, rows, rho, equations)
             before = squares(y, rows, rho)
-            refused, taken = 0, taken + 1
+            refused, accepted = 0, accepted + 1
         else:
             damping *= 8.0
             refused += 1

@@ -74,20 +74,20 @@ def fit_scene_gloss(
     """
     unit = radiance_unit(tiles)
     nothing = GlossProfile(np.zeros(LADDER.size), LADDER, refractive_index, unit=unit)
-    profile, found = nothing, [None] * len(tiles)
+    profile, fits = nothing, [None] * len(tiles)
     for number in range(rounds):
         if number > 0 and number == rounds - 1:
             transmission = measure_transmission(tiles, profile, **settings)
             if transmission != profile.transmission:
                 profile, nothing = (replace(p, transmission=transmission) for p in (profile, nothing))
-                found = [refined(tile, profile, **settings) for tile in tiles]
+                fits = [refined(tile, profile, **settings) for tile in tiles]
         histogram = SpecularHistogram.empty(refractive_index=refractive_index, value_unit=unit)
-        for tile, fit in zip(tiles, found, strict=True):
+        for tile, fit in zip(tiles, fits, strict=True):
             histogram = add_tile(histogram, tile, fit, profile)
         profile = fit_gloss(histogram, transmission=profile.transmission)
-        found = [refined(tile, profile, **settings) for tile in tiles]
+        fits = [refined(tile, profile, **settings) for tile in tiles]
     without = [refined(tile, nothing, **settings) for tile in tiles]
-    costs = mean_cost(tiles, found), mean_cost(tiles, without)
+    costs = mean_cost(tiles, fits), mean_cost(tiles, without)
     gain = costs[1] - costs[0]
     significant = bool(gain > WORTHWHILE)
     if not significant:

@@ -136,10 +136,10 @@ def level_parts(height, valid):
 def leftovers(height, gradients, valid, pitch):
     """RMS of p_y - q_x over the 2 x 2 squares of valid pixels, and RMS of the slope mismatch over valid neighbours."""
     along, down = gradients
-    whole = valid[:-1, :-1] & valid[:-1, 1:] & valid[1:, :-1] & valid[1:, 1:]
+    complete = valid[:-1, :-1] & valid[:-1, 1:] & valid[1:, :-1] & valid[1:, 1:]
     around = along[:-1] + down[:, 1:] - along[1:] - down[:, :-1]
-    squares = np.sum(np.square(around[whole], dtype=np.float64))
-    curl = np.sqrt(squares / max(1, np.count_nonzero(whole))) / pitch**2
+    squares = np.sum(np.square(around[complete], dtype=np.float64))
+    curl = np.sqrt(squares / max(1, np.count_nonzero(complete))) / pitch**2
     beside, below = valid[:, :-1] & valid[:, 1:], valid[:-1] & valid[1:]
     total = np.sum(np.square((np.diff(height, axis=1) - along)[beside], dtype=np.float64))
     total += np.sum(np.square((np.diff(height, axis=0) - down)[below], dtype=np.float64))

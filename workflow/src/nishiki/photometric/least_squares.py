@@ -154,11 +154,11 @@ def solve_weighted(observations, weights, products, max_condition, normals, scal
     neighbouring pixels, so that the result of a pixel does not depend on where tiles begin.
     """
     lights, pixels = observations.shape
-    whole = np.zeros(TERMS)
+    all_lights = np.zeros(TERMS)
     for j in range(lights):
         for k in range(6):
-            whole[k] += products[j, k]
-    whole_condition, whole_inverse = conditioned(whole, lights)
+            all_lights[k] += products[j, k]
+    full_condition, full_inverse = conditioned(all_lights, lights)
     for block in prange((pixels + BLOCK - 1) // BLOCK):
         start = block * BLOCK
         width = min(BLOCK, pixels - start)
@@ -191,8 +191,14 @@ def solve_weighted(observations, weights, products, max_condition, normals, scal
                 t[k] = sums[p + k * BLOCK]
             weight_sum, count = sums[p + 10 * BLOCK], sums[p + 11 * BLOCK]
             # Most pixels use every light: their matrix is the same to the last bit, and so is its inverse.
-            if count == lights and weight_sum == lights and t[0] == whole[0] and t[3] == whole[3] and t[5] == whole[5]:
-                condition, m = whole_condition, whole_inverse
+            if (
+                count == lights
+                and weight_sum == lights
+                and t[0] == all_lights[0]
+                and t[3] == all_lights[3]
+                and t[5] == all_lights[5]
+            ):
+                condition, m = full_condition, full_inverse
             else:
                 condition, m = conditioned(t, count)
             write_pixel(
@@ -201,27 +207,27 @@ def solve_weighted(observations, weights, products, max_condition, normals, scal
 
 
 @njit(cache=True, error_model="numpy")
-def matrix_of(whole, taken, products, t):
-    """The six products of the lights that `taken` (lights,) marks into t, and their number.
+def matrix_of(all_lights, selected, products, t):
+    """The six products of the lights that `selected` (lights,) marks into t, and their number.
 
     Those of all lights less those left out; where most are left out the others are added up instead, for a small rest
     of large sums would hold their rounding.
     """
     count = 0
-    for j in range(len(taken)):
-        count += taken[j] != 0
-    few = 2 * count < len(taken)
+    for j in range(len(selected)):
+        count += selected[j] != 0
+    few = 2 * count < len(selected)
     start, sign = (0.0, 1.0) if few else (1.0, -1.0)
     a, b, c, d, e, f = (
-        start * whole[0],
-        start * whole[1],
-        start * whole[2],
-        start * whole[3],
-        start * whole[4],
-        start * whole[5],
+        start * all_lights[0],
+        start * all_lights[1],
+        start * all_lights[2],
+        start * all_lights[3],
+        start * all_lights[4],
+        start * all_lights[5],
     )
-    for j in range(len(taken)):
-        w = sign if few == (taken[j] != 0) else 0.0  # no branch: which lights are left out is next to random
+    for j in range(len(selected)):
+        w = sign if few == (selected[j] != 0) else 0.0  # no branch: which lights are left out is next to random
         a += w * products[j, 0]
         b += w * products[j, 1]
         c += w * products[j, 2]
@@ -255,19 +261,19 @@ def slot_of(pattern):
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def solve_masked(observations, taken, products, max_condition, normals, scalars, lights_used, flags):
-    """Least squares on the samples that `taken` (lights, pixels) uint8 marks; otherwise as `solve_weighted`.
+def solve_masked(observations, selected, products, max_condition, normals, scalars, lights_used, flags):
+    """Least squares on the samples that `selected` (lights, pixels) uint8 marks; otherwise as `solve_weighted`.
 
-    Most samples are taken: the normal matrix is that of all lights less the few that are left out, so that only the
+    Most samples are selected: the normal matrix is that of all lights less the few that are left out, so that only the
     right-hand side and the squares are added up at every pixel. Pixels nearby leave out the same lights in few
     different ways: the inverse of each is kept, by the pattern of these lights.
     """
     lights, pixels = observations.shape
-    whole = np.zeros(TERMS)
+    all_lights = np.zeros(TERMS)
     for j in range(lights):
         for k in range(6):
-            whole[k] += products[j, k]
-    whole_condition, whole_inverse = conditioned(whole, lights)
+            all_lights[k] += products[j, k]
+    full_condition, full_inverse = conditioned(all_lights, lights)
     blocks = (pixels + BLOCK - 1) // BLOCK
     for chunk in prange((blocks + CHUNK - 1) // CHUNK):
         sums, left_out = np.empty(4 * BLOCK), np.empty(BLOCK, np.uint64)  # bit j % 64: light j
@@ -280,16 +286,16 @@ def solve_masked(observations, taken, products, max_condition, normals, scalars,
             sums[:] = 0.0
             left_out[:] = 0
             for j in range(lights):
-                row, mask = observations[j, start : start + width], taken[j, start : start + width]
+                row, mask = observations[j, start : start + width], selected[j, start : start + width]
                 x, y, z = products[j, 6], products[j, 7], products[j, 8]
                 add_masked(row, mask, x, y, z, np.uint64(1) << np.uint64(j % 64), sums, left_out)
             for p in range(width):
                 pattern = left_out[p]
-                count, condition, m = lights, whole_condition, whole_inverse
+                count, condition, m = lights, full_condition, full_inverse
                 if pattern != 0:
                     slot = slot_of(pattern)
                     if patterns[slot] != pattern or lights > 64:
-                        counts[slot] = matrix_of(whole, taken[:, start + p], products, t)
+                        counts[slot] = matrix_of(all_lights, selected[:, start + p], products, t)
                         condition, m = conditioned(t, counts[slot])
                         patterns[slot], kept[slot, 6] = pattern, condition
                         for k in range(6):

@@ -253,10 +253,10 @@ def take(chosen, source, target):
 
 @njit(cache=True, error_model="numpy")
 def any_above_zero(active):
-    found = False
+    positive = False
     for p in range(BLOCK):
-        found |= active[p] > 0.0
-    return found
+        positive |= active[p] > 0.0
+    return positive
 
 
 @njit(cache=True, error_model="numpy")

@@ -47,7 +47,7 @@ def load(observations, usable, known, index, width, scalars, normals, values, ma
         start[p + 3 * BLOCK], start[p + 4 * BLOCK], start[p + 5 * BLOCK] = 1.0, 0.0, 0.0
     first = index[0]
     neighbours = width == BLOCK and index[BLOCK - 1] == first + BLOCK - 1
-    row, there, taken = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.uint8), np.empty(BLOCK, np.uint8)
+    row, there, is_usable = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.uint8), np.empty(BLOCK, np.uint8)
     for j in range(lights):
         if neighbours and not shared_known and not shared_usable:
             block = slice(first, first + BLOCK)
@@ -57,8 +57,8 @@ def load(observations, usable, known, index, width, scalars, normals, values, ma
             q = index[p if p < width else 0]
             row[p] = observations[j, q]
             there[p] = (known[j, 0] if shared_known else known[j, q]) if p < width else 0
-            taken[p] = usable[j, 0] if shared_usable else usable[j, q]
-        load_row(row, there, taken, per_albedo, values[j], may[j], use[j])
+            is_usable[p] = usable[j, 0] if shared_usable else usable[j, q]
+        load_row(row, there, is_usable, per_albedo, values[j], may[j], use[j])
 
 
 @njit(cache=True, error_model="numpy")
@@ -76,14 +76,14 @@ def load_row(samples, known, usable, per_albedo, values, may, use):
 
 @njit(cache=True, error_model="numpy")
 def fit_block(
-    values, known, usable, vectors, start, squarings, held, noise, reselections, at_least, active, result, own, work
+    values, known, usable, vectors, start, squarings, held, noise, reselections, at_least, active, result, buffers, work
 ):
     """Fit, choose the samples again, fit again; values relative to the Lambertian albedo.
 
     result (fit, surface, sums, weights, kept): kept (BLOCK,) float32 samples, with weight 1, of the last fit.
     """
     fit, surface, sums, weights, kept = result
-    spare, limit, more, going = own
+    spare, limit, more, going = buffers
     one = np.float32(1.0)
     fit[:] = start
     weights[:] = usable
@@ -139,7 +139,7 @@ def refine(
         values, known_here = np.empty((lights, BLOCK), np.float32), np.empty((lights, BLOCK), np.float32)
         use, spare = np.empty_like(values), np.empty_like(values)
         start, held, active, variance = np.zeros(FIT * BLOCK), np.zeros(BLOCK), np.zeros(BLOCK), np.zeros(BLOCK)
-        own = (spare, np.zeros(BLOCK, np.float32), np.zeros(BLOCK, np.float32), np.zeros(BLOCK))
+        buffers = (spare, np.zeros(BLOCK, np.float32), np.zeros(BLOCK, np.float32), np.zeros(BLOCK))
         per_scale, score = np.zeros(BLOCK, np.float32), np.zeros(BLOCK, np.float32)
         record, lower = np.zeros(BLOCK, np.float32), np.zeros(BLOCK)
         chosen = np.zeros(BLOCK, np.int64)
@@ -173,7 +173,7 @@ def refine(
             for k in range(low, high + 1):
                 fit_block(
                     values, known_here, use, vectors, start, k, held, noise, reselections, at_least, active, result,
-                    own, work,
+                    buffers, work,
                 )  # fmt: skip
                 if high > low:
                     disagreement(values, known_here, vectors, result[1], k, per_scale, score)
@@ -230,9 +230,9 @@ def store(index, width, best, variance, matrix, max_condition, normals, scalars,
         diffuse = fit[i + 3 * BLOCK] + fit[i + 4 * BLOCK] * sums[i + 10 * BLOCK] / max(sums[i + 9 * BLOCK], 1e-30)
         squares = np.float64(sums[i + 20 * BLOCK])
         residual = np.sqrt(squares / kept) * albedo
-        told = variance[i] > 0.0 and kept > 5.0 and residual <= LARGEST  # false for NaN
+        determined = variance[i] > 0.0 and kept > 5.0 and residual <= LARGEST  # false for NaN
         stored[0, i] = np.float32(0.0)
-        if not (told and LEAST_ALBEDO <= diffuse * albedo <= LARGEST):
+        if not (determined and LEAST_ALBEDO <= diffuse * albedo <= LARGEST):
             flags[p] |= bits.FALLBACK
             continue
         stored[0, i] = np.float32(1.0)

@@ -47,16 +47,16 @@ class NormalField:
     @property
     def diagnostics(self):
         """Counts of flagged pixels and medians over the valid ones, as plain numbers."""
-        found = self.valid
+        valid = self.valid
         middle = {
-            name: float(np.median(getattr(self, name)[found])) if found.any() else 0.0
+            name: float(np.median(getattr(self, name)[valid])) if valid.any() else 0.0
             for name in ("sigma", "condition", "residual", "lights_used")
         }
         counted = {name: int(((self.flags & bit) != 0).sum()) for bit, name in bits.NAMES.items()}
         return {
             "solver": self.solver,
             "pixels": int(self.flags.size),
-            "valid_pixels": int(found.sum()),
+            "valid_pixels": int(valid.sum()),
             **{f"median_{name}": value for name, value in middle.items()},
             **{f"flagged_{name}": count for name, count in counted.items()},
         }

@@ -37,8 +37,8 @@ class ComponentWriter:
             ("specular", len(channels), np.float32),
             ("valid", 1, np.uint8),
         ):
-            whole = (count, *shape, depth)
-            group.create_array(name, whole, (1, *whole[1:]), dtype, compression="zstd")
+            full_shape = (count, *shape, depth)
+            group.create_array(name, full_shape, (1, *full_shape[1:]), dtype, compression="zstd")
         group.update(
             format=FORMAT,
             views=list(views),

@@ -85,11 +85,11 @@ def _angles(states: tuple[str, ...]) -> np.ndarray:
 
 def _linear(states: tuple[str, ...], angles: np.ndarray) -> StateSums:
     """a + b cos 2(psi - psi0) = a + c cos 2 psi + s sin 2 psi, linear in a, c, s."""
-    told = tuple((float(angle),) for angle in angles)
+    reported_angles = tuple((float(angle),) for angle in angles)
     distinct = np.unique(np.round(np.remainder(angles, 180.0), 6))
     if len(distinct) == 2 and abs(abs(distinct[1] - distinct[0]) - 90) <= NEARLY:
         groups = np.isclose(np.remainder(angles, 180.0)[None], distinct[:, None], atol=1e-5)
-        return _plain("crossed", states, groups / groups.sum(axis=1, keepdims=True), angles_deg=told)
+        return _plain("crossed", states, groups / groups.sum(axis=1, keepdims=True), angles_deg=reported_angles)
     psi = np.radians(equal_steps(angles))
     design = np.column_stack([np.ones(len(psi)), np.cos(2 * psi), np.sin(2 * psi)])
     sizes = np.linalg.svd(design, compute_uv=False)
@@ -101,14 +101,21 @@ def _linear(states: tuple[str, ...], angles: np.ndarray) -> StateSums:
         )
     inverse = np.linalg.pinv(design)
     return StateSums(
-        "linear", states, inverse, float(sizes[0] / sizes[-1]), design, inverse, angles_deg=told, used=len(states)
+        "linear",
+        states,
+        inverse,
+        float(sizes[0] / sizes[-1]),
+        design,
+        inverse,
+        angles_deg=reported_angles,
+        used=len(states),
     )
 
 
 def _series(states, angles, generator, analyser, method) -> StateSums:
     calibrated = generator is not None and analyser is not None
     steps = np.column_stack([equal_steps(angles[:, 0]), equal_steps(angles[:, 1])])
-    told = tuple(map(tuple, steps.tolist()))
+    reported_angles = tuple(map(tuple, steps.tolist()))
     parallel, crossed = _pairs(steps)
     if method == "pairs" or (method == "auto" and not calibrated and parallel.any()):
         if calibrated and (generator.retardance is not None or analyser.retardance is not None):
@@ -116,20 +123,22 @@ def _series(states, angles, generator, analyser, method) -> StateSums:
         if not parallel.any():
             raise UserError("polariser states: no generator angle has both its parallel and its crossed analyser")
         weights = np.stack([_each_generator(steps[:, 0], chosen) for chosen in (parallel, crossed)])
-        return _plain("pairs", states, weights, angles_deg=told)
+        return _plain("pairs", states, weights, angles_deg=reported_angles)
     design = design_matrix(generator or Arm(), analyser or Arm(), np.radians(steps))
-    found = solvable(design)
-    if found is None or found[1] > MOST_CONDITION:
+    solution = solvable(design)
+    if solution is None or solution[1] > MOST_CONDITION:
         raise UserError(
             f"{len(states)} generator/analyser states determine neither parallel and crossed images nor the Mueller "
             "matrix. "
             "Remedy: for some generator angles photograph the same analyser angle and the one 90 degrees from it"
         )
-    elements, condition = found
+    elements, condition = solution
     part = design[:, elements]
     inverse = np.linalg.pinv(part)
     places = [elements.index(k) for k in (0, 5, 10)]
-    return StateSums("mueller", states, inverse[places], condition, part, inverse, elements, told, used=len(states))
+    return StateSums(
+        "mueller", states, inverse[places], condition, part, inverse, elements, reported_angles, used=len(states)
+    )
 
 
 def _pairs(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -144,7 +153,7 @@ def _pairs(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _each_generator(generators: np.ndarray, chosen: np.ndarray) -> np.ndarray:
     """(states,) weights of the mean over generator angles of the mean over the chosen states of each."""
     generators = np.round(np.remainder(generators, 180), 6)
-    found = np.unique(generators[chosen])
-    counts = np.array([(chosen & (generators == angle)).sum() for angle in found])
-    places = np.searchsorted(found, generators)
-    return np.array([1 / (counts[k] * len(found)) if c else 0.0 for k, c in zip(places, chosen, strict=True)])
+    angles = np.unique(generators[chosen])
+    counts = np.array([(chosen & (generators == angle)).sum() for angle in angles])
+    places = np.searchsorted(angles, generators)
+    return np.array([1 / (counts[k] * len(angles)) if c else 0.0 for k, c in zip(places, chosen, strict=True)])

@@ -19,13 +19,13 @@ class Thinned:
         self.step = 1
         while -(-shape[0] // self.step) * -(-shape[1] // self.step) * channels > MOST_VALUES:
             self.step += 1
-        self.wanted = sums.design.shape[1] > 0
+        self.has_fit = sums.design.shape[1] > 0
         self.values: list[np.ndarray] = []
         self.valid: np.ndarray | None = None
 
     def add(self, values: np.ndarray, valid: np.ndarray) -> None:
         """The next photograph."""
-        if not self.wanted:
+        if not self.has_fit:
             return
         some = valid[:: self.step, :: self.step]
         self.valid = some.copy() if self.valid is None else self.valid & some
@@ -48,7 +48,7 @@ def diagnose(sums: StateSums, thinned: Thinned) -> dict:
     3 x 3 other elements (2 x 2 where only linear polarisation is known), 1 for a mirror, 0 where all polarisation is
     lost. pixels_used: of the choice.
     """
-    if not thinned.wanted:
+    if not thinned.has_fit:
         return {}
     count, total, left, sums_of_solved, ratios = 0, 0.0, 0.0, 0.0, []
     inner = [place for place, k in enumerate(sums.elements) if k % 4 and k // 4]
@@ -62,7 +62,7 @@ def diagnose(sums: StateSums, thinned: Thinned) -> dict:
             ratios.append(np.sqrt((solved[inner][:, lit] ** 2).sum(axis=0) / np.sqrt(len(inner))) / solved[0, lit])
     if not count:
         return {"residual": None, "pixels_used": 0}
-    told: dict = {
+    diagnostics: dict = {
         "residual": float(np.sqrt(left / count) / (total / count)) if total > 0 else None,
         "pixels_used": int(thinned.valid.sum()),
     }
@@ -70,6 +70,6 @@ def diagnose(sums: StateSums, thinned: Thinned) -> dict:
         mean = np.zeros(16)
         mean[list(sums.elements)] = sums_of_solved
         known = np.concatenate(ratios)
-        told["mueller"] = (mean / mean[0]).reshape(4, 4).tolist() if mean[0] > 0 else None
-        told["polarisance_median"] = float(np.median(known)) if known.size else None
-    return told
+        diagnostics["mueller"] = (mean / mean[0]).reshape(4, 4).tolist() if mean[0] > 0 else None
+        diagnostics["polarisance_median"] = float(np.median(known)) if known.size else None
+    return diagnostics

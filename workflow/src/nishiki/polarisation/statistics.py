@@ -54,11 +54,11 @@ def noise_of(values: np.ndarray, valid: np.ndarray) -> float | None:
         return None
     along = values[:, :-2] - 2 * values[:, 1:-1] + values[:, 2:]
     both = along[:-2] - 2 * along[1:-1] + along[2:]
-    whole = np.ones(both.shape[:2], bool)
+    complete = np.ones(both.shape[:2], bool)
     for row in range(3):
         for column in range(3):
-            whole &= valid[row : row + whole.shape[0], column : column + whole.shape[1]]
-    if not whole.any():
+            complete &= valid[row : row + complete.shape[0], column : column + complete.shape[1]]
+    if not complete.any():
         return None
     # Weights (1, -2, 1) x (1, -2, 1) have a sum of squares of 36; 0.6745 is the median of |N(0, 1)|.
-    return float(np.median(np.abs(both[whole])) / 0.6745 / 6)
+    return float(np.median(np.abs(both[complete])) / 0.6745 / 6)

@@ -116,9 +116,9 @@ def brightening(linear: np.ndarray) -> float:
     top = float(np.percentile(green, 99.5)) if green.size else 1.0
     if not 0 < top < 0.5:
         return 1.0
-    wanted = 0.85 / top
-    power = 10.0 ** np.floor(np.log10(wanted))
-    return float(max(power * step for step in (1, 1.5, 2, 3, 5, 7) if power * step <= wanted))
+    factor = 0.85 / top
+    power = 10.0 ** np.floor(np.log10(factor))
+    return float(max(power * step for step in (1, 1.5, 2, 3, 5, 7) if power * step <= factor))
 
 
 def brightened(factor: float) -> str:

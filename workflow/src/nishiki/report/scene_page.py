@@ -75,7 +75,7 @@ def closing_sections(
 ) -> list[Section]:
     """The last four sections. left_out : of the plan, name to reason."""
     there = [name for name in stages if name in inputs]
-    told = {name: inputs[name].diagnostics for name in there}
+    diagnostics = {name: inputs[name].diagnostics for name in there}
     rows = [row for name in there for row in conditions(inputs[name].manifest, stages[name].limits)]
     made = (
         "Each stage below left one artifact, named by a key over its settings and inputs. Settings that differ from "
@@ -84,7 +84,7 @@ def closing_sections(
     )
     return [
         Section("left-out", "What was read and what was left out, and why",
-                [*left_out_blocks(left_out, told), *more_left_out], "Left out"),
+                [*left_out_blocks(left_out, diagnostics), *more_left_out], "Left out"),
         Section("conditions", "Conditions and flags", [Table(
             ("Stage", "figure", "value", "expected", "state"), rows, "lwrll",
             "Condition numbers, flagged shares and errors of every stage, with the limits beyond which a run stops "
@@ -118,8 +118,8 @@ def left_out_blocks(left_out: Mapping[str, str], diagnostics: Mapping[str, Mappi
         (stage, what.replace("_", " "), *(entry.get(name) for name in ("decision", "criterion")),
          *("" if entry.get(name) is None else entry[name] for name in ("measured", "limit")),
          *(entry.get(name) for name in ("loss", "override")))
-        for stage, told in diagnostics.items()
-        for what, entry in (told.get("economy") or {}).items()
+        for stage, reported in diagnostics.items()
+        for what, entry in (reported.get("economy") or {}).items()
     ]  # fmt: skip
     if decided:
         head = ("stage", "what", "decision", "criterion", "measured", "limit", "loss", "to decide otherwise")

@@ -178,7 +178,7 @@ class Stage:
     lacks: Callable[[SceneFacts, Closed], str | None] = lambda facts, settings: None
     needs_colour: bool = False
     looks_at: Parts = lambda facts, settings, asked: ()
-    filled: Callable[[Closed, Closed], dict[str, Any]] = lambda own, settings: {}
+    filled: Callable[[Closed, Closed], dict[str, Any]] = lambda block, settings: {}
     libraries: tuple[str, ...] = ("numpy", "numba", "zarr")
     idle: Mapping[str, Reason] = field(default_factory=dict)
     deliverables: tuple[str, ...] = ()
@@ -218,16 +218,16 @@ def no_method(facts: SceneFacts, settings: Any) -> str | None:
 
 def poses_of(facts: SceneFacts, settings: SceneSettings) -> str:
     """What gives the poses: matrices, boards or correspondences (see the stage cameras)."""
-    wanted = settings["cameras"].source
+    source = settings["cameras"].source
     there = [name for name in ("matrices", "boards", "correspondences") if name in facts.given]
-    return wanted if wanted != "auto" else next(iter(there), "")
+    return source if source != "auto" else next(iter(there), "")
 
 
 def surface_of(facts: SceneFacts, settings: SceneSettings) -> str:
     """Where the surface comes from: file, scans or silhouettes (see the stage mesh)."""
-    wanted = settings["mesh"].source
+    source = settings["mesh"].source
     there = [name for name, part in (("file", "mesh"), ("scans", "scans")) if facts.parts.get(part)]
-    return wanted if wanted != "auto" else next(iter(there), "silhouettes")
+    return source if source != "auto" else next(iter(there), "silhouettes")
 
 
 def photographs_or_states(facts: SceneFacts, settings: SceneSettings, asked: Asked) -> tuple[str, ...]:

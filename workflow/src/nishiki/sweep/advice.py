@@ -19,13 +19,13 @@ def advice(
     best = [points[k] for k in front(points)]
     winners, clear = beaten_by(default, [point for point in points if point is not default])
     winners = winners[:2]
-    said = [_standing(default, winners, clear, unit, higher, axis)]
+    sentences = [_standing(default, winners, clear, unit, higher, axis)]
     rest = [point for point in best if point not in winners]
-    said += _faster(default, rest, unit, higher, axis)
-    said += _better(default, rest, unit, higher, axis, last_word=not winners)
+    sentences += _faster(default, rest, unit, higher, axis)
+    sentences += _better(default, rest, unit, higher, axis, last_word=not winners)
     if paper is not None and paper is not default:
-        said.append(f"The paper's method ({paper.name}): {compared(paper, default, unit, higher, axis)}.")
-    return said
+        sentences.append(f"The paper's method ({paper.name}): {compared(paper, default, unit, higher, axis)}.")
+    return sentences
 
 
 def _standing(default: Point, winners: list[Point], clear: bool, unit: str, higher: bool, axis: str) -> str:

@@ -10,7 +10,7 @@ from nishiki.sweep.plot import AXES, Mark, plot
 from nishiki.sweep.settings import MeasureSettings, SweepSettings
 from nishiki.sweep.summary import VariantRow
 
-SAID_OF_AXES = {"seconds": "time", "cpu_seconds": "CPU time"}
+AXIS_NAMES = {"seconds": "time", "cpu_seconds": "CPU time"}
 BUSY = 1.0
 """Load before a repeat from which the machine counts as in use by others, in processes waiting or running."""
 
@@ -26,13 +26,13 @@ def scene_content(
 ) -> dict[str, Any]:
     """Everything about one scene of a sweep. rows : all variants, errors in the order of `measures`."""
     fronts = [_front(rows, points_of(rows, k, measure, axis)) for k, measure in enumerate(measures)]
-    rows = [replace(row, ahead=tuple(number in found for found in fronts)) for number, row in enumerate(rows)]
+    rows = [replace(row, ahead=tuple(number in indices for indices in fronts)) for number, row in enumerate(rows)]
     return {
         "scene": scene,
         "counted": list(counted),
         "evaluation": evaluation,
         "axis": axis,
-        "measures": [said_of(measure) for measure in measures],
+        "measures": [labelled(measure) for measure in measures],
         "machines": sorted({machine for row in rows for machine in row.machines}),
         "load": max((row.load for row in rows), default=0.0),
         "busy": any(row.load >= BUSY for row in rows),
@@ -42,7 +42,7 @@ def scene_content(
     }
 
 
-def said_of(measure: MeasureSettings) -> dict[str, str]:
+def labelled(measure: MeasureSettings) -> dict[str, str]:
     """A measure for the page."""
     return {**measure.model_dump(mode="json"), "label": measure.label or measure.path}
 
@@ -75,22 +75,22 @@ def _plot(scene, rows: list[VariantRow], number: int, measure: MeasureSettings, 
         )
         for row in rows
     ]
-    said = said_of(measure)
-    label = said["label"] + (f", {measure.unit}" if measure.unit else "")
+    entry = labelled(measure)
+    label = entry["label"] + (f", {measure.unit}" if measure.unit else "")
     svg = plot(
         marks,
         best,
         x_label=AXES[axis],
         y_label=label,
         higher=measure.better == "higher",
-        title=f"{said['label']} against {SAID_OF_AXES[axis]}, {scene}",
+        title=f"{entry['label']} against {AXIS_NAMES[axis]}, {scene}",
     )
     return {"file": f"{scene}.svg" if number == 0 else f"{scene}-{number + 1}.svg", "svg": svg}
 
 
 def _kind(row: VariantRow) -> str:
-    said = {"default": row.default, "paper": row.paper, "peer": row.peer, "apart": row.apart}
-    return next((kind for kind, meant in said.items() if meant), "")
+    entry = {"default": row.default, "paper": row.paper, "peer": row.peer, "apart": row.apart}
+    return next((kind for kind, meant in entry.items() if meant), "")
 
 
 def _tip(row: VariantRow, number: int, measure: MeasureSettings) -> str:
@@ -108,7 +108,7 @@ def _advice(rows: list[VariantRow], number: int, measure: MeasureSettings, axis:
     paper = next((point for point, row in zip(points, rows, strict=True) if row.paper), None)
     higher = measure.better == "higher"
     points = [point for point, row in zip(points, rows, strict=True) if not row.apart]
-    return advice(points, default, paper=paper, unit=measure.unit, higher=higher, axis=SAID_OF_AXES[axis])
+    return advice(points, default, paper=paper, unit=measure.unit, higher=higher, axis=AXIS_NAMES[axis])
 
 
 def sweep_content(name: str, title: str, version: str, settings: SweepSettings, scenes: list[dict]) -> dict[str, Any]:

@@ -27,21 +27,21 @@ def expand(sweep: SweepSettings, *, stages: Collection[str], where: str) -> list
     """
     if not sweep.vary and not sweep.variants:
         raise UserError(f"{where}: nothing to vary; give `vary` (setting: values) or `variants` (name: settings)")
-    found = [Variant(AS_CONFIGURED, {}), *_grid(sweep, stages)]
-    found += [
+    variants = [Variant(AS_CONFIGURED, {}), *_grid(sweep, stages)]
+    variants += [
         Variant(name, nested(settings, sweep.stage, stages, f"{where}: variants.{name}"))
         for name, settings in sweep.variants.items()
     ]
-    names = [variant.name for variant in found]
+    names = [variant.name for variant in variants]
     for name in names:
         if names.count(name) > 1:
             raise UserError(f"{where}: two variants are called {name!r}; rename the one under `variants`")
     roles = {"default": (sweep.default,) if sweep.default else (), "paper": (sweep.paper,) if sweep.paper else ()}
-    for key, wanted in {**roles, "peers": sweep.peers, "apart": sweep.apart}.items():
-        for name in wanted:
+    for key, named in {**roles, "peers": sweep.peers, "apart": sweep.apart}.items():
+        for name in named:
             if name not in names:
                 raise UserError(f"{where}: {key} names no variant {name!r}; variants: {', '.join(names)}")
-    return found
+    return variants
 
 
 def _grid(sweep: SweepSettings, stages: Collection[str]) -> list[Variant]:

@@ -25,13 +25,13 @@ def front(points: Sequence[Point]) -> list[int]:
     A point is beaten by one that is at least as good in time and loss and better in one of them. O(n log n).
     """
     order = sorted(range(len(points)), key=lambda k: (points[k].time, points[k].loss))
-    found: list[int] = []
+    indices: list[int] = []
     for k in order:
-        best = points[found[-1]] if found else None
+        best = points[indices[-1]] if indices else None
         equal = best is not None and (best.time, best.loss) == (points[k].time, points[k].loss)
         if best is None or points[k].loss < best.loss or equal:
-            found.append(k)
-    return found
+            indices.append(k)
+    return indices
 
 
 def beaten_by(point: Point, others: Sequence[Point]) -> tuple[list[Point], bool]:
@@ -39,12 +39,12 @@ def beaten_by(point: Point, others: Sequence[Point]) -> tuple[list[Point], bool]
 
     Clearly: it is faster beyond the spread of the repeats, or its loss is lower by more than NEGLIGIBLE.
     """
-    found = [
+    better = [
         other
         for other in others
         if other.time <= point.time
         and other.loss <= point.loss
         and (other.time, other.loss) != (point.time, point.loss)
     ]
-    clear = any(other.high < point.low or point.loss - other.loss > NEGLIGIBLE * abs(point.loss) for other in found)
-    return sorted(found, key=lambda other: (other.loss, other.time)), clear
+    clear = any(other.high < point.low or point.loss - other.loss > NEGLIGIBLE * abs(point.loss) for other in better)
+    return sorted(better, key=lambda other: (other.loss, other.time)), clear

@@ -54,19 +54,19 @@ def values_of(
     settings : of the variant, by stage, for {stage.setting} in the path. Empty where no source has the path.
     """
     path = re.sub(r"\{([a-z_.]+)\}", lambda match: str(_at(settings, match[1].split("."))), measure.path)
-    return next((found for source in sources if (found := _values(source, path.split(".")))), {})
+    return next((values for source in sources if (values := _values(source, path.split(".")))), {})
 
 
-def compared(found: dict[str, dict[tuple[str, ...], float]]) -> dict[str, float | None]:
+def compared(by_variant: dict[str, dict[tuple[str, ...], float]]) -> dict[str, float | None]:
     """One figure for each variant: the mean over what all variants have, so that all are judged on the same.
 
-    found : figures of each variant, as `values_of` gives them. None for a variant that has none, or none in common.
+    by_variant : figures, as `values_of` gives them. None for a variant that has none, or none in common.
     """
-    holders = [set(values) for values in found.values() if values]
+    holders = [set(values) for values in by_variant.values() if values]
     common = sorted(set.intersection(*holders)) if holders else []
     return {
         name: math.fsum(values[key] for key in common) / len(common) if values and common else None
-        for name, values in found.items()
+        for name, values in by_variant.items()
     }
 
 
@@ -89,8 +89,8 @@ def _values(block: Any, parts: list[str], stars: tuple[str, ...] = ()) -> dict[t
         return {}
     if parts[0] != "*":
         return _values(block[parts[0]], parts[1:], stars) if parts[0] in block else {}
-    found = [_values(item, parts[1:], (*stars, str(key))) for key, item in block.items()]
-    return {key: value for values in found for key, value in values.items()}
+    parts_below = [_values(item, parts[1:], (*stars, str(key))) for key, item in block.items()]
+    return {key: value for values in parts_below for key, value in values.items()}
 
 
 def paths_in(block: Any, prefix: str = "") -> list[str]:

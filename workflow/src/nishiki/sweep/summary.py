@@ -68,23 +68,23 @@ def variant_row(
     apart: bool = False,
 ) -> VariantRow:
     """Row of one variant. records : by counted stage, one for each repeat; the same number for every stage."""
-    numbers = range(min((len(found) for found in records.values()), default=0))
-    everything = [record for found in records.values() for record in found]
+    numbers = range(min((len(runs) for runs in records.values()), default=0))
+    everything = [record for runs in records.values() for record in runs]
     different = {f"{record['stage']}: {name}" for record in everything for name in record["different"]}
     return VariantRow(
         name=name,
         names=tuple(names),
         changes=tuple(changes),
         errors=tuple(errors),
-        times={time: Spread.of([sum(found[k][time] for found in records.values()) for k in numbers]) for time in TIMES},
+        times={time: Spread.of([sum(runs[k][time] for runs in records.values()) for k in numbers]) for time in TIMES},
         stages={
-            stage: {time: Spread.of([record[time] for record in found]) for time in TIMES}
-            for stage, found in records.items()
+            stage: {time: Spread.of([record[time] for record in runs]) for time in TIMES}
+            for stage, runs in records.items()
         },
         peak_memory_mib=max(
-            (median(record["peak_memory_mib"] for record in found) for found in records.values()), default=0.0
+            (median(record["peak_memory_mib"] for record in runs) for runs in records.values()), default=0.0
         ),
-        bytes=sum(found[0]["bytes"] for found in records.values()),
+        bytes=sum(runs[0]["bytes"] for runs in records.values()),
         repeats=len(numbers),
         reproducible=all(record["same"] for record in everything),
         different=tuple(sorted(different)),

@@ -62,10 +62,10 @@ def residuals(p, rows, split, y, weight, shared, reading, work, out):
 @njit(cache=True, nogil=True, error_model="numpy")
 def costs(points, rows, split, y, weight, shared, reading):
     """Sum of squares (points,) at every row of points (points, UNKNOWNS)."""
-    work, out, found = np.empty((y.size, 2)), np.empty(y.size), np.empty(len(points))
+    work, out, sums = np.empty((y.size, 2)), np.empty(y.size), np.empty(len(points))
     for k in range(len(points)):
-        found[k] = residuals(points[k], rows, split, y, weight, shared, reading, work, out)
-    return found
+        sums[k] = residuals(points[k], rows, split, y, weight, shared, reading, work, out)
+    return sums
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -151,9 +151,9 @@ def descend(p, low, high, free, rows, split, y, weight, shared, reading, rounds,
         gained = 0.0
         while damping < 1e10:
             q = _step(p, low, high, free, normal, gradient, scale, damping)
-            found = residuals(q, rows, split, y, weight, shared, reading, work, trial)
-            if found < cost:
-                gained, p, damping = cost - found, q, max(damping * 0.2, 1e-12)
+            tried = residuals(q, rows, split, y, weight, shared, reading, work, trial)
+            if tried < cost:
+                gained, p, damping = cost - tried, q, max(damping * 0.2, 1e-12)
                 break
             damping *= 4.0
         if gained <= tolerance * cost or gained == 0.0:

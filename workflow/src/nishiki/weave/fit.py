@@ -117,12 +117,12 @@ def fit_weave(
     problem, p, cost = best
     model = model_of(p, weft, warp, reading, lobe)
     variance = noise_variance(problem, cost)
-    found = profile_intervals(problem, p, cost, confidence=confidence, variance=variance) if intervals else {}
+    ranges = profile_intervals(problem, p, cost, confidence=confidence, variance=variance) if intervals else {}
     return WeaveFit(
         model=model,
         rms_rel={name: _rms(model, name, plane) for name, plane in (("weft", weft), ("warp", warp))},
         variance=variance,
-        intervals=found,
+        intervals=ranges,
         identifiability=_identifiability(model, weft, warp, problem, variance),
         at_bounds=at_bounds(p, problem.free),
     )

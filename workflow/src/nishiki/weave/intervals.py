@@ -20,12 +20,12 @@ def profile_intervals(problem: Problem, p, cost: float, *, confidence: float, va
     """name -> (low, high) of every unknown, as it is reported: theta_a, contact (radians), a_weft, a_warp (the lobes'
     widths), index, flank_weft, flank_warp = l / (l + a), flat_warp and contacts_weft, the flat top's and the contacts'
     share of the section's length."""
-    found = {}
+    ranges = {}
     for at in problem.free:
         ends = profile_interval(problem, p, cost, int(at), confidence=confidence, variance=variance)
         name, form = _reported(int(at))
-        found[name] = tuple(sorted(float(form(end)) for end in ends))
-    return found
+        ranges[name] = tuple(sorted(float(form(end)) for end in ends))
+    return ranges
 
 
 def _reported(at: int):
@@ -60,20 +60,20 @@ def profile_interval(problem: Problem, p, cost: float, at: int, *, confidence: f
         for _ in range(WIDENINGS):
             value = inside + sign * step
             value = max(value, limit) if sign < 0 else min(value, limit)
-            found = _held(problem, best, at, value, rest, edges, low, high)
-            if found[1] > allowed:
+            optimum = _held(problem, best, at, value, rest, edges, low, high)
+            if optimum[1] > allowed:
                 outside = value
                 break
-            inside, best, step = value, found[0], 3.0 * step
+            inside, best, step = value, optimum[0], 3.0 * step
             if value == limit:
                 break
         for _ in range(HALVINGS if outside is not None else 0):
             value = 0.5 * (inside + outside)
-            found = _held(problem, best, at, value, rest, edges, low, high)
-            if found[1] > allowed:
+            optimum = _held(problem, best, at, value, rest, edges, low, high)
+            if optimum[1] > allowed:
                 outside = value
             else:
-                inside, best = value, found[0]
+                inside, best = value, optimum[0]
         ends.append(float(inside))
     return ends[0], ends[1]
 
@@ -91,9 +91,9 @@ def _held(problem: Problem, p, at, value, rest, edges, low, high):
         move = -1 if theta_a <= ends[0] + 1e-9 else 1 if theta_a >= ends[1] - 1e-9 else 0
         if move and 0 <= cell[k] + move < len(edges[k]) - 1:
             cell[k] += move
-            found = _in(problem, best[0], rest, edges, cell, low, high)
-            if found[1] < best[1]:
-                best = found
+            optimum = _in(problem, best[0], rest, edges, cell, low, high)
+            if optimum[1] < best[1]:
+                best = optimum
             else:
                 cell[k] -= move
     return best

@@ -24,7 +24,7 @@ from math import atan2, cos, erfc, exp, pi, sin, sqrt, tan
 import numpy as np
 from numba import njit
 
-from nishiki.weave.visibility import HALF_PI, share_seen, side_lengths
+from nishiki.weave.visibility import HALF_PI, side_lengths, visible_share
 
 PARAMETERS = ("theta_a", "flank", "humps", "log_width", "contact")  # of one plane; see shape_of
 PLANES = ("weft", "warp")  # 0, 1
@@ -73,8 +73,8 @@ def lobe(x, width, kind):
 def lobe_integral(low, high, width, kind):
     """Integral of the lobe over low..high, never negative: on one side of the middle a difference of tails."""
     if low < 0.0 and high > 0.0:
-        whole = width * sqrt(pi) if kind == GAUSS else width * (1.0 + width * width) * HALF_PI
-        return whole - _beyond(high, width, kind) - _beyond(-low, width, kind)
+        total = width * sqrt(pi) if kind == GAUSS else width * (1.0 + width * width) * HALF_PI
+        return total - _beyond(high, width, kind) - _beyond(-low, width, kind)
     near, far = (low, high) if low >= 0.0 else (-high, -low)
     return max(_beyond(near, width, kind) - _beyond(far, width, kind), 0.0)
 
@@ -143,7 +143,7 @@ def _plane_factor(shape, width, reading, above, i, r, half):
     if i == 0.0 and r == 0.0 and half == 0.0:
         return 1.0, 1.0
     if reading < SHADED:
-        seen = share_seen(shape, i, r)
+        seen = visible_share(shape, i, r)
         return lobe(half, width, reading % 2) * seen, seen
     a, b, c, d = pieces(shape, width, width, reading % 2, i, r, half)
     gloss = (a + c) / above[0] if above[0] > TINY else 0.0

@@ -96,12 +96,12 @@ def _in_plane(directions: np.ndarray, axis: int) -> np.ndarray:
     return (aside < np.radians(PLANE_DEG)) & (along < np.radians(GRAZING_DEG))
 
 
-def _interpolated(reflectances, axis, region, view, found: int) -> tuple[np.ndarray, np.ndarray]:
+def _interpolated(reflectances, axis, region, view, views: int) -> tuple[np.ndarray, np.ndarray]:
     """Angles and values (n, channels) of one plane from the hemisphere; one side where both are equal."""
     if reflectances.basic is None or not len(view):
         raise UserError(
             f"weave: expected {LEAST} views along the {('weft', 'warp')[axis]} with the light along the normal, found "
-            f"{found}. Remedy: measure them, or run reflectance so that the hemisphere is interpolated."
+            f"{views}. Remedy: measure them, or run reflectance so that the hemisphere is interpolated."
         )
     theta = np.arctan2(np.hypot(view[:, 0], view[:, 1]), view[:, 2])
     last = min(float(theta.max()), np.radians(87.0))

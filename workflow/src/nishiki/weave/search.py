@@ -81,8 +81,11 @@ def in_cell(low, high, edges, plane: int, cell: int):
 
 def starts(edges: np.ndarray, plane: int, start: np.ndarray, free_contact: bool) -> np.ndarray:
     """The coarse table (cells, points, UNKNOWNS) of one plane; the other plane's unknowns as in `start`."""
-    own = start[plane * SIZE : (plane + 1) * SIZE]
-    humps, contacts = (TABLE["humps"] if own[2] > 0 else own[2:3]), (CONTACTS if free_contact else own[4:5])
+    unknowns = start[plane * SIZE : (plane + 1) * SIZE]
+    humps, contacts = (
+        (TABLE["humps"] if unknowns[2] > 0 else unknowns[2:3]),
+        (CONTACTS if free_contact else unknowns[4:5]),
+    )
     grid = np.meshgrid(TABLE["flank"], humps, np.log(TABLE["width"]), contacts, indexing="ij")
     rows = np.stack([g.ravel() for g in grid], axis=-1)
     out = np.broadcast_to(start, (len(edges) - 1, len(rows), UNKNOWNS)).copy()
@@ -102,9 +105,9 @@ def search_plane(problem: Problem, plane: int, start: np.ndarray, *, alone: bool
     data, (low, high) = (part if alone else problem).data, bounds()
     edges = problem.edges(plane)
     table = starts(edges, plane, start, plane * SIZE + 4 in part.free)
-    found = costs(table.reshape(-1, UNKNOWNS), *data).reshape(table.shape[:2])
-    order = np.argsort(found, axis=1, kind="stable")[:, :STARTS]
-    running = [(found[cell, k], cell, table[cell, k]) for cell in range(len(table)) for k in order[cell]]
+    sums = costs(table.reshape(-1, UNKNOWNS), *data).reshape(table.shape[:2])
+    order = np.argsort(sums, axis=1, kind="stable")[:, :STARTS]
+    running = [(sums[cell, k], cell, table[cell, k]) for cell in range(len(table)) for k in order[cell]]
     for left, rounds in HALVING if alone else AGAIN:
         running = sorted(running, key=lambda item: item[:2])[:left]
         ended = []
@@ -129,10 +132,10 @@ def search(problem: Problem, start: np.ndarray) -> tuple[np.ndarray, float]:
     p, cost = _settle(problem, pairs)
     for _ in range(RETURNS):
         again = [item[2] for plane in (0, 1) for item in search_plane(problem, plane, p, alone=False)]
-        found = _settle(problem, again)
-        if found[1] >= cost * (1 - 1e-6):
+        settled = _settle(problem, again)
+        if settled[1] >= cost * (1 - 1e-6):
             return p, cost
-        p, cost = found
+        p, cost = settled
     return p, cost
 
 

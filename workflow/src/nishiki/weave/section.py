@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 from numba import njit
 
-from nishiki.weave.visibility import share_seen, whole_length
+from nishiki.weave.visibility import total_length, visible_share
 
 HALF_PI = 0.5 * np.pi
 
@@ -24,7 +24,7 @@ class Section:
     @property
     def length(self) -> float:
         """Length of the surface in one period."""
-        return float(whole_length(self.shape))
+        return float(total_length(self.shape))
 
     @property
     def period(self) -> float:
@@ -68,10 +68,10 @@ class Section:
         """
         pieces = self.elements()
         pieces = pieces[pieces[:, 0] > 0]
-        whole = pieces[:, 0].sum()
+        total = pieces[:, 0].sum()
         at, points, normals = np.zeros(2), [], []
         for length, start, end in pieces:
-            share = np.linspace(0.0, 1.0, max(2, round(samples * length / whole)))
+            share = np.linspace(0.0, 1.0, max(2, round(samples * length / total)))
             slope = start + (end - start) * share
             # a chord of an arc has the mean slope and the length 2 R sin(turn / 2): exact, and fit for no turn at all
             middle, turn = 0.5 * (start + slope), 0.5 * (slope - start)
@@ -147,5 +147,5 @@ class WeftSection(Section):
 def _masking(shape, theta):
     out = theta.copy()
     for k in range(theta.size):
-        out[k] = share_seen(shape, 0.0, theta[k])
+        out[k] = visible_share(shape, 0.0, theta[k])
     return out

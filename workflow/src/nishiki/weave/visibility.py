@@ -87,18 +87,18 @@ def side_lengths(shape, theta):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def whole_length(shape):
+def total_length(shape):
     """Surface length of one period: 4 l + 4 a + m + (n - 1) 2 r contact."""
     theta_a, length, radius, flat, yarns, contact = shape
     return 4.0 * (length + radius * theta_a) + flat + 2.0 * (yarns - 1.0) * radius * contact
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def share_seen(shape, theta_i, theta_r):
+def visible_share(shape, theta_i, theta_r):
     """Share of the surface that is lit from theta_i and seen from theta_r (signed), 0 to 1."""
     if abs(theta_i) > HALF_PI or abs(theta_r) > HALF_PI:
         return 0.0
     lit, seen = side_lengths(shape, theta_i), side_lengths(shape, theta_r)
     humps = 2.0 * (min(lit[0], seen[0]) + min(lit[1], seen[1]))
     contacts = (shape[4] - 1.0) * shape[2] * (min(lit[2], seen[2]) + min(lit[3], seen[3]))
-    return min((humps + shape[3] + contacts) / whole_length(shape), 1.0)
+    return min((humps + shape[3] + contacts) / total_length(shape), 1.0)

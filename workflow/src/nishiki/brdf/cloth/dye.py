@@ -27,8 +27,8 @@ WITHIN = ("diffuse", "body", "lambert")  # fields that hold the light from withi
 
 def gloss_of(brdf):
     """The model without its light from within: a black cloth of the same yarns; itself where it has none."""
-    own = {field.name: getattr(brdf, field.name) for field in fields(brdf) if field.name in WITHIN}
-    return replace(brdf, **{name: np.zeros_like(value) for name, value in own.items()}) if own else brdf
+    inner = {field.name: getattr(brdf, field.name) for field in fields(brdf) if field.name in WITHIN}
+    return replace(brdf, **{name: np.zeros_like(value) for name, value in inner.items()}) if inner else brdf
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Dyed:
         """Number of channels."""
         return max(self.albedo.size, self.gloss.channels)
 
-    def taken(self, directions: np.ndarray) -> np.ndarray:
+    def gloss_albedo_at(self, directions: np.ndarray) -> np.ndarray:
         """Directional albedo of the gloss (...,), linear in theta, periodic and linear in phi."""
         t = np.clip(polar(directions) / (np.pi / 2) * THETAS - 0.5, 0, THETAS - 1)
         p = azimuth(directions) / (2 * np.pi) * PHIS
@@ -73,14 +73,18 @@ class Dyed:
     def evaluate(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
         """BRDF, 1 / sr."""
         g = halves(incident, outgoing)
-        through = (1 - self.taken(incident)) * (1 - self.taken(outgoing)) / max(1 - self.mean_albedo, 1e-3)
+        through = (
+            (1 - self.gloss_albedo_at(incident))
+            * (1 - self.gloss_albedo_at(outgoing))
+            / max(1 - self.mean_albedo, 1e-3)
+        )
         return self.gloss.evaluate(incident, outgoing) + only_above(g.above, through[..., None] * (self.albedo / np.pi))
 
     def as_arrays(self) -> dict[str, np.ndarray]:
         """The dye's numbers, and the gloss' under the prefix `gloss_of_`."""
-        own = {n: np.asarray(getattr(self, n)) for n in ("albedo", "gloss_albedo", "mean_albedo")}
+        albedos = {n: np.asarray(getattr(self, n)) for n in ("albedo", "gloss_albedo", "mean_albedo")}
         inner = {f"gloss_of_{name}": value for name, value in self.gloss.as_arrays().items()}
-        return {**own, **inner, "gloss_of": np.array(self.gloss.KIND)}
+        return {**albedos, **inner, "gloss_of": np.array(self.gloss.KIND)}
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, np.ndarray]) -> "Dyed":

@@ -57,10 +57,10 @@ def fit_models(
         if name == DEFAULT:
             out[name] = _yarns(measured, rows, basic[0], first, chosen)
         elif name in PEERS:
-            found = fit_peer(name, measured, rows)
-            facts = {"cost": found.fit.cost, "evaluations": found.fit.evaluations, "oblique": len(chosen)}
-            facts["at_bounds"] = [PARAMETERS[name][k] for k in found.fit.at_bounds]
-            out[name] = Fitted(found.brdf, found.used, facts)
+            peer = fit_peer(name, measured, rows)
+            facts = {"cost": peer.fit.cost, "evaluations": peer.fit.evaluations, "oblique": len(chosen)}
+            facts["at_bounds"] = [PARAMETERS[name][k] for k in peer.fit.at_bounds]
+            out[name] = Fitted(peer.brdf, peer.used, facts)
         elif name in REFERENCE:
             out[name] = Fitted(_scaled(measured, valid, basic[1]), valid)
         else:
@@ -79,31 +79,31 @@ def _oblique(measured: Measured, valid: np.ndarray, first, count: int) -> np.nda
 
 
 def _yarns(measured: Measured, rows: np.ndarray, basic, first, chosen: np.ndarray) -> Fitted:
-    found = fit_yarn_facets(measured, rows, basic=basic, first=first)
+    fit = fit_yarn_facets(measured, rows, basic=basic, first=first)
     facts = {
-        "rms_rel_normal": found.rms_rel,
-        "misfit": found.fit.misfit,
-        "cost": found.fit.cost,
-        "evaluations": found.fit.evaluations,
+        "rms_rel_normal": fit.rms_rel,
+        "misfit": fit.fit.misfit,
+        "cost": fit.fit.cost,
+        "evaluations": fit.fit.evaluations,
         "oblique": len(chosen),
-        "at_bounds": [NAMES[k] for k in found.fit.at_bounds],
-        "parameters": dict(zip(NAMES, found.fit.x.tolist(), strict=True)),
-        "spreads": dict(zip(NAMES, found.spread.tolist(), strict=True)),
-        "body": found.brdf.body.tolist(),
-        "lambert": found.brdf.lambert.tolist(),
-        "correction": [float(found.brdf.correction.min()), float(found.brdf.correction.max())],
+        "at_bounds": [NAMES[k] for k in fit.fit.at_bounds],
+        "parameters": dict(zip(NAMES, fit.fit.x.tolist(), strict=True)),
+        "spreads": dict(zip(NAMES, fit.spread.tolist(), strict=True)),
+        "body": fit.brdf.body.tolist(),
+        "lambert": fit.brdf.lambert.tolist(),
+        "correction": [float(fit.brdf.correction.min()), float(fit.brdf.correction.max())],
     }
-    return Fitted(found.brdf, found.used, facts)
+    return Fitted(fit.brdf, fit.used, facts)
 
 
 def _scaled(measured: Measured, valid: np.ndarray, grid: np.ndarray) -> ScaledBard:
-    taken = measured.take(valid)
+    selected = measured.take(valid)
     weights = np.empty(valid.size)
     groups = []
-    for _, _, rows in incidences(taken.incident):
-        groups.append((taken.incident[rows[0]], rows))
-        weights[rows] = taken.outgoing[rows, 2] * solid_angles(taken.outgoing[rows])
-    return ScaledBard.fit(grid, groups, taken.outgoing, taken.values, weights)
+    for _, _, rows in incidences(selected.incident):
+        groups.append((selected.incident[rows[0]], rows))
+        weights[rows] = selected.outgoing[rows, 2] * solid_angles(selected.outgoing[rows])
+    return ScaledBard.fit(grid, groups, selected.outgoing, selected.values, weights)
 
 
 def _read(name: str, basic, index: float):

@@ -64,13 +64,13 @@ def fit_shape(
     """
     from scipy.optimize import least_squares
 
-    whole = np.array(centre if start is None else start, float)
-    free = np.arange(whole.size) if free is None else np.asarray(free)
+    initial = np.array(centre if start is None else start, float)
+    free = np.arange(initial.size) if free is None else np.asarray(free)
     channels = values.shape[1]
     low, high = (centre - REACH * spread)[free], (centre + REACH * spread)[free]
 
     def place(x):
-        out = whole.copy()
+        out = initial.copy()
         out[free] = x
         return out
 
@@ -83,17 +83,17 @@ def fit_shape(
         rest, c = solved(x)
         return np.concatenate([rest.ravel(), ((place(x) - centre) / spread)[free], (c / limits).ravel()])
 
-    first = np.clip(whole[free], low, high)
-    found = least_squares(
+    first = np.clip(initial[free], low, high)
+    solution = least_squares(
         residual, first, x_scale=spread[free], bounds=(low, high), diff_step=STEP, max_nfev=evaluations
     )
-    rest, c = solved(found.x)
+    rest, c = solved(solution.x)
     return ShapeFit(
-        x=place(found.x),
+        x=place(solution.x),
         coefficients=c,
-        information=found.jac.T @ found.jac,
-        cost=float(2 * found.cost),
+        information=solution.jac.T @ solution.jac,
+        cost=float(2 * solution.cost),
         misfit=float(np.sum(rest * rest)),
-        evaluations=int(found.nfev),
-        at_bounds=tuple(int(k) for k in free[np.abs(found.x - centre[free]) >= 0.999 * REACH * spread[free]]),
+        evaluations=int(solution.nfev),
+        at_bounds=tuple(int(k) for k in free[np.abs(solution.x - centre[free]) >= 0.999 * REACH * spread[free]]),
     )

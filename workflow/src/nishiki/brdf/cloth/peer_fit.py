@@ -89,5 +89,5 @@ def fit_peer(kind: str, measured: Measured, rows: np.ndarray, *, evaluations: in
         )
         for offset in starts
     ]
-    fit = min(fits, key=lambda found: found.cost)
+    fit = min(fits, key=lambda candidate: candidate.cost)
     return PeerFit(peer_of(kind, fit.x, fit.coefficients[:, 0], fit.coefficients[:, 1]), fit, rows)

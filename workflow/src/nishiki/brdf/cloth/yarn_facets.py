@@ -160,8 +160,8 @@ class YarnFacets:
 
     def as_arrays(self) -> dict[str, np.ndarray]:
         """The shape's numbers under their names, then the rest."""
-        own = {name: np.asarray(getattr(self, name)) for name in ("body", "lambert", "correction")}
-        return {**{name: np.asarray(value) for name, value in vars(self.shape).items()}, **own}
+        arrays = {name: np.asarray(getattr(self, name)) for name in ("body", "lambert", "correction")}
+        return {**{name: np.asarray(value) for name, value in vars(self.shape).items()}, **arrays}
 
     @classmethod
     def from_arrays(cls, arrays: dict[str, np.ndarray]) -> "YarnFacets":

@@ -80,8 +80,8 @@ def parts_of(incident: np.ndarray, outgoing: np.ndarray):
     lambert = np.full(len(incident), 1 / np.pi)
 
     def parts(x):
-        found = shape_parts(shape_of(x), incident, outgoing)
-        return found[:, 0] + found[:, 2], np.stack([found[:, 1] + found[:, 3], lambert], axis=1)
+        terms = shape_parts(shape_of(x), incident, outgoing)
+        return terms[:, 0] + terms[:, 2], np.stack([terms[:, 1] + terms[:, 3], lambert], axis=1)
 
     return parts
 
@@ -170,11 +170,11 @@ def correction(brdf: YarnFacets, basic, *, steepest: float) -> np.ndarray:
     tilt, turn = np.linspace(0, np.pi / 4, TILTS), np.arange(TURNS) * (2 * np.pi / TURNS)
     theta, phi = np.meshgrid(np.minimum(2 * tilt, steepest), turn, indexing="ij")
     view = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
-    whole = brdf.evaluate(NORMAL, view)
+    modelled = brdf.evaluate(NORMAL, view)
     parts = brdf.parts(NORMAL, view)
     half = view + NORMAL
     half /= np.linalg.norm(half, axis=-1, keepdims=True)
     mirror = (parts[..., 0] + parts[..., 2]) * corrected(brdf.correction, half)
-    missing = (basic(view) - whole).mean(axis=-1)
-    floor = (FLOOR * whole.mean(axis=-1)) ** 2
+    missing = (basic(view) - modelled).mean(axis=-1)
+    floor = (FLOOR * modelled.mean(axis=-1)) ** 2
     return np.clip(1 + mirror * missing / (mirror**2 + floor), 1 / MOST, MOST)

@@ -27,9 +27,9 @@ def _limit(table, component, up):
 def _narrow(tables, family, direction, limits):
     """Lower limits[family] = (x >= 0, x < 0, y >= 0, y < 0) to what a direction reaches."""
     for axis in range(2):
-        found = _limit(tables[family, axis], direction[axis], direction[2])
+        limit = _limit(tables[family, axis], direction[axis], direction[2])
         side = 2 * axis + (0 if direction[axis] >= 0.0 else 1)
-        limits[family, side] = min(limits[family, side], found)
+        limits[family, side] = min(limits[family, side], limit)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

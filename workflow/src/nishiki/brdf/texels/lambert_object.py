@@ -38,7 +38,7 @@ def fit_lambert(
     with ThreadPoolExecutor(max(threads, 1)) as pool:
         finished = list(pool.map(finish, tiles))
     counts = sum((counted for counted, _, _ in finished), np.zeros(3, np.int64))
-    squares, samples = (sum(found[k] for found in finished) for k in (1, 2))
+    squares, samples = (sum(tile_sums[k] for tile_sums in finished) for k in (1, 2))
     texels = int(counts[0])
     return ObjectFit(
         texels=texels,

@@ -138,10 +138,10 @@ def _interpolate(places, keys, values, out):
                 continue
             i, j, k = int(x) + bi + _MIDDLE, int(y) + bj + _MIDDLE, int(z) + bk + _MIDDLE
             key = (i << 2 * _BITS) | (j << _BITS) | k
-            found = np.searchsorted(keys, key)
-            if found < len(keys) and keys[found] == key:
+            row = np.searchsorted(keys, key)
+            if row < len(keys) and keys[row] == key:
                 total += weight
                 for c in range(out.shape[1]):
-                    out[p, c] += weight * values[found, c]
+                    out[p, c] += weight * values[row, c]
         for c in range(out.shape[1]):
             out[p, c] = out[p, c] / total if total > 0.0 else values[0, c]

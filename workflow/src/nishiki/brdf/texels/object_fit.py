@@ -76,7 +76,7 @@ def fit_object(
     lattice = lattice_of([read(tile) for tile in tiles[:: max(len(tiles) // 6, 1)]])
     with ThreadPoolExecutor(max(threads, 1)) as pool:
 
-        def whole(k: int) -> Tile:
+        def fitted_tile(k: int) -> Tile:
             return read(tiles[k]) if apart else read(tiles[k]).joined
 
         def every(function):
@@ -84,11 +84,11 @@ def fit_object(
 
         first = every(lambda k: _First.of(read(tiles[k]), capture, method, lattice))
         widths = _Widths.of(first, lattice, width)
-        second = every(lambda k: _Second.of(whole(k), capture, widths, first[k], lattice))
+        second = every(lambda k: _Second.of(fitted_tile(k), capture, widths, first[k], lattice))
         gloss = _Gloss.of(second, first, lattice, width)
 
         def finish(k: int) -> tuple[np.ndarray, float, int]:
-            tile = whole(k)
+            tile = fitted_tile(k)
             parameters = _third(tile, capture, widths, gloss, first[k])
             write(tiles[k], parameters)
             return _counts(parameters.flags), *capture.squares(parameters, tile)
@@ -127,15 +127,15 @@ class _First:
     def of(cls, tile: Tile, capture: Capture, method: str, lattice: Lattice) -> _First:
         total, specular = capture.observe(tile)
         fit = texel_fit.first_fit(total, specular, method=method)
-        told = fit.information > 0
-        precision = np.where(told, 1 / (1 / np.where(told, fit.information, 1) + SCATTER_SIGMA**2), 0)
+        informed = fit.information > 0
+        precision = np.where(informed, 1 / (1 / np.where(informed, fit.information, 1) + SCATTER_SIGMA**2), 0)
         # every texel of the charts counts as surface, also those that no view shows
         surface = np.flatnonzero(tile.inside)
         values, weights = (np.zeros(tile.inside.size) for _ in range(2))
         values[total.texel], weights[total.texel] = fit.log_sigma, precision
         places = tile.positions.reshape(-1, 3)
         part = spread(places[surface], values[surface, None], weights[surface], lattice)
-        stride = max(len(told) // SUBSET, 1)
+        stride = max(len(informed) // SUBSET, 1)
         return cls(total.texel, fit, part, places[total.texel[::stride]], stride)
 
 
@@ -152,13 +152,13 @@ class _Widths:
         around = Neighbourhood(lattice, 1, [f.part for f in first])
         default = np.log([DEFAULT_SIGMA])
         guess = around.field(1 / SCATTER_SIGMA**2, default)
-        own = np.concatenate([f.fit.log_sigma[:: f.stride] for f in first] or [np.empty(0)])
+        log_sigma = np.concatenate([f.fit.log_sigma[:: f.stride] for f in first] or [np.empty(0)])
         information = np.concatenate([f.fit.information[:: f.stride] for f in first] or [np.empty(0)])
         near = np.concatenate([guess.at(f.sample)[:, 0] for f in first] or [np.empty(0)])
-        scatter = max(_scatter(own - near, information, SCATTER_SIGMA), LEAST_SCATTER)
+        scatter = max(_scatter(log_sigma - near, information, SCATTER_SIGMA), LEAST_SCATTER)
         return cls(around.field(1 / scatter**2, default), scatter, width)
 
-    def sigma(self, positions: np.ndarray, own: np.ndarray, information: np.ndarray) -> np.ndarray:
+    def sigma(self, positions: np.ndarray, log_sigma: np.ndarray, information: np.ndarray) -> np.ndarray:
         """(points,) float32 radians."""
         near = self.field.at(positions)[:, 0]
         if self.width == "object":
@@ -168,7 +168,7 @@ class _Widths:
         else:
             share = information / (information + 1 / self.scatter**2)
         low, high = texel_fit.SIGMA_BOUNDS
-        return np.clip(np.exp(share * own + (1 - share) * near), low, high).astype(np.float32)
+        return np.clip(np.exp(share * log_sigma + (1 - share) * near), low, high).astype(np.float32)
 
 
 @dataclass(frozen=True)
@@ -185,17 +185,17 @@ class _Second:
         total, specular = capture.observe(tile)
         places = tile.positions.reshape(-1, 3)
         sigma = widths.sigma(places[first.texel], first.fit.log_sigma, first.fit.information)
-        found = texel_fit.strengths(total, sigma, np.zeros_like(first.fit.ks), 0.0, specular)
-        information = found.information
+        strengths = texel_fit.strengths(total, sigma, np.zeros_like(first.fit.ks), 0.0, specular)
+        information = strengths.information
         if widths.width == "texel":  # the paper's: only texels with a highlight speak for their neighbours
             information = np.where(first.fit.information > 0, information, 0)
         surface = np.flatnonzero(tile.inside)
-        channels = found.ks.shape[1]
+        channels = strengths.ks.shape[1]
         values, weights = np.zeros((tile.inside.size, channels)), np.zeros(tile.inside.size)
-        values[first.texel], weights[first.texel] = found.ks, information
+        values[first.texel], weights[first.texel] = strengths.ks, information
         part = spread(places[surface], values[surface], weights[surface], lattice)
         keep = slice(None, None, first.stride)
-        return cls(part, found.ks[keep], information[keep], first.sample)
+        return cls(part, strengths.ks[keep], information[keep], first.sample)
 
 
 @dataclass(frozen=True)
@@ -236,18 +236,18 @@ def _third(tile: Tile, capture: Capture, widths: _Widths, gloss: _Gloss, first: 
     shape, channels = tile.inside.shape, tile.values.shape[-1]
     places = tile.positions.reshape(-1, 3)
     surface = np.flatnonzero(tile.inside)
-    own, information = np.zeros(tile.inside.size), np.zeros(tile.inside.size)
-    own[first.texel], information[first.texel] = first.fit.log_sigma, first.fit.information
+    log_sigma, information = np.zeros(tile.inside.size), np.zeros(tile.inside.size)
+    log_sigma[first.texel], information[first.texel] = first.fit.log_sigma, first.fit.information
     sigma = np.zeros(tile.inside.size, np.float32)
-    sigma[surface] = widths.sigma(places[surface], own[surface], information[surface])
+    sigma[surface] = widths.sigma(places[surface], log_sigma[surface], information[surface])
     ks, kd = (np.zeros((tile.inside.size, channels), np.float32) for _ in range(2))
     ks[surface] = np.maximum(gloss.field.at(places[surface]), 0)
     pull = np.full(len(first.texel), gloss.pull)
     if gloss.width == "texel":
         pull = np.where(first.fit.information > 0, 0.0, MOST_PULL)
-    found = texel_fit.strengths(total, sigma[first.texel], ks[first.texel], pull, specular)
-    kd[first.texel], ks[first.texel] = found.kd, found.ks
-    unconstrained = gloss.noise > KS_UNCONSTRAINED * gloss.level * np.sqrt(found.information)
+    strengths = texel_fit.strengths(total, sigma[first.texel], ks[first.texel], pull, specular)
+    kd[first.texel], ks[first.texel] = strengths.kd, strengths.ks
+    unconstrained = gloss.noise > KS_UNCONSTRAINED * gloss.level * np.sqrt(strengths.information)
     flags = _flags(tile, total.seen, first, unconstrained)
     known = (flags & (TexelFlag.OUTSIDE | TexelFlag.UNSEEN)) == 0
     inside = tile.inside
@@ -275,12 +275,12 @@ def _counts(flags: np.ndarray) -> np.ndarray:
 
 def _described(first: list[_First], widths: _Widths, gloss: _Gloss, finished: list) -> ObjectFit:
     counts = sum((counted for counted, _, _ in finished), np.zeros(5, np.int64))
-    squares, samples = (sum(found[k] for found in finished) for k in (1, 2))
+    squares, samples = (sum(tile_sums[k] for tile_sums in finished) for k in (1, 2))
     psnr = -10 * float(np.log10(max(squares / samples, 1e-30))) if samples else None
     texels = int(counts[0])
     share = [float(c) / max(texels, 1) for c in counts[1:]]
-    own = np.concatenate([f.fit.log_sigma[f.fit.information > 0] for f in first] or [np.empty(0)])
-    median = float(np.exp(np.median(own))) if own.size else None
+    log_sigma = np.concatenate([f.fit.log_sigma[f.fit.information > 0] for f in first] or [np.empty(0)])
+    median = float(np.exp(np.median(log_sigma))) if log_sigma.size else None
     ended = sum(int(np.sum((f.fit.flags & FitFlag.AT_BOUND) != 0)) for f in first)
     return ObjectFit(
         texels,
@@ -301,10 +301,10 @@ def _described(first: list[_First], widths: _Widths, gloss: _Gloss, finished: li
 def _scatter(apart: np.ndarray, information: np.ndarray, guess: float) -> float:
     """Standard deviation of true values about the neighbourhood: apart (n,) less its own variance 1 / information."""
     apart, information = apart.astype(np.float64), information.astype(np.float64)
-    told = information * guess**2 > 1
-    if told.sum() < 30:
+    informed = information * guess**2 > 1
+    if informed.sum() < 30:
         return guess
-    variance = 1 / information[told]
-    square = np.minimum(apart[told] ** 2, (4 * guess) ** 2 + 9 * variance)
+    variance = 1 / information[informed]
+    square = np.minimum(apart[informed] ** 2, (4 * guess) ** 2 + 9 * variance)
     weight = 1 / (variance + guess**2) ** 2
     return float(np.sqrt(max(np.sum(weight * (square - variance)) / np.sum(weight), 0)))

@@ -62,11 +62,11 @@ class Capture:
         """Sum of the squared errors of the model alone in the capture's encoding, and how many samples these are, of
         those that are finite."""
         total, count = 0.0, 0
-        whole = tile.joined.values
+        joined = tile.joined.values
         for o in np.flatnonzero(tile.visible.reshape(len(tile.visible), -1).any(axis=1)):
             seen = tile.visible[o] & tile.inside
             error = encode(self.predicted(parameters, tile, o, seen), self.encoding)
-            error = error - encode(whole[o][seen], self.encoding)
+            error = error - encode(joined[o][seen], self.encoding)
             error = error[np.isfinite(error)]
             total += float(np.sum(error.astype(np.float64) ** 2))
             count += error.size

@@ -30,8 +30,8 @@ class Surroundings:
     @classmethod
     def of(cls, scene: ClothScene, light: AmbientLight) -> Surroundings:
         """Test light.rays directions over each side of every vertex."""
-        found = (smoothed(values, scene.mesh.triangles) for values in openness(scene, light.rays, light.reach))
-        return cls(light, *found, np.ascontiguousarray(scene.mesh.triangles))
+        fields = (smoothed(values, scene.mesh.triangles) for values in openness(scene, light.rays, light.reach))
+        return cls(light, *fields, np.ascontiguousarray(scene.mesh.triangles))
 
     def radiance(self, table: np.ndarray, samples: Samples) -> np.ndarray:
         """(n, 3): even light that samples of a material reflect to the eye; table: its `shares`.

@@ -16,8 +16,8 @@ STEP = 2e-6
 
 def write_drape(path: Path, points: np.ndarray) -> None:
     """Write a grid of points (n, n, 3), metres."""
-    whole = np.round(points / STEP).astype(np.int32)
-    differences = np.diff(np.diff(whole, axis=0, prepend=0), axis=1, prepend=0)
+    steps = np.round(points / STEP).astype(np.int32)
+    differences = np.diff(np.diff(steps, axis=0, prepend=0), axis=1, prepend=0)
     np.savez_compressed(path, differences=differences)
 
 

@@ -18,8 +18,8 @@ def gloss_alone(brdf: Brdf) -> Brdf:
     """A model without the light from within, where it tells the two apart; else the model itself."""
     if not is_dataclass(brdf):
         return brdf
-    found = {f.name: np.zeros_like(np.asarray(getattr(brdf, f.name), float)) for f in fields(brdf) if f.name in WITHIN}
-    return replace(brdf, **found) if found else brdf
+    zeros = {f.name: np.zeros_like(np.asarray(getattr(brdf, f.name), float)) for f in fields(brdf) if f.name in WITHIN}
+    return replace(brdf, **zeros) if zeros else brdf
 
 
 def dyed(brdf: Brdf, colours: dict[str, tuple[float, float, float]]) -> dict[str, Dyed]:
@@ -34,10 +34,10 @@ def dyed(brdf: Brdf, colours: dict[str, tuple[float, float, float]]) -> dict[str
     theta, phi = (np.arange(THETAS) + 0.5) * (np.pi / 2 / THETAS), np.arange(PHIS) * (2 * np.pi / PHIS)
     t, p = (a.ravel() for a in np.meshgrid(theta, phi, indexing="ij"))
     views = np.stack([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), np.cos(t)], axis=1)
-    taken = np.clip(lookup(shares(gloss), views).mean(axis=1), 0, 1).reshape(THETAS, PHIS)
+    gloss_albedo = np.clip(lookup(shares(gloss), views).mean(axis=1), 0, 1).reshape(THETAS, PHIS)
     weight = (np.sin(theta) * np.cos(theta))[:, None]
-    mean = float(np.sum(weight * taken) / np.sum(weight) / PHIS)
-    return {name: Dyed(gloss, np.asarray(colour, float), taken, mean) for name, colour in colours.items()}
+    mean = float(np.sum(weight * gloss_albedo) / np.sum(weight) / PHIS)
+    return {name: Dyed(gloss, np.asarray(colour, float), gloss_albedo, mean) for name, colour in colours.items()}
 
 
 def together(brdfs: list[Brdf], incident: np.ndarray, outgoing: np.ndarray) -> list[np.ndarray]:
@@ -49,20 +49,24 @@ def together(brdfs: list[Brdf], incident: np.ndarray, outgoing: np.ndarray) -> l
             known[id(brdf)] = three(brdf.evaluate(incident, outgoing))
         return known[id(brdf)]
 
-    found = []
+    results = []
     for brdf in brdfs:
         if isinstance(brdf, Dyed):
-            through = (1 - brdf.taken(incident)) * (1 - brdf.taken(outgoing)) / max(1 - brdf.mean_albedo, 1e-3)
+            through = (
+                (1 - brdf.gloss_albedo_at(incident))
+                * (1 - brdf.gloss_albedo_at(outgoing))
+                / max(1 - brdf.mean_albedo, 1e-3)
+            )
             above = (incident[:, 2] > 0) & (outgoing[:, 2] > 0)
-            found.append(of(brdf.gloss) + np.where(above, through, 0.0)[:, None] * three(brdf.albedo / np.pi))
+            results.append(of(brdf.gloss) + np.where(above, through, 0.0)[:, None] * three(brdf.albedo / np.pi))
         else:
-            found.append(of(brdf))
-    return found
+            results.append(of(brdf))
+    return results
 
 
 def share_of(brdf: Brdf) -> np.ndarray:
     """`around.shares` of a BRDF; of a dyed cloth a + albedo (1 - a), a being its gloss' share, which it comes to."""
     if not isinstance(brdf, Dyed):
         return shares(brdf)
-    taken = brdf.taken(grid_views())[..., None]
-    return np.clip(taken + (1 - taken) * three(brdf.albedo), 0, 1)
+    gloss_albedo = brdf.gloss_albedo_at(grid_views())[..., None]
+    return np.clip(gloss_albedo + (1 - gloss_albedo) * three(brdf.albedo), 0, 1)

@@ -149,18 +149,18 @@ def _add_lamps(colours, scene, takes, lamps, samples: Samples, shadows: bool, ta
             values, where = _values(list(brdfs.values()), light.incident, samples.outgoing, stands[rows])
             tally.evaluated += len(values[0])
             strength = np.pi * light.strength[rows, None] * np.asarray(lamp.colour)
-            found = dict(zip(brdfs, values, strict=True))
+            by_brdf = dict(zip(brdfs, values, strict=True))
             for k, take in enumerate(takes):
                 if take.lamps[number]:
-                    colours[k, rows] += take.lamps[number] * found[id(take.materials[material])][where] * strength
+                    colours[k, rows] += take.lamps[number] * by_brdf[id(take.materials[material])][where] * strength
 
 
-def _values(brdfs: list[Brdf], incident: np.ndarray, outgoing: np.ndarray, wanted: np.ndarray):
+def _values(brdfs: list[Brdf], incident: np.ndarray, outgoing: np.ndarray, samples: np.ndarray):
     """Each BRDF at the distinct samples among those wanted, (m, 3) each, and their places there (n,).
 
     Portions are shared among threads: models are compiled or array code, which lets others run beside it.
     """
-    distinct, where = np.unique(wanted, return_inverse=True)
+    distinct, where = np.unique(samples, return_inverse=True)
     out = [np.empty((len(distinct), 3)) for _ in brdfs]
 
     def fill(start: int) -> None:

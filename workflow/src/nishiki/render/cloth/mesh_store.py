@@ -45,8 +45,8 @@ def _texture(path: Path, count: int) -> np.ndarray | None:
     trimesh = optional("trimesh")
 
     with open(path, "rb") as stream:
-        found = load_geometry(stream, path.suffix.lower().lstrip("."))
-    parts = list(found.geometry.values()) if isinstance(found, trimesh.Scene) else [found]
+        loaded = load_geometry(stream, path.suffix.lower().lstrip("."))
+    parts = list(loaded.geometry.values()) if isinstance(loaded, trimesh.Scene) else [loaded]
     known = [getattr(getattr(part, "visual", None), "uv", None) for part in parts]
     if any(uv is None for uv in known):
         return None

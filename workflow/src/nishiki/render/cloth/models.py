@@ -19,17 +19,17 @@ class ClothModels:
         path = self.folder / "cloth_brdf.json"
         if not path.is_file():
             raise UserError(f"{path}: file not found. Remedy: run the stage cloth_brdf first")
-        self.told: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        self.description: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
 
     @property
     def regions(self) -> list[str]:
         """Regions of the capture."""
-        return list(self.told["regions"])
+        return list(self.description["regions"])
 
     @property
     def default(self) -> str:
         """The model that stands for the cloth."""
-        return self.told["default"]
+        return self.description["default"]
 
     def names(self, region: str) -> list[str]:
         """Models of a region."""
@@ -52,9 +52,9 @@ class ClothModels:
         return {name: value for name, value in self._region(region)[model].items() if name != "used"}
 
     def _region(self, region: str) -> dict[str, Any]:
-        if region not in self.told["models"]:
+        if region not in self.description["models"]:
             known = ", ".join(self.regions)
             raise UserError(
                 f"{self.folder}: expected a region among {known}, found {region!r}. Remedy: correct `region`"
             )
-        return self.told["models"][region]
+        return self.description["models"][region]

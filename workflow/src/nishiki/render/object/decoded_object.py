@@ -70,8 +70,8 @@ class DecodedObject:
         mesh = mesh or self.mesh
 
         def geometry(tile: int):
-            found = texel_points(mesh, self.atlas, self.surface, slice(tile, tile + 1))
-            return tuple(values[0] for values in found)
+            points = texel_points(mesh, self.atlas, self.surface, slice(tile, tile + 1))
+            return tuple(values[0] for values in points)
 
         return ObjectRenderer(
             mesh,

@@ -89,10 +89,10 @@ def mix(residual, views, chosen, visible, weights, fallback, out):
     count = views.size
     share = np.empty(count, np.float32)
     for i in range(chosen.size):
-        whole, least, total = np.float32(0), np.float32(1), np.float32(0)
+        fallback_sum, least, total = np.float32(0), np.float32(1), np.float32(0)
         for k in range(count):
             total += fallback[k] * visible[k, i]
-            whole += fallback[k]
+            fallback_sum += fallback[k]
             if weights[k] != 0:
                 least = min(least, visible[k, i])
         for k in range(count):
@@ -101,7 +101,7 @@ def mix(residual, views, chosen, visible, weights, fallback, out):
             elif total > np.float32(1e-6):
                 share[k] = fallback[k] * visible[k, i] / total
             else:
-                share[k] = fallback[k] / whole
+                share[k] = fallback[k] / fallback_sum
         for k in range(count):
             for c in range(out.shape[1]):
                 out[i, c] += share[k] * residual[views[k], chosen[i], c]
@@ -111,7 +111,7 @@ def mix(residual, views, chosen, visible, weights, fallback, out):
 def _border(known, first, last):
     """Flat numbers of the unknown pixels beside pixels that are known, among rows and columns first .. last."""
     rows, columns = known.shape
-    found = np.empty(4096, np.int64)
+    border = np.empty(4096, np.int64)
     count = 0
     for i in range(max(first[0], 0), min(last[0] + 1, rows)):
         for j in range(max(first[1], 0), min(last[1] + 1, columns)):
@@ -121,15 +121,15 @@ def _border(known, first, last):
                 for x in range(max(j - 1, 0), min(j + 2, columns)):
                     if known[y, x] == 0:
                         known[y, x] = 255
-                        if count == found.size:
-                            longer = np.empty(2 * found.size, np.int64)
-                            longer[:count] = found
-                            found = longer
-                        found[count] = y * columns + x
+                        if count == border.size:
+                            longer = np.empty(2 * border.size, np.int64)
+                            longer[:count] = border
+                            border = longer
+                        border[count] = y * columns + x
                         count += 1
     for k in range(count):
-        known[found[k] // columns, found[k] % columns] = 0
-    return found[:count].copy()
+        known[border[k] // columns, border[k] % columns] = 0
+    return border[:count].copy()
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

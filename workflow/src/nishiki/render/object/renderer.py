@@ -80,8 +80,8 @@ class ObjectRenderer:
 
     def captured(self, index: int, *, camera: Camera | None = None, light: int = 0) -> Shot:
         """The picture of a captured view from its own slot of the residual; `camera`: the same, at another size."""
-        own = Neighbours(np.array([index]), np.ones(1))
-        return Shot(camera or self.cameras[index], own, own, ((light, 1.0),))
+        slot = Neighbours(np.array([index]), np.ones(1))
+        return Shot(camera or self.cameras[index], slot, slot, ((light, 1.0),))
 
     def predicted(self, index: int, *, light: int = 0) -> Shot:
         """The picture of a captured view without its own residual: interpolated between the other views."""
@@ -234,9 +234,9 @@ class ObjectRenderer:
         """(rows, columns, 3) float32 unit normals as the camera sees them (x right, y up, z to the camera), 0 where
         nothing is covered."""
         turned = self.mesh.normals @ (np.diag([1.0, -1.0, -1.0]) @ camera.rotation).T
-        found = interpolate(turned, self.mesh.triangles, picture.triangle, picture.barycentric)
-        length = np.linalg.norm(found, axis=2, keepdims=True)
-        return np.where(length > 1e-6, found / np.where(length > 1e-6, length, 1), 0).astype(np.float32)
+        interpolated = interpolate(turned, self.mesh.triangles, picture.triangle, picture.barycentric)
+        length = np.linalg.norm(interpolated, axis=2, keepdims=True)
+        return np.where(length > 1e-6, interpolated / np.where(length > 1e-6, length, 1), 0).astype(np.float32)
 
 
 def coded_parts(residual, encoding: str) -> tuple[str, ...]:

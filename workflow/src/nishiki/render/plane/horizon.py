@@ -110,7 +110,7 @@ def _march_pixel(row, column, surface, pieces, pitch, to_column, to_row, lowest,
     step_column, step_row = to_column * length, to_row * length
     start = surface[row, column] / pitch
     one_piece = pieces.shape[0] == 0
-    own = 0 if one_piece else pieces[row, column]
+    piece = 0 if one_piece else pieces[row, column]
     tangent = -1e30
     k = 1
     while True:
@@ -133,7 +133,7 @@ def _march_pixel(row, column, surface, pieces, pitch, to_column, to_row, lowest,
         here = np.float64(surface[r0, c0])
         height = here if share < 1e-8 else (1.0 - share) * here + share * other
         value = (height / pitch - start) / distance
-        if value > tangent and (one_piece or pieces[r0, c0] == own):  # false for NaN
+        if value > tangent and (one_piece or pieces[r0, c0] == piece):  # false for NaN
             tangent = value
         k += 1
 

@@ -68,9 +68,9 @@ def make_chains(solids: Solids, points: SurfacePoints, settings: ClothSettings, 
     walk, step = np.nonzero(kind >= 0)
     start = chosen[walk]
     first = Ends(start, points.place[start], points.frame[start], points.kind[start], toward[walk, step, :3])
-    found = ends[walk, step]
+    last_ends = ends[walk, step]
     none, kind = np.full(len(start), -1), kind[walk, step].astype(np.int64)
-    last = Ends(none, found[:, :3].copy(), found[:, 3:].copy(), kind, toward[walk, step, 3:])
+    last = Ends(none, last_ends[:, :3].copy(), last_ends[:, 3:].copy(), kind, toward[walk, step, 3:])
     return Chains(first, last, weight[walk, step] * (math.pi * share[-1] / count), step + 2)
 
 

@@ -16,17 +16,17 @@ _BISECTIONS = 14
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _whole(value):
+def _floor(value):
     """Largest integer not above a value."""
-    whole = int(value)
-    return whole - 1 if value < whole else whole
+    truncated = int(value)
+    return truncated - 1 if value < truncated else truncated
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _yarn_of(v, spacing, count):
     """Yarn of the slot at sideways place v, and the place from the slot's middle."""
-    slot = _whole(v / spacing)
-    return slot - count * _whole(slot / count), v - (slot + 0.5) * spacing
+    slot = _floor(v / spacing)
+    return slot - count * _floor(slot / count), v - (slot + 0.5) * spacing
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
@@ -34,8 +34,8 @@ def _knots(along, length, yarn, system, numbers):
     """Where the two samples of a path about a place begin in `numbers`, and the share of the second."""
     samples = int(numbers[system + 1])
     place = along / length * samples
-    low = _whole(place)
-    first = low - samples * _whole(low / samples)
+    low = _floor(place)
+    first = low - samples * _floor(low / samples)
     second = first + 1 if first + 1 < samples else 0
     start = int(numbers[system + 4]) + 4 * samples * yarn
     return start + 4 * first, start + 4 * second, place - low
@@ -80,7 +80,7 @@ def _free_at(x, y, z, numbers, free):
     if k < 0 or k >= free.shape[0]:
         return 0.0
     u, v = x / (numbers[0] * numbers[5]), y / (numbers[1] * numbers[11])
-    i, j = int((u - _whole(u)) * free.shape[2]), int((v - _whole(v)) * free.shape[1])
+    i, j = int((u - _floor(u)) * free.shape[2]), int((v - _floor(v)) * free.shape[1])
     return np.float64(free[k, min(j, free.shape[1] - 1), min(i, free.shape[2] - 1)])
 
 
@@ -104,8 +104,8 @@ def first_hit(x, y, z, dx, dy, dz, numbers, free):
             return -1.0, 0
         ahead = _free_at(x + t * dx, y + t * dy, h, numbers, free)
         if ahead < step:
-            found = inside(x + t * dx, y + t * dy, h, numbers)
-            if found != 0:
+            yarn = inside(x + t * dx, y + t * dy, h, numbers)
+            if yarn != 0:
                 break
             ahead = step
         near = t
@@ -115,10 +115,10 @@ def first_hit(x, y, z, dx, dy, dz, numbers, free):
         middle = 0.5 * (near + far)
         other = inside(x + middle * dx, y + middle * dy, z + middle * dz, numbers)
         if other != 0:
-            far, found = middle, other
+            far, yarn = middle, other
         else:
             near = middle
-    return near, found
+    return near, yarn
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

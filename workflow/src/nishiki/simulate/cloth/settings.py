@@ -229,8 +229,8 @@ def preset(name: str, *, regions: bool = False, **options) -> GoniometerSettings
 
     options : those of `make_settings`, and fields of GoniometerSettings.
     """
-    own = {key: options.pop(key) for key in list(options) if key in GoniometerSettings.__dataclass_fields__}
-    seed = own.get("seed", 1)
+    overrides = {key: options.pop(key) for key in list(options) if key in GoniometerSettings.__dataclass_fields__}
+    seed = overrides.get("seed", 1)
     values = {"angles_deg": session(quarter_views(), hemisphere_views())}
     if name.endswith("-tiny"):
         few = session(
@@ -243,4 +243,4 @@ def preset(name: str, *, regions: bool = False, **options) -> GoniometerSettings
     if regions:
         figure = make_settings(PRESETS[name], seed=seed + 1, **(options | {"dye": "gold"}))
         cloths = (cloth, replace(figure, face="weft" if PRESETS[name] != "plain" else "warp"))
-    return GoniometerSettings(cloths=cloths, **(values | own))
+    return GoniometerSettings(cloths=cloths, **(values | overrides))

@@ -75,11 +75,13 @@ def fit_glossy(
         evidence = [Evidence(keep, "set", 0.0, 0.0, 0.0, 0.0, 0)] * (1 if labels is None else int(labels.max()) + 1)
     decision = decided(evidence, settings.specular)
     context.progress.tell(str(decision))
-    regions = [without_gloss(settings.refractive_index, found.samples) for found in evidence]
-    if any(found.keep for found in evidence):
-        histogram = gather(context, frames, maps, labels, np.array([found.keep for found in evidence]))
+    regions = [without_gloss(settings.refractive_index, gloss.samples) for gloss in evidence]
+    if any(gloss.keep for gloss in evidence):
+        histogram = gather(context, frames, maps, labels, np.array([gloss.keep for gloss in evidence]))
         fitted = fit_regions(histogram, settings.lobes)
-        regions = [own if found.keep else none for own, none, found in zip(fitted, regions, evidence, strict=True)]
+        regions = [
+            glossy if gloss.keep else none for glossy, none, gloss in zip(fitted, regions, evidence, strict=True)
+        ]
     return of_equal_lobes(regions), decision
 
 
@@ -87,21 +89,21 @@ def fit_regions(histogram: SpecularHistogram, lobes: int | str) -> list[dict]:
     """Parameters of each region: strengths of the lobes that `normals` fits with, or one or two lobes of any width."""
     if lobes != "ladder":
         return [described(fit) for fit in fit_scene(histogram, lobes=lobes)]
-    found = []
+    parameters = []
     for region in range(len(histogram.rows)):
         gloss, profile = fit_gloss(histogram, region=region), histogram.profile(region=region)
-        found.append(
+        parameters.append(
             described_ladder(
                 gloss.beta, gloss.gamma, blurred_lobes(profile, gloss.gamma), profile, gloss.refractive_index
             )
         )
-    return found
+    return parameters
 
 
 def body_transmission(normals: Artifact) -> float:
     """Share of the surface's loss that the body's light suffers: as the joint fit took it, 0 where there was none."""
-    found = normals.diagnostics
-    return float(found["gloss_transmission"]) if found["refined"] else 0.0
+    diagnostics = normals.diagnostics
+    return float(diagnostics["gloss_transmission"]) if diagnostics["refined"] else 0.0
 
 
 def gloss_of_regions(context: Context, frames: Observations, maps: Maps, labels: np.ndarray | None) -> list[Evidence]:
@@ -133,10 +135,10 @@ def gloss_of_regions(context: Context, frames: Observations, maps: Maps, labels:
     chosen = [region == k for k in range(count)]
     return [
         gloss_evidence(
-            phi[own], residual[own], attenuation[own], usable[own],
-            sigma=sigma[own], refractive_index=settings.refractive_index,
+            phi[pixels], residual[pixels], attenuation[pixels], usable[pixels],
+            sigma=sigma[pixels], refractive_index=settings.refractive_index,
         )
-        for own in chosen
+        for pixels in chosen
     ]  # fmt: skip
 
 
@@ -153,7 +155,7 @@ def fit_brightest(context: Context, frames: Observations, maps: Maps, labels: np
         normals, albedo = shading_normals(maps, band), maps.read("reflectance", band).mean(axis=-1)
         for region, samples in enumerate(gathered):
             inside = known if labels is None else known & (labels[band] == region)
-            found = brightest_light_samples(
+            brightest = brightest_light_samples(
                 observations,
                 normals,
                 albedo,
@@ -163,8 +165,8 @@ def fit_brightest(context: Context, frames: Observations, maps: Maps, labels: np
                 smoothing=settings.smoothing_px,
                 shading=shading_of(maps, band),
             )
-            kept = thin(found[0], per_bin=500)
-            samples.append([values[kept] for values in found])
+            kept = thin(brightest[0], per_bin=500)
+            samples.append([values[kept] for values in brightest])
     return [published_fit(samples, settings.refractive_index) for samples in gathered]
 
 
@@ -196,8 +198,8 @@ def gather(
         observations, valid = frames.read(band, lights=lights, channel="mean")
         normals = shading_normals(maps, band)
         left_out = ((maps.read("flags", band) & NO_ESTIMATE) != 0) | (normals[..., 2] < lowest)
-        own = np.zeros(left_out.shape, int) if labels is None else labels[band]
-        region = np.where(left_out | ~glossy[own], -1, own)
+        region_index = np.zeros(left_out.shape, int) if labels is None else labels[band]
+        region = np.where(left_out | ~glossy[region_index], -1, region_index)
         reflectance = maps.read("reflectance", band).mean(axis=-1)
         sigma = np.sqrt(maps.read("sigma", band) ** 2 / 2 + slope_variance(maps, band))
         shading = shading_of(maps, band)
@@ -220,8 +222,8 @@ def gather(
 def slope_variance(maps: Maps, band: slice) -> np.ndarray:
     """Variance of the slopes within the pixels of a band, mean of both axes, from the normals beside them too."""
     first = max(band.start - 1, 0)
-    found = slope_covariance(shading_normals(maps, slice(first, band.stop + 1)))
-    return 0.5 * (found[..., 0] + found[..., 2])[band.start - first :][: band.stop - band.start]
+    covariance = slope_covariance(shading_normals(maps, slice(first, band.stop + 1)))
+    return 0.5 * (covariance[..., 0] + covariance[..., 2])[band.start - first :][: band.stop - band.start]
 
 
 def shading_of(maps: Maps, band: slice) -> np.ndarray | None:

@@ -10,8 +10,8 @@ from nishiki.artifacts.limits import Limit, at
 from nishiki.stages.base import Asked, Cost, SceneFacts, Stage, poses_of
 
 
-def _pose_outliers(told: Mapping[str, Any]) -> float | None:
-    kept, lost = told.get("points") or {}, told.get("outliers") or {}
+def _pose_outliers(diagnostics: Mapping[str, Any]) -> float | None:
+    kept, lost = diagnostics.get("points") or {}, diagnostics.get("outliers") or {}
     shares = [lost[view] / (lost[view] + kept[view]) for view in lost if lost[view] + kept.get(view, 0)]
     return max(shares) if shares else None
 

@@ -18,28 +18,28 @@ def cameras_section(cameras: Artifact | None, held_out: set[str]) -> Section | N
     """None where nothing tells where the cameras stood."""
     if cameras is None:
         return None
-    told, views = cameras.diagnostics, load_cameras(cameras.path("cameras.json"))
-    circle = told.get("circle") or {}
+    diagnostics, views = cameras.diagnostics, load_cameras(cameras.path("cameras.json"))
+    circle = diagnostics.get("circle") or {}
     centres = np.array([camera.centre for camera in views])
     drawing = turn_plot(centres, [camera.name for camera in views], held_out, circle.get("axis"), circle.get("centre"))
     caption = "Dots: views; open diamonds: views left out. The object's own frame: the camera goes round."
     return Section("cameras", "Cameras", [
         Figures([Figure("The turn, seen along its axis", caption, svg=drawing)]),
-        Facts(facts(told, circle)),
+        Facts(facts(diagnostics, circle)),
     ])  # fmt: skip
 
 
-def facts(told: dict[str, Any], circle: dict[str, Any]) -> list[tuple[str, str]]:
-    """What is known of the cameras: label and text. told : diagnostics of the stage; circle : a part of them."""
-    errors = [value for value in (told.get("reprojection_px") or {}).values() if value is not None]
+def facts(diagnostics: dict[str, Any], circle: dict[str, Any]) -> list[tuple[str, str]]:
+    """What is known of the cameras: label and text. diagnostics : of the stage; circle : a part of them."""
+    errors = [value for value in (diagnostics.get("reprojection_px") or {}).values() if value is not None]
     error = "not known: the matrices were given"
     if errors:
         error = f"{figure(float(np.mean(errors)))} pixels on average, {figure(max(errors))} at worst"
     off_plane = None if circle.get("off_plane") is None else 100 * round(circle["off_plane"], 9)
     steps = circle.get("steps_deg") or []
     return [
-        ("From", told.get("source") or "–"),
-        ("Radius", figure(circle.get("radius"), 3, told.get("unit") or "")),
+        ("From", diagnostics.get("source") or "–"),
+        ("Radius", figure(circle.get("radius"), 3, diagnostics.get("unit") or "")),
         ("Off its plane", f"{percent(off_plane)} of the radius at most"),
         ("Steps", f"{figure(min(steps, default=None), 4)}° to {figure(max(steps, default=None), 4)}°"),
         ("Reprojection error", error),

@@ -26,9 +26,9 @@ def run(context: Context) -> dict:
     points = points_of(folder, views)
     source = source_of(context.settings.source, views, points)
     if source == "matrices":
-        cameras, errors, told, mirror = given(views, points)
+        cameras, errors, diagnostics, mirror = given(views, points)
     else:
-        cameras, errors, told = located(context, views, source, points)
+        cameras, errors, diagnostics = located(context, views, source, points)
         mirror = None
     save_cameras(
         context.output.path("cameras.json"),
@@ -51,11 +51,11 @@ def run(context: Context) -> dict:
         "reprojection_worst_px": max(known) if known else None,
         "mirror": mirror,
         "circle": turn.as_dict() if turn else None,
-        **told,
+        **diagnostics,
     }
 
 
-def source_of(wanted: str, views: Views, points: dict[str, np.ndarray] | None) -> str:
+def source_of(source: str, views: Views, points: dict[str, np.ndarray] | None) -> str:
     """The source of the poses. UserError where the capture has not what was asked for, or nothing at all."""
     boards = {picture["view"] for picture in views.calibration if picture["view"]}
     there = {
@@ -63,14 +63,14 @@ def source_of(wanted: str, views: Views, points: dict[str, np.ndarray] | None) -
         "boards": boards >= set(views.views),
         "correspondences": points is not None,
     }
-    if wanted == "auto":
-        wanted = next((name for name, found in there.items() if found), "")
-    if there.get(wanted):
-        return wanted
+    if source == "auto":
+        source = next((name for name, available in there.items() if available), "")
+    if there.get(source):
+        return source
     missing = sorted(set(views.views) - boards)
     detail = f" (no board picture of view {', '.join(missing[:5])})" if boards and missing else ""
     raise UserError(
-        f"cameras: the capture has no {wanted or 'camera matrices, boards or correspondences'}{detail}. Remedy: give "
+        f"cameras: the capture has no {source or 'camera matrices, boards or correspondences'}{detail}. Remedy: give "
         "turntable.cameras (3x4 matrices), a board picture for every view, or turntable.correspondences"
     )
 
@@ -89,11 +89,11 @@ def given(views: Views, points: dict[str, np.ndarray] | None) -> tuple[list[Came
         raise UserError(
             f"cameras: no matrix for view {', '.join(missing[:8])}. Remedy: one row of cameras.csv for every view"
         )
-    found = cameras_of_matrices({name: views.matrices[name] for name in views.views}, rows=rows, columns=columns)
-    errors: list[float | None] = [None] * len(found.cameras)
+    decomposed = cameras_of_matrices({name: views.matrices[name] for name in views.views}, rows=rows, columns=columns)
+    errors: list[float | None] = [None] * len(decomposed.cameras)
     if points:
-        mirror = np.array(found.mirror or (1, 1, 1))
-        for place, camera in enumerate(found.cameras):
+        mirror = np.array(decomposed.mirror or (1, 1, 1))
+        for place, camera in enumerate(decomposed.cameras):
             table = points[camera.name]
             pixels, depth = camera.project(table[:, 2:] * mirror)
             if (depth <= 0).any():
@@ -103,7 +103,7 @@ def given(views: Views, points: dict[str, np.ndarray] | None) -> tuple[list[Came
                     "Remedy: matrices and points must be of one world; check unit and order of the axes"
                 )
             errors[place] = float(np.sqrt(((pixels - table[:, :2]) ** 2).sum(axis=1).mean()))
-    return list(found.cameras), errors, {}, found.mirror
+    return list(decomposed.cameras), errors, {}, decomposed.mirror
 
 
 def located(context: Context, views: Views, source: str, points: dict | None) -> tuple[list[Camera], list[float], dict]:
@@ -112,31 +112,31 @@ def located(context: Context, views: Views, source: str, points: dict | None) ->
     rows, columns = views.shape
     limit = settings.outlier_px or 0.005 * max(rows, columns)
     boards = find_boards(views)
-    told: dict = {"outlier_px": limit}
+    diagnostics: dict = {"outlier_px": limit}
     if boards:
-        told["boards"] = {"seen": len(boards.pictures), "unseen": list(boards.unseen), "legacy": boards.legacy}
+        diagnostics["boards"] = {"seen": len(boards.pictures), "unseen": list(boards.unseen), "legacy": boards.legacy}
     matrix, distortion, calibration = lens_of(views, boards, settings)
-    told["calibration"] = calibration.as_dict() if calibration else None
+    diagnostics["calibration"] = calibration.as_dict() if calibration else None
     sights = board_sights(views, boards) if source == "boards" else point_sights(points)
     poses = [
         estimate_pose(sights[name], matrix, distortion, rows=rows, columns=columns, outlier_px=limit)
         for name in context.progress.over(views.views, "view")
     ]
-    told["points"] = {pose.camera.name: int(pose.inliers.sum()) for pose in poses}
-    told["outliers"] = {pose.camera.name: int((~pose.inliers).sum()) for pose in poses}
+    diagnostics["points"] = {pose.camera.name: int(pose.inliers.sum()) for pose in poses}
+    diagnostics["outliers"] = {pose.camera.name: int((~pose.inliers).sum()) for pose in poses}
     used = [
         Sight(name, sights[name].points[pose.inliers], sights[name].pixels[pose.inliers])
         for name, pose in zip(views.views, poses, strict=True)
     ]
-    cameras, told["turntable"] = on_one_axis(settings, views, used, poses)
+    cameras, diagnostics["turntable"] = on_one_axis(settings, views, used, poses)
     errors = [rms(camera, sight) for camera, sight in zip(cameras, used, strict=True)]
-    return cameras, errors, told
+    return cameras, errors, diagnostics
 
 
 def rms(camera: Camera, sight: Sight) -> float:
     """Root mean square distance in pixels."""
-    found, _ = camera.project(sight.points)
-    return float(np.sqrt(((found - sight.pixels) ** 2).sum(axis=1).mean()))
+    projected, _ = camera.project(sight.points)
+    return float(np.sqrt(((projected - sight.pixels) ** 2).sum(axis=1).mean()))
 
 
 def find_boards(views: Views) -> Detection | None:
@@ -169,14 +169,14 @@ def lens_of(
             "turntable.intrinsics"
         )
     rows, columns = views.shape
-    found = calibrate(
+    calibration = calibrate(
         boards.pictures,
         rows=rows,
         columns=columns,
         distortion=settings.distortion,
         outlier_factor=settings.outlier_factor,
     )
-    return found.intrinsics, found.distortion, found
+    return calibration.intrinsics, calibration.distortion, calibration
 
 
 def board_sights(views: Views, boards: Detection) -> dict[str, Sight]:
@@ -202,12 +202,12 @@ def on_one_axis(
     settings: CamerasSettings, views: Views, sights: list[Sight], poses: list[Pose]
 ) -> tuple[list[Camera], dict | None]:
     """All views on one axis where asked for, or where left-out points are predicted better so."""
-    own = [pose.camera for pose in poses]
-    if settings.turntable == "off" or len(own) < 3:
-        return own, None
-    choice = choose_poses(sights, own, steps=settings.steps, full_turn=views.full_turn)
+    free = [pose.camera for pose in poses]
+    if settings.turntable == "off" or len(free) < 3:
+        return free, None
+    choice = choose_poses(sights, free, steps=settings.steps, full_turn=views.full_turn)
     on_axis = choice.on_axis or settings.turntable == "on"
-    told = {
+    diagnostics = {
         "used": on_axis,
         "left_out_own_px": choice.free_px,
         "left_out_axis_px": choice.turn_px,
@@ -215,6 +215,6 @@ def on_one_axis(
         "point": choice.turn.point.tolist(),
         "angles_deg": choice.turn.angles_deg.tolist(),
         "axis_px": choice.turn.rms_px,
-        "own_px": float(np.sqrt(np.mean([rms(c, s) ** 2 for c, s in zip(own, sights, strict=True)]))),
+        "own_px": float(np.sqrt(np.mean([rms(c, s) ** 2 for c, s in zip(free, sights, strict=True)]))),
     }
-    return (list(choice.turn.cameras) if on_axis else own), told
+    return (list(choice.turn.cameras) if on_axis else free), diagnostics

@@ -10,10 +10,10 @@ from nishiki.artifacts.limits import Limit, extreme
 from nishiki.stages.base import Asked, Cost, Measurements, SceneFacts, Stage
 
 
-def _cloth_error(told: Mapping[str, Any]) -> float | None:
+def _cloth_error(diagnostics: Mapping[str, Any]) -> float | None:
     """At the incidences that the default model was fitted to."""
-    chosen = told.get("default")
-    models = [region.get(chosen) or {} for region in (told.get("regions") or {}).values()]
+    chosen = diagnostics.get("default")
+    models = [region.get(chosen) or {} for region in (diagnostics.get("regions") or {}).values()]
     return extreme("all")({"all": [(model.get("rms_rel_used") or {}) for model in models]})
 
 
@@ -76,8 +76,8 @@ EVERY_OBLIQUE = {"bard_scaled"}
 
 
 def _looks_at(facts: SceneFacts, settings: Mapping[str, Closed], asked: Asked) -> tuple[str, ...]:
-    own = settings["cloth_brdf"]
-    return ("oblique",) if own.oblique or not EVERY_OBLIQUE.isdisjoint((own.model, *own.compare)) else ()
+    cloth = settings["cloth_brdf"]
+    return ("oblique",) if cloth.oblique or not EVERY_OBLIQUE.isdisjoint((cloth.model, *cloth.compare)) else ()
 
 
 STAGE = Stage(

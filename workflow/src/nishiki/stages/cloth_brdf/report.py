@@ -70,8 +70,8 @@ def reflection_section(cloth_brdf: Artifact | None, measured: Reflectances, regi
             for plane, azimuth in AZIMUTHS.items()
         ]),
     ]  # fmt: skip
-    if told := (cloth_brdf.diagnostics.get("regions") or {}).get(region):
-        blocks.append(table_of_models(told, models.default))
+    if models_of_region := (cloth_brdf.diagnostics.get("regions") or {}).get(region):
+        blocks.append(table_of_models(models_of_region, models.default))
     return Section("lobes", "Reflection", blocks)
 
 
@@ -92,14 +92,18 @@ def light(degrees: float, azimuth: float) -> np.ndarray:
     return np.array([np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)])
 
 
-def table_of_models(told: dict[str, dict], default: str) -> Table:
+def table_of_models(models: dict[str, dict], default: str) -> Table:
     """Reciprocity and albedo of each model, as the stage cloth_brdf reports them."""
-    angles = sorted({angle for facts in told.values() for angle in facts.get("albedo_max") or {}}, key=float)
-    names = sorted(told, key=lambda name: (name != default, name))
+    angles = sorted({angle for facts in models.values() for angle in facts.get("albedo_max") or {}}, key=float)
+    names = sorted(models, key=lambda name: (name != default, name))
     rows = []
     for name in names:
-        albedo = told[name].get("albedo_max") or {}
-        values = [told[name].get("used"), told[name].get("reciprocity_error"), *(albedo.get(angle) for angle in angles)]
+        albedo = models[name].get("albedo_max") or {}
+        values = [
+            models[name].get("used"),
+            models[name].get("reciprocity_error"),
+            *(albedo.get(angle) for angle in angles),
+        ]
         rows.append([model_name(name), *values])
     spans = (("", 3), ("albedo by incidence", len(angles)))
     return Table(

@@ -41,20 +41,25 @@ def run(context: Context) -> dict:
     settings = context.settings
     reflectances, decision = used_measurements(context)
     names = tuple(dict.fromkeys((settings.model, *settings.compare)))
-    told, diagnostics = {}, {}
+    stored_facts, diagnostics = {}, {}
     for number, region in enumerate(reflectances.regions):
         context.progress.tell(f"region {region}: {', '.join(names)}")
         measured = Measured.of(reflectances, number)
         fitted = fits(context, reflectances, measured, number, names)
         folder = Path("models") / region
-        for name, found in fitted.items():
-            save_brdf(context.output.path(str(folder / f"{name}.npz")), found.brdf)
+        for name, fit in fitted.items():
+            save_brdf(context.output.path(str(folder / f"{name}.npz")), fit.brdf)
         several = len(reflectances.regions) > 1
         save_brdf(context.output.path(f"brdf_{region}.npz" if several else "brdf.npz"), fitted[settings.model].brdf)
         export(context, fitted[settings.model].brdf, f"_{region}" if several else "", reflectances.channels)
-        told[region] = {name: {"used": found.used.tolist(), **found.facts} for name, found in fitted.items()}
-        diagnostics[region] = {name: judged(measured, found) for name, found in fitted.items()}
-    stored = {"format": FORMAT, "default": settings.model, "regions": list(reflectances.regions), "models": told}
+        stored_facts[region] = {name: {"used": fit.used.tolist(), **fit.facts} for name, fit in fitted.items()}
+        diagnostics[region] = {name: judged(measured, fit) for name, fit in fitted.items()}
+    stored = {
+        "format": FORMAT,
+        "default": settings.model,
+        "regions": list(reflectances.regions),
+        "models": stored_facts,
+    }
     text = json.dumps(stored, indent=1, sort_keys=True, allow_nan=False)
     context.output.path("cloth_brdf.json").write_text(text + "\n")
     return {"default": settings.model, "regions": diagnostics, "economy": economy(decision)}
@@ -86,8 +91,8 @@ def fits(context: Context, reflectances, measured: Measured, number: int, names)
     settings = context.settings
     if basic is not None:
         basic = (lambda views: reflectances.basic.evaluate(views, number), basic.values[number])
-    own = [name for name in names if name != "weave"]
-    out = fit_models(measured, basic, own, oblique=settings.oblique, index=settings.index)
+    local_models = [name for name in names if name != "weave"]
+    out = fit_models(measured, basic, local_models, oblique=settings.oblique, index=settings.index)
     if "weave" in names:
         if "weave" not in context.inputs:
             raise UserError("model weave: expected the artifact of the stage weave among the inputs. Remedy: run weave")
@@ -96,10 +101,10 @@ def fits(context: Context, reflectances, measured: Measured, number: int, names)
     return {name: out[name] for name in names}
 
 
-def judged(measured: Measured, found: Fitted) -> dict:
+def judged(measured: Measured, fit: Fitted) -> dict:
     """Reciprocity, albedo, and the error on what the fit used, by polar angle of the light."""
-    used = measured.take(found.used)
-    predicted = found.brdf.evaluate(used.incident, used.outgoing)
+    used = measured.take(fit.used)
+    predicted = fit.brdf.evaluate(used.incident, used.outgoing)
     errors = {}
     for theta, _, rows in incidences(used.incident):
         quarter = measured.quarter and theta < np.radians(1)
@@ -109,24 +114,24 @@ def judged(measured: Measured, found: Fitted) -> dict:
     albedo = {}
     for theta in ALBEDO_DEG:
         light = unit(np.radians(theta), np.radians([0.0, 45.0, 90.0]))
-        albedo[str(theta)] = round(float(directional_albedo(found.brdf, light).max()), 5)
+        albedo[str(theta)] = round(float(directional_albedo(fit.brdf, light).max()), 5)
     return {
-        "used": len(found.used),
+        "used": len(fit.used),
         "rms_rel_used": {angle: round(float(np.mean(values)), 5) for angle, values in errors.items()},
-        "reciprocity_error": round(reciprocity_error(found.brdf), 6),
+        "reciprocity_error": round(reciprocity_error(fit.brdf), 6),
         "albedo_max": albedo,
-        "at_bounds": found.facts.get("at_bounds", []),
+        "at_bounds": fit.facts.get("at_bounds", []),
     }
 
 
 def export(context: Context, brdf, suffix: str, channels) -> None:
     """The default model in the formats asked for."""
-    wanted = context.settings.export
-    if "table" in wanted:
+    formats = context.settings.export
+    if "table" in formats:
         save_brdf(context.output.path(f"table{suffix}.npz"), TableBrdf.sample(brdf))
-    if "utia" in wanted:
+    if "utia" in formats:
         context.output.path(f"brdf{suffix}_utia.bin").write_bytes(utia_planes(brdf).tobytes())
-    if "csv" in wanted:
+    if "csv" in formats:
         rows = goniometer_rows(brdf, incident_deg=EXPORT_INCIDENT_DEG, outgoing_deg=EXPORT_VIEWS_DEG)
         with context.output.path(f"brdf{suffix}.csv").open("w", newline="") as file:
             table = csv.writer(file)

@@ -29,8 +29,8 @@ def run(context: Context) -> dict:
     context.output.path("evaluation.json").write_text(text + "\n")
     rows = [
         {"region": name, "model": model, "set": kind, **row}
-        for name, found in regions.items()
-        for model, entry in found["models"].items()
+        for name, evaluated in regions.items()
+        for model, entry in evaluated["models"].items()
         for kind in (HELD_OUT, FITTED)
         for row in entry[kind]["rows"]
     ]
@@ -39,7 +39,7 @@ def run(context: Context) -> dict:
         table = csv.DictWriter(file, columns)
         table.writeheader()
         table.writerows(rows)
-    return {"default": models.default, "regions": {name: headlines(found) for name, found in regions.items()}}
+    return {"default": models.default, "regions": {name: headlines(evaluated) for name, evaluated in regions.items()}}
 
 
 def region(context: Context, measured: Reflectances, models: ClothModels, name: str) -> dict:
@@ -56,14 +56,14 @@ def region(context: Context, measured: Reflectances, models: ClothModels, name: 
     references = {model for model, rows in used.items() if uses_all(rows, valid) or uses_all(rows, oblique)}
     seen = np.unique(np.concatenate([rows for model, rows in used.items() if model not in references] or [valid[:0]]))
     held_out = np.setdiff1d(valid, seen)
-    found, predicted = {}, {}
+    judged_models, predicted = {}, {}
     for model in models.names(name):
         context.progress.tell(f"{name}: {model}")
         brdf = models.brdf(name, model)
         values = np.zeros((len(measured), brdf.channels))
         values[valid] = brdf.evaluate(measured.incident[valid], measured.outgoing[valid])
         predicted[model] = values
-        found[model] = {
+        judged_models[model] = {
             "facts": models.facts(name, model),
             "reference": model in references,
             HELD_OUT: judged(measured, number, values, held_out),
@@ -72,7 +72,7 @@ def region(context: Context, measured: Reflectances, models: ClothModels, name: 
     return {
         "valid": len(valid),
         "held_out": len(held_out),
-        "models": found,
+        "models": judged_models,
         "curves": curves(measured, number, predicted, valid, held_out, context.settings.curves),
     }
 
@@ -88,8 +88,8 @@ def judged(measured: Reflectances, number: int, predicted: np.ndarray, rows: np.
         return {"measurements": 0, "rows": [], "by_incidence": {}}
     values, noise = measured.values[rows, number], measured.noise[rows, number]
     directions = measured.incident[rows], measured.outgoing[rows]
-    found = judge(*directions, values, predicted[rows], noise, quarter=measured.symmetry == "quarter")
-    return {"measurements": len(rows), "rows": [row.as_dict() for row in found], "by_incidence": by_incidence(found)}
+    errors = judge(*directions, values, predicted[rows], noise, quarter=measured.symmetry == "quarter")
+    return {"measurements": len(rows), "rows": [row.as_dict() for row in errors], "by_incidence": by_incidence(errors)}
 
 
 def curves(measured, number: int, predicted: dict, valid: np.ndarray, held_out: np.ndarray, count: int) -> list[dict]:
@@ -117,18 +117,18 @@ def curves(measured, number: int, predicted: dict, valid: np.ndarray, held_out: 
     ]
 
 
-def headlines(found: dict) -> dict:
+def headlines(evaluated: dict) -> dict:
     """What stands in the artifact's diagnostics: the mean over the planes of rms_rel, by polar angle and model."""
     return {
-        "valid": found["valid"],
-        "held_out": found["held_out"],
+        "valid": evaluated["valid"],
+        "held_out": evaluated["held_out"],
         "rms_rel": {
             model: {angle: part["rms_rel"] for angle, part in entry[HELD_OUT]["by_incidence"].items()}
-            for model, entry in found["models"].items()
+            for model, entry in evaluated["models"].items()
         },
         "peak_value_rel": {
             model: {angle: part["peak_value_rel"] for angle, part in entry[HELD_OUT]["by_incidence"].items()}
-            for model, entry in found["models"].items()
+            for model, entry in evaluated["models"].items()
         },
-        "references": sorted(model for model, entry in found["models"].items() if entry["reference"]),
+        "references": sorted(model for model, entry in evaluated["models"].items() if entry["reference"]),
     }

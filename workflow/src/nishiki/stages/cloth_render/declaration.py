@@ -91,10 +91,10 @@ class ClothRenderSettings(Guarded):
     film: FilmSettings | None = Field(None, description="a video; null: none")
 
 
-def _with_digest_of_mesh(own: Closed, settings: Closed) -> dict:
-    if own.mesh is None or own.mesh.sha256:
+def _with_digest_of_mesh(block: Closed, settings: Closed) -> dict:
+    if block.mesh is None or block.mesh.sha256:
         return {}
-    return {"mesh": own.mesh.model_copy(update={"sha256": digest_of(own.mesh.file, "cloth_render.mesh.file")})}
+    return {"mesh": block.mesh.model_copy(update={"sha256": digest_of(block.mesh.file, "cloth_render.mesh.file")})}
 
 
 STAGE = Stage(

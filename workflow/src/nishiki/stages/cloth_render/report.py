@@ -13,20 +13,20 @@ def rendered_section(render: Artifact | None, widest: int, video_mb: float) -> S
     if render is None:
         return None
     groups: dict[str, list[Figure]] = {"lights": [], "dyes": [], "others": []}
-    told, named = render.diagnostics, []
-    for name in told.get("pictures") or {}:
+    diagnostics, named = render.diagnostics, []
+    for name in diagnostics.get("pictures") or {}:
         data = contents(render, f"{name}.png")
         if data is not None:
             group, heading, caption = words(name)
             groups[group].append(Figure(heading, caption, file_picture(data, widest)))
-    video = told.get("video") or {}
+    video = diagnostics.get("video") or {}
     if video.get("file") in render.manifest["files"]:
         moving = film(render, video["file"], "The film", f"{figure(video['frames'])} frames.", video_mb)
         (groups["others"] if isinstance(moving, Figure) else named).append(moving)
     if not any(groups.values()) and not named:
         return None
-    model = ", ".join(filter(None, (model_name(told.get("model", "")), told.get("region"))))
-    from_file = (told.get("surface") or {}).get("kind") == "file"
+    model = ", ".join(filter(None, (model_name(diagnostics.get("model", "")), diagnostics.get("region"))))
+    from_file = (diagnostics.get("surface") or {}).get("kind") == "file"
     shown = (
         "A surface from a file, covered with the cloth" if from_file else "A square of the cloth that fell over a ball"
     )
@@ -42,7 +42,7 @@ def rendered_section(render: Artifact | None, widest: int, video_mb: float) -> S
         blocks += [Heading(f"In {dyes} dye{'s' * (dyes > 1)}", "the same gloss over each"), Figures(groups["dyes"], 3)]
     if groups["others"]:
         blocks.append(Figures(groups["others"]))
-    notes = [Note([note]) for note in told.get("notes") or []]
+    notes = [Note([note]) for note in diagnostics.get("notes") or []]
     return Section("rendered", "The cloth", [*blocks, *named, *notes])
 
 

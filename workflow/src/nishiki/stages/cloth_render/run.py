@@ -47,10 +47,11 @@ def run(context: Context) -> dict:
         takes.append(stage.take(cloth))
     context.progress.tell(f"{len(takes)} pictures of {view.columns} x {view.rows} pixels")
     made = stage.render(takes, supersampling=settings.supersampling, shadows=settings.shadows) if takes else []
-    own = exposed(settings, [made[k] for name, k in named.items() if name == "drape"])
+    exposure = exposed(settings, [made[k] for name, k in named.items() if name == "drape"])
     dyes = exposed(settings, [made[k] for name, k in named.items() if name.startswith("drape-dye-")])
     pictures = {
-        name: save(context, name, made[k], dyes if name.startswith("drape-dye-") else own) for name, k in named.items()
+        name: save(context, name, made[k], dyes if name.startswith("drape-dye-") else exposure)
+        for name, k in named.items()
     }
     if settings.swatches:
         context.progress.tell("cylinders")
@@ -60,7 +61,7 @@ def run(context: Context) -> dict:
         "region": settings.region or models.regions[0],
         "model": settings.model or models.default,
         "surface": shape,
-        "exposure": {"own": own, "dyes": dyes},
+        "exposure": {"own": exposure, "dyes": dyes},
         "pictures": pictures,
         "video": video,
         "notes": notes,
@@ -85,20 +86,20 @@ def shown(settings: ClothRenderSettings, picture: ClothPicture, exposure: float)
 def surface_of(settings: ClothRenderSettings) -> tuple[Surface, dict]:
     """The draped cloth, or the surface of the file, with its weft; and what is to be said of it."""
     if settings.mesh is not None:
-        found = read_surface(Path(settings.mesh.file), sha256=settings.mesh.sha256, smooth=settings.mesh.smooth)
-        mesh, turn = found.mesh, np.radians(settings.mesh.turned_deg)
+        read = read_surface(Path(settings.mesh.file), sha256=settings.mesh.sha256, smooth=settings.mesh.smooth)
+        mesh, turn = read.mesh, np.radians(settings.mesh.turned_deg)
         if settings.mesh.weft == "texture":
-            if found.uv is None:
+            if read.uv is None:
                 raise UserError(
                     f"{settings.mesh.file}: expected texture coordinates, one pair a vertex, found none. Remedy: set "
                     "mesh.weft to x, y or z, the axis along which the weft is laid on"
                 )
-            field = from_texture(mesh.vertices, mesh.triangles, mesh.normals, found.uv, turn=turn)
+            field = from_texture(mesh.vertices, mesh.triangles, mesh.normals, read.uv, turn=turn)
         else:
             axis = np.array(AXES[settings.mesh.weft], float)
             field = from_direction(mesh.vertices, mesh.triangles, mesh.normals, axis, turn=turn)
-        told = {"transported": int(field.filled.sum()), "arbitrary": field.arbitrary, "sha256": found.sha256}
-        return Surface(mesh, field.weft), {"kind": "file", **sizes(mesh), **told}
+        diagnostics = {"transported": int(field.filled.sum()), "arbitrary": field.arbitrary, "sha256": read.sha256}
+        return Surface(mesh, field.weft), {"kind": "file", **sizes(mesh), **diagnostics}
     side = min(FINEST_SIDE, max(settings.view.rows, settings.view.columns) + 1)  # no more points than pixels
     surface, _ = sheet(read_drape(), side=side)
     return surface, {"kind": "ball", **sizes(surface.mesh)}
@@ -158,30 +159,30 @@ def save(context: Context, name: str, picture: ClothPicture, exposure: float) ->
 
 def film(context: Context, surface: Surface, brdf: Brdf) -> tuple[dict, list[str]]:
     """The video: what was written, and notes."""
-    wanted = context.settings.film
-    if wanted is None:
+    block = context.settings.film
+    if block is None:
         return {}, []
-    frames = context.progress.through(frames_of(context, surface, brdf), wanted.frames, "frame")
+    frames = context.progress.through(frames_of(context, surface, brdf), block.frames, "frame")
     written = write_video(
-        context.output.path("film.mp4"), frames, frames_per_second=wanted.frames_per_second, stamp=context.stamp
+        context.output.path("film.mp4"), frames, frames_per_second=block.frames_per_second, stamp=context.stamp
     )
     return {"frames": written.frames, "file": written.path.name}, [written.note] if written.note else []
 
 
 def frames_of(context: Context, surface: Surface, brdf: Brdf):
     """Frames (rows, columns, 3) uint8; a turn of the cloth is one of camera and lamps about it."""
-    settings, wanted = context.settings, context.settings.film
-    rows = round(wanted.columns * settings.view.rows / settings.view.columns)
+    settings, block = context.settings, context.settings.film
+    rows = round(block.columns * settings.view.rows / settings.view.columns)
     rows += rows % 2
     view = settings.view
 
     stage = studio(
         [surface], lights_of(settings), elevation=np.radians(view.elevation_deg), azimuth=np.radians(view.azimuth_deg),
-        distance=view.distance, rows=rows, columns=wanted.columns, wall=False, **room(settings),
+        distance=view.distance, rows=rows, columns=block.columns, wall=False, **room(settings),
     )  # fmt: skip
     exposure = None
-    for angle in turning(wanted.frames):
-        now = stage.turned(angle) if wanted.moves == "turn" else stage.lit_from(angle)
-        picture = now.render([now.take(brdf)], supersampling=wanted.supersampling, shadows=settings.shadows)[0]
+    for angle in turning(block.frames):
+        now = stage.turned(angle) if block.moves == "turn" else stage.lit_from(angle)
+        picture = now.render([now.take(brdf)], supersampling=block.supersampling, shadows=settings.shadows)[0]
         exposure = exposure or exposed(settings, [picture])
         yield shown(settings, picture, exposure).pixels

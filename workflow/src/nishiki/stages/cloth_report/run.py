@@ -18,8 +18,8 @@ from nishiki.stages.weave.report import weave_section
 def run(context: Context) -> dict:
     """Collect the sections that this scene has, and write the page."""
     inputs, settings = context.inputs, context.settings
-    told = {name: artifact.diagnostics for name, artifact in inputs.items()}
-    samples, capture = told["goniometer_samples"], told.get("ingest") or {}
+    diagnostics = {name: artifact.diagnostics for name, artifact in inputs.items()}
+    samples, capture = diagnostics["goniometer_samples"], diagnostics.get("ingest") or {}
     measured = Reflectances(inputs["goniometer_samples"].folder)
     region = settings.region or measured.regions[0]
     evaluation = read_json(inputs.get("cloth_evaluate"), "evaluation.json")

@@ -185,9 +185,9 @@ def signed_difference(pair: Mapping[str, Any]) -> np.ndarray:
 def signed_end(maps: list[np.ndarray]) -> float:
     """End of the common scale of signed maps: the 98th percentile of all magnitudes, up to 1, 2 or 5 times 10^n."""
     values = np.concatenate([np.abs(values[np.isfinite(values)]) for values in maps])
-    wanted = max(float(np.percentile(values, 98)) if values.size else 0.0, LEAST_SIGNED_END)
-    power = 10.0 ** np.floor(np.log10(wanted))
-    return float(next(power * step for step in (1, 2, 5, 10) if power * step >= wanted * (1 - 1e-9)))
+    least_end = max(float(np.percentile(values, 98)) if values.size else 0.0, LEAST_SIGNED_END)
+    power = 10.0 ** np.floor(np.log10(least_end))
+    return float(next(power * step for step in (1, 2, 5, 10) if power * step >= least_end * (1 - 1e-9)))
 
 
 def _ranked(classes: np.ndarray) -> np.ndarray:

@@ -43,14 +43,14 @@ def run(context: Context) -> dict:
     truth = read_truth(context, frames)
     rows, columns = frames.shape
     out = MapWriter(context.output.folder, rows=rows, columns=columns, band_rows=frames.band_rows, stamp=context.stamp)
-    found = {"pixels": int(np.count_nonzero(frames.mask)), **against_truth(truth, scene, out)}
-    found["colour"] = {"how": scene.camera.how, "rmse_xyz": scene.camera.rmse}
-    found["lights"], pooled = relight(context, scene, truth, out)
-    found["overall"] = {"de00": pooled.as_dict(), "levels": levels(pooled.mean, pooled.p90)}
-    found["classes_from"] = "truth" if truth.checks else "model"
-    found["gloss"] = {"true_gamma_rad": truth.equivalent_gamma(), "gamma_rad": scene.model.gloss.gamma.tolist()}
-    write_tables(context.output.folder, found)
-    return headlines(found)
+    evaluation = {"pixels": int(np.count_nonzero(frames.mask)), **against_truth(truth, scene, out)}
+    evaluation["colour"] = {"how": scene.camera.how, "rmse_xyz": scene.camera.rmse}
+    evaluation["lights"], pooled = relight(context, scene, truth, out)
+    evaluation["overall"] = {"de00": pooled.as_dict(), "levels": levels(pooled.mean, pooled.p90)}
+    evaluation["classes_from"] = "truth" if truth.checks else "model"
+    evaluation["gloss"] = {"true_gamma_rad": truth.equivalent_gamma(), "gamma_rad": scene.model.gloss.gamma.tolist()}
+    write_tables(context.output.folder, evaluation)
+    return headlines(evaluation)
 
 
 class EvaluatedScene:
@@ -137,16 +137,16 @@ def read_truth(context: Context, frames: Observations) -> Truth:
 
 def against_truth(truth: Truth, scene: EvaluatedScene, out: MapWriter) -> dict:
     """Errors of the maps themselves; None where there is no truth or no map of the kind."""
-    found = {"normals": None, "height": None, "reflectance": None}
+    result = {"normals": None, "height": None, "reflectance": None}
     if truth.normals is not None:
         errors = normal_errors(scene.normals, truth.normals, flags=scene.flags, mask=scene.frames.mask)
         out.write("angular_error", errors.map_deg, unit="degrees", nan="outside what truth and estimate share")
-        found["normals"] = errors.as_dict()
+        result["normals"] = errors.as_dict()
     has_height = truth.height_mm is not None and scene.height is not None and scene.height_unit == "mm"
     if has_height:
         inside = scene.frames.mask & scene.known
         error = height_error(scene.height, truth.height_mm, pixels=inside, pitch=scene.pitch)
-        found["height"] = {"unit": "mm", **error.as_dict()}
+        result["height"] = {"unit": "mm", **error.as_dict()}
     if truth.paints is not None and scene.coefficients is not None:
         errors = reflectance_errors(
             scene.coefficients,
@@ -159,8 +159,8 @@ def against_truth(truth: Truth, scene: EvaluatedScene, out: MapWriter) -> dict:
         out.write("reflectance_de00", errors.de00_map, unit="CIEDE2000 under D65", nan="no truth or no estimate here")
         regions = truth.paints.reshape(*scene.frames.shape, -1)[..., 0] if truth.regions is None else truth.regions
         out.write("regions", np.asarray(regions), meaning="region of the truth: row of region_names, or of its spectra")
-        found["reflectance"] = {**errors.as_dict(), "region_names": list(truth.region_names)}
-    return found
+        result["reflectance"] = {**errors.as_dict(), "region_names": list(truth.region_names)}
+    return result
 
 
 def relight(context: Context, scene: EvaluatedScene, truth: Truth, out: MapWriter):
@@ -253,19 +253,19 @@ def colours_for(scene: EvaluatedScene) -> dict:
 
 def compare_pictures(truth, pictures: dict, views: dict, classes: np.ndarray) -> dict:
     """Predicted XYZ against noise-free XYZ."""
-    found = {}
+    result = {}
     for case, picture in pictures.items():
         true = truth.xyz_lamp if case == "lamp" else truth.xyz_d65
         total, by_class, _ = truth_difference(picture, true, views[case].white, classes=classes)
-        found[case] = {"de00": total.as_dict(), "by_class": {name: s.as_dict() for name, s in by_class.items()}}
-    return found
+        result[case] = {"de00": total.as_dict(), "by_class": {name: s.as_dict() for name, s in by_class.items()}}
+    return result
 
 
-def write_tables(folder: Path, found: dict) -> None:
+def write_tables(folder: Path, evaluation: dict) -> None:
     """evaluation.json holds everything, evaluation.csv the figures."""
-    text = json.dumps(found, indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
+    text = json.dumps(evaluation, indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
     (folder / "evaluation.json").write_text(text, encoding="utf-8")
     with open(folder / "evaluation.csv", "w", newline="", encoding="utf-8") as handle:
         table = csv.DictWriter(handle, COLUMNS, lineterminator="\n")
         table.writeheader()
-        table.writerows(rows_of(found))
+        table.writerows(rows_of(evaluation))

@@ -13,7 +13,7 @@ LIMITS = (
     Limit(
         "unusable_share",
         "share of the measurements that cannot be used, worst region",
-        lambda told: share("worst", "directions")({**told, "worst": extreme("unusable")(told)}),
+        lambda diagnostics: share("worst", "directions")({**diagnostics, "worst": extreme("unusable")(diagnostics)}),
         most=0.9,
         remedy="expose differently, or check the window of the photographs",
         why="captures gave 0; with a tenth left most incidences are empty",

@@ -34,20 +34,20 @@ def coverage_rows(stored: dict[str, Any]) -> list[tuple]:
     ]
 
 
-def facts(told: dict[str, Any], capture: dict[str, Any]) -> list[tuple[str, str]]:
+def facts(diagnostics: dict[str, Any], capture: dict[str, Any]) -> list[tuple[str, str]]:
     """Label and text of what is known of the measurements; capture : diagnostics of ingest, if there are any."""
     about = capture.get("capture") or {}
     named = ("object_id", "creator", "date", "rights", "notes")
     rows = [(key.removesuffix("_id").capitalize(), str(about[key])) for key in named if about.get(key)]
-    directions, along = told.get("directions"), told.get("normal_incidence")
+    directions, along = diagnostics.get("directions"), diagnostics.get("normal_incidence")
     if directions is not None:
-        text = f"{directions} pairs of directions, {told.get('incidences')} of light"
+        text = f"{directions} pairs of directions, {diagnostics.get('incidences')} of light"
         rows.append(("Measured", text + (f"; {along} with the light along the normal" if along is not None else "")))
     symmetry = {"quarter": "two mirror planes", "half": "half a turn", "none": "none"}
     texts = {
-        "Cloths": ", ".join(told.get("regions") or []),
-        "Channels": ", ".join(told.get("channels") or []),
-        "Symmetry": symmetry.get(told.get("symmetry", ""), str(told.get("symmetry") or "")),
-        "Weave": str(told.get("weave") or ""),
+        "Cloths": ", ".join(diagnostics.get("regions") or []),
+        "Channels": ", ".join(diagnostics.get("channels") or []),
+        "Symmetry": symmetry.get(diagnostics.get("symmetry", ""), str(diagnostics.get("symmetry") or "")),
+        "Weave": str(diagnostics.get("weave") or ""),
     }
     return rows + [(label, text) for label, text in texts.items() if text]

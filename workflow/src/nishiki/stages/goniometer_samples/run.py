@@ -22,7 +22,7 @@ def run(context: Context) -> dict:
     """Read every photograph's window, divide by the board, average repeats, complete the hemisphere."""
     settings = context.settings
     source = Measurements(context.inputs["ingest"].folder)
-    names, averaged, found = from_table(source) if source.kind == "table" else from_photographs(source, context)
+    names, averaged, readings = from_table(source) if source.kind == "table" else from_photographs(source, context)
     angles_deg = (
         np.array([shot.angles_deg for shot in source.samples]) if source.kind != "table" else table_angles(source)
     )
@@ -46,7 +46,7 @@ def run(context: Context) -> dict:
     context.output.path("coverage.svg").write_text(coverage_plot(measured, covered))
     report = {"stamp": context.stamp, "coverage": [light.as_dict() for light in covered]}
     write_reflectances(context.output.folder, measured, more=report)
-    return diagnostics(measured, averaged, found, made, covered)
+    return diagnostics(measured, averaged, readings, made, covered)
 
 
 def table_angles(source: Measurements) -> np.ndarray:
@@ -81,7 +81,7 @@ def from_photographs(source: Measurements, context: Context) -> tuple[tuple[str,
         regions = Regions(source.regions, numbers, attributes["upright"], scale)
     sample_deg = np.array([shot.angles_deg for shot in source.samples])
     white_deg = np.array([[np.nan if a is None else a for a in shot.angles_deg] for shot in source.whites])
-    found = read_all(
+    reading = read_all(
         lambda i: source.read(source.samples[i]),
         lambda i: source.read(source.whites[i]),
         sample_deg,
@@ -92,20 +92,20 @@ def from_photographs(source: Measurements, context: Context) -> tuple[tuple[str,
         regions=regions,
         tick=lambda i: context.progress(i + 1, len(source.samples), source.samples[i].file),
     )
-    if not found.valid.any(axis=0).all():
-        empty = names[int(np.flatnonzero(~found.valid.any(axis=0))[0])]
+    if not reading.valid.any(axis=0).all():
+        empty = names[int(np.flatnonzero(~reading.valid.any(axis=0))[0])]
         raise UserError(
-            f"region '{empty}': no photograph can be used ({int(found.pixels.sum())} pixels in view in all). Remedy: "
+            f"region '{empty}': no photograph can be used ({int(reading.pixels.sum())} pixels in view in all). Remedy: "
             "check the label picture, goniometer.upright, the dark frames and the exposure."
         )
     exposures = np.array([shot.exposure_s or 1.0 for shot in source.samples])
-    return names, average_repeats(sample_deg, found.values, found.noise, found.valid, exposures), found
+    return names, average_repeats(sample_deg, reading.values, reading.noise, reading.valid, exposures), reading
 
 
 def diagnostics(
     measured: ReflectanceSet,
     averaged: Averaged,
-    found: Readings | None,
+    readings: Readings | None,
     made: Interpolation | None,
     covered: tuple[IncidenceCoverage, ...],
 ) -> dict:
@@ -126,15 +126,15 @@ def diagnostics(
         "channels": list(measured.channels),
         "symmetry": measured.symmetry,
         "weave": measured.weave,
-        "symmetry_departure": [found for found, _ in apart],
+        "symmetry_departure": [readings for readings, _ in apart],
         "symmetry_images": [count for _, count in apart],
         "unusable": (~measured.valid).sum(axis=0).tolist(),
         "least": float(values.min()) if values.size else None,
         "greatest": float(values.max()) if values.size else None,
         "noise_relative": float(np.median(noise[known] / values[known])) if known.any() else None,
-        "boards": found.rules if found else None,
-        "pixels": int(np.median(found.pixels[found.valid])) if found else None,
-        "saturated": int((found.saturated > 0).any(axis=1).sum()) if found else 0,
+        "boards": readings.rules if readings else None,
+        "pixels": int(np.median(readings.pixels[readings.valid])) if readings else None,
+        "saturated": int((readings.saturated > 0).any(axis=1).sum()) if readings else 0,
         "coverage": [light.as_dict() for light in covered[:LISTED]],
     }
     if made:

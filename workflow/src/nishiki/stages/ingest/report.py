@@ -108,12 +108,12 @@ def facts_of_painting(
 
 def _cropped(diagnostics) -> str:
     """Where the picture lies in the photographs, where it is a part of them."""
-    (row, column, rows, columns), whole = diagnostics["region"], diagnostics["photograph"]
-    if [rows, columns] == list(whole):
+    (row, column, rows, columns), photograph = diagnostics["region"], diagnostics["photograph"]
+    if [rows, columns] == list(photograph):
         return ""
     why = "cropped to the object mask" if diagnostics["capture"].get("mask") else "region of interest"
     place = f"columns {column} to {column + columns - 1}, rows {row} to {row + rows - 1}"
-    return f"; {why}: {place} of {whole[1]} × {whole[0]}"
+    return f"; {why}: {place} of {photograph[1]} × {photograph[0]}"
 
 
 def _named(illuminant: str) -> str:

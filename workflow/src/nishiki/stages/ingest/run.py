@@ -56,9 +56,9 @@ def run_goniometer(capture: GoniometerCapture, context: Context) -> dict:
 
 def described(capture: Capture | TurntableCapture | GoniometerCapture, context: Context) -> dict:
     """What the capture says of itself, and what was read of it."""
-    own = context.settings
+    block = context.settings
     read = usage_of(
-        capture, without=own.without, channels=own.channels, tile_mib=own.tile_mib, white_block=own.white_block
+        capture, without=block.without, channels=block.channels, tile_mib=block.tile_mib, white_block=block.white_block
     )
     return {"capture": capture.settings.model_dump(mode="json"), "read": read.as_dict()}
 

@@ -10,9 +10,9 @@ from nishiki.artifacts.limits import Limit, at, extreme
 from nishiki.stages.base import Asked, Cost, Reason, SceneFacts, Stage, surface_of
 
 
-def _scan_residual(told: Mapping[str, Any]) -> float | None:
+def _scan_residual(diagnostics: Mapping[str, Any]) -> float | None:
     """Of the registration, relative to the size of the surface."""
-    worst, area = extreme("scans.residual")(told), at("area")(told)
+    worst, area = extreme("scans.residual")(diagnostics), at("area")(diagnostics)
     return None if worst is None or not area else worst / area**0.5
 
 

@@ -33,15 +33,15 @@ def run(context: Context) -> dict:
         raise UserError(f"hold_out: no view {', '.join(unknown)}; there are: {', '.join(views.views)}")
     source = source_of(settings.source, views)
     used = [name not in settings.hold_out for name in views.views]
-    masks, told = given_masks(views), {}
+    masks, diagnostics = given_masks(views), {}
     if source == "silhouettes":
-        masks, told["silhouettes"] = find_masks(context, views, cameras, masks, used)
+        masks, diagnostics["silhouettes"] = find_masks(context, views, cameras, masks, used)
         hull = carve(kept(masks, used), cameras, cells=settings.cells, misses=settings.misses)
         mesh, defects = clean(hull.mesh.vertices, hull.mesh.triangles, cameras=cameras)
-        told["hull"] = {"cell": hull.cell, "shape": hull.shape, "box": hull.box.tolist()}
+        diagnostics["hull"] = {"cell": hull.cell, "shape": hull.shape, "box": hull.box.tolist()}
     else:
         read = read_file if source == "file" else merge_scans
-        vertices, triangles, told[source] = read(context, views, cameras, document["mirror"])
+        vertices, triangles, diagnostics[source] = read(context, views, cameras, document["mirror"])
         mesh, defects = sound(vertices, triangles, cameras)
     mesh, small = without_small_parts(mesh, smallest=settings.smallest_part)
     if source == "silhouettes" and settings.smooth:
@@ -55,7 +55,7 @@ def run(context: Context) -> dict:
         **asdict(shape_of(mesh)),
         "cleaned": {**defects.as_dict(), "small_parts": small},
         "decimation": {**described(light), "grid_step": step},
-        **told,
+        **diagnostics,
         "fit": fit_of(mesh, cameras, masks, used),
     }
 
@@ -69,15 +69,15 @@ def described(light: SimplifiedMesh) -> dict:
     }
 
 
-def source_of(wanted: str, views: Views) -> str:
+def source_of(source: str, views: Views) -> str:
     """Where the surface comes from. UserError where the capture has not what was asked for."""
     there = {"file": bool(views.geometry["mesh"]), "scans": bool(views.geometry["scans"]), "silhouettes": True}
-    if wanted == "auto":
-        return next(name for name, found in there.items() if found)
-    if not there[wanted]:
-        key = "mesh" if wanted == "file" else "scans"
-        raise UserError(f"mesh: the capture has no {wanted}. Remedy: give turntable.{key}, or another source")
-    return wanted
+    if source == "auto":
+        return next(name for name, available in there.items() if available)
+    if not there[source]:
+        key = "mesh" if source == "file" else "scans"
+        raise UserError(f"mesh: the capture has no {source}. Remedy: give turntable.{key}, or another source")
+    return source
 
 
 def given_masks(views: Views) -> list[np.ndarray | None]:
@@ -108,13 +108,13 @@ def find_masks(
     missing = [place for place, mask in enumerate(masks) if mask is None]
     masks, facts = list(masks), {}
     for place in context.progress.over(missing, "silhouette"):
-        found = segment(picture_of(views, views.views[place]), background=background)
-        masks[place] = found.mask
+        segmented = segment(picture_of(views, views.views[place]), background=background)
+        masks[place] = segmented.mask
         facts[views.views[place]] = {
-            "separation": found.separation,
-            "parts": found.parts,
-            "dropped": found.dropped,
-            "holes": found.holes,
+            "separation": segmented.separation,
+            "parts": segmented.parts,
+            "dropped": segmented.dropped,
+            "holes": segmented.holes,
         }
     changed = []
     if settings.consistency and missing and sum(used) > 3:
@@ -123,8 +123,8 @@ def find_masks(
         for place, each, wrong in zip(missing, known, contradicted(known), strict=True):
             if wrong:
                 picture = picture_of(views, views.views[place])
-                found = segment(picture, background=background, inside=each.inside, outside=each.outside)
-                masks[place] = found.mask
+                segmented = segment(picture, background=background, inside=each.inside, outside=each.outside)
+                masks[place] = segmented.mask
                 changed.append(views.views[place])
     return masks, {"given": len(masks) - len(missing), "background": background, "again": changed, "views": facts}
 

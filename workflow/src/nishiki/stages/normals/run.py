@@ -76,7 +76,7 @@ def map_tiles(context: Context) -> dict:
     sigmas = []
     for band in context.progress.over(context.share(frames.bands()), "band"):
         size = band.stop - band.start, frames.shape[1]
-        found = {name: np.empty((*size, *array.shape[2:]), array.dtype) for name, array in arrays.items()}
+        tile_maps = {name: np.empty((*size, *array.shape[2:]), array.dtype) for name, array in arrays.items()}
         packed = None if selection is None else selection.read("usable", band)
         for rows, observations, valid in frames.strips(band, lights=lights):
             strip = slice(rows.start - band.start, rows.stop - band.start)
@@ -87,12 +87,12 @@ def map_tiles(context: Context) -> dict:
                 if model is not None:
                     maps.update(relit(observations[area], valid[area], parcel, maps, model))
                 for name in arrays:
-                    found[name][strip][area[1:]] = maps[name]
+                    tile_maps[name][strip][area[1:]] = maps[name]
         for name, array in arrays.items():
-            array[band] = found[name]
+            array[band] = tile_maps[name]
         inside = frames.mask[band]
-        counts.update(count_flags(found["flags"], inside))
-        sigmas.append(found["sigma"][inside & ((found["flags"] & bits.NO_ESTIMATE) == 0)][::17])
+        counts.update(count_flags(tile_maps["flags"], inside))
+        sigmas.append(tile_maps["sigma"][inside & ((tile_maps["flags"] & bits.NO_ESTIMATE) == 0)][::17])
     same = {
         "lights": [frames.lights[j] for j in lights],
         "refined": profile is not None,
@@ -168,12 +168,12 @@ def prediction_errors(
     def fit(piece: Sampled) -> dict[str, Fitted]:
         given = piece.observations, piece.usable, piece.valid, piece.parcel
         maps = solve(*given, settings, None)
-        found = {"plain": Fitted(maps)}
+        fits = {"plain": Fitted(maps)}
         for name in models:
-            found[name] = Fitted(maps | relit(piece.observations, piece.valid, piece.parcel, maps, name))
+            fits[name] = Fitted(maps | relit(piece.observations, piece.valid, piece.parcel, maps, name))
         if profile is not None:
-            found["joint"] = Fitted(solve(*given, settings, profile), profile)
-        return found
+            fits["joint"] = Fitted(solve(*given, settings, profile), profile)
+        return fits
 
     bands = sample_bands(frames, RELIGHTING_PIXELS)
     pieces = sampled_pixels(frames, selection, lights, bands, RELIGHTING_PIXELS) if len(lights) >= FEWEST else []
@@ -316,11 +316,11 @@ def solve(
     )
     if field.shading is not None and observations.shape[-1] > 1:
         field = with_shading_of_mean(field, intensity, observations, parcel, usable, valid, settings)
-    found = {name: getattr(field, name) for name in MAPS if name not in ("reflectance", "shading_normals")}
+    maps = {name: getattr(field, name) for name in MAPS if name not in ("reflectance", "shading_normals")}
     if observations.shape[-1] == 1 and field.shading is None:
-        found["reflectance"] = field.albedo[..., None]
+        maps["reflectance"] = field.albedo[..., None]
     else:
-        found["reflectance"] = diffuse_reflectance(
+        maps["reflectance"] = diffuse_reflectance(
             observations,
             parcel.directions,
             field.normals,
@@ -329,9 +329,9 @@ def solve(
             shading=field.shading,
         ).reflectance
     if field.shading is None:
-        del found["shading"]
+        del maps["shading"]
     if gloss is None:
-        return found
+        return maps
     from nishiki.photometric.gloss import refine_normals
 
     fit = refine_normals(
@@ -341,7 +341,7 @@ def solve(
         gloss=gloss,
         valid=valid,
         flags=field.flags,
-        reflectance=found["reflectance"],
+        reflectance=maps["reflectance"],
         max_condition=settings.max_condition,
     )
     kept = (fit.flags & (bits.NO_ESTIMATE | bits.FALLBACK)) != 0
@@ -350,7 +350,7 @@ def solve(
         name: fit.flags
         if name == "flags"
         else np.where(aligned(kept, values), values, lambert[name] if name in lambert else getattr(fit, name))
-        for name, values in found.items()
+        for name, values in maps.items()
     }
 
 

@@ -30,22 +30,22 @@ def model_section(object_brdf: Artifact | None, texels: Artifact | None, widest:
     """Parameter maps as sheets of all charts, and what the fit says of itself; None without both stages."""
     if object_brdf is None or texels is None:
         return None
-    maps, told = ParameterMaps(object_brdf.folder), object_brdf.diagnostics
+    maps, diagnostics = ParameterMaps(object_brdf.folder), object_brdf.diagnostics
 
     def read(tile: int) -> np.ndarray:
         part = maps.read(tile)
         joined = np.concatenate([part.kd, part.ks, part.sigma[..., None]], axis=-1)
         return np.where((part.flags & (TexelFlag.OUTSIDE | TexelFlag.UNSEEN))[..., None] == 0, joined, np.nan)
 
-    width = told["median_sigma"]
+    width = diagnostics["median_sigma"]
     degrees = figure(None if width is None else float(np.degrees(width)))
     highlight, filled, unseen = (
-        percent(100 * told[name]) for name in ("highlight_share", "filled_share", "unseen_share")
+        percent(100 * diagnostics[name]) for name in ("highlight_share", "filled_share", "unseen_share")
     )
     facts = [
-        ("Texels", figure(told["texels"])),
-        ("Lighting", LIGHTING.get(told["lighting"], told["lighting"])),
-        ("Model alone", f"{figure(told['psnr_db'])} dB over {figure(told['samples'])} visible samples"),
+        ("Texels", figure(diagnostics["texels"])),
+        ("Lighting", LIGHTING.get(diagnostics["lighting"], diagnostics["lighting"])),
+        ("Model alone", f"{figure(diagnostics['psnr_db'])} dB over {figure(diagnostics['samples'])} visible samples"),
         ("Highlight observed", f"{highlight} of the texels; median width {degrees}°"),
         (
             "Taken from neighbours",

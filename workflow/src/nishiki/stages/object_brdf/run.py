@@ -31,7 +31,7 @@ def run(context: Context) -> dict:
     lighting, cameras, light_of = lamps(texels, views, settings.lighting)
     numbers = list(range(texels.tiles))
     sample = sample_texels(read, numbers)
-    lighting, found = settle(lighting, sample, cameras, light_of, falloff=settings.falloff, encoding=texels.encoding)
+    lighting, settled = settle(lighting, sample, cameras, light_of, falloff=settings.falloff, encoding=texels.encoding)
     capture = Capture(
         np.array([camera.centre for camera in cameras]),
         [lighting.lamp(camera, int(light)) for camera, light in zip(cameras, light_of, strict=True)],
@@ -57,13 +57,13 @@ def run(context: Context) -> dict:
     else:
         fit = fit_lambert(read, numbers, capture, out.write, threads=threads())
     used = settings.components if separated else "total"
-    report = {"lighting": lighting.as_dict(), "found": found, "fit": asdict(fit), "components": used}
+    report = {"lighting": lighting.as_dict(), "found": settled, "fit": asdict(fit), "components": used}
     report["specular"] = specular
     text = json.dumps(report, indent=1, sort_keys=True, allow_nan=False)
     context.output.path("object_brdf.json").write_text(text + "\n")
     return {
         "lighting": lighting.kind,
-        **found,
+        **settled,
         **asdict(fit),
         "at_bounds": widths_at_bounds(fit.at_bound_share) if specular else [],
         "components": used,
@@ -93,8 +93,8 @@ def shows_gloss(sample: Sample, capture: Capture, setting: str) -> tuple[bool, D
     values = np.nan_to_num(sample.values)
     if capture.encoding == "srgb":
         weights *= encoding_slope(values.mean(axis=-1), "srgb") ** 2
-    found = unseen_gain(values, diffuse, attenuation, alpha, weights)
-    return found.keep, decided(found, setting)
+    gain = unseen_gain(values, diffuse, attenuation, alpha, weights)
+    return gain.keep, decided(gain, setting)
 
 
 def channels(texels: Texels) -> int:

@@ -39,13 +39,13 @@ def run(context: Context) -> dict:
     cost = cost_of(decoded.mesh, charts, decoded.cameras, decoded.lighting.as_dict(), decoded.residual.bytes)
     work = Work(context, decoded, cost.mesh.restored(decoded.mesh), photographs, truth)
     rows = [row for light in range(len(decoded.lights)) for row in work.light(light)]
-    found = figures(rows)
-    used = settings.left_out if settings.left_out != "best" else better_prediction(found)
+    summaries = figures(rows)
+    used = settings.left_out if settings.left_out != "best" else better_prediction(summaries)
     bits = 8 * cost.total / work.pixels if work.pixels else None
     evaluation = {
         "encoding": decoded.encoding,
         "peak": 1.0,
-        "figures": found,
+        "figures": summaries,
         "left_out": {"views": sorted(settings.hold_out), "used": used},
         "bytes": {**cost.parts, "total": cost.total},
         "object_pixels": work.pixels,
@@ -158,10 +158,10 @@ def open_truth(context: Context, photographs: Photographs) -> ObjectTruth | None
 
 def headlines(evaluation: dict) -> dict:
     """The figures that stand in the artifact's diagnostics."""
-    found = evaluation["figures"]
+    summaries = evaluation["figures"]
     kept = {
         name: {key: part[key] for key in ("mean_psnr_db", "worst_psnr_db", "views", "uncovered_pixels")}
-        for name, part in found.items()
+        for name, part in summaries.items()
     }
     names = ("left_out", "bytes", "object_pixels", "bits_per_object_pixel", "vertex_shift_px", "silhouettes")
     return {"psnr": kept, **{name: evaluation[name] for name in names}}

@@ -24,14 +24,14 @@ def run(context: Context) -> dict:
     lights = decoded.light_weights(settings.lights)
     named = stills(decoded, renderer, settings)
     shots = [lit_by(shot, lights) for _, shot in named]
-    found = {}
+    reports = {}
     pictures = context.progress.through(renderer.render(shots), len(shots), "picture")
     for (name, shot), picture in zip(named, pictures, strict=True):
-        found[name] = save(context, renderer, name, shot, picture)
+        reports[name] = save(context, renderer, name, shot, picture)
     video, notes = film(context, renderer, lights)
     turn = renderer.turn
     return {
-        "pictures": found,
+        "pictures": reports,
         "video": video,
         "notes": notes,
         "views_left_out": sorted(settings.hold_out),

@@ -20,44 +20,44 @@ from nishiki.stages.table import chain_of
 def run(context: Context) -> dict:
     """Collect the sections that this scene has, and write the page."""
     inputs, settings = context.inputs, context.settings
-    told = {name: artifact.diagnostics for name, artifact in inputs.items()}
+    diagnostics = {name: artifact.diagnostics for name, artifact in inputs.items()}
     evaluation = read_json(inputs.get("object_evaluate"), "evaluation.json")
     held_out = set(inputs["texels"].settings["hold_out"]) if "texels" in inputs else set()
-    widest, views = settings.picture_columns, len(told["ingest"]["views"])
+    widest, views = settings.picture_columns, len(diagnostics["ingest"]["views"])
     one, many = "an object photographed from one place", "an object on a turntable, photographed from {} places"
     return write_scene_page(
         context,
         chain_of("turntable"),
-        title=told["ingest"]["capture"].get("title"),
+        title=diagnostics["ingest"]["capture"].get("title"),
         about=one if views == 1 else many.format(views),
-        facts=facts_of_object(told["ingest"]),
-        tiles=at_a_glance(told),
+        facts=facts_of_object(diagnostics["ingest"]),
+        tiles=at_a_glance(diagnostics),
         sections=[
             rendered_section(inputs.get("object_render"), widest // 2, settings.video_mb),
             comparison_section(inputs.get("object_evaluate"), evaluation),
             views_section(evaluation),
             model_section(inputs.get("object_brdf"), inputs.get("texels"), widest),
-            residual_section(told.get("residual"), evaluation),
+            residual_section(diagnostics.get("residual"), evaluation),
             separation_section(inputs.get("polarise"), widest),
             geometry_section(inputs.get("mesh"), widest),
             cameras_section(inputs.get("cameras"), held_out),
         ],
-        warnings=list(told["ingest"].get("warnings") or []),
+        warnings=list(diagnostics["ingest"].get("warnings") or []),
     )
 
 
-def at_a_glance(told: dict[str, dict[str, Any]]) -> list[Tile]:
-    """The figures that matter most; told : diagnostics by stage."""
-    evaluation = told.get("object_evaluate") or {}
+def at_a_glance(diagnostics: dict[str, dict[str, Any]]) -> list[Tile]:
+    """The figures that matter most; diagnostics : by stage."""
+    evaluation = diagnostics.get("object_evaluate") or {}
     psnr = evaluation.get("psnr") or {}
     left_out = next((figures for name, figures in psnr.items() if name.startswith("left_out")), {})
-    total = (evaluation.get("bytes") or (told.get("residual") or {}).get("bytes") or {}).get("total")
+    total = (evaluation.get("bytes") or (diagnostics.get("residual") or {}).get("bytes") or {}).get("total")
     tiles = [
         ((psnr.get("captured") or {}).get("mean_psnr_db"), "dB", "rendered views against their photographs"),
         (left_out.get("mean_psnr_db"), "dB", "views that took no part, predicted"),
         ((psnr.get("model_alone") or {}).get("mean_psnr_db"), "dB", "the reflection model alone"),
         (None if total is None else total / 1000, "kB", "everything that a renderer needs"),
         (evaluation.get("bits_per_object_pixel"), "bit", "a pixel of the object"),
-        ((told.get("mesh") or {}).get("triangles"), "", "triangles"),
+        ((diagnostics.get("mesh") or {}).get("triangles"), "", "triangles"),
     ]
     return [Tile(*tile) for tile in tiles if tile[0] is not None]

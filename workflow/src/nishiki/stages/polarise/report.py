@@ -27,9 +27,9 @@ def separation_section(polarise: Artifact | None, widest: int) -> Section | None
     return Section("separation", "Separation", [*sentences(polarise.diagnostics), Figures(items)])
 
 
-def sentences(told: dict[str, Any]) -> list[str]:
+def sentences(diagnostics: dict[str, Any]) -> list[str]:
     """Mean share of each component, of negative and of doubtful pixels; the white boards."""
-    views = told.get("by_view") or []
+    views = diagnostics.get("by_view") or []
 
     def mean(name: str) -> float | None:
         values = [view[name] for view in views if view.get(name) is not None]
@@ -41,7 +41,7 @@ def sentences(told: dict[str, Any]) -> list[str]:
         f"{figure(mean('diffuse'))}, specular {figure(mean('specular'))} (1 is a white board); negative specular "
         f"values (noise) at {percent(negative)} of the pixels, doubtful ones {percent(doubtful)}."
     ]
-    for light, board in (told.get("boards") or {}).items():
+    for light, board in (diagnostics.get("boards") or {}).items():
         if board and board.get("channel"):
             values = ", ".join(figure(value) for value in board["channel"])
             texts.append(f"White board under {light or 'lamp'}: β = {values} by channel.")

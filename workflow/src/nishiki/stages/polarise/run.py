@@ -41,16 +41,16 @@ def run(context: Context) -> dict:
         stamp=context.stamp,
     )
     shown = shown_views(len(views.views), settings.pictures)
-    found: list[SeparationStatistics] = []
-    told: list[dict] = []
+    statistics: list[SeparationStatistics] = []
+    facts_of_views: list[dict] = []
     exposure = None
     boards = {light: boards_of(views, light, sums, settings) for light in views.lights}
     for number in context.progress.over(range(len(views.lights) * len(views.views)), "view"):
         light, place = views.lights[number // len(views.views)], number % len(views.views)
         separated, facts = separate(views, place, light, sums, settings, boards[light])
         writer.write(number, separated)
-        found.append(statistics_of(separated))
-        told.append(facts)
+        statistics.append(statistics_of(separated))
+        facts_of_views.append(facts)
         if place in shown and number < len(views.views):
             exposure = exposure or exposure_of(separated)
             picture(context, views.views[place], place, separated, exposure)
@@ -62,9 +62,9 @@ def run(context: Context) -> dict:
         "angles_deg": [list(angles) for angles in sums.angles_deg],
         "views": len(views.views),
         "lights": list(views.lights),
-        "boards": {light: told_of(boards[light]) for light in views.lights},
-        **totals(found),
-        "by_view": [{**asdict(one), **facts} for one, facts in zip(found, told, strict=True)],
+        "boards": {light: board_diagnostics(boards[light]) for light in views.lights},
+        **totals(statistics),
+        "by_view": [{**asdict(one), **facts} for one, facts in zip(statistics, facts_of_views, strict=True)],
     }
 
 
@@ -136,7 +136,7 @@ def boards_of(views: Views, light: str, sums: StateSums, settings: PolariseSetti
     )
 
 
-def told_of(board: Beta | None) -> dict | None:
+def board_diagnostics(board: Beta | None) -> dict | None:
     """A board in the diagnostics."""
     if board is None:
         return None
@@ -157,17 +157,17 @@ def wavelength_of(views: Views, settings: PolariseSettings) -> float | None:
     return float(text) if text.replace(".", "", 1).isdigit() else None
 
 
-def totals(found: list[SeparationStatistics]) -> dict:
+def totals(statistics: list[SeparationStatistics]) -> dict:
     """Means over the views that have anything valid."""
-    known = [one for one in found if one.diffuse is not None]
+    known = [one for one in statistics if one.diffuse is not None]
     names = ("diffuse", "specular", "negative", "negative_mean", "noise", "doubtful")
     mean = {name: [getattr(one, name) for one in known if getattr(one, name) is not None] for name in names}
     values = {name: float(np.mean(each)) if each else None for name, each in mean.items()}
-    whole = (values["diffuse"] or 0.0) + (values["specular"] or 0.0)
+    sum_of_means = (values["diffuse"] or 0.0) + (values["specular"] or 0.0)
     return {
         **values,
-        "specular_share": values["specular"] / whole if known and whole > 0 else None,
-        "valid": float(np.mean([one.valid for one in found])),
+        "specular_share": values["specular"] / sum_of_means if known and sum_of_means > 0 else None,
+        "valid": float(np.mean([one.valid for one in statistics])),
     }
 
 

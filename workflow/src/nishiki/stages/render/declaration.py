@@ -89,10 +89,10 @@ STAGE = Stage(
     requires=("normals",),
     wants=lambda settings: ("height",) * settings.cast_shadows + ("spectra", "brdf"),
     needs_colour=True,
-    filled=lambda own, settings: {
+    filled=lambda block, settings: {
         "curves_sha256": {
             table: digest_of(table, "illuminant")
-            for table in sorted(table for table in illuminants(own) if table.lower().endswith(".csv"))
+            for table in sorted(table for table in illuminants(block) if table.lower().endswith(".csv"))
         }
     },
     libraries=("numpy", "scipy", "numba", "zarr", "OpenEXR", "opencv-contrib-python-headless", "av"),

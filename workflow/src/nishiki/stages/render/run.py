@@ -40,13 +40,13 @@ def run(context: Context) -> dict:
     scene = load_scene(context.inputs, cast_shadows=settings.cast_shadows)
     lights = [light for picture in settings.pictures for light in picture.lights]
     spectra = {name: spectrum(name) for name in {item.illuminant for item in (*lights, *settings.sequences)}}
-    found, notes = {}, []
+    pictures, notes = {}, []
     for picture in context.progress.over(settings.pictures, "picture"):
         made = paint(scene, picture, spectra, settings)
-        found[picture.name] = save(context, picture, made)
+        pictures[picture.name] = save(context, picture, made)
     for sequence in settings.sequences:
         written, exposure = film(context, scene, sequence, spectra)
-        found[sequence.name] = {"frames": written.frames, "file": written.path.name, "exposure": exposure}
+        pictures[sequence.name] = {"frames": written.frames, "file": written.path.name, "exposure": exposure}
         notes += [written.note] if written.note else []
     if settings.export_normals:
         maps = Maps(context.inputs["normals"].folder)
@@ -55,7 +55,7 @@ def run(context: Context) -> dict:
         write_normals_png(context.output.path("normals.png"), normals, stamp=context.stamp)
         write_normals_exr(context.output.path("normals.exr"), normals, stamp=context.stamp)
     return {
-        "pictures": found,
+        "pictures": pictures,
         "notes": notes,
         "spectral": scene.basis is not None,
         "cast_shadows": scene.height is not None,

@@ -31,7 +31,7 @@ def run(context: Context) -> dict:
     """Collect the sections that this scene has, and write the page."""
     inputs, settings = context.inputs, context.settings
     widest = settings.picture_columns
-    told = {name: artifact.diagnostics for name, artifact in inputs.items()}
+    diagnostics = {name: artifact.diagnostics for name, artifact in inputs.items()}
     frames = Observations(inputs["ingest"].folder)
     maps = {name: Maps(artifact.folder) for name, artifact in inputs.items() if artifact.path("maps.zarr").is_dir()}
     evaluation = read_json(inputs.get("evaluate"), "evaluation.json")
@@ -43,10 +43,10 @@ def run(context: Context) -> dict:
     return write_scene_page(
         context,
         CHAIN,
-        title=told["ingest"]["capture"]["title"],
+        title=diagnostics["ingest"]["capture"]["title"],
         about=f"digitised from {len(frames.lights)} photographs, each under another light",
-        facts=facts_of_painting(told["ingest"], list(frames.channels), frames.pixel_pitch_mm, kinds),
-        tiles=at_a_glance(told["normals"], evaluation, told.get("height"), told.get("spectra")),
+        facts=facts_of_painting(diagnostics["ingest"], list(frames.channels), frames.pixel_pitch_mm, kinds),
+        tiles=at_a_glance(diagnostics["normals"], evaluation, diagnostics.get("height"), diagnostics.get("spectra")),
         sections=[
             appearance_section(inputs.get("render"), widest, settings.video_mb, scale_bar),
             relighting,
@@ -58,7 +58,7 @@ def run(context: Context) -> dict:
                 evaluated=maps.get("evaluate"),
                 mask=frames.mask,
                 evaluation=evaluation,
-                refined=told["normals"].get("refined", False),
+                refined=diagnostics["normals"].get("refined", False),
                 ruler=scale_bar,
             ),
             colour_section(
@@ -69,14 +69,16 @@ def run(context: Context) -> dict:
                 evaluated=maps.get("evaluate"),
                 evaluation=evaluation,
                 known=frames.mask & ((maps["normals"].read("flags") & NO_ESTIMATE) == 0),
-                expected_de00=told.get("spectra", {}).get("expected_de00"),
+                expected_de00=diagnostics.get("spectra", {}).get("expected_de00"),
                 ruler=scale_bar,
             ),
             gloss_section(
                 read_json(inputs.get("brdf"), "parameters.json"),
                 true_gamma=(truth.get("gloss") or {}).get("true_gamma_rad"),
             ),
-            capture_section(told["ingest"], lights=list(frames.lights), kinds=kinds, directions=frames.directions),
+            capture_section(
+                diagnostics["ingest"], lights=list(frames.lights), kinds=kinds, directions=frames.directions
+            ),
         ],
         more_left_out=[]
         if any(truth.get(name) for name in ("normals", "height", "reflectance"))

@@ -10,8 +10,8 @@ from nishiki.artifacts.limits import Limit, at
 from nishiki.stages.base import Cost, Stage
 
 
-def _residual_loss(told: Mapping[str, Any]) -> float | None:
-    psnr, model = at("psnr_db")(told), at("model_psnr_db")(told)
+def _residual_loss(diagnostics: Mapping[str, Any]) -> float | None:
+    psnr, model = at("psnr_db")(diagnostics), at("model_psnr_db")(diagnostics)
     return None if psnr is None or model is None else model - psnr
 
 

@@ -42,10 +42,10 @@ def run(context: Context) -> dict:
         gloss=fitted["specular"],
     )
     design, workers = design_of(texels, source.components, settings), threads()
-    found = pilot(source, scene, design, effort, threads=workers, progress=context.progress)
+    piloted = pilot(source, scene, design, effort, threads=workers, progress=context.progress)
     counts = source.counts()
 
-    left = left_by_model(source, scene, found)
+    left = left_by_model(source, scene, piloted)
     decision = decided(left, settings.target, settings.amount, settings.sufficient)
     context.progress.tell(str(decision))
     alone = settings.sufficient == "auto" and model_suffices(left, settings.target, settings.amount)
@@ -56,7 +56,7 @@ def run(context: Context) -> dict:
         return one_pass(
             source,
             scene,
-            found,
+            piloted,
             effort,
             step,
             threads=workers,
@@ -71,16 +71,16 @@ def run(context: Context) -> dict:
     return {**figures, "bytes": parts, "bits_per_pixel": bits, "economy": economy(decision)}
 
 
-def left_by_model(source: "ArtifactSource", scene: CodedScene, found: Pilot) -> Left:
+def left_by_model(source: "ArtifactSource", scene: CodedScene, piloted: Pilot) -> Left:
     """What the model alone leaves of the pictures, on tiles in even steps."""
-    design, tiles = found.design, []
-    there = [tile for tile in range(source.tiles) if found.refined[tile] is not None]
+    design, tiles = piloted.design, []
+    there = [tile for tile in range(source.tiles) if piloted.refined[tile] is not None]
     if not design.model:
         return Left(0.0, 1.0, 0)
     for tile in there[:: max(1, len(there) // SAMPLE_TILES)]:
         pixels = source.pixels(tile)
         seen = see(pixels, source.surface(tile), design)
-        maps, order = found.refined[tile].maps, seen.feet.order
+        maps, order = piloted.refined[tile].maps, seen.feet.order
         for index, component in enumerate(design.components):
             left = seen.values[index] - seen.feet.look_up(model_of(maps, seen, scene, design, component))
             tiles.append((left, pixels.observation[order], pixels.s[order], pixels.t[order]))

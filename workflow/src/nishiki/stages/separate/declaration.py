@@ -55,7 +55,7 @@ STAGE = Stage(
     requires=("ingest",),
     lacks=no_method,
     needs_colour=True,
-    filled=lambda own, settings: {"lights": settings.normals.lights},
+    filled=lambda block, settings: {"lights": settings.normals.lights},
     cost=lambda facts: Cost(mib=300, tiles=2.0, seconds=2.5, us_per_pixel=2, us_per_sample=0.12),
     scatter=True,
 )

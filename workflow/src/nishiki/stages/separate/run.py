@@ -35,10 +35,10 @@ def map_tiles(context: Context) -> dict:
         counts = np.empty((2, *size), np.uint16)
         for rows_of_strip, observations, valid in frames.strips(band, lights=lights, channel="mean"):
             strip = slice(rows_of_strip.start - band.start, rows_of_strip.stop - band.start)
-            chosen, found = select(frames, rows_of_strip, lights, observations, valid, settings)
+            chosen, counted = select(frames, rows_of_strip, lights, observations, valid, settings)
             packed[strip] = pack_lights(chosen)
-            counts[:, strip] = found
-            totals += [np.count_nonzero(chosen), *(a.sum(dtype=np.int64) for a in found), np.count_nonzero(valid)]
+            counts[:, strip] = counted
+            totals += [np.count_nonzero(chosen), *(a.sum(dtype=np.int64) for a in counted), np.count_nonzero(valid)]
         usable[band], highlights[band], shadows[band] = packed, *counts
     same = {"lights": [frames.lights[j] for j in lights], "economy": economy(decision)}
     return {"same": same, "samples": rows * columns * len(lights), "totals": totals.tolist()}

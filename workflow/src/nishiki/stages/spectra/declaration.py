@@ -66,8 +66,8 @@ STAGE = Stage(
     requires=("ingest", "normals"),
     lacks=_no_spectra,
     needs_colour=True,
-    filled=lambda own, settings: (
-        {} if own.training == "synthetic" else {"training_sha256": digest_of(own.training, "spectra.training")}
+    filled=lambda block, settings: (
+        {} if block.training == "synthetic" else {"training_sha256": digest_of(block.training, "spectra.training")}
     ),
     libraries=("numpy", "scipy", "numba", "zarr"),
     threads=1,

@@ -87,18 +87,18 @@ def fit(context: Context, training: np.ndarray) -> tuple[SpectralEstimator, Deci
     curves = np.load(context.inputs["ingest"].path("curves.npz"))
     settings = context.settings
     lamp, camera = curves["illuminant"], curves["sensitivities"]
-    found: list[Bases] = []
+    numbers: list[Bases] = []
 
     def enough(estimates: np.ndarray, mean_square: float) -> int:
-        found.append(output_bases(estimates, mean_square))
-        return found[-1].count
+        numbers.append(output_bases(estimates, mean_square))
+        return numbers[-1].count
 
     bases = settings.bases if settings.bases != "auto" else enough
     if settings.bases == "auto" and settings.method == "paper":
-        found.append(principal_bases(training, channel_weights(lamp, camera), noise=settings.noise))
-        bases = found[-1].count
+        numbers.append(principal_bases(training, channel_weights(lamp, camera), noise=settings.noise))
+        bases = numbers[-1].count
     estimator = fit_estimator(training, lamp, camera, method=settings.method, bases=bases, noise=settings.noise)
-    return estimator, decided(found[-1], method=settings.method) if found else None
+    return estimator, decided(numbers[-1], method=settings.method) if numbers else None
 
 
 def measured_set(path: Path) -> np.ndarray:

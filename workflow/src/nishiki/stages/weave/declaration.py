@@ -10,13 +10,13 @@ from nishiki.artifacts.limits import Limit, extreme
 from nishiki.stages.base import Cost, SceneFacts, Stage
 
 
-def _regions(told: Mapping[str, Any], name: str) -> list[Any]:
+def _regions(diagnostics: Mapping[str, Any], name: str) -> list[Any]:
     """One entry of every region of a cloth."""
-    return [region.get(name) for region in (told.get("regions") or {}).values() if isinstance(region, Mapping)]
+    return [region.get(name) for region in (diagnostics.get("regions") or {}).values() if isinstance(region, Mapping)]
 
 
-def _weave_error(told: Mapping[str, Any]) -> float | None:
-    return extreme("all")({"all": _regions(told, "rms_rel")})
+def _weave_error(diagnostics: Mapping[str, Any]) -> float | None:
+    return extreme("all")({"all": _regions(diagnostics, "rms_rel")})
 
 
 LIMITS = (

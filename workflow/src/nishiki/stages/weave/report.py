@@ -87,13 +87,13 @@ def section_words(section: dict[str, float]) -> str:
     return f"{text}, {section['n']:.2g} yarns side by side." if "n" in section else f"{text}."
 
 
-def parameters(told: dict[str, Any]) -> list[list[Cell]]:
+def parameters(region: dict[str, Any]) -> list[list[Cell]]:
     """Name, value, ends of the interval and meaning of each parameter; told : diagnostics of a region."""
     rows: list[list[Cell]] = []
-    for name, value in (told.get("parameters") or {}).items():
+    for name, value in (region.get("parameters") or {}).items():
         stem, _, plane = name.rpartition("_")
         kind = stem if plane in PLANES else name
-        low, high = (told.get("intervals") or {}).get(name) or (None, None)
+        low, high = (region.get("intervals") or {}).get(name) or (None, None)
         factor = 180 / np.pi if kind in ANGLES else 1.0
         meaning = MEANINGS.get(kind, "")
         meaning += f", {plane}" if plane in PLANES and meaning else ""
@@ -120,16 +120,18 @@ def curve(values: dict[str, Any], plane: str) -> Figure:
 
 def notes(entry: dict[str, Any]) -> list[str]:
     """What the data cannot tell."""
-    found = entry.get("identifiability") or {}
+    identifiability = entry.get("identifiability") or {}
     texts = []
-    if found.get("free"):
-        texts.append(f"Not determined by measurements of this kind: {'; '.join(found['free'])}.")
-    pairs = list(zip(found.get("weak") or [], found.get("weak_error") or [], strict=True))[:MOST_WEAK]
+    if identifiability.get("free"):
+        texts.append(f"Not determined by measurements of this kind: {'; '.join(identifiability['free'])}.")
+    pairs = list(zip(identifiability.get("weak") or [], identifiability.get("weak_error") or [], strict=True))[
+        :MOST_WEAK
+    ]
     if pairs:
-        told = "; ".join(
+        combinations = "; ".join(
             f"{name}: {'not determined' if error > 1 else f'to {100 * error:.2g} %'}" for name, error in pairs
         )
-        texts.append(f"Least well determined combinations (one standard deviation): {told}.")
+        texts.append(f"Least well determined combinations (one standard deviation): {combinations}.")
     if entry.get("at_bounds"):
         texts.append(f"At the end of their range: {', '.join(entry['at_bounds'])}.")
     return texts
