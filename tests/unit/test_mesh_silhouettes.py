@@ -100,6 +100,19 @@ def test_half_cover_moves_an_outline_that_was_drawn_too_wide():
     assert agreement(at_half_cover(picture, wide), truth) > 0.985
 
 
+@pytest.mark.parametrize("radius", [25, 60, 110])
+def test_a_rim_that_shades_to_black_is_not_taken_for_background(radius):
+    """A matt ball lit from the camera before black, blurred by a lens: as large as it is, to two thirds of a pixel."""
+    size = 256
+    fine = (np.arange(4 * size) + 0.5) / 4 - size / 2
+    square = np.maximum(1 - (fine[:, None] ** 2 + fine**2) / radius**2, 0)
+    linear = cv2.GaussianBlur(np.sqrt(square).astype(np.float32), (0, 0), 4 * 0.6)
+    linear = cv2.resize(linear, (size, size), interpolation=cv2.INTER_AREA)[..., None] * np.array([0.8, 0.5, 0.3])
+    noise = np.random.default_rng(radius).normal(0, 0.002, linear.shape)
+    mask = segment(display((linear + noise).astype(np.float32)), background="dark").mask
+    assert abs(np.sqrt(mask.sum() / np.pi) - radius) < 0.67
+
+
 def test_display_of_one_channel_and_of_darkness():
     assert display(np.zeros((5, 6, 3), np.float32)).max() == 0
     grey = display(np.linspace(0, 0.01, 30, dtype=np.float32).reshape(5, 6, 1))

@@ -20,6 +20,9 @@ NEAR = 1.5
 """Distance (in spreads of the background) below which a hole is background."""
 LOWEST_LEVEL, HIGHEST_LEVEL = 1.5, 6.0
 REACH_PX = 2
+DARKEST_RIM = 0.1
+"""Smallest share of the light a little further inside to which the object's rim is taken to darken."""
+RIM_ROOT, LEAST_VARIANCE = 0.5, 0.02  # square root of the rim's depth, pixels; where all depths inside are alike
 SHADOW = 0.55
 """Cube root of the smallest share of the light that a shadow leaves."""
 WORKING_PIXELS = 1_000_000
@@ -222,28 +225,54 @@ def at_half_cover(picture: np.ndarray, mask: np.ndarray, *, reach: int = REACH_P
     """Mask whose outline runs where the object covers half a pixel.
 
     Lenses and video mix the colours of both sides over a few pixels, and a small share of the object suffices to look
-    unlike the background. Within `reach` pixels of the outline the share is estimated from the mean colours a little
-    further inside and outside; where the object is too thin to have an inside, the mask stays.
+    unlike the background. Within `reach` pixels of the outline the share is estimated from the colours of both sides.
+    The background's is the mean a little further outside. The object's is carried on to the outline: a surface that
+    turns away from a lamp beside the camera darkens as the square root of the depth d within the outline, so that
+    a + b sqrt(d) is fitted a little further inside; a plain mean there would take the dark rim for background and put
+    the outline too far inside. Depths count from the outline, so this is done twice. Where the object is too thin to
+    have an inside, the mask stays.
     """
-    import cv2
-
     from nishiki.colour.encoding import decode
 
-    light = decode(picture.astype(np.float32) / 255, "srgb")
+    if not mask.any():
+        return mask
+    area = _around(mask, 6 * reach)
+    light = decode(picture[area].astype(np.float32) / 255, "srgb")
+    moved = mask.copy()
+    for _ in range(2):
+        moved[area] = _half_covered(light, moved[area], reach)
+    return moved
+
+
+def _half_covered(light: np.ndarray, mask: np.ndarray, reach: int) -> np.ndarray:
+    """One step of `at_half_cover`, on linear light (rows, columns, 3)."""
+    import cv2
+
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
     solid = mask.astype(np.uint8)
     inner, outer = cv2.erode(solid, kernel), 1 - cv2.dilate(solid, kernel)
     band = (inner == 0) & (outer == 0)
-    sides = []
-    for side in (inner, outer):
-        weight = cv2.GaussianBlur(side.astype(np.float32), (0, 0), 1.5 * reach)
-        total = cv2.GaussianBlur(light * side[..., None].astype(np.float32), (0, 0), 1.5 * reach)
-        sides.append((total / np.maximum(weight, 1e-6)[..., None], weight > 0.03))
-    (front, has_front), (back, has_back) = sides
-    across = front - back
+
+    def around(values: np.ndarray) -> np.ndarray:
+        return cv2.GaussianBlur(values.astype(np.float32), (0, 0), 1.5 * reach)
+
+    outside = around(outer)
+    back = around(light * outer[..., None]) / np.maximum(outside, 1e-6)[..., None]
+    inside = around(inner)
+    weight = np.maximum(inside, 1e-6)
+    root = inner * np.sqrt(cv2.distanceTransform(solid, cv2.DIST_L2, cv2.DIST_MASK_PRECISE))
+    mean_root = around(root) / weight
+    variance = np.maximum(around(root * root) / weight - mean_root**2, 0) + LEAST_VARIANCE
+    mean = around(light * inner[..., None]) / weight[..., None]
+    slope = (around(light * root[..., None]) / weight[..., None] - mean_root[..., None] * mean) / variance[..., None]
+    at_rim = mean - slope * (mean_root - RIM_ROOT)[..., None]
+
+    across = mean - back
     square = np.einsum("rck,rck->rc", across, across)
-    cover = np.einsum("rck,rck->rc", light - back, across) / np.maximum(square, 1e-9)
-    known = band & has_front & has_back & (square > 1e-4)
+    known = band & (inside > 0.03) & (outside > 0.03) & (square > 1e-4)
+    square = np.maximum(square, 1e-9)
+    darkened = np.clip(np.einsum("rck,rck->rc", at_rim - back, across) / square, DARKEST_RIM, 1)
+    cover = np.einsum("rck,rck->rc", light - back, across) / (square * darkened)
     return np.where(known, cover > 0.5, mask)
 
 
