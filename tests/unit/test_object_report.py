@@ -137,9 +137,15 @@ def evaluation_of(writer):
     picture = np.full((5, 7, 3), 90, np.uint8)
     np.savez(writer.path("compare-000.npz"), photograph=picture, rendered=picture, model=picture, error=picture)
     figures = {"views": 3, "mean_psnr_db": 41.5, "worst_psnr_db": 40.0, "pooled_psnr_db": 41.0, "mean_similarity": 0.9}
-    figures |= {"mean_covered_psnr_db": 42.0, "uncovered_pixels": 3, "pixels": 900}
+    figures |= {"mean_covered_psnr_db": 42.0, "uncovered_pixels": 3, "superfluous_pixels": 2, "pixels": 900}
     row = {"view": "000", "light": "", "left_out": False, "picture": "decoded", "against": "photograph", "pixels": 9}
-    row |= {"psnr_db": 41.5, "covered_psnr_db": 42.0, "similarity": None, "uncovered_pixels": 3}
+    row |= {
+        "psnr_db": 41.5,
+        "covered_psnr_db": 42.0,
+        "similarity": None,
+        "uncovered_pixels": 3,
+        "superfluous_pixels": 2,
+    }
     sizes = {"mesh": 500, "residual_parameters": 200, "residual_total": 3000, "total": 3700}
     evaluation = {
         "figures": {"captured": figures, "left_out_interpolated": {**figures, "mean_psnr_db": 33.25}},

@@ -122,8 +122,9 @@ def rows_of_two_views():
             compare(
                 photograph + np.float32(error),
                 photograph,
-                inside=inside,
+                outline=inside,
                 covered=covered,
+                valid=np.ones_like(inside),
                 similarity=True,
                 view=view,
                 light="",

@@ -107,10 +107,17 @@ def test_psnr_of_known_noise():
     covered[10, :] = False
     wrong = photograph + np.float32(0.01)
     wrong[~inside] = 99
-    found = difference(wrong, photograph, inside, covered)
+    every = np.ones_like(inside)
+    found = difference(wrong, photograph, inside, covered, every)
     assert abs(found.psnr_db - 40) < 1e-3
-    assert (found.pixels, found.samples, found.uncovered) == (1600, 4800, 40)
-    both = summary([found, Difference(4800 * 1e-3, 4800, 1600, 0), Difference(0.0, 10, 5, 0)])
+    assert (found.pixels, found.samples, found.uncovered, found.superfluous) == (1600, 4800, 40, 0)
+    beyond = covered.copy()
+    beyond[20, 45] = True
+    wide = difference(wrong, photograph, inside, beyond, every)
+    assert (wide.pixels, wide.superfluous) == (1601, 1)
+    assert wide.psnr_db < 0  # a pixel of 99 where the photograph shows the background
+    assert difference(wrong, photograph, inside, beyond, inside) == found
+    both = summary([found, Difference(4800 * 1e-3, 4800, 1600), Difference(0.0, 10, 5)])
     assert abs(both["mean_psnr_db"] - 35) < 1e-3
     assert abs(both["worst_psnr_db"] - 30) < 1e-3
     assert both["views"] == 2

@@ -1,4 +1,4 @@
-"""How near a picture is to its photograph, in the capture's own encoding, inside the silhouette."""
+"""How near a picture is to its photograph, in the capture's own encoding, over outline and rendered surface."""
 
 from __future__ import annotations
 
@@ -11,12 +11,14 @@ PEAK = 1.0  # full scale of the camera's codes
 
 @dataclass(frozen=True)
 class Difference:
-    """Sum of squared differences over the channels and number of pixels; uncovered: those that the surface misses."""
+    """Sum of squared differences over the channels and number of pixels; uncovered: pixels of the outline that the
+    surface misses; superfluous: pixels that it covers beyond the outline."""
 
     squares: float
     samples: int
     pixels: int
-    uncovered: int
+    uncovered: int = 0
+    superfluous: int = 0
 
     @property
     def psnr_db(self) -> float | None:
@@ -31,20 +33,29 @@ class Difference:
             self.samples + other.samples,
             self.pixels + other.pixels,
             self.uncovered + other.uncovered,
+            self.superfluous + other.superfluous,
         )
 
 
-NOTHING = Difference(0.0, 0, 0, 0)
+NOTHING = Difference(0.0, 0, 0)
 
 
 def difference(
-    coded: np.ndarray, photograph: np.ndarray, inside: np.ndarray, covered: np.ndarray | None = None
+    coded: np.ndarray, photograph: np.ndarray, outline: np.ndarray, covered: np.ndarray, valid: np.ndarray
 ) -> Difference:
-    """coded, photograph (rows, columns, channels) in the capture's encoding; inside (rows, columns) bool: the
-    silhouette less dead or saturated pixels; covered: pixels that the surface reaches."""
-    delta = coded[inside].astype(np.float64) - photograph[inside].astype(np.float64)
-    missed = 0 if covered is None else int(np.count_nonzero(inside & ~covered))
-    return Difference(float(np.sum(delta * delta)), delta.size, int(np.count_nonzero(inside)), missed)
+    """Difference over all pixels that either shows.
+
+    Parameters
+    ----------
+    coded, photograph : (rows, columns, channels) array
+        In the capture's encoding, full scale 1.
+    outline, covered, valid : (rows, columns) bool array
+        Pixels of the object; pixels that the rendered surface reaches; neither dead nor saturated.
+    """
+    judged = (outline | covered) & valid
+    delta = coded[judged].astype(np.float64) - photograph[judged].astype(np.float64)
+    missed, extra = (int(np.count_nonzero(judged & ~part)) for part in (covered, outline))
+    return Difference(float(np.sum(delta * delta)), delta.size, int(np.count_nonzero(judged)), missed, extra)
 
 
 def structural_similarity(coded: np.ndarray, photograph: np.ndarray, inside: np.ndarray) -> float | None:
@@ -82,4 +93,5 @@ def summary(differences: list[Difference]) -> dict:
         "pooled_psnr_db": pooled.psnr_db,
         "pixels": pooled.pixels,
         "uncovered_pixels": pooled.uncovered,
+        "superfluous_pixels": pooled.superfluous,
     }

@@ -12,7 +12,7 @@ from nishiki.evaluate.object_quality import Difference, difference, structural_s
 DECODED, MODEL, INTERPOLATED, SLOT = "decoded", "model_alone", "interpolated", "slot"
 COLUMNS = (
     "view", "light", "left_out", "picture", "against", "psnr_db", "covered_psnr_db", "similarity", "pixels",
-    "uncovered_pixels",
+    "uncovered_pixels", "superfluous_pixels",
 )  # fmt: skip
 
 
@@ -40,6 +40,7 @@ class Row:
             "similarity": self.similarity,
             "pixels": self.judged.pixels,
             "uncovered_pixels": self.judged.uncovered,
+            "superfluous_pixels": self.judged.superfluous,
         }
 
 
@@ -47,17 +48,19 @@ def compare(
     coded: np.ndarray,
     counterpart: np.ndarray,
     *,
-    inside: np.ndarray,
+    outline: np.ndarray,
     covered: np.ndarray,
+    valid: np.ndarray,
     similarity: bool,
     **named,
 ) -> Row:
-    """coded, counterpart (rows, columns, channels) in the capture's encoding; inside: pixels judged; covered: pixels
-    that the surface meets; named: the other fields of the row."""
+    """A row over outline and rendered surface together (see `difference`); its figure `covered` is over the pixels of
+    both. named: the other fields of the row."""
+    both = outline & covered
     return Row(
-        judged=difference(coded, counterpart, inside, covered),
-        covered=difference(coded, counterpart, inside & covered),
-        similarity=structural_similarity(coded, counterpart, inside) if similarity else None,
+        judged=difference(coded, counterpart, outline, covered, valid),
+        covered=difference(coded, counterpart, both, both, valid),
+        similarity=structural_similarity(coded, counterpart, (outline | covered) & valid) if similarity else None,
         **named,
     )
 

@@ -12,7 +12,7 @@ class ObjectEvaluateSettings(Guarded):
     """The decoded object against its photographs, and what it costs."""
 
     STAGE: ClassVar[str] = "object_evaluate"
-    VERSION: ClassVar[int] = 1
+    VERSION: ClassVar[int] = 2
 
     pictures: int = Field(3, ge=0, le=64, description="captured views shown beside their photographs, evenly spread")
     columns: int = Field(480, ge=64, le=4096, description="largest width of those pictures")

@@ -60,6 +60,7 @@ def views_section(evaluation: dict[str, Any] | None) -> Section | None:
         "all pixels dB": "pooled_psnr_db",
         "similarity": "mean_similarity",
         "not covered": "uncovered_pixels",
+        "beyond": "superfluous_pixels",
     }
     kinds = [
         (KINDS.get(name, name.replace("_", " ")), *(part[key] for key in columns.values()))
@@ -67,23 +68,24 @@ def views_section(evaluation: dict[str, Any] | None) -> Section | None:
         if part
     ]
     caption = (
-        f"PSNR inside the silhouette against the photographs (peak: full scale of the {scale} values). Pixels of the "
-        "silhouette that the surface does not reach count as errors; the second figure is without them."
+        f"PSNR against the photographs, peak: full scale of the {scale} values, over all pixels that the object's "
+        "outline or the rendered surface takes up. Pixels of the outline that the surface does not reach, and pixels "
+        "that it covers beyond the outline, count as errors; the second figure is without them."
     )
     left_out = evaluation["left_out"]["views"]
     each = [
         (
             f"{row['view']} (left out)" if row["left_out"] else row["view"],
             *(row[key] for key in ("light", "picture", "against", "psnr_db", "covered_psnr_db", "similarity")),
-            *(row[key] for key in ("pixels", "uncovered_pixels")),
+            *(row[key] for key in ("pixels", "uncovered_pixels", "superfluous_pixels")),
         )
         for row in evaluation["rows"]
     ]
-    head = ("View", "light", "picture", "against", "dB", "covered dB", "similarity", "pixels", "not covered")
+    head = ("View", "light", "picture", "against", "dB", "covered dB", "similarity", "pixels", "not covered", "beyond")
     return Section("views", "All views", [
-        Table(("Pictures", *columns), kinds, "lrrrrrrr", caption),
+        Table(("Pictures", *columns), kinds, "lrrrrrrrr", caption),
         f"Left out of carving, fits and residual, and predicted: {', '.join(left_out)}."
         if left_out
         else "No view was left out, so nothing is said here of views that were not captured.",
-        Fold("Each view", f"{len(each)} rows", [Table(head, each, "llllrrrrr")]),
+        Fold("Each view", f"{len(each)} rows", [Table(head, each, "llllrrrrrr")]),
     ])  # fmt: skip

@@ -115,14 +115,15 @@ class Work:
         coded = {label: encode(picture.linear, encoding) for label, picture in made.items()}
         named = {"view": name, "light": self.decoded.lights[light], "left_out": left_out, "covered": covered}
         rows = [
-            compare(values, photograph, inside=inside & valid, similarity=similarity, picture=label,
+            compare(values, photograph, outline=inside, valid=valid, similarity=similarity, picture=label,
                     against="photograph", **named)
             for label, values in coded.items()
         ]  # fmt: skip
         if self.truth is not None and light == 0:
-            true, where = encode(self.truth.read(name), encoding), self.truth.silhouette(name)
+            true = encode(self.truth.read(name), encoding)
+            named |= {"outline": self.truth.silhouette(name), "valid": np.ones(inside.shape, bool)}
             rows += [
-                compare(values, true, inside=where, similarity=False, picture=label, against="truth", **named)
+                compare(values, true, similarity=False, picture=label, against="truth", **named)
                 for label, values in {**coded, "photograph": photograph}.items()
                 if not (left_out and label == "photograph")
             ]
@@ -160,7 +161,10 @@ def headlines(evaluation: dict) -> dict:
     """The figures that stand in the artifact's diagnostics."""
     summaries = evaluation["figures"]
     kept = {
-        name: {key: part[key] for key in ("mean_psnr_db", "worst_psnr_db", "views", "uncovered_pixels")}
+        name: {
+            key: part[key]
+            for key in ("mean_psnr_db", "worst_psnr_db", "views", "uncovered_pixels", "superfluous_pixels")
+        }
         for name, part in summaries.items()
     }
     names = ("left_out", "bytes", "object_pixels", "bits_per_object_pixel", "vertex_shift_px", "silhouettes")
