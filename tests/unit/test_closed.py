@@ -5,8 +5,10 @@ import pytest
 from nishiki.artifacts.closed import parse
 from nishiki.engine.project import Configuration
 from nishiki.errors import UserError
+from nishiki.stages.table import PRODUCTS
 
-TOLD = {
+PRODUCT_NAMES = f"{', '.join(map(repr, PRODUCTS[:-1]))} or {PRODUCTS[-1]!r}"
+MESSAGES = {
     "a kind of value": ({"hold_out": "ring1"}, "hold_out: input should be 'auto' or 'none' or a list, found 'ring1'"),
     "a word or a block": (
         {"scatter": "all"},
@@ -43,13 +45,21 @@ TOLD = {
         "normals.solver: input should be 'default', 'lobe', 'lobes' or 'least_squares', found 'x'",
     ),
     "a stage by its former name": ({"fabric": {"oblique": 0}}, "unknown key 'fabric'; it is now called 'cloth_brdf'"),
+    "a product by its former name": (
+        {"products": ["weave", "reflection"]},
+        f"products.1: input should be {PRODUCT_NAMES}, found 'reflection'; it is now called 'object_brdf'",
+    ),
+    "the only product by its former name": (
+        {"products": ["fabric"]},
+        f"products.0: input should be {PRODUCT_NAMES}, found 'fabric'; it is now called 'cloth_brdf'",
+    ),
     "a key that is near": ({"heigth": {}}, "unknown key 'heigth'; did you mean 'height'?"),
 }
 
 
-@pytest.mark.parametrize("name", TOLD)
+@pytest.mark.parametrize("name", MESSAGES)
 def test_what_is_reported(name):
-    values, words = TOLD[name]
+    values, words = MESSAGES[name]
     with pytest.raises(UserError) as told:
         parse(Configuration, values, "c.yaml")
     assert str(told.value) == f"c.yaml: {words}"

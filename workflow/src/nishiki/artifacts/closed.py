@@ -96,7 +96,11 @@ def faults(model: type[Closed], values: dict, error: ValidationError) -> list[Fa
     """What is wrong with `values`. A value of several kinds has a problem for each: those of the kind that it comes
     nearest to are given, or all in one."""
     by_place: dict[tuple, list[tuple[tuple, Any]]] = {}
-    for problem in error.errors():
+    problems = error.errors()
+    inside = {problem["loc"][:-1] for problem in problems}
+    for problem in problems:
+        if problem["type"] == "too_short" and problem["loc"] in inside:
+            continue  # refused items are not counted: the list is not too short
         path, chosen = _written(values, problem["loc"])
         by_place.setdefault(chosen, []).append((path, problem))
     result = []

@@ -195,7 +195,6 @@ def scene_gloss(
 
     if settings.refine == "auto" and len(lights) > FEW_LIGHTS:
         return None
-
     tiles = [
         gloss_tile(piece.observations, piece.usable, piece.valid, piece.parcel, settings)
         for piece in sampled_pixels(frames, selection, lights, sample_bands(frames), SAMPLE_PIXELS)
@@ -210,8 +209,11 @@ def scene_gloss(
 
 
 def sample_bands(frames: Observations, pixels: int | None = None) -> list[slice]:
-    """A few bands that lie evenly; of distant lamps, where pixels are given, thin ones that hold eight times as many,
-    evenly over the rows of the object."""
+    """Bands of rows from which a sample is taken, evenly over the picture.
+
+    pixels: size of the sample. Where it is given and the lamps are distant, the bands are thin and lie evenly over the
+    rows of the object; together they hold about eight times as many pixels, so that little is read.
+    """
     if pixels is None or frames.positions_mm is not None:
         bands = frames.bands()
         return [bands[i] for i in np.unique(np.linspace(0, len(bands) - 1, SAMPLE_BANDS).round().astype(int))]
