@@ -21,7 +21,8 @@ from nishiki.polarisation.polarisation import (
 )
 from nishiki.polarisation.polariser_states import StateSums, sums_of
 from nishiki.polarisation.series_diagnostics import Thinned, diagnose
-from nishiki.polarisation.statistics import SeparationStatistics, statistics_of
+from nishiki.polarisation.smoothing import PhotographNoise, smooth_planes
+from nishiki.polarisation.statistics import SeparationStatistics, noise_of, statistics_of
 from nishiki.render.output import write_png
 from nishiki.stages.polarise.declaration import PolariseSettings
 
@@ -47,9 +48,9 @@ def run(context: Context) -> dict:
     boards = {light: boards_of(views, light, sums, settings) for light in views.lights}
     for number in context.progress.over(range(len(views.lights) * len(views.views)), "view"):
         light, place = views.lights[number // len(views.views)], number % len(views.views)
-        separated, facts = separate(views, place, light, sums, settings, boards[light])
+        separated, figures, facts = separate(views, place, light, sums, settings, boards[light])
         writer.write(number, separated)
-        statistics.append(statistics_of(separated))
+        statistics.append(figures)
         facts_of_views.append(facts)
         if place in shown and number < len(views.views):
             exposure = exposure or exposure_of(separated)
@@ -70,15 +71,17 @@ def run(context: Context) -> dict:
 
 def separate(
     views: Views, place: int, light: str, sums: StateSums, settings: PolariseSettings, board: Beta | None
-) -> tuple[SeparatedView, dict]:
-    """Components of one view, and what its series says about itself."""
+) -> tuple[SeparatedView, SeparationStatistics, dict]:
+    """Components of one view, statistics of those that the formulas alone give, and what its series says of itself."""
     thinned = Thinned(sums, views.shape, len(views.channels))
     planes, valid = sum_planes(photographs(views, place, light, thinned), sums.weights)
     facts = diagnose(sums, thinned)
     field = None if board is None else board.field
+    beta, gain, phase, sense = None, None, None, 1
     if sums.method == "circular":
-        return components(planes, valid, sums, beta=field if field is not None else np.array(settings.beta)), facts
-    phase, sense = None, 1
+        beta = field if field is not None else np.array(settings.beta)
+    elif field is not None:
+        gain = 1 / field
     if sums.method == "linear":
         angle, agreement = common_phase(planes, valid)
         facts |= {"phase_deg": float(np.degrees(angle)), "phase_agreement": agreement}
@@ -86,8 +89,31 @@ def separate(
     if sums.method == "mueller":
         sense = reflected_sense(planes[1][valid], planes[2][valid])
         facts["sense"] = sense
-    gain = None if field is None else 1 / field
-    return components(planes, valid, sums, phase=phase, sense=sense, gain=gain), facts
+    separated = components(planes, valid, sums, beta=beta, phase=phase, sense=sense, gain=gain)
+    figures = statistics_of(separated)
+    if not settings.smoothing:
+        return separated, figures, facts
+    usable, outline = separated.valid, views.silhouette(place)
+    scales = [views.attributes["scale"][views.index(place, state=state, light=light)] for state in views.states]
+    planes, noise = smooth_planes(
+        planes,
+        usable if outline is None else usable & outline,
+        sums,
+        beta=beta,
+        phase=phase,
+        sense=sense,
+        scales=np.array(scales),
+    )
+    separated = components(planes, valid, sums, beta=beta, phase=phase, sense=sense, gain=gain)
+    return separated, figures, facts | smoothing_diagnostics(separated, noise)
+
+
+def smoothing_diagnostics(separated: SeparatedView, noise: PhotographNoise | None) -> dict:
+    """What the smoothing measured, and the noise that it leaves in the specular part."""
+    return {
+        "photograph_noise": None if noise is None else {"slope": noise.slope.tolist(), "floor": noise.floor.tolist()},
+        "noise_smoothed": noise_of(separated.specular, separated.valid),
+    }
 
 
 def photographs(views: Views, place: int, light: str, thinned: Thinned) -> Iterator[tuple[np.ndarray, np.ndarray]]:
