@@ -504,7 +504,7 @@ def _colour_of(values: np.ndarray) -> np.ndarray:
     """(d, channels) unit vector along which values (d, pixels, channels) vary together: the colour of the specular
     light where it is strong. Noise is not shared by channels, so that the diagonal of their products is fitted
     (principal factor); two values have no other product and use it."""
-    joined = values.transpose(0, 2, 1).reshape(-1, values.shape[1])
+    joined = values.transpose(0, 2, 1).reshape(values.shape[0] * values.shape[2], values.shape[1])
     products = joined @ joined.T
     strength = products.diagonal().copy()
     for _ in range(30 if len(products) > 2 else 1):
