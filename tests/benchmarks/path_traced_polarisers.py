@@ -26,7 +26,6 @@ from path_traced_turntable import (
     SIZE,
     camera_of,
     inside_of,
-    larger,
     paint_of,
     waves,
 )
@@ -144,8 +143,6 @@ def make(mi, name: str, folder: Path, samples: int, views: int) -> None:
         body = shape_of(mi, mesh, material, attributes)
         parts.append(np.stack([rendered(mi, body, view, views, count, depth) for view in range(views)]))
     diffuse, specular = (each[..., :3] * LAMP for each in parts)
-    if gilded:
-        diffuse = diffuse * 1.0
     cover = parts[0][..., 3]
     scale = BRIGHT / np.percentile((diffuse + specular)[cover > 0.99], 99.5)
     np.savez_compressed(folder / f"{name}.npz", diffuse=scale * diffuse, specular=scale * specular, cover=cover)
