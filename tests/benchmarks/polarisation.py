@@ -8,8 +8,8 @@ rounding to 8, 12 or 16 bits, linear or sRGB-coded. One JSON object a line: {obj
 diffuse_percent, specular_percent, cpu_s, of_plain_diffuse, of_plain_specular}. A part's error is the root mean square
 over all pixels that the object covers wholly and that no state saturates, over views and channels, in per cent of the
 part's true mean there; cpu_s is that of one view. Peers smooth the specular part of the formulas, each with the noise
-that the product measured and the strength that served it best on the tuned objects, and have the product's weights for mixing
-the estimates of the diffuse part.
+that Nishiki measured and the strength that served it best on the tuned objects; the estimates of the diffuse part are
+mixed with Nishiki's weights.
 """
 
 import argparse
