@@ -122,7 +122,7 @@ def methods(planes, valid, sums, rest, inside) -> dict:
     for name, peer in PEERS.items():
         start = time.process_time()
         specular = np.asarray(peer(plain.specular, sigma), np.float32)
-        diffuse = plain.diffuse + on / (off + on) * (plain.specular - specular)
+        diffuse = plain.diffuse + on / np.maximum(off + on, 1e-30) * (plain.specular - specular)
         results[name] = (diffuse, specular, time.process_time() - start)
     return results
 

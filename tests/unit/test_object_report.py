@@ -174,9 +174,18 @@ def mesh_of(_):
     return {"triangles": 1234, "vertices": 619, "watertight": True, "cleaned": {"degenerate": 2}, "fit": fit}
 
 
-def polarise_of(_):
+def polarise_of(writer):
     view = {"diffuse": 0.04, "specular": 0.008, "negative": 0.3, "doubtful": 0.01}
-    return {"by_view": [view, {**view, "diffuse": 0.06}], "boards": {"lamp": {"channel": [0.4, 0.41, 0.37]}}}
+    pictures = {"pictures/002_040_side_by_side.png": "040"}
+    for file in pictures if writer else ():
+        writer.path(file).parent.mkdir(exist_ok=True)
+        cv2.imwrite(str(writer.path(file)), np.zeros((4, 12, 3), np.uint8))
+    return {
+        "by_view": [view, {**view, "diffuse": 0.06}],
+        "boards": {"lamp": {"channel": [0.4, 0.41, 0.37]}},
+        "unit": "full scale",
+        "pictures": pictures,
+    }
 
 
 @pytest.fixture(scope="module")
@@ -234,10 +243,15 @@ def test_a_series_from_one_place_has_no_cameras(inputs, tmp_path):
     parser = parsed(text)
     assert "cameras" not in parser.ids
     assert {"separation", "made", "verify"} <= parser.ids
+    assert "View 040: all light" in text
 
 
 def test_a_separation_without_boards_tells_of_none():
     assert len(sentences({**polarise_of(None), "boards": {"": None}})) == 1
+    assert "diffuse 0.0500, specular 0.00800 (1 is the full scale of the camera)" in sentences(polarise_of(None))[0]
+    assert "(1 is a white board)" in sentences({**polarise_of(None), "unit": "white board"})[0]
+    smoothed = [{**view, "noise": 0.004, "noise_smoothed": 0.001} for view in polarise_of(None)["by_view"]]
+    assert "0.00400 by the formulas, 0.00100" in sentences({**polarise_of(None), "by_view": smoothed})[1]
     assert sentences(polarise_of(None))[1] == "White board under lamp: β = 0.400, 0.410, 0.370 by channel."
 
 

@@ -45,14 +45,18 @@ def seen(state: str, diffuse, specular) -> np.ndarray:
     return 0.8 * (diffuse / 2 + specular * np.cos(np.radians(analyser - generator)) ** 2)
 
 
-def make(folder, states, *, boards=None, views=("a", "b"), block=None, files=None):
-    """A capture of a simulated lamp and scene, ingested; boards: states of the white boards photographed."""
+def make(folder, states, *, boards=None, views=("a", "b"), block=None, files=None, noise=0.0, plain_board=False):
+    """A capture of a simulated lamp and scene, ingested; boards: states of the white boards photographed; noise:
+    variance of full scale; plain_board: one without polariser, too."""
     capture, artifact = folder / "capture", folder / "ingest"
     (artifact / "geometry").mkdir(parents=True)
     capture.mkdir()
     rows = ["file,role,view,polariser"]
 
+    random = np.random.default_rng(0)
+
     def save(name, values):
+        values = values + random.normal(size=values.shape) * np.sqrt(noise * np.maximum(values, 0))
         cv2.imwrite(str(capture / name), np.rint(FULL * np.clip(values, 0, 1))[..., ::-1].astype(np.uint16))
 
     for number, view in enumerate(views):
@@ -63,6 +67,9 @@ def make(folder, states, *, boards=None, views=("a", "b"), block=None, files=Non
     for k, state in enumerate(states if boards is None else boards):
         save(f"white{k}.png", lamp() * seen(state, white, 0 * white))
         rows.append(f"white{k}.png,white,,{state}")
+    if plain_board:
+        save("white.png", 0.7 * lamp() * white)
+        rows.append("white.png,white,,")
     (capture / "frames.csv").write_text("\n".join(rows) + "\n")
     for name, text in (files or {}).items():
         (capture / name).write_text(text)
@@ -117,6 +124,40 @@ def test_circular_states_with_boards(tmp_path):
     wide = cv2.imread(str(out / "pictures/000_a_side_by_side.png"))
     assert wide.shape == (ROWS, 3 * COLUMNS, 3)
     assert wide[20, 20].min() > 150 > wide[20, 2 * COLUMNS + 60].max()
+
+
+@pytest.mark.parametrize("states", [("off", "on"), ("0", "45", "90", "135"), ("0/0", "0/90")])
+def test_smoothing_brings_both_parts_closer(states, tmp_path):
+    artifact = make(tmp_path, states, noise=1e-4)
+    errors = []
+    for smoothing in (False, True):
+        told, components_read, out = run(artifact, tmp_path, smoothing=smoothing, pictures=0)
+        true = [part * (1 if told["unit"] == "white board" else lamp()) for part in scene(0)]
+        found = components_read.read(0)[:2]
+        errors.append([float(np.sqrt(np.mean((a - b)[8:-8, 8:-8] ** 2))) for a, b in zip(found, true, strict=True)])
+        out.rename(tmp_path / f"smoothing-{smoothing}")
+    assert errors[1][0] < 0.85 * errors[0][0]
+    assert errors[1][1] < 0.6 * errors[0][1]
+    facts = told["by_view"][0]
+    assert facts["noise_smoothed"] < 0.4 * facts["noise"]
+    np.testing.assert_allclose(facts["photograph_noise"]["slope"], 1e-4, rtol=0.6)
+
+
+@pytest.mark.parametrize(
+    ("states", "boards", "plain", "unit"),
+    [
+        (("off", "on"), None, False, "full scale"),
+        (("off", "on"), None, True, "white board"),
+        (("0", "90"), None, False, "white board"),
+        (("0", "90"), (), False, "full scale"),
+    ],
+)
+def test_the_unit_of_the_components_is_stated(states, boards, plain, unit, tmp_path):
+    told, found, _ = run(make(tmp_path, states, boards=boards, plain_board=plain), tmp_path)
+    assert told["unit"] == unit
+    if unit == "white board":
+        np.testing.assert_allclose(np.median(found.read(0)[0] / scene(0)[0]), 1 / 0.7 if plain else 1, rtol=0.01)
+    assert list(told["pictures"].values()) == ["a", "b"]
 
 
 def test_circular_states_need_boards_or_a_given_beta(tmp_path):

@@ -17,13 +17,11 @@ def separation_section(polarise: Artifact | None, widest: int) -> Section | None
     """What the polarisers separated, with the first pictures that the stage drew."""
     if polarise is None:
         return None
-    files = sorted(name for name in polarise.manifest["files"] if name.endswith("_side_by_side.png"))[:MOST_PICTURES]
-    items = []
-    for name in files:
-        view = name.split("/")[-1].split("_")[0]
-        items.append(
-            Figure(f"View {view}: all light, diffuse, specular", "", file_picture(contents(polarise, name), widest))
-        )
+    shown = list((polarise.diagnostics.get("pictures") or {}).items())[:MOST_PICTURES]
+    items = [
+        Figure(f"View {view}: all light, diffuse, specular", "", file_picture(contents(polarise, file), widest))
+        for file, view in shown
+    ]
     return Section("separation", "Separation", [*sentences(polarise.diagnostics), Figures(items)])
 
 
@@ -36,11 +34,19 @@ def sentences(diagnostics: dict[str, Any]) -> list[str]:
         return float(np.mean(values)) if values else None
 
     negative, doubtful = (None if mean(name) is None else 100 * mean(name) for name in ("negative", "doubtful"))
+    unit = {"white board": "1 is a white board", "full scale": "1 is the full scale of the camera"}
     texts = [
         "Diffuse and specular parts by the state of the polarisers. On average over the object's frames: diffuse "
-        f"{figure(mean('diffuse'))}, specular {figure(mean('specular'))} (1 is a white board); negative specular "
-        f"values (noise) at {percent(negative)} of the pixels, doubtful ones {percent(doubtful)}."
+        f"{figure(mean('diffuse'))}, specular {figure(mean('specular'))} ({unit[diagnostics['unit']]}). By the "
+        f"formulas alone {percent(negative)} of the specular values are negative, which is noise, and "
+        f"{percent(doubtful)} lie further below 0 than noise reaches."
     ]
+    noise, left = mean("noise"), mean("noise_smoothed")
+    if noise is not None and left is not None:
+        texts.append(
+            f"Noise of the specular part: {figure(noise)} by the formulas, {figure(left)} after smoothing by the noise "
+            "that was measured in the photographs."
+        )
     for light, board in (diagnostics.get("boards") or {}).items():
         if board and board.get("channel"):
             values = ", ".join(figure(value) for value in board["channel"])

@@ -46,6 +46,7 @@ def run(context: Context) -> dict:
     facts_of_views: list[dict] = []
     exposure = None
     boards = {light: boards_of(views, light, sums, settings) for light in views.lights}
+    pictures: dict[str, str] = {}
     for number in context.progress.over(range(len(views.lights) * len(views.views)), "view"):
         light, place = views.lights[number // len(views.views)], number % len(views.views)
         separated, figures, facts = separate(views, place, light, sums, settings, boards[light])
@@ -54,7 +55,7 @@ def run(context: Context) -> dict:
         facts_of_views.append(facts)
         if place in shown and number < len(views.views):
             exposure = exposure or exposure_of(separated)
-            picture(context, views.views[place], place, separated, exposure)
+            pictures[picture(context, views.views[place], place, separated, exposure)] = views.views[place]
     return {
         "method": sums.method,
         "states": len(sums.states),
@@ -63,7 +64,9 @@ def run(context: Context) -> dict:
         "angles_deg": [list(angles) for angles in sums.angles_deg],
         "views": len(views.views),
         "lights": list(views.lights),
+        "unit": unit_of(views, sums, boards),
         "boards": {light: board_diagnostics(boards[light]) for light in views.lights},
+        "pictures": pictures,
         **totals(statistics),
         "by_view": [{**asdict(one), **facts} for one, facts in zip(statistics, facts_of_views, strict=True)],
     }
@@ -162,6 +165,15 @@ def boards_of(views: Views, light: str, sums: StateSums, settings: PolariseSetti
     )
 
 
+def unit_of(views: Views, sums: StateSums, boards: dict[str, Beta | None]) -> str:
+    """What the value 1 is: "white board", or "full scale" of the photographs at the longest exposure time.
+
+    Boards behind circular polarisers give beta alone; those behind analysers divide the components.
+    """
+    divided = sums.method != "circular" and all(board is not None for board in boards.values())
+    return "white board" if views.attributes["white_board"] or divided else "full scale"
+
+
 def board_diagnostics(board: Beta | None) -> dict | None:
     """A board in the diagnostics."""
     if board is None:
@@ -209,14 +221,16 @@ def exposure_of(view: SeparatedView) -> float:
     return 1 / top if top > 0 else 1.0
 
 
-def picture(context: Context, name: str, place: int, view: SeparatedView, exposure: float) -> None:
-    """Pictures of the whole, the diffuse and the specular part, all at one exposure; negative values show as black."""
+def picture(context: Context, name: str, place: int, view: SeparatedView, exposure: float) -> str:
+    """Pictures of the whole, the diffuse and the specular part, all at one exposure; negative values show as black.
+    Returns the file that shows all three side by side."""
     parts = {"whole": view.diffuse + view.specular, "diffuse": view.diffuse, "specular": view.specular}
     codes = {key: display(values * np.float32(exposure)) for key, values in parts.items()}
     codes["side_by_side"] = np.concatenate(list(codes.values()), axis=1)
     for key, pixels in codes.items():
         file = f"pictures/{place:03}_{safe(name)}{key}.png"
         write_png(context.output.path(file), pixels, stamp=context.stamp | {"exposure": f"{exposure:.6g}"})
+    return file
 
 
 def safe(name: str) -> str:
