@@ -25,7 +25,7 @@ from nishiki.stages.ingest.report import facts_of_object
 from nishiki.stages.mesh.declaration import MeshSettings
 from nishiki.stages.mesh.report import rows as rows_of_mesh
 from nishiki.stages.object_brdf.declaration import ObjectBrdfSettings
-from nishiki.stages.object_brdf.report import averaged, sheet, shelves, tile_places
+from nishiki.stages.object_brdf.report import GAP, averaged, packed, sheet
 from nishiki.stages.object_evaluate.declaration import ObjectEvaluateSettings
 from nishiki.stages.object_render.declaration import ObjectRenderSettings
 from nishiki.stages.object_report.declaration import ObjectReportSettings
@@ -129,7 +129,8 @@ def residual_of(_):
     curve = [{"bytes": 1000 * k, "psnr_db": 30.0 + k, "step": 0.1, "kept": k} for k in (3, 1, 2)]
     return {
         "psnr_db": 44.4, "model_psnr_db": 30.1, "kept": 123, "kept_of_all": 0.01, "kept_of_visible": 0.03, "tiles": 2,
-        "empty_tiles": 1, "step": 0.01, "bits_per_pixel": 0.5, "pixels": 900, "bytes": {"total": 3000}, "curve": curve,
+        "empty_tiles": 1, "step": 0.01, "bits_per_pixel": 0.5, "pixels": 900, "curve": curve,
+        "bytes": {"total": 3000, "parameters": 700},
     }  # fmt: skip
 
 
@@ -270,26 +271,50 @@ def test_parameters_round_trip(inputs):
     assert np.all(part.sigma == np.float32(0.2))
 
 
-def test_charts_do_not_overlap_on_the_sheet():
+def test_pieces_do_not_overlap_on_the_sheet():
     rng = np.random.default_rng(0)
-    charts = [(int(r), int(c)) for r, c in rng.integers(1, 7, (40, 2))]
-    places, height = shelves(charts, 12)
-    taken = np.zeros((height, 12), int)
-    for (row, column), (rows, columns) in zip(places, charts, strict=True):
-        assert column + columns <= 12
-        taken[row : row + rows, column : column + columns] += 1
-    assert taken.max() == 1
-    assert taken.sum() == sum(r * c for r, c in charts)
+    boxes = [(int(r), int(c)) for r, c in rng.integers(1, 70, (40, 2))]
+    places, height, width = packed(boxes)
+    covered = np.zeros((height + GAP, width + GAP), int)
+    for (row, column), (rows, columns) in zip(places, boxes, strict=True):
+        assert column + columns <= width
+        assert row + rows <= height
+        covered[row : row + rows + GAP, column : column + columns + GAP] += 1
+    assert covered.max() == 1
+    assert (covered > 0).mean() > 0.7
 
 
 def test_sheet_holds_every_tile_once():
-    made = sheet(lambda tile: np.full((8, 8, 1), float(tile + 1)), atlas(), 21)
-    places, (rows, columns) = tile_places(atlas())
-    side = made.shape[0] // rows
-    assert made.shape == (rows * side, columns * side, 1)
-    for tile, (row, column) in enumerate(places):
-        assert np.all(made[row * side : (row + 1) * side, column * side : (column + 1) * side] == tile + 1)
-    assert np.isnan(made).sum() == (rows * columns - 2) * side**2
+    made, left_out = sheet(lambda tile: np.full((8, 8, 1), float(tile + 1)), atlas(), 21)
+    for tile in (0, 1):
+        assert (made == tile + 1).sum() == 49
+    assert np.isfinite(made).sum() == 98
+    assert left_out.pieces == 0
+    small, _ = sheet(lambda tile: np.full((8, 8, 1), float(tile + 1)), atlas(), 9)
+    assert small.shape[1] <= 9
+    assert set(np.unique(small[np.isfinite(small)])) == {1, 2}
+
+
+def test_sheet_without_specks_and_empty_room():
+    """Of a tile, one corner and single texels are known."""
+
+    def read(tile):
+        values = np.full((64, 64, 2), np.nan)
+        values[5:35, 20:60] = 1.0
+        values[50::6, ::6] = 2.0
+        return values
+
+    made, left_out = sheet(read, atlas(64), 500)
+    assert made.shape[:2] in {(60 + GAP, 40), (30, 80 + GAP)}
+    assert set(np.unique(made[np.isfinite(made)])) == {1}
+    assert left_out.pieces == 2 * 3 * 11
+    assert left_out.share == pytest.approx(66 / (66 + 2400))
+
+
+def test_a_sheet_of_nothing():
+    made, left_out = sheet(lambda tile: np.full((8, 8, 3), np.nan), atlas(), 21)
+    assert made.shape[:2] == (1, 1)
+    assert left_out.pieces == 0
 
 
 def test_averages_leave_out_what_is_not_known():
@@ -312,7 +337,11 @@ def test_drawings():
     assert turn_plot(np.zeros((1, 3)), ["a"], set()).startswith("<svg")
     assert "total" not in bytes_bars({"total": 10, "residual": 4})
     assert bytes_bars({}) == ""
-    assert "model alone" in rate_curve(residual_of(None)["curve"], 30.0)
+    drawing = rate_curve(residual_of(None))
+    assert "model alone" in drawing
+    assert drawing.count("<circle") == 3 + 1 + 2  # tried, the model, the legend
+    assert rate_curve({**residual_of(None), "model_psnr_db": None}) == ""
+    assert rate_curve({**residual_of(None), "curve": []}) == ""
 
 
 def test_sections_of_little():

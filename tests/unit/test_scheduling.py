@@ -115,3 +115,17 @@ def test_a_small_object_in_a_large_picture_is_planned_by_its_bounding_box(tmp_pa
     for stage in ("separate", "normals", "height", "evaluate"):
         assert small.seconds("x", stage) < large.seconds("x", stage)
         assert small.memory_mb("x", stage) <= large.memory_mb("x", stage)
+
+
+def test_what_a_stage_does_not_read_costs_nothing():
+    """A fit to reflectances takes no longer for larger photographs; without polarisers there is one component."""
+    plain = SceneFacts("", ("a",), (), 3, 1000, False, False, "", geometry="turntable", views=("a", "b"), states=("",))
+    series, cloth = replace(plain, states=("off", "on")), replace(plain, geometry="goniometer", measurements=5000)
+
+    def seconds(stage, facts, pixels=10**6):
+        return CHAIN[stage].cost(facts).processor_seconds(pixels, pixels * 36)
+
+    assert seconds("cloth_brdf", cloth, 1) == seconds("cloth_brdf", cloth)
+    assert seconds("cloth_brdf", replace(cloth, measurements=50)) < seconds("cloth_brdf", cloth)
+    for stage in ("texels", "object_brdf"):
+        assert seconds(stage, plain) < 0.6 * seconds(stage, series)

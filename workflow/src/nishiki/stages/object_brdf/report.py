@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
@@ -23,7 +25,9 @@ LIGHTING = {
     "environment": "not stated; an irradiance over the normal was fitted",
 }
 Place = tuple[int, int]
-"""Row and column of a cell."""
+"""Row and column of a pixel."""
+SPECK = 0.001  # of all texels: smaller pieces are a thirtieth of a sheet wide, at most
+GAP = 2  # pixels between pieces
 
 
 def model_section(object_brdf: Artifact | None, texels: Artifact | None, widest: int) -> Section | None:
@@ -52,12 +56,18 @@ def model_section(object_brdf: Artifact | None, texels: Artifact | None, widest:
             f"strength of the highlight at {filled} of the texels, everything at {unseen} that no view shows",
         ),
     ]
+    atlas = Atlas.load(texels.path(ATLAS))
+    parameters, left_out = sheet(read, atlas, widest)
     intro = (
         "At every texel: diffuse reflection by Lambert's law, and a highlight by the simplified Torrance-Sparrow "
-        "model. The sheets show all charts of the surface beside each other."
+        "model. The sheets show the pieces of the surface beside each other, the largest first."
     )
-    atlas = Atlas.load(texels.path(ATLAS))
-    blocks = [intro, Figures(parameter_figures(sheet(read, atlas, widest)), 3), Facts(facts)]
+    if left_out.pieces:
+        intro += (
+            f" {figure(left_out.pieces)} pieces too small to show, with {percent(100 * left_out.share)} of the texels, "
+            "are left out."
+        )
+    blocks = [intro, Figures(parameter_figures(parameters), 3), Facts(facts)]
     return Section("model", "Reflection", blocks)
 
 
@@ -77,43 +87,84 @@ def parameter_figures(parameters: np.ndarray) -> list[Figure]:
     return figures
 
 
-def shelves(charts: list[tuple[int, int]], wide: int) -> tuple[list[Place], int]:
-    """Places of charts of (rows, columns) cells on a sheet `wide` cells wide, tallest first in rows; and its height."""
-    places: list[Place] = [(0, 0)] * len(charts)
-    top = left = height = 0
-    for k in sorted(range(len(charts)), key=lambda k: (-charts[k][0], k)):
-        rows, columns = charts[k]
-        if left and left + columns > wide:
-            top, left, height = top + height, 0, 0
-        places[k] = (top, left)
-        left, height = left + columns, max(height, rows)
-    return places, top + height
+@dataclass(frozen=True)
+class LeftOut:
+    """Pieces of the surface that a sheet does not show: how many, and their share of the texels."""
+
+    pieces: int
+    share: float
 
 
-def tile_places(atlas: Atlas) -> tuple[np.ndarray, Place]:
-    """(tiles, 2) cell of every tile on the sheet, and the sheet's (rows, columns) in cells."""
-    charts = [(int(rows), int(columns)) for _, rows, columns in atlas.chart_grid]
-    cells = sum(rows * columns for rows, columns in charts)
-    wide = max([int(np.ceil(np.sqrt(1.3 * cells))), *(columns for _, columns in charts)] or [1])
-    places, height = shelves(charts, wide)
-    starts = np.array(places, np.int64).reshape(-1, 2)
-    return starts[atlas.tile_chart] + atlas.tile_place, (max(height, 1), wide)
-
-
-def sheet(read: Callable[[int], np.ndarray], atlas: Atlas, widest: int) -> np.ndarray:
+def sheet(read: Callable[[int], np.ndarray], atlas: Atlas, widest: int) -> tuple[np.ndarray, LeftOut]:
     """(rows, columns, n) float32 sheet of what read(tile) gives, (T, T, n) with NaN where there is nothing.
 
-    Tiles are averaged down to whole pixels, NaN left out, so that the sheet is at most `widest` pixels wide if it can.
+    Charts are cut to their connected pieces, which are packed by their bounding boxes. Tiles are averaged down to whole
+    pixels, NaN left out, so that the sheet is at most `widest` pixels wide if it can be.
     """
-    places, (rows, columns) = tile_places(atlas)
-    side = max(1, min(atlas.size - 1, widest // columns))
+    cells = sum(int(rows) * int(columns) for _, rows, columns in atlas.chart_grid)
+    side = min(atlas.size - 1, max(1, int(3 * widest / np.sqrt(max(cells, 1)))))  # packing leaves out what is empty
+    while True:
+        pieces, left_out = _pieces(read, atlas, side)
+        places, height, width = packed([piece.shape[:2] for piece in pieces])
+        if width <= widest or side == 1:
+            break
+        side = max(1, min(side - 1, side * widest // width))
+    depth = pieces[0].shape[-1] if pieces else 1
+    out = np.full((height, width, depth), np.nan, np.float32)
+    for piece, (top, left) in zip(pieces, places, strict=True):
+        out[top : top + piece.shape[0], left : left + piece.shape[1]] = piece
+    return out, left_out
+
+
+def _pieces(read: Callable[[int], np.ndarray], atlas: Atlas, side: int) -> tuple[list[np.ndarray], LeftOut]:
+    """Connected pieces of all charts, (rows, columns, n) with NaN outside, tiles averaged to `side` pixels a side;
+    those with less than `SPECK` of the known pixels are left out, but not the largest."""
+    pieces, sizes = [], []
+    for chart in range(len(atlas.chart_grid)):
+        picture = _chart_picture(read, atlas, chart, side)
+        known = np.isfinite(picture).all(axis=-1)
+        _, labels, boxes, _ = cv2.connectedComponentsWithStats(known.astype(np.uint8))
+        for label, (left, top, width, height, size) in enumerate(boxes.tolist()):
+            if label and size:
+                box = np.s_[top : top + height, left : left + width]
+                pieces.append(np.where((labels[box] == label)[..., None], picture[box], np.nan))
+                sizes.append(size)
+    if not pieces:
+        return [], LeftOut(0, 0.0)
+    least = min(SPECK * sum(sizes), max(sizes))
+    shown = [piece for piece, size in zip(pieces, sizes, strict=True) if size >= least]
+    small = [size for size in sizes if size < least]
+    return shown, LeftOut(len(small), sum(small) / sum(sizes))
+
+
+def _chart_picture(read: Callable[[int], np.ndarray], atlas: Atlas, chart: int, side: int) -> np.ndarray:
+    """(rows, columns, n) of one chart's tiles beside each other."""
+    _, rows, columns = (int(value) for value in atlas.chart_grid[chart])
     out = None
-    for tile, (row, column) in enumerate(places):
-        small = averaged(read(tile)[: atlas.size - 1, : atlas.size - 1], side)
+    for tile in np.flatnonzero(atlas.tile_chart == chart):
+        row, column = (int(value) for value in atlas.tile_place[tile])
+        small = averaged(read(int(tile))[: atlas.size - 1, : atlas.size - 1], side)
         if out is None:
             out = np.full((rows * side, columns * side, small.shape[-1]), np.nan, np.float32)
         out[row * side : (row + 1) * side, column * side : (column + 1) * side] = small
     return np.full((side, side, 1), np.nan, np.float32) if out is None else out
+
+
+def packed(boxes: list[tuple[int, int]]) -> tuple[list[Place], int, int]:
+    """Places (top, left) of boxes (rows, columns) on shelves, tallest first, with a gap; height and width of the sheet,
+    which is a little wider than high."""
+    area = sum((rows + GAP) * (columns + GAP) for rows, columns in boxes)
+    wide = max([int(np.ceil(np.sqrt(1.3 * area))), *(columns for _, columns in boxes)] or [1])
+    places: list[Place] = [(0, 0)] * len(boxes)
+    top = left = height = width = 0
+    for k in sorted(range(len(boxes)), key=lambda k: (-boxes[k][0], k)):
+        rows, columns = boxes[k]
+        if left and left + columns > wide:
+            top, left, height = top + height + GAP, 0, 0
+        places[k] = (top, left)
+        width, height = max(width, left + columns), max(height, rows)
+        left += columns + GAP
+    return places, max(top + height, 1), max(width, 1)
 
 
 def averaged(values: np.ndarray, side: int) -> np.ndarray:

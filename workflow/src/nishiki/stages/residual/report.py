@@ -50,10 +50,11 @@ def residual_section(residual: dict[str, Any] | None, evaluation: dict[str, Any]
     items = []
     if drawing := bytes_bars(parts):
         items.append(Figure("Where the bytes go", "Everything that a renderer needs.", svg=drawing))
-    curve = [point for point in residual.get("curve") or [] if point.get("psnr_db") is not None]
-    if len(curve) > 1:
-        drawing = rate_curve(curve, residual.get("model_psnr_db"))
-        caption = "The steps that the allocation tried on its way to the target."
+    if drawing := rate_curve(residual):
+        caption = (
+            "Parameters and residual together: the model alone, and the steps that the allocation tried on its way to "
+            "the target. Nothing was measured between them."
+        )
         items.append(Figure("Quality against bytes", caption, svg=drawing))
     rows = [(_part_name(name), size) for name, size in parts.items()]
     blocks: list[Block] = [intro, Facts(facts), Figures(items), Fold("Bytes", "by part", [Table((), rows, "lr")])]
@@ -67,20 +68,33 @@ def bytes_bars(parts: dict[str, int]) -> str:
     return bars([size / 1000 for size, _ in rows], labels, title="bytes by part", unit="kB") if rows else ""
 
 
-def rate_curve(points: list[dict], model_db: float | None) -> str:
-    """PSNR against bytes of the settings that the allocation tried."""
-    points = sorted(points, key=lambda point: point["bytes"])
-    kilobytes = np.array([point["bytes"] / 1000 for point in points])
-    quality = np.array([point["psnr_db"] for point in points])
-    curves = [Curve("residual and model", kilobytes, quality), Curve("", kilobytes, quality, dots=True)]
-    if model_db is not None:
-        ends = np.array([kilobytes[0], kilobytes[-1]])
-        curves.append(Curve("model alone", ends, np.full(2, model_db), colour=PALETTE[1], dashed=True))
-    levels = [*quality, *([] if model_db is None else [model_db])]
-    low, high = float(min(levels)), float(max(levels))
+def rate_curve(residual: dict[str, Any]) -> str:
+    """PSNR against bytes, from none on: the model alone, and the settings that the allocation tried. Empty without
+    figures of the model or of any setting: settings alone lie too close together to tell anything."""
+    tried = sorted(
+        (point["bytes"] / 1000, point["psnr_db"])
+        for point in residual.get("curve") or []
+        if point.get("psnr_db") is not None
+    )
+    alone, parameters = residual.get("model_psnr_db"), (residual.get("bytes") or {}).get("parameters")
+    if not tried or alone is None or parameters is None:
+        return ""
+    kilobytes, quality = np.array(tried).T
+    curves = [
+        Curve("with residual", kilobytes, quality, dots=True),
+        Curve("", kilobytes, quality),
+        Curve("model alone", np.array([parameters / 1000]), np.array([alone]), colour=PALETTE[1], dots=True),
+    ]
+    low, high = min(alone, quality.min()), max(alone, quality.max())
     room = max(0.08 * (high - low), 0.5)
-    ends_db = (low - room, high + 4 * room)  # the legend stands on top
-    return chart(curves, x_label="kB", y_label="PSNR, dB", title="quality against bytes", y_range=ends_db)
+    return chart(
+        curves,
+        x_label="kB",
+        y_label="PSNR, dB",
+        title="quality against bytes",
+        x_range=(0, 1.05 * kilobytes.max()),
+        y_range=(low - room, high + 4 * room),  # the legend stands on top
+    )
 
 
 def _part_name(name: str) -> str:
