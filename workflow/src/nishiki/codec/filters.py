@@ -8,7 +8,7 @@ the same short loop (`transform.apply_rows`), and the synthesis is the matrix' e
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -32,6 +32,15 @@ class SparseRows:
         order = np.argsort(~kept, axis=1, kind="stable")[:, :width]
         weight = np.take_along_axis(np.where(kept, matrix, 0.0), order, axis=1)
         return cls(np.ascontiguousarray(order, np.int32), np.ascontiguousarray(weight))
+
+    def weights(self, dtype: np.dtype) -> np.ndarray:
+        """The weights in a precision."""
+        return self.single if dtype == np.float32 else self.weight.astype(dtype, copy=False)
+
+    @cached_property
+    def single(self) -> np.ndarray:
+        """The weights in single precision."""
+        return self.weight.astype(np.float32)
 
 
 @lru_cache(maxsize=64)

@@ -87,24 +87,28 @@ def pursue(
         return Solution(held, float(np.sum(left.astype(np.float64) ** 2)), 0)
     chosen, cost = np.zeros(shape, np.uint8), np.ones(shape, np.float32)
     flat = (held.reshape(shape[0], -1), curvature.reshape(-1), cost.reshape(shape[0], -1), chosen.reshape(shape[0], -1))
-    gradient = block.adjoint(operator.spread(left).reshape(shape))
     for turn in range(effort.rounds + 2):
         level = price * effort.descent ** max(0.0, 1 - turn / max(1, effort.rounds - 2))
         if turn >= FLAT_ROUNDS:
             cost[:] = bits(held)
         # the last choice only removes: what it would add could not be weighed again
-        choose(flat[0], gradient.reshape(shape[0], -1), *flat[1:], np.float32(level), turn <= effort.rounds)
-        gradient, left = settle(held, chosen, data, operator, block, effort)
+        adding = turn <= effort.rounds
+        gradient = _downhill(left, held, operator, block, effort.ridge) if adding else held
+        choose(flat[0], gradient.reshape(shape[0], -1), *flat[1:], np.float32(level), adding)
+        left = settle(held, chosen, data, operator, block, effort)
     return Solution(held, float(np.sum(left.astype(np.float64) ** 2)), effort.rounds)
 
 
-def settle(held, chosen, data, operator: Operator, block: Block, effort: Pursuit) -> tuple[np.ndarray, np.ndarray]:
-    """Conjugate gradients on the chosen coefficients, `held` in place; the gradient of all and what is left of data."""
+def settle(held, chosen, data, operator: Operator, block: Block, effort: Pursuit) -> np.ndarray:
+    """Conjugate gradients on the chosen coefficients, `held` in place; what is left of data.
+
+    The gradient is computed only where coefficients are chosen.
+    """
     left = data - operator.look(samples_of(block, held))
-    gradient = _downhill(left, held, operator, block, effort.ridge)
-    ahead = gradient * chosen
+    ahead = _downhill(left, held, operator, block, effort.ridge, chosen)
+    ahead *= chosen
     energy = first = dot(ahead.reshape(-1), ahead.reshape(-1))
-    for _ in range(effort.inner):
+    for step in range(effort.inner):
         if energy <= 1e-6 * first:
             break
         seen = operator.look(samples_of(block, ahead))
@@ -112,14 +116,19 @@ def settle(held, chosen, data, operator: Operator, block: Block, effort: Pursuit
         stride = energy / (dot(seen.reshape(-1), seen.reshape(-1)) + effort.ridge * dot(flat, flat))
         held += np.float32(stride) * ahead
         left = left - np.float32(stride) * seen
-        gradient = _downhill(left, held, operator, block, effort.ridge)
-        before, energy = energy, masked_energy(gradient.reshape(-1), chosen.reshape(-1))
-        go_on(gradient.reshape(-1), chosen.reshape(-1), np.float32(energy / before), flat)
-    return gradient, left
+        if step + 1 < effort.inner:
+            gradient = _downhill(left, held, operator, block, effort.ridge, chosen)
+            before, energy = energy, masked_energy(gradient.reshape(-1), chosen.reshape(-1))
+            go_on(gradient.reshape(-1), chosen.reshape(-1), np.float32(energy / before), flat)
+    return left
 
 
-def _downhill(left: np.ndarray, held: np.ndarray, operator: Operator, block: Block, ridge: float) -> np.ndarray:
-    return block.adjoint(operator.spread(left).reshape(held.shape)) - np.float32(ridge) * held
+def _downhill(
+    left: np.ndarray, held: np.ndarray, operator: Operator, block: Block, ridge: float, chosen: np.ndarray | None = None
+) -> np.ndarray:
+    out = block.adjoint(operator.spread(left).reshape(held.shape), chosen)
+    out -= np.float32(ridge) * held
+    return out
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -10,7 +10,7 @@ inverse is the transpose and the energy of what is left out is the error (Parsev
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numba import njit
@@ -35,16 +35,19 @@ class Axis:
 class Plane:
     """The transform of planes of (rows, columns) texels.
 
-    gains (rows, columns) float64: lengths of the basis planes before they are brought to 1; bound: largest singular
-    value of the synthesis, squared.
+    gains (rows, columns) float64: lengths of the basis planes before they are brought to 1.
     """
 
     down: Axis
     across: Axis
     levels: int
     gains: np.ndarray
-    bound: float
     orthonormal: bool
+
+    @cached_property
+    def bound(self) -> float:
+        """Largest singular value of the synthesis, squared."""
+        return 1.0 if self.orthonormal else _largest_gain(self)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -58,12 +61,10 @@ def plane_transform(wavelet: str, rows: int, columns: int, levels: int, *, mirro
     levels = min(levels_of(rows, levels), levels_of(columns, levels))
     orthonormal = filter_bank(wavelet)[2] and not mirrored
     down, across = (_axis(wavelet, n, levels, orthonormal=orthonormal, mirrored=mirrored) for n in (rows, columns))
-    plane = Plane(down, across, levels, np.ones((rows, columns)), 1.0, orthonormal)
+    plane = Plane(down, across, levels, np.ones((rows, columns)), orthonormal)
     if orthonormal:
         return plane
-    gains = np.sqrt(squared_lengths(plane, np.ones((1, rows, columns)))[0])
-    plane = replace(plane, gains=gains)
-    return replace(plane, bound=_largest_gain(plane))
+    return replace(plane, gains=np.sqrt(squared_lengths(plane, np.ones((1, rows, columns)))[0]))
 
 
 @lru_cache(maxsize=64)
@@ -113,20 +114,38 @@ def _largest_gain(plane: Plane) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def apply_rows(index, weight, source, target, rows, columns):
-    """target[i, :columns] = sum over k of weight[i, k] source[index[i, k], :columns]: one level along the first
-    axis."""
+def apply_rows(index, weight, source, target, rows, columns, filled, needed):
+    """target[i, :columns] = sum over k of weight[i, k] source[index[i, k], :columns]: one level along the first axis.
+
+    filled (rows of source,), needed (rows,) bool: sources that are all zero are left out, targets that are not needed
+    become zero. Four terms are added at a time, in their order: one read and write of the target for each four.
+    """
+    width = (index.shape[1] + 3) // 4 * 4
+    places, factors = np.zeros(width, np.int64), np.zeros(width, source.dtype)
     for i in range(rows):
         out = target[i]
-        first, row = weight[i, 0], source[index[i, 0]]
-        for j in range(columns):
-            out[j] = first * row[j]
-        for k in range(1, index.shape[1]):
-            factor = weight[i, k]
-            if factor != 0:
-                row = source[index[i, k]]
+        count = 0
+        if needed[i]:
+            for k in range(index.shape[1]):
+                if weight[i, k] != 0 and filled[index[i, k]]:
+                    places[count], factors[count] = index[i, k], weight[i, k]
+                    count += 1
+        if count == 0:
+            for j in range(columns):
+                out[j] = 0
+            continue
+        while count % 4 != 0:
+            places[count], factors[count] = places[0], 0
+            count += 1
+        for k in range(0, count, 4):
+            a, b, c, d = source[places[k]], source[places[k + 1]], source[places[k + 2]], source[places[k + 3]]
+            fa, fb, fc, fd = factors[k], factors[k + 1], factors[k + 2], factors[k + 3]
+            if k == 0:
                 for j in range(columns):
-                    out[j] += factor * row[j]
+                    out[j] = fa * a[j] + fb * b[j] + fc * c[j] + fd * d[j]
+            else:
+                for j in range(columns):
+                    out[j] = out[j] + fa * a[j] + fb * b[j] + fc * c[j] + fd * d[j]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -137,75 +156,92 @@ def _transpose(source, target, rows, columns):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def plane_level(planes, down_index, down_weight, across_index, across_weight, scratch):
+def _mark_filled(values, rows, columns, filled):
+    """Mark the rows that are not all zero; whether there is any."""
+    some = False
+    for i in range(rows):
+        filled[i] = False
+        for j in range(columns):
+            if values[i, j] != 0:
+                filled[i] = some = True
+                break
+    return some
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _mark_needed(chosen, rows, columns, rows_needed, columns_needed):
+    """Mark the rows and columns that hold the next level's corner or any chosen coefficient."""
+    rows_needed[: rows // 2], rows_needed[rows // 2 : rows] = True, False
+    columns_needed[: columns // 2], columns_needed[columns // 2 : columns] = True, False
+    for i in range(rows):
+        for j in range(columns):
+            if chosen[i, j]:
+                rows_needed[i] = columns_needed[j] = True
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def plane_level(planes, chosen, down_index, down_weight, across_index, across_weight, scratch):
     """One level of all planes (n, rows, columns), in place, on the corner that the level covers.
 
-    scratch (2, side, side), side the longer of rows and columns. Planes that are all zero there stay so.
+    chosen (n, rows, columns) uint8: an analysis need only be right there; without entries (0, 0, 0) everywhere.
+    scratch (2, side, side), side the longer of rows and columns. Planes that are all zero stay so.
     """
     first, second = scratch[0], scratch[1]
     rows, columns = down_index.shape[0], across_index.shape[0]
+    filled = np.empty(max(rows, columns), np.bool_)
+    rows_needed, columns_needed = np.ones(rows, np.bool_), np.ones(columns, np.bool_)
     for n in range(planes.shape[0]):
         plane = planes[n]
-        empty = True
-        for i in range(rows):
-            for j in range(columns):
-                if plane[i, j] != 0:
-                    empty = False
-                    break
-            if not empty:
-                break
-        if empty:
+        if not _mark_filled(plane, rows, columns, filled):
             continue
-        apply_rows(down_index, down_weight, plane, first, rows, columns)
+        if chosen.shape[0] > 0:
+            _mark_needed(chosen[n], rows, columns, rows_needed, columns_needed)
+        apply_rows(down_index, down_weight, plane, first, rows, columns, filled, rows_needed)
         _transpose(first, second, rows, columns)
-        apply_rows(across_index, across_weight, second, first, columns, rows)
+        _mark_filled(second, columns, rows, filled)
+        apply_rows(across_index, across_weight, second, first, columns, rows, filled, columns_needed)
         _transpose(first, plane, columns, rows)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def apply_axis(matrix, source, target):
-    """target[o, k, :] = sum over m of matrix[k, m] source[o, m, :], skipping sources that are all zero."""
+def apply_axis(matrix, source, target, needed):
+    """target[o, k, :] = sum over m of matrix[k, m] source[o, m, :]; zero where needed (outer, k) is False."""
     outer, length, inner = source.shape
+    index = np.empty(matrix.shape, np.int32)
+    for m in range(length):
+        index[:, m] = m
     filled = np.empty(length, np.bool_)
     for o in range(outer):
-        for m in range(length):
-            row = source[o, m]
-            filled[m] = False
-            for j in range(inner):
-                if row[j] != 0:
-                    filled[m] = True
-                    break
-        for k in range(matrix.shape[0]):
-            out = target[o, k]
-            out[:] = 0
-            for m in range(length):
-                factor = matrix[k, m]
-                if factor != 0 and filled[m]:
-                    row = source[o, m]
-                    for j in range(inner):
-                        out[j] += factor * row[j]
+        _mark_filled(source[o], length, inner, filled)
+        apply_rows(index, matrix, source[o], target[o], matrix.shape[0], inner, filled, needed[o])
 
 
-def _levels(planes: np.ndarray, plane: Plane, kind: str) -> None:
+EVERYWHERE = np.empty((0, 0, 0), np.uint8)
+
+
+def _levels(planes: np.ndarray, plane: Plane, kind: str, chosen: np.ndarray = EVERYWHERE) -> None:
     """All levels in place; kind: analysis and adjoint go from the finest level on, synthesis from the coarsest."""
     side = max(plane.shape)
     scratch = np.empty((2, side, side), planes.dtype)
     down, across = getattr(plane.down, kind), getattr(plane.across, kind)
     levels = range(plane.levels - 1, -1, -1) if kind == "synthesis" else range(plane.levels)
     for level in levels:
-        parts = (down[level], across[level])
-        arguments = [a for part in parts for a in (part.index, part.weight.astype(planes.dtype))]
-        plane_level(planes, *arguments, scratch)
+        arguments = [a for part in (down[level], across[level]) for a in (part.index, part.weights(planes.dtype))]
+        plane_level(planes, chosen, *arguments, scratch)
 
 
-def along(matrix: np.ndarray, values: np.ndarray, axis: int) -> np.ndarray:
-    """`matrix` (k, m) applied along one axis of an array; the result has k entries there."""
+def along(matrix: np.ndarray, values: np.ndarray, axis: int, needed: np.ndarray | None = None) -> np.ndarray:
+    """`matrix` (k, m) applied along one axis of an array; the result has k entries there.
+
+    needed: of the result's shape up to that axis, bool: entries that are wanted; the others become zero.
+    """
     if matrix.shape[0] == matrix.shape[1] == 1 and matrix[0, 0] == 1:
         return values
     shape = values.shape
     source = np.ascontiguousarray(values).reshape(int(np.prod(shape[:axis])), shape[axis], -1)
     target = np.empty((source.shape[0], matrix.shape[0], source.shape[2]), values.dtype)
-    apply_axis(np.ascontiguousarray(matrix, values.dtype), source, target)
+    wanted = np.ones(target.shape[:2], bool) if needed is None else needed.reshape(target.shape[:2])
+    apply_axis(np.ascontiguousarray(matrix, values.dtype), source, target, wanted)
     return target.reshape(*shape[:axis], matrix.shape[0], *shape[axis + 1 :])
 
 
@@ -233,11 +269,23 @@ class Block:
         _levels(out.reshape(-1, *out.shape[-2:]), self.plane, "synthesis")
         return along(self.views.T, along(self.lights.T, out, 1), 2)
 
-    def adjoint(self, values: np.ndarray) -> np.ndarray:
-        """Transpose of `inverse`: the gradient with respect to the coefficients; `forward` where orthonormal."""
-        out = np.array(along(self.lights, along(self.views, values, 2), 1), copy=True)
-        _levels(out.reshape(-1, *out.shape[-2:]), self.plane, "adjoint")
-        return out if self.plane.orthonormal else out / self._gains(out.dtype)
+    def adjoint(self, values: np.ndarray, chosen: np.ndarray | None = None) -> np.ndarray:
+        """Transpose of `inverse`: the gradient with respect to the coefficients; `forward` where orthonormal.
+
+        chosen: of the coefficients' shape, uint8: the result is right where it is not zero, and finite elsewhere.
+        """
+        if chosen is None:
+            turned = along(self.lights, along(self.views, values, 2), 1)
+        else:
+            needed = chosen.any(axis=(3, 4))
+            views = np.repeat(needed.any(axis=1, keepdims=True), values.shape[1], axis=1)
+            turned = along(self.lights, along(self.views, values, 2, views), 1, needed.any(axis=2))
+        out = np.array(turned, copy=True) if np.shares_memory(turned, values) else turned
+        planes = out.reshape(-1, *out.shape[-2:])
+        _levels(planes, self.plane, "adjoint", EVERYWHERE if chosen is None else chosen.reshape(planes.shape))
+        if not self.plane.orthonormal:
+            out /= self._gains(out.dtype)
+        return out
 
     def bound(self) -> float:
         """Largest singular value of `inverse`, squared: 1 where orthonormal."""
