@@ -6,6 +6,7 @@ what is sought is smooth and monotone in the logarithm of the step, so a secant 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -105,16 +106,30 @@ class EncodedObject:
     @property
     def bytes(self) -> int:
         """Of all streams and start states."""
-        return sum(len(s) for tile in self.streams for s in tile) + sum(len(pack(m)) for m in self.models)
+        return self.bytes_of_tiles + sum(len(pack(m)) for m in self.models)
+
+    @property
+    def bytes_of_tiles(self) -> int:
+        """Of all streams."""
+        return sum(len(s) for tile in self.streams for s in tile)
 
 
 @dataclass(frozen=True)
 class Pilot:
-    """What one look at all tiles gives: refined parameters, the design with its colours and means, typical weights."""
+    """What one look at all tiles gives: refined parameters, the design with its colours and means, typical weights, and
+    energy (tiles,) float64: sum of squares that the model leaves of the pixels."""
 
     refined: list[Refined | None]
     design: Design
     typical: Typical
+    energy: np.ndarray
+
+    def sample(self, count: int) -> list[int]:
+        """About `count` of the tiles that any pixel sees, evenly spread over the energy that the model leaves."""
+        seen = [tile for tile, refined in enumerate(self.refined) if refined is not None]
+        order = sorted(seen, key=lambda tile: (-self.energy[tile], tile))
+        count = min(count, len(order))
+        return sorted(order[int((k + 0.5) * len(order) / count)] for k in range(count))
 
 
 def over(work: Callable, items: Sequence, threads: int, progress: Callable | None = None, what: str = "") -> Iterable:
@@ -160,10 +175,11 @@ def pilot(source: Source, scene: CodedScene, design: Design, effort: Effort, *, 
     design = replace(design, colour=colour)
     squares, density_sum = np.sum(densities, axis=0)
     density = float(squares / density_sum) if density_sum else 1.0
+    energy = np.array([0.0 if m is None else sum(np.trace(part) for part in m) for m in moments])
     if not design.model:
-        return Pilot(list(refined), design, Typical((0.0, 0.0, 0.0), density))
+        return Pilot(list(refined), design, Typical((0.0, 0.0, 0.0), density), energy)
     design, weights = _parameter_statistics([r for r in refined if r is not None], design)
-    return Pilot(list(refined), design, Typical(weights, density))
+    return Pilot(list(refined), design, Typical(weights, density), energy)
 
 
 def _range(design: Design) -> range:
@@ -206,9 +222,10 @@ def at_step(design: Design, step: float, typical: Typical, *, parameter_share: f
 
 def one_pass(
     source: Source, scene: CodedScene, piloted: Pilot, effort: Effort, step: float, *, threads: int, progress=None,
-    parameter_share: float = 1.0, rounds: int = 2,
+    parameter_share: float = 1.0, rounds: int = 2, tiles: Sequence[int] | None = None,
 ) -> EncodedObject:  # fmt: skip
-    """Solve, quantise and code every tile at one step."""
+    """Solve, quantise and code every tile, or only `tiles`, at one step."""
+    tiles = range(source.tiles) if tiles is None else tiles
     design = at_step(piloted.design, step, piloted.typical, parameter_share=parameter_share)
 
     def work(tile: int):
@@ -221,13 +238,13 @@ def one_pass(
         light = replace(coded, parameters=empty, residual=())
         return light, coded.kept, tuple(Sparse.of(block) for block in blocks)
 
-    results = list(over(work, range(source.tiles), threads, progress, f"tiles at step {step:.4g}"))
-    tiles: list[CodedTile] = [r[0] for r in results if r is not None]
+    results = list(over(work, tiles, threads, progress, f"tiles at step {step:.4g}"))
+    coded: list[CodedTile] = [r[0] for r in results if r is not None]
     extents = [NOTHING if r is None else r[0].extent for r in results]
     models, streams = code_streams(
         [None if r is None else r[2] for r in results], extents, design, threads=threads, rounds=rounds
     )
-    sums = [sum(getattr(t, name) for t in tiles) for name in ("pixels", "error", "model_error", "zero_error")]
+    sums = [sum(getattr(t, name) for t in coded) for name in ("pixels", "error", "model_error", "zero_error")]
     kept = sum(r[1] for r in results if r is not None)
     return EncodedObject(design, models, extents, streams, *sums, kept, [])
 
@@ -268,10 +285,11 @@ def psnr(error: float, samples: int) -> float:
     return min(200.0, float(-10 * np.log10(error / samples)))
 
 
-def point_of(encoded: EncodedObject) -> Point:
-    """What a pass reached."""
+def point_of(encoded: EncodedObject, share: float = 1.0) -> Point:
+    """What a pass reached, or would over the whole object if it covered a share of the tiles."""
     quality = psnr(encoded.error, encoded.pixels * encoded.design.channels)
-    return Point(encoded.design.step, encoded.bytes, quality, encoded.kept)
+    size = encoded.bytes + round(encoded.bytes_of_tiles * (1 / share - 1))
+    return Point(encoded.design.step, size, quality, round(encoded.kept / share))
 
 
 def find_step(
@@ -282,18 +300,20 @@ def find_step(
     start: float,
     tolerance: float,
     passes: int,
+    share: float = 1.0,
 ) -> EncodedObject:
     """The pass whose value is nearest to `goal`: a secant on the logarithm of the step, kept inside what is bracketed.
 
-    value: falls as the step grows (bytes and kept as logarithms, PSNR as it is). tolerance: of the value.
+    value: falls as the step grows (bytes and kept as logarithms, PSNR as it is). tolerance: of the value. share: of the
+    tiles that a pass covers.
     """
-    curve, best, steps = [], None, [start]
+    curve, best, least, steps = [], None, math.inf, [start]
     while True:
         encoded = run(steps[-1])
-        curve.append(point_of(encoded))
+        curve.append(point_of(encoded, share))
         off = value(curve[-1]) - goal
-        if best is None or abs(off) < abs(value(point_of(best)) - goal):
-            best = encoded
+        if best is None or abs(off) < least:
+            best, least = encoded, abs(off)
         if abs(off) <= tolerance or len(curve) >= passes:
             return replace(best, curve=curve)
         steps.append(_next_step(steps, [value(p) - goal for p in curve]))
