@@ -96,7 +96,7 @@ def coded_objects(inputs: dict[str, Artifact], work: Path, asked: Asked) -> Iter
         for amount in asked.amounts:
             factor = COARSER.get(method, 1.0) if asked.target == "step" else 1.0
             chosen = {"target": asked.target, "amount": factor * amount, "tolerance": 0.05, **VARIANTS[method]}
-            folders = [str(inputs[name].folder) for name in ("ingest", "texels", "object_brdf")]
+            folders = [str(inputs[name].folder) for name in ("ingest", "mesh", "cameras", "texels", "object_brdf")]
             command = [sys.executable, str(PROJECT / "scripts/stage.py"), "residual", "--settings", json.dumps(chosen)]
             target = work / f"{method}-{amount}"
             subprocess.run([*command, "--inputs", *folders, "--output", str(target)], check=True)

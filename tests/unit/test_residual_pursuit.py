@@ -183,6 +183,26 @@ def test_unequal_views_are_served_better_than_by_one_step_length():
     assert ours.error < 0.7 * least
 
 
+def test_a_solution_can_be_gone_on_from():
+    """Three choices from the solution at another price reach the objective of eight from nothing."""
+    rng = np.random.default_rng(7)
+    block, shape = block_of(views=8, size=32), (1, 1, 8, 32, 32)
+    feet = pixels_of(rng, (2000,) * 8, 32)
+    data = feet.look_up(rng.standard_normal((1, 8, 32, 32)).cumsum(axis=2).cumsum(axis=3).astype(np.float32) / 30)
+    arguments = (data, Operator.of_pixels(feet), block, shape, curvatures(block, feet.density()))
+
+    def objective(found):
+        return found.error + 0.01 * np.count_nonzero(found.coefficients)
+
+    others = {"bits": flat, "effort": Pursuit()}
+    cold = pursue(*arguments, price=0.01, **others)
+    earlier = pursue(*arguments, price=0.013, **others)
+    resumed = pursue(*arguments, price=0.01, start=earlier.coefficients, **others)
+    assert objective(resumed) < objective(cold)
+    nothing = pursue(*arguments, price=0.01, start=np.zeros(shape, np.float32), **others)
+    np.testing.assert_array_equal(nothing.coefficients, cold.coefficients)
+
+
 def test_nothing_to_do():
     block, shape = block_of(), (1, 1, 4, 16, 16)
     feet = Footprints.of(np.zeros(0, int), *np.zeros((2, 0), np.float32), (4, 16, 16))

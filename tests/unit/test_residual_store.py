@@ -1,14 +1,15 @@
 """The whole path on a small object: pixels to bytes to pictures; targets, determinism, damage, held-out views."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from residual_source import SphereSource, scene_of
 from turned_sphere import tiles_of_sphere
 
-from nishiki.codec.allocate import at_step, find_step, one_pass, over, pilot, point_of, psnr
-from nishiki.codec.container import pack_object, unpack_head
+from nishiki.codec.allocate import EncodedObject, at_step, find_step, one_pass, over, pilot, point_of, psnr, slope_of
+from nishiki.codec.container import frame_bytes, pack_object, unpack_head
 from nishiki.codec.design import Design
 from nishiki.codec.interpolate import Footprints
 from nishiki.codec.prediction import predict_texels
@@ -16,6 +17,8 @@ from nishiki.codec.pursuit import Pursuit
 from nishiki.codec.store import STORE, Residual, write_residual
 from nishiki.codec.tile_code import Effort, Typical
 from nishiki.errors import UserError
+from nishiki.stages.residual.declaration import ResidualSettings
+from nishiki.stages.residual.run import goal_of
 
 VIEWS = 12
 EFFORT = Effort(pursuit=Pursuit(rounds=4, inner=4), refinements=8)
@@ -151,8 +154,8 @@ def test_search_meets_its_target(sphere):
     source, scene = SphereSource(sphere), scene_of(VIEWS)
     found = pilot(source, scene, design(), EFFORT, threads=2)
 
-    def run(step):
-        return one_pass(source, scene, found, EFFORT, step, threads=2)
+    def run(step, earlier):
+        return one_pass(source, scene, found, EFFORT, step, threads=2, earlier=earlier)
 
     def size(point):
         return np.log(point.bytes)
@@ -162,6 +165,77 @@ def test_search_meets_its_target(sphere):
     assert point_of(reached).bytes in [point.bytes for point in reached.curve]
     quality = find_step(run, lambda p: p.psnr_db / 8.6859, 34 / 8.6859, start=0.02, tolerance=0.02, passes=8)
     assert point_of(quality).psnr_db == pytest.approx(34, abs=0.2)
+
+
+@pytest.mark.slow
+def test_a_pass_that_goes_on_from_another_is_better_at_equal_bytes(sphere):
+    source, scene = SphereSource(sphere), scene_of(VIEWS)
+    found = pilot(source, scene, design(), EFFORT, threads=2)
+    coarser = one_pass(source, scene, found, EFFORT, 0.022, threads=2)
+    before, cold = point_of(coarser), point_of(one_pass(source, scene, found, EFFORT, 0.02, threads=2))
+    resumed = point_of(one_pass(source, scene, found, EFFORT, 0.02, threads=2, earlier=coarser))
+    slope = (cold.psnr_db - before.psnr_db) / np.log(cold.bytes / before.bytes)
+    assert resumed.psnr_db > cold.psnr_db + slope * np.log(resumed.bytes / cold.bytes)
+
+
+def test_a_sample_of_tiles_stands_for_all(sphere):
+    source, scene = SphereSource(sphere), scene_of(VIEWS)
+    found = pilot(source, scene, design(), EFFORT, threads=1)
+    assert found.sample(100) == list(range(source.tiles))
+    tiles = found.sample(2)
+    assert len(tiles) == 2
+    order = np.argsort(-found.energy)
+    assert set(tiles) == {int(order[1]), int(order[3])}
+    some, every = (one_pass(source, scene, found, EFFORT, 0.03, threads=1, tiles=t) for t in (tiles, None))
+    assert (len(some.streams), len(every.streams)) == (2, source.tiles)
+    assert some.extents == [every.extents[t] for t in tiles]
+    assert point_of(some, 0.5).kept == 2 * some.kept
+    start = some.bytes - some.bytes_of_tiles
+    assert point_of(some, 0.5).bytes == start + 2 * some.bytes_of_tiles
+
+
+def test_slopes_come_from_passes_that_are_apart():
+    assert slope_of([0.08], [0.5], -2.0) == -2.0
+    assert slope_of([0.08, 0.081], [0.5, 0.7], -2.0) == -2.0
+    assert slope_of([0.08, 0.04, 0.0401], [-0.5, 0.2, 0.1], -2.0) == pytest.approx(0.6 / np.log(0.0401 / 0.08))
+    assert slope_of([0.08, 0.04], [0.1, 0.1]) == -0.02
+
+
+@pytest.mark.parametrize("power", [0.4, 1.1, 3.0])
+def test_steps_are_found_whatever_the_slope(power):
+    visited = []
+
+    def run(step, earlier):
+        assert earlier is None or earlier.design.step == visited[-1]
+        visited.append(step)
+        return EncodedObject(replace(design(), step=step), (), [], [], [], 1, step**power, 1.0, 1.0, 0, [])
+
+    found = find_step(
+        run,
+        lambda p: p.psnr_db / 4.343,
+        -power * np.log(0.004 / 3 ** (1 / power)),
+        start=0.08,
+        tolerance=0.01,
+        passes=12,
+    )
+    assert found.design.step == pytest.approx(0.004, rel=0.02 / power)
+    assert len(visited) <= 7
+
+
+def test_a_total_counts_every_part():
+    counts, others = {"pixels": 1000, "visible": 300, "samples": 900}, {"mesh": 5000, "charts": 700}
+    total = ResidualSettings(target="total_bytes", amount=20000)
+    only = ResidualSettings(target="bytes", amount=20000 - 5700 - frame_bytes(100))
+    assert goal_of(total, counts, others, 100) == pytest.approx(goal_of(only, counts, others, 100))
+    with pytest.raises(UserError, match="mesh 5000, charts 700"):
+        goal_of(ResidualSettings(target="total_bytes", amount=5700 + frame_bytes(100)), counts, others, 100)
+
+
+def test_header_and_index_take_about_what_is_expected(sphere, tmp_path):
+    result, _, _ = encoded(sphere)
+    parts = write_residual(tmp_path, result, stamp={}, report={})
+    size = sum(parts[name] for name in ("header", "index", "container"))
+    assert size == pytest.approx(frame_bytes(len(sphere)), abs=500)
 
 
 def test_parameter_steps_follow_the_weights():

@@ -86,6 +86,34 @@ def test_biorthogonal_inverse_adjoint_and_unit_basis(wavelet, mirrored):
     assert np.sum(transform.inverse(other) ** 2) <= transform.bound() * np.sum(other**2) * (1 + 1e-9)
 
 
+@pytest.mark.parametrize("lights", [1, 3])
+@pytest.mark.parametrize("wavelet", ["bior4.4", "db2", "haar"])
+def test_gradient_of_chosen_coefficients_is_the_gradient_of_all_there(wavelet, lights):
+    rng = np.random.default_rng(5)
+    plane = plane_transform(wavelet, 32, 16, 3)
+    transform = Block(plane, view_matrix("db2", 6), view_matrix("cosine", lights))
+    values = rng.standard_normal((3, lights, 6, 32, 16)).astype(np.float32)
+    chosen = (rng.random(values.shape) < 0.02).astype(np.uint8)
+    chosen[0, 0, 2] = 0
+    chosen[1] = 0
+    every, some = transform.adjoint(values), transform.adjoint(values, chosen)
+    assert np.array_equal(some[chosen > 0], every[chosen > 0])
+    assert np.isfinite(some).all()
+
+
+def test_levels_are_matrices_also_where_rows_and_columns_are_empty():
+    rng = np.random.default_rng(6)
+    transform = block("bior4.4", size=16, levels=1, views=1)
+    values = np.zeros((1, 1, 1, 16, 16))
+    values[..., 3:6, 9] = rng.standard_normal(3)
+    matrix = level_matrix("bior4.4", 16)
+    expected = matrix @ values[0, 0, 0] @ matrix.T * transform.plane.gains
+    np.testing.assert_allclose(transform.forward(values)[0, 0, 0], expected, atol=1e-12)
+    inverse = np.linalg.inv(matrix)
+    expected = inverse @ (values[0, 0, 0] / transform.plane.gains) @ inverse.T
+    np.testing.assert_allclose(transform.inverse(values)[0, 0, 0], expected, atol=1e-12)
+
+
 def test_mirrored_ends_pass_a_constant_and_a_ramp():
     """Nine-seven filters kill straight lines inside; a mirrored end leaves no jump where a periodic one does."""
     ramp = np.arange(16.0)

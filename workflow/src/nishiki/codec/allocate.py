@@ -35,6 +35,10 @@ from nishiki.codec.tile_code import (
 from nishiki.codec.training import pack, train
 
 NOTHING = Extent(0, 0, 0, 0, 8, 8)
+SLOPE = -1.3  # of the logarithm of the bytes by that of the step, usually
+SLOPES = (-20.0, -0.02)
+APART = 0.1  # of logarithms of steps
+FARTHEST = 2.0  # move of the logarithm of the step
 
 
 class Source(Protocol):
@@ -89,12 +93,13 @@ class Point:
 
 @dataclass(frozen=True)
 class EncodedObject:
-    """design, models (parameters, residual) and, per tile, extents and streams (parameters, then one for each
-    component; b"" where nothing is stored); pixels, errors as in `CodedTile`, summed; curve: passes visited."""
+    """design, models (parameters, residual) and, per tile, extents, integers and their streams (parameters, then one
+    for each component; b"" where nothing is stored); pixels, errors as in `CodedTile`, summed; curve: passes visited."""
 
     design: Design
     models: tuple[Model, Model]
     extents: list[Extent]
+    integers: list[tuple[Sparse, ...] | None]
     streams: list[tuple[bytes, ...]]
     pixels: int
     error: float
@@ -223,30 +228,36 @@ def at_step(design: Design, step: float, typical: Typical, *, parameter_share: f
 def one_pass(
     source: Source, scene: CodedScene, piloted: Pilot, effort: Effort, step: float, *, threads: int, progress=None,
     parameter_share: float = 1.0, rounds: int = 2, tiles: Sequence[int] | None = None,
+    earlier: EncodedObject | None = None,
 ) -> EncodedObject:  # fmt: skip
-    """Solve, quantise and code every tile, or only `tiles`, at one step."""
+    """Solve, quantise and code every tile, or only `tiles`, at one step.
+
+    earlier: of the same tiles at a similar step; the solver goes on from there.
+    """
     tiles = range(source.tiles) if tiles is None else tiles
     design = at_step(piloted.design, step, piloted.typical, parameter_share=parameter_share)
 
-    def work(tile: int):
+    def work(place: int):
+        tile, starts = tiles[place], None
         if piloted.refined[tile] is None:
             return None
+        if earlier is not None:
+            starts = [part.full() * np.float32(earlier.design.step) for part in earlier.integers[place][1:]]
         seen = see(source.pixels(tile), source.surface(tile), design)
-        coded = encode_tile(seen, piloted.refined[tile], scene, design, effort, piloted.typical)
+        coded = encode_tile(seen, piloted.refined[tile], scene, design, effort, piloted.typical, starts)
         blocks = (coded.parameters, *coded.residual)
         empty = np.zeros(0, np.int32)
         light = replace(coded, parameters=empty, residual=())
         return light, coded.kept, tuple(Sparse.of(block) for block in blocks)
 
-    results = list(over(work, tiles, threads, progress, f"tiles at step {step:.4g}"))
+    results = list(over(work, range(len(tiles)), threads, progress, f"tiles at step {step:.4g}"))
     coded: list[CodedTile] = [r[0] for r in results if r is not None]
     extents = [NOTHING if r is None else r[0].extent for r in results]
-    models, streams = code_streams(
-        [None if r is None else r[2] for r in results], extents, design, threads=threads, rounds=rounds
-    )
+    integers = [None if r is None else r[2] for r in results]
+    models, streams = code_streams(integers, extents, design, threads=threads, rounds=rounds)
     sums = [sum(getattr(t, name) for t in coded) for name in ("pixels", "error", "model_error", "zero_error")]
     kept = sum(r[1] for r in results if r is not None)
-    return EncodedObject(design, models, extents, streams, *sums, kept, [])
+    return EncodedObject(design, models, extents, integers, streams, *sums, kept, [])
 
 
 def code_streams(
@@ -293,7 +304,7 @@ def point_of(encoded: EncodedObject, share: float = 1.0) -> Point:
 
 
 def find_step(
-    run: Callable[[float], EncodedObject],
+    run: Callable[[float, EncodedObject | None], EncodedObject],
     value: Callable[[Point], float],
     goal: float,
     *,
@@ -301,33 +312,46 @@ def find_step(
     tolerance: float,
     passes: int,
     share: float = 1.0,
+    slope: float = SLOPE,
 ) -> EncodedObject:
-    """The pass whose value is nearest to `goal`: a secant on the logarithm of the step, kept inside what is bracketed.
+    """The pass whose value is nearest to `goal`, found by Newton's method on the logarithm of the step.
 
-    value: falls as the step grows (bytes and kept as logarithms, PSNR as it is). tolerance: of the value. share: of the
-    tiles that a pass covers.
+    run: one pass at a step, going on from the pass before. value: falls as the step grows (bytes and kept as
+    logarithms, PSNR as it is). tolerance: of the value. share: of the tiles that a pass covers. slope: of the value,
+    until two passes tell it. At least two passes are made where `passes` allows: a solution that goes on from another
+    is better than one that begins from nothing.
     """
-    curve, best, least, steps = [], None, math.inf, [start]
+    curve, steps, off, encoded, best, least = [], [start], [], None, None, math.inf
     while True:
-        encoded = run(steps[-1])
+        encoded = run(steps[-1], encoded)
         curve.append(point_of(encoded, share))
-        off = value(curve[-1]) - goal
-        if best is None or abs(off) < least:
-            best, least = encoded, abs(off)
-        if abs(off) <= tolerance or len(curve) >= passes:
+        off.append(value(curve[-1]) - goal)
+        if abs(off[-1]) < least or abs(off[-1]) <= tolerance:
+            best, least = encoded, abs(off[-1])
+        if (abs(off[-1]) <= tolerance and len(curve) > 1) or len(curve) >= passes:
             return replace(best, curve=curve)
-        steps.append(_next_step(steps, [value(p) - goal for p in curve]))
+        slope = slope_of(steps, off, slope)
+        steps.append(_next_step(steps, off, slope))
 
 
-def _next_step(steps: list[float], off: list[float]) -> float:
+def slope_of(steps: Sequence[float], off: Sequence[float], slope: float = SLOPE) -> float:
+    """Slope of a value by the logarithm of the step, from the last pass and the nearest to the goal of those that are
+    more than a tenth away; the given slope where there is none. What a pass goes on from changes its value a little, so
+    that passes at almost the same step tell no slope."""
     logs = np.log(steps)
-    if len(steps) == 1:
-        return float(steps[0] * np.clip(np.exp(off[0] * (0.7 if abs(off[0]) < 20 else 0.1)), 1 / 8, 8))
-    order = np.argsort(np.abs(off), kind="stable")[:2]
-    (x0, x1), (y0, y1) = logs[order], np.array(off)[order]
-    ahead = x0 - y0 * (x1 - x0) / (y1 - y0) if y1 != y0 else x0 + np.sign(y0) * 0.5
+    apart = [k for k in range(len(steps) - 1) if abs(logs[k] - logs[-1]) > APART]
+    if not apart:
+        return slope
+    other = min(apart, key=lambda k: abs(off[k]))
+    measured = (off[-1] - off[other]) / (logs[-1] - logs[other])
+    return float(np.clip(measured, *SLOPES)) if np.isfinite(measured) else slope
+
+
+def _next_step(steps: list[float], off: list[float], slope: float) -> float:
+    logs = np.log(steps)
+    ahead = logs[-1] - np.clip(off[-1] / slope, -FARTHEST, FARTHEST)
     low = max((x for x, y in zip(logs, off, strict=True) if y > 0), default=-np.inf)
     high = min((x for x, y in zip(logs, off, strict=True) if y <= 0), default=np.inf)
-    if low < high and not low < ahead < high and np.isfinite([low, high]).all():
+    if high - low > APART and not low < ahead < high and np.isfinite([low, high]).all():
         ahead = (low + high) / 2
-    return float(np.exp(np.clip(ahead, logs.min() - 2, logs.max() + 2)))
+    return float(np.exp(ahead))

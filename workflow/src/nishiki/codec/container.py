@@ -22,6 +22,8 @@ from nishiki.codec.training import pack, unpack
 from nishiki.errors import UserError
 
 MAGIC = b"NWT1"
+FRAME = 1250  # bytes of header and of the store's own files, about
+FRAME_OF_TILE = 6.5  # bytes of the index, about
 MOST_DESIGN = 1 << 24  # bytes of the description, inflated
 
 
@@ -63,6 +65,11 @@ def pack_object(encoded: EncodedObject) -> tuple[bytes, dict[str, int]]:
         "residual": sum(len(s) for s in streams[1:]),
     }
     return data, parts
+
+
+def frame_bytes(tiles: int) -> int:
+    """About how many bytes header, index and the store's own files take, before anything is coded."""
+    return round(FRAME + FRAME_OF_TILE * tiles)
 
 
 def head_length(first: bytes) -> int:

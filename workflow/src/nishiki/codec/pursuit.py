@@ -26,10 +26,12 @@ FLAT_ROUNDS = 2
 
 @dataclass(frozen=True)
 class Pursuit:
-    """rounds: choices of the support; inner: conjugate gradient steps after each; descent: first price over the last;
-    ridge: curvature added to all, so that what pixels hardly show stays small."""
+    """rounds: choices of the support; resumed: choices where an earlier solution is given; inner: conjugate gradient
+    steps after each; descent: first price over the last; ridge: curvature added to all, so that what pixels hardly show
+    stays small."""
 
     rounds: int = 6
+    resumed: int = 3
     inner: int = 5
     descent: float = 16.0
     ridge: float = 0.001
@@ -76,23 +78,30 @@ def pursue(
     price: float,
     bits: Callable[[np.ndarray], np.ndarray],
     effort: Pursuit,
+    start: np.ndarray | None = None,
 ) -> Solution:
     """Coefficients (channels, lights, views, T, T) float32 of pixel values `data` (channels, n) float32.
 
     price: squared error that a bit is worth; bits: expected of every coefficient, of a solution in hand. While there is
-    none, every coefficient costs one bit, at the higher prices of the first rounds.
+    none, every coefficient costs one bit, at the higher prices of the first rounds. start: coefficients of an earlier
+    solution at a similar price, to go on from.
     """
-    held, left = np.zeros(shape, np.float32), data
+    if start is not None and not start.any():
+        start = None
+    held = np.zeros(shape, np.float32) if start is None else start.reshape(shape).astype(np.float32)
     if not effort.rounds or curvature.max(initial=0) <= 0:
-        return Solution(held, float(np.sum(left.astype(np.float64) ** 2)), 0)
-    chosen, cost = np.zeros(shape, np.uint8), np.ones(shape, np.float32)
+        return Solution(np.zeros(shape, np.float32), float(np.sum(data.astype(np.float64) ** 2)), 0)
+    left = data if start is None else data - operator.look(samples_of(block, held))
+    chosen, cost = (held != 0).astype(np.uint8), np.ones(shape, np.float32)
     flat = (held.reshape(shape[0], -1), curvature.reshape(-1), cost.reshape(shape[0], -1), chosen.reshape(shape[0], -1))
-    for turn in range(effort.rounds + 2):
-        level = price * effort.descent ** max(0.0, 1 - turn / max(1, effort.rounds - 2))
-        if turn >= FLAT_ROUNDS:
+    if start is None:
+        prices = [price * effort.descent ** max(0.0, 1 - k / max(1, effort.rounds - 2)) for k in range(effort.rounds)]
+    else:
+        prices = [price] * (effort.resumed - 1)
+    # the last choice only removes: what it would add could not be weighed again
+    for turn, (level, adding) in enumerate([*((p, True) for p in (*prices, price)), (price, False)]):
+        if start is not None or turn >= FLAT_ROUNDS:
             cost[:] = bits(held)
-        # the last choice only removes: what it would add could not be weighed again
-        adding = turn <= effort.rounds
         gradient = _downhill(left, held, operator, block, effort.ridge) if adding else held
         choose(flat[0], gradient.reshape(shape[0], -1), *flat[1:], np.float32(level), adding)
         left = settle(held, chosen, data, operator, block, effort)

@@ -146,8 +146,12 @@ def encode_tile(
     design: Design,
     effort: Effort,
     typical: Typical,
+    starts: Sequence[np.ndarray] | None = None,
 ) -> CodedTile:
-    """Integers of a tile at the design's steps: parameters first, then the residual against what they decode to."""
+    """Integers of a tile at the design's steps: parameters first, then the residual against what they decode to.
+
+    starts: of each component, residual coefficients of an earlier solution at a similar step, to go on from.
+    """
     parameters = np.zeros(design.parameter_shape(seen.extent), np.int32)
     maps = refined.maps
     if design.model:
@@ -165,7 +169,10 @@ def encode_tile(
         if design.model:
             left = values - seen.feet.look_up(model_of(maps, seen, scene, design, component))
         data = (design.mix(index) @ left).astype(np.float32)
-        solution = pursue(data, operator, block, shape, curvature, price=price, bits=bits, effort=effort.pursuit)
+        start = None if starts is None else starts[index]
+        solution = pursue(
+            data, operator, block, shape, curvature, price=price, bits=bits, effort=effort.pursuit, start=start
+        )
         integers = quantise(solution.coefficients, design.step, dead_zone=effort.dead_zone, rounding=effort.rounding)
         after = data - operator.look(samples_of(block, (integers * np.float32(design.step)).astype(np.float32)))
         errors += [float(np.sum(a.astype(np.float64) ** 2)) for a in (after, data, values)]

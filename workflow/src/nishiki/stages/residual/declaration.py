@@ -32,13 +32,14 @@ class ResidualSettings(Guarded):
     """What the reflection model does not explain, as wavelet coefficients."""
 
     STAGE: ClassVar[str] = "residual"
-    VERSION: ClassVar[int] = 3
+    VERSION: ClassVar[int] = 4
     LIMITS: ClassVar[tuple[Limit, ...]] = LIMITS
 
-    target: Literal["bits_per_pixel", "bytes", "psnr", "kept", "kept_of_all", "step"] = Field(
+    target: Literal["bits_per_pixel", "bytes", "total_bytes", "psnr", "kept", "kept_of_all", "step"] = Field(
         "bits_per_pixel",
-        description="what `amount` means: bits for each object pixel of each picture; bytes of the store; dB inside "
-        "the silhouette; coefficients kept as a fraction of the visible samples, or of all; the quantiser step itself",
+        description="what `amount` means: bits for each object pixel of each picture; bytes of the store; bytes of "
+        "all that a renderer needs (mesh, charts, cameras and lamps too); dB inside the silhouette; coefficients kept "
+        "as a fraction of the visible samples, or of all; the quantiser step itself",
     )
     amount: float = Field(0.5, gt=0, description="the target's value; parameters and start states count")
     sufficient: Literal["auto", "never"] = Field(
@@ -73,8 +74,8 @@ STAGE = Stage(
     settings=ResidualSettings,
     does="captured minus model, as coded wavelet coefficients",
     geometry="turntable",
-    requires=("texels", "object_brdf"),
+    requires=("mesh", "cameras", "texels", "object_brdf"),
     needs_colour=True,
-    libraries=("numpy", "scipy", "numba", "zarr", "pywavelets"),
+    libraries=("numpy", "scipy", "numba", "zarr", "pywavelets", "dracopy"),
     cost=lambda facts: Cost(mib=340, bytes_per_sample=22, seconds=14, us_per_sample=36),
 )

@@ -36,7 +36,8 @@ def residual_section(residual: dict[str, Any] | None, evaluation: dict[str, Any]
     facts = []
     if residual.get("psnr_db") is not None:
         with_model, alone = figure(residual["psnr_db"]), figure(residual.get("model_psnr_db"))
-        text = f"{with_model} dB over the pixels that the texels were solved for; model alone {alone} dB"
+        region = "over the pixels that the texels were solved for, peak: full scale"
+        text = f"{with_model} dB {region}; model alone {alone} dB"
         facts.append(("Model and residual", text))
     if residual.get("kept") is not None:
         text = figure(residual["kept"])
@@ -46,7 +47,12 @@ def residual_section(residual: dict[str, Any] | None, evaluation: dict[str, Any]
         facts.append(("Coefficients kept", text))
     if residual.get("bits_per_pixel") is not None:
         facts.append(("Coded size", f"{figure(residual['bits_per_pixel'])} bit an object pixel"))
-    parts = (evaluation or {}).get("bytes") or residual.get("bytes") or {}
+    if everything := residual.get("renderer_bytes"):
+        others = sum(everything.get(name, 0) for name in ("mesh", "charts", "cameras", "lamps"))
+        total, beside = figure(everything["total"] / 1000), figure(others / 1000)
+        text = f"{total} kB, of which mesh, charts, cameras and lamps {beside} kB"
+        facts.append(("All that a renderer needs", text))
+    parts = (evaluation or {}).get("bytes") or residual.get("renderer_bytes") or residual.get("bytes") or {}
     items = []
     if drawing := bytes_bars(parts):
         items.append(Figure("Where the bytes go", "Everything that a renderer needs.", svg=drawing))

@@ -10,7 +10,20 @@ from nishiki.artifacts.stage import Context
 from nishiki.atlas.store import Texels
 from nishiki.brdf.texels.lighting import Lighting
 from nishiki.brdf.texels.store import ParameterMaps
-from nishiki.codec.allocate import EncodedObject, Pilot, Point, find_step, one_pass, pilot, psnr
+from nishiki.codec.allocate import (
+    SLOPE,
+    EncodedObject,
+    Pilot,
+    Point,
+    find_step,
+    one_pass,
+    pilot,
+    point_of,
+    psnr,
+    slope_of,
+)
+from nishiki.codec.container import frame_bytes
+from nishiki.codec.cost import cost_of
 from nishiki.codec.design import Design
 from nishiki.codec.parameters import Maps
 from nishiki.codec.prediction import Surface
@@ -18,17 +31,25 @@ from nishiki.codec.pursuit import Pursuit
 from nishiki.codec.store import write_residual
 from nishiki.codec.tile_code import CodedScene, Effort, Pixels, model_of, see
 from nishiki.colour.encoding import encode
+from nishiki.errors import UserError
+from nishiki.geometry.cameras_file import load_cameras
+from nishiki.geometry.mesh import Mesh
 from nishiki.model_selection.decision import economy
 from nishiki.model_selection.sufficient import Left, decided, model_suffices, what_is_left
 from nishiki.stages.residual.declaration import ResidualSettings
 from nishiki.threads import threads
 
 SAMPLE_TILES = 24  # that decide whether the model suffices
+SEARCH_TILES = 16  # on which the step is sought before the first pass over all
+SEARCH_SHARE = 0.25  # of the tiles: with fewer in all, a search on some saves nothing
+FIRST_STEP = 0.08
+DECIBELS = 20 / math.log(10)  # of a factor e in amplitude
 
 
 def run(context: Context) -> dict:
     """Refine the parameters, find the step for the target, store the pass that meets it."""
     settings = context.settings
+    others = parts_beside(context)
     texels = Texels(context.inputs["texels"].folder)
     reflection = context.inputs["object_brdf"].folder
     source = ArtifactSource(texels, ParameterMaps(reflection), settings)
@@ -52,7 +73,7 @@ def run(context: Context) -> dict:
     if alone:
         effort = replace(effort, pursuit=replace(effort.pursuit, rounds=0))
 
-    def run_pass(step: float) -> EncodedObject:
+    def run_pass(step: float, earlier: EncodedObject | None = None, tiles: list[int] | None = None) -> EncodedObject:
         return one_pass(
             source,
             scene,
@@ -62,13 +83,35 @@ def run(context: Context) -> dict:
             threads=workers,
             progress=context.progress,
             parameter_share=settings.parameter_share,
+            tiles=tiles,
+            earlier=earlier,
         )
 
-    encoded = run_pass(left.step) if alone and settings.target != "psnr" else search(run_pass, settings, counts)
+    if alone and settings.target != "psnr":
+        encoded = run_pass(left.step)
+    else:
+        goal = goal_of(settings, counts, others, texels.tiles)
+        encoded = search(run_pass, settings, goal, *first_step(run_pass, piloted, settings, goal))
     figures = diagnostics(encoded, counts)
     parts = write_residual(context.output.folder, encoded, stamp=context.stamp, report=figures)
     bits = 8 * parts["total"] / max(1, counts["pixels"])
-    return {**figures, "bytes": parts, "bits_per_pixel": bits, "economy": economy(decision)}
+    stored = {f"residual_{name}": size for name, size in parts.items() if name != "total"}
+    everything = {**others, **stored, "total": sum(others.values()) + parts["total"]}
+    return {
+        **figures,
+        "bytes": parts,
+        "renderer_bytes": everything,
+        "bits_per_pixel": bits,
+        "economy": economy(decision),
+    }
+
+
+def parts_beside(context: Context) -> dict[str, int]:
+    """Bytes of what a renderer needs beside the residual: mesh, charts, cameras, lamps."""
+    inputs = context.inputs
+    mesh, cameras = Mesh.load(inputs["mesh"].path("mesh.npz")), load_cameras(inputs["cameras"].path("cameras.json"))
+    lighting = json.loads(inputs["object_brdf"].path("object_brdf.json").read_text())["lighting"]
+    return cost_of(mesh, Texels(inputs["texels"].folder).atlas.chart, cameras, lighting, {}).parts
 
 
 def left_by_model(source: "ArtifactSource", scene: CodedScene, piloted: Pilot) -> Left:
@@ -159,24 +202,72 @@ def design_of(texels: Texels, components: tuple[str, ...], settings: ResidualSet
     )
 
 
-def search(run_pass, settings: ResidualSettings, counts: dict[str, int]) -> EncodedObject:
-    """The pass that meets the target."""
-    if settings.target == "step":
-        return find_step(run_pass, lambda point: 0.0, 0.0, start=settings.amount, tolerance=1.0, passes=1)
-    goals = {
+def goal_of(settings: ResidualSettings, counts: dict[str, int], others: dict[str, int], tiles: int) -> float:
+    """The target as what `measured` gives of a pass; UserError for a total that the other parts exceed."""
+    if settings.target == "psnr":
+        return settings.amount / DECIBELS
+    amounts = {
         "bits_per_pixel": settings.amount * counts["pixels"] / 8,
         "bytes": settings.amount,
         "kept": settings.amount * counts["visible"],
         "kept_of_all": settings.amount * counts["samples"],
+        "total_bytes": settings.amount - sum(others.values()) - frame_bytes(tiles),
+        "step": 1.0,
     }
+    if amounts[settings.target] <= 0:
+        sizes = ", ".join(f"{name} {size}" for name, size in others.items())
+        raise UserError(
+            f"residual.amount: expected a total above {sum(others.values()) + frame_bytes(tiles)} bytes, found "
+            f"{settings.amount:.0f}; without any residual the object takes {sizes}, header and index "
+            f"{frame_bytes(tiles)}. Remedy: a larger amount, or fewer triangles (mesh.deviation_px)"
+        )
+    return math.log(max(1.0, amounts[settings.target]))
 
-    def value(point: Point) -> float:
-        if settings.target == "psnr":
-            return point.psnr_db / 8.6859
-        return math.log(max(1, point.kept if settings.target.startswith("kept") else point.bytes))
 
-    goal = settings.amount / 8.6859 if settings.target == "psnr" else math.log(max(1.0, goals[settings.target]))
-    return find_step(run_pass, value, goal, start=0.08, tolerance=settings.tolerance, passes=settings.passes)
+def measured(point: Point, target: str) -> float:
+    """What a target is about, as a number that falls with the step."""
+    if target == "psnr":
+        return point.psnr_db / DECIBELS
+    return math.log(max(1, point.kept if target.startswith("kept") else point.bytes))
+
+
+def first_step(run_pass, piloted: Pilot, settings: ResidualSettings, goal: float) -> tuple[float, float]:
+    """The step for the first pass over all tiles, and the slope of the target there: what a few of the tiles need."""
+    seen = sum(refined is not None for refined in piloted.refined)
+    if settings.target == "step":
+        return settings.amount, SLOPE
+    if settings.passes == 1 or SEARCH_TILES > SEARCH_SHARE * seen:
+        return FIRST_STEP, SLOPE
+    tiles = piloted.sample(SEARCH_TILES)
+    sampled = find_step(
+        lambda step, earlier: run_pass(step, earlier, tiles),
+        lambda point: measured(point, settings.target),
+        goal,
+        start=FIRST_STEP,
+        tolerance=settings.tolerance,
+        passes=settings.passes,
+        share=len(tiles) / seen,
+    )
+    values = [measured(point, settings.target) - goal for point in sampled.curve]
+    return sampled.design.step, slope_of([point.step for point in sampled.curve], values)
+
+
+def search(run_pass, settings: ResidualSettings, goal: float, start: float, slope: float) -> EncodedObject:
+    """The pass that meets the target; a given step is solved for twice, the second time from the first solution."""
+    if settings.target == "step":
+        passes = [run_pass(start)]
+        if settings.passes > 1:
+            passes.append(run_pass(start, passes[0]))
+        return replace(passes[-1], curve=[point_of(encoded) for encoded in passes])
+    return find_step(
+        run_pass,
+        lambda point: measured(point, settings.target),
+        goal,
+        start=start,
+        tolerance=settings.tolerance,
+        passes=settings.passes,
+        slope=slope,
+    )
 
 
 def diagnostics(encoded: EncodedObject, counts: dict[str, int]) -> dict:
