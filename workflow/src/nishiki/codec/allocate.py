@@ -94,7 +94,7 @@ class Point:
 @dataclass(frozen=True)
 class EncodedObject:
     """design, models (parameters, residual) and, per tile, extents, integers and their streams (parameters, then one
-    for each component; b"" where nothing is stored); pixels, errors as in `CodedTile`, summed; curve: passes visited."""
+    for each component; b"" where nothing is stored); pixels, errors as in `CodedTile`, summed; curve: passes made."""
 
     design: Design
     models: tuple[Model, Model]
@@ -121,8 +121,8 @@ class EncodedObject:
 
 @dataclass(frozen=True)
 class Pilot:
-    """What one look at all tiles gives: refined parameters, the design with its colours and means, typical weights, and
-    energy (tiles,) float64: sum of squares that the model leaves of the pixels."""
+    """What one look at all tiles gives: refined parameters, the design with its colours and means, typical weights,
+    and energy (tiles,) float64: sum of squares that the model leaves of the pixels."""
 
     refined: list[Refined | None]
     design: Design

@@ -123,8 +123,8 @@ def settle(held, chosen, data, operator: Operator, block: Block, effort: Pursuit
         seen = operator.look(samples_of(block, ahead))
         flat = ahead.reshape(-1)
         stride = energy / (dot(seen.reshape(-1), seen.reshape(-1)) + effort.ridge * dot(flat, flat))
-        held += np.float32(stride) * ahead
-        left = left - np.float32(stride) * seen
+        add_scaled(held.reshape(-1), np.float32(stride), flat)
+        add_scaled(left.reshape(-1), np.float32(-stride), seen.reshape(-1))
         if step + 1 < effort.inner:
             gradient = _downhill(left, held, operator, block, effort.ridge, chosen)
             before, energy = energy, masked_energy(gradient.reshape(-1), chosen.reshape(-1))
@@ -136,7 +136,7 @@ def _downhill(
     left: np.ndarray, held: np.ndarray, operator: Operator, block: Block, ridge: float, chosen: np.ndarray | None = None
 ) -> np.ndarray:
     out = block.adjoint(operator.spread(left).reshape(held.shape), chosen)
-    out -= np.float32(ridge) * held
+    add_scaled(out.reshape(-1), np.float32(-ridge), held.reshape(-1))
     return out
 
 
@@ -165,6 +165,13 @@ def dot(one, other):
     for n in range(one.shape[0]):
         total += one[n] * other[n]
     return total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_scaled(values, factor, other):
+    """values += factor * other, in place."""
+    for n in range(values.shape[0]):
+        values[n] += factor * other[n]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -263,9 +263,8 @@ class Block:
 
     def inverse(self, coefficients: np.ndarray) -> np.ndarray:
         """Samples of coefficients."""
-        out = np.array(coefficients, copy=True)
-        if not self.plane.orthonormal:
-            out /= self._gains(out.dtype)
+        orthonormal = self.plane.orthonormal
+        out = coefficients.copy() if orthonormal else coefficients / self._gains(coefficients.dtype)
         _levels(out.reshape(-1, *out.shape[-2:]), self.plane, "synthesis")
         return along(self.views.T, along(self.lights.T, out, 1), 2)
 
