@@ -175,10 +175,11 @@ def test_tone():
     linear = np.full((4, 4, 3), 0.2, np.float32)
     picture = ClothPicture(linear, np.ones((4, 4), np.float32), cloth, 16, 16, 0.0, 0.0)
     automatic = ClothRenderSettings()
-    assert exposed(automatic, [picture]) == pytest.approx(3.5, rel=1e-3)
-    linear[2:] = 0.38  # the paper is brighter, and bounds the exposure
-    assert exposed(automatic, [picture]) == pytest.approx(2.5, rel=1e-3)
-    assert exposed(automatic, [replace(picture, linear=0 * linear)]) == 1
-    assert exposed(automatic, []) == 1
+    white_sheet = 1 / (1.15 + 0.16)  # its light under the brightest lamp and the room
+    assert exposed(automatic, [picture]) == pytest.approx(white_sheet)
+    assert exposed(automatic, [replace(picture, linear=linear / 50)]) == pytest.approx(white_sheet)  # black stays black
+    linear[:2] = 1.9  # gloss brighter than white paper bounds the exposure
+    assert exposed(automatic, [picture]) == pytest.approx(0.5, rel=1e-3)
+    assert exposed(automatic, []) == pytest.approx(white_sheet)
     image = developed(np.full((2, 2, 3), 0.25, np.float32), np.full((2, 2), 0.0, np.float32), background=1.0)
     assert np.all(image.pixels == 255)

@@ -12,6 +12,7 @@ from pages import make_artifact, parsed
 
 from nishiki.artifacts.artifact import ArtifactWriter
 from nishiki.artifacts.stage import Context
+from nishiki.brdf.cloth.models import MODELS
 from nishiki.brdf.cloth.peers import Ward
 from nishiki.brdf.cloth.store import save_brdf
 from nishiki.goniometry.directions import unit
@@ -26,7 +27,16 @@ from nishiki.stages.cloth_render.declaration import ClothRenderSettings
 from nishiki.stages.cloth_report.declaration import ClothReportSettings
 from nishiki.stages.goniometer_samples.declaration import GoniometerSamplesSettings
 from nishiki.stages.weave.declaration import WeaveSettings
-from nishiki.stages.weave.report import curve, notes, parameters, tile_picture
+from nishiki.stages.weave.report import (
+    YARN_MEANINGS,
+    curve,
+    notes,
+    parameters,
+    section_words,
+    summary,
+    tile_picture,
+    yarn_table,
+)
 
 PROJECT = Path(__file__).resolve().parents[2]
 STAMP = {"scene": "small", "stage": "cloth_report", "key": "0" * 12, "version": "0.1.0"}
@@ -72,6 +82,21 @@ def cloth_of(writer):
     writer.path("cloth_brdf.json").write_text(text)
     facts = {"used": 564, "reciprocity_error": 0.01234, "albedo_max": {"0": 0.25, "60": 1.75}}
     return {"default": "facets", "regions": {"cloth": {"facets": facts, "ward": {"used": 3}}}}
+
+
+def test_a_weave_is_not_stated_where_the_data_do_not_tell_it():
+    entry = {"weave": "plain", "harness": 2, "rms_rel": {"weft": 0.1, "warp": 0.2}, "at_bounds": ["humps_weft"]}
+    assert summary(entry).startswith("The reflectance does not determine the weave")
+    yarns = {"alike": ["satin of 5 yarns, step 2", "twill of 6 yarns"], "ranking": [{}] * 12, "rms_rel": 0.045}
+    text = summary({**entry, "yarns": yarns})
+    assert "Of 12 weaves of elliptical yarns" in text
+    assert "a satin of 5 yarns, step 2 explains it best" in text
+    assert "do not tell it from a twill of 6 yarns." in text
+    number = {"value": 0.5, "low": 0.4, "high": 0.6, "determined": True}
+    parameters = dict.fromkeys(YARN_MEANINGS, number) | {"spacing_ratio": {**number, "determined": False}}
+    rows = {row[0]: row[1] for row in yarn_table({"parameters": parameters}, 0.95).rows}
+    assert rows[YARN_MEANINGS["spacing_ratio"]] == "not determined"
+    assert rows[YARN_MEANINGS["aspect_warp"]] == 0.5
 
 
 def png(shape=(6, 8)):
@@ -151,8 +176,8 @@ def test_the_whole_page(inputs, tmp_path):
     assert '<b>&"quoted"' not in text
     assert "Robe &lt;b&gt;" in text
     for expected in ("facet reading", "BARD, best factor (has seen these)", "0.123", "25 %, 3.5°", "Gold", "Red",
-                     "Light left alone", "A satin of 5 yarns a repeat", "3.2 %", "l_warp · r_warp",
-                     "r_warp: not determined; k_s · index: to 25 %", "28.6", "43",
+                     "Light left alone", "Sections of a satin of 5 yarns a repeat", "3.2 %",
+                     "radius of the arcs, warp (not determined)", "to 25 %", "28.6", "43",
                      "not asked for", "a note", "taken for the fit", "Light at 30°, plane of the warp", "87.50", "96",
                      "0.250", "1.75", "0.0123", "Coverage", "1.23"):  # fmt: skip
         assert expected in text, expected
@@ -201,6 +226,18 @@ def test_lobes_reach_the_rim_at_the_brightest_value():
     assert lobes_plot([("dark", angle, np.zeros(17))]).startswith("<svg")
 
 
+def test_every_model_of_the_error_chart_has_a_line_of_its_own_within_the_drawing():
+    names = [*MODELS, "weave"]
+    models = {name: {"15": {"rms_rel": 0.02 * 2**k}, "75": {"rms_rel": 0.05 * 2**k}} for k, name in enumerate(names)}
+    svg = error_chart(models, "yarn_facets")
+    lines = re.findall(r'<path d="M([^"]*)" fill="none" stroke="(#[0-9a-f]*)" stroke-width="1.8"([^/]*)/>', svg)
+    assert len({(colour, dash) for _, colour, dash in lines}) == len(names)
+    height = [float(point.split()[1]) for points, _, _ in lines for point in points.split("L")]
+    assert len(set(height)) == len(height)  # none ends at the edge
+    assert 10 < min(height)
+    assert max(height) < 296
+
+
 def test_charts_without_anything_to_show():
     assert error_chart({}, "facets") == ""
     assert error_chart({"facets": {}}, "facets") == ""
@@ -217,6 +254,13 @@ def test_parts_of_the_weave():
     assert rows["n_weft"][3].endswith(", weft")
     assert rows["k_s"][3].startswith("strength of the gloss")
     assert notes({}) == []
+    told = notes({"identifiability": {"free": ["l_warp · r_warp", "k_s^0.3 · index"]}, "at_bounds": ["flank_weft"]})
+    assert told == [
+        "The sections are the same for any value of refractive index.",
+        "Ended at a bound, so not determined: share of the straight flanks, weft.",
+    ]
+    assert section_words({"theta_a": np.pi / 4, "n": 1.0}) == "flanks at 45.0°, single yarns."
+    assert section_words({"theta_a": np.pi / 4, "n": 4.0}) == "flanks at 45.0°, 4 yarns side by side."
     values = {"theta_i_deg": [0.0, 45.0], "theta_r_deg": [10.0, 10.0], "measured": [0.1, 9.0]}
     drawn = curve({**values, "gloss": [0.05, 9.0], "body": [0.05, 9.0], "interpolated": True}, "warp")
     assert drawn.caption == "light at 0°."

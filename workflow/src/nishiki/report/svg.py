@@ -11,6 +11,8 @@ import numpy as np
 
 from nishiki.report.numbers import plain
 
+DASHES = ("5 4", "1.5 3.5")
+"""Patterns of dashed lines."""
 PALETTE = ("#1f4e79", "#b5542b", "#3f7f4c", "#7a5195", "#a0892c", "#4b8a99")
 INK, SOFT, GRID, PAPER = "#22262b", "#6b7178", "#e3e3df", "#fff"
 FONT = "Source Sans 3,Segoe UI,Roboto,Arial,sans-serif"
@@ -60,10 +62,12 @@ class Drawing:
         """A filled rectangle."""
         self.parts.append(f'<rect x="{x:.1f}" y="{y:.1f}" width="{width:.1f}" height="{height:.1f}" fill="{colour}"/>')
 
-    def _shape(self, shape, tip, *, fill="none", stroke="", width=1.0, dashed=False, opacity=1.0) -> None:
+    def _shape(
+        self, shape, tip, *, fill="none", stroke="", width=1.0, dashed=False, dash=DASHES[0], opacity=1.0
+    ) -> None:
         paint = f' fill="{fill}"' + (f' fill-opacity="{opacity:.2g}"' if opacity < 1 else "")
         if stroke:
-            paint += f' stroke="{stroke}" stroke-width="{width:g}"' + (' stroke-dasharray="5 4"' if dashed else "")
+            paint += f' stroke="{stroke}" stroke-width="{width:g}"' + (f' stroke-dasharray="{dash}"' if dashed else "")
         end = f"><title>{escape(tip)}</title></{shape.split()[0]}>" if tip else "/>"
         self.parts.append(f"<{shape}{paint}{end}")
 
@@ -142,7 +146,7 @@ def _number(value: float) -> str:
 class Curve:
     """One curve of a chart: x, y of equal length; NaN breaks the line. dots: as points, not as a line.
 
-    strength: opacity of each point, 0 to 1, or None."""
+    dash: pattern of a dashed line. strength: opacity of each point, 0 to 1, or None."""
 
     label: str
     x: np.ndarray
@@ -150,6 +154,7 @@ class Curve:
     colour: str = PALETTE[0]
     dashed: bool = False
     dots: bool = False
+    dash: str = DASHES[0]
     strength: np.ndarray | None = None
 
 
@@ -182,14 +187,14 @@ def chart(
                 drawing.circle(a, b, 2.2, fill=curve.colour, opacity=opacity)
         else:  # a line runs to the edge
             commands = outline(np.where(inside, across, np.nan), np.clip(up, y.end - margin, y.start + margin))
-            drawing.path(commands, stroke=curve.colour, width=1.8, dashed=curve.dashed)
+            drawing.path(commands, stroke=curve.colour, width=1.8, dashed=curve.dashed, dash=curve.dash)
     for k, curve in enumerate(curve for curve in curves if curve.label):
         right, at = width - 20, 22 + 16 * k
         drawing.text(right - 26, at + 4, curve.label, anchor="end", size=11)
         if curve.dots:
             drawing.circle(right - 10, at, 2.6, fill=curve.colour)
         else:
-            drawing.path(f"M{right - 20} {at}h20", stroke=curve.colour, width=2, dashed=curve.dashed)
+            drawing.path(f"M{right - 20} {at}h20", stroke=curve.colour, width=2, dashed=curve.dashed, dash=curve.dash)
     return drawing.finish()
 
 

@@ -11,15 +11,22 @@ from nishiki.weave.brdf import WeaveBrdf
 from nishiki.weave.fit import LOBES, READINGS, WeaveFit, WeaveModel
 from nishiki.weave.planes import Plane
 from nishiki.weave.section import WarpSection, WeftSection
+from nishiki.weave.yarn_search import YarnSearch, parameters_of
 
 NAME = "weave.json"
 FORMAT = 1
 
 
-def describe(fit: WeaveFit, planes: tuple[Plane, Plane], *, weave: str, harness: int) -> dict:
-    """One region's entry: sections, parameters, intervals, curves of the fit beside the measured values."""
+def describe(
+    fit: WeaveFit, planes: tuple[Plane, Plane], *, weave: str, harness: int, yarns: dict | None = None
+) -> dict:
+    """One region's entry: sections, parameters, intervals, curves of the fit beside the measured values.
+
+    yarns : what is known of the interlaced yarns, see `describe_yarns`.
+    """
     model = fit.model
     return {
+        "yarns": yarns,
         "weave": weave,
         "harness": harness,
         "reading": model.reading,
@@ -37,6 +44,20 @@ def describe(fit: WeaveFit, planes: tuple[Plane, Plane], *, weave: str, harness:
         "identifiability": asdict(fit.identifiability),
         "at_bounds": fit.at_bounds,
         "curves": {name: curves(model, name, plane) for name, plane in zip(("weft", "warp"), planes, strict=True)},
+    }
+
+
+def describe_yarns(search: YarnSearch, *, confidence: float) -> dict:
+    """The weave of elliptical yarns: binding, those that explain the measurements as well, parameters, ranking."""
+    best = search.best
+    return {
+        "weave": best.binding.weave,
+        "harness": best.binding.harness,
+        "step": best.binding.step,
+        "alike": [str(binding) for binding in search.alike],
+        "ranking": [{"binding": str(binding), "cost": round(cost, 2)} for binding, cost in search.ranking],
+        "rms_rel": best.rms_rel,
+        "parameters": parameters_of(best, confidence=confidence),
     }
 
 

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 
 from nishiki.report.numbers import figure
 from nishiki.report.page import Block, Cell, Figure, Figures, Fold, Heading, Note, Section, Table
-from nishiki.report.svg import INK, PALETTE, Curve, chart
+from nishiki.report.svg import DASHES, INK, PALETTE, Curve, chart
 from nishiki.stages.cloth_brdf.report import model_name
 
 CURVES_OF = ("yarn_facets", "bard_great_circle", "weave", "ggx")
 """Models whose curves are drawn beside those of the default one."""
 MOST_CURVES = 4
-LARGEST_ERROR = 1.5
-"""End of the axis of relative errors."""
 INTRODUCTION = (
     "Predicted against measured reflectance on measurements that no fit has seen. The error is the root mean square of "
     "the difference over that of the measured values, weighted by the cosine of the view's angle and by the solid "
@@ -133,40 +132,55 @@ def curves_section(evaluation: dict[str, Any] | None, region: str) -> Section | 
     return Section("curves", "Measured and predicted", [intro, Figures(items)])
 
 
-def colours_of(models: list[str], default: str) -> dict[str, str]:
-    """A colour for each model; the default one has the first."""
+@dataclass(frozen=True)
+class Line:
+    """How a model is drawn in all charts of a page."""
+
+    colour: str
+    dashed: bool
+    dash: str = DASHES[0]
+
+
+def lines_of(models: list[str], default: str) -> dict[str, Line]:
+    """A line for each model, no two alike: the default one is solid in the first colour, the others are dashed."""
     ordered = [default] * (default in models) + [model for model in models if model != default]
-    return {model: PALETTE[k % len(PALETTE)] for k, model in enumerate(ordered)}
+    first = int(default in models)
+    colours = len(PALETTE)
+    return {
+        model: Line(PALETTE[k % colours], k >= first, DASHES[min(k // colours, len(DASHES) - 1)])
+        for k, model in enumerate(ordered)
+    }
 
 
 def error_chart(models: dict[str, dict], default: str) -> str:
-    """Relative error against the light's incidence, one line a model; values above 1.5 leave the drawing."""
-    colours = colours_of(list(models), default)
-    curves, top = [], 0.0
+    """Relative error against the light's incidence on a logarithmic axis that holds every value, one line a model."""
+    lines = lines_of(list(models), default)
+    curves: list[Curve] = []
     for model, parts in models.items():
-        points = sorted((float(angle), part["rms_rel"]) for angle, part in parts.items())
+        points = sorted((float(angle), part["rms_rel"]) for angle, part in parts.items() if part["rms_rel"] > 0)
         if points:
             x, y = np.array(points).T
-            top = max(top, float(y.max()))
-            dashed = model != default
-            curves.append(Curve(model_name(model), x, y, colour=colours[model], dashed=dashed))
-            curves.append(Curve("", x, y, colour=colours[model], dots=True))
+            line = lines[model]
+            curves.append(Curve(model_name(model), x, y, **asdict(line)))
+            curves.append(Curve("", x, y, colour=line.colour, dots=True))
     if not curves:
         return ""
     ends = [x for curve in curves for x in (curve.x.min(), curve.x.max())]
     room = (min(ends) - 2, max(ends) + 2 + 0.4 * (max(ends) - min(ends)))  # the legend stands on the right
+    values = np.concatenate([curve.y for curve in curves])
     return chart(
         curves, x_label="incidence, degrees", y_label="relative RMS error", title="error against incidence",
-        x_range=room, y_range=(0.0, min(LARGEST_ERROR, 1.1 * top)), width=640, height=340,
+        x_range=room, y_range=(0.8 * float(values.min()), 1.25 * float(values.max())), width=640, height=340,
+        logarithmic=True,
     )  # fmt: skip
 
 
 def plane_chart(curve: dict, models: list[str], default: str) -> str:
     """Measured values as dots, predicted ones as lines, over the view's angle in the plane of the light."""
-    colours = colours_of(models, default)
+    drawn = lines_of(models, default)
     angle, measured = np.array(curve["theta_r_deg"]), np.array(curve["measured"])
     lines = [
-        Curve(model_name(model), angle, np.array(values), colour=colours[model], dashed=model != default)
+        Curve(model_name(model), angle, np.array(values), **asdict(drawn[model]))
         for model in models
         if (values := curve["predicted"].get(model)) is not None
     ]

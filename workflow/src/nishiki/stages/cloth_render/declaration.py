@@ -85,7 +85,7 @@ class ClothRenderSettings(Guarded):
     supersampling: int = Field(3, ge=1, le=16, description="samples along each side of a pixel")
     exposure: float | Literal["auto"] = Field(
         "auto",
-        description="factor of the PNG pictures; auto: one for the own colour, one for the dyes; not in EXR",
+        description="factor of the PNG pictures; auto: a white sheet facing the brightest lamp is white; not in EXR",
     )
     tone: Literal["soft", "linear"] = Field("soft", description="of the PNG: highlights bent softly, or clipped")
     film: FilmSettings | None = Field(None, description="a video; null: none")

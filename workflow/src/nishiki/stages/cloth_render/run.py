@@ -21,6 +21,8 @@ from nishiki.stages.cloth_render.declaration import ClothRenderSettings
 
 FINEST_SIDE = 193
 """Points along a side of the drawn cloth, half as many again as the shipped surface has."""
+BRIGHTEST = 0.95
+"""Share of the display's white that the bright parts of the pictures may reach."""
 AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
 
 
@@ -47,12 +49,8 @@ def run(context: Context) -> dict:
         takes.append(stage.take(cloth))
     context.progress.tell(f"{len(takes)} pictures of {view.columns} x {view.rows} pixels")
     made = stage.render(takes, supersampling=settings.supersampling, shadows=settings.shadows) if takes else []
-    exposure = exposed(settings, [made[k] for name, k in named.items() if name == "drape"])
-    dyes = exposed(settings, [made[k] for name, k in named.items() if name.startswith("drape-dye-")])
-    pictures = {
-        name: save(context, name, made[k], dyes if name.startswith("drape-dye-") else exposure)
-        for name, k in named.items()
-    }
+    exposure = exposed(settings, [made[k] for name, k in named.items() if not name.startswith("drape-light-")])
+    pictures = {name: save(context, name, made[k], exposure) for name, k in named.items()}
     if settings.swatches:
         context.progress.tell("cylinders")
         pictures |= swatches(context, brdf, cloths)
@@ -61,7 +59,7 @@ def run(context: Context) -> dict:
         "region": settings.region or models.regions[0],
         "model": settings.model or models.default,
         "surface": shape,
-        "exposure": {"own": exposure, "dyes": dyes},
+        "exposure": exposure,
         "pictures": pictures,
         "video": video,
         "notes": notes,
@@ -69,12 +67,13 @@ def run(context: Context) -> dict:
 
 
 def exposed(settings: ClothRenderSettings, pictures: list[ClothPicture]) -> float:
-    """The factor of the PNG pictures."""
+    """The factor of the PNG pictures: a white sheet that faces the brightest lamp is white, so that a black cloth stays
+    black; less where the bright parts of the cloth would then exceed the display's white."""
     if settings.exposure != "auto":
         return settings.exposure
-    # The cloth comes to 0.7 of the display's white, unless what else is in the pictures would then exceed 0.95.
-    cloth = [(picture.linear[picture.cloth > 0.9], 0.7) for picture in pictures]
-    return exposure_for(cloth + [(picture.linear[picture.coverage > 0.5], 0.95) for picture in pictures])
+    sheet = max((lamp.intensity for lamp in settings.lights.values()), default=0.0) + settings.around
+    brightest = exposure_for([(picture.linear[picture.coverage > 0.5], BRIGHTEST) for picture in pictures])
+    return min(1.0 / sheet, brightest) if sheet > 0 else brightest
 
 
 def shown(settings: ClothRenderSettings, picture: ClothPicture, exposure: float) -> DisplayImage:

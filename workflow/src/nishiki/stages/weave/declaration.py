@@ -35,9 +35,14 @@ class WeaveSettings(Guarded):
     """Cross-sections of a cloth from its reflectances in the planes of warp and weft."""
 
     STAGE: ClassVar[str] = "weave"
-    VERSION: ClassVar[int] = 1
+    VERSION: ClassVar[int] = 2
     LIMITS: ClassVar[tuple[Limit, ...]] = LIMITS
 
+    yarns: bool = Field(
+        True,
+        description="fit interlaced elliptical yarns to the whole hemisphere, every harness and step in turn; "
+        "false: the sections alone, in the planes of weft and warp",
+    )
     reading: Literal["paper", "shaded", "yarns"] = Field(
         "shaded",
         description="what the section does with light: paper: masking alone (Takeda and Tanaka, eq. 15); shaded: each "
@@ -61,7 +66,7 @@ class WeaveSettings(Guarded):
         None,
         ge=2,
         le=16,
-        description="yarns of a repeat (n = harness - 1); null: the best of those usual for the weave",
+        description="yarns of a repeat (n = harness - 1); null: searched among those of the weave",
     )
     spacing_ratio: float | None = Field(
         None, gt=0.1, lt=10.0, description="spacing of weft yarns over warp yarns; null: valleys equally deep"
@@ -81,5 +86,5 @@ STAGE = Stage(
     needs_colour=True,
     libraries=("numpy", "scipy", "numba", "opencv-contrib-python-headless"),
     deliverables=("*.ply", "*.png", "*.svg"),
-    cost=lambda facts: Cost(mib=480, seconds=30),
+    cost=lambda facts: Cost(mib=480, seconds=60),
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,29 @@ MEANINGS = {
     "k_s": "strength of the gloss, mean of the channels",
     "k_d": "strength of the light from within, mean of the channels",
 }
+YARN_MEANINGS = {
+    "mean_slope_weft": "mean slope in the plane of the weft, degrees",
+    "p90_slope_weft": "slope in the plane of the weft that a tenth of the surface exceeds, degrees",
+    "mean_slope_warp": "mean slope in the plane of the warp, degrees",
+    "p90_slope_warp": "slope in the plane of the warp that a tenth of the surface exceeds, degrees",
+    "weft_share": "share of the face that is weft",
+    "spacing_ratio": "spacing of the weft yarns over that of the warp yarns",
+    "fill_warp": "width of a warp yarn over its spacing",
+    "fill_weft": "width of a weft yarn over its spacing",
+    "aspect_warp": "thickness of a warp yarn over its width",
+    "aspect_weft": "thickness of a weft yarn over its width",
+    "crimp": "share of the warp in how far the yarns bend",
+    "bend": "length on which a yarn changes sides, in spacings",
+    "arch": "rise of a float over its length",
+    "rough_along_warp": "roughness of the warp along its fibres",
+    "rough_across_warp": "roughness of the warp across its fibres",
+    "rough_along_weft": "roughness of the weft along its fibres",
+    "rough_across_weft": "roughness of the weft across its fibres",
+}
+MOST_ALIKE = 4
+"""Other weaves that are named as explaining the measurements as well."""
+MAIN_POWER = 0.5
+"""Power from which a parameter is named as part of a combination."""
 ANGLES = ("theta_a", "contact")
 MOST_WEAK = 3
 """Combinations of parameters named as badly determined."""
@@ -43,13 +67,15 @@ def weave_section(weave: Artifact | None, widest: int) -> Section | None:
             if drawing := contents(weave, f"section_{plane}{suffix}.svg"):
                 items.append(Figure(f"Section along the {plane}", section_words(entry[plane]), svg=drawing.decode()))
         if data := contents(weave, f"weave{suffix}.png"):
-            caption = f"{entry['weave']}, as fitted, from above: the weft runs to the right."
+            caption = "As fitted, from above: the weft runs to the right."
             items.append(Figure("The surface", caption, tile_picture(data, widest)))
         blocks += [summary(entry), Figures(items)]
-        if rows := parameters((weave.diagnostics.get("regions") or {}).get(name) or {}):
+        if entry.get("yarns"):
+            blocks.append(yarn_table(entry["yarns"], weave.settings["confidence"]))
+        if rows := parameters((weave.diagnostics.get("regions") or {}).get(name) or {}, entry.get("at_bounds") or []):
             caption = (
-                f"Parameters with their confidence intervals ({round(100 * weave.settings['confidence'])} %). Lengths "
-                "are known up to a common scale."
+                f"The sections of Takeda and Tanaka, with confidence intervals "
+                f"({round(100 * weave.settings['confidence'])} %). Lengths are known up to a common scale."
             )
             blocks.append(Table(("parameter", "value", "from", "to", "meaning"), rows, "lrrrw", caption))
         curves = [curve(entry["curves"][plane], plane) for plane in PLANES if plane in entry["curves"]]
@@ -72,33 +98,86 @@ def tile_picture(data: bytes, widest: int) -> PagePicture:
 
 
 def summary(entry: dict[str, Any]) -> str:
-    """The fit in a sentence."""
+    """The fit in a few sentences: what it says of the weave, and how sure that is."""
     errors = entry["rms_rel"]
-    return (
-        f"A {entry['weave']} of {entry['harness']} yarns a repeat: cross-sections found from the reflectance in the "
-        f"planes of weft and warp. What the fit leaves unexplained is {100 * errors['weft']:.1f} % of the reflectance "
-        f"along the weft and {100 * errors['warp']:.1f} % along the warp."
+    rest = (
+        f"What the sections leave unexplained is {100 * errors['weft']:.1f} % of the reflectance in the plane of the "
+        f"weft and {100 * errors['warp']:.1f} % in that of the warp."
     )
+    yarns = entry.get("yarns")
+    if yarns is None:
+        at_end = set(entry.get("at_bounds") or [])
+        name = repeat_name(entry["weave"], entry["harness"])
+        if at_end & SECTION_UNKNOWNS:
+            return f"The reflectance does not determine the weave: the sections of a {name} ended at a bound. {rest}"
+        return f"Sections of a {name}, from the reflectance in the planes of weft and warp. {rest}"
+    best, *others = yarns["alike"]
+    first = (
+        f"Of {len(yarns['ranking'])} weaves of elliptical yarns that were fitted to the reflectance over the "
+        f"hemisphere, a {best} explains it best; it leaves {100 * yarns['rms_rel']:.1f} % unexplained."
+    )
+    if others:
+        named = " or ".join(f"a {other}" for other in others[:MOST_ALIKE])
+        more = f" ({len(others) - MOST_ALIKE} more)" if len(others) > MOST_ALIKE else ""
+        first += f" The measurements do not tell it from {named}{more}."
+    return f"{first} {rest}"
+
+
+SECTION_UNKNOWNS = {f"{name}_{plane}" for name in ("theta_a", "flank", "humps") for plane in PLANES}
+
+
+def repeat_name(weave: str, harness: int) -> str:
+    """A weave in words."""
+    return "plain weave" if weave == "plain" else f"{weave} of {harness} yarns a repeat"
 
 
 def section_words(section: dict[str, float]) -> str:
     """Main numbers of a section."""
     text = f"flanks at {np.degrees(section['theta_a']):.1f}°"
-    return f"{text}, {section['n']:.2g} yarns side by side." if "n" in section else f"{text}."
+    if "n" not in section:
+        return f"{text}."
+    yarns = round(section["n"], 1)
+    return f"{text}, single yarns." if yarns == 1 else f"{text}, {yarns:.2g} yarns side by side."
 
 
-def parameters(region: dict[str, Any]) -> list[list[Cell]]:
-    """Name, value, ends of the interval and meaning of each parameter; told : diagnostics of a region."""
+def yarn_table(yarns: dict[str, Any], confidence: float) -> Table:
+    """Every number of the weave of elliptical yarns with its interval; no value where nothing tells it."""
+    rows: list[list[Cell]] = []
+    for name, words in YARN_MEANINGS.items():
+        told = yarns["parameters"][name]
+        ends: list[Cell] = [told["low"], told["high"]]
+        rows.append([words, told["value"] if told["determined"] else "not determined", *ends])
+    caption = (
+        f"The weave of elliptical yarns with confidence intervals ({round(100 * confidence)} %), which hold if its "
+        "yarns are elliptical and alike. Slopes are those of what is seen from above. Where the measurements tell no "
+        "more than is known of any cloth, the interval is that knowledge."
+    )
+    return Table(("", "value", "from", "to"), rows, "wrrr", caption)
+
+
+def parameters(region: dict[str, Any], at_bounds: Sequence[str] = ()) -> list[list[Cell]]:
+    """Name, value, ends of the interval and meaning of each parameter of the sections, from a region's diagnostics."""
     rows: list[list[Cell]] = []
     for name, value in (region.get("parameters") or {}).items():
         stem, _, plane = name.rpartition("_")
         kind = stem if plane in PLANES else name
         low, high = (region.get("intervals") or {}).get(name) or (None, None)
         factor = 180 / np.pi if kind in ANGLES else 1.0
-        meaning = MEANINGS.get(kind, "")
-        meaning += f", {plane}" if plane in PLANES and meaning else ""
-        rows.append([name, *(None if v is None else factor * v for v in (value, low, high)), meaning])
+        values: list[Cell] = [None if v is None else factor * v for v in (value, low, high)]
+        meaning = words_of(name)
+        if name in at_bounds:
+            meaning += "; ended at a bound: not determined"
+        rows.append([name, *values, meaning])
     return rows
+
+
+def words_of(name: str) -> str:
+    """A parameter of the sections in words."""
+    stem, _, plane = name.rpartition("_")
+    kind = stem if plane in PLANES else name
+    if kind not in MEANINGS:
+        return ""
+    return MEANINGS[kind] + (f", {plane}" if plane in PLANES else "")
 
 
 def curve(values: dict[str, Any], plane: str) -> Figure:
@@ -119,19 +198,46 @@ def curve(values: dict[str, Any], plane: str) -> Figure:
 
 
 def notes(entry: dict[str, Any]) -> list[str]:
-    """What the data cannot tell."""
+    """What the data cannot tell of the sections."""
     identifiability = entry.get("identifiability") or {}
     texts = []
-    if identifiability.get("free"):
-        texts.append(f"Not determined by measurements of this kind: {'; '.join(identifiability['free'])}.")
-    pairs = list(zip(identifiability.get("weak") or [], identifiability.get("weak_error") or [], strict=True))[
-        :MOST_WEAK
-    ]
+    if others := [text for text in identifiability.get("free") or [] if not is_length(text)]:
+        texts.append(f"The sections are the same for any value of {'; '.join(map(in_words, others))}.")
+    pairs = list(zip(identifiability.get("weak") or [], identifiability.get("weak_error") or [], strict=True))
     if pairs:
         combinations = "; ".join(
-            f"{name}: {'not determined' if error > 1 else f'to {100 * error:.2g} %'}" for name, error in pairs
+            f"{in_words(name)} ({'not determined' if error > 1 else f'to {100 * error:.2g} %'})"
+            for name, error in pairs[:MOST_WEAK]
         )
-        texts.append(f"Least well determined combinations (one standard deviation): {combinations}.")
+        texts.append(f"Least well determined in the sections, as one standard deviation: {combinations}.")
     if entry.get("at_bounds"):
-        texts.append(f"At the end of their range: {', '.join(entry['at_bounds'])}.")
+        texts.append(f"Ended at a bound, so not determined: {', '.join(map(bound_words, entry['at_bounds']))}.")
     return texts
+
+
+def is_length(product: str) -> bool:
+    """Whether a product of powers is of lengths alone: their common scale is never known."""
+    return all(factor.split("^")[0].rpartition("_")[0] in ("l", "r", "m") for factor in product.split(" · "))
+
+
+def in_words(product: str) -> str:
+    """The parameters of a product of powers that have the largest powers."""
+    powers = {}
+    for factor in product.split(" · "):
+        name, _, power = factor.partition("^")
+        powers[name] = abs(float(power or 1))
+    main = [name for name, power in powers.items() if power >= MAIN_POWER]
+    return " together with ".join(words_of(name).removesuffix(", degrees") or name for name in main)
+
+
+def bound_words(unknown: str) -> str:
+    """An unknown of the search in words."""
+    stem, _, plane = unknown.rpartition("_")
+    words = {
+        "flank": "share of the straight flanks",
+        "humps": "share of flat top or contacts",
+        "log_width": "width of the gloss",
+    }
+    if unknown == "log_f0":
+        return MEANINGS["index"]
+    return f"{words.get(stem, MEANINGS.get(stem, stem).removesuffix(', degrees'))}, {plane}"

@@ -3,6 +3,7 @@
 import numpy as np
 
 from nishiki.artifacts.stage import Context
+from nishiki.brdf.cloth.yarn_fit import Measured
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.mesh_files import write_ply
 from nishiki.goniometry.store import Reflectances
@@ -10,8 +11,10 @@ from nishiki.render.output import write_png
 from nishiki.stages.weave.drawing import draw_section
 from nishiki.weave.fit import WeaveFit, fit_weave
 from nishiki.weave.planes import planes_of
-from nishiki.weave.store import describe, write_weave
-from nishiki.weave.surface import USUAL, harness_of, make_surface, shade
+from nishiki.weave.store import describe, describe_yarns, write_weave
+from nishiki.weave.surface import USUAL, Surface, harness_of, make_surface, shade
+from nishiki.weave.yarn_search import YarnSearch, search_yarns
+from nishiki.weave.yarn_weave import bindings
 
 
 def run(context: Context) -> dict:
@@ -25,32 +28,54 @@ def run(context: Context) -> dict:
             reflectances, region=number, relative_error=settings.relative_error, oblique=settings.oblique
         )
         contact = None if settings.contact_deg is None else float(np.radians(settings.contact_deg))
+        search = search_of(context, reflectances, number)
+        known = search.best.binding.harness if search else settings.harness
         fit = fit_weave(
             *planes,
-            harness=USUAL[reflectances.weave] if settings.harness is None else settings.harness,
+            harness=USUAL[reflectances.weave] if known is None else known,
             reading=settings.reading,
             lobe=settings.lobe,
             contact=contact,
             index=settings.refractive_index,
             confidence=settings.confidence,
         )
-        weave, harness = harness_of(fit.model.weft, reflectances.weave)
-        harness = settings.harness if settings.harness is not None else harness
-        regions[name] = describe(fit, planes, weave=weave, harness=harness)
-        picture(context, fit, f"_{name}" if len(reflectances.regions) > 1 else "", weave, harness)
-        diagnostics[name] = report(fit, weave, harness, [plane.measured for plane in planes])
+        if search:
+            weave, harness = search.best.binding.weave, search.best.binding.harness
+        else:
+            weave, harness = harness_of(fit.model.weft, reflectances.weave)
+            harness = settings.harness if settings.harness is not None else harness
+        yarns = describe_yarns(search, confidence=settings.confidence) if search else None
+        regions[name] = describe(fit, planes, weave=weave, harness=harness, yarns=yarns)
+        suffix = f"_{name}" if len(reflectances.regions) > 1 else ""
+        picture(context, fit, suffix, surface_of(context, fit, search, weave, harness))
+        diagnostics[name] = report(fit, weave, harness, [plane.measured for plane in planes]) | {"yarns": yarns}
     write_weave(context.output.folder, regions)
     return {"regions": diagnostics}
 
 
-def picture(context: Context, fit: WeaveFit, suffix: str, weave: str, harness: int) -> None:
+def search_of(context: Context, reflectances: Reflectances, region: int) -> YarnSearch | None:
+    """The search for the weave of elliptical yarns, where it is asked for."""
+    settings = context.settings
+    if not settings.yarns:
+        return None
+    candidates = bindings(reflectances.weave, harness=settings.harness)
+    candidates = candidates or bindings("unknown", harness=settings.harness)  # a satin of 6 does not exist
+    return search_yarns(Measured.of(reflectances, region), candidates)
+
+
+def surface_of(context: Context, fit: WeaveFit, search: YarnSearch | None, weave: str, harness: int) -> Surface:
+    """The surface of the yarns, or where they were not fitted that of both sections."""
+    ratio = context.settings.spacing_ratio
+    if search is None:
+        return make_surface(fit.model.weft, fit.model.warp, weave=weave, harness=harness, spacing_ratio=ratio)
+    return search.best.weave.surface()
+
+
+def picture(context: Context, fit: WeaveFit, suffix: str, surface: Surface) -> None:
     """Drawings of both sections, the mesh and its picture."""
-    model = fit.model
-    for name, section in (("weft", model.weft), ("warp", model.warp)):
+    for name, section in (("weft", fit.model.weft), ("warp", fit.model.warp)):
         drawing = draw_section(section, title=f"section along the {name}")
         context.output.path(f"section_{name}{suffix}.svg").write_text(drawing + "\n", encoding="utf-8")
-    ratio = context.settings.spacing_ratio
-    surface = make_surface(model.weft, model.warp, weave=weave, harness=harness, spacing_ratio=ratio)
     mesh = Mesh.of(*surface.mesh())
     write_ply(context.output.path(f"weave{suffix}.ply"), mesh, stamp=context.stamp, unit="spacing of the warp yarns")
     write_png(context.output.path(f"weave{suffix}.png"), shade(surface), stamp=context.stamp)

@@ -1,0 +1,113 @@
+"""Interlaced elliptical yarns: bindings, the surface and what of it is seen, the search for the weave."""
+
+import numpy as np
+import pytest
+
+from nishiki.brdf.cloth.yarn_fit import Measured
+from nishiki.errors import UserError
+from nishiki.goniometry.directions import unit
+from nishiki.weave.yarn_search import CENTRE, NAMES, parameters_of, search_yarns, spread, weave_of
+from nishiki.weave.yarn_weave import Binding, bindings
+
+SATIN = Binding("satin", 5, 2)
+
+
+def yarns(binding=SATIN, **changes):
+    x = CENTRE.copy()
+    for name, value in changes.items():
+        x[NAMES.index(name)] = value
+    return weave_of(x, binding)
+
+
+def test_bindings_are_all_plain_twill_and_satin_weaves_without_mirror_images():
+    every = bindings("unknown", 8)
+    assert every[0] == Binding("plain", 2, 1)
+    assert len(set(every)) == len(every)
+    assert [(b.harness, b.step) for b in every if b.weave == "satin"] == [(5, 2), (7, 2), (7, 3), (8, 3)]
+    assert [b.harness for b in every if b.weave == "twill"] == [3, 4, 5, 6, 7, 8]
+    assert bindings("satin", harness=6) == []
+    assert bindings("plain") == [Binding("plain", 2, 1)]
+    assert [str(b) for b in bindings("unknown", harness=5)] == ["twill of 5 yarns", "satin of 5 yarns, step 2"]
+
+
+@pytest.mark.parametrize("binding", [Binding("plain", 2, 1), Binding("twill", 4, 1), SATIN])
+def test_the_surface_repeats_with_the_step_of_the_binding(binding):
+    surface = yarns(binding).surface(20)
+    height = surface.height[:-1, :-1]
+    moved = np.roll(np.roll(height, 20, axis=1), 20 * binding.step, axis=0)
+    np.testing.assert_allclose(moved, height, atol=1e-9)
+    np.testing.assert_array_equal(np.sum(~surface.pattern, axis=0), 1)
+    rows, columns = np.nonzero(~surface.pattern)
+    assert not surface.is_warp[rows * 20 + 10, columns * 20 + 10].any()  # the weft is up at every binding
+    assert surface.is_warp.mean() == pytest.approx(1 - 1 / binding.harness, abs=0.12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("theta_deg", [0, 30, 60, 75])
+@pytest.mark.parametrize("binding", [Binding("plain", 2, 1), Binding("twill", 3, 1), SATIN])
+def test_what_is_seen_fills_the_view_from_everywhere(binding, theta_deg):
+    """The visible surface, projected towards any direction, covers the cloth's own projection exactly once."""
+    from nishiki.weave.yarn_kernels import _free
+
+    points, _, horizons = yarns(binding, soft=np.log(0.01)).points((40, 30))
+    for phi_deg in (0, 40, 90):
+        towards = unit(np.radians(theta_deg), np.radians(phi_deg))
+        cosine = points[:, :3] @ towards
+        seen = np.array([_free(horizons, p, towards, 0.01) if cosine[p] > 0 else 0.0 for p in range(len(points))])
+        assert np.sum(points[:, 9] * seen * np.maximum(cosine, 0)) / towards[2] == pytest.approx(1, abs=0.06)
+
+
+def test_reflection_is_reciprocal_and_dark_below_the_horizon():
+    rng = np.random.default_rng(0)
+    i, o = rng.normal(size=(2, 50, 3))
+    i, o = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in (i, o))
+    weave = yarns()
+    there, back = weave.parts(i, o), weave.parts(o, i)
+    np.testing.assert_allclose(there, back, rtol=1e-9)
+    assert np.all(there[(i[:, 2] <= 0) | (o[:, 2] <= 0)] == 0)
+    assert np.all(np.isfinite(there))
+
+
+def test_spread_samples_lie_far_from_each_other_and_from_mirror_images():
+    theta, phi = np.meshgrid(np.radians(np.arange(5, 86, 10)), np.radians(np.arange(0, 360, 15)))
+    views = unit(theta.ravel(), phi.ravel())
+    chosen = np.abs(views[spread(views, 12)])
+    distance = np.linalg.norm(chosen[:, None] - chosen, axis=-1) + 9 * np.eye(12)
+    assert distance.min() > 0.25
+
+
+def measured_of(weave, *, body=0.05, normal_only=False):
+    theta, phi = np.meshgrid(np.radians(np.arange(4, 85, 8)), np.radians(np.arange(0, 91, 15)))
+    views = np.concatenate([[[0, 0, 1.0]], unit(theta.ravel(), phi.ravel())])
+    light = np.tile([0, 0, 1.0], (len(views), 1))
+    if not normal_only:
+        theta, phi = np.meshgrid(np.radians([10, 35, 60]), np.radians(np.arange(0, 360, 30)))
+        aside = unit(theta.ravel(), phi.ravel())
+        for lamp in unit(np.radians([30.0, 60.0]), np.radians([0.0, 90.0])):
+            views, light = np.concatenate([views, aside]), np.concatenate([light, np.tile(lamp, (len(aside), 1))])
+    terms = weave.parts(light, views, (24, 16))
+    values = terms[:, :1] + body * terms[:, 1:]
+    return Measured(light, views, values, light[:, 2] > 0.9999, True)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("binding", [Binding("plain", 2, 1), Binding("twill", 3, 1), SATIN])
+def test_search_finds_the_weave_and_its_yarns(binding):
+    truth = yarns(binding, aspect_warp=np.log(0.7), rough_across_warp=np.log(0.24), crimp=0.1)
+    search = search_yarns(measured_of(truth), [Binding("plain", 2, 1), Binding("twill", 3, 1), SATIN])
+    assert search.best.binding == binding
+    assert search.alike == [binding]
+    assert search.best.rms_rel < 0.03
+    parameters = parameters_of(search.best, confidence=0.95)
+    slopes = truth.slopes()
+    for name in ("mean_slope_weft", "p90_slope_weft", "mean_slope_warp", "weft_share"):
+        assert parameters[name]["value"] == pytest.approx(slopes[name], rel=0.1), name
+        assert parameters[name]["low"] <= parameters[name]["value"] <= parameters[name]["high"]
+    assert parameters["aspect_warp"]["value"] == pytest.approx(0.7, rel=0.1)
+    assert parameters["aspect_warp"]["determined"]
+
+
+def test_too_few_views_are_refused():
+    few = measured_of(yarns(), normal_only=True).take(np.arange(5))
+    with pytest.raises(UserError, match="at least 8 views"):
+        search_yarns(few, [SATIN])
