@@ -17,7 +17,7 @@ from nishiki.brdf.cloth.measures import (
     together,
 )
 from nishiki.brdf.cloth.models import MODELS, fit_models
-from nishiki.brdf.cloth.oblique import choose_oblique
+from nishiki.brdf.cloth.oblique import choose_oblique, likeness
 from nishiki.brdf.cloth.parametric import fit_shape
 from nishiki.brdf.cloth.store import load_brdf, save_brdf
 from nishiki.brdf.cloth.yarn_facets import (
@@ -232,15 +232,27 @@ def first(cloth):
     return fit_normal(data.take(data.normal), evaluations=12)
 
 
+def test_likeness_counts_mirror_images_and_exchanged_light_and_view_as_the_same_place():
+    light, view = direction(30, 20), direction(60, 110)
+    incident = np.stack([light, view, light * [-1, 1, 1], light, direction(30, 100)])
+    outgoing = np.stack([view, light, view * [-1, 1, 1], direction(60, 130), direction(60, 190)])
+    near = likeness(incident, outgoing)
+    np.testing.assert_allclose(near[0, :3], 1, atol=1e-6)
+    assert 0.2 < near[0, 3] < 0.9
+    assert near[0, 4] < 0.2
+    np.testing.assert_allclose(near, near.T, atol=1e-9)
+    assert np.linalg.eigvalsh(near[2:, 2:]).min() > 0
+
+
 def test_oblique_choice_is_apart_telling_and_recorded(cloth, first):
     data = Measured.of(cloth[1])
     rows = np.flatnonzero(~data.normal)
     chosen = choose_oblique(first, data.incident[rows], data.outgoing[rows], 12)
     assert len(set(chosen.tolist())) == len(chosen) == 12
     assert np.degrees(polar(data.outgoing[rows][chosen])).max() <= 80
-    gaps = np.linalg.norm(data.outgoing[rows][chosen][:, None] - data.outgoing[rows][chosen][None], axis=-1)
-    same = np.linalg.norm(data.incident[rows][chosen][:, None] - data.incident[rows][chosen][None], axis=-1) < 1e-6
-    assert gaps[same & ~np.eye(12, dtype=bool)].min() > 2 * np.sin(np.radians(10))
+    assert len(np.unique(np.round(data.incident[rows][chosen], 6), axis=0)) == 3  # some of every light
+    near = likeness(data.incident[rows][chosen], data.outgoing[rows][chosen])
+    assert near[~np.eye(12, dtype=bool)].max() < 0.9
     assert len(choose_oblique(first, data.incident[rows], data.outgoing[rows], 0)) == 0
 
 

@@ -54,7 +54,9 @@ def test_what_is_seen_fills_the_view_from_everywhere(binding, theta_deg):
         towards = unit(np.radians(theta_deg), np.radians(phi_deg))
         cosine = points[:, :3] @ towards
         seen = np.array([_free(horizons, p, towards, 0.01) if cosine[p] > 0 else 0.0 for p in range(len(points))])
-        assert np.sum(points[:, 9] * seen * np.maximum(cosine, 0)) / towards[2] == pytest.approx(1, abs=0.06)
+        assert np.sum(points[:, 9] * seen * np.maximum(cosine, 0)) / towards[2] == pytest.approx(
+            1, abs=0.06 if theta_deg < 70 else 0.1
+        )
 
 
 def test_reflection_is_reciprocal_and_dark_below_the_horizon():
