@@ -23,13 +23,14 @@ view from one side only the lower limit counts, which is how shadowing and maski
 """
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
 
 from nishiki.brdf.cloth.interface import halves, off_horizon, only_above
+from nishiki.brdf.cloth.local_ratio import ratio
 from nishiki.brdf.cloth.yarn_kernels import ATOM, HALF_PI, sums
 from nishiki.threads import STRIPS_A_THREAD, threads
 
@@ -125,7 +126,7 @@ def hump_limits(slope: float, power: float, side: int, spacing: float, *, points
 
 @dataclass(frozen=True)
 class YarnFacets:
-    """The BRDF: a shape, what lies within the fibres, and how measured facets differ from the shape's."""
+    """The BRDF: a shape, what lies within the fibres, and how measured facets and images differ from the shape's."""
 
     KIND: ClassVar[str] = "yarn_facets"
     RECIPROCAL: ClassVar[bool] = True
@@ -135,6 +136,9 @@ class YarnFacets:
     correction: (
         np.ndarray
     )  # (nt, np) factor of the mirror reflection by the half vector; theta_h 0 .. pi/4, phi 0 .. 2 pi
+    images: np.ndarray = field(default_factory=lambda: np.zeros((0, 6)))  # light and view of the oblique images used
+    image_weights: np.ndarray = field(default_factory=lambda: np.zeros(0))  # see local_ratio
+    quarter: bool = True  # whether mirror images in the planes of weft and warp count as the same
 
     @property
     def channels(self) -> int:
@@ -156,11 +160,20 @@ class YarnFacets:
         parts, g = self.parts(incident, outgoing), halves(incident, outgoing)
         mirror = (parts[..., 0] + parts[..., 2]) * corrected(self.correction, g.h)
         within = (parts[..., 1] + parts[..., 3])[..., None] * self.body + self.lambert / np.pi
-        return only_above(g.above, mirror[..., None] + within)
+        return only_above(g.above, (mirror[..., None] + within) * self.ratio(incident, outgoing)[..., None])
+
+    def ratio(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
+        """Factor (...,) by which the oblique images around a pair of directions differ from the model."""
+        incident, outgoing = np.broadcast_arrays(np.asarray(incident, float), np.asarray(outgoing, float))
+        if not len(self.images):
+            return np.ones(incident.shape[:-1])
+        flat = ratio(incident.reshape(-1, 3), outgoing.reshape(-1, 3), self.images, self.image_weights, self.quarter)
+        return flat.reshape(incident.shape[:-1])
 
     def as_arrays(self) -> dict[str, np.ndarray]:
         """The shape's numbers under their names, then the rest."""
-        arrays = {name: np.asarray(getattr(self, name)) for name in ("body", "lambert", "correction")}
+        names = ("body", "lambert", "correction", "images", "image_weights", "quarter")
+        arrays = {name: np.asarray(getattr(self, name)) for name in names}
         return {**{name: np.asarray(value) for name, value in vars(self.shape).items()}, **arrays}
 
     @classmethod
@@ -168,7 +181,8 @@ class YarnFacets:
         """The model of `as_arrays`."""
         names = YarnShape.__dataclass_fields__
         shape = YarnShape(**{n: arrays[n] if np.ndim(arrays[n]) else float(arrays[n]) for n in names})
-        return cls(shape, *(np.asarray(arrays[name], float) for name in ("body", "lambert", "correction")))
+        names = ("body", "lambert", "correction", "images", "image_weights")
+        return cls(shape, *(np.asarray(arrays[name], float) for name in names), quarter=bool(arrays["quarter"]))
 
 
 def shape_parts(shape: YarnShape, incident: np.ndarray, outgoing: np.ndarray, *, compiled=None) -> np.ndarray:

@@ -3,7 +3,8 @@
 First the shape is fitted to normal incidence (its prior says what that leaves open), then to both.  What the shape's
 facets still miss at normal incidence is read off them as the facet reading does, at the half vector's tilt theta_r / 2:
 a factor c(h) of the mirror reflection at every incidence (h alone, so it stays reciprocal), held to 1 where the body
-outshines the mirror reflection.
+outshines the mirror reflection. What the model then misses at the oblique images is carried over to the directions
+around them (`local_ratio`).
 """
 
 from dataclasses import dataclass, replace
@@ -11,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nishiki.brdf.cloth.interface import polar
+from nishiki.brdf.cloth.local_ratio import fit_ratio, pairs_of
 from nishiki.brdf.cloth.measures import hemisphere, incidences, single, solid_angles, together
 from nishiki.brdf.cloth.parametric import ShapeFit, fit_shape
 from nishiki.brdf.cloth.yarn_facets import CENTRE, SPREAD, YarnFacets, corrected, shape_of, shape_parts, uncorrected
@@ -154,6 +156,11 @@ def fit_yarn_facets(
     spread = np.sqrt(np.diag(np.linalg.inv(fit.information)))
     if basic is not None:
         brdf = replace(brdf, correction=correction(brdf, basic, steepest=float(polar(under.outgoing).max())))
+    if oblique.size:
+        images = chosen.take(oblique)
+        pairs, modelled = pairs_of(images.incident, images.outgoing), brdf.evaluate(images.incident, images.outgoing)
+        weights = fit_ratio(pairs, images.grey, modelled.mean(axis=1), measured.quarter)
+        brdf = replace(brdf, images=pairs, image_weights=weights, quarter=measured.quarter)
     return YarnFit(brdf, fit, rows, float(rms), spread)
 
 

@@ -46,7 +46,7 @@ class ClothBrdfSettings(Guarded):
     """The BRDF of the whole hemisphere of every region, from normal incidence and a few oblique measurements."""
 
     STAGE: ClassVar[str] = "cloth_brdf"
-    VERSION: ClassVar[int] = 1
+    VERSION: ClassVar[int] = 2
     LIMITS: ClassVar[tuple[Limit, ...]] = LIMITS
 
     model: Model = Field("yarn_facets", description="the model that stands for the cloth")

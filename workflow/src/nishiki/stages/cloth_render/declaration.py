@@ -65,7 +65,7 @@ class ClothRenderSettings(Guarded):
     """Pictures of the cloth: draped, from two lights, in three dyes, and on cylinders."""
 
     STAGE: ClassVar[str] = "cloth_render"
-    VERSION: ClassVar[int] = 1
+    VERSION: ClassVar[int] = 2
 
     region: str = Field("", description="region of the capture whose cloth is shown; empty: the first")
     model: str = Field("", description="model of the cloth_brdf stage; empty: its default")

@@ -1,0 +1,71 @@
+"""What oblique images say of a model's error, carried over to the directions around them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from nishiki.brdf.cloth.local_ratio import REACH, fit_ratio, likeness, pairs_of, ratio
+from nishiki.brdf.cloth.store import load_brdf, save_brdf
+from nishiki.brdf.cloth.yarn_facets import CENTRE, shape_of, uncorrected
+from nishiki.goniometry.directions import unit
+
+
+def direction(theta, phi):
+    return unit(np.radians(np.atleast_1d(theta)), np.radians(np.atleast_1d(phi)))
+
+
+IMAGES = direction([30.0, 60.0, 45.0], [0.0, 90.0, 45.0]), direction([50.0, 20.0, 70.0], [160.0, 250.0, 225.0])
+
+
+def test_images_are_met_and_far_directions_left_alone():
+    pairs = pairs_of(*IMAGES)
+    weights = fit_ratio(pairs, np.array([1.3, 0.9, 1.0]), np.ones(3), quarter=True)
+    np.testing.assert_allclose(ratio(*IMAGES, pairs, weights, True), [1.3, 0.9, 1.0], rtol=0.02)
+    far = direction(10.0, 0.0), direction(10.0, 180.0)
+    assert ratio(*far, pairs, weights, True) == pytest.approx(1, abs=1e-4)
+
+
+def test_ratio_is_symmetric_and_continuous():
+    pairs = pairs_of(*IMAGES)
+    weights = fit_ratio(pairs, np.array([1.3, 0.9, 1.0]), np.ones(3), quarter=True)
+    rng = np.random.default_rng(1)
+    theta, phi = rng.uniform(0, 85, (2, 200)), rng.uniform(0, 360, (2, 200))
+    i, o = direction(theta[0], phi[0]), direction(theta[1], phi[1])
+    here = ratio(i, o, pairs, weights, True)
+    assert np.ptp(here) > 0.1
+    np.testing.assert_allclose(ratio(o, i, pairs, weights, True), here, rtol=1e-12)
+    for mirror in ([-1, 1, 1], [1, -1, 1], [-1, -1, 1]):
+        np.testing.assert_allclose(ratio(i * mirror, o * mirror, pairs, weights, True), here, rtol=1e-12)
+    near = ratio(i, direction(theta[1] + 0.01, phi[1]), pairs, weights, True)
+    assert np.abs(near - here).max() < 1e-3
+
+
+def test_likeness_is_positive_definite_and_ends_at_its_reach():
+    rng = np.random.default_rng(2)
+    theta, phi = rng.uniform(0, 85, (2, 60)), rng.uniform(0, 360, (2, 60))
+    pairs = pairs_of(direction(theta[0], phi[0]), direction(theta[1], phi[1]))
+    for quarter in (True, False):
+        matrix = np.array([[likeness(a, b, quarter) for b in pairs] for a in pairs])
+        np.testing.assert_allclose(matrix, matrix.T, atol=1e-12)
+        assert np.linalg.eigvalsh(matrix).min() > -1e-9
+    light, view = direction(60.0, 0.0), direction([30.0, 80.0], 90.0)
+    assert np.linalg.norm(view[0] - view[1]) > REACH
+    assert likeness(pairs_of(light, view[:1])[0], pairs_of(light, view[1:])[0], False) == 0
+
+
+def test_black_images_say_nothing():
+    weights = fit_ratio(pairs_of(*IMAGES), np.array([0.0, 1.0, 1.0]), np.ones(3), quarter=False)
+    assert np.abs(weights).max() < 1e-9
+
+
+def test_model_with_images_is_stored_and_reciprocal(tmp_path):
+    pairs = pairs_of(*IMAGES)
+    plain = uncorrected(shape_of(CENTRE), [0.1, 0.2], [0.0, 0.0])
+    weights = fit_ratio(pairs, np.array([1.2, 0.8, 1.1]), np.ones(3), quarter=True)
+    brdf = replace(plain, images=pairs, image_weights=weights)
+    i, o = IMAGES
+    np.testing.assert_allclose(brdf.evaluate(i, o) / plain.evaluate(i, o), np.tile([[1.2], [0.8], [1.1]], 2), rtol=0.02)
+    np.testing.assert_allclose(brdf.evaluate(i, o), brdf.evaluate(o, i), rtol=1e-9)
+    save_brdf(tmp_path / "brdf.npz", brdf)
+    np.testing.assert_array_equal(load_brdf(tmp_path / "brdf.npz").evaluate(i, o), brdf.evaluate(i, o))
