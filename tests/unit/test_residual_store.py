@@ -15,7 +15,7 @@ from nishiki.codec.interpolate import Footprints
 from nishiki.codec.prediction import predict_texels
 from nishiki.codec.pursuit import Pursuit
 from nishiki.codec.store import STORE, Residual, write_residual
-from nishiki.codec.tile_code import Effort, Typical
+from nishiki.codec.tile_code import Effort, Typical, decode_residual
 from nishiki.errors import UserError
 from nishiki.stages.residual.declaration import ResidualSettings
 from nishiki.stages.residual.run import goal_of
@@ -220,6 +220,26 @@ def test_steps_are_found_whatever_the_slope(power):
     )
     assert found.design.step == pytest.approx(0.004, rel=0.02 / power)
     assert len(visited) <= 7
+
+
+def test_coded_texels_are_those_of_the_tile(sphere, tmp_path):
+    result, _, _ = encoded(sphere)
+    write_residual(tmp_path, result, stamp={}, report={})
+    residual = Residual(tmp_path)
+    for tile in range(residual.tiles):
+        every, coded = residual.decode(tile), residual.decode_coded(tile)
+        assert coded.nbytes <= every.nbytes + 8 * (residual.size**2 + VIEWS) + 4 * 3 * sum(coded.values.shape[:2])
+        for observation in range(VIEWS):
+            for texel in range(0, residual.size**2, 7):
+                value = coded.values[coded.observation[observation], coded.texel[texel]]
+                np.testing.assert_array_equal(value, every[observation, texel // residual.size, texel % residual.size])
+        extent = result.extents[tile]
+        unseen = np.setdiff1d(np.arange(VIEWS), extent.observations(VIEWS, 1))
+        assert not every[unseen].any()
+        np.testing.assert_array_equal(
+            every[np.ix_(extent.observations(VIEWS, 1), *(np.arange(residual.size)[part] for part in extent.texels))],
+            np.moveaxis(decode_residual(result.integers[tile][1].full(), 0, result.design, extent), 0, -1),
+        )
 
 
 def test_a_total_counts_every_part():

@@ -7,6 +7,7 @@ import pytest
 
 from nishiki.brdf.texels.lighting import Lighting
 from nishiki.brdf.texels.model import predict
+from nishiki.codec.store import CodedTexels
 from nishiki.colour.encoding import decode, encode
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.camera_path import rotation_matrix
@@ -82,10 +83,12 @@ class DomeResidual:
         area = self.cut(tile)
         return self.kd[area], self.ks[area], self.sigma[area]
 
-    def decode(self, tile, *, level=0, component=None):
+    def decode_coded(self, tile, *, level=0, component=None):
         self.decoded.append(tile)
         share = {None: 1.0, "diffuse": 0.75, "specular": 0.25}[component]
-        return np.float32(share) * self.whole[(slice(None), *self.cut(tile))]
+        values = np.float32(share) * self.whole[(slice(None), *self.cut(tile))]
+        values = values.reshape(len(values), -1, 3)
+        return CodedTexels(values, np.arange(values.shape[0]), np.arange(values.shape[1]))
 
     def empty(self, tile):
         return tile == 4
@@ -238,9 +241,23 @@ def test_pictures_do_not_depend_on_batches_threads_or_cache(monkeypatch):
     plain = [picture.linear for picture in make(threads=1).render([make().captured(k) for k in range(4)])]
     monkeypatch.setattr(module, "BATCH_BYTES", 1)
     monkeypatch.setattr(module, "CACHE_BYTES", 1)
-    made = make(threads=4)
-    for want, picture in zip(plain, made.render([made.captured(k) for k in range(4)]), strict=True):
-        np.testing.assert_array_equal(picture.linear, want)
+    for large in (1, 1 << 30):
+        monkeypatch.setattr(module, "LARGE_BATCH_BYTES", large)
+        made = make(threads=4)
+        for want, picture in zip(plain, made.render([made.captured(k) for k in range(4)]), strict=True):
+            np.testing.assert_array_equal(picture.linear, want)
+
+
+def test_batches_are_large_only_where_tiles_must_be_decoded_again(monkeypatch):
+    monkeypatch.setattr(module, "BATCH_BYTES", 1)
+    shots = [make().captured(k) for k in range(4)]
+    once = make(threads=1)
+    assert len(list(once.render(shots))) == 4
+    assert sorted(once.residual.decoded) == [0, 1, 2, 3, 5, 6, 7, 8]
+    monkeypatch.setattr(module, "CACHE_BYTES", 1)
+    again = make(threads=1)
+    assert len(list(again.render(shots))) == 4
+    assert len(again.residual.decoded) == 2 * len(once.residual.decoded)  # the first view, then the others together
 
 
 def test_pictures_are_clipped_to_what_the_capture_could_hold():

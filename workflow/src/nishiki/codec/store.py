@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import threading
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -52,6 +53,21 @@ def write_residual(folder: Path, encoded: EncodedObject, *, stamp: dict[str, str
     )
     (Path(folder) / REPORT).write_text(text + "\n")
     return parts
+
+
+@dataclass(frozen=True)
+class CodedTexels:
+    """values (n + 1, k + 1, C) float32: n coded observations of k coded texels, and zeros for all others; observation
+    (M,), texel (T * T,) int64: where each observation and each texel of the tile stands in them."""
+
+    values: np.ndarray
+    observation: np.ndarray
+    texel: np.ndarray
+
+    @property
+    def nbytes(self) -> int:
+        """Size of the arrays."""
+        return self.values.nbytes + self.observation.nbytes + self.texel.nbytes
 
 
 class Residual:
@@ -102,16 +118,28 @@ class Residual:
         level: so many of the finest bands are left out (and not even read): a blurred preview. component: one of
         `design.components`; their sum by default.
         """
+        coded = self.decode_coded(tile, level=level, component=component)
+        every = coded.values[coded.observation][:, coded.texel]
+        return every.reshape(self.observations, self.size, self.size, self.channels)
+
+    def decode_coded(self, tile: int, *, level: int = 0, component: str | None = None) -> CodedTexels:
+        """As `decode`, but only the observations and texels that are coded: a third of the memory of all, or less."""
         design, extent = self.design, self._contents.extents[tile]
-        out = np.zeros((self.observations, self.size, self.size, self.channels), np.float32)
         places = extent.observations(design.views, design.lights)
+        rows, columns = (range(self.size)[part] for part in extent.texels)
+        values = np.zeros((len(places) + 1, len(rows) * len(columns) + 1, self.channels), np.float32)
         for index, name in enumerate(design.components):
             stream = self._stream(tile, 1 + index) if component in (None, name) else b""
             if stream:
                 shape, levels = design.residual_shape(extent), design.plane(extent).levels
                 integers = decode(stream, shape, levels, self._contents.models[1], drop=level)
-                out[places, *extent.texels] += np.moveaxis(decode_residual(integers, index, design, extent), 0, -1)
-        return out
+                texels = decode_residual(integers, index, design, extent)
+                values[:-1, :-1] += np.moveaxis(texels.reshape(*texels.shape[:2], -1), 0, -1)
+        observation = np.full(self.observations, len(places))
+        observation[places] = np.arange(len(places))
+        texel = np.full((self.size, self.size), values.shape[1] - 1)
+        texel[extent.texels] = np.arange(values.shape[1] - 1).reshape(len(rows), len(columns))
+        return CodedTexels(values, observation, texel.reshape(-1))
 
     def empty(self, tile: int) -> bool:
         """Whether nothing is stored for a tile's residual: the model suffices."""

@@ -20,6 +20,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from nishiki.brdf.texels.model import predict
+from nishiki.codec.store import CodedTexels
 from nishiki.colour.encoding import decode as to_linear
 from nishiki.colour.encoding import encode
 from nishiki.geometry.camera import Camera
@@ -31,7 +32,8 @@ from nishiki.render.object.shots import Method, Neighbours, ObjectPicture, Prepa
 from nishiki.render.object.visibility import DepthMaps
 from nishiki.threads import threads as given_threads
 
-BATCH_BYTES = 384 << 20
+BATCH_BYTES = 64 << 20  # of pictures in hand while all decoded tiles fit into the cache
+LARGE_BATCH_BYTES = 384 << 20  # once they do not: a tile is decoded again for each batch
 CACHE_BYTES = 256 << 20
 
 
@@ -76,7 +78,7 @@ class ObjectRenderer:
         self.parts = coded_parts(residual, encoding)
         self.depths = DepthMaps(mesh)
         self._cache: OrderedDict[int, Tile] = OrderedDict()
-        self._held, self._lock = 0, threading.Lock()
+        self._held, self._dropped, self._lock = 0, False, threading.Lock()
 
     def captured(self, index: int, *, camera: Camera | None = None, light: int = 0) -> Shot:
         """The picture of a captured view from its own slot of the residual; `camera`: the same, at another size."""
@@ -111,7 +113,7 @@ class ObjectRenderer:
         for shot in shots:
             prepared = self._prepare(shot)
             size = prepared.raster.triangle.nbytes * 4 + prepared.values.nbytes + prepared.order.nbytes * 3
-            if batch and held + size > BATCH_BYTES:
+            if batch and held + size > (LARGE_BATCH_BYTES if self._dropped else BATCH_BYTES):
                 yield from self._finish(batch)
                 batch, held = [], 0
             batch.append(prepared)
@@ -178,11 +180,12 @@ class ObjectRenderer:
         views, weights, fallback = prepared.mixture
         if len(views) == 1:
             for values, residual in zip(coded, flat.residual, strict=True):
-                values += residual[base + views[0]][chosen]
+                values += residual.values[residual.observation[base + views[0]], residual.texel[chosen]]
             return coded
         seen = np.stack([self.depths.visible(positions, normals, self.cameras[v]) for v in views])
         for values, residual in zip(coded, flat.residual, strict=True):
-            mix(residual, base + views, chosen, seen, weights, fallback, values)
+            places = residual.observation[base + views], residual.texel[chosen]
+            mix(residual.values, *places, seen, weights, fallback, values)
         return coded
 
     def _tile(self, tile: int) -> Tile:
@@ -208,13 +211,13 @@ class ObjectRenderer:
                 self._held += flat.nbytes
             while self._held > CACHE_BYTES and len(self._cache) > 1:
                 self._held -= self._cache.popitem(last=False)[1].nbytes
+                self._dropped = True
         return flat
 
-    def _decoded(self, tile: int, part: str) -> np.ndarray:
-        """(M, T * T, channels) float32: the residual of one part of a tile."""
+    def _decoded(self, tile: int, part: str) -> CodedTexels:
+        """The residual of one part of a tile."""
         named = {} if part == "total" else {"component": part}
-        block = np.ascontiguousarray(self.residual.decode(tile, level=self.level, **named), np.float32)
-        return block.reshape(len(block), -1, self.channels)
+        return self.residual.decode_coded(tile, level=self.level, **named)
 
     def _picture(self, prepared: Prepared) -> ObjectPicture:
         raster, shot = prepared.raster, prepared.shot

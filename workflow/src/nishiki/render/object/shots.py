@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from nishiki.codec.store import CodedTexels
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.camera_path import CameraPath
 from nishiki.geometry.raster import Raster
@@ -137,12 +138,12 @@ class Prepared:
 @dataclass(frozen=True)
 class Tile:
     """A tile as the renderer reads it, its texels in one row: kd, ks (T * T, channels) and sigma (T * T,); positions,
-    normals (T * T, 3); residual: (M, T * T, channels) of each part, or None."""
+    normals (T * T, 3); residual: of each part, or None."""
 
     parameters: tuple[np.ndarray, np.ndarray, np.ndarray]
     positions: np.ndarray
     normals: np.ndarray
-    residual: tuple[np.ndarray, ...] | None
+    residual: tuple[CodedTexels, ...] | None
 
     @property
     def nbytes(self) -> int:
