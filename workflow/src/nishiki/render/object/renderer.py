@@ -32,7 +32,7 @@ from nishiki.render.object.shots import Method, Neighbours, ObjectPicture, Prepa
 from nishiki.render.object.visibility import DepthMaps
 from nishiki.threads import threads as given_threads
 
-BATCH_BYTES = 64 << 20  # of pictures in hand while all decoded tiles fit into the cache
+BATCH_BYTES = 32 << 20  # of pictures in hand while all decoded tiles fit into the cache
 LARGE_BATCH_BYTES = 384 << 20  # once they do not: a tile is decoded again for each batch
 CACHE_BYTES = 256 << 20
 

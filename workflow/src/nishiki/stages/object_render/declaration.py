@@ -53,5 +53,5 @@ STAGE = Stage(
     libraries=("numpy", "scipy", "numba", "zarr", "pywavelets", "OpenEXR", "opencv-contrib-python-headless", "av"),
     idle={"av": no_film("object_render", "film")},
     deliverables=("*.png", "*.exr", "*.mp4", "*.webp"),
-    cost=lambda facts: Cost(mib=450, bytes_per_sample=115, seconds=4, us_per_sample=9.5),
+    cost=lambda facts: Cost(mib=270, bytes_per_sample=70, seconds=4, us_per_sample=9.5),
 )

@@ -77,5 +77,5 @@ STAGE = Stage(
     requires=("mesh", "cameras", "texels", "object_brdf"),
     needs_colour=True,
     libraries=("numpy", "scipy", "numba", "zarr", "pywavelets", "dracopy"),
-    cost=lambda facts: Cost(mib=340, bytes_per_sample=22, seconds=14, us_per_sample=36),
+    cost=lambda facts: Cost(mib=340, bytes_per_sample=22, seconds=14, us_per_sample=20),
 )
