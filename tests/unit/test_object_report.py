@@ -25,7 +25,7 @@ from nishiki.stages.ingest.report import facts_of_object
 from nishiki.stages.mesh.declaration import MeshSettings
 from nishiki.stages.mesh.report import rows as rows_of_mesh
 from nishiki.stages.object_brdf.declaration import ObjectBrdfSettings
-from nishiki.stages.object_brdf.report import GAP, averaged, packed, sheet
+from nishiki.stages.object_brdf.report import GAP, averaged, packed, parameter_figures, sheet
 from nishiki.stages.object_evaluate.declaration import ObjectEvaluateSettings
 from nishiki.stages.object_render.declaration import ObjectRenderSettings
 from nishiki.stages.object_report.declaration import ObjectReportSettings
@@ -309,6 +309,13 @@ def test_sheet_without_specks_and_empty_room():
     assert set(np.unique(made[np.isfinite(made)])) == {1}
     assert left_out.pieces == 2 * 3 * 11
     assert left_out.share == pytest.approx(66 / (66 + 2400))
+
+
+def test_sheets_of_gloss_only_where_there_is_any():
+    parameters = np.full((6, 9, 7), 0.2, np.float32)
+    assert len(parameter_figures(parameters)) == 3
+    parameters[..., 3:6] = 0
+    assert [each.heading for each in parameter_figures(parameters)] == ["Diffuse reflection"]
 
 
 def test_a_sheet_of_nothing():

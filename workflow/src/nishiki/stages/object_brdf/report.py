@@ -67,23 +67,29 @@ def model_section(object_brdf: Artifact | None, texels: Artifact | None, widest:
             f" {figure(left_out.pieces)} pieces too small to show, with {percent(100 * left_out.share)} of the texels, "
             "are left out."
         )
-    blocks = [intro, Figures(parameter_figures(parameters), 3), Facts(facts)]
+    figures = parameter_figures(parameters)
+    if len(figures) == 1:
+        intro += " No texel has a highlight in this fit, so that there are no sheets of its strength and width."
+    blocks = [intro, Figures(figures, 3), Facts(facts)]
     return Section("model", "Reflection", blocks)
 
 
 def parameter_figures(parameters: np.ndarray) -> list[Figure]:
-    """Pictures of K_d, K_s and sigma; parameters : sheet (rows, columns, 2 channels + 1) of all three."""
+    """Pictures of K_d, K_s and sigma, the latter two where there is any gloss; parameters : sheet (rows, columns, 2
+    channels + 1) of all three."""
     channels = (parameters.shape[-1] - 1) // 2
     kd, ks = three(parameters[..., :channels]), three(parameters[..., channels : 2 * channels])
+    glossy = bool((ks > 0).any())
     figures = []
     for name, values, caption in (
         ("Diffuse reflection", kd, "K_d of every texel: the colour of the surface without its gloss."),
         ("Specular reflection", ks, "K_s of every texel, from its own highlights or its neighbours'."),
-    ):
+    )[: 1 + glossy]:
         gain = brightening(values)
         figures.append(Figure(name, caption + brightened(gain), colour_picture(values * gain)))
-    width = scalar_picture(np.degrees(parameters[..., -1]), sea(), unit="degrees")
-    figures.append(Figure("Width of the highlight", "sigma of every texel: the larger, the duller.", width))
+    if glossy:
+        width = scalar_picture(np.degrees(parameters[..., -1]), sea(), unit="degrees")
+        figures.append(Figure("Width of the highlight", "sigma of every texel: the larger, the duller.", width))
     return figures
 
 
