@@ -110,8 +110,8 @@ def methods(planes, valid, sums, rest, inside) -> dict:
     plain = components(planes, valid, sums, **rest)
     results = {"plain": (plain.diffuse, plain.specular, time.process_time() - start)}
     start = time.process_time()
-    smooth, noise = smooth_planes(planes, valid, sums, **rest)
-    view = components(smooth, valid, sums, **rest)
+    smoothed = smooth_planes(planes, valid, sums, **rest)
+    noise, view = smoothed.noise, components(smoothed.planes, valid, sums, **rest)
     results["smoothed"] = (view.diffuse, view.specular, time.process_time() - start)
     if sums.method != "circular" or noise is None or not noise.positive:
         return results

@@ -251,8 +251,9 @@ def test_a_separation_without_boards_tells_of_none():
     assert len(sentences({**polarise_of(None), "boards": {"": None}})) == 1
     assert "diffuse 0.0500, specular 0.00800 (1 is the full scale of the camera)" in sentences(polarise_of(None))[0]
     assert "(1 is a white board)" in sentences({**polarise_of(None), "unit": "white board"})[0]
-    smoothed = [{**view, "noise": 0.004, "noise_smoothed": 0.001} for view in polarise_of(None)["by_view"]]
-    assert "0.00400 by the formulas, 0.00100" in sentences({**polarise_of(None), "by_view": smoothed})[1]
+    smoothed = [{**view, "changed": {"diffuse": 0.001, "specular": 0.004}} for view in polarise_of(None)["by_view"]]
+    text = sentences({**polarise_of(None), "by_view": smoothed})[1]
+    assert "specular part by 0.00400 and the diffuse part by 0.00100" in text
     assert sentences(polarise_of(None))[1] == "White board under lamp: β = 0.400, 0.410, 0.370 by channel."
 
 

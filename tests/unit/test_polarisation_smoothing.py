@@ -72,6 +72,12 @@ def errors(planes, sums, rest, truth):
     ]
 
 
+def smoothed(*arguments, **rest):
+    """Planes and noise."""
+    made = smooth_planes(*arguments, **rest)
+    return made.planes, made.noise
+
+
 def measured(noise):
     """Variance at 0.3 of full scale, mean of the channels."""
     return float(np.mean(noise.slope * 0.3 + noise.floor))
@@ -80,7 +86,7 @@ def measured(noise):
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_both_parts_are_closer_to_the_truth(layout):
     planes, sums, rest, truth = series(LAYOUTS[layout])
-    smooth, noise = smooth_planes(planes, np.ones(planes.shape[1:3], bool), sums, **rest)
+    smooth, noise = smoothed(planes, np.ones(planes.shape[1:3], bool), sums, **rest)
     plain, better = errors(planes, sums, rest, truth), errors(smooth, sums, rest, truth)
     assert better[0] < 0.8 * plain[0]
     assert better[1] < 0.4 * plain[1]
@@ -137,7 +143,7 @@ def test_squares_against_a_slow_reference(channels):
 def test_planes_are_the_most_likely_that_have_the_smoothed_difference(layout):
     """At single pixels: I' = I + C A' (A C A')^-1 (q' - A I), least squares with a constraint."""
     planes, sums, rest, _ = series(LAYOUTS[layout])
-    smooth, noise = smooth_planes(planes, np.ones(planes.shape[1:3], bool), sums, **rest)
+    smooth, noise = smoothed(planes, np.ones(planes.shape[1:3], bool), sums, **rest)
     kinds = differences_of(sums)
     rows = kinds.of_planes @ sums.weights
     for y, x, k in ((20, 30, 0), (77, 100, 1), (110, 9, 2)):
@@ -157,9 +163,9 @@ def test_noise_of_shorter_exposures():
     scales = np.array([1.0, 4.0])
     planes, sums, rest, truth = series(("off", "on"), scales=scales)
     good = np.ones(planes.shape[1:3], bool)
-    smooth, noise = smooth_planes(planes, good, sums, scales=scales, **rest)
+    smooth, noise = smoothed(planes, good, sums, scales=scales, **rest)
     assert measured(noise) == pytest.approx(SLOPE * 0.3 + FLOOR, rel=0.2)
-    unaware, _ = smooth_planes(planes, good, sums, **rest)
+    unaware, _ = smoothed(planes, good, sums, **rest)
     assert errors(smooth, sums, rest, truth)[0] < 0.95 * errors(unaware, sums, rest, truth)[0]
 
 
@@ -172,18 +178,28 @@ def test_without_noise_nothing_is_lost(layout):
     photographs = ((intensity(diffuse, specular, s).astype(np.float32), good) for s in states)
     planes, _ = sum_planes(photographs, sums.weights)
     rest = {"beta": BETA} if sums.method == "circular" else {}
-    smooth, _ = smooth_planes(planes, good, sums, **rest)
+    smooth, _ = smoothed(planes, good, sums, **rest)
     np.testing.assert_allclose(smooth, planes, atol=3e-6)
 
 
 def test_sharp_highlight_and_fine_texture_stay():
     planes, sums, rest, (diffuse, specular) = series(("off", "on"))
-    smooth, _ = smooth_planes(planes, np.ones(planes.shape[1:3], bool), sums, **rest)
+    smooth, _ = smoothed(planes, np.ones(planes.shape[1:3], bool), sums, **rest)
     view = components(smooth, np.ones(planes.shape[1:3], bool), sums, **rest)
     assert view.specular[30, 90, 1] == pytest.approx(specular[30, 90, 1], rel=0.05)
     error = view.diffuse - diffuse
     texture = diffuse - diffuse.mean(axis=0)
     assert abs(np.sum(error * texture) / np.sum(texture**2)) < 0.002  # none of the texture is taken away
+
+
+def test_doubtful_values_are_below_their_own_noise():
+    """Noise grows with brightness: one threshold for the picture would call the bright parts doubtful."""
+    planes, sums, rest, _ = series(("off", "on"))
+    good = np.ones(planes.shape[1:3], bool)
+    assert smooth_planes(planes, good, sums, **rest).doubtful < 0.003
+    assert smooth_planes(planes, good, sums, beta=0.8 * BETA).doubtful > 0.3
+    amplitudes, sums, rest, _ = series(LAYOUTS["linear"])
+    assert smooth_planes(amplitudes, good, sums).doubtful is None
 
 
 def test_reflections_of_another_colour_stay():
@@ -195,7 +211,7 @@ def test_reflections_of_another_colour_stay():
     good = np.ones(diffuse.shape[:2], bool)
     photographs = [noisy(intensity(diffuse, specular, s), rng).astype(np.float32) for s in ("off", "on")]
     planes, _ = sum_planes(((each, good) for each in photographs), sums.weights)
-    smooth, _ = smooth_planes(planes, good, sums, beta=BETA)
+    smooth, _ = smoothed(planes, good, sums, beta=BETA)
     plain = errors(planes, sums, {"beta": BETA}, (diffuse, specular))
     better = errors(smooth, sums, {"beta": BETA}, (diffuse, specular))
     assert better[0] < 0.7 * plain[0]
@@ -206,13 +222,13 @@ def test_pixels_that_take_no_part_stay_and_do_not_count():
     planes, sums, rest, _ = series(("off", "on"))
     usable = np.ones(planes.shape[1:3], bool)
     usable[:, 70:] = False
-    smooth, _ = smooth_planes(planes, usable, sums, **rest)
+    smooth, _ = smoothed(planes, usable, sums, **rest)
     np.testing.assert_array_equal(smooth[:, :, 70:], planes[:, :, 70:])
     assert (smooth[:, :, :70] != planes[:, :, :70]).mean() > 0.9
     other = planes.copy()
     other[:, :, 70:] = np.random.default_rng(0).uniform(0, 9, other[:, :, 70:].shape)
     other[:, 5, 80] = np.nan
-    again, _ = smooth_planes(other, usable, sums, **rest)
+    again, _ = smoothed(other, usable, sums, **rest)
     np.testing.assert_array_equal(again[:, :, :70], smooth[:, :, :70])
 
 
@@ -221,10 +237,10 @@ def test_bands_and_threads_give_the_same(workers, monkeypatch):
     planes, sums, rest, _ = series(("off", "on"))
     good = np.ones(planes.shape[1:3], bool)
     monkeypatch.setenv("NUMBA_NUM_THREADS", "2")
-    before, _ = smooth_planes(planes, good, sums, **rest)
+    before, _ = smoothed(planes, good, sums, **rest)
     monkeypatch.setenv("NUMBA_NUM_THREADS", workers)
     monkeypatch.setattr(smoothing, "BAND", 23)
-    after, _ = smooth_planes(planes, good, sums, **rest)
+    after, _ = smoothed(planes, good, sums, **rest)
     np.testing.assert_allclose(after, before, atol=1e-6)
 
 
@@ -232,14 +248,14 @@ def test_little_to_work_with():
     """No noise measured: the planes come back as they are."""
     sums = sums_of(("off", "on"))
     small = np.ones((2, 5, 40, 3), np.float32)
-    assert smooth_planes(small, np.ones((5, 40), bool), sums, beta=BETA)[0] is small
+    assert smoothed(small, np.ones((5, 40), bool), sums, beta=BETA)[0] is small
     flat = np.ones((2, 40, 40, 3), np.float32)
     for usable in (np.ones((40, 40), bool), np.zeros((40, 40), bool)):
-        same, noise = smooth_planes(flat, usable, sums, beta=BETA)
+        same, noise = smoothed(flat, usable, sums, beta=BETA)
         assert same is flat
         assert noise is None
     one = sums_of(("",))
-    assert smooth_planes(flat[:1], np.ones((40, 40), bool), one)[0].base is flat
+    assert smoothed(flat[:1], np.ones((40, 40), bool), one)[0].base is flat
 
 
 def test_beta_that_is_unknown_divides_nothing():
@@ -247,7 +263,7 @@ def test_beta_that_is_unknown_divides_nothing():
     beta = np.broadcast_to(BETA, planes.shape[1:]).copy()
     beta[40:44, 50:60] = np.nan
     good = np.isfinite(beta).all(axis=-1)
-    smooth, _ = smooth_planes(planes, good, sums, beta=beta)
+    smooth, _ = smoothed(planes, good, sums, beta=beta)
     assert np.isfinite(smooth).all()
     np.testing.assert_array_equal(smooth[:, ~good], planes[:, ~good])
 
@@ -256,6 +272,6 @@ def test_beta_that_is_unknown_divides_nothing():
 def test_equivariant_under_exposure(scale):
     planes, sums, rest, _ = series(("off", "on"))
     good = np.ones(planes.shape[1:3], bool)
-    plain, _ = smooth_planes(planes, good, sums, **rest)
-    scaled, _ = smooth_planes((planes * scale).astype(np.float32), good, sums, **rest)
+    plain, _ = smoothed(planes, good, sums, **rest)
+    scaled, _ = smoothed((planes * scale).astype(np.float32), good, sums, **rest)
     np.testing.assert_allclose(scaled / scale, plain, atol=3e-6)

@@ -52,6 +52,17 @@ class PhotographNoise:
 
 
 @dataclass(frozen=True)
+class Smoothed:
+    """planes : as `components` takes them; noise : of the photographs, None where it cannot be measured; doubtful :
+    share of the differences below -3 standard deviations of their own noise, which noise alone leaves at about 0.1 %,
+    None where it is not known or amplitudes cannot be negative."""
+
+    planes: np.ndarray
+    noise: PhotographNoise | None
+    doubtful: float | None
+
+
+@dataclass(frozen=True)
 class Differences:
     """The sums of planes that are smoothed, and how the noise of photographs enters them.
 
@@ -124,8 +135,8 @@ def smooth_planes(
     phase: float | None = None,
     sense: int = 1,
     scales: np.ndarray | None = None,
-) -> tuple[np.ndarray, PhotographNoise | None]:
-    """Planes for `components` with smoothed differences, and the noise of the photographs.
+) -> Smoothed:
+    """Planes for `components` with smoothed differences, and what is known of their noise.
 
     Parameters
     ----------
@@ -140,27 +151,28 @@ def smooth_planes(
 
     Returns
     -------
-    planes : as given
-        The same array where there is nothing to do: one state, a picture smaller than a square, no noise.
-    noise : PhotographNoise or None
-        None where it cannot be measured.
+    Smoothed
+        With the planes as given where there is nothing to do: one state, a picture smaller than a square, no noise.
     """
     rows, columns = planes.shape[1:3]
     if sums.method == "none" or min(rows, columns) < PATCH:
-        return planes, None
+        return Smoothed(planes, None, None)
     inverse = None if beta is None else _inverse(np.asarray(beta, np.float32), planes.shape[1:])
     series = _Series(planes, usable, differences_of(sums, phase=phase, sense=sense, scales=scales), inverse)
     noise, colour = measure_noise(series)
     if noise is None or not noise.positive:
-        return planes, noise
-    smoothed = np.empty_like(planes)
+        return Smoothed(planes, noise, None)
+    smoothed, doubtful = np.empty_like(planes), np.zeros(-(-rows // BAND))
 
     def bands(first: int, last: int) -> None:
         for top in range(first * BAND, min(last * BAND, rows), BAND):
-            series.smooth_rows(top, min(top + BAND, rows), noise, colour, smoothed)
+            below = series.smooth_rows(top, min(top + BAND, rows), noise, colour, smoothed)
+            doubtful[top // BAND] = below
 
-    over_rows(bands, -(-rows // BAND))
-    return smoothed, noise
+    over_rows(bands, len(doubtful))
+    values = np.count_nonzero(usable) * planes.shape[3]
+    share = float(doubtful.sum() / values) if len(series.kinds.of_planes) == 1 and values else None
+    return Smoothed(smoothed, noise, share)
 
 
 def _inverse(beta: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
@@ -211,8 +223,9 @@ class _Series:
         lit = np.maximum(part, 0)
         return (scales[0] * lit[0], scales[0] ** 2 * np.ones(1)), (inverse * lit[1], inverse**2)
 
-    def smooth_rows(self, top: int, bottom: int, noise: PhotographNoise, colour: np.ndarray, smoothed) -> None:
-        """Rows top .. bottom - 1 of the smoothed planes; their neighbours that share a square with them are read."""
+    def smooth_rows(self, top: int, bottom: int, noise: PhotographNoise, colour: np.ndarray, smoothed) -> int:
+        """Rows top .. bottom - 1 of the smoothed planes; their neighbours that share a square with them are read.
+        Returns the number of values of these rows below -3 standard deviations of their noise."""
         height = self.planes.shape[1]
         rows = slice(max(top - PATCH + 1, 0), min(bottom + PATCH - 1, height))
         part = self.rows(rows)
@@ -228,8 +241,10 @@ class _Series:
         if self.inverse is not None:
             part[1] /= np.where(self.inverse[rows] > 0, self.inverse[rows], 1)
         middle = slice(top - rows.start, bottom - rows.start)
-        kept = self.usable[top:bottom, :, None] & (change[:, middle] != 0).any(axis=0)
+        usable = self.usable[top:bottom, :, None]
+        kept = usable & (change[:, middle] != 0).any(axis=0)
         smoothed[:, top:bottom] = np.where(kept, part[:, middle], self.planes[:, top:bottom])
+        return np.count_nonzero(usable & (q[0, middle] < -3 * np.sqrt(variance[0, middle])))
 
 
 def _cells(values: np.ndarray) -> np.ndarray:

@@ -39,13 +39,16 @@ def sentences(diagnostics: dict[str, Any]) -> list[str]:
         "Diffuse and specular parts by the state of the polarisers. On average over the object's frames: diffuse "
         f"{figure(mean('diffuse'))}, specular {figure(mean('specular'))} ({unit[diagnostics['unit']]}). By the "
         f"formulas alone {percent(negative)} of the specular values are negative, which is noise, and "
-        f"{percent(doubtful)} lie further below 0 than noise reaches."
+        f"{percent(doubtful)} lie further below 0 than three standard deviations of their noise."
     ]
-    noise, left = mean("noise"), mean("noise_smoothed")
-    if noise is not None and left is not None:
+    changed = [view["changed"] for view in views if (view.get("changed") or {}).get("specular") is not None]
+    if changed:
+        diffuse, specular = (
+            figure(float(np.mean([each[name] for each in changed]))) for name in ("diffuse", "specular")
+        )
         texts.append(
-            f"Noise of the specular part: {figure(noise)} by the formulas, {figure(left)} after smoothing by the noise "
-            "that was measured in the photographs."
+            "Smoothing by the noise that was measured in the photographs changed the specular part by "
+            f"{specular} and the diffuse part by {diffuse} (root mean squares)."
         )
     for light, board in (diagnostics.get("boards") or {}).items():
         if board and board.get("channel"):

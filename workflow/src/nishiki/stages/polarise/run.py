@@ -1,7 +1,7 @@
 """Polarise: diffuse and specular components of every view, from its polariser states."""
 
 from collections.abc import Iterator
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +22,7 @@ from nishiki.polarisation.polarisation import (
 from nishiki.polarisation.polariser_states import StateSums, sums_of
 from nishiki.polarisation.series_diagnostics import Thinned, diagnose
 from nishiki.polarisation.smoothing import PhotographNoise, smooth_planes
-from nishiki.polarisation.statistics import SeparationStatistics, noise_of, statistics_of
+from nishiki.polarisation.statistics import SeparationStatistics, statistics_of
 from nishiki.render.output import write_png
 from nishiki.stages.polarise.declaration import PolariseSettings
 
@@ -98,7 +98,7 @@ def separate(
         return separated, figures, facts
     usable, outline = separated.valid, views.silhouette(place)
     scales = [views.attributes["scale"][views.index(place, state=state, light=light)] for state in views.states]
-    planes, noise = smooth_planes(
+    smoothed = smooth_planes(
         planes,
         usable if outline is None else usable & outline,
         sums,
@@ -107,15 +107,25 @@ def separate(
         sense=sense,
         scales=np.array(scales),
     )
-    separated = components(planes, valid, sums, beta=beta, phase=phase, sense=sense, gain=gain)
-    return separated, figures, facts | smoothing_diagnostics(separated, noise)
+    if smoothed.doubtful is not None:
+        figures = replace(figures, doubtful=smoothed.doubtful)
+    before, separated = (
+        separated,
+        components(smoothed.planes, valid, sums, beta=beta, phase=phase, sense=sense, gain=gain),
+    )
+    return separated, figures, facts | smoothing_diagnostics(before, separated, smoothed.noise)
 
 
-def smoothing_diagnostics(separated: SeparatedView, noise: PhotographNoise | None) -> dict:
-    """What the smoothing measured, and the noise that it leaves in the specular part."""
+def smoothing_diagnostics(before: SeparatedView, after: SeparatedView, noise: PhotographNoise | None) -> dict:
+    """Noise of the photographs, and root mean square by which the smoothing changed the components."""
+    pairs = {"diffuse": (before.diffuse, after.diffuse), "specular": (before.specular, after.specular)}
+    changes = {name: (new - old)[after.valid] for name, (old, new) in pairs.items()}
     return {
         "photograph_noise": None if noise is None else {"slope": noise.slope.tolist(), "floor": noise.floor.tolist()},
-        "noise_smoothed": noise_of(separated.specular, separated.valid),
+        "changed": {
+            name: float(np.sqrt(np.mean(each**2, dtype=np.float64))) if each.size else None
+            for name, each in changes.items()
+        },
     }
 
 
