@@ -354,6 +354,7 @@ def test_drawings():
 
 def test_sections_of_little():
     assert rows_of_mesh({"triangles": 5}) == [("triangles", 5)]
+    assert rows_of_mesh({"parts": 1, "genus": 0}) == [("parts", 1), ("holes through the body (genus)", 0)]
     assert at_a_glance({}) == []
     assert dict(facts({}, {}))["Steps"] == "–° to –°"
     told = ingest(None)

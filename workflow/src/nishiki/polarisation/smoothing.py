@@ -322,7 +322,7 @@ def smooth_squares(q, variance, usable, colour, cosines, limit, down, across, su
     limit: square of the threshold, in variances."""
     n = q.shape[2]
     square, half = np.empty((n, PATCH, PATCH), np.float32), np.empty((PATCH, PATCH), np.float32)
-    mirror, sizes, means = np.empty(n, np.float32), np.empty(n), np.empty(n)
+    mirror, sizes, means, kept = np.empty(n, np.float32), np.empty(n), np.empty(n), np.empty(n, np.int64)
     transposed = np.ascontiguousarray(cosines.T)
     for y0 in down:
         for x0 in across:
@@ -337,7 +337,7 @@ def smooth_squares(q, variance, usable, colour, cosines, limit, down, across, su
                         square[k, i, j] = value / sizes[k]
                 _multiply(cosines, square[k], half)
                 _multiply(half, transposed, square[k])
-            kept = np.float32(0.0)
+            kept[:] = 0
             for i in range(PATCH):
                 for j in range(PATCH):
                     _reflect(mirror, square, i, j)
@@ -345,18 +345,17 @@ def smooth_squares(q, variance, usable, colour, cosines, limit, down, across, su
                         if square[k, i, j] * square[k, i, j] < limit and k + i + j > 0:
                             square[k, i, j] = np.float32(0.0)
                         else:
-                            kept += np.float32(1.0)
-                    _reflect(mirror, square, i, j)
-            weight = 1.0 / (kept * total)
+                            kept[k] += 1
+            weight = 1.0 / (kept.sum() * total)
             for k in range(n):
-                _multiply(transposed, square[k], half)
-                _multiply(half, cosines, square[k])
-                factor = weight * sizes[k]
-                for i in range(PATCH):
-                    for j in range(PATCH):
-                        sums[y0 + i, x0 + j, k] += factor * square[k, i, j]
+                if kept[k] > 0:  # most axes of another colour are 0 throughout
+                    _multiply(transposed, square[k], half)
+                    _multiply(half, cosines, square[k])
             for i in range(PATCH):
                 for j in range(PATCH):
+                    _reflect(mirror, square, i, j)
+                    for k in range(n):
+                        sums[y0 + i, x0 + j, k] += weight * sizes[k] * square[k, i, j]
                     weights[y0 + i, x0 + j] += weight
 
 

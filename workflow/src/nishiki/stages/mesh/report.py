@@ -26,6 +26,7 @@ def rows(mesh: dict[str, Any]) -> list[tuple[str, Cell]]:
     fit, decimation = mesh.get("fit") or {}, mesh.get("decimation") or {}
     values: list[tuple[str, Cell]] = [(name, mesh.get(name)) for name in ("source", "unit", "vertices", "triangles")]
     values.append(("watertight", {True: "yes", False: "no"}.get(mesh.get("watertight"))))
+    values += [("parts", mesh.get("parts")), ("holes through the body (genus)", mesh.get("genus"))]
     for name, count in (mesh.get("cleaned") or {}).items():
         values.append((f"removed or mended: {name.replace('_', ' ')}", count or None))
     values += [

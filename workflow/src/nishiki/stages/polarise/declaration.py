@@ -84,5 +84,5 @@ STAGE = Stage(
     looks_at=lambda facts, settings, asked: ("photographs", "states", "white_states"),
     libraries=("numpy", "scipy", "numba", "zarr", "opencv-contrib-python-headless"),
     deliverables=("*.png", "*.exr"),
-    cost=lambda facts: Cost(mib=240, bytes_per_pixel=400, seconds=2.5, us_per_pixel=16, us_per_sample=2.8),
+    cost=lambda facts: Cost(mib=300, bytes_per_pixel=400, seconds=2.5, us_per_pixel=16, us_per_sample=3.2),
 )
