@@ -340,3 +340,28 @@ def test_strengths_of_nearly_dependent_terms_are_those_of_exact_sums():
         assert 50 < np.linalg.cond(columns) < 5000
         wanted = np.linalg.lstsq(columns, values[p, :, 0].astype(float) * root)[0]
         np.testing.assert_allclose([found.ks[p, 0], found.kd[p, 0]], wanted, rtol=1e-5)
+
+
+def test_strengths_state_what_the_observations_differ_from_them():
+    """The noise of K_s is that of the observations that it is solved from: all light, or the specular part alone."""
+    rng = np.random.default_rng(4)
+    points, slots = 50, 16
+    alpha = rng.uniform(0, 1, (points, slots)).astype(np.float32)
+    diffuse, weights = (rng.uniform(0.3, 1, (points, slots)).astype(np.float32) for _ in range(2))
+    weights[:, -3:] = 0
+    sigma = np.full(points, 0.3, np.float32)
+    lobe = np.exp(-(alpha.astype(float) ** 2) / (2 * 0.3**2))
+    clean = 0.4 * diffuse + 0.3 * lobe
+    rest = (diffuse, np.ones_like(alpha), alpha, weights, np.zeros((points, slots), int))
+
+    def observations(values, noise):
+        noisy = values[..., None] + rng.normal(0, noise, (points, slots, 2))
+        return Observed(np.arange(points), noisy.astype(np.float32), *rest)
+
+    total, specular = observations(clean, 0.05), observations(0.3 * lobe, 0.002)
+    prior = np.zeros((points, 2), np.float32)
+    joint = strengths(total, sigma, prior, 0.0)
+    left = total.values - joint.kd[:, None] * diffuse[..., None] - joint.ks[:, None] * lobe[..., None]
+    expected = np.sqrt((weights[..., None] * left**2).sum(axis=(1, 2)) / (2 * (weights > 0).sum(axis=1)))
+    np.testing.assert_allclose(joint.residual, expected, rtol=1e-4)
+    assert np.median(strengths(total, sigma, prior, 0.0, specular).residual) < 0.1 * np.median(joint.residual)

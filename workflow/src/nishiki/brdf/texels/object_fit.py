@@ -178,6 +178,7 @@ class _Second:
     part: tuple
     ks: np.ndarray  # of the sample, without a prior
     information: np.ndarray
+    residual: np.ndarray
     sample: np.ndarray
 
     @classmethod
@@ -195,7 +196,7 @@ class _Second:
         values[first.texel], weights[first.texel] = strengths.ks, information
         part = spread(places[surface], values[surface], weights[surface], lattice)
         keep = slice(None, None, first.stride)
-        return cls(part, strengths.ks[keep], information[keep], first.sample)
+        return cls(part, strengths.ks[keep], information[keep], strengths.residual[keep], first.sample)
 
 
 @dataclass(frozen=True)
@@ -210,7 +211,8 @@ class _Gloss:
 
     @classmethod
     def of(cls, second: list[_Second], first: list[_First], lattice: Lattice, width: str) -> _Gloss:
-        noise = texel_fit.noise_of(np.concatenate([f.fit.residual for f in first] or [np.empty(0)]))
+        # of the observations that K_s is solved from: with components all light, whose diffuse part fits less well
+        noise = texel_fit.noise_of(np.concatenate([s.residual for s in second] or [np.empty(0)]))
         channels = second[0].ks.shape[1] if second else 1
         around = Neighbourhood(lattice, channels, [s.part for s in second])
         mean = around.mean(np.zeros(channels))

@@ -75,11 +75,13 @@ def lambert(data: Observed) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Strengths:
-    """K_d and K_s (points, channels) at given sigma; information (points,): what the data alone say of K_s."""
+    """K_d and K_s (points, channels) at given sigma; information (points,): what the data alone say of K_s; residual
+    (points,): root mean square of the weighted residuals of the observations that K_s follows from."""
 
     kd: np.ndarray
     ks: np.ndarray
     information: np.ndarray
+    residual: np.ndarray
 
 
 def strengths(
@@ -97,19 +99,20 @@ def strengths(
     """
     points, channels = len(total.texel), total.values.shape[2]
     kd, ks = (np.zeros((points, channels), np.float32) for _ in range(2))
-    information = np.zeros(points, np.float32)
+    information, residual = (np.zeros(points, np.float32) for _ in range(2))
     pull = np.broadcast_to(np.asarray(precision, np.float32), (points,))
     data = total if specular is None else specular
     diffuse = total.diffuse if specular is None else np.zeros_like(total.diffuse)
     _solve(data.values, diffuse, data.attenuation, data.alpha, data.weights, np.ascontiguousarray(sigma, np.float32),
-           np.ascontiguousarray(prior, np.float32), np.ascontiguousarray(pull), kd, ks, information)  # fmt: skip
+           np.ascontiguousarray(prior, np.float32), np.ascontiguousarray(pull), kd, ks, information,
+           residual)  # fmt: skip
     if specular is not None:
         kd = lambert(total)
-    return Strengths(kd, ks, information)
+    return Strengths(kd, ks, information, residual)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _solve(values, diffuse, attenuation, alpha, weights, sigma, prior, pull, kd, ks, information):
+def _solve(values, diffuse, attenuation, alpha, weights, sigma, prior, pull, kd, ks, information, residual):
     points, slots, channels = values.shape
     u, v = np.empty(channels), np.empty(channels)
     for p in range(points):
@@ -133,6 +136,17 @@ def _solve(values, diffuse, attenuation, alpha, weights, sigma, prior, pull, kd,
         for c in range(channels):
             k, m = _pair(a + pull[p], b, d, u[c] + pull[p] * prior[p, c], v[c])
             ks[p, c], kd[p, c] = k, m
+        squares, count = 0.0, 0
+        for o in range(slots):
+            w = np.float64(weights[p, o])
+            if not w > 0.0:
+                continue
+            s = np.float64(attenuation[p, o]) * np.exp(-rate * np.float64(alpha[p, o]) * np.float64(alpha[p, o]))
+            for c in range(channels):
+                left = values[p, o, c] - kd[p, c] * np.float64(diffuse[p, o]) - ks[p, c] * s
+                squares += w * left * left
+            count += channels
+        residual[p] = np.sqrt(squares / max(count, 1))
 
 
 @njit(cache=True, error_model="numpy")
