@@ -6,7 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nishiki.codec.pursuit import Pursuit, curvatures, pursue, transfers
+from nishiki.codec.solve import Operator
 from nishiki.codec.transform import Block
+
+PASSES = 8  # that may search for a price
+COUNT_TOLERANCE = 0.005
+EFFORT = Pursuit()
 
 
 @dataclass(frozen=True)
@@ -68,3 +74,65 @@ def _ahead(decoded: list[np.ndarray], before: list[np.ndarray] | None, factor: f
     if before is None:
         return decoded
     return [now + now.dtype.type(factor) * (now - old) for now, old in zip(decoded, before, strict=True)]
+
+
+def keep_by_pursuit(
+    residuals: list[np.ndarray], visible: list[np.ndarray], blocks: list[Block], *, count: int, effort: Pursuit = EFFORT
+) -> Kept:
+    """Choose and solve for at most `count` coefficients of the whole object, as the coder does for its pictures.
+
+    All coefficients have one price, which is sought; the visible samples are the data, and the coefficients that are
+    chosen are solved together, so that the invisible samples cost nothing. residuals, visible: as of `keep_largest`.
+    Where the price that is found leaves a few too many, the smallest are dropped; `discarded` is their energy.
+    """
+    shapes = [values.shape for values in residuals]
+    data = [
+        np.where(seen, values, 0).reshape(len(values), -1, *values.shape[-2:]).astype(np.float32)
+        for values, seen in zip(residuals, visible, strict=True)
+    ]
+    masks = [seen.reshape(-1, *seen.shape[-2:]) for seen in visible]
+    operators = [Operator.of_mask(mask) for mask in masks]
+    curvature = [
+        curvatures(block, mask) / transfers(block.plane).astype(np.float32)
+        for block, mask in zip(blocks, masks, strict=True)
+    ]
+    scale = sum(float(np.sum(values.astype(np.float64) ** 2)) for values in data) / sum(v.size for v in data)
+    logs, price, solutions = [], np.log(0.1 * scale), [None] * len(data)
+    best, most = None, sum(values.size for values in residuals)
+    for _ in range(PASSES):
+        starts = [None if solution is None else solution.coefficients for solution in solutions]
+        solutions = [
+            pursue(*arguments, price=float(np.exp(price)), bits=_one_bit, effort=effort, start=start)
+            for *arguments, start in zip(data, operators, blocks, shapes, curvature, starts, strict=True)
+        ]
+        number = sum(np.count_nonzero(solution.coefficients) for solution in solutions)
+        off = np.log(max(number, 1) / min(count, most))
+        logs.append((price, off))
+        if best is None or abs(off) <= abs(best[0]):
+            best = (off, solutions)
+        if abs(off) <= COUNT_TOLERANCE:
+            break
+        price += np.clip(off / _slope(logs), -4, 4)
+    kept = [solution.coefficients for solution in best[1]]
+    threshold = largest(kept, min(count, most))
+    smaller = sum(float(np.sum(c[np.abs(c) < threshold].astype(np.float64) ** 2)) for c in kept)
+    kept = [np.where(np.abs(c) >= threshold, c, np.float32(0)) for c in kept]
+    error = sum(
+        float(np.sum((values - block.inverse(c))[:, seen].astype(np.float64) ** 2))
+        for values, block, c, seen in zip(residuals, blocks, kept, visible, strict=True)
+    )
+    return Kept(kept, threshold, error, smaller)
+
+
+def _one_bit(coefficients: np.ndarray) -> np.ndarray:
+    return np.ones(coefficients.shape, np.float32)
+
+
+def _slope(logs: list[tuple[float, float]]) -> float:
+    """By how much the logarithm of the count falls with that of the price."""
+    apart = [k for k in range(len(logs) - 1) if abs(logs[k][0] - logs[-1][0]) > 0.1]
+    if not apart:
+        return 0.7
+    other = min(apart, key=lambda k: abs(logs[k][1]))
+    slope = -(logs[-1][1] - logs[other][1]) / (logs[-1][0] - logs[other][0])
+    return float(np.clip(slope, 0.1, 2.0))

@@ -6,17 +6,19 @@ figures (Miyazaki et al. 2007, figures 11 to 14). What a picture costs and how g
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from time import perf_counter
 
 import numpy as np
 from eigen_texture import eigen_patch, kept_components
-from texel_domain import keep_largest
+from texel_domain import keep_by_pursuit, keep_largest
 
 from nishiki.atlas.store import Texels
 from nishiki.brdf.texels.lighting import Lighting
 from nishiki.brdf.texels.store import ParameterMaps
 from nishiki.codec.colour import principal_channels
-from nishiki.codec.observations import view_matrix
+from nishiki.codec.extent import extent_of
+from nishiki.codec.observations import arc_views, view_matrix
 from nishiki.codec.prediction import Surface, predict_texels
 from nishiki.codec.transform import Block, plane_transform
 from nishiki.colour.encoding import encode
@@ -64,7 +66,9 @@ def stacks(
 @dataclass(frozen=True)
 class Method:
     """model: whether the model is taken off first; views: the transform along the views; wavelet, levels: of the
-    patch's plane; colour: whether the channels are decorrelated; rounds: of filling the invisible samples."""
+    patch's plane; colour: whether the channels are decorrelated; pursued: whether the coefficients are chosen and
+    solved for as the coder does, in blocks of the views and texels that it codes; else the largest of all views are kept,
+    with zeros where nothing is visible."""
 
     name: str
     model: bool
@@ -72,17 +76,17 @@ class Method:
     levels: int = 4
     views: str = "db2"
     colour: bool = True
-    rounds: int = 8
+    pursued: bool = True
 
 
 METHODS = (
     Method("wavelet_texture", True),
-    Method("wavelet_texture_paper", True, "db2", 3, "db2", colour=False, rounds=0),
+    Method("wavelet_texture_paper", True, "db2", 3, "db2", colour=False, pursued=False),
     Method("wavelet_texture_db2", True, "db2"),
     Method("image_based", False),
-    Method("image_based_paper", False, "db2", 3, "db2", colour=False, rounds=0),
+    Method("image_based_paper", False, "db2", 3, "db2", colour=False, pursued=False),
     Method("wavelet_2d", False, views="none"),
-    Method("wavelet_2d_paper", False, "db2", 3, "none", colour=False, rounds=0),
+    Method("wavelet_2d_paper", False, "db2", 3, "none", colour=False, pursued=False),
 )
 
 
@@ -91,23 +95,44 @@ def psnr(error: float, count: int) -> float:
     return float(-10 * np.log10(max(error / count, 1e-30)))
 
 
-def wavelets(patches: list[Stack], method: Method) -> Iterator[dict]:
+def cropped(patch: Stack, full_turn: bool) -> Stack:
+    """The views and the rectangle of texels that the coder would code."""
+    seen = patch.visible.any(axis=(0, 2, 3))
+    extent = extent_of(seen, patch.inside, full_turn=full_turn, arcs=True)
+    views = arc_views(extent.start, extent.length, len(seen))
+    return Stack(
+        *(values[:, :, views][..., *extent.texels] for values in (patch.captured, patch.model)),
+        patch.visible[:, views][..., *extent.texels],
+        patch.inside[extent.texels],
+    )
+
+
+def wavelets(patches: list[Stack], method: Method, full_turn: bool = True) -> Iterator[dict]:
     """Rows of one wavelet method at every share, counted of all and of the visible samples."""
-    channels, lights, views, size, _ = patches[0].captured.shape
+    counts = list(budgets(patches))
+    channels, lights = patches[0].captured.shape[:2]
+    patches = [cropped(patch, full_turn) if method.pursued else patch for patch in patches]
     residuals = [patch.captured - patch.model if method.model else patch.captured for patch in patches]
     mix = np.eye(channels)
     if method.colour:
         moments = sum(np.einsum("clvij,dlvij->cd", r, r, dtype=np.float64) for r in residuals)
         mix = principal_channels(moments)
     residuals = [np.tensordot(mix, r, 1).astype(np.float32) for r in residuals]
-    plane = plane_transform(method.wavelet, size, size, method.levels)
-    block = Block(plane, view_matrix(method.views, views), view_matrix("cosine", lights))
+    blocks = [
+        Block(
+            plane_transform(method.wavelet, *patch.inside.shape, method.levels),
+            view_matrix(method.views, patch.visible.shape[1]),
+            view_matrix("cosine", lights),
+        )
+        for patch in patches
+    ]
     visible = [patch.visible for patch in patches]
-    for counted, share, count in budgets(patches):
+    keep = keep_by_pursuit if method.pursued else partial(keep_largest, rounds=0)
+    for counted, share, count in counts:
         start = perf_counter()
-        kept = keep_largest(residuals, visible, [block] * len(patches), count=count, rounds=method.rounds)
+        kept = keep(residuals, visible, blocks, count=count)
         middle = perf_counter()
-        for coefficients in kept.coefficients:
+        for block, coefficients in zip(blocks, kept.coefficients, strict=True):
             block.inverse(coefficients)
         yield row(method.name, counted, share, psnr(kept.error, samples(patches)[1]), middle - start, middle)
 
@@ -170,8 +195,8 @@ def curves(
     texels: Texels, parameters: ParameterMaps, lighting: Lighting, component: str = "total", *, every: int = 1
 ) -> Iterator[dict]:
     """All rows of the texel domain of one component; every: of so many patches one."""
-    patches = list(stacks(texels, parameters, lighting, component, every))
+    patches = [patch for patch in stacks(texels, parameters, lighting, component, every) if patch.visible.any()]
     yield {**model_only(patches), "patches": len(patches)}
     for method in METHODS:
-        yield from wavelets(patches, method)
+        yield from wavelets(patches, method, bool(texels.full_turn))
     yield from eigen(patches)

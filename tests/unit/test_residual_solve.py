@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from texel_domain import keep_largest, largest
+from texel_domain import keep_by_pursuit, keep_largest, largest
 
 from nishiki.codec.colour import fixed_channels, principal_channels
 from nishiki.codec.extent import extent_of
@@ -88,6 +88,26 @@ def test_rounds_of_filling_lower_the_error():
     seen = rng.random((1, 6, 16, 16)) < 0.4
     errors = [keep_largest([samples], [seen], [block], count=80, rounds=rounds).error for rounds in (0, 4, 12)]
     assert errors[0] > 1.3 * errors[1] > 1.3 * errors[2]
+
+
+def test_pursuit_of_visible_samples_leaves_less_than_filling():
+    rng = np.random.default_rng(8)
+    blocks, sizes = [block_of(), block_of(views=7)], (6, 7)
+    samples = [
+        smooth_block(rng, b, (1, 1, n, 16, 16), count=80)[1].astype(np.float32)
+        for b, n in zip(blocks, sizes, strict=True)
+    ]
+    samples = [values + 0.02 * rng.standard_normal(values.shape).astype(np.float32) for values in samples]
+    seen = [rng.random((1, n, 16, 16)) < 0.5 for n in sizes]
+    for count in (60, 120, 500):
+        ours = keep_by_pursuit(samples, seen, blocks, count=count)
+        assert sum(np.count_nonzero(c) for c in ours.coefficients) <= count
+        error = sum(
+            np.sum((values - b.inverse(c))[:, s] ** 2)
+            for values, b, c, s in zip(samples, blocks, ours.coefficients, seen, strict=True)
+        )
+        assert ours.error == pytest.approx(error, rel=1e-4)
+        assert ours.error < keep_largest(samples, seen, blocks, count=count, rounds=8).error
 
 
 def test_threshold_of_counts():
