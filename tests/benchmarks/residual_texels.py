@@ -67,8 +67,8 @@ def stacks(
 class Method:
     """model: whether the model is taken off first; views: the transform along the views; wavelet, levels: of the
     patch's plane; colour: whether the channels are decorrelated; pursued: whether the coefficients are chosen and
-    solved for as the coder does, in blocks of the views and texels that it codes; else the largest of all views are kept,
-    with zeros where nothing is visible."""
+    solved for as the coder does, in blocks of the views and texels that it codes; else the largest of all views are
+    kept, with zeros where nothing is visible."""
 
     name: str
     model: bool
