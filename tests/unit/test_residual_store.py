@@ -15,7 +15,7 @@ from nishiki.codec.interpolate import Footprints
 from nishiki.codec.prediction import predict_texels
 from nishiki.codec.pursuit import Pursuit
 from nishiki.codec.store import STORE, Residual, write_residual
-from nishiki.codec.tile_code import Effort, Typical, decode_residual
+from nishiki.codec.tile_code import Effort, Pixels, Typical, decode_residual
 from nishiki.errors import UserError
 from nishiki.stages.residual.declaration import ResidualSettings
 from nishiki.stages.residual.run import goal_of
@@ -267,3 +267,31 @@ def test_parameter_steps_follow_the_weights():
 def test_work_comes_back_in_order():
     assert list(over(lambda n: n * n, range(20), 3)) == [n * n for n in range(20)]
     assert psnr(0.0, 10) == 200.0
+
+
+def test_saturated_pixels_are_coded(sphere):
+    """White pixels that are stated as saturated are reproduced; parameters and colours are those without them."""
+
+    class Glare(SphereSource):
+        stated = True
+
+        def pixels(self, tile):
+            pixels = super().pixels(tile)
+            white = np.arange(len(pixels.s)) % 40 == 3
+            values = np.where(white[:, None], np.float32(1.5), pixels.values[0])
+            return Pixels(pixels.observation, pixels.s, pixels.t, (values,), white if self.stated else None)
+
+    source, scene = Glare(sphere), scene_of(VIEWS)
+    stated = pilot(source, scene, design(), EFFORT, threads=1)
+    clean = pilot(SphereSource(sphere), scene, design(), EFFORT, threads=1)
+    source.stated = False
+    mixed = pilot(source, scene, design(), EFFORT, threads=1)
+
+    def away(found):
+        return sum(np.abs(a.maps.kd - b.maps.kd).sum() for a, b in zip(found.refined, clean.refined, strict=True))
+
+    assert away(stated) < 0.3 * away(mixed)
+    source.stated = True
+    coded = one_pass(source, scene, stated, EFFORT, 0.01, threads=1)
+    assert coded.pixels == sum(len(source.pixels(tile).s) for tile in range(source.tiles))
+    assert coded.error < 0.05 * coded.model_error

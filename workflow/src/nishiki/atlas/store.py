@@ -24,7 +24,7 @@ class Samples:
     """Object pixels that lie in one tile.
 
     observation (n,) int32; s (row), t (column) (n,) float32 in [0, T - 1]; values (n, channels) float32 linear; row,
-    column (n,) int32 in the picture. Sorted by observation, then as the picture is scanned.
+    column (n,) int32 in the picture; valid (n,) bool. Sorted by observation, then as the picture is scanned.
     """
 
     observation: np.ndarray
@@ -33,6 +33,7 @@ class Samples:
     values: np.ndarray
     row: np.ndarray
     column: np.ndarray
+    valid: np.ndarray
 
 
 class Texels:
@@ -91,8 +92,11 @@ class Texels:
         normals = self._of_tiles("normals", tile)
         return self._of_tiles("positions", tile), normals, (normals != 0).any(axis=-1)
 
-    def samples(self, component: str, tile: int) -> Samples:
-        """Every valid object pixel of every observation that falls into a tile; those of held-out views too."""
+    def samples(self, component: str, tile: int, *, saturated: bool = False) -> Samples:
+        """Every valid object pixel of every observation that falls into a tile; those of held-out views too.
+
+        saturated: also pixels that are not valid but hold a value, as saturated ones do.
+        """
         self._known(component)
         parts = []
         for light in range(len(self.lights)):
@@ -100,15 +104,19 @@ class Texels:
                 part = slice(*self._offsets[view, tile : tile + 2])
                 if part.stop == part.start:
                     continue
-                kept = self._of_pixels("valid", view, part, light) != 0
+                valid = self._of_pixels("valid", view, part, light) != 0
+                every = self._of_pixels(f"values/{component}", view, part, light)
+                kept = valid | (np.isfinite(every).all(axis=1) & (every > 0).any(axis=1)) if saturated else valid
                 place = {name: self._of_pixels(name, view, part)[kept] for name in ("s", "t", "row", "column")}
-                values = self._of_pixels(f"values/{component}", view, part, light)[kept]
+                place["valid"] = valid[kept]
+                values = every[kept]
                 parts.append((np.full(len(values), light * len(self.views) + view, np.int32), place, values))
         if not parts:
             nothing = np.zeros(0, np.float32), np.zeros(0, np.int32)
             empty = np.zeros((0, self.channels), np.float32)
-            return Samples(nothing[1], nothing[0], nothing[0], empty, nothing[1], nothing[1])
-        joined = {name: np.concatenate([place[name] for _, place, _ in parts]) for name in ("s", "t", "row", "column")}
+            return Samples(nothing[1], nothing[0], nothing[0], empty, nothing[1], nothing[1], np.zeros(0, bool))
+        names = ("s", "t", "row", "column", "valid")
+        joined = {name: np.concatenate([place[name] for _, place, _ in parts]) for name in names}
         return Samples(
             np.concatenate([observation for observation, _, _ in parts]),
             joined["s"],
@@ -116,6 +124,7 @@ class Texels:
             np.concatenate([values for _, _, values in parts]),
             joined["row"].astype(np.int32),
             joined["column"].astype(np.int32),
+            joined["valid"],
         )
 
     def _known(self, component: str) -> None:

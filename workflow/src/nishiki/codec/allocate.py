@@ -170,6 +170,7 @@ def pilot(source: Source, scene: CodedScene, design: Design, effort: Effort, *, 
             left = seen.values[index]
             if design.model:
                 left = left - seen.feet.look_up(model_of(refined.maps, seen, scene, design, component))
+            left = left[:, seen.usable]
             moments.append(left.astype(np.float64) @ left.T.astype(np.float64))
         density = seen.feet.density().astype(np.float64)
         return refined, moments, np.array([np.sum(density**2), np.sum(density)])

@@ -79,12 +79,14 @@ def refine(
     *,
     iterations: int,
     move: tuple[bool, bool, bool] = (True, True, False),
+    usable: np.ndarray | None = None,
 ) -> Maps:
     """K_d, K_s and sigma whose picture is nearest to pixel values (C, n) in the capture's encoding, from the given
     ones.
 
     Accelerated gradient with each texel's own step; K_d, K_s stay at 0 or above. Texels that no pixel sees stay as
-    given. move: which of the three; a width that follows every pixel's noise costs more than it explains.
+    given. move: which of the three; a width that follows every pixel's noise costs more than it explains. usable (n,)
+    bool: pixels that count; None: all.
     """
     held = [np.moveaxis(maps.kd, -1, 0), np.moveaxis(maps.ks, -1, 0), np.log(np.clip(maps.sigma, WIDTH_FLOOR, 1e3))]
     held = [a.astype(np.float32) for a in held]
@@ -92,7 +94,7 @@ def refine(
     paces = [_pace(w) for w in (np.moveaxis(weights.kd, -1, 0), np.moveaxis(weights.ks, -1, 0), weights.sigma)]
     ahead, momentum = held, 1.0
     for _ in range(iterations):
-        gradients = _gradients(ahead, factors, feet, values, encoding)
+        gradients = _gradients(ahead, factors, feet, values, encoding, usable)
         new = [
             at + pace * gradient if moved else at
             for at, pace, gradient, moved in zip(ahead, paces, gradients, move, strict=True)
@@ -106,13 +108,15 @@ def refine(
     return Maps(np.moveaxis(held[0], 0, -1), np.moveaxis(held[1], 0, -1), np.exp(held[2]))
 
 
-def _gradients(at: list[np.ndarray], factors: Factors, feet: Footprints, values: np.ndarray, encoding: str):
+def _gradients(at: list[np.ndarray], factors: Factors, feet: Footprints, values: np.ndarray, encoding: str, usable):
     """Downhill directions of half the squared error of the pictures by kd, ks, log sigma."""
     kd, ks, width = at
     sigma = np.exp(width)
     lobe = factors.lobe(sigma)
     linear = factors.irradiance * kd[:, None] + lobe[None] * ks[:, None]
     left = values - feet.look_up(encode(linear, encoding))
+    if usable is not None:
+        left[:, ~usable] = 0
     back = feet.spread(left)
     if encoding != "linear":
         back *= encoding_slope(linear, encoding)

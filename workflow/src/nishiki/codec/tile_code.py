@@ -24,12 +24,14 @@ from nishiki.codec.solve import Operator, samples_of
 @dataclass(frozen=True)
 class Pixels:
     """Object pixels of one tile: observation (n,) int32, s, t (n,) float32, values: per component (n, C) float32 in the
-    capture's encoding."""
+    capture's encoding; saturated (n,) bool: pixels that the residual reproduces but the parameters are not fitted to
+    (None: no pixel)."""
 
     observation: np.ndarray
     s: np.ndarray
     t: np.ndarray
     values: tuple[np.ndarray, ...]
+    saturated: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -95,13 +97,15 @@ class Refined:
 @dataclass(frozen=True)
 class Seen:
     """What pixels see of a tile: its extent, the observations of the block, the surface in the extent, footprints in
-    the block, and the pixel values (C, n) of each component in the order of the footprints."""
+    the block, and the pixel values (C, n) of each component and usable (n,) bool, those that parameters are fitted to,
+    in the order of the footprints."""
 
     extent: Extent
     observations: np.ndarray
     surface: Surface
     feet: Footprints
     values: tuple[np.ndarray, ...]
+    usable: np.ndarray
 
 
 def see(pixels: Pixels, surface: Surface, design: Design) -> Seen | None:
@@ -122,7 +126,8 @@ def see(pixels: Pixels, surface: Surface, design: Design) -> Seen | None:
     feet = Footprints.of(place[pixels.observation], pixels.s - extent.row, pixels.t - extent.column, shape)
     values = tuple(np.ascontiguousarray(v.T[:, feet.order], np.float32) for v in pixels.values)
     cropped = Surface(*(a[extent.texels] for a in (surface.positions, surface.normals, surface.inside)))
-    return Seen(extent, observations, cropped, feet, values)
+    usable = np.ones(len(feet.order), bool) if pixels.saturated is None else ~pixels.saturated[feet.order]
+    return Seen(extent, observations, cropped, feet, values, usable)
 
 
 def refine_tile(seen: Seen, maps: Maps, scene: CodedScene, design: Design, effort: Effort) -> Refined:
@@ -135,7 +140,9 @@ def refine_tile(seen: Seen, maps: Maps, scene: CodedScene, design: Design, effor
     factors = model_factors(design.channels, seen.surface, centres, lamps)
     joined = seen.values[0] if len(seen.values) == 1 else sum(seen.values)
     moved = (True, effort.gloss, False)
-    maps = refine(maps, factors, seen.feet, joined, design.encoding, iterations=effort.refinements, move=moved)
+    maps = refine(
+        maps, factors, seen.feet, joined, design.encoding, iterations=effort.refinements, move=moved, usable=seen.usable
+    )
     return Refined(maps, texel_weights(maps, factors, seen.feet, design.encoding))
 
 

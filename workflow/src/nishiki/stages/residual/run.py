@@ -126,6 +126,7 @@ def left_by_model(source: "ArtifactSource", scene: CodedScene, piloted: Pilot) -
         maps, order = piloted.refined[tile].maps, seen.feet.order
         for index, component in enumerate(design.components):
             left = seen.values[index] - seen.feet.look_up(model_of(maps, seen, scene, design, component))
+            order, left = order[seen.usable], left[:, seen.usable]
             tiles.append((left, pixels.observation[order], pixels.s[order], pixels.t[order]))
     return what_is_left(tiles)
 
@@ -143,10 +144,12 @@ class ArtifactSource:
 
     def pixels(self, tile: int) -> Pixels:
         """Object pixels of a tile, in the capture's encoding."""
-        parts = [self.texels.samples(component, tile) for component in self.components]
+        # states of a polariser saturate one by one: what their sum would have been is not known
+        saturated = tuple(self.texels.components) == ("total",)
+        parts = [self.texels.samples(component, tile, saturated=saturated) for component in self.components]
         kept = self.kept[parts[0].observation]
         values = tuple(encode(part.values[kept], self.texels.encoding).astype(np.float32) for part in parts)
-        return Pixels(parts[0].observation[kept], parts[0].s[kept], parts[0].t[kept], values)
+        return Pixels(parts[0].observation[kept], parts[0].s[kept], parts[0].t[kept], values, ~parts[0].valid[kept])
 
     def surface(self, tile: int) -> Surface:
         """Geometry of a tile."""
@@ -161,7 +164,7 @@ class ArtifactSource:
         """pixels: object pixels coded; visible, samples: texel samples seen and in all, channels counted."""
         pixels, visible = 0, 0
         for tile in range(self.tiles):
-            pixels += int(self.kept[self.texels.samples(self.components[0], tile).observation].sum())
+            pixels += len(self.pixels(tile).s)
             visible += int(np.count_nonzero(self.texels.visible(tile)[self.kept]))
         channels = channels_of(self.texels) * len(self.components)
         every = self.tiles * self.texels.size**2 * len(self.kept)
