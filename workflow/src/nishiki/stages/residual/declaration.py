@@ -32,7 +32,7 @@ class ResidualSettings(Guarded):
     """What the reflection model does not explain, as wavelet coefficients."""
 
     STAGE: ClassVar[str] = "residual"
-    VERSION: ClassVar[int] = 4
+    VERSION: ClassVar[int] = 5
     LIMITS: ClassVar[tuple[Limit, ...]] = LIMITS
 
     target: Literal["bits_per_pixel", "bytes", "total_bytes", "psnr", "kept", "kept_of_all", "step"] = Field(
