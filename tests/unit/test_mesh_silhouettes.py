@@ -8,7 +8,7 @@ from turned_cameras import box, sphere, turn
 from nishiki.geometry.hull import carve
 from nishiki.geometry.outlines import agreement, contradicted, known_from, outline_of, shaded
 from nishiki.geometry.silhouette_kernels import nearest_colour
-from nishiki.geometry.silhouettes import at_half_cover, display, live_area, segment
+from nishiki.geometry.silhouettes import at_half_cover, display, live_area, segment, without_narrow_gaps
 
 ROWS, COLUMNS = 240, 320
 
@@ -72,6 +72,27 @@ def test_black_strips_of_a_camera_are_no_object():
     rows, columns = live_area(picture)
     assert (rows.start, rows.stop, columns.start, columns.stop) == (4, ROWS, 0, COLUMNS - 12)
     assert agreement(segment(picture).mask, truth) > 0.98
+
+
+def test_a_black_background_has_no_black_strips():
+    """A body that reaches into the border of a dark picture: its tip is no strip of a camera."""
+    picture = np.full((200, 160, 3), 2, np.uint8)
+    cv2.ellipse(picture, (80, 150), (20, 46), 0, 0, 360, (150, 160, 90), -1)
+    truth = picture[..., 0] > 100
+    assert truth[193:].any()
+    rows, columns = live_area(picture)
+    assert (rows.start, rows.stop, columns.start, columns.stop) == (0, 200, 0, 160)
+    assert segment(picture, background="dark").mask[truth].mean() > 0.99
+
+
+def test_a_narrow_gap_is_filled_and_a_wide_one_stays():
+    mask = np.zeros((80, 90), bool)
+    mask[10:70, 5:40] = mask[10:70, 45:60] = mask[10:70, 80:] = True  # gaps of 5 and 20 pixels
+    filled = without_narrow_gaps(mask, 8)
+    assert filled[15:65, 40:45].all()
+    assert not filled[:, 60:80].any()
+    assert not (mask & ~filled).any()
+    assert (without_narrow_gaps(mask, 1) == mask).all()
 
 
 def test_dust_goes_and_large_pictures_keep_their_detail():

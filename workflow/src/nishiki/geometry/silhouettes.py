@@ -93,9 +93,15 @@ def _resized(mask: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
 
 
 def live_area(picture: np.ndarray) -> tuple[slice, slice]:
-    """Rows and columns of a picture without the black strips that some cameras leave along the edges."""
+    """Rows and columns of a picture without the black strips that some cameras leave along the edges.
+
+    Where it is mostly black just within the widest strip, too, the background is black, and there are none.
+    """
     bright = picture.max(axis=-1)
     limit = 0.15 * np.percentile(bright[::4, ::4], 90)
+    within = bright[tuple(slice(size // 12, size - size // 12) for size in bright.shape)]
+    if np.mean(np.concatenate([within[0], within[-1], within[:, 0], within[:, -1]]) < limit) > 0.5:
+        return slice(0, len(bright)), slice(0, bright.shape[1])
     dead_rows = np.percentile(bright, 90, axis=1) < limit
     dead_columns = np.percentile(bright, 90, axis=0) < limit
 
@@ -282,6 +288,23 @@ def _around(mask: np.ndarray, margin: int) -> tuple[slice, slice]:
         slice(max(0, rows[0] - margin), rows[-1] + 1 + margin),
         slice(max(0, columns[0] - margin), columns[-1] + 1 + margin),
     )
+
+
+def without_narrow_gaps(mask: np.ndarray, widest_px: float) -> np.ndarray:
+    """(rows, columns) bool: the mask, with the gaps between parts of the object filled that are at most so wide.
+
+    One part throws its shadow onto another that lies behind it. Where the lamp is beside the camera this is a black
+    sliver along the outline of the part in front, which no colour tells from a gap with a dark background behind it.
+    Morphological closing by a disc.
+    """
+    import cv2
+
+    radius = int(widest_px / 2)
+    if radius < 1:
+        return mask
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
+    padded = np.pad(mask.astype(np.uint8), radius + 1)
+    return cv2.morphologyEx(padded, cv2.MORPH_CLOSE, disc)[radius + 1 : -radius - 1, radius + 1 : -radius - 1] > 0
 
 
 def tidy(mask: np.ndarray, distance: np.ndarray) -> tuple[np.ndarray, int, int, int]:

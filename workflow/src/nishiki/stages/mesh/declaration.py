@@ -43,7 +43,7 @@ class MeshSettings(Guarded):
     """Where the object's surface comes from, and how many triangles it gets."""
 
     STAGE: ClassVar[str] = "mesh"
-    VERSION: ClassVar[int] = 2
+    VERSION: ClassVar[int] = 3
     LIMITS: ClassVar[tuple[Limit, ...]] = LIMITS
 
     source: Literal["auto", "file", "scans", "silhouettes"] = Field(
@@ -58,6 +58,13 @@ class MeshSettings(Guarded):
     )
     consistency: bool = Field(
         True, description="silhouettes: segment once more with what the other views say (not for given masks)"
+    )
+    narrow_gap: float = Field(
+        0.06,
+        ge=0,
+        le=0.5,
+        description="silhouettes: gaps between parts of the object up to this width, of the root of the silhouette's "
+        "area, may be shadow: the other views decide (not for given masks)",
     )
     smooth: float = Field(
         0.5, ge=0, le=10, description="silhouettes: pixels by which smoothing may move the hull's surface; 0: none"

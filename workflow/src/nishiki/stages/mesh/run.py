@@ -13,7 +13,7 @@ from nishiki.geometry.hull import carve
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.mesh_files import read_points, read_triangles, write_ply
 from nishiki.geometry.outlines import agreement, contradicted, known_from, outline_of
-from nishiki.geometry.silhouettes import display, segment
+from nishiki.geometry.silhouettes import display, segment, without_narrow_gaps
 from nishiki.geometry.surface import SimplifiedMesh, fewest_triangles, shape_of, smoothed, snapped, without_small_parts
 from nishiki.observations.views import Views
 from nishiki.render.output import write_png
@@ -35,8 +35,10 @@ def run(context: Context) -> dict:
     used = [name not in settings.hold_out for name in views.views]
     masks, diagnostics = given_masks(views), {}
     if source == "silhouettes":
-        masks, diagnostics["silhouettes"] = find_masks(context, views, cameras, masks, used)
-        hull = carve(kept(masks, used), cameras, cells=settings.cells, misses=settings.misses)
+        given = masks
+        masks, diagnostics["silhouettes"] = find_masks(context, views, cameras, given, used)
+        largest = largest_silhouettes(masks, given, settings.narrow_gap)
+        hull = carve(kept(largest, used), cameras, cells=settings.cells, misses=settings.misses)
         mesh, defects = clean(hull.mesh.vertices, hull.mesh.triangles, cameras=cameras)
         diagnostics["hull"] = {"cell": hull.cell, "shape": hull.shape, "box": hull.box.tolist()}
     else:
@@ -48,6 +50,10 @@ def run(context: Context) -> dict:
         mesh = smoothed(mesh, cameras, most_px=settings.smooth)
     light = fewest_triangles(mesh, cameras, deviation_px=settings.deviation_px, most=settings.most_triangles)
     mesh, step = on_grid(light.mesh, cameras, settings.grid_px)
+    if source == "silhouettes":
+        masks = [
+            mask | (most & outline_of(mesh, camera)) for mask, most, camera in zip(masks, largest, cameras, strict=True)
+        ]
     write(context, views, cameras, mesh, masks)
     return {
         "source": source,
@@ -83,6 +89,14 @@ def source_of(source: str, views: Views) -> str:
 def given_masks(views: Views) -> list[np.ndarray | None]:
     """Silhouettes that came with the capture."""
     return [views.silhouette(name) for name in views.views]
+
+
+def largest_silhouettes(masks: list[np.ndarray], given: list, narrow_gap: float) -> list[np.ndarray]:
+    """Segmented masks with their narrow gaps filled, given ones as they are: what single views cannot rule out."""
+    return [
+        mask if known is not None else without_narrow_gaps(mask, narrow_gap * np.sqrt(mask.sum()))
+        for mask, known in zip(masks, given, strict=True)
+    ]
 
 
 def kept(masks: list, used: list[bool]) -> list:
