@@ -8,7 +8,7 @@ from turned_cameras import box, sphere, turn
 from nishiki.geometry.hull import carve
 from nishiki.geometry.outlines import agreement, contradicted, known_from, outline_of, shaded
 from nishiki.geometry.silhouette_kernels import nearest_colour
-from nishiki.geometry.silhouettes import at_half_cover, display, live_area, segment, without_narrow_gaps
+from nishiki.geometry.silhouettes import at_half_cover, display, live_area, possible_shadow, segment
 
 ROWS, COLUMNS = 240, 320
 
@@ -85,14 +85,17 @@ def test_a_black_background_has_no_black_strips():
     assert segment(picture, background="dark").mask[truth].mean() > 0.99
 
 
-def test_a_narrow_gap_is_filled_and_a_wide_one_stays():
+def test_a_narrow_dark_gap_may_be_shadow_a_wide_or_a_bright_one_is_not():
     mask = np.zeros((80, 90), bool)
     mask[10:70, 5:40] = mask[10:70, 45:60] = mask[10:70, 80:] = True  # gaps of 5 and 20 pixels
-    filled = without_narrow_gaps(mask, 8)
-    assert filled[15:65, 40:45].all()
-    assert not filled[:, 60:80].any()
-    assert not (mask & ~filled).any()
-    assert (without_narrow_gaps(mask, 1) == mask).all()
+    picture = np.where(mask[..., None], 200, 10).astype(np.uint8).repeat(3, axis=-1)
+    picture[40:, 40:45, 2] = 150  # a blue cloth
+    shadow = possible_shadow(picture, mask, 8)
+    assert shadow[15:40, 40:45].all()
+    assert not shadow[40:].any()
+    assert not shadow[:, 60:80].any()
+    assert not (shadow & mask).any()
+    assert not possible_shadow(picture, mask, 1).any()
 
 
 def test_dust_goes_and_large_pictures_keep_their_detail():

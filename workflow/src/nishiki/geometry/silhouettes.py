@@ -25,6 +25,8 @@ DARKEST_RIM = 0.1
 RIM_ROOT, LEAST_VARIANCE = 0.5, 0.02  # square root of the rim's depth, pixels; where all depths inside are alike
 SHADOW = 0.55
 """Cube root of the smallest share of the light that a shadow leaves."""
+DARK = 60
+"""sRGB code (of 255) below which a pixel may lie in shadow: 4.5 % of white."""
 WORKING_PIXELS = 1_000_000
 """Larger pictures are segmented at a coarser scale, then refined along the outline only."""
 
@@ -290,21 +292,22 @@ def _around(mask: np.ndarray, margin: int) -> tuple[slice, slice]:
     )
 
 
-def without_narrow_gaps(mask: np.ndarray, widest_px: float) -> np.ndarray:
-    """(rows, columns) bool: the mask, with the gaps between parts of the object filled that are at most so wide.
+def possible_shadow(picture: np.ndarray, mask: np.ndarray, widest_px: float) -> np.ndarray:
+    """(rows, columns) bool: dark pixels in gaps of a mask that are at most so wide; shadow or background.
 
-    One part throws its shadow onto another that lies behind it. Where the lamp is beside the camera this is a black
-    sliver along the outline of the part in front, which no colour tells from a gap with a dark background behind it.
-    Morphological closing by a disc.
+    One part of an object throws its shadow onto another that lies behind it. Where the lamp is beside the camera this
+    is a black sliver along the outline of the part in front, which looks like a gap with a dark background behind it.
+    Gaps: what morphological closing by a disc fills. picture (rows, columns, 3) uint8 sRGB.
     """
     import cv2
 
     radius = int(widest_px / 2)
     if radius < 1:
-        return mask
+        return np.zeros_like(mask)
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * radius + 1, 2 * radius + 1))
     padded = np.pad(mask.astype(np.uint8), radius + 1)
-    return cv2.morphologyEx(padded, cv2.MORPH_CLOSE, disc)[radius + 1 : -radius - 1, radius + 1 : -radius - 1] > 0
+    closed = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, disc)[radius + 1 : -radius - 1, radius + 1 : -radius - 1]
+    return (closed > 0) & ~mask & (picture.max(axis=-1) < DARK)
 
 
 def tidy(mask: np.ndarray, distance: np.ndarray) -> tuple[np.ndarray, int, int, int]:

@@ -63,8 +63,8 @@ class MeshSettings(Guarded):
         0.06,
         ge=0,
         le=0.5,
-        description="silhouettes: gaps between parts of the object up to this width, of the root of the silhouette's "
-        "area, may be shadow: the other views decide (not for given masks)",
+        description="silhouettes: dark gaps between parts of the object up to this width, of the root of the "
+        "silhouette's area, may be shadow: the other views decide (not for given masks)",
     )
     smooth: float = Field(
         0.5, ge=0, le=10, description="silhouettes: pixels by which smoothing may move the hull's surface; 0: none"

@@ -13,7 +13,7 @@ from nishiki.geometry.hull import carve
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.mesh_files import read_points, read_triangles, write_ply
 from nishiki.geometry.outlines import agreement, contradicted, known_from, outline_of
-from nishiki.geometry.silhouettes import display, segment, without_narrow_gaps
+from nishiki.geometry.silhouettes import Silhouette, display, possible_shadow, segment
 from nishiki.geometry.surface import SimplifiedMesh, fewest_triangles, shape_of, smoothed, snapped, without_small_parts
 from nishiki.observations.views import Views
 from nishiki.render.output import write_png
@@ -35,9 +35,8 @@ def run(context: Context) -> dict:
     used = [name not in settings.hold_out for name in views.views]
     masks, diagnostics = given_masks(views), {}
     if source == "silhouettes":
-        given = masks
-        masks, diagnostics["silhouettes"] = find_masks(context, views, cameras, given, used)
-        largest = largest_silhouettes(masks, given, settings.narrow_gap)
+        masks, shadows, diagnostics["silhouettes"] = find_masks(context, views, cameras, masks, used)
+        largest = [mask | shadow for mask, shadow in zip(masks, shadows, strict=True)]
         hull = carve(kept(largest, used), cameras, cells=settings.cells, misses=settings.misses)
         mesh, defects = clean(hull.mesh.vertices, hull.mesh.triangles, cameras=cameras)
         diagnostics["hull"] = {"cell": hull.cell, "shape": hull.shape, "box": hull.box.tolist()}
@@ -52,7 +51,8 @@ def run(context: Context) -> dict:
     mesh, step = on_grid(light.mesh, cameras, settings.grid_px)
     if source == "silhouettes":
         masks = [
-            mask | (most & outline_of(mesh, camera)) for mask, most, camera in zip(masks, largest, cameras, strict=True)
+            mask | (shadow & outline_of(mesh, camera))
+            for mask, shadow, camera in zip(masks, shadows, cameras, strict=True)
         ]
     write(context, views, cameras, mesh, masks)
     return {
@@ -91,14 +91,6 @@ def given_masks(views: Views) -> list[np.ndarray | None]:
     return [views.silhouette(name) for name in views.views]
 
 
-def largest_silhouettes(masks: list[np.ndarray], given: list, narrow_gap: float) -> list[np.ndarray]:
-    """Segmented masks with their narrow gaps filled, given ones as they are: what single views cannot rule out."""
-    return [
-        mask if known is not None else without_narrow_gaps(mask, narrow_gap * np.sqrt(mask.sum()))
-        for mask, known in zip(masks, given, strict=True)
-    ]
-
-
 def kept(masks: list, used: list[bool]) -> list:
     """Masks of the views that may be used, None for the others."""
     return [mask if use else None for mask, use in zip(masks, used, strict=True)]
@@ -113,17 +105,26 @@ def picture_of(views: Views, name: str) -> np.ndarray:
 
 def find_masks(
     context: Context, views: Views, cameras: list[Camera], masks: list, used: list[bool]
-) -> tuple[list[np.ndarray], dict]:
-    """Silhouettes of all views: as given, else segmented, once more where the other views disagree."""
+) -> tuple[list[np.ndarray], list[np.ndarray], dict]:
+    """Silhouettes of all views, as given, else segmented, once more where the other views disagree; what may be shadow
+    beside the segmented ones; figures."""
     settings = context.settings
     background = settings.background
     if background == "capture":
         background = views.attributes.get("background") or "auto"
     missing = [place for place, mask in enumerate(masks) if mask is None]
     masks, facts = list(masks), {}
-    for place in context.progress.over(missing, "silhouette"):
-        segmented = segment(picture_of(views, views.views[place]), background=background)
+    shadows = [None if mask is None else np.zeros_like(mask) for mask in masks]
+
+    def find(place: int, **known: np.ndarray) -> Silhouette:
+        picture = picture_of(views, views.views[place])
+        segmented = segment(picture, background=background, **known)
         masks[place] = segmented.mask
+        shadows[place] = possible_shadow(picture, masks[place], settings.narrow_gap * np.sqrt(masks[place].sum()))
+        return segmented
+
+    for place in context.progress.over(missing, "silhouette"):
+        segmented = find(place)
         facts[views.views[place]] = {
             "separation": segmented.separation,
             "parts": segmented.parts,
@@ -136,11 +137,10 @@ def find_masks(
         known = [known_from(loose.mesh, cameras[place], masks[place], loose.cell) for place in missing]
         for place, each, wrong in zip(missing, known, contradicted(known), strict=True):
             if wrong:
-                picture = picture_of(views, views.views[place])
-                segmented = segment(picture, background=background, inside=each.inside, outside=each.outside)
-                masks[place] = segmented.mask
+                find(place, inside=each.inside, outside=each.outside)
                 changed.append(views.views[place])
-    return masks, {"given": len(masks) - len(missing), "background": background, "again": changed, "views": facts}
+    figures = {"given": len(masks) - len(missing), "background": background, "again": changed, "views": facts}
+    return masks, shadows, figures
 
 
 def read_file(context: Context, views: Views, cameras: list[Camera], mirror: list[int] | None):
