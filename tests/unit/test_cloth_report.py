@@ -88,10 +88,13 @@ def test_a_weave_is_not_stated_where_the_data_do_not_tell_it():
     entry = {"weave": "plain", "harness": 2, "rms_rel": {"weft": 0.1, "warp": 0.2}, "at_bounds": ["humps_weft"]}
     assert summary(entry).startswith("The reflectance does not determine the weave")
     yarns = {"alike": ["satin of 5 yarns, step 2", "twill of 6 yarns"], "ranking": [{}] * 12, "rms_rel": 0.045}
+    yarns |= {"variation": 0.3, "determined": True}
     text = summary({**entry, "yarns": yarns})
     assert "Of 12 weaves of elliptical yarns" in text
     assert "a satin of 5 yarns, step 2 explains it best" in text
     assert "do not tell it from a twill of 6 yarns." in text
+    text = summary({**entry, "yarns": {**yarns, "variation": 0.05, "determined": False}})
+    assert text.startswith("The reflectance does not determine the weave: at normal incidence it varies by 5.0 %")
     number = {"value": 0.5, "low": 0.4, "high": 0.6, "determined": True}
     parameters = dict.fromkeys(YARN_MEANINGS, number) | {"spacing_ratio": {**number, "determined": False}}
     rows = {row[0]: row[1] for row in yarn_table({"parameters": parameters}, 0.95).rows}

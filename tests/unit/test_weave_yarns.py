@@ -109,6 +109,16 @@ def test_search_finds_the_weave_and_its_yarns(binding):
     assert parameters["aspect_warp"]["determined"]
 
 
+@pytest.mark.slow
+def test_a_matt_cloth_tells_nothing_of_its_weave():
+    matt = measured_of(yarns(), body=0.0)
+    flat = Measured(matt.incident, matt.outgoing, np.full_like(matt.values, 0.1), matt.normal, True)
+    flat.values[:] *= 1 + 0.02 * np.random.default_rng(0).standard_normal(flat.values.shape)
+    search = search_yarns(flat, [Binding("plain", 2, 1), SATIN])
+    assert not search.best.explains
+    assert not any(number["determined"] for number in parameters_of(search.best, confidence=0.95).values())
+
+
 def test_too_few_views_are_refused():
     few = measured_of(yarns(), normal_only=True).take(np.arange(5))
     with pytest.raises(UserError, match="at least 8 views"):

@@ -57,6 +57,8 @@ def describe_yarns(search: YarnSearch, *, confidence: float) -> dict:
         "alike": [str(binding) for binding in search.alike],
         "ranking": [{"binding": str(binding), "cost": round(cost, 2)} for binding, cost in search.ranking],
         "rms_rel": best.rms_rel,
+        "variation": best.variation,
+        "determined": best.explains,
         "parameters": parameters_of(best, confidence=confidence),
     }
 

@@ -43,7 +43,8 @@ OBLIQUE = 24
 STEEPEST_NORMAL, STEEPEST_OBLIQUE = np.radians(85.0), np.radians(70.0)  # at more, masking of single yarns decides
 REFINED = 3
 INFLATED = 1.5  # of the intervals, for the model's own error: without it 35 of 45 held the truth at 95 %
-OPEN = 0.7  # of the prior's spread from which a parameter counts as not determined
+UNEXPLAINED = 0.6  # of the variation: beyond it the yarns explain less than two thirds of the variance
+OPEN, NARROW = 0.7, 0.15  # not determined: more of the prior's spread is left, and of the value to either side
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,8 @@ class Samples:
 @dataclass(frozen=True)
 class YarnFit:
     """A fitted weave: x in the order of NAMES and its information matrix, coefficients (channels, 2) of body and
-    Lambert term, cost with all priors, rms_rel of the samples of normal incidence."""
+    Lambert term, cost with all priors; of the samples of normal incidence rms_rel, and variation: standard
+    deviation of the values over their root mean square."""
 
     binding: Binding
     x: np.ndarray
@@ -67,6 +69,12 @@ class YarnFit:
     information: np.ndarray
     cost: float
     rms_rel: float
+    variation: float
+
+    @property
+    def explains(self) -> bool:
+        """Whether the yarns explain most of how the reflectance varies with the view; else the weave is unknown."""
+        return self.rms_rel < UNEXPLAINED * self.variation
 
     @property
     def weave(self) -> YarnWeave:
@@ -175,9 +183,12 @@ def fit_binding(samples: Samples, binding: Binding, *, start=None, density=(ACRO
     weight = samples.weight[normal, None]
     rms = np.sqrt(np.sum((weight * rest[normal]) ** 2) / np.sum((weight * samples.values[normal]) ** 2))
     rare = binding.weave == "twill" and binding.harness > 4
+    grey = samples.values[normal].mean(axis=1)
+    share = samples.weight[normal] ** 2 / np.sum(samples.weight[normal] ** 2)
+    variation = np.sqrt(max(share @ grey**2 - (share @ grey) ** 2, 0.0) / (share @ grey**2))
     extra = 0.0 if is_usual(binding) else RARE if rare else UNUSUAL
     information = solution.jac.T @ solution.jac
-    return YarnFit(binding, solution.x, c, information, float(2 * solution.cost) + extra, float(rms))
+    return YarnFit(binding, solution.x, c, information, float(2 * solution.cost) + extra, float(rms), float(variation))
 
 
 @dataclass(frozen=True)
@@ -240,15 +251,18 @@ def parameters_of(fit: YarnFit, *, confidence: float) -> dict[str, dict]:
             "value": value,
             "low": max(value - reach * deviation, 0.0),
             "high": value + reach * deviation,
-            "determined": bool(deviation < OPEN * before or before == 0),
+            "determined": fit.explains and bool(deviation < OPEN * before or reach * deviation < NARROW * value),
         }
     for k, name in enumerate(NAMES):
         form = (lambda v: 1 / (1 + np.exp(-v))) if k in LOGITS else (lambda v: v) if k == ARCH else np.exp
         x, deviation = fit.x[k], spread_of[k]
+        value, low, high = (float(form(x + side * reach * deviation)) for side in (0, -1, 1))
+        told = deviation < OPEN * SPREAD[k] or high - low < 2 * NARROW * value
+        inside = abs(x - CENTRE[k]) < 0.999 * REACH * SPREAD[k] and (k != ARCH or x > 0)
         out[name] = {
-            "value": float(form(x)),
-            "low": max(float(form(x - reach * deviation)), 0.0),
-            "high": float(form(x + reach * deviation)),
-            "determined": bool(deviation < OPEN * SPREAD[k] and abs(x - CENTRE[k]) < 0.999 * REACH * SPREAD[k]),
+            "value": value,
+            "low": max(low, 0.0),
+            "high": high,
+            "determined": fit.explains and bool(told and inside),
         }
     return out

@@ -111,6 +111,13 @@ def summary(entry: dict[str, Any]) -> str:
         if at_end & SECTION_UNKNOWNS:
             return f"The reflectance does not determine the weave: the sections of a {name} ended at a bound. {rest}"
         return f"Sections of a {name}, from the reflectance in the planes of weft and warp. {rest}"
+    if not yarns["determined"]:
+        return (
+            f"The reflectance does not determine the weave: at normal incidence it varies by "
+            f"{100 * yarns['variation']:.1f} % with the view, of which elliptical yarns leave "
+            f"{100 * yarns['rms_rel']:.1f} % unexplained. Surface and "
+            f"sections are those of the most likely weave, a {yarns['alike'][0]}. {rest}"
+        )
     best, *others = yarns["alike"]
     first = (
         f"Of {len(yarns['ranking'])} weaves of elliptical yarns that were fitted to the reflectance over the "
