@@ -31,8 +31,8 @@ OBJECTS = {  # name: kind, seed, roughness
     "ring": ("tuned", 1, 0.45),
     "bowl": ("tuned", 2, 0.4),
     "pebble": ("tuned", 3, 0.35),
-    "mug": ("unseen", 11, 0.4),
-    "figure": ("unseen", 12, 0.5),
+    "mug": ("tuned", 11, 0.4),
+    "figure": ("tuned", 12, 0.5),
     "knot": ("unseen", 13, 0.45),
 }
 HOLES = {"ring": 1, "mug": 1}
