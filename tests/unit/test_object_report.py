@@ -356,6 +356,8 @@ def test_sections_of_little():
     assert rows_of_mesh({"triangles": 5}) == [("triangles", 5)]
     assert rows_of_mesh({"parts": 1, "genus": 0}) == [("parts", 1), ("holes through the body (genus)", 0)]
     assert at_a_glance({}) == []
+    sizes = {"bytes": {"total": 3000}, "renderer_bytes": {"mesh": 700, "total": 3700}}
+    assert [tile.value for tile in at_a_glance({"residual": sizes})] == [3.7]
     assert dict(facts({}, {}))["Steps"] == "–° to –°"
     told = ingest(None)
     told["capture"] = {"camera": {}, "lights": None, "turntable": {}}

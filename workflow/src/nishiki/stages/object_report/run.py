@@ -51,7 +51,7 @@ def at_a_glance(diagnostics: dict[str, dict[str, Any]]) -> list[Tile]:
     evaluation = diagnostics.get("object_evaluate") or {}
     psnr = evaluation.get("psnr") or {}
     left_out = next((figures for name, figures in psnr.items() if name.startswith("left_out")), {})
-    total = (evaluation.get("bytes") or (diagnostics.get("residual") or {}).get("bytes") or {}).get("total")
+    total = (evaluation.get("bytes") or (diagnostics.get("residual") or {}).get("renderer_bytes") or {}).get("total")
     tiles = [
         ((psnr.get("captured") or {}).get("mean_psnr_db"), "dB", "rendered views against their photographs"),
         (left_out.get("mean_psnr_db"), "dB", "views that took no part, predicted"),
