@@ -151,9 +151,9 @@ def yarn_table(yarns: dict[str, Any], confidence: float) -> Table:
     """Every number of the weave of elliptical yarns with its interval; no value where nothing tells it."""
     rows: list[list[Cell]] = []
     for name, words in YARN_MEANINGS.items():
-        told = yarns["parameters"][name]
-        ends: list[Cell] = [told["low"], told["high"]]
-        rows.append([words, told["value"] if told["determined"] else "not determined", *ends])
+        number = yarns["parameters"][name]
+        ends: list[Cell] = [number["low"], number["high"]]
+        rows.append([words, number["value"] if number["determined"] else "not determined", *ends])
     caption = (
         f"The weave of elliptical yarns with confidence intervals ({round(100 * confidence)} %), which hold if its "
         "yarns are elliptical and alike. Slopes are those of what is seen from above. Where the measurements tell no "
