@@ -1,0 +1,144 @@
+"""The interface of the devices of a capture rig: what a capture run may ask of a camera, lamps, axes and polarisers.
+
+A laboratory adds a device of its own by writing one class with the methods below; no base class is needed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Protocol
+
+from nishiki.errors import UserError
+
+
+class DeviceError(UserError):
+    """A device did not do what it was asked.
+
+    The message names the device, what was sent, what came back, and what to do. Repeating the step does not help.
+    """
+
+
+class DeviceLost(DeviceError):
+    """A device does not answer any more: a cable, sleep, or a reset in the middle of a step.
+
+    Close the rig, open it again, home its axes and repeat the step: nothing is known of its positions.
+    """
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """Settings of a photograph; None leaves the camera's own.
+
+    Attributes
+    ----------
+    seconds : float or None
+        Exposure time in seconds.
+    aperture : float or None
+        f-number.
+    iso : int or None
+        Sensitivity.
+    """
+
+    seconds: float | None = None
+    aperture: float | None = None
+    iso: int | None = None
+
+
+class Camera(Protocol):
+    """A camera that is released by this computer, or whose photographs arrive in a folder."""
+
+    def configure(self, exposure: Exposure) -> Exposure:
+        """Set the exposure. Returns what the camera took, its nearest steps; None for what it does not tell.
+
+        Raises DeviceError where a setting that was asked for cannot be set, or lies outside the camera's range.
+        """
+
+    def photograph(self, folder: Path) -> tuple[Path, ...]:
+        """Expose once and download into `folder`, which exists.
+
+        Returns the complete files of this exposure under the camera's own names: one, or raw and JPEG, sorted by name.
+        """
+
+    def close(self) -> None:
+        """Release the camera; a second call does nothing."""
+
+
+class Lamps(Protocol):
+    """Lamps of which at most one shines."""
+
+    def light(self, lamp: int | None) -> None:
+        """Light this lamp alone, numbered from 1; None: all off. Returns when the light is steady."""
+
+    def close(self) -> None:
+        """Switch all lamps off where the line still works, and release the device; a second call does nothing."""
+
+
+class Axis(Protocol):
+    """A turning axis: a turntable, or one arm of a goniometer."""
+
+    def home(self) -> None:
+        """Find the axis's reference, after which its position is known. Needed once after opening."""
+
+    def move_to(self, degrees: float) -> None:
+        """Turn to this angle and return when the axis stands still there.
+
+        Raises DeviceError where the axis was not homed since it was opened, or the angle is outside its range.
+        """
+
+    def close(self) -> None:
+        """Release the device; a second call does nothing."""
+
+
+class Polariser(Protocol):
+    """A polariser, or a pair of them, that a motor or a person puts into a state."""
+
+    def set(self, state: str) -> None:
+        """Put it into a state named as in the column `polariser` of frames.csv: `off`, `on`, `45`, `0/90`.
+
+        Returns when it stands. Raises DeviceError where the device has no such state.
+        """
+
+    def close(self) -> None:
+        """Release the device; a second call does nothing."""
+
+
+@dataclass(frozen=True)
+class Rig:
+    """The devices of a rig, open.
+
+    Attributes
+    ----------
+    camera : Camera
+    lamps : Lamps or None
+        None where the lamps are not switched by this computer.
+    axes : dict of str to Axis
+        By their names in the rig's description: `turntable`, or the axes of a goniometer.
+    polarisers : dict of str to Polariser
+        By their names in the rig's description.
+    """
+
+    camera: Camera
+    lamps: Lamps | None = None
+    axes: dict[str, Axis] = field(default_factory=dict)
+    polarisers: dict[str, Polariser] = field(default_factory=dict)
+
+    def home(self) -> None:
+        """Home every axis, in the order of the description."""
+        for axis in self.axes.values():
+            axis.home()
+
+    def close(self) -> None:
+        """Close every device, the lamps first, even where some no longer answer."""
+        for device in (self.lamps, *self.axes.values(), *self.polarisers.values(), self.camera):
+            try:
+                if device is not None:
+                    device.close()
+            except DeviceError:
+                pass  # what cannot be reached any more needs no closing
+
+    def __enter__(self) -> Rig:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
