@@ -11,6 +11,9 @@ from pathlib import Path
 from unittest.mock import patch
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "workflow/src"))
+from nishiki.archive.damage import Damage
+from nishiki.archive.survey import read_portion, survey_artifact
+from nishiki.archive.tree import FolderTree
 from nishiki.artifacts.artifact import Artifact, ArtifactWriter
 from nishiki.artifacts.provenance import stage_key
 from nishiki.artifacts.publish import publish
@@ -27,6 +30,12 @@ READS = {
 }
 """A chain of eight stages, each with the stages that it reads; upstream first."""
 FILES = ("maps.zarr/zarr.json", "maps.zarr/values/c/0/0", "maps.zarr/values/c/0/1", "summary.json", "values.bin")
+
+
+def verify_artifact(folder: Path) -> list[Damage]:
+    """Recompute every digest of one artifact, and its key; each damage, an empty list if it is sound."""
+    survey = survey_artifact(FolderTree(Path(folder)))
+    return survey.damages + [damage for portion in survey.batches() for damage in read_portion(survey, portion)]
 
 
 def write_artifact(

@@ -26,6 +26,16 @@ class Kept:
     discarded: float
 
 
+def masked_operator(visible: np.ndarray) -> Operator:
+    """The texel domain: A keeps the visible samples, visible (lights * views, T, T) bool."""
+    kept = visible[None].astype(np.float32)
+
+    def mask(values: np.ndarray) -> np.ndarray:
+        return values * kept.astype(values.dtype)
+
+    return Operator(mask, mask, 1.0)
+
+
 def largest(coefficients: list[np.ndarray], count: int) -> float:
     """Magnitude of the `count`-th largest of all coefficients of all tiles: one threshold for the object."""
     sizes = np.concatenate([np.abs(c).ravel() for c in coefficients])
@@ -91,7 +101,7 @@ def keep_by_pursuit(
         for values, seen in zip(residuals, visible, strict=True)
     ]
     masks = [seen.reshape(-1, *seen.shape[-2:]) for seen in visible]
-    operators = [Operator.of_mask(mask) for mask in masks]
+    operators = [masked_operator(mask) for mask in masks]
     curvature = [
         curvatures(block, mask) / transfers(block.plane).astype(np.float32)
         for block, mask in zip(blocks, masks, strict=True)

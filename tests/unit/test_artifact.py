@@ -4,8 +4,8 @@ import json
 import os
 
 import pytest
+from archives import verify_artifact
 
-from nishiki.archive.survey import verify_artifact
 from nishiki.artifacts.artifact import MANIFEST, ArtifactWriter, open_artifact, run_text
 from nishiki.artifacts.provenance import stage_key
 from nishiki.errors import UserError

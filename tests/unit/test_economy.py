@@ -23,7 +23,7 @@ from nishiki.model_selection.lights import (
     static_choice,
 )
 from nishiki.model_selection.object_gloss import unseen_gain
-from nishiki.model_selection.spread import spread_order, spread_subset
+from nishiki.model_selection.spread import spread_order
 from nishiki.model_selection.sufficient import model_suffices, what_is_left
 from nishiki.model_selection.views import measured_choice as choose_views
 from nishiki.model_selection.views import normal_order, with_normal_rows
@@ -71,11 +71,11 @@ def test_order_of_choices_is_nested_complete_and_as_even_as_promised():
     order = spread_order(directions)
     assert sorted(order) == list(range(40))
     for count in (4, 9, 17):
-        chosen = directions[spread_subset(directions, count)]
+        chosen = directions[spread_order(directions)[:count]]
         reach = np.linalg.norm(directions[:, None] - chosen[None], axis=-1).min(axis=1).max()
         apart = np.linalg.norm(chosen[:, None] - chosen[None], axis=-1)[~np.eye(count, dtype=bool)].min()
         assert reach <= apart + 1e-9  # farthest points: nothing is farther from the choice than its members are apart
-    assert set(spread_subset(directions, 9)) <= set(spread_subset(directions, 17))
+    assert set(spread_order(directions)[:9]) <= set(spread_order(directions)[:17])
 
 
 def test_order_is_slow_farthest_point_search():
@@ -377,6 +377,6 @@ def test_evenly_spread_lights_of_a_measured_object(data):
         return np.degrees(np.arccos(np.clip(np.sum(found * truth, axis=1), -1, 1))).mean()
 
     everything = error(np.arange(96))
-    assert error(spread_subset(lights, 48)) < everything + 0.2
+    assert error(np.sort(spread_order(lights)[:48])) < everything + 0.2
     rows, decision = measured_choice(lights, [LightSample(stack, np.ones(stack.shape, bool), lights)], solve)
     assert error(rows) < everything + decision.limit

@@ -4,8 +4,8 @@ import os
 import time
 
 import pytest
+from archives import verify_artifact
 
-from nishiki.archive.survey import verify_artifact
 from nishiki.artifacts.artifact import MANIFEST, ArtifactWriter
 from nishiki.artifacts.provenance import stage_key
 from nishiki.engine.soundness import set_aside_unsound, unsound_artifacts

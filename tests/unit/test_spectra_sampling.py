@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from nishiki.colour.basis import channel_weights, principal_basis, system_matrix
+from nishiki.colour.basis import channel_weights, principal_basis
 from nishiki.colour.sampling import WAVELENGTHS_NM, integration_weights, resample
 from nishiki.colour.training import synthetic_reflectances
 from nishiki.errors import UserError
@@ -81,7 +81,7 @@ def test_impossible_number_of_bases(count):
         principal_basis(synthetic_reflectances(200), count)
 
 
-def test_system_matrix_equals_the_sums_of_equation_7():
+def test_weights_of_the_bases_are_the_sums_of_equation_7():
     rng = np.random.default_rng(5)
     lamp, camera, basis = rng.random(61) + 0.1, rng.random((4, 61)), rng.standard_normal((3, 61))
     step = integration_weights()
@@ -90,7 +90,7 @@ def test_system_matrix_equals_the_sums_of_equation_7():
         white = sum(lamp[b] * camera[i, b] * step[b] for b in range(61))
         for k in range(3):
             expected[i, k] = sum(lamp[b] * basis[k, b] * camera[i, b] * step[b] for b in range(61)) / white
-    np.testing.assert_allclose(system_matrix(lamp, basis, camera), expected, rtol=1e-12)
+    np.testing.assert_allclose(channel_weights(lamp, camera) @ basis.T, expected, rtol=1e-12)
 
 
 @given(exponent=st.floats(-12, 12), channel=st.integers(0, 2))

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from nishiki.archive.damage import Damage
-from nishiki.archive.tree import FolderTree, Listing, Tree
+from nishiki.archive.tree import Listing, Tree
 from nishiki.artifacts.artifact import MANIFEST, RUN, is_digest, parse_manifest, run_problem
 from nishiki.artifacts.provenance import stage_key
 
@@ -190,9 +190,3 @@ def read_portion(survey: Survey, portion: list[tuple[str, int, str]]) -> list[Da
             kind, detail = ("swapped", f"content of {other}") if other else ("damaged", f"sha256 {digest[:12]}…")
             damages.append(Damage(survey.folder / name, kind, f"{detail}, expected {sha256[:12]}…", survey.folder))
     return damages
-
-
-def verify_artifact(folder: Path) -> list[Damage]:
-    """Recompute every digest of one artifact, and its key; each damage, an empty list if it is sound."""
-    survey = survey_artifact(FolderTree(Path(folder)))
-    return survey.damages + [damage for portion in survey.batches() for damage in read_portion(survey, portion)]

@@ -17,11 +17,3 @@ def principal_channels(covariance: np.ndarray) -> np.ndarray:
     rows = vectors.T[::-1]
     largest = np.take_along_axis(rows, np.abs(rows).argmax(axis=1)[:, None], axis=1)
     return np.round(rows * np.sign(largest) * 2**20) / 2**20
-
-
-def fixed_channels(channels: int) -> np.ndarray:
-    """(C, C) float64 orthonormal: mean, then differences (a DCT; for red, green, blue: white, red - blue, green against
-    the others). For comparison with `principal_channels`."""
-    from nishiki.codec.filters import cosine_matrix
-
-    return cosine_matrix(channels)

@@ -42,16 +42,6 @@ class Operator:
         """The image domain: A is the look-up at the pixels."""
         return cls(feet.look_up, feet.spread, float(feet.density().max(initial=0)))
 
-    @classmethod
-    def of_mask(cls, visible: np.ndarray) -> Operator:
-        """The texel domain: A keeps the visible samples, visible (lights * views, T, T) bool."""
-        kept = visible[None].astype(np.float32)
-
-        def mask(values: np.ndarray) -> np.ndarray:
-            return values * kept.astype(values.dtype)
-
-        return cls(mask, mask, 1.0)
-
 
 def solve(
     data: np.ndarray,

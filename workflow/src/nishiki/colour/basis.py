@@ -80,17 +80,6 @@ def normalised(curves: np.ndarray) -> np.ndarray:
     return curves / np.where(top > 0, top, 1.0)
 
 
-def system_matrix(
-    illuminant: np.ndarray, basis: np.ndarray, sensitivities: np.ndarray, *, rule: str = "trapezoid"
-) -> np.ndarray:
-    """H (N, K), Tominaga and Tanaka (2004), eq. 7, in white-normalised form.
-
-    `H[i, k] = integral(E S_k R_i) / integral(E R_i)`, so that observations normalised by the white reference are
-    `H @ sigma`. basis : (K, 61). See `channel_weights` for the other arguments and errors.
-    """
-    return channel_weights(illuminant, sensitivities, rule=rule) @ checked_spectra(basis, "basis").T
-
-
 def checked_spectra(values: np.ndarray, name: str) -> np.ndarray:
     """(M, 61) float64 from (61,) or (M, 61); UserError if the shape differs or a value is not finite."""
     spectra = np.atleast_2d(np.asarray(values, dtype=float))

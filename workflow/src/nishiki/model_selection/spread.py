@@ -31,11 +31,6 @@ def spread_order(directions: np.ndarray) -> np.ndarray:
     return order
 
 
-def spread_subset(directions: np.ndarray, count: int) -> np.ndarray:
-    """Indices of `count` evenly spread directions (all where there are fewer), in rising order, (count,) int64."""
-    return np.sort(spread_order(directions)[: max(int(count), 0)])
-
-
 def _squares(directions: np.ndarray, point: np.ndarray) -> np.ndarray:
     """Squared distances to a point, rounded: sums in another order must not change who is the farthest."""
     return np.round(np.sum((directions - point) ** 2, axis=1), 12)

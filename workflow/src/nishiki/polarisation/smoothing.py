@@ -17,11 +17,12 @@ is not smoothed.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numba import njit
 
+from nishiki.polarisation.differences import PhotographNoise, Series, differences_of, inverse_of
+from nishiki.polarisation.noise import measure_noise
 from nishiki.polarisation.polariser_states import StateSums
 from nishiki.threads import over_rows
 
@@ -30,25 +31,6 @@ STEP = 3  # pixels from one square to the next
 FEWEST = 16  # usable pixels of a square
 FARTHEST = 3.0  # standard deviations of its own noise by which a pixel may change
 BAND = 64  # rows that are smoothed at a time
-MOST_PIXELS = 1 << 17  # that the noise is measured on
-BINS, FEWEST_IN_BIN = 16, 200  # of brightness, for the noise
-APART = 2  # pixels between those that second differences for the noise compare: one apart shares demosaiced samples
-CHI_MEDIAN = 0.4549364  # median of the square of a normal number
-SECOND_DIFFERENCES = 36.0  # variance of (1, -2, 1) x (1, -2, 1) of numbers of variance 1
-
-
-@dataclass(frozen=True)
-class PhotographNoise:
-    """Variance of a photograph's values I: slope I + floor, each (channels,) float64 in the units of `Views.read`, at
-    the longest exposure time."""
-
-    slope: np.ndarray
-    floor: np.ndarray
-
-    @property
-    def positive(self) -> bool:
-        """Whether every channel has some."""
-        return bool(((self.slope > 0) | (self.floor > 0)).all())
 
 
 @dataclass(frozen=True)
@@ -60,70 +42,6 @@ class Smoothed:
     planes: np.ndarray
     noise: PhotographNoise | None
     doubtful: float | None
-
-
-@dataclass(frozen=True)
-class Differences:
-    """The sums of planes that are smoothed, and how the noise of photographs enters them.
-
-    of_planes : (d, planes), difference j is sum_p of_planes[j, p] plane_p. level : (d, planes) and count (d,): its
-    variance is slope sum_p level[j, p] plane_p + floor count[j]. shared_level : (planes, d, planes) and shared_count
-    (planes, d): covariance of plane p with difference j, in the same way.
-    """
-
-    of_planes: np.ndarray
-    level: np.ndarray
-    count: np.ndarray
-    shared_level: np.ndarray
-    shared_count: np.ndarray
-
-
-def differences_of(
-    sums: StateSums, *, phase: float | None = None, sense: int = 1, scales: np.ndarray | None = None
-) -> Differences:
-    """The differences of a series; for circular states those of I_off and I_on / beta at beta = 1.
-
-    Photographs are linear in the planes too (as far as these are known), which is what their noise depends on. Three or
-    more analyser angles at each pixel's own phase have two differences, mixed so that photographs of equal noise leave
-    them uncorrelated.
-
-    Parameters
-    ----------
-    phase, sense
-        As in `polarisation.components`.
-    scales : (states,), optional
-        Factor by which each photograph was multiplied for its shorter exposure time: its slope grows with it, its
-        floor with the square.
-    """
-    rows = {
-        "circular": [[1, -1]],
-        "crossed": [[1, -1]],
-        "pairs": [[1, -1]],
-        "linear": [[0, 1, 0], [0, 0, 1]] if phase is None else [[0, np.cos(2 * phase), np.sin(2 * phase)]],
-        "mueller": [[0, 0.5, 0.5 * sense]],
-    }[sums.method]
-    of_planes, weights = np.array(rows, np.float64), sums.weights
-    if len(of_planes) > 1:
-        of_planes = np.linalg.inv(np.linalg.cholesky((of_planes @ weights) @ (of_planes @ weights).T)) @ of_planes
-    of_photographs = of_planes @ weights
-    scales = np.ones(weights.shape[1]) if scales is None else np.asarray(scales, np.float64)
-    lit = scales[:, None] * _photographs_by_planes(sums)
-    return Differences(
-        of_planes,
-        of_photographs**2 @ lit,
-        of_photographs**2 @ scales**2,
-        np.einsum("pf,jf,fk->pjk", weights, of_photographs, lit),
-        (weights * scales**2) @ of_photographs.T,
-    )
-
-
-def _photographs_by_planes(sums: StateSums) -> np.ndarray:
-    """(states, planes): expected photographs as sums of planes."""
-    if sums.method == "linear":
-        return sums.design
-    if sums.method == "mueller":
-        return sums.design[:, [sums.elements.index(k) for k in (0, 5, 10)]]
-    return (sums.weights.T > 0).astype(np.float64)
 
 
 def smooth_planes(
@@ -157,8 +75,8 @@ def smooth_planes(
     rows, columns = planes.shape[1:3]
     if sums.method == "none" or min(rows, columns) < PATCH:
         return Smoothed(planes, None, None)
-    inverse = None if beta is None else _inverse(np.asarray(beta, np.float32), planes.shape[1:])
-    series = _Series(planes, usable, differences_of(sums, phase=phase, sense=sense, scales=scales), inverse)
+    inverse = None if beta is None else inverse_of(np.asarray(beta, np.float32), planes.shape[1:])
+    series = Series(planes, usable, differences_of(sums, phase=phase, sense=sense, scales=scales), inverse)
     noise, colour = measure_noise(series)
     if noise is None or not noise.positive:
         return Smoothed(planes, noise, None)
@@ -166,7 +84,7 @@ def smooth_planes(
 
     def bands(first: int, last: int) -> None:
         for top in range(first * BAND, min(last * BAND, rows), BAND):
-            below = series.smooth_rows(top, min(top + BAND, rows), noise, colour, smoothed)
+            below = _smooth_rows(series, top, min(top + BAND, rows), noise, colour, smoothed)
             doubtful[top // BAND] = below
 
     over_rows(bands, len(doubtful))
@@ -175,81 +93,28 @@ def smooth_planes(
     return Smoothed(smoothed, noise, share)
 
 
-def _inverse(beta: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """1 / beta at every pixel and channel, 0 where beta is unknown: nothing is divided there."""
-    return np.broadcast_to(np.float32(1) / np.where(beta > 0, beta, np.float32(np.inf)), shape)
-
-
-@dataclass(frozen=True)
-class _Series:
-    """One view: planes, usable pixels, differences; inverse: 1 / beta of circular states, else None."""
-
-    planes: np.ndarray
-    usable: np.ndarray
-    kinds: Differences
-    inverse: np.ndarray | None
-
-    def rows(self, rows: slice) -> np.ndarray:
-        """Planes of some rows, float64; of circular states I_off and I_on / beta."""
-        part = self.planes[:, rows].astype(np.float64)
-        if self.inverse is not None:
-            part[1] *= self.inverse[rows]
-        return part
-
-    def differences(self, part: np.ndarray) -> np.ndarray:
-        """(d, rows, columns, channels)."""
-        return np.einsum("jp,p...->j...", self.kinds.of_planes, part)
-
-    def noise_of_differences(self, part: np.ndarray, rows: slice) -> tuple[np.ndarray, np.ndarray]:
-        """What slope and floor are multiplied by in the variances of the differences, as these."""
-        kinds = self.kinds
-        if self.inverse is None:
-            return np.maximum(np.einsum("jp,p...->j...", kinds.level, part), 0), _cells(kinds.count)
-        each = self._noise_of_planes(part, rows)
-        return sum(level for level, _ in each)[None], sum(count for _, count in each)[None]
-
-    def noise_shared(self, part: np.ndarray, rows: slice) -> tuple[np.ndarray, np.ndarray]:
-        """The same of the covariances (planes, d, rows, columns, channels) of planes with differences."""
-        kinds = self.kinds
-        if self.inverse is None:
-            return np.einsum("pjk,k...->pj...", kinds.shared_level, part), _cells(kinds.shared_count)
-        (off, off_count), (on, on_count) = self._noise_of_planes(part, rows)
-        return np.stack([off, -on])[:, None], np.stack([np.broadcast_to(off_count, on.shape), -on_count])[:, None]
-
-    def _noise_of_planes(self, part: np.ndarray, rows: slice):
-        """(factor of slope, factor of floor) of I_off and of I_on / beta."""
-        scales = self.kinds.level[0]
-        inverse = scales[1] * self.inverse[rows].astype(np.float64)
-        lit = np.maximum(part, 0)
-        return (scales[0] * lit[0], scales[0] ** 2 * np.ones(1)), (inverse * lit[1], inverse**2)
-
-    def smooth_rows(self, top: int, bottom: int, noise: PhotographNoise, colour: np.ndarray, smoothed) -> int:
-        """Rows top .. bottom - 1 of the smoothed planes; their neighbours that share a square with them are read.
-        Returns the number of values of these rows below -3 standard deviations of their noise."""
-        height = self.planes.shape[1]
-        rows = slice(max(top - PATCH + 1, 0), min(bottom + PATCH - 1, height))
-        part = self.rows(rows)
-        q = self.differences(part)
-        level, count = self.noise_of_differences(part, rows)
-        variance = np.broadcast_to(noise.slope * level + noise.floor * count, q.shape)
-        joined, usable = _joined(q), self.usable[rows]
-        smooth = smooth_differences(joined, _joined(variance), usable, colour, first=rows.start, height=height)
-        change = (joined - smooth).reshape(*joined.shape[:2], len(q), -1).transpose(2, 0, 1, 3)
-        change /= np.where(variance > 0, variance, np.inf)
-        level, count = self.noise_shared(part, rows)
-        part -= np.einsum("pj...,j...->p...", noise.slope * level + noise.floor * count, change)
-        if self.inverse is not None:
-            part[1] /= np.where(self.inverse[rows] > 0, self.inverse[rows], 1)
-        middle = slice(top - rows.start, bottom - rows.start)
-        usable = self.usable[top:bottom, :, None]
-        kept = usable & (change[:, middle] != 0).any(axis=0)
-        smoothed[:, top:bottom] = np.where(kept, part[:, middle], self.planes[:, top:bottom])
-        return np.count_nonzero(usable & (q[0, middle] < -3 * np.sqrt(variance[0, middle])))
-
-
-def _cells(values: np.ndarray) -> np.ndarray:
-    """With axes for rows, columns and channels."""
-    return values[..., None, None, None]
+def _smooth_rows(series: Series, top: int, bottom: int, noise: PhotographNoise, colour: np.ndarray, smoothed) -> int:
+    """Rows top .. bottom - 1 of the smoothed planes; their neighbours that share a square with them are read.
+    Returns the number of values of these rows below -3 standard deviations of their noise."""
+    height = series.planes.shape[1]
+    rows = slice(max(top - PATCH + 1, 0), min(bottom + PATCH - 1, height))
+    part = series.rows(rows)
+    q = series.differences(part)
+    level, count = series.noise_of_differences(part, rows)
+    variance = np.broadcast_to(noise.slope * level + noise.floor * count, q.shape)
+    joined, usable = _joined(q), series.usable[rows]
+    smooth = smooth_differences(joined, _joined(variance), usable, colour, first=rows.start, height=height)
+    change = (joined - smooth).reshape(*joined.shape[:2], len(q), -1).transpose(2, 0, 1, 3)
+    change /= np.where(variance > 0, variance, np.inf)
+    level, count = series.noise_shared(part, rows)
+    part -= np.einsum("pj...,j...->p...", noise.slope * level + noise.floor * count, change)
+    if series.inverse is not None:
+        part[1] /= np.where(series.inverse[rows] > 0, series.inverse[rows], 1)
+    middle = slice(top - rows.start, bottom - rows.start)
+    usable = series.usable[top:bottom, :, None]
+    kept = usable & (change[:, middle] != 0).any(axis=0)
+    smoothed[:, top:bottom] = np.where(kept, part[:, middle], series.planes[:, top:bottom])
+    return np.count_nonzero(usable & (q[0, middle] < -3 * np.sqrt(variance[0, middle])))
 
 
 def _joined(values: np.ndarray) -> np.ndarray:
@@ -414,116 +279,3 @@ def _multiply(a, b, out):
         for k in range(PATCH):
             for j in range(PATCH):
                 out[i, j] += a[i, k] * b[k, j]
-
-
-def measure_noise(series: _Series) -> tuple[PhotographNoise | None, np.ndarray]:
-    """Noise of the photographs, and the colour of the specular light (d * channels,), both by the view itself.
-
-    Second differences of every other pixel in both directions (after Immerkaer 1996) of c_l q_k - c_k q_l, for channels
-    k and l: the diffuse light is not in q, and what has the colour c cancels. The median of their squares in bins of
-    brightness gives the variance c_l^2 var(q_k) + c_k^2 var(q_l), from which slope and floor of the channels follow by
-    non-negative least squares of the relative error. With one or two channels they are taken of q itself.
-    """
-    strips = [_Strip.of(series, rows) for rows in _strips(*series.planes.shape[1:3])]
-    colour = _colour_of(np.concatenate([strip.values for strip in strips], axis=1))
-    order, edges = _bins(np.concatenate([strip.level for strip in strips]).mean(axis=(1, 2)))
-    level, count = (np.concatenate([getattr(s, name) for s in strips])[order] for name in ("level", "count"))
-    channels = colour.shape[1]
-    table, variances = [], []
-    for j, each in enumerate(colour):
-        for k, other, c_k, c_other in _pairs_of(each):
-            squares = [strip.second(c_other * strip.q[j, ..., k] - c_k * strip.q[j, ..., other]) for strip in strips]
-            energy = np.concatenate(squares)[order] ** 2
-            for first, last in edges:
-                row = np.zeros((2, channels))
-                for channel, factor in ((k, c_other**2), (other, c_k**2)):
-                    row[0, channel] += factor * level[first:last, j, channel].mean()
-                    row[1, channel] += factor * count[first:last, j, channel].mean()
-                table.append(row.ravel())
-                variances.append(np.median(energy[first:last]) / (CHI_MEDIAN * SECOND_DIFFERENCES))
-    return _least_squares(np.array(table), np.array(variances), channels), colour.ravel()
-
-
-def _least_squares(table: np.ndarray, variances: np.ndarray, channels: int) -> PhotographNoise | None:
-    """Slopes and floors >= 0 with table @ (slopes, floors) ~ variances, relative errors counting alike; bins without
-    any noise (of rounded values) say nothing. None where too few are left."""
-    from scipy.optimize import nnls
-
-    known = variances > 0
-    if known.sum() < 2 * channels:
-        return None
-    table = table[known] / variances[known, None]
-    scale = table.max(axis=0)
-    scale = np.where(scale > 0, scale, 1)
-    slope, floor = (nnls(table / scale, np.ones(len(table)))[0] / scale).reshape(2, channels)
-    return PhotographNoise(slope, floor)
-
-
-@dataclass(frozen=True)
-class _Strip:
-    """Differences of some rows; of their usable pixels: values (d, pixels, channels); of pixels whose eight neighbours
-    `APART` pixels away are usable too (`complete`): level and count (pixels, d, channels)."""
-
-    q: np.ndarray
-    values: np.ndarray
-    complete: np.ndarray
-    level: np.ndarray
-    count: np.ndarray
-
-    @classmethod
-    def of(cls, series: _Series, rows: slice) -> _Strip:
-        part, usable = series.rows(rows), series.usable[rows]
-        q = series.differences(part)
-        across = usable[:, : -2 * APART] & usable[:, APART:-APART] & usable[:, 2 * APART :]
-        complete = across[: -2 * APART] & across[APART:-APART] & across[2 * APART :]
-        inner = [
-            np.broadcast_to(each, q.shape)[:, APART:-APART, APART:-APART][:, complete].transpose(1, 0, 2)
-            for each in series.noise_of_differences(part, rows)
-        ]
-        return cls(q, q[:, usable], complete, *inner)
-
-    def second(self, values: np.ndarray) -> np.ndarray:
-        """(pixels,) second differences down and across of (rows, columns)."""
-        along = values[:, : -2 * APART] - 2 * values[:, APART:-APART] + values[:, 2 * APART :]
-        return (along[: -2 * APART] - 2 * along[APART:-APART] + along[2 * APART :])[self.complete]
-
-
-def _strips(rows: int, columns: int) -> list[slice]:
-    """Evenly spread strips of rows with at most about `MOST_PIXELS` pixels."""
-    tall = 2 * PATCH
-    every = -(-rows * columns // MOST_PIXELS)
-    return [slice(top, min(top + tall, rows)) for top in range(0, rows - 2 * APART, tall * every)]
-
-
-def _bins(level: np.ndarray) -> tuple[np.ndarray, list[tuple[int, int]]]:
-    """Order of pixels by their bin of brightness, and where in this order each bin with enough pixels lies."""
-    bright = np.sqrt(level)
-    top = np.percentile(bright, 99.9) if len(bright) else 0.0
-    number = np.minimum((bright * (BINS / top) if top > 0 else 0 * bright).astype(np.int64), BINS - 1)
-    order = np.argsort(number, kind="stable")
-    edges = np.searchsorted(number[order], np.arange(BINS + 1))
-    return order, [(a, b) for a, b in pairwise(edges.tolist()) if b - a >= FEWEST_IN_BIN]
-
-
-def _pairs_of(colour: np.ndarray) -> list[tuple[int, int, float, float]]:
-    """Channels k, l and their colours c_k, c_l, whose difference c_l q_k - c_k q_l has no light of that colour."""
-    n = len(colour)
-    if n < 3:
-        return [(k, k, 0.0, 1.0) for k in range(n)]
-    pairs = sorted({tuple(sorted((k, (k + step) % n))) for k in range(n) for step in (1, 2)})
-    return [(k, other, float(colour[k]), float(colour[other])) for k, other in pairs]
-
-
-def _colour_of(values: np.ndarray) -> np.ndarray:
-    """(d, channels) unit vector along which values (d, pixels, channels) vary together: the colour of the specular
-    light where it is strong. Noise is not shared by channels, so that the diagonal of their products is fitted
-    (principal factor); two values have no other product and use it."""
-    joined = values.transpose(0, 2, 1).reshape(values.shape[0] * values.shape[2], values.shape[1])
-    products = joined @ joined.T
-    strength = products.diagonal().copy()
-    for _ in range(30 if len(products) > 2 else 1):
-        sizes, axes = np.linalg.eigh(products)
-        shared = max(sizes[-1], 0.0) * axes[:, -1] ** 2
-        np.fill_diagonal(products, np.minimum(shared, strength))
-    colour = axes[:, -1] * (1 if axes[:, -1].sum() >= 0 else -1)
-    return colour.reshape(values.shape[0], values.shape[2])

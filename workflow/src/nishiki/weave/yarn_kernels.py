@@ -4,6 +4,7 @@ import math
 
 from numba import njit
 
+from nishiki.brdf.cloth.yarn_kernels import facet_reflection
 from nishiki.brdf.kernels import fresnel_scalar
 
 HALF_PI = 0.5 * math.pi
@@ -185,17 +186,8 @@ def weave_sums(incident, outgoing, points, which, horizons, rough, index, soft, 
             if seen <= 0.0:
                 continue
             ra, rc = rough[which[p] - 1, 0], rough[which[p] - 1, 1]
-            h1 = (hx * a[3] + hy * a[4] + hz * a[5]) / ra
-            h2 = (hx * a[6] + hy * a[7] + hz * a[8]) / rc
-            h3 = hx * a[0] + hy * a[1] + hz * a[2]
-            spread = h1 * h1 + h2 * h2 + h3 * h3
-            i1 = (i[0] * a[3] + i[1] * a[4] + i[2] * a[5]) * ra
-            i2 = (i[0] * a[6] + i[1] * a[7] + i[2] * a[8]) * rc
-            o1 = (o[0] * a[3] + o[1] * a[4] + o[2] * a[5]) * ra
-            o2 = (o[0] * a[6] + o[1] * a[7] + o[2] * a[8]) * rc
-            si = math.sqrt(i1 * i1 + i2 * i2 + ci * ci)
-            so = math.sqrt(o1 * o1 + o2 * o2 + co * co)
-            mirror += seen * fresnel * ci * co / (math.pi * ra * rc * spread * spread * (co * si + ci * so))
+            facets = facet_reflection(a, i, o, (hx, hy, hz), ci, co, ra, rc)
+            mirror += seen * fresnel * facets
             body += seen * ci * co * (1.0 - fresnel_scalar(ci, index)) * (1.0 - fresnel_scalar(co, index))
         scale = 1.0 / (i[2] * o[2])
         out[k, 0], out[k, 1] = scale * mirror, scale * body / math.pi

@@ -39,6 +39,29 @@ def _share(margin, softness):
     return u * u * (3.0 - 2.0 * u)
 
 
+@njit(cache=True, error_model="numpy", inline="always")
+def facet_reflection(a, i, o, half, ci, co, along, across):
+    """D G / 2 of anisotropic GGX facets at a point of a yarn (Walter et al. 2007), so that the point's share of the
+    cloth's reflectance is F / 2 times it: n.i n.o / (i_z o_z) F D G / (4 n.i n.o), where the facets' own cosines cancel
+    those of the yarn's surface.
+
+    a: columns normal, along and across the fibres; i, o, half: directions of light, view and between them; ci, co:
+    cosines of i and o with the normal; along, across: roughness.
+    """
+    hx, hy, hz = half
+    h1 = (hx * a[3] + hy * a[4] + hz * a[5]) / along
+    h2 = (hx * a[6] + hy * a[7] + hz * a[8]) / across
+    h3 = hx * a[0] + hy * a[1] + hz * a[2]
+    spread = h1 * h1 + h2 * h2 + h3 * h3
+    i1 = (i[0] * a[3] + i[1] * a[4] + i[2] * a[5]) * along
+    i2 = (i[0] * a[6] + i[1] * a[7] + i[2] * a[8]) * across
+    o1 = (o[0] * a[3] + o[1] * a[4] + o[2] * a[5]) * along
+    o2 = (o[0] * a[6] + o[1] * a[7] + o[2] * a[8]) * across
+    si = math.sqrt(i1 * i1 + i2 * i2 + ci * ci)
+    so = math.sqrt(o1 * o1 + o2 * o2 + co * co)
+    return ci * co / (math.pi * along * across * spread * spread * (co * si + ci * so))
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def sums(incident, outgoing, atoms, split, rough, index, tables, softness, out):
     """out (n, 4): mirror reflection and body, 1 / sr, of the warp's and of the weft's facets.
@@ -80,18 +103,8 @@ def sums(incident, outgoing, atoms, split, rough, index, tables, softness, out):
             if seen <= 0.0:
                 continue
             ra, rc = rough[family, 0], rough[family, 1]
-            h1 = (hx * a[3] + hy * a[4] + hz * a[5]) / ra
-            h2 = (hx * a[6] + hy * a[7] + hz * a[8]) / rc
-            h3 = hx * a[0] + hy * a[1] + hz * a[2]
-            spread = h1 * h1 + h2 * h2 + h3 * h3
-            i1 = (i[0] * a[3] + i[1] * a[4] + i[2] * a[5]) * ra
-            i2 = (i[0] * a[6] + i[1] * a[7] + i[2] * a[8]) * rc
-            o1 = (o[0] * a[3] + o[1] * a[4] + o[2] * a[5]) * ra
-            o2 = (o[0] * a[6] + o[1] * a[7] + o[2] * a[8]) * rc
-            si = math.sqrt(i1 * i1 + i2 * i2 + ci * ci)
-            so = math.sqrt(o1 * o1 + o2 * o2 + co * co)
-            # n.i n.o / (i_z o_z) F D G / (4 n.i n.o): the facets' own cosines cancel those of the yarn's surface
-            value = seen * mirror * ci * co / (math.pi * ra * rc * spread * spread * (co * si + ci * so))
+            facets = facet_reflection(a, i, o, (hx, hy, hz), ci, co, ra, rc)
+            value = seen * mirror * facets
             through = (1.0 - fresnel_scalar(ci, index)) * (1.0 - fresnel_scalar(co, index))
             if family == 0:
                 mirror_warp += value

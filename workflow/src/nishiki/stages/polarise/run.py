@@ -11,6 +11,7 @@ from nishiki.errors import UserError
 from nishiki.observations.views import Views, encode
 from nishiki.polarisation.beta import Beta, board_ratio
 from nishiki.polarisation.components import ComponentWriter
+from nishiki.polarisation.differences import PhotographNoise
 from nishiki.polarisation.instrument import arms_of, read_instrument
 from nishiki.polarisation.polarisation import (
     SeparatedView,
@@ -21,7 +22,7 @@ from nishiki.polarisation.polarisation import (
 )
 from nishiki.polarisation.polariser_states import StateSums, sums_of
 from nishiki.polarisation.series_diagnostics import Thinned, diagnose
-from nishiki.polarisation.smoothing import PhotographNoise, smooth_planes
+from nishiki.polarisation.smoothing import smooth_planes
 from nishiki.polarisation.statistics import SeparationStatistics, statistics_of
 from nishiki.render.output import write_png
 from nishiki.stages.polarise.declaration import PolariseSettings
