@@ -128,7 +128,15 @@ SUBJECTS = {
     "jar": Subject(
         "A jar on a turntable (simulated)",
         "24 views of 128 × 128 pixels in two polariser states.",
-        (Part("jar", "residual", without=("parameters as fitted",), settings={"object_evaluate.similarity": False}),),
+        (
+            Part(
+                "jar",
+                "residual",
+                {"polarisers' noise left in": {"polarise.smoothing": False}},
+                without=("parameters as fitted",),
+                settings={"object_evaluate.similarity": False},
+            ),
+        ),
         simulate=("--preset", "object", "--rows", "128", "--columns", "128", "--views", "24"),
     ),
     "satin": Subject(
