@@ -83,13 +83,13 @@ def test_tests_bring_their_tools_and_they_stay(home):
     home.call("install", "--extras", "raw")
     home.call("test", "tests/unit")
     home.call("plan")
-    assert home.installed == [{"raw"}, {*USUAL, "dev", "bench"}]
+    assert home.installed == [{"raw"}, {*USUAL, "rig", "dev", "bench"}]
 
 
 def test_all_is_what_tests_types_and_documentation_need(home):
     home.call("install", "--all")
     home.call("test")
-    assert home.installed == [{*USUAL, "dev", "bench", "docs", "types"}]
+    assert home.installed == [{*USUAL, "rig", "dev", "bench", "docs", "types"}]
 
 
 def test_another_lock_installs_the_same_extras_again(home):
@@ -103,8 +103,9 @@ def test_an_environment_that_says_nothing_of_extras_is_left_alone(home):
     home.call("install", "--all")
     (home.folder / ".venv/.nishiki-extras").unlink()
     home.call("plan")
-    home.call("test")
     assert len(home.installed) == 1
+    home.call("test")  # such an environment is older than the extra rig, which the tests need
+    assert "rig" in home.installed[1]
 
 
 @pytest.mark.parametrize("arguments", [["--extras", "meshes"], ["--extras"], ["--most"]])

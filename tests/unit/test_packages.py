@@ -19,7 +19,9 @@ LIGHT = {"numpy"}
 NAMES = {module: name for name, module in MODULES.items()}
 PLACES = {
     "av": {"output.py"},
+    "gphoto2": {"gphoto.py"},
     "pymeshlab": {"merging.py", "meshlab.py"},
+    "pyserial": {"ports.py", "serial_line.py"},
     "rawpy": {"raw.py"},
     "scikit-image": {"hull.py", "surface.py"},
     "trimesh": {"merging.py", "mesh_files.py", "mesh_store.py"},

@@ -146,12 +146,54 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--link", action="store_true", help="hard links instead of copies, on the same disk")
     sub.add_argument("--open", action="store_true", help="do not seal yet: camera curves and the like will be added")
     sub.add_argument("--roi", nargs=4, type=int, metavar=("ROW", "COLUMN", "ROWS", "COLUMNS"), help="crop")
+    _with_rig(
+        command(
+            "rig",
+            "rig:ports",
+            "control a capture rig: what is connected, whether it works",
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+    )
     sub = command("compile", "running:compile_kernels", "compile all kernels, by running tiny scenes somewhere else")
     sub.add_argument("--plane", action="store_true", help="only what paintings need")
     text = "photograph a simulated painting, object or cloth; see --help"
     command("simulate", "running:simulate", text, add_help=False)
     command("schema", "inspecting:schema", "print the JSON schema of config.yaml")
     return parser
+
+
+RIG = f"""\
+Take the photographs of a capture with cameras, lamps, turntables and goniometers.
+
+  1. {COMMAND} rig ports              lists serial ports and cameras
+  2. write rig.yaml, which names the devices of your rig:
+
+       camera: {{kind: gphoto}}
+       lamps: {{kind: dome, port: /dev/serial/by-id/usb-1a86_USB_Serial-if00-port0, count: 64}}
+       axes:
+         turntable: {{kind: comxim, port: /dev/ttyUSB0}}
+
+  3. {COMMAND} rig test rig.yaml      moves every device once
+
+Kinds of devices, their wiring and their keys, and devices of your own: docs/devices/README.md. Without hardware:
+{COMMAND} demo --rig
+"""
+
+
+def _with_rig(sub: argparse.ArgumentParser) -> None:
+    """The subcommands of `rig`."""
+    sub.description = RIG
+    sub.set_defaults(call=lambda options, rest: sub.error("expected what to do: ports or test; see --help"))
+    actions = sub.add_subparsers(dest="action", metavar="ACTION", title="actions")
+
+    def action(name: str, function: str, text: str, **options) -> argparse.ArgumentParser:
+        made = actions.add_parser(name, help=text, description=text, allow_abbrev=False, **options)
+        made.set_defaults(call=lambda options, rest: _call(function, options, rest))
+        return made
+
+    action("ports", "rig:ports", "list what is connected: serial ports with vendor and product, cameras")
+    made = action("test", "rig:test", "move every device of a rig once and take one photograph; a line a device")
+    made.add_argument("rig", metavar="RIG", help="description of the rig (YAML)")
 
 
 def _with_scene(sub: argparse.ArgumentParser) -> None:

@@ -12,11 +12,13 @@ MODULES = {
     "OpenEXR": "OpenEXR",
     "av": "av",
     "dracopy": "DracoPy",
+    "gphoto2": "gphoto2",
     "jinja2": "jinja2",
     "numba": "numba",
     "numpy": "numpy",
     "opencv-contrib-python-headless": "cv2",
     "pymeshlab": "pymeshlab",
+    "pyserial": "serial",
     "pywavelets": "pywt",
     "rawpy": "rawpy",
     "scikit-image": "skimage",
@@ -25,7 +27,15 @@ MODULES = {
     "zarr": "zarr",
 }
 """Package as it is installed, to the module that is imported."""
-EXTRAS = {"rawpy": "raw", "av": "video", "trimesh": "mesh", "pymeshlab": "mesh", "scikit-image": "mesh"}
+EXTRAS = {
+    "rawpy": "raw",
+    "av": "video",
+    "trimesh": "mesh",
+    "pymeshlab": "mesh",
+    "scikit-image": "mesh",
+    "gphoto2": "rig",
+    "pyserial": "rig",
+}
 """Packages that are no part of the least installation, and the extra that brings them."""
 PURPOSE = {
     "rawpy": "camera raw",
@@ -33,6 +43,8 @@ PURPOSE = {
     "trimesh": "mesh files",
     "pymeshlab": "range scans",
     "scikit-image": "a surface from silhouettes",
+    "gphoto2": "a camera on USB",
+    "pyserial": "a device on a serial line",
 }
 PARTS_OF_SCIPY = ("fft", "interpolate", "io", "ndimage", "optimize", "sparse", "spatial", "special", "stats")
 

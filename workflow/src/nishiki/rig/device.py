@@ -65,7 +65,15 @@ class Camera(Protocol):
 
 
 class Lamps(Protocol):
-    """Lamps of which at most one shines."""
+    """Lamps of which at most one shines.
+
+    Attributes
+    ----------
+    count : int
+        Number of lamps.
+    """
+
+    count: int
 
     def light(self, lamp: int | None) -> None:
         """Light this lamp alone, numbered from 1; None: all off. Returns when the light is steady."""
@@ -75,7 +83,15 @@ class Lamps(Protocol):
 
 
 class Axis(Protocol):
-    """A turning axis: a turntable, or one arm of a goniometer."""
+    """A turning axis: a turntable, or one arm of a goniometer.
+
+    Attributes
+    ----------
+    range_deg : tuple of float
+        Smallest and largest angle, in degrees.
+    """
+
+    range_deg: tuple[float, float]
 
     def home(self) -> None:
         """Find the axis's reference, after which its position is known. Needed once after opening."""
@@ -91,10 +107,18 @@ class Axis(Protocol):
 
 
 class Polariser(Protocol):
-    """A polariser, or a pair of them, that a motor or a person puts into a state."""
+    """A polariser, or a pair of them, that a motor or a person puts into a state.
+
+    Attributes
+    ----------
+    states : tuple of str
+        Its states, named as in the column `polariser` of frames.csv: `off`, `on`, `45`, `0/90`.
+    """
+
+    states: tuple[str, ...]
 
     def set(self, state: str) -> None:
-        """Put it into a state named as in the column `polariser` of frames.csv: `off`, `on`, `45`, `0/90`.
+        """Put it into one of its states.
 
         Returns when it stands. Raises DeviceError where the device has no such state.
         """

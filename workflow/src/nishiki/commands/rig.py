@@ -1,0 +1,94 @@
+"""Commands for a capture rig: what is connected, and whether the rig that a description names works."""
+
+import argparse
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+NOTHING_CONNECTED = """\
+no serial device on USB and no camera found. What helps:
+  a serial device   plug in its USB cable and switch it on; a container or virtual machine must be given the device
+  a camera          switch it on and wake it up, set its USB mode to PTP, unmount it in the file manager
+  neither           simulated devices need no hardware: ./nishiki demo --rig"""
+
+
+def ports(options: argparse.Namespace, rest: list[str]) -> None:
+    """Print every serial port and camera, one a line, as the description of a rig names them."""
+    from nishiki.packages import install_extras, installed
+    from nishiki.rig.ports import camera_ports, serial_ports
+
+    on_usb, others = serial_ports()
+    on_usb += camera_ports()
+    for line in on_usb + others:
+        print(line)
+    if not on_usb:
+        print(NOTHING_CONNECTED)
+    if not installed("gphoto2"):
+        print(f"cameras are not listed: gphoto2 is not installed. Remedy: {install_extras('rig')}", file=sys.stderr)
+
+
+def test(options: argparse.Namespace, rest: list[str]) -> int:
+    """Move every device of a rig once; a line each. Exit status 2 where one fails."""
+    from nishiki.rig.description import open_rig
+    from nishiki.rig.device import DeviceError
+
+    failures = 0
+    with open_rig(Path(options.rig)) as rig:
+        checks: dict[str, Callable[[], str]] = {}
+        if rig.lamps is not None:
+            checks["lamps"] = lambda: _try_lamps(rig.lamps)
+        for name, axis in rig.axes.items():
+            checks[f"axis {name}"] = lambda axis=axis: _try_axis(axis)
+        for name, polariser in rig.polarisers.items():
+            checks[f"polariser {name}"] = lambda polariser=polariser: _try_polariser(polariser)
+        checks["camera"] = lambda: _try_camera(rig.camera, rig.lamps)
+        for name, check in checks.items():
+            start = time.monotonic()
+            try:
+                print(f"{name}: {check()} ({time.monotonic() - start:.1f} s)", flush=True)
+            except DeviceError as error:
+                failures += 1
+                print(f"{name}: FAILED: {error}", flush=True)
+    print(f"{options.rig}: {'every device works' if not failures else f'{failures} of {len(checks)} devices failed'}")
+    return 2 if failures else 0
+
+
+def _try_lamps(lamps: Any) -> str:
+    for number in range(1, lamps.count + 1):
+        lamps.light(number)
+    lamps.light(None)
+    return f"{lamps.count} lit one after the other, then switched off"
+
+
+def _try_axis(axis: Any) -> str:
+    axis.home()
+    low, high = axis.range_deg
+    target = low + (high - low) / 12
+    axis.move_to(target)
+    axis.move_to(low)
+    return f"homed, turned to {target:g} and back to {low:g} degrees"
+
+
+def _try_polariser(polariser: Any) -> str:
+    for state in polariser.states:
+        polariser.set(state)
+    return f"put into {', '.join(polariser.states)}"
+
+
+def _try_camera(camera: Any, lamps: Any) -> str:
+    from nishiki.rig.device import Exposure
+
+    if lamps is not None:
+        lamps.light(1)
+    taken = camera.configure(Exposure())
+    with tempfile.TemporaryDirectory() as folder:
+        files = camera.photograph(Path(folder))
+        named = ", ".join(f"{file.name} ({file.stat().st_size / 1e6:.1f} MB)" for file in files)
+    if lamps is not None:
+        lamps.light(None)
+    facts = {"s": taken.seconds, "f-number": taken.aperture, "ISO": taken.iso}
+    known = ", ".join(f"{value:g} {unit}" for unit, value in facts.items() if value is not None)
+    return f"photographed {named}{f' with {known}' if known else ''}"

@@ -1,0 +1,184 @@
+"""Home-made devices on a serial line, described in YAML: the line to send, the text to expect, how long to wait."""
+
+from __future__ import annotations
+
+import re
+import time
+from typing import Annotated
+
+from pydantic import Field, field_validator
+
+from nishiki.artifacts.closed import Closed
+from nishiki.capture.polariser import parse_state
+from nishiki.formats.problems import CaptureError
+from nishiki.rig.dome import expect_lamp
+from nishiki.rig.grbl import expect_in_range, not_homed
+from nishiki.rig.operator import ask_operator, expect_state
+from nishiki.rig.serial_line import SerialLine
+
+Seconds = Annotated[float, Field(gt=0, le=3600)]
+Pause = Annotated[float, Field(ge=0, le=60)]
+
+
+class Exchange(Closed):
+    """One line to a device, and its answer."""
+
+    send: str = Field(description="line to send; {degrees} and {lamp} stand for the angle and the number of the lamp")
+    expect: str = Field(min_length=1, description="text that the answer contains")
+    error: str = Field("error", description="text that an answer contains which refuses; upper and lower case alike")
+    timeout_s: Seconds = Field(5.0, description="seconds to wait for the answer")
+
+    @field_validator("send")
+    @classmethod
+    def _known_fields(cls, text: str) -> str:
+        try:
+            text.format(degrees=0.0, lamp=1)
+        except (LookupError, ValueError, AttributeError) as error:
+            known = "{degrees} and {lamp}, which may have a format as in {degrees:.2f}"
+            raise ValueError(f"between braces expected {known} ({error})") from None
+        return text
+
+
+class Line(Closed):
+    """The serial line of a home-made device."""
+
+    port: str = Field(description="serial port, such as /dev/serial/by-id/usb-...")
+    baud: Annotated[int, Field(ge=50, le=4_000_000)] = Field(115200, description="bits per second")
+    ending: str = Field("\n", min_length=1, description="what ends a line, in both directions")
+    greeting: str = Field("", description="text that the device sends when it starts; empty: it sends none")
+    greeting_s: Seconds = Field(3.0, description="seconds to wait for the greeting after the port was opened")
+
+
+class DescribedLamps(Line):
+    """Lamps of a home-made device."""
+
+    count: Annotated[int, Field(ge=1, le=100_000)] = Field(description="number of lamps")
+    first: Annotated[int, Field(ge=0)] = Field(1, description="number that the device gives to lamp 1")
+    light: Exchange = Field(description="lights {lamp} alone")
+    dark: Exchange = Field(description="switches all lamps off")
+    settle_s: Pause = Field(0.2, description="seconds from the answer until the light is steady")
+
+
+class DescribedAxis(Line):
+    """An axis of a home-made device."""
+
+    move: Exchange = Field(description="turns to {degrees}; the answer comes when the axis stands")
+    home: Exchange | None = Field(
+        None,
+        description="finds the reference; where it is left out, a person is asked to turn the axis to its zero mark",
+    )
+    range_deg: tuple[float, float] = Field((0.0, 360.0), description="smallest and largest angle")
+
+
+class DescribedPolariser(Line):
+    """A polariser on a servo motor."""
+
+    states: dict[str, Exchange] = Field(min_length=1, description="what to send for each state, named as in frames.csv")
+    settle_s: Pause = Field(0.0, description="seconds from the answer until the polariser stands")
+
+    @field_validator("states")
+    @classmethod
+    def _states_of_captures(cls, states: dict[str, Exchange]) -> dict[str, Exchange]:
+        return {check_state(name): exchange for name, exchange in states.items()}
+
+
+def check_state(name: str) -> str:
+    """The canonical name of a polariser state. ValueError where it is none of frames.csv."""
+    try:
+        return parse_state(name).name
+    except CaptureError as error:
+        raise ValueError(str(error)) from None
+
+
+class _Device:
+    """What home-made devices share: the open line, and exchanges over it."""
+
+    def __init__(self, name: str, line: Line) -> None:
+        self.name = name
+        greeting = re.escape(line.greeting)
+        self.line = SerialLine(name, line.port, line.baud, line.ending, greeting)
+        if greeting:
+            try:
+                self.line.greeting(greeting, line.greeting_s)  # not sent by a board that does not restart when opened
+            except BaseException:
+                self.line.close()
+                raise
+
+    def ask(self, exchange: Exchange, **values: float) -> None:
+        refused = rf"(?i){re.escape(exchange.error)}" if exchange.error else ""
+        self.line.ask(exchange.send.format(**values), re.escape(exchange.expect), exchange.timeout_s, refused)
+
+    def close(self) -> None:
+        """Close the line; a second call does nothing."""
+        self.line.close()
+
+
+class HomeMadeLamps(_Device):
+    """Lamps as described."""
+
+    def __init__(self, name: str, settings: DescribedLamps) -> None:
+        super().__init__(name, settings)
+        self.settings, self.count = settings, settings.count
+        try:
+            self.light(None)
+        except BaseException:
+            self.line.close()
+            raise
+
+    def light(self, lamp: int | None) -> None:
+        """Light one lamp, numbered from 1, or none."""
+        if lamp is None:
+            self.ask(self.settings.dark)
+        else:
+            expect_lamp(self.name, lamp, self.count)
+            self.ask(self.settings.light, lamp=lamp - 1 + self.settings.first)
+        time.sleep(self.settings.settle_s)
+
+    def close(self) -> None:
+        """Switch the lamps off and close the line."""
+        if self.line.serial.is_open:
+            try:
+                self.ask(self.settings.dark)
+            finally:
+                self.line.close()
+
+
+class HomeMadeAxis(_Device):
+    """An axis as described."""
+
+    def __init__(self, name: str, settings: DescribedAxis) -> None:
+        super().__init__(name, settings)
+        self.settings, self.range_deg = settings, settings.range_deg
+        self.homed = False
+
+    def home(self) -> None:
+        """Find the reference, or ask a person to turn the axis to its zero mark."""
+        self.homed = False
+        if self.settings.home is None:
+            ask_operator(self.name, "turn the axis by hand to its zero mark")
+        else:
+            self.ask(self.settings.home)
+        self.homed = True
+
+    def move_to(self, degrees: float) -> None:
+        """Turn to an angle and return when the axis stands."""
+        expect_in_range(self.name, degrees, self.settings.range_deg)
+        if not self.homed:
+            raise not_homed(self.name)
+        self.homed = False  # unknown while it turns, and after a failure
+        self.ask(self.settings.move, degrees=degrees)
+        self.homed = True
+
+
+class HomeMadePolariser(_Device):
+    """A polariser as described."""
+
+    def __init__(self, name: str, settings: DescribedPolariser) -> None:
+        super().__init__(name, settings)
+        self.settings, self.states = settings, tuple(settings.states)
+
+    def set(self, state: str) -> None:
+        """Put the polariser into a state and return when it stands."""
+        expect_state(self.name, state, self.states)
+        self.ask(self.settings.states[state])
+        time.sleep(self.settings.settle_s)

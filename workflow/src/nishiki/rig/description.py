@@ -1,0 +1,276 @@
+"""The description of a rig in YAML, and the devices that it names, opened."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from nishiki.artifacts.closed import Closed, parse
+from nishiki.capture.schema_base import read_mapping
+from nishiki.errors import UserError
+from nishiki.formats.problems import CaptureError
+from nishiki.rig.comxim import ComXimTurntable
+from nishiki.rig.described import (
+    DescribedAxis,
+    DescribedLamps,
+    DescribedPolariser,
+    HomeMadeAxis,
+    HomeMadeLamps,
+    HomeMadePolariser,
+    Pause,
+    Seconds,
+    check_state,
+)
+from nishiki.rig.device import DeviceError, Rig
+from nishiki.rig.dome import BracketDome
+from nishiki.rig.gphoto import GPhotoCamera
+from nishiki.rig.grbl import Grbl, GrblAxis
+from nishiki.rig.operator import PromptedPolariser
+from nishiki.rig.watched_folder import WatchedFolder, run_command
+
+Baud = Annotated[int, Field(ge=50, le=4_000_000)]
+Files = Annotated[int, Field(ge=1, le=2)]
+
+
+class PythonDevice(Closed):
+    """A device of one's own in a Python file: a class with the methods of `nishiki.rig.device`."""
+
+    kind: Literal["python"]
+    file: str = Field(description="Python file, relative to the description")
+    name: str = Field(description="name of the class")
+    options: dict[str, Any] = Field({}, description="passed to the class by name")
+
+
+class DeviceFile(Closed):
+    """A home-made device on a serial line, described in a YAML file of its own."""
+
+    kind: Literal["described"]
+    file: str = Field(description="YAML file of the device, relative to the description")
+    port: str | None = Field(None, description="serial port, in place of the file's")
+
+
+class GPhotoSettings(Closed):
+    """A camera on USB."""
+
+    kind: Literal["gphoto"]
+    model: str | None = Field(None, description="as ./nishiki rig ports prints it; left out: the only camera")
+    port: str | None = Field(None, description="such as usb:001,004, where there are several of a model")
+    files: Files = Field(1, description="files of one exposure; 2: raw and JPEG")
+    settings: dict[str, str] = Field({}, description="further settings, by libgphoto2's names")
+
+
+class FolderSettings(Closed):
+    """A camera whose own software puts its photographs into a folder."""
+
+    kind: Literal["folder"]
+    folder: str = Field(description="that folder")
+    release: Literal["operator", "lamps"] | tuple[str, ...] = Field(
+        "operator", description="who releases: operator, lamps (the dome's shutter cable), or a command as a list"
+    )
+    files: Files = Field(1, description="files of one exposure; 2: raw and JPEG")
+    wait_s: Seconds = Field(120.0, description="seconds from the release until the files are there")
+    complete_s: Pause = Field(1.0, description="seconds for which the size of a complete file does not change")
+
+
+class DomeSettings(Closed):
+    """A dome with the protocol <3,n>."""
+
+    kind: Literal["dome"]
+    port: str = Field(description="serial port")
+    count: Annotated[int, Field(ge=1, le=1000)] = Field(description="number of lamps")
+    first: Annotated[int, Field(ge=0)] = Field(0, description="number that the dome gives to lamp 1")
+    settle_s: Pause = Field(0.2, description="seconds from the answer until the light is steady")
+    baud: Baud = Field(9600, description="bits per second")
+
+
+class GrblSettings(Closed):
+    """An axis of a controller with GRBL 1.1; axes with the same port share the controller."""
+
+    kind: Literal["grbl"]
+    port: str = Field(description="serial port")
+    axis: Literal["X", "Y", "Z", "A", "B", "C"] = Field(description="letter of the axis")
+    units_per_degree: float = Field(1.0, description="units of the controller for a degree; negative: the other way")
+    home_deg: float = Field(0.0, description="angle at which homing ends")
+    range_deg: tuple[float, float] = Field((0.0, 360.0), description="smallest and largest angle")
+    baud: Baud = Field(115200, description="bits per second")
+
+    @model_validator(mode="after")
+    def _possible(self) -> GrblSettings:
+        if self.units_per_degree == 0:
+            raise ValueError("units_per_degree must not be 0")
+        if not self.range_deg[0] < self.range_deg[1]:
+            raise ValueError("range_deg must begin with the smaller angle")
+        return self
+
+
+class ComXimSettings(Closed):
+    """A ComXim turntable."""
+
+    kind: Literal["comxim"]
+    port: str = Field(description="serial port")
+    baud: Baud = Field(115200, description="bits per second")
+    command: Literal["TRUNSINGLE", "TURNSINGLE"] = Field("TRUNSINGLE", description="how its firmware spells a turn")
+    reference: Literal["operator", "table"] = Field(
+        "operator",
+        description="zero: a person turns the table to its mark; or the table's own, while it has power",
+    )
+
+
+class PromptSettings(Closed):
+    """A polariser that a person turns."""
+
+    kind: Literal["prompt"]
+    states: tuple[str, ...] = Field(("off", "on"), min_length=1, description="its states, named as in frames.csv")
+
+    @field_validator("states")
+    @classmethod
+    def _states_of_captures(cls, states: tuple[str, ...]) -> tuple[str, ...]:
+        return tuple(check_state(state) for state in states)
+
+
+CameraSettings = Annotated[GPhotoSettings | FolderSettings | PythonDevice, Field(discriminator="kind")]
+LampSettings = Annotated[DomeSettings | DeviceFile | PythonDevice, Field(discriminator="kind")]
+AxisSettings = Annotated[GrblSettings | ComXimSettings | DeviceFile | PythonDevice, Field(discriminator="kind")]
+PolariserSettings = Annotated[PromptSettings | DeviceFile | PythonDevice, Field(discriminator="kind")]
+
+
+class RigDescription(Closed):
+    """rig.yaml."""
+
+    camera: CameraSettings = Field(description="the camera")
+    lamps: LampSettings | None = Field(None, description="lamps that this computer switches")
+    axes: dict[str, AxisSettings] = Field({}, description="turning axes by name: turntable, or those of a goniometer")
+    polarisers: dict[str, PolariserSettings] = Field({}, description="polarisers by name")
+
+    @model_validator(mode="after")
+    def _release_of_a_dome(self) -> RigDescription:
+        if getattr(self.camera, "release", None) == "lamps" and not isinstance(self.lamps, DomeSettings):
+            raise ValueError("release: lamps needs lamps of kind dome: only they have a shutter cable")
+        return self
+
+
+def read_rig(path: Path) -> RigDescription:
+    """The description of a rig. UserError names every key that is wrong, and the file."""
+    return parse(RigDescription, _mapping(path), str(path))
+
+
+def open_rig(path: Path) -> Rig:
+    """Open the devices that a description names; each is ready, and no axis has been homed.
+
+    Parameters
+    ----------
+    path : Path
+        The description, rig.yaml.
+
+    Returns
+    -------
+    Rig
+        A context manager: `with open_rig(path) as rig:` closes the devices.
+
+    Raises
+    ------
+    UserError
+        The description is wrong.
+    DeviceError
+        A device does not open; DeviceLost where it is not there.
+    """
+    description = read_rig(path)
+    opened: list[Any] = []
+    try:
+        return _open(description, path, opened)
+    except BaseException:
+        for device in reversed(opened):
+            try:
+                device.close()
+            except DeviceError:
+                pass  # the first error is the one to tell
+        raise
+
+
+def _open(description: RigDescription, path: Path, opened: list[Any]) -> Rig:
+    controllers: dict[str, Grbl] = {}
+
+    def keep(device: Any) -> Any:
+        opened.append(device)
+        return device
+
+    lamps = description.lamps
+    if isinstance(lamps, DomeSettings):
+        lamps = BracketDome("lamps", lamps.port, lamps.count, lamps.first, lamps.settle_s, lamps.baud)
+    elif lamps is not None:
+        lamps = _open_own("lamps", lamps, path, DescribedLamps, HomeMadeLamps)
+    keep(lamps) if lamps is not None else None
+    axes = {}
+    for name, axis in description.axes.items():
+        if isinstance(axis, GrblSettings):
+            if axis.port not in controllers:
+                controllers[axis.port] = keep(Grbl(f"controller of {name}", axis.port, axis.baud))
+            controller = controllers[axis.port]
+            axes[name] = GrblAxis(name, controller, axis.axis, axis.units_per_degree, axis.home_deg, axis.range_deg)
+        elif isinstance(axis, ComXimSettings):
+            axes[name] = keep(ComXimTurntable(name, axis.port, axis.baud, axis.command, axis.reference))
+        else:
+            axes[name] = keep(_open_own(name, axis, path, DescribedAxis, HomeMadeAxis))
+    polarisers = {}
+    for name, polariser in description.polarisers.items():
+        title = f"polariser {name}"
+        if isinstance(polariser, PromptSettings):
+            polarisers[name] = PromptedPolariser(title, polariser.states)
+        else:
+            polarisers[name] = keep(_open_own(title, polariser, path, DescribedPolariser, HomeMadePolariser))
+    return Rig(keep(_open_camera(description.camera, path, lamps)), lamps, axes, polarisers)
+
+
+def _open_camera(settings: Any, path: Path, lamps: Any) -> Any:
+    if isinstance(settings, GPhotoSettings):
+        return GPhotoCamera("camera", settings.model, settings.port, settings.files, settings.settings)
+    if isinstance(settings, PythonDevice):
+        return _own_class(settings, path)
+    release: Callable[[], None] | None = None
+    if settings.release == "lamps":
+        release = lamps.release
+    elif settings.release != "operator":
+        release = run_command("camera", settings.release)
+    folder = path.parent / settings.folder
+    return WatchedFolder("camera", folder, release, settings.files, settings.wait_s, settings.complete_s)
+
+
+def _open_own(name: str, settings: Any, path: Path, model: type[Closed], device: Callable[..., Any]) -> Any:
+    """A device of the laboratory's own: described in YAML, or a class in Python."""
+    if isinstance(settings, PythonDevice):
+        return _own_class(settings, path)
+    file = path.parent / settings.file
+    values = _mapping(file)
+    return device(name, parse(model, values | ({"port": settings.port} if settings.port else {}), str(file)))
+
+
+def _own_class(settings: PythonDevice, path: Path) -> Any:
+    """The object that a Python file of the laboratory makes."""
+    file = path.parent / settings.file
+    if not file.is_file():
+        raise UserError(f"{path}: no file {file}. Remedy: correct 'file', relative to the description")
+    spec = importlib.util.spec_from_file_location(f"rig_device_{file.stem}", file)
+    if spec is None or spec.loader is None:
+        raise UserError(f"{path}: expected a Python file (.py), found {file}")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    device = getattr(module, settings.name, None)
+    if device is None:
+        raise UserError(f"{path}: {file} has no class '{settings.name}'. Remedy: correct 'name'")
+    return device(**settings.options)
+
+
+def _mapping(path: Path) -> dict:
+    try:
+        return read_mapping(path)
+    except CaptureError as error:
+        missing = any(problem.kind == "yaml-missing" for problem in error.problems)
+        if missing:
+            raise UserError(
+                f"{path}: file not found. Remedy: correct its name; docs/devices/README.md shows how to write one"
+            ) from None
+        raise
