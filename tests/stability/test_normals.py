@@ -203,7 +203,7 @@ def test_negative_observations():
 
 @case(
     "Usable samples that are not valid",
-    hazard="a saturated or missing sample that the selection was not told of enters as 0",
+    hazard="a saturated or missing sample that the selection does not know of enters as 0",
     treatment="what is not valid never enters a fit",
     reference="the fit without those samples",
     outcome="the same result",
@@ -370,7 +370,7 @@ def test_equivariance_of_the_joint_fit():
 @case(
     "Subnormal observations",
     hazard="float32 keeps two digits near 1e-43, and its squares are 0",
-    treatment="squares are float64: the rounding of the data is noise like any other, and sigma tells it",
+    treatment="squares are float64: the rounding of the data is noise like any other, and sigma includes it",
     outcome="the angle to the truth stays below five sigma plus 0.1 degree",
     bound=5,
     unit="sigma",

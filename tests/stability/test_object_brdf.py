@@ -184,7 +184,7 @@ def test_texels_seen_rarely():
 @case(
     "Nothing to fit: no tile seen, one texel, one view, black, saturated, NaN",
     hazard="medians and means of nothing, noise of 0",
-    treatment="defaults where nothing tells; observations that are not finite are left out",
+    treatment="defaults where nothing is known; observations that are not finite are left out",
     bound=0,
     unit="cases with a NaN of 8",
     outcome="finite parameters and figures",
@@ -281,7 +281,7 @@ def test_field_far_from_the_origin():
 
 
 @case(
-    "Unknown lighting that nothing tells",
+    "Unknown lighting that nothing reveals",
     hazard="medians over no observation, a singular system, a scale of the residuals of 0",
     treatment="a lamp at the camera; no highlight is claimed",
     bound=0,

@@ -84,7 +84,7 @@ def test_paper_with_a_line():
 @case(
     "Estimated error under narrow-band lamps",
     hazard="an estimate without information that looks like a measurement",
-    treatment="Wiener and the local method fall back to what the training set says; sigma tells how little that is",
+    treatment="Wiener and the local method fall back to what the training set says; sigma says how little that is",
     reference="the true spectra of the training set",
     outcome="the error is not larger than the predicted one by more than the bound",
     bound=1.6,
@@ -205,7 +205,7 @@ def test_equivariance_of_linear_estimators():
 @case(
     "Compiled estimator in float32 against float64",
     hazard="coefficients of 1e4 and more times responses rounded to 6e-8",
-    treatment="maps are float64; only responses and results are float32; noise tells the rest",
+    treatment="maps are float64; only responses and results are float32; noise covers the rest",
     reference="the matrices in 40 digits",
     outcome="the linear part exact to the rounding of its result",
     bound=3e-7,

@@ -62,8 +62,9 @@ def facts_of_object(diagnostics: dict[str, Any]) -> list[tuple[str, str]]:
     facts = about_capture(capture)
     views, states = len(diagnostics["views"]), [state for state in diagnostics["states"] if state]
     turn = "a full turn" if (capture.get("turntable") or {}).get("full_turn") else "part of a turn"
-    size = f"{diagnostics['columns']} × {diagnostics['rows']} pixels, {len(diagnostics['channels'])} channels"
-    facts.append(("Views", f"{views} over {turn}, {size} each"))
+    channels = len(diagnostics["channels"])
+    size = f"{diagnostics['columns']} × {diagnostics['rows']} pixels, {channels} channel{'s' * (channels != 1)}"
+    facts.append(("Views", f"{views} over {turn}, each {size}"))
     if states:
         facts.append(("Polarisers", ", ".join(states)))
     lights = capture.get("lights") or {}
