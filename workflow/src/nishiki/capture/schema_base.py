@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from datetime import date as Date
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, ClassVar, Literal, TypeVar
 
 import yaml
 from pydantic import Field, ValidationError, field_validator
@@ -85,7 +86,7 @@ class Session(Closed):
         return str(value) if isinstance(value, int) else value
 
 
-class _UniqueKeyLoader(plain_yaml.SafeLoader):
+class UniqueKeyLoader(plain_yaml.SafeLoader):
     """Safe YAML in which a key that appears twice is an error instead of the last one winning silently."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
@@ -100,10 +101,24 @@ class _UniqueKeyLoader(plain_yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-def read_mapping(path: Path) -> dict:
+class UnquotedStatesLoader(UniqueKeyLoader):
+    """Reads off, on, no and yes as the words that they are: polariser states need no quotes."""
+
+    yaml_implicit_resolvers: ClassVar[dict] = {
+        first: [(tag, words) for tag, words in resolvers if tag != "tag:yaml.org,2002:bool"]
+        for first, resolvers in UniqueKeyLoader.yaml_implicit_resolvers.items()
+    }
+
+
+UnquotedStatesLoader.add_implicit_resolver(
+    "tag:yaml.org,2002:bool", re.compile("true|True|TRUE|false|False|FALSE"), list("tTfF")
+)
+
+
+def read_mapping(path: Path, loader: type[UniqueKeyLoader] = UniqueKeyLoader) -> dict:
     """Keys and values of a plain YAML file. CaptureError: yaml-missing, yaml-invalid."""
     try:
-        parsed = plain_yaml.load(read_text(path, "settings_bytes"), _UniqueKeyLoader)
+        parsed = plain_yaml.load(read_text(path, "settings_bytes"), loader)
     except FileNotFoundError as e:
         remedy = "Write one, or make a capture folder from photographs with the convert command"
         raise CaptureError(error("yaml-missing", path.name, "file is missing", remedy=remedy)) from e

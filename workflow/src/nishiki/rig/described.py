@@ -11,6 +11,7 @@ from pydantic import Field, field_validator
 from nishiki.artifacts.closed import Closed
 from nishiki.capture.polariser import parse_state
 from nishiki.formats.problems import CaptureError
+from nishiki.rig.device import DeviceError
 from nishiki.rig.dome import expect_lamp
 from nishiki.rig.grbl import expect_in_range, not_homed
 from nishiki.rig.operator import ask_operator, expect_state
@@ -139,8 +140,9 @@ class HomeMadeLamps(_Device):
         if self.line.serial.is_open:
             try:
                 self.ask(self.settings.dark)
-            finally:
-                self.line.close()
+            except DeviceError:
+                pass  # it has gone
+            self.line.close()
 
 
 class HomeMadeAxis(_Device):

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, field_validator, model_validator
 
 from nishiki.artifacts.closed import Closed, parse
-from nishiki.capture.schema_base import read_mapping
+from nishiki.capture.schema_base import UnquotedStatesLoader, read_mapping
 from nishiki.errors import UserError
 from nishiki.formats.problems import CaptureError
 from nishiki.rig.comxim import ComXimTurntable
@@ -126,10 +126,11 @@ class PromptSettings(Closed):
     kind: Literal["prompt"]
     states: tuple[str, ...] = Field(("off", "on"), min_length=1, description="its states, named as in frames.csv")
 
-    @field_validator("states")
+    @field_validator("states", mode="before")
     @classmethod
-    def _states_of_captures(cls, states: tuple[str, ...]) -> tuple[str, ...]:
-        return tuple(check_state(state) for state in states)
+    def _states_of_captures(cls, states: Any) -> Any:
+        """Angles need no quotes."""
+        return tuple(check_state(str(state)) for state in states) if isinstance(states, list | tuple) else states
 
 
 CameraSettings = Annotated[GPhotoSettings | FolderSettings | PythonDevice, Field(discriminator="kind")]
@@ -155,7 +156,7 @@ class RigDescription(Closed):
 
 def read_rig(path: Path) -> RigDescription:
     """The description of a rig. UserError names every key that is wrong, and the file."""
-    return parse(RigDescription, _mapping(path), str(path))
+    return parse(RigDescription, read_yaml(path), str(path))
 
 
 def open_rig(path: Path) -> Rig:
@@ -244,7 +245,7 @@ def _open_own(name: str, settings: Any, path: Path, model: type[Closed], device:
     if isinstance(settings, PythonDevice):
         return _own_class(settings, path)
     file = path.parent / settings.file
-    values = _mapping(file)
+    values = read_yaml(file)
     return device(name, parse(model, values | ({"port": settings.port} if settings.port else {}), str(file)))
 
 
@@ -264,9 +265,10 @@ def _own_class(settings: PythonDevice, path: Path) -> Any:
     return device(**settings.options)
 
 
-def _mapping(path: Path) -> dict:
+def read_yaml(path: Path) -> dict:
+    """Keys and values of a YAML file of a rig, in which `off` and `on` are words. UserError where it cannot be read."""
     try:
-        return read_mapping(path)
+        return read_mapping(path, UnquotedStatesLoader)
     except CaptureError as error:
         missing = any(problem.kind == "yaml-missing" for problem in error.problems)
         if missing:

@@ -68,8 +68,9 @@ class BracketDome:
         if self.line.serial.is_open:
             try:
                 self._ask("<0>", "All lights turned off")
-            finally:
-                self.line.close()
+            except DeviceError:
+                pass  # it has gone
+            self.line.close()
 
     def _ask(self, command: str, expect: str) -> None:
         self.line.ask(command, expect, ANSWER_S, "INCORRECT FUNCTION CALL", _explain)

@@ -80,32 +80,26 @@ class GPhotoCamera:
 
     def photograph(self, folder: Path) -> tuple[Path, ...]:
         """Expose once and download. What lies on the camera's card stays there."""
-        gphoto = self.gphoto
         try:
-            first = self.camera.capture(gphoto.GP_CAPTURE_IMAGE)
-            places = {(first.folder, first.name)}
-            end = time.monotonic() + LONGEST_WAIT_S + self.exposure_s
-            while time.monotonic() < end:
-                kind, data = self.camera.wait_for_event(QUIET_MS)
-                if kind == gphoto.GP_EVENT_FILE_ADDED:
-                    places.add((data.folder, data.name))
-                elif kind == gphoto.GP_EVENT_TIMEOUT and len(places) >= self.files:
-                    break
-            if len(places) != self.files:
-                names = ", ".join(sorted(file for _, file in places))
-                raise DeviceError(
-                    f"{self.name}: expected {self.files} file(s) of one exposure, received {names}. "
-                    "Remedy: set its picture format (raw, JPEG, or both) and 'files' of the description to the same"
-                )
-            paths = []
-            for place, file in sorted(places, key=lambda item: item[1]):
-                path = folder / file
-                self.camera.file_get(place, file, gphoto.GP_FILE_TYPE_NORMAL).save(str(path))
-                paths.append(path)
-            return tuple(paths)
-        except gphoto.GPhoto2Error as error:
+            places = self._expose()
+        except self.gphoto.GPhoto2Error as error:
             focus = "Remedy: switch the lens to manual focus, look at the camera's display, and run again"
             raise self._failed("taking a photograph", error, focus) from None
+        if len(places) != self.files:
+            names = ", ".join(sorted(file for _, file in places))
+            raise DeviceError(
+                f"{self.name}: expected {self.files} file(s) of one exposure, received {names}. "
+                "Remedy: set its picture format (raw, JPEG, or both) and 'files' of the description to the same"
+            )
+        paths = []
+        for place, file in sorted(places, key=lambda item: item[1]):
+            paths.append(folder / file)
+            try:
+                self.camera.file_get(place, file, self.gphoto.GP_FILE_TYPE_NORMAL).save(str(paths[-1]))
+            except self.gphoto.GPhoto2Error as error:
+                text = f"{self.name}: downloading {file}: libgphoto2 says {error.string!r} ({error.code})"
+                raise DeviceLost(f"{text}. Remedy: check cable and battery, then run the same command again") from None
+        return tuple(paths)
 
     def close(self) -> None:
         """Release the camera; a second call does nothing."""
@@ -116,10 +110,21 @@ class GPhotoCamera:
             except self.gphoto.GPhoto2Error:
                 pass  # it has gone already
 
+    def _expose(self) -> set[tuple[str, str]]:
+        """Release, and wait for all files of the exposure: their folders and names on the camera."""
+        first = self.camera.capture(self.gphoto.GP_CAPTURE_IMAGE)
+        places = {(first.folder, first.name)}
+        end = time.monotonic() + LONGEST_WAIT_S + self.exposure_s
+        while time.monotonic() < end:
+            kind, data = self.camera.wait_for_event(QUIET_MS)
+            if kind == self.gphoto.GP_EVENT_FILE_ADDED:
+                places.add((data.folder, data.name))
+            elif kind == self.gphoto.GP_EVENT_TIMEOUT and len(places) >= self.files:
+                break
+        return places
+
     def _open(self, model: str | None, port: str | None) -> Any:
-        connected = [
-            camera for camera in cameras() if model in (None, camera[0]) and port in (None, camera[1])
-        ]  # fmt: skip
+        connected = [seen for seen in cameras() if model in (None, seen[0]) and port in (None, seen[1])]
         wanted = " at ".join(text for text in (model, port) if text) or "a camera"
         if not connected:
             remedy = "switch it on, set its USB mode to PTP, wake it up; ./nishiki rig ports lists what is connected"

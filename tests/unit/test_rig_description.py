@@ -1,0 +1,249 @@
+"""rig.yaml: what it may name, what is told of mistakes, and the commands that use it."""
+
+import re
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from nishiki.cli import main
+from nishiki.errors import UserError
+from nishiki.rig import dome, operator
+from nishiki.rig.description import open_rig, read_rig
+from nishiki.rig.device import DeviceError, DeviceLost, Exposure
+from nishiki.simulate.rig.comxim import SimulatedComXim
+from nishiki.simulate.rig.dome import SimulatedDome
+from nishiki.simulate.rig.grbl import SimulatedGrbl
+from nishiki.simulate.rig.line import SimulatedDialogue
+
+OWN_CAMERA = """
+from pathlib import Path
+from nishiki.rig.device import Exposure
+
+class Camera:
+    def __init__(self, name):
+        self.name, self.taken = name, 0
+
+    def configure(self, exposure):
+        return Exposure(seconds=0.5)
+
+    def photograph(self, folder):
+        self.taken += 1
+        path = Path(folder) / f"{self.name}-{self.taken}.raw"
+        path.write_bytes(b"light")
+        return (path,)
+
+    def close(self):
+        pass
+"""
+RIG = """
+camera: {kind: python, file: camera.py, name: Camera, options: {name: ours}}
+lamps: {kind: dome, port: dome, count: 4, settle_s: 0}
+axes:
+  lamp: {kind: grbl, port: grbl, axis: X, units_per_degree: -1, range_deg: [0, 90]}
+  camera: {kind: grbl, port: grbl, axis: Y, units_per_degree: -1, range_deg: [0, 90]}
+  turntable: {kind: comxim, port: comxim, reference: table}
+polarisers:
+  lamp: {kind: prompt}
+  camera: {kind: described, file: servo.yaml, port: servo}
+"""
+SERVO = """
+port: /dev/nowhere
+states:
+  off: {send: A0, expect: at 0}
+  on: {send: A90, expect: at 90}
+"""
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A description with all kinds of devices, and the files that it names."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "camera.py").write_text(OWN_CAMERA)
+    (tmp_path / "servo.yaml").write_text(SERVO)
+    (tmp_path / "rig.yaml").write_text(RIG)
+    return tmp_path
+
+
+@pytest.fixture
+def devices(folder):
+    """The simulated devices of the description, by the names of their ports."""
+    with (
+        SimulatedDome(folder / "dome", 4) as lamps,
+        SimulatedGrbl(folder / "grbl") as axes,
+        SimulatedComXim(folder / "comxim") as turntable,
+        SimulatedDialogue(folder / "servo", {"A0": "at 0", "A90": "at 90"}) as servo,
+    ):
+        yield SimpleNamespace(dome=lamps, grbl=axes, comxim=turntable, servo=servo)
+
+
+@pytest.fixture
+def terminal(monkeypatch):
+    """An operator who does what is asked; the requests."""
+    requests = []
+    answers = SimpleNamespace(isatty=lambda: True, readline=lambda: requests.append("asked") or "\n")
+    monkeypatch.setattr(operator.sys, "stdin", answers)
+    return requests
+
+
+def test_every_device_of_a_description_is_opened_moved_and_closed(folder, devices, terminal):
+    with open_rig(folder / "rig.yaml") as rig:
+        rig.home()
+        rig.lamps.light(2)
+        assert devices.dome.lit == {1}
+        rig.axes["lamp"].move_to(30.0)
+        rig.axes["camera"].move_to(60.0)
+        rig.axes["turntable"].move_to(120.0)
+        assert (devices.grbl.position["X"], devices.grbl.position["Y"]) == (-31.0, -61.0)
+        assert devices.grbl.received.count("$H") == 1
+        assert devices.comxim.angle == pytest.approx(120.0)
+        rig.polarisers["camera"].set("on")
+        assert devices.servo.received == ["A90"]
+        rig.polarisers["lamp"].set("on")
+        rig.polarisers["lamp"].set("on")
+        assert len(terminal) == 1  # asked once for a state
+        assert rig.camera.configure(Exposure()).seconds == 0.5
+        assert [path.name for path in rig.camera.photograph(folder)] == ["ours-1.raw"]
+    assert devices.dome.lit == set()
+
+
+def test_where_one_device_does_not_open_the_others_are_closed(folder, devices):
+    devices.comxim.unplug()
+    with pytest.raises(DeviceLost, match="turntable"):
+        open_rig(folder / "rig.yaml")
+    devices.comxim.plug()
+    open_rig(folder / "rig.yaml").close()  # no port is still in use
+
+
+def test_a_lost_rig_can_be_closed_and_opened_again(folder, devices):
+    rig = open_rig(folder / "rig.yaml")
+    for device in vars(devices).values():
+        device.unplug()
+    with pytest.raises(DeviceLost):
+        rig.home()
+    rig.close()
+    for device in vars(devices).values():
+        device.plug()
+    with open_rig(folder / "rig.yaml") as again:
+        again.home()
+        again.lamps.light(1)
+
+
+def test_without_a_terminal_nobody_is_asked(folder, devices, monkeypatch):
+    monkeypatch.setattr(operator.sys, "stdin", SimpleNamespace(isatty=lambda: False))
+    with open_rig(folder / "rig.yaml") as rig:
+        with pytest.raises(DeviceError, match=r"set the polariser to 'on'.*without a terminal.*Remedy"):
+            rig.polarisers["lamp"].set("on")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("camera: {kind: gphotos}", "'gphoto', 'folder', 'python'"),
+        ("camera: {kind: gphoto, modell: x}", "did you mean 'model'"),
+        ("lamps: {kind: dome, port: x, count: 4}", "key 'camera' is missing"),
+        ("camera: {kind: gphoto}\nlamps: {kind: dome, port: x}", "lamps.count"),
+        ("camera: {kind: folder, folder: x, release: lamps}", "needs lamps of kind dome"),
+        ("camera: {kind: gphoto}\naxes: {t: {kind: grbl, port: x, axis: Q}}", "axes.t.axis"),
+        ("camera: {kind: gphoto}\naxes: {t: {kind: grbl, port: x, axis: X, range_deg: [9, 1]}}", "smaller angle"),
+        ("camera: {kind: gphoto}\npolarisers: {p: {kind: prompt, states: [half]}}", "polariser state"),
+        ("camera: {kind: python, file: none.py, name: X}", "no file"),
+        ("camera: {kind: python, file: camera.py, name: Lens}", "no class 'Lens'"),
+        ("camera: [", "rig.yaml"),
+    ],
+)
+def test_mistakes_in_a_description_are_explained(folder, text, words):
+    (folder / "rig.yaml").write_text(text)
+    with pytest.raises(UserError) as raised:
+        open_rig(folder / "rig.yaml")
+    assert words in str(raised.value)
+    assert not isinstance(raised.value, DeviceError)
+
+
+def test_the_examples_of_the_documentation_are_descriptions(tmp_path):
+    """Every block of YAML on the pages of devices that begins with `camera:` can be read."""
+    pages = Path(__file__).resolve().parents[2] / "docs" / "devices"
+    text = "".join(page.read_text() for page in pages.glob("*.md"))
+    examples = [block for block in re.findall(r"```yaml\n(.*?)```", text, re.S) if re.search(r"^camera:", block, re.M)]
+    assert len(examples) >= 3
+    for example in examples:
+        (tmp_path / "rig.yaml").write_text(example)
+        read_rig(tmp_path / "rig.yaml")
+
+
+def called(capsys, *words):
+    """Exit status, output and errors of the command line."""
+    with pytest.raises(SystemExit) as left:
+        main(list(words))
+    return left.value.code, *capsys.readouterr()
+
+
+def test_rig_test_moves_everything_and_prints_a_line_each(folder, devices, terminal, capsys):
+    status, out, err = called(capsys, "rig", "test", "rig.yaml")
+    assert status == 0, err
+    lines = out.splitlines()
+    names = ("lamps", "axis lamp", "axis camera", "axis turntable", "polariser lamp", "polariser camera", "camera")
+    assert [line.split(":")[0] for line in lines] == [*names, "rig.yaml"]
+    assert "4 lit one after the other" in lines[0]
+    assert "ours-1.raw" in lines[6]
+    assert lines[-1] == "rig.yaml: every device works"
+
+
+def test_rig_test_tells_what_fails_with_the_remedy_and_goes_on(folder, devices, terminal, capsys):
+    devices.grbl.switch_works = False
+    status, out, _ = called(capsys, "rig", "test", "rig.yaml")
+    assert status == 2
+    assert "axis lamp: FAILED: controller of lamp" in out
+    assert "limit switch" in out
+    assert "axis turntable: homed" in out
+    assert "2 of 7 devices failed" in out
+
+
+def test_rig_test_of_a_rig_that_is_not_there(folder, capsys, monkeypatch):
+    status, _, err = called(capsys, "rig", "test", "rig.yaml")
+    assert status == 2
+    assert "nishiki rig: lamps: dome cannot be opened" in err
+    assert "Remedy" in err
+    status, _, err = called(capsys, "rig", "test", "other.yaml")
+    assert status == 2
+    assert "file not found" in err
+
+
+def test_ports_are_listed_with_vendor_and_product(capsys, monkeypatch):
+    from serial.tools import list_ports, list_ports_common
+
+    port = list_ports_common.ListPortInfo("/dev/ttyUSB0", skip_link_detection=True)
+    port.vid, port.pid, port.manufacturer, port.product = 0x1A86, 0x7523, "QinHeng", "USB Serial"
+    monkeypatch.setattr(list_ports, "comports", lambda: [port])
+    monkeypatch.setattr("nishiki.rig.ports.camera_ports", lambda: ["usb:001,004  Canon EOS R5"])
+    status, out, _ = called(capsys, "rig", "ports")
+    assert status == 0
+    assert out.splitlines() == [
+        "/dev/ttyUSB0  QinHeng USB Serial (vendor 1a86, product 7523; CH340 adapter: many Arduino copies, ComXim "
+        "turntables)",
+        "usb:001,004  Canon EOS R5",
+    ]
+
+
+def test_where_nothing_is_connected_the_command_helps(capsys, monkeypatch):
+    monkeypatch.setattr("nishiki.rig.ports.serial_ports", lambda: ([], []))
+    monkeypatch.setattr("nishiki.rig.ports.camera_ports", list)
+    status, out, _ = called(capsys, "rig", "ports")
+    assert status == 0
+    assert "no serial device on USB and no camera found" in out
+    assert "demo --rig" in out
+
+
+def test_without_the_extra_the_remedy_is_named(folder, capsys, monkeypatch):
+    from nishiki.packages import MODULES
+
+    monkeypatch.setitem(MODULES, "pyserial", "serial_that_nobody_has")
+    for words in (("rig", "ports"), ("rig", "test", "rig.yaml")):
+        status, _, err = called(capsys, *words)
+        assert status == 2
+        assert "./nishiki install --extras rig" in err
+
+
+@pytest.fixture(autouse=True)
+def short_waits(monkeypatch):
+    monkeypatch.setattr(dome, "GREETING_S", 0.5)

@@ -1,0 +1,58 @@
+"""A simulated dome with the protocol <3,n>, and what it lights."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from nishiki.simulate.rig.line import SimulatedLine
+
+
+class SimulatedDome(SimulatedLine):
+    """A dome of light-emitting diodes.
+
+    Parameters
+    ----------
+    path : Path
+        As of `SimulatedLine`.
+    count : int
+        Number of diodes; the first has the number 0.
+    on_shutter : callable, optional
+        What the camera on its shutter cable does, given the diodes that shine.
+
+    Attributes
+    ----------
+    lit : set of int
+        The diodes that shine.
+    dead : set of int
+        Diodes that have failed: the dome says that they shine, and they do not.
+    """
+
+    def __init__(self, path: Path, count: int, on_shutter: Callable[[set[int]], None] | None = None) -> None:
+        self.count, self.on_shutter = count, on_shutter
+        self.lit: set[int] = set()
+        self.dead: set[int] = set()
+        super().__init__(path)
+
+    def greet(self) -> list[str]:
+        self.lit = set(range(self.count))  # all diodes shine when it starts
+        return ["<UV Turned off.>", "<All lights turned on.>", "====", "RTI-Dome intialized", "Software Version: 1.0"]
+
+    def ends(self, text: str) -> bool:
+        return text.endswith(">")
+
+    def obey(self, command: str) -> list[str]:
+        name, _, value = command.strip("<>").partition(",")
+        off = ["<UV Turned off.>", "<All lights turned off.>"]
+        if name == "0":
+            self.lit = set()
+            return off
+        if name == "3" and value.isdigit():
+            number = int(value)
+            self.lit = {number} if number < self.count else set()
+            return [*off, f"<Single LED turned on, number: {number}, row: {number // 8}, column: {number % 8}>"]
+        if name == "6":
+            if self.on_shutter is not None:
+                self.on_shutter(self.lit - self.dead)
+            return ["<Shutter triggered.>"]
+        return [f"<INCORRECT FUNCTION CALL: {name}>"]
