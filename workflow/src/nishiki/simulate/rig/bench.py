@@ -1,0 +1,127 @@
+"""A simulated painting under a dome, the software of the camera above it, and the person who attends.
+
+The dome releases the camera on its shutter cable; the photograph under the lamp that shines then appears in the folder
+of the camera's software. Programs reach all of this through a serial port, a folder and a terminal, as with a real dome.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+import select
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from nishiki.errors import UserError
+from nishiki.simulate.rig.dome import SimulatedDome
+
+SUBJECTS = {"white board": "white", "lens cap on": "dark", "lens cap off": "object", "object": "object"}
+"""What stands before the lens after a request that holds these words; the first that is found counts."""
+REQUEST_ENDS = "press Enter "
+"""How every request to a person ends."""
+
+
+class PaintingBench:
+    """A dome with a camera on its shutter cable, over a painting that was photographed by hand before.
+
+    Parameters
+    ----------
+    capture : Path
+        Simulated capture of a painting: one lamp lights each photograph.
+    folder : Path
+        Folder to make: `dome` is the serial port, `camera` is where the camera's software saves.
+
+    Attributes
+    ----------
+    lamps : tuple of str
+        Names of the lamps, in the order of the dome.
+    subject : {"object", "white", "dark"}
+        What stands before the lens: the painting, a white board in its place, the lens cap.
+    """
+
+    def __init__(self, capture: Path, folder: Path) -> None:
+        source = capture / "data" if (capture / "data").is_dir() else capture
+        with (source / "frames.csv").open(newline="") as file:
+            rows = list(csv.DictReader(file))
+        self.photographs = {
+            ("white" if row["role"] == "white" else "object", row["light"]): source / row["file"]
+            for row in rows
+            if row["role"] != "dark"
+        }
+        self.darks = [source / row["file"] for row in rows if row["role"] == "dark"]
+        self.lamps = tuple(row["light"] for row in rows if row["role"] in ("sample", "check"))
+        self.subject = "object"
+        self.taken = self.darks_taken = 0
+        self.saved_in = folder / "camera"
+        self.saved_in.mkdir(parents=True)
+        self.dome = SimulatedDome(folder / "dome", len(self.lamps), self.expose)
+
+    def expose(self, lit: set[int]) -> None:
+        """Take the photograph of what stands before the lens; the camera's software saves it."""
+        if self.subject == "dark" or not lit:
+            source = self.darks[self.darks_taken % len(self.darks)]
+            self.darks_taken += 1
+        elif len(lit) == 1:
+            source = self.photographs[self.subject, self.lamps[min(lit)]]
+        else:
+            raise ValueError(f"expected one lamp that shines, found {len(lit)}: no such photograph was simulated")
+        self.taken += 1
+        draft = self.saved_in / f".DSC_{self.taken:04d}{source.suffix}"
+        shutil.copyfile(source, draft)
+        draft.rename(draft.with_name(draft.name[1:]))
+
+    def obey(self, request: str) -> None:
+        """Do what a person is asked: put something before the lens. UserError where the request names nothing known."""
+        words = [words for words in SUBJECTS if words in request]
+        if not words:
+            raise UserError(f"the simulated operator does not understand {request!r}")
+        self.subject = SUBJECTS[words[0]]
+
+    def close(self) -> None:
+        """End the simulation."""
+        self.dome.stop()
+
+
+def run_at_terminal(command: list[str], obey: Callable[[str], None], **options: object) -> int:
+    """Run a program at a terminal where a person does what it asks; what it prints goes to standard error.
+
+    Parameters
+    ----------
+    command : list of str
+        The program.
+    obey : callable
+        Does what the last line asks; then Enter is pressed.
+    **options
+        Further arguments of `subprocess.Popen`.
+
+    Returns
+    -------
+    int
+        Exit status of the program.
+    """
+    master, slave = os.openpty()
+    try:
+        program = subprocess.Popen(command, stdin=slave, stdout=slave, stderr=slave, **options)  # type: ignore[call-overload]
+        os.close(slave)
+        line = ""
+        while True:
+            if not select.select([master], [], [], 0.1)[0]:
+                if program.poll() is not None:
+                    break
+                continue
+            try:
+                text = os.read(master, 4096).decode(errors="replace")
+            except OSError:  # the program has ended
+                break
+            print(text, end="", file=sys.stderr, flush=True)
+            line = (line + text).rpartition("\n")[2]
+            if line.endswith(REQUEST_ENDS):
+                obey(line)
+                line = ""
+                os.write(master, b"\n")
+        return program.wait()
+    finally:
+        os.close(master)
