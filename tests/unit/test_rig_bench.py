@@ -1,15 +1,20 @@
 """The simulated dome over a painting: photographs through serial port, folder and terminal are those taken by hand."""
 
+import os
+import re
 import subprocess
 import sys
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 from captures import make_capture
 
 from nishiki.errors import UserError
 from nishiki.rig.description import open_rig
 from nishiki.simulate.rig.bench import PaintingBench, run_at_terminal
+from nishiki.simulate.rig.camera import VirtualCamera
 
 SOURCE = Path(__file__).resolve().parents[2] / "workflow" / "src"
 RIG = """
@@ -70,6 +75,38 @@ def test_a_person_at_the_terminal_changes_what_is_before_the_lens(bench, capfd, 
     assert dark == bench.darks[0].read_bytes()
     assert sample == bench.photographs["object", "L02"].read_bytes()
     assert "put the lens cap on" in said
+
+
+def as_jpeg(path):
+    codes = cv2.imread(str(path), cv2.IMREAD_UNCHANGED) >> 4
+    return cv2.imencode(".jpg", codes.astype(np.uint8))[1].tobytes()
+
+
+BY_USB = """
+from pathlib import Path
+from nishiki.rig.description import open_rig
+
+with open_rig(Path("rig.yaml")) as rig:
+    for lamp in range(1, rig.lamps.count + 1):
+        rig.lamps.light(lamp)
+        print(*rig.camera.photograph(Path("taken")))
+"""
+
+
+def test_a_virtual_camera_on_usb_sees_what_the_dome_lights(bench, tmp_path):
+    camera = VirtualCamera(tmp_path / "usb", as_jpeg(bench.darks[0]))
+    bench.show_to(camera, as_jpeg)
+    Path("rig.yaml").write_text(
+        RIG.replace("kind: folder, folder: camera, release: lamps, complete_s: 0.1", "kind: gphoto")
+    )
+    environment = os.environ | {"PYTHONPATH": str(SOURCE), "VCAMERADIR": str(tmp_path / "usb")}
+    done = subprocess.run([sys.executable, "-c", BY_USB], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    paths = [Path(line) for line in done.stdout.splitlines()]
+    assert len(set(paths)) == len(bench.lamps)
+    for name, path in zip(bench.lamps, paths, strict=True):
+        by_hand = cv2.imdecode(np.frombuffer(as_jpeg(bench.photographs["object", name]), np.uint8), cv2.IMREAD_COLOR)
+        assert np.array_equal(cv2.imread(str(path)), by_hand)
 
 
 def test_without_a_terminal_the_same_program_says_that_nobody_can_be_asked(bench, monkeypatch):

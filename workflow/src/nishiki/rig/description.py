@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -25,7 +26,7 @@ from nishiki.rig.described import (
     Seconds,
     check_state,
 )
-from nishiki.rig.device import DeviceError, Rig
+from nishiki.rig.device import Rig
 from nishiki.rig.dome import BracketDome
 from nishiki.rig.gphoto import GPhotoCamera
 from nishiki.rig.grbl import Grbl, GrblAxis
@@ -180,50 +181,56 @@ def open_rig(path: Path) -> Rig:
         A device does not open; DeviceLost where it is not there.
     """
     description = read_rig(path)
-    opened: list[Any] = []
-    try:
-        return _open(description, path, opened)
-    except BaseException:
-        for device in reversed(opened):
-            try:
-                device.close()
-            except DeviceError:
-                pass  # the first error is the one to tell
-        raise
+    with ExitStack() as opened:
+        lamps = _open_lamps(description.lamps, path, opened)
+        rig = Rig(
+            lamps=lamps,
+            axes=_open_axes(description.axes, path, opened),
+            polarisers={
+                name: _keep(_open_polariser(f"polariser {name}", polariser, path), opened)
+                for name, polariser in description.polarisers.items()
+            },
+            camera=_keep(_open_camera(description.camera, path, lamps), opened),
+        )
+        opened.pop_all()  # everything is open: from here on the rig closes it
+    return rig
 
 
-def _open(description: RigDescription, path: Path, opened: list[Any]) -> Rig:
+def _keep(device: Any, opened: ExitStack) -> Any:
+    """The device, which is closed where a later one does not open."""
+    opened.callback(device.close)
+    return device
+
+
+def _open_lamps(settings: Any, path: Path, opened: ExitStack) -> Any:
+    if settings is None:
+        return None
+    if isinstance(settings, DomeSettings):
+        dome = BracketDome("lamps", settings.port, settings.count, settings.first, settings.settle_s, settings.baud)
+        return _keep(dome, opened)
+    return _keep(_open_own("lamps", settings, path, DescribedLamps, HomeMadeLamps), opened)
+
+
+def _open_axes(axes: dict[str, Any], path: Path, opened: ExitStack) -> dict[str, Any]:
     controllers: dict[str, Grbl] = {}
-
-    def keep(device: Any) -> Any:
-        opened.append(device)
-        return device
-
-    lamps = description.lamps
-    if isinstance(lamps, DomeSettings):
-        lamps = BracketDome("lamps", lamps.port, lamps.count, lamps.first, lamps.settle_s, lamps.baud)
-    elif lamps is not None:
-        lamps = _open_own("lamps", lamps, path, DescribedLamps, HomeMadeLamps)
-    keep(lamps) if lamps is not None else None
-    axes = {}
-    for name, axis in description.axes.items():
+    devices: dict[str, Any] = {}
+    for name, axis in axes.items():
         if isinstance(axis, GrblSettings):
             if axis.port not in controllers:
-                controllers[axis.port] = keep(Grbl(f"controller of {name}", axis.port, axis.baud))
+                controllers[axis.port] = _keep(Grbl(f"controller of {name}", axis.port, axis.baud), opened)
             controller = controllers[axis.port]
-            axes[name] = GrblAxis(name, controller, axis.axis, axis.units_per_degree, axis.home_deg, axis.range_deg)
+            devices[name] = GrblAxis(name, controller, axis.axis, axis.units_per_degree, axis.home_deg, axis.range_deg)
         elif isinstance(axis, ComXimSettings):
-            axes[name] = keep(ComXimTurntable(name, axis.port, axis.baud, axis.command, axis.reference))
+            devices[name] = _keep(ComXimTurntable(name, axis.port, axis.baud, axis.command, axis.reference), opened)
         else:
-            axes[name] = keep(_open_own(name, axis, path, DescribedAxis, HomeMadeAxis))
-    polarisers = {}
-    for name, polariser in description.polarisers.items():
-        title = f"polariser {name}"
-        if isinstance(polariser, PromptSettings):
-            polarisers[name] = PromptedPolariser(title, polariser.states)
-        else:
-            polarisers[name] = keep(_open_own(title, polariser, path, DescribedPolariser, HomeMadePolariser))
-    return Rig(keep(_open_camera(description.camera, path, lamps)), lamps, axes, polarisers)
+            devices[name] = _keep(_open_own(name, axis, path, DescribedAxis, HomeMadeAxis), opened)
+    return devices
+
+
+def _open_polariser(name: str, settings: Any, path: Path) -> Any:
+    if isinstance(settings, PromptSettings):
+        return PromptedPolariser(name, settings.states)
+    return _open_own(name, settings, path, DescribedPolariser, HomeMadePolariser)
 
 
 def _open_camera(settings: Any, path: Path, lamps: Any) -> Any:

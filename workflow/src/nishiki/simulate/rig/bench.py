@@ -1,7 +1,7 @@
 """A simulated painting under a dome, the software of the camera above it, and the person who attends.
 
 The dome releases the camera on its shutter cable; the photograph under the lamp that shines then appears in the folder
-of the camera's software. Programs reach all of this through a serial port, a folder and a terminal, as with a real dome.
+of the camera's software. Programs reach it all through a serial port, a folder and a terminal, as with a real dome.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from nishiki.errors import UserError
+from nishiki.simulate.rig.camera import VirtualCamera
 from nishiki.simulate.rig.dome import SimulatedDome
 
 SUBJECTS = {"white board": "white", "lens cap on": "dark", "lens cap off": "object", "object": "object"}
@@ -59,19 +60,30 @@ class PaintingBench:
         self.saved_in.mkdir(parents=True)
         self.dome = SimulatedDome(folder / "dome", len(self.lamps), self.expose)
 
+    def photograph(self, lit: set[int]) -> Path:
+        """What the camera would see now: a photograph of the capture by hand."""
+        if self.subject == "dark" or not lit:
+            return self.darks[self.darks_taken % len(self.darks)]
+        if len(lit) > 1:
+            raise ValueError(f"expected one lamp that shines, found {len(lit)}: no such photograph was simulated")
+        return self.photographs[self.subject, self.lamps[min(lit)]]
+
     def expose(self, lit: set[int]) -> None:
         """Take the photograph of what stands before the lens; the camera's software saves it."""
-        if self.subject == "dark" or not lit:
-            source = self.darks[self.darks_taken % len(self.darks)]
-            self.darks_taken += 1
-        elif len(lit) == 1:
-            source = self.photographs[self.subject, self.lamps[min(lit)]]
-        else:
-            raise ValueError(f"expected one lamp that shines, found {len(lit)}: no such photograph was simulated")
+        source = self.photograph(lit)
+        self.darks_taken += source in self.darks
         self.taken += 1
         draft = self.saved_in / f".DSC_{self.taken:04d}{source.suffix}"
         shutil.copyfile(source, draft)
         draft.rename(draft.with_name(draft.name[1:]))
+
+    def show_to(self, camera: VirtualCamera, encode: Callable[[Path], bytes]) -> None:
+        """Put what the dome lights before a virtual camera, from now on.
+
+        encode : callable
+            The JPEG file that the camera makes of a photograph.
+        """
+        self.dome.on_light = lambda lit: camera.show(encode(self.photograph(lit)))
 
     def obey(self, request: str) -> None:
         """Do what a person is asked: put something before the lens. UserError where the request names nothing known."""

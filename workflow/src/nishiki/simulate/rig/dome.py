@@ -19,6 +19,8 @@ class SimulatedDome(SimulatedLine):
         Number of diodes; the first has the number 0.
     on_shutter : callable, optional
         What the camera on its shutter cable does, given the diodes that shine.
+    on_light : callable, optional
+        What happens when the diodes that shine have changed, before the dome answers.
 
     Attributes
     ----------
@@ -28,8 +30,14 @@ class SimulatedDome(SimulatedLine):
         Diodes that have failed: the dome says that they shine, and they do not.
     """
 
-    def __init__(self, path: Path, count: int, on_shutter: Callable[[set[int]], None] | None = None) -> None:
-        self.count, self.on_shutter = count, on_shutter
+    def __init__(
+        self,
+        path: Path,
+        count: int,
+        on_shutter: Callable[[set[int]], None] | None = None,
+        on_light: Callable[[set[int]], None] | None = None,
+    ) -> None:
+        self.count, self.on_shutter, self.on_light = count, on_shutter, on_light
         self.lit: set[int] = set()
         self.dead: set[int] = set()
         super().__init__(path)
@@ -45,14 +53,19 @@ class SimulatedDome(SimulatedLine):
         name, _, value = command.strip("<>").partition(",")
         off = ["<UV Turned off.>", "<All lights turned off.>"]
         if name == "0":
-            self.lit = set()
+            self._light(set())
             return off
         if name == "3" and value.isdigit():
             number = int(value)
-            self.lit = {number} if number < self.count else set()
+            self._light({number} if number < self.count else set())
             return [*off, f"<Single LED turned on, number: {number}, row: {number // 8}, column: {number % 8}>"]
         if name == "6":
             if self.on_shutter is not None:
                 self.on_shutter(self.lit - self.dead)
             return ["<Shutter triggered.>"]
         return [f"<INCORRECT FUNCTION CALL: {name}>"]
+
+    def _light(self, diodes: set[int]) -> None:
+        self.lit = diodes
+        if self.on_light is not None:
+            self.on_light(diodes - self.dead)
