@@ -139,8 +139,9 @@ def timing(ingested, settings):
     from nishiki.observations.parcels import Parcel
     from nishiki.observations.plane import Observations
     from nishiki.photometric.light_selection import select_diffuse
-    from nishiki.stages.normals import run as script
+    from nishiki.stages.normals.choice import choose_fit, scene_gloss
     from nishiki.stages.normals.declaration import NormalsSettings
+    from nishiki.stages.normals.parcel import solve
 
     frames = Observations(ingested)
     lights = frames.fit_lights()
@@ -151,13 +152,13 @@ def timing(ingested, settings):
     seconds, gloss_seconds, gloss = [], [], None
     for _ in range(4):
         start = time.perf_counter()
-        gloss = script.scene_gloss(frames, None, lights, chosen)
+        gloss = scene_gloss(frames, None, lights, chosen)
         gloss_seconds.append(time.perf_counter() - start)
-        profile = script.choose_fit(frames, None, lights, gloss, chosen)[0]
+        profile = choose_fit(frames, None, lights, gloss, chosen)[0]
         start = time.perf_counter()
         level = np.ascontiguousarray(observations.mean(axis=-1))
         usable = select_diffuse(level, directions, valid=valid, **settings.get("separate", {})).usable
-        script.solve(observations, usable, valid, parcel, chosen, profile)
+        solve(observations, usable, valid, parcel, chosen, profile)
         seconds.append(time.perf_counter() - start)
     return {
         "us_per_pixel": round(min(seconds[1:]) / valid[0].size * 1e6, 2),

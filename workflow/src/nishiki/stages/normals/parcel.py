@@ -1,0 +1,142 @@
+"""Normals of one parcel: from the selected lights, together with a gloss where there is one; and what predicts lamps.
+
+What the joint fit of normals and gloss needs is imported where it is used: it takes 50 ms.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from nishiki.brdf.body_shading import LAMBERT
+from nishiki.observations.parcels import Parcel
+from nishiki.photometric import flags as bits
+from nishiki.photometric.body_colour import body_intensity
+from nishiki.photometric.reflectance import diffuse_reflectance, mean_of_channels
+from nishiki.photometric.relighting import FEW_LIGHTS as RELIGHT_LIGHTS
+from nishiki.photometric.relighting import fit_relighting
+from nishiki.photometric.solve import estimate_normals, shading_of_mean
+from nishiki.stages.normals.declaration import NormalsSettings
+
+if TYPE_CHECKING:
+    from nishiki.brdf.gloss_profile import GlossProfile
+
+MAPS = {
+    "normals": ("float32", "unit vector, x right, y up, z to the camera"),
+    "reflectance": ("float32", "relative to white, per channel"),
+    "albedo": ("float32", "relative to white, intensity"),
+    "sigma": ("float32", "radians, rms error of the direction"),
+    "lights_used": ("uint16", "lights"),
+    "condition": ("float32", "of the weighted 3 x 3 normal matrix"),
+    "shading": ("float32", "weights (a, b, d) of c, c^2 and c x^8, or with e_x, e_y; see docs/stages/normals.md"),
+    "shading_normals": ("float32", "unit vector of the body shading, where it was fitted for relighting"),
+    "residual": ("float32", "rms, relative to white"),
+    "flags": ("uint8", "bits, see docs/stages/normals.md"),
+}
+
+WEIGHTED = 0.01  # mean change of the samples, relative, from which the shading is fitted to the mean of the channels
+
+
+def scaled(observations: np.ndarray, parcel: Parcel) -> np.ndarray:
+    """Observations as if the lamps were as far from the parcel as from the centre."""
+    return observations * parcel.scale[:, None, None, None] if (parcel.scale != 1).any() else observations
+
+
+def solve(
+    observations: np.ndarray,
+    usable: np.ndarray,
+    valid: np.ndarray,
+    parcel: Parcel,
+    settings: NormalsSettings,
+    gloss: GlossProfile | None,
+) -> dict:
+    """Maps of one parcel by name: from the selected lights, then, with a gloss, fitted together with it."""
+    observations = scaled(observations, parcel)
+    if observations.shape[-1] == 1:
+        intensity = observations[..., 0]
+    elif settings.solver == "least_squares":  # as published: the mean of the channels
+        intensity = mean_of_channels(observations)
+    else:
+        intensity = body_intensity(observations, valid)
+    field = estimate_normals(
+        intensity,
+        parcel.directions,
+        usable=usable,
+        valid=valid,
+        solver=settings.solver,
+        max_condition=settings.max_condition,
+    )
+    if field.shading is not None and observations.shape[-1] > 1:
+        field = with_shading_of_mean(field, intensity, observations, parcel, usable, valid, settings)
+    maps = {name: getattr(field, name) for name in MAPS if name not in ("reflectance", "shading_normals")}
+    if observations.shape[-1] == 1 and field.shading is None:
+        maps["reflectance"] = field.albedo[..., None]
+    else:
+        maps["reflectance"] = diffuse_reflectance(
+            observations,
+            parcel.directions,
+            field.normals,
+            usable=usable,
+            method=settings.reflectance,
+            shading=field.shading,
+        ).reflectance
+    if field.shading is None:
+        del maps["shading"]
+    if gloss is None:
+        return maps
+    from nishiki.photometric.gloss import refine_normals
+
+    fit = refine_normals(
+        observations,
+        parcel.directions,
+        normals=field.normals,
+        gloss=gloss,
+        valid=valid,
+        flags=field.flags,
+        reflectance=maps["reflectance"],
+        max_condition=settings.max_condition,
+    )
+    kept = (fit.flags & (bits.NO_ESTIMATE | bits.FALLBACK)) != 0
+    lambert = {"shading": np.array(LAMBERT, np.float32)}  # the joint fit has a body of its own
+    return {
+        name: fit.flags
+        if name == "flags"
+        else np.where(aligned(kept, values), values, lambert[name] if name in lambert else getattr(fit, name))
+        for name, values in maps.items()
+    }
+
+
+def with_shading_of_mean(field, intensity, observations, parcel: Parcel, usable, valid, settings):
+    """The field with the body shading of the channels' mean where the intensity that made the normals is another.
+
+    There gloss was weighted down for the normals; light is predicted with all of it.
+    """
+    mean = mean_of_channels(observations)
+    shading = shading_of_mean(
+        intensity, mean, parcel.directions, field, usable=usable, valid=valid, least_change=WEIGHTED
+    )
+    return replace(field, shading=shading)
+
+
+def relit(observations: np.ndarray, valid: np.ndarray, parcel: Parcel, maps: dict, model: str) -> dict:
+    """The maps that predict lamps, fitted again to the samples of a parcel; with many lights `plain` keeps its own."""
+    if model == "plain" and len(parcel.directions) > RELIGHT_LIGHTS:
+        return {}
+    return fit_relighting(
+        scaled(observations, parcel),
+        parcel.directions,
+        maps["normals"],
+        valid=valid,
+        scatter=maps["residual"] / np.maximum(maps["albedo"], 1e-9),
+        reflectance=maps["reflectance"],
+        shading=maps["shading"],
+        known=(maps["flags"] & bits.NO_ESTIMATE) == 0,
+        model=model,
+    )
+
+
+def aligned(mask: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """The mask (rows, columns) with as many axes as the map."""
+    return mask.reshape(mask.shape + (1,) * (values.ndim - 2))
