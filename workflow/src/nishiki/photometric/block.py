@@ -1,15 +1,16 @@
-"""Arithmetic on a block of neighbouring pixels held as (lights, BLOCK) float32, written so that it becomes SIMD code.
+"""Arithmetic on a block of neighbouring pixels held as (lights, BLOCK) float32, in vector registers.
 
 The selection needs many small fits; their accuracy need only be that of a decision, so float32 suffices. Every
 operation treats each pixel alone: the result does not depend on which pixels share a block. Only the loops that take
 most of the time are inlined by numba, which costs seconds of compilation for each.
 
-Loops of little work run to the length of their arrays instead of BLOCK, and conditions are joined by & and |: the
-compiler unrolls short loops of known length, and loops with branches, into scalar code, which takes four times as long.
+Conditions of loops over pixels are joined by & and |: the compiler makes scalar code of branches.
 """
 
 import numpy as np
 from numba import njit
+
+from nishiki.photometric.lanes import LANES, choose, load, splat, store
 
 BLOCK = 32  # 96 lights of three float32 planes of a block fit the second-level cache, one plane the first
 TERMS = 10
@@ -21,42 +22,41 @@ FAR = np.float32(3e38)
 def sort_block(values, comparators):
     """Sort the columns of values (lights, BLOCK) upwards, in place, by a sorting network."""
     for c in range(comparators.shape[0]):
-        upper = values[comparators[c, 0]]
-        lower = values[comparators[c, 1]]
-        for p in range(BLOCK):
-            a = upper[p]
-            b = lower[p]
-            upper[p] = a if a < b else b
-            lower[p] = b if b > a else a
+        for p in range(0, BLOCK, LANES):
+            upper, lower = (comparators[c, 0], p), (comparators[c, 1], p)
+            a, b = load(values, upper), load(values, lower)
+            store(values, upper, choose(a < b, a, b))
+            store(values, lower, choose(b > a, b, a))
 
 
 @njit(cache=True, error_model="numpy")
 def add_up(values, weights, products, sums):
-    """Normal equations of each pixel into sums (TERMS * BLOCK): six products, three right-hand sides, the weight.
-
-    One flat array of sums: the compiler then needs to check two pairs of arrays for overlap and not forty-five.
-    """
-    for p in range(TERMS * BLOCK):
-        sums[p] = 0.0
-    for j in range(values.shape[0]):
-        row = values[j]
-        weight = weights[j]
-        xx, xy, xz = products[j, 0], products[j, 1], products[j, 2]
-        yy, yz, zz = products[j, 3], products[j, 4], products[j, 5]
-        x, y, z = products[j, 6], products[j, 7], products[j, 8]
-        for p in range(BLOCK):
-            w = weight[p]
-            wv = w * row[p]
-            sums[p] += w * xx
-            sums[p + BLOCK] += w * xy
-            sums[p + 2 * BLOCK] += w * xz
-            sums[p + 3 * BLOCK] += w * yy
-            sums[p + 4 * BLOCK] += w * yz
-            sums[p + 5 * BLOCK] += w * zz
-            sums[p + 6 * BLOCK] += wv * x
-            sums[p + 7 * BLOCK] += wv * y
-            sums[p + 8 * BLOCK] += wv * z
-            sums[p + 9 * BLOCK] += w
+    """Normal equations of each pixel into sums (TERMS * BLOCK): six products, three right-hand sides, the weight."""
+    for p in range(0, BLOCK, LANES):
+        xx = xy = xz = yy = yz = zz = x = y = z = total = splat(np.float32(0.0))
+        for j in range(values.shape[0]):
+            w = load(weights, (j, p))
+            wv = w * load(values, (j, p))
+            xx += w * products[j, 0]
+            xy += w * products[j, 1]
+            xz += w * products[j, 2]
+            yy += w * products[j, 3]
+            yz += w * products[j, 4]
+            zz += w * products[j, 5]
+            x += wv * products[j, 6]
+            y += wv * products[j, 7]
+            z += wv * products[j, 8]
+            total += w
+        store(sums, p, xx)
+        store(sums, p + BLOCK, xy)
+        store(sums, p + 2 * BLOCK, xz)
+        store(sums, p + 3 * BLOCK, yy)
+        store(sums, p + 4 * BLOCK, yz)
+        store(sums, p + 5 * BLOCK, zz)
+        store(sums, p + 6 * BLOCK, x)
+        store(sums, p + 7 * BLOCK, y)
+        store(sums, p + 8 * BLOCK, z)
+        store(sums, p + 9 * BLOCK, total)
 
 
 @njit(cache=True, error_model="numpy")
@@ -86,25 +86,21 @@ def solve_block(sums, at_least, scaled):
 def distances(values, known, directions, scaled, above, out):
     """How badly each sample fits: |residual|, times `above` where the sample is too bright; FAR if unlit or unknown."""
     zero = np.float32(0.0)
-    for j in range(values.shape[0]):
-        row = values[j]
-        mask = known[j]
-        target = out[j]
-        x, y, z = directions[j, 0], directions[j, 1], directions[j, 2]
-        for p in range(len(row)):
-            shading = scaled[p] * x + scaled[p + BLOCK] * y + scaled[p + 2 * BLOCK] * z
-            r = row[p] - shading
-            far = (shading <= zero) | (mask[p] == zero)
-            d = above * r if r > zero else -r
-            target[p] = FAR if far else d
+    for p in range(0, BLOCK, LANES):
+        nx, ny, nz = load(scaled, p), load(scaled, p + BLOCK), load(scaled, p + 2 * BLOCK)
+        for j in range(values.shape[0]):
+            shading = nx * directions[j, 0] + ny * directions[j, 1] + nz * directions[j, 2]
+            r = load(values, (j, p)) - shading
+            far = (shading <= zero) | (load(known, (j, p)) <= zero)
+            store(out, (j, p), choose(far, FAR, choose(r > zero, r * above, zero - r)))
 
 
 @njit(cache=True, error_model="numpy")
 def keep_below(distance, limit, weights):
     """Weight 1 for the samples whose distance is at most the pixel's limit (and not FAR), else 0."""
     one, zero = np.float32(1.0), np.float32(0.0)
-    for j in range(distance.shape[0]):
-        row = distance[j]
-        weight = weights[j]
-        for p in range(len(row)):
-            weight[p] = one if (row[p] <= limit[p]) & (row[p] < FAR) else zero
+    for p in range(0, BLOCK, LANES):
+        most = load(limit, p)
+        for j in range(distance.shape[0]):
+            d = load(distance, (j, p))
+            store(weights, (j, p), choose((d <= most) & (d < FAR), one, zero))

@@ -122,7 +122,7 @@ def select_diffuse(
 def refit(stack, known, directions, starts, noise, min_lights, usable, highlights, shadows):
     """Run `refit_selection` with the project's constants (docs/stages/separate.md gives their reasons)."""
     from nishiki.photometric.ranks import sorting_network
-    from nishiki.photometric.refit import refit_selection
+    from nishiki.photometric.refit import BLOCK, refit_selection
 
     if not (1 <= starts <= 32 and 0 <= noise < 1 and min_lights >= 3):
         raise UserError(
@@ -136,7 +136,15 @@ def refit(stack, known, directions, starts, noise, min_lights, usable, highlight
     )
     vectors = np.ascontiguousarray(directions.astype(np.float32))
     network = sorting_network(stack.shape[0])
-    refit_selection(stack, known, vectors, products, network, settings, usable, highlights, shadows)
+    pixels = stack.shape[1]
+    if pixels >= BLOCK:
+        refit_selection(stack, known, vectors, products, network, settings, usable, highlights, shadows)
+    elif pixels:  # the kernel takes whole blocks: pixels are repeated
+        stack, known = np.resize(stack.T, (BLOCK, len(stack))).T, np.resize(known.T, (BLOCK, len(stack))).T
+        stack, known = np.ascontiguousarray(stack), np.ascontiguousarray(known)
+        block = np.empty(stack.shape, np.bool_), np.empty(BLOCK, np.uint16), np.empty(BLOCK, np.uint16)
+        refit_selection(stack, known, vectors, products, network, settings, *block)
+        usable[...], highlights[...], shadows[...] = (values[..., :pixels] for values in block)
 
 
 def checked_stack(observations, directions):

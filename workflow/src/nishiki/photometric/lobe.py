@@ -11,20 +11,22 @@ reflectances, IEEE Trans. PAMI 36 (6), 2014, with other terms. b and d are held 
 few lights or a matt surface the Lambertian estimate results. Solved by damped Gauss-Newton over the two tangential
 components of the normal and (a, b, d) together; then the samples are chosen again by their residuals, and so on.
 
-BLOCK pixels at a time, as (lights, BLOCK) float32, so that the compiler makes SIMD code over the pixels. Each pixel is
-treated alone, and its lights are added up in their order: its result depends neither on the pixels that share its block
-nor on tiles and threads. Numbers of a block lie in one flat array, BLOCK of each kind after the other: the compiler
-then needs to check few pairs of arrays for overlap. Loops of little work run to the length of their arrays instead of
-BLOCK: short loops of known length are unrolled into scalar code. The sums over the lights are formed by fused
-multiply-add, where the processor has it: half of the time, and one rounding less.
+BLOCK pixels at a time, as (lights, BLOCK) float32, in vector registers over the pixels. Each pixel is treated alone,
+and its lights are added up in their order: its result depends neither on the pixels that share its block nor on tiles
+and threads. Numbers of a block lie in one flat array, BLOCK of each kind after the other: in loops of float64 numbers,
+which the compiler makes vector code of, it then needs to check few pairs of arrays for overlap. The sums over the
+lights are formed by fused multiply-add, where the processor has it: half of the time, and one rounding less.
 """
 
 import numpy as np
 from numba import njit
 
+from nishiki.photometric.lanes import LANES, choose, load, planes, splat, store
+
 BLOCK = 32
 SUMS = 21  # 15 products and 5 right-hand sides of the Gauss-Newton step, the sum of squares
 SURFACE = 12  # normal, two tangents, a, b, d: float32, as the samples are
+SLOPES = 6  # of a sample: by the tangents, c, c x^e; residual, weight
 FIT = 7  # normal, a, b, d, penalised sum of squares: float64
 
 
@@ -42,68 +44,101 @@ def powers(x, squarings):
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
-def add_up(values, weights, vectors, surface, squarings, sums):
+def add_up(values, weights, vectors, surface, squarings, slopes, sums):
     """One pass over the lights: into sums (SUMS * BLOCK) float32 what the Gauss-Newton step needs.
 
-    values, weights (lights, BLOCK) float32; vectors (6, lights) float32: l and h; surface (SURFACE * BLOCK) float32.
+    values, weights (lights, BLOCK) float32; vectors (6, lights) float32: l and h; surface (SURFACE * BLOCK) float32;
+    slopes (SLOPES * lights, LANES): work array, so that either loop finds room in the registers.
     """
-    if squarings == 3:  # the usual exponent, known to the compiler
-        add_up_lights(values, weights, vectors, surface, 3, sums)
-    else:
-        add_up_lights(values, weights, vectors, surface, squarings, sums)
+    for p in range(0, BLOCK, LANES):
+        if squarings == 3:  # the usual exponent, known to the compiler
+            differentiate(values, weights, vectors, surface, 3, p, slopes)
+        else:
+            differentiate(values, weights, vectors, surface, squarings, p, slopes)
+        add_products(slopes, p, sums)
 
 
 @njit(cache=True, inline="always")
-def add_up_lights(values, weights, vectors, surface, squarings, sums):
-    """`add_up`, to be compiled for one exponent or for all."""
+def differentiate(values, weights, vectors, surface, squarings, p, slopes):
+    """Derivatives of every sample by the five unknowns, its residual and its weight."""
     zero, least, slope = np.float32(0.0), np.float32(1e-3), np.float32(1 << squarings)
-    for k in range(SUMS * BLOCK):
-        sums[k] = zero
+    n0, n1, n2 = load(surface, p), load(surface, p + BLOCK), load(surface, p + 2 * BLOCK)
+    s0, s1, s2 = load(surface, p + 3 * BLOCK), load(surface, p + 4 * BLOCK), load(surface, p + 5 * BLOCK)
+    t0, t1, t2 = load(surface, p + 6 * BLOCK), load(surface, p + 7 * BLOCK), load(surface, p + 8 * BLOCK)
+    a, b, d = load(surface, p + 9 * BLOCK), load(surface, p + 10 * BLOCK), load(surface, p + 11 * BLOCK)
     for j in range(values.shape[0]):
         lx, ly, lz = vectors[0, j], vectors[1, j], vectors[2, j]
         hx, hy, hz = vectors[3, j], vectors[4, j], vectors[5, j]
-        row, weight = values[j], weights[j]
-        for p in range(BLOCK):
-            n0, n1, n2 = surface[p], surface[p + BLOCK], surface[p + 2 * BLOCK]
-            s0, s1, s2 = surface[p + 3 * BLOCK], surface[p + 4 * BLOCK], surface[p + 5 * BLOCK]
-            t0, t1, t2 = surface[p + 6 * BLOCK], surface[p + 7 * BLOCK], surface[p + 8 * BLOCK]
-            a, b, d = surface[p + 9 * BLOCK], surface[p + 10 * BLOCK], surface[p + 11 * BLOCK]
-            w = weight[p]
-            c = n0 * lx + n1 * ly + n2 * lz
-            w = w if c > zero else zero
-            c = c if c > zero else zero
-            x = n0 * hx + n1 * hy + n2 * hz
-            x = x if x > least else least
-            lower, power = powers(x, squarings)
-            factor = a + b * c + d * power
-            r = row[p] - c * factor
-            along = factor + b * c
-            skirt = slope * d * c * lower
-            e0 = along * (s0 * lx + s1 * ly + s2 * lz) + skirt * (s0 * hx + s1 * hy + s2 * hz)
-            e1 = along * (t0 * lx + t1 * ly + t2 * lz) + skirt * (t0 * hx + t1 * hy + t2 * hz)
-            e3, e4 = c * c, c * power
-            w0, w1, w2, w3, w4, wr = w * e0, w * e1, w * c, w * e3, w * e4, w * r
-            sums[p] += w0 * e0
-            sums[p + BLOCK] += w0 * e1
-            sums[p + 2 * BLOCK] += w0 * c
-            sums[p + 3 * BLOCK] += w0 * e3
-            sums[p + 4 * BLOCK] += w0 * e4
-            sums[p + 5 * BLOCK] += w1 * e1
-            sums[p + 6 * BLOCK] += w1 * c
-            sums[p + 7 * BLOCK] += w1 * e3
-            sums[p + 8 * BLOCK] += w1 * e4
-            sums[p + 9 * BLOCK] += w2 * c
-            sums[p + 10 * BLOCK] += w2 * e3
-            sums[p + 11 * BLOCK] += w2 * e4
-            sums[p + 12 * BLOCK] += w3 * e3
-            sums[p + 13 * BLOCK] += w3 * e4
-            sums[p + 14 * BLOCK] += w4 * e4
-            sums[p + 15 * BLOCK] += wr * e0
-            sums[p + 16 * BLOCK] += wr * e1
-            sums[p + 17 * BLOCK] += wr * c
-            sums[p + 18 * BLOCK] += wr * e3
-            sums[p + 19 * BLOCK] += wr * e4
-            sums[p + 20 * BLOCK] += wr * r
+        c = n0 * lx + n1 * ly + n2 * lz
+        w = choose(c > zero, load(weights, (j, p)), zero)
+        c = choose(c > zero, c, zero)
+        x = n0 * hx + n1 * hy + n2 * hz
+        lower, power = powers(choose(x > least, x, least), squarings)
+        factor = a + b * c + d * power
+        along = factor + b * c
+        skirt = d * slope * c * lower
+        k = SLOPES * j
+        store(slopes, (k, 0), along * (s0 * lx + s1 * ly + s2 * lz) + skirt * (s0 * hx + s1 * hy + s2 * hz))
+        store(slopes, (k + 1, 0), along * (t0 * lx + t1 * ly + t2 * lz) + skirt * (t0 * hx + t1 * hy + t2 * hz))
+        store(slopes, (k + 2, 0), c)
+        store(slopes, (k + 3, 0), c * power)
+        store(slopes, (k + 4, 0), load(values, (j, p)) - c * factor)
+        store(slopes, (k + 5, 0), w)
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract"})
+def add_products(slopes, p, sums):
+    """Weighted products of the derivatives with each other and with the residuals, and the sum of squares."""
+    zero = np.float32(0.0)
+    m00 = m01 = m02 = m03 = m04 = m11 = m12 = m13 = m14 = m22 = m23 = m24 = m33 = m34 = m44 = splat(zero)
+    r0 = r1 = r2 = r3 = r4 = squares = splat(zero)
+    for k in range(0, slopes.shape[0], SLOPES):
+        e0, e1, c = load(slopes, (k, 0)), load(slopes, (k + 1, 0)), load(slopes, (k + 2, 0))
+        e4, r, w = load(slopes, (k + 3, 0)), load(slopes, (k + 4, 0)), load(slopes, (k + 5, 0))
+        e3 = c * c
+        w0, w1, w2, w3, w4, wr = w * e0, w * e1, w * c, w * e3, w * e4, w * r
+        m00 += w0 * e0
+        m01 += w0 * e1
+        m02 += w0 * c
+        m03 += w0 * e3
+        m04 += w0 * e4
+        m11 += w1 * e1
+        m12 += w1 * c
+        m13 += w1 * e3
+        m14 += w1 * e4
+        m22 += w2 * c
+        m23 += w2 * e3
+        m24 += w2 * e4
+        m33 += w3 * e3
+        m34 += w3 * e4
+        m44 += w4 * e4
+        r0 += wr * e0
+        r1 += wr * e1
+        r2 += wr * c
+        r3 += wr * e3
+        r4 += wr * e4
+        squares += wr * r
+    store(sums, p, m00)
+    store(sums, p + BLOCK, m01)
+    store(sums, p + 2 * BLOCK, m02)
+    store(sums, p + 3 * BLOCK, m03)
+    store(sums, p + 4 * BLOCK, m04)
+    store(sums, p + 5 * BLOCK, m11)
+    store(sums, p + 6 * BLOCK, m12)
+    store(sums, p + 7 * BLOCK, m13)
+    store(sums, p + 8 * BLOCK, m14)
+    store(sums, p + 9 * BLOCK, m22)
+    store(sums, p + 10 * BLOCK, m23)
+    store(sums, p + 11 * BLOCK, m24)
+    store(sums, p + 12 * BLOCK, m33)
+    store(sums, p + 13 * BLOCK, m34)
+    store(sums, p + 14 * BLOCK, m44)
+    store(sums, p + 15 * BLOCK, r0)
+    store(sums, p + 16 * BLOCK, r1)
+    store(sums, p + 17 * BLOCK, r2)
+    store(sums, p + 18 * BLOCK, r3)
+    store(sums, p + 19 * BLOCK, r4)
+    store(sums, p + 20 * BLOCK, squares)
 
 
 @njit(cache=True, inline="always")
@@ -248,7 +283,16 @@ def take(chosen, source, target):
         new, old = source[start : start + BLOCK], target[start : start + BLOCK]
         for p in range(len(chosen)):
             value, present = new[p], old[p]  # both are read, or the compiler chooses between their places by a branch
-            old[p] = value if chosen[p] > 0.0 else present
+            old[p] = value if chosen[p] > np.float32(0.0) else present
+
+
+@njit(cache=True, error_model="numpy")
+def take_lanes(chosen, source, target):
+    """The same of float32 numbers."""
+    for p in range(0, BLOCK, LANES):
+        here = load(chosen, p) > np.float32(0.0)
+        for start in range(p, target.size, BLOCK):
+            store(target, start, choose(here, load(source, start), load(target, start)))
 
 
 @njit(cache=True, error_model="numpy")
@@ -262,7 +306,7 @@ def any_above_zero(active):
 @njit(cache=True, error_model="numpy")
 def descend(values, weights, vectors, squarings, prior, rounds, active, fit, surface, sums, work):
     """Damped Gauss-Newton of the active pixels of a block from `fit`; fit, surface and sums are those of the end."""
-    moved, trial_surface, trial, damping, turn, better, going = work
+    moved, trial_surface, trial, damping, turn, better, going, slopes = work
     moved[:] = fit
     damping[:] = 1e-3
     going[:] = active
@@ -272,67 +316,68 @@ def descend(values, weights, vectors, squarings, prior, rounds, active, fit, sur
         if not any_above_zero(going):
             break
         set_surface(moved, trial_surface)
-        add_up(values, weights, vectors, trial_surface, squarings, trial)
+        add_up(values, weights, vectors, trial_surface, squarings, slopes, trial)
         judge(fit, moved, trial, prior, damping, turn, going, better, step == 0)
         take(better, moved, fit)
-        take(better, trial_surface, surface)
-        take(better, trial, sums)
+        take_lanes(better, trial_surface, surface)
+        take_lanes(better, trial, sums)
 
 
 @njit(cache=True, error_model="numpy")
-def descent_work():
+def descent_work(lights):
     """Arrays for `descend`."""
     return (
         np.zeros(FIT * BLOCK),
-        np.zeros(SURFACE * BLOCK, np.float32),
-        np.zeros(SUMS * BLOCK, np.float32),
+        planes(SURFACE, BLOCK).ravel(),
+        planes(SUMS, BLOCK).ravel(),
         np.zeros(BLOCK),
         np.zeros(BLOCK),
+        planes(1, BLOCK)[0],
         np.zeros(BLOCK),
-        np.zeros(BLOCK),
+        planes(SLOPES * lights, LANES),
     )
 
 
 @njit(cache=True, error_model="numpy")
-def choose(values, known, vectors, surface, squarings, limit, weights, count):
+def choose_samples(values, known, vectors, surface, squarings, limit, weights, count):
     """Weight 1 for the lit, known samples whose residual is at most `limit` (BLOCK,) float32; their number."""
-    zero, one, least = np.float32(0.0), np.float32(1.0), np.float32(1e-3)
-    for p in range(BLOCK):
-        count[p] = zero
-    for j in range(values.shape[0]):
-        lx, ly, lz = vectors[0, j], vectors[1, j], vectors[2, j]
-        hx, hy, hz = vectors[3, j], vectors[4, j], vectors[5, j]
-        row, may, weight = values[j], known[j], weights[j]
-        for p in range(BLOCK):
-            c = surface[p] * lx + surface[p + BLOCK] * ly + surface[p + 2 * BLOCK] * lz
-            x = surface[p] * hx + surface[p + BLOCK] * hy + surface[p + 2 * BLOCK] * hz
-            _, power = powers(x if x > least else least, squarings)
-            factor = surface[p + 9 * BLOCK] + surface[p + 10 * BLOCK] * c + surface[p + 11 * BLOCK] * power
-            r = row[p] - c * factor
-            w = may[p] if (r <= limit[p]) & (r >= -limit[p]) & (c > zero) else zero
-            weight[p] = w
-            count[p] += one if w > zero else zero
+    zero, one = np.float32(0.0), np.float32(1.0)
+    for p in range(0, BLOCK, LANES):
+        most, total = load(limit, p), splat(zero)
+        least = zero - most
+        for j in range(values.shape[0]):
+            c, factor = body_of(vectors, j, surface, p, squarings)
+            r = load(values, (j, p)) - c * factor
+            w = choose((r <= most) & (r >= least) & (c > zero), load(known, (j, p)), zero)
+            store(weights, (j, p), w)
+            total += choose(w > zero, one, zero)
+        store(count, p, total)
+
+
+@njit(cache=True, inline="always")
+def body_of(vectors, j, surface, p, squarings):
+    """Cosine of light j, and the factor on it."""
+    least = np.float32(1e-3)
+    n0, n1, n2 = load(surface, p), load(surface, p + BLOCK), load(surface, p + 2 * BLOCK)
+    a, b, d = load(surface, p + 9 * BLOCK), load(surface, p + 10 * BLOCK), load(surface, p + 11 * BLOCK)
+    c = n0 * vectors[0, j] + n1 * vectors[1, j] + n2 * vectors[2, j]
+    x = n0 * vectors[3, j] + n1 * vectors[4, j] + n2 * vectors[5, j]
+    _, power = powers(choose(x > least, x, least), squarings)
+    return c, a + b * c + d * power
 
 
 @njit(cache=True, error_model="numpy")
 def disagreement(values, known, vectors, surface, squarings, per_scale, total):
     """Sum over the known samples of the squared residual times per_scale^2, at most 9 each: what a fit leaves over."""
-    zero, least, most = np.float32(0.0), np.float32(1e-3), np.float32(9.0)
-    for p in range(BLOCK):
-        total[p] = zero
-    for j in range(values.shape[0]):
-        lx, ly, lz = vectors[0, j], vectors[1, j], vectors[2, j]
-        hx, hy, hz = vectors[3, j], vectors[4, j], vectors[5, j]
-        row, may = values[j], known[j]
-        for p in range(BLOCK):
-            c = surface[p] * lx + surface[p + BLOCK] * ly + surface[p + 2 * BLOCK] * lz
-            c = c if c > zero else zero
-            x = surface[p] * hx + surface[p + BLOCK] * hy + surface[p + 2 * BLOCK] * hz
-            _, power = powers(x if x > least else least, squarings)
-            factor = surface[p + 9 * BLOCK] + surface[p + 10 * BLOCK] * c + surface[p + 11 * BLOCK] * power
-            r = (row[p] - c * factor) * per_scale[p]
+    zero, most = np.float32(0.0), np.float32(9.0)
+    for p in range(0, BLOCK, LANES):
+        scale, left = load(per_scale, p), splat(zero)
+        for j in range(values.shape[0]):
+            c, factor = body_of(vectors, j, surface, p, squarings)
+            r = (load(values, (j, p)) - choose(c > zero, c, zero) * factor) * scale
             square = r * r
-            total[p] += may[p] * (square if square < most else most)
+            left += load(known, (j, p)) * choose(square < most, square, most)
+        store(total, p, left)
 
 
 @njit(cache=True, error_model="numpy")

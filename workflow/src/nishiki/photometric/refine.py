@@ -4,6 +4,7 @@ import numpy as np
 from numba import njit, prange
 
 from nishiki.photometric import flags as bits
+from nishiki.photometric.lanes import LANES, choose, load, planes, splat, store
 from nishiki.photometric.least_squares import LARGEST, LEAST_ALBEDO, eigenvalues
 from nishiki.photometric.lobe import (
     BLOCK,
@@ -11,7 +12,7 @@ from nishiki.photometric.lobe import (
     SUMS,
     SURFACE,
     add_up,
-    choose,
+    choose_samples,
     descend,
     descent_work,
     disagreement,
@@ -19,11 +20,12 @@ from nishiki.photometric.lobe import (
     set_surface,
     substitute,
     take,
+    take_lanes,
     tangential_variance,
 )
 
 WIDTH = 0.25  # standard deviation expected of b and d, relative to the albedo, where the samples scatter much
-FARTHEST = 1e12  # times the albedo
+FARTHEST = np.float32(1e12)  # times the albedo
 SHADING_SQUARINGS = 3  # exponent 8 of `nishiki.brdf.body_shading`
 LEAST_FACTOR = 0.01  # mean body factor, relative to Lambert's albedo, below which Lambert's law is kept for the shading
 FIRST_ROUNDS, ROUNDS = 4, 3  # Gauss-Newton steps for the samples first chosen, and for those chosen again
@@ -31,47 +33,52 @@ CHUNK = 512  # pixels that share one set of work arrays
 
 
 @njit(cache=True, error_model="numpy")
-def load(observations, usable, known, index, width, scalars, normals, values, may, use, start):
+def load_block(observations, usable, known, index, width, scalars, normals, values, may, use, start):
     """A block of pixels, `index` (BLOCK,) of which the first `width` are real: samples relative to the albedo.
 
     start (FIT * BLOCK): Lambert's fits. Samples of what is no real pixel are unknown.
     """
-    lights = values.shape[0]
     shared_usable, shared_known = usable.shape[1] == 1, known.shape[1] == 1
-    per_albedo = np.zeros(BLOCK)
+    albedo = planes(1, BLOCK)[0]
     for p in range(BLOCK):
         q = index[p if p < width else 0]
-        per_albedo[p] = 1.0 / np.float64(scalars[0, q])
+        albedo[p] = scalars[0, q]
         for k in range(3):
             start[p + k * BLOCK] = normals[q, k]
         start[p + 3 * BLOCK], start[p + 4 * BLOCK], start[p + 5 * BLOCK] = 1.0, 0.0, 0.0
     first = index[0]
     neighbours = width == BLOCK and index[BLOCK - 1] == first + BLOCK - 1
-    row, there, is_usable = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.uint8), np.empty(BLOCK, np.uint8)
-    for j in range(lights):
+    row, there, is_usable = (
+        np.empty((1, BLOCK), np.float32),
+        np.empty((1, BLOCK), np.uint8),
+        np.empty((1, BLOCK), np.uint8),
+    )
+    for j in range(values.shape[0]):
         if neighbours and not shared_known and not shared_usable:
-            block = slice(first, first + BLOCK)
-            load_row(observations[j, block], known[j, block], usable[j, block], per_albedo, values[j], may[j], use[j])
+            load_light(observations, known, usable, (j, first), albedo, values, may, use, j)
             continue
         for p in range(BLOCK):
             q = index[p if p < width else 0]
-            row[p] = observations[j, q]
-            there[p] = (known[j, 0] if shared_known else known[j, q]) if p < width else 0
-            is_usable[p] = usable[j, 0] if shared_usable else usable[j, q]
-        load_row(row, there, is_usable, per_albedo, values[j], may[j], use[j])
+            row[0, p] = observations[j, q]
+            there[0, p] = (known[j, 0] if shared_known else known[j, q]) if p < width else 0
+            is_usable[0, p] = usable[j, 0] if shared_usable else usable[j, q]
+        load_light(row, there, is_usable, (0, 0), albedo, values, may, use, j)
 
 
 @njit(cache=True, error_model="numpy")
-def load_row(samples, known, usable, per_albedo, values, may, use):
-    """One light of a block, relative to the albedo; samples that are not known are 0."""
+def load_light(samples, known, usable, place, albedo, values, may, use, j):
+    """Light j of a block from a place of the samples, relative to the albedo; samples that are not known are 0."""
     zero, one = np.float32(0.0), np.float32(1.0)
-    for p in range(len(samples)):
+    row, first = place
+    for p in range(0, BLOCK, LANES):
+        value = load(samples, (row, first + p)) / load(albedo, p)
         # so far outside of the albedo that only its sign matters: its square has to fit into float32
-        value = min(max(samples[p] * per_albedo[p], -FARTHEST), FARTHEST)
-        there = known[p] != 0
-        values[p] = np.float32(value) if there else zero
-        may[p] = one if there else zero
-        use[p] = one if there & (usable[p] != 0) else zero
+        value = choose(value < FARTHEST, value, FARTHEST)
+        value = choose(value > -FARTHEST, value, -FARTHEST)
+        there = load(known, (row, first + p))
+        store(values, (j, p), choose(there, value, zero))
+        store(may, (j, p), choose(there, one, zero))
+        store(use, (j, p), choose(there & load(usable, (row, first + p)), one, zero))
 
 
 @njit(cache=True, error_model="numpy")
@@ -90,21 +97,22 @@ def fit_block(
     going[:] = active
     for choice in range(reselections + 1):
         if choice == 0:
-            kept[:] = np.float32(0.0)
-            for j in range(values.shape[0]):
-                row = weights[j]
-                for p in range(len(row)):
-                    kept[p] += row[p]
+            for p in range(0, BLOCK, LANES):
+                total = splat(np.float32(0.0))
+                for j in range(values.shape[0]):
+                    total += load(weights, (j, p))
+                store(kept, p, total)
         else:
             for p in range(BLOCK):
                 freedom = kept[p] - np.float32(5.0)
                 variance = np.float64(sums[p + 20 * BLOCK]) / (freedom if freedom > one else one)
                 limit[p] = np.float32(3.0 * (np.sqrt(variance) + noise))
-            choose(values, known, vectors, surface, squarings, limit, spare, more)
+            choose_samples(values, known, vectors, surface, squarings, limit, spare, more)
             for p in range(BLOCK):
                 going[p] = going[p] if more[p] >= at_least else 0.0
                 kept[p] = more[p] if going[p] > 0.0 else kept[p]
-            take(going, spare.reshape(-1), weights.reshape(-1))
+                limit[p] = going[p]
+            take_lanes(limit, spare.reshape(-1), weights.reshape(-1))
         rounds = FIRST_ROUNDS if choice == 0 else ROUNDS
         descend(values, weights, vectors, squarings, held, rounds, going, fit, surface, sums, work)
 
@@ -114,10 +122,10 @@ def empty_result(lights):
     """Arrays that hold the fits of a block: fit, surface, sums, weights, samples kept."""
     return (
         np.zeros(FIT * BLOCK),
-        np.zeros(SURFACE * BLOCK, np.float32),
-        np.zeros(SUMS * BLOCK, np.float32),
-        np.zeros((lights, BLOCK), np.float32),
-        np.zeros(BLOCK, np.float32),
+        planes(SURFACE, BLOCK).ravel(),
+        planes(SUMS, BLOCK).ravel(),
+        planes(lights, BLOCK),
+        planes(1, BLOCK)[0],
     )
 
 
@@ -136,16 +144,16 @@ def refine(
     low, high, reselections = int(settings[0]), int(settings[5]), int(settings[3])
     prior, noise, at_least = settings[1], settings[2], settings[4]
     for chunk in prange((pixels + CHUNK - 1) // CHUNK):
-        values, known_here = np.empty((lights, BLOCK), np.float32), np.empty((lights, BLOCK), np.float32)
-        use, spare = np.empty_like(values), np.empty_like(values)
+        values, known_here = planes(lights, BLOCK), planes(lights, BLOCK)
+        use, spare = planes(lights, BLOCK), planes(lights, BLOCK)
         start, held, active, variance = np.zeros(FIT * BLOCK), np.zeros(BLOCK), np.zeros(BLOCK), np.zeros(BLOCK)
-        buffers = (spare, np.zeros(BLOCK, np.float32), np.zeros(BLOCK, np.float32), np.zeros(BLOCK))
+        buffers = (spare, planes(1, BLOCK)[0], planes(1, BLOCK)[0], np.zeros(BLOCK))
         per_scale, score = np.zeros(BLOCK, np.float32), np.zeros(BLOCK, np.float32)
-        record, lower = np.zeros(BLOCK, np.float32), np.zeros(BLOCK)
+        record, lower = np.zeros(BLOCK, np.float32), planes(1, BLOCK)[0]
         chosen = np.zeros(BLOCK, np.int64)
         result, best = empty_result(lights), empty_result(lights)
         matrix = np.zeros(6 * BLOCK)
-        work = descent_work()
+        work = descent_work(lights)
         index = np.zeros(BLOCK, np.int64)
         p = chunk * CHUNK
         end = min(p + CHUNK, pixels)
@@ -161,7 +169,7 @@ def refine(
                 p += 1
             if width == 0:
                 continue
-            load(observations, usable, known, index, width, scalars, normals, values, known_here, use, start)
+            load_block(observations, usable, known, index, width, scalars, normals, values, known_here, use, start)
             for i in range(BLOCK):
                 q = index[i if i < width else 0]
                 spread = np.float64(scalars[3, q]) / np.float64(scalars[0, q])
@@ -179,22 +187,19 @@ def refine(
                     disagreement(values, known_here, vectors, result[1], k, per_scale, score)
                 for i in range(BLOCK):
                     less = score[i] < record[i] or k == low
-                    lower[i] = 1.0 if less else 0.0
+                    lower[i] = np.float32(1.0) if less else np.float32(0.0)
                     record[i] = score[i] if less else record[i]
                     chosen[i] = k if less else chosen[i]
                 take(lower, result[0], best[0])
-                take(lower, result[1], best[1])
-                take(lower, result[2], best[2])
-                take(lower, result[3].reshape(-1), best[3].reshape(-1))
-                take(lower, result[4], best[4])
+                take_lanes(lower, result[1], best[1])
+                take_lanes(lower, result[2], best[2])
+                take_lanes(lower, result[3].reshape(-1), best[3].reshape(-1))
+                take_lanes(lower, result[4], best[4])
             tangential_variance(best[2], held, variance)
             normal_matrices(best[3], vectors, matrix)
-            store(
-                index, width, best, variance, matrix, max_condition, normals, scalars, lights_used, flags, spare,
-                shading,
-            )  # fmt: skip
+            store_fits(index, width, best, variance, matrix, max_condition, normals, scalars, lights_used, flags, spare)
             if low != SHADING_SQUARINGS or high != SHADING_SQUARINGS:
-                linear_terms(values, best, vectors, chosen, held, work[1], work[2])
+                linear_terms(values, best, vectors, chosen, held, work[1], work[7], work[2])
             store_shading(index, width, best, spare, shading)
 
 
@@ -217,7 +222,7 @@ def normal_matrices(weights, vectors, out):
 
 
 @njit(cache=True, error_model="numpy")
-def store(index, width, best, variance, matrix, max_condition, normals, scalars, lights_used, flags, stored, shading):
+def store_fits(index, width, best, variance, matrix, max_condition, normals, scalars, lights_used, flags, stored):
     """Write refined pixels; where the fit is no surface (no diffuse part, singular) the Lambertian one stands.
 
     stored (lights, BLOCK): its first row becomes 1 where a pixel was written.
@@ -274,7 +279,7 @@ def store_shading(index, width, best, stored, shading):
 
 
 @njit(cache=True, error_model="numpy")
-def linear_terms(values, best, vectors, chosen, prior, surface, trial):
+def linear_terms(values, best, vectors, chosen, prior, surface, slopes, trial):
     """(a, b, d) of the fitted normals with the exponent of the shading map, where the fit chose another one.
 
     One Gauss-Newton step from (a, 0, 0): the model is linear in the terms. The fits and sums of such pixels become its
@@ -285,7 +290,7 @@ def linear_terms(values, best, vectors, chosen, prior, surface, trial):
         if chosen[p] != SHADING_SQUARINGS:
             fit[p + 4 * BLOCK], fit[p + 5 * BLOCK] = 0.0, 0.0
     set_surface(fit, surface)
-    add_up(values, weights, vectors, surface, SHADING_SQUARINGS, trial)
+    add_up(values, weights, vectors, surface, SHADING_SQUARINGS, slopes, trial)
     for p in range(BLOCK):
         if chosen[p] == SHADING_SQUARINGS:
             continue

@@ -16,53 +16,33 @@ import numpy as np
 from numba import njit, prange
 
 from nishiki.photometric.block import BLOCK, FAR, TERMS, add_up, distances, keep_below, solve_block, sort_block
+from nishiki.photometric.lanes import LANES, choose, load, planes, root, splat, store
 
 CHUNK = 32  # blocks that share one set of work arrays
 
 
 @njit(cache=True, error_model="numpy")
-def load_block(observations, valid, start, width, values, known, count):
+def load_block(observations, valid, start, values, known, count):
     """Copy a block, divided by each pixel's largest sample, so that every radiometric scale is treated alike."""
     zero, one = np.float32(0.0), np.float32(1.0)
     shared = valid.shape[1] == 1
-    peak = np.zeros(BLOCK, dtype=np.float32)
-    count[:] = zero
-    if width < BLOCK:
-        values[:] = zero
-        known[:] = zero
-    for j in range(observations.shape[0]):
-        if shared:
-            for p in range(width):
-                known[j, p] = one if valid[j, 0] else zero
-        else:
-            mark(valid[j, start : start + width], known[j, :width])
-        load_row(observations[j, start : start + width], known[j], values[j], count, peak)
-    for p in range(BLOCK):
+    for p in range(0, BLOCK, LANES):
+        total = peak = splat(zero)
+        for j in range(observations.shape[0]):
+            if shared:
+                there = splat(one if valid[j, 0] else zero)
+            else:
+                there = choose(load(valid, (j, start + p)), one, zero)
+            value = choose(there > zero, load(observations, (j, start + p)), zero)
+            total += there
+            peak = choose(peak >= value, peak, value)
+            store(known, (j, p), there)
+            store(values, (j, p), value)
         # Two divisions by normal numbers: 1 / peak would overflow where the peak is subnormal.
-        peak[p] = peak[p] if peak[p] > zero else one
-    for j in range(observations.shape[0]):
-        row = values[j]
-        for p in range(len(row)):
-            row[p] = row[p] / peak[p]
-
-
-@njit(cache=True, error_model="numpy")
-def mark(chosen, weights):
-    """Weight 1 where a sample is chosen (bool), else 0."""
-    one, zero = np.float32(1.0), np.float32(0.0)
-    for p in range(len(chosen)):
-        weights[p] = one if chosen[p] else zero
-
-
-@njit(cache=True, error_model="numpy")
-def load_row(samples, known, values, count, peak):
-    """One light of a block: its known samples, 0 for the others; their number and the largest so far."""
-    zero = np.float32(0.0)
-    for p in range(len(samples)):
-        value = samples[p] if known[p] > zero else zero
-        values[p] = value
-        count[p] += known[p]
-        peak[p] = peak[p] if peak[p] >= value else value
+        peak = choose(peak > zero, peak, one)
+        for j in range(observations.shape[0]):
+            store(values, (j, p), load(values, (j, p)) / peak)
+        store(count, p, total)
 
 
 @njit(cache=True, error_model="numpy")
@@ -80,20 +60,20 @@ def rank_limits(ordered, count, share, part, at_least, low, high):
 def window_weights(values, known, low, high, weights):
     """Weight 1 for known samples from low to high."""
     one, zero = np.float32(1.0), np.float32(0.0)
-    for j in range(values.shape[0]):
-        row, mask, weight = values[j], known[j], weights[j]
-        for p in range(len(row)):
-            inside = (mask[p] > zero) & (low[p] <= row[p]) & (row[p] <= high[p])
-            weight[p] = one if inside else zero
+    for p in range(0, BLOCK, LANES):
+        least, most = load(low, p), load(high, p)
+        for j in range(values.shape[0]):
+            value = load(values, (j, p))
+            inside = (load(known, (j, p)) > zero) & (value >= least) & (value <= most)
+            store(weights, (j, p), choose(inside, one, zero))
 
 
 @njit(cache=True, error_model="numpy")
 def concentrate(distance, ordered, comparators, count, coverage, at_least, limit, weights):
     """Keep each pixel's `coverage` share of best fitting samples (equal ones with them)."""
-    for j in range(distance.shape[0]):
-        row, target = distance[j], ordered[j]
-        for p in range(len(row)):
-            target[p] = row[p]
+    for p in range(0, BLOCK, LANES):
+        for j in range(distance.shape[0]):
+            store(ordered, (j, p), load(distance, (j, p)))
     sort_block(ordered, comparators)
     for p in range(BLOCK):
         size = min(max(at_least, np.ceil(coverage * count[p])), count[p])
@@ -104,59 +84,62 @@ def concentrate(distance, ordered, comparators, count, coverage, at_least, limit
 @njit(cache=True, error_model="numpy")
 def judge(distance, weights, scaled, count, coverage, at_least, floor, quality):
     """Mean squared relative distance of the kept samples, raised where fewer than asked were lit."""
-    kept = np.zeros(BLOCK, dtype=np.float32)
-    total = np.zeros(BLOCK, dtype=np.float32)
-    for j in range(distance.shape[0]):
-        row, weight = distance[j], weights[j]
-        for p in range(len(row)):
-            ratio = row[p] / scaled[p + 3 * BLOCK]
-            ratio = ratio if ratio < np.float32(10.0) else np.float32(10.0)
-            kept[p] += weight[p]
-            total[p] += weight[p] * ratio * ratio
+    zero, one, most = np.float32(0.0), np.float32(1.0), np.float32(10.0)
+    for p in range(0, BLOCK, LANES):
+        kept = total = splat(zero)
+        albedo = load(scaled, p + 3 * BLOCK)
+        for j in range(distance.shape[0]):
+            weight, ratio = load(weights, (j, p)), load(distance, (j, p)) / albedo
+            ratio = choose(ratio < most, ratio, most)
+            kept += weight
+            total += weight * ratio * ratio
+        number = choose(kept > one, kept, one)
+        store(quality, p, total / number + floor * floor)
+        store(quality, p + BLOCK, number)
+        store(quality, p + 2 * BLOCK, kept)
     for p in range(BLOCK):
         size = min(max(at_least, np.ceil(coverage * count[p])), count[p])
-        enough = kept[p] >= at_least
-        mean = total[p] / max(kept[p], np.float32(1.0)) + floor * floor
-        quality[p] = mean * size / max(kept[p], np.float32(1.0)) if enough else FAR
+        enough = quality[p + 2 * BLOCK] >= at_least
+        quality[p] = quality[p] * size / quality[p + BLOCK] if enough else FAR
 
 
 @njit(cache=True, error_model="numpy")
 def spread(values, directions, weights, scaled, floor, scale):
     """Standard deviation of the kept residuals, with the noise floor (relative to the albedo) added."""
-    total = np.zeros(BLOCK, dtype=np.float32)
-    kept = np.zeros(BLOCK, dtype=np.float32)
-    for j in range(values.shape[0]):
-        x, y, z = directions[j, 0], directions[j, 1], directions[j, 2]
-        row, weight = values[j], weights[j]
-        for p in range(len(row)):
-            r = row[p] - (scaled[p] * x + scaled[p + BLOCK] * y + scaled[p + 2 * BLOCK] * z)
-            total[p] += weight[p] * r * r
-            kept[p] += weight[p]
-    for p in range(BLOCK):
-        variance = total[p] / max(kept[p] - np.float32(3.0), np.float32(1.0))
-        scale[p] = np.sqrt(variance) + floor * scaled[p + 3 * BLOCK]
+    zero, one, unknowns = np.float32(0.0), np.float32(1.0), np.float32(3.0)
+    for p in range(0, BLOCK, LANES):
+        nx, ny, nz = load(scaled, p), load(scaled, p + BLOCK), load(scaled, p + 2 * BLOCK)
+        kept = total = splat(zero)
+        for j in range(values.shape[0]):
+            weight = load(weights, (j, p))
+            r = load(values, (j, p)) - (nx * directions[j, 0] + ny * directions[j, 1] + nz * directions[j, 2])
+            total += weight * r * r
+            kept += weight
+        freedom = kept - unknowns
+        variance = total / choose(freedom > one, freedom, one)
+        store(scale, p, root(variance) + load(scaled, p + 3 * BLOCK) * floor)
 
 
 @njit(cache=True, error_model="numpy")
 def accept(values, known, directions, scaled, scale, brighter, darker, weights):
     """Weight 1 for every lit sample within -darker .. brighter times the scale of the fit."""
     one, zero = np.float32(1.0), np.float32(0.0)
-    for j in range(values.shape[0]):
-        x, y, z = directions[j, 0], directions[j, 1], directions[j, 2]
-        row, mask, weight = values[j], known[j], weights[j]
-        for p in range(len(row)):
-            shading = scaled[p] * x + scaled[p + BLOCK] * y + scaled[p + 2 * BLOCK] * z
-            r = row[p] - shading
-            fits = (r <= brighter * scale[p]) & (r >= -darker * scale[p])
-            weight[p] = one if fits & (shading > zero) & (mask[p] > zero) else zero
+    for p in range(0, BLOCK, LANES):
+        nx, ny, nz = load(scaled, p), load(scaled, p + BLOCK), load(scaled, p + 2 * BLOCK)
+        most, least = load(scale, p) * brighter, load(scale, p) * (-darker)
+        for j in range(values.shape[0]):
+            shading = nx * directions[j, 0] + ny * directions[j, 1] + nz * directions[j, 2]
+            r = load(values, (j, p)) - shading
+            fits = (r <= most) & (r >= least) & (shading > zero) & (load(known, (j, p)) > zero)
+            store(weights, (j, p), choose(fits, one, zero))
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def refit_selection(observations, valid, directions, products, comparators, settings, usable, highlights, shadows):
     """Mark in `usable` the samples that one Lambertian surface explains; shapes as in `threshold_selection`.
 
-    directions (lights, 3) and products (lights, 9) float32; settings float32: starts, steps, window, coverage, above,
-    brighter, darker, floor, at_least, rounds.
+    At least BLOCK pixels. directions (lights, 3) and products (lights, 9) float32; settings float32: starts, steps,
+    window, coverage, above, brighter, darker, floor, at_least, rounds.
     """
     lights, pixels = observations.shape
     starts, steps, rounds = int(settings[0]), int(settings[1]), int(settings[9])
@@ -164,20 +147,20 @@ def refit_selection(observations, valid, directions, products, comparators, sett
     brighter, darker, floor, at_least = settings[5], settings[6], settings[7], settings[8]
     blocks = (pixels + BLOCK - 1) // BLOCK
     for chunk in prange((blocks + CHUNK - 1) // CHUNK):
-        values = np.empty((lights, BLOCK), dtype=np.float32)
-        known, weights, distance = np.empty_like(values), np.empty_like(values), np.empty_like(values)
-        ordered, ranked = np.empty_like(values), np.empty_like(values)
-        sums = np.empty(TERMS * BLOCK, dtype=np.float32)
-        scaled, best = np.empty(4 * BLOCK, dtype=np.float32), np.empty(4 * BLOCK, dtype=np.float32)
-        count, low, high = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
-        limit = np.empty(BLOCK, np.float32)
-        quality, record, scale = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
+        values, known, weights = planes(lights, BLOCK), planes(lights, BLOCK), planes(lights, BLOCK)
+        distance, ordered, ranked = planes(lights, BLOCK), planes(lights, BLOCK), planes(lights, BLOCK)
+        sums, scaled, best = planes(TERMS, BLOCK).ravel(), planes(4, BLOCK).ravel(), planes(4, BLOCK).ravel()
+        numbers = planes(6, BLOCK)
+        count, low, high, limit, record, scale = (
+            numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[5],
+        )  # fmt: skip
+        quality = planes(3, BLOCK).ravel()
         for block in range(chunk * CHUNK, min((chunk + 1) * CHUNK, blocks)):
-            start = block * BLOCK
-            width = min(BLOCK, pixels - start)
-            load_block(observations, valid, start, width, values, known, count)
-            for j in range(lights):
-                far_unless(known[j], values[j], ranked[j])
+            start = min(
+                block * BLOCK, pixels - BLOCK
+            )  # the last block overlaps: whatever shares it, a pixel is the same
+            load_block(observations, valid, start, values, known, count)
+            far_unless(known, values, ranked)
             sort_block(ranked, comparators)
             best[:] = 0.0
             limit[:] = 0.0
@@ -206,52 +189,40 @@ def refit_selection(observations, valid, directions, products, comparators, sett
                 add_up(values, weights, products, sums)
                 solve_block(sums, at_least, best)
             accept(values, known, directions, best, scale, brighter, darker, weights)
-            write_block(values, known, directions, best, weights, at_least, start, width, usable, highlights, shadows)
+            write_block(values, known, directions, best, weights, at_least, start, usable, highlights, shadows)
 
 
 @njit(cache=True, error_model="numpy")
 def far_unless(known, values, out):
     """Values of the known samples, FAR for the others."""
-    for p in range(len(values)):
-        out[p] = values[p] if known[p] > np.float32(0.0) else FAR
+    for p in range(0, BLOCK, LANES):
+        for j in range(values.shape[0]):
+            store(out, (j, p), choose(load(known, (j, p)) > np.float32(0.0), load(values, (j, p)), FAR))
 
 
 @njit(cache=True, error_model="numpy")
-def write_block(values, known, directions, scaled, weights, at_least, start, width, usable, highlights, shadows):
+def write_block(values, known, directions, scaled, weights, at_least, start, usable, highlights, shadows):
     """Samples kept and the reasons for the others; a pixel without a trustworthy fit keeps every known sample."""
-    kept = np.zeros(BLOCK, np.float32)
-    bright, dark = np.zeros(BLOCK, np.float32), np.zeros(BLOCK, np.float32)
-    for j in range(values.shape[0]):
-        weight = weights[j]
-        for p in range(len(weight)):
-            kept[p] += weight[p]
-    for j in range(values.shape[0]):
-        keep_trusted(kept, at_least, known[j], weights[j])
-        count_rejected(values[j], known[j], weights[j], directions[j], scaled, bright, dark)
-        row, weight = usable[j, start : start + width], weights[j]
-        for p in range(len(row)):
-            row[p] = weight[p] > np.float32(0.0)
-    for p in range(width):
-        highlights[start + p] = int(bright[p])
-        shadows[start + p] = int(dark[p])
-
-
-@njit(cache=True, error_model="numpy")
-def keep_trusted(kept, at_least, known, weights):
-    """Weights of the pixels that keep enough samples; where a fit is not to be trusted, all known ones."""
-    for p in range(len(weights)):
-        weights[p] = weights[p] if kept[p] >= at_least else known[p]
-
-
-@njit(cache=True, error_model="numpy")
-def count_rejected(values, known, weights, direction, scaled, bright, dark):
-    """Add one light's rejected samples to those brighter than the fit, and to the others."""
-    one, zero = np.float32(1.0), np.float32(0.0)
-    x, y, z = direction[0], direction[1], direction[2]
-    for p in range(len(values)):
-        shading = scaled[p] * x
-        shading += scaled[p + BLOCK] * y + scaled[p + 2 * BLOCK] * z
-        shading = shading if shading > zero else zero
-        rejected = (known[p] > zero) & (weights[p] <= zero)
-        bright[p] += one if rejected & (values[p] > shading) else zero
-        dark[p] += one if rejected & (values[p] <= shading) else zero
+    zero, one = np.float32(0.0), np.float32(1.0)
+    rejected = planes(2, BLOCK)
+    for p in range(0, BLOCK, LANES):
+        nx, ny, nz = load(scaled, p), load(scaled, p + BLOCK), load(scaled, p + 2 * BLOCK)
+        kept = bright = dark = splat(zero)
+        for j in range(values.shape[0]):
+            kept += load(weights, (j, p))
+        trusted = kept >= at_least
+        for j in range(values.shape[0]):
+            there = load(known, (j, p))
+            weight = choose(trusted, load(weights, (j, p)), there)
+            shading = nx * directions[j, 0] + ny * directions[j, 1] + nz * directions[j, 2]
+            shading = choose(shading > zero, shading, zero)
+            brighter = load(values, (j, p)) > shading
+            left_out = choose((there > zero) & (weight <= zero), one, zero)
+            bright += choose(brighter, left_out, zero)
+            dark += choose(brighter, zero, left_out)
+            store(usable, (j, start + p), weight > zero)
+        store(rejected, (0, p), bright)
+        store(rejected, (1, p), dark)
+    for p in range(BLOCK):
+        highlights[start + p] = int(rejected[0, p])
+        shadows[start + p] = int(rejected[1, p])
