@@ -6,6 +6,11 @@ FOLDER: of the captures and their truth; RESULTS: folder in which `nishiki run` 
 names, with the product residual. One JSON line an object: bytes of all that a renderer needs, PSNR of all captured
 views over the true outline (saturated pixels and those that the surface misses included; peak: full scale), the same
 of JPEG 2000 of each view at that size, from the qualities around it, and the surface's shape against the true mesh.
+
+Where the run left views out (setting `hold_out`), `left_out` has PSNR over their true outlines, all their pixels taken
+together, and overlap with these: `decoded`, the residual of the captured neighbours; `model_alone`, no residual; and
+two peers without any coding, the photographs of the two captured neighbours carried over the decoded surface
+(`warped`) and over the true one (`warped_true_surface`), which says what the surface alone costs.
 """
 
 import argparse
@@ -13,6 +18,7 @@ import json
 import sys
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
@@ -24,11 +30,16 @@ from nishiki.artifacts.artifact import open_artifact
 from nishiki.codec.cost import cost_of
 from nishiki.colour.encoding import encode
 from nishiki.evaluate.object_photographs import Photographs
+from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.mesh_files import read_triangles
 from nishiki.geometry.outlines import agreement
+from nishiki.geometry.raster import interpolate, rasterise
 from nishiki.geometry.surface import shape_of
 from nishiki.render.object.decoded_object import DecodedObject
+from nishiki.render.object.pixels import extend
+from nishiki.render.object.shots import Neighbours
+from nishiki.render.object.visibility import DepthMaps
 
 STAGES = ("ingest", "mesh", "cameras", "texels", "object_brdf", "residual")
 QUALITIES = range(36, 56)  # of JPEG 2000: PSNR of the filled pictures, dB
@@ -55,6 +66,55 @@ def jpeg2000_at(size: int, photographs: np.ndarray, outline: np.ndarray, bits: i
     return None
 
 
+def warped(
+    mesh: Mesh, camera: Camera, cameras: list[Camera], photographs: np.ndarray, shown: Neighbours, rim: int
+) -> np.ndarray:
+    """A view (rows, columns, channels) of a surface that bears the photographs of the views `shown`, each point by
+    those that see it; values are carried on beyond the edge by `rim` pixels."""
+    raster, depths = rasterise(mesh, camera), DepthMaps(mesh)
+    points, normals = (
+        interpolate(values, mesh.triangles, raster.triangle, raster.barycentric)
+        for values in (mesh.vertices, mesh.normals)
+    )
+    picture, total = np.float32(0), np.float32(0)
+    for view, share in zip(shown.views, shown.weights, strict=True):
+        places = cameras[view].project(points.reshape(-1, 3))[0].astype(np.float32).reshape(*points.shape[:2], 2)
+        seen = depths.visible(points, normals, cameras[view])
+        weight = np.float32(share) * (seen + np.float32(1e-6))  # what no view sees shows the mean of all
+        picture = picture + weight[..., None] * cv2.remap(photographs[view], places, None, cv2.INTER_LINEAR)
+        total = total + weight
+    covered = raster.triangle >= 0
+    picture = np.where(covered[..., None], picture / total[..., None], np.float32(0))
+    extend(picture, covered, rings=rim)
+    return picture.clip(0, 1)
+
+
+def left_out_scores(decoded, renderer, model, photographs: np.ndarray, outline: np.ndarray, true: Mesh) -> dict:
+    """Scores of the views that no fit saw; see the head of this file."""
+    views = sorted(renderer.without)
+    shots = [renderer.predicted(view) for view in views]
+    pictures = list(renderer.render(shots))
+    covered = [picture.covered for picture in pictures]
+
+    def carried(mesh: Mesh) -> np.ndarray:
+        return np.array(
+            [
+                warped(mesh, shot.camera, decoded.cameras, photographs, shot.views, renderer.rim)
+                for shot in shots
+            ]
+        )  # fmt: skip
+
+    predictions = {
+        "decoded": np.array([encode(picture.linear, decoded.encoding) for picture in pictures]),
+        "model_alone": np.array([encode(picture.linear, decoded.encoding) for picture in model.render(shots)]),
+        "warped": carried(renderer.mesh),
+        "warped_true_surface": carried(true),
+    }
+    scores = {key: round(psnr(values, photographs[views], outline[views]), 2) for key, values in predictions.items()}
+    overlap = np.mean([agreement(*pair) for pair in zip(covered, outline[views], strict=True)])
+    return {"views": len(views), **scores, "overlap": round(float(overlap), 4)}
+
+
 def score(name: str, folder: Path, scene: Path) -> dict:
     """One line; see the head of this file."""
     inputs = {stage: open_artifact((scene / "current" / stage).resolve()) for stage in STAGES}
@@ -64,27 +124,40 @@ def score(name: str, folder: Path, scene: Path) -> dict:
     cost = cost_of(
         decoded.mesh, decoded.atlas.chart, decoded.cameras, decoded.lighting.as_dict(), decoded.residual.bytes
     )
-    renderer = decoded.renderer(mesh=cost.mesh.restored(decoded.mesh))
-    pictures = list(renderer.render([renderer.captured(view) for view in range(len(outline))]))
+    options = {
+        "mesh": cost.mesh.restored(decoded.mesh),
+        "without": decoded.numbers(inputs["texels"].settings["hold_out"]),
+    }
+    renderer = decoded.renderer(**options)
+    captured = [view for view in range(len(outline)) if view not in renderer.without]
+    pictures = list(renderer.render([renderer.captured(view) for view in captured]))
     source = Photographs(inputs)
     photographs = np.array([encode(source.read(view, 0)[0], decoded.encoding) for view in range(len(outline))])
     values = np.array([encode(picture.linear, decoded.encoding) for picture in pictures])
     covered = np.array([picture.covered for picture in pictures])
-    shape, true = shape_of(decoded.mesh), shape_of(Mesh.of(*read_triangles(truth / "mesh.ply")))
+    true_mesh = Mesh.of(*read_triangles(truth / "mesh.ply"))
+    shape, true = shape_of(decoded.mesh), shape_of(true_mesh)
+    left_out = {}
+    if renderer.without:
+        model = decoded.renderer(model_only=True, **options)
+        left_out = {"left_out": left_out_scores(decoded, renderer, model, photographs, outline, true_mesh)}
     return {
         "object": name,
         "kind": OBJECTS[name][0],
         "bytes": cost.total,
-        "psnr_db": round(psnr(values, photographs, outline), 2),
-        "jpeg2000_db": jpeg2000_at(cost.total, photographs, outline, FULL_SCALE.bit_length()),
+        "psnr_db": round(psnr(values, photographs[captured], outline[captured]), 2),
+        "jpeg2000_db": jpeg2000_at(cost.total, photographs[captured], outline[captured], FULL_SCALE.bit_length()),
         "genus": shape.genus,
         "true_genus": HOLES.get(name, 0),
         "volume_ratio": None if shape.volume is None else round(shape.volume / true.volume, 4),
-        "overlap": round(float(np.mean([agreement(*pair) for pair in zip(covered, outline, strict=True)])), 4),
+        "overlap": round(
+            float(np.mean([agreement(*pair) for pair in zip(covered, outline[captured], strict=True)])), 4
+        ),
         "triangles": shape.triangles,
         "charts": int(decoded.atlas.chart.max()) + 1,
         "mesh_bytes": cost.parts["mesh"],
         "charts_bytes": cost.parts["charts"],
+        **left_out,
     }
 
 

@@ -122,7 +122,10 @@ def settle(held, chosen, data, operator: Operator, block: Block, effort: Pursuit
             break
         seen = operator.look(samples_of(block, ahead))
         flat = ahead.reshape(-1)
-        stride = energy / (dot(seen.reshape(-1), seen.reshape(-1)) + effort.ridge * dot(flat, flat))
+        bend = dot(seen.reshape(-1), seen.reshape(-1)) + effort.ridge * dot(flat, flat)
+        if not bend:  # a gradient that is rounding alone can cancel against the last direction
+            break
+        stride = energy / bend
         add_scaled(held.reshape(-1), np.float32(stride), flat)
         add_scaled(left.reshape(-1), np.float32(-stride), seen.reshape(-1))
         if step + 1 < effort.inner:
