@@ -83,8 +83,7 @@ class SimulatedGrbl(SimulatedLine):
 
     def _home(self) -> list[str]:
         if not self.switch_works:
-            self.locked = True
-            return ["ALARM:9"]
+            return ["ALARM:9", *self.greet()]  # it restarts by itself
         self.start_position = self.end_position = dict.fromkeys("XYZ", -PULL_OFF)
         self.locked = False
         return ["ok"]
