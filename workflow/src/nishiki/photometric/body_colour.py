@@ -22,7 +22,8 @@ for gloss adds nothing across w0. s is what the most saturated samples have, for
 import numpy as np
 from numba import njit, prange
 
-BLOCK = 32
+from nishiki.photometric.lanes import LANES, choose, load, load_three, planes, repeated, root, splat, store
+
 CHUNK = 32  # blocks that share one set of work arrays
 LIT = 0.3  # of the lower mean of a pixel: darker samples are shadow, whose colour is that of the noise
 ERROR = 0.1  # standard deviation E of a sample's error, relative to the pixel's lower mean
@@ -30,6 +31,7 @@ FAINT = 0.05  # saturation below which a colour is not told from errors of the w
 MOST = 0.97  # largest t
 CONCENTRATIONS = 2  # times that the less saturated samples are left out
 AT_LEAST = 4  # lit samples
+SMALLEST = np.float32(1e-37)  # peak that has an inverse in float32
 
 
 def body_intensity(observations: np.ndarray, valid: np.ndarray) -> np.ndarray:
@@ -53,192 +55,163 @@ def body_intensity(observations: np.ndarray, valid: np.ndarray) -> np.ndarray:
     if channels == 1:
         out[...] = observations[..., 0]
         return out
-    _weigh(
-        np.ascontiguousarray(observations).reshape(lights, rows * columns, channels),
-        np.ascontiguousarray(np.broadcast_to(valid, out.shape)).reshape(lights, rows * columns),
-        out.reshape(lights, rows * columns),
-    )
+    stack = np.ascontiguousarray(observations).reshape(lights, rows * columns, channels)
+    known = np.ascontiguousarray(np.broadcast_to(valid, out.shape)).reshape(lights, rows * columns)
+    if rows * columns >= LANES:
+        _weigh(stack, known, out.reshape(lights, rows * columns))
+    elif out.size:
+        block = np.empty((lights, LANES), np.float32)
+        _weigh(repeated(stack, LANES), repeated(known, LANES), block)
+        out.reshape(lights, rows * columns)[...] = block[:, : rows * columns]
     return out
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def _weigh(observations, valid, out):
     lights, pixels, channels = observations.shape
-    zero = np.float32(0.0)
-    blocks = (pixels + BLOCK - 1) // BLOCK
+    blocks = (pixels + LANES - 1) // LANES
     for chunk in prange((blocks + CHUNK - 1) // CHUNK):
-        planes = np.zeros((lights, channels, BLOCK), np.float32)
-        mean, level = np.zeros((lights, BLOCK), np.float32), np.zeros((lights, BLOCK), np.float32)
-        across, lit = np.zeros((lights, BLOCK), np.float32), np.zeros((lights, BLOCK), np.float32)
-        colour = np.zeros((channels, BLOCK), np.float32)
-        peak, lower = np.zeros(BLOCK, np.float32), np.zeros(BLOCK, np.float32)
-        saturation, t = np.zeros(BLOCK, np.float32), np.zeros(BLOCK, np.float32)
+        samples, colour = planes(lights * channels, LANES), planes(channels, LANES)
+        mean, across, lit = planes(lights, LANES), planes(lights, LANES), planes(lights, LANES)
         for block in range(chunk * CHUNK, min((chunk + 1) * CHUNK, blocks)):
-            start = block * BLOCK
-            width = min(BLOCK, pixels - start)
-            lit[:] = zero
-            peak[:] = zero
+            start = min(block * LANES, pixels - LANES)  # the last block overlaps: its pixels get the same twice
+            peak = _load_block(observations, valid, start, samples, mean, lit)
+            lower = _leave_out_shadow(mean, lit)
+            _body_colour(samples, mean, lit, colour)
+            _project(samples, colour, across)
+            saturation = _body_saturation(mean, across, lit)
+            t = _gloss_share(mean, across, lit, lower, saturation)
+            # the intensity of a sample, in the units of the observations
+            rest = splat(np.float32(1.0)) - t
+            unit = peak / (rest + saturation * saturation)
+            of_mean, of_colour = rest * unit, saturation * unit
             for j in range(lights):
-                _load_light(
-                    observations[j, start : start + width], valid[j, start : start + width], planes[j], mean[j], lit[j],
-                    peak,
-                )  # fmt: skip
-            for p in range(BLOCK):  # values relative to the largest: sums of any radiometric scale stay in float32
-                peak[p] = peak[p] if peak[p] > zero else np.float32(1.0)
-            for j in range(lights):
-                _divide(mean[j], peak, level[j])
-            _leave_out_shadow(level, lit, lower)
-            _body_colour(planes, mean, peak, lit, colour)
-            _project(planes, colour, across)
-            _body_saturation(mean, level, across, lit, peak, saturation)
-            _gloss_share(mean, across, lit, peak, lower, saturation, t)
-            for j in range(lights):
-                _combine(mean[j], across[j], saturation, t, out[j, start : start + width])
+                store(out, (j, start), of_mean * load(mean, (j, 0)) + of_colour * load(across, (j, 0)))
 
 
 @njit(cache=True, error_model="numpy")
-def _load_light(samples, valid, planes, mean, lit, peak):
-    """Channels (channels, BLOCK) and mean of one light of a block; which pixels it lights; the largest mean so far."""
-    zero, one = np.float32(0.0), np.float32(1.0)
-    channels = len(planes)
+def _load_block(observations, valid, start, samples, mean, lit):
+    """Channels (lights * channels, LANES) and mean of a block, relative to the largest mean, which is returned.
+
+    lit: 1 for samples that are valid and neither black nor infinite. Sums of any radiometric scale stay in float32.
+    """
+    lights, _, channels = observations.shape
+    zero, one, most = np.float32(0.0), np.float32(1.0), np.float32(np.inf)
     per_channel = np.float32(1.0 / channels)
-    width = len(valid)
-    if channels == 3:  # a distance between neighbours that the compiler knows: SIMD code
-        flat, red, green, blue = samples.reshape(-1), planes[0], planes[1], planes[2]
-        for p in range(width):
-            a, b, c = flat[3 * p], flat[3 * p + 1], flat[3 * p + 2]
-            red[p], green[p], blue[p] = a, b, c
-            mean[p] = a * per_channel + b * per_channel + c * per_channel
-    else:
-        for p in range(width):
-            total = zero
+    peak = splat(zero)
+    for j in range(lights):
+        if channels == 3:
+            red, green, blue = load_three(observations, j, start)
+            store(samples, (3 * j, 0), red)
+            store(samples, (3 * j + 1, 0), green)
+            store(samples, (3 * j + 2, 0), blue)
+            value = red * per_channel + green * per_channel + blue * per_channel
+        else:
+            value = splat(zero)
             for k in range(channels):
-                planes[k, p] = samples[p, k]
-                total += samples[p, k] * per_channel
-            mean[p] = total
-    for p in range(width):
-        value = mean[p]
-        good = valid[p] & (value > zero) & (value < np.float32(np.inf))
-        lit[p] = one if good else zero
-        peak[p] = value if good & (value > peak[p]) else peak[p]
+                for p in range(LANES):
+                    samples[channels * j + k, p] = observations[j, start + p, k]
+                value += load(samples, (channels * j + k, 0)) * per_channel
+        good = load(valid, (j, start)) & (value > zero) & (value < most)
+        store(mean, (j, 0), value)
+        store(lit, (j, 0), choose(good, one, zero))
+        peak = choose(good & (value > peak), value, peak)
+    peak = choose(peak > zero, choose(peak > SMALLEST, peak, SMALLEST), one)
+    per_peak = splat(one) / peak
+    for j in range(lights):
+        store(mean, (j, 0), load(mean, (j, 0)) * per_peak)
+        for k in range(channels * j, channels * (j + 1)):
+            store(samples, (k, 0), load(samples, (k, 0)) * per_peak)
+    return peak
 
 
 @njit(cache=True, error_model="numpy")
-def _divide(values, by, out):
-    for p in range(len(values)):
-        out[p] = values[p] / by[p]
-
-
-@njit(cache=True, error_model="numpy")
-def _leave_out_shadow(level, lit, lower):
-    """Mean of the darker half of each pixel's lit samples (`lower`); those far below it count as shadow."""
+def _leave_out_shadow(mean, lit):
+    """Mean of the darker half of each pixel's lit samples; those far below it count as shadow."""
     zero, one = np.float32(0.0), np.float32(1.0)
-    total, count, darker = np.zeros(BLOCK, np.float32), np.zeros(BLOCK, np.float32), np.zeros(BLOCK, np.float32)
-    for j in range(len(level)):
-        row, light = level[j], lit[j]
-        for p in range(len(row)):
-            total[p] += row[p] if light[p] > zero else zero
-            count[p] += light[p]
-    for p in range(BLOCK):
-        total[p] = total[p] / max(count[p], one)
-        lower[p] = zero
-    for j in range(len(level)):
-        row, light = level[j], lit[j]
-        for p in range(len(row)):
-            low = (light[p] > zero) & (row[p] <= total[p])
-            lower[p] += row[p] if low else zero
-            darker[p] += one if low else zero
-    for p in range(BLOCK):
-        lower[p] = lower[p] / max(darker[p], one)
-    for j in range(len(level)):
-        row, light = level[j], lit[j]
-        for p in range(len(row)):
-            light[p] = light[p] if row[p] >= np.float32(LIT) * lower[p] else zero
-
-
-@njit(cache=True, error_model="numpy")
-def _body_colour(planes, mean, peak, lit, colour):
-    """Unit direction (channels, BLOCK) of the sum of the samples' differences from grey; 0 where it is not known."""
-    zero = np.float32(0.0)
-    count = np.zeros(BLOCK, np.float32)
-    colour[:] = zero
+    total = count = lower = darker = splat(zero)
     for j in range(len(mean)):
-        grey, light = mean[j], lit[j]
-        for p in range(len(light)):
-            count[p] += light[p]
-        for k in range(len(colour)):
-            row, total = planes[j, k], colour[k]
-            for p in range(len(row)):
-                total[p] += (row[p] - grey[p]) / peak[p] if light[p] > zero else zero
-    for p in range(BLOCK):
-        length = zero
-        for k in range(len(colour)):
-            length += colour[k, p] * colour[k, p]
-        length = np.sqrt(length)
-        known = count[p] >= np.float32(AT_LEAST) and length > np.float32(1e-12)
-        for k in range(len(colour)):
-            colour[k, p] = colour[k, p] / length if known else zero
+        light = load(lit, (j, 0))
+        total += choose(light > zero, load(mean, (j, 0)), zero)
+        count += light
+    middle = total / choose(count > one, count, one)
+    for j in range(len(mean)):
+        value = load(mean, (j, 0))
+        low = (load(lit, (j, 0)) > zero) & (value <= middle)
+        lower += choose(low, value, zero)
+        darker += choose(low, one, zero)
+    lower = lower / choose(darker > one, darker, one)
+    least = lower * np.float32(LIT)
+    for j in range(len(mean)):
+        store(lit, (j, 0), choose(load(mean, (j, 0)) >= least, load(lit, (j, 0)), zero))
+    return lower
 
 
 @njit(cache=True, error_model="numpy")
-def _project(planes, colour, across):
+def _body_colour(samples, mean, lit, colour):
+    """Unit direction (channels, LANES) of the sum of the samples' differences from grey; 0 where it is not known."""
+    zero, one = np.float32(0.0), np.float32(1.0)
+    channels, square, count = len(colour), splat(zero), splat(zero)
+    for k in range(channels):
+        total = splat(zero)
+        for j in range(len(mean)):
+            difference = load(samples, (channels * j + k, 0)) - load(mean, (j, 0))
+            total += choose(load(lit, (j, 0)) > zero, difference, zero)
+        store(colour, (k, 0), total)
+        square += total * total
+    for j in range(len(mean)):
+        count += load(lit, (j, 0))
+    length = root(square)
+    known = (count >= np.float32(AT_LEAST)) & (length > np.float32(1e-12))
+    length = choose(known, length, one)
+    for k in range(channels):
+        store(colour, (k, 0), choose(known, load(colour, (k, 0)) / length, zero))
+
+
+@njit(cache=True, error_model="numpy")
+def _project(samples, colour, across):
     """Part of every sample along the body's colour, so that across / mean is the saturation."""
-    root = np.float32(np.sqrt(len(colour)))
+    channels = len(colour)
+    per_root = np.float32(1.0 / np.sqrt(channels))
     for j in range(len(across)):
-        row = across[j]
-        row[:] = np.float32(0.0)
-        for k in range(len(colour)):
-            values, direction = planes[j, k], colour[k]
-            for p in range(len(row)):
-                row[p] += values[p] * direction[p]
-        for p in range(len(row)):
-            row[p] = row[p] / root
+        part = splat(np.float32(0.0))
+        for k in range(channels):
+            part += load(samples, (channels * j + k, 0)) * load(colour, (k, 0))
+        store(across, (j, 0), part * per_root)
 
 
 @njit(cache=True, error_model="numpy")
-def _body_saturation(mean, level, across, lit, peak, saturation):
+def _body_saturation(mean, across, lit):
     """Saturation of the most saturated samples: gloss only takes it away."""
     zero, few = np.float32(0.0), np.float32(1e-12)
-    least, total, weight = np.zeros(BLOCK, np.float32), np.zeros(BLOCK, np.float32), np.zeros(BLOCK, np.float32)
+    saturation = splat(zero)
     for _ in range(CONCENTRATIONS + 1):
-        total[:] = zero
-        weight[:] = zero
+        total = weight = splat(zero)
         for j in range(len(mean)):
-            grey, row, part, light = mean[j], level[j], across[j], lit[j]
-            for p in range(len(row)):
-                kept = (light[p] > zero) & (part[p] >= least[p] * grey[p])
-                total[p] += part[p] / peak[p] if kept else zero
-                weight[p] += row[p] if kept else zero
-        for p in range(BLOCK):
-            saturation[p] = max(total[p] / max(weight[p], few), zero)
-            least[p] = saturation[p]
+            grey, part = load(mean, (j, 0)), load(across, (j, 0))
+            kept = (load(lit, (j, 0)) > zero) & (part >= saturation * grey)
+            total += choose(kept, part, zero)
+            weight += choose(kept, grey, zero)
+        saturation = total / choose(weight > few, weight, few)
+        saturation = choose(saturation > zero, saturation, zero)
+    return saturation
 
 
 @njit(cache=True, error_model="numpy")
-def _gloss_share(mean, across, lit, peak, lower, saturation, t):
+def _gloss_share(mean, across, lit, lower, saturation):
     """t of every pixel, from the variance of its gloss relative to its level, and its saturation."""
     zero, one = np.float32(0.0), np.float32(1.0)
-    total, count = np.zeros(BLOCK, np.float32), np.zeros(BLOCK, np.float32)
+    coloured = saturation > zero
+    per_saturation = splat(one) / choose(coloured, saturation, one)
+    per_lower = splat(one) / lower
+    total = count = splat(zero)
     for j in range(len(mean)):
-        grey, part, light = mean[j], across[j], lit[j]
-        for p in range(len(grey)):
-            coloured = saturation[p] > zero
-            gloss = (grey[p] - part[p] / (saturation[p] if coloured else one)) / (peak[p] * lower[p])
-            gloss = gloss if gloss > zero else zero
-            gloss = gloss if gloss < one else one
-            use = (light[p] > zero) & coloured
-            total[p] += gloss * gloss if use else zero
-            count[p] += one if use else zero
-    for p in range(BLOCK):
-        variance, square = total[p] / max(count[p], one), saturation[p] * saturation[p]
-        share = variance / (variance + np.float32(ERROR * ERROR)) * (square / (square + np.float32(FAINT * FAINT)))
-        t[p] = min(share, np.float32(MOST))
-
-
-@njit(cache=True, error_model="numpy")
-def _combine(mean, across, saturation, t, out):
-    """Intensity of one light's samples."""
-    one = np.float32(1.0)
-    for p in range(len(out)):
-        s = saturation[p]
-        out[p] = ((one - t[p]) * mean[p] + s * across[p]) / (one - t[p] + s * s)
+        gloss = (load(mean, (j, 0)) - load(across, (j, 0)) * per_saturation) * per_lower
+        gloss = choose(gloss > zero, gloss, zero)
+        gloss = choose(gloss < one, gloss, one)
+        use = (load(lit, (j, 0)) > zero) & coloured
+        total += choose(use, gloss * gloss, zero)
+        count += choose(use, one, zero)
+    variance, square = total / choose(count > one, count, one), saturation * saturation
+    share = variance / (variance + np.float32(ERROR * ERROR)) * (square / (square + np.float32(FAINT * FAINT)))
+    return choose(share < np.float32(MOST), share, np.float32(MOST))

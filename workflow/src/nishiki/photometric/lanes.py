@@ -154,6 +154,32 @@ def store(typing, array, place, value):
 
 
 @intrinsic
+def load_three(typing, array, row, start):
+    """The three channels of LANES pixels from `start` on of a row of a float32 array (rows, pixels, 3)."""
+    if not (
+        isinstance(array, types.Array) and array.layout == "C" and array.ndim == 3 and array.dtype == types.float32
+    ):
+        return None
+
+    def build(context, builder, sig, args):
+        numbers = context.make_array(array)(context, builder, args[0])
+        place = builder.add(builder.mul(args[1], builder.extract_value(numbers.shape, 1)), args[2])
+        together = ir.VectorType(FLOAT, 3 * LANES)
+        first = builder.gep(numbers.data, [builder.mul(place, ir.Constant(place.type, 3))])
+        mixed = builder.load(builder.bitcast(first, together.as_pointer()), align=4)
+        places = ir.VectorType(INDEX, LANES)
+        channels = [
+            builder.shuffle_vector(
+                mixed, ir.Constant(together, ir.Undefined), ir.Constant(places, [3 * p + k for p in range(LANES)])
+            )
+            for k in range(3)
+        ]
+        return context.make_tuple(builder, sig.return_type, channels)
+
+    return types.UniTuple(NUMBERS, 3)(array, types.intp, types.intp), build
+
+
+@intrinsic
 def splat(typing, number):
     """Lanes that all hold this float32 number."""
     return NUMBERS(types.float32), lambda context, builder, sig, args: _spread(builder, args[0])
@@ -193,3 +219,8 @@ def planes(count, width):
     memory = np.zeros(count * width + LANES, np.float32)
     first = (LANES - memory.ctypes.data // 4 % LANES) % LANES
     return memory[first : first + count * width].reshape(count, width)
+
+
+def repeated(array, pixels):
+    """An array (lights, fewer pixels, ...) with its pixels repeated: kernels take whole blocks of them."""
+    return np.take(array, np.arange(pixels) % array.shape[1], axis=1)

@@ -121,6 +121,7 @@ def select_diffuse(
 
 def refit(stack, known, directions, starts, noise, min_lights, usable, highlights, shadows):
     """Run `refit_selection` with the project's constants (docs/stages/separate.md gives their reasons)."""
+    from nishiki.photometric.lanes import repeated
     from nishiki.photometric.ranks import sorting_network
     from nishiki.photometric.refit import BLOCK, refit_selection
 
@@ -139,9 +140,9 @@ def refit(stack, known, directions, starts, noise, min_lights, usable, highlight
     pixels = stack.shape[1]
     if pixels >= BLOCK:
         refit_selection(stack, known, vectors, products, network, settings, usable, highlights, shadows)
-    elif pixels:  # the kernel takes whole blocks: pixels are repeated
-        stack, known = np.resize(stack.T, (BLOCK, len(stack))).T, np.resize(known.T, (BLOCK, len(stack))).T
-        stack, known = np.ascontiguousarray(stack), np.ascontiguousarray(known)
+    elif pixels:
+        known = known if known.shape[1] == 1 else repeated(known, BLOCK)
+        stack = repeated(stack, BLOCK)
         block = np.empty(stack.shape, np.bool_), np.empty(BLOCK, np.uint16), np.empty(BLOCK, np.uint16)
         refit_selection(stack, known, vectors, products, network, settings, *block)
         usable[...], highlights[...], shadows[...] = (values[..., :pixels] for values in block)
