@@ -9,9 +9,10 @@ bound by loading and storing; and it splits vectors of 512 bits in two. A value 
         value = load(values, (j, start))
         total += choose(value > zero, value * value, zero)
 
-+, -, *, / and the comparisons take lanes, and lanes with a float32 number; & and | take the results of comparisons.
-Every lane is rounded as a float32 number is, and nothing is added up across lanes: what a pixel gets depends neither on
-its neighbours nor on the width of the processor's registers.
++, -, *, / and the comparisons take lanes of one kind (float32, or float64 as `widen` makes them), and lanes with one
+number of their kind; & and | take the results of comparisons. Every lane is rounded as a single number is, and nothing
+is added up across lanes: what a pixel gets depends neither on its neighbours nor on the width of the processor's
+registers.
 """
 
 import operator
@@ -28,82 +29,86 @@ LANES = 16
 
 
 class Lanes(types.Type):
-    """Type of LANES float32 numbers."""
+    """Type of LANES numbers of one kind."""
 
 
-class Flags(types.Type):
-    """Type of LANES truth values."""
-
-
-NUMBERS, TRUTHS = Lanes("lanes"), Flags("flags of lanes")
-FLOAT, BIT, BYTE, INDEX = ir.FloatType(), ir.IntType(1), ir.IntType(8), ir.IntType(32)
-VECTORS = {NUMBERS: ir.VectorType(FLOAT, LANES), TRUTHS: ir.VectorType(BIT, LANES)}
+NUMBERS, WIDE, TRUTHS = Lanes("float32 lanes"), Lanes("float64 lanes"), Lanes("truths of lanes")
+BIT, BYTE, INDEX = ir.IntType(1), ir.IntType(8), ir.IntType(32)
+VECTORS = {
+    kind: ir.VectorType(element, LANES)
+    for kind, element in ((NUMBERS, ir.FloatType()), (WIDE, ir.DoubleType()), (TRUTHS, BIT))
+}
+SINGLE = {NUMBERS: types.float32, WIDE: types.float64}
 BYTES = ir.VectorType(BYTE, LANES)
 
 
 @register_model(Lanes)
-@register_model(Flags)
 class _Register(models.PrimitiveModel):
     def __init__(self, manager, lanes):
         super().__init__(manager, lanes, VECTORS[lanes])
 
 
-def _spread(builder, number):
+def _spread(builder, number, kind):
     """One number in all lanes."""
-    vector = VECTORS[NUMBERS]
-    first = builder.insert_element(ir.Constant(vector, ir.Undefined), number, INDEX(0))
-    return builder.shuffle_vector(
-        first, ir.Constant(vector, ir.Undefined), ir.Constant(ir.VectorType(INDEX, LANES), None)
-    )
+    nothing = ir.Constant(VECTORS[kind], ir.Undefined)
+    first = builder.insert_element(nothing, number, INDEX(0))
+    return builder.shuffle_vector(first, nothing, ir.Constant(ir.VectorType(INDEX, LANES), None))
 
 
-def _as_lanes(builder, kinds, values):
-    return [value if kind is NUMBERS else _spread(builder, value) for kind, value in zip(kinds, values, strict=True)]
-
-
-def _define(operation, result, build, operands=(NUMBERS, types.float32)):
-    """An operator of lanes, or of lanes and one number."""
+def _define(operation, build, kind, result):
+    """An operator of lanes of one kind, or of such lanes and one number."""
 
     @infer_global(operation)
     class _Typing(AbstractTemplate):
         def generic(self, args, kws):
-            kinds = {NUMBERS, TRUTHS}
-            if len(args) == 2 and kinds & {*args} and {*args} <= {*operands}:
-                return signature(result, *args)
-            return None
+            fits = len(args) == 2 and kind in args and {*args} <= {kind, SINGLE.get(kind)}
+            return signature(result, *args) if fits else None
 
     def lower(context, builder, sig, args):
-        values = _as_lanes(builder, sig.args, args) if operands[0] is NUMBERS else args
-        return build(builder, *values)
+        lanes = (
+            value if given is kind else _spread(builder, value, kind)
+            for given, value in zip(sig.args, args, strict=True)
+        )
+        return build(builder, *lanes)
 
-    for left in operands:
-        for right in operands:
-            if {NUMBERS, TRUTHS} & {left, right}:
-                lower_builtin(operation, left, right)(lower)
+    lower_builtin(operation, kind, kind)(lower)
+    if kind in SINGLE:
+        lower_builtin(operation, kind, SINGLE[kind])(lower)
+        lower_builtin(operation, SINGLE[kind], kind)(lower)
+
+
+def _arithmetic(name):
+    return lambda builder, left, right: getattr(builder, name)(left, right)
 
 
 def _comparison(symbol):
     return lambda builder, left, right: builder.fcmp_ordered(symbol, left, right)
 
 
-for _operation, _instruction in (
-    (operator.add, "fadd"),
-    (operator.iadd, "fadd"),
-    (operator.sub, "fsub"),
-    (operator.mul, "fmul"),
-    (operator.truediv, "fdiv"),
-):
-    _define(_operation, NUMBERS, lambda builder, left, right, name=_instruction: getattr(builder, name)(left, right))
-for _operation, _symbol in ((operator.lt, "<"), (operator.le, "<="), (operator.gt, ">"), (operator.ge, ">=")):
-    _define(_operation, TRUTHS, _comparison(_symbol))
-_define(operator.and_, TRUTHS, lambda builder, left, right: builder.and_(left, right), (TRUTHS,))
-_define(operator.or_, TRUTHS, lambda builder, left, right: builder.or_(left, right), (TRUTHS,))
+for _kind in (NUMBERS, WIDE):
+    for _operation, _name in (
+        (operator.add, "fadd"),
+        (operator.iadd, "fadd"),
+        (operator.sub, "fsub"),
+        (operator.mul, "fmul"),
+        (operator.truediv, "fdiv"),
+    ):
+        _define(_operation, _arithmetic(_name), _kind, _kind)
+    for _operation, _symbol in ((operator.lt, "<"), (operator.le, "<="), (operator.gt, ">"), (operator.ge, ">=")):
+        _define(_operation, _comparison(_symbol), _kind, TRUTHS)
+for _operation, _name in ((operator.and_, "and_"), (operator.or_, "or_")):
+    _define(_operation, _arithmetic(_name), TRUTHS, TRUTHS)
 
 
 def _readable(array, place):
     """Whether the place is one of an array of neighbouring numbers: an index, or (row, index)."""
     dimensions = len(place) if isinstance(place, types.BaseTuple) else 1
     return isinstance(array, types.Array) and array.layout == "C" and array.ndim == dimensions <= 2
+
+
+def _bytes_of(array):
+    """Bytes of one number of an array."""
+    return array.dtype.bitwidth // 8 if isinstance(array.dtype, types.Float) else 1
 
 
 def _address(context, builder, kinds, values, vector):
@@ -123,31 +128,30 @@ def _address(context, builder, kinds, values, vector):
 
 @intrinsic
 def load(typing, array, place):
-    """LANES numbers of a float32 array from a place on; of an array of bytes or truth values, which are not 0."""
-    if not _readable(array, place) or array.dtype not in (types.float32, types.uint8, types.boolean):
+    """LANES numbers of an array of floats from a place on; of one of bytes or truth values, which are not 0."""
+    kinds = {types.float32: NUMBERS, types.float64: WIDE, types.uint8: TRUTHS, types.boolean: TRUTHS}
+    if not _readable(array, place) or array.dtype not in kinds:
         return None
-    result = NUMBERS if array.dtype == types.float32 else TRUTHS
+    result = kinds[array.dtype]
 
     def build(context, builder, sig, args):
-        vector = VECTORS[NUMBERS] if result is NUMBERS else BYTES
-        value = builder.load(_address(context, builder, sig.args, args, vector), align=4 if result is NUMBERS else 1)
-        return value if result is NUMBERS else builder.icmp_unsigned("!=", value, ir.Constant(BYTES, None))
+        vector = BYTES if result is TRUTHS else VECTORS[result]
+        value = builder.load(_address(context, builder, sig.args, args, vector), align=_bytes_of(array))
+        return builder.icmp_unsigned("!=", value, ir.Constant(BYTES, None)) if result is TRUTHS else value
 
     return result(array, place), build
 
 
 @intrinsic
 def store(typing, array, place, value):
-    """Write lanes into a float32 array, or truth values into one of bytes or truth values, from a place on."""
-    kinds = (types.float32,) if value is NUMBERS else (types.uint8, types.boolean)
-    if value not in (NUMBERS, TRUTHS) or not _readable(array, place) or array.dtype not in kinds:
+    """Write lanes into an array of their kind, or truths into one of bytes or truth values, from a place on."""
+    kinds = (types.uint8, types.boolean) if value is TRUTHS else (SINGLE.get(value),)
+    if not _readable(array, place) or array.dtype not in kinds:
         return None
 
     def build(context, builder, sig, args):
-        vector, align, lanes = VECTORS[NUMBERS], 4, args[2]
-        if value is TRUTHS:
-            vector, align, lanes = BYTES, 1, builder.zext(lanes, BYTES)
-        builder.store(lanes, _address(context, builder, sig.args, args, vector), align=align)
+        lanes = builder.zext(args[2], BYTES) if value is TRUTHS else args[2]
+        builder.store(lanes, _address(context, builder, sig.args, args, lanes.type), align=_bytes_of(array))
         return context.get_dummy_value()
 
     return types.void(array, place, value), build
@@ -164,7 +168,7 @@ def load_three(typing, array, row, start):
     def build(context, builder, sig, args):
         numbers = context.make_array(array)(context, builder, args[0])
         place = builder.add(builder.mul(args[1], builder.extract_value(numbers.shape, 1)), args[2])
-        together = ir.VectorType(FLOAT, 3 * LANES)
+        together = ir.VectorType(ir.FloatType(), 3 * LANES)
         first = builder.gep(numbers.data, [builder.mul(place, ir.Constant(place.type, 3))])
         mixed = builder.load(builder.bitcast(first, together.as_pointer()), align=4)
         places = ir.VectorType(INDEX, LANES)
@@ -181,32 +185,56 @@ def load_three(typing, array, row, start):
 
 @intrinsic
 def splat(typing, number):
-    """Lanes that all hold this float32 number."""
-    return NUMBERS(types.float32), lambda context, builder, sig, args: _spread(builder, args[0])
+    """Lanes that all hold this float32 or float64 number."""
+    kind = {single: kind for kind, single in SINGLE.items()}.get(number)
+    if kind is None:
+        return None
+    return kind(number), lambda context, builder, sig, args: _spread(builder, args[0], kind)
+
+
+@intrinsic
+def widen(typing, value):
+    """The same numbers as float64."""
+    if value is not NUMBERS:
+        return None
+    return WIDE(NUMBERS), lambda context, builder, sig, args: builder.fpext(args[0], VECTORS[WIDE])
 
 
 @intrinsic
 def choose(typing, condition, yes, no):
-    """Of each lane, `yes` where the condition holds, else `no`; each lanes or a float32 number."""
-    if condition is not TRUTHS or not {yes, no} <= {NUMBERS, types.float32}:
+    """Of each lane, `yes` where the condition holds, else `no`; each lanes or a number of their kind.
+
+    Of single numbers too, so that one function serves both.
+    """
+    kind = WIDE if {yes, no} & {WIDE, types.float64} else NUMBERS
+    if condition not in (TRUTHS, types.boolean) or not {yes, no} <= {kind, SINGLE[kind]}:
         return None
+    result = kind if condition is TRUTHS else SINGLE[kind]
 
     def build(context, builder, sig, args):
-        return builder.select(args[0], *_as_lanes(builder, sig.args[1:], args[1:]))
+        sides = (
+            value if given is result else _spread(builder, value, kind)
+            for given, value in zip(sig.args[1:], args[1:], strict=True)
+        )
+        return builder.select(args[0], *sides)
 
-    return NUMBERS(condition, yes, no), build
+    return result(condition, yes, no), build
 
 
 @intrinsic
 def root(typing, value):
-    """Square roots."""
+    """Square roots of lanes, or of one number."""
+    vectors = {**VECTORS, types.float64: ir.DoubleType()}
+    names = {NUMBERS: f"v{LANES}f32", WIDE: f"v{LANES}f64", types.float64: "f64"}
+    if value not in names:
+        return None
 
     def build(context, builder, sig, args):
-        kind = ir.FunctionType(VECTORS[NUMBERS], [VECTORS[NUMBERS]])
-        function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.sqrt.v{LANES}f32")
+        kind = ir.FunctionType(vectors[value], [vectors[value]])
+        function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.sqrt.{names[value]}")
         return builder.call(function, args)
 
-    return NUMBERS(NUMBERS), build
+    return value(value), build
 
 
 @njit(cache=True)

@@ -4,11 +4,10 @@ import numpy as np
 from numba import njit, prange
 
 from nishiki.photometric import flags as bits
+from nishiki.photometric.lanes import LANES, choose, load, root, splat, store, widen
 
 BLOCK = 64
-CHUNK = 64  # blocks that share one set of kept matrices
-SLOT_BITS = 8
-SLOTS = 1 << SLOT_BITS
+CHUNK = 64  # blocks that share one set of work arrays
 COPLANAR = 1e12  # condition above which double precision cannot tell the normal matrix from a singular one
 LEAST_ALBEDO, LARGEST = 1e-45, 3.4028234e38  # of float32, subnormal numbers included
 TERMS = 10  # six products of the direction, three of the right-hand side, the sum of squares
@@ -16,25 +15,33 @@ TERMS = 10  # six products of the direction, three of the right-hand side, the s
 
 @njit(cache=True, error_model="numpy")
 def eigenvalues(a, b, c, d, e, f):
-    """Smallest and largest eigenvalue of the symmetric matrix [[a, b, c], [b, d, e], [c, e, f]].
+    """Smallest and largest eigenvalue of the symmetric matrix [[a, b, c], [b, d, e], [c, e, f]]; numbers or lanes.
 
-    The trigonometric form of the cubic's roots (O. K. Smith, Eigenvalues of a symmetric 3 x 3 matrix, CACM 1961). Where
-    the two small ones lie close together (lights in a narrow cone) that form keeps half of the digits: the smallest is
-    then taken from the matrix across the eigenvector of the largest, to a rounding of the largest.
+    Of the matrix less its mean, over its spread, and turned over where the two large ones lie closer together, the
+    largest is the root of x^3 - 3 x = 2 h in [sqrt 3, 2], h in [0, 1] (O. K. Smith, Eigenvalues of a symmetric 3 x 3
+    matrix, CACM 1961): by Newton's steps from a cubic in h. Where two lie close together (lights in a narrow cone) the
+    roots of the cubic keep half of the digits: the smallest is taken from the matrix across the eigenvector of the
+    largest, to a rounding of the largest.
     """
     mean = (a + d + f) / 3.0
-    off = b * b + c * c + e * e
-    spread = np.sqrt(((a - mean) ** 2 + (d - mean) ** 2 + (f - mean) ** 2 + 2.0 * off) / 6.0)
-    if spread <= 0.0:
-        return mean, mean
-    a, d, f = (a - mean) / spread, (d - mean) / spread, (f - mean) / spread
-    b, c, e = b / spread, c / spread, e / spread
-    half = 0.5 * (a * (d * f - e * e) - b * (b * f - c * e) + c * (b * e - c * d))
-    angle = np.arccos(min(1.0, max(-1.0, half))) / 3.0
-    largest = 2.0 * np.cos(angle)
-    if half > 0.0:
-        return mean + spread * smaller_root(a, b, c, d, e, f, largest), mean + spread * largest
-    return mean + 2.0 * spread * np.cos(angle + 2.0 * np.pi / 3.0), mean + spread * largest
+    a, d, f = a - mean, d - mean, f - mean
+    spread = root((a * a + d * d + f * f + (b * b + c * c + e * e) * 2.0) / 6.0)
+    one_value = spread <= 0.0
+    scale = 1.0 / choose(one_value, 1.0, spread)
+    a, b, c, d, e, f = a * scale, b * scale, c * scale, d * scale, e * scale, f * scale
+    half = (a * (d * f - e * e) - b * (b * f - c * e) + c * (b * e - c * d)) * 0.5
+    sign = choose(half > 0.0, 1.0, -1.0)
+    a, b, c, d, e, f, half = a * sign, b * sign, c * sign, d * sign, e * sign, f * sign, half * sign
+    half = choose(half < 1.0, half, 1.0)
+    x = ((half * 0.01966 - 0.08504) * half + 1.0 / 3.0) * half + 1.7320508
+    for _ in range(3):
+        square = x * x
+        x = x - (x * (square - 3.0) - half * 2.0) / (square * 3.0 - 3.0)
+    first = mean + spread * sign * x
+    second = mean + spread * sign * smaller_root(a, b, c, d, e, f, x)
+    upright = sign > 0.0
+    least, largest = choose(upright, second, first), choose(upright, first, second)
+    return choose(one_value, mean, least), choose(one_value, mean, largest)
 
 
 @njit(cache=True, error_model="numpy")
@@ -43,22 +50,23 @@ def smaller_root(a, b, c, d, e, f, largest):
     # the eigenvector is across the rows of the matrix less the largest: the longest of their three products
     p, q, r = a - largest, d - largest, f - largest
     x, y, z = b * e - c * q, b * c - p * e, p * q - b * b
-    u, v, w = q * r - e * e, c * e - b * r, b * e - c * q
-    if u * u + v * v + w * w > x * x + y * y + z * z:
-        x, y, z = u, v, w
-    u, v, w = c * e - b * r, p * r - c * c, b * c - p * e
-    if u * u + v * v + w * w > x * x + y * y + z * z:
-        x, y, z = u, v, w
-    length = np.sqrt(x * x + y * y + z * z)
-    x, y, z = x / length, y / length, z / length
-    sign = 1.0 if z >= 0.0 else -1.0
+    square = x * x + y * y + z * z
+    for u, v, w in ((q * r - e * e, c * e - b * r, b * e - c * q), (c * e - b * r, p * r - c * c, b * c - p * e)):
+        size = u * u + v * v + w * w
+        longer = size > square
+        square = choose(longer, size, square)
+        x, y, z = choose(longer, u, x), choose(longer, v, y), choose(longer, w, z)
+    per_length = 1.0 / root(square)
+    x, y, z = x * per_length, y * per_length, z * per_length
+    sign = choose(z >= 0.0, 1.0, -1.0)
     k = -1.0 / (sign + z)
-    s0, s1, s2 = 1.0 + sign * x * x * k, sign * x * y * k, -sign * x
-    t0, t1, t2 = x * y * k, sign + y * y * k, -y
+    s0, s1, s2 = 1.0 + sign * x * x * k, sign * x * y * k, 0.0 - sign * x
+    t0, t1, t2 = x * y * k, sign + y * y * k, 0.0 - y
     h0, h1, h2 = a * s0 + b * s1 + c * s2, b * s0 + d * s1 + e * s2, c * s0 + e * s1 + f * s2
     g0, g1, g2 = a * t0 + b * t1 + c * t2, b * t0 + d * t1 + e * t2, c * t0 + e * t1 + f * t2
     ss, tt, st = s0 * h0 + s1 * h1 + s2 * h2, t0 * g0 + t1 * g1 + t2 * g2, t0 * h0 + t1 * h1 + t2 * h2
-    return 0.5 * (ss + tt) - np.sqrt(0.25 * (ss - tt) ** 2 + st * st)
+    apart = ss - tt
+    return (ss + tt) * 0.5 - root(apart * apart * 0.25 + st * st)
 
 
 @njit(cache=True, error_model="numpy")
@@ -74,24 +82,46 @@ def inverse(a, b, c, d, e, f):
     k = l10 * l21 - l20
     return (
         1.0 / a + l10 * l10 / second + k * k / third,
-        -l10 / second - k * l21 / third,
+        0.0 - l10 / second - k * l21 / third,
         k / third,
         1.0 / second + l21 * l21 / third,
-        -l21 / third,
+        0.0 - l21 / third,
         1.0 / third,
     )
 
 
 @njit(cache=True, error_model="numpy")
-def angular_sigma(m, x, y, z, length, variance):
-    """Root mean square angle of the normal's error: sqrt(trace(P C P)), P the projector across the normal.
+def solve_block(right, inverse_of, count, weight, solved):
+    """Solutions of a block from the right-hand sides and the sums of squares, and the inverse matrices.
 
-    m are the six elements of the inverse normal matrix, C = variance * m / length^2 (first order), (x, y, z) the unit
-    normal. At most pi / 2, which says that nothing is known.
+    right (4, BLOCK), inverse_of (6, BLOCK), count, weight (BLOCK,); into solved (6, BLOCK): unit normal, length, root
+    mean square residual, and the root mean square angle of the normal's error: sqrt(trace(P C P)), P the projector
+    across the normal, C = variance * inverse / length^2 (first order); at most pi / 2, which says nothing is known.
     """
-    along = x * (m[0] * x + 2.0 * (m[1] * y + m[2] * z)) + y * (m[3] * y + 2.0 * m[4] * z) + z * m[5] * z
-    trace = m[0] + m[3] + m[5] - along
-    return min(np.sqrt(max(trace, 0.0) * variance) / length, 0.5 * np.pi)
+    for p in range(0, BLOCK, LANES):
+        u, v, w, total = load(right, (0, p)), load(right, (1, p)), load(right, (2, p)), load(right, (3, p))
+        m0, m1, m2 = load(inverse_of, (0, p)), load(inverse_of, (1, p)), load(inverse_of, (2, p))
+        m3, m4, m5 = load(inverse_of, (3, p)), load(inverse_of, (4, p)), load(inverse_of, (5, p))
+        x = m0 * u + m1 * v + m2 * w
+        y = m1 * u + m3 * v + m4 * w
+        z = m2 * u + m4 * v + m5 * w
+        length = root(x * x + y * y + z * z)
+        # a projection leaves neither less than nothing nor more than there was, whatever the rounding
+        squares = total - (x * u + y * v + z * w)
+        squares = choose(squares > 0.0, squares, 0.0)
+        squares = choose(squares < total, squares, total)
+        residual = root(squares / load(weight, p))
+        x, y, z = x / length, y / length, z / length
+        variance = squares / (load(count, p) - 3.0)
+        along = x * (m0 * x + (m1 * y + m2 * z) * 2.0) + y * (m3 * y + m4 * z * 2.0) + z * m5 * z
+        trace = m0 + m3 + m5 - along
+        sigma = root(choose(trace > 0.0, trace, 0.0) * variance) / length
+        store(solved, (0, p), x)
+        store(solved, (1, p), y)
+        store(solved, (2, p), z)
+        store(solved, (3, p), length)
+        store(solved, (4, p), choose(residual < LARGEST, residual, LARGEST))
+        store(solved, (5, p), choose(sigma < 0.5 * np.pi, sigma, 0.5 * np.pi))
 
 
 @njit(cache=True, error_model="numpy")
@@ -108,41 +138,52 @@ def conditioned(t, count):
 
 
 @njit(cache=True, error_model="numpy")
-def write_pixel(t, condition, m, count, weight, max_condition, p, normals, scalars, lights_used, flags):
-    """Solve one pixel's normal equations t (TERMS,), inverse matrix m, and write its row of every output.
+def condition_block(matrices, count, conditions, inverses):
+    """`conditioned` of the matrices (6, BLOCK) of a block, into conditions (BLOCK,) and inverses (6, BLOCK)."""
+    for p in range(0, BLOCK, LANES):
+        a, b, c = load(matrices, (0, p)), load(matrices, (1, p)), load(matrices, (2, p))
+        d, e, f = load(matrices, (3, p)), load(matrices, (4, p)), load(matrices, (5, p))
+        least, largest = eigenvalues(a, b, c, d, e, f)
+        m0, m1, m2, m3, m4, m5 = inverse(a, b, c, d, e, f)
+        sound = (load(count, p) >= 3.0) & (least > largest / COPLANAR) & (m0 > 0.0) & (m3 > 0.0) & (m5 > 0.0)
+        store(conditions, p, choose(sound, largest / least, np.inf))
+        store(inverses, (0, p), choose(sound, m0, 0.0))
+        store(inverses, (1, p), choose(sound, m1, 0.0))
+        store(inverses, (2, p), choose(sound, m2, 0.0))
+        store(inverses, (3, p), choose(sound, m3, 0.0))
+        store(inverses, (4, p), choose(sound, m4, 0.0))
+        store(inverses, (5, p), choose(sound, m5, 0.0))
+
+
+@njit(cache=True, error_model="numpy")
+def write_block(solved, condition, count, max_condition, start, width, normals, scalars, lights_used, flags):
+    """Write the rows of every output of a block's pixels: what `solve_block` found, where it is a surface.
 
     scalars (4, pixels) float32: albedo, sigma, condition, residual.
     """
-    flag = 0
-    normals[p, 0], normals[p, 1], normals[p, 2] = 0.0, 0.0, 1.0
-    scalars[0, p], scalars[1, p], scalars[3, p] = 0.0, 0.5 * np.pi, 0.0
-    scalars[2, p] = min(condition, 3e38)
-    lights_used[p] = count
-    if count < 3:
-        flag |= bits.TOO_FEW_LIGHTS
-    elif condition >= COPLANAR:
-        flag |= bits.COPLANAR_LIGHTS
-    else:
-        x = m[0] * t[6] + m[1] * t[7] + m[2] * t[8]
-        y = m[1] * t[6] + m[3] * t[7] + m[4] * t[8]
-        z = m[2] * t[6] + m[4] * t[7] + m[5] * t[8]
-        length = np.sqrt(x * x + y * y + z * z)
-        if LEAST_ALBEDO <= length <= LARGEST:
+    for i in range(width):
+        p, flag, length, z = start + i, 0, solved[3, i], solved[2, i]
+        surface = count[i] >= 3 and condition[i] < COPLANAR and LEAST_ALBEDO <= length <= LARGEST
+        scalars[2, p] = min(condition[i], 3e38)
+        lights_used[p] = int(count[i])
+        if surface:
             flag |= bits.FACES_AWAY if z <= 0.0 else 0
-            flag |= bits.ILL_CONDITIONED if condition > max_condition else 0
-            # a projection leaves neither less than nothing nor more than there was, whatever the rounding
-            squares = min(max(t[9] - (x * t[6] + y * t[7] + z * t[8]), 0.0), t[9])
-            x, y, z = x / length, y / length, z / length
-            normals[p, 0], normals[p, 1], normals[p, 2] = x, y, z
+            flag |= bits.ILL_CONDITIONED if condition[i] > max_condition else 0
+            flag |= 0 if count[i] > 3 else bits.NO_REDUNDANCY
+            normals[p, 0], normals[p, 1], normals[p, 2] = solved[0, i], solved[1, i], z
             scalars[0, p] = length
-            scalars[3, p] = min(np.sqrt(squares / weight), LARGEST)
-            if count > 3:
-                scalars[1, p] = angular_sigma(m, x, y, z, length, squares / (count - 3.0))
-            else:
-                flag |= bits.NO_REDUNDANCY
+            scalars[1, p] = solved[5, i] if count[i] > 3 else 0.5 * np.pi
+            scalars[3, p] = solved[4, i]
         else:
-            flag |= bits.NO_SIGNAL
-    flags[p] = flag
+            if count[i] < 3:
+                flag |= bits.TOO_FEW_LIGHTS
+            elif condition[i] >= COPLANAR:
+                flag |= bits.COPLANAR_LIGHTS
+            else:
+                flag |= bits.NO_SIGNAL
+            normals[p, 0], normals[p, 1], normals[p, 2] = 0.0, 0.0, 1.0
+            scalars[0, p], scalars[1, p], scalars[3, p] = 0.0, 0.5 * np.pi, 0.0
+        flags[p] = flag
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
@@ -154,11 +195,6 @@ def solve_weighted(observations, weights, products, max_condition, normals, scal
     neighbouring pixels, so that the result of a pixel does not depend on where tiles begin.
     """
     lights, pixels = observations.shape
-    all_lights = np.zeros(TERMS)
-    for j in range(lights):
-        for k in range(6):
-            all_lights[k] += products[j, k]
-    full_condition, full_inverse = conditioned(all_lights, lights)
     for block in prange((pixels + BLOCK - 1) // BLOCK):
         start = block * BLOCK
         width = min(BLOCK, pixels - start)
@@ -185,128 +221,84 @@ def solve_weighted(observations, weights, products, max_condition, normals, scal
                 sums[p + 9 * BLOCK] += weighted * value
                 sums[p + 10 * BLOCK] += w
                 sums[p + 11 * BLOCK] += 1.0 if w > 0 else 0.0
-        t = np.empty(TERMS)
+        inverses, conditions, solved = np.empty((6, BLOCK)), np.empty(BLOCK), np.empty((6, BLOCK))
+        rows = sums.reshape(TERMS + 2, BLOCK)
+        condition_block(rows, rows[11], conditions, inverses)
+        solve_block(rows[6:10], inverses, rows[11], rows[10], solved)
+        write_block(solved, conditions, rows[11], max_condition, start, width, normals, scalars, lights_used, flags)
+
+
+@njit(cache=True, error_model="numpy")
+def add_masked(values, mask, products, start, sums):
+    """Right-hand sides and sums of squares of a block, into sums (4, BLOCK); a mask of 0: no sample."""
+    for p in range(0, BLOCK, LANES):
+        x = y = z = squares = splat(0.0)
+        for j in range(values.shape[0]):
+            value = widen(choose(load(mask, (j, start + p)), load(values, (j, start + p)), np.float32(0.0)))
+            x += value * products[j, 6]
+            y += value * products[j, 7]
+            z += value * products[j, 8]
+            squares += value * value
+        store(sums, (0, p), x)
+        store(sums, (1, p), y)
+        store(sums, (2, p), z)
+        store(sums, (3, p), squares)
+
+
+@njit(cache=True, error_model="numpy")
+def add_matrices(mask, products, start, matrices, count):
+    """Normal matrices (6, BLOCK) of the lights that the mask selects, and their number."""
+    for p in range(0, BLOCK, LANES):
+        a = b = c = d = e = f = number = splat(0.0)
+        for j in range(mask.shape[0]):
+            here = load(mask, (j, start + p))
+            a = choose(here, a + products[j, 0], a)
+            b = choose(here, b + products[j, 1], b)
+            c = choose(here, c + products[j, 2], c)
+            d = choose(here, d + products[j, 3], d)
+            e = choose(here, e + products[j, 4], e)
+            f = choose(here, f + products[j, 5], f)
+            number = choose(here, number + 1.0, number)
+        store(matrices, (0, p), a)
+        store(matrices, (1, p), b)
+        store(matrices, (2, p), c)
+        store(matrices, (3, p), d)
+        store(matrices, (4, p), e)
+        store(matrices, (5, p), f)
+        store(count, p, number)
+
+
+@njit(cache=True, error_model="numpy")
+def copy_block(values, mask, start, width, spare, spare_mask):
+    """A block that is not full, with nothing behind it."""
+    spare_mask[:] = 0
+    for j in range(values.shape[0]):
         for p in range(width):
-            for k in range(TERMS):
-                t[k] = sums[p + k * BLOCK]
-            weight_sum, count = sums[p + 10 * BLOCK], sums[p + 11 * BLOCK]
-            # Most pixels use every light: their matrix is the same to the last bit, and so is its inverse.
-            if (
-                count == lights
-                and weight_sum == lights
-                and t[0] == all_lights[0]
-                and t[3] == all_lights[3]
-                and t[5] == all_lights[5]
-            ):
-                condition, m = full_condition, full_inverse
-            else:
-                condition, m = conditioned(t, count)
-            write_pixel(
-                t, condition, m, count, weight_sum, max_condition, start + p, normals, scalars, lights_used, flags
-            )
-
-
-@njit(cache=True, error_model="numpy")
-def matrix_of(all_lights, selected, products, t):
-    """The six products of the lights that `selected` (lights,) marks into t, and their number.
-
-    Those of all lights less those left out; where most are left out the others are added up instead, for a small rest
-    of large sums would hold their rounding.
-    """
-    count = 0
-    for j in range(len(selected)):
-        count += selected[j] != 0
-    few = 2 * count < len(selected)
-    start, sign = (0.0, 1.0) if few else (1.0, -1.0)
-    a, b, c, d, e, f = (
-        start * all_lights[0],
-        start * all_lights[1],
-        start * all_lights[2],
-        start * all_lights[3],
-        start * all_lights[4],
-        start * all_lights[5],
-    )
-    for j in range(len(selected)):
-        w = sign if few == (selected[j] != 0) else 0.0  # no branch: which lights are left out is next to random
-        a += w * products[j, 0]
-        b += w * products[j, 1]
-        c += w * products[j, 2]
-        d += w * products[j, 3]
-        e += w * products[j, 4]
-        f += w * products[j, 5]
-    t[0], t[1], t[2], t[3], t[4], t[5] = a, b, c, d, e, f
-    return count
-
-
-@njit(cache=True, error_model="numpy")
-def add_masked(row, mask, x, y, z, bit, sums, left_out):
-    """Add one light's samples of a block to the right-hand side and the squares; a mask of 0: no sample.
-
-    A function of its own, or the compiler does not make SIMD code of it.
-    """
-    for p in range(len(row)):
-        value = np.float64(row[p] if mask[p] != 0 else np.float32(0.0))
-        sums[p] += value * x
-        sums[p + BLOCK] += value * y
-        sums[p + 2 * BLOCK] += value * z
-        sums[p + 3 * BLOCK] += value * value
-    for p in range(len(row)):
-        left_out[p] |= np.uint64(0) if mask[p] != 0 else bit
-
-
-@njit(cache=True, error_model="numpy")
-def slot_of(pattern):
-    """Place of a pattern of lights among SLOTS (multiplicative hashing: Knuth, volume 3, section 6.4)."""
-    return int((pattern * np.uint64(0x9E3779B97F4A7C15)) >> np.uint64(64 - SLOT_BITS))
+            spare[j, p], spare_mask[j, p] = values[j, start + p], mask[j, start + p]
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
 def solve_masked(observations, selected, products, max_condition, normals, scalars, lights_used, flags):
-    """Least squares on the samples that `selected` (lights, pixels) uint8 marks; otherwise as `solve_weighted`.
-
-    Most samples are selected: the normal matrix is that of all lights less the few that are left out, so that only the
-    right-hand side and the squares are added up at every pixel. Pixels nearby leave out the same lights in few
-    different ways: the inverse of each is kept, by the pattern of these lights.
-    """
+    """Least squares on the samples that `selected` (lights, pixels) uint8 marks; otherwise as `solve_weighted`."""
     lights, pixels = observations.shape
-    all_lights = np.zeros(TERMS)
-    for j in range(lights):
-        for k in range(6):
-            all_lights[k] += products[j, k]
-    full_condition, full_inverse = conditioned(all_lights, lights)
     blocks = (pixels + BLOCK - 1) // BLOCK
     for chunk in prange((blocks + CHUNK - 1) // CHUNK):
-        sums, left_out = np.empty(4 * BLOCK), np.empty(BLOCK, np.uint64)  # bit j % 64: light j
-        patterns = np.zeros(SLOTS, np.uint64)  # 0: nothing kept here
-        kept, counts = np.empty((SLOTS, 7)), np.empty(SLOTS, np.int64)
-        t = np.empty(TERMS)
+        sums, solved = np.empty((4, BLOCK)), np.empty((6, BLOCK))
+        matrices, inverses = np.empty((6, BLOCK)), np.empty((6, BLOCK))
+        conditions, counts = np.empty(BLOCK), np.empty(BLOCK)
+        spare, spare_mask = np.zeros((lights, BLOCK), np.float32), np.zeros((lights, BLOCK), np.uint8)
         for block in range(chunk * CHUNK, min((chunk + 1) * CHUNK, blocks)):
             start = block * BLOCK
             width = min(BLOCK, pixels - start)
-            sums[:] = 0.0
-            left_out[:] = 0
-            for j in range(lights):
-                row, mask = observations[j, start : start + width], selected[j, start : start + width]
-                x, y, z = products[j, 6], products[j, 7], products[j, 8]
-                add_masked(row, mask, x, y, z, np.uint64(1) << np.uint64(j % 64), sums, left_out)
-            for p in range(width):
-                pattern = left_out[p]
-                count, condition, m = lights, full_condition, full_inverse
-                if pattern != 0:
-                    slot = slot_of(pattern)
-                    if patterns[slot] != pattern or lights > 64:
-                        counts[slot] = matrix_of(all_lights, selected[:, start + p], products, t)
-                        condition, m = conditioned(t, counts[slot])
-                        patterns[slot], kept[slot, 6] = pattern, condition
-                        for k in range(6):
-                            kept[slot, k] = m[k]
-                    count, condition = counts[slot], kept[slot, 6]
-                    m = (kept[slot, 0], kept[slot, 1], kept[slot, 2], kept[slot, 3], kept[slot, 4], kept[slot, 5])
-                for k in range(4):
-                    t[6 + k] = sums[p + k * BLOCK]
-                write_pixel(
-                    t, condition, m, count, count, max_condition, start + p, normals, scalars, lights_used, flags
-                )
+            values, mask, first = observations, selected, start
+            if width < BLOCK:
+                copy_block(observations, selected, start, width, spare, spare_mask)
+                values, mask, first = spare, spare_mask, 0
+            add_masked(values, mask, products, first, sums)
+            add_matrices(mask, products, first, matrices, counts)
+            condition_block(matrices, counts, conditions, inverses)
+            solve_block(sums, inverses, counts, counts, solved)
+            write_block(solved, conditions, counts, max_condition, start, width, normals, scalars, lights_used, flags)
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
@@ -330,9 +322,9 @@ def solve_shared(observations, products, max_condition, normals, scalars, lights
                 sums[1, p] += value * y
                 sums[2, p] += value * z
                 sums[3, p] += value * value
-        terms = shared.copy()
-        for p in range(width):
-            terms[6], terms[7], terms[8], terms[9] = sums[0, p], sums[1, p], sums[2, p], sums[3, p]
-            write_pixel(
-                terms, condition, m, lights, lights, max_condition, start + p, normals, scalars, lights_used, flags
-            )
+        inverses, conditions, counts = np.empty((6, BLOCK)), np.full(BLOCK, condition), np.full(BLOCK, lights * 1.0)
+        for k in range(6):
+            inverses[k] = m[k]
+        solved = np.empty((6, BLOCK))
+        solve_block(sums, inverses, counts, counts, solved)
+        write_block(solved, conditions, counts, max_condition, start, width, normals, scalars, lights_used, flags)

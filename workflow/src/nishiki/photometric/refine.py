@@ -152,7 +152,7 @@ def refine(
         record, lower = np.zeros(BLOCK, np.float32), planes(1, BLOCK)[0]
         chosen = np.zeros(BLOCK, np.int64)
         result, best = empty_result(lights), empty_result(lights)
-        matrix = np.zeros(6 * BLOCK)
+        condition = np.zeros(BLOCK)
         work = descent_work(lights)
         index = np.zeros(BLOCK, np.int64)
         p = chunk * CHUNK
@@ -196,33 +196,36 @@ def refine(
                 take_lanes(lower, result[3].reshape(-1), best[3].reshape(-1))
                 take_lanes(lower, result[4], best[4])
             tangential_variance(best[2], held, variance)
-            normal_matrices(best[3], vectors, matrix)
-            store_fits(index, width, best, variance, matrix, max_condition, normals, scalars, lights_used, flags, spare)
+            conditions_of(best[3], vectors, condition)
+            store_fits(
+                index, width, best, variance, condition, max_condition, normals, scalars, lights_used, flags, spare
+            )
             if low != SHADING_SQUARINGS or high != SHADING_SQUARINGS:
                 linear_terms(values, best, vectors, chosen, held, work[1], work[7], work[2])
             store_shading(index, width, best, spare, shading)
 
 
 @njit(cache=True, error_model="numpy")
-def normal_matrices(weights, vectors, out):
-    """The six elements (6 * BLOCK) of the 3 x 3 normal matrix of each pixel's kept lights."""
-    out[:] = 0.0
-    for j in range(weights.shape[0]):
-        x, y, z = np.float64(vectors[0, j]), np.float64(vectors[1, j]), np.float64(vectors[2, j])
-        xx, xy, xz, yy, yz, zz = x * x, x * y, x * z, y * y, y * z, z * z
-        row = weights[j]
-        for p in range(BLOCK):
-            w = np.float64(row[p])
-            out[p] += w * xx
-            out[p + BLOCK] += w * xy
-            out[p + 2 * BLOCK] += w * xz
-            out[p + 3 * BLOCK] += w * yy
-            out[p + 4 * BLOCK] += w * yz
-            out[p + 5 * BLOCK] += w * zz
+def conditions_of(weights, vectors, out):
+    """Condition (BLOCK,) of the 3 x 3 normal matrix of each pixel's kept lights."""
+    for p in range(0, BLOCK, LANES):
+        a = b = c = d = e = f = splat(0.0)
+        for j in range(weights.shape[0]):
+            x, y, z = np.float64(vectors[0, j]), np.float64(vectors[1, j]), np.float64(vectors[2, j])
+            kept = load(weights, (j, p)) > np.float32(0.0)
+            a = choose(kept, a + x * x, a)
+            b = choose(kept, b + x * y, b)
+            c = choose(kept, c + x * z, c)
+            d = choose(kept, d + y * y, d)
+            e = choose(kept, e + y * z, e)
+            f = choose(kept, f + z * z, f)
+        least, largest = eigenvalues(a, b, c, d, e, f)
+        bound = largest * 1e-30
+        store(out, p, largest / choose(least > bound, least, bound))
 
 
 @njit(cache=True, error_model="numpy")
-def store_fits(index, width, best, variance, matrix, max_condition, normals, scalars, lights_used, flags, stored):
+def store_fits(index, width, best, variance, condition, max_condition, normals, scalars, lights_used, flags, stored):
     """Write refined pixels; where the fit is no surface (no diffuse part, singular) the Lambertian one stands.
 
     stored (lights, BLOCK): its first row becomes 1 where a pixel was written.
@@ -241,24 +244,15 @@ def store_fits(index, width, best, variance, matrix, max_condition, normals, sca
             flags[p] |= bits.FALLBACK
             continue
         stored[0, i] = np.float32(1.0)
-        least, largest = eigenvalues(
-            matrix[i],
-            matrix[i + BLOCK],
-            matrix[i + 2 * BLOCK],
-            matrix[i + 3 * BLOCK],
-            matrix[i + 4 * BLOCK],
-            matrix[i + 5 * BLOCK],
-        )
-        condition = largest / max(least, 1e-30 * largest)
         for k in range(3):
             normals[p, k] = fit[i + k * BLOCK]
         scalars[0, p] = diffuse * albedo
         scalars[1, p] = min(np.sqrt(variance[i] * squares / (kept - 5.0)), 0.5 * np.pi)
-        scalars[2, p] = min(condition, 3e38)
+        scalars[2, p] = min(condition[i], 3e38)
         scalars[3, p] = residual
         lights_used[p] = int(kept)
         flag = flags[p] & ~(bits.ILL_CONDITIONED | bits.FACES_AWAY | bits.NO_REDUNDANCY)
-        if condition > max_condition:
+        if condition[i] > max_condition:
             flag |= bits.ILL_CONDITIONED
         if fit[i + 2 * BLOCK] <= 0.0:
             flag |= bits.FACES_AWAY
