@@ -183,7 +183,7 @@ Kinds of devices, their wiring and their keys, and devices of your own: docs/dev
 def _with_rig(sub: argparse.ArgumentParser) -> None:
     """The subcommands of `rig`."""
     sub.description = RIG
-    sub.set_defaults(call=lambda options, rest: sub.error("expected what to do: ports or test; see --help"))
+    sub.set_defaults(call=lambda options, rest: sub.error("expected what to do: ports, test, plan or run; see --help"))
     actions = sub.add_subparsers(dest="action", metavar="ACTION", title="actions")
 
     def action(name: str, function: str, text: str, **options) -> argparse.ArgumentParser:
@@ -192,6 +192,11 @@ def _with_rig(sub: argparse.ArgumentParser) -> None:
         return made
 
     action("ports", "rig:ports", "list what is connected: serial ports with vendor and product, cameras")
+    made = action("plan", "rig:plan", "print the table of frames that a plan expands to, with duration and size")
+    made.add_argument("plan", metavar="PLAN", help="plan of a dome, turntable or goniometer (YAML)")
+    made.add_argument(
+        "--table", metavar="FRAMES.tsv", help="save the table there, to be edited, instead of printing it"
+    )
     made = action("test", "rig:test", "move every device of a rig once and take one photograph; a line a device")
     made.add_argument("rig", metavar="RIG", help="description of the rig (YAML)")
 

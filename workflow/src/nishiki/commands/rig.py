@@ -30,6 +30,26 @@ def ports(options: argparse.Namespace, rest: list[str]) -> None:
         print(f"cameras are not listed: gphoto2 is not installed. Remedy: {install_extras('rig')}", file=sys.stderr)
 
 
+def plan(options: argparse.Namespace, rest: list[str]) -> None:
+    """Print the table of frames that a plan expands to, with duration and size; or save it."""
+    import os
+
+    from nishiki.rig.frames_table import summary, table_text
+    from nishiki.rig.plan import read_plan
+
+    plan_file, table = Path(options.plan), Path(options.table) if options.table else None
+    frames = read_plan(plan_file).frames()
+    folder = table.parent if table else Path()
+    text = table_text(frames, os.path.relpath(plan_file, folder))
+    if table:
+        folder.mkdir(parents=True, exist_ok=True)
+        table.write_text(text, encoding="utf-8")
+        print(f"{table}: edit it as you like, then ./nishiki rig run RIG.yaml {table} CAPTURE")
+    else:
+        print(text, end="")
+    print(summary(frames, folder))
+
+
 def test(options: argparse.Namespace, rest: list[str]) -> int:
     """Move every device of a rig once; a line each. Exit status 2 where one fails."""
     from nishiki.rig.description import open_rig

@@ -1,0 +1,199 @@
+"""What is measured in a photograph as soon as it is taken, and whether it can be kept.
+
+Light failures show in the brightness: on a flat diffuse surface it follows the cosine of the lamp's angle (over the
+squared distance), and lamps that stand beside each other light the object alike. Movement shows in the sharpness: the
+ratio of the finest detail to detail twice as coarse, which hardly depends on the contrast.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.capture.schema_base import Camera
+from nishiki.capture.taking import channel_names
+from nishiki.formats.image_headers import read_header
+from nishiki.formats.images import read_codes
+from nishiki.rig.plan import Checks
+
+SAMPLES_PX = 1000  # about as many pixels a side are measured
+DETAIL_PX = 1024  # side of the central window whose sharpness is measured
+NO_LIGHT = 0.002  # of full scale, above the black level
+DARK_LEVEL = 0.05  # of full scale: a dark frame above saw light
+EXPOSURE_TOLERANCE = 0.15  # relative: EXIF rounds to the steps of the camera's dial
+SATURATION = 0.995  # of full scale, where capture.yaml does not say otherwise
+EXPOSURE_TIME, EXIF_BLOCK = 33434, 34665  # tags of EXIF 2.32
+
+
+@dataclass(frozen=True)
+class Measures:
+    """What is measured in a photograph.
+
+    Attributes
+    ----------
+    rows, columns, channels : int
+        Its size.
+    sample : str
+        Type of its codes: uint8, uint16, float32.
+    level : float
+        Mean of all channels above the black level, of full scale.
+    saturated, dark : float
+        Shares of the pixels with a saturated channel, and without light in any.
+    peak : float
+        Code, of full scale, that one pixel of a thousand exceeds.
+    sharpness : float or None
+        Ratio of the energies of fine and coarser detail; None where there is none.
+    exposure_s : float or None
+        As EXIF tells.
+    """
+
+    rows: int
+    columns: int
+    channels: int
+    sample: str
+    level: float
+    saturated: float
+    dark: float
+    peak: float
+    sharpness: float | None
+    exposure_s: float | None
+
+
+def read_photograph(path: Path) -> np.ndarray:
+    """Codes (rows, columns, channels). CaptureError where the file is damaged or no photograph."""
+    header = read_header(path)
+    return read_codes(path, channel_names(header), header=header)
+
+
+def measure(codes: np.ndarray, camera: Camera, exposure_s: float | None) -> Measures:
+    """Measure codes (rows, columns, channels) of a camera; `exposure_s` is what EXIF tells."""
+    step = max(1, min(codes.shape[:2]) // SAMPLES_PX)
+    light = light_of(codes[::step, ::step], camera)
+    limit = (camera.saturation or SATURATION) * full_scale(codes, camera) - camera.black_level
+    light_limit = limit / full_scale(codes, camera)
+    return Measures(
+        rows=codes.shape[0],
+        columns=codes.shape[1],
+        channels=codes.shape[2],
+        sample=str(codes.dtype),
+        level=float(light.mean()),
+        saturated=float((light >= light_limit).any(axis=2).mean()),
+        dark=float((light < NO_LIGHT).all(axis=2).mean()),
+        peak=float(np.quantile(light.max(axis=2), 0.999)),
+        sharpness=sharpness(codes),
+        exposure_s=exposure_s,
+    )
+
+
+def full_scale(codes: np.ndarray, camera: Camera) -> float:
+    """Largest code: by `camera.bits`, or by the type of the file; 1 for float files."""
+    if codes.dtype.kind == "f":
+        return 1.0
+    return float((1 << camera.bits) - 1 if camera.bits else np.iinfo(codes.dtype).max)
+
+
+def light_of(codes: np.ndarray, camera: Camera) -> np.ndarray:
+    """Codes above the black level, of full scale, float32."""
+    return (codes.astype(np.float32) - camera.black_level) / full_scale(codes, camera)
+
+
+def sharpness(codes: np.ndarray) -> float | None:
+    """Variance of the Laplacian over that of the picture at half size, in the middle; None where nothing is to be seen."""
+    import cv2
+
+    top, left = (max(0, (size - DETAIL_PX) // 2) for size in codes.shape[:2])
+    grey = codes[top : top + DETAIL_PX, left : left + DETAIL_PX].astype(np.float32).mean(axis=2)
+    if min(grey.shape) < 8:
+        return None
+    half = cv2.resize(grey, (grey.shape[1] // 2, grey.shape[0] // 2), interpolation=cv2.INTER_AREA)
+    fine, coarse = (float(cv2.Laplacian(picture, cv2.CV_32F).var()) for picture in (grey, half))
+    return fine / coarse if coarse > 0 else None
+
+
+def exif_exposure_s(path: Path) -> float | None:
+    """Exposure time that a JPEG or TIFF, or a raw file built as TIFF, tells; None where it tells none."""
+    from PIL import Image
+
+    try:
+        with path.open("rb") as file:
+            beginning = file.read(4)
+            exif = Image.Exif()
+            if beginning[:2] in (b"II", b"MM"):
+                file.seek(0)
+                exif.load_from_fp(file)
+            else:
+                exif = Image.open(path).getexif()
+            value = exif.get_ifd(EXIF_BLOCK).get(EXPOSURE_TIME) or exif.get(EXPOSURE_TIME)
+        return float(value) if value else None
+    except (OSError, SyntaxError, ValueError, TypeError, KeyError, ZeroDivisionError):
+        return None  # files of the camera's own kinds need not hold EXIF that Pillow reads
+
+
+def expected_level(reference: float, neighbours: list[tuple[float, float]]) -> float:
+    """Level that neighbours lead to expect: `reference` times the median of their levels over their references."""
+    return reference * float(np.median([level / known for known, level in neighbours]))
+
+
+def reasons_against(
+    group: str,
+    measures: Measures,
+    checks: Checks,
+    *,
+    first: Measures | None,
+    reference_sharpness: float | None,
+    expected: tuple[float, float] | None,
+    exposure_s: float | None,
+) -> list[str]:
+    """Why a photograph cannot be kept; empty where it can.
+
+    Parameters
+    ----------
+    group : str
+        What was photographed: object, white, board or dark.
+    measures : Measures
+        Of the photograph.
+    checks : Checks
+        Limits of the plan.
+    first : Measures or None
+        Of the first frame of the capture, whose size all others have.
+    reference_sharpness : float or None
+        Of the first frame of the object.
+    expected : tuple of float or None
+        Level that its neighbours lead to expect, and the factor by which it may differ.
+    exposure_s : float or None
+        Exposure that the camera was set to.
+    """
+    reasons = []
+    size = (measures.rows, measures.columns, measures.channels, measures.sample)
+    if first is not None and size != (wanted := (first.rows, first.columns, first.channels, first.sample)):
+        reasons.append(f"expected {_size(wanted)} as the first frame, found {_size(size)}: set the camera as it was")
+    if exposure_s and measures.exposure_s and abs(measures.exposure_s / exposure_s - 1) > EXPOSURE_TOLERANCE:
+        reasons.append(f"EXIF tells an exposure of {measures.exposure_s:g} s, not {exposure_s:g} s: set the camera to M")
+    if group == "dark":
+        if measures.level > DARK_LEVEL:
+            reasons.append(f"a dark frame of {measures.level:.0%} of full scale: close the lens, or darken the room")
+        return reasons
+    most = checks.white_saturated if group == "white" else checks.saturated
+    if most is not None and measures.saturated > most:
+        reasons.append(f"{measures.saturated:.1%} of the pixels are saturated, at most {most:.1%} may be: expose shorter")
+    if checks.dark is not None and measures.dark > checks.dark:
+        reasons.append(f"{measures.dark:.1%} of the pixels have no light: check that the lamp shines")
+    if group == "object" and checks.sharpness is not None and reference_sharpness and measures.sharpness is not None:
+        relative = measures.sharpness / reference_sharpness
+        if relative < checks.sharpness:
+            reasons.append(f"sharpness is {relative:.2f} of the first frame's: check that nothing moves or vibrates")
+    if expected is not None and expected[0] > 0:
+        level, factor = expected
+        ratio = max(measures.level, 0.0) / level
+        if not 1 / factor <= ratio <= factor:
+            reasons.append(
+                f"brightness is {ratio:.2g} of what its neighbours lead to expect (1/{factor:g} to {factor:g}): "
+                "check this lamp, or the frames before"
+            )
+    return reasons
+
+
+def _size(size: tuple[int, int, int, str]) -> str:
+    return f"{size[0]} x {size[1]} pixels with {size[2]} channels of {size[3]}"

@@ -1,0 +1,182 @@
+"""The table of frames that a rig takes: one row a photograph, as tab-separated text that can be edited."""
+
+from __future__ import annotations
+
+import csv
+import math
+import shutil
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+
+from nishiki.capture.frames import ROLES, TURNTABLE_ROLES
+from nishiki.errors import UserError
+from nishiki.formats.files import name_fault
+
+AUTOMATIC = {"object": "auto:object", "white": "auto:white"}
+"""What stands in place of an exposure that is found when the frames are taken, by what is before the camera."""
+ANGLES = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
+COLUMNS = ("file", "role", "lamp", "light", "view", "polariser", *ANGLES, "exposure_s", "aperture", "iso")
+AXIS, POLARISER = "axis:", "polariser:"
+"""Beginnings of the columns that a rig's axes and polarisers have by their names."""
+ESTIMATES = ("seconds", "bytes")
+PLAN_LINE = "# plan: "
+ALL_ROLES = tuple(dict.fromkeys(ROLES + TURNTABLE_ROLES))
+
+
+@dataclass(frozen=True)
+class PlannedFrame:
+    """A photograph that a rig takes.
+
+    Attributes
+    ----------
+    file : str
+        Name in the capture.
+    role, light, view, polariser, angles_deg
+        As in frames.csv.
+    lamp : int or None
+        Number of the lamp, from 1; None: lamps stay as they are, and are off for dark frames.
+    axes, polarisers : tuple of pairs
+        Angle in degrees of each axis and state of each polariser of the rig, by name.
+    exposure_s : float, str or None
+        Seconds; `auto:object` or `auto:white`; None: as the camera is set.
+    aperture, iso : float, int or None
+    seconds, bytes : float, int
+        What the frame is expected to take.
+    """
+
+    file: str
+    role: str
+    lamp: int | None = None
+    light: str = ""
+    view: str = ""
+    polariser: str = ""
+    angles_deg: tuple[float, ...] = ()
+    axes: tuple[tuple[str, float], ...] = ()
+    polarisers: tuple[tuple[str, str], ...] = ()
+    exposure_s: float | str | None = None
+    aperture: float | None = None
+    iso: int | None = None
+    seconds: float = 0.0
+    bytes: int = 0
+
+    @property
+    def group(self) -> str:
+        """What stands before the camera: object, white, board or dark."""
+        return self.role if self.role in ("white", "board", "dark") else "object"
+
+
+def table_text(frames: tuple[PlannedFrame, ...], plan: Path | str) -> str:
+    """The table as text; columns that no frame uses are left out. plan: the plan's file, relative to the table."""
+    rows = [_cells(frame) for frame in frames]
+    order = [*COLUMNS, *sorted({key for row in rows for key in row} - set(COLUMNS) - set(ESTIMATES)), *ESTIMATES]
+    used = [key for key in order if any(row.get(key) for row in rows)]
+    lines = ["\t".join(used), *("\t".join(row.get(key, "") for key in used) for row in rows)]
+    return f"{PLAN_LINE}{plan}\n" + "\n".join(lines) + "\n"
+
+
+def _cells(frame: PlannedFrame) -> dict[str, str]:
+    cells = {key: _text(getattr(frame, key)) for key in (*COLUMNS, *ESTIMATES) if key not in ANGLES}
+    cells |= dict(zip(ANGLES, map(_text, frame.angles_deg), strict=False))
+    cells |= {AXIS + name: _text(angle) for name, angle in frame.axes}
+    return cells | {POLARISER + name: state for name, state in frame.polarisers}
+
+
+def _text(value: object) -> str:
+    return "" if value is None else f"{value:.10g}" if isinstance(value, float) else str(value)
+
+
+def read_table(path: Path) -> tuple[Path, tuple[PlannedFrame, ...]]:
+    """The plan that a table belongs to, and its frames. UserError names the line and the column of a mistake."""
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except FileNotFoundError:
+        raise UserError(f"{path}: file not found. Remedy: ./nishiki rig plan PLAN.yaml --table {path}") from None
+    except UnicodeDecodeError:
+        raise UserError(f"{path}: expected text in UTF-8. Remedy: save it as UTF-8") from None
+    if not lines or not lines[0].startswith(PLAN_LINE.strip()):
+        raise UserError(f"{path} line 1: expected '{PLAN_LINE}PLAN.yaml', relative to the table. Remedy: restore it")
+    plan = path.parent / lines[0].strip().strip('"').removeprefix(PLAN_LINE.strip()).strip()
+    reader = csv.DictReader(lines[1:], delimiter="\t")
+    unknown = [
+        c for c in reader.fieldnames or () if c not in (*COLUMNS, *ESTIMATES) and not c.startswith((AXIS, POLARISER))
+    ]
+    if unknown or not {"file", "role"} <= set(reader.fieldnames or ()):
+        raise UserError(
+            f"{path} line 2: expected columns of a table of frames, found {', '.join(unknown) or 'no file and role'}"
+        )
+    frames = tuple(_planned(row, f"{path} line {number}") for number, row in enumerate(reader, start=3))
+    twice = [file for file, count in Counter(frame.file for frame in frames).items() if count > 1]
+    if twice or not frames:
+        found = f"{twice[0]} twice" if twice else "none"
+        raise UserError(f"{path}: expected frames with names of their own, found {found}")
+    return plan, frames
+
+
+def _planned(row: dict[str, str], where: str) -> PlannedFrame:
+    if None in row or None in row.values():
+        raise UserError(f"{where}: expected a value for each column, between tabs; empty ones count")
+
+    def number(key: str, kind: type = float) -> float | int | None:
+        text = (row.get(key) or "").strip()
+        try:
+            value = kind(text) if text else None
+        except ValueError:
+            value = math.nan
+        if value is not None and not math.isfinite(value):
+            raise UserError(f"{where}: {key}: expected a number, found {text!r}")
+        return value
+
+    fault = name_fault(row["file"])
+    if fault or row["role"] not in ALL_ROLES:
+        found = f"{fault} {row['file']!r}" if fault else f"role {row['role']!r}"
+        raise UserError(f"{where}: expected a file name inside the capture, and a role of frames.csv; found {found}")
+    exposure = row.get("exposure_s", "").strip()
+    angles = tuple(number(key) for key in ANGLES)
+    return PlannedFrame(
+        file=row["file"],
+        role=row["role"],
+        lamp=number("lamp", int),
+        light=row.get("light", ""),
+        view=row.get("view", ""),
+        polariser=row.get("polariser", ""),
+        angles_deg=angles if None not in angles else (),
+        axes=tuple((key.removeprefix(AXIS), number(key)) for key in row if key.startswith(AXIS) and row[key]),
+        polarisers=tuple(
+            (key.removeprefix(POLARISER), row[key]) for key in row if key.startswith(POLARISER) and row[key]
+        ),
+        exposure_s=exposure if exposure in AUTOMATIC.values() else number("exposure_s"),
+        aperture=number("aperture"),
+        iso=number("iso", int),
+        seconds=number("seconds") or 0.0,
+        bytes=number("bytes", int) or 0,
+    )
+
+
+def summary(frames: tuple[PlannedFrame, ...], destination: Path) -> str:
+    """Frames of each role, duration, size and free space, in two lines."""
+    roles = Counter(frame.role for frame in frames)
+    size, free = sum(frame.bytes for frame in frames), shutil.disk_usage(existing(destination)).free
+    counts = ", ".join(f"{count} {role}" for role, count in roles.items())
+    room = "enough" if free > size else "NOT ENOUGH"
+    return (
+        f"{len(frames)} frames: {counts}\n"
+        f"about {duration(sum(frame.seconds for frame in frames))}, {size / 1e9:.2f} GB; "
+        f"free space {free / 1e9:.2f} GB: {room}"
+    )
+
+
+def existing(path: Path) -> Path:
+    """The path, or the nearest folder above it that exists."""
+    path = path.absolute()
+    while not path.exists():
+        path = path.parent
+    return path
+
+
+def duration(seconds: float) -> str:
+    """Hours, minutes and seconds, as far as they matter."""
+    minutes, rest = divmod(round(seconds), 60)
+    if minutes >= 60:
+        return f"{minutes // 60} h {minutes % 60} min"
+    return f"{minutes} min {rest} s" if minutes else f"{rest} s"
