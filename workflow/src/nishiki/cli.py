@@ -174,6 +174,10 @@ Take the photographs of a capture with cameras, lamps, turntables and goniometer
          turntable: {{kind: comxim, port: /dev/ttyUSB0}}
 
   3. {COMMAND} rig test rig.yaml      moves every device once
+  4. write plan.yaml (docs/rig.md), then
+
+       {COMMAND} rig plan plan.yaml                          the frames, their time and size
+       {COMMAND} rig run rig.yaml plan.yaml captures/NAME    takes, checks and seals them
 
 Kinds of devices, their wiring and their keys, and devices of your own: docs/devices/README.md. Without hardware:
 {COMMAND} demo --rig
@@ -197,6 +201,11 @@ def _with_rig(sub: argparse.ArgumentParser) -> None:
     made.add_argument(
         "--table", metavar="FRAMES.tsv", help="save the table there, to be edited, instead of printing it"
     )
+    made = action("run", "rig:run", "take the photographs of a plan, or go on where it stopped; checked and sealed")
+    made.add_argument("rig", metavar="RIG", help="description of the rig (YAML)")
+    made.add_argument("plan", metavar="PLAN", help="plan (YAML), or a table made from it by rig plan --table (.tsv)")
+    made.add_argument("capture", metavar="CAPTURE", help="capture folder to make, or to go on with")
+    made.add_argument("--dry-run", action="store_true", help="print what would be taken; nothing moves")
     made = action("test", "rig:test", "move every device of a rig once and take one photograph; a line a device")
     made.add_argument("rig", metavar="RIG", help="description of the rig (YAML)")
 

@@ -50,6 +50,40 @@ def plan(options: argparse.Namespace, rest: list[str]) -> None:
     print(summary(frames, folder))
 
 
+def run(options: argparse.Namespace, rest: list[str]) -> None:
+    """Take the photographs of a plan, or go on where an earlier run stopped, and seal the capture."""
+    from nishiki.rig.run import describe_run, run_capture
+
+    rig_file, plan_file, capture = Path(options.rig), Path(options.plan), Path(options.capture)
+    if options.dry_run:
+        print(describe_run(rig_file, plan_file, capture))
+        return
+    digest = run_capture(rig_file, plan_file, capture, observer=_teller(str(capture)))
+    print(f"{capture}: complete, checked and sealed, digest {digest[:12]}")
+
+
+def _teller(capture: str) -> Any:
+    """Tells on standard error how far a run is, and what is repeated and why."""
+    from nishiki.progress import Progress
+    from nishiki.rig.frames_table import duration
+    from nishiki.rig.run_state import RunState
+
+    class Teller(RunState):
+        progress = Progress(f"rig run {capture}")
+
+        def happened(self, event: dict) -> None:
+            super().happened(event)
+            if event["event"] == "frame":
+                self.progress(
+                    len(self.kept), len(self.frames), f"{event['file']}, {duration(self.seconds_left())} left"
+                )
+            elif event["event"] in ("rejected", "lost", "missing"):
+                why = "; ".join(event.get("reasons", [])) or event.get("message", "its file is gone or changed")
+                print(f"rig run {capture}: {event['file']} is taken again: {why}", file=sys.stderr, flush=True)
+
+    return Teller()
+
+
 def test(options: argparse.Namespace, rest: list[str]) -> int:
     """Move every device of a rig once; a line each. Exit status 2 where one fails."""
     from nishiki.rig.description import open_rig

@@ -16,6 +16,7 @@ from nishiki.capture.schema_base import Camera
 from nishiki.capture.taking import channel_names
 from nishiki.formats.image_headers import read_header
 from nishiki.formats.images import read_codes
+from nishiki.observations.linearise import decode, full_scale, saturation_code
 from nishiki.rig.plan import Checks
 
 SAMPLES_PX = 1000  # about as many pixels a side are measured
@@ -23,7 +24,6 @@ DETAIL_PX = 1024  # side of the central window whose sharpness is measured
 NO_LIGHT = 0.002  # of full scale, above the black level
 DARK_LEVEL = 0.05  # of full scale: a dark frame above saw light
 EXPOSURE_TOLERANCE = 0.15  # relative: EXIF rounds to the steps of the camera's dial
-SATURATION = 0.995  # of full scale, where capture.yaml does not say otherwise
 EXPOSURE_TIME, EXIF_BLOCK = 33434, 34665  # tags of EXIF 2.32
 
 
@@ -70,16 +70,16 @@ def read_photograph(path: Path) -> np.ndarray:
 def measure(codes: np.ndarray, camera: Camera, exposure_s: float | None) -> Measures:
     """Measure codes (rows, columns, channels) of a camera; `exposure_s` is what EXIF tells."""
     step = max(1, min(codes.shape[:2]) // SAMPLES_PX)
-    light = light_of(codes[::step, ::step], camera)
-    limit = (camera.saturation or SATURATION) * full_scale(codes, camera) - camera.black_level
-    light_limit = limit / full_scale(codes, camera)
+    codes_measured = codes[::step, ::step]
+    light = light_of(codes_measured, camera)
+    limit = saturation_code(codes.dtype, camera.saturation, camera.bits)
     return Measures(
         rows=codes.shape[0],
         columns=codes.shape[1],
         channels=codes.shape[2],
         sample=str(codes.dtype),
         level=float(light.mean()),
-        saturated=float((light >= light_limit).any(axis=2).mean()),
+        saturated=float((codes_measured >= limit).any(axis=2).mean()),
         dark=float((light < NO_LIGHT).all(axis=2).mean()),
         peak=float(np.quantile(light.max(axis=2), 0.999)),
         sharpness=sharpness(codes),
@@ -87,20 +87,14 @@ def measure(codes: np.ndarray, camera: Camera, exposure_s: float | None) -> Meas
     )
 
 
-def full_scale(codes: np.ndarray, camera: Camera) -> float:
-    """Largest code: by `camera.bits`, or by the type of the file; 1 for float files."""
-    if codes.dtype.kind == "f":
-        return 1.0
-    return float((1 << camera.bits) - 1 if camera.bits else np.iinfo(codes.dtype).max)
-
-
 def light_of(codes: np.ndarray, camera: Camera) -> np.ndarray:
-    """Codes above the black level, of full scale, float32."""
-    return (codes.astype(np.float32) - camera.black_level) / full_scale(codes, camera)
+    """Linear light above the black level, of full scale."""
+    scale = full_scale(codes.dtype, camera.bits)
+    return decode(codes / scale, camera.encoding) - decode(np.array(camera.black_level / scale), camera.encoding)
 
 
 def sharpness(codes: np.ndarray) -> float | None:
-    """Variance of the Laplacian over that of the picture at half size, in the middle; None where nothing is to be seen."""
+    """Variance of the Laplacian in the middle over that at half size; None where nothing is to be seen."""
     import cv2
 
     top, left = (max(0, (size - DETAIL_PX) // 2) for size in codes.shape[:2])
@@ -118,13 +112,14 @@ def exif_exposure_s(path: Path) -> float | None:
 
     try:
         with path.open("rb") as file:
-            beginning = file.read(4)
             exif = Image.Exif()
-            if beginning[:2] in (b"II", b"MM"):
+            if file.read(2) in (b"II", b"MM"):
                 file.seek(0)
                 exif.load_from_fp(file)
             else:
-                exif = Image.open(path).getexif()
+                file.seek(0)
+                with Image.open(file) as picture:
+                    exif = picture.getexif()
             value = exif.get_ifd(EXIF_BLOCK).get(EXPOSURE_TIME) or exif.get(EXPOSURE_TIME)
         return float(value) if value else None
     except (OSError, SyntaxError, ValueError, TypeError, KeyError, ZeroDivisionError):
@@ -170,14 +165,18 @@ def reasons_against(
     if first is not None and size != (wanted := (first.rows, first.columns, first.channels, first.sample)):
         reasons.append(f"expected {_size(wanted)} as the first frame, found {_size(size)}: set the camera as it was")
     if exposure_s and measures.exposure_s and abs(measures.exposure_s / exposure_s - 1) > EXPOSURE_TOLERANCE:
-        reasons.append(f"EXIF tells an exposure of {measures.exposure_s:g} s, not {exposure_s:g} s: set the camera to M")
+        reasons.append(
+            f"EXIF tells an exposure of {measures.exposure_s:g} s, not {exposure_s:g} s: set the camera to M"
+        )
     if group == "dark":
         if measures.level > DARK_LEVEL:
             reasons.append(f"a dark frame of {measures.level:.0%} of full scale: close the lens, or darken the room")
         return reasons
     most = checks.white_saturated if group == "white" else checks.saturated
     if most is not None and measures.saturated > most:
-        reasons.append(f"{measures.saturated:.1%} of the pixels are saturated, at most {most:.1%} may be: expose shorter")
+        reasons.append(
+            f"{measures.saturated:.1%} of the pixels are saturated, at most {most:.1%} may be: expose shorter"
+        )
     if checks.dark is not None and measures.dark > checks.dark:
         reasons.append(f"{measures.dark:.1%} of the pixels have no light: check that the lamp shines")
     if group == "object" and checks.sharpness is not None and reference_sharpness and measures.sharpness is not None:

@@ -56,9 +56,15 @@ class Checks(Closed):
     dark: Share | None = Field(0.98, description="largest share of pixels without light, of lit frames")
     sharpness: Share | None = Field(0.3, description="least sharpness relative to the first frame of the object")
     brightness: Factor | None = Field(
-        None, description="largest factor between a frame and what its neighbours lead to expect"
+        2.5, description="largest factor between a frame and what its neighbours lead to expect"
     )
     repeats: Count = Field(2, description="times that a frame is taken again before the run stops")
+
+
+class ClothChecks(Checks):
+    """Checks of a cloth, whose gloss differs much between neighbouring directions."""
+
+    brightness: Factor | None = Field(10.0, description="as for the other kinds")
 
 
 class AutomaticExposure(Closed):
@@ -165,6 +171,7 @@ class GoniometerPlan(Plan):
         0.0, description="least angle between lamp and camera, where one would stand before the other"
     )
     lamp: Annotated[int, Field(ge=1)] | None = Field(None, description="number; left out: the lamp is not switched")
+    checks: ClothChecks = Field(ClothChecks(), description="what a frame must be like to be kept")
     axes: dict[str, dict[str, float]] = Field(
         {name: {name: 1.0} for name in ("theta_i", "phi_i", "theta_r", "phi_r")},
         description="angle of each axis: factors of theta_i, phi_i, theta_r, phi_r, and `offset`, degrees",

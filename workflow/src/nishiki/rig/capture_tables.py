@@ -1,0 +1,117 @@
+"""The tables of a capture that a rig has taken: capture.yaml, frames.csv, lamps, and the files that the plan names."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+import shutil
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from nishiki.capture.folder import examine
+from nishiki.capture.schema_base import FORMAT
+from nishiki.errors import UserError
+from nishiki.formats.files import name_fault
+from nishiki.formats.problems import CaptureError
+from nishiki.rig.frames_table import ANGLES, PlannedFrame
+from nishiki.rig.plan import GEOMETRIES, DomePlan, ReadPlan, TurntablePlan
+
+FULL_TURN_DEG = 360.0
+
+
+def capture_settings(plan: ReadPlan, channels: tuple[str, ...] | None = None) -> dict[str, Any]:
+    """Keys of capture.yaml: those of the plan, and what follows from it. channels: of the photographs, where known."""
+    settings = plan.settings
+    camera = dict(settings.capture.get("camera") or {})
+    if channels:
+        camera.setdefault("channels", list(channels))
+    if settings.suffix in (".jpg", ".jpeg"):
+        camera.setdefault("encoding", "srgb")
+    values = {"format": FORMAT, "geometry": GEOMETRIES[settings.kind], **settings.capture, "camera": camera}
+    if isinstance(settings, DomePlan):
+        values["lights"] = {**(values.get("lights") or {}), "file": "lights.lp", "kind": settings.lights_kind}
+    if isinstance(settings, TurntablePlan) and settings.turn_deg == FULL_TURN_DEG and settings.steps > 1:
+        values["turntable"] = {"full_turn": True, **(values.get("turntable") or {})}
+    return values
+
+
+def write_tables(
+    folder: Path,
+    plan: ReadPlan,
+    frames: tuple[PlannedFrame, ...],
+    exposures: Mapping[str, float],
+    channels: tuple[str, ...] | None = None,
+) -> None:
+    """Write capture.yaml, frames.csv and lights.lp into `folder`, and copy the files that the plan's `capture` names.
+
+    exposures : mapping of str to float
+        Seconds of each frame by its file. The column `exposure_s` is written where all lit frames have one.
+    """
+    values = capture_settings(plan, channels)
+    text = "# Capture folder: see docs/capture-folder.md\n" + yaml.safe_dump(
+        values, sort_keys=False, allow_unicode=True
+    )
+    _put(folder / "capture.yaml", text)
+    _put(folder / "frames.csv", _frames_csv(plan, frames, exposures))
+    if plan.lights is not None:
+        vectors = zip(plan.lights.names, plan.lights.vectors, strict=True)
+        lines = [f"{name} {x:.9g} {y:.9g} {z:.9g}\n" for name, (x, y, z) in vectors]
+        _put(folder / "lights.lp", f"{len(lines)}\n{''.join(lines)}")
+    for name in _texts(plan.settings.capture):
+        source = plan.folder / name
+        if not name_fault(name) and source.is_file():
+            target = folder / name
+            target.parent.mkdir(parents=True, exist_ok=True)
+            partial = target.with_name(f".{target.name}.part")
+            shutil.copyfile(source, partial)
+            os.replace(partial, target)
+
+
+def refuse_unusable_settings(folder: Path) -> None:
+    """UserError with every mistake of the tables in `folder`, which hold frames that are not taken yet."""
+    _, problems = examine(folder)
+    later = [p for p in problems if p.kind == "image-missing" and p.file.startswith("frames.csv row")]
+    errors = [p for p in problems if p.severity == "error" and p not in later]
+    if errors:
+        raise UserError(f"plan: {CaptureError(errors)}\nRemedy: correct the plan's block 'capture', or its lights")
+
+
+def _frames_csv(plan: ReadPlan, frames: tuple[PlannedFrame, ...], exposures: Mapping[str, float]) -> str:
+    columns = {
+        "dome": ["file", "role", "light"],
+        "turntable": ["file", "role", "view", "light", "polariser"],
+        "goniometer": ["file", "role", *ANGLES],
+    }[plan.settings.kind]
+    if all(frame.file in exposures for frame in frames if frame.group != "dark"):
+        columns.append("exposure_s")
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(columns)
+    for frame in frames:
+        cells = {key: getattr(frame, key, "") for key in columns} | dict(zip(ANGLES, frame.angles_deg, strict=False))
+        cells["exposure_s"] = exposures.get(frame.file, "")
+        table.writerow([f"{cells[key]:.10g}" if isinstance(cells[key], float) else cells[key] for key in columns])
+    return text.getvalue()
+
+
+def _texts(value: Any) -> Iterator[str]:
+    """Every text in a block of settings."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, Mapping | list | tuple):
+        for item in value.values() if isinstance(value, Mapping) else value:
+            yield from _texts(item)
+
+
+def _put(path: Path, text: str) -> None:
+    """Write a file whole or not at all."""
+    partial = path.with_name(f".{path.name}.part")
+    with partial.open("w", encoding="utf-8", newline="\n") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(partial, path)

@@ -1,0 +1,575 @@
+"""A capture taken by a rig: every frame of a table once, checked, journalled, and sealed at the end.
+
+Everything lies in NAME.rig/ beside the capture NAME until the last frame is there:
+
+    NAME.rig/journal.jsonl   what happened, one line an event
+    NAME.rig/frames.tsv      the table
+    NAME.rig/incoming/       the photograph that is being taken
+    NAME.rig/rejected/       the last photograph of each frame that was not kept
+    NAME.rig/capture/        the capture as it grows
+
+A frame is journalled with its digest before it is renamed into the capture. After a kill between the two, the digest
+tells that the photograph in incoming/ is that frame.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import fcntl
+import math
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from nishiki.capture.schema_base import Camera, validate
+from nishiki.capture.seal import MANIFEST, capture_digest, read_manifest, seal, sha256_of
+from nishiki.capture.taking import channel_names
+from nishiki.errors import UserError
+from nishiki.formats.files import flush_folder
+from nishiki.formats.image_headers import read_header
+from nishiki.formats.problems import CaptureError
+from nishiki.rig.capture_tables import capture_settings, refuse_unusable_settings, write_tables
+from nishiki.rig.description import RigDescription, open_rig, read_rig
+from nishiki.rig.device import DeviceError, DeviceLost, Exposure, Rig
+from nishiki.rig.frame_check import (
+    Measures,
+    exif_exposure_s,
+    expected_level,
+    measure,
+    read_photograph,
+    reasons_against,
+)
+from nishiki.rig.frames_table import AUTOMATIC, PlannedFrame, read_table, summary, table_text
+from nishiki.rig.journal import Journal
+from nishiki.rig.operator import ask_operator
+from nishiki.rig.plan import ReadPlan, frame_distance, incidence_cosines, read_plan
+from nishiki.rig.run_state import RunState
+
+REQUESTS = {
+    "white": "put the white board in the object's place",
+    "board": "put the calibration board on the turntable",
+    "dark": "put the lens cap on (or make the room dark)",
+    "object": "take the lens cap off and put the object in its place",
+}
+SUFFIXES = {".jpeg": ".jpg", ".tiff": ".tif"}
+RECONNECTIONS = 5
+"""Times that the devices are opened again for one frame."""
+WAIT_S = 2.0
+"""Seconds before the first reconnection; each further one waits twice as long."""
+NEIGHBOURS = {"dome": 4, "turntable": 2, "goniometer": 2}
+GOOD_PEAK = (0.55, 0.85)
+"""Of full scale: where the automatic exposure puts the brightest pixels but one in a thousand."""
+TRIALS = 12
+SAME_COMMAND = "Nothing is lost: the same command goes on with this frame"
+
+
+def run_capture(
+    rig: Path,
+    plan: Path,
+    capture: Path,
+    *,
+    observer: RunState | None = None,
+    open_devices: Callable[[Path], Rig] = open_rig,
+    ask: Callable[[str, str], None] = ask_operator,
+    pause: Callable[[float], None] = time.sleep,
+) -> str:
+    """Take the photographs of a plan, or go on where an earlier call stopped, and seal the capture.
+
+    Parameters
+    ----------
+    rig : Path
+        Description of the rig.
+    plan : Path
+        The plan (YAML), or a table of frames made from one (.tsv).
+    capture : Path
+        Capture folder to make. Until it is complete, everything lies in a folder of this name with `.rig` added.
+    observer : RunObserver
+        Is told what happens.
+    open_devices : callable
+        Opens the devices of a description.
+    ask : callable
+        Asks a person to do something, and waits: the name of what asks, the request.
+    pause : callable
+        Waits for some seconds.
+
+    Returns
+    -------
+    str
+        The digest of the sealed capture.
+
+    Raises
+    ------
+    UserError
+        The plan, the rig or a frame needs a person. Nothing is lost: the same call goes on.
+    """
+    read, frames = read_frames_of(plan)
+    run = CaptureRun(rig, read, frames, Path(capture), observer or RunState(), open_devices, ask, pause)
+    return run.complete(plan)
+
+
+def read_frames_of(plan: Path) -> tuple[ReadPlan, tuple[PlannedFrame, ...]]:
+    """A plan and its frames, from the plan itself or from a table that names it."""
+    if plan.suffix.lower() == ".tsv":
+        plan_file, frames = read_table(plan)
+        return read_plan(plan_file), frames
+    read = read_plan(plan)
+    return read, read.frames()
+
+
+def describe_run(rig: Path, plan: Path, capture: Path) -> str:
+    """What a run would do, without moving anything: the table, its totals, and how many frames are kept already.
+
+    Raises UserError where the plan asks for something that the rig does not have.
+    """
+    _read, frames = read_frames_of(plan)
+    expect_devices(frames, read_rig(rig))
+    events = list(Journal(work_folder(capture) / "journal.jsonl").events())
+    kept = {event["file"] for event in events if event["event"] == "frame"}
+    text = table_text(frames, os.path.relpath(plan)) + summary(frames, capture)
+    return f"{text}\n{len(kept)} of them are kept already" if kept else text
+
+
+def work_folder(capture: Path) -> Path:
+    """Where a capture lies until it is complete."""
+    return capture.with_name(f"{capture.name}.rig")
+
+
+def expect_devices(frames: tuple[PlannedFrame, ...], rig: Rig | RigDescription) -> None:
+    """UserError where frames need lamps, axes, angles or polarisers that a rig does not have."""
+    wanted = {frame.lamp for frame in frames if frame.lamp is not None}
+    count = getattr(rig.lamps, "count", math.inf) if rig.lamps is not None else 0
+    if wanted and max(wanted) > count:
+        raise UserError(f"plan: expected a rig with lamp {max(wanted)}, found {count} lamps in its description")
+    for kind, names, devices in (
+        ("axis", {name for frame in frames for name, _ in frame.axes}, rig.axes),
+        ("polariser", {name for frame in frames for name, _ in frame.polarisers}, rig.polarisers),
+    ):
+        if missing := sorted(names - set(devices)):
+            there = ", ".join(devices) or "none"
+            raise UserError(
+                f"plan: no {kind} '{missing[0]}' in the rig's description, which has {there}. "
+                "Remedy: use one name in both"
+            )
+    for frame in frames:
+        for name, angle in frame.axes:
+            limits = getattr(rig.axes[name], "range_deg", None)
+            if limits is not None:
+                reachable_angle(angle, limits, f"plan: {frame.file}: axis {name}")
+        for name, state in frame.polarisers:
+            states = getattr(rig.polarisers[name], "states", None)
+            if states is not None and state not in states:
+                raise UserError(f"plan: {frame.file}: polariser {name} has {', '.join(states)}, not '{state}'")
+
+
+def reachable_angle(angle: float, limits: tuple[float, float], where: str) -> float:
+    """The angle, or the same direction one turn on or back, that lies in the range of an axis."""
+    for turned in (angle, angle - 360, angle + 360):
+        if limits[0] - 1e-9 <= turned <= limits[1] + 1e-9:
+            return turned
+    raise UserError(f"{where}: expected {limits[0]:g} to {limits[1]:g} degrees, found {angle:g}")
+
+
+class CaptureRun:
+    """One capture on its way; see `run_capture`."""
+
+    def __init__(
+        self,
+        rig: Path,
+        plan: ReadPlan,
+        frames: tuple[PlannedFrame, ...],
+        capture: Path,
+        observer: RunState,
+        open_devices: Callable[[Path], Rig],
+        ask: Callable[[str, str], None],
+        pause: Callable[[float], None],
+    ) -> None:
+        self.rig_file, self.plan, self.frames, self.capture = rig, plan, frames, capture
+        self.observer, self.open_devices, self.ask, self.pause = observer, open_devices, ask, pause
+        self.work = work_folder(capture)
+        self.payload, self.incoming = self.work / "capture", self.work / "incoming"
+        self.journal = Journal(self.work / "journal.jsonl")
+        self.camera = validate(Camera, capture_settings(plan)["camera"], "plan: capture.camera")
+        self.references = incidence_cosines(plan, frames)
+        self.by_file = {frame.file: frame for frame in frames}
+        self.kept: dict[str, dict[str, Any]] = {}
+        self.exposures: dict[str, float] = {}
+        self.rig: Rig | None = None
+        self.set_to: tuple[Any, Exposure] | None = None
+        self.subject: str | None = "object"
+
+    def complete(self, plan_file: Path) -> str:
+        """Take what is missing, then check, put in place and seal."""
+        if self._is_in_place() and not self._was_checked():
+            raise UserError(f"{self.capture}: exists already. Remedy: choose another name; nothing is overwritten")
+        with self._locked():
+            try:
+                if not self._is_in_place():
+                    self._begin(plan_file)
+                    self._take_all()
+                    self._check_and_place()
+                return self._seal()
+            except UserError as error:
+                with contextlib.suppress(OSError):
+                    self._note("stop", message=str(error))
+                raise
+            finally:
+                self._close()
+
+    # The folder of the run
+
+    def _is_in_place(self) -> bool:
+        return self.capture.exists() or self.capture.with_name(self.capture.name + ".sealing").exists()
+
+    def _was_checked(self) -> bool:
+        return any(event["event"] == "checked" for event in self.journal.events())
+
+    @contextlib.contextmanager
+    def _locked(self) -> Iterator[None]:
+        """Keep other runs of this capture away. UserError where one is under way."""
+        self.work.mkdir(parents=True, exist_ok=True)
+        with (self.work / "lock").open("w") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise UserError(f"{self.capture}: another run takes it now. Remedy: wait, or end it") from None
+            yield
+
+    def _begin(self, plan_file: Path) -> None:
+        """Prepare the folder, or recognise what an earlier run left in it."""
+        for folder in (self.payload, self.incoming, self.work / "rejected", self.work / "companions"):
+            folder.mkdir(exist_ok=True)
+        self._keep_table(plan_file)
+        write_tables(self.payload, self.plan, self.frames, {})
+        refuse_unusable_settings(self.payload)
+        for event in self.journal.events():
+            if event["event"] == "frame":
+                self.kept[event["file"]] = event
+            elif event["event"] == "exposure":
+                self.exposures[event["group"]] = event["exposure_s"]
+            elif event["event"] == "subject":
+                self.subject = event["subject"]
+        if self.subject != "object":
+            self.subject = None  # somebody may have changed it since
+        for file in [file for file, event in self.kept.items() if not self._is_kept(event)]:
+            self._note("missing", file=file)
+            del self.kept[file]
+        self._note("begin", frames=len(self.frames), kept=len(self.kept))
+        self.observer.started(self.frames, set(self.kept))
+
+    def _keep_table(self, plan_file: Path) -> None:
+        """Write the table beside the journal; UserError where the run began with another one."""
+        path = self.work / "frames.tsv"
+        if path.exists():
+            _, began = read_table(path)
+            if began != self.frames:
+                i = next(
+                    (i for i, (a, b) in enumerate(zip(began, self.frames, strict=False)) if a != b),
+                    min(len(began), len(self.frames)),
+                )
+                raise UserError(
+                    f"{plan_file}: from frame {i + 1} on other frames than those that this capture began with. "
+                    f"Remedy: ./nishiki rig run {self.rig_file} {path} {self.capture} goes on; another name begins anew"
+                )
+            return
+        named = read_table(plan_file)[0] if plan_file.suffix.lower() == ".tsv" else plan_file
+        partial = path.with_suffix(".part")
+        partial.write_text(table_text(self.frames, os.path.relpath(named, self.work)), encoding="utf-8")
+        os.replace(partial, path)
+
+    def _is_kept(self, event: dict[str, Any]) -> bool:
+        """Whether a journalled frame is in the capture, or can be put there, with the digest that it had."""
+        target = self.payload / event["file"]
+        if target.exists():
+            return sha256_of(target) == event["sha256"]
+        for path in self.incoming.iterdir():
+            if path.is_file() and path.stat().st_size == event["bytes"] and sha256_of(path) == event["sha256"]:
+                self._rename(path, target)
+                return True
+        return False
+
+    # Frames
+
+    def _take_all(self) -> None:
+        for frame in self.frames:
+            if frame.file not in self.kept:
+                self._take(frame)
+
+    def _take(self, frame: PlannedFrame) -> None:
+        """Take one frame until it is kept; UserError after the stated number of repetitions."""
+        repeats = self.plan.settings.checks.repeats
+        rejections = 0
+        while True:
+            path, taken, measures, reasons = self._expose(frame, lambda: self._exposure_of(frame))
+            if not reasons:
+                return self._keep(frame, path, taken, measures)
+            rejections += 1
+            self._note("rejected", file=frame.file, attempt=rejections, reasons=reasons)
+            os.replace(path, self.work / "rejected" / frame.file.replace("/", "_"))
+            if rejections > repeats:
+                raise UserError(
+                    f"{frame.file}: rejected {rejections} times: {'; '.join(reasons)}. It lies in "
+                    f"{self.work / 'rejected'}. {SAME_COMMAND}; "
+                    f"limits stand in the plan's block 'checks'"
+                )
+
+    def _expose(
+        self, frame: PlannedFrame, seconds: Callable[[], float | None]
+    ) -> tuple[Path, float | None, Measures | None, list[str]]:
+        """Photograph and measure; devices that do not answer are opened again. Returns the file, the seconds of the
+        exposure, what was measured, and why it cannot be kept."""
+        losses = 0
+        while True:
+            try:
+                return self._photograph(frame, seconds())
+            except DeviceLost as error:
+                losses += 1
+                self._note("lost", file=frame.file, attempt=losses, message=str(error))
+                self._close()
+                if losses > RECONNECTIONS:
+                    raise DeviceLost(f"{frame.file}: {error}. {SAME_COMMAND}") from None
+                self.pause(WAIT_S * 2 ** (losses - 1))
+
+    def _photograph(
+        self, frame: PlannedFrame, seconds: float | None
+    ) -> tuple[Path, float | None, Measures | None, list[str]]:
+        self._expect_room(frame)
+        rig = self._opened()
+        self._prepare_subject(frame.group)
+        for name, state in frame.polarisers:
+            rig.polarisers[name].set(state)
+        for name, angle in frame.axes:
+            axis = rig.axes[name]
+            axis.move_to(reachable_angle(angle, axis.range_deg, f"{frame.file}: axis {name}"))
+        if rig.lamps is not None and (frame.lamp is not None or frame.group == "dark"):
+            rig.lamps.light(frame.lamp)
+        wanted = Exposure(seconds, frame.aperture, frame.iso)
+        if self.set_to is None or self.set_to[0] != wanted:
+            self.set_to = (wanted, rig.camera.configure(wanted))
+        taken = self.set_to[1].seconds or seconds
+        _clear(self.incoming)
+        path = self._pick(frame, rig.camera.photograph(self.incoming))
+        try:
+            codes = read_photograph(path)
+        except CaptureError as error:
+            return path, taken, None, [f"the photograph cannot be read: {error.problems[0]}"]
+        measures = measure(codes, self.camera, exif_exposure_s(path))
+        self.observer.photographed(frame, codes, measures)
+        return path, taken, measures, self._reasons(frame, measures, taken)
+
+    def _pick(self, frame: PlannedFrame, files: tuple[Path, ...]) -> Path:
+        """The photograph among the files of an exposure; the JPEG beside a raw file goes to companions/."""
+        suffix = Path(frame.file).suffix.lower()
+
+        def fits(path: Path) -> bool:
+            known = path.suffix.lower()
+            return SUFFIXES.get(known, known) == SUFFIXES.get(suffix, suffix)
+
+        chosen = [path for path in files if fits(path)]
+        if len(chosen) != 1:
+            names = ", ".join(path.name for path in files) or "nothing"
+            raise DeviceError(f"{frame.file}: expected one {suffix} file, found {names}. Remedy: correct 'suffix'")
+        for path in files:
+            if path != chosen[0]:
+                name = f"{Path(frame.file).with_suffix('').as_posix().replace('/', '_')}{path.suffix}"
+                os.replace(path, self.work / "companions" / name)
+        return chosen[0]
+
+    def _keep(self, frame: PlannedFrame, path: Path, exposure_s: float | None, measures: Measures) -> None:
+        """Journal a photograph with its digest, then rename it into the capture."""
+        with path.open("rb") as file:
+            os.fsync(file.fileno())
+        facts = {
+            "file": frame.file,
+            "sha256": sha256_of(path),
+            "bytes": path.stat().st_size,
+            "exposure_s": exposure_s,
+            "measures": dataclasses.asdict(measures),
+        }
+        self.kept[frame.file] = self._note("frame", **facts)
+        self._rename(path, self.payload / frame.file)
+
+    def _rename(self, path: Path, target: Path) -> None:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        os.replace(path, target)
+        flush_folder(target.parent)
+
+    def _reasons(self, frame: PlannedFrame, measures: Measures, exposure_s: float | None) -> list[str]:
+        """Why a photograph cannot be kept, by itself and beside those that are."""
+        known = {file: Measures(**event["measures"]) for file, event in self.kept.items() if file in self.by_file}
+        objects = [m for file, m in known.items() if self.by_file[file].group == "object" and m.sharpness]
+        return reasons_against(
+            frame.group,
+            measures,
+            self.plan.settings.checks,
+            first=next(iter(known.values()), None),
+            reference_sharpness=objects[0].sharpness if objects else None,
+            expected=self._expected(frame, known, exposure_s),
+            exposure_s=exposure_s,
+        )
+
+    def _expected(
+        self, frame: PlannedFrame, known: dict[str, Measures], exposure_s: float | None
+    ) -> tuple[float, float] | None:
+        """Level that a frame should have by its neighbours, and the factor by which it may differ."""
+        settings = self.plan.settings
+        if frame.group == "dark" or settings.checks.brightness is None:
+            return None
+        near = [(frame_distance(self.plan, frame, self.by_file[file]), file) for file in known]
+        near = sorted(pair for pair in near if math.isfinite(pair[0]))[: NEIGHBOURS[settings.kind]]
+        boards = {self.by_file[file].light: file for file in known if file.startswith("white/")} if frame.light else {}
+        lights = {frame.light, *(self.by_file[file].light for _, file in near)}
+        use_boards = frame.group == "object" and lights <= set(boards)
+
+        def reference(file: str) -> float:
+            """What the brightness of a frame is proportional to: its board's, or the cosine of its lamp's angle."""
+            light = self.by_file[file].light
+            return self._rate(boards[light], known) if use_boards else self.references[file]
+
+        pairs = [(reference(file), self._rate(file, known)) for _, file in near]
+        pairs = [(value, rate) for value, rate in pairs if value > 0 and rate > 0]
+        if not pairs:
+            return None
+        return expected_level(reference(frame.file), pairs) * (exposure_s or 1.0), settings.checks.brightness
+
+    def _rate(self, file: str, known: dict[str, Measures]) -> float:
+        """Level of a kept frame for one second of exposure."""
+        return known[file].level / (self.kept[file]["exposure_s"] or 1.0)
+
+    def _expect_room(self, frame: PlannedFrame) -> None:
+        """UserError before an exposure that the disk has no room for."""
+        largest = max((event["bytes"] for event in self.kept.values()), default=frame.bytes)
+        free = shutil.disk_usage(self.work).free
+        if free < 2 * largest:
+            raise UserError(
+                f"{self.work}: expected room for two photographs ({2 * largest / 1e6:.0f} MB), found "
+                f"{free / 1e6:.0f} MB. Remedy: free space there. {SAME_COMMAND}"
+            )
+
+    # Exposure
+
+    def _exposure_of(self, frame: PlannedFrame) -> float | None:
+        """Seconds of a frame; those of the automatic exposure are found before the first frame that needs them."""
+        if not isinstance(frame.exposure_s, str):
+            return frame.exposure_s
+        group = next(name for name, cell in AUTOMATIC.items() if cell == frame.exposure_s)
+        if group not in self.exposures:
+            lit = [f for f in self.frames if f.group == group and f.exposure_s == frame.exposure_s]
+            if frame.group == "dark" or not lit:
+                raise UserError(f"{frame.file}: exposure {frame.exposure_s} is not known. Remedy: give it in seconds")
+            self.exposures[group] = self._meter(max(lit, key=lambda f: self.references[f.file]))
+            self._note("exposure", group=group, exposure_s=self.exposures[group])
+        return self.exposures[group]
+
+    def _meter(self, frame: PlannedFrame) -> float:
+        """Exposure at which a frame, expected to be the brightest of its kind, uses the codes without saturation."""
+        auto = self.plan.settings.auto
+        seconds, tried = auto.start_s, []
+        for _ in range(TRIALS):
+            path, taken, measures, reasons = self._photograph(frame, seconds)
+            _clear(self.incoming)
+            if measures is None:
+                raise DeviceLost(f"{path.name}: {reasons[0]}")
+            seconds = taken or seconds
+            fits = measures.saturated <= auto.saturated
+            tried.append(f"{seconds:g} s: {measures.saturated:.2%} saturated, peak {measures.peak:.2f}")
+            at_end = seconds >= 0.99 * auto.most_s
+            if fits and (measures.peak >= GOOD_PEAK[0] or at_end):
+                return seconds
+            factor = 0.25 if not fits else 0.7 / max(measures.peak, 0.05)
+            wanted = min(max(float(f"{seconds * factor:.3g}"), auto.least_s), auto.most_s)
+            if wanted == seconds:
+                break
+            seconds = wanted
+        raise UserError(
+            f"{frame.file}: no exposure found: {'; '.join(tried)}. Remedy: change the light or the aperture, or set "
+            "exposure_s in the plan"
+        )
+
+    # Devices
+
+    def _opened(self) -> Rig:
+        if self.rig is None:
+            rig = self.open_devices(self.rig_file)
+            try:
+                expect_devices(self.frames, rig)
+                if any(frame.axes for frame in self.frames):
+                    rig.home()
+            except BaseException:
+                rig.close()
+                raise
+            self.rig, self.set_to = rig, None
+        return self.rig
+
+    def _close(self) -> None:
+        if self.rig is not None:
+            self.rig.close()
+            self.rig = None
+
+    def _prepare_subject(self, group: str) -> None:
+        """Ask for what has to stand before the camera."""
+        if group != self.subject:
+            self.subject = None
+            self.ask("rig", REQUESTS[group])
+            self._note("subject", subject=group)
+            self.subject = group
+
+    # The end
+
+    def _check_and_place(self) -> None:
+        """Write the tables, check the capture as ./nishiki check does, and rename it to its name."""
+        from nishiki.observations.check import check_capture
+
+        self._close()
+        names = channel_names(read_header(self.payload / self.frames[0].file))
+        exposures = {file: event["exposure_s"] for file, event in self.kept.items() if event["exposure_s"]}
+        write_tables(self.payload, self.plan, self.frames, exposures, names)
+        problems = check_capture(self.payload, level="full")
+        errors = [problem for problem in problems if problem.severity == "error"]
+        if errors:
+            raise UserError(
+                f"{self.payload}: every frame is taken, but the check found {len(errors)} errors:\n"
+                + "\n".join(map(str, errors))
+                + "\nRemedy: correct the plan and run the same command; frames are taken again where their file is "
+                f"removed from {self.payload}"
+            )
+        self._note("checked", warnings=[str(problem) for problem in problems])
+        os.rename(self.payload, self.capture)
+        flush_folder(self.capture.absolute().parent)
+
+    def _seal(self) -> str:
+        """Seal the capture, and compare its manifest with the digests that the frames had when they were taken."""
+        digests = {event["file"]: event["sha256"] for event in self.journal.events() if event["event"] == "frame"}
+        if not (self.capture / "bagit.txt").is_file():
+            seal(self.capture)
+        listed = read_manifest(self.capture / MANIFEST)
+        changed = [f.file for f in self.frames if listed.get(f"data/{f.file}") != digests.get(f.file)]
+        if changed:
+            raise UserError(
+                f"{self.capture}: {len(changed)} frames changed after they were taken, such as {changed[0]}. "
+                "Remedy: check the disk; take the capture again under another name"
+            )
+        digest = capture_digest(self.capture)
+        if not any(event["event"] == "sealed" for event in self.journal.events()):
+            self._note("sealed", digest=digest)
+        for folder in ("incoming", "rejected", "companions"):
+            with contextlib.suppress(OSError):
+                (self.work / folder).rmdir()  # those that hold nothing
+        return digest
+
+    def _note(self, event: str, **facts: Any) -> dict[str, Any]:
+        line = self.journal.write(event, **facts)
+        self.observer.happened(line)
+        return line
+
+
+def _clear(folder: Path) -> None:
+    """Remove what an exposure that was not finished left."""
+    for path in folder.iterdir():
+        if path.is_dir():
+            shutil.rmtree(path)
+        else:
+            path.unlink()
