@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit, prange
 
 from nishiki.photometric import flags as bits
+from nishiki.photometric.lanes import LANES, choose, load, planes, splat, store, widen
 from nishiki.photometric.lobe import BLOCK, powers
 from nishiki.photometric.refine import LEAST_FACTOR, SHADING_SQUARINGS, WIDTH
 
@@ -17,61 +18,67 @@ TERMS = 11  # six products of (c, c^2, c x^8), three right-hand sides, the sum o
 
 
 @njit(cache=True, error_model="numpy")
-def load_block(intensity, mean, usable, known, start, width, values, may, use, change):
+def load_block(intensity, mean, usable, known, start, values, may, use, change):
     """Samples of the mean of a block, and the change of its samples by the weights of the channels, relative."""
-    shared_usable, shared_known = usable.shape[1] == 1, known.shape[1] == 1
-    zero = np.float32(0.0)
-    total = np.zeros(BLOCK, np.float32)
-    change[:] = zero
-    for j in range(mean.shape[0]):
-        block = slice(start, start + width)
-        there = np.full(width, known[j, 0]) if shared_known else known[j, block]
-        is_usable = np.full(width, usable[j, 0]) if shared_usable else usable[j, block]
-        load_row(intensity[j, block], mean[j, block], there, is_usable, values[j], may[j], use[j], change, total)
-    for p in range(BLOCK):
-        change[p] = change[p] / total[p] if total[p] > zero else zero
-
-
-@njit(cache=True, error_model="numpy")
-def load_row(intensity, mean, known, usable, values, may, use, change, total):
-    """One light of a block: its samples, and the sums of their change and of their size."""
     zero, one = np.float32(0.0), np.float32(1.0)
-    for p in range(len(mean)):
-        there = known[p] != 0
-        values[p] = mean[p] if there else zero
-        may[p] = one if there else zero
-        use[p] = one if there & (usable[p] != 0) else zero
-        change[p] += abs(intensity[p] - mean[p]) if there else zero
-        total[p] += abs(mean[p]) if there else zero
+    for p in range(0, BLOCK, LANES):
+        difference = total = splat(zero)
+        for j in range(mean.shape[0]):
+            there, value = load(known, (j, start + p)), load(mean, (j, start + p))
+            apart = load(intensity, (j, start + p)) - value
+            value, apart = choose(there, value, zero), choose(there, apart, zero)
+            difference += choose(apart > zero, apart, zero - apart)
+            total += choose(value > zero, value, zero - value)
+            store(values, (j, p), value)
+            store(may, (j, p), choose(there, one, zero))
+            store(use, (j, p), choose(there & load(usable, (j, start + p)), one, zero))
+        store(change, p, choose(total > zero, difference / total, zero))
+
+
+@njit(cache=True, inline="always")
+def cosine_and_lobe(vectors, j, normals, p):
+    """Cosine of light j, and its lobe."""
+    least = np.float32(1e-3)
+    n0, n1, n2 = load(normals, p), load(normals, p + BLOCK), load(normals, p + 2 * BLOCK)
+    c = n0 * vectors[0, j] + n1 * vectors[1, j] + n2 * vectors[2, j]
+    x = n0 * vectors[3, j] + n1 * vectors[4, j] + n2 * vectors[5, j]
+    _, power = powers(choose(x > least, x, least), SHADING_SQUARINGS)
+    return c, power
 
 
 @njit(cache=True, error_model="numpy")
 def add_up_terms(values, weights, vectors, normals, sums):
     """Normal equations of the terms into sums (TERMS * BLOCK) float64; normals (3 * BLOCK) float32."""
-    zero, least = np.float32(0.0), np.float32(1e-3)
-    sums[:] = 0.0
-    for j in range(values.shape[0]):
-        lx, ly, lz = vectors[0, j], vectors[1, j], vectors[2, j]
-        hx, hy, hz = vectors[3, j], vectors[4, j], vectors[5, j]
-        row, weight = values[j], weights[j]
-        for p in range(BLOCK):
-            c = normals[p] * lx + normals[p + BLOCK] * ly + normals[p + 2 * BLOCK] * lz
-            x = normals[p] * hx + normals[p + BLOCK] * hy + normals[p + 2 * BLOCK] * hz
-            _, power = powers(x if x > least else least, SHADING_SQUARINGS)
-            w = np.float64(weight[p] if c > zero else zero)
-            v, c1, c2, c3 = np.float64(row[p]), np.float64(c), np.float64(c * c), np.float64(c * power)
+    zero = np.float32(0.0)
+    for p in range(0, BLOCK, LANES):
+        s00 = s01 = s02 = s11 = s12 = s22 = r0 = r1 = r2 = squares = total = splat(0.0)
+        for j in range(values.shape[0]):
+            c, power = cosine_and_lobe(vectors, j, normals, p)
+            w, v = widen(choose(c > zero, load(weights, (j, p)), zero)), widen(load(values, (j, p)))
+            c1, c2, c3 = widen(c), widen(c * c), widen(c * power)
             w1, w2, w3, wv = w * c1, w * c2, w * c3, w * v
-            sums[p] += w1 * c1
-            sums[p + BLOCK] += w1 * c2
-            sums[p + 2 * BLOCK] += w1 * c3
-            sums[p + 3 * BLOCK] += w2 * c2
-            sums[p + 4 * BLOCK] += w2 * c3
-            sums[p + 5 * BLOCK] += w3 * c3
-            sums[p + 6 * BLOCK] += wv * c1
-            sums[p + 7 * BLOCK] += wv * c2
-            sums[p + 8 * BLOCK] += wv * c3
-            sums[p + 9 * BLOCK] += wv * v
-            sums[p + 10 * BLOCK] += w
+            s00 += w1 * c1
+            s01 += w1 * c2
+            s02 += w1 * c3
+            s11 += w2 * c2
+            s12 += w2 * c3
+            s22 += w3 * c3
+            r0 += wv * c1
+            r1 += wv * c2
+            r2 += wv * c3
+            squares += wv * v
+            total += w
+        store(sums, p, s00)
+        store(sums, p + BLOCK, s01)
+        store(sums, p + 2 * BLOCK, s02)
+        store(sums, p + 3 * BLOCK, s11)
+        store(sums, p + 4 * BLOCK, s12)
+        store(sums, p + 5 * BLOCK, s22)
+        store(sums, p + 6 * BLOCK, r0)
+        store(sums, p + 7 * BLOCK, r1)
+        store(sums, p + 8 * BLOCK, r2)
+        store(sums, p + 9 * BLOCK, squares)
+        store(sums, p + 10 * BLOCK, total)
 
 
 @njit(cache=True, error_model="numpy")
@@ -116,19 +123,17 @@ def solve_terms(sums, prior, noise, at_least, going, terms, limit):
 
 @njit(cache=True, error_model="numpy")
 def choose_again(values, known, vectors, normals, terms, limit, weights):
-    """Weight 1 for the lit, known samples whose residual is at most `limit`."""
-    zero, least = np.float32(0.0), np.float32(1e-3)
-    surface = terms.astype(np.float32)
-    for j in range(values.shape[0]):
-        lx, ly, lz = vectors[0, j], vectors[1, j], vectors[2, j]
-        hx, hy, hz = vectors[3, j], vectors[4, j], vectors[5, j]
-        row, may, weight = values[j], known[j], weights[j]
-        for p in range(BLOCK):
-            c = normals[p] * lx + normals[p + BLOCK] * ly + normals[p + 2 * BLOCK] * lz
-            x = normals[p] * hx + normals[p + BLOCK] * hy + normals[p + 2 * BLOCK] * hz
-            _, power = powers(x if x > least else least, SHADING_SQUARINGS)
-            r = row[p] - c * (surface[p] + surface[p + BLOCK] * c + surface[p + 2 * BLOCK] * power)
-            weight[p] = may[p] if (r <= limit[p]) & (r >= -limit[p]) & (c > zero) else zero
+    """Weight 1 for the lit, known samples whose residual is at most `limit`; terms (3 * BLOCK) float32."""
+    zero = np.float32(0.0)
+    for p in range(0, BLOCK, LANES):
+        a, b, d = load(terms, p), load(terms, p + BLOCK), load(terms, p + 2 * BLOCK)
+        most = load(limit, p)
+        least = zero - most
+        for j in range(values.shape[0]):
+            c, power = cosine_and_lobe(vectors, j, normals, p)
+            r = load(values, (j, p)) - c * (a + b * c + d * power)
+            fits = (r <= most) & (r >= least) & (c > zero)
+            store(weights, (j, p), choose(fits, load(known, (j, p)), zero))
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
@@ -138,7 +143,8 @@ def fit_body_terms(intensity, mean, usable, known, vectors, settings, normals, f
     Parameters
     ----------
     intensity, mean : (lights, pixels) float32
-    usable, known : (lights, pixels) or (lights, 1) uint8
+        Of at least BLOCK pixels.
+    usable, known : (lights, pixels) uint8
         Samples to start from; those to choose from again, by their residuals.
     vectors : (6, lights) float32
         Directions to the lights, and half vectors.
@@ -154,29 +160,27 @@ def fit_body_terms(intensity, mean, usable, known, vectors, settings, normals, f
     prior, noise, at_least, least_change = settings[0], settings[1], settings[2], settings[3]
     blocks = (pixels + BLOCK - 1) // BLOCK
     for chunk in prange((blocks + CHUNK - 1) // CHUNK):
-        values, may = np.zeros((lights, BLOCK), np.float32), np.zeros((lights, BLOCK), np.float32)
-        weights = np.zeros_like(values)
-        change, limit = np.zeros(BLOCK, np.float32), np.zeros(BLOCK, np.float32)
-        surface, sums, terms = np.zeros(3 * BLOCK, np.float32), np.zeros(TERMS * BLOCK), np.zeros(4 * BLOCK)
+        values, may, weights = planes(lights, BLOCK), planes(lights, BLOCK), planes(lights, BLOCK)
+        change, limit, surface = planes(1, BLOCK)[0], planes(1, BLOCK)[0], planes(3, BLOCK).ravel()
+        sums, terms = np.zeros(TERMS * BLOCK), np.zeros(4 * BLOCK)
         going = np.zeros(BLOCK)
         for block in range(chunk * CHUNK, min((chunk + 1) * CHUNK, blocks)):
-            start = block * BLOCK
-            width = min(BLOCK, pixels - start)
-            load_block(intensity, mean, usable, known, start, width, values, may, weights, change)
+            start = min(block * BLOCK, pixels - BLOCK)  # the last block overlaps: its pixels get the same twice
+            load_block(intensity, mean, usable, known, start, values, may, weights, change)
             for p in range(BLOCK):
-                fitted = p < width and not flags[start + p] & (bits.NO_ESTIMATE | bits.FALLBACK)
+                fitted = not flags[start + p] & (bits.NO_ESTIMATE | bits.FALLBACK)
                 going[p] = 1.0 if fitted and change[p] > least_change else 0.0
                 for k in range(3):
-                    surface[p + k * BLOCK] = normals[start + p, k] if p < width else np.float32(0.0)
+                    surface[p + k * BLOCK] = normals[start + p, k]
             if going.max() == 0.0:
                 continue
             terms[:] = 0.0
             for step in range(2):
                 if step > 0:
-                    choose_again(values, may, vectors, surface, terms, limit, weights)
+                    choose_again(values, may, vectors, surface, terms.astype(np.float32), limit, weights)
                 add_up_terms(values, weights, vectors, surface, sums)
                 solve_terms(sums, prior, noise, at_least, going, terms, limit)
-            for p in range(width):
+            for p in range(BLOCK):
                 if terms[p + 3 * BLOCK] > 0.0:
                     for k in range(3):
                         shading[start + p, k] = terms[p + k * BLOCK] / terms[p + 3 * BLOCK]

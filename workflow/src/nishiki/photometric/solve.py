@@ -239,26 +239,27 @@ def shading_of_mean(intensity, mean, directions, field, *, usable, valid, least_
     (rows, columns, 3) float32
         (a, b, d) of `nishiki.brdf.body_shading`; that of the field without an estimate or a lobe.
     """
-    from nishiki.photometric.body_terms import fit_body_terms
+    from nishiki.photometric.body_terms import BLOCK, fit_body_terms
 
     stack, directions = checked_stack(mean, directions)
-    samples = np.ascontiguousarray(intensity, dtype=np.float32).reshape(stack.shape)
-    everything = np.ones((stack.shape[0], 1), dtype=np.uint8)
     known = sample_weights(stack, valid, None, np.shape(mean))
-    usable = np.ascontiguousarray(usable, dtype=np.bool_).reshape(stack.shape).view(np.uint8)
-    shading = field.shading.copy()
-    fit_body_terms(
-        samples,
+    samples = (
+        np.ascontiguousarray(intensity, dtype=np.float32).reshape(stack.shape),
         stack,
-        usable,
-        everything if known is None else known,
-        with_half_vectors(directions),
-        np.array([PRIOR, noise, AT_LEAST, least_change]),
-        np.ascontiguousarray(field.normals).reshape(-1, 3),
-        field.flags.reshape(-1),
-        shading.reshape(-1, 3),
+        np.ascontiguousarray(usable, dtype=np.bool_).reshape(stack.shape).view(np.uint8),
+        np.ones(stack.shape, np.uint8) if known is None else known,
     )
-    return shading
+    settings = with_half_vectors(directions), np.array([PRIOR, noise, AT_LEAST, least_change])
+    pixels = stack.shape[1]
+    of_pixels = field.normals.reshape(-1, 3), field.flags.reshape(-1), field.shading.reshape(-1, 3)
+    if 0 < pixels < BLOCK:  # the kernel takes whole blocks: pixels are repeated
+        again = np.arange(BLOCK) % pixels
+        samples = tuple(np.take(values, again, axis=1) for values in samples)
+        of_pixels = tuple(values[again] for values in of_pixels)
+    normals, flags, shading = np.ascontiguousarray(of_pixels[0]), of_pixels[1], of_pixels[2].copy()
+    if pixels:
+        fit_body_terms(*samples, *settings, normals, flags, shading)
+    return shading[:pixels].reshape(field.shading.shape)
 
 
 def lambertian(stack, directions, factors, max_condition):
