@@ -154,6 +154,14 @@ def _parser() -> argparse.ArgumentParser:
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
     )
+    _with_calibrations(
+        command(
+            "calibrate",
+            "calibrate:target",
+            "measure what captures need: colour and sensitivities of a camera",
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+        )
+    )
     sub = command("compile", "running:compile_kernels", "compile all kernels, by running tiny scenes somewhere else")
     sub.add_argument("--plane", action="store_true", help="only what paintings need")
     text = "photograph a simulated painting, object or cloth; see --help"
@@ -208,6 +216,53 @@ def _with_rig(sub: argparse.ArgumentParser) -> None:
     made.add_argument("--dry-run", action="store_true", help="print what would be taken; nothing moves")
     made = action("test", "rig:test", "move every device of a rig once and take one photograph; a line a device")
     made.add_argument("rig", metavar="RIG", help="description of the rig (YAML)")
+
+
+CALIBRATE = f"""\
+Measure what captures need. Each calibration leaves a folder with its figures (JSON), tables, and a page that shows
+whether to trust it.
+
+  {COMMAND} calibrate target chart.tif calibration/chart --light D50
+"""
+
+
+def _with_calibrations(sub: argparse.ArgumentParser) -> None:
+    """The subcommands of `calibrate`."""
+    from nishiki.commands.calibrate import corner
+
+    sub.description = CALIBRATE
+    sub.set_defaults(call=lambda options, rest: sub.error("expected what to calibrate: target; see --help"))
+    kinds = sub.add_subparsers(dest="kind", metavar="WHAT", title="calibrations")
+
+    def kind(name: str, function: str, text: str, **options) -> argparse.ArgumentParser:
+        made = kinds.add_parser(name, help=text, description=text, allow_abbrev=False, **options)
+        made.set_defaults(call=lambda options, rest: _call(function, options, rest))
+        return made
+
+    text = "colours of a photographed ColorChecker Classic against the reference, and the camera's sensitivities"
+    made = kind("target", "calibrate:target", text)
+    made.add_argument("photograph", help="photograph of the target; for sensitivities camera raw or linear")
+    made.add_argument("folder", help="new folder for the results")
+    made.add_argument(
+        "--corners",
+        nargs=4,
+        type=corner,
+        metavar="X,Y",
+        help="middles of dark skin, bluish green, black and white, in pixels (default: the target is searched)",
+    )
+    made.add_argument(
+        "--encoding", choices=("linear", "srgb"), help="of the stored values (default: 8 bit srgb, all others linear)"
+    )
+    made.add_argument(
+        "--light",
+        metavar="SPECTRUM",
+        help="of the lamp: A, D50, D65, E, FL2, FL7, FL11, or a CSV table; with it the sensitivities are recovered",
+    )
+    made.add_argument(
+        "--reflectances",
+        metavar="CSV",
+        help="of this very chart: wavelength_nm and 24 columns (default: mean of thirty charts)",
+    )
 
 
 def _with_scene(sub: argparse.ArgumentParser) -> None:

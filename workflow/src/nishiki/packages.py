@@ -11,6 +11,7 @@ from nishiki.installation import INSTALLED
 MODULES = {
     "OpenEXR": "OpenEXR",
     "av": "av",
+    "colour-science": "colour",
     "dracopy": "DracoPy",
     "gphoto2": "gphoto2",
     "jinja2": "jinja2",
@@ -35,6 +36,7 @@ EXTRAS = {
     "scikit-image": "mesh",
     "gphoto2": "rig",
     "pyserial": "rig",
+    "colour-science": "rig",
 }
 """Packages that are no part of the least installation, and the extra that brings them."""
 PURPOSE = {
@@ -43,6 +45,7 @@ PURPOSE = {
     "trimesh": "mesh files",
     "pymeshlab": "range scans",
     "scikit-image": "a surface from silhouettes",
+    "colour-science": "a colour target",
     "gphoto2": "a camera on USB",
     "pyserial": "a device on a serial line",
 }

@@ -1,0 +1,141 @@
+"""What every calibration leaves behind: a folder with numbers, files for captures, and a page to judge them by."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import yaml
+
+from nishiki.capture.schema_base import read_mapping
+from nishiki.errors import UserError
+from nishiki.report.page import Facts, Listing, Page, Section, render_page
+from nishiki.version import PROJECT_VERSION
+
+NUMBERS, PAGE, LINES = "calibration.json", "calibration.html", "capture-lines.yaml"
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Result of one calibration.
+
+    Attributes
+    ----------
+    kind : str
+        spheres, camera, target or geometry.
+    numbers : dict
+        Plain data, with uncertainties.
+    inputs : sequence of Path
+        Files that were read; their digests are kept.
+    lines : dict
+        Keys of capture.yaml and their values; names of files are those of `files`.
+    files : dict
+        Text or bytes by name, for a capture to use.
+    sections : sequence of Section
+        Of the page, with the pictures that show whether to trust it.
+    subtitle : str
+    warnings : sequence of str
+    """
+
+    kind: str
+    numbers: dict
+    inputs: Sequence[Path]
+    lines: dict
+    sections: Sequence[Section]
+    subtitle: str
+    files: Mapping[str, str | bytes] = field(default_factory=dict)
+    warnings: Sequence[str] = ()
+
+
+def write_calibration(folder: Path, result: Calibration) -> None:
+    """Write the folder, which must not exist; it appears whole or not at all."""
+    if folder.exists():
+        raise UserError(f"{folder} exists. Remedy: choose another folder; nothing is overwritten")
+    digests = {str(path): _digest(path) for path in result.inputs}
+    content = {
+        "calibration": result.kind,
+        "version": PROJECT_VERSION,
+        **result.numbers,
+        "warnings": list(result.warnings),
+        "inputs_sha256": digests,
+    }
+    lines = yaml.safe_dump(result.lines, sort_keys=False, allow_unicode=True) if result.lines else ""
+    page = Page(
+        title=f"Calibration: {result.kind}",
+        subtitle=result.subtitle,
+        sections=[
+            *result.sections,
+            *([Section("lines", "For capture.yaml", [Listing(lines)])] if lines else []),
+            Section("inputs", "Inputs", [Facts([(name, digest) for name, digest in digests.items()])]),
+        ],
+        version=PROJECT_VERSION,
+        footer=f"Nishiki {PROJECT_VERSION}, calibration of {result.kind}. All numbers: {NUMBERS}.",
+        warnings=result.warnings,
+    )
+    partial = folder.with_name(f".{folder.name}.partial")
+    if partial.exists():
+        shutil.rmtree(partial)
+    partial.mkdir(parents=True)
+    try:
+        for name, data in result.files.items():
+            (partial / name).write_bytes(data.encode() if isinstance(data, str) else data)
+        (partial / NUMBERS).write_text(json.dumps(content, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        (partial / PAGE).write_text(render_page(page), encoding="utf-8")
+        if lines:
+            (partial / LINES).write_text(lines, encoding="utf-8")
+        os.rename(partial, folder)
+    finally:
+        if partial.exists():
+            shutil.rmtree(partial)
+
+
+def put_into_capture(capture: Path, result: Calibration) -> None:
+    """Write the lines and files of a calibration into a capture that is not sealed; comments of its file are lost.
+
+    UserError where it is sealed, or a file of the same name lies there.
+    """
+    if (capture / "bagit.txt").exists():
+        raise UserError(
+            f"{capture} is sealed and stays as it is. Remedy: copy its data folder, and name the copy with --into"
+        )
+    path = capture / "capture.yaml"
+    settings = read_mapping(path)
+    files = {name: data for name, data in result.files.items() if _names(result.lines, name)}
+    for name in files:
+        if (capture / name).exists():
+            raise UserError(f"{capture / name} exists. Remedy: move it away; nothing is overwritten")
+    text = yaml.safe_dump(_merged(settings, result.lines), sort_keys=False, allow_unicode=True)
+    for name, data in files.items():
+        (capture / name).write_bytes(data.encode() if isinstance(data, str) else data)
+    partial = capture / ".capture.yaml.partial"
+    partial.write_text("# Capture folder: see docs/capture-folder.md\n" + text, encoding="utf-8")
+    os.replace(partial, path)
+
+
+def finite(value: float, digits: int = 6) -> float | None:
+    """A number for JSON: rounded to significant digits, None where it is not finite."""
+    value = float(value)
+    return float(f"{value:.{digits}g}") if abs(value) < float("inf") else None
+
+
+def _names(lines: object, name: str) -> bool:
+    """Whether lines of capture.yaml name a file."""
+    return lines == name or (isinstance(lines, dict) and any(_names(each, name) for each in lines.values()))
+
+
+def _merged(settings: dict, lines: dict) -> dict:
+    merged = dict(settings)
+    for key, value in lines.items():
+        old = merged.get(key)
+        merged[key] = _merged(old, value) if isinstance(value, dict) and isinstance(old, dict) else value
+    return merged
+
+
+def _digest(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
