@@ -57,12 +57,14 @@ def main() -> None:
     """Arguments in, lines out."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, required=True)
-    folder = parser.parse_args().data / "spectra"
+    parser.add_argument("--unseen", action="store_true", help="only the two cameras that the method never saw")
+    arguments = parser.parse_args()
+    folder = arguments.data / "spectra"
     known, chips = read_cameras(folder), next(iter(read_reflectances(folder).values()))
     names, reflectances = chart_reflectances()
     usual = np.mean([camera / camera.max(axis=1, keepdims=True) for camera in known.values()], axis=0)
     random = np.random.default_rng(0)
-    cameras = [(name, "known", curves) for name, curves in known.items()]
+    cameras = [] if arguments.unseen else [(name, "known", curves) for name, curves in known.items()]
     cameras += [(name, "unseen", curves) for name, curves in unseen().items()]
     for name, use, curves in cameras:
         for lamp_name in ("D65", "A", "FL11"):
