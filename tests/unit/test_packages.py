@@ -19,6 +19,7 @@ LIGHT = {"numpy"}
 NAMES = {module: name for name, module in MODULES.items()}
 PLACES = {
     "av": {"output.py"},
+    "colour-science": {"sensitivities.py"},
     "gphoto2": {"gphoto.py"},
     "pymeshlab": {"merging.py", "meshlab.py"},
     "pyserial": {"ports.py", "serial_line.py"},

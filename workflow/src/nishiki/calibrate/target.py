@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from nishiki.colour.colour import adaptation_matrix, delta_e_2000, srgb_matrix, white_xyz, xyz_from_spectra, xyz_to_lab
@@ -135,6 +134,8 @@ def find_target(picture: np.ndarray) -> np.ndarray:
     UserError
         Where none is found.
     """
+    import cv2
+
     scale = max(1.0, picture.shape[1] / WIDEST)
     small = cv2.resize(picture, None, fx=1 / scale, fy=1 / scale, interpolation=cv2.INTER_AREA)
     detector = cv2.mcc.CCheckerDetector.create()
@@ -156,6 +157,8 @@ def target_at(corners: np.ndarray) -> np.ndarray:
 
     Raises UserError where these four lie on a line or cross.
     """
+    import cv2
+
     corners = np.asarray(corners, np.float32)
     turned = np.diff(np.concatenate([corners, corners[:2]]), axis=0)
     sense = turned[:-1, 0] * turned[1:, 1] - turned[:-1, 1] * turned[1:, 0]
@@ -177,6 +180,8 @@ def _grid() -> np.ndarray:
 
 def _windows(plane: np.ndarray) -> np.ndarray:
     """(24, 4, 2) corners of the averaged squares, by a homography (3, 3) from the grid to pixels."""
+    import cv2
+
     square = HALF_WINDOW * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
     places = (_grid()[:, None] + square).reshape(1, -1, 2)
     return cv2.perspectiveTransform(places, plane).reshape(-1, 4, 2)
@@ -199,6 +204,8 @@ def read_patches(values: np.ndarray, corners: np.ndarray, full_scale: float) -> 
     UserError
         Where a patch lies outside of the picture or is smaller than 3 x 3 pixels.
     """
+    import cv2
+
     means, deviations, clipped = (np.empty((len(corners), 3)) for _ in range(3))
     rows, columns = values.shape[:2]
     for k, quad in enumerate(corners):

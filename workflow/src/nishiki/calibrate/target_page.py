@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 
 from nishiki.calibrate.sensitivities import Sensitivities
@@ -72,6 +71,8 @@ def warnings_of(names: tuple[str, ...], patches: Patches) -> list[str]:
 
 
 def _pictures(picture, reference, patches: Patches, judged: dict[str, ColourErrors]) -> list[Block]:
+    import cv2
+
     scale = min(1.0, WIDEST / picture.shape[1])
     small = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     for quad in patches.corners:
