@@ -44,6 +44,17 @@ def test_sorting_network_sorts(size):
     np.testing.assert_array_equal(values, expected)
 
 
+@pytest.mark.parametrize(("size", "smallest"), [(1, 1), (5, 2), (12, 6), (41, 21), (96, 48), (100, 3)])
+def test_sorting_network_of_the_smallest_values(size, smallest):
+    network = sorting_network(size, smallest)
+    values = np.random.default_rng(size).standard_normal((size, 500))
+    expected = np.sort(values, axis=0)
+    for upper, lower in network:
+        values[[upper, lower]] = np.sort(values[[upper, lower]], axis=0)
+    np.testing.assert_array_equal(values[:smallest], expected[:smallest])
+    assert len(network) < len(sorting_network(size)) or size == 1
+
+
 def test_sorting_network_sorts_every_zero_one_input():
     """A network that sorts all inputs of zeros and ones sorts everything (Knuth's principle)."""
     for size in range(1, 12):

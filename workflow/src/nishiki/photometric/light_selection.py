@@ -1,6 +1,7 @@
 """Separation by light selection: which lights show each pixel's diffuse reflection alone."""
 
 from dataclasses import dataclass
+from math import ceil
 
 import numpy as np
 
@@ -136,15 +137,15 @@ def refit(stack, known, directions, starts, noise, min_lights, usable, highlight
         [starts, STEPS, WINDOW, COVERAGE, ABOVE, BRIGHTER, DARKER, noise, min_lights, ROUNDS], np.float32
     )
     vectors = np.ascontiguousarray(directions.astype(np.float32))
-    network = sorting_network(stack.shape[0])
-    pixels = stack.shape[1]
+    lights, pixels = stack.shape
+    networks = sorting_network(lights), sorting_network(lights, min(lights, max(min_lights, ceil(COVERAGE * lights))))
     if pixels >= BLOCK:
-        refit_selection(stack, known, vectors, products, network, settings, usable, highlights, shadows)
+        refit_selection(stack, known, vectors, products, *networks, settings, usable, highlights, shadows)
     elif pixels:
         known = known if known.shape[1] == 1 else repeated(known, BLOCK)
         stack = repeated(stack, BLOCK)
         block = np.empty(stack.shape, np.bool_), np.empty(BLOCK, np.uint16), np.empty(BLOCK, np.uint16)
-        refit_selection(stack, known, vectors, products, network, settings, *block)
+        refit_selection(stack, known, vectors, products, *networks, settings, *block)
         usable[...], highlights[...], shadows[...] = (values[..., :pixels] for values in block)
 
 

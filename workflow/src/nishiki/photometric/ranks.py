@@ -9,8 +9,11 @@ BLOCK = 64  # pixels sorted together: 96 lights of them fill three quarters of a
 
 
 @lru_cache(maxsize=64)
-def sorting_network(size):
+def sorting_network(size, smallest=None):
     """Comparators (n, 2) int32 of Batcher's odd-even merge sort for any number of values.
+
+    smallest: number of values, counted from the smallest, that have to be in their places; default all. Comparators
+    that reach none of them are left out.
 
     A network compares the same places whatever the values are, so that one pass sorts as many pixels as the vector
     unit has lanes. Source: K. E. Batcher, Sorting networks and their applications, AFIPS 1968; for sizes that are no
@@ -27,7 +30,12 @@ def sorting_network(size):
                 break
             d, q, r = q - p, q >> 1, p
         p >>= 1
-    return np.array(pairs, dtype=np.int32).reshape(-1, 2)
+    needed, kept = set(range(size if smallest is None else smallest)), []
+    for pair in reversed(pairs):
+        if needed & {*pair}:
+            needed |= {*pair}
+            kept.append(pair)
+    return np.array(kept[::-1], dtype=np.int32).reshape(-1, 2)
 
 
 @njit(cache=True, inline="always")

@@ -135,11 +135,14 @@ def accept(values, known, directions, scaled, scale, brighter, darker, weights):
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def refit_selection(observations, valid, directions, products, comparators, settings, usable, highlights, shadows):
+def refit_selection(
+    observations, valid, directions, products, comparators, of_half, settings, usable, highlights, shadows
+):
     """Mark in `usable` the samples that one Lambertian surface explains; shapes as in `threshold_selection`.
 
-    At least BLOCK pixels. directions (lights, 3) and products (lights, 9) float32; settings float32: starts, steps,
-    window, coverage, above, brighter, darker, floor, at_least, rounds.
+    At least BLOCK pixels. directions (lights, 3) and products (lights, 9) float32; comparators, of_half: networks that
+    sort all samples, and the `coverage` share of the smallest; settings float32: starts, steps, window, coverage,
+    above, brighter, darker, floor, at_least, rounds.
     """
     lights, pixels = observations.shape
     starts, steps, rounds = int(settings[0]), int(settings[1]), int(settings[9])
@@ -174,7 +177,7 @@ def refit_selection(observations, valid, directions, products, comparators, sett
                     add_up(values, weights, products, sums)
                     solve_block(sums, at_least, scaled)
                     distances(values, known, directions, scaled, above, distance)
-                    concentrate(distance, ordered, comparators, count, coverage, at_least, low, weights)
+                    concentrate(distance, ordered, of_half, count, coverage, at_least, low, weights)
                 judge(distance, weights, scaled, count, coverage, at_least, floor, quality)
                 for p in range(BLOCK):
                     if quality[p] < record[p]:
