@@ -66,6 +66,8 @@ def _parser() -> argparse.ArgumentParser:
     which = sub.add_mutually_exclusive_group()
     which.add_argument("--object", action="store_true", help="an object on a turntable in place of the painting")
     which.add_argument("--cloth", action="store_true", help="a satin on a gonioreflectometer in place of the painting")
+    text = "photograph the painting once more through a simulated dome, and digitise that capture (needs the extra rig)"
+    which.add_argument("--rig", action="store_true", help=text)
     where = " (only in a checkout of the project)" if INSTALLED else ""
     sub = command("test", "running:test", f"run the tests{where}; further arguments go to pytest")
     tier = sub.add_mutually_exclusive_group()

@@ -17,6 +17,7 @@ DEMOS = {
     "painting": ("painting", "config/config.yaml"),
     "jar": ("object", "config/object.yaml"),
     "satin": ("satin", "config/cloth.yaml"),
+    "painting-by-rig": ("painting", "config/painting_by_rig.yaml"),
 }
 NAMED = 20
 """Scenes that are told by name: unfinished ones, failed ones."""
@@ -146,20 +147,58 @@ def _some(texts: list[str], between: str) -> str:
 def demo(options: argparse.Namespace, rest: list[str]) -> int:
     """Simulate the painting, object or cloth, where it is not there yet; then run the configuration.
 
+    With --rig the painting is photographed once more, through a simulated dome, and that capture is digitised.
+
     In the folder of the checkout; an installed package makes the folder `nishiki-demo` where it is called.
     """
     os.chdir(demo_folder() if INSTALLED else PROJECT)
     name = "jar" if options.object else "satin" if options.cloth else "painting"
-    preset, configuration = DEMOS[name]
+    preset, configuration = DEMOS["painting-by-rig" if options.rig else name]
     capture, truth = Path(f"captures/{name}"), Path(f"captures/{name}-truth")
     if not capture.is_dir() or not truth.is_dir():
         status = simulate(options, ["--output", str(capture), "--truth", str(truth), "--preset", preset])
+        if status:
+            return status
+    if options.rig:
+        status = photograph_by_rig(capture, Path("captures/rig"), Path("captures/painting-by-rig"))
         if status:
             return status
     options = argparse.Namespace(
         configfile=configuration, cores=None, profile="default", host_is_gone=[], stop_at_first_failure=False
     )
     return run(options, rest)
+
+
+def photograph_by_rig(by_hand: Path, folder: Path, capture: Path) -> int:
+    """Photograph the painting through a simulated dome, with the commands that a real dome is used with.
+
+    Parameters
+    ----------
+    by_hand : Path
+        The simulated capture whose photographs the simulated camera takes.
+    folder : Path
+        Folder of the rig: its description, the plan, the serial port and the folder of the camera's software. Kept, so
+        that both files can be read as examples.
+    capture : Path
+        Capture folder to make; one that is there is kept.
+
+    Returns
+    -------
+    int
+        Exit status of the capture run.
+    """
+    if capture.is_dir():
+        return 0
+    from nishiki.simulate.rig.bench import PaintingBench, run_at_terminal, write_rig
+
+    bench = PaintingBench(by_hand, folder)
+    try:
+        rig, plan = write_rig(bench, by_hand, folder)
+        command = ["rig", "run", str(rig), str(plan), str(capture)]
+        print(f"nishiki {' '.join(command)}", file=sys.stderr)
+        return run_at_terminal([sys.executable, "-m", "nishiki", *command], bench.obey)
+    finally:
+        bench.close()
 
 
 def demo_folder() -> Path:

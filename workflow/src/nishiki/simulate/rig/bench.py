@@ -15,6 +15,8 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import yaml
+
 from nishiki.errors import UserError
 from nishiki.simulate.rig.camera import VirtualCamera
 from nishiki.simulate.rig.dome import SimulatedDome
@@ -39,12 +41,14 @@ class PaintingBench:
     ----------
     lamps : tuple of str
         Names of the lamps, in the order of the dome.
+    checks : tuple of str
+        Those that are kept for evaluation.
     subject : {"object", "white", "dark"}
         What stands before the lens: the painting, a white board in its place, the lens cap.
     """
 
     def __init__(self, capture: Path, folder: Path) -> None:
-        source = capture / "data" if (capture / "data").is_dir() else capture
+        source = data_of(capture)
         with (source / "frames.csv").open(newline="") as file:
             rows = list(csv.DictReader(file))
         self.photographs = {
@@ -54,10 +58,12 @@ class PaintingBench:
         }
         self.darks = [source / row["file"] for row in rows if row["role"] == "dark"]
         self.lamps = tuple(row["light"] for row in rows if row["role"] in ("sample", "check"))
+        self.checks = tuple(row["light"] for row in rows if row["role"] == "check")
         self.subject = "object"
-        self.taken = self.darks_taken = 0
+        self.darks_taken = 0
         self.saved_in = folder / "camera"
-        self.saved_in.mkdir(parents=True)
+        self.saved_in.mkdir(parents=True, exist_ok=True)
+        self.taken = len(list(self.saved_in.iterdir()))  # a camera goes on counting
         self.dome = SimulatedDome(folder / "dome", len(self.lamps), self.expose)
 
     def photograph(self, lit: set[int]) -> Path:
@@ -95,6 +101,51 @@ class PaintingBench:
     def close(self) -> None:
         """End the simulation."""
         self.dome.stop()
+
+
+def data_of(capture: Path) -> Path:
+    """Where the files of a capture lie: in `data` once it is sealed."""
+    return capture / "data" if (capture / "data").is_dir() else capture
+
+
+def write_rig(bench: PaintingBench, by_hand: Path, folder: Path) -> tuple[Path, Path]:
+    """Write the description of the bench and a plan that takes the photographs of the capture by hand.
+
+    Returns
+    -------
+    tuple of Path
+        rig.yaml and plan.yaml, in `folder`.
+    """
+    source = data_of(by_hand)
+    capture = yaml.safe_load((source / "capture.yaml").read_text())
+    lights, white = capture.pop("lights"), capture.pop("white")
+    for key in ("format", "geometry"):
+        del capture[key]
+    shutil.copyfile(source / lights["file"], folder / lights["file"])
+    shutil.copytree(source / "spectra", folder / "spectra", dirs_exist_ok=True)
+    port = str((folder / "dome").absolute())
+    rig = {
+        "camera": {"kind": "folder", "folder": "camera", "release": "lamps", "complete_s": 0.1},
+        "lamps": {
+            "kind": "dome",
+            "port": port,
+            "count": len(bench.lamps),
+            "settle_s": 0.0,
+        },
+    }
+    plan = {
+        "kind": "dome",
+        "lights": lights["file"],
+        "suffix": bench.darks[0].suffix[1:],
+        "white": {"when": "before", "reflectance": white["reflectance"]},
+        "dark": {"when": "after", "frames": len(bench.darks)},
+        "checks_for": list(bench.checks),
+        "capture": capture,
+    }
+    paths = folder / "rig.yaml", folder / "plan.yaml"
+    for path, values in zip(paths, (rig, plan), strict=True):
+        path.write_text(yaml.safe_dump(values, sort_keys=False))
+    return paths
 
 
 def run_at_terminal(command: list[str], obey: Callable[[str], None], **options: object) -> int:

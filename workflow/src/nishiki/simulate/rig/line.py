@@ -87,6 +87,7 @@ class SimulatedLine(threading.Thread):
             self.unplug()
             self.master, slave = os.openpty()
             tty.setraw(slave)
+            self.path.unlink(missing_ok=True)  # what a killed simulation left
             self.path.symlink_to(os.ttyname(slave))
             os.close(slave)
             self.greet()
