@@ -118,9 +118,9 @@ def write_rig(bench: PaintingBench, by_hand: Path, folder: Path) -> tuple[Path, 
     """
     source = data_of(by_hand)
     capture = yaml.safe_load((source / "capture.yaml").read_text())
-    lights, white = capture.pop("lights"), capture.pop("white")
-    for key in ("format", "geometry"):
-        del capture[key]
+    lights = capture["lights"]
+    for key in ("format", "geometry", "lights"):
+        del capture[key]  # these follow from the plan
     shutil.copyfile(source / lights["file"], folder / lights["file"])
     shutil.copytree(source / "spectra", folder / "spectra", dirs_exist_ok=True)
     port = str((folder / "dome").absolute())
@@ -136,8 +136,9 @@ def write_rig(bench: PaintingBench, by_hand: Path, folder: Path) -> tuple[Path, 
     plan = {
         "kind": "dome",
         "lights": lights["file"],
+        "lights_kind": lights["kind"],
         "suffix": bench.darks[0].suffix[1:],
-        "white": {"when": "before", "reflectance": white["reflectance"]},
+        "white": {"when": "before"},
         "dark": {"when": "after", "frames": len(bench.darks)},
         "checks_for": list(bench.checks),
         "capture": capture,
