@@ -8,7 +8,7 @@ import pytest
 
 from nishiki.cli import main
 from nishiki.errors import UserError
-from nishiki.rig import dome, operator
+from nishiki.rig import dome, operator, serial_line
 from nishiki.rig.description import open_rig, read_rig
 from nishiki.rig.device import DeviceError, DeviceLost, Exposure
 from nishiki.simulate.rig.comxim import SimulatedComXim
@@ -246,4 +246,5 @@ def test_without_the_extra_the_remedy_is_named(folder, capsys, monkeypatch):
 
 @pytest.fixture(autouse=True)
 def short_waits(monkeypatch):
-    monkeypatch.setattr(dome, "GREETING_S", 0.5)
+    monkeypatch.setattr(serial_line, "QUIET_S", 0.05)
+    monkeypatch.setattr(dome, "GREETING_S", 1.0)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from nishiki.artifacts.closed import parse
 from nishiki.errors import UserError
-from nishiki.rig import comxim, dome, grbl
+from nishiki.rig import comxim, dome, grbl, serial_line
 from nishiki.rig.comxim import ComXimTurntable
 from nishiki.rig.described import (
     DescribedAxis,
@@ -38,13 +38,14 @@ DESTRUCTIVE = [fault for fault in FAULTS if fault not in ("halves", "noise")]
 @pytest.fixture(autouse=True)
 def short_waits(monkeypatch):
     """Simulated devices answer at once: a missing answer need not be waited for as long as a real one."""
+    monkeypatch.setattr(serial_line, "QUIET_S", 0.05)
     for module in (comxim, dome, grbl):
-        monkeypatch.setattr(module, "ANSWER_S", 0.3)
+        monkeypatch.setattr(module, "ANSWER_S", 0.6)
     monkeypatch.setattr(grbl, "MOVE_S", 1.0)
     monkeypatch.setattr(grbl, "HOMING_S", 1.0)
-    monkeypatch.setattr(grbl, "GREETING_S", 0.5)
-    monkeypatch.setattr(dome, "GREETING_S", 0.5)
-    monkeypatch.setattr(comxim, "TURN_S", 0.5)
+    monkeypatch.setattr(grbl, "GREETING_S", 1.0)
+    monkeypatch.setattr(dome, "GREETING_S", 1.0)
+    monkeypatch.setattr(comxim, "TURN_S", 0.8)
 
 
 @pytest.fixture
@@ -134,7 +135,7 @@ def test_a_line_without_end_is_noise_and_not_memory():
             assert len(pair.line.buffer) <= LONGEST_LINE
         finally:
             stop.set()
-            pair.line.discard(0.02)
+            pair.line.discard()
 
 
 def test_an_answer_to_an_earlier_line_is_not_taken_for_this_one():

@@ -50,7 +50,7 @@ class ComXimTurntable:
             # Opening the port can reach the table as noise, which it answers with CR+ERR: either answer shows that it
             # is there.
             self.line.ask("CT()", r"CR\+(OK|ERR)", ANSWER_S)
-            self.line.discard(quiet_s=0.3)
+            self.line.discard()
         except BaseException:
             self.line.close()
             raise

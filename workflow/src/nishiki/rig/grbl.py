@@ -121,7 +121,7 @@ class Grbl:
         self.line.close()
 
     def _restart(self) -> None:
-        self.line.discard(quiet_s=0.1)  # after some alarms it restarts by itself, and its greeting is still to be read
+        self.line.discard()  # after some alarms it restarts by itself, and its greeting is still to be read
         self.line.send(RESET, ending=False)
         if not self.line.greeting(GREETING, GREETING_S):
             raise DeviceLost(

@@ -18,6 +18,8 @@ LONGEST_LINE = 4096
 """Bytes without an end of line beyond which what arrives is noise: no device here sends so long a line."""
 WRITE_S = 2.0
 """Seconds that a port may take to accept a line."""
+QUIET_S = 0.3
+"""Seconds without a byte after which a greeting is complete."""
 SHOWN = 300
 """Characters of what was received that a message repeats."""
 
@@ -83,15 +85,15 @@ class SerialLine:
         end = time.monotonic() + timeout_s
         while (line := self._next_line(end)) is not None:
             if re.search(pattern, line):
-                self.discard(quiet_s=0.3)
+                self.discard()
                 return True
         return False
 
-    def discard(self, quiet_s: float) -> None:
-        """Throw away what arrives, until nothing has arrived for `quiet_s` seconds (at most for ten times as long)."""
+    def discard(self) -> None:
+        """Throw away what arrives, until nothing has arrived for QUIET_S (at most for ten times as long)."""
         start = last = time.monotonic()
         self.buffer = b""
-        while time.monotonic() < min(last + quiet_s, start + 10 * quiet_s):
+        while time.monotonic() < min(last + QUIET_S, start + 10 * QUIET_S):
             if self._read():
                 last = time.monotonic()
             self.buffer = b""
