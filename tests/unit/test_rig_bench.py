@@ -1,5 +1,6 @@
 """The simulated dome over a painting: photographs through serial port, folder and terminal are those taken by hand."""
 
+import csv
 import os
 import re
 import subprocess
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 from captures import make_capture
 
+from nishiki.commands.running import photograph_by_rig
 from nishiki.errors import UserError
 from nishiki.rig.description import open_rig
 from nishiki.simulate.rig.bench import PaintingBench, run_at_terminal
@@ -119,3 +121,23 @@ def test_without_a_terminal_the_same_program_says_that_nobody_can_be_asked(bench
 def test_what_the_person_does_not_understand_is_told(bench):
     with pytest.raises(UserError, match="does not understand"):
         bench.obey("sing a song")
+
+
+def photographs(data):
+    """Files of a capture by role and light, in the order of the table."""
+    found = {}
+    with (data / "frames.csv").open(newline="") as file:
+        for row in csv.DictReader(file):
+            found.setdefault((row["role"], row["light"]), []).append((data / row["file"]).read_bytes())
+    return found
+
+
+def test_the_capture_of_the_demonstration_holds_the_photographs_that_were_taken_by_hand(tmp_path, monkeypatch):
+    by_hand = make_capture(tmp_path / "by-hand")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(SOURCE))
+    for _ in range(2):  # the second time the capture is kept
+        assert photograph_by_rig(Path("by-hand"), Path("rig"), Path("by-rig")) == 0
+    assert photographs(tmp_path / "by-rig/data") == photographs(by_hand)
+    assert len(list((tmp_path / "rig/camera").iterdir())) == 11  # five lamps, object and board, and a dark frame
+    assert (tmp_path / "by-rig/manifest-sha256.txt").is_file()

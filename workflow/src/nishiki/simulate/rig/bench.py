@@ -122,7 +122,8 @@ def write_rig(bench: PaintingBench, by_hand: Path, folder: Path) -> tuple[Path, 
     for key in ("format", "geometry", "lights"):
         del capture[key]  # these follow from the plan
     shutil.copyfile(source / lights["file"], folder / lights["file"])
-    shutil.copytree(source / "spectra", folder / "spectra", dirs_exist_ok=True)
+    if (source / "spectra").is_dir():
+        shutil.copytree(source / "spectra", folder / "spectra", dirs_exist_ok=True)
     port = str((folder / "dome").absolute())
     rig = {
         "camera": {"kind": "folder", "folder": "camera", "release": "lamps", "complete_s": 0.1},
