@@ -1,6 +1,5 @@
 """Channels weighted by each pixel's colour: against a slow reference, and what it promises of grey, gloss and scale."""
 
-import importlib
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,6 +10,7 @@ from nishiki.photometric.body_colour import body_intensity
 from nishiki.photometric.light_selection import select_diffuse
 from nishiki.photometric.refine import WIDTH
 from nishiki.photometric.solve import PRIOR, estimate_normals
+from nishiki.stages.normals.parcel import with_shading_of_mean
 
 DARK_RED = np.array([0.12, 0.015, 0.01])
 
@@ -114,11 +114,6 @@ def test_samples_that_are_not_valid_change_no_other():
     assert np.array_equal(body_intensity(samples, valid)[others], found[others])
 
 
-def script(name):
-    """A stage's module."""
-    return importlib.import_module(f"nishiki.stages.{name}.run")
-
-
 def dense_terms(mean, usable, lights, normal, noise=0.003):
     """Body shading (a, b, d) of one pixel's normal by dense penalised least squares, samples chosen again once."""
     halves = lights + np.array([0, 0, 1.0])
@@ -139,7 +134,6 @@ def dense_terms(mean, usable, lights, normal, noise=0.003):
 
 
 def test_coloured_pixels_have_the_shading_of_the_mean_and_grey_ones_keep_theirs():
-    stage = script("normals")
     red, _, lights = glossy(DARK_RED, pixels=75)
     grey, _, _ = glossy(np.full(3, 0.1), pixels=30)
     samples = np.concatenate([red, np.repeat(grey.mean(axis=-1, keepdims=True), 3, axis=-1)], axis=2)
@@ -148,7 +142,7 @@ def test_coloured_pixels_have_the_shading_of_the_mean_and_grey_ones_keep_theirs(
     intensity = body_intensity(samples, valid)
     field = estimate_normals(intensity, lights, usable=usable, valid=valid)
     place, settings = SimpleNamespace(directions=lights), SimpleNamespace(solver="default")
-    found = stage.with_shading_of_mean(field, intensity, samples, place, usable, valid, settings)
+    found = with_shading_of_mean(field, intensity, samples, place, usable, valid, settings)
     for p in range(75):
         expected = dense_terms(mean[:, 0, p], usable[:, 0, p], lights, field.normals[0, p].astype(np.float64))
         np.testing.assert_allclose(found.shading[0, p], expected, atol=2e-3)
