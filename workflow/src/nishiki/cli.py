@@ -160,7 +160,7 @@ def _parser() -> argparse.ArgumentParser:
         command(
             "calibrate",
             "calibrate:target",
-            "measure what captures need: colour and sensitivities of a camera",
+            "measure what captures need: lamps of a dome, colour and sensitivities of a camera",
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
     )
@@ -224,7 +224,21 @@ CALIBRATE = f"""\
 Measure what captures need. Each calibration leaves a folder with its figures (JSON), tables, and a page that shows
 whether to trust it.
 
+  {COMMAND} calibrate spheres dome/ calibration/dome
   {COMMAND} calibrate target chart.tif calibration/chart --light D50
+"""
+
+
+SPHERES = f"""\
+Where the lamps of a dome are: directions from one mirror sphere, positions from two or more. Lay the spheres where
+the object will lie, and photograph them once under every lamp, the camera fixed.
+
+  {COMMAND} calibrate spheres dome/ calibration/dome
+  {COMMAND} calibrate spheres dome/ calibration/dome --count 3 --radius-mm 10 --focal-px 9500
+  {COMMAND} convert painting/ captures/painting --lights calibration/dome/lamps.dome
+
+Look at calibration/dome/calibration.html: the green outlines must lie on the spheres' rims, each red cross in a
+highlight. lamps.lp and lamps.dome serve all captures of this dome, until it or the camera is moved.
 """
 
 
@@ -233,7 +247,7 @@ def _with_calibrations(sub: argparse.ArgumentParser) -> None:
     from nishiki.commands.calibrate import corner
 
     sub.description = CALIBRATE
-    sub.set_defaults(call=lambda options, rest: sub.error("expected what to calibrate: target; see --help"))
+    sub.set_defaults(call=lambda options, rest: sub.error("expected what to calibrate: spheres or target; see --help"))
     kinds = sub.add_subparsers(dest="kind", metavar="WHAT", title="calibrations")
 
     def kind(name: str, function: str, text: str, **options) -> argparse.ArgumentParser:
@@ -265,6 +279,26 @@ def _with_calibrations(sub: argparse.ArgumentParser) -> None:
         metavar="CSV",
         help="of this very chart: wavelength_nm and 24 columns (default: mean of thirty charts)",
     )
+    text = "directions of lamps from one mirror sphere, positions from two or more"
+    made = kind("spheres", "calibrate:spheres", text, formatter_class=argparse.RawDescriptionHelpFormatter)
+    made.description = SPHERES
+    made.add_argument("photographs", nargs="+", help="one a lamp, of the same spheres: files, or folders of them")
+    made.add_argument("folder", help="new folder for the results")
+    text = "roughly where a sphere is, in pixels (repeatable; default: found)"
+    made.add_argument(
+        "--sphere", nargs=3, type=float, action="append", default=[], metavar=("ROW", "COLUMN", "RADIUS"), help=text
+    )
+    made.add_argument("--mask", help="picture, non-zero on the spheres: their outlines are taken from it")
+    made.add_argument("--count", type=int, default=1, help="spheres to look for (default %(default)s)")
+    text = "focal length in pixels: perspective camera (default: orthographic, seen from afar)"
+    made.add_argument("--focal-px", type=float, help=text)
+    made.add_argument("--radius-mm", type=float, help="radius of every sphere; needed for positions")
+    text = "height of the object's surface above the plane on which the spheres lie (default 0)"
+    made.add_argument("--object-height-mm", type=float, default=0.0, help=text)
+    text = "folder of a flat matt board in the object's plane, one photograph a lamp: the fall-off refines the lamps"
+    made.add_argument("--board", help=text)
+    made.add_argument("--compare", metavar="LP", help="a lights file: the angles to it stand on the page")
+    made.add_argument("--into", metavar="CAPTURE", help="write the lines into a capture that is not sealed, too")
 
 
 def _with_scene(sub: argparse.ArgumentParser) -> None:

@@ -186,7 +186,9 @@ def _write(
     jpeg = header.kind == "jpeg"
     coding = encoding or ("srgb" if jpeg else "linear")
     settings["camera"] = {"channels": list(channels), "encoding": coding}
-    settings["lights"] = {"file": "lights.lp", "kind": "direction"}
+    settings["lights"] = {"file": "lights.lp", "kind": "position_mm" if layout.width_mm else "direction"}
+    if layout.width_mm:
+        settings["pixel_pitch_mm"] = float(f"{layout.width_mm / header.columns:.9g}")
     if layout.intensities is not None:
         settings["lights"]["intensities"] = "intensities.csv"
         _write_intensities(folder / "intensities.csv", layout, channels)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ import numpy as np
 from nishiki.capture.frames import inside
 from nishiki.capture.lights import Lights, light_name, lights_from_vectors, read_lights
 from nishiki.capture.mirror_sphere import direction_from_sphere, mean_direction
-from nishiki.capture.relight_files import find_relight, is_relight, read_relight
+from nishiki.capture.relight_files import find_relight, is_relight, read_dome, read_relight
 from nishiki.formats.bounds import bound
 from nishiki.formats.files import NAME_BYTES, is_plain, leads_out, read_text
 from nishiki.formats.image_header import IMAGE_SUFFIXES
@@ -31,7 +31,10 @@ DISAGREEMENT = np.radians(3.0)
 
 @dataclass(frozen=True)
 class Layout:
-    """photographs[i] was taken under lights.names[i]; intensities (lights, channels) or None; mask or None."""
+    """photographs[i] was taken under lights.names[i]; intensities (lights, channels) or None; mask or None.
+
+    width_mm: of the photographs on the object where the lamps' vectors are positions in millimetres, else 0.
+    """
 
     name: str
     photographs: tuple[Path, ...]
@@ -39,6 +42,7 @@ class Layout:
     intensities: np.ndarray | None
     mask: Path | None
     warnings: tuple[Problem, ...]
+    width_mm: float = 0.0
 
 
 def natural_key(path: Path) -> list:
@@ -100,6 +104,11 @@ def recognise(source: Path, *, lights_file: Path | None = None, mask: Path | Non
     lights_file = lights_file or (listed[0] if listed else None)
     if lights_file is None and not (source / "light_directions.txt").is_file():
         lights_file = find_relight(source)
+    if lights_file is not None and lights_file.suffix.lower() == ".dome":
+        lights, width_mm = read_dome(lights_file)
+        return replace(
+            _with_lights(source, lights, mask, kind="position_mm" if width_mm else "direction"), width_mm=width_mm
+        )
     if lights_file is not None:
         lights = read_relight(lights_file) if is_relight(lights_file) else read_lights(lights_file)
         return _with_lights(source, lights, mask)
@@ -129,12 +138,12 @@ def _find_mask(source: Path) -> Path | None:
     return masks[0] if len(masks) == 1 else None
 
 
-def _with_lights(source: Path, lights: Lights, mask: Path | None) -> Layout:
+def _with_lights(source: Path, lights: Lights, mask: Path | None, *, kind: str = "direction") -> Layout:
     """Photographs named in the lights file; where it names none, in the natural order of their names."""
     present = photographs_in(source)
     if all(file is None for file in lights.files):
         _expect_count(source, present, len(lights.names))
-        return _in_order(source, present, lights, None, mask, "directions in order")
+        return _in_order(source, present, lights, None, mask, "directions in order", kind=kind)
     by_name = {p.name.casefold(): p for p in present}
     by_stem = {p.stem.casefold(): p for p in present}
     chosen, missing = [], []
@@ -246,10 +255,17 @@ def _grey(path: Path) -> np.ndarray:
 
 
 def _in_order(
-    source: Path, present: list[Path], lights: Lights, intensities: np.ndarray | None, mask: Path | None, name: str
+    source: Path,
+    present: list[Path],
+    lights: Lights,
+    intensities: np.ndarray | None,
+    mask: Path | None,
+    name: str,
+    *,
+    kind: str = "direction",
 ) -> Layout:
     """Directions without names, given to the photographs in the natural order of their names."""
-    named = lights_from_vectors([light_name(p.name) for p in present], lights.vectors, file=str(source.name))
+    named = lights_from_vectors([light_name(p.name) for p in present], lights.vectors, file=str(source.name), kind=kind)
     what = "directions have no file names: given to the photographs in the natural order of their names"
     found = f"{present[0].name} ... {present[-1].name}"
     note = warning("lights-in-order", source.name, what, found=found, remedy="Check that the order is the lamps' order")

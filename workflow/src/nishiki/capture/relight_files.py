@@ -1,7 +1,9 @@
 """Lamp directions from the files that the program Relight writes: `NAME.relight` (its project) and `info.json`.
 
 A project lists the photographs, each with its file name and `direction` {x, y, z}; one with `skip` is not used.
-`info.json` of a relightable image holds `lights`, three numbers a photograph, without file names. Axes as in `.lp`.
+`info.json` of a relightable image holds `lights`, three numbers a photograph, without file names. A `.dome` holds the
+lamps of a rig in order: `directions`, and `positions3d` in millimetres where `lightConfiguration` is `lights3d`, with
+the width of the pictures in `imageWidth`. Axes as in `.lp`.
 """
 
 from __future__ import annotations
@@ -65,6 +67,30 @@ def read_relight(path: Path) -> Lights:
         raise _unreadable(path.name, "'images' with directions, or 'lights'", ", ".join(map(repr, content))[:80])
     lights = lights_from_vectors(names, np.array(vectors, np.float64).reshape(-1, 3), file=path.name)
     return Lights(lights.names, lights.files, lights.vectors, lights.directions, (*lights.warnings, *notes))
+
+
+def read_dome(path: Path) -> tuple[Lights, float]:
+    """Lamps of a `.dome` in order, without file names, and the width of its pictures in millimetres.
+
+    The vectors are positions in millimetres where the width is above 0, else directions.
+    CaptureError: lights-missing, lights-unreadable, lights-many, and those of `lights_from_vectors`.
+    """
+    content = _read(path)
+    width = content.get("imageWidth", 0)
+    known = isinstance(width, int | float) and not isinstance(width, bool) and 0 < width < 1e9
+    near = content.get("lightConfiguration") == "lights3d" and known
+    listed = content.get("positions3d" if near else "directions")
+    if not isinstance(listed, list) or not listed:
+        raise _unreadable(
+            path.name, "'directions', or 'positions3d' with 'imageWidth'", ", ".join(map(repr, content))[:80]
+        )
+    expect_rows(len(listed), "lights", path.name, "lights")
+    vectors = [
+        _vector([each.get(axis) if isinstance(each, dict) else None for axis in "xyz"], path.name) for each in listed
+    ]
+    kind = "position_mm" if near else "direction"
+    lights = lights_from_vectors([None] * len(vectors), np.array(vectors, np.float64), file=path.name, kind=kind)
+    return lights, float(width) if near else 0.0
 
 
 def _read(path: Path) -> dict:

@@ -1,6 +1,7 @@
 """Commands that measure what captures need: each leaves a folder with figures, tables and a page."""
 
 import argparse
+import sys
 from pathlib import Path
 
 from nishiki.errors import UserError
@@ -80,6 +81,37 @@ def target(options: argparse.Namespace, rest: list[str]) -> None:
         mean, largest = errors.summary["delta_e_mean"], errors.summary["delta_e_max"]
         print(f"{how}: CIEDE2000 {mean:.2f} mean, {largest:.2f} largest; {levels}")
     print(Path(options.folder) / PAGE)
+
+
+def spheres(options: argparse.Namespace, rest: list[str]) -> None:
+    """Measure the lamps of a dome from photographs of mirror spheres."""
+    from nishiki.calibrate.photographs import list_photographs
+    from nishiki.calibrate.result import LINES, PAGE, put_into_capture, write_calibration
+    from nishiki.calibrate.spheres import SphereInput, calibrate_spheres
+
+    result = calibrate_spheres(
+        SphereInput(
+            list_photographs(options.photographs),
+            seeds=[tuple(each) for each in options.sphere],
+            mask=Path(options.mask) if options.mask else None,
+            count=options.count,
+            focal_px=options.focal_px,
+            radius_mm=options.radius_mm,
+            object_height_mm=options.object_height_mm,
+            board=list_photographs([options.board], what="board") if options.board else (),
+            compare=Path(options.compare) if options.compare else None,
+        )
+    )
+    folder = Path(options.folder)
+    write_calibration(folder, result)
+    if options.into:
+        put_into_capture(Path(options.into), result)
+    for text in result.warnings:
+        print(f"warning: {text}", file=sys.stderr)
+    print(
+        f"{result.subtitle} {f'Written into {options.into}' if options.into else f'For capture.yaml: {folder / LINES}'}"
+    )
+    print(folder / PAGE)
 
 
 def _table(curves) -> str:
