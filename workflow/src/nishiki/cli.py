@@ -215,6 +215,8 @@ def _with_rig(sub: argparse.ArgumentParser) -> None:
     made.add_argument("rig", metavar="RIG", help="description of the rig (YAML)")
     made.add_argument("plan", metavar="PLAN", help="plan (YAML), or a table made from it by rig plan --table (.tsv)")
     made.add_argument("capture", metavar="CAPTURE", help="capture folder to make, or to go on with")
+    text = "show how far it is on a page for this computer's browser (default port 8377; 0: any that is free)"
+    made.add_argument("--page", nargs="?", type=int, const=8377, metavar="PORT", help=text)
     made.add_argument("--dry-run", action="store_true", help="print what would be taken; nothing moves")
     made = action("test", "rig:test", "move every device of a rig once and take one photograph; a line a device")
     made.add_argument("rig", metavar="RIG", help="description of the rig (YAML)")

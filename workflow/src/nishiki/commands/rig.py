@@ -58,7 +58,15 @@ def run(options: argparse.Namespace, rest: list[str]) -> None:
     if options.dry_run:
         print(describe_run(rig_file, plan_file, capture))
         return
-    digest = run_capture(rig_file, plan_file, capture, observer=_teller(str(capture)))
+    state = _teller(str(capture))
+    if options.page is None:
+        digest = run_capture(rig_file, plan_file, capture, observer=state)
+    else:
+        from nishiki.rig.live_page import serve
+
+        with serve(state, capture.name, options.page) as address:
+            print(f"rig run {capture}: {address} shows how far it is", file=sys.stderr, flush=True)
+            digest = run_capture(rig_file, plan_file, capture, observer=state)
     print(f"{capture}: complete, checked and sealed, digest {digest[:12]}")
 
 
@@ -66,7 +74,7 @@ def _teller(capture: str) -> Any:
     """Tells on standard error how far a run is, and what is repeated and why."""
     from nishiki.progress import Progress
     from nishiki.rig.frames_table import duration
-    from nishiki.rig.run_state import RunState
+    from nishiki.rig.run_state import REPEATED, RunState, why
 
     class Teller(RunState):
         progress = Progress(f"rig run {capture}")
@@ -74,12 +82,11 @@ def _teller(capture: str) -> Any:
         def happened(self, event: dict) -> None:
             super().happened(event)
             if event["event"] == "frame":
-                self.progress(
-                    len(self.kept), len(self.frames), f"{event['file']}, {duration(self.seconds_left())} left"
-                )
-            elif event["event"] in ("rejected", "lost", "missing"):
-                why = "; ".join(event.get("reasons", [])) or event.get("message", "its file is gone or changed")
-                print(f"rig run {capture}: {event['file']} is taken again: {why}", file=sys.stderr, flush=True)
+                left = duration(self.seconds_left())
+                self.progress(len(self.kept), len(self.frames), f"{event['file']}, {left} left")
+            elif event["event"] in REPEATED:
+                text = f"{event['file']} is taken again: {why(event)}"
+                print(f"rig run {capture}: {text}", file=sys.stderr, flush=True)
 
     return Teller()
 

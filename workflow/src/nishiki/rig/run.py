@@ -258,7 +258,7 @@ class CaptureRun:
             self._note("missing", file=file)
             del self.kept[file]
         self._note("begin", frames=len(self.frames), kept=len(self.kept))
-        self.observer.started(self.frames, set(self.kept))
+        self.observer.started(self.frames, set(self.kept), self.camera)
 
     def _keep_table(self, plan_file: Path) -> None:
         """Write the table beside the journal; UserError where the run began with another one."""
@@ -513,6 +513,7 @@ class CaptureRun:
         """Ask for what has to stand before the camera."""
         if group != self.subject:
             self.subject = None
+            self._note("request", request=REQUESTS[group])
             self.ask("rig", REQUESTS[group])
             self._note("subject", subject=group)
             self.subject = group
