@@ -160,7 +160,7 @@ def _parser() -> argparse.ArgumentParser:
         command(
             "calibrate",
             "calibrate:target",
-            "measure what captures need: lamps of a dome, colour and sensitivities of a camera",
+            "measure what captures need: lamps of a dome; linearity, noise, colour and sensitivities of a camera",
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
     )
@@ -227,6 +227,7 @@ Measure what captures need. Each calibration leaves a folder with its figures (J
 whether to trust it.
 
   {COMMAND} calibrate spheres dome/ calibration/dome
+  {COMMAND} calibrate camera series.csv calibration/camera
   {COMMAND} calibrate target chart.tif calibration/chart --light D50
 """
 
@@ -249,7 +250,9 @@ def _with_calibrations(sub: argparse.ArgumentParser) -> None:
     from nishiki.commands.calibrate import corner
 
     sub.description = CALIBRATE
-    sub.set_defaults(call=lambda options, rest: sub.error("expected what to calibrate: spheres or target; see --help"))
+    sub.set_defaults(
+        call=lambda options, rest: sub.error("expected what to calibrate: spheres, camera or target; see --help")
+    )
     kinds = sub.add_subparsers(dest="kind", metavar="WHAT", title="calibrations")
 
     def kind(name: str, function: str, text: str, **options) -> argparse.ArgumentParser:
@@ -281,6 +284,13 @@ def _with_calibrations(sub: argparse.ArgumentParser) -> None:
         metavar="CSV",
         help="of this very chart: wavelength_nm and 24 columns (default: mean of thirty charts)",
     )
+    text = "linearity, dark level, noise, shading and defective pixels from an exposure series of an even surface"
+    made = kind("camera", "calibrate:camera", text)
+    text = "table file,exposure_s: every exposure twice, nothing changed between; exposure 0 is the closed lens"
+    made.add_argument("series", help=text)
+    made.add_argument("folder", help="new folder for the results")
+    made.add_argument("--bits", type=int, choices=range(8, 17), help="significant bits (default: all of the file)")
+    made.add_argument("--into", metavar="CAPTURE", help="write the lines into a capture that is not sealed, too")
     text = "directions of lamps from one mirror sphere, positions from two or more"
     made = kind("spheres", "calibrate:spheres", text, formatter_class=argparse.RawDescriptionHelpFormatter)
     made.description = SPHERES

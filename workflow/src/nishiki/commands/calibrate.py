@@ -86,7 +86,6 @@ def target(options: argparse.Namespace, rest: list[str]) -> None:
 def spheres(options: argparse.Namespace, rest: list[str]) -> None:
     """Measure the lamps of a dome from photographs of mirror spheres."""
     from nishiki.calibrate.photographs import list_photographs
-    from nishiki.calibrate.result import LINES, PAGE, put_into_capture, write_calibration
     from nishiki.calibrate.spheres import SphereInput, calibrate_spheres
 
     result = calibrate_spheres(
@@ -102,15 +101,28 @@ def spheres(options: argparse.Namespace, rest: list[str]) -> None:
             compare=Path(options.compare) if options.compare else None,
         )
     )
+    _finish(options, result)
+
+
+def camera(options: argparse.Namespace, rest: list[str]) -> None:
+    """Measure linearity, dark level and noise of a camera from an exposure series."""
+    from nishiki.calibrate.camera import calibrate_camera
+
+    _finish(options, calibrate_camera(Path(options.series), bits=options.bits))
+
+
+def _finish(options: argparse.Namespace, result) -> None:
+    """Write the folder of a calibration, its lines into a capture where asked for, and say so."""
+    from nishiki.calibrate.result import LINES, PAGE, put_into_capture, write_calibration
+
     folder = Path(options.folder)
     write_calibration(folder, result)
     if options.into:
         put_into_capture(Path(options.into), result)
     for text in result.warnings:
         print(f"warning: {text}", file=sys.stderr)
-    print(
-        f"{result.subtitle} {f'Written into {options.into}' if options.into else f'For capture.yaml: {folder / LINES}'}"
-    )
+    lines = f"Written into {options.into}" if options.into else f"For capture.yaml: {folder / LINES}"
+    print(f"{result.subtitle} {lines}")
     print(folder / PAGE)
 
 
