@@ -160,7 +160,7 @@ def _parser() -> argparse.ArgumentParser:
         command(
             "calibrate",
             "calibrate:target",
-            "measure what captures need: lamps of a dome; linearity, noise, colour and sensitivities of a camera",
+            "measure what captures need: lamps of a dome; response, noise, colour and lens of a camera; axes",
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )
     )
@@ -228,6 +228,7 @@ whether to trust it.
 
   {COMMAND} calibrate spheres dome/ calibration/dome
   {COMMAND} calibrate camera series.csv calibration/camera
+  {COMMAND} calibrate geometry boards/ calibration/lens --board 9 6 15 11
   {COMMAND} calibrate target chart.tif calibration/chart --light D50
 """
 
@@ -251,7 +252,9 @@ def _with_calibrations(sub: argparse.ArgumentParser) -> None:
 
     sub.description = CALIBRATE
     sub.set_defaults(
-        call=lambda options, rest: sub.error("expected what to calibrate: spheres, camera or target; see --help")
+        call=lambda options, rest: sub.error(
+            "expected what to calibrate: spheres, camera, target or geometry; see --help"
+        )
     )
     kinds = sub.add_subparsers(dest="kind", metavar="WHAT", title="calibrations")
 
@@ -290,6 +293,18 @@ def _with_calibrations(sub: argparse.ArgumentParser) -> None:
     made.add_argument("series", help=text)
     made.add_argument("folder", help="new folder for the results")
     made.add_argument("--bits", type=int, choices=range(8, 17), help="significant bits (default: all of the file)")
+    made.add_argument("--into", metavar="CAPTURE", help="write the lines into a capture that is not sealed, too")
+    text = "lens, turntable's axis and goniometer's centre from photographs of a ChArUco board; boards to print"
+    made = kind("geometry", "calibrate:geometry", text)
+    made.add_argument("photographs", nargs="*", help="the board, tilted another way in each: files, or folders of them")
+    made.add_argument("folder", help="new folder for the results")
+    names = ("COLUMNS", "ROWS", "SQUARE_MM", "MARKER_MM")
+    made.add_argument("--board", nargs=4, type=float, required=True, metavar=names, help="squares and their size")
+    made.add_argument("--dictionary", default="DICT_4X4_50", help="of the markers, OpenCV's name (default %(default)s)")
+    made.add_argument("--print", action="store_true", help="write the board as SVG and PNG instead")
+    made.add_argument("--stage", metavar="FOLDER", help="the board on the turntable or goniometer, the camera at rest")
+    text = "terms of the distortion (default %(default)s)"
+    made.add_argument("--distortion", choices=("none", "radial", "tangential", "full"), default="tangential", help=text)
     made.add_argument("--into", metavar="CAPTURE", help="write the lines into a capture that is not sealed, too")
     text = "directions of lamps from one mirror sphere, positions from two or more"
     made = kind("spheres", "calibrate:spheres", text, formatter_class=argparse.RawDescriptionHelpFormatter)

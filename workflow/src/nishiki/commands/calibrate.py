@@ -111,6 +111,33 @@ def camera(options: argparse.Namespace, rest: list[str]) -> None:
     _finish(options, calibrate_camera(Path(options.series), bits=options.bits))
 
 
+def geometry(options: argparse.Namespace, rest: list[str]) -> None:
+    """Measure lens and stage with a ChArUco board, or write a board to print."""
+    from nishiki.calibrate.geometry import calibrate_geometry, print_board
+    from nishiki.calibrate.photographs import list_photographs
+    from nishiki.geometry.board import BoardShape
+
+    columns, rows, square, marker = options.board
+    if not (columns == int(columns) and rows == int(rows)):
+        raise UserError(f"--board: expected whole numbers of squares, found {columns:g} and {rows:g}")
+    shape = BoardShape(int(columns), int(rows), square, marker, options.dictionary)
+    if options.print:
+        folder = Path(options.folder)
+        if folder.exists():
+            raise UserError(f"{folder} exists. Remedy: choose another folder; nothing is overwritten")
+        svg, png = print_board(shape)
+        folder.mkdir(parents=True)
+        (folder / "board.svg").write_text(svg, encoding="utf-8")
+        (folder / "board.png").write_bytes(png)
+        print(f"{folder / 'board.svg'}: {columns * square:g} x {rows * square:g} mm. Print without scaling")
+        return
+    if not options.photographs:
+        raise UserError("expected photographs of the board before the folder. Remedy: name them, or give --print")
+    stage = list_photographs([options.stage], what="stage") if options.stage else ()
+    pictures = list_photographs(options.photographs)
+    _finish(options, calibrate_geometry(pictures, shape, stage=stage, distortion=options.distortion))
+
+
 def _finish(options: argparse.Namespace, result) -> None:
     """Write the folder of a calibration, its lines into a capture where asked for, and say so."""
     from nishiki.calibrate.result import LINES, PAGE, put_into_capture, write_calibration
