@@ -38,7 +38,7 @@ def print_board(shape: BoardShape) -> tuple[str, bytes]:
     import cv2
 
     width, height = shape.squares_x * shape.square, shape.squares_y * shape.square
-    cell = int(round(shape.square * PRINT_PX_PER_MM))
+    cell = round(shape.square * PRINT_PX_PER_MM)
     picture = board_of(shape).generateImage((shape.squares_x * cell, shape.squares_y * cell), marginSize=0)
     done, data = cv2.imencode(".png", picture)
     if not done:
