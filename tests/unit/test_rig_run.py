@@ -12,12 +12,14 @@ import yaml
 from captures import CHANNELS, make_capture, write_frame
 from rig_devices import Bench, write_plan
 
+from nishiki.api import read_observations
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
 from nishiki.capture.schema_base import Camera
 from nishiki.capture.seal import MANIFEST, read_manifest, verify_seal
 from nishiki.cli import main
 from nishiki.errors import UserError
+from nishiki.photometric.solve import estimate_normals
 from nishiki.rig.device import DeviceError, DeviceLost
 from nishiki.rig.frame_check import exif_exposure_s, measure, sharpness
 from nishiki.rig.journal import Journal
@@ -109,6 +111,14 @@ def test_a_run_gives_the_normals_of_the_same_painting_photographed_by_hand(tmp_p
     np.testing.assert_array_equal(by_hand.directions, by_rig.directions)
     files = [{(f.role, f.light): f.path.read_bytes() for f in c.frames} for c in (by_hand, by_rig)]
     assert files[0] == files[1]
+    fields = []
+    for capture in (tmp_path / "by-hand", tmp_path / "by-rig"):
+        observed = read_observations(capture)
+        fit = ~observed.check
+        fields.append(estimate_normals(observed.values[fit].mean(axis=3), observed.directions[fit]))
+    assert fields[0].normals[..., 2].min() > 0.9
+    assert fields[0].normals.tobytes() == fields[1].normals.tobytes()
+    assert fields[0].albedo.tobytes() == fields[1].albedo.tobytes()
 
 
 def test_a_lost_device_is_opened_again_and_the_frame_repeated(hand, tmp_path):
