@@ -34,6 +34,7 @@ OBJECTS = {  # name: kind, seed, roughness
     "mug": ("tuned", 11, 0.4),
     "figure": ("tuned", 12, 0.5),
     "knot": ("unseen", 13, 0.45),
+    "boat": ("unseen", 14, 0.45),
 }
 HOLES = {"ring": 1, "mug": 1}
 
@@ -68,6 +69,11 @@ def inside_of(name: str, points: np.ndarray, seed: int) -> np.ndarray:
         first = 0.75 - np.linalg.norm((points - [0.25, 0, -0.1]) / [0.6, 1.0, 1.1], axis=1)
         second = 0.75 - np.linalg.norm((points - [-0.3, -0.1, 0.1]) / [0.75, 0.6, 1.1], axis=1)
         return larger(first, second) + 2 * bumps
+    if name == "boat":  # a leaning oblong shell, open above
+        x, z = 0.94 * x - 0.34 * z, 0.34 * x + 0.94 * z
+        outer = 0.6 * (1 - np.sqrt((x / 1.0) ** 2 + (y / 0.65) ** 2 + (z / 0.6) ** 2))
+        inner = 0.6 * (np.sqrt((x / 0.82) ** 2 + (y / 0.5) ** 2 + ((z - 0.12) / 0.45) ** 2) - 1)
+        return smaller(smaller(outer, inner), 0.15 - z) + 0.3 * bumps
     raise ValueError(name)
 
 

@@ -43,7 +43,7 @@ class MeshSettings(Guarded):
     """Where the object's surface comes from, and how many triangles it gets."""
 
     STAGE: ClassVar[str] = "mesh"
-    VERSION: ClassVar[int] = 3
+    VERSION: ClassVar[int] = 4
     LIMITS: ClassVar[tuple[Limit, ...]] = LIMITS
 
     source: Literal["auto", "file", "scans", "silhouettes"] = Field(
@@ -68,6 +68,11 @@ class MeshSettings(Guarded):
     )
     smooth: float = Field(
         0.5, ge=0, le=10, description="silhouettes: pixels by which smoothing may move the hull's surface; 0: none"
+    )
+    concavities: bool = Field(
+        True,
+        description="silhouettes: sink large regions that show different points of the object in different views "
+        "(hollows that no outline shows), as deep as the photographs agree best",
     )
     merge_cells: int = Field(256, ge=16, le=1024, description="scans: detail of the merged surface, cells along a side")
     overlap: float = Field(0.5, gt=0, le=1, description="scans: part of a scan that the nearest other scans share")

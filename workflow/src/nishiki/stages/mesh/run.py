@@ -9,6 +9,7 @@ from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.cameras_file import read_cameras
 from nishiki.geometry.cleaning import clean
+from nishiki.geometry.hollows import Photographed, sink_hollows
 from nishiki.geometry.hull import carve
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.mesh_files import read_points, read_triangles, write_ply
@@ -18,7 +19,7 @@ from nishiki.geometry.surface import SimplifiedMesh, fewest_triangles, shape_of,
 from nishiki.observations.views import Views
 from nishiki.render.output import write_png
 
-COARSE_CELLS = 128
+COARSE_CELLS, HOLLOW_CELLS = 128, 96
 PREVIEW_ROWS = 480
 
 
@@ -47,6 +48,8 @@ def run(context: Context) -> dict:
     mesh, small = without_small_parts(mesh, smallest=settings.smallest_part)
     if source == "silhouettes" and settings.smooth:
         mesh = smoothed(mesh, cameras, most_px=settings.smooth)
+    if source == "silhouettes" and settings.concavities:
+        mesh, diagnostics["concavities"] = without_hollows(context, views, cameras, mesh, kept(largest, used))
     light = fewest_triangles(mesh, cameras, deviation_px=settings.deviation_px, most=settings.most_triangles)
     mesh, step = on_grid(light.mesh, cameras, settings.grid_px)
     if source == "silhouettes":
@@ -97,10 +100,15 @@ def kept(masks: list, used: list[bool]) -> list:
 
 
 def picture_of(views: Views, name: str) -> np.ndarray:
-    """(rows, columns, 3) uint8 sRGB: the mean over the lights, without polariser where there is such a state."""
+    """(rows, columns, 3) uint8 sRGB of `linear_picture`."""
+    return display(linear_picture(views, name))
+
+
+def linear_picture(views: Views, name: str) -> np.ndarray:
+    """(rows, columns, channels) float32: the mean over the lights, without polariser where there is such a state."""
     state = "off" if "off" in views.states else views.states[0]
     total = sum(views.read(name, state=state, light=light)[0].astype(np.float64) for light in views.lights)
-    return display((total / len(views.lights)).astype(np.float32))
+    return (total / len(views.lights)).astype(np.float32)
 
 
 def find_masks(
@@ -141,6 +149,20 @@ def find_masks(
                 changed.append(views.views[place])
     figures = {"given": len(masks) - len(missing), "background": background, "again": changed, "views": facts}
     return masks, shadows, figures
+
+
+def without_hollows(
+    context: Context, views: Views, cameras: list[Camera], mesh: Mesh, masks: list[np.ndarray | None]
+) -> tuple[Mesh, list[dict]]:
+    """The hull with the hollows that the photographs show, and figures of each."""
+    used = [place for place, mask in enumerate(masks) if mask is not None]
+    hull = carve(masks, cameras, cells=HOLLOW_CELLS, misses=context.settings.misses)
+    coarse, _ = clean(hull.mesh.vertices, hull.mesh.triangles, cameras=cameras)
+    coarse, _ = without_small_parts(coarse, smallest=context.settings.smallest_part)
+    coarse = smoothed(coarse, cameras, most_px=max(1.0, context.settings.smooth))
+    pictures = (linear_picture(views, views.views[place]) for place in used)
+    photographed = Photographed.of(pictures, [masks[place] for place in used], [cameras[place] for place in used])
+    return sink_hollows(mesh, coarse, photographed)
 
 
 def read_file(context: Context, views: Views, cameras: list[Camera], mirror: list[int] | None):

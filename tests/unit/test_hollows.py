@@ -1,0 +1,97 @@
+"""Hollows that no outline shows: found where no matt point fits the photographs, sunk as deep as these agree."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from nishiki.geometry.camera import look_at
+from nishiki.geometry.hollows import Photographed, contradicted_regions, sink_hollows
+from nishiki.geometry.mesh import Mesh
+from nishiki.geometry.raster import interpolate, rasterise
+
+RIM = 0.4
+OUTSIDE = [(0.0, -0.6), (0.6, -0.6), (0.7, RIM)]
+
+
+def turned(profile, spacing=0.025, columns=90):
+    """Closed body of revolution about z from points (radius, z) of its profile, axis to axis."""
+    corners = np.array(profile)
+    rows = [
+        a + (b - a) * np.linspace(0, 1, max(2, int(np.linalg.norm(b - a) / spacing)), endpoint=False)[:, None]
+        for a, b in pairwise(corners)
+    ]
+    radius, z = np.concatenate(rows)[1:].T
+    angle = 2 * np.pi * np.arange(columns) / columns
+    ring = np.stack(
+        [np.outer(radius, np.cos(angle)), np.outer(radius, np.sin(angle)), np.outer(z, np.ones(columns))], axis=-1
+    )
+    vertices = np.concatenate([ring.reshape(-1, 3), [[0, 0, corners[0][1]], [0, 0, corners[-1][1]]]])
+    a, b = np.arange(columns), np.roll(np.arange(columns), -1)
+    bands = [
+        np.concatenate([np.stack([a, b, b + columns], 1), np.stack([a, b + columns, a + columns], 1)]) + k * columns
+        for k in range(len(radius) - 1)
+    ]
+    last = (len(radius) - 1) * columns
+    ends = [np.stack([np.full(columns, len(vertices) - 2), b, a], 1)]
+    ends.append(np.stack([np.full(columns, len(vertices) - 1), last + a, last + b], 1))
+    return Mesh.of(vertices, np.concatenate([*bands, *ends]))
+
+
+def photographed(body):
+    """A painted matt body under a lamp beside the camera, from all round and above."""
+    pictures, silhouettes, cameras = [], [], []
+    for turn in 2 * np.pi * np.arange(24) / 24:
+        eye = 4 * np.array([np.cos(turn) * np.cos(0.7), np.sin(turn) * np.cos(0.7), np.sin(0.7)])
+        camera = look_at(eye, (0, 0, 0), rows=128, columns=128, field_of_view=0.5, up=(0, 0, 1))
+        raster = rasterise(body, camera)
+        points, normals = (
+            interpolate(v, body.triangles, raster.triangle, raster.barycentric) for v in (body.vertices, body.normals)
+        )
+        paint = 0.5 + 0.2 * np.cos(11 * points) + 0.2 * np.cos(17 * points[..., [1, 2, 0]] + 1)
+        lamp = eye + 0.2 * camera.rotation[0] - points
+        lamp /= np.linalg.norm(lamp, axis=-1, keepdims=True)
+        pictures.append((paint * np.maximum((normals * lamp).sum(-1), 0)[..., None]).astype(np.float32))
+        silhouettes.append(raster.triangle >= 0)
+        pictures[-1][~silhouettes[-1]] = 0
+        cameras.append(camera)
+    return Photographed.of(pictures, silhouettes, cameras)
+
+
+def filled():
+    return turned([*OUTSIDE, (0.0, RIM)])
+
+
+def test_a_hollow_sinks_and_the_rest_stays():
+    depth = 0.5
+    hollow = turned([*OUTSIDE, (0.62, RIM), (0.4, RIM - 0.8 * depth), (0.0, RIM - depth)])
+    hull = filled()
+    sunk, figures = sink_hollows(hull, hull, photographed(hollow))
+    (figure,) = figures
+    assert figure["direction"] == pytest.approx([0, 0, -1], abs=0.05)
+    assert figure["depth"] == pytest.approx(depth, rel=0.3)
+    assert figure["residual"][1] < 0.7 * figure["residual"][0]
+    outside = hull.vertices[:, 2] < RIM - 1e-6
+    np.testing.assert_allclose(sunk.vertices[outside], hull.vertices[outside], atol=1e-9)
+    middle = np.linalg.norm(hull.vertices[:, :2], axis=1) < 0.3
+    top = middle & ~outside
+    assert sunk.vertices[top, 2].mean() == pytest.approx(RIM - 0.9 * depth, abs=0.15)
+    assert (sunk.triangles == hull.triangles).all()
+
+
+def test_a_body_that_is_its_hull_stays():
+    hull = filled()
+    scene = photographed(hull)
+    assert contradicted_regions(hull, scene) == []
+    sunk, figures = sink_hollows(hull, hull, scene)
+    assert figures == []
+    assert sunk is hull
+
+
+def test_what_few_views_see_is_not_judged():
+    hull = filled()
+    scene = photographed(hull)
+    values = scene.residuals(hull, hull.vertices, hull.normals)
+    below = hull.normals[:, 2] < -0.5
+    assert below.any()
+    assert (values[below] == -1).all()

@@ -1,0 +1,305 @@
+"""Hollows that no outline shows: regions of a visual hull that the photographs contradict are sunk.
+
+Object, camera and lamp: on a turntable the lamp keeps its place beside the camera, so every view of a surface point is
+a photograph under another lamp. A matt point shows (Woodham, Photometric method for determining surface orientation
+from multiple images, Optical Engineering 19, 1980)
+
+    I_v = b . l_v        b: albedo times normal, l_v: towards the lamp of view v, times (distance / mean distance)^-2
+
+with one b for each channel, whatever its paint. A point of a hull in front of a hollow shows other points of the object
+in every view, and no b fits: there the robust residual of the fit is many times that of the rest.
+
+A hollow is described by two numbers: a contradicted region sinks by depth * profile^steepness along the mean of its
+inward normals, profile being 0 at the region's border. The depth and steepness with the smallest residual over the
+pixels of the region are kept. Topology and outlines stay as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from nishiki.geometry.camera import Camera
+from nishiki.geometry.camera_path import scaled
+from nishiki.geometry.mesh import Mesh
+from nishiki.geometry.raster import interpolate, rasterise
+
+RELATIVE_ERROR, ERROR = 0.02, 0.005
+"""Deviation of a matt point from the model: part of its value, and of the object's bright values."""
+LARGEST = 16.0
+"""Squared error from which a view counts no more, in squared deviations; what a point counts that few views see."""
+CONTRADICTED, OF_MEDIAN = 7.0, 3.0
+"""Residual above which a place is contradicted, also in medians of the whole surface."""
+PATCH_ROUNDS = 20
+"""Averages of the residual over neighbouring vertices before it is judged."""
+SMALLEST_REGION = 0.015
+"""Vertices of a region, of all, below which it stays: shadows contradict small places too."""
+IMPROVEMENT = 0.7
+"""Residual of a region, of that before, above which it stays as it was."""
+FEWEST_VIEWS, MOST_VIEWS = 5, 14
+FINEST_SIZE_PX = 100
+"""Root of the silhouette's area to which photographs are shrunk."""
+DEPTHS = np.linspace(0.08, 0.96, 12)
+"""Of the object's extent along the direction; first with steepness 1."""
+STEEPNESSES, NEARBY = (0.5, 0.75, 1.0, 1.5, 2.0, 3.0), (0.75, 0.9, 1.05, 1.2, 1.4)
+"""Then tried together: steepness, and depth over the best of those."""
+
+
+@dataclass(frozen=True)
+class Photographed:
+    """Photographs of an object as `residuals` reads them: pictures (views, rows, columns, channels) float32, linear, 1
+    where the object is bright; cameras at that size; silhouettes (views, rows, columns) bool."""
+
+    pictures: np.ndarray
+    cameras: list[Camera]
+    silhouettes: np.ndarray
+
+    @classmethod
+    def of(cls, pictures: Iterable[np.ndarray], silhouettes: list[np.ndarray], cameras: list[Camera]) -> Photographed:
+        """From linear pictures (rows, columns, channels) and silhouettes (rows, columns) bool at the cameras' size."""
+        import cv2
+
+        area = np.mean([silhouette.sum() for silhouette in silhouettes])
+        small = [scaled(camera, 1 / max(1, round(np.sqrt(area) / FINEST_SIZE_PX))) for camera in cameras]
+        size = small[0].columns, small[0].rows
+
+        def shrunk(values: np.ndarray) -> np.ndarray:
+            return cv2.resize(values.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+
+        def of_three_channels(picture: np.ndarray) -> np.ndarray:
+            groups = np.array_split(picture, min(3, picture.shape[2]), axis=2)
+            return np.stack([shrunk(group.mean(axis=2)) for group in groups], axis=-1)
+
+        values = np.stack([of_three_channels(picture) for picture in pictures])
+        shown = np.stack([shrunk(silhouette) >= 0.5 for silhouette in silhouettes])
+        bright = float(np.percentile(values[shown], 98))
+        return cls(values / np.float32(max(bright, 1e-9)), small, shown)
+
+    def inside(self, points: np.ndarray) -> bool:
+        """Whether all points (n, 3) project into all silhouettes."""
+        for camera, silhouette in zip(self.cameras, self.silhouettes, strict=True):
+            column, row = np.rint(camera.project(points)[0]).astype(int).T
+            column, row = column.clip(0, camera.columns - 1), row.clip(0, camera.rows - 1)
+            if not silhouette[row, column].all():
+                return False
+        return True
+
+    def residuals(self, mesh: Mesh, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+        """(n,) mean robust squared residual of points of a mesh in the views that see them; -1 where too few do."""
+        out = np.empty(len(points))
+        depths = np.stack([rasterise(mesh, camera).depth for camera in self.cameras])
+        matrices = np.array([camera.matrix for camera in self.cameras])
+        centres = np.array([camera.centre for camera in self.cameras])
+        distance = np.linalg.norm(centres - points.mean(axis=0), axis=1).mean()
+        footprint = distance / np.sqrt(abs(np.linalg.det(self.cameras[0].intrinsics)))
+        residuals_at(
+            np.ascontiguousarray(points, np.float64), np.ascontiguousarray(normals, np.float64), depths,
+            self.pictures, matrices, centres, distance, 2.5 * footprint, out,
+        )  # fmt: skip
+        return out
+
+
+def sink_hollows(mesh: Mesh, coarse: Mesh, photographed: Photographed) -> tuple[Mesh, list[dict]]:
+    """The mesh with its hollows sunk, and figures of each: depth and steepness, direction, residual before and after.
+
+    coarse: the same surface with vertices in even distances, some ten thousand; regions and depths are sought on it.
+    """
+    from scipy.spatial import cKDTree
+
+    start, figures = coarse.vertices, []
+    for region in contradicted_regions(coarse, photographed):
+        coarse, figure = sink(coarse, region, photographed)
+        figures += figure
+    if not figures:
+        return mesh, []
+    distance, nearest = cKDTree(start).query(mesh.vertices, k=4)
+    weights = 1 / np.maximum(distance, 1e-9 * np.ptp(start))
+    shift = np.einsum("nk,nkc->nc", weights / weights.sum(1, keepdims=True), (coarse.vertices - start)[nearest])
+    return Mesh.of(mesh.vertices + shift, mesh.triangles), figures
+
+
+def contradicted_regions(mesh: Mesh, photographed: Photographed) -> list[np.ndarray]:
+    """Vertices (v,) bool of each large region in which no matt point fits the photographs, the largest first."""
+    from scipy.sparse import diags
+    from scipy.sparse.csgraph import connected_components
+
+    values = photographed.residuals(mesh, mesh.vertices, mesh.normals)
+    seen = values >= 0
+    if not seen.any():
+        return []
+    near = neighbourhoods(mesh)
+    total, count = np.where(seen, values, 0.0), seen.astype(np.float64)
+    for _ in range(PATCH_ROUNDS):
+        total, count = near @ total, near @ count
+    mean = total / np.maximum(count, 1e-12)
+    contradicted = (count > 0.3) & (mean > max(CONTRADICTED, OF_MEDIAN * float(np.median(values[seen]))))
+    among = diags(contradicted.astype(np.float64))
+    label = connected_components(among @ near @ among, directed=False)[1]
+    sizes = np.bincount(label, weights=contradicted)
+    large = [k for k in np.argsort(-sizes, kind="stable") if sizes[k] >= SMALLEST_REGION * len(mesh.vertices)]
+    return [closed(contradicted & (label == k), near) for k in large]
+
+
+def neighbourhoods(mesh: Mesh):
+    """(v, v) sparse: mean of each vertex and its neighbours."""
+    from scipy.sparse import coo_matrix, diags, eye
+
+    count = len(mesh.vertices)
+    ends = np.concatenate([mesh.triangles[:, [k, (k + 1) % 3]] for k in range(3)])
+    ends = np.concatenate([ends, ends[:, ::-1]])
+    beside = coo_matrix((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), (count, count)).tocsr()
+    beside.data[:] = 1.0
+    joined = (beside + eye(count)).tocsr()
+    return diags(1 / np.asarray(joined.sum(axis=1)).ravel()) @ joined
+
+
+def closed(region: np.ndarray, near, rounds: int = 6) -> np.ndarray:
+    """A region without its small holes and bays."""
+    for _ in range(rounds):
+        region = near @ region > 0
+    for _ in range(rounds):
+        region = ~(near @ ~region > 0)
+    return region
+
+
+def profile_of(region: np.ndarray, near) -> np.ndarray:
+    """(v,) 0 at the border of a region and outside, 1 at its deepest: root of the solution of Poisson's equation, which
+    grows with the distance to the border."""
+    from scipy.sparse import eye
+    from scipy.sparse.linalg import spsolve
+
+    profile = np.zeros(len(region))
+    inner = (eye(len(region)) - near).tocsr()[region][:, region]
+    profile[region] = np.maximum(spsolve(inner.tocsc(), np.ones(int(region.sum()))), 0)
+    return np.sqrt(profile / max(profile.max(), 1e-12))
+
+
+def sink(mesh: Mesh, region: np.ndarray, photographed: Photographed) -> tuple[Mesh, list[dict]]:
+    """The mesh with one region sunk as deep as the photographs say, and its figures; none where nothing is gained."""
+    direction = -mesh.normals[region].sum(axis=0).astype(np.float64)
+    direction /= max(np.linalg.norm(direction), 1e-12)
+    profile = profile_of(region, neighbourhoods(mesh))
+    extent = np.ptp(mesh.vertices @ direction)
+    pixels = pixels_of(mesh, region, photographed.cameras)
+
+    def sunk(depth: float, steepness: float) -> Mesh:
+        return Mesh.of(mesh.vertices + (depth * profile**steepness)[:, None] * direction, mesh.triangles)
+
+    def judge(depth: float, steepness: float) -> float:
+        candidate = sunk(depth, steepness)
+        if not photographed.inside(candidate.vertices[region & (profile > 0.2)]):
+            return np.inf
+        return mean_residual(candidate, pixels, photographed)
+
+    before = mean_residual(mesh, pixels, photographed)
+    coarse = [(judge(depth, 1.0), depth) for depth in extent * DEPTHS]
+    deepest = min(coarse)[1]
+    options = [
+        (judge(depth, steepness), depth, steepness) for steepness in STEEPNESSES for depth in deepest * np.array(NEARBY)
+    ]
+    after, depth, steepness = min(options)
+    if not after < IMPROVEMENT * before:
+        return mesh, []
+    figure = {"vertices": int(region.sum()), "direction": direction.tolist(), "depth": float(depth)}
+    return sunk(depth, steepness), [{**figure, "steepness": steepness, "residual": [before, after]}]
+
+
+def pixels_of(mesh: Mesh, region: np.ndarray, cameras: list[Camera]) -> dict[int, np.ndarray]:
+    """Flat indexes of every third pixel in which every third view shows a region: the same for all candidates."""
+    inside, pixels = region[mesh.triangles].all(axis=1), {}
+    for view in range(0, len(cameras), 3):
+        triangle = rasterise(mesh, cameras[view]).triangle.ravel()
+        pixels[view] = np.flatnonzero((triangle >= 0) & inside[triangle])[::3]
+    return pixels
+
+
+def mean_residual(mesh: Mesh, pixels: dict[int, np.ndarray], photographed: Photographed) -> float:
+    """Mean residual of what these pixels show of a mesh; a point that few views see counts as contradicted."""
+    points, normals = [], []
+    for view, places in pixels.items():
+        raster = rasterise(mesh, photographed.cameras[view])
+        triangle, weights = raster.triangle.ravel()[places], raster.barycentric.reshape(-1, 2)[places]
+        for values, out in ((mesh.vertices, points), (mesh.normals, normals)):
+            out.append(interpolate(values, mesh.triangles, triangle, weights)[triangle >= 0])
+    normal = np.concatenate(normals)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
+    values = photographed.residuals(mesh, np.concatenate(points), normal)
+    return float(np.where(values < 0, LARGEST, values).sum() / len(values))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def residuals_at(points, normals, depths, pictures, matrices, centres, distance, tolerance, out):
+    """See `Photographed.residuals`; depths (views, rows, columns) of the mesh, tolerance: of the visibility."""
+    views, rows, columns, channels = pictures.shape
+    values, towards = np.empty((views, channels)), np.empty((views, 3))
+    variance, facing = np.empty(views), np.empty(views)
+    for i in range(len(points)):
+        x, count = points[i], 0
+        for v in range(views):
+            ray = centres[v] - x
+            length = np.sqrt(np.sum(ray * ray))
+            cosine = np.sum(ray * normals[i]) / length
+            if cosine < 0.25:
+                continue
+            p = matrices[v]
+            z = p[2, 0] * x[0] + p[2, 1] * x[1] + p[2, 2] * x[2] + p[2, 3]
+            column = (p[0, 0] * x[0] + p[0, 1] * x[1] + p[0, 2] * x[2] + p[0, 3]) / z
+            row = (p[1, 0] * x[0] + p[1, 1] * x[1] + p[1, 2] * x[2] + p[1, 3]) / z
+            if not (1 <= column < columns - 2 and 1 <= row < rows - 2):
+                continue
+            c, r = int(column + 0.5), int(row + 0.5)
+            deepest = 0.0
+            for a in range(r - 1, r + 2):
+                for b in range(c - 1, c + 2):
+                    if np.isfinite(depths[v, a, b]):
+                        deepest = max(deepest, np.float64(depths[v, a, b]))
+            if z > deepest + tolerance:
+                continue
+            c, r = int(column), int(row)
+            s, t = column - c, row - r
+            mean = 0.0
+            for k in range(channels):
+                above = (1 - s) * pictures[v, r, c, k] + s * pictures[v, r, c + 1, k]
+                below = (1 - s) * pictures[v, r + 1, c, k] + s * pictures[v, r + 1, c + 1, k]
+                values[count, k] = (1 - t) * above + t * below
+                mean += values[count, k] / channels
+            towards[count] = ray / length * (distance / length) ** 2
+            variance[count] = (RELATIVE_ERROR * mean) ** 2 + ERROR**2
+            facing[count] = cosine
+            count += 1
+        out[i] = -1.0
+        if count >= FEWEST_VIEWS:
+            order = np.argsort(-facing[:count])[:MOST_VIEWS]
+            out[i] = matt_residual(values, towards, variance, order)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def matt_residual(values, towards, variance, order):
+    """Mean robust squared residual of I = b . l over the observations `order`; three rounds of weights."""
+    channels, count = values.shape[1], len(order)
+    weights, b, total = np.ones(count), np.empty((channels, 3)), 0.0
+    for _ in range(3):
+        normal, right = np.zeros((3, 3)), np.zeros((3, channels))
+        for n in range(count):
+            v = order[n]
+            w = weights[n] / variance[v]
+            for i in range(3):
+                for j in range(3):
+                    normal[i, j] += w * towards[v, i] * towards[v, j]
+                for k in range(channels):
+                    right[i, k] += w * towards[v, i] * values[v, k]
+        normal += 1e-3 * np.trace(normal) * np.eye(3)
+        b = np.linalg.solve(normal, right)
+        total = 0.0
+        for n in range(count):
+            v, error = order[n], 0.0
+            for k in range(channels):
+                shown = b[0, k] * towards[v, 0] + b[1, k] * towards[v, 1] + b[2, k] * towards[v, 2]
+                error += (values[v, k] - max(shown, 0.0)) ** 2 / channels
+            error /= variance[v]
+            weights[n] = 1 / (1 + error / 4)
+            total += min(error, LARGEST)
+    return min(total / (count - 3), LARGEST)
