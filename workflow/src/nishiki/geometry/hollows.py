@@ -79,11 +79,14 @@ class Photographed:
         return cls(values / np.float32(max(bright, 1e-9)), small, shown)
 
     def inside(self, points: np.ndarray) -> bool:
-        """Whether all points (n, 3) project into all silhouettes."""
+        """Whether all points (n, 3) project into all silhouettes, or within a pixel of them."""
+        import cv2
+
         for camera, silhouette in zip(self.cameras, self.silhouettes, strict=True):
+            grown = cv2.dilate(silhouette.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
             column, row = np.rint(camera.project(points)[0]).astype(int).T
             column, row = column.clip(0, camera.columns - 1), row.clip(0, camera.rows - 1)
-            if not silhouette[row, column].all():
+            if not grown[row, column].all():
                 return False
         return True
 
@@ -156,11 +159,11 @@ def neighbourhoods(mesh: Mesh):
     return diags(1 / np.asarray(joined.sum(axis=1)).ravel()) @ joined
 
 
-def closed(region: np.ndarray, near, rounds: int = 6) -> np.ndarray:
-    """A region without its small holes and bays."""
+def closed(region: np.ndarray, near, rounds: int = 6, rim: int = 2) -> np.ndarray:
+    """A region without its small holes and bays, and without the rim that its patches share with what is right."""
     for _ in range(rounds):
         region = near @ region > 0
-    for _ in range(rounds):
+    for _ in range(rounds + rim):
         region = ~(near @ ~region > 0)
     return region
 
