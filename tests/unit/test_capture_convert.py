@@ -106,13 +106,14 @@ def test_a_sphere_without_a_highlight_is_refused():
 
 
 def test_spheres_beside_the_object(tmp_path):
+    """Rows of the circles are counted from the bottom, as PSBox writes them."""
     source = tmp_path / "source"
     photographs(source / "object", [f"Image_{i:02d}.png" for i in range(5)], channels=1)
     for probe, centre in (("Probe-1", (60.0, 70.0)), ("Probe-2", (64.0, 75.0))):
         for i, light in enumerate(LIGHTS):
             picture = sphere_picture(light, centre)[..., None]
             write_frame(source / probe / f"Image_{i:02d}.png", picture, np.uint8)
-        (source / probe / "circle_data.txt").write_text(f"{centre[1] + 1}\n{centre[0] + 1}\n50\n")
+        (source / probe / "circle_data.txt").write_text(f"{centre[1] + 1}\n{len(picture) - centre[0]}\n50\n")
     made = convert(source, tmp_path / "c")
     assert made.layout == "mirror spheres"
     capture = load_capture(tmp_path / "c")

@@ -90,8 +90,8 @@ def recognise(source: Path, *, lights_file: Path | None = None, mask: Path | Non
     """Find lamps and photographs in a folder.
 
     A lights file (given, or the one `.lp` there, or Relight's `.relight` or `info.json`), DiLiGenT's
-    light_directions.txt, or mirror spheres with their circles (folders holding circle_data.txt: column, row, radius)
-    with the photographs beside them.
+    light_directions.txt, or mirror spheres with their circles (folders holding circle_data.txt: column, row from
+    below, radius) with the photographs beside them.
     Raises CaptureError (folder-missing, layout-unknown, photographs-count, photograph-missing, and those of lights).
     """
     if not source.is_dir():
@@ -220,7 +220,7 @@ def _with_spheres(source: Path, probes: list[Path], mask: Path | None) -> Layout
 
 
 def _circle(probe: Path) -> tuple[float, float, float]:
-    """Row, column (from 0) and radius in pixels of a mirror sphere; its file counts from 1."""
+    """Height, column and radius in pixels of a mirror sphere. PSBox counts from 1, and rows from the bottom."""
     file = f"{probe.name}/{PROBE_DATA}"
     try:
         with reading(file, "probe"):
@@ -232,12 +232,16 @@ def _circle(probe: Path) -> tuple[float, float, float]:
         found = f"{column:g}, {row:g}, {radius:g}"
         expected = "finite column and row, a radius of at least 1 pixel"
         raise CaptureError(error("probe-unreadable", file, "circle", expected=expected, found=found))
-    return row - 1, column - 1, radius
+    return row, column - 1, radius
 
 
-def _towards_lamp(path: Path, row: float, column: float, radius: float) -> np.ndarray:
-    """Direction of the lamp that a mirror sphere shows. CaptureError (probe-unreadable) where it shows none."""
+def _towards_lamp(path: Path, height: float, column: float, radius: float) -> np.ndarray:
+    """Direction of the lamp that a mirror sphere shows. CaptureError (probe-unreadable) where it shows none.
+
+    height : of the sphere's centre above the lower edge of the picture, in pixels (the lowest row is 1).
+    """
     picture = _grey(path)
+    row = len(picture) - height
     if not (0 <= row < picture.shape[0] and 0 <= column < picture.shape[1]):
         found, expected = f"row {row:g}, column {column:g}", f"within {picture.shape[0]} x {picture.shape[1]}"
         raise CaptureError(error("probe-unreadable", path.name, "mirror sphere", expected=expected, found=found))
