@@ -7,6 +7,7 @@ import warnings
 import cv2
 import numpy as np
 import pytest
+import yaml
 
 from nishiki import cli
 from nishiki.calibrate import target
@@ -179,7 +180,9 @@ def test_the_command_writes_figures_curves_and_a_page(tmp_path, capsys):
     with pytest.raises(SystemExit) as end:
         cli.main(arguments)
     assert end.value.code == 0
-    assert "read as linear" in capsys.readouterr().out
+    printed = capsys.readouterr()
+    assert "Read as linear" in printed.err
+    assert "after correction: CIEDE2000" in printed.out
     figures = json.loads((folder / "calibration.json").read_text())
     assert figures["after_correction"]["delta_e_mean"] < 2
     assert "as_delivered" not in figures
@@ -203,6 +206,29 @@ def test_the_command_writes_figures_curves_and_a_page(tmp_path, capsys):
         figures["after_correction"]["delta_e_mean"], abs=0.05
     )
     assert not (tmp_path / "hand" / "sensitivities.csv").exists()
+
+
+def test_sensitivities_go_into_a_capture_that_is_not_sealed(tmp_path, capsys):
+    patches = 0.9 * REFLECTANCES @ channel_weights(illuminant("D50"), camera_of("Nikon 5100 (NPL)")).T
+    file, capture = tmp_path / "chart.png", tmp_path / "capture"
+    cv2.imwrite(str(file), np.round(65535 * photograph(patches, 2)[0][..., ::-1]).astype(np.uint16))
+    capture.mkdir()
+    (capture / "capture.yaml").write_text("title: Landscape\ncamera: {bits: 12}\n")
+    into = ["--into", str(capture)]
+    with pytest.raises(SystemExit) as end:
+        cli.main(["calibrate", "target", str(file), str(tmp_path / "one"), *into])
+    assert end.value.code == 2
+    assert "--light" in capsys.readouterr().err
+    with pytest.raises(SystemExit) as end:
+        cli.main(["calibrate", "target", str(file), str(tmp_path / "two"), "--light", "D50", *into])
+    assert end.value.code == 0
+    settings = yaml.safe_load((capture / "capture.yaml").read_text())
+    assert settings["camera"] == {
+        "bits": 12,
+        "channels": ["red", "green", "blue"],
+        "sensitivities": "sensitivities.csv",
+    }
+    assert (capture / "sensitivities.csv").read_text() == (tmp_path / "two" / "sensitivities.csv").read_text()
 
 
 def test_a_saturated_chart_is_refused_and_leaves_nothing(tmp_path, capsys):

@@ -261,6 +261,7 @@ def _with_calibrations(sub: argparse.ArgumentParser) -> None:
     def kind(name: str, function: str, text: str, **options) -> argparse.ArgumentParser:
         made = kinds.add_parser(name, help=text, description=text, allow_abbrev=False, **options)
         made.set_defaults(call=lambda options, rest: _call(function, options, rest))
+        made.add_argument("--into", metavar="CAPTURE", help="write the lines into a capture that is not sealed, too")
         return made
 
     text = "colours of a photographed ColorChecker Classic against the reference, and the camera's sensitivities"
@@ -293,7 +294,6 @@ def _with_calibrations(sub: argparse.ArgumentParser) -> None:
     made.add_argument("series", help=text)
     made.add_argument("folder", help="new folder for the results")
     made.add_argument("--bits", type=int, choices=range(8, 17), help="significant bits (default: all of the file)")
-    made.add_argument("--into", metavar="CAPTURE", help="write the lines into a capture that is not sealed, too")
     text = "lens, turntable's axis and goniometer's centre from photographs of a ChArUco board; boards to print"
     made = kind("geometry", "calibrate:geometry", text)
     made.add_argument("photographs", nargs="*", help="the board, tilted another way in each: files, or folders of them")
@@ -305,7 +305,6 @@ def _with_calibrations(sub: argparse.ArgumentParser) -> None:
     made.add_argument("--stage", metavar="FOLDER", help="the board on the turntable or goniometer, the camera at rest")
     text = "terms of the distortion (default %(default)s)"
     made.add_argument("--distortion", choices=("none", "radial", "tangential", "full"), default="tangential", help=text)
-    made.add_argument("--into", metavar="CAPTURE", help="write the lines into a capture that is not sealed, too")
     text = "directions of lamps from one mirror sphere, positions from two or more"
     made = kind("spheres", "calibrate:spheres", text, formatter_class=argparse.RawDescriptionHelpFormatter)
     made.description = SPHERES
@@ -325,7 +324,6 @@ def _with_calibrations(sub: argparse.ArgumentParser) -> None:
     text = "folder of a flat matt board in the object's plane, one photograph a lamp: the fall-off refines the lamps"
     made.add_argument("--board", help=text)
     made.add_argument("--compare", metavar="LP", help="a lights file: the angles to it stand on the page")
-    made.add_argument("--into", metavar="CAPTURE", help="write the lines into a capture that is not sealed, too")
 
 
 def _with_scene(sub: argparse.ArgumentParser) -> None:

@@ -1,0 +1,287 @@
+"""From the photograph of a colour target to the result of its calibration, with the page that shows it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.calibrate import target
+from nishiki.calibrate.photographs import full_scale_of
+from nishiki.calibrate.result import Calibration
+from nishiki.calibrate.sensitivities import Sensitivities, chart_reflectances, recover
+from nishiki.calibrate.target import CRITERIA, ColourErrors, Patches, verdict
+from nishiki.capture.spectra_tables import read_curves
+from nishiki.colour.colour import illuminant, srgb_encode, white_xyz, xyz_to_srgb_linear
+from nishiki.colour.encoding import Encoding, decode
+from nishiki.colour.sampling import WAVELENGTHS_NM
+from nishiki.errors import UserError
+from nishiki.formats.image_headers import read_header
+from nishiki.formats.images import read_codes
+from nishiki.report.page import Block, Facts, Figure, Figures, Note, Section, Table
+from nishiki.report.pictures import encoded
+from nishiki.report.svg import Curve, chart
+
+WIDEST, SQUARE = 900, 96
+CHANNELS = (("red", "#b5542b"), ("green", "#3f7f4c"), ("blue", "#1f4e79"))
+LABELS = {
+    "delta_e_mean": "mean CIEDE2000",
+    "delta_e_90th_percentile": "90th percentile",
+    "delta_e_max": "largest CIEDE2000",
+    "lightness_max": "tone: largest difference of L*, grey scale",
+    "white_balance_max": "white balance: largest distance in a*b*, grey scale",
+}
+FEWEST = 12
+"""Patches that are not saturated."""
+UNSURE = 0.003
+"""Residual of left-out patches from which sensitivities deserve no trust: measured on cameras that the method knows and
+does not know (docs/calibrate/target.md)."""
+JUDGED = (
+    "Judged are colour, tone and white balance of this target alone. Resolution, sharpness, noise, evenness and "
+    "geometry, which both documents limit too, are not; a verdict in their name needs the target that they prescribe."
+)
+
+
+@dataclass(frozen=True)
+class TargetInput:
+    """What a colour target is judged from.
+
+    Attributes
+    ----------
+    photograph : Path
+        Of a ColorChecker Classic.
+    encoding : "linear", "srgb" or None
+        Of the stored values; None: 8 bits are sRGB, everything else is linear.
+    corners : (4, 2) or None
+        Middles of dark skin, bluish green, black and white, (x, y) in pixels; None: the target is searched.
+    light : str or None
+        Spectrum of the lamp: a CIE illuminant by name, or a table (CSV); None: no sensitivities are recovered.
+    reflectances : Path or None
+        Table of this very chart; None: the mean of thirty charts.
+    """
+
+    photograph: Path
+    encoding: Encoding | None = None
+    corners: np.ndarray | None = None
+    light: str | None = None
+    reflectances: Path | None = None
+
+
+def calibrate_target(given: TargetInput) -> Calibration:
+    """Judge the colours of a photographed target; recover the camera's sensitivities where the lamp is known.
+
+    Raises UserError where no target is found, its corners are wrong, too much of it is saturated, or a table is wrong.
+    """
+    light = None if given.light is None else _spectrum(given.light)
+    names, reflectances = chart_reflectances()
+    if given.reflectances:
+        reflectances = _chart_of_its_own(given.reflectances, names)
+    header = read_header(given.photograph)
+    stored = "srgb" if header.sample == "uint8" and header.kind != "raw" else "linear"
+    encoding = given.encoding or stored
+    codes = read_codes(given.photograph, ("red", "green", "blue"), header=header)
+    shares = codes / np.float32(full_scale_of(given.photograph))
+    display = shares if encoding == "srgb" else srgb_encode(shares / max(float(np.percentile(shares, 99.5)), 1e-6))
+    picture = np.round(255 * np.clip(display, 0, 1)).astype(np.uint8)
+    reference = target.reference_xyz(reflectances)
+    try:
+        corners = target.find_target(picture) if given.corners is None else target.target_at(given.corners)
+        patches = target.read_patches(decode(shares, encoding), corners, 1.0)
+        if np.count_nonzero(patches.usable) < FEWEST or not patches.usable[target.NEUTRAL].any():
+            raise UserError(
+                f"{np.count_nonzero(~patches.usable)} of 24 patches are saturated. Remedy: photograph the target with "
+                "less light or a shorter exposure"
+            )
+        target.expect_target(patches.mean, reference)
+    except UserError as error:
+        raise UserError(f"{given.photograph.name}: {error}") from None
+    judged = {}
+    if encoding == "srgb":
+        judged["as delivered"] = target.errors_of(target.xyz_as_delivered(patches.mean), reference, patches.usable)
+    matrix, predicted = target.fitted_xyz(patches.mean, reference, patches.usable)
+    judged["after correction"] = target.errors_of(predicted, reference, patches.usable)
+    recovered = None if light is None else recover(patches.mean, light, reflectances, patches.usable)
+    numbers = {
+        "encoding": encoding,
+        "patches": list(names),
+        "usable": patches.usable.tolist(),
+        "matrix_xyz_d50": matrix.tolist(),
+        **{how.replace(" ", "_"): errors.as_dict() for how, errors in judged.items()},
+    }
+    lines, files = {}, {}
+    if recovered is not None:
+        numbers["sensitivities"] = {"residual": recovered.residual, "left_out": recovered.left_out}
+        lines["camera"] = {"channels": ["red", "green", "blue"], "sensitivities": "sensitivities.csv"}
+        files["sensitivities.csv"] = _table_of_curves(recovered.curves)
+    warnings = _warnings(names, patches)
+    if given.encoding is None:
+        warnings.append(f"Read as {encoding} ({header.kind}, {header.sample}); --encoding says otherwise.")
+    return Calibration(
+        "target",
+        numbers,
+        [given.photograph, *([given.reflectances] if given.reflectances else [])],
+        lines,
+        _sections(picture, names, reference, patches, judged, recovered),
+        " ".join([f"{given.photograph.name}.", *(_sentence(how, errors) for how, errors in judged.items())]),
+        files,
+        warnings,
+    )
+
+
+def _sentence(how: str, errors: ColourErrors) -> str:
+    """The figures that matter most."""
+    levels = ", ".join(f"{standard}: {verdict(errors.summary, standard)}" for standard in CRITERIA)
+    mean, largest = errors.summary["delta_e_mean"], errors.summary["delta_e_max"]
+    return f"Colours {how}: CIEDE2000 {mean:.2f} mean, {largest:.2f} largest ({levels})."
+
+
+def _spectrum(text: str) -> np.ndarray:
+    """The spectrum (61,) of a lamp: a CIE illuminant by name, or a table."""
+    if not text.lower().endswith(".csv"):
+        return illuminant(text)
+    curves = read_curves(Path(text))
+    return np.interp(WAVELENGTHS_NM, curves.wavelengths_nm, curves.values[:, 0])
+
+
+def _chart_of_its_own(path: Path, names: tuple[str, ...]) -> np.ndarray:
+    """Reflectances (24, 61) from a table with one column a patch, in the chart's order."""
+    curves = read_curves(path)
+    if len(curves.names) != len(names):
+        raise UserError(f"{path}: expected {len(names)} columns after wavelength_nm, found {len(curves.names)}")
+    return np.array([np.interp(WAVELENGTHS_NM, curves.wavelengths_nm, values) for values in curves.values.T])
+
+
+def _table_of_curves(curves: np.ndarray) -> str:
+    """Sensitivities (3, 61) as captures take them."""
+    rows = ["wavelength_nm,red,green,blue"]
+    for nm, values in zip(WAVELENGTHS_NM, curves.T, strict=True):
+        rows.append(",".join([f"{nm:g}", *(f"{value:.5f}" for value in values)]))
+    return "\n".join(rows) + "\n"
+
+
+def _sections(
+    picture: np.ndarray,
+    names: tuple[str, ...],
+    reference: np.ndarray,
+    patches: Patches,
+    judged: dict[str, ColourErrors],
+    sensitivities: Sensitivities | None,
+) -> list[Section]:
+    """What a target's page shows.
+
+    Parameters
+    ----------
+    picture : (rows, columns, 3) uint8
+        The photograph, sRGB-coded.
+    names, reference : 24 names, (24, 3)
+        Of the patches, XYZ under D50.
+    patches : Patches
+        What was read.
+    judged : dict
+        Errors of the colours as delivered and after correction, by these words.
+    sensitivities : Sensitivities or None
+        Of the camera, where the lamp's spectrum is known.
+    """
+    sections = [
+        Section(
+            "colours", "Colours", [*_pictures(picture, reference, patches, judged), _table(names, patches, judged)]
+        ),
+        Section("verdicts", "Verdicts", [*_verdicts(judged), JUDGED]),
+    ]
+    if sensitivities is not None:
+        sections.append(Section("sensitivities", "Sensitivities of the camera", _sensitivities(sensitivities)))
+    return sections
+
+
+def _warnings(names: tuple[str, ...], patches: Patches) -> list[str]:
+    """What the user should know before the figures."""
+    left_out = ", ".join(names[k] for k in np.flatnonzero(~patches.usable))
+    return [f"Saturated and left out: {left_out}. Photograph the target with less light."] if left_out else []
+
+
+def _pictures(picture, reference, patches: Patches, judged: dict[str, ColourErrors]) -> list[Block]:
+    import cv2
+
+    scale = min(1.0, WIDEST / picture.shape[1])
+    small = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    for quad in patches.corners:
+        cv2.polylines(small, [np.round(quad * scale).astype(np.int32)], True, (255, 255, 255), 2)
+    figures = [Figure("Photograph", "Outlined: the squares that were averaged.", encoded(small))]
+    for how, errors in judged.items():
+        caption = "Each square: the reference around, the photograph in the middle."
+        figures.append(Figure(f"Colours {how}", caption, _mosaic(reference, errors)))
+    return [Figures(figures, len(figures))]
+
+
+def _mosaic(reference: np.ndarray, errors: ColourErrors):
+    """Squares of the reference colours with those of the photograph inside."""
+    white = white_xyz(illuminant("D50"))
+    outer, inner = (srgb_encode(np.clip(xyz_to_srgb_linear(xyz, white=white), 0, 1)) for xyz in (reference, errors.xyz))
+    codes = np.empty((4 * SQUARE, 6 * SQUARE, 3), np.uint8)
+    for k in range(24):
+        y, x = k // 6 * SQUARE, k % 6 * SQUARE
+        codes[y : y + SQUARE, x : x + SQUARE] = np.round(255 * outer[k])
+        edge = SQUARE // 4
+        codes[y + edge : y + SQUARE - edge, x + edge : x + SQUARE - edge] = np.round(255 * inner[k])
+    return encoded(codes, lossless=True)
+
+
+def _table(names, patches: Patches, judged: dict[str, ColourErrors]) -> Table:
+    head = ["", "patch", *(f"CIEDE2000 {how}" for how in judged), "noise, % of the value"]
+    rows = []
+    for k, patch in enumerate(names):
+        differences = [_known(errors.delta_e[k]) for errors in judged.values()]
+        noise = float(100 * patches.deviation[k].mean() / max(patches.mean[k].mean(), 1e-6))
+        rows.append([str(k + 1), patch, *differences, noise])
+    return Table(head, rows, "rl" + "r" * (len(judged) + 1))
+
+
+def _known(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _verdicts(judged: dict[str, ColourErrors]) -> list[Block]:
+    blocks: list[Block] = [
+        Facts(
+            [(f"{standard}, {how}", verdict(e.summary, standard)) for standard in CRITERIA for how, e in judged.items()]
+        )
+    ]
+    for standard, levels in CRITERIA.items():
+        rows = [
+            [label, *(e.summary[name] for e in judged.values()), *(limits.get(name) for limits in levels.values())]
+            for name, label in LABELS.items()
+        ]
+        head = ["", *judged, *levels]
+        blocks.append(Table(head, rows, "w" + "r" * (len(judged) + len(levels)), caption=f"Limits of {standard}"))
+    return blocks
+
+
+def _sensitivities(found: Sensitivities) -> list[Block]:
+    curves = [
+        Curve(name, WAVELENGTHS_NM, values, colour)
+        for (name, colour), values in zip(CHANNELS, found.curves, strict=True)
+    ]
+    drawing = chart(
+        curves,
+        x_label="wavelength, nm",
+        y_label="sensitivity, largest at 1",
+        title="Sensitivities of the camera",
+        y_range=(0, 1.1),
+    )
+    text = (
+        f"They leave {100 * found.residual:.2g} % of the white patch, root mean square, and "
+        f"{100 * found.left_out:.2g} % of patches that were left out in turn."
+    )
+    blocks: list[Block] = [Figures([Figure("Sensitivities", text, svg=drawing)], 1)]
+    if found.left_out > UNSURE:
+        blocks.append(
+            Note(
+                [
+                    "Do not use them: what they leave is more than noise. Either the lamp's spectrum is another one, "
+                    "the photograph is not linear, or the camera is unlike those that the method knows."
+                ],
+                warning=True,
+            )
+        )
+    return blocks
