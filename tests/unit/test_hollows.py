@@ -62,6 +62,7 @@ def filled():
     return turned([*OUTSIDE, (0.0, RIM)])
 
 
+@pytest.mark.slow
 def test_a_hollow_sinks_and_the_rest_stays():
     depth = 0.5
     hollow = turned([*OUTSIDE, (0.62, RIM), (0.4, RIM - 0.8 * depth), (0.0, RIM - depth)])

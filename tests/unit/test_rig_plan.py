@@ -91,6 +91,7 @@ axes: {arm: {theta_r: 1}, table: {phi_r: -1, offset: 5}}
 """
 
 
+@pytest.mark.slow
 def test_a_goniometer_has_the_quarter_hemisphere_and_oblique_pairs_with_their_boards(tmp_path):
     frames = read(tmp_path, GONIOMETER).frames()
     samples = [frame for frame in frames if frame.role == "sample"]
@@ -107,6 +108,7 @@ def test_a_goniometer_has_the_quarter_hemisphere_and_oblique_pairs_with_their_bo
     assert all(dict(frame.axes) == {"arm": frame.angles_deg[2], "table": 5 - frame.angles_deg[3]} for frame in frames)
 
 
+@pytest.mark.slow
 def test_planned_oblique_pairs_leave_less_to_be_known_than_pairs_spread_evenly():
     """The sum of squared errors that is expected over all pairs after the fit, by the parameters alone."""
     from nishiki.brdf.cloth.oblique import _slopes
@@ -127,7 +129,7 @@ def test_planned_oblique_pairs_leave_less_to_be_known_than_pairs_spread_evenly()
     assert expected_error(rows) < 0.8 * expected_error(evenly)
 
 
-@pytest.mark.parametrize("text", [DOME, GONIOMETER, DOME.replace("0.5", "auto")])
+@pytest.mark.parametrize("text", [DOME, pytest.param(GONIOMETER, marks=pytest.mark.slow), DOME.replace("0.5", "auto")])
 def test_a_table_is_read_as_it_was_written(tmp_path, text):
     frames = read(tmp_path, text).frames()
     table = tmp_path / "frames.tsv"
