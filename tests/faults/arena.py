@@ -82,7 +82,8 @@ class Arena:
     def artifacts(self, root: Path | None = None) -> list[Path]:
         """Folders of all finished artifacts of the plans, below `results` or another root."""
         root = root or self.results
-        return sorted(path.parent for path in root.glob("*/*/*/artifact.json") if len(path.parent.name) == 12)
+        found = (path.parent for path in root.glob("*/*/*/artifact.json"))
+        return sorted(folder for folder in found if len(folder.name) == 12 and not folder.is_symlink())
 
     def durations(self) -> dict[str, float]:
         """Seconds that each stage took in the undisturbed run; the longest where several scenes have it."""
