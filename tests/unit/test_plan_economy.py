@@ -122,7 +122,7 @@ def test_everything_can_be_forced_on():
 
 def test_the_report_is_told_of_parts_and_packages():
     told = planned(PLANE, "normals", "report").stages["report"].settings["left_out"]
-    assert told["2 photographs under check lights"] == "only evaluate looks at them"
+    assert told["2 photographs under check lights"] == "only evaluate and export look at them"
     assert told["package rawpy"] == "no photograph is camera raw"
     assert told["package av"] == "render is not in the plan"
 

@@ -89,6 +89,14 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--cores", type=_cores, help="processors to use (default: all)")
     sub.add_argument("--profile", default="default", help="slurm for a cluster, or a folder of Snakemake's options")
     _with_gone(sub)
+    sub = command("export", "exporting:export", "write files of a scene's results for other programs", epilog=FORMATS)
+    sub.add_argument("scene", help="name of the scene")
+    sub.add_argument("formats", nargs="+", metavar="FORMAT", help="what to write, see below")
+    text = "copy the files there, too; the folder must not exist"
+    sub.add_argument("--output", metavar="FOLDER", help=text)
+    sub.add_argument("--configfile", default="config/config.yaml", help="configuration (default %(default)s)")
+    sub.add_argument("--cores", type=_cores, help="processors to use (default: all)")
+    _with_gone(sub)
     sub = command("plan", "planning:plan", "what will run, be read and be loaded; what is left out and why")
     _with_scene(sub)
     sub.add_argument("--json", action="store_true", help="one JSON object a scene and line")
@@ -170,6 +178,9 @@ def _parser() -> argparse.ArgumentParser:
     command("simulate", "running:simulate", text, add_help=False)
     command("schema", "inspecting:schema", "print the JSON schema of config.yaml")
     return parser
+
+
+FORMATS = "formats of a painting: normals, height, albedo (docs/stages/export.md)"
 
 
 RIG = f"""\

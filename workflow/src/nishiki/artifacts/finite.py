@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from nishiki.formats.exr_bands import BLOCK_ROWS, read_blocks
 from nishiki.threads import threads
 
 BLOCK = 1 << 26  # bytes of an array looked at together
@@ -119,6 +120,10 @@ def _npz(path: Path, name: str) -> Iterator[str]:
 
 
 def _exr(path: Path, name: str) -> Iterator[str]:
+    blocks = read_blocks(path)
+    if blocks is not None:
+        yield _described(name, _counted(((BLOCK_ROWS * number, 0, 0), block) for number, block in enumerate(blocks)))
+        return
     import OpenEXR
 
     with OpenEXR.File(str(path), separate_channels=True) as stored:

@@ -26,7 +26,9 @@ def surface_from(facts: SceneFacts, settings: SceneSettings) -> str:
 
 
 PARTS = {
-    "check": CapturePart("photographs under check lights", lambda facts, settings: "only evaluate looks at them"),
+    "check": CapturePart(
+        "photographs under check lights", lambda facts, settings: "only evaluate and export look at them"
+    ),
     "flat": CapturePart("flat frames", lambda facts, settings: "no stage uses flat frames; white boards do their work"),
     "states": CapturePart(
         "photographs through the other polariser states",

@@ -154,9 +154,9 @@ def _read_by_ingest(
     if everything:
         return ingest, reasons
     without, why = left_parts(facts, settings, needed, scene.products)
-    if held_out and facts.geometry == "plane" and "evaluate" not in needed:
+    if held_out and facts.geometry == "plane" and not {"evaluate", "export"} & needed:
         without += tuple(f"{LIGHT}{name}" for name in held_out)
-        why[f"{len(held_out)} photographs under the lights held out"] = "only evaluate looks at them"
+        why[f"{len(held_out)} photographs under the lights held out"] = "only evaluate and export look at them"
     return ingest.model_copy(update={"without": without}), reasons | why
 
 

@@ -15,7 +15,7 @@ from nishiki.artifacts.closed import Closed, parse
 from nishiki.errors import UserError
 from nishiki.formats import plain_yaml
 from nishiki.formats.files import is_plain, read_text
-from nishiki.stages.table import CHAIN, FORMER_NAMES, PRODUCTS
+from nishiki.stages.table import CHAIN, FORMER_NAMES, PRODUCTS, chain_of
 from nishiki.sweep.settings import SweepName, SweepSettings
 
 CONFIGURATION = "config/config.yaml"
@@ -78,6 +78,9 @@ class Configuration(StageSettings):
         {}, description="sweeps by name: settings to vary, and what to measure; made by ./nishiki sweep NAME"
     )
     sweep: str = Field("", description="the sweep to make: a name, or a file; filled in by ./nishiki sweep")
+    exports: dict[str, tuple[str, ...]] = Field(
+        {}, description="formats to export beside the products, by scene; filled in by ./nishiki export"
+    )
 
 
 @dataclass(frozen=True)
@@ -200,6 +203,15 @@ def scene_with(scene: Scene, overrides: dict, where: str) -> Scene:
     """A scene with some settings changed: blocks by stage over its own. Raises UserError naming `where` and the key."""
     base = scene.settings.model_dump(exclude_unset=True, include=set(StageSettings.model_fields))
     return replace(scene, settings=parse(StageSettings, _merged(base, overrides), where))
+
+
+def scene_with_exports(scene: Scene, geometry: str, formats: tuple[str, ...]) -> Scene:
+    """A scene that also asks for an export in these formats. UserError where its captures have no such format."""
+    stage = next((name for name, each in chain_of(geometry).items() if each.asked_as == "export"), None)
+    if stage is None:
+        raise UserError(f"scene {scene.name!r}: nothing can be exported from captures of a {geometry} yet")
+    changed = scene_with(scene, {stage: {"formats": list(formats)}}, f"./nishiki export {scene.name}")
+    return replace(changed, products=tuple(dict.fromkeys((*scene.products, "export"))))
 
 
 def _merged(below: dict, above: dict) -> dict:

@@ -10,7 +10,7 @@ from nishiki.artifacts.artifact import MANIFEST
 from nishiki.artifacts.provenance import canonical, code_digest, library_version, program_of
 from nishiki.engine.facts_cache import remembered_facts
 from nishiki.engine.plan import Outline, Plan, PlannedStage, make_plan
-from nishiki.engine.project import CONFIGURATION, SWEEPS, Scene, load_project
+from nishiki.engine.project import CONFIGURATION, SWEEPS, Scene, load_project, scene_with_exports
 from nishiki.engine.scheduling import Scheduling
 from nishiki.engine.sweep_plan import TIMINGS, PlannedSweep, PlannedVariant, SceneSweep, plan_sweep
 from nishiki.errors import UserError, of_the_machine
@@ -105,7 +105,10 @@ class Workflow(Scheduling):
 
     def _plan(self, name: str) -> Plan:
         scene = self.project.scenes[name]
-        return make_plan(scene, self._facts(scene), self._outlines)
+        facts = self._facts(scene)
+        if formats := self.project.configuration.exports.get(name):
+            return make_plan(scene_with_exports(scene, facts.geometry, formats), facts)
+        return make_plan(scene, facts, self._outlines)
 
     def _plan_sweep(self, named: str) -> None:
         """Plans of all variants; a scene's own plan is that of its first variant, the scene as it is configured."""

@@ -14,6 +14,7 @@ NAMES = (
     "brdf",
     "render",
     "evaluate",
+    "export",
     "report",
     "polarise",
     "cameras",

@@ -13,6 +13,7 @@ from nishiki.report.pictures import ruler
 from nishiki.report.scene_page import write_scene_page
 from nishiki.stages.brdf.report import gloss_section
 from nishiki.stages.evaluate.report import relighting_section
+from nishiki.stages.export.report import export_section
 from nishiki.stages.ingest.report import capture_section, facts_of_painting, kind_of
 from nishiki.stages.normals.report import shape_section
 from nishiki.stages.render.report import appearance_section
@@ -79,6 +80,7 @@ def run(context: Context) -> dict:
             capture_section(
                 diagnostics["ingest"], lights=list(frames.lights), kinds=kinds, directions=frames.directions
             ),
+            export_section(inputs.get("export")),
         ],
         more_left_out=[]
         if any(truth.get(name) for name in ("normals", "height", "reflectance"))

@@ -1,0 +1,184 @@
+"""Exports of a painting, read back by the libraries of other programs."""
+
+import io
+from types import SimpleNamespace
+from typing import get_args
+
+import numpy as np
+import OpenEXR
+import pytest
+import tifffile
+import trimesh
+from PIL import Image, ImageCms
+from small_painting import COLUMNS, PITCH_MM, ROWS, STAMP, export_context, small_painting
+
+from nishiki.artifacts.finite import expect_finite
+from nishiki.cli import FORMATS
+from nishiki.colour.colour import delta_e_2000, illuminant, white_xyz, xyz_from_spectra, xyz_to_lab
+from nishiki.formats.exr_bands import ExrWriter, read_blocks
+from nishiki.formats.tiff_bands import TiffWriter
+from nishiki.stages.export.declaration import ExportSettings, Format
+from nishiki.stages.export.report import export_section
+from nishiki.stages.export.run import run
+
+LAMPS = [(np.sin(a) * 0.7, np.cos(a) * 0.7, 0.714) for a in np.radians([10, 100, 190, 280])]
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    """The painting, the folder of its exports in all formats, and what the stage reports."""
+    folder = tmp_path_factory.mktemp("painting")
+    painting = small_painting(folder)
+    context = export_context(painting, folder / "export", ExportSettings())
+    with context.output as output:
+        reported = run(context)
+        expect_finite(output.folder, "export")
+        yield SimpleNamespace(painting=painting, folder=output.folder / "exports", reported=reported)
+
+
+def shaded(normals, lamp):
+    return np.maximum(normals @ np.asarray(lamp), 0)
+
+
+def test_normals_say_their_convention_and_lose_a_thousandth_of_a_degree(exported):
+    with tifffile.TiffFile(exported.folder / "normals.tif") as tiff:
+        coded, page = tiff.asarray(), tiff.pages[0]
+        assert "y up" in page.description
+        assert f"nishiki.key={STAMP['key']}" in page.description
+        assert page.tags["XResolution"].value[0] / page.tags["XResolution"].value[1] == pytest.approx(10 / PITCH_MM)
+    assert coded.dtype == np.uint16
+    known = exported.painting.known
+    read = coded / 65535 * 2 - 1
+    error = np.linalg.norm(read - exported.painting.normals, axis=-1)[known]
+    assert np.degrees(error.max()) < 0.002
+    assert not coded[~known].any()
+    assert np.degrees(error.max()) == pytest.approx(exported.reported["losses"]["normals"]["largest_deg"], rel=0.3)
+    with OpenEXR.File(str(exported.folder / "normals.exr"), separate_channels=True) as file:
+        exact = np.stack([file.channels()[f"N.{axis}"].pixels for axis in "XYZ"], axis=-1)
+        assert "y up" in file.header()["comments"]
+    np.testing.assert_array_equal(exact[known], exported.painting.normals[known])
+
+
+def test_a_moving_light_shows_the_same_relief_in_every_file(exported):
+    painting, inner = exported.painting, (slice(2, -10), slice(2, -2))
+    tiff = tifffile.imread(exported.folder / "normals.tif") / 65535 * 2 - 1
+    height = tifffile.imread(exported.folder / "height.tif")
+    down, right = np.gradient(height, PITCH_MM)
+    slopes = np.stack([-right, down, np.ones_like(height)], axis=-1)
+    from_height = slopes / np.linalg.norm(slopes, axis=-1, keepdims=True)
+    mesh = trimesh.load(exported.folder / "height.ply", process=False)
+    picture = np.full((ROWS, COLUMNS, 3), np.nan)
+    column = np.rint(mesh.vertices[:, 0] / PITCH_MM + COLUMNS / 2 - 0.5).astype(int)
+    row = np.rint(ROWS / 2 - 0.5 - mesh.vertices[:, 1] / PITCH_MM).astype(int)
+    faces = mesh.face_normals
+    of_vertices = np.zeros_like(mesh.vertices)
+    for corner in mesh.faces.T:
+        np.add.at(of_vertices, corner, faces)
+    picture[row, column] = of_vertices / np.linalg.norm(of_vertices, axis=1, keepdims=True)
+    for lamp in LAMPS:
+        true = shaded(painting.normals, lamp)[inner]
+        np.testing.assert_allclose(shaded(tiff, lamp)[inner], true, atol=1e-4)
+        np.testing.assert_allclose(shaded(from_height, lamp)[inner], true, atol=0.02)
+        np.testing.assert_allclose(shaded(picture, lamp)[inner], true, atol=0.03)
+        assert true.std() > 0.05
+
+
+def test_the_height_has_its_scale_and_says_where_there_is_none(exported):
+    with tifffile.TiffFile(exported.folder / "height.tif") as tiff:
+        height, page = tiff.asarray(), tiff.pages[0]
+        assert np.isnan(page.nodata)
+        assert "Height in mm" in page.description
+        assert page.tags[33550].value[:2] == (PITCH_MM, PITCH_MM)
+        assert page.tags[33922].value[3:5] == (-COLUMNS * PITCH_MM / 2, ROWS * PITCH_MM / 2)
+    known = exported.painting.known
+    np.testing.assert_array_equal(np.isnan(height), ~known)
+    np.testing.assert_allclose(height[known], exported.painting.height[known], atol=1e-6)
+    mesh = trimesh.load(exported.folder / "height.ply", process=False)
+    assert len(mesh.vertices) == known.sum()
+    assert (mesh.face_normals[:, 2] > 0).all()
+    given = mesh.vertex_normals
+    assert np.einsum("ij,ij->i", given, exported.painting.normals[known]).min() > 0.999
+
+
+def test_the_albedo_has_a_profile_by_which_colour_management_finds_the_colours(exported):
+    with tifffile.TiffFile(exported.folder / "albedo.tif") as tiff:
+        coded, profile = tiff.asarray(), tiff.pages[0].iccprofile
+    lab_profile = ImageCms.createProfile("LAB", 5000)
+    known = exported.painting.known
+    white = white_xyz(illuminant("D50"))
+    true = xyz_to_lab(xyz_from_spectra(illuminant("D50"), exported.painting.reflectance()), white)[known]
+    source = ImageCms.ImageCmsProfile(io.BytesIO(profile))
+    eight = Image.fromarray(np.rint(coded / 257).astype(np.uint8))
+    transform = ImageCms.buildTransform(source, lab_profile, "RGB", "LAB", renderingIntent=1)
+    managed = np.array(ImageCms.applyTransform(eight, transform)).astype(float)[known]
+    signed = np.where(managed[:, 1:] > 127, managed[:, 1:] - 256, managed[:, 1:])
+    read = np.column_stack([managed[:, 0] * 100 / 255, signed])
+    assert delta_e_2000(read, true).mean() < 0.8  # both pictures have eight bits on the way
+    assert exported.reported["losses"]["albedo"]["clipped"] == 0
+
+
+def test_a_mesh_with_fewer_vertices_than_pixels_stays_in_place(exported, tmp_path):
+    settings = ExportSettings(formats=("height",), mesh_vertices=300)
+    context = export_context(exported.painting, tmp_path, settings)
+    with context.output as output:
+        reported = run(context)["losses"]["height"]
+        coarse = trimesh.load(output.folder / "exports/height.ply", process=False)
+    assert reported["pixels_a_vertex"] == 9
+    assert len(coarse.vertices) <= 300
+    fine = trimesh.load(exported.folder / "height.ply", process=False)
+    np.testing.assert_allclose(coarse.bounds[:, :2], fine.bounds[:, :2], atol=1.5 * PITCH_MM)
+    inside = np.abs(coarse.vertices[:, None, :2] - fine.vertices[None, :, :2]).max(axis=2) < 1.4 * PITCH_MM
+    means = [fine.vertices[near, 2].mean() for near in inside]
+    np.testing.assert_allclose(coarse.vertices[:, 2], means, atol=0.02)
+
+
+def test_y_down_turns_green_only(exported, tmp_path):
+    context = export_context(exported.painting, tmp_path, ExportSettings(formats=("normals",), normals_y="down"))
+    with context.output as output:
+        run(context)
+        down = tifffile.imread(output.folder / "exports/normals.tif").astype(int)
+    up = tifffile.imread(exported.folder / "normals.tif").astype(int)
+    known = exported.painting.known
+    np.testing.assert_array_equal(down[known][:, [0, 2]], up[known][:, [0, 2]])
+    np.testing.assert_array_equal(down[known][:, 1], 65535 - up[known][:, 1])
+    assert not down[~known].any()
+
+
+def test_the_page_names_every_file_and_what_it_loses(exported):
+    export = SimpleNamespace(diagnostics=exported.reported)
+    (_, table) = export_section(export).blocks
+    assert [row[0] for row in table.rows] == list(ExportSettings().formats)
+    text = " ".join(str(cell) for row in table.rows for cell in row)
+    assert all(path.name in text for path in exported.folder.iterdir())
+    assert export_section(None) is None
+
+
+@pytest.mark.parametrize("rows", [1, 16, 37])
+def test_exr_by_bands_reads_as_it_was_written(tmp_path, rows):
+    values = np.random.default_rng(rows).normal(size=(rows, 5, 3)).astype(np.float32)
+    names = ("z", "a_name_that_is_longer_than_thirty_one_letters", "R")
+    path = tmp_path / "bands.exr"
+    with ExrWriter(path, names, rows, 5, {"unit": "mm", "factor": 0.5}) as writer:
+        for start in range(0, rows, 7):
+            writer.write(values[start : start + 7])
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        read = np.stack([file.channels()[name].pixels for name in names], axis=-1)
+        assert (file.header()["unit"], file.header()["factor"]) == ("mm", 0.5)
+    np.testing.assert_array_equal(read, values)
+    blocks = np.concatenate(list(read_blocks(path))).transpose(0, 2, 1)
+    np.testing.assert_array_equal(blocks, values[..., [2, 1, 0]])
+
+
+def test_files_by_bands_refuse_missing_rows(tmp_path):
+    with pytest.raises(ValueError, match="expected 4 rows, found 2"), ExrWriter(tmp_path / "a", "Y", 4, 3, {}) as exr:
+        exr.write(np.zeros((2, 3, 1)))
+    text = {"band_rows": 2, "description": "", "software": ""}
+    with (
+        pytest.raises(ValueError, match="expected 4 rows, found 2"),
+        TiffWriter(tmp_path / "b", (4, 3, 1), "uint16", **text) as tiff,
+    ):
+        tiff.write(np.zeros((2, 3)))
+
+
+def test_the_command_names_every_format():
+    assert all(name in FORMATS for name in get_args(Format))

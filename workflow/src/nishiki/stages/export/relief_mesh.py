@@ -1,0 +1,103 @@
+"""The surface of a painting as triangles: its plane, displaced by the height, band by band."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from nishiki.stages.export.scene import ExportedScene
+
+
+@dataclass(frozen=True)
+class Relief:
+    """Some rows of vertices of the mesh, and the triangles between them and the row above.
+
+    Attributes
+    ----------
+    step : int
+        Pixels along the side of the square that a vertex stands for.
+    places, normals : (v, 3) float32 ndarray
+        Positions in the scene's unit, origin in the middle of the picture; unit normals.
+    colours : (v, 3) float32 ndarray
+        Linear sRGB, 0 where none was asked for.
+    texture : (v, 2) float32 ndarray
+        Place in the picture, 0 to 1, from its left and its top.
+    triangles : (t, 3) int64 ndarray
+        Numbers of vertices, counted from the first of the whole mesh; counter-clockwise seen from the camera.
+    """
+
+    step: int
+    places: np.ndarray
+    normals: np.ndarray
+    colours: np.ndarray
+    texture: np.ndarray
+    triangles: np.ndarray
+
+
+def reliefs(scene: ExportedScene, most: int, *, colours: np.ndarray | None) -> Iterator[Relief]:
+    """The mesh from top to bottom, at most `most` vertices, each the mean over a square of pixels that have a height.
+
+    colours : (3, K) from the coefficients to linear sRGB; None: they are not read.
+    """
+    rows, columns = scene.shape
+    step = next(n for n in range(1, max(rows, columns) + 1) if -(-rows // n) * -(-columns // n) <= most)
+    across = -(-columns // step)
+    high = max(1, scene.band_rows // step) * step
+    above = np.full(across, -1, np.int64)
+    count = 0
+    for top in range(0, rows, high):
+        band = slice(top, min(top + high, rows))
+        height = scene.height(band)
+        known = np.isfinite(height)
+        share = _block_mean(known, step)
+        weight = np.where(share > 0, share, 1)
+        here = share >= 0.5
+        middles = top + (np.arange(here.shape[0]) + 0.5) * step
+        down = np.minimum(middles, (np.minimum(middles + step / 2, rows) + middles - step / 2) / 2)
+        right = np.minimum((np.arange(across) + 0.5) * step, (np.arange(across) * step + columns) / 2)
+        x = np.broadcast_to((right - columns / 2) * scene.pitch, here.shape)
+        y = np.broadcast_to(((rows / 2 - down) * scene.pitch)[:, None], here.shape)
+        z = _block_mean(np.where(known, height, 0), step) / weight
+        normals = _block_mean(np.where(known[..., None], scene.normals(band), 0), step)
+        length = np.linalg.norm(normals, axis=-1, keepdims=True)
+        normals = np.where(length > 0, normals / np.where(length > 0, length, 1), [0, 0, 1])
+        linear = np.zeros_like(normals)
+        if colours is not None:
+            values = np.where(known[..., None], np.nan_to_num(scene.coefficients(band)), 0)
+            linear = (_block_mean(values, step) / weight[..., None]) @ colours.T
+        numbers = np.where(here, count + np.cumsum(here).reshape(here.shape) - 1, -1)
+        count += int(here.sum())
+        u = np.broadcast_to(right / columns, here.shape)
+        v = np.broadcast_to((down / rows)[:, None], here.shape)
+        triangles = _triangles(np.concatenate([above[None], numbers]) if top else numbers)
+        above = numbers[-1]
+        yield Relief(
+            step,
+            np.stack([x, y, z], axis=-1)[here].astype(np.float32),
+            normals[here].astype(np.float32),
+            linear[here].astype(np.float32),
+            np.stack([u, v], axis=-1)[here].astype(np.float32),
+            triangles,
+        )
+
+
+def _triangles(numbers: np.ndarray) -> np.ndarray:
+    """(t, 3): two triangles between four neighbours that are all there; numbers (rows, columns), -1: none."""
+    a, b, c, d = numbers[:-1, :-1], numbers[:-1, 1:], numbers[1:, :-1], numbers[1:, 1:]
+    all_there = np.minimum(np.minimum(a, b), np.minimum(c, d)) >= 0
+    a, b, c, d = (corner[all_there] for corner in (a, b, c, d))
+    return np.stack([np.stack([a, c, b], axis=-1), np.stack([b, c, d], axis=-1)], axis=1).reshape(-1, 3)
+
+
+def _block_mean(values: np.ndarray, step: int) -> np.ndarray:
+    """Means over squares of pixels (the last ones may be smaller), float64."""
+    if step == 1:
+        return values.astype(np.float64)
+    sums = np.asarray(values, np.float64)
+    for axis in (0, 1):
+        starts = np.arange(0, values.shape[axis], step)
+        counts = np.diff([*starts, values.shape[axis]])
+        shape = [1] * values.ndim
+        shape[axis] = len(starts)
+        sums = np.add.reduceat(sums, starts, axis=axis) / counts.reshape(shape)
+    return sums

@@ -1,0 +1,34 @@
+"""The section of a scene's page with the exported files, and what each of them loses."""
+
+from nishiki.artifacts.artifact import Artifact
+from nishiki.report.numbers import figure
+from nishiki.report.page import Section, Table
+
+INTRO = (
+    "Files for other programs, in the folder exports beside this page's artifacts. What a format loses was measured on "
+    "the very files; what it cannot hold is said in docs/stages/export.md."
+)
+
+
+def export_section(export: Artifact | None) -> Section | None:
+    """The files of each format with their losses; None where nothing was exported."""
+    if export is None:
+        return None
+    rows = []
+    for name, each in export.diagnostics["losses"].items():
+        files = ", ".join(file.removeprefix("exports/") for file in each["files"])
+        megabytes = sum(export.diagnostics["bytes"][file] for file in each["files"]) / 1e6
+        rows.append((name, files, f"{megabytes:.2f}", lost(each)))
+    return Section("exports", "Exports", [INTRO, Table(("format", "files", "MB", "what it loses"), rows, "lwrw")])
+
+
+def lost(each: dict) -> str:
+    """What a format loses, in words."""
+    texts = []
+    if "largest_deg" in each:
+        texts.append(f"16 bits move a normal by at most {figure(each['largest_deg'])}°")
+    if each.get("pixels_a_vertex", 1) > 1:
+        texts.append(f"a vertex of the mesh is the mean of {each['pixels_a_vertex']} pixels")
+    if "clipped" in each:
+        texts.append(f"{figure(100 * each['clipped'])} % of the samples are outside of the colour space")
+    return "; ".join(texts) or "nothing"

@@ -1,0 +1,95 @@
+"""What the formats of a painting are made from: maps of the finished stages, read by bands of rows."""
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from nishiki.artifacts.artifact import Artifact
+from nishiki.artifacts.maps import Maps
+from nishiki.colour.colour import adaptation_matrix, illuminant, xyz_matrix
+from nishiki.colour.training import synthetic_reflectances
+from nishiki.errors import UserError
+from nishiki.evaluate.camera_colour import assumed_colour, fitted_colour
+from nishiki.formats.icc import D50
+from nishiki.formats.stored import load_arrays
+from nishiki.formats.tiff_bands import strips
+from nishiki.photometric.flags import NO_ESTIMATE
+
+
+class ExportedScene:
+    """The maps of one painting.
+
+    Attributes
+    ----------
+    shape : (int, int)
+        Rows and columns.
+    band_rows : int
+        Rows that are read at a time.
+    pitch_mm : float or None
+        Distance of two pixels; None where the capture states no scale.
+    """
+
+    def __init__(self, inputs: Mapping[str, Artifact]):
+        self._inputs = inputs
+        self._maps = Maps(inputs["normals"].folder)
+        self._height = Maps(inputs["height"].folder) if "height" in inputs else None
+        self._spectra = Maps(inputs["spectra"].folder) if "spectra" in inputs else None
+        self.shape: tuple[int, int] = self._maps.group["normals"].shape[:2]
+        self.band_rows: int = self._maps.group["normals"].chunks[0]
+        self.pitch_mm: float | None = self._maps.group.attrs.get("pixel_pitch_mm")
+
+    @property
+    def pitch(self) -> float:
+        """Distance of two pixels in the unit of lengths."""
+        return self.pitch_mm or 1.0
+
+    @property
+    def unit(self) -> str:
+        """Unit of lengths."""
+        return "mm" if self.pitch_mm else "pixels"
+
+    def bands(self) -> Iterator[slice]:
+        """Bands of rows from top to bottom."""
+        return strips(self.shape[0], self.band_rows)
+
+    def known(self, rows: slice) -> np.ndarray:
+        """(r, columns) bool: pixels with an estimate."""
+        return (self._maps.read("flags", rows) & NO_ESTIMATE) == 0
+
+    def normals(self, rows: slice) -> np.ndarray:
+        """(r, columns, 3) float32 unit normals, x right, y up, z to the camera; 0 where there is no estimate."""
+        return np.where(self.known(rows)[..., None], self._maps.read("normals", rows), np.float32(0))
+
+    def height(self, rows: slice) -> np.ndarray:
+        """(r, columns) float32 height towards the camera in the unit of lengths, NaN where there is none."""
+        if self._height is None:
+            raise UserError("export: the height is left out of this scene. Remedy: see ./nishiki plan for the reason")
+        return self._height.read("height", rows)
+
+    @property
+    def basis(self) -> np.ndarray | None:
+        """(K, 61) basis of the spectra, or None where there are none."""
+        return None if self._spectra is None else np.array(self._spectra.attributes("coefficients")["basis"])
+
+    def coefficients(self, rows: slice) -> np.ndarray:
+        """(r, columns, K) coefficients of the spectra, or the reflectance in the camera's channels without spectra."""
+        if self._spectra is None:
+            return self._maps.read("reflectance", rows)
+        return self._spectra.read("coefficients", rows)
+
+    def to_xyz_d50(self) -> tuple[np.ndarray, str]:
+        """(3, K) from coefficients to XYZ under D50, white (0.9642, 1, 0.8249); where it comes from, in words."""
+        if self.basis is not None:
+            lamp = illuminant("D50")
+            matrix, how = xyz_matrix(lamp, self.basis), "spectra under D50"
+            white = xyz_matrix(lamp, np.eye(lamp.size)).sum(axis=1)
+        else:
+            channels = self._maps.group["reflectance"].shape[-1]
+            path = self._inputs["ingest"].path("curves.npz")
+            curves = load_arrays(path) if path.is_file() else {}
+            if len(curves.get("sensitivities", ())) == channels and "illuminant" in curves:
+                colour = fitted_colour(synthetic_reflectances(), curves["illuminant"], curves["sensitivities"])
+            else:
+                colour = assumed_colour(channels)
+            matrix, white, how = colour.matrix, colour.white, colour.how
+        return adaptation_matrix(white, np.array(D50)) @ matrix, how
