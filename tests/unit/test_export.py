@@ -1,6 +1,9 @@
 """Exports of a painting, read back by the libraries of other programs."""
 
 import io
+import json
+import re
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import get_args
 
@@ -10,14 +13,25 @@ import pytest
 import tifffile
 import trimesh
 from PIL import Image, ImageCms
-from small_painting import COLUMNS, PITCH_MM, ROWS, STAMP, export_context, small_painting
+from small_painting import COLUMNS, PITCH_MM, ROWS, STAMP, dome, export_context, small_painting
 
 from nishiki.artifacts.finite import expect_finite
 from nishiki.cli import FORMATS
-from nishiki.colour.colour import delta_e_2000, illuminant, white_xyz, xyz_from_spectra, xyz_to_lab
+from nishiki.colour.colour import (
+    delta_e_2000,
+    illuminant,
+    srgb_encode,
+    white_xyz,
+    xyz_from_spectra,
+    xyz_to_lab,
+    xyz_to_srgb_linear,
+)
+from nishiki.errors import UserError
 from nishiki.formats.exr_bands import ExrWriter, read_blocks
+from nishiki.formats.picture_tiles import read_full_resolution, read_jpeg, write_deep_zoom
 from nishiki.formats.tiff_bands import TiffWriter
 from nishiki.stages.export.declaration import ExportSettings, Format
+from nishiki.stages.export.light_models import HarmonicModel, ptm_weights, solve
 from nishiki.stages.export.report import export_section
 from nishiki.stages.export.run import run
 
@@ -29,7 +43,7 @@ def exported(tmp_path_factory):
     """The painting, the folder of its exports in all formats, and what the stage reports."""
     folder = tmp_path_factory.mktemp("painting")
     painting = small_painting(folder)
-    context = export_context(painting, folder / "export", ExportSettings())
+    context = export_context(painting, folder / "export", ExportSettings(formats=get_args(Format)))
     with context.output as output:
         reported = run(context)
         expect_finite(output.folder, "export")
@@ -147,7 +161,7 @@ def test_y_down_turns_green_only(exported, tmp_path):
 def test_the_page_names_every_file_and_what_it_loses(exported):
     export = SimpleNamespace(diagnostics=exported.reported)
     (_, table) = export_section(export).blocks
-    assert [row[0] for row in table.rows] == list(ExportSettings().formats)
+    assert [row[0] for row in table.rows] == list(get_args(Format))
     text = " ".join(str(cell) for row in table.rows for cell in row)
     assert all(path.name in text for path in exported.folder.iterdir())
     assert export_section(None) is None
@@ -182,3 +196,154 @@ def test_files_by_bands_refuse_missing_rows(tmp_path):
 
 def test_the_command_names_every_format():
     assert all(name in FORMATS for name in get_args(Format))
+
+
+def pixels_of(path):
+    with Image.open(path) as picture:
+        return np.asarray(picture)
+
+
+def viewer_weights(info, light):
+    """Weights (planes + 1, 3) of the mean and the planes as OpenLIME's shader computes them from info.json."""
+    x, y, z = light
+    if info["type"] == "rbf":
+        lights = np.array(info["lights"]).reshape(-1, 3)
+        weights = np.exp(-np.sum((lights - light) ** 2, axis=1) / info["sigma"] ** 2)
+        weights /= weights.sum()
+        weights[weights <= 0.001] = 0
+        basis = np.array(info["basis"], float).reshape(info["nplanes"] + 1, len(lights), 3)
+        basis[0] /= 255
+        basis[1:] = (basis[1:] - 127) / np.array(info["materials"][0]["range"])[:, None, None]
+        return np.einsum("l,plk->pk", weights / weights.sum(), basis)
+    if info["type"] == "ptm":
+        bases = [1, x, y, x * x, x * y, y * y]
+    else:
+        phi, theta = np.arctan2(y, x), min(np.arccos(z), 3.1415 / 2 - 0.15)
+        cosine, pi = np.cos(theta), np.pi
+        root = np.sqrt(cosine - cosine**2)
+        bases = [
+            *(1 / np.sqrt(2 * pi), np.sqrt(6 / pi) * np.cos(phi) * root),
+            *(np.sqrt(3 / (2 * pi)) * (2 * cosine - 1), np.sqrt(6 / pi) * root * np.sin(phi)),
+            np.sqrt(30 / pi) * np.cos(2 * phi) * (-cosine + cosine**2),
+            np.sqrt(30 / pi) * np.cos(phi) * (2 * cosine - 1) * root,
+            np.sqrt(5 / (2 * pi)) * (1 - 6 * cosine + 6 * cosine**2),
+            np.sqrt(30 / pi) * (2 * cosine - 1) * root * np.sin(phi),
+            np.sqrt(30 / pi) * (-cosine + cosine**2) * np.sin(2 * phi),
+        ]
+    return np.concatenate([np.zeros((1, 3)), np.kron(np.array(bases)[:, None], np.eye(3))])
+
+
+def shown_by_viewer(folder, light):
+    """(rows, columns, 3): what OpenLIME computes from a relight folder for a light."""
+    info = json.loads((folder / "info.json").read_text())
+    count = info["nplanes"]
+    planes = [pixels_of(folder / f"plane_{n}.jpg") for n in range(-(-count // 3))]
+    texels = np.concatenate(planes, axis=-1)[..., :count] / 255
+    material = info["materials"][0]
+    coefficients = (texels - material["bias"]) * np.array(material["scale"])
+    weights = viewer_weights(info, light)
+    return weights[0] + coefficients @ weights[1:]
+
+
+@pytest.mark.parametrize(("kind", "least"), [("ptm", 34), ("hsh", 34), ("rbf", 25)])
+def test_a_relightable_image_shows_the_photographs_in_a_viewer(exported, kind, least):
+    painting, folder = exported.painting, exported.folder / f"relight_{kind}"
+    figures = exported.reported["losses"]["relight"]["kinds"][kind]["psnr_db"]
+    wavelengths = [45, 28, 8]
+    channels = painting.reflectance()[..., wavelengths]
+    squares = []
+    for light in painting.lights[-3:]:
+        linear = np.maximum(painting.normals @ light, 0)[..., None] * channels
+        difference = np.clip(shown_by_viewer(folder, light), 0, 1) - srgb_encode(linear)
+        squares.append(np.mean(difference**2))
+    decibels = -10 * np.log10(np.mean(squares))
+    assert decibels == pytest.approx(figures["check"]["all"], abs=0.3)
+    assert decibels > least
+    assert figures["fitted"]["all"] > least
+    assert figures["check"]["lights"] == 3
+
+
+def test_a_plane_of_light_that_falls_from_the_left_is_brighter_on_slopes_to_the_left(exported):
+    left = shown_by_viewer(exported.folder / "relight_ptm", (-0.7, 0, 0.714))
+    right = shown_by_viewer(exported.folder / "relight_ptm", (0.7, 0, 0.714))
+    change = (left - right).mean(axis=-1).ravel()
+    assert np.corrcoef(change, exported.painting.normals[..., 0].ravel())[0, 1] < -0.9
+    normals = pixels_of(exported.folder / "relight_ptm/normals.jpg") / 255 * 2 - 1
+    assert np.abs(normals - exported.painting.normals)[exported.painting.known].mean() < 0.02
+
+
+def test_deep_zoom_tiles_hold_the_picture(tmp_path):
+    rows, columns = np.mgrid[0:520, 0:300]
+    picture = np.stack([rows // 4, columns // 2, (rows + columns) // 8], axis=-1).astype(np.uint8)
+    write_deep_zoom(tmp_path, "plane_0", picture, tmp_path, 95)
+    assert 'Width="300" Height="520"' in (tmp_path / "plane_0.dzi").read_text()
+    levels = sorted(int(path.name) for path in (tmp_path / "plane_0_files").iterdir())
+    assert levels == list(range(11))  # 2^10 pixels hold 520 rows
+    assert read_jpeg(tmp_path / "plane_0_files/0/0_0.jpg").shape[:2] == (1, 1)
+    assert read_jpeg(tmp_path / "plane_0_files/9/0_0.jpg").shape[:2] == (255, 150)
+    assert read_jpeg(tmp_path / "plane_0_files/10/1_1.jpg").shape[:2] == (256, 47)
+    read = np.concatenate([band for _, band in read_full_resolution(tmp_path, "plane_0", 520, 300)])
+    assert np.abs(read.astype(int) - picture).mean() < 1
+    assert np.abs(read.astype(int) - picture).max() < 12
+
+
+def test_samples_that_are_not_valid_do_not_count():
+    random = np.random.default_rng(4)
+    lights = dome(14, 2)
+    true = random.normal(size=(5, 6, 3)) * 0.1
+    values = np.einsum("lb,nbk->nlk", ptm_weights(lights), true)
+    spoilt, valid = values.copy(), np.ones((5, 14), bool)
+    spoilt[2, 3], valid[2, 3] = 9, False
+    np.testing.assert_allclose(solve(ptm_weights(lights), spoilt, valid, np.zeros((6, 6))), true, atol=1e-6)
+
+
+def test_as_many_lights_as_terms_are_not_taken_for_a_perfect_fit():
+    lights = dome(9, 1)
+    values = np.random.default_rng(3).uniform(size=(50, 9, 3))
+    assert HarmonicModel.of("hsh", lights, values, np.ones((50, 9), bool)).ridge > 0
+
+
+def test_spectra_are_read_exactly(exported):
+    painting = exported.painting
+    true = (painting.coefficients @ painting.basis).astype(np.float32) * painting.known[..., None]
+    with OpenEXR.File(str(exported.folder / "spectra.exr"), separate_channels=True) as file:
+        channels = file.channels()
+        assert file.header()["spectralLayoutVersion"] == "1.0"
+        names = sorted(name for name in channels if name.startswith("T."))
+        assert (names[0], names[30], names[-1]) == ("T.400,000000nm", "T.550,000000nm", "T.700,000000nm")
+        np.testing.assert_array_equal(np.stack([channels[name].pixels for name in names], axis=-1), true)
+        shown = np.stack([channels[name].pixels for name in "RGB"], axis=-1)
+    d65 = xyz_to_srgb_linear(xyz_from_spectra(illuminant("D65"), true), white=white_xyz(illuminant("D65")))
+    np.testing.assert_allclose(shown, d65, atol=0.02)  # seen under D50 and adapted
+    assert exported.reported["losses"]["spectral"]["outside"] == np.mean((true < 0) | (true > 1))
+    header = (exported.folder / "spectra.hdr").read_text()
+    assert re.search(r"wavelength = \{400, 405, .*, 700\}", header)
+    bil = np.fromfile(exported.folder / "spectra.img", "<f4").reshape(ROWS, 61, COLUMNS)
+    np.testing.assert_array_equal(bil.transpose(0, 2, 1), true)
+
+
+def test_other_libraries_read_the_spectra(exported):
+    envi = pytest.importorskip("spectral.io.envi", reason="the package spectral is not installed")
+    image = envi.open(str(exported.folder / "spectra.hdr"), str(exported.folder / "spectra.img"))
+    assert image.bands.centers == list(range(400, 701, 5))
+    true = exported.painting.reflectance() * exported.painting.known[..., None]
+    np.testing.assert_allclose(image.load(), true, atol=1e-6)
+
+
+def test_colour_science_reads_the_spectral_exr(exported):
+    pytest.importorskip("OpenImageIO", reason="OpenImageIO is not installed, which colour-science reads EXR with")
+    from colour import read_spectral_image_Fichet2021
+
+    components = read_spectral_image_Fichet2021(str(exported.folder / "spectra.exr"))
+    wavelengths, values = components["T"][:2]
+    np.testing.assert_allclose(wavelengths, np.arange(400, 701, 5))
+    true = exported.painting.reflectance() * exported.painting.known[..., None]
+    np.testing.assert_allclose(values, true, atol=1e-6)
+
+
+def test_a_scene_without_spectra_says_so(exported, tmp_path):
+    inputs = {name: artifact for name, artifact in exported.painting.inputs.items() if name != "spectra"}
+    painting = replace(exported.painting, inputs=inputs)
+    context = export_context(painting, tmp_path, ExportSettings(formats=("spectral",)))
+    with pytest.raises(UserError, match=r"needs spectra.*export\.formats"), context.output:
+        run(context)

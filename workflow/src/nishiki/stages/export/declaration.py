@@ -4,11 +4,12 @@ from typing import ClassVar, Literal
 
 from pydantic import Field
 
-from nishiki.artifacts.closed import Guarded
+from nishiki.artifacts.closed import Closed, Guarded
 from nishiki.artifacts.limits import Limit, at
 from nishiki.stages.base import Cost, Stage
 
-Format = Literal["normals", "height", "albedo"]
+Format = Literal["normals", "height", "albedo", "relight", "spectral"]
+Kind = Literal["ptm", "hsh", "rbf"]
 LIMITS = (
     Limit("quantised", "largest angle by which 16 bits move a normal, degrees", at("losses.normals.largest_deg")),
     Limit(
@@ -20,6 +21,16 @@ LIMITS = (
         why="surfaces gave 0; where half is outside, the picture shows another surface",
     ),
 )
+
+
+class RelightSettings(Closed):
+    """Relightable images."""
+
+    kinds: tuple[Kind, ...] = Field(
+        ("ptm", "hsh", "rbf"), min_length=1, description="ptm: 18 planes; hsh: 27; rbf: as many as `planes`"
+    )
+    planes: int = Field(18, ge=3, le=60, multiple_of=3, description="of rbf; three planes a picture")
+    jpeg_quality: int = Field(95, ge=50, le=100, description="of the planes")
 
 
 class ExportSettings(Guarded):
@@ -38,10 +49,16 @@ class ExportSettings(Guarded):
     mesh_vertices: int = Field(
         2_000_000, ge=100, le=100_000_000, description="most vertices of a mesh; more pixels are averaged in squares"
     )
+    relight: RelightSettings = Field(RelightSettings(), description="relightable images")
     hold_out: tuple[str, ...] = Field((), description="lights that no fit saw; filled in by the plan")
 
 
-NEEDS: dict[str, tuple[str, ...]] = {"height": ("height",), "albedo": ("spectra",)}
+NEEDS: dict[str, tuple[str, ...]] = {
+    "height": ("height", "spectra"),
+    "albedo": ("spectra",),
+    "relight": ("spectra",),
+    "spectral": ("spectra",),
+}
 """Stages that a format reads where the capture can feed them."""
 
 STAGE = Stage(
@@ -51,7 +68,7 @@ STAGE = Stage(
     wants=lambda settings: tuple(dict.fromkeys(name for each in settings.formats for name in NEEDS.get(each, ()))),
     needs_colour=True,
     looks_at=lambda facts, settings, asked: ("check",),
-    libraries=("numpy", "numba", "zarr", "OpenEXR"),
+    libraries=("numpy", "numba", "zarr", "OpenEXR", "opencv-contrib-python-headless"),
     deliverables=("exports",),
     threads=1,
     cost=lambda facts: Cost(mib=260, bytes_per_pixel=40, seconds=3, us_per_pixel=10),

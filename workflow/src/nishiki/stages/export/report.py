@@ -16,7 +16,8 @@ def export_section(export: Artifact | None) -> Section | None:
         return None
     rows = []
     for name, each in export.diagnostics["losses"].items():
-        files = ", ".join(file.removeprefix("exports/") for file in each["files"])
+        names = (file.removeprefix("exports/").split("/") for file in each["files"])
+        files = ", ".join(dict.fromkeys(first + "/" * bool(below) for first, *below in names))
         megabytes = sum(export.diagnostics["bytes"][file] for file in each["files"]) / 1e6
         rows.append((name, files, f"{megabytes:.2f}", lost(each)))
     return Section("exports", "Exports", [INTRO, Table(("format", "files", "MB", "what it loses"), rows, "lwrw")])
@@ -31,4 +32,11 @@ def lost(each: dict) -> str:
         texts.append(f"a vertex of the mesh is the mean of {each['pixels_a_vertex']} pixels")
     if "clipped" in each:
         texts.append(f"{figure(100 * each['clipped'])} % of the samples are outside of the colour space")
+    if "outside" in each:
+        texts.append(f"{figure(100 * each['outside'])} % of the reflectances are outside of 0 to 1, and kept so")
+    for kind, figures in each.get("kinds", {}).items():
+        lights = "check" if "check" in figures["psnr_db"] else "fitted"
+        error = figures["psnr_db"][lights]
+        which = "lights that no fit saw" if lights == "check" else "the fitted lights (no others are kept)"
+        texts.append(f"{kind}: {figure(error['all'])} dB against photographs under {which} ({error['lights']})")
     return "; ".join(texts) or "nothing"

@@ -1,10 +1,16 @@
 """Export: files of a painting for other programs, and what each of them loses."""
 
 from nishiki.artifacts.stage import Context
-from nishiki.stages.export import albedo, height, normals
+from nishiki.stages.export import albedo, height, normals, relight, spectral
 from nishiki.stages.export.scene import ExportedScene
 
-WRITERS = {"normals": normals.write, "height": height.write, "albedo": albedo.write}
+WRITERS = {
+    "normals": normals.write,
+    "height": height.write,
+    "albedo": albedo.write,
+    "relight": relight.write,
+    "spectral": spectral.write,
+}
 
 
 def run(context: Context) -> dict:

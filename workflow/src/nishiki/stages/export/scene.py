@@ -9,7 +9,7 @@ from nishiki.artifacts.maps import Maps
 from nishiki.colour.colour import adaptation_matrix, illuminant, xyz_matrix
 from nishiki.colour.training import synthetic_reflectances
 from nishiki.errors import UserError
-from nishiki.evaluate.camera_colour import assumed_colour, fitted_colour
+from nishiki.evaluate.camera_colour import CameraColour, assumed_colour, fitted_colour
 from nishiki.formats.icc import D50
 from nishiki.formats.stored import load_arrays
 from nishiki.formats.tiff_bands import strips
@@ -77,6 +77,15 @@ class ExportedScene:
             return self._maps.read("reflectance", rows)
         return self._spectra.read("coefficients", rows)
 
+    def camera_colour(self) -> CameraColour:
+        """From the camera's channels to XYZ: fitted where the capture has spectra of camera and lamp, else assumed."""
+        channels = self._maps.group["reflectance"].shape[-1]
+        path = self._inputs["ingest"].path("curves.npz")
+        curves = load_arrays(path) if path.is_file() else {}
+        if len(curves.get("sensitivities", ())) == channels and "illuminant" in curves:
+            return fitted_colour(synthetic_reflectances(), curves["illuminant"], curves["sensitivities"])
+        return assumed_colour(channels)
+
     def to_xyz_d50(self) -> tuple[np.ndarray, str]:
         """(3, K) from coefficients to XYZ under D50, white (0.9642, 1, 0.8249); where it comes from, in words."""
         if self.basis is not None:
@@ -84,12 +93,6 @@ class ExportedScene:
             matrix, how = xyz_matrix(lamp, self.basis), "spectra under D50"
             white = xyz_matrix(lamp, np.eye(lamp.size)).sum(axis=1)
         else:
-            channels = self._maps.group["reflectance"].shape[-1]
-            path = self._inputs["ingest"].path("curves.npz")
-            curves = load_arrays(path) if path.is_file() else {}
-            if len(curves.get("sensitivities", ())) == channels and "illuminant" in curves:
-                colour = fitted_colour(synthetic_reflectances(), curves["illuminant"], curves["sensitivities"])
-            else:
-                colour = assumed_colour(channels)
+            colour = self.camera_colour()
             matrix, white, how = colour.matrix, colour.white, colour.how
         return adaptation_matrix(white, np.array(D50)) @ matrix, how

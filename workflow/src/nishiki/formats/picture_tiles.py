@@ -1,0 +1,105 @@
+"""Pictures that grow by bands of rows on the disk, and their JPEG files: one a picture, or the tiles of a deep zoom.
+
+The deep-zoom layout (`NAME.dzi`, `NAME_files/LEVEL/COLUMN_ROW.jpg`) is that of Microsoft's Deep Zoom, which
+OpenSeadragon and OpenLIME read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+TILE, OVERLAP = 254, 1
+ROWS_AT_A_TIME = 512
+Samples = np.ndarray  # (rows, columns, 3) uint8, R, G, B; may lie on the disk
+
+
+def picture_on_disk(path: Path, rows: int, columns: int) -> Samples:
+    """An empty picture in a file, written and read by bands."""
+    return np.memmap(path, np.uint8, "w+", shape=(rows, columns, 3))
+
+
+def write_jpeg(path: Path, picture: Samples, quality: int) -> None:
+    """One JPEG file with full resolution of all three channels."""
+    path.write_bytes(jpeg_bytes(picture, quality))
+
+
+def jpeg_bytes(picture: Samples, quality: int) -> bytes:
+    """A JPEG picture with full resolution of all three channels, which may be no colours."""
+    import cv2
+
+    options = [
+        *(cv2.IMWRITE_JPEG_QUALITY, quality),
+        *(cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444),
+    ]
+    return cv2.imencode(".jpg", np.ascontiguousarray(picture[..., ::-1]), options)[1].tobytes()
+
+
+def read_jpeg(path: Path) -> Samples:
+    """The samples of a JPEG file."""
+    import cv2
+
+    picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if picture is None:
+        raise ValueError(f"{path}: not a picture")
+    return np.ascontiguousarray(picture[..., ::-1])
+
+
+def write_deep_zoom(folder: Path, name: str, picture: Samples, scratch: Path, quality: int) -> None:
+    """Tiles of all levels, the last at full resolution, the first a single pixel. scratch: for smaller copies."""
+    rows, columns = picture.shape[:2]
+    levels = (max(rows, columns) - 1).bit_length()
+    (folder / f"{name}.dzi").write_text(
+        '<?xml version="1.0" encoding="UTF-8"?>\n'
+        f'<Image xmlns="http://schemas.microsoft.com/deepzoom/2008" Format="jpg" Overlap="{OVERLAP}" '
+        f'TileSize="{TILE}"><Size Width="{columns}" Height="{rows}"/></Image>\n'
+    )
+    present = picture
+    for level in range(levels, -1, -1):
+        here = folder / f"{name}_files" / str(level)
+        here.mkdir(parents=True)
+        for row, column, window in _tiles(*present.shape[:2]):
+            (here / f"{column}_{row}.jpg").write_bytes(jpeg_bytes(present[window], quality))
+        if level:
+            present = _halved(present, scratch / f"level_{level - 1}")
+
+
+def read_full_resolution(folder: Path, name: str, rows: int, columns: int) -> Iterator[tuple[slice, Samples]]:
+    """Bands of the last level of a deep zoom, a row of tiles each, decoded."""
+    level = max(int(path.name) for path in (folder / f"{name}_files").iterdir())
+    band = np.empty((0, columns, 3), np.uint8)
+    for row, column, window in _tiles(rows, columns):
+        tile = read_jpeg(folder / f"{name}_files/{level}/{column}_{row}.jpg")
+        top, left = row * TILE, column * TILE
+        high, wide = min(TILE, rows - top), min(TILE, columns - left)
+        if column == 0:
+            band = np.empty((high, columns, 3), np.uint8)
+        inner = tile[top - window[0].start :, left - window[1].start :][:high, :wide]
+        band[:, left : left + wide] = inner
+        if left + wide == columns:
+            yield slice(top, top + high), band
+
+
+def _tiles(rows: int, columns: int) -> Iterator[tuple[int, int, tuple[slice, slice]]]:
+    """Row and column of every tile, and its window with the overlap."""
+    for row in range(-(-rows // TILE)):
+        for column in range(-(-columns // TILE)):
+            yield row, column, (_window(row, rows), _window(column, columns))
+
+
+def _window(number: int, size: int) -> slice:
+    return slice(max(number * TILE - OVERLAP, 0), min((number + 1) * TILE + OVERLAP, size))
+
+
+def _halved(picture: Samples, path: Path) -> Samples:
+    """Half the size, rounded up: means of squares of four."""
+    rows, columns = picture.shape[:2]
+    half = picture_on_disk(path, -(-rows // 2), -(-columns // 2))
+    for top in range(0, rows, ROWS_AT_A_TIME):
+        band = np.asarray(picture[top : top + ROWS_AT_A_TIME]).astype(np.uint16)
+        band = np.pad(band, ((0, len(band) % 2), (0, columns % 2), (0, 0)), mode="edge")
+        means = (band[::2, ::2] + band[1::2, ::2] + band[::2, 1::2] + band[1::2, 1::2] + 2) // 4
+        half[top // 2 : top // 2 + len(means)] = means
+    return half

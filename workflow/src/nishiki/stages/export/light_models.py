@@ -1,0 +1,217 @@
+"""Relightable images: every pixel's photographs as few numbers, from which a viewer computes any light.
+
+    value_k = o_k(l) + sum_p c_p T_pk(l)
+
+with c_p the pixel's coefficients (one plane each), l the direction of the light, k the channel. Polynomial texture maps
+(ptm; Malzbender, Gelb and Wolters, 2001): six monomials of l_x and l_y a channel. Hemispherical harmonics (hsh; Gautron
+and others, 2004): nine a channel. Radial basis functions over principal components (rbf; Ponchio, Corsini and
+Scopigno, 2018): the components are shared by the channels; between the captured lights Gaussians interpolate. Weights
+are computed as the viewers compute them, so that the fit sees what will be shown.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+RIDGES = (0.0, 1e-4, 1e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0)
+"""Weights of the squared coefficients beside the squared errors, of those that are tried."""
+WIDTHS = (0.05, 0.075, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7)
+"""Widths of the Gaussians between lights, as distances of unit vectors, of those that are tried."""
+LEAST_REDUNDANCY = 1e-3
+"""Share of a light's value that does not come from itself, below which leaving it out says nothing of a fit."""
+SLIGHT = 1e-6  # added to the normal matrix of components, which are orthogonal but for the rounding of their codes
+LEAST_WEIGHT = 0.001  # of a captured light, below which viewers leave it out
+HSH_HORIZON = 3.1415 / 2 - 0.15  # radians: viewers of hsh take lower lights for this one
+
+
+class LightModel(Protocol):
+    """One kind of relightable image.
+
+    kind, colour_space : words of info.json; planes : number of coefficients a pixel.
+    """
+
+    kind: str
+    colour_space: str
+
+    @property
+    def planes(self) -> int: ...
+
+    def transfer(self, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """o (3,) and T (planes, 3) for a unit vector towards the light."""
+        ...
+
+    def fit(self, values: np.ndarray, valid: np.ndarray) -> np.ndarray:
+        """(n, planes) coefficients of pixels with values (n, lights, 3) where valid (n, lights) bool."""
+        ...
+
+
+def ptm_weights(lights: np.ndarray) -> np.ndarray:
+    """(n, 6) of unit vectors (n, 3): 1, x, y, x^2, x y, y^2."""
+    x, y = lights[:, 0], lights[:, 1]
+    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
+
+
+def hsh_weights(lights: np.ndarray) -> np.ndarray:
+    """(n, 9) of unit vectors (n, 3)."""
+    azimuth = np.arctan2(lights[:, 1], lights[:, 0])
+    cosine = np.cos(np.minimum(np.arccos(np.clip(lights[:, 2], -1, 1)), HSH_HORIZON))
+    root = np.sqrt(np.maximum(cosine - cosine**2, 0))
+    c, s = np.cos(azimuth), np.sin(azimuth)
+    return np.stack(
+        [
+            np.full_like(c, 1 / np.sqrt(2 * np.pi)),
+            np.sqrt(6 / np.pi) * c * root,
+            np.sqrt(3 / (2 * np.pi)) * (2 * cosine - 1),
+            np.sqrt(6 / np.pi) * s * root,
+            np.sqrt(30 / np.pi) * np.cos(2 * azimuth) * (cosine**2 - cosine),
+            np.sqrt(30 / np.pi) * c * (2 * cosine - 1) * root,
+            np.sqrt(5 / (2 * np.pi)) * (1 - 6 * cosine + 6 * cosine**2),
+            np.sqrt(30 / np.pi) * s * (2 * cosine - 1) * root,
+            np.sqrt(30 / np.pi) * np.sin(2 * azimuth) * (cosine**2 - cosine),
+        ],
+        axis=1,
+    )
+
+
+WEIGHTS = {"ptm": ptm_weights, "hsh": hsh_weights}
+
+
+@dataclass(frozen=True)
+class HarmonicModel:
+    """ptm or hsh: the same weights for every pixel and channel. design : (lights, bases) of the captured lights."""
+
+    kind: str
+    design: np.ndarray
+    ridge: float
+    colour_space: str = "rgb"
+
+    @classmethod
+    def of(cls, kind: str, lights: np.ndarray, values: np.ndarray, valid: np.ndarray) -> "HarmonicModel":
+        """With the ridge that predicts left-out lights best, on sample pixels (n, lights, 3)."""
+        design = WEIGHTS[kind](lights)
+        return cls(kind, design, chosen_ridge(design, values, valid))
+
+    @property
+    def planes(self) -> int:
+        return 3 * self.design.shape[1]
+
+    def transfer(self, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        weights = WEIGHTS[self.kind](np.asarray(light)[None])[0]
+        return np.zeros(3), np.kron(weights[:, None], np.eye(3))
+
+    def fit(self, values: np.ndarray, valid: np.ndarray) -> np.ndarray:
+        return solve(self.design, values, valid, penalty(self.design, self.ridge)).reshape(len(values), -1)
+
+
+@dataclass(frozen=True)
+class PrincipalModel:
+    """rbf: principal components of all lights and channels together.
+
+    lights : (L, 3); mean_code : (L, 3) uint8; codes : (planes, L, 3) uint8 of the components; span : (planes,) units of
+    a component's code; width : of the Gaussians.
+    """
+
+    lights: np.ndarray
+    mean_code: np.ndarray
+    codes: np.ndarray
+    span: np.ndarray
+    width: float
+    kind: str = "rbf"
+    colour_space: str = "mrgb"
+
+    @classmethod
+    def of(cls, lights: np.ndarray, values: np.ndarray, valid: np.ndarray, planes: int) -> "PrincipalModel":
+        """Components of sample pixels (n, lights, 3) at which all lights are valid, or of all pixels without any."""
+        whole = valid.all(axis=1)
+        rows = values[whole] if whole.sum() > planes else values
+        rows = rows.reshape(len(rows), -1)
+        mean_code = np.rint(255 * np.clip(rows.mean(axis=0), 0, 1))
+        planes = min(planes, 3 * (min(rows.shape) // 3))
+        components = np.linalg.svd(rows - mean_code / 255, full_matrices=False)[2][:planes]
+        span = 127 / np.maximum(np.abs(components).max(axis=1), 1e-6)
+        codes = np.rint(components * span[:, None]) + 127
+        shape = (len(lights), 3)
+        return cls(
+            lights,
+            mean_code.astype(np.uint8).reshape(shape),
+            codes.astype(np.uint8).reshape(len(codes), *shape),
+            span,
+            chosen_width(lights, values, valid),
+        )
+
+    @property
+    def planes(self) -> int:
+        return len(self.codes)
+
+    @property
+    def components(self) -> np.ndarray:
+        """(planes, lights, 3) as viewers read them."""
+        return (self.codes.astype(np.float64) - 127) / self.span[:, None, None]
+
+    def transfer(self, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        weights = gaussian_weights(self.lights, light, self.width)
+        return weights @ (self.mean_code / 255), np.einsum("l,plk->pk", weights, self.components)
+
+    def fit(self, values: np.ndarray, valid: np.ndarray) -> np.ndarray:
+        design = self.components.reshape(self.planes, -1).T
+        rows = (values - self.mean_code / 255).reshape(len(values), -1, 1)
+        return solve(design, rows, np.repeat(valid, 3, axis=1), SLIGHT * np.eye(self.planes))[..., 0]
+
+
+def gaussian_weights(lights: np.ndarray, light: np.ndarray, width: float) -> np.ndarray:
+    """(L,) weights of the captured lights for another one, sum 1."""
+    squares = np.sum((lights - light) ** 2, axis=1)
+    weights = np.exp(-(squares - squares.min()) / width**2)
+    weights /= weights.sum()
+    weights[weights <= LEAST_WEIGHT] = 0
+    return weights / weights.sum()
+
+
+def chosen_ridge(design: np.ndarray, values: np.ndarray, valid: np.ndarray) -> float:
+    """The ridge of RIDGES with the smallest squared error of lights left out one at a time (closed form)."""
+    whole = valid.all(axis=1)
+    samples = (values[whole] if whole.any() else values).transpose(1, 0, 2).reshape(len(design), -1)
+    errors = []
+    for ridge in RIDGES:
+        hat = design @ np.linalg.pinv(design.T @ design + penalty(design, ridge)) @ design.T
+        kept = 1 - np.diag(hat)
+        left_out = (samples - hat @ samples) / np.maximum(kept, LEAST_REDUNDANCY)[:, None]
+        errors.append(float(np.mean(left_out**2)) if kept.min() > LEAST_REDUNDANCY else np.inf)
+    return RIDGES[int(np.argmin(errors))]
+
+
+def chosen_width(lights: np.ndarray, values: np.ndarray, valid: np.ndarray) -> float:
+    """The width of WIDTHS with which the others predict a light best."""
+    errors = []
+    for width in WIDTHS:
+        total = 0.0
+        for number in range(len(lights)):
+            others = np.arange(len(lights)) != number
+            weights = gaussian_weights(lights[others], lights[number], width)
+            predicted = np.einsum("l,nlk->nk", weights, values[:, others])
+            total += float(np.sum(np.where(valid[:, number, None], predicted - values[:, number], 0) ** 2))
+        errors.append(total)
+    return WIDTHS[int(np.argmin(errors))]
+
+
+def penalty(design: np.ndarray, ridge: float) -> np.ndarray:
+    """(bases, bases) added to the normal matrix: the ridge a light and coefficient, none on the first, the constant."""
+    return ridge * len(design) * np.diag(np.arange(design.shape[1]) > 0).astype(float)
+
+
+def solve(design: np.ndarray, values: np.ndarray, valid: np.ndarray, below: np.ndarray) -> np.ndarray:
+    """(n, bases, channels): least squares of values (n, rows, channels) over the rows (n, rows) that are valid.
+
+    below : (bases, bases) added to the normal matrix.
+    """
+    shared = np.linalg.solve(design.T @ design + below, design.T)
+    fitted = np.einsum("br,nrk->nbk", shared, values, optimize=True)
+    partial = np.flatnonzero(~valid.all(axis=1))
+    if len(partial):
+        weight = valid[partial].astype(np.float64)
+        outer = (design[:, :, None] * design[:, None, :]).reshape(len(design), -1)
+        normal = (weight @ outer).reshape(-1, *below.shape) + below + 1e-9 * np.eye(len(below))
+        right = np.einsum("rb,nrk->nbk", design, values[partial] * weight[..., None], optimize=True)
+        fitted[partial] = np.linalg.solve(normal, right)
+    return fitted

@@ -1,0 +1,210 @@
+"""Relightable images as relight writes them and OpenLIME shows them, fitted to the photographs."""
+
+import json
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.artifacts.stage import Context
+from nishiki.colour.colour import srgb_encode, xyz_to_srgb_linear
+from nishiki.formats.icc import D50
+from nishiki.formats.picture_tiles import (
+    picture_on_disk,
+    read_full_resolution,
+    read_jpeg,
+    write_deep_zoom,
+    write_jpeg,
+)
+from nishiki.observations.plane import Observations
+from nishiki.render.display import normals_as_colours
+from nishiki.stages.export.light_models import HarmonicModel, LightModel, PrincipalModel
+from nishiki.stages.export.scene import ExportedScene
+
+SAMPLES = 10_000
+"""Pixels from which components, ridge, width and the range of every plane are taken, evenly spread."""
+ENDS = 0.05  # percent of the samples beyond each end of a plane's range
+MARGIN = 0.05  # of that range, added at each end
+LARGEST_SINGLE = 2048  # pixels of the longer side up to which a plane is one file
+
+
+def write(context: Context, scene: ExportedScene) -> dict:
+    """A folder `relight_KIND` for every kind; their errors against photographs."""
+    frames = Observations(context.inputs["ingest"].folder)
+    fitted = frames.fit_lights(context.settings.hold_out)
+    checked = frames.check_lights(context.settings.hold_out)
+    photographs = Photographs(frames, scene)
+    samples = photographs.samples(fitted)
+    kinds, files = {}, []
+    for kind in context.settings.relight.kinds:
+        folder = context.output.path(f"exports/relight_{kind}/info.json").parent
+        model = model_of(kind, frames.directions[fitted], *samples, planes=context.settings.relight.planes)
+        stored = StoredModel.of(model, *samples)
+        with tempfile.TemporaryDirectory(dir=context.output.folder) as scratch:
+            stored.write(folder, Path(scratch), photographs, fitted, context)
+        errors = {"fitted": stored.errors(folder, photographs, fitted)}
+        if len(checked):
+            errors["check"] = stored.errors(folder, photographs, checked)
+        kinds[kind] = {
+            "planes": model.planes,
+            "width": getattr(model, "width", None),
+            "ridge": getattr(model, "ridge", None),
+            "psnr_db": errors,
+        }
+        write_layers(folder, scene, context)
+        files += sorted(
+            path.relative_to(context.output.folder).as_posix() for path in folder.rglob("*") if path.is_file()
+        )
+    return {"files": files, "kinds": kinds}
+
+
+def model_of(kind: str, lights: np.ndarray, values: np.ndarray, valid: np.ndarray, *, planes: int) -> LightModel:
+    """The model of one kind for these lights, with what it takes from sample pixels."""
+    if kind == "rbf":
+        return PrincipalModel.of(lights, values, valid, planes)
+    return HarmonicModel.of(kind, lights, values, valid)
+
+
+class Photographs:
+    """The photographs as a screen would show them: sRGB-coded colours relative to a white that faces the lamp."""
+
+    def __init__(self, frames: Observations, scene: ExportedScene):
+        colour = scene.camera_colour()
+        self.frames = frames
+        self.matrix = xyz_to_srgb_linear(colour.matrix.T, white=colour.white).T
+
+    def strips(self, band: slice, lights: np.ndarray) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
+        """Some rows of a band at a time: (n, lights, 3) values in 0 to 1 and (n, lights) bool of their pixels."""
+        for rows, values, valid in self.frames.strips(band, lights=lights):
+            coded = srgb_encode(values @ self.matrix.T)
+            pixels = coded.reshape(len(lights), -1, 3).transpose(1, 0, 2)
+            yield rows, pixels.astype(np.float64), valid.reshape(len(lights), -1).T
+
+    def samples(self, lights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Values and validity of pixels evenly spread over the object."""
+        step = max(1, int(np.count_nonzero(self.frames.mask)) // SAMPLES)
+        values, valid, passed = [], [], 0
+        for band in self.frames.bands():
+            for rows, each, usable in self.strips(band, lights):
+                of_object = np.flatnonzero(self.frames.mask[rows])
+                chosen = of_object[-passed % step :: step]
+                passed += len(of_object)
+                values.append(each[chosen])
+                valid.append(usable[chosen])
+        return np.concatenate(values), np.concatenate(valid)
+
+
+class StoredModel:
+    """A model whose coefficients are 8-bit planes: code / 255 = coefficient / scale + bias."""
+
+    def __init__(self, model: LightModel, scale: np.ndarray, bias: np.ndarray):
+        self.model, self.scale, self.bias = model, scale, bias
+        self.layout = "image"
+
+    @classmethod
+    def of(cls, model: LightModel, values: np.ndarray, valid: np.ndarray) -> "StoredModel":
+        """With the range of every plane from sample pixels."""
+        low, high = np.percentile(model.fit(values, valid), [ENDS, 100 - ENDS], axis=0)
+        span = np.maximum(high - low, 1e-6)
+        scale, low = span * (1 + 2 * MARGIN), low - MARGIN * span
+        return cls(model, scale, -low / scale)
+
+    def write(
+        self, folder: Path, scratch: Path, photographs: Photographs, lights: np.ndarray, context: Context
+    ) -> None:
+        """info.json and the planes, three to a picture."""
+        frames, settings = photographs.frames, context.settings.relight
+        rows, columns = frames.shape
+        pictures = [picture_on_disk(scratch / f"plane_{n}", rows, columns) for n in range(self.model.planes // 3)]
+        for part, values, valid in (strip for band in frames.bands() for strip in photographs.strips(band, lights)):
+            coefficients = self.model.fit(values, valid)
+            codes = np.rint(255 * np.clip(coefficients / self.scale + self.bias, 0, 1)).astype(np.uint8)
+            for number, picture in enumerate(pictures):
+                picture[part] = codes[:, 3 * number : 3 * number + 3].reshape(-1, columns, 3)
+        self.layout = "deepzoom" if max(rows, columns) > LARGEST_SINGLE else "image"
+        for number, picture in enumerate(pictures):
+            if self.layout == "image":
+                write_jpeg(folder / f"plane_{number}.jpg", picture, settings.jpeg_quality)
+            else:
+                write_deep_zoom(folder, f"plane_{number}", picture, scratch, settings.jpeg_quality)
+        text = json.dumps(self.info(photographs.frames, lights, context), indent=1) + "\n"
+        (folder / "info.json").write_text(text, encoding="utf-8")
+
+    def info(self, frames: Observations, lights: np.ndarray, context: Context) -> dict:
+        """What the viewer reads."""
+        rows, columns = frames.shape
+        material = {"scale": self.scale.tolist(), "bias": self.bias.tolist()}
+        content = {
+            "width": columns,
+            "height": rows,
+            "format": "jpg",
+            "type": self.model.kind,
+            "colorspace": self.model.colour_space,
+            "nplanes": self.model.planes,
+            "quality": context.settings.relight.jpeg_quality,
+            "lights": [round(float(value), 6) for value in frames.directions[lights].ravel()],
+            "materials": [material],
+            "nishiki": dict(context.stamp),
+        }
+        if frames.pixel_pitch_mm:
+            content["pixelSizeInMM"] = frames.pixel_pitch_mm
+        if isinstance(self.model, PrincipalModel):
+            material["range"] = self.model.span.tolist()
+            content["sigma"] = self.model.width
+            basis = np.concatenate([self.model.mean_code[None], self.model.codes])
+            content["basis"] = basis.ravel().tolist()
+        return content
+
+    def decoded(self, folder: Path, frames: Observations) -> Iterator[tuple[slice, np.ndarray]]:
+        """Some rows at a time, at most a band, and the codes (rows, columns, planes) in their files."""
+        names = [f"plane_{number}" for number in range(self.model.planes // 3)]
+        if self.layout == "image":
+            bands = iter([[(slice(0, frames.shape[0]), read_jpeg(folder / f"{name}.jpg")) for name in names]])
+        else:
+            bands = zip(*(read_full_resolution(folder, name, *frames.shape) for name in names), strict=True)
+        for parts in bands:
+            start, stop = parts[0][0].start, parts[0][0].stop
+            for top in range(start, stop, frames.band_rows):
+                rows = slice(top, min(top + frames.band_rows, stop))
+                inner = slice(top - start, rows.stop - start)
+                yield rows, np.concatenate([picture[inner] for _, picture in parts], axis=-1)
+
+    def errors(self, folder: Path, photographs: Photographs, lights: np.ndarray) -> dict[str, float]:
+        """PSNR of what a viewer shows against the coded photographs, dB, peak 1, all lights together and the worst."""
+        frames = photographs.frames
+        squares, counts = np.zeros(len(lights)), np.zeros(len(lights))
+        transfers = [self.model.transfer(frames.directions[light]) for light in lights]
+        for rows, codes in self.decoded(folder, frames):
+            for part, values, valid in photographs.strips(rows, lights):
+                inner = codes[part.start - rows.start : part.stop - rows.start].reshape(-1, self.model.planes)
+                coefficients = (inner / 255 - self.bias) * self.scale
+                for number, (offset, weights) in enumerate(transfers):
+                    shown = np.clip(offset + coefficients @ weights, 0, 1)[valid[:, number]]
+                    squares[number] += np.sum((shown - values[valid[:, number], number]) ** 2)
+                    counts[number] += shown.size
+        means = squares / np.maximum(counts, 1)
+        return {
+            "all": decibels(squares.sum() / max(counts.sum(), 1)),
+            "worst": decibels(means.max()),
+            "lights": len(lights),
+        }
+
+
+def decibels(mean_square: float) -> float:
+    """PSNR of a mean squared error, peak 1; at most 120."""
+    return float(-10 * np.log10(max(mean_square, 1e-12)))
+
+
+def write_layers(folder: Path, scene: ExportedScene, context: Context) -> None:
+    """normals.jpg and albedo.jpg, for viewers that show layers beside the relightable one, where one file does."""
+    if max(scene.shape) > LARGEST_SINGLE:
+        return
+    everything = slice(0, scene.shape[0])
+    quality = context.settings.relight.jpeg_quality
+    coded = normals_as_colours(scene.normals(everything))
+    write_jpeg(folder / "normals.jpg", (coded // 257).astype(np.uint8), quality)
+    matrix = xyz_to_srgb_linear(scene.to_xyz_d50()[0].T, white=np.array(D50)).T
+    known = scene.known(everything)[..., None]
+    albedo = np.where(known, np.nan_to_num(scene.coefficients(everything)) @ matrix.T, 0)
+    write_jpeg(folder / "albedo.jpg", np.rint(255 * srgb_encode(albedo)).astype(np.uint8), quality)
