@@ -3,6 +3,8 @@
 import io
 import json
 import re
+import shutil
+import subprocess
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import get_args
@@ -16,6 +18,7 @@ from PIL import Image, ImageCms
 from small_painting import COLUMNS, PITCH_MM, ROWS, STAMP, dome, export_context, small_painting
 
 from nishiki.artifacts.finite import expect_finite
+from nishiki.brdf.torrance_sparrow import specular
 from nishiki.cli import FORMATS
 from nishiki.colour.colour import (
     delta_e_2000,
@@ -31,6 +34,7 @@ from nishiki.formats.exr_bands import ExrWriter, read_blocks
 from nishiki.formats.picture_tiles import read_full_resolution, read_jpeg, write_deep_zoom
 from nishiki.formats.tiff_bands import TiffWriter
 from nishiki.stages.export.declaration import ExportSettings, Format
+from nishiki.stages.export.gltf_material import GltfMaterial, fitted_material
 from nishiki.stages.export.light_models import HarmonicModel, ptm_weights, solve
 from nishiki.stages.export.report import export_section
 from nishiki.stages.export.run import run
@@ -347,3 +351,72 @@ def test_a_scene_without_spectra_says_so(exported, tmp_path):
     context = export_context(painting, tmp_path, ExportSettings(formats=("spectral",)))
     with pytest.raises(UserError, match=r"needs spectra.*export\.formats"), context.output:
         run(context)
+
+
+def test_gltf_is_the_displaced_plane_with_the_relief_in_its_normal_texture(exported):
+    painting = exported.painting
+    scene = trimesh.load(exported.folder / "painting.glb")
+    (mesh,) = scene.geometry.values()
+    assert len(mesh.vertices) == painting.known.sum()
+    metres = mesh.vertices * 1000
+    assert np.abs(metres[:, 2] - painting.height[painting.known]).max() < 1e-4
+    assert metres[:, 0].max() == pytest.approx((COLUMNS / 2 - 0.5) * PITCH_MM, rel=1e-5)
+    material = mesh.visual.material
+    texel = np.rint(mesh.visual.uv * [COLUMNS, ROWS] - 0.5).astype(int)
+    row, column = ROWS - 1 - texel[:, 1], texel[:, 0]  # trimesh counts from the bottom
+    np.testing.assert_array_equal(np.stack([row, column]), np.nonzero(painting.known))
+    coded = np.asarray(material.normalTexture)[row, column] / 255 * 2 - 1
+    for lamp in LAMPS:
+        np.testing.assert_allclose(shaded(coded, lamp), shaded(painting.normals[painting.known], lamp), atol=0.01)
+    assert material.metallicFactor == 0
+    assert material.roughnessFactor == exported.reported["losses"]["gltf"]["material"]["roughness"]
+    lamp = illuminant("D65")
+    srgb = xyz_to_srgb_linear(xyz_from_spectra(lamp, painting.reflectance()), white=white_xyz(lamp))
+    shown = np.asarray(material.baseColorTexture)[row, column] / 255
+    assert np.abs(shown - srgb_encode(srgb[painting.known])).mean() < 0.01
+
+
+def test_the_fitted_lobe_of_gltf_looks_like_ours():
+    beta, gamma, index = np.array([3.0, 0.4]), np.array([0.12, 0.5]), 1.45
+    material = fitted_material(beta, gamma, index, 0.3)
+    for degrees in (0, 10, 25, 50):
+        angle = np.radians(degrees)
+        light, view = np.array([np.sin(angle), 0, np.cos(angle)]), np.array([0, 0, 1.0])
+        ours = 0.3 * light[2] + sum(
+            specular(np.array([0, 0, 1.0]), light, view, beta=b, gamma=g, refractive_index=index)
+            for b, g in zip(beta, gamma, strict=True)
+        )
+        base = material.base_colour(np.full((1, 3), 0.3))
+        shown = material.shown(base, np.array([[0, 0, 1.0]]), light)[0, 0]
+        assert srgb_encode(shown) == pytest.approx(srgb_encode(ours), abs=0.03)
+    assert fitted_material(np.array([0.0]), np.array([0.9]), 1.45, 0.3).strength < 0.01
+
+
+def test_the_material_of_gltf_is_that_of_the_specification():
+    material = GltfMaterial(roughness=0.5, strength=1.0, index=1.5)
+    light = np.array([0.6, 0, 0.8])
+    half = np.array([0.6, 0, 1.8]) / np.sqrt(3.6)
+    alpha2, fresnel_term = 0.5**4, 0.04 + 0.96 * (1 - half[2]) ** 5
+    distribution = alpha2 / (np.pi * (half[2] ** 2 * (alpha2 - 1) + 1) ** 2)
+    smith = 2 * 0.8 / (0.8 + np.sqrt(alpha2 + (1 - alpha2) * 0.64)) * 2 / (1 + 1)
+    brdf = (1 - fresnel_term) * 0.2 / np.pi + fresnel_term * distribution * smith / (4 * 0.8)
+    shown = material.shown(np.full((1, 3), 0.2), np.array([[0, 0, 1.0]]), light)
+    np.testing.assert_allclose(shown[0], np.pi * 0.8 * brdf, rtol=1e-6)
+
+
+def gltf_problems(path):
+    """Errors and warnings of the validator of Khronos; skips without node or the validator."""
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("node is not installed, which runs the validator of glTF")
+    script = "const v=require('gltf-validator'),f=require('fs');v.validateBytes(new Uint8Array(f.readFileSync("
+    script += "process.argv[1]))).then(r=>console.log(JSON.stringify(r.issues)))"
+    done = subprocess.run([node, "-e", script, str(path)], capture_output=True, text=True, check=False)
+    if "Cannot find module 'gltf-validator'" in done.stderr:
+        pytest.skip("the npm package gltf-validator is not installed (set NODE_PATH to its folder)")
+    issues = json.loads(done.stdout)
+    return [each for each in issues["messages"] if each["severity"] < 2]
+
+
+def test_gltf_is_valid(exported):
+    assert gltf_problems(exported.folder / "painting.glb") == []

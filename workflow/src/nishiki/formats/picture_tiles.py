@@ -37,6 +37,13 @@ def jpeg_bytes(picture: Samples, quality: int) -> bytes:
     return cv2.imencode(".jpg", np.ascontiguousarray(picture[..., ::-1]), options)[1].tobytes()
 
 
+def png_bytes(picture: Samples) -> bytes:
+    """A PNG picture of 8 bits."""
+    import cv2
+
+    return cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))[1].tobytes()
+
+
 def read_jpeg(path: Path) -> Samples:
     """The samples of a JPEG file."""
     import cv2

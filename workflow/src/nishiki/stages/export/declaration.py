@@ -8,7 +8,7 @@ from nishiki.artifacts.closed import Closed, Guarded
 from nishiki.artifacts.limits import Limit, at
 from nishiki.stages.base import Cost, Stage
 
-Format = Literal["normals", "height", "albedo", "relight", "spectral"]
+Format = Literal["normals", "height", "albedo", "relight", "spectral", "gltf"]
 Kind = Literal["ptm", "hsh", "rbf"]
 LIMITS = (
     Limit("quantised", "largest angle by which 16 bits move a normal, degrees", at("losses.normals.largest_deg")),
@@ -33,6 +33,12 @@ class RelightSettings(Closed):
     jpeg_quality: int = Field(95, ge=50, le=100, description="of the planes")
 
 
+class GltfSettings(Closed):
+    """Binary glTF."""
+
+    texture_px: int = Field(4096, ge=16, le=16384, description="most texels along a side")
+
+
 class ExportSettings(Guarded):
     """Files of the results for other programs."""
 
@@ -50,6 +56,7 @@ class ExportSettings(Guarded):
         2_000_000, ge=100, le=100_000_000, description="most vertices of a mesh; more pixels are averaged in squares"
     )
     relight: RelightSettings = Field(RelightSettings(), description="relightable images")
+    gltf: GltfSettings = Field(GltfSettings(), description="binary glTF")
     hold_out: tuple[str, ...] = Field((), description="lights that no fit saw; filled in by the plan")
 
 
@@ -58,6 +65,7 @@ NEEDS: dict[str, tuple[str, ...]] = {
     "albedo": ("spectra",),
     "relight": ("spectra",),
     "spectral": ("spectra",),
+    "gltf": ("height", "spectra", "brdf"),
 }
 """Stages that a format reads where the capture can feed them."""
 

@@ -207,7 +207,8 @@ def solve(design: np.ndarray, values: np.ndarray, valid: np.ndarray, below: np.n
     """
     shared = np.linalg.solve(design.T @ design + below, design.T)
     fitted = np.einsum("br,nrk->nbk", shared, values, optimize=True)
-    partial = np.flatnonzero(~valid.all(axis=1))
+    fitted[~valid.any(axis=1)] = 0
+    partial = np.flatnonzero(valid.any(axis=1) & ~valid.all(axis=1))
     if len(partial):
         weight = valid[partial].astype(np.float64)
         outer = (design[:, :, None] * design[:, None, :]).reshape(len(design), -1)

@@ -49,7 +49,7 @@ def reliefs(scene: ExportedScene, most: int, *, colours: np.ndarray | None) -> I
         band = slice(top, min(top + high, rows))
         height = scene.height(band)
         known = np.isfinite(height)
-        share = _block_mean(known, step)
+        share = block_mean(known, step)
         weight = np.where(share > 0, share, 1)
         here = share >= 0.5
         middles = top + (np.arange(here.shape[0]) + 0.5) * step
@@ -57,14 +57,14 @@ def reliefs(scene: ExportedScene, most: int, *, colours: np.ndarray | None) -> I
         right = np.minimum((np.arange(across) + 0.5) * step, (np.arange(across) * step + columns) / 2)
         x = np.broadcast_to((right - columns / 2) * scene.pitch, here.shape)
         y = np.broadcast_to(((rows / 2 - down) * scene.pitch)[:, None], here.shape)
-        z = _block_mean(np.where(known, height, 0), step) / weight
-        normals = _block_mean(np.where(known[..., None], scene.normals(band), 0), step)
+        z = block_mean(np.where(known, height, 0), step) / weight
+        normals = block_mean(np.where(known[..., None], scene.normals(band), 0), step)
         length = np.linalg.norm(normals, axis=-1, keepdims=True)
         normals = np.where(length > 0, normals / np.where(length > 0, length, 1), [0, 0, 1])
         linear = np.zeros_like(normals)
         if colours is not None:
             values = np.where(known[..., None], np.nan_to_num(scene.coefficients(band)), 0)
-            linear = (_block_mean(values, step) / weight[..., None]) @ colours.T
+            linear = (block_mean(values, step) / weight[..., None]) @ colours.T
         numbers = np.where(here, count + np.cumsum(here).reshape(here.shape) - 1, -1)
         count += int(here.sum())
         u = np.broadcast_to(right / columns, here.shape)
@@ -89,7 +89,7 @@ def _triangles(numbers: np.ndarray) -> np.ndarray:
     return np.stack([np.stack([a, c, b], axis=-1), np.stack([b, c, d], axis=-1)], axis=1).reshape(-1, 3)
 
 
-def _block_mean(values: np.ndarray, step: int) -> np.ndarray:
+def block_mean(values: np.ndarray, step: int) -> np.ndarray:
     """Means over squares of pixels (the last ones may be smaller), float64."""
     if step == 1:
         return values.astype(np.float64)

@@ -20,6 +20,7 @@ from nishiki.formats.picture_tiles import (
 from nishiki.observations.plane import Observations
 from nishiki.render.display import normals_as_colours
 from nishiki.stages.export.light_models import HarmonicModel, LightModel, PrincipalModel
+from nishiki.stages.export.photographs import CodedErrors, Photographs
 from nishiki.stages.export.scene import ExportedScene
 
 SAMPLES = 10_000
@@ -35,7 +36,7 @@ def write(context: Context, scene: ExportedScene) -> dict:
     fitted = frames.fit_lights(context.settings.hold_out)
     checked = frames.check_lights(context.settings.hold_out)
     photographs = Photographs(frames, scene)
-    samples = photographs.samples(fitted)
+    samples = photographs.samples(fitted, SAMPLES)
     kinds, files = {}, []
     for kind in context.settings.relight.kinds:
         folder = context.output.path(f"exports/relight_{kind}/info.json").parent
@@ -64,35 +65,6 @@ def model_of(kind: str, lights: np.ndarray, values: np.ndarray, valid: np.ndarra
     if kind == "rbf":
         return PrincipalModel.of(lights, values, valid, planes)
     return HarmonicModel.of(kind, lights, values, valid)
-
-
-class Photographs:
-    """The photographs as a screen would show them: sRGB-coded colours relative to a white that faces the lamp."""
-
-    def __init__(self, frames: Observations, scene: ExportedScene):
-        colour = scene.camera_colour()
-        self.frames = frames
-        self.matrix = xyz_to_srgb_linear(colour.matrix.T, white=colour.white).T
-
-    def strips(self, band: slice, lights: np.ndarray) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
-        """Some rows of a band at a time: (n, lights, 3) values in 0 to 1 and (n, lights) bool of their pixels."""
-        for rows, values, valid in self.frames.strips(band, lights=lights):
-            coded = srgb_encode(values @ self.matrix.T)
-            pixels = coded.reshape(len(lights), -1, 3).transpose(1, 0, 2)
-            yield rows, pixels.astype(np.float64), valid.reshape(len(lights), -1).T
-
-    def samples(self, lights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Values and validity of pixels evenly spread over the object."""
-        step = max(1, int(np.count_nonzero(self.frames.mask)) // SAMPLES)
-        values, valid, passed = [], [], 0
-        for band in self.frames.bands():
-            for rows, each, usable in self.strips(band, lights):
-                of_object = np.flatnonzero(self.frames.mask[rows])
-                chosen = of_object[-passed % step :: step]
-                passed += len(of_object)
-                values.append(each[chosen])
-                valid.append(usable[chosen])
-        return np.concatenate(values), np.concatenate(valid)
 
 
 class StoredModel:
@@ -171,29 +143,16 @@ class StoredModel:
                 yield rows, np.concatenate([picture[inner] for _, picture in parts], axis=-1)
 
     def errors(self, folder: Path, photographs: Photographs, lights: np.ndarray) -> dict[str, float]:
-        """PSNR of what a viewer shows against the coded photographs, dB, peak 1, all lights together and the worst."""
-        frames = photographs.frames
-        squares, counts = np.zeros(len(lights)), np.zeros(len(lights))
+        """PSNR of what a viewer shows against the coded photographs."""
+        frames, errors = photographs.frames, CodedErrors(len(lights))
         transfers = [self.model.transfer(frames.directions[light]) for light in lights]
         for rows, codes in self.decoded(folder, frames):
             for part, values, valid in photographs.strips(rows, lights):
                 inner = codes[part.start - rows.start : part.stop - rows.start].reshape(-1, self.model.planes)
                 coefficients = (inner / 255 - self.bias) * self.scale
                 for number, (offset, weights) in enumerate(transfers):
-                    shown = np.clip(offset + coefficients @ weights, 0, 1)[valid[:, number]]
-                    squares[number] += np.sum((shown - values[valid[:, number], number]) ** 2)
-                    counts[number] += shown.size
-        means = squares / np.maximum(counts, 1)
-        return {
-            "all": decibels(squares.sum() / max(counts.sum(), 1)),
-            "worst": decibels(means.max()),
-            "lights": len(lights),
-        }
-
-
-def decibels(mean_square: float) -> float:
-    """PSNR of a mean squared error, peak 1; at most 120."""
-    return float(-10 * np.log10(max(mean_square, 1e-12)))
+                    errors.add(number, offset + coefficients @ weights, values[:, number], valid[:, number])
+        return errors.decibels()
 
 
 def write_layers(folder: Path, scene: ExportedScene, context: Context) -> None:

@@ -30,6 +30,8 @@ def lost(each: dict) -> str:
         texts.append(f"16 bits move a normal by at most {figure(each['largest_deg'])}°")
     if each.get("pixels_a_vertex", 1) > 1:
         texts.append(f"a vertex of the mesh is the mean of {each['pixels_a_vertex']} pixels")
+    if each.get("pixels_a_texel", 1) > 1:
+        texts.append(f"a texel is the mean of {each['pixels_a_texel']} pixels")
     if "clipped" in each:
         texts.append(f"{figure(100 * each['clipped'])} % of the samples are outside of the colour space")
     if "outside" in each:

@@ -1,7 +1,7 @@
 """Export: files of a painting for other programs, and what each of them loses."""
 
 from nishiki.artifacts.stage import Context
-from nishiki.stages.export import albedo, height, normals, relight, spectral
+from nishiki.stages.export import albedo, gltf, height, normals, relight, spectral
 from nishiki.stages.export.scene import ExportedScene
 
 WRITERS = {
@@ -10,6 +10,7 @@ WRITERS = {
     "albedo": albedo.write,
     "relight": relight.write,
     "spectral": spectral.write,
+    "gltf": gltf.write,
 }
 
 

@@ -1,0 +1,94 @@
+"""The material of glTF 2.0 with KHR_materials_ior and KHR_materials_specular, and its fit to our gloss.
+
+The specification's dielectric, appendix B, and KHR_materials_specular, for base colour c, roughness r (alpha = r^2),
+weight w, index n and factor k of the reflectance at normal incidence:
+
+    F = F0 + (1 - F0) (1 - v.h)^5,    F0 = min(k ((n - 1) / (n + 1))^2, 1)
+    f = (1 - w F) c / pi + w F D V,   D, V: Trowbridge-Reitz with Smith's masking
+
+Ours: pi f n.l = c n.l + sum beta D F G / n.v (Tominaga and Tanaka, 2004, eq. 10).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nishiki.brdf.torrance_sparrow import specular
+from nishiki.colour.encoding import encode
+
+ROUGHNESS = np.geomspace(0.05, 1, 90)
+STRENGTH = np.geomspace(1e-3, 20, 120)
+"""Grid of the fit: roughness, and the factor of the reflectance at normal incidence (weight where below 1)."""
+ANGLES = np.radians(np.arange(0.5, 75, 1))  # of the light from the normal, seen along the normal
+
+
+@dataclass(frozen=True)
+class GltfMaterial:
+    """roughness and index; strength : of the reflectance at normal incidence, as weight below 1 and as colour above."""
+
+    roughness: float
+    strength: float
+    index: float
+
+    @property
+    def weight(self) -> float:
+        """specularFactor."""
+        return min(self.strength, 1.0)
+
+    @property
+    def factor(self) -> float:
+        """specularColorFactor, of each channel."""
+        return max(self.strength, 1.0)
+
+    def fresnel(self, cos_q: np.ndarray) -> np.ndarray:
+        """w F at the cosine of view and half vector."""
+        normal = min(self.factor * ((self.index - 1) / (self.index + 1)) ** 2, 1.0)
+        return self.weight * (normal + (1 - normal) * (1 - cos_q) ** 5)
+
+    def base_colour(self, albedo: np.ndarray) -> np.ndarray:
+        """The base colour with which the body has this albedo under light and view along the normal."""
+        return np.clip(albedo / (1 - float(self.fresnel(np.array(1.0)))), 0, 1)
+
+    def shown(self, base: np.ndarray, normals: np.ndarray, light: np.ndarray) -> np.ndarray:
+        """(n, 3) light relative to a white that faces the lamp, seen along z; base colours and normals (n, 3)."""
+        view = np.array([0.0, 0.0, 1.0])
+        half = (light + view) / np.linalg.norm(light + view)
+        cos_i, cos_r = (np.maximum(normals @ each, 0) for each in (light, view))
+        reflected = self.fresnel(half[2])
+        gloss = np.pi * reflected * ggx(np.maximum(normals @ half, 0), cos_i, cos_r, self.roughness**2)
+        return ((1 - reflected) * base + gloss[:, None]) * cos_i[:, None]
+
+
+def ggx(cos_phi: np.ndarray, cos_i: np.ndarray, cos_r: np.ndarray, alpha: np.ndarray | float) -> np.ndarray:
+    """D V of Trowbridge-Reitz, 1 / sr; cosines of normal with half vector, light and view."""
+    square = np.square(alpha)
+    distribution = square / (np.pi * ((cos_phi**2) * (square - 1) + 1) ** 2)
+    light, view = (np.sqrt(square + (1 - square) * c**2) for c in (cos_i, cos_r))
+    return distribution / np.maximum((cos_i + light) * (cos_r + view), 1e-9)
+
+
+def fitted_material(beta: np.ndarray, gamma: np.ndarray, index: float, albedo: float) -> GltfMaterial:
+    """The material whose coded brightness under lights around, seen along the normal, is nearest to that of our lobes.
+
+    beta, gamma : (lobes,); albedo : mean of the object, over which the gloss is seen.
+    """
+    cos_i, cos_q = np.cos(ANGLES), np.cos(ANGLES / 2)
+    up = np.array([0.0, 0.0, 1.0])
+    lights = np.stack([np.sin(ANGLES), np.zeros_like(ANGLES), cos_i], axis=1)
+    lobes = np.zeros_like(cos_i)
+    for strength, width in zip(beta, gamma, strict=True):
+        lobes += specular(up, lights, up, beta=strength, gamma=width, refractive_index=index)
+    true = encode(albedo * cos_i + lobes, "srgb")
+    weights = np.sin(ANGLES)
+    best, least = GltfMaterial(1.0, 0.0, index), np.sum(weights * (encode(albedo * cos_i, "srgb") - true) ** 2)
+    for roughness in ROUGHNESS:
+        shape = np.pi * ggx(cos_q, cos_i, np.ones_like(cos_i), roughness**2) * cos_i
+        for strength in STRENGTH:
+            material = GltfMaterial(float(roughness), float(strength), index)
+            reflected = material.fresnel(cos_q)
+            base = material.base_colour(np.array(albedo))
+            shown = encode((1 - reflected) * base * cos_i + reflected * shape, "srgb")
+            error = np.sum(weights * (np.clip(shown, 0, 1) - np.clip(true, 0, 1)) ** 2)
+            if error < least:
+                best, least = material, error
+    return best

@@ -1,0 +1,57 @@
+"""The photographs as a screen would show them, and errors of what a viewer shows against them."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from nishiki.colour.colour import srgb_encode, xyz_to_srgb_linear
+from nishiki.observations.plane import Observations
+from nishiki.stages.export.scene import ExportedScene
+
+
+class Photographs:
+    """The photographs as sRGB-coded colours relative to a white that faces the lamp."""
+
+    def __init__(self, frames: Observations, scene: ExportedScene):
+        colour = scene.camera_colour()
+        self.frames = frames
+        self.matrix = xyz_to_srgb_linear(colour.matrix.T, white=colour.white).T
+
+    def strips(self, band: slice, lights: np.ndarray) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
+        """Some rows of a band at a time: (n, lights, 3) values in 0 to 1 and (n, lights) bool of their pixels."""
+        for rows, values, valid in self.frames.strips(band, lights=lights):
+            coded = srgb_encode(values @ self.matrix.T)
+            pixels = coded.reshape(len(lights), -1, 3).transpose(1, 0, 2)
+            yield rows, pixels.astype(np.float64), valid.reshape(len(lights), -1).T
+
+    def samples(self, lights: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """Values and validity of about `count` pixels evenly spread over the object."""
+        step = max(1, int(np.count_nonzero(self.frames.mask)) // count)
+        values, valid, passed = [], [], 0
+        for band in self.frames.bands():
+            for rows, each, usable in self.strips(band, lights):
+                of_object = np.flatnonzero(self.frames.mask[rows])
+                chosen = of_object[-passed % step :: step]
+                passed += len(of_object)
+                values.append(each[chosen])
+                valid.append(usable[chosen])
+        return np.concatenate(values), np.concatenate(valid)
+
+
+class CodedErrors:
+    """Squared errors of coded pictures against photographs, by light."""
+
+    def __init__(self, lights: int):
+        self._squares, self._counts = np.zeros(lights), np.zeros(lights)
+
+    def add(self, number: int, shown: np.ndarray, values: np.ndarray, valid: np.ndarray) -> None:
+        """Pixels (n, 3) under one light: what a viewer shows, the photograph, and where it counts (n,) bool."""
+        self._squares[number] += np.sum((np.clip(shown[valid], 0, 1) - values[valid]) ** 2)
+        self._counts[number] += 3 * np.count_nonzero(valid)
+
+    def decibels(self) -> dict[str, float]:
+        """PSNR, dB, peak 1, at most 120: all lights together and the worst; the number of lights."""
+        means = self._squares / np.maximum(self._counts, 1)
+        together = self._squares.sum() / max(self._counts.sum(), 1)
+        all_db, worst_db = -10 * np.log10(np.maximum([together, means.max()], 1e-12))
+        return {"all": float(all_db), "worst": float(worst_db), "lights": len(means)}
