@@ -16,6 +16,7 @@ NAMES = (
     "evaluate",
     "export",
     "report",
+    "viewer",
     "polarise",
     "cameras",
     "mesh",

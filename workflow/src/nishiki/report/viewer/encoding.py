@@ -1,0 +1,220 @@
+"""Codes of 8 bits for the maps of a painting: what the viewer's textures hold, chosen so that an eye sees their steps.
+
+Reflectance. With Y the luminance of a pixel's reflectance under daylight and sigma its coefficients,
+
+    u = Y^(1/3),    sigma = u^3 d + u^2 (m + sum_j q_j b_j),    Y(d) = 1, Y(m) = Y(b_j) = 0.
+
+u is CIELAB's lightness but for a factor, and equal steps of q are about equal steps of its a* and b* at any lightness,
+because dX^(1/3) = X^(-2/3) dX / 3. The b_j are the principal axes of sigma / u^2 in the metric in which the squared
+distance is the mean squared difference in (a*, b*, L*) under several lamps; axes that no step of the code could show
+are left out.
+
+Normals. s = (n_x, n_y) / (1 + n_z), the stereographic projection, in a code that is finer for small tilts,
+s = w t (k + (1 - k) t^2) with -1 <= t <= 1.
+
+Body shading. Its terms (a, b, d[, e_x, e_y]) are given by their factors f at a few directions of light, rotated to
+principal axes: a step is then a relative step of the light that leaves a pixel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nishiki.colour.colour import illuminant, white_xyz, xyz_matrix
+
+TOP = 255  # largest code
+EVEN_TOP = 254  # of tilts, so that none has a code
+LAMPS = ("D65", "A", "F2", "F11")
+"""Under which colours have to be right."""
+BAND_SHARE = 0.02
+"""Weight of a spectrum's own squared difference, relative to that of what is seen of it: metameric parts are kept."""
+LEAST_LUMINANCE = 1e-5
+COLOUR_STEP = 0.6 / 116
+"""Step of the codes of colour, as Y^(1/3): 116 of it are one unit of L*."""
+SHADING_STEP = 0.012
+"""Step of the codes of the body shading: a share of the light."""
+NORMAL_STEP = 0.003
+"""Step of the codes of small tilts in s: half of it in radians times two."""
+FARTHEST = 99.95
+"""Percentile of a plane's values up to which its code reaches."""
+DIRECTIONS = ((0.0, 0.0), (45.0, 0.0), (45.0, 90.0), (45.0, 180.0), (45.0, 270.0), (75.0, 45.0), (75.0, 225.0))
+"""Polar angle and azimuth in degrees of the lights by which body shadings are compared."""
+
+
+@dataclass(frozen=True)
+class PlaneCode:
+    """Values of one plane as codes 0 to 255, linearly from `low` to `high`."""
+
+    low: float
+    high: float
+
+    @classmethod
+    def over(cls, values: np.ndarray, step: float) -> PlaneCode:
+        """A code of this step, or of a wider one where the values (n,) need it, that is centred on them."""
+        low, high = np.percentile(values, (100 - FARTHEST, FARTHEST)) if values.size else (0.0, 0.0)
+        half = max(float(high - low), step * TOP) / 2
+        return cls(float(low + high) / 2 - half, float(low + high) / 2 + half)
+
+    def encode(self, values: np.ndarray) -> np.ndarray:
+        """uint8 codes."""
+        return np.clip(np.rint((values - self.low) * (TOP / (self.high - self.low))), 0, TOP).astype(np.uint8)
+
+    def decode(self, codes: np.ndarray) -> np.ndarray:
+        """float32 values."""
+        return (self.low + codes * ((self.high - self.low) / TOP)).astype(np.float32)
+
+
+@dataclass(frozen=True)
+class PrincipalCode:
+    """Vectors (..., n) as codes along principal axes: values = mean + codes' values @ components."""
+
+    mean: np.ndarray  # (n,)
+    components: np.ndarray  # (planes, n)
+    projections: np.ndarray  # (n, planes)
+    planes: tuple[PlaneCode, ...]
+
+    @classmethod
+    def of(cls, vectors: np.ndarray, features: np.ndarray, step: float) -> PrincipalCode:
+        """Fit to vectors (samples, n); features (n, m): what is seen of them. Axes below a quarter step are left out."""
+        mean = vectors.mean(axis=0)
+        root = np.linalg.cholesky(features @ features.T + 1e-12 * np.trace(features @ features.T) * np.eye(len(features)))
+        centred = (vectors - mean) @ root
+        values, axes = np.linalg.eigh(centred.T @ centred / max(len(centred), 1))
+        order = [k for k in np.argsort(-values, kind="stable") if values[k] > (step / 4) ** 2]
+        axes = axes[:, order]
+        axes = axes * np.where(axes.sum(axis=0) < 0, -1, 1)
+        projections = root @ axes
+        components = np.linalg.solve(root.T, axes).T
+        codes = centred @ axes
+        return cls(mean, components, projections, tuple(PlaneCode.over(column, step) for column in codes.T))
+
+    def encode(self, vectors: np.ndarray) -> list[np.ndarray]:
+        """One array of codes a plane."""
+        values = (vectors - self.mean.astype(np.float32)) @ self.projections.astype(np.float32)
+        return [plane.encode(values[..., k]) for k, plane in enumerate(self.planes)]
+
+    def decode(self, codes: list[np.ndarray]) -> np.ndarray:
+        """float32 vectors."""
+        out = np.broadcast_to(self.mean.astype(np.float32), (*np.shape(codes[0]), len(self.mean))) if codes else self.mean
+        for plane, component, values in zip(self.planes, self.components, codes, strict=True):
+            out = out + plane.decode(values)[..., None] * component.astype(np.float32)
+        return out
+
+    def described(self) -> dict[str, Any]:
+        """For the manifest."""
+        return {
+            "mean": self.mean.tolist(),
+            "components": self.components.tolist(),
+            "low": [plane.low for plane in self.planes],
+            "high": [plane.high for plane in self.planes],
+        }
+
+
+@dataclass(frozen=True)
+class ColourCode:
+    """Coefficients of the reflectance; see the head of this module."""
+
+    luminance: np.ndarray  # (K,) Y of each coefficient under daylight
+    direction: np.ndarray  # (K,) d
+    lightness: PlaneCode
+    chroma: PrincipalCode
+
+    @classmethod
+    def of(cls, coefficients: np.ndarray, to_xyz: list[np.ndarray], basis: np.ndarray | None, step: float) -> ColourCode:
+        """Fit to coefficients (samples, K); to_xyz: (3, K) of each lamp, the first being daylight."""
+        luminance = to_xyz[0][1]
+        mean = coefficients.mean(axis=0)
+        if not luminance @ mean > LEAST_LUMINANCE:
+            mean = luminance / (luminance @ luminance)
+        direction = mean / (luminance @ mean)
+        code = cls(luminance, direction, PlaneCode(0, 1), PrincipalCode(mean, np.zeros((0, 0)), mean, ()))
+        lightness, rest = code._split(coefficients)
+        top = max(float(np.percentile(lightness, FARTHEST)) if lightness.size else 1.0, step * TOP)
+        seen = [_opponent(matrix) for matrix in to_xyz]
+        bands = [] if basis is None else [basis * np.sqrt(BAND_SHARE / basis.shape[1])]
+        features = np.concatenate([item / np.sqrt(len(seen)) for item in seen] + bands, axis=1)
+        # the lightness of the first lamp is coded apart: along its own direction nothing is left to see
+        return cls(luminance, direction, PlaneCode(0.0, top), PrincipalCode.of(rest, features, step))
+
+    def _split(self, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        y = np.maximum(coefficients @ self.luminance.astype(np.float32), np.float32(LEAST_LUMINANCE))
+        u = np.cbrt(y)
+        return u, (coefficients - y[..., None] * self.direction.astype(np.float32)) / (u * u)[..., None]
+
+    def encode(self, coefficients: np.ndarray) -> list[np.ndarray]:
+        """One array of codes a plane, that of the lightness first."""
+        u, rest = self._split(coefficients)
+        return [self.lightness.encode(u), *self.chroma.encode(rest)]
+
+    def decode(self, codes: list[np.ndarray]) -> np.ndarray:
+        """float32 coefficients."""
+        u = self.lightness.decode(codes[0])[..., None]
+        return u**3 * self.direction.astype(np.float32) + u * u * self.chroma.decode(codes[1:])
+
+    def described(self) -> dict[str, Any]:
+        """For the manifest."""
+        return {"direction": self.direction.tolist(), "top": self.lightness.high, **self.chroma.described()}
+
+
+def _opponent(matrix: np.ndarray) -> np.ndarray:
+    """(K, 3): L*, a*, b* in units of 116 of a small difference of coefficients, times Y^(2/3); matrix: (3, K), white 1."""
+    x, y, z = matrix / 3
+    return np.stack([y, 500 / 116 * (x - y), 200 / 116 * (y - z)], axis=1)
+
+
+def colour_matrices(basis: np.ndarray | None, channels_to_xyz: np.ndarray) -> list[np.ndarray]:
+    """(3, K) of each of `LAMPS`, relative to its white; channels_to_xyz: (3, 3), used where there is no basis."""
+    if basis is None:
+        return [channels_to_xyz / white_xyz(illuminant("D65"))[:, None]]
+    spectra = [illuminant(name) for name in LAMPS]
+    return [xyz_matrix(lamp, basis) / white_xyz(lamp)[:, None] for lamp in spectra]
+
+
+@dataclass(frozen=True)
+class NormalCode:
+    """Unit normals; see the head of this module."""
+
+    width: float
+    fineness: float
+
+    @classmethod
+    def of(cls, normals: np.ndarray, step: float) -> NormalCode:
+        """Fit to normals (samples, 3)."""
+        tilts = np.abs(_stereographic(normals))
+        width = float(np.clip(np.percentile(tilts, FARTHEST) if tilts.size else 1.0, step * TOP / 2, 1.0))
+        return cls(width, float(np.clip(step * TOP / 2 / width, 0.1, 1.0)))
+
+    def encode(self, normals: np.ndarray) -> list[np.ndarray]:
+        """Codes of the two planes."""
+        nodes = np.linspace(-1, 1, 4096)
+        curve = self.width * nodes * (self.fineness + (1 - self.fineness) * nodes**2)
+        t = np.interp(_stereographic(normals), curve, nodes)
+        codes = np.rint((t + 1) * (EVEN_TOP / 2)).astype(np.uint8)
+        return [codes[..., 0], codes[..., 1]]
+
+    def decode(self, codes: list[np.ndarray]) -> np.ndarray:
+        """float32 unit normals."""
+        t = np.stack(codes, axis=-1).astype(np.float32) * np.float32(2 / EVEN_TOP) - 1
+        s = np.float32(self.width) * t * (np.float32(self.fineness) + np.float32(1 - self.fineness) * t * t)
+        square = (s * s).sum(axis=-1, keepdims=True)
+        return np.concatenate([2 * s, 1 - square], axis=-1) / (1 + square)
+
+    def described(self) -> dict[str, Any]:
+        """For the manifest."""
+        return {"width": self.width, "fineness": self.fineness}
+
+
+def _stereographic(normals: np.ndarray) -> np.ndarray:
+    return normals[..., :2] / np.maximum(1 + normals[..., 2:], 1e-3)
+
+
+def shading_features(terms: int) -> np.ndarray:
+    """(terms, directions): what each term of the body shading gives at `DIRECTIONS` for a facet that faces the eye."""
+    polar, azimuth = np.radians(np.array(DIRECTIONS)).T
+    cosine, half = np.cos(polar), np.cos(polar / 2)
+    across = np.sin(polar) * np.array([np.cos(azimuth), np.sin(azimuth)])
+    rows = [np.ones_like(cosine), cosine, half**8, *across]
+    return np.array(rows[:terms]) / np.sqrt(len(polar))

@@ -1,0 +1,72 @@
+"""The viewer's page: one index.html that holds its modules, and the blocks of data beside it or inside it."""
+
+from __future__ import annotations
+
+import base64
+import json
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader
+from markupsafe import Markup
+
+from nishiki.artifacts.artifact import ArtifactWriter
+
+PAGE = Path(__file__).parent / "page"
+
+
+class Blocks:
+    """Blocks of data by name: kept while all of them together are small, written as scripts beside the page otherwise."""
+
+    def __init__(self, output: ArtifactWriter, *, inline_bytes: int):
+        self.output = output
+        self.inline_bytes = inline_bytes
+        self.kept: dict[str, str] | None = {}
+        self.bytes: dict[str, int] = {}
+
+    def add(self, name: str, data: bytes) -> None:
+        """The next block."""
+        text = base64.b64encode(data).decode("ascii")
+        self.bytes[name] = len(text)
+        if self.kept is None:
+            self._write(name, text)
+            return
+        self.kept[name] = text
+        if sum(self.bytes.values()) > self.inline_bytes:
+            for each, content in self.kept.items():
+                self._write(each, content)
+            self.kept = None
+
+    def _write(self, name: str, text: str) -> None:
+        script = f'nishikiData("{name}", "data:application/octet-stream;base64,{text}");\n'
+        self.output.path(f"data/{name}.js").write_text(script, encoding="ascii")
+
+
+def write_page(blocks: Blocks, manifest: dict[str, Any]) -> dict[str, Any]:
+    """Write index.html of a manifest and its blocks; sizes in bytes, for the diagnostics."""
+    modules = {
+        f"viewer/{path.stem}": f"data:text/javascript;base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
+        for path in sorted(PAGE.glob("*.js"))
+    }
+    manifest = {**manifest, "data": {"inline": blocks.kept is not None}}
+    environment = Environment(loader=FileSystemLoader(PAGE), autoescape=True, keep_trailing_newline=True)
+    html = environment.get_template("index.html.j2").render(
+        title=manifest["title"],
+        modules=_script_json({"imports": modules}),
+        manifest=_script_json(manifest),
+        blocks=blocks.kept or {},
+        style=Markup((PAGE / "style.css").read_text(encoding="utf-8")),
+    )
+    blocks.output.path("index.html").write_text(html, encoding="utf-8")
+    return {
+        "page_bytes": len(html.encode("utf-8")),
+        "data_bytes": sum(blocks.bytes.values()),
+        "blocks": len(blocks.bytes),
+        "inline": blocks.kept is not None,
+    }
+
+
+def _script_json(value: Any) -> Markup:
+    """JSON that no content can end the script element of."""
+    text = json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    return Markup(text.replace("<", "\\u003c"))

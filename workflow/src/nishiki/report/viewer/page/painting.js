@@ -1,0 +1,545 @@
+// A painting under moving lamps: tiles of a pyramid, shaded as nishiki.render.plane shades the maps.
+//
+// Pixels of the map have their upper left corner at whole numbers; the scene's own unit is mm (or pixels where no scale
+// is known), from the centre of the painting, x to the right and y up.
+import * as colour from "viewer/colour";
+import { bind, context, program, readback, target, texture } from "viewer/gl";
+import { picture } from "viewer/loader";
+import { LAYER_FRAGMENT, PACK_FRAGMENT, PACK_VERTEX, PAINTING_FRAGMENT, TILE_VERTEX } from "viewer/painting_shaders";
+import { openHeights, Shadows } from "viewer/shadows";
+
+const TEXTURE_BYTES = 256e6; // of tiles that are kept
+const EXPOSURE_PIXELS = 1 << 18; // at most, of the picture that the exposure is chosen from
+const MOST_LAMPS = 8;
+const ENHANCEMENTS = ["none", "specular", "curvature", "raking"];
+const LAYER_COLOURS = ["grey", "diverging", "flags"];
+const BACKGROUND = 0.106;
+
+export class Painting {
+  /** Opens a painting; ready to draw once its coarsest tiles are there. */
+  static async open(canvas, manifest, loader) {
+    const scene = new Painting(canvas, manifest, loader);
+    await scene.#tile(manifest.tiles.levels.length - 1, 0, 0);
+    scene.#openShadows();
+    return scene;
+  }
+
+  constructor(canvas, manifest, loader) {
+    Object.assign(this, { canvas, manifest, loader });
+    this.gl = context(canvas);
+    this.onready = () => {};
+    this.pending = 0;
+    this.tiles = new Map();
+    this.programs = new Map();
+    this.layerTextures = new Map();
+    this.exposure = { key: "", value: 1 };
+    const { colour: chroma, shading, planes } = manifest.code;
+    this.chroma = chroma.low.length;
+    this.shades = shading ? shading.low.length : 0;
+    this.terms = shading ? shading.mean.length : 0;
+    this.planes = planes;
+    const { levels, regions, size } = manifest.tiles;
+    const tiles = levels.reduce((sum, level) => sum + Math.ceil(level.rows / size) * Math.ceil(level.columns / size), 0);
+    const constant = Object.values(regions);
+    this.hasRegions = constant.length < tiles || constant.some((region) => region !== 0);
+    this.packs = Math.ceil((planes + (this.hasRegions ? 1 : 0)) / 4);
+    this.gloss = this.#glossTexture();
+    this.spectra = new Map();
+    this.shadow = null; // {key, texture, lamps}
+  }
+
+  /** Whether something that the present view needs is on its way. */
+  get busy() {
+    return this.pending > 0 || Boolean(this.shadows?.busy);
+  }
+
+  bounds() {
+    const { rows, columns, pitch_mm } = this.manifest;
+    const pitch = pitch_mm ?? 1;
+    return { width_mm: columns * pitch, height_mm: rows * pitch, unit: pitch_mm ? "mm" : "px" };
+  }
+
+  /** Pixels of the canvas that a pixel of the map takes at zoom 1: the painting fits into the canvas. */
+  fit() {
+    return Math.min(this.canvas.width / this.manifest.columns, this.canvas.height / this.manifest.rows);
+  }
+
+  /** Point of the scene, in its own unit, at a pixel of the canvas (from its upper left corner). */
+  toScene(x, y, state) {
+    const { rows, columns, pitch_mm } = this.manifest, pitch = pitch_mm ?? 1;
+    const [column, row] = this.#toMap(x, y, state);
+    return [(column - columns / 2) * pitch, (rows / 2 - row) * pitch];
+  }
+
+  layers() {
+    return this.manifest.layers.map(({ name, label_key, unit, range, map }) => ({ name, label_key, unit, range, map }));
+  }
+
+  /** Texture reads and arithmetic operations of the shader, about, for one pixel of the canvas and one lamp. */
+  cost() {
+    const lobes = this.manifest.gloss.beta[0].length, blurred = this.manifest.gloss.blurred && lobes ? 1 : 0;
+    return {
+      texture_reads: this.packs + 4 * blurred + 1 + lobes + (this.manifest.shadows ? 1 : 0) + (this.hasRegions ? 1 : 0),
+      operations: 60 + 8 * this.chroma + 12 * this.shades + 60 * blurred + (lobes ? 90 : 20) + lobes * (blurred ? 22 : 4) + 40,
+    };
+  }
+
+  /** Draw one frame; region {x, y, width, height} of the canvas, from its upper left corner, or all of it. */
+  draw(state, region) {
+    const { gl, canvas } = this;
+    const area = region ?? { x: 0, y: 0, width: canvas.width, height: canvas.height };
+    const layer = this.manifest.layers.find(({ name }) => name === state.layer);
+    const plain = !layer || layer.name === "appearance";
+    const lamps = this.#lamps(state);
+    if (plain) this.#askShadows(lamps);
+    const exposure = plain ? this.#exposureOf(state, lamps) : 1;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    gl.viewport(0, 0, canvas.width, canvas.height);
+    gl.enable(gl.SCISSOR_TEST);
+    gl.scissor(area.x, canvas.height - area.y - area.height, area.width, area.height);
+    gl.clearColor(BACKGROUND, BACKGROUND, BACKGROUND, 1);
+    gl.clear(gl.COLOR_BUFFER_BIT);
+    const place = this.#place(state);
+    if (layer?.block) this.#drawLayer(layer, place);
+    else this.#drawTiles(state, lamps, place, area, { exposure, output: plain ? 0 : 2 });
+    gl.disable(gl.SCISSOR_TEST);
+  }
+
+  /** What is known at a pixel of the canvas: null beside the painting. */
+  async probe(x, y, state) {
+    const { manifest } = this;
+    const [column, row] = this.#toMap(x, y, state).map(Math.floor);
+    if (column < 0 || row < 0 || column >= manifest.columns || row >= manifest.rows) return null;
+    const layers = Object.fromEntries(await Promise.all(manifest.layers.filter(({ block }) => block).map(async (layer) => {
+      const { texture: made } = await this.#layerTexture(layer);
+      const at = [Math.floor((column / manifest.columns) * layer.columns), Math.floor((row / manifest.rows) * layer.rows)];
+      const code = this.#readPixel(made, null, ...at)[0];
+      const { low, high, top, nothing } = layer.code;
+      return [layer.name, code === nothing && layer.map !== "flags" ? null : low + (code / top) * (high - low)];
+    })));
+    const record = await this.#record(column, row);
+    if (!record) return { position_mm: null, normal: null, layers, spectrum: null, gloss: null, photographs: null };
+    const { beta, gamma, refractive_index } = manifest.gloss;
+    const pitch = manifest.pitch_mm ?? 1;
+    const place = [(column + 0.5 - manifest.columns / 2) * pitch, (manifest.rows / 2 - row - 0.5) * pitch, layers.height ?? 0];
+    const sigma = layers.sigma_spectrum;
+    return {
+      position_mm: place,
+      normal: record.normal,
+      layers,
+      spectrum: manifest.basis && {
+        nm: manifest.wavelengths_nm,
+        reflectance: manifest.wavelengths_nm.map((_, k) => manifest.basis.reduce((sum, base, i) => sum + base[k] * record.coefficients[i], 0)),
+        sigma: sigma == null ? null : manifest.wavelengths_nm.map(() => sigma),
+      },
+      gloss: beta[0].length ? { beta: beta[record.region], gamma_rad: gamma[record.region], refractive_index: refractive_index[record.region] } : null,
+      photographs: null,
+    };
+  }
+
+  /** RGBA bytes of the canvas as drawn, first row at the bottom. */
+  readPixels() {
+    this.gl.bindFramebuffer(this.gl.FRAMEBUFFER, null);
+    return readback(this.gl, 0, 0, this.canvas.width, this.canvas.height);
+  }
+
+  // view
+
+  /** Scale and offset from pixels of the map to those of the canvas; whole offsets, so that 1:1 resamples nothing. */
+  #place({ view }) {
+    const { rows, columns, pitch_mm } = this.manifest, pitch = pitch_mm ?? 1;
+    const scale = this.fit() * view.zoom;
+    const x = Math.round(this.canvas.width / 2 - (columns / 2 + view.x / pitch) * scale);
+    const y = Math.round(this.canvas.height / 2 - (rows / 2 - view.y / pitch) * scale);
+    return { scale, x, y, width: this.canvas.width, height: this.canvas.height };
+  }
+
+  #toMap(x, y, state) {
+    const place = this.#place(state);
+    return [(x - place.x) / place.scale, (y - place.y) / place.scale];
+  }
+
+  /** Level whose pixels are nearest in size to those of the canvas. */
+  #levelOf(scale) {
+    return Math.min(Math.max(Math.round(Math.log2(1 / scale)), 0), this.manifest.tiles.levels.length - 1);
+  }
+
+  // lamps and colours
+
+  #lamps(state) {
+    const { rows, columns, pitch_mm } = this.manifest;
+    const side = Math.max(rows, columns) * (pitch_mm ?? 1);
+    return state.lamps.slice(0, MOST_LAMPS).map((lamp) => {
+      const elevation = (lamp.elevation_deg * Math.PI) / 180, azimuth = (lamp.azimuth_deg * Math.PI) / 180;
+      const length = lamp.distance ? lamp.distance * side : 1;
+      const vector = [Math.cos(elevation) * Math.cos(azimuth), Math.cos(elevation) * Math.sin(azimuth), Math.sin(elevation)].map((v) => v * length);
+      return { vector, w: lamp.distance ? 1 : 0, radius: (lamp.radius_deg * Math.PI) / 180, lamp, length };
+    });
+  }
+
+  /** XYZ of a lamp's spectrum: {matrix (3, K), white}. */
+  #spectrum(choice) {
+    const key = JSON.stringify(choice);
+    if (!this.spectra.has(key)) {
+      const { manifest } = this, power = colour.powerOf(choice, manifest);
+      const white = colour.whiteOf(power, manifest.cmf);
+      const d65 = () => colour.whiteOf(colour.powerOf("D65", manifest), manifest.cmf);
+      const matrix = manifest.basis
+        ? colour.xyzMatrix(power, manifest.basis, manifest.cmf)
+        : colour.product(colour.adaptation(d65(), white), colour.inverse(colour.srgbMatrix()));
+      this.spectra.set(key, { matrix, white });
+    }
+    return this.spectra.get(key);
+  }
+
+  /** Uniforms of the colours: XYZ, or linear sRGB of the display at this exposure. */
+  #colours(state, exposure) {
+    const { direction, mean, components } = this.manifest.code.colour;
+    const choices = state.lamps.slice(0, MOST_LAMPS).map((lamp) => lamp.illuminant);
+    choices.push(choices[0] ?? "E"); // the ambient light
+    const first = this.#spectrum(choices[0]).white;
+    const toDisplay = exposure === null
+      ? [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
+      : colour.product(colour.srgbMatrix(), colour.adaptation(first)).map((row) => row.map((value) => value * exposure));
+    const colours = [], whites = [];
+    for (const choice of choices) {
+      const { matrix, white } = this.#spectrum(choice);
+      const shown = colour.product(toDisplay, matrix);
+      for (const vector of [direction, mean, ...components]) colours.push(...colour.apply(shown, vector));
+      whites.push(...colour.apply(toDisplay, white));
+    }
+    return { colours: new Float32Array(colours), whites: new Float32Array(whites) };
+  }
+
+  /** Exposure of a state: its own number, or that of an eye adapted to the picture. */
+  #exposureOf(state, lamps) {
+    if (state.exposure !== "auto") return state.exposure;
+    const key = JSON.stringify([state.lamps, state.ambient, this.shadow?.key ?? ""]);
+    if (key === this.exposure.key) return this.exposure.value;
+    const { levels } = this.manifest.tiles;
+    const level = Math.max(levels.findIndex(({ rows, columns }) => rows * columns <= EXPOSURE_PIXELS), 0);
+    if (!this.#haveAll(level)) return this.exposure.value;
+    const { gl } = this, { rows, columns } = levels[level];
+    this.meter ??= target(gl, columns, rows);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.meter.framebuffer);
+    gl.viewport(0, 0, columns, rows);
+    gl.disable(gl.SCISSOR_TEST);
+    gl.clearColor(0, 0, 0, 0);
+    gl.clear(gl.COLOR_BUFFER_BIT);
+    const place = { scale: 2 ** -level, x: 0, y: 0, width: columns, height: rows };
+    const area = { x: 0, y: 0, width: columns, height: rows };
+    this.#drawTiles({ ...state, enhance: "none" }, lamps, place, area, { exposure: null, output: 1 });
+    const bytes = readback(gl, 0, 0, columns, rows);
+    const bins = new Uint32Array(65536);
+    let seen = 0;
+    for (let i = 0; i < bytes.length; i += 4) {
+      if (bytes[i + 3]) {
+        bins[bytes[i] * 256 + bytes[i + 1]]++;
+        seen++;
+      }
+    }
+    let bin = 0;
+    for (let below = bins[0]; bin < 65535 && below < colour.ADAPTED.percentile * (seen - 1) + 1; below += bins[++bin]);
+    const sheet = state.ambient + state.lamps.reduce((sum, lamp) => sum + lamp.intensity * Math.sin((lamp.elevation_deg * Math.PI) / 180), 0);
+    this.exposure = { key, value: colour.adaptedExposure(seen ? 2 ** (((bin + 0.5) / 65535) * 32 - 20) : 0, sheet) };
+    return this.exposure.value;
+  }
+
+  // cast shadows
+
+  #openShadows() {
+    if (!this.manifest.shadows) return;
+    this.#wait(openHeights(this.manifest.shadows, this.loader).then((heights) => {
+      this.shadows = new Shadows(heights);
+      this.shadows.onready = (key, visibility) => {
+        this.#keepShadows(key, visibility);
+        this.onready();
+      };
+    }));
+  }
+
+  #askShadows(lamps) {
+    if (!this.shadows) return;
+    const wanted = lamps.map(({ vector, w, radius }) => ({ vector, w, radius }));
+    const key = JSON.stringify(wanted);
+    if (lamps.length && key !== this.shadow?.key) this.shadows.request(key, wanted);
+  }
+
+  #keepShadows(key, visibility) {
+    const { gl } = this, { rows, columns } = this.shadows;
+    const count = visibility.length / (rows * columns);
+    if (this.shadow?.count !== count) {
+      if (this.shadow) gl.deleteTexture(this.shadow.texture);
+      const made = texture(gl, gl.TEXTURE_2D_ARRAY, gl.LINEAR);
+      gl.texParameteri(gl.TEXTURE_2D_ARRAY, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
+      gl.texStorage3D(gl.TEXTURE_2D_ARRAY, Math.floor(Math.log2(Math.max(rows, columns))) + 1, gl.R8, columns, rows, count);
+      this.shadow = { texture: made, count };
+    }
+    gl.bindTexture(gl.TEXTURE_2D_ARRAY, this.shadow.texture);
+    gl.texSubImage3D(gl.TEXTURE_2D_ARRAY, 0, 0, 0, 0, columns, rows, count, gl.RED, gl.UNSIGNED_BYTE, visibility);
+    gl.generateMipmap(gl.TEXTURE_2D_ARRAY);
+    this.shadow.key = key;
+  }
+
+  // tiles
+
+  /** Tiles of a level that an area of the screen shows: [row, column]. */
+  #visible(level, { scale, x, y }, area) {
+    const { levels, size } = this.manifest.tiles, { rows, columns } = levels[level];
+    const side = size * 2 ** level * scale;
+    const range = (from, to, start, count) => {
+      const first = Math.max(Math.floor((from - start) / side), 0), last = Math.min(Math.floor((to - 1 - start) / side), count - 1);
+      return Array.from({ length: Math.max(last - first + 1, 0) }, (_, k) => first + k);
+    };
+    const across = range(area.x, area.x + area.width, x, Math.ceil(columns / size));
+    return range(area.y, area.y + area.height, y, Math.ceil(rows / size)).flatMap((row) => across.map((column) => [row, column]));
+  }
+
+  #haveAll(level) {
+    const { rows, columns } = this.manifest.tiles.levels[level];
+    const all = this.#visible(level, { scale: 1, x: 0, y: 0 }, { x: 0, y: 0, width: columns << level, height: rows << level });
+    return all.map(([row, column]) => this.#ready(level, row, column)).every(Boolean);
+  }
+
+  /** Texture of a tile, or null while it is on its way. */
+  #ready(level, row, column) {
+    const known = this.tiles.get(`${level}-${row}-${column}`);
+    if (!known) {
+      this.#tile(level, row, column);
+      return null;
+    }
+    if (known.texture) {
+      this.tiles.delete(known.name); // the last used come last
+      this.tiles.set(known.name, known);
+    }
+    return known.texture;
+  }
+
+  /** A promise on which `busy` depends. */
+  #wait(promise) {
+    this.pending++;
+    promise.finally(() => {
+      this.pending--;
+      this.onready();
+    });
+    return promise;
+  }
+
+  /** Promise of the texture of a tile. */
+  #tile(level, row, column) {
+    const name = `${level}-${row}-${column}`;
+    if (!this.tiles.has(name)) {
+      const tile = { name, texture: null };
+      this.tiles.set(name, tile);
+      tile.making = this.#wait(this.#make(tile));
+    }
+    return this.tiles.get(name).making;
+  }
+
+  async #make(tile) {
+    const { name } = tile;
+    const { manifest, loader } = this, region = manifest.tiles.regions[name];
+    const [mosaic, regions] = await Promise.all([
+      loader.load(`tile-${name}`).then((data) => picture(data, "image/jpeg")),
+      region === undefined ? loader.load(`regions-${name}`).then((data) => picture(data, "image/png")) : null,
+    ]);
+    tile.texture = this.#pack(mosaic, regions, region ?? -1);
+    this.#forget();
+    return tile.texture;
+  }
+
+  /** Array texture of the planes of a mosaic, four to a layer. */
+  #pack(mosaic, regions, region) {
+    const { gl } = this, side = this.#side();
+    const pack = this.#program("pack", PACK_VERTEX, PACK_FRAGMENT, {});
+    const upload = (image) => {
+      const made = texture(gl, gl.TEXTURE_2D, gl.NEAREST);
+      gl.texImage2D(gl.TEXTURE_2D, 0, gl.R8, gl.RED, gl.UNSIGNED_BYTE, image);
+      image.close();
+      return made;
+    };
+    const across = Math.round(mosaic.width / side);
+    const sources = [upload(mosaic), ...(regions ? [upload(regions)] : [])];
+    const made = texture(gl, gl.TEXTURE_2D_ARRAY, gl.LINEAR);
+    gl.texStorage3D(gl.TEXTURE_2D_ARRAY, 1, gl.RGBA8, side, side, this.packs);
+    this.packing ??= gl.createFramebuffer();
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.packing);
+    gl.viewport(0, 0, side, side);
+    gl.disable(gl.SCISSOR_TEST);
+    pack.use();
+    const { uniforms } = pack;
+    bind(gl, 0, gl.TEXTURE_2D, sources[0], uniforms.mosaic);
+    bind(gl, 1, gl.TEXTURE_2D, sources[1] ?? sources[0], uniforms.regions);
+    for (const [key, value] of Object.entries({ across, side, planes: this.planes, regionPlane: this.hasRegions ? this.planes : -1 })) gl.uniform1i(uniforms[key], value);
+    gl.uniform1f(uniforms.region, region);
+    for (let layer = 0; layer < this.packs; layer++) {
+      gl.framebufferTextureLayer(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, made, 0, layer);
+      gl.uniform1i(uniforms.first, 4 * layer);
+      gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
+    }
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    sources.forEach((source) => gl.deleteTexture(source));
+    return made;
+  }
+
+  #side() {
+    return this.manifest.tiles.size + 2 * this.manifest.tiles.border;
+  }
+
+  /** Drop the tiles used longest ago; the coarsest stays. */
+  #forget() {
+    const most = Math.max(Math.floor(TEXTURE_BYTES / (this.#side() ** 2 * 4 * this.packs)), 8);
+    for (const [name, tile] of this.tiles) {
+      if (this.tiles.size <= most) break;
+      if (!tile.texture || name.startsWith(`${this.manifest.tiles.levels.length - 1}-`)) continue;
+      this.gl.deleteTexture(tile.texture);
+      this.tiles.delete(name);
+    }
+  }
+
+  /** Draw the tiles in sight, coarser ones below those that are still on their way. */
+  #drawTiles(state, lamps, place, area, { exposure, output }) {
+    const last = this.manifest.tiles.levels.length - 1, level = this.#levelOf(place.scale);
+    const wanted = this.#visible(level, place, area);
+    const complete = wanted.map(([row, column]) => this.#ready(level, row, column)).every(Boolean);
+    const levels = complete ? [level] : [...new Set([last, level])];
+    const uniforms = this.#shader(state, lamps, { exposure, output });
+    for (const each of levels) {
+      const { gl } = this, { size, border } = this.manifest.tiles, factor = 2 ** each;
+      const columns = this.manifest.columns / factor, rows = this.manifest.rows / factor, step = factor * place.scale;
+      gl.uniform4f(uniforms.toClip, (2 * step) / place.width, (-2 * step) / place.height, (2 * place.x) / place.width - 1, 1 - (2 * place.y) / place.height);
+      gl.uniform2f(uniforms.size, columns, rows);
+      gl.uniform1f(uniforms.pitch, (this.manifest.pitch_mm ?? 1) * factor);
+      gl.uniform1f(uniforms.blur, Math.min(1, 1 / step ** 2));
+      for (const [row, column] of each === level ? wanted : this.#visible(each, place, area)) {
+        const made = this.#ready(each, row, column);
+        if (!made) continue;
+        bind(gl, 0, gl.TEXTURE_2D_ARRAY, made, uniforms.planes);
+        gl.uniform2f(uniforms.origin, column * size - border, row * size - border);
+        gl.uniform4f(uniforms.corners, column * size, row * size, Math.min((column + 1) * size, columns), Math.min((row + 1) * size, rows));
+        gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
+      }
+    }
+  }
+
+  /** The program of a state in use, with everything but the tile set; its uniforms. */
+  #shader(state, lamps, { exposure, output }) {
+    const { gl, manifest } = this, { code, gloss } = manifest;
+    const shadowed = Boolean(this.shadow && this.shadow.count === lamps.length && lamps.length);
+    const defines = {
+      PLANES: this.planes + (this.hasRegions ? 0 : -1), CHROMA: this.chroma, TERMS: this.terms, SHADES: this.shades, LAMPS: lamps.length,
+      LOBES: gloss.beta[0].length, REGIONS: this.hasRegions ? 1 : 0, BLURRED: gloss.blurred ? 1 : 0, SHADOWS: shadowed ? 1 : 0, OUTPUT: output,
+    };
+    const shader = this.#program(JSON.stringify(defines), TILE_VERTEX, PAINTING_FRAGMENT, defines);
+    const { uniforms } = shader;
+    shader.use();
+    const { colours, whites } = this.#colours(state, exposure);
+    const set = (call, name, ...values) => uniforms[name] && gl[call](uniforms[name], ...values);
+    const ranges = ({ low, high }) => new Float32Array(low.flatMap((value, k) => [value, high[k]]));
+    set("uniform1f", "side", this.#side());
+    set("uniform2f", "normalCode", code.normal.width, code.normal.fineness);
+    set("uniform1f", "top", code.colour.top);
+    set("uniform2fv", "chromaRange", this.chroma ? ranges(code.colour) : new Float32Array(2));
+    if (this.terms) {
+      const five = (vector) => [...vector, 0, 0].slice(0, 5);
+      if (this.shades) set("uniform2fv", "shadeRange", ranges(code.shading));
+      set("uniform1fv", "shadeMean", new Float32Array(five(code.shading.mean)));
+      if (this.shades) set("uniform1fv", "shadeAxes", new Float32Array(code.shading.components.flatMap(five)));
+    }
+    set("uniform3fv", "colours", colours);
+    set("uniform3fv", "whites", whites);
+    if (lamps.length) {
+      set("uniform4fv", "lamps", new Float32Array(lamps.flatMap(({ vector, w }) => [...vector, w])));
+      set("uniform4fv", "powers", new Float32Array(lamps.flatMap(({ lamp, w, length }) => [lamp.intensity, w ? length ** 2 : 0, 0, 0])));
+    }
+    set("uniform1f", "ambient", state.ambient);
+    set("uniform1f", "transmission", gloss.transmission);
+    set("uniform1i", "enhance", Math.max(ENHANCEMENTS.indexOf(state.enhance), 0));
+    set("uniform1f", "strength", state.strength ?? 0.5);
+    bind(gl, 1, gl.TEXTURE_2D, this.gloss, uniforms.gloss);
+    if (shadowed) bind(gl, 2, gl.TEXTURE_2D_ARRAY, this.shadow.texture, uniforms.visibility);
+    return uniforms;
+  }
+
+  #program(key, vertex, fragment, defines) {
+    if (!this.programs.has(key)) this.programs.set(key, program(this.gl, vertex, fragment, defines));
+    return this.programs.get(key);
+  }
+
+  /** A row a region: index and entering light, then beta and 1 / gamma^2 of each lobe. */
+  #glossTexture() {
+    const { gl, manifest } = this, { beta, gamma, refractive_index, entering } = manifest.gloss;
+    const rows = beta.map((lobes, region) => [refractive_index[region], entering[region], 0, 0, ...lobes.flatMap((strength, k) => [strength, gamma[region][k] ** -2, 0, 0])]);
+    const made = texture(gl, gl.TEXTURE_2D, gl.NEAREST);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32F, 1 + beta[0].length, rows.length, 0, gl.RGBA, gl.FLOAT, new Float32Array(rows.flat()));
+    return made;
+  }
+
+  // layers and probe
+
+  async #layerTexture(layer) {
+    if (!this.layerTextures.has(layer.name)) {
+      const making = this.loader.load(layer.block).then((data) => picture(data, "image/png")).then((image) => {
+        const { gl } = this, made = texture(gl, gl.TEXTURE_2D, gl.NEAREST);
+        gl.texImage2D(gl.TEXTURE_2D, 0, gl.R8, gl.RED, gl.UNSIGNED_BYTE, image);
+        return { texture: made };
+      });
+      const entry = { making, made: null };
+      this.layerTextures.set(layer.name, entry);
+      this.#wait(making.then((made) => (entry.made = made)));
+    }
+    return this.layerTextures.get(layer.name).making;
+  }
+
+  #drawLayer(layer, place) {
+    const { gl, manifest } = this;
+    this.#layerTexture(layer);
+    const { made } = this.layerTextures.get(layer.name);
+    if (!made) return;
+    const shader = this.#program("layer", TILE_VERTEX, LAYER_FRAGMENT, {});
+    const { uniforms } = shader;
+    shader.use();
+    bind(gl, 0, gl.TEXTURE_2D, made.texture, uniforms.codes);
+    gl.uniform4f(uniforms.corners, 0, 0, manifest.columns, manifest.rows);
+    gl.uniform4f(uniforms.toClip, (2 * place.scale) / place.width, (-2 * place.scale) / place.height, (2 * place.x) / place.width - 1, 1 - (2 * place.y) / place.height);
+    gl.uniform2f(uniforms.size, manifest.columns, manifest.rows);
+    gl.uniform1i(uniforms.colouring, Math.max(LAYER_COLOURS.indexOf(layer.map), 0));
+    gl.uniform1f(uniforms.nothing, layer.code.nothing);
+    // codes to 0 ... 1 over the range that is shown
+    gl.uniform1f(uniforms.scale, (layer.code.high - layer.code.low) / layer.code.top / (layer.range[1] - layer.range[0]));
+    gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
+  }
+
+  /** RGBA bytes of one pixel of a texture, or of a layer of an array texture. */
+  #readPixel(made, layer, column, row) {
+    const { gl } = this;
+    this.packing ??= gl.createFramebuffer();
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.packing);
+    if (layer === null) gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, made, 0);
+    else gl.framebufferTextureLayer(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, made, 0, layer);
+    const bytes = readback(gl, column, row, 1, 1);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    return bytes;
+  }
+
+  /** Normal, coefficients and region of a pixel of the map; null where nothing is known. */
+  async #record(column, row) {
+    const { size, border, unknown } = this.manifest.tiles;
+    const [tileRow, tileColumn] = [row, column].map((k) => Math.floor(k / size));
+    const made = await this.#tile(0, tileRow, tileColumn);
+    const place = [column - tileColumn * size + border, row - tileRow * size + border];
+    const values = Array.from({ length: this.packs }, (_, layer) => [...this.#readPixel(made, layer, ...place)]).flat();
+    const region = this.hasRegions ? values[this.planes] : 0;
+    if (region === unknown) return null;
+    const { normal, colour: code } = this.manifest.code;
+    const [sx, sy] = values.slice(0, 2).map((value) => value / 127 - 1).map((t) => normal.width * t * (normal.fineness + (1 - normal.fineness) * t * t));
+    const square = sx * sx + sy * sy;
+    const u = (values[2] / 255) * code.top;
+    const chroma = code.low.map((low, k) => low + (values[3 + k] / 255) * (code.high[k] - low));
+    return {
+      region,
+      normal: [2 * sx, 2 * sy, 1 - square].map((value) => value / (1 + square)),
+      coefficients: code.direction.map((d, i) => u ** 3 * d + u * u * chroma.reduce((sum, value, k) => sum + value * code.components[k][i], code.mean[i])),
+    };
+  }
+}

@@ -1,0 +1,270 @@
+// Shaders of the painting. Shading follows nishiki.render.plane.kernel term by term.
+
+/** A tile's quad: corners in pixels of its level, taken to clip space by an affine map. */
+export const TILE_VERTEX = `
+uniform vec4 corners;       // left, top, right, bottom of the tile in pixels of its level
+uniform vec4 toClip;        // scale and offset
+out vec2 at;                // column and row, in pixels of the level, 0 at the upper left corner
+void main() {
+  vec2 unit = vec2(gl_VertexID & 1, gl_VertexID >> 1);
+  at = mix(corners.xy, corners.zw, unit);
+  gl_Position = vec4(at * toClip.xy + toClip.zw, 0.0, 1.0);
+}`;
+
+/** From a mosaic of planes to one layer of the array texture, four planes at a time. */
+export const PACK_FRAGMENT = `
+uniform sampler2D mosaic;
+uniform sampler2D regions;
+uniform int across, side, first, planes, regionPlane;
+uniform float region;
+out vec4 packed4;
+void main() {
+  ivec2 pixel = ivec2(gl_FragCoord.xy);
+  vec4 four = vec4(0.0);
+  for (int k = 0; k < 4; k++) {
+    int plane = first + k;
+    float value = 0.0;
+    if (plane < planes) value = texelFetch(mosaic, pixel + side * ivec2(plane % across, plane / across), 0).r;
+    else if (plane == regionPlane) value = region < 0.0 ? texelFetch(regions, pixel, 0).r : region / 255.0;
+    four[k] = value;
+  }
+  packed4 = four;
+}`;
+
+export const PACK_VERTEX = `
+void main() {
+  gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 2.0 - 1.0, 0.0, 1.0);
+}`;
+
+/** Defines: PLANES, CHROMA, TERMS, SHADES (planes of the body shading), LAMPS, LOBES, REGIONS, BLURRED, SHADOWS,
+ *  OUTPUT (0 display, 1 code of the luminance, 2 data layer). */
+export const PAINTING_FRAGMENT = `
+#define LAYER(k) ((k) / 4)
+uniform sampler2DArray planes;
+uniform vec2 origin;             // of the tile with its border, in pixels of the level
+uniform float side;
+uniform vec2 size;               // of the level, pixels
+uniform vec2 normalCode;         // width, fineness
+uniform float top;               // of the code of Y^(1/3)
+uniform vec2 chromaRange[CHROMA + 1];
+#if TERMS > 0
+uniform vec2 shadeRange[SHADES + 1];
+uniform float shadeMean[5];
+uniform float shadeAxes[5 * SHADES + 1];
+#endif
+uniform vec3 colours[(LAMPS + 1) * (CHROMA + 2)];  // of each lamp, then of the ambient light: along d, along m, each b
+uniform vec3 whites[LAMPS + 1];
+uniform vec4 lamps[LAMPS + 1];   // direction and 0, or position and 1
+uniform vec4 powers[LAMPS + 1];  // intensity, squared reference distance or 0
+uniform float ambient;
+uniform float pitch;             // of the level's pixels
+uniform float blur;              // variance of the slopes that a pixel of the screen sees, relative to a pixel of the map
+uniform sampler2D gloss;         // a row a region: index, entering, -, -; then beta, 1 / gamma^2 of each lobe
+uniform float transmission;
+#if SHADOWS
+uniform sampler2DArray visibility;
+#endif
+uniform int enhance;             // 0 none, 1 specular, 2 curvature, 3 raking
+uniform float strength;
+in vec2 at;
+out vec4 result;
+
+const float LN2 = 0.6931471805599453;
+
+vec4 codes(int layer, vec2 place) { return texture(planes, vec3((place - origin) / side, float(layer))); }
+
+vec3 decodedNormal(vec2 code) {
+  vec2 t = code * (255.0 / 127.0) - 1.0;
+  vec2 s = normalCode.x * t * (normalCode.y + (1.0 - normalCode.y) * t * t);
+  float square = dot(s, s);
+  return vec3(2.0 * s, 1.0 - square) / (1.0 + square);
+}
+
+vec2 slopeAt(vec2 place) {
+  vec3 n = decodedNormal(codes(0, clamp(place, vec2(0.5), size - 0.5)).rg);
+  return n.xy / max(n.z, 0.2);
+}
+
+float phiSquared(float y) {
+  // 4 asin(sqrt y)^2 on 0 .. 1/2: nishiki.brdf.kernels, to float32
+  float y2 = y * y, y4 = y2 * y2;
+  float p0 = 4.0 + y4 * (0.3250831164332901 + y4 * (0.2514441746387976 + y4 * (19.258781271350873 + y4 * 6.833702363961254)));
+  float p1 = 1.3333333333267587 + y4 * (0.24618257690874587 + y4 * (-0.5556335558766249 + y4 * -30.50231077668275));
+  float p2 = 0.7111111123682597 + y4 * (0.19625960148637764 + y4 * (2.8864815084578845 + y4 * 33.05124433607288));
+  float p3 = 0.45714276231185713 + y4 * (0.1438696148314901 + y4 * (-8.476775858093276 + y4 * -21.7341795331));
+  return y * ((p0 + y * p1) + y2 * (p2 + y * p3));
+}
+
+float reflected(float c, float contrast) {
+  float g = sqrt(contrast + c * c) + c;
+  float ratio = contrast / (g * g);
+  float p = (c * g - 1.0) * g / (c * contrast + g);
+  return 0.5 * ratio * ratio * (1.0 + p * p);
+}
+
+float passed(float c, float contrast) {
+  return 1.0 - transmission * (1.0 - (1.0 - reflected(clamp(c, 1e-6, 1.0), contrast)) / (1.0 - reflected(1.0, contrast)));
+}
+
+float curve(float linear) {
+  float v = clamp(linear, 0.0, 1.0);
+  return v <= 0.0031308 ? 12.92 * v : 1.055 * pow(v, 1.0 / 2.4) - 0.055;
+}
+
+void main() {
+  vec4 values[(PLANES + 4) / 4];
+  for (int k = 0; k < (PLANES + 4) / 4; k++) values[k] = codes(k, at);
+  int region = 0;
+#if REGIONS > 0
+  region = int(texelFetch(planes, ivec3(floor(at - origin), LAYER(PLANES)), 0)[PLANES % 4] * 255.0 + 0.5);
+  if (region == 255) { result = vec4(0.0); return; }
+#endif
+  vec3 n = decodedNormal(values[0].rg);
+#if OUTPUT == 2
+  result = vec4(n * 0.5 + 0.5, 1.0);
+  return;
+#endif
+  if (enhance == 3) n = normalize(vec3(n.xy * (1.0 + 4.0 * strength), n.z));
+  float u = values[0].b * top;
+  vec4 table = texelFetch(gloss, ivec2(0, region), 0);
+  float contrast = (table.x - 1.0) * (table.x + 1.0);
+  const vec3 v = vec3(0.0, 0.0, 1.0);
+  float cosR = n.z;
+  float inverseR = cosR > 0.0 ? 1.0 / cosR : 0.0;
+#if LOBES > 0
+  vec2 lobes[LOBES];
+  for (int k = 0; k < LOBES; k++) lobes[k] = texelFetch(gloss, ivec2(1 + k, region), 0).xy;
+#endif
+#if BLURRED && LOBES > 0
+  vec2 here = n.xy / max(n.z, 0.2);
+  vec3 spread = vec3(0.0);
+  for (int k = 0; k < 4; k++) {
+    vec2 side4 = k == 0 ? vec2(1, 0) : k == 1 ? vec2(-1, 0) : k == 2 ? vec2(0, 1) : vec2(0, -1);
+    vec2 d = slopeAt(at + side4) - here;
+    spread += vec3(d.x * d.x, d.x * d.y, d.y * d.y);
+  }
+  spread *= blur / 24.0;
+#endif
+#if TERMS > 0
+  float f[5];
+  for (int m = 0; m < 5; m++) f[m] = m < TERMS ? shadeMean[m] : 0.0;
+  for (int k = 0; k < SHADES; k++) {
+    const int start = 3 + CHROMA;
+    float value = mix(shadeRange[k].x, shadeRange[k].y, values[LAYER(start + k)][(start + k) % 4]);
+    for (int m = 0; m < TERMS; m++) f[m] += value * shadeAxes[k * 5 + m];
+  }
+#endif
+  float leave = transmission > 0.0 ? passed(cosR, contrast) : 1.0;
+  float diffuse[LAMPS + 1];
+  float specular[LAMPS + 1];
+  vec2 position = vec2(at.x - size.x / 2.0, size.y / 2.0 - at.y) * pitch;
+  for (int j = 0; j < LAMPS; j++) {
+    vec3 way = lamps[j].xyz - lamps[j].w * vec3(position, 0.0);
+    float square = dot(way, way);
+    vec3 l = way * inversesqrt(square);
+    float e = powers[j].x * (powers[j].y > 0.0 ? powers[j].y / square : 1.0);
+#if SHADOWS
+    e *= texture(visibility, vec3(at / size, float(j))).r;
+#endif
+    float cosI = dot(n, l);
+    float c = max(cosI, 0.0);
+    vec3 s = l + v;
+    float length2 = dot(s, s);
+    specular[j] = 0.0;
+#if LOBES > 0
+    if (cosI > 0.0 && cosR > 0.0) {
+      vec3 x = cross(n, s);
+      float len = sqrt(length2), both = cosI + cosR;
+      float phi2 = phiSquared(min(dot(x, x) / (2.0 * len * (len + both)), 0.5));
+      float fresnel = reflected(min(0.5 * len, 1.0), contrast);
+      float fg = fresnel * min(4.0 * both * min(cosI * inverseR, 1.0) / length2, inverseR);
+#if BLURRED
+      vec2 d = here - s.xy / max(s.z, 1e-3);
+      float apart = dot(d, d);
+      float nz = max(n.z, 0.2);
+      float q = apart > 1e-12 ? phi2 / apart : nz * nz * nz;
+      d *= sqrt(q);
+#endif
+      float sum = 0.0;
+      for (int k = 0; k < LOBES; k++) {
+#if BLURRED
+        float s2 = 1.0 / (lobes[k].y * 2.0 * LN2);
+        float a = s2 + q * spread.x, b = q * spread.y, cc = s2 + q * spread.z;
+        float inverse = 1.0 / (a * cc - b * b);
+        float exponent = (cc * d.x * d.x - 2.0 * b * d.x * d.y + a * d.y * d.y) * inverse / (2.0 * LN2);
+        sum += lobes[k].x * exp2(-exponent) * s2 * sqrt(inverse);
+#else
+        sum += lobes[k].x * exp2(-phi2 * lobes[k].y);
+#endif
+      }
+      specular[j] = sum * fg * e;
+    }
+#endif
+    float w = c * e;
+#if TERMS > 0
+    float along = max(dot(n, s), 0.0);
+    float x2 = along * along / max(length2, 1e-12), x4 = x2 * x2;
+    w *= max(f[0] + f[1] * c + f[2] * x4 * x4 + f[3] * l.x + f[4] * l.y, 0.0);
+#endif
+    if (transmission > 0.0) w *= passed(cosI, contrast) * leave;
+    if (enhance == 1) {
+      vec3 h = s * inversesqrt(length2);
+      specular[j] += 0.6 * strength * e * pow(max(dot(n, h), 0.0), 60.0);
+      w *= 1.0 - 0.8 * strength;
+    }
+    diffuse[j] = w;
+  }
+  diffuse[LAMPS] = ambient * 0.5 * (1.0 + n.z) * table.y * leave;
+  specular[LAMPS] = 0.0;
+#if TERMS > 0
+  float tilt = f[3] * n.x + f[4] * n.y;
+  diffuse[LAMPS] *= max(f[0] + (f[1] + tilt) * (2.0 / 3.0) + f[2] * 0.5375, 0.0);
+#endif
+  if (enhance == 2) {
+    vec2 bend = vec2(slopeAt(at + vec2(1, 0)).x - slopeAt(at - vec2(1, 0)).x, slopeAt(at - vec2(0, 1)).y - slopeAt(at + vec2(0, 1)).y);
+    float gain = clamp(1.0 + 6.0 * strength * (bend.x + bend.y), 0.3, 1.7);
+    for (int j = 0; j <= LAMPS; j++) diffuse[j] *= gain;
+  }
+  vec3 total = vec3(0.0);
+  for (int j = 0; j <= LAMPS; j++) {
+    const int stride = CHROMA + 2;
+    vec3 chroma = colours[j * stride + 1];
+    for (int k = 0; k < CHROMA; k++) {
+      chroma += colours[j * stride + 2 + k] * mix(chromaRange[k].x, chromaRange[k].y, values[LAYER(3 + k)][(3 + k) % 4]);
+    }
+    vec3 body = u * u * (u * colours[j * stride] + chroma);
+    if (enhance == 3) body = mix(body, 0.6 * whites[j], strength);
+    total += body * diffuse[j] + whites[j] * specular[j];
+  }
+#if OUTPUT == 1
+  // total.y is the luminance: 16 bits of its logarithm
+  float code = clamp((log2(max(total.y, 1e-6)) + 20.0) / 32.0, 0.0, 1.0) * 65535.0;
+  float high = floor(code / 256.0);
+  result = vec4(high / 255.0, floor(code - high * 256.0) / 255.0, 0.0, 1.0);
+#else
+  result = vec4(curve(total.r), curve(total.g), curve(total.b), 1.0);
+#endif
+}`;
+
+/** A data layer with its colours: grey, diverging or flags. */
+export const LAYER_FRAGMENT = `
+uniform sampler2D codes;
+uniform vec2 size;
+uniform int colouring;           // 0 grey, 1 diverging, 2 flags
+uniform float nothing, scale;
+in vec2 at;
+out vec4 result;
+void main() {
+  vec2 extent = vec2(textureSize(codes, 0));
+  float code = texelFetch(codes, ivec2(clamp(at / size * extent, vec2(0.0), extent - 1.0)), 0).r * 255.0;
+  if (code > nothing - 0.5 && colouring != 2) { result = vec4(0.15, 0.13, 0.18, 1.0); return; }
+  float value = clamp(code * scale, 0.0, 1.0);
+  vec3 colour = vec3(value);
+  if (colouring == 1) colour = value < 0.5 ? mix(vec3(0.1, 0.3, 0.7), vec3(0.95), value * 2.0) : mix(vec3(0.95), vec3(0.7, 0.15, 0.1), value * 2.0 - 1.0);
+  if (colouring == 2) {
+    int bits = int(code + 0.5);
+    colour = vec3(0.12);
+    for (int k = 0; k < 8; k++) if ((bits >> k & 1) == 1) colour += 0.55 * (0.5 + 0.5 * cos(6.2832 * (float(k) / 8.0 + vec3(0.0, 0.33, 0.67))));
+  }
+  result = vec4(colour, 1.0);
+}`;

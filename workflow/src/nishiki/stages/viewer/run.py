@@ -1,0 +1,105 @@
+"""Viewer: a page on which a painting is seen under moving lamps, its data beside it or inside it."""
+
+import cv2
+import numpy as np
+
+from nishiki.artifacts.artifact import Artifact
+from nishiki.artifacts.maps import Maps
+from nishiki.artifacts.stage import Context
+from nishiki.colour.colour import cie_1931_cmfs
+from nishiki.colour.colour import illuminant as cie_illuminant
+from nishiki.colour.sampling import WAVELENGTHS_NM
+from nishiki.formats.stored import load_arrays
+from nishiki.report.viewer.heights import height_block
+from nishiki.report.viewer.page import Blocks, write_page
+from nishiki.report.viewer.pyramid import BORDER, TILE, Pyramid
+from nishiki.stages.viewer.layers import layers_of
+from nishiki.stages.viewer.painting import UNKNOWN_REGION, PaintingCode, PaintingMaps, gloss_of
+
+ILLUMINANTS = ("D65", "D50", "A", "E", "F2", "F7", "F11")
+BAND_ROWS = 256
+MOST_SHADOW_PIXELS = 1_200_000
+"""Heights above which the map that casts the shadows is averaged: a sweep over it takes about a tenth of a second."""
+
+
+def run(context: Context) -> dict:
+    """Write tiles, heights and layers, then the page around them."""
+    maps = PaintingMaps.of(context.inputs)
+    rows, columns = maps.shape
+    blocks = Blocks(context.output, inline_bytes=int(context.settings.inline_mb * 1e6))
+    code = PaintingCode.of(maps, BAND_ROWS)
+    labels: dict[str, int] = {}
+
+    def write(level: int, row: int, column: int, values: np.ndarray) -> None:
+        planes, regions = code.encode(values)
+        name = f"{level}-{row}-{column}"
+        blocks.add(f"tile-{name}", jpeg(mosaic(planes), context.settings.quality))
+        if regions.min() != regions.max():
+            blocks.add(f"regions-{name}", png(regions))
+        else:
+            labels[name] = int(regions.flat[0])
+
+    pyramid = Pyramid(rows, columns, maps.read(slice(0, 1)).shape[-1], write)
+    for first in context.progress.over(range(0, rows, BAND_ROWS), "band"):
+        pyramid.push(maps.read(slice(first, min(first + BAND_ROWS, rows))))
+    height = Maps(context.inputs["height"].folder) if "height" in context.inputs else None
+    pitch = maps.normals.group.attrs.get("pixel_pitch_mm")
+    shadows = None
+    if height is not None and maps.casts_shadows:
+        block, shadows = height_block(
+            lambda band: height.read("height", band), (rows, columns), pitch or 1.0, MOST_SHADOW_PIXELS
+        )
+        blocks.add("height", block)
+    planes = 3 + len(code.colour.chroma.planes) + (len(code.shading.planes) if code.shading else 0)
+    manifest = {
+        "format": 1,
+        "chain": "painting",
+        **context.stamp,
+        "title": context.inputs["ingest"].diagnostics["capture"]["title"],
+        "rows": rows,
+        "columns": columns,
+        "pitch_mm": pitch,
+        "wavelengths_nm": WAVELENGTHS_NM.tolist(),
+        "basis": None if maps.basis is None else maps.basis.tolist(),
+        "cmf": cie_1931_cmfs().T.tolist(),
+        "illuminants": illuminants(context.inputs["ingest"]),
+        "gloss": gloss_of(maps),
+        "code": {**code.described(), "planes": planes},
+        "tiles": {
+            "size": TILE,
+            "border": BORDER,
+            "levels": [{"rows": shape[0], "columns": shape[1]} for shape in pyramid.levels()],
+            "regions": labels,
+            "unknown": UNKNOWN_REGION,
+        },
+        "shadows": shadows,
+        "layers": layers_of(context.inputs, blocks),
+    }
+    return write_page(blocks, manifest)
+
+
+def mosaic(planes: list[np.ndarray]) -> np.ndarray:
+    """Planes of one size side by side and below one another, the rest grey: one picture, one decoding."""
+    across = int(np.ceil(np.sqrt(len(planes))))
+    planes = planes + [np.full_like(planes[0], 128)] * (-len(planes) % across)
+    return np.concatenate([np.concatenate(planes[k : k + across], axis=1) for k in range(0, len(planes), across)])
+
+
+def jpeg(values: np.ndarray, quality: int) -> bytes:
+    """A grey picture as JPEG."""
+    return cv2.imencode(".jpg", values, [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_OPTIMIZE, 1])[1].tobytes()
+
+
+def png(values: np.ndarray) -> bytes:
+    """A grey picture as PNG."""
+    return cv2.imencode(".png", values, [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes()
+
+
+def illuminants(ingest: Artifact) -> dict[str, dict[str, list[float]]]:
+    """Spectra on offer, {name: {nm, power}}; `capture`: that of the lamp, where the capture states it."""
+    powers = {name: cie_illuminant(name) for name in ILLUMINANTS}
+    path = ingest.path("curves.npz")
+    curves = load_arrays(path) if path.is_file() else {}
+    if "illuminant" in curves:
+        powers["capture"] = curves["illuminant"]
+    return {name: {"nm": WAVELENGTHS_NM.tolist(), "power": power.tolist()} for name, power in powers.items()}
