@@ -55,7 +55,9 @@ class Page:
 
     def picture(self, width: int, height: int, **changes: Any) -> np.ndarray:
         """(height, width, 3) uint8 canvas of this size with a state."""
-        self.page.evaluate("([w, h]) => { nishiki.scene.canvas.width = w; nishiki.scene.canvas.height = h; }", [width, height])
+        self.page.evaluate(
+            "([w, h]) => { nishiki.scene.canvas.width = w; nishiki.scene.canvas.height = h; }", [width, height]
+        )
         self.set(**changes)
         self.page.evaluate("nishiki.scene.draw(nishiki.state)")
         values = np.frombuffer(base64.b64decode(self.page.evaluate(READ)), np.uint8).reshape(height, width, 4)
@@ -94,13 +96,15 @@ def lamp(azimuth: float, elevation: float, illuminant: str = "D65", **changes: A
 
 
 def rendered(scene: PlaneScene, state: dict[str, Any]) -> tuple[np.ndarray, float]:
-    """(rows, columns, 3) uint8 that `render` shows of a state of the page, and the exposure; full size, from the front."""
+    """(rows, columns, 3) uint8 that `render` shows of a state of the page, frontal, in full size; and the exposure."""
     lights = []
     side = max(scene.shape) * scene.pitch
     for each in state["lamps"]:
         towards = direction(each["elevation_deg"], each["azimuth_deg"])
         near = each["distance"]
-        place = {"position_mm": tuple(towards * near * side), "falloff": True} if near else {"direction": tuple(towards)}
+        place = (
+            {"position_mm": tuple(towards * near * side), "falloff": True} if near else {"direction": tuple(towards)}
+        )
         lights.append(
             Light(
                 spectrum=illuminant(each["illuminant"]),
@@ -112,7 +116,9 @@ def rendered(scene: PlaneScene, state: dict[str, Any]) -> tuple[np.ndarray, floa
     made = render(scene, lights, ambient=Ambient(spectrum=lights[0].spectrum, level=state["ambient"]))
     exposure = state["exposure"]
     if exposure == "auto":
-        settings = [LightSettings(elevation_deg=each["elevation_deg"], intensity=each["intensity"]) for each in state["lamps"]]
+        settings = [
+            LightSettings(elevation_deg=each["elevation_deg"], intensity=each["intensity"]) for each in state["lamps"]
+        ]
         exposure = adapted_exposure(made.xyz, seen=seen(made), sheet=white_sheet(settings, state["ambient"]))
     return display_image(made.xyz, white=made.white_xyz, exposure=exposure).pixels, exposure
 
@@ -127,5 +133,3 @@ def difference(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 def plane_scene(inputs: dict[str, Artifact]) -> PlaneScene:
     """What the stage render would show of these artifacts."""
     return load_scene(inputs, cast_shadows=True)
-
-

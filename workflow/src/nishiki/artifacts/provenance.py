@@ -151,8 +151,10 @@ def _module_files(name: str) -> list[Path]:
 
 
 def data_files(modules: list[Path]) -> list[Path]:
-    """Tables and templates that lie in the folders of the modules: they decide the result as code does."""
-    folders = {path.parent for path in modules if SOURCE / PACKAGE in path.parent.parents and _is_module(path)}
+    """Tables and templates that lie in the folders of the modules, and in a folder that has the name of a module beside
+    it: they decide the result as code does."""
+    own = [path for path in modules if SOURCE / PACKAGE in path.parent.parents and _is_module(path)]
+    folders = {path.parent for path in own} | {path.with_suffix("") for path in own if path.with_suffix("").is_dir()}
     return sorted(
         item for folder in folders for item in folder.iterdir() if item.is_file() and item.suffix not in (".py", ".md")
     )

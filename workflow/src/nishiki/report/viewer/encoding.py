@@ -78,9 +78,11 @@ class PrincipalCode:
 
     @classmethod
     def of(cls, vectors: np.ndarray, features: np.ndarray, step: float) -> PrincipalCode:
-        """Fit to vectors (samples, n); features (n, m): what is seen of them. Axes below a quarter step are left out."""
+        """Fit to vectors (samples, n); features (n, m): what is seen of them. Axes below a quarter step are dropped."""
         mean = vectors.mean(axis=0)
-        root = np.linalg.cholesky(features @ features.T + 1e-12 * np.trace(features @ features.T) * np.eye(len(features)))
+        root = np.linalg.cholesky(
+            features @ features.T + 1e-12 * np.trace(features @ features.T) * np.eye(len(features))
+        )
         centred = (vectors - mean) @ root
         values, axes = np.linalg.eigh(centred.T @ centred / max(len(centred), 1))
         order = [k for k in np.argsort(-values, kind="stable") if values[k] > (step / 4) ** 2]
@@ -98,7 +100,9 @@ class PrincipalCode:
 
     def decode(self, codes: list[np.ndarray]) -> np.ndarray:
         """float32 vectors."""
-        out = np.broadcast_to(self.mean.astype(np.float32), (*np.shape(codes[0]), len(self.mean))) if codes else self.mean
+        out = (
+            np.broadcast_to(self.mean.astype(np.float32), (*np.shape(codes[0]), len(self.mean))) if codes else self.mean
+        )
         for plane, component, values in zip(self.planes, self.components, codes, strict=True):
             out = out + plane.decode(values)[..., None] * component.astype(np.float32)
         return out
@@ -123,7 +127,9 @@ class ColourCode:
     chroma: PrincipalCode
 
     @classmethod
-    def of(cls, coefficients: np.ndarray, to_xyz: list[np.ndarray], basis: np.ndarray | None, step: float) -> ColourCode:
+    def of(
+        cls, coefficients: np.ndarray, to_xyz: list[np.ndarray], basis: np.ndarray | None, step: float
+    ) -> ColourCode:
         """Fit to coefficients (samples, K); to_xyz: (3, K) of each lamp, the first being daylight."""
         luminance = to_xyz[0][1]
         mean = coefficients.mean(axis=0)
@@ -160,7 +166,7 @@ class ColourCode:
 
 
 def _opponent(matrix: np.ndarray) -> np.ndarray:
-    """(K, 3): L*, a*, b* in units of 116 of a small difference of coefficients, times Y^(2/3); matrix: (3, K), white 1."""
+    """(K, 3): L*, a*, b* in units of 116 of differences of coefficients, times Y^(2/3); matrix: (3, K), white 1."""
     x, y, z = matrix / 3
     return np.stack([y, 500 / 116 * (x - y), 200 / 116 * (y - z)], axis=1)
 

@@ -1,4 +1,4 @@
-"""The height of a relief as the viewer needs it for cast shadows: 16 bits, predicted from neighbours, in a zlib stream."""
+"""The height of a relief for the viewer's cast shadows: 16 bits, predicted from neighbours, in a zlib stream."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ def height_block(
 ) -> tuple[bytes, dict[str, Any]]:
     """Block of a height map, and what a reader has to know of it.
 
-    read : rows of the map in the unit of `pitch`, NaN where it is not known. Above `most_pixels` it is averaged. Codes are
-    int16, difference from left + above - above left, low bytes of all before the high ones.
+    read : rows of the map in the unit of `pitch`, NaN where it is not known. Above `most_pixels` it is averaged. Codes
+    are int16, difference from left + above - above left, low bytes of all before the high ones.
     """
     factor = max(1, int(np.ceil(np.sqrt(shape[0] * shape[1] / most_pixels))))
     bands = [_means(read(slice(k, min(k + 64 * factor, shape[0]))), factor) for k in range(0, shape[0], 64 * factor)]

@@ -16,7 +16,7 @@ PAGE = Path(__file__).parent / "page"
 
 
 class Blocks:
-    """Blocks of data by name: kept while all of them together are small, written as scripts beside the page otherwise."""
+    """Blocks of data by name: kept while all together are small, otherwise written as scripts beside the page."""
 
     def __init__(self, output: ArtifactWriter, *, inline_bytes: int):
         self.output = output

@@ -19,9 +19,9 @@ Emit = Callable[[int, int, int, np.ndarray], None]
 class Pyramid:
     """Takes rows of maps and gives tiles to `emit(level, tile row, tile column, values)`.
 
-    values : (TILE + 2 BORDER, TILE + 2 BORDER, fields) float32; beyond the edges of the map the last pixels are repeated.
-    The first field is the share of a pixel that is known, and the last the number of its region; the others are
-    averaged over what is known.
+    values : (TILE + 2 BORDER, TILE + 2 BORDER, fields) float32; beyond the edges of the map its last pixels are
+    repeated. The first field is the share of a pixel that is known, and the last the number of its region; the others
+    are averaged over what is known.
     """
 
     def __init__(self, rows: int, columns: int, fields: int, emit: Emit, *, level: int = 0):
@@ -59,7 +59,7 @@ class Pyramid:
             self.held, self.first = self.held[keep:], self.first + keep
 
     def _write(self, last: int) -> None:
-        rows, columns = self.shape
+        columns = self.shape[1]
         along = np.arange(self.coming * TILE - BORDER, (self.coming + 1) * TILE + BORDER)
         band = self.held[np.clip(along, 0, last - 1) - self.first]
         for k in range(-(-columns // TILE)):

@@ -24,7 +24,10 @@ def layers_of(inputs: dict[str, Artifact], blocks: Blocks) -> list[dict[str, Any
         {"name": "normals", "label_key": "layer.normals", "unit": "", "range": [-1, 1], "map": "normal"},
     ]
     normals = Maps(inputs["normals"].folder)
-    sources = [("sigma", "degrees", "grey", normals, "sigma", np.degrees(1.0)), ("residual", "", "grey", normals, "residual", 1.0)]
+    sources = [
+        ("sigma", "degrees", "grey", normals, "sigma", np.degrees(1.0)),
+        ("residual", "", "grey", normals, "residual", 1.0),
+    ]
     if "height" in inputs:
         height = Maps(inputs["height"].folder)
         sources.insert(0, ("height", height.attributes("height")["unit"], "grey", height, "height", 1.0))
@@ -88,13 +91,18 @@ def _counted(name: str, unit: str, colours: str, maps: Maps, blocks: Blocks) -> 
     step = _factor(maps.group[name].shape)
     rows = maps.group[name].shape[0]
     band = step * 64
-    parts = [maps.read(name, slice(first, min(first + band, rows)))[step // 2 :: step, step // 2 :: step] for first in range(0, rows, band)]
+    parts = [
+        maps.read(name, slice(first, min(first + band, rows)))[step // 2 :: step, step // 2 :: step]
+        for first in range(0, rows, band)
+    ]
     values = np.minimum(np.concatenate(parts), TOP).astype(np.uint8)
     high = TOP if colours == "flags" else max(int(values.max()), 1)
     return {**_written(name, unit, colours, values, 0, TOP, blocks), "range": [0, high]}
 
 
-def _written(name: str, unit: str, colours: str, codes: np.ndarray, low: float, high: float, blocks: Blocks) -> dict[str, Any]:
+def _written(
+    name: str, unit: str, colours: str, codes: np.ndarray, low: float, high: float, blocks: Blocks
+) -> dict[str, Any]:
     block = f"layer-{name}"
     blocks.add(block, cv2.imencode(".png", codes, [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes())
     return {

@@ -77,7 +77,7 @@ class PaintingMaps:
         return not directional_shading(self.normals)
 
     def read(self, rows: slice) -> np.ndarray:
-        """Records (rows, columns, 1 + 3 + K + terms + 1) float32 of some rows; 0 where nothing is known but the region."""
+        """Records (rows, columns, 1 + 3 + K + terms + 1) float32 of some rows; 0 where nothing is known."""
         normals = shading_normals(self.normals, rows)
         if self.spectra is None:
             colours = self.normals.read("reflectance", rows)
