@@ -7,9 +7,6 @@ import json
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, FileSystemLoader
-from markupsafe import Markup
-
 from nishiki.artifacts.artifact import ArtifactWriter
 
 PAGE = Path(__file__).parent / "page"
@@ -44,6 +41,9 @@ class Blocks:
 
 def write_page(blocks: Blocks, manifest: dict[str, Any]) -> dict[str, Any]:
     """Write index.html of a manifest and its blocks; sizes in bytes, for the diagnostics."""
+    from jinja2 import Environment, FileSystemLoader
+    from markupsafe import Markup
+
     modules = {
         f"viewer/{path.stem}": f"data:text/javascript;base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
         for path in sorted(PAGE.glob("*.js"))
@@ -52,8 +52,8 @@ def write_page(blocks: Blocks, manifest: dict[str, Any]) -> dict[str, Any]:
     environment = Environment(loader=FileSystemLoader(PAGE), autoescape=True, keep_trailing_newline=True)
     html = environment.get_template("index.html.j2").render(
         title=manifest["title"],
-        modules=_script_json({"imports": modules}),
-        manifest=_script_json(manifest),
+        modules=Markup(_script_json({"imports": modules})),
+        manifest=Markup(_script_json(manifest)),
         blocks=blocks.kept or {},
         style=Markup((PAGE / "style.css").read_text(encoding="utf-8")),
     )
@@ -66,7 +66,7 @@ def write_page(blocks: Blocks, manifest: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _script_json(value: Any) -> Markup:
+def _script_json(value: Any) -> str:
     """JSON that no content can end the script element of."""
     text = json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
-    return Markup(text.replace("<", "\\u003c"))
+    return text.replace("<", "\\u003c")

@@ -25,7 +25,7 @@ STAGE = Stage(
     wants=lambda settings: ("height", "spectra", "brdf"),
     uses=("evaluate",),
     needs_colour=True,
-    libraries=("numpy", "jinja2", "zarr", "opencv-contrib-python-headless"),
+    libraries=("numpy", "numba", "jinja2", "zarr", "opencv-contrib-python-headless"),
     threads=1,
     cost=lambda facts: Cost(mib=400, bytes_per_pixel=16, seconds=3, us_per_pixel=6),
 )

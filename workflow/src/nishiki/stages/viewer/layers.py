@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import cv2
 import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.maps import Maps
 from nishiki.report.viewer.page import Blocks
+from nishiki.report.viewer.pictures import png
 
 MOST_PIXELS = 1_000_000
 TOP, NOTHING = 254, 255
@@ -104,7 +104,7 @@ def _written(
     name: str, unit: str, colours: str, codes: np.ndarray, low: float, high: float, blocks: Blocks
 ) -> dict[str, Any]:
     block = f"layer-{name}"
-    blocks.add(block, cv2.imencode(".png", codes, [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes())
+    blocks.add(block, png(codes))
     return {
         "name": name,
         "label_key": f"layer.{name}",

@@ -1,6 +1,5 @@
 """Viewer: a page on which a painting is seen under moving lamps, its data beside it or inside it."""
 
-import cv2
 import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
@@ -12,6 +11,7 @@ from nishiki.colour.sampling import WAVELENGTHS_NM
 from nishiki.formats.stored import load_arrays
 from nishiki.report.viewer.heights import height_block
 from nishiki.report.viewer.page import Blocks, write_page
+from nishiki.report.viewer.pictures import jpeg, png
 from nishiki.report.viewer.pyramid import BORDER, TILE, Pyramid
 from nishiki.stages.viewer.layers import layers_of
 from nishiki.stages.viewer.painting import UNKNOWN_REGION, PaintingCode, PaintingMaps, gloss_of
@@ -83,16 +83,6 @@ def mosaic(planes: list[np.ndarray]) -> np.ndarray:
     across = int(np.ceil(np.sqrt(len(planes))))
     planes = planes + [np.full_like(planes[0], 128)] * (-len(planes) % across)
     return np.concatenate([np.concatenate(planes[k : k + across], axis=1) for k in range(0, len(planes), across)])
-
-
-def jpeg(values: np.ndarray, quality: int) -> bytes:
-    """A grey picture as JPEG."""
-    return cv2.imencode(".jpg", values, [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_OPTIMIZE, 1])[1].tobytes()
-
-
-def png(values: np.ndarray) -> bytes:
-    """A grey picture as PNG."""
-    return cv2.imencode(".png", values, [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes()
 
 
 def illuminants(ingest: Artifact) -> dict[str, dict[str, list[float]]]:
