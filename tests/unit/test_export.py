@@ -1,5 +1,6 @@
 """Exports of a painting, read back by the libraries of other programs."""
 
+import importlib.util
 import io
 import json
 import re
@@ -33,6 +34,8 @@ from nishiki.errors import UserError
 from nishiki.formats.exr_bands import ExrWriter, read_blocks
 from nishiki.formats.picture_tiles import read_full_resolution, read_jpeg, write_deep_zoom
 from nishiki.formats.tiff_bands import TiffWriter
+from nishiki.render.plane.frame import render
+from nishiki.render.plane.scene import Gloss, Light, PlaneScene, View
 from nishiki.stages.export.declaration import ExportSettings, Format
 from nishiki.stages.export.gltf_material import GltfMaterial, fitted_material
 from nishiki.stages.export.light_models import HarmonicModel, ptm_weights, solve
@@ -420,3 +423,43 @@ def gltf_problems(path):
 
 def test_gltf_is_valid(exported):
     assert gltf_problems(exported.folder / "painting.glb") == []
+
+
+def plane_scene(painting):
+    """The painting as our own renderer takes it."""
+    normals = np.where(painting.known[..., None], painting.normals, np.float32(0))
+    height = np.where(painting.known, painting.height, np.nan).astype(np.float32)
+    gloss = Gloss([[0.6]], [[0.25]], [1.45])
+    fields = {"coefficients": painting.coefficients, "basis": painting.basis, "pitch": PITCH_MM}
+    return PlaneScene(normals, gloss=gloss, height=height, **fields)
+
+
+@pytest.fixture(scope="module")
+def nishiki_paint(exported):
+    """The exported module of Mitsuba, with a variant set."""
+    mitsuba = pytest.importorskip("mitsuba", reason="Mitsuba 3 is not installed (group path-tracing)")
+    mitsuba.set_variant("scalar_rgb")
+    spec = importlib.util.spec_from_file_location("nishiki_paint", exported.folder / "mitsuba/nishiki_paint.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("lamp", [(0.6, 0.1, 0.79), (-0.1, -0.05, 0.99)])
+def test_mitsuba_renders_what_we_render(exported, nishiki_paint, lamp):
+    import mitsuba
+
+    painting = exported.painting
+    folder = exported.folder / "mitsuba"
+    flat = np.array(mitsuba.render(nishiki_paint.load([lamp], relief=False, samples=1, folder=folder)))
+    light = Light(direction=lamp, spectrum=illuminant("D65"))
+    scene = replace(plane_scene(painting), height=None)
+    d65 = white_xyz(illuminant("D65"))
+    ours = xyz_to_srgb_linear(render(scene, [light], View()).xyz, white=d65)
+    known = painting.known & (ours.min(axis=-1) > 0.01)
+    np.testing.assert_allclose(flat[known], ours[known], rtol=0.01)
+    assert known.mean() > 0.9
+    relief = np.array(mitsuba.render(nishiki_paint.load([lamp], samples=1, folder=folder)))
+    inner = known.copy()
+    inner[[0, -1]] = inner[:, [0, -1]] = False
+    assert np.median(np.abs(relief[inner] - ours[inner])) < 0.01

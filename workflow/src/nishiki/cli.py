@@ -180,7 +180,7 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-FORMATS = "formats of a painting: normals, height, albedo, relight, spectral, gltf (docs/stages/export.md)"
+FORMATS = "formats of a painting: normals, height, albedo, relight, spectral, gltf, mitsuba (docs/stages/export.md)"
 
 
 RIG = f"""\

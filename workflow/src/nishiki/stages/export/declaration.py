@@ -8,7 +8,7 @@ from nishiki.artifacts.closed import Closed, Guarded
 from nishiki.artifacts.limits import Limit, at
 from nishiki.stages.base import Cost, Stage
 
-Format = Literal["normals", "height", "albedo", "relight", "spectral", "gltf"]
+Format = Literal["normals", "height", "albedo", "relight", "spectral", "gltf", "mitsuba"]
 Kind = Literal["ptm", "hsh", "rbf"]
 LIMITS = (
     Limit("quantised", "largest angle by which 16 bits move a normal, degrees", at("losses.normals.largest_deg")),
@@ -66,6 +66,7 @@ NEEDS: dict[str, tuple[str, ...]] = {
     "relight": ("spectra",),
     "spectral": ("spectra",),
     "gltf": ("height", "spectra", "brdf"),
+    "mitsuba": ("height", "spectra", "brdf"),
 }
 """Stages that a format reads where the capture can feed them."""
 

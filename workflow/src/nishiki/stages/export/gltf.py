@@ -4,10 +4,9 @@ import numpy as np
 
 from nishiki.artifacts.stage import Context
 from nishiki.brdf.parameters import gloss_table
-from nishiki.colour.colour import srgb_encode, xyz_to_srgb_linear
+from nishiki.colour.colour import srgb_encode
 from nishiki.colour.encoding import decode, encode
 from nishiki.formats.glb import Glb
-from nishiki.formats.icc import D50
 from nishiki.formats.picture_tiles import png_bytes
 from nishiki.observations.plane import Observations
 from nishiki.report.files import read_json
@@ -44,15 +43,13 @@ def textures(scene: ExportedScene, most: int) -> tuple[np.ndarray, np.ndarray, i
     """Linear sRGB albedo and unit normals (rows, columns, 3), at most `most` texels a side; pixels along a texel."""
     rows, columns = scene.shape
     step = -(-max(rows, columns) // most)
-    to_rgb = xyz_to_srgb_linear(scene.to_xyz_d50()[0].T, white=np.array(D50))
     high = max(1, scene.band_rows // step) * step
     albedo, normals = [], []
     for top in range(0, rows, high):
         band = slice(top, min(top + high, rows))
         known = scene.known(band)[..., None]
-        linear = np.where(known, np.nan_to_num(scene.coefficients(band)) @ to_rgb, 0)
         share = np.maximum(block_mean(known, step), 1e-9)
-        albedo.append((block_mean(linear, step) / share).astype(np.float32))
+        albedo.append((block_mean(scene.srgb(band), step) / share).astype(np.float32))
         mean = block_mean(scene.normals(band), step)
         length = np.linalg.norm(mean, axis=-1, keepdims=True)
         normals.append((mean / np.where(length > 0, length, 1)).astype(np.float32))

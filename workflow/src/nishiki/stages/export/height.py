@@ -3,8 +3,7 @@
 import numpy as np
 
 from nishiki.artifacts.stage import Context
-from nishiki.colour.colour import srgb_encode, xyz_to_srgb_linear
-from nishiki.formats.icc import D50
+from nishiki.colour.colour import srgb_encode
 from nishiki.formats.tiff_bands import TiffWriter
 from nishiki.stages.export.normals import software, stamped
 from nishiki.stages.export.relief_mesh import Relief, reliefs
@@ -61,7 +60,7 @@ def write_ply(context: Context, scene: ExportedScene) -> tuple[int, int, int]:
         "property list uchar int vertex_indices",
         "end_header",
     ]
-    colours = srgb_of(scene)
+    colours = scene.to_srgb()
     with open(context.output.path("exports/height.ply"), "wb") as file:
         file.write(("\n".join(heading) + "\n").encode("ascii", "replace"))
         for relief in reliefs(scene, most, colours=colours):
@@ -79,8 +78,3 @@ def vertex_bytes(relief: Relief) -> bytes:
     points["place"], points["normal"] = relief.places, relief.normals
     points["colour"] = np.floor(255 * srgb_encode(relief.colours) + 0.5)
     return points.tobytes()
-
-
-def srgb_of(scene: ExportedScene) -> np.ndarray:
-    """(3, K) from the coefficients of the diffuse colour to linear sRGB."""
-    return xyz_to_srgb_linear(scene.to_xyz_d50()[0].T, white=np.array(D50)).T

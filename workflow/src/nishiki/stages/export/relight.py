@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.artifacts.stage import Context
-from nishiki.colour.colour import srgb_encode, xyz_to_srgb_linear
-from nishiki.formats.icc import D50
+from nishiki.colour.colour import srgb_encode
 from nishiki.formats.picture_tiles import (
     picture_on_disk,
     read_full_resolution,
@@ -163,7 +162,5 @@ def write_layers(folder: Path, scene: ExportedScene, context: Context) -> None:
     quality = context.settings.relight.jpeg_quality
     coded = normals_as_colours(scene.normals(everything))
     write_jpeg(folder / "normals.jpg", (coded // 257).astype(np.uint8), quality)
-    matrix = xyz_to_srgb_linear(scene.to_xyz_d50()[0].T, white=np.array(D50)).T
-    known = scene.known(everything)[..., None]
-    albedo = np.where(known, np.nan_to_num(scene.coefficients(everything)) @ matrix.T, 0)
-    write_jpeg(folder / "albedo.jpg", np.rint(255 * srgb_encode(albedo)).astype(np.uint8), quality)
+    albedo = np.rint(255 * srgb_encode(scene.srgb(everything))).astype(np.uint8)
+    write_jpeg(folder / "albedo.jpg", albedo, quality)

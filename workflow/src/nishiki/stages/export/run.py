@@ -1,7 +1,7 @@
 """Export: files of a painting for other programs, and what each of them loses."""
 
 from nishiki.artifacts.stage import Context
-from nishiki.stages.export import albedo, gltf, height, normals, relight, spectral
+from nishiki.stages.export import albedo, gltf, height, mitsuba, normals, relight, spectral
 from nishiki.stages.export.scene import ExportedScene
 
 WRITERS = {
@@ -11,6 +11,7 @@ WRITERS = {
     "relight": relight.write,
     "spectral": spectral.write,
     "gltf": gltf.write,
+    "mitsuba": mitsuba.write,
 }
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.maps import Maps
-from nishiki.colour.colour import adaptation_matrix, illuminant, xyz_matrix
+from nishiki.colour.colour import adaptation_matrix, illuminant, srgb_matrix, white_xyz, xyz_matrix
 from nishiki.colour.training import synthetic_reflectances
 from nishiki.errors import UserError
 from nishiki.evaluate.camera_colour import CameraColour, assumed_colour, fitted_colour
@@ -14,6 +14,9 @@ from nishiki.formats.icc import D50
 from nishiki.formats.stored import load_arrays
 from nishiki.formats.tiff_bands import strips
 from nishiki.photometric.flags import NO_ESTIMATE
+
+D65 = np.linalg.inv(srgb_matrix()).sum(axis=1)
+"""White of sRGB."""
 
 
 class ExportedScene:
@@ -85,6 +88,29 @@ class ExportedScene:
         if len(curves.get("sensitivities", ())) == channels and "illuminant" in curves:
             return fitted_colour(synthetic_reflectances(), curves["illuminant"], curves["sensitivities"])
         return assumed_colour(channels)
+
+    def to_srgb(self) -> np.ndarray:
+        """(3, K) from coefficients to linear sRGB: spectra under D65, else the camera's channels with white kept."""
+        if self.basis is not None:
+            lamp = illuminant("D65")
+            return srgb_matrix() @ adaptation_matrix(white_xyz(lamp), D65) @ xyz_matrix(lamp, self.basis)
+        colour = self.camera_colour()
+        return srgb_matrix() @ adaptation_matrix(colour.white, D65) @ colour.matrix
+
+    def srgb(self, rows: slice) -> np.ndarray:
+        """(r, columns, 3) diffuse colour in linear sRGB; 0 where there is no estimate."""
+        return np.where(self.known(rows)[..., None], np.nan_to_num(self.coefficients(rows)) @ self.to_srgb().T, 0)
+
+    @property
+    def shading_terms(self) -> int:
+        """Terms of the body shading; 0 for Lambert's law."""
+        return self._maps.group["shading"].shape[-1] if "shading" in self._maps else 0
+
+    def shading(self, rows: slice) -> np.ndarray:
+        """(r, columns, 3) terms a, b, d of the body shading, (1, 0, 0) for Lambert's law."""
+        if self.shading_terms:
+            return self._maps.read("shading", rows)[..., :3]
+        return np.broadcast_to(np.float32([1, 0, 0]), (*self.known(rows).shape, 3))
 
     def to_xyz_d50(self) -> tuple[np.ndarray, str]:
         """(3, K) from coefficients to XYZ under D50, white (0.9642, 1, 0.8249); where it comes from, in words."""

@@ -3,12 +3,10 @@
 import numpy as np
 
 from nishiki.artifacts.stage import Context
-from nishiki.colour.colour import xyz_to_srgb_linear
 from nishiki.colour.sampling import WAVELENGTHS_NM
 from nishiki.errors import UserError
 from nishiki.formats.envi import EnviWriter
 from nishiki.formats.exr_bands import ExrWriter
-from nishiki.formats.icc import D50
 from nishiki.formats.tiff_bands import strips
 from nishiki.stages.export.normals import stamped
 from nishiki.stages.export.scene import ExportedScene
@@ -30,7 +28,7 @@ def write(context: Context, scene: ExportedScene) -> dict:
             "export: spectral needs spectra, which this scene has none of. Remedy: give the capture spectra of camera "
             "and lamp, or leave spectral out of export.formats"
         )
-    to_rgb = xyz_to_srgb_linear(scene.to_xyz_d50()[0].T, white=np.array(D50))
+    to_rgb = scene.to_srgb().T
     path = context.output.path
     names = [channel(float(wavelength)) for wavelength in WAVELENGTHS_NM]
     header = {

@@ -1,0 +1,175 @@
+"""A painting digitised by Nishiki, as a reflection model and a scene of Mitsuba 3; needs nothing of Nishiki.
+
+    python nishiki_paint.py --elevation 45 --azimuth 90 --output picture.exr
+
+or, in a program of your own, after mi.set_variant(...):
+
+    import nishiki_paint
+    scene = nishiki_paint.load(lights=[(0.5, 0.5, 0.7)])
+    picture = mi.render(scene)
+
+A picture's value is relative to a perfect white diffuser that faces a lamp of strength 1. For unit vectors n (normal of
+the texture), l, v and h with c = n.l, r = n.v:
+
+    value = c f T(c) T(r) albedo + sum_k beta_k D_k F G / r,     f = max(a + b c + d (n.h)^8, 0)
+    D = exp(-ln 2 (phi / gamma)^2),  phi: angle of n and h;  F: Fresnel, exact;  G = min(1, 2 (n.h) min(c, r) / v.h)
+    T(x) = 1 + t ((1 - F(x)) / (1 - F(1)) - 1)
+
+S. Tominaga and N. Tanaka (2004), Measuring and rendering art paintings using a color camera, eq. 10 to 13; the body's
+factor f and its losses at the surface T as on Nishiki's page of the stage render.
+"""
+
+import argparse
+import json
+import math
+from pathlib import Path
+
+NAME = "nishiki_paint"
+
+
+def define():
+    """Register the reflection model with the variant of Mitsuba that is set."""
+    import drjit as dr
+    import mitsuba as mi
+
+    class Paint(mi.BSDF):
+        """The model; textures `albedo`, `normals` and `shading` (a, b, d), all raw, normals in world coordinates."""
+
+        def __init__(self, props):
+            mi.BSDF.__init__(self, props)
+            self.albedo, self.normals, self.shading = (props[name] for name in ("albedo", "normals", "shading"))
+            self.beta, self.gamma = ([float(v) for v in props[name].split()] for name in ("beta", "gamma"))
+            self.index, self.transmission = float(props["index"]), float(props["transmission"])
+            flags = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide | mi.BSDFFlags.SpatiallyVarying
+            self.m_flags, self.m_components = flags, [flags]
+
+        def fresnel(self, cosine):
+            contrast = self.index**2 - 1
+            s = dr.sqrt(contrast + cosine * cosine) + cosine
+            d = contrast / s
+            parallel = (cosine * s - 1) / (cosine * d + 1)
+            return 0.5 * (d / s) ** 2 * (1 + parallel * parallel)
+
+        def passed(self, cosine):
+            straight = 1 - ((self.index - 1) / (self.index + 1)) ** 2
+            return 1 + self.transmission * ((1 - self.fresnel(cosine)) / straight - 1)
+
+        def eval(self, ctx, si, wo, active=True):
+            normal = mi.Vector3f(self.normals.eval_3(si, active))
+            light, view = si.to_world(wo), si.to_world(si.wi)
+            half = dr.normalize(light + view)
+            c, r, q = dr.dot(normal, light), dr.dot(normal, view), dr.dot(view, half)
+            along = dr.dot(normal, half)
+            seen = active & (c > 0) & (r > 0) & (si.wi.z > 0) & (wo.z > 0) & (dr.squared_norm(normal) > 0.5)
+            c, r, q = (dr.maximum(each, 1e-6) for each in (c, r, q))
+            phi = dr.atan2(dr.norm(dr.cross(normal, half)), along)
+            shading = self.shading.eval_3(si, active)
+            body = dr.maximum(shading[0] + shading[1] * c + shading[2] * dr.maximum(along, 0) ** 8, 0)
+            lobes = 0
+            for beta, gamma in zip(self.beta, self.gamma, strict=True):
+                lobes += beta * dr.exp2(-((phi / gamma) ** 2))
+            gloss = lobes * self.fresnel(q) * dr.minimum(1 / r, 2 * dr.maximum(along, 0) * dr.minimum(c / r, 1) / q)
+            colour = mi.Color3f(self.albedo.eval_3(si, active)) * (c * body * self.passed(c) * self.passed(r))
+            value = (colour + mi.Color3f(gloss)) / math.pi
+            return dr.select(seen, value, mi.Color3f(0))
+
+        def pdf(self, ctx, si, wo, active=True):
+            return dr.select(active & (si.wi.z > 0) & (wo.z > 0), mi.warp.square_to_cosine_hemisphere_pdf(wo), 0)
+
+        def eval_pdf(self, ctx, si, wo, active=True):
+            return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
+
+        def sample(self, ctx, si, sample1, sample2, active=True):
+            sampled = mi.BSDFSample3f()
+            sampled.wo = mi.warp.square_to_cosine_hemisphere(sample2)
+            sampled.pdf = mi.warp.square_to_cosine_hemisphere_pdf(sampled.wo)
+            sampled.eta, sampled.sampled_component = 1.0, 0
+            sampled.sampled_type = mi.UInt32(int(mi.BSDFFlags.GlossyReflection))
+            usable = active & (si.wi.z > 0) & (sampled.pdf > 0)
+            weight = self.eval(ctx, si, sampled.wo, usable) / dr.maximum(sampled.pdf, 1e-12)
+            return sampled, dr.select(usable, weight, mi.Color3f(0))
+
+        def to_string(self):
+            return NAME
+
+    mi.register_bsdf(NAME, lambda props: Paint(props))
+
+
+def description(lights, *, relief=True, columns=None, samples=16, folder=None):
+    """The scene as Mitsuba's dictionary.
+
+    lights: unit vectors towards distant lamps of strength 1; relief: the height is geometry and casts shadows, else the
+    picture is flat; columns: width of the picture, by default that of the textures.
+    """
+    import mitsuba as mi
+
+    folder = Path(folder or Path(__file__).parent)
+    facts = json.loads((folder / "scene.json").read_text())
+    wide = facts["width"]
+    to_world = mi.ScalarTransform4f()
+    mesh = "relief.ply" if relief else "flat.ply"
+    shape = {"type": "ply", "filename": str(folder / mesh), "face_normals": True}
+    bsdf = {"type": NAME, **facts["gloss"]}
+    for name in ("albedo", "normals", "shading"):
+        bsdf[name] = {
+            **{"type": "bitmap", "filename": str(folder / f"{name}.exr"), "raw": True},
+            **{"filter_type": "nearest", "wrap_mode": "clamp"},
+        }
+    columns = columns or facts["columns"]
+    above = 2 * max(wide, facts["height"])
+    scene = {
+        "type": "scene",
+        "integrator": {"type": "path", "max_depth": 2},
+        "painting": {**shape, "bsdf": bsdf},
+        "sensor": {
+            "type": "orthographic",
+            "to_world": to_world.look_at(origin=[0, 0, above], target=[0, 0, 0], up=[0, 1, 0])
+            @ to_world.scale([wide / 2, wide / 2, 1]),
+            "near_clip": 0.01 * above,
+            "far_clip": 2 * above,
+            "film": {
+                **{"type": "hdrfilm", "width": columns, "height": round(columns * facts["rows"] / facts["columns"])},
+                **{"rfilter": {"type": "box"}, "component_format": "float32", "pixel_format": "rgb"},
+            },
+            "sampler": {"type": "independent", "sample_count": samples},
+        },
+    }
+    for number, (x, y, z) in enumerate(lights):
+        scene[f"lamp_{number}"] = {
+            **{"type": "directional", "direction": [-x, -y, -z]},
+            "irradiance": {"type": "rgb", "value": [math.pi] * 3},
+        }
+    return scene
+
+
+def load(lights, **changes):
+    """The scene in the variant that is set; see `description`."""
+    import mitsuba as mi
+
+    define()
+    return mi.load_dict(description(lights, **changes))
+
+
+def main():
+    """Render one picture under one lamp."""
+    import mitsuba as mi
+
+    parser = argparse.ArgumentParser(description="Render the painting under one distant lamp.")
+    parser.add_argument("--elevation", type=float, default=45, help="degrees above the plane of the painting")
+    parser.add_argument("--azimuth", type=float, default=90, help="degrees, 0: right, 90: top")
+    parser.add_argument("--variant", default="scalar_rgb", help="of Mitsuba; llvm_ad_rgb and cuda_ad_rgb are faster")
+    parser.add_argument("--columns", type=int, help="width of the picture in pixels")
+    parser.add_argument("--samples", type=int, default=16, help="a pixel")
+    parser.add_argument("--flat", action="store_true", help="without the relief's cast shadows")
+    parser.add_argument("--output", default="picture.exr", help=".exr (linear) or .png")
+    options = parser.parse_args()
+    mi.set_variant(options.variant)
+    elevation, azimuth = math.radians(options.elevation), math.radians(options.azimuth)
+    across = math.cos(elevation)
+    lamp = (across * math.cos(azimuth), across * math.sin(azimuth), math.sin(elevation))
+    scene = load([lamp], relief=not options.flat, columns=options.columns, samples=options.samples)
+    mi.util.write_bitmap(options.output, mi.render(scene))
+
+
+if __name__ == "__main__":
+    main()
