@@ -97,6 +97,12 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--configfile", default="config/config.yaml", help="configuration (default %(default)s)")
     sub.add_argument("--cores", type=_cores, help="processors to use (default: all)")
     _with_gone(sub)
+    text = "open a scene's interactive viewer, or the page of all scenes, in the browser"
+    sub = command("view", "viewing:view", text)
+    _with_scene(sub)
+    text = "through a server for this machine alone, until Ctrl-C (default port: any that is free)"
+    sub.add_argument("--serve", nargs="?", type=int, const=0, metavar="PORT", help=text)
+    sub.add_argument("--print", action="store_true", help="print the address only; open nothing")
     sub = command("plan", "planning:plan", "what will run, be read and be loaded; what is left out and why")
     _with_scene(sub)
     sub.add_argument("--json", action="store_true", help="one JSON object a scene and line")

@@ -41,6 +41,7 @@ def run(options: argparse.Namespace, rest: list[str]) -> int:
     """
     from nishiki.commands.engine import LOOKS_ONLY, call_engine, names_targets
     from nishiki.commands.planning import expect_packages
+    from nishiki.commands.viewing import write_index
     from nishiki.engine.project import load_yaml
     from nishiki.engine.workflow import Workflow
 
@@ -68,6 +69,9 @@ def run(options: argparse.Namespace, rest: list[str]) -> int:
     status = status or (1 if flow.refused else 0)
     if not LOOKS_ONLY & set(rest):
         seconds = time.monotonic() - start
+        index = write_index(flow, {failure["scene"]: f"{failure['name']}: {failure['why']}" for failure in failures})
+        if len(flow.plans) + len(flow.refused) > 1:
+            print(f"all scenes: {index}")
         if status:
             _tell_unfinished(flow, seconds, failures)
         else:

@@ -164,6 +164,11 @@ class Page:
 
 def render_page(page: Page) -> str:
     """HTML of a page: one file that loads nothing from anywhere."""
+    return templates().get_template("page.html.j2").render(page=page)
+
+
+def templates():
+    """The environment (`jinja2.Environment`) of the templates beside this module."""
     import jinja2
 
     environment = jinja2.Environment(
@@ -174,4 +179,4 @@ def render_page(page: Page) -> str:
         lstrip_blocks=True,
     )
     environment.filters["figure"] = figure
-    return environment.get_template("page.html.j2").render(page=page)
+    return environment

@@ -187,6 +187,13 @@ def hillshade(height: np.ndarray, *, step: float) -> np.ndarray:
 
 def encoded(codes: np.ndarray, *, lossless: bool = False, scale: Scale | None = None, key=()) -> PagePicture:
     """A picture (rows, columns, 3) uint8 sRGB as data URI: JPEG of quality 90, or PNG."""
+    mime = "image/png" if lossless else "image/jpeg"
+    source = data_uri(_compressed(codes, lossless=lossless), mime)
+    return PagePicture(source, codes.shape[1], codes.shape[0], scale, key)
+
+
+def _compressed(codes: np.ndarray, *, lossless: bool = False) -> bytes:
+    """Bytes of a JPEG of quality 90, or a PNG."""
     import cv2
 
     kind, options = ".jpg", [cv2.IMWRITE_JPEG_QUALITY, 90, cv2.IMWRITE_JPEG_OPTIMIZE, 1]
@@ -195,12 +202,21 @@ def encoded(codes: np.ndarray, *, lossless: bool = False, scale: Scale | None = 
     done, data = cv2.imencode(kind, np.ascontiguousarray(codes[..., ::-1]), options)
     if not done:
         raise RuntimeError(f"a picture of shape {codes.shape} could not be encoded as {kind}")
-    mime = "image/jpeg" if kind == ".jpg" else "image/png"
-    return PagePicture(data_uri(data.tobytes(), mime), codes.shape[1], codes.shape[0], scale, key)
+    return data.tobytes()
 
 
 def file_picture(data: bytes, widest: int) -> PagePicture:
     """A PNG as picture at most `widest` pixels wide, averaged in linear light. Raises ValueError if it is none."""
+    return encoded(_shrunk(data, widest))
+
+
+def file_jpeg(data: bytes, widest: int) -> bytes:
+    """A PNG as the bytes of a JPEG at most `widest` pixels wide, averaged in linear light."""
+    return _compressed(_shrunk(data, widest))
+
+
+def _shrunk(data: bytes, widest: int) -> np.ndarray:
+    """A PNG as codes (rows, columns, 3) uint8 sRGB, at most `widest` columns. Raises ValueError if it is none."""
     import cv2
 
     codes = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
@@ -208,10 +224,10 @@ def file_picture(data: bytes, widest: int) -> PagePicture:
         raise ValueError("not a picture")
     block = block_of(codes.shape[1], widest)
     if block == 1:
-        return encoded(codes[..., ::-1])
+        return codes[..., ::-1]
     linear = decode(codes[..., ::-1] / np.float32(255), "srgb")
     small = shrink(lambda rows: linear[rows], codes.shape[:2], block)
-    return colour_picture(small)
+    return np.round(255 * srgb_encode(small)).astype(np.uint8)
 
 
 def data_uri(data: bytes, mime: str) -> str:

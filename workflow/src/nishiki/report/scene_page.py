@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
@@ -13,12 +14,15 @@ from nishiki.artifacts.closed import Closed
 from nishiki.artifacts.limits import Limit, limit_checks
 from nishiki.artifacts.provenance import canonical
 from nishiki.artifacts.stage import Context
+from nishiki.report.files import contents
 from nishiki.report.numbers import figure, plain
 from nishiki.report.page import Block, Cell, Facts, Fold, Listing, Page, Section, Table, Tile, render_page
+from nishiki.report.pictures import file_jpeg
 
 PLANNED = ("hold_out", "without", "truth_sha256", "training_sha256", "left_out")
 """Settings that the plan fills in; a user does not write them."""
 LONGEST_TEXT = 160
+THUMBNAIL, THUMBNAIL_COLUMNS = "thumbnail.jpg", 320
 
 
 class Declared(Protocol):
@@ -46,6 +50,9 @@ def write_scene_page(
 
     stages : declarations in the order of the flow; title : of the capture; about : what the scene is; sections : of the
     stages, None where one has nothing to show; more_left_out, more_made : blocks of this kind of scene.
+
+    Beside it stands a thumbnail of the first rendered picture. Thumbnail, title and figures are what the page of all
+    scenes shows.
     """
     stamp, settings = context.stamp, context.settings
     closing = closing_sections(context.inputs, stages, stamp, settings.left_out, more_left_out, more_made)
@@ -62,7 +69,25 @@ def write_scene_page(
     )
     html = render_page(page)
     context.output.path("report.html").write_text(html, encoding="utf-8")
-    return {"bytes": len(html.encode()), "stages": sorted(context.inputs)}
+    if picture := first_picture(context.inputs):
+        context.output.path(THUMBNAIL).write_bytes(file_jpeg(picture, THUMBNAIL_COLUMNS))
+    return {
+        "bytes": len(html.encode()),
+        "stages": sorted(context.inputs),
+        "title": page.title,
+        "about": about,
+        "figures": [dataclasses.asdict(tile) for tile in tiles],
+    }
+
+
+def first_picture(inputs: Mapping[str, Artifact]) -> bytes | None:
+    """The first PNG that a stage rendered for this scene; None where none did."""
+    for stage, artifact in inputs.items():
+        if stage.endswith("render"):
+            for name in artifact.diagnostics["pictures"]:
+                if data := contents(artifact, f"{name}.png"):
+                    return data
+    return None
 
 
 def closing_sections(

@@ -27,7 +27,7 @@ STAGE = Stage(
     wants=lambda settings: ("weave",),
     uses=("cloth_brdf", "cloth_render", "cloth_evaluate"),
     libraries=("numpy", "scipy", "jinja2", "numba", "opencv-contrib-python-headless"),
-    deliverables=("*.html",),
+    deliverables=("*.html", "thumbnail.jpg"),
     threads=1,
     cost=lambda facts: Cost(mib=260, seconds=5.5),
 )

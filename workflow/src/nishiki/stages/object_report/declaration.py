@@ -22,7 +22,7 @@ STAGE = Stage(
     wants=lambda settings: ("polarise",),
     uses=("cameras", "mesh", "texels", "object_brdf", "residual", "object_render", "object_evaluate"),
     libraries=("numpy", "jinja2", "zarr", "opencv-contrib-python-headless"),
-    deliverables=("*.html",),
+    deliverables=("*.html", "thumbnail.jpg"),
     threads=1,
     cost=lambda facts: Cost(mib=230, bytes_per_sample=1, seconds=1.8, us_per_sample=0.2),
 )

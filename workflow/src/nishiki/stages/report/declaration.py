@@ -19,7 +19,7 @@ STAGE = Stage(
     requires=("ingest", "normals"),
     uses=("separate", "height", "spectra", "brdf", "render", "evaluate", "export"),
     libraries=("numpy", "jinja2", "zarr", "opencv-contrib-python-headless"),
-    deliverables=("*.html",),
+    deliverables=("*.html", "thumbnail.jpg"),
     threads=1,
     cost=lambda facts: Cost(mib=230, bytes_per_pixel=16, seconds=2, us_per_pixel=8),
 )

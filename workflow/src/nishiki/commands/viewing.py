@@ -1,0 +1,143 @@
+"""The command view: a scene's interactive viewer or report, or the page of all scenes, in the browser."""
+
+import argparse
+import functools
+import http.server
+import json
+import os
+import webbrowser
+from collections.abc import Mapping
+from pathlib import Path
+
+from nishiki.artifacts.publish import INDEX
+from nishiki.engine.project import load_yaml
+from nishiki.engine.workflow import Workflow
+from nishiki.errors import UserError
+from nishiki.processes import owner
+
+PAGE = "index.html"
+"""The page of all scenes, in the folder of the results."""
+OPENED_FIRST = ("viewer/index.html", "report.html")
+"""What is opened of a scene: the first that is there, in its folder `current`."""
+
+
+def view(options: argparse.Namespace, rest: list[str]) -> int:
+    """Open a scene, or the page of all scenes; with --serve through a local server until it is interrupted."""
+    flow = Workflow(load_yaml(options.configfile), lazy=bool(options.scene), file=options.configfile,
+                    leave_out_refused=not options.scene)  # fmt: skip
+    results = Path(flow.results)
+    if options.scene:
+        page = page_of(flow, options.scene)
+    else:
+        page = write_index(flow)
+    if options.serve is None:
+        print(page)
+        if not options.print:
+            webbrowser.open(page.resolve().as_uri())
+        return 0
+    serve(results, page, options.serve, open_browser=not options.print)
+    return 0
+
+
+def page_of(flow: Workflow, scene: str) -> Path:
+    """The viewer of a scene, else its report.
+
+    Raises
+    ------
+    UserError
+        Where the scene table has no such scene, or nothing of it can be opened yet.
+    """
+    if scene not in flow.plans:
+        raise UserError(f"no scene {scene!r} in the scene table; scenes: {', '.join(flow.project.scenes)}")
+    current = Path(flow.results, scene, "current")
+    for name in OPENED_FIRST:
+        if (current / name).is_file():
+            return current / name
+    raise UserError(f"{current}: neither viewer nor report of scene {scene!r} is there. Remedy: ./nishiki run")
+
+
+def write_index(flow: Workflow, why: Mapping[str, str] | None = None) -> Path:
+    """Write the page of all scenes into the folder of the results.
+
+    Parameters
+    ----------
+    flow : Workflow
+        Its scenes, and those that it had to leave out.
+    why : mapping of str to str, optional
+        Why a scene failed in the run that just ended, by its name.
+
+    Returns
+    -------
+    Path
+        The page.
+    """
+    from nishiki.report.campaign_page import SceneCard, campaign_page
+    from nishiki.version import PROJECT_VERSION
+
+    why = why or {}
+    cards = {scene: card_of(flow, scene, why.get(scene, "")) for scene in flow.plans}
+    cards |= {scene: SceneCard(scene, "refused", reason) for scene, reason in flow.refused.items()}
+    in_order = [cards[scene] for scene in flow.project.scenes if scene in cards]
+    html = campaign_page(f"Scenes in {Path(flow.results).resolve().name}", in_order, PROJECT_VERSION)
+    page = Path(flow.results, PAGE)
+    page.parent.mkdir(parents=True, exist_ok=True)
+    partial = page.with_name(f".{PAGE}.{owner()}.partial")
+    partial.write_text(html, encoding="utf-8")
+    os.replace(partial, page)
+    return page
+
+
+def card_of(flow: Workflow, scene: str, why: str):
+    """What the page shows of a planned scene (`nishiki.report.campaign_page.SceneCard`)."""
+    from nishiki.report.campaign_page import SceneCard
+    from nishiki.report.page import Tile
+
+    current = Path(flow.results, scene, "current")
+    stages = flow.plans[scene].stages
+    published = _read(current / INDEX).get("artifacts", {})
+    waiting = [name for name, stage in stages.items() if published.get(name, {}).get("key") != stage.key]
+    state = "failed" if why else "unfinished" if waiting else "finished"
+    detail = why or (f"next: {waiting[0]}" if waiting else "")
+    there = {name: f"{scene}/current/{name}" for name in (*OPENED_FIRST, "thumbnail.jpg") if (current / name).is_file()}
+    report = next((name for name in published if name.endswith("report")), "")
+    told = _read(current / report / "artifact.json").get("diagnostics", {}) if report else {}
+    return SceneCard(
+        scene,
+        state,
+        detail,
+        title=told.get("title") or "",
+        about=told.get("about") or "",
+        page=there.get("report.html", ""),
+        viewer=there.get("viewer/index.html", ""),
+        thumbnail=there.get("thumbnail.jpg", ""),
+        figures=[Tile(**entry) for entry in told.get("figures", ())],
+    )
+
+
+def _read(path: Path) -> dict:
+    """A JSON file; empty where there is none, or none that can be read: the page says less then."""
+    try:
+        values = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return values if isinstance(values, dict) else {}
+
+
+class _Quiet(http.server.SimpleHTTPRequestHandler):
+    def log_message(self, format: str, *arguments: object) -> None:
+        """Requests are not printed."""
+
+
+def serve(results: Path, page: Path, port: int, *, open_browser: bool) -> None:
+    """Serve the results to this machine's browsers alone until interrupted (port 0: any that is free)."""
+    handler = functools.partial(_Quiet, directory=str(results))
+    try:
+        server = http.server.ThreadingHTTPServer(("127.0.0.1", port), handler)
+    except OSError as error:
+        raise UserError(f"--serve {port}: {error.strerror}. Remedy: another port, or 0 for any that is free") from None
+    with server:
+        address = f"http://127.0.0.1:{server.server_port}/{page.relative_to(results).as_posix()}"
+        print(f"{address}   (Ctrl-C ends it)", flush=True)
+        if open_browser:
+            webbrowser.open(address)
+        server.serve_forever()
