@@ -89,7 +89,13 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--cores", type=_cores, help="processors to use (default: all)")
     sub.add_argument("--profile", default="default", help="slurm for a cluster, or a folder of Snakemake's options")
     _with_gone(sub)
-    sub = command("export", "exporting:export", "write files of a scene's results for other programs", epilog=FORMATS)
+    sub = command(
+        "export",
+        "exporting:export",
+        "write files of a scene's results for other programs",
+        epilog=FORMATS,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
     sub.add_argument("scene", help="name of the scene")
     sub.add_argument("formats", nargs="+", metavar="FORMAT", help="what to write, see below")
     text = "copy the files there, too; the folder must not exist"
@@ -186,7 +192,10 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-FORMATS = "formats of a painting: normals, height, albedo, relight, spectral, gltf, mitsuba (docs/stages/export.md)"
+FORMATS = """\
+formats of a painting: normals, height, albedo, relight, spectral, gltf, mitsuba
+formats of an object:  gltf
+See docs/stages/export.md."""
 
 
 RIG = f"""\

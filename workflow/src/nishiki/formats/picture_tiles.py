@@ -38,10 +38,11 @@ def jpeg_bytes(picture: Samples, quality: int) -> bytes:
 
 
 def png_bytes(picture: Samples) -> bytes:
-    """A PNG picture of 8 bits."""
+    """A PNG picture of 8 bits: red, green, blue, and alpha where there is a fourth sample."""
     import cv2
 
-    return cv2.imencode(".png", np.ascontiguousarray(picture[..., ::-1]))[1].tobytes()
+    order = [2, 1, 0, 3][: picture.shape[2]]
+    return cv2.imencode(".png", np.ascontiguousarray(picture[..., order]))[1].tobytes()
 
 
 def read_jpeg(path: Path) -> Samples:

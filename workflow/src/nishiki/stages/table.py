@@ -25,6 +25,7 @@ NAMES = (
     "residual",
     "object_render",
     "object_evaluate",
+    "object_export",
     "object_report",
     "goniometer_samples",
     "weave",

@@ -7,6 +7,7 @@ from nishiki.report.files import read_json
 from nishiki.report.page import Tile
 from nishiki.report.scene_page import write_scene_page
 from nishiki.stages.cameras.report import cameras_section
+from nishiki.stages.export.report import export_section
 from nishiki.stages.ingest.report import facts_of_object
 from nishiki.stages.mesh.report import geometry_section
 from nishiki.stages.object_brdf.report import model_section
@@ -41,6 +42,7 @@ def run(context: Context) -> dict:
             separation_section(inputs.get("polarise"), widest),
             geometry_section(inputs.get("mesh"), widest),
             cameras_section(inputs.get("cameras"), held_out),
+            export_section(inputs.get("object_export")),
         ],
         warnings=list(diagnostics["ingest"].get("warnings") or []),
     )

@@ -1,0 +1,78 @@
+"""Textures of exported objects: what is read at a surface point is what the tiles hold there."""
+
+import numpy as np
+import pytest
+from unit.test_patches_atlas import atlas_of
+from unit.test_patches_charts import around, ball
+
+from nishiki.brdf.texels.lighting import Lighting
+from nishiki.brdf.torrance_sparrow import GAMMA_PER_SIGMA
+from nishiki.stages.export.gltf_material import ggx
+from nishiki.stages.object_export.gltf import ALPHA_PER_SIGMA, direction_to
+from nishiki.stages.object_export.texture_atlas import fill_gaps, sample, texture_atlas
+
+
+@pytest.fixture(scope="module")
+def atlas():
+    """The atlas of a bumpy ball."""
+    return atlas_of(ball(4, noise=0.001), around(4))
+
+
+def test_the_texture_shows_at_every_surface_point_what_the_tiles_show(atlas):
+    layout = texture_atlas(atlas)
+    assert layout.placed.all()
+    texture = np.full((*layout.shape, 1), np.nan)
+    random = np.random.default_rng(2)
+    values = random.random(layout.shape)  # neighbouring tiles share their border texels
+    for row, column in layout.origin:
+        window = (slice(row, row + atlas.size), slice(column, column + atlas.size))
+        texture[window] = values[window][..., None]
+    triangle = random.integers(0, len(atlas.chart), 4000).astype(np.int32)
+    u, v = np.sort(random.random((2, 4000)), axis=0)
+    shares = np.stack([u, v - u, 1 - v], axis=1)
+    tile, s, t = atlas.locate(triangle, shares[:, :2].astype(np.float32))
+    expected = sample(values[..., None], layout.origin[tile] + np.stack([s, t], axis=1))
+    places = np.sum(layout.corners[triangle] * shares[..., None], axis=1)
+    np.testing.assert_allclose(sample(texture, places), expected, atol=1e-3)
+
+
+def test_charts_do_not_overlap_and_lie_inside_the_texture(atlas):
+    layout = texture_atlas(atlas)
+    assert (layout.uv() > 0).all()
+    assert (layout.uv() < 1).all()
+    used = np.zeros(layout.shape, int)
+    leaders = atlas.chart_grid[atlas.tile_chart, 0]
+    for first in np.unique(leaders):
+        rows, columns = layout.origin[leaders == first].T
+        used[rows.min() : rows.max() + atlas.size, columns.min() : columns.max() + atlas.size] += 1
+    assert used.max() == 1
+    assert used.mean() > 0.4
+
+
+def test_gaps_take_the_nearest_texel():
+    texture = np.zeros((4, 5, 1))
+    texture[1, 1], texture[2, 4] = 3, 7
+    known = texture[..., 0] > 0
+    filled = fill_gaps(texture, known)
+    assert filled[0, 0] == 3
+    assert filled[3, 4] == 7
+    np.testing.assert_array_equal(fill_gaps(texture, np.zeros((4, 5), bool)), texture)
+
+
+def test_the_lobe_has_the_peak_and_the_half_width_of_ours():
+    sigma, strength = 0.08, 0.3
+    alpha = ALPHA_PER_SIGMA * sigma
+    reflectance = 4 * alpha**2 * strength
+    assert np.pi * reflectance * ggx(np.array(1.0), 1.0, 1.0, alpha) == pytest.approx(strength, rel=1e-6)
+    half = np.cos(GAMMA_PER_SIGMA * sigma)
+    assert ggx(half, 1.0, 1.0, alpha) / ggx(1.0, 1.0, 1.0, alpha) == pytest.approx(0.5, abs=0.01)
+
+
+def test_lamps_at_a_place_and_in_a_direction(atlas):
+    camera = around(4)[0]
+    positions = np.array([[0.1, 0.0, 0.2], [0.0, -0.3, 0.1]])
+    near = direction_to(Lighting("camera").lamp(camera), positions)
+    expected = camera.centre - positions
+    np.testing.assert_allclose(near, expected / np.linalg.norm(expected, axis=1, keepdims=True), atol=1e-6)
+    far = Lighting("direction", ((0.0, 0.0, 1.0),)).lamp(camera)
+    np.testing.assert_allclose(direction_to(far, positions), [far.vector] * 2, atol=1e-6)

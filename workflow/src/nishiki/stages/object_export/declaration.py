@@ -1,0 +1,45 @@
+"""Declaration of the stage `object_export`: settings, inputs, limits of its result, cost."""
+
+from typing import ClassVar, Literal
+
+from pydantic import Field
+
+from nishiki.artifacts.closed import Guarded
+from nishiki.artifacts.limits import Limit, at
+from nishiki.stages.base import Cost, Stage, photographs_or_states
+
+Format = Literal["gltf"]
+LIMITS = (
+    Limit("clipped", "share of the texels whose colour is brighter than white", at("losses.gltf.clipped")),
+    Limit("placed", "share of the triangles that have a place in the textures", at("losses.gltf.placed"), least=0.5,
+          remedy="check the mesh and the charts of the stage texels", why="objects gave 1; without texels there is no "
+          "colour"),
+)  # fmt: skip
+
+
+class ObjectExportSettings(Guarded):
+    """Files of an object for other programs."""
+
+    STAGE: ClassVar[str] = "object_export"
+    VERSION: ClassVar[int] = 1
+    LIMITS: ClassVar[tuple[Limit, ...]] = LIMITS
+
+    formats: tuple[Format, ...] = Field(("gltf",), min_length=1, description="what to write; docs/stages/export.md")
+    views: int = Field(6, ge=1, le=360, description="captured views, evenly spread, on which the loss is measured")
+    hold_out: tuple[str, ...] = Field((), description="views left out of the fit; filled in by the plan")
+
+
+STAGE = Stage(
+    settings=ObjectExportSettings,
+    does="files for other programs",
+    geometry="turntable",
+    product="export",
+    requires=("ingest", "mesh", "cameras", "texels", "object_brdf", "residual"),
+    uses=("polarise",),
+    needs_colour=True,
+    looks_at=photographs_or_states,
+    libraries=("numpy", "scipy", "numba", "zarr", "pywavelets", "opencv-contrib-python-headless"),
+    deliverables=("exports",),
+    threads=1,
+    cost=lambda facts: Cost(mib=400, bytes_per_sample=20, seconds=5, us_per_sample=2),
+)

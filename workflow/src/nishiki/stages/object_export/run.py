@@ -1,0 +1,13 @@
+"""Object_export: files of an object for other programs, and what each of them loses."""
+
+from nishiki.artifacts.stage import Context
+from nishiki.stages.object_export import gltf
+
+WRITERS = {"gltf": gltf.write}
+
+
+def run(context: Context) -> dict:
+    """Write every format that the settings name."""
+    losses = {name: WRITERS[name](context) for name in context.progress.over(context.settings.formats, "format")}
+    sizes = {file: context.output.path(file).stat().st_size for each in losses.values() for file in each["files"]}
+    return {"losses": losses, "bytes": sizes}
