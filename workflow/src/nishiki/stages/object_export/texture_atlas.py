@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
 
 from nishiki.atlas.atlas import Atlas
 
@@ -65,6 +64,8 @@ def fill_gaps(texture: np.ndarray, known: np.ndarray) -> np.ndarray:
     """The texture (rows, columns, channels) with the nearest known texel where none is known."""
     if known.all() or not known.any():
         return texture
+    from scipy import ndimage
+
     nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
     return texture[tuple(nearest)]
 
