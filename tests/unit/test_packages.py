@@ -22,6 +22,7 @@ PLACES = {
     "colour-science": {"sensitivities.py"},
     "gphoto2": {"gphoto.py"},
     "pymeshlab": {"merging.py", "meshlab.py"},
+    "pyarrow": {"exporting.py"},
     "pyserial": {"ports.py", "serial_line.py"},
     "rawpy": {"raw.py"},
     "scikit-image": {"hull.py", "surface.py"},

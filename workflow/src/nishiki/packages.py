@@ -18,6 +18,7 @@ MODULES = {
     "numba": "numba",
     "numpy": "numpy",
     "opencv-contrib-python-headless": "cv2",
+    "pyarrow": "pyarrow",
     "pymeshlab": "pymeshlab",
     "pyserial": "serial",
     "pywavelets": "pywt",
@@ -37,6 +38,7 @@ EXTRAS = {
     "gphoto2": "rig",
     "pyserial": "rig",
     "colour-science": "rig",
+    "pyarrow": "export",
 }
 """Packages that are no part of the least installation, and the extra that brings them."""
 PURPOSE = {
@@ -46,6 +48,7 @@ PURPOSE = {
     "pymeshlab": "range scans",
     "scikit-image": "a surface from silhouettes",
     "colour-science": "a colour target",
+    "pyarrow": "a Parquet file",
     "gphoto2": "a camera on USB",
     "pyserial": "a device on a serial line",
 }

@@ -1,6 +1,8 @@
-"""The command that writes files of a scene's results for other programs."""
+"""Commands that hand results to other programs: files of one scene, a table of all."""
 
 import argparse
+import csv
+import importlib
 import json
 import shutil
 import sys
@@ -9,6 +11,7 @@ from pathlib import Path
 from nishiki.commands.running import profile_arguments
 from nishiki.errors import UserError
 from nishiki.installation import SNAKEFILE
+from nishiki.packages import optional
 
 
 def export(options: argparse.Namespace, rest: list[str]) -> int:
@@ -39,4 +42,29 @@ def export(options: argparse.Namespace, rest: list[str]) -> int:
     print(made)
     for path in sorted(made.iterdir()):
         print(f"    {path.name}{'/' if path.is_dir() else ''}")
+    return 0
+
+
+def table(options: argparse.Namespace, rest: list[str]) -> int:
+    """Write one row a scene of a campaign, as CSV or Parquet by the name of the file."""
+    from nishiki.engine.campaign_table import campaign_rows, columns_of
+    from nishiki.engine.project import load_yaml
+    from nishiki.engine.workflow import Workflow
+
+    path = Path(options.file)
+    if path.suffix not in (".csv", ".parquet"):
+        raise UserError(f"{path}: expected a name that ends in .csv or .parquet")
+    flow = Workflow(load_yaml(Path(options.configfile)), file=options.configfile, leave_out_refused=True)
+    columns = columns_of(campaign_rows(flow))
+    if path.suffix == ".parquet":
+        pyarrow = optional("pyarrow")
+        parquet = importlib.import_module("pyarrow.parquet")
+        parquet.write_table(pyarrow.table(columns), path)
+    else:
+        with open(path, "w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(columns)
+            writer.writerows(zip(*columns.values(), strict=True))
+    finished = sum(value is True for value in columns["finished"])
+    print(f"{path}: {len(columns['scene'])} scenes, {finished} of them finished, {len(columns)} columns")
     return 0
