@@ -20,6 +20,7 @@ from nishiki.goniometry.hemisphere import complete
 from nishiki.goniometry.store import write_reflectances
 from nishiki.goniometry.table import ReflectanceSet
 from nishiki.progress import Progress
+from nishiki.report.svg import BOTTOM
 from nishiki.stages.cloth_brdf.report import disc_directions, disc_picture, lobes_plot
 from nishiki.stages.cloth_evaluate.declaration import ClothEvaluateSettings
 from nishiki.stages.cloth_evaluate.report import error_chart, plane_chart
@@ -237,8 +238,9 @@ def test_every_model_of_the_error_chart_has_a_line_of_its_own_within_the_drawing
     assert len({(colour, dash) for _, colour, dash in lines}) == len(names)
     height = [float(point.split()[1]) for points, _, _ in lines for point in points.split("L")]
     assert len(set(height)) == len(height)  # none ends at the edge
-    assert 10 < min(height)
-    assert max(height) < 296
+    floor = float(re.search(r'viewBox="0 0 \d+ (\d+)"', svg)[1]) - BOTTOM
+    assert floor - 286 < min(height)
+    assert max(height) < floor
 
 
 def test_charts_without_anything_to_show():

@@ -23,7 +23,7 @@ from nishiki.report.pictures import (
     shrink,
 )
 from nishiki.report.scene_page import conditions, flat, settings_rows, text
-from nishiki.report.svg import Axis, Curve, bars, chart, lights_plot, ticks
+from nishiki.report.svg import Axis, Curve, bars, chart, legend_places, lights_plot, ticks
 from nishiki.stages.brdf.report import gloss_section
 from nishiki.stages.evaluate.report import chosen, signed_difference, signed_end
 from nishiki.stages.render.declaration import RenderSettings
@@ -143,6 +143,22 @@ def test_a_chart_is_well_formed_whatever_the_names():
     root = ElementTree.fromstring(svg)
     assert root.attrib["aria-label"] == '"t"'
     assert chart([], x_label="x", y_label="y", title="empty").startswith("<svg")
+
+
+def test_a_legend_keeps_inside_the_drawing_and_apart_from_the_curves():
+    labels = ["measured", "facets on yarns", "BARD, great circle", "anisotropic GGX", "Ashikhmin-Shirley"]
+    places = legend_places(labels, 60, 400)
+    assert [row for _, row in places] == sorted(row for _, row in places)
+    for (left, row), (right, next_row), label in zip(places, places[1:], labels, strict=False):
+        assert left == 60 or row == next_row or left + 6 * len(label) < 400
+        assert next_row > row or left + 6 * len(label) < right
+    curves = [Curve(label, np.arange(3), np.arange(3.0)) for label in labels]
+    svg = chart(curves, x_label="x", y_label="y", title="t", width=412)
+    texts = [t for t in ElementTree.fromstring(svg).iter("text") if t.text in labels]
+    lowest = max(float(text.attrib["y"]) for text in texts)
+    lines = [p.attrib["d"] for p in ElementTree.fromstring(svg).iter("path") if p.attrib["stroke-width"] == "1.8"]
+    assert len(lines) == len(labels)
+    assert all(float(point.split()[1]) > lowest for line in lines for point in line[1:].split("L"))
 
 
 def test_points_outside_a_chart_are_not_drawn():

@@ -159,6 +159,25 @@ def test_refined_parameters_make_the_pictures_right(encoding):
         assert rise <= 1.1 * getattr(weights, name)[5, 5, 1]
 
 
+def test_gloss_that_no_view_comes_near_does_not_grow():
+    from residual_source import scene_of
+
+    surface, scene = sphere_patch(), scene_of(24)
+    views = [0, 1, 2, 3, 21, 22, 23]
+    centres, lamps = scene.centres[views], [scene.lamps[v] for v in views]
+    kd, ks = (np.full((12, 12, 3), value, np.float32) for value in (0.4, 0.3))
+    factors = model_factors(3, surface, centres, lamps)
+    least = float(factors.squared_angle[factors.strength > 0].min())
+    maps = Maps(kd, ks, np.full((12, 12), np.sqrt(least / 30), np.float32))
+    rng = np.random.default_rng(5)
+    feet = Footprints.of(rng.integers(0, 7, 3000), *rng.uniform(0, 11, (2, 3000)).astype(np.float32), (7, 12, 12))
+    texels = predict_texels(kd, ks, maps.sigma, surface, centres, lamps, "linear")
+    values = feet.look_up(texels) + 0.1  # what the model has no term for
+    assert 0 < factors.lobe(maps.sigma).max() < 1e-4
+    refined = refine(maps, factors, feet, values, "linear", iterations=12)
+    np.testing.assert_allclose(refined.ks, ks, atol=0.01)
+
+
 def test_slope_of_the_encoding():
     from nishiki.colour.encoding import encode
 

@@ -91,7 +91,13 @@ def refine(
     held = [np.moveaxis(maps.kd, -1, 0), np.moveaxis(maps.ks, -1, 0), np.log(np.clip(maps.sigma, WIDTH_FLOOR, 1e3))]
     held = [a.astype(np.float32) for a in held]
     weights = texel_weights(maps, factors, feet, encoding)
-    paces = [_pace(w) for w in (np.moveaxis(weights.kd, -1, 0), np.moveaxis(weights.ks, -1, 0), weights.sigma)]
+    by_kd, by_ks, by_width = np.moveaxis(weights.kd, -1, 0), np.moveaxis(weights.ks, -1, 0), weights.sigma
+    body = float(by_kd.max(initial=0))
+    paces = [
+        _pace(by_kd, body),
+        _pace(by_ks, max(body, float(by_ks.max(initial=0)))),
+        _pace(by_width, float(by_width.max(initial=0))),
+    ]
     ahead, momentum = held, 1.0
     for _ in range(iterations):
         gradients = _gradients(ahead, factors, feet, values, encoding, usable)
@@ -138,7 +144,10 @@ def texel_weights(maps: Maps, factors: Factors, feet: Footprints, encoding: str)
     return Weights(np.moveaxis(by_d, 0, -1), np.moveaxis(by_s, 0, -1), by_w)
 
 
-def _pace(weight: np.ndarray) -> np.ndarray:
-    """Step of each texel: half the inverse curvature (two parameters share the data), 0 where nothing is seen."""
-    floor = 0.02 * weight.max(initial=0)
-    return np.where(weight > 0, 0.5 / np.maximum(weight, max(floor, 1e-20)), 0).astype(np.float32)
+def _pace(weight: np.ndarray, largest: float) -> np.ndarray:
+    """Step of each texel: half the inverse curvature (two parameters share the data), 0 where nothing is seen.
+
+    largest : curvature below a fiftieth of which a texel moves no faster. Of K_s it is not below that of K_d: where no
+    view comes near the highlight, K_s would grow by many powers of ten to explain what the model lacks.
+    """
+    return np.where(weight > 0, 0.5 / np.maximum(weight, max(0.02 * largest, 1e-20)), 0).astype(np.float32)

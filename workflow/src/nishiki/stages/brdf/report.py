@@ -82,7 +82,7 @@ def _profile_charts(profile: dict[str, Any], name: str) -> list[Figure]:
         Curve("fitted lobe", phi[firm], fitted[firm], PALETTE[1]),
     ]
     linear = chart(
-        drawn, title=f"specular profile of {name}", x_range=(0, reach), y_range=(-0.05 * peak, 1.3 * peak), **axes
+        drawn, title=f"specular profile of {name}", x_range=(0, reach), y_range=(-0.05 * peak, 1.05 * peak), **axes
     )
     top = 1.6 * peak
     logarithmic = chart(

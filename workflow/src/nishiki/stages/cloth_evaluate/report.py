@@ -166,7 +166,7 @@ def error_chart(models: dict[str, dict], default: str) -> str:
     if not curves:
         return ""
     ends = [x for curve in curves for x in (curve.x.min(), curve.x.max())]
-    room = (min(ends) - 2, max(ends) + 2 + 0.4 * (max(ends) - min(ends)))  # the legend stands on the right
+    room = (min(ends) - 2, max(ends) + 2)
     values = np.concatenate([curve.y for curve in curves])
     return chart(
         curves, x_label="incidence, degrees", y_label="relative RMS error", title="error against incidence",
@@ -185,7 +185,8 @@ def plane_chart(curve: dict, models: list[str], default: str) -> str:
         if (values := curve["predicted"].get(model)) is not None
     ]
     dots = Curve("measured", angle, measured, colour=INK, dots=True)
-    top = max(1.6 * float(measured.max()), 1e-6)
+    highest = max(float(np.nanmax(line.y, initial=0.0)) for line in [dots, *lines])
+    top = max(1.05 * min(highest, 1.6 * float(measured.max())), 1e-6)  # a model may leave the drawing
     return chart(
         [dots, *lines], x_label="view, degrees from the normal; the light is on the right", y_label="BRDF, 1/sr",
         title="measured and predicted in the plane of the light", y_range=(0.0, top), x_range=(-90, 90), height=260,

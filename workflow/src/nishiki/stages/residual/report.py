@@ -99,7 +99,7 @@ def rate_curve(residual: dict[str, Any]) -> str:
         y_label="PSNR, dB",
         title="quality against bytes",
         x_range=(0, 1.05 * kilobytes.max()),
-        y_range=(low - room, high + 4 * room),  # the legend stands on top
+        y_range=(low - room, high + room),
     )
 
 
