@@ -95,7 +95,8 @@ class Residual:
         self._lock, self._chunk = threading.Lock(), (-1, b"")
         self._contents = unpack_head(self._read(0, head_length(self._read(0, 8))))
         self.design = self._contents.design
-        self.tiles, self.size = len(self._contents.extents), self.design.tile_size
+        self.extents, self.models = self._contents.extents, self._contents.models
+        self.tiles, self.size = len(self.extents), self.design.tile_size
         self.channels = self.design.channels
         self.observations = self.design.views * self.design.lights
 
@@ -103,11 +104,11 @@ class Residual:
         """kd, ks (T, T, C), sigma (T, T) float32, as the encoder's own prediction used them."""
         kd, ks = np.zeros((2, self.size, self.size, self.channels), np.float32)
         sigma = np.ones((self.size, self.size), np.float32)
-        extent, design = self._contents.extents[tile], self.design
+        extent, design = self.extents[tile], self.design
         if design.model and extent.length:
-            shape, stream = design.parameter_shape(extent), self._stream(tile, 0)
+            shape, stream = design.parameter_shape(extent), self.stream(tile, 0)
             levels = design.parameter_plane(extent).levels
-            values = decode(stream, shape, levels, self._contents.models[0]) if stream else np.zeros(shape, np.int32)
+            values = decode(stream, shape, levels, self.models[0]) if stream else np.zeros(shape, np.int32)
             maps = decode_parameters(values, design, extent)
             kd[extent.texels], ks[extent.texels], sigma[extent.texels] = maps.kd, maps.ks, maps.sigma
         return kd, ks, sigma
@@ -124,15 +125,15 @@ class Residual:
 
     def decode_coded(self, tile: int, *, level: int = 0, component: str | None = None) -> CodedTexels:
         """As `decode`, but only the observations and texels that are coded: a third of the memory of all, or less."""
-        design, extent = self.design, self._contents.extents[tile]
+        design, extent = self.design, self.extents[tile]
         places = extent.observations(design.views, design.lights)
         rows, columns = (range(self.size)[part] for part in extent.texels)
         values = np.zeros((len(places) + 1, len(rows) * len(columns) + 1, self.channels), np.float32)
         for index, name in enumerate(design.components):
-            stream = self._stream(tile, 1 + index) if component in (None, name) else b""
+            stream = self.stream(tile, 1 + index) if component in (None, name) else b""
             if stream:
                 shape, levels = design.residual_shape(extent), design.plane(extent).levels
-                integers = decode(stream, shape, levels, self._contents.models[1], drop=level)
+                integers = decode(stream, shape, levels, self.models[1], drop=level)
                 texels = decode_residual(integers, index, design, extent)
                 values[:-1, :-1] += np.moveaxis(texels.reshape(*texels.shape[:2], -1), 0, -1)
         observation = np.full(self.observations, len(places))
@@ -149,7 +150,8 @@ class Residual:
         """Bytes of each stream of a tile: parameters, then the residual of each component."""
         return tuple(int(n) for n in self._contents.lengths[tile])
 
-    def _stream(self, tile: int, stream: int) -> bytes:
+    def stream(self, tile: int, stream: int) -> bytes:
+        """Coded bytes of one stream of a tile, in the order of `stored`."""
         start, length = self._contents.place(tile, stream)
         return self._read(start, length) if length else b""
 
