@@ -1,15 +1,11 @@
 // Arrays of nishiki.report.viewer.arrays: one deflated block of named arrays.
 
+import { inflate } from "viewer/loader";
+
 const TYPES = {
   int8: Int8Array, int16: Int16Array, int32: Int32Array,
   uint8: Uint8Array, uint16: Uint16Array, uint32: Uint32Array, float32: Float32Array,
 };
-
-/** Inflated bytes of a Blob or ArrayBuffer. */
-export async function inflate(data) {
-  const stream = new Blob([data]).stream().pipeThrough(new DecompressionStream("deflate"));
-  return new Uint8Array(await new Response(stream).arrayBuffer());
-}
 
 /** {name: {values: TypedArray, shape: [..]}} of a deflated block. */
 export async function unpackArrays(data) {

@@ -1,5 +1,7 @@
-// The page: one canvas, one lamp that follows the pointer.
+// The page: one canvas; the pointer moves a painting's lamp, or turns an object.
 import { Loader } from "viewer/loader";
+import { ObjectScene } from "viewer/object";
+import { Orbit } from "viewer/orbit";
 import { Painting } from "viewer/painting";
 
 const manifest = JSON.parse(document.getElementById("manifest").textContent);
@@ -11,7 +13,8 @@ const state = {
 };
 canvas.width = innerWidth;
 canvas.height = innerHeight;
-const scene = await Painting.open(canvas, manifest, new Loader());
+const scenes = { painting: Painting, object: ObjectScene };
+const scene = await scenes[manifest.chain].open(canvas, manifest, new Loader());
 let asked = false;
 
 function redraw() {
@@ -24,8 +27,15 @@ function redraw() {
 }
 
 scene.onready = redraw;
+if (manifest.chain !== "painting") {
+  canvas.tabIndex = 0;
+  new Orbit(canvas, scene, () => state, (view) => {
+    state.view = view;
+    redraw();
+  });
+}
 canvas.addEventListener("pointermove", (event) => {
-  if (!event.buttons) return;
+  if (!event.buttons || manifest.chain !== "painting") return;
   const x = (2 * event.offsetX) / canvas.clientWidth - 1, y = 1 - (2 * event.offsetY) / canvas.clientHeight;
   const reach = Math.min(Math.hypot(x, y), 0.995);
   Object.assign(state.lamps[0], { azimuth_deg: (Math.atan2(y, x) * 180) / Math.PI, elevation_deg: (Math.acos(reach) * 180) / Math.PI });

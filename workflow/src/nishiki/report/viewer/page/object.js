@@ -6,7 +6,8 @@ import {
   cameraAlong, centreOf, fitted, freeView, lookAt, neighbours, positionAlong, positionOfEye,
 } from "viewer/cameras";
 import { CodedObject, surfaceOf, trianglesOfTiles } from "viewer/coded_object";
-import { add, apply, dot, multiply, scale, subtract, transpose } from "viewer/matrices";
+import { context, readback } from "viewer/gl";
+import { add, apply, dot, multiply, norm, normalised, scale, subtract, transpose } from "viewer/matrices";
 import {
   COVERAGE_FRAGMENT, DEPTH_FRAGMENT, DISPLAY_FRAGMENT, LAMPS, LINES_FRAGMENT, LINES_VERTEX, MESH_VERTEX, SCREEN_VERTEX, SURFACE_FRAGMENT,
   SURFACE_VERTEX, VISIBILITY_FRAGMENT, meshFragment, texelFragment,
@@ -17,6 +18,7 @@ const TO_LAMP_FRAME = [[1, 0, 0], [0, -1, 0], [0, 0, -1]];
 const KEPT_VIEWS = 6; // residual textures that stay on the GPU
 const SLICE_MS = 14; // of decoding between two frames
 const SAMPLES = 4; // of a pixel at the object's edge
+const MILLIMETRES = { mm: 1, cm: 10, m: 1000 };
 const LAYER = { appearance: 0, colours: 1, greys: 2, normals: 3, place: 4 };
 const LAYERS = [
   { name: "appearance", label_key: "layer_appearance", unit: "", range: [0, 1], map: "grey" },
@@ -37,8 +39,8 @@ export class ObjectScene {
   constructor(canvas, manifest, loader) {
     Object.assign(this, { canvas, manifest, loader });
     this.onready = () => {};
-    this.gl = canvas.getContext("webgl2", { antialias: false, preserveDrawingBuffer: true });
-    if (!this.gl || !this.gl.getExtension("EXT_color_buffer_float")) {
+    this.gl = context(canvas);
+    if (!this.gl.getExtension("EXT_color_buffer_float")) {
       throw new Error("WebGL2 with EXT_color_buffer_float is needed to show an object");
     }
     this.parts = manifest.parts.length;
@@ -52,9 +54,47 @@ export class ObjectScene {
     return this.working > 0;
   }
 
+  /** Axis of the turn and radius of the object, for the control of the camera. */
+  get axis() {
+    return this.manifest.turn.axis;
+  }
+
+  get radius() {
+    return this.manifest.radius;
+  }
+
   /** View that a scene opens with. */
   firstView() {
     return { ...freeView(this.manifest.views[0], this.manifest.centre), captured: 0 };
+  }
+
+  /** View of a state; the first one where the state has none of an object. */
+  viewOf(state) {
+    return state.view?.eye || Number.isFinite(state.view?.captured) ? state.view : this.firstView();
+  }
+
+  /** The same view by eye, target, up and field of view alone. */
+  freeViewOf(state) {
+    const view = this.viewOf(state), captured = view.captured ?? null;
+    if (captured === null) return view;
+    return freeView(cameraAlong(this.manifest.views, this.manifest.turn, captured), this.manifest.centre);
+  }
+
+  /** View of the captured camera `steps` further than the nearest one. */
+  capturedView(state, steps) {
+    const { views, turn } = this.manifest, nearest = this.nearestView(this.cameraOf(this.viewOf(state)).position);
+    const last = views.length - 1, captured = nearest + steps;
+    const index = turn.closed ? (captured + views.length) % views.length : Math.min(Math.max(captured, 0), last);
+    return { ...freeView(views[index], this.manifest.centre), captured: index };
+  }
+
+  nearestView(position) {
+    const { turn } = this.manifest;
+    const apart = (at) => {
+      const off = Math.abs(at - position);
+      return turn.closed ? Math.min(off, turn.length - off) : off;
+    };
+    return turn.position.reduce((best, at, n) => (apart(at) < apart(turn.position[best]) ? n : best), 0);
   }
 
   async prepare() {
@@ -148,7 +188,7 @@ export class ObjectScene {
   async decodeAll() {
     await this.work(async (pause) => {
       for (const { name, first, stop } of this.manifest.streams) {
-        const data = new Uint8Array(await bytesOf(await this.loader.load(name)));
+        const data = await this.loader.load(name);
         const kind = name.split("-")[0];
         for (let tile = first; tile < stop; tile++) {
           const streams = this.coded.streamsOf(tile, first, data, kind);
@@ -264,7 +304,7 @@ export class ObjectScene {
   }
 
   /** The camera of a state's view for a region of the canvas, and its position along the turn. */
-  cameraOf(view, region) {
+  cameraOf(view, region = { width: 1, height: 1 }) {
     const { views, turn } = this.manifest;
     const captured = view.captured ?? null;
     const camera = captured === null
@@ -354,7 +394,7 @@ export class ObjectScene {
 
   draw(state, region) {
     const { gl, canvas } = this, whole = { x: 0, y: 0, width: canvas.width, height: canvas.height };
-    const area = region ?? whole, view = state.view ?? this.firstView();
+    const area = region ?? whole, view = this.viewOf(state);
     const { camera, position } = this.cameraOf(view, area);
     const lenders = this.lending(state, view, position);
     const layer = LAYERS.find(({ name }) => name === state.layer) ?? LAYERS[0];
@@ -429,13 +469,11 @@ export class ObjectScene {
   }
 
   drawCameras(camera, view, position) {
-    const { gl } = this, { turn } = this.manifest;
+    const { gl } = this;
     const uniforms = this.cameraUniforms(camera);
     const farthest = 4 * Math.max(uniforms.depthRange[1], ...this.manifest.views.map((v) => v.translation[2]));
-    const nearest = turn.position.reduce(
-      (best, at, n) => (Math.abs(at - position) < Math.abs(turn.position[best] - position) ? n : best), 0);
     const depthRange = [uniforms.depthRange[0], farthest];
-    this.programs.lines.use({ ...uniforms, depthRange, chosen: view.captured ?? nearest });
+    this.programs.lines.use({ ...uniforms, depthRange, chosen: view.captured ?? this.nearestView(position) });
     gl.disable(gl.DEPTH_TEST);
     gl.bindVertexArray(this.cameraLines);
     gl.drawArrays(gl.LINES, 0, this.cameraLineEnds);
@@ -476,12 +514,131 @@ export class ObjectScene {
     this.targets.clear();
   }
 
+  /** What the canvas shows at (x, y) of a region: place, normal, parameters, and the captured views' values there. */
+  async probe(x, y, state, region) {
+    const area = region ?? { x: 0, y: 0, width: this.canvas.width, height: this.canvas.height };
+    const { camera } = this.cameraOf(this.viewOf(state), area);
+    const place = this.placeAt(camera, x - area.x, y - area.y);
+    if (!place) return null;
+    const [kd, ks, normal, position] = [this.diffuse, this.specular, this.normals, this.positions].map(
+      (source) => bilinear(this.readTexels(source, place), place));
+    const unit = MILLIMETRES[this.manifest.unit] ?? 1;
+    return {
+      position_mm: position.slice(0, 3).map((v) => v * unit),
+      normal: normalised(normal.slice(0, 3)),
+      layers: { diffuse: kd.slice(0, 3), specular: ks.slice(0, 3), roughness: kd[3] },
+      spectrum: null,
+      gloss: { specular: ks.slice(0, 3), sigma_rad: kd[3] },
+      photographs: this.captures(place, position.slice(0, 3), normalised(normal.slice(0, 3)), this.lightOf(state)),
+    };
+  }
+
+  /** Texel {x, y, row, column} (row, column: parts of the way to the next) behind a pixel; null beside the object. */
+  placeAt(camera, x, y) {
+    const target = this.onePixel("RGBA32F", camera, x, y, () => {
+      this.programs.mesh.use({
+        texels: this.seen, grids: this.grids, cells: this.cells, size: this.coded.size, tilesAcross: this.across,
+        layer: LAYER.place,
+      });
+    }, [-1, 0, 0, 0]);
+    const [column, row, down, across] = target;
+    return column < 0 ? null : { x: column, y: row, row: down, column: across };
+  }
+
+  /** What a program of the mesh draws at the one pixel (x, y) of a camera's picture. */
+  onePixel(format, camera, x, y, use, clear) {
+    const { gl } = this, [first, second, third] = camera.intrinsics;
+    const shifted = [[first[0], first[1], first[2] - Math.floor(x)], [0, second[1], second[2] - Math.floor(y)], third];
+    const values = texture(gl, format, 1, 1), target = framebuffer(gl, [values], [1, 1]);
+    gl.viewport(0, 0, 1, 1);
+    gl.enable(gl.DEPTH_TEST);
+    gl.clearBufferfv(gl.COLOR, 0, clear);
+    gl.clear(gl.DEPTH_BUFFER_BIT);
+    use();
+    const program = format === "RGBA32F" ? this.programs.mesh : this.programs.depth;
+    program.use(this.cameraUniforms({ ...camera, intrinsics: shifted, rows: 1, columns: 1 }));
+    this.drawMesh();
+    const out = new Float32Array(4);
+    gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.FLOAT, out);
+    gl.deleteFramebuffer(target);
+    gl.deleteTexture(values);
+    return out;
+  }
+
+  /** The four texels of a place in a texture of the atlas. */
+  readTexels(source, { x, y }) {
+    const { gl } = this, target = framebuffer(gl, [source]), out = new Float32Array(16);
+    gl.readPixels(x, y, 2, 2, gl.RGBA, gl.FLOAT, out);
+    gl.deleteFramebuffer(target);
+    return out;
+  }
+
+  /** Linear values of a place in every captured view that sees it: as coded, and as the model alone predicts them. */
+  captures(place, position, normal, light) {
+    const { gl, coded } = this, { views, lighting } = this.manifest;
+    const tile = Math.floor(place.y / coded.size) * this.across + Math.floor(place.x / coded.size);
+    const [left, top] = [place.x % coded.size, place.y % coded.size];
+    const linear = coded.design.encoding === "srgb" ? decode : (v) => v;
+    const out = [];
+    views.forEach((camera, view) => {
+      const eye = centreOf(camera), away = subtract(eye, position);
+      if (coded.placeOf(tile, view) < 0 || dot(away, normal) <= 0.1 * norm(away)) return;
+      const seen = add(apply(camera.rotation, position), camera.translation), k = camera.intrinsics;
+      const column = Math.round((k[0][0] * seen[0] + k[0][1] * seen[1]) / seen[2] + k[0][2]);
+      const row = Math.round((k[1][1] * seen[1]) / seen[2] + k[1][2]);
+      const [depth] = this.onePixel("R32F", camera, column, row, () => {}, [0, 0, 0, 0]);
+      if (seen[2] > depth + 0.02 * this.radius) return;
+      const state = { options: { light: this.manifest.lights[light] } };
+      gl.bindFramebuffer(gl.FRAMEBUFFER, this.seenTarget);
+      gl.enable(gl.SCISSOR_TEST);
+      gl.scissor(place.x, place.y, 2, 2);
+      this.drawnTexels = null;
+      this.drawTexels(state, camera, []);
+      gl.disable(gl.SCISSOR_TEST);
+      this.drawnTexels = null;
+      const values = [0, 0, 0], predicted = [0, 0, 0];
+      for (let part = 0; part < this.parts; part++) {
+        const model = this.readTexels(this.seen[part], place);
+        const residual = coded.residual(tile, view, light, part, this.parts);
+        const left4 = 4 * (top * coded.size + left), down4 = left4 + 4 * coded.size;
+        const added = new Float32Array(16);
+        if (residual) {
+          added.set(residual.subarray(left4, left4 + 8));
+          added.set(residual.subarray(down4, down4 + 8), 8);
+        }
+        const [plain, coding] = [bilinear(model, place), bilinear(model.map((v, n) => v + added[n]), place)];
+        for (let c = 0; c < 3; c++) {
+          predicted[c] += linear(plain[c]);
+          values[c] += linear(coding[c]);
+        }
+      }
+      const frame = multiply(TO_LAMP_FRAME, camera.rotation);
+      const vector = apply(transpose(frame), lighting.vectors[light]);
+      const towards = lighting.kind === "camera" || lighting.kind === "position" ? add(away, vector) : vector;
+      out.push({ view: camera.name, light: normalised(towards), values: values.map((v) => Math.max(v, 0)), predicted });
+    });
+    return out;
+  }
+
+  toScene(x, y, state) {
+    const { camera } = this.cameraOf(this.viewOf(state), this.canvas);
+    const depth = add(apply(camera.rotation, this.manifest.centre), camera.translation)[2];
+    const unit = (MILLIMETRES[this.manifest.unit] ?? 1) * depth, k = camera.intrinsics;
+    return [((x - k[0][2]) / k[0][0]) * unit, ((k[1][2] - y) / k[1][1]) * unit];
+  }
+
+  /** RGBA bytes of the canvas, first row at the bottom. */
+  readPixels() {
+    this.gl.bindFramebuffer(this.gl.FRAMEBUFFER, null);
+    return readback(this.gl, 0, 0, this.canvas.width, this.canvas.height);
+  }
+
   layers() {
     return LAYERS;
   }
 
   bounds() {
-    const millimetres = { mm: 1, cm: 10, m: 1000 }[this.manifest.unit];
+    const millimetres = MILLIMETRES[this.manifest.unit];
     const across = 2 * this.manifest.radius * (millimetres ?? 1);
     return { width_mm: across, height_mm: across, unit: millimetres ? "mm" : "px" };
   }
@@ -501,8 +658,12 @@ function attribute(gl, place, data, size) {
   else gl.vertexAttribPointer(place, size, gl.FLOAT, false, 0, 0);
 }
 
-async function bytesOf(data) {
-  return data instanceof Blob ? data.arrayBuffer() : data;
+/** Four numbers between the four texels of a place. */
+function bilinear(texels, { row, column }) {
+  return [0, 1, 2, 3].map((n) => {
+    const upper = texels[n] + column * (texels[n + 4] - texels[n]);
+    return upper + row * (texels[n + 8] + column * (texels[n + 12] - texels[n + 8]) - upper);
+  });
 }
 
 const decode = (code) => (code <= 0.04045 ? code / 12.92 : ((code + 0.055) / 1.055) ** 2.4);
