@@ -24,6 +24,7 @@ NAMES = (
     "object_brdf",
     "residual",
     "object_render",
+    "object_viewer",
     "object_evaluate",
     "object_export",
     "object_report",

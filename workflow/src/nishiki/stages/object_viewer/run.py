@@ -12,6 +12,16 @@ def run(context: Context) -> dict:
     """Write what a decoder needs and the coded streams, then the page around them."""
     decoded = DecodedObject.open(context.inputs)
     blocks = Blocks(context.output, inline_bytes=int(context.settings.inline_mb * 1e6))
+    about = {
+        **context.stamp,
+        "title": context.inputs["ingest"].diagnostics["capture"]["title"],
+        "unit": Views(context.inputs["ingest"].folder).unit,
+    }
+    return write_object(decoded, blocks, about, without=decoded.numbers(context.settings.hold_out))
+
+
+def write_object(decoded: DecodedObject, blocks: Blocks, about: dict, *, without: frozenset[int]) -> dict:
+    """Blocks and page of an object; sizes in bytes. about: title, stamp and unit; without: views left out of the fit."""
     described = pack_arrays(decoder_arrays(decoded))
     blocks.add("object", described)
     streams, coded_bytes = [], 0
@@ -19,17 +29,8 @@ def run(context: Context) -> dict:
         blocks.add(part.name, part.data)
         streams.append({"name": part.name, "first": part.first, "stop": part.stop})
         coded_bytes += len(part.data)
-    manifest = {
-        "format": 1,
-        "chain": "object",
-        **context.stamp,
-        "title": context.inputs["ingest"].diagnostics["capture"]["title"],
-        "unit": Views(context.inputs["ingest"].folder).unit,
-        "illuminants": {},
-        "streams": streams,
-        **object_manifest(decoded, without=decoded.numbers(context.settings.hold_out)),
-    }
-    sizes = write_page(blocks, manifest)
+    manifest = {"format": 1, "chain": "object", **about, "illuminants": {}, "streams": streams}
+    sizes = write_page(blocks, manifest | object_manifest(decoded, without=without))
     return {
         **sizes,
         "stream_bytes": coded_bytes,

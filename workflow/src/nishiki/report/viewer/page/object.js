@@ -16,7 +16,8 @@ import { Shader, framebuffer, integers, texture } from "viewer/shader";
 
 const TO_LAMP_FRAME = [[1, 0, 0], [0, -1, 0], [0, 0, -1]];
 const KEPT_VIEWS = 6; // residual textures that stay on the GPU
-const SLICE_MS = 14; // of decoding between two frames
+const SLICE_MS = 14; // of decoding between two chances for events
+const REDRAW_MS = 400; // between two pictures while decoding goes on
 const SAMPLES = 4; // of a pixel at the object's edge
 const MILLIMETRES = { mm: 1, cm: 10, m: 1000 };
 const LAYER = { appearance: 0, colours: 1, greys: 2, normals: 3, place: 4 };
@@ -48,6 +49,7 @@ export class ObjectScene {
     this.targets = new Map(); // `width x height` -> framebuffers
     this.version = 0; // of what is decoded
     this.working = 0;
+    this.shownAt = 0; // time of the last picture
   }
 
   get busy() {
@@ -213,7 +215,7 @@ export class ObjectScene {
     let since = performance.now();
     await task(async () => {
       if (performance.now() - since < SLICE_MS) return;
-      this.onready();
+      if (performance.now() - this.shownAt > REDRAW_MS) this.onready();
       await new Promise((resolve) => setTimeout(resolve));
       since = performance.now();
     });
@@ -422,6 +424,7 @@ export class ObjectScene {
       background: [grey, grey, grey], origin: [area.x, bottom], coded: layer.name !== "appearance",
     });
     this.drawScreen();
+    this.shownAt = performance.now();
   }
 
   begin(target, area) {

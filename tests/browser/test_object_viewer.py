@@ -1,0 +1,138 @@
+"""The page of an object in a real browser: what it decodes and draws, against the decoder and the renderer."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import viewer_pages
+from coded_dome import coded_dome
+
+from nishiki.brdf.texels.lighting import Lighting
+from nishiki.geometry.camera import look_at
+from nishiki.render.display import encoded
+from nishiki.render.object.shots import Shot, neighbours
+from nishiki.report.viewer.page import Blocks
+from nishiki.stages.object_viewer.run import write_object
+
+pytestmark = pytest.mark.skipif(viewer_pages.missing() is not None, reason=str(viewer_pages.missing()))
+
+
+@pytest.fixture(scope="module", params=[("srgb", ("total",)), ("srgb", ("diffuse", "specular"))], ids=["sum", "parts"])
+def shown(request, tmp_path_factory):
+    """An object and its page, open in a browser."""
+    encoding, components = request.param
+    folder = tmp_path_factory.mktemp("object")
+    decoded = coded_dome(folder, encoding=encoding, components=components)
+    blocks = Blocks(SimpleNamespace(path=lambda name: folder / name), inline_bytes=10**8)
+    about = {"title": "Ball", "scene": "ball", "key": "", "version": "", "unit": "mm"}
+    write_object(decoded, blocks, about, without=frozenset())
+    with viewer_pages.opened(folder / "index.html", width=300, height=200) as page:
+        yield SimpleNamespace(decoded=decoded, page=page)
+
+
+def canvas(shown, **state):
+    camera = shown.decoded.cameras[0]
+    return shown.page.picture(camera.columns, camera.rows, **{"options": {}, "lamps": [], "ambient": 0, "layer": "appearance", **state})
+
+
+def check(shown, state, renderer, shot):
+    picture = next(renderer.render([shot]))
+    want = encoded(picture.linear).pixels
+    inner = picture.covered.copy()
+    for axis in (0, 1):  # the pixels beside the edge are blended with the background
+        inner &= np.roll(picture.covered, 1, axis) & np.roll(picture.covered, -1, axis)
+    assert inner.sum() > 3000
+    apart = viewer_pages.difference(canvas(shown, **state), want)[inner]
+    assert apart.mean() < 0.3
+    assert np.percentile(apart, 99) < 1.5
+
+
+def test_captured_view(shown):
+    renderer = shown.decoded.renderer(rim=0)
+    check(shown, {"view": {"captured": 3}}, renderer, renderer.captured(3))
+
+
+def test_between_views(shown):
+    renderer = shown.decoded.renderer(rim=0)
+    check(shown, {"view": {"captured": 9.5}}, renderer, renderer.between(9, 0.5))
+
+
+def test_free_lamp_shows_the_model_alone(shown):
+    renderer = shown.decoded.renderer(rim=0, model_only=True)
+    azimuth, elevation = np.radians(40), np.radians(50)
+    towards = (np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation))
+    renderer.lighting = Lighting("direction", (tuple(map(float, towards)),))
+    lamp = viewer_pages.lamp(40, 50)
+    state = {"view": {"captured": 3}, "lamps": [lamp], "options": {"lighting": "free"}}
+    check(shown, state, renderer, renderer.captured(3))
+
+
+def test_free_view(shown):
+    renderer, first = shown.decoded.renderer(rim=0), shown.decoded.cameras[0]
+    eye, up = np.array([1.8, 2.4, 3.6]), (0.0, 1.0, 0.0)
+    camera = look_at(eye, (0, 0, 0), rows=first.rows, columns=first.columns, field_of_view=np.radians(30), up=up)
+    view = {"eye": eye.tolist(), "target": [0, 0, 0], "up": list(up), "fov_deg": 30, "captured": None}
+    position = shown.page.page.evaluate("view => nishiki.scene.cameraOf(view).position", view)
+    assert 0 < position < renderer.turn.position[1]
+    lenders = neighbours(renderer.turn, position)
+    check(shown, {"view": view}, renderer, Shot(camera, lenders, lenders))
+
+
+def test_decoded_numbers_are_those_of_the_decoder(shown):
+    residual, scene = shown.decoded.residual, "nishiki.scene.coded"
+    shown.page.page.evaluate("nishiki.idle()")
+    parts = len(shown.decoded.renderer().parts)
+    for tile in (0, residual.tiles // 2, residual.tiles - 1):
+        extent = residual.extents[tile]
+        view = (extent.start + extent.length // 2) % residual.design.views
+        for part in range(parts):
+            values = shown.page.page.evaluate(f"Array.from({scene}.residual({tile}, {view}, 0, {part}, {parts}))")
+            values = np.reshape(values, (residual.size, residual.size, 4))[..., :3]
+            component = residual.design.components[part] if parts > 1 else None
+            want = residual.decode(tile, component=component)[view]
+            assert np.abs(want).max() > 0.05
+            np.testing.assert_allclose(values, want, atol=2e-6)
+
+
+def test_probe_gives_the_parameters(shown):
+    canvas(shown, view={"captured": 0})
+    probed = shown.page.page.evaluate("nishiki.scene.probe(75, 65, nishiki.state)")
+    renderer = shown.decoded.renderer()
+    picture = renderer.view(0)
+    place = [np.atleast_1d(v) for v in (picture.triangle[65, 75], picture.barycentric[65, 75][None])]
+    tile, s, t = (v[0] for v in shown.decoded.atlas.locate(*place))
+    kd, _, sigma = shown.decoded.residual.parameters(int(tile))
+    i, j = int(s), int(t)
+    near = kd[i : i + 2, j : j + 2].reshape(-1, 3)
+    diffuse = np.array(probed["layers"]["diffuse"])
+    assert (near.min(axis=0) - 1e-3 <= diffuse).all()
+    assert (diffuse <= near.max(axis=0) + 1e-3).all()
+    widths = sigma[i : i + 2, j : j + 2]
+    assert widths.min() - 1e-3 <= probed["layers"]["roughness"] <= widths.max() + 1e-3
+    linear = picture.linear[65, 75]
+    here = next(view for view in probed["photographs"] if view["view"] == "000")
+    np.testing.assert_allclose(here["values"], linear, atol=0.02)
+    assert shown.page.page.evaluate("nishiki.scene.probe(1, 1, nishiki.state)") is None
+
+
+def test_dragging_turns_the_object_and_page_keys_step_through_captured_views(shown):
+    page = shown.page.page
+    canvas(shown, view={"captured": 2})
+    page.mouse.move(150, 100)
+    page.mouse.down()
+    page.mouse.move(180, 110)
+    page.mouse.up()
+    shown.page.page.evaluate("nishiki.idle()")
+    assert page.evaluate("nishiki.state.view.captured") is None
+    page.locator("canvas").first.focus()
+    page.keyboard.press("PageUp")
+    assert isinstance(page.evaluate("nishiki.state.view.captured"), int)
+
+
+def test_layers_differ_and_nothing_was_complained_of(shown):
+    names = shown.page.page.evaluate("nishiki.scene.layers().map(layer => layer.name)")
+    pictures = [canvas(shown, view={"captured": 1}, layer=name).copy() for name in names]
+    canvas(shown, view={"captured": 1}, layer="appearance", options={"cameras": True})
+    assert len({picture.tobytes() for picture in pictures}) == len(names)
+    assert shown.page.messages == []
+    assert all(url.startswith(("file:", "data:")) for url in shown.page.requests)
