@@ -90,9 +90,7 @@ def coded_dome(folder: Path, *, encoding: str = "srgb", components: tuple[str, .
     coded = EncodedObject(design, models, extents, [None] * atlas.tiles, streams, 1, 0.0, 0.0, 0.0, 0, [])
     write_residual(folder, coded, stamp={}, report={})
     names = tuple(camera.name for camera in views)
-    return DecodedObject(
-        mesh, atlas, views, Residual(folder), LIGHTING, surface, encoding, 3, True, names, ("",), 1.0
-    )
+    return DecodedObject(mesh, atlas, views, Residual(folder), LIGHTING, surface, encoding, 3, True, names, ("",), 1.0)
 
 
 def sparse(rng: np.random.Generator, shape: tuple[int, ...], share: float, spread: float) -> np.ndarray:

@@ -32,7 +32,9 @@ def shown(request, tmp_path_factory):
 
 def canvas(shown, **state):
     camera = shown.decoded.cameras[0]
-    return shown.page.picture(camera.columns, camera.rows, **{"options": {}, "lamps": [], "ambient": 0, "layer": "appearance", **state})
+    return shown.page.picture(
+        camera.columns, camera.rows, **{"options": {}, "lamps": [], "ambient": 0, "layer": "appearance", **state}
+    )
 
 
 def check(shown, state, renderer, shot):

@@ -17,7 +17,8 @@ from nishiki.processes import owner
 
 PAGE = "index.html"
 """The page of all scenes, in the folder of the results."""
-OPENED_FIRST = ("viewer/index.html", "report.html")
+VIEWERS = ("viewer/index.html", "object_viewer/index.html", "cloth_viewer/index.html")
+OPENED_FIRST = (*VIEWERS, "report.html")
 """What is opened of a scene: the first that is there, in its folder `current`."""
 
 
@@ -108,7 +109,7 @@ def card_of(flow: Workflow, scene: str, why: str):
         title=told.get("title") or "",
         about=told.get("about") or "",
         page=there.get("report.html", ""),
-        viewer=there.get("viewer/index.html", ""),
+        viewer=next((there[name] for name in VIEWERS if name in there), ""),
         thumbnail=there.get("thumbnail.jpg", ""),
         figures=[Tile(**entry) for entry in told.get("figures", ())],
     )

@@ -1,4 +1,4 @@
-"""Object_viewer: a page on which the coded object is decoded and seen from any view, its data beside it or inside it."""
+"""Object_viewer: a page on which the coded object is decoded and seen from any view, data beside it or inside it."""
 
 from nishiki.artifacts.stage import Context
 from nishiki.observations.views import Views
@@ -21,7 +21,7 @@ def run(context: Context) -> dict:
 
 
 def write_object(decoded: DecodedObject, blocks: Blocks, about: dict, *, without: frozenset[int]) -> dict:
-    """Blocks and page of an object; sizes in bytes. about: title, stamp and unit; without: views left out of the fit."""
+    """Blocks and page of an object; sizes in bytes. about: title, stamp, unit; without: views left out of the fit."""
     described = pack_arrays(decoder_arrays(decoded))
     blocks.add("object", described)
     streams, coded_bytes = [], 0
