@@ -80,5 +80,5 @@ STAGE = Stage(
     libraries=("numpy", "numba", "zarr", "OpenEXR", "opencv-contrib-python-headless"),
     deliverables=("exports",),
     threads=1,
-    cost=lambda facts: Cost(mib=260, bytes_per_pixel=40, seconds=3, us_per_pixel=10),
+    cost=lambda facts: Cost(mib=620, bytes_per_pixel=40, seconds=5, us_per_pixel=20, us_per_sample=3),
 )
