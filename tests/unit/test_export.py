@@ -270,6 +270,24 @@ def test_a_relightable_image_shows_the_photographs_in_a_viewer(exported, kind, l
     assert figures["check"]["lights"] == 3
 
 
+def test_a_ptm_file_shows_the_photographs(exported):
+    """Decoded as the format's description says, without our reader."""
+    data = (exported.folder / "relight_ptm/painting.ptm").read_bytes()
+    version, layout, columns, rows, scale, bias, *_ = data.split(b"\n", 6)
+    assert (version, layout, int(columns), int(rows)) == (b"PTM_1.2", b"PTM_FORMAT_RGB", COLUMNS, ROWS)
+    codes = np.frombuffer(data[-ROWS * COLUMNS * 18 :], np.uint8).reshape(3, ROWS, COLUMNS, 6)[:, ::-1]
+    terms = (codes - [int(each) for each in bias.split()]) * np.array([float(each) for each in scale.split()])
+    squares = []
+    for u, v, w in exported.painting.lights[-3:]:
+        shown = (terms @ [u * u, v * v, u * v, u, v, 1]).transpose(1, 2, 0) / 255
+        channels = exported.painting.reflectance()[..., [45, 28, 8]]
+        linear = np.maximum(exported.painting.normals @ (u, v, w), 0)[..., None] * channels
+        squares.append(np.mean((np.clip(shown, 0, 1) - srgb_encode(linear)) ** 2))
+    figures = exported.reported["losses"]["relight"]["kinds"]["ptm file"]["psnr_db"]["check"]
+    assert -10 * np.log10(np.mean(squares)) == pytest.approx(figures["all"], abs=0.3)
+    assert figures["all"] > 34
+
+
 def test_a_plane_of_light_that_falls_from_the_left_is_brighter_on_slopes_to_the_left(exported):
     left = shown_by_viewer(exported.folder / "relight_ptm", (-0.7, 0, 0.714))
     right = shown_by_viewer(exported.folder / "relight_ptm", (0.7, 0, 0.714))

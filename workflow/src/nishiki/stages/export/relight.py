@@ -16,12 +16,14 @@ from nishiki.formats.picture_tiles import (
     write_deep_zoom,
     write_jpeg,
 )
+from nishiki.formats.ptm import read_ptm, write_ptm
 from nishiki.observations.plane import Observations
 from nishiki.render.display import normals_as_colours
 from nishiki.stages.export.light_models import HarmonicModel, LightModel, PrincipalModel
 from nishiki.stages.export.photographs import CodedErrors, Photographs
 from nishiki.stages.export.scene import ExportedScene
 
+PTM = "painting.ptm"
 SAMPLES = 10_000
 """Pixels from which components, ridge, width and the range of every plane are taken, evenly spread."""
 ENDS = 0.05  # percent of the samples beyond each end of a plane's range
@@ -43,15 +45,27 @@ def write(context: Context, scene: ExportedScene) -> dict:
         stored = StoredModel.of(model, *samples)
         with tempfile.TemporaryDirectory(dir=context.output.folder) as scratch:
             stored.write(folder, Path(scratch), photographs, fitted, context)
-        errors = {"fitted": stored.errors(folder, photographs, fitted)}
-        if len(checked):
-            errors["check"] = stored.errors(folder, photographs, checked)
+        groups = {"fitted": fitted, "check": checked}
+        errors = {
+            name: stored.errors(stored.decoded(folder, frames), photographs, lights)
+            for name, lights in groups.items()
+            if len(lights)
+        }
         kinds[kind] = {
             "planes": model.planes,
             "width": getattr(model, "width", None),
             "ridge": getattr(model, "ridge", None),
             "psnr_db": errors,
         }
+        if kind == "ptm":
+            kinds["ptm file"] = {
+                "planes": model.planes,
+                "psnr_db": {
+                    name: stored.errors(of_file(folder, frames), photographs, lights)
+                    for name, lights in groups.items()
+                    if len(lights)
+                },
+            }
         write_layers(folder, scene, context)
         files += sorted(
             path.relative_to(context.output.folder).as_posix() for path in folder.rglob("*") if path.is_file()
@@ -99,6 +113,8 @@ class StoredModel:
                 write_jpeg(folder / f"plane_{number}.jpg", picture, settings.jpeg_quality)
             else:
                 write_deep_zoom(folder, f"plane_{number}", picture, scratch, settings.jpeg_quality)
+        if self.model.kind == "ptm":
+            write_ptm(folder / PTM, pictures, self.scale.reshape(-1, 3), self.bias.reshape(-1, 3))
         text = json.dumps(self.info(photographs.frames, lights, context), indent=1) + "\n"
         (folder / "info.json").write_text(text, encoding="utf-8")
 
@@ -128,7 +144,7 @@ class StoredModel:
         return content
 
     def decoded(self, folder: Path, frames: Observations) -> Iterator[tuple[slice, np.ndarray]]:
-        """Some rows at a time, at most a band, and the codes (rows, columns, planes) in their files."""
+        """Some rows at a time, at most a band, and the coefficients (rows, columns, planes) in their files."""
         names = [f"plane_{number}" for number in range(self.model.planes // 3)]
         if self.layout == "image":
             bands = iter([[(slice(0, frames.shape[0]), read_jpeg(folder / f"{name}.jpg")) for name in names]])
@@ -139,19 +155,28 @@ class StoredModel:
             for top in range(start, stop, frames.band_rows):
                 rows = slice(top, min(top + frames.band_rows, stop))
                 inner = slice(top - start, rows.stop - start)
-                yield rows, np.concatenate([picture[inner] for _, picture in parts], axis=-1)
+                codes = np.concatenate([picture[inner] for _, picture in parts], axis=-1)
+                yield rows, (codes / 255 - self.bias) * self.scale
 
-    def errors(self, folder: Path, photographs: Photographs, lights: np.ndarray) -> dict[str, float]:
-        """PSNR of what a viewer shows against the coded photographs."""
-        frames, errors = photographs.frames, CodedErrors(len(lights))
-        transfers = [self.model.transfer(frames.directions[light]) for light in lights]
-        for rows, codes in self.decoded(folder, frames):
+    def errors(
+        self, bands: Iterator[tuple[slice, np.ndarray]], photographs: Photographs, lights: np.ndarray
+    ) -> dict[str, float]:
+        """PSNR of what a viewer shows against the coded photographs; bands: of decoded coefficients."""
+        errors = CodedErrors(len(lights))
+        transfers = [self.model.transfer(photographs.frames.directions[light]) for light in lights]
+        for rows, decoded in bands:
             for part, values, valid in photographs.strips(rows, lights):
-                inner = codes[part.start - rows.start : part.stop - rows.start].reshape(-1, self.model.planes)
-                coefficients = (inner / 255 - self.bias) * self.scale
+                inner = slice(part.start - rows.start, part.stop - rows.start)
+                coefficients = decoded[inner].reshape(-1, self.model.planes)
                 for number, (offset, weights) in enumerate(transfers):
                     errors.add(number, offset + coefficients @ weights, values[:, number], valid[:, number])
         return errors.decibels()
+
+
+def of_file(folder: Path, frames: Observations) -> Iterator[tuple[slice, np.ndarray]]:
+    """Bands of coefficients (rows, columns, planes) from the .ptm file."""
+    for rows, terms in read_ptm(folder / PTM, frames.band_rows):
+        yield rows, terms.reshape(*terms.shape[:2], -1)
 
 
 def write_layers(folder: Path, scene: ExportedScene, context: Context) -> None:
