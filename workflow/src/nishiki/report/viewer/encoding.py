@@ -32,12 +32,12 @@ LAMPS = ("D65", "A", "F2", "F11")
 BAND_SHARE = 0.02
 """Weight of a spectrum's own squared difference, relative to that of what is seen of it: metameric parts are kept."""
 LEAST_LUMINANCE = 1e-5
-COLOUR_STEP = 0.6 / 116
-"""Step of the codes of colour, as Y^(1/3): 116 of it are one unit of L*."""
-SHADING_STEP = 0.012
-"""Step of the codes of the body shading: a share of the light."""
-NORMAL_STEP = 0.003
-"""Step of the codes of small tilts in s: half of it in radians times two."""
+SHADING_STEP = 0.013
+"""Step of the codes of the body shading for a step of colour of 1: a share of the light."""
+NORMAL_STEP = 0.0033
+"""Step of the codes of small tilts in s for a step of colour of 1; the angle is twice as large."""
+BRIGHT = 98
+"""Percentile of the luminance that is shown as 0.8 of white: steps are those of the picture at that exposure."""
 FARTHEST = 99.95
 """Percentile of a plane's values up to which its code reaches."""
 DIRECTIONS = ((0.0, 0.0), (45.0, 0.0), (45.0, 90.0), (45.0, 180.0), (45.0, 270.0), (75.0, 45.0), (75.0, 225.0))
@@ -130,7 +130,7 @@ class ColourCode:
     def of(
         cls, coefficients: np.ndarray, to_xyz: list[np.ndarray], basis: np.ndarray | None, step: float
     ) -> ColourCode:
-        """Fit to coefficients (samples, K); to_xyz: (3, K) of each lamp, the first being daylight."""
+        """Fit to coefficients (samples, K); to_xyz: (3, K) of each lamp, the first being daylight; step: in CIELAB."""
         luminance = to_xyz[0][1]
         mean = coefficients.mean(axis=0)
         if not luminance @ mean > LEAST_LUMINANCE:
@@ -138,7 +138,9 @@ class ColourCode:
         direction = mean / (luminance @ mean)
         code = cls(luminance, direction, PlaneCode(0, 1), PrincipalCode(mean, np.zeros((0, 0)), mean, ()))
         lightness, rest = code._split(coefficients)
-        top = max(float(np.percentile(lightness, FARTHEST)) if lightness.size else 1.0, step * TOP)
+        bright, top = np.percentile(lightness, (BRIGHT, FARTHEST)) if lightness.size else (1.0, 1.0)
+        step = step / 116 * float(bright) / 0.8 ** (1 / 3)
+        top = max(float(top), step / 2 * TOP)
         seen = [_opponent(matrix) for matrix in to_xyz]
         bands = [] if basis is None else [basis * np.sqrt(BAND_SHARE / basis.shape[1])]
         features = np.concatenate([item / np.sqrt(len(seen)) for item in seen] + bands, axis=1)

@@ -10,6 +10,8 @@ from typing import Any
 from nishiki.artifacts.artifact import ArtifactWriter
 
 PAGE = Path(__file__).parent / "page"
+ESCAPED = ((b"\\", b"\\\\"), (b'"', b'\\"'), (b"\n", b"\\n"), (b"\r", b"\\r"))
+"""What no text between quotes may hold, the sign of the escape first."""
 
 
 class Blocks:
@@ -18,25 +20,28 @@ class Blocks:
     def __init__(self, output: ArtifactWriter, *, inline_bytes: int):
         self.output = output
         self.inline_bytes = inline_bytes
-        self.kept: dict[str, str] | None = {}
+        self.kept: dict[str, bytes] | None = {}
         self.bytes: dict[str, int] = {}
 
     def add(self, name: str, data: bytes) -> None:
         """The next block."""
-        text = base64.b64encode(data).decode("ascii")
-        self.bytes[name] = len(text)
+        self.bytes[name] = len(data)
         if self.kept is None:
-            self._write(name, text)
+            self._write(name, data)
             return
-        self.kept[name] = text
+        self.kept[name] = data
         if sum(self.bytes.values()) > self.inline_bytes:
             for each, content in self.kept.items():
                 self._write(each, content)
             self.kept = None
 
-    def _write(self, name: str, text: str) -> None:
-        script = f'nishikiData("{name}", "data:application/octet-stream;base64,{text}");\n'
-        self.output.path(f"data/{name}.js").write_text(script, encoding="ascii")
+    def _write(self, name: str, data: bytes) -> None:
+        """A script whose text is the bytes, for a page that reads it as windows-1252 (page/loader.js)."""
+        text = data
+        for letter, escaped in ESCAPED:
+            text = text.replace(letter, escaped)
+        script = f'nishikiData("{name}",{len(data)},"'.encode("ascii") + text + b'");\n'
+        self.output.path(f"data/{name}.js").write_bytes(script)
 
 
 def write_page(blocks: Blocks, manifest: dict[str, Any]) -> dict[str, Any]:
@@ -54,7 +59,7 @@ def write_page(blocks: Blocks, manifest: dict[str, Any]) -> dict[str, Any]:
         title=manifest["title"],
         modules=Markup(_script_json({"imports": modules})),
         manifest=Markup(_script_json(manifest)),
-        blocks=blocks.kept or {},
+        blocks={name: base64.b64encode(data).decode("ascii") for name, data in (blocks.kept or {}).items()},
         style=Markup((PAGE / "style.css").read_text(encoding="utf-8")),
     )
     blocks.output.path("index.html").write_text(html, encoding="utf-8")

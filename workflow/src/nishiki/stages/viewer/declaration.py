@@ -1,6 +1,6 @@
 """Declaration of the stage `viewer`: settings, inputs, limits of its result, cost."""
 
-from typing import ClassVar
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
@@ -14,8 +14,11 @@ class ViewerSettings(Guarded):
     STAGE: ClassVar[str] = "viewer"
     VERSION: ClassVar[int] = 1
 
-    quality: int = Field(92, ge=50, le=100, description="of the tiles (JPEG); docs/stages/viewer.md has the errors")
-    inline_mb: float = Field(6, ge=0, le=100, description="up to this size the page is one file")
+    step: Literal["auto"] | Annotated[float, Field(ge=0.1, le=8)] = Field(
+        "auto",
+        description="of the codes of colour, in CIELAB; auto: 0.45 up to two megapixels, 1 above",
+    )
+    inline_mb: float = Field(4, ge=0, le=100, description="up to this size the page is one file")
 
 
 STAGE = Stage(
@@ -27,5 +30,5 @@ STAGE = Stage(
     needs_colour=True,
     libraries=("numpy", "numba", "jinja2", "zarr", "opencv-contrib-python-headless"),
     threads=1,
-    cost=lambda facts: Cost(mib=400, bytes_per_pixel=16, seconds=3, us_per_pixel=6),
+    cost=lambda facts: Cost(mib=300, bytes_per_pixel=60, seconds=3, us_per_pixel=8),
 )

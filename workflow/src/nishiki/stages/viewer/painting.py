@@ -19,7 +19,6 @@ from nishiki.brdf.parameters import gloss_table, is_facets
 from nishiki.colour.colour import srgb_matrix
 from nishiki.photometric.flags import NO_ESTIMATE
 from nishiki.report.viewer.encoding import (
-    COLOUR_STEP,
     NORMAL_STEP,
     SHADING_STEP,
     ColourCode,
@@ -116,24 +115,24 @@ class PaintingCode:
     channels: int
 
     @classmethod
-    def of(cls, maps: PaintingMaps, band_rows: int) -> PaintingCode:
-        """Fit to a sample of the maps."""
+    def of(cls, maps: PaintingMaps, band_rows: int, step: float) -> PaintingCode:
+        """Fit to a sample of the maps; step: of colour, in CIELAB."""
         values = maps.sample(band_rows)
         channels = values.shape[1] - 5 - maps.terms
         matrices = colour_matrices(maps.basis, np.linalg.inv(srgb_matrix()))
         shading = None
         if maps.terms:
             terms = values[:, 4 + channels : -1]
-            shading = PrincipalCode.of(terms, shading_features(maps.terms), SHADING_STEP)
+            shading = PrincipalCode.of(terms, shading_features(maps.terms), step * SHADING_STEP)
         return cls(
-            NormalCode.of(values[:, 1:4], NORMAL_STEP),
-            ColourCode.of(values[:, 4 : 4 + channels], matrices, maps.basis, COLOUR_STEP),
+            NormalCode.of(values[:, 1:4], step * NORMAL_STEP),
+            ColourCode.of(values[:, 4 : 4 + channels], matrices, maps.basis, step),
             shading,
             channels,
         )
 
-    def encode(self, values: np.ndarray) -> tuple[list[np.ndarray], np.ndarray]:
-        """Planes of codes (rows, columns) uint8, and the region of each pixel, `UNKNOWN_REGION` where nothing is known.
+    def encode(self, values: np.ndarray) -> list[np.ndarray]:
+        """Planes of codes (rows, columns) uint8; the last is the region of a pixel, or `UNKNOWN_REGION`.
 
         values : (rows, columns, fields) float32, records or means of them.
         """
@@ -144,10 +143,10 @@ class PaintingCode:
         normals = np.where(length > 1e-3, normals / np.maximum(length, 1e-3), np.float32([0, 0, 1]))
         planes = self.normal.encode(normals) + self.colour.encode(content[..., 3 : 3 + self.channels])
         planes += self.shading.encode(content[..., 3 + self.channels :]) if self.shading else []
-        return planes, np.where(known, values[..., -1], UNKNOWN_REGION).astype(np.uint8)
+        return [*planes, np.where(known, values[..., -1], UNKNOWN_REGION).astype(np.uint8)]
 
     def decode(self, planes: list[np.ndarray]) -> np.ndarray:
-        """(rows, columns, 3 + K + terms) normals, coefficients and terms of planes of codes."""
+        """(rows, columns, 3 + K + terms) normals, coefficients and terms of planes of codes, without the region."""
         colours = 1 + len(self.colour.chroma.planes)
         parts = [self.normal.decode(planes[:2]), self.colour.decode(planes[2 : 2 + colours])]
         if self.shading:

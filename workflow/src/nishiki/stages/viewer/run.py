@@ -11,13 +11,15 @@ from nishiki.colour.sampling import WAVELENGTHS_NM
 from nishiki.formats.stored import load_arrays
 from nishiki.report.viewer.heights import height_block
 from nishiki.report.viewer.page import Blocks, write_page
-from nishiki.report.viewer.pictures import jpeg, png
+from nishiki.report.viewer.pictures import webp_stack
 from nishiki.report.viewer.pyramid import BORDER, TILE, Pyramid
 from nishiki.stages.viewer.layers import layers_of
 from nishiki.stages.viewer.painting import UNKNOWN_REGION, PaintingCode, PaintingMaps, gloss_of
 
 ILLUMINANTS = ("D65", "D50", "A", "E", "F2", "F7", "F11")
 BAND_ROWS = 256
+FINE_STEP, COARSE_STEP, FINE_PIXELS = 0.45, 1.0, 2_000_000
+"""Steps of colour, and the size of a map up to which the finer is taken."""
 MOST_SHADOW_PIXELS = 1_200_000
 """Heights above which the map that casts the shadows is averaged: a sweep over it takes about a tenth of a second."""
 
@@ -27,17 +29,17 @@ def run(context: Context) -> dict:
     maps = PaintingMaps.of(context.inputs)
     rows, columns = maps.shape
     blocks = Blocks(context.output, inline_bytes=int(context.settings.inline_mb * 1e6))
-    code = PaintingCode.of(maps, BAND_ROWS)
-    labels: dict[str, int] = {}
+    step = context.settings.step
+    if step == "auto":
+        step = FINE_STEP if rows * columns <= FINE_PIXELS else COARSE_STEP
+    code = PaintingCode.of(maps, BAND_ROWS, step)
+
+    regions: set[bool] = set()
 
     def write(level: int, row: int, column: int, values: np.ndarray) -> None:
-        planes, regions = code.encode(values)
-        name = f"{level}-{row}-{column}"
-        blocks.add(f"tile-{name}", jpeg(mosaic(planes), context.settings.quality))
-        if regions.min() != regions.max():
-            blocks.add(f"regions-{name}", png(regions))
-        else:
-            labels[name] = int(regions.flat[0])
+        planes = code.encode(values)
+        regions.add(bool(planes[-1].any()))
+        blocks.add(f"tile-{level}-{row}-{column}", webp_stack(planes))
 
     pyramid = Pyramid(rows, columns, maps.read(slice(0, 1)).shape[-1], write)
     for first in context.progress.over(range(0, rows, BAND_ROWS), "band"):
@@ -50,7 +52,6 @@ def run(context: Context) -> dict:
             lambda band: height.read("height", band), (rows, columns), pitch or 1.0, MOST_SHADOW_PIXELS
         )
         blocks.add("height", block)
-    planes = 3 + len(code.colour.chroma.planes) + (len(code.shading.planes) if code.shading else 0)
     manifest = {
         "format": 1,
         "chain": "painting",
@@ -64,25 +65,18 @@ def run(context: Context) -> dict:
         "cmf": cie_1931_cmfs().T.tolist(),
         "illuminants": illuminants(context.inputs["ingest"]),
         "gloss": gloss_of(maps),
-        "code": {**code.described(), "planes": planes},
+        "code": code.described(),
         "tiles": {
             "size": TILE,
             "border": BORDER,
-            "levels": [{"rows": shape[0], "columns": shape[1]} for shape in pyramid.levels()],
-            "regions": labels,
+            "levels": [{"rows": shape[0], "columns": shape[1], "factor": factor} for factor, shape in pyramid.levels()],
+            "regions": True in regions,
             "unknown": UNKNOWN_REGION,
         },
         "shadows": shadows,
         "layers": layers_of(context.inputs, blocks),
     }
     return write_page(blocks, manifest)
-
-
-def mosaic(planes: list[np.ndarray]) -> np.ndarray:
-    """Planes of one size side by side and below one another, the rest grey: one picture, one decoding."""
-    across = int(np.ceil(np.sqrt(len(planes))))
-    planes = planes + [np.full_like(planes[0], 128)] * (-len(planes) % across)
-    return np.concatenate([np.concatenate(planes[k : k + across], axis=1) for k in range(0, len(planes), across)])
 
 
 def illuminants(ingest: Artifact) -> dict[str, dict[str, list[float]]]:

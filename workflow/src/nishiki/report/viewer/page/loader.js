@@ -1,11 +1,22 @@
 // Blocks of data: classic scripts beside the page, or elements inside it. Neither needs fetch, which file:// forbids.
 //
-// A block is base64 of its bytes. As a file it is a script that calls nishikiData("NAME", "data:...;base64,..."); inside
-// the page it is <script type="application/octet-stream;base64" id="data-NAME">.
+// Inside the page a block is <script type="application/octet-stream;base64" id="data-NAME">. As a file it is a script that
+// calls nishikiData("NAME", BYTES, "..."), whose text is the bytes themselves: read as windows-1252, every byte is one
+// character, so that a block takes a quarter less than in base64.
 
 const waiting = new Map();
+// What windows-1252 makes of the bytes 128 ... 159; all others keep their number.
+const UPPER = new Map([..."\u20ac\x81\u201a\u0192\u201e\u2026\u2020\u2021\u02c6\u2030\u0160\u2039\u0152\x8d\u017d\x8f\x90\u2018\u2019\u201c\u201d\u2022\u2013\u2014\u02dc\u2122\u0161\u203a\u0153\x9d\u017e\u0178"].map((letter, k) => [letter.charCodeAt(0), 128 + k]));
 
-globalThis.nishikiData = (name, url) => waiting.get(name)?.(bytes(url.slice(url.indexOf(",") + 1)));
+globalThis.nishikiData = (name, length, text) => {
+  const out = new Uint8Array(text.length);
+  for (let i = 0; i < out.length; i++) {
+    const code = text.charCodeAt(i);
+    out[i] = code < 256 ? code : UPPER.get(code);
+  }
+  if (out.length === length) waiting.get(name)?.(out);
+  else console.error(`block ${name}: ${out.length} bytes, expected ${length}`);
+};
 
 /** Blocks by name, the last used kept up to a number of bytes. */
 export class Loader {
@@ -44,6 +55,7 @@ export class Loader {
       const done = () => (waiting.delete(name), element.remove());
       waiting.set(name, (data) => (done(), resolve(data)));
       element.onerror = () => (done(), this.blocks.delete(name), reject(new Error(`${this.folder}/${name}.js is missing`)));
+      element.charset = "windows-1252";
       element.src = `${this.folder}/${name}.js`;
       document.head.append(element);
     });

@@ -5,7 +5,7 @@
 import * as colour from "viewer/colour";
 import { bind, context, program, readback, target, texture } from "viewer/gl";
 import { picture } from "viewer/loader";
-import { LAYER_FRAGMENT, PACK_FRAGMENT, PACK_VERTEX, PAINTING_FRAGMENT, TILE_VERTEX } from "viewer/painting_shaders";
+import { LAYER_FRAGMENT, PAINTING_FRAGMENT, TILE_VERTEX } from "viewer/painting_shaders";
 import { openHeights, Shadows } from "viewer/shadows";
 
 const TEXTURE_BYTES = 256e6; // of tiles that are kept
@@ -13,7 +13,17 @@ const EXPOSURE_PIXELS = 1 << 18; // at most, of the picture that the exposure is
 const MOST_LAMPS = 8;
 const ENHANCEMENTS = ["none", "specular", "curvature", "raking"];
 const LAYER_COLOURS = ["grey", "diverging", "flags"];
+const MIPMAPS = 3; // of a tile: levels of the pyramid are a factor of 4 apart
 const BACKGROUND = 0.106;
+
+/** Pictures of a tile: before each its length in bytes, four of them, the lowest first. */
+function stackOf(data) {
+  const view = new DataView(data.buffer, data.byteOffset, data.byteLength), parts = [];
+  for (let at = 0; at < data.length; at += 4 + view.getUint32(at, true)) {
+    parts.push(picture(data.subarray(at + 4, at + 4 + view.getUint32(at, true)), "image/webp"));
+  }
+  return Promise.all(parts);
+}
 
 export class Painting {
   /** Opens a painting; ready to draw once its coarsest tiles are there. */
@@ -33,16 +43,13 @@ export class Painting {
     this.programs = new Map();
     this.layerTextures = new Map();
     this.exposure = { key: "", value: 1 };
-    const { colour: chroma, shading, planes } = manifest.code;
+    const { colour: chroma, shading } = manifest.code;
     this.chroma = chroma.low.length;
     this.shades = shading ? shading.low.length : 0;
     this.terms = shading ? shading.mean.length : 0;
-    this.planes = planes;
-    const { levels, regions, size } = manifest.tiles;
-    const tiles = levels.reduce((sum, level) => sum + Math.ceil(level.rows / size) * Math.ceil(level.columns / size), 0);
-    const constant = Object.values(regions);
-    this.hasRegions = constant.length < tiles || constant.some((region) => region !== 0);
-    this.packs = Math.ceil((planes + (this.hasRegions ? 1 : 0)) / 4);
+    this.planes = 3 + this.chroma + this.shades; // the region comes after them
+    this.stack = Math.ceil((this.planes + 1) / 3);
+    this.hasRegions = manifest.tiles.regions;
     this.gloss = this.#glossTexture();
     this.spectra = new Map();
     this.shadow = null; // {key, texture, lamps}
@@ -79,7 +86,7 @@ export class Painting {
   cost() {
     const lobes = this.manifest.gloss.beta[0].length, blurred = this.manifest.gloss.blurred && lobes ? 1 : 0;
     return {
-      texture_reads: this.packs + 4 * blurred + 1 + lobes + (this.manifest.shadows ? 1 : 0) + (this.hasRegions ? 1 : 0),
+      texture_reads: Math.ceil(this.planes / 3) + 4 * blurred + 1 + lobes + (this.manifest.shadows ? 1 : 0) + (this.hasRegions ? 1 : 0),
       operations: 60 + 8 * this.chroma + 12 * this.shades + 60 * blurred + (lobes ? 90 : 20) + lobes * (blurred ? 22 : 4) + 40,
     };
   }
@@ -159,9 +166,9 @@ export class Painting {
     return [(x - place.x) / place.scale, (y - place.y) / place.scale];
   }
 
-  /** Level whose pixels are nearest in size to those of the canvas. */
+  /** Coarsest level whose pixels are no larger than those of the canvas. */
   #levelOf(scale) {
-    return Math.min(Math.max(Math.round(Math.log2(1 / scale)), 0), this.manifest.tiles.levels.length - 1);
+    return Math.max(this.manifest.tiles.levels.findLastIndex(({ factor }) => factor * scale < 1.25), 0);
   }
 
   // lamps and colours
@@ -226,7 +233,7 @@ export class Painting {
     gl.disable(gl.SCISSOR_TEST);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT);
-    const place = { scale: 2 ** -level, x: 0, y: 0, width: columns, height: rows };
+    const place = { scale: 1 / levels[level].factor, x: 0, y: 0, width: columns, height: rows };
     const area = { x: 0, y: 0, width: columns, height: rows };
     this.#drawTiles({ ...state, enhance: "none" }, lamps, place, area, { exposure: null, output: 1 });
     const bytes = readback(gl, 0, 0, columns, rows);
@@ -285,8 +292,8 @@ export class Painting {
 
   /** Tiles of a level that an area of the screen shows: [row, column]. */
   #visible(level, { scale, x, y }, area) {
-    const { levels, size } = this.manifest.tiles, { rows, columns } = levels[level];
-    const side = size * 2 ** level * scale;
+    const { levels, size } = this.manifest.tiles, { rows, columns, factor } = levels[level];
+    const side = size * factor * scale;
     const range = (from, to, start, count) => {
       const first = Math.max(Math.floor((from - start) / side), 0), last = Math.min(Math.floor((to - 1 - start) / side), count - 1);
       return Array.from({ length: Math.max(last - first + 1, 0) }, (_, k) => first + k);
@@ -296,8 +303,8 @@ export class Painting {
   }
 
   #haveAll(level) {
-    const { rows, columns } = this.manifest.tiles.levels[level];
-    const all = this.#visible(level, { scale: 1, x: 0, y: 0 }, { x: 0, y: 0, width: columns << level, height: rows << level });
+    const { rows, columns, factor } = this.manifest.tiles.levels[level];
+    const all = this.#visible(level, { scale: 1 / factor, x: 0, y: 0 }, { x: 0, y: 0, width: columns, height: rows });
     return all.map(([row, column]) => this.#ready(level, row, column)).every(Boolean);
   }
 
@@ -337,49 +344,18 @@ export class Painting {
   }
 
   async #make(tile) {
-    const { name } = tile;
-    const { manifest, loader } = this, region = manifest.tiles.regions[name];
-    const [mosaic, regions] = await Promise.all([
-      loader.load(`tile-${name}`).then((data) => picture(data, "image/jpeg")),
-      region === undefined ? loader.load(`regions-${name}`).then((data) => picture(data, "image/png")) : null,
-    ]);
-    tile.texture = this.#pack(mosaic, regions, region ?? -1);
+    const pictures = await stackOf(await this.loader.load(`tile-${tile.name}`));
+    const { gl } = this, side = this.#side();
+    tile.texture = texture(gl, gl.TEXTURE_2D_ARRAY, gl.LINEAR);
+    gl.texParameteri(gl.TEXTURE_2D_ARRAY, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_NEAREST);
+    gl.texStorage3D(gl.TEXTURE_2D_ARRAY, MIPMAPS, gl.RGBA8, side, side, pictures.length);
+    pictures.forEach((image, layer) => {
+      gl.texSubImage3D(gl.TEXTURE_2D_ARRAY, 0, 0, 0, layer, side, side, 1, gl.RGBA, gl.UNSIGNED_BYTE, image);
+      image.close();
+    });
+    gl.generateMipmap(gl.TEXTURE_2D_ARRAY);
     this.#forget();
     return tile.texture;
-  }
-
-  /** Array texture of the planes of a mosaic, four to a layer. */
-  #pack(mosaic, regions, region) {
-    const { gl } = this, side = this.#side();
-    const pack = this.#program("pack", PACK_VERTEX, PACK_FRAGMENT, {});
-    const upload = (image) => {
-      const made = texture(gl, gl.TEXTURE_2D, gl.NEAREST);
-      gl.texImage2D(gl.TEXTURE_2D, 0, gl.R8, gl.RED, gl.UNSIGNED_BYTE, image);
-      image.close();
-      return made;
-    };
-    const across = Math.round(mosaic.width / side);
-    const sources = [upload(mosaic), ...(regions ? [upload(regions)] : [])];
-    const made = texture(gl, gl.TEXTURE_2D_ARRAY, gl.LINEAR);
-    gl.texStorage3D(gl.TEXTURE_2D_ARRAY, 1, gl.RGBA8, side, side, this.packs);
-    this.packing ??= gl.createFramebuffer();
-    gl.bindFramebuffer(gl.FRAMEBUFFER, this.packing);
-    gl.viewport(0, 0, side, side);
-    gl.disable(gl.SCISSOR_TEST);
-    pack.use();
-    const { uniforms } = pack;
-    bind(gl, 0, gl.TEXTURE_2D, sources[0], uniforms.mosaic);
-    bind(gl, 1, gl.TEXTURE_2D, sources[1] ?? sources[0], uniforms.regions);
-    for (const [key, value] of Object.entries({ across, side, planes: this.planes, regionPlane: this.hasRegions ? this.planes : -1 })) gl.uniform1i(uniforms[key], value);
-    gl.uniform1f(uniforms.region, region);
-    for (let layer = 0; layer < this.packs; layer++) {
-      gl.framebufferTextureLayer(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, made, 0, layer);
-      gl.uniform1i(uniforms.first, 4 * layer);
-      gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
-    }
-    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-    sources.forEach((source) => gl.deleteTexture(source));
-    return made;
   }
 
   #side() {
@@ -388,7 +364,7 @@ export class Painting {
 
   /** Drop the tiles used longest ago; the coarsest stays. */
   #forget() {
-    const most = Math.max(Math.floor(TEXTURE_BYTES / (this.#side() ** 2 * 4 * this.packs)), 8);
+    const most = Math.max(Math.floor(TEXTURE_BYTES / (this.#side() ** 2 * 5.3 * this.stack)), 8);
     for (const [name, tile] of this.tiles) {
       if (this.tiles.size <= most) break;
       if (!tile.texture || name.startsWith(`${this.manifest.tiles.levels.length - 1}-`)) continue;
@@ -404,13 +380,15 @@ export class Painting {
     const complete = wanted.map(([row, column]) => this.#ready(level, row, column)).every(Boolean);
     const levels = complete ? [level] : [...new Set([last, level])];
     const uniforms = this.#shader(state, lamps, { exposure, output });
+    const set = (call, name, value) => uniforms[name] && this.gl[call](uniforms[name], value);
     for (const each of levels) {
-      const { gl } = this, { size, border } = this.manifest.tiles, factor = 2 ** each;
+      const { gl } = this, { size, border } = this.manifest.tiles, { factor } = this.manifest.tiles.levels[each];
       const columns = this.manifest.columns / factor, rows = this.manifest.rows / factor, step = factor * place.scale;
       gl.uniform4f(uniforms.toClip, (2 * step) / place.width, (-2 * step) / place.height, (2 * place.x) / place.width - 1, 1 - (2 * place.y) / place.height);
       gl.uniform2f(uniforms.size, columns, rows);
-      gl.uniform1f(uniforms.pitch, (this.manifest.pitch_mm ?? 1) * factor);
-      gl.uniform1f(uniforms.blur, Math.min(1, 1 / step ** 2));
+      set("uniform1f", "pitch", (this.manifest.pitch_mm ?? 1) * factor);
+      set("uniform1f", "blur", Math.min(1, 1 / step ** 2));
+      set("uniform1f", "stride", Math.max(1, 1 / step));
       for (const [row, column] of each === level ? wanted : this.#visible(each, place, area)) {
         const made = this.#ready(each, row, column);
         if (!made) continue;
@@ -427,7 +405,7 @@ export class Painting {
     const { gl, manifest } = this, { code, gloss } = manifest;
     const shadowed = Boolean(this.shadow && this.shadow.count === lamps.length && lamps.length);
     const defines = {
-      PLANES: this.planes + (this.hasRegions ? 0 : -1), CHROMA: this.chroma, TERMS: this.terms, SHADES: this.shades, LAMPS: lamps.length,
+      PLANES: this.planes, CHROMA: this.chroma, TERMS: this.terms, SHADES: this.shades, LAMPS: lamps.length,
       LOBES: gloss.beta[0].length, REGIONS: this.hasRegions ? 1 : 0, BLURRED: gloss.blurred ? 1 : 0, SHADOWS: shadowed ? 1 : 0, OUTPUT: output,
     };
     const shader = this.#program(JSON.stringify(defines), TILE_VERTEX, PAINTING_FRAGMENT, defines);
@@ -528,8 +506,8 @@ export class Painting {
     const [tileRow, tileColumn] = [row, column].map((k) => Math.floor(k / size));
     const made = await this.#tile(0, tileRow, tileColumn);
     const place = [column - tileColumn * size + border, row - tileRow * size + border];
-    const values = Array.from({ length: this.packs }, (_, layer) => [...this.#readPixel(made, layer, ...place)]).flat();
-    const region = this.hasRegions ? values[this.planes] : 0;
+    const values = Array.from({ length: this.stack }, (_, layer) => [...this.#readPixel(made, layer, ...place)].slice(0, 3)).flat();
+    const region = values[this.planes];
     if (region === unknown) return null;
     const { normal, colour: code } = this.manifest.code;
     const [sx, sy] = values.slice(0, 2).map((value) => value / 127 - 1).map((t) => normal.width * t * (normal.fineness + (1 - normal.fineness) * t * t));

@@ -11,35 +11,11 @@ void main() {
   gl_Position = vec4(at * toClip.xy + toClip.zw, 0.0, 1.0);
 }`;
 
-/** From a mosaic of planes to one layer of the array texture, four planes at a time. */
-export const PACK_FRAGMENT = `
-uniform sampler2D mosaic;
-uniform sampler2D regions;
-uniform int across, side, first, planes, regionPlane;
-uniform float region;
-out vec4 packed4;
-void main() {
-  ivec2 pixel = ivec2(gl_FragCoord.xy);
-  vec4 four = vec4(0.0);
-  for (int k = 0; k < 4; k++) {
-    int plane = first + k;
-    float value = 0.0;
-    if (plane < planes) value = texelFetch(mosaic, pixel + side * ivec2(plane % across, plane / across), 0).r;
-    else if (plane == regionPlane) value = region < 0.0 ? texelFetch(regions, pixel, 0).r : region / 255.0;
-    four[k] = value;
-  }
-  packed4 = four;
-}`;
-
-export const PACK_VERTEX = `
-void main() {
-  gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 2.0 - 1.0, 0.0, 1.0);
-}`;
-
 /** Defines: PLANES, CHROMA, TERMS, SHADES (planes of the body shading), LAMPS, LOBES, REGIONS, BLURRED, SHADOWS,
  *  OUTPUT (0 display, 1 code of the luminance, 2 data layer). */
 export const PAINTING_FRAGMENT = `
-#define LAYER(k) ((k) / 4)
+#define LAYER(k) ((k) / 3)
+#define STACK ((PLANES + 2) / 3)
 uniform sampler2DArray planes;
 uniform vec2 origin;             // of the tile with its border, in pixels of the level
 uniform float side;
@@ -58,6 +34,7 @@ uniform vec4 lamps[LAMPS + 1];   // direction and 0, or position and 1
 uniform vec4 powers[LAMPS + 1];  // intensity, squared reference distance or 0
 uniform float ambient;
 uniform float pitch;             // of the level's pixels
+uniform float stride;            // pixels of the level between the neighbours whose slopes are compared
 uniform float blur;              // variance of the slopes that a pixel of the screen sees, relative to a pixel of the map
 uniform sampler2D gloss;         // a row a region: index, entering, -, -; then beta, 1 / gamma^2 of each lobe
 uniform float transmission;
@@ -112,11 +89,11 @@ float curve(float linear) {
 }
 
 void main() {
-  vec4 values[(PLANES + 4) / 4];
-  for (int k = 0; k < (PLANES + 4) / 4; k++) values[k] = codes(k, at);
+  vec4 values[STACK];
+  for (int k = 0; k < STACK; k++) values[k] = codes(k, at);
   int region = 0;
 #if REGIONS > 0
-  region = int(texelFetch(planes, ivec3(floor(at - origin), LAYER(PLANES)), 0)[PLANES % 4] * 255.0 + 0.5);
+  region = int(texelFetch(planes, ivec3(floor(at - origin), LAYER(PLANES)), 0)[PLANES % 3] * 255.0 + 0.5);
   if (region == 255) { result = vec4(0.0); return; }
 #endif
   vec3 n = decodedNormal(values[0].rg);
@@ -140,7 +117,7 @@ void main() {
   vec3 spread = vec3(0.0);
   for (int k = 0; k < 4; k++) {
     vec2 side4 = k == 0 ? vec2(1, 0) : k == 1 ? vec2(-1, 0) : k == 2 ? vec2(0, 1) : vec2(0, -1);
-    vec2 d = slopeAt(at + side4) - here;
+    vec2 d = slopeAt(at + stride * side4) - here;
     spread += vec3(d.x * d.x, d.x * d.y, d.y * d.y);
   }
   spread *= blur / 24.0;
@@ -150,7 +127,7 @@ void main() {
   for (int m = 0; m < 5; m++) f[m] = m < TERMS ? shadeMean[m] : 0.0;
   for (int k = 0; k < SHADES; k++) {
     const int start = 3 + CHROMA;
-    float value = mix(shadeRange[k].x, shadeRange[k].y, values[LAYER(start + k)][(start + k) % 4]);
+    float value = mix(shadeRange[k].x, shadeRange[k].y, values[LAYER(start + k)][(start + k) % 3]);
     for (int m = 0; m < TERMS; m++) f[m] += value * shadeAxes[k * 5 + m];
   }
 #endif
@@ -221,7 +198,7 @@ void main() {
   diffuse[LAMPS] *= max(f[0] + (f[1] + tilt) * (2.0 / 3.0) + f[2] * 0.5375, 0.0);
 #endif
   if (enhance == 2) {
-    vec2 bend = vec2(slopeAt(at + vec2(1, 0)).x - slopeAt(at - vec2(1, 0)).x, slopeAt(at - vec2(0, 1)).y - slopeAt(at + vec2(0, 1)).y);
+    vec2 bend = vec2(slopeAt(at + vec2(stride, 0)).x - slopeAt(at - vec2(stride, 0)).x, slopeAt(at - vec2(0, stride)).y - slopeAt(at + vec2(0, stride)).y);
     float gain = clamp(1.0 + 6.0 * strength * (bend.x + bend.y), 0.3, 1.7);
     for (int j = 0; j <= LAMPS; j++) diffuse[j] *= gain;
   }
@@ -230,7 +207,7 @@ void main() {
     const int stride = CHROMA + 2;
     vec3 chroma = colours[j * stride + 1];
     for (int k = 0; k < CHROMA; k++) {
-      chroma += colours[j * stride + 2 + k] * mix(chromaRange[k].x, chromaRange[k].y, values[LAYER(3 + k)][(3 + k) % 4]);
+      chroma += colours[j * stride + 2 + k] * mix(chromaRange[k].x, chromaRange[k].y, values[LAYER(3 + k)][(3 + k) % 3]);
     }
     vec3 body = u * u * (u * colours[j * stride] + chroma);
     if (enhance == 3) body = mix(body, 0.6 * whites[j], strength);
