@@ -5,7 +5,7 @@
 import * as colour from "viewer/colour";
 import { bind, context, program, readback, target, texture } from "viewer/gl";
 import { picture } from "viewer/loader";
-import { LAYER_FRAGMENT, PAINTING_FRAGMENT, TILE_VERTEX } from "viewer/painting_shaders";
+import { LAYER_FRAGMENT, paintingFragment, TILE_VERTEX } from "viewer/painting_shaders";
 import { openHeights, Shadows } from "viewer/shadows";
 
 const TEXTURE_BYTES = 256e6; // of tiles that are kept
@@ -408,7 +408,7 @@ export class Painting {
       PLANES: this.planes, CHROMA: this.chroma, TERMS: this.terms, SHADES: this.shades, LAMPS: lamps.length,
       LOBES: gloss.beta[0].length, REGIONS: this.hasRegions ? 1 : 0, BLURRED: gloss.blurred ? 1 : 0, SHADOWS: shadowed ? 1 : 0, OUTPUT: output,
     };
-    const shader = this.#program(JSON.stringify(defines), TILE_VERTEX, PAINTING_FRAGMENT, defines);
+    const shader = this.#program(JSON.stringify(defines), TILE_VERTEX, paintingFragment(defines), defines);
     const { uniforms } = shader;
     shader.use();
     const { colours, whites } = this.#colours(state, exposure);

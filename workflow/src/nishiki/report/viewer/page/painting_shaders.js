@@ -11,11 +11,19 @@ void main() {
   gl_Position = vec4(at * toClip.xy + toClip.zw, 0.0, 1.0);
 }`;
 
+/** GLSL that reads plane k of the tile: constant indices, because indices that vary cost a software rasteriser dearly. */
+const plane = (k) => `values${Math.floor(k / 3)}.${"rgb"[k % 3]}`;
+const repeat = (count, line) => Array.from({ length: count }, (_, k) => line(k)).join("\n  ");
+
+/** The light of lamp j: of the body, and of the gloss. */
+const colourOf = (j, chroma) => `vec3 body = colours[${j} * (CHROMA + 2) + 1]${Array.from({ length: chroma }, (_, k) => ` + colours[${j} * (CHROMA + 2) + ${2 + k}] * chroma${k}`).join("")};
+    body = u * u * (u * colours[${j} * (CHROMA + 2)] + body);
+    if (enhance == 3) body = mix(body, 0.6 * whites[${j}], strength);
+    total += body * diffuse + whites[${j}] * specular;`;
+
 /** Defines: PLANES, CHROMA, TERMS, SHADES (planes of the body shading), LAMPS, LOBES, REGIONS, BLURRED, SHADOWS,
  *  OUTPUT (0 display, 1 code of the luminance, 2 data layer). */
-export const PAINTING_FRAGMENT = `
-#define LAYER(k) ((k) / 3)
-#define STACK ((PLANES + 2) / 3)
+export const paintingFragment = ({ PLANES, CHROMA, TERMS, SHADES, LAMPS, LOBES }) => `
 uniform sampler2DArray planes;
 uniform vec2 origin;             // of the tile with its border, in pixels of the level
 uniform float side;
@@ -89,53 +97,52 @@ float curve(float linear) {
 }
 
 void main() {
-  vec4 values[STACK];
-  for (int k = 0; k < STACK; k++) values[k] = codes(k, at);
+  ${repeat(Math.ceil(PLANES / 3), (k) => `vec3 values${k} = codes(${k}, at).rgb;`)}
   int region = 0;
 #if REGIONS > 0
-  region = int(texelFetch(planes, ivec3(floor(at - origin), LAYER(PLANES)), 0)[PLANES % 3] * 255.0 + 0.5);
+  region = int(texelFetch(planes, ivec3(floor(at - origin), ${Math.floor(PLANES / 3)}), 0).${"rgb"[PLANES % 3]} * 255.0 + 0.5);
   if (region == 255) { result = vec4(0.0); return; }
 #endif
-  vec3 n = decodedNormal(values[0].rg);
+  vec3 n = decodedNormal(values0.rg);
 #if OUTPUT == 2
   result = vec4(n * 0.5 + 0.5, 1.0);
   return;
 #endif
   if (enhance == 3) n = normalize(vec3(n.xy * (1.0 + 4.0 * strength), n.z));
-  float u = values[0].b * top;
+  float u = values0.b * top;
   vec4 table = texelFetch(gloss, ivec2(0, region), 0);
   float contrast = (table.x - 1.0) * (table.x + 1.0);
   const vec3 v = vec3(0.0, 0.0, 1.0);
   float cosR = n.z;
   float inverseR = cosR > 0.0 ? 1.0 / cosR : 0.0;
 #if LOBES > 0
-  vec2 lobes[LOBES];
-  for (int k = 0; k < LOBES; k++) lobes[k] = texelFetch(gloss, ivec2(1 + k, region), 0).xy;
+  ${repeat(LOBES, (k) => `vec2 lobe${k} = texelFetch(gloss, ivec2(${k + 1}, region), 0).xy;`)}
 #endif
 #if BLURRED && LOBES > 0
   vec2 here = n.xy / max(n.z, 0.2);
   vec3 spread = vec3(0.0);
-  for (int k = 0; k < 4; k++) {
-    vec2 side4 = k == 0 ? vec2(1, 0) : k == 1 ? vec2(-1, 0) : k == 2 ? vec2(0, 1) : vec2(0, -1);
-    vec2 d = slopeAt(at + stride * side4) - here;
+  ${repeat(4, (k) => `{
+    vec2 d = slopeAt(at + stride * vec2(${["1, 0", "-1, 0", "0, 1", "0, -1"][k]})) - here;
     spread += vec3(d.x * d.x, d.x * d.y, d.y * d.y);
-  }
+  }`)}
   spread *= blur / 24.0;
 #endif
 #if TERMS > 0
-  float f[5];
-  for (int m = 0; m < 5; m++) f[m] = m < TERMS ? shadeMean[m] : 0.0;
-  for (int k = 0; k < SHADES; k++) {
-    const int start = 3 + CHROMA;
-    float value = mix(shadeRange[k].x, shadeRange[k].y, values[LAYER(start + k)][(start + k) % 3]);
-    for (int m = 0; m < TERMS; m++) f[m] += value * shadeAxes[k * 5 + m];
-  }
+  ${repeat(SHADES, (k) => `float shade${k} = mix(shadeRange[${k}].x, shadeRange[${k}].y, ${plane(3 + CHROMA + k)});`)}
+  ${repeat(5, (m) => `float f${m} = shadeMean[${m}]${Array.from({ length: SHADES }, (_, k) => ` + shade${k} * shadeAxes[${5 * k + m}]`).join("")};`)}
 #endif
   float leave = transmission > 0.0 ? passed(cosR, contrast) : 1.0;
-  float diffuse[LAMPS + 1];
-  float specular[LAMPS + 1];
+  ${repeat(CHROMA, (k) => `float chroma${k} = mix(chromaRange[${k}].x, chromaRange[${k}].y, ${plane(3 + k)});`)}
+  float gain = 1.0;
+  if (enhance == 2) {
+    vec2 bend = vec2(slopeAt(at + vec2(stride, 0)).x - slopeAt(at - vec2(stride, 0)).x, slopeAt(at - vec2(0, stride)).y - slopeAt(at + vec2(0, stride)).y);
+    gain = clamp(1.0 + 6.0 * strength * (bend.x + bend.y), 0.3, 1.7);
+  }
+  vec3 total = vec3(0.0);
+  float diffuse, specular;
   vec2 position = vec2(at.x - size.x / 2.0, size.y / 2.0 - at.y) * pitch;
-  for (int j = 0; j < LAMPS; j++) {
+  ${repeat(LAMPS, (j) => `{
+    const int j = ${j};
     vec3 way = lamps[j].xyz - lamps[j].w * vec3(position, 0.0);
     float square = dot(way, way);
     vec3 l = way * inversesqrt(square);
@@ -147,7 +154,7 @@ void main() {
     float c = max(cosI, 0.0);
     vec3 s = l + v;
     float length2 = dot(s, s);
-    specular[j] = 0.0;
+    specular = 0.0;
 #if LOBES > 0
     if (cosI > 0.0 && cosR > 0.0) {
       vec3 x = cross(n, s);
@@ -163,56 +170,41 @@ void main() {
       d *= sqrt(q);
 #endif
       float sum = 0.0;
-      for (int k = 0; k < LOBES; k++) {
 #if BLURRED
-        float s2 = 1.0 / (lobes[k].y * 2.0 * LN2);
+      ${repeat(LOBES, (k) => `{
+        float s2 = 1.0 / (lobe${k}.y * 2.0 * LN2);
         float a = s2 + q * spread.x, b = q * spread.y, cc = s2 + q * spread.z;
         float inverse = 1.0 / (a * cc - b * b);
         float exponent = (cc * d.x * d.x - 2.0 * b * d.x * d.y + a * d.y * d.y) * inverse / (2.0 * LN2);
-        sum += lobes[k].x * exp2(-exponent) * s2 * sqrt(inverse);
+        sum += lobe${k}.x * exp2(-exponent) * s2 * sqrt(inverse);
+      }`)}
 #else
-        sum += lobes[k].x * exp2(-phi2 * lobes[k].y);
+      ${repeat(LOBES, (k) => `sum += lobe${k}.x * exp2(-phi2 * lobe${k}.y);`)}
 #endif
-      }
-      specular[j] = sum * fg * e;
+      specular = sum * fg * e;
     }
 #endif
     float w = c * e;
 #if TERMS > 0
     float along = max(dot(n, s), 0.0);
     float x2 = along * along / max(length2, 1e-12), x4 = x2 * x2;
-    w *= max(f[0] + f[1] * c + f[2] * x4 * x4 + f[3] * l.x + f[4] * l.y, 0.0);
+    w *= max(f0 + f1 * c + f2 * x4 * x4 + f3 * l.x + f4 * l.y, 0.0);
 #endif
     if (transmission > 0.0) w *= passed(cosI, contrast) * leave;
     if (enhance == 1) {
       vec3 h = s * inversesqrt(length2);
-      specular[j] += 0.6 * strength * e * pow(max(dot(n, h), 0.0), 60.0);
+      specular += 0.6 * strength * e * pow(max(dot(n, h), 0.0), 60.0);
       w *= 1.0 - 0.8 * strength;
     }
-    diffuse[j] = w;
-  }
-  diffuse[LAMPS] = ambient * 0.5 * (1.0 + n.z) * table.y * leave;
-  specular[LAMPS] = 0.0;
+    diffuse = w * gain;
+    ${colourOf("j", CHROMA)}
+  }`)}
+  diffuse = gain * ambient * 0.5 * (1.0 + n.z) * table.y * leave;
+  specular = 0.0;
 #if TERMS > 0
-  float tilt = f[3] * n.x + f[4] * n.y;
-  diffuse[LAMPS] *= max(f[0] + (f[1] + tilt) * (2.0 / 3.0) + f[2] * 0.5375, 0.0);
+  diffuse *= max(f0 + (f1 + f3 * n.x + f4 * n.y) * (2.0 / 3.0) + f2 * 0.5375, 0.0);
 #endif
-  if (enhance == 2) {
-    vec2 bend = vec2(slopeAt(at + vec2(stride, 0)).x - slopeAt(at - vec2(stride, 0)).x, slopeAt(at - vec2(0, stride)).y - slopeAt(at + vec2(0, stride)).y);
-    float gain = clamp(1.0 + 6.0 * strength * (bend.x + bend.y), 0.3, 1.7);
-    for (int j = 0; j <= LAMPS; j++) diffuse[j] *= gain;
-  }
-  vec3 total = vec3(0.0);
-  for (int j = 0; j <= LAMPS; j++) {
-    const int stride = CHROMA + 2;
-    vec3 chroma = colours[j * stride + 1];
-    for (int k = 0; k < CHROMA; k++) {
-      chroma += colours[j * stride + 2 + k] * mix(chromaRange[k].x, chromaRange[k].y, values[LAYER(3 + k)][(3 + k) % 3]);
-    }
-    vec3 body = u * u * (u * colours[j * stride] + chroma);
-    if (enhance == 3) body = mix(body, 0.6 * whites[j], strength);
-    total += body * diffuse[j] + whites[j] * specular[j];
-  }
+  { ${colourOf("LAMPS", CHROMA)} }
 #if OUTPUT == 1
   // total.y is the luminance: 16 bits of its logarithm
   float code = clamp((log2(max(total.y, 1e-6)) + 20.0) / 32.0, 0.0, 1.0) * 65535.0;
