@@ -16,7 +16,7 @@ class ViewerSettings(Guarded):
 
     step: Literal["auto"] | Annotated[float, Field(ge=0.1, le=8)] = Field(
         "auto",
-        description="of the codes of colour, in CIELAB; auto: 0.45 up to two megapixels, 1 above",
+        description="of the codes of colour, in CIELAB; auto: 0.35 up to two megapixels, 1.2 above",
     )
     inline_mb: float = Field(4, ge=0, le=100, description="up to this size the page is one file")
 

@@ -18,7 +18,7 @@ from nishiki.stages.viewer.painting import UNKNOWN_REGION, PaintingCode, Paintin
 
 ILLUMINANTS = ("D65", "D50", "A", "E", "F2", "F7", "F11")
 BAND_ROWS = 256
-FINE_STEP, COARSE_STEP, FINE_PIXELS = 0.45, 1.0, 2_000_000
+FINE_STEP, COARSE_STEP, FINE_PIXELS = 0.35, 1.2, 2_000_000
 """Steps of colour, and the size of a map up to which the finer is taken."""
 MOST_SHADOW_PIXELS = 1_200_000
 """Heights above which the map that casts the shadows is averaged: a sweep over it takes about a tenth of a second."""

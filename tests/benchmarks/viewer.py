@@ -1,0 +1,104 @@
+"""The viewer's page against render: differences of canvas and picture at 1:1, bytes, processor time of a frame.
+
+    python tests/benchmarks/viewer.py results/SCENE ...
+
+Each folder holds the results of one painting with the product viewer. Where the painting is larger than the canvas, its
+middle is compared. The browser is headless Chromium with its software rasteriser.
+"""
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+PROJECT = Path(__file__).resolve().parents[2]
+sys.path[:0] = [str(PROJECT / "workflow/src"), str(PROJECT / "tests")]
+
+import viewer_pages  # noqa: E402
+from viewer_pages import lamp  # noqa: E402
+
+from nishiki.artifacts.artifact import open_artifact  # noqa: E402
+
+STATES = {
+    "D65 45°": {"lamps": [lamp(90, 45)], "ambient": 0.05},
+    "D65 15°": {"lamps": [lamp(180, 15)], "ambient": 0.0},
+    "A 45°": {"lamps": [lamp(90, 45, "A")], "ambient": 0.05},
+    "F11 70°": {"lamps": [lamp(20, 70, "F11")], "ambient": 0.05},
+    "D65 30° wide and A 60°": {
+        "lamps": [lamp(300, 30, radius_deg=5), lamp(100, 60, "A", intensity=0.5)],
+        "ambient": 0.1,
+    },
+    "D50 near": {"lamps": [lamp(250, 40, "D50", distance=0.8)], "ambient": 0.02},
+}
+MOST = (512, 512)
+FRAMES = 5
+
+
+def measured(folder: Path) -> list[dict]:
+    """Rows of one scene: one a state, and one of its sizes and times."""
+    current = folder / "current"
+    inputs = {
+        name: open_artifact(current / name, contents=False)
+        for name in ("normals", "height", "spectra", "brdf")
+        if (current / name).exists()
+    }
+    page_folder = current / "viewer"
+    scene = viewer_pages.plane_scene(inputs)
+    height, width = (min(side, most) for side, most in zip(scene.shape, MOST, strict=True))
+    top, left = ((side - part) // 2 for side, part in zip(scene.shape, (height, width), strict=True))
+    zoom = max(scene.shape[0] / height, scene.shape[1] / width)
+    middle = [
+        (left + width / 2 - scene.shape[1] / 2) * scene.pitch,
+        (scene.shape[0] / 2 - top - height / 2) * scene.pitch,
+    ]
+    view = {"x": middle[0] * scene.pitch, "y": middle[1] * scene.pitch, "zoom": zoom, "tilt_deg": 0, "azimuth_deg": 0}
+    rows = []
+    start = time.perf_counter()
+    with viewer_pages.opened(page_folder / "index.html", width=1000, height=700) as page:
+        opening = time.perf_counter() - start
+        first = [url for url in page.requests if url.startswith("file:")]
+        read = sum(Path(url.removeprefix("file://")).stat().st_size for url in first)
+        for name, state in STATES.items():
+            expected, exposure = viewer_pages.rendered(scene, {**state, "exposure": "auto"})
+            shown = page.picture(width, height, **state, exposure=exposure, view=view)
+            errors = viewer_pages.difference(shown, expected[top : top + height, left : left + width])
+            rows.append({"scene": folder.name, "state": name, "mean": errors.mean(), "p99": np.percentile(errors, 99)})
+        draw = f"""() => {{
+          const start = performance.now();
+          for (let k = 0; k < {FRAMES}; k++) {{ nishiki.scene.draw(nishiki.state); nishiki.scene.readPixels(); }}
+          return (performance.now() - start) / {FRAMES};
+        }}"""
+        page.set(lamps=[lamp(90, 45)])
+        milliseconds = page.page.evaluate(draw)
+        cost = page.page.evaluate("nishiki.scene.cost()")
+        messages = page.messages
+    files = [path for path in page_folder.rglob("*") if path.suffix in (".js", ".html")]
+    rows.append(
+        {
+            "scene": folder.name,
+            "pixels": scene.normals.shape[0] * scene.normals.shape[1],
+            "megabytes": sum(path.stat().st_size for path in files) / 1e6,
+            "megabytes_before_first_picture": read / 1e6,
+            "opening_s": opening,
+            "frame_ms": milliseconds,
+            "frame_pixels": width * height,
+            **cost,
+            "messages": messages,
+        }
+    )
+    return rows
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folders", nargs="+", type=Path, help="results/SCENE")
+    for folder in parser.parse_args().folders:
+        for row in measured(folder):
+            print(json.dumps({key: round(v, 3) if isinstance(v, float) else v for key, v in row.items()}), flush=True)
+
+
+if __name__ == "__main__":
+    main()
