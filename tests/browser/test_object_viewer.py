@@ -1,5 +1,6 @@
 """The page of an object in a real browser: what it decodes and draws, against the decoder and the renderer."""
 
+import base64
 from types import SimpleNamespace
 
 import numpy as np
@@ -129,6 +130,19 @@ def test_dragging_turns_the_object_and_page_keys_step_through_captured_views(sho
     page.locator("canvas").first.focus()
     page.keyboard.press("PageUp")
     assert isinstance(page.evaluate("nishiki.state.view.captured"), int)
+
+
+def test_a_region_is_a_part_of_the_same_picture(shown):
+    whole = canvas(shown, view={"captured": 4}).copy()
+    other = canvas(shown, view={"captured": 6}).copy()
+    shown.page.page.evaluate(
+        "nishiki.scene.draw({...nishiki.state, view: {captured: 4}}, {x: 0, y: 0, width: 70, height: 130})"
+    )
+    values = np.frombuffer(base64.b64decode(shown.page.page.evaluate(viewer_pages.READ)), np.uint8)
+    mixed = values.reshape(130, 150, 4)[::-1, :, :3]
+    assert (mixed[:, :69] == whole[:, :69]).all()
+    assert (mixed[:, 70:] == other[:, 70:]).all()
+    assert (whole != other).any()
 
 
 def test_layers_differ_and_nothing_was_complained_of(shown):

@@ -305,13 +305,13 @@ export class ObjectScene {
     };
   }
 
-  /** The camera of a state's view for a region of the canvas, and its position along the turn. */
-  cameraOf(view, region = { width: 1, height: 1 }) {
+  /** The camera of a state's view for a picture of some size, and its position along the turn. */
+  cameraOf(view, size = { width: 1, height: 1 }) {
     const { views, turn } = this.manifest;
     const captured = view.captured ?? null;
     const camera = captured === null
-      ? lookAt(view, region.height, region.width)
-      : fitted(cameraAlong(views, turn, captured), region.height, region.width);
+      ? lookAt(view, size.height, size.width)
+      : fitted(cameraAlong(views, turn, captured), size.height, size.width);
     const position = captured === null ? positionOfEye(turn, views, view.eye) : positionAlong(turn, captured);
     return { camera, position };
   }
@@ -394,36 +394,39 @@ export class ObjectScene {
     this.drawScreen();
   }
 
+  /** Draw one frame; region {x, y, width, height} of the canvas, from its upper left corner, or all of it. */
   draw(state, region) {
-    const { gl, canvas } = this, whole = { x: 0, y: 0, width: canvas.width, height: canvas.height };
-    const area = region ?? whole, view = this.viewOf(state);
-    const { camera, position } = this.cameraOf(view, area);
+    const { gl, canvas } = this, size = { width: canvas.width, height: canvas.height };
+    const area = region ?? { x: 0, y: 0, ...size }, view = this.viewOf(state);
+    const { camera, position } = this.cameraOf(view, size);
     const lenders = this.lending(state, view, position);
     const layer = LAYERS.find(({ name }) => name === state.layer) ?? LAYERS[0];
     if (layer.name === "appearance") this.drawTexels(state, camera, lenders);
-    const target = this.target(area.width, area.height);
-    this.begin(target.plain, area);
+    const target = this.target(size.width, size.height);
+    gl.enable(gl.SCISSOR_TEST);
+    gl.scissor(area.x, canvas.height - area.y - area.height, area.width, area.height);
+    this.begin(target.plain, size);
     this.drawPicture(camera, layer, lenders, this.lightOf(state));
-    this.begin(target.smooth, area);
+    this.begin(target.smooth, size);
     this.programs.coverage.use(this.cameraUniforms(camera));
     this.drawMesh();
-    this.resolve(target.smooth, target.covered, area);
+    this.resolve(target.smooth, target.covered, size);
     const lined = Boolean(state.options?.cameras);
     if (lined) {
-      this.begin(target.lined, area);
+      this.begin(target.lined, size);
       this.drawCameras(camera, view, position);
     }
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-    const bottom = canvas.height - area.y - area.height;
-    gl.viewport(area.x, bottom, area.width, area.height);
+    gl.viewport(0, 0, size.width, size.height);
     gl.disable(gl.DEPTH_TEST);
     const grey = decode(state.options?.background ?? 0);
     this.programs.display.use({
       picture: target.picture, coverage: target.coverage, overlay: lined ? target.overlay : this.zero, ceiling: this.ceiling, lined,
       exposure: typeof state.exposure === "number" ? state.exposure : 1,
-      background: [grey, grey, grey], origin: [area.x, bottom], coded: layer.name !== "appearance",
+      background: [grey, grey, grey], coded: layer.name !== "appearance",
     });
     this.drawScreen();
+    gl.disable(gl.SCISSOR_TEST);
     this.shownAt = performance.now();
   }
 
@@ -483,7 +486,7 @@ export class ObjectScene {
     gl.bindVertexArray(null);
   }
 
-  /** Framebuffers of a region's size: with several samples a pixel, and the picture that they are resolved to. */
+  /** Framebuffers of the canvas' size: with several samples a pixel, and the picture that they are resolved to. */
   target(width, height) {
     const { gl } = this, key = `${width}x${height}`;
     if (this.targets.has(key)) return this.targets.get(key);
@@ -517,11 +520,10 @@ export class ObjectScene {
     this.targets.clear();
   }
 
-  /** What the canvas shows at (x, y) of a region: place, normal, parameters, and the captured views' values there. */
-  async probe(x, y, state, region) {
-    const area = region ?? { x: 0, y: 0, width: this.canvas.width, height: this.canvas.height };
-    const { camera } = this.cameraOf(this.viewOf(state), area);
-    const place = this.placeAt(camera, x - area.x, y - area.y);
+  /** What the canvas shows at (x, y): place, normal, parameters, and the captured views' values there. */
+  async probe(x, y, state) {
+    const { camera } = this.cameraOf(this.viewOf(state), this.canvas);
+    const place = this.placeAt(camera, x, y);
     if (!place) return null;
     const [kd, ks, normal, position] = [this.diffuse, this.specular, this.normals, this.positions].map(
       (source) => bilinear(this.readTexels(source, place), place));

@@ -365,7 +365,6 @@ export const DISPLAY_FRAGMENT = `${HEAD}${ENCODING}
 uniform sampler2D picture, coverage, overlay;
 uniform float exposure, ceiling;
 uniform vec3 background;        // linear
-uniform ivec2 origin;
 uniform bool coded, lined;      // the values are to be shown as they are; there are lines on top
 out vec4 result;
 vec4 at(ivec2 place) {
@@ -387,7 +386,7 @@ vec3 carriedOn(ivec2 place) {
   return weight > 0.0 ? clamp(sum / weight, 0.0, ceiling) : vec3(0);
 }
 void main() {
-  ivec2 place = ivec2(gl_FragCoord.xy) - origin;
+  ivec2 place = ivec2(gl_FragCoord.xy);
   vec4 value = at(place);
   float covered = texelFetch(coverage, place, 0).r;
   if (covered > 0.0 && value.a == 0.0) value.rgb = carriedOn(place);
