@@ -80,6 +80,17 @@ def test_a_hollow_sinks_and_the_rest_stays():
     assert (sunk.triangles == hull.triangles).all()
 
 
+def test_a_mouth_of_more_than_half_of_the_surface_is_contradicted():
+    dish = [(0.0, 0.1), (0.75, 0.1), (0.8, RIM)]
+    hull, scene = turned([*dish, (0.0, RIM)]), photographed(turned([*dish, (0.72, RIM), (0.5, 0.15), (0.0, 0.15)]))
+    values = scene.residuals(hull, hull.vertices, hull.normals)
+    mouth = (hull.vertices[:, 2] > RIM - 1e-6) & (np.linalg.norm(hull.vertices[:, :2], axis=1) < 0.5)
+    assert np.median(values[values >= 0]) > 7
+    (candidates,) = contradicted_regions(hull, scene)
+    assert all(candidate[mouth].all() for candidate in candidates)
+    assert candidates[0].sum() <= candidates[-1].sum()
+
+
 def test_a_body_that_is_its_hull_stays():
     hull = filled()
     scene = photographed(hull)

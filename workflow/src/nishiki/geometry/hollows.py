@@ -31,8 +31,9 @@ RELATIVE_ERROR, ERROR = 0.02, 0.005
 """Deviation of a matt point from the model: part of its value, and of the object's bright values."""
 LARGEST = 16.0
 """Squared error from which a view counts no more, in squared deviations; what a point counts that few views see."""
-CONTRADICTED, OF_MEDIAN = 7.0, 3.0
-"""Residual above which a place is contradicted, also in medians of the whole surface."""
+CONTRADICTED, OF_LOWER_QUARTILE = 7.0, 4.0
+"""Residual above which a place is contradicted, also in lower quartiles of the whole surface: the mouth of a bowl is
+half of all that is seen, and raises the median."""
 PATCH_ROUNDS = 20
 """Averages of the residual over neighbouring vertices before it is judged."""
 SMALLEST_REGION = 0.015
@@ -42,10 +43,16 @@ IMPROVEMENT = 0.7
 FEWEST_VIEWS, MOST_VIEWS = 5, 14
 FINEST_SIZE_PX = 100
 """Root of the silhouette's area to which photographs are shrunk."""
-DEPTHS = np.linspace(0.08, 0.96, 12)
+WIDTHS = (1.0, 0.75, 0.6)
+"""Parts of the limit above which what adjoins a contradicted place is tried as part of its region: towards its rim a
+hollow is shallow, and there the residual falls."""
+DEPTHS = np.linspace(0.1, 0.94, 8)
 """Of the object's extent along the direction; first with steepness 1."""
-STEEPNESSES, NEARBY = (0.5, 0.75, 1.0, 1.5, 2.0, 3.0), (0.75, 0.9, 1.05, 1.2, 1.4)
+STEEPNESSES, NEARBY = (0.5, 0.75, 1.0, 1.5, 2.0, 3.0), (0.75, 1.0, 1.3)
 """Then tried together: steepness, and depth over the best of those."""
+SHIFT_ROUNDS = 10
+"""Averages over neighbouring vertices of what moves a finer mesh: steps between the coarse mesh's vertices would take
+five times the triangles."""
 
 
 @dataclass(frozen=True)
@@ -113,22 +120,25 @@ def sink_hollows(mesh: Mesh, coarse: Mesh, photographed: Photographed) -> tuple[
     from scipy.spatial import cKDTree
 
     start, figures = coarse.vertices, []
-    for region in contradicted_regions(coarse, photographed):
-        coarse, figure = sink(coarse, region, photographed)
+    for regions in contradicted_regions(coarse, photographed):
+        coarse, figure = sink(coarse, regions, photographed)
         figures += figure
     if not figures:
         return mesh, []
     distance, nearest = cKDTree(start).query(mesh.vertices, k=4)
     weights = 1 / np.maximum(distance, 1e-9 * np.ptp(start))
     shift = np.einsum("nk,nkc->nc", weights / weights.sum(1, keepdims=True), (coarse.vertices - start)[nearest])
+    near, moved = neighbourhoods(mesh), shift.any(axis=1, keepdims=True)
+    for _ in range(SHIFT_ROUNDS):
+        shift = np.where(moved, near @ shift, 0)
     return Mesh.of(mesh.vertices + shift, mesh.triangles), figures
 
 
-def contradicted_regions(mesh: Mesh, photographed: Photographed) -> list[np.ndarray]:
-    """Vertices (v,) bool of each large region in which no matt point fits the photographs, the largest first."""
-    from scipy.sparse import diags
-    from scipy.sparse.csgraph import connected_components
+def contradicted_regions(mesh: Mesh, photographed: Photographed) -> list[list[np.ndarray]]:
+    """Vertices (v,) bool of each large region in which no matt point fits the photographs, the largest first.
 
+    Each as several candidates, one for each of WIDTHS, the narrowest first.
+    """
     values = photographed.residuals(mesh, mesh.vertices, mesh.normals)
     seen = values >= 0
     if not seen.any():
@@ -137,13 +147,24 @@ def contradicted_regions(mesh: Mesh, photographed: Photographed) -> list[np.ndar
     total, count = np.where(seen, values, 0.0), seen.astype(np.float64)
     for _ in range(PATCH_ROUNDS):
         total, count = near @ total, near @ count
-    mean = total / np.maximum(count, 1e-12)
-    contradicted = (count > 0.3) & (mean > max(CONTRADICTED, OF_MEDIAN * float(np.median(values[seen]))))
-    among = diags(contradicted.astype(np.float64))
+    mean = np.where(count > 0.3, total / np.maximum(count, 1e-12), 0.0)
+    limit = max(CONTRADICTED, OF_LOWER_QUARTILE * float(np.percentile(values[seen], 25)))
+    parts = connected(mean > limit, near)
+    large = [part for part in parts if part.sum() >= SMALLEST_REGION * len(mesh.vertices)]
+    wider = [connected(mean > width * limit, near) for width in WIDTHS]
+    return [[closed(part, near) for among in wider for part in among if part[np.argmax(core)]] for core in large]
+
+
+def connected(vertices: np.ndarray, near) -> list[np.ndarray]:
+    """Connected parts (v,) bool of some vertices, the largest first."""
+    from scipy.sparse import diags
+    from scipy.sparse.csgraph import connected_components
+
+    among = diags(vertices.astype(np.float64))
     label = connected_components(among @ near @ among, directed=False)[1]
-    sizes = np.bincount(label, weights=contradicted)
-    large = [k for k in np.argsort(-sizes, kind="stable") if sizes[k] >= SMALLEST_REGION * len(mesh.vertices)]
-    return [closed(contradicted & (label == k), near) for k in large]
+    sizes = np.bincount(label, weights=vertices)
+    order = np.argsort(-sizes, kind="stable")
+    return [vertices & (label == part) for part in order[: np.count_nonzero(sizes)]]
 
 
 def neighbourhoods(mesh: Mesh):
@@ -180,34 +201,56 @@ def profile_of(region: np.ndarray, near) -> np.ndarray:
     return np.sqrt(profile / max(profile.max(), 1e-12))
 
 
-def sink(mesh: Mesh, region: np.ndarray, photographed: Photographed) -> tuple[Mesh, list[dict]]:
-    """The mesh with one region sunk as deep as the photographs say, and its figures; none where nothing is gained."""
-    direction = -mesh.normals[region].sum(axis=0).astype(np.float64)
-    direction /= max(np.linalg.norm(direction), 1e-12)
-    profile = profile_of(region, neighbourhoods(mesh))
-    extent = np.ptp(mesh.vertices @ direction)
-    pixels = pixels_of(mesh, region, photographed.cameras)
+@dataclass(frozen=True)
+class Hollow:
+    """A region (v,) bool that may be sunk, its `profile_of` (v,), and the unit vector along which it sinks."""
 
-    def sunk(depth: float, steepness: float) -> Mesh:
-        return Mesh.of(mesh.vertices + (depth * profile**steepness)[:, None] * direction, mesh.triangles)
+    region: np.ndarray
+    profile: np.ndarray
+    direction: np.ndarray
 
-    def judge(depth: float, steepness: float) -> float:
-        candidate = sunk(depth, steepness)
-        if not photographed.inside(candidate.vertices[region & (profile > 0.2)]):
-            return np.inf
-        return mean_residual(candidate, pixels, photographed)
+    @classmethod
+    def of(cls, mesh: Mesh, region: np.ndarray) -> Hollow:
+        """Along the mean of the region's inward normals."""
+        direction = -mesh.normals[region].sum(axis=0).astype(np.float64)
+        profile = profile_of(region, neighbourhoods(mesh))
+        return cls(region, profile, direction / max(np.linalg.norm(direction), 1e-12))
 
-    before = mean_residual(mesh, pixels, photographed)
-    coarse = [(judge(depth, 1.0), depth) for depth in extent * DEPTHS]
-    deepest = min(coarse)[1]
-    options = [
-        (judge(depth, steepness), depth, steepness) for steepness in STEEPNESSES for depth in deepest * np.array(NEARBY)
-    ]
-    after, depth, steepness = min(options)
+    def sunk(self, mesh: Mesh, depth: float, steepness: float) -> Mesh:
+        """The mesh, sunk by depth * profile^steepness."""
+        shift = (depth * self.profile**steepness)[:, None] * self.direction
+        return Mesh.of(mesh.vertices + shift, mesh.triangles)
+
+    def fitted(
+        self, mesh: Mesh, pixels: dict[int, np.ndarray], photographed: Photographed
+    ) -> tuple[float, float, float]:
+        """Least residual over these pixels of the sunk mesh, and the depth and steepness that have it."""
+        tested = self.region & (self.profile > 0.2)
+
+        def judge(depth: float, steepness: float) -> tuple[float, float, float]:
+            candidate = self.sunk(mesh, depth, steepness)
+            if not photographed.inside(candidate.vertices[tested]):
+                return np.inf, depth, steepness
+            return mean_residual(candidate, pixels, photographed), depth, steepness
+
+        depth = min(judge(depth, 1.0) for depth in np.ptp(mesh.vertices @ self.direction) * DEPTHS)[1]
+        return min(judge(depth * nearby, steepness) for steepness in STEEPNESSES for nearby in NEARBY)
+
+
+def sink(mesh: Mesh, regions: list[np.ndarray], photographed: Photographed) -> tuple[Mesh, list[dict]]:
+    """The mesh with one of these candidate regions sunk as deep as the photographs say, and its figures; none where
+    nothing is gained."""
+    hollows = [Hollow.of(mesh, region) for region in regions]
+    core, widest = (pixels_of(mesh, regions[k], photographed.cameras) for k in (0, -1))
+    fits = [hollow.fitted(mesh, widest, photographed) for hollow in hollows]
+    best = min(range(len(fits)), key=lambda k: fits[k][0])
+    hollow, (_, depth, steepness) = hollows[best], fits[best]
+    result = hollow.sunk(mesh, depth, steepness)
+    before, after = (mean_residual(each, core, photographed) for each in (mesh, result))
     if not after < IMPROVEMENT * before:
         return mesh, []
-    figure = {"vertices": int(region.sum()), "direction": direction.tolist(), "depth": float(depth)}
-    return sunk(depth, steepness), [{**figure, "steepness": steepness, "residual": [before, after]}]
+    figure = {"vertices": int(hollow.region.sum()), "direction": hollow.direction.tolist(), "depth": float(depth)}
+    return result, [{**figure, "steepness": steepness, "residual": [before, after]}]
 
 
 def pixels_of(mesh: Mesh, region: np.ndarray, cameras: list[Camera]) -> dict[int, np.ndarray]:

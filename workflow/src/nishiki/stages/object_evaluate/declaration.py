@@ -22,7 +22,7 @@ class ObjectEvaluateSettings(Guarded):
         "their own slot, or whichever predicts them better on average",
     )
     interpolation: Literal["linear", "cubic", "nearest"] = Field(
-        "linear", description="of the residual between captured views; linear: as the paper"
+        "cubic", description="of the residual between captured views, from four or two of them; linear: as the paper"
     )
     rim_px: int = Field(2, ge=0, le=8, description="pixels by which values are carried on beyond the surface's edge")
     similarity: bool = Field(True, description="also structural similarity")

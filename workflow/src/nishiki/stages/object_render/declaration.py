@@ -32,7 +32,7 @@ class ObjectRenderSettings(Guarded):
     )
     film: FilmSettings | None = Field(FilmSettings(), description="null: no video")
     interpolation: Literal["linear", "cubic", "nearest"] = Field(
-        "linear", description="of the residual between captured views; linear: as the paper"
+        "cubic", description="of the residual between captured views, from four or two of them; linear: as the paper"
     )
     level: int = Field(0, ge=0, le=6, description="0: everything; 1, 2, ..: previews from the coarse part alone")
     rim_px: int = Field(2, ge=0, le=8, description="pixels by which values are carried on beyond the surface's edge")
