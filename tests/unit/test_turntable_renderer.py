@@ -200,7 +200,7 @@ def test_lights_are_summed_in_linear_light():
 
 
 def test_views_between_weight_the_neighbours_and_model_the_new_view():
-    made = make()
+    made = make(method="linear")
     shot = made.between(1, 0.25)
     picture = next(made.render([shot]))
     want, covered = slow(made, view(-0.05), 0, {1: 0.75, 2: 0.25})

@@ -61,7 +61,7 @@ class ObjectRenderer:
         full_turn: bool,
         channels: int,
         without: frozenset[int] = frozenset(),
-        method: Method = "linear",
+        method: Method = "cubic",
         level: int = 0,
         model_only: bool = False,
         rim: int = 2,
