@@ -1,0 +1,73 @@
+"""Tiles and codes of the viewer: the same however the rows come in, and back to the values within their steps."""
+
+import struct
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+
+from nishiki.report.viewer.encoding import NormalCode, PrincipalCode
+from nishiki.report.viewer.page import Blocks
+from nishiki.report.viewer.pictures import webp_stack
+from nishiki.report.viewer.pyramid import BORDER, TILE, Pyramid
+
+
+def tiles(values: np.ndarray, band_rows: int) -> dict:
+    made = {}
+    pyramid = Pyramid(*values.shape, lambda *place: made.update({place[:3]: place[3]}))
+    for first in range(0, len(values), band_rows):
+        pyramid.push(values[first : first + band_rows])
+    return made
+
+
+def test_tiles_do_not_depend_on_the_bands_and_hold_the_map():
+    rng = np.random.default_rng(1)
+    values = rng.random((TILE + 37, TILE + 11, 3), dtype=np.float32)
+    values[..., 0] = 1
+    some, others = tiles(values, 64), tiles(values, 101)
+    assert set(some) == set(others) == {(0, 0, 0), (0, 0, 1), (0, 1, 0), (0, 1, 1), (1, 0, 0)}
+    assert all(np.array_equal(some[place], others[place]) for place in some)
+    inner = some[0, 0, 0][BORDER:, BORDER:]
+    assert np.array_equal(inner[: TILE + BORDER], values[: TILE + BORDER, : TILE + BORDER])
+    assert some[1, 0, 0][BORDER, BORDER, 1] == pytest.approx(values[:4, :4, 1].mean(), abs=1e-6)
+
+
+def test_normals_come_back_within_their_step_and_flat_ones_exactly():
+    rng = np.random.default_rng(2)
+    normals = np.concatenate([rng.normal(0, 0.2, (500, 2)), np.ones((500, 1))], axis=1)
+    normals[0] = 0, 0, 1
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    code = NormalCode.of(normals, 0.003)
+    back = code.decode(code.encode(normals.astype(np.float32)))
+    assert back[0].tolist() == [0, 0, 1]
+    angles = np.degrees(np.arccos(np.clip((back * normals).sum(axis=1), -1, 1)))
+    assert np.percentile(angles, 99) < 0.5
+
+
+def test_principal_codes_drop_what_no_step_shows():
+    rng = np.random.default_rng(3)
+    vectors = rng.normal(0, [1.0, 0.3, 1e-5], (2000, 3))
+    code = PrincipalCode.of(vectors, np.eye(3), 0.02)
+    assert len(code.planes) == 2
+    assert np.abs(code.decode(code.encode(vectors.astype(np.float32))) - vectors)[:, :2].mean() < 0.02
+
+
+def test_pictures_of_a_tile_are_lossless():
+    planes = list(np.random.default_rng(4).integers(0, 256, (4, 16, 16), dtype=np.uint8))
+    data, shown = webp_stack(planes), []
+    while data:
+        (length,) = struct.unpack("<I", data[:4])
+        picture = cv2.imdecode(np.frombuffer(data[4 : 4 + length], np.uint8), cv2.IMREAD_COLOR)
+        shown += list(np.moveaxis(picture[..., ::-1], -1, 0))
+        data = data[4 + length :]
+    assert np.array_equal(shown[:4], planes)
+
+
+def test_a_block_of_every_byte_is_a_line_of_script(tmp_path):
+    blocks = Blocks(SimpleNamespace(path=lambda name: tmp_path / name.split("/")[-1]), inline_bytes=0)
+    blocks.add("all", bytes(range(256)) * 2)
+    script = (tmp_path / "all.js").read_bytes()
+    assert script.startswith(b'nishikiData("all",512,"')
+    assert script.count(b"\n") == 1
+    assert script.count(b"\r") == 0
