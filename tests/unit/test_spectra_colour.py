@@ -42,7 +42,7 @@ def test_tables_equal_the_library(library):
     shape = library.SpectralShape(400, 700, 5)
     cmfs = library.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(shape)
     np.testing.assert_allclose(own.cie_1931_cmfs().T, cmfs.values, atol=1e-11)
-    for name in ("A", "D50", "D65", "FL2", "FL7", "FL11"):
+    for name in ("A", "D50", "D65", "FL2", "FL7", "FL11", "LED-B1", "LED-B3", "LED-B5"):
         expected = library.SDS_ILLUMINANTS[name].copy().align(shape).values
         np.testing.assert_allclose(own.illuminant(name), expected, rtol=2e-5)
     np.testing.assert_array_equal(own.illuminant("f11"), own.illuminant("FL11"))

@@ -31,7 +31,8 @@ def illuminant(name: str) -> np.ndarray:
     """(61,) relative spectral power of a CIE illuminant on the working grid, 100 at 560 nm where tabulated so.
 
     Known: A (Planck's law with c2 = 1.435e7 nm K at 2848 K, CIE 015:2018 eq. 1), D50, D65 (tables), E (equal energy),
-    FL2, FL7, FL11 (also written F2, F7, F11). Raises UserError for another name.
+    FL2, FL7, FL11 (also written F2, F7, F11), LED-B1, LED-B3, LED-B5 (CIE 015:2018: blue LEDs with phosphor, warm, neutral
+    and cold). Raises UserError for another name.
     """
     key = name.strip().upper()
     if key == "A":
@@ -42,10 +43,10 @@ def illuminant(name: str) -> np.ndarray:
         return np.full(WAVELENGTHS_NM.size, 100.0)
     if key in {"F2", "F7", "F11"}:
         key = "FL" + key[1:]
-    table = getattr(cie_tables, f"ILLUMINANT_{key}", None)
+    table = getattr(cie_tables, f"ILLUMINANT_{key.replace('-', '_')}", None)
     if table is None:
         raise UserError(
-            f"illuminant: expected one of A, D50, D65, E, FL2, FL7, FL11, found {name!r}; "
+            f"illuminant: expected one of A, D50, D65, E, FL2, FL7, FL11, LED-B1, LED-B3, LED-B5, found {name!r}; "
             "for another lamp give its measured spectrum as a table"
         )
     return np.array(table)

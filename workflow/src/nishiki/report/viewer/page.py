@@ -57,6 +57,8 @@ def write_page(blocks: Blocks, manifest: dict[str, Any]) -> dict[str, Any]:
     environment = Environment(loader=FileSystemLoader(PAGE), autoescape=True, keep_trailing_newline=True)
     html = environment.get_template("index.html.j2").render(
         title=manifest["title"],
+        version=manifest["version"],
+        texts=Markup(_script_json(_texts())),
         modules=Markup(_script_json({"imports": modules})),
         manifest=Markup(_script_json(manifest)),
         blocks={name: base64.b64encode(data).decode("ascii") for name, data in (blocks.kept or {}).items()},
@@ -69,6 +71,12 @@ def write_page(blocks: Blocks, manifest: dict[str, Any]) -> dict[str, Any]:
         "blocks": len(blocks.bytes),
         "inline": blocks.kept is not None,
     }
+
+
+def _texts() -> dict[str, dict[str, str]]:
+    """The page's texts by language."""
+    files = sorted(PAGE.glob("texts.*.json"))
+    return {path.name.split(".")[1]: json.loads(path.read_text(encoding="utf-8")) for path in files}
 
 
 def _script_json(value: Any) -> str:

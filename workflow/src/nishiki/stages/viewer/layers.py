@@ -25,7 +25,7 @@ def layers_of(inputs: dict[str, Artifact], blocks: Blocks) -> list[dict[str, Any
     ]
     normals = Maps(inputs["normals"].folder)
     sources = [
-        ("sigma", "degrees", "grey", normals, "sigma", np.degrees(1.0)),
+        ("sigma", "°", "grey", normals, "sigma", np.degrees(1.0)),
         ("residual", "", "grey", normals, "residual", 1.0),
     ]
     if "height" in inputs:

@@ -16,7 +16,7 @@ from nishiki.report.viewer.pyramid import BORDER, TILE, Pyramid
 from nishiki.stages.viewer.layers import layers_of
 from nishiki.stages.viewer.painting import UNKNOWN_REGION, PaintingCode, PaintingMaps, gloss_of
 
-ILLUMINANTS = ("D65", "D50", "A", "E", "F2", "F7", "F11")
+ILLUMINANTS = ("D65", "D50", "A", "E", "F2", "F7", "F11", "LED-B1", "LED-B3", "LED-B5")
 BAND_ROWS = 256
 FINE_STEP, COARSE_STEP, FINE_PIXELS = 0.35, 1.2, 2_000_000
 """Steps of colour, and the size of a map up to which the finer is taken."""

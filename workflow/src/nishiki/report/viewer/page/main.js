@@ -1,57 +1,278 @@
-// The page: one canvas; the pointer moves a painting's lamp, or turns an object.
+// The page: one scene on a canvas, its state, and the panel that changes the state.
+import { element, slider } from "viewer/dom";
+import { lampsSection } from "viewer/lamps";
+import { layersSection, showLegend } from "viewer/layers";
 import { Loader } from "viewer/loader";
 import { ObjectScene } from "viewer/object";
 import { Orbit } from "viewer/orbit";
+import { drawOverlay, written } from "viewer/overlay";
 import { Painting } from "viewer/painting";
+import { probeSection } from "viewer/probe";
+import { bookmark, copy, firstState, fromBookmark } from "viewer/state";
+import { LANGUAGES, preferred, speak, text } from "viewer/texts";
+import { FlatTools, toolbar } from "viewer/tools";
 
-const manifest = JSON.parse(document.getElementById("manifest").textContent);
-const canvas = document.getElementById("canvas");
-const state = {
-  lamps: [{ azimuth_deg: 90, elevation_deg: 45, distance: null, radius_deg: 0.75, intensity: 1, illuminant: "D65" }],
-  ambient: 0.05, exposure: "auto", view: { x: 0, y: 0, zoom: 1, tilt_deg: 0, azimuth_deg: 0 }, layer: "appearance",
-  enhance: "none", strength: 0.5, compare: null, options: {}, note: "", language: "en",
-};
-canvas.width = innerWidth;
-canvas.height = innerHeight;
-const scenes = { painting: Painting, object: ObjectScene };
-const scene = await scenes[manifest.chain].open(canvas, manifest, new Loader());
-let asked = false;
+const SCENES = { painting: Painting, object: ObjectScene };
+const BOOKMARK_AFTER = 400; // ms without a change
+const MOST_RATIO = 2; // pixels of the canvas to one of CSS
+const by = (id) => document.getElementById(id);
+const canvas = by("canvas");
 
-function redraw() {
-  if (asked) return;
-  asked = true;
-  requestAnimationFrame(() => {
-    asked = false;
-    scene.draw(state, { x: 0, y: 0, width: canvas.width, height: canvas.height });
-  });
+class App {
+  constructor(manifest) {
+    Object.assign(this, { manifest, flat: manifest.chain === "painting", tool: manifest.chain === "painting" ? "light" : "move" });
+    Object.assign(this, { lamp: 0, ruler: [], mark: null, probed: undefined, asked: false, opened: new Set(["light"]) });
+  }
+
+  async open() {
+    speak(preferred());
+    by("busy").textContent = text("busy");
+    this.resize();
+    this.scene = await SCENES[this.manifest.chain].open(canvas, this.manifest, new Loader());
+    this.first = firstState(this.scene.firstView?.() ?? { x: 0, y: 0, zoom: 1, tilt_deg: 0, azimuth_deg: 0 }, preferred());
+    this.state = fromBookmark(location.hash, this.first);
+    this.scene.onready = () => this.redraw();
+    if (this.flat) new FlatTools(this, canvas);
+    else this.wireOrbit();
+    addEventListener("resize", () => (this.resize(), this.redraw()));
+    addEventListener("hashchange", () => {
+      if (location.hash.slice(1) !== bookmark(this.state, this.first)) this.set(fromBookmark(location.hash, this.first));
+    });
+    this.wireDivider();
+    by("sheet").onclick = () => this.toggleSheet();
+    this.rebuild();
+  }
+
+  wireOrbit() {
+    new Orbit(canvas, this.scene, () => this.state, (view) => this.setView(view));
+    let from = [];
+    canvas.addEventListener("pointerdown", ({ offsetX, offsetY }) => (from = [offsetX, offsetY]));
+    canvas.addEventListener("pointerup", ({ offsetX, offsetY }) => {
+      const still = Math.hypot(offsetX - from[0], offsetY - from[1]) < 5;
+      if (still && this.tool === "probe") this.probe(offsetX * this.ratio, offsetY * this.ratio);
+    });
+  }
+
+  resize() {
+    this.ratio = Math.min(devicePixelRatio || 1, MOST_RATIO);
+    canvas.width = Math.max(Math.round(canvas.clientWidth * this.ratio), 1);
+    canvas.height = Math.max(Math.round(canvas.clientHeight * this.ratio), 1);
+  }
+
+  /** The state changed: draw it, and keep it in the address. */
+  change() {
+    this.redraw();
+    clearTimeout(this.keeping);
+    this.keeping = setTimeout(() => history.replaceState(null, "", `#${bookmark(this.state, this.first)}`), BOOKMARK_AFTER);
+  }
+
+  /** The state changed in a way that the panel shows with other controls. */
+  rebuild() {
+    const active = document.activeElement?.getAttribute("aria-label") ?? document.activeElement?.textContent;
+    const inside = by("panel").contains(document.activeElement);
+    speak(this.state.language);
+    document.title = this.manifest.title;
+    canvas.setAttribute("aria-label", text(this.flat ? "canvas.flat" : "canvas.object", { title: this.manifest.title }));
+    canvas.setAttribute("role", "application");
+    canvas.dataset.tool = this.tool;
+    by("tools").setAttribute("aria-label", text("tools"));
+    by("tools").replaceChildren(...toolbar(this));
+    by("divider").setAttribute("aria-label", text("divider"));
+    by("sheet").textContent = text("controls");
+    by("panel").replaceChildren(...this.panel());
+    if (inside) [...by("panel").querySelectorAll("button,select,input,svg")].find((each) => (each.getAttribute("aria-label") ?? each.textContent) === active)?.focus();
+    this.change();
+  }
+
+  panel() {
+    const { title, scene, key, version } = this.manifest;
+    return [
+      element("h1", {}, title),
+      element("p", { className: "from" }, text("from", { scene, key, version })),
+      this.section("light", lampsSection(this)),
+      this.section("layers", layersSection(this)),
+      this.section("probe", probeSection(this)),
+      this.section("compare", this.compareSection()),
+      this.section("bookmark", this.bookmarkSection()),
+      this.section("help", this.helpSection()),
+    ];
+  }
+
+  section(name, children) {
+    return element("details", { open: this.opened.has(name), "data-section": name, ontoggle: (event) => (event.target.open ? this.opened.add(name) : this.opened.delete(name)) },
+      element("summary", {}, text(`section.${name}`)), ...children);
+  }
+
+  compareSection() {
+    const { compare } = this.state;
+    const keep = element("button", { type: "button", onclick: () => {
+      const { view, compare: before, note, language, ...kept } = copy(this.state);
+      this.state.compare = { divider: before?.divider ?? 0.5, state: kept };
+      this.rebuild();
+    } }, text(compare ? "compare.again" : "compare.keep"));
+    const stop = compare && element("button", { type: "button", onclick: () => ((this.state.compare = null), this.rebuild()) }, text("compare.stop"));
+    const change = compare && element("button", { type: "button", onclick: () => {
+      const { view, compare: pair, note, language, ...now } = copy(this.state);
+      Object.assign(this.state, copy(pair.state), { compare: { ...pair, state: now } });
+      this.rebuild();
+    } }, text("compare.swap"));
+    return [element("p", { className: "hint" }, text(compare ? "compare.on" : "compare.hint")), element("div", { className: "buttons" }, [keep, change, stop])];
+  }
+
+  bookmarkSection() {
+    const note = element("textarea", { value: this.state.note, "aria-label": text("note"), placeholder: text("note"), oninput: () => ((this.state.note = note.value), this.change()) });
+    return [
+      note,
+      element("div", { className: "buttons" },
+        element("button", { type: "button", onclick: () => this.copyAddress() }, text("bookmark.copy")),
+        element("button", { type: "button", onclick: () => this.set(copy(this.first)) }, text("reset"))),
+      element("p", { className: "hint" }, text("bookmark.hint")),
+    ];
+  }
+
+  helpSection() {
+    const keys = this.flat ? ["l m p r", "← → ↑ ↓", "⇧ ← → ↑ ↓", "+ −", "0"] : ["← → ↑ ↓", "+ −", "0"];
+    const { texture_reads, operations } = this.scene.cost(), { width_mm, height_mm, unit } = this.scene.bounds();
+    const size = [width_mm, height_mm].map((length) => written(length, unit)).join(" × ");
+    const languages = element("select", { "aria-label": text("language"), onchange: () => ((this.state.language = languages.value), this.rebuild()) },
+      Object.entries(LANGUAGES).map(([code, name]) => element("option", { value: code, selected: code === this.state.language }, name)));
+    return [
+      element("label", {}, text("language"), languages),
+      element("dl", { className: "values" }, keys.flatMap((key) => [element("dt", {}, element("kbd", {}, key)), element("dd", {}, text(`keys.${this.flat ? "" : "object."}${key}`))])),
+      element("p", { className: "hint" }, text("size", { size }), unit === "px" ? ` ${text("no.scale")}` : ""),
+      element("p", { className: "hint" }, text("cost", { reads: texture_reads, operations })),
+    ];
+  }
+
+  async copyAddress() {
+    const address = `${location.href.split("#")[0]}#${bookmark(this.state, this.first)}`;
+    try {
+      await navigator.clipboard.writeText(address);
+      this.say(text("bookmark.copied"));
+    } catch { // no permission: the address bar has it
+      history.replaceState(null, "", address);
+      this.say(text("bookmark.kept"));
+    }
+  }
+
+  /** Said to screen readers, and shown for a moment. */
+  say(words) {
+    by("spoken").textContent = words;
+    by("busy").textContent = words;
+    clearTimeout(this.saying);
+    this.saying = setTimeout(() => (by("busy").textContent = ""), 2500);
+  }
+
+  chooseTool(name) {
+    this.tool = name;
+    if (name === "probe") this.opened.add("probe");
+    this.rebuild();
+  }
+
+  fit() {
+    this.setView(copy(this.first.view));
+  }
+
+  setView(view) {
+    this.state.view = view;
+    this.change();
+  }
+
+  moveLamp(direction, spoken = false) {
+    Object.assign(this.state.lamps[this.lamp], direction);
+    this.showLamp?.();
+    this.change();
+    if (spoken) this.say(text("lamp.at", { azimuth: Math.round(direction.azimuth_deg), elevation: Math.round(direction.elevation_deg) }));
+  }
+
+  measure(points) {
+    this.ruler = points;
+    this.change();
+  }
+
+  rulerText() {
+    const [[x0, y0], [x1, y1]] = this.ruler;
+    return written(Math.hypot(x1 - x0, y1 - y0), this.scene.bounds().unit);
+  }
+
+  markOnCanvas() {
+    if (!this.mark) return null;
+    const [x0, y0] = this.scene.toScene(0, 0, this.state), [x1, y1] = this.scene.toScene(1000, 1000, this.state);
+    return [(1000 * (this.mark[0] - x0)) / (x1 - x0), (1000 * (this.mark[1] - y0)) / (y1 - y0)];
+  }
+
+  async probe(x, y) {
+    this.mark = this.flat ? this.scene.toScene(x, y, this.state) : null;
+    this.probed = await this.scene.probe(x, y, this.state);
+    this.opened.add("probe");
+    this.rebuild();
+  }
+
+  toggleSheet(open = !by("panel").classList.contains("open")) {
+    by("panel").classList.toggle("open", open);
+    by("sheet").setAttribute("aria-expanded", `${open}`);
+  }
+
+  wireDivider() {
+    const divider = by("divider");
+    const move = (share) => {
+      this.state.compare.divider = Math.min(Math.max(share, 0), 1);
+      this.change();
+    };
+    divider.addEventListener("pointerdown", (event) => divider.setPointerCapture(event.pointerId));
+    divider.addEventListener("pointermove", (event) => event.buttons && move((event.clientX - canvas.getBoundingClientRect().left) / canvas.clientWidth));
+    divider.addEventListener("keydown", (event) => {
+      const step = { ArrowLeft: -0.02, ArrowRight: 0.02 }[event.key];
+      if (step) move(this.state.compare.divider + step);
+    });
+  }
+
+  set(changes) {
+    Object.assign(this.state, changes);
+    this.lamp = 0;
+    this.rebuild();
+  }
+
+  redraw() {
+    if (this.asked) return;
+    this.asked = true;
+    requestAnimationFrame(() => {
+      this.asked = false;
+      this.draw();
+    });
+  }
+
+  draw() {
+    const { scene, state } = this, { width, height } = canvas, { compare } = state;
+    const cut = compare ? Math.round(compare.divider * width) : 0;
+    if (cut < width) scene.draw(state, { x: cut, y: 0, width: width - cut, height });
+    if (cut > 0) scene.draw({ ...state, ...compare.state, compare: null }, { x: 0, y: 0, width: cut, height });
+    by("divider").hidden = !compare;
+    if (compare) {
+      by("divider").style.left = `${100 * compare.divider}%`;
+      by("divider").setAttribute("aria-valuenow", Math.round(100 * compare.divider));
+    }
+    drawOverlay(this, by("overlay"));
+    showLegend(this, by("legend"));
+    if (!this.saying || by("busy").textContent === text("busy")) by("busy").textContent = scene.busy ? text("busy") : "";
+  }
 }
 
-scene.onready = redraw;
-if (manifest.chain !== "painting") {
-  canvas.tabIndex = 0;
-  new Orbit(canvas, scene, () => state, (view) => {
-    state.view = view;
-    redraw();
-  });
+const app = new App(JSON.parse(by("manifest").textContent));
+try {
+  await app.open();
+  window.nishiki = {
+    scene: app.scene,
+    get state() {
+      return app.state;
+    },
+    set: (changes) => app.set(changes),
+    idle: async () => {
+      do await new Promise((resolve) => setTimeout(resolve, 20));
+      while (app.asked || app.scene.busy);
+    },
+  };
+} catch (error) {
+  by("busy").textContent = error.message;
+  throw error;
 }
-canvas.addEventListener("pointermove", (event) => {
-  if (!event.buttons || manifest.chain !== "painting") return;
-  const x = (2 * event.offsetX) / canvas.clientWidth - 1, y = 1 - (2 * event.offsetY) / canvas.clientHeight;
-  const reach = Math.min(Math.hypot(x, y), 0.995);
-  Object.assign(state.lamps[0], { azimuth_deg: (Math.atan2(y, x) * 180) / Math.PI, elevation_deg: (Math.acos(reach) * 180) / Math.PI });
-  redraw();
-});
-addEventListener("resize", () => {
-  canvas.width = innerWidth;
-  canvas.height = innerHeight;
-  redraw();
-});
-window.nishiki = {
-  scene, state,
-  set: (changes) => (Object.assign(state, changes), redraw()),
-  idle: async () => {
-    do await new Promise((resolve) => setTimeout(resolve, 20));
-    while (asked || scene.busy);
-  },
-};
-redraw();

@@ -642,6 +642,18 @@ export class ObjectScene {
     return LAYERS;
   }
 
+  /** What else of a state can be chosen; see layers.js. */
+  options() {
+    const { lights } = this.manifest;
+    const lighting = ["captured", "free"].map((name) => [name, `option.lighting.${name}`]);
+    return [
+      { name: "lighting", label_key: "option.lighting", values: lighting, value: "captured" },
+      ...(lights.length > 1 ? [{ name: "light", label_key: "option.light", values: lights.map((name) => [name, name]), value: lights[0] }] : []),
+      { name: "residual", label_key: "option.residual", values: null, value: true },
+      { name: "cameras", label_key: "option.cameras", values: null, value: false },
+    ];
+  }
+
   bounds() {
     const millimetres = MILLIMETRES[this.manifest.unit];
     const across = 2 * this.manifest.radius * (millimetres ?? 1);

@@ -15,6 +15,7 @@ const ENHANCEMENTS = ["none", "specular", "curvature", "raking"];
 const LAYER_COLOURS = ["grey", "diverging", "flags"];
 const MIPMAPS = 3; // of a tile: levels of the pyramid are a factor of 4 apart
 const BACKGROUND = 0.106;
+const KEPT = 3; // states whose shadows and exposure are kept
 
 /** Pictures of a tile: before each its length in bytes, four of them, the lowest first. */
 function stackOf(data) {
@@ -23,6 +24,15 @@ function stackOf(data) {
     parts.push(picture(data.subarray(at + 4, at + 4 + view.getUint32(at, true)), "image/webp"));
   }
   return Promise.all(parts);
+}
+
+/** Put an entry last in a map and keep the last few; the values that were dropped. */
+function remember(map, key, value) {
+  map.delete(key);
+  map.set(key, value);
+  const dropped = [...map.keys()].slice(0, -KEPT).map((name) => [name, map.get(name)]);
+  dropped.forEach(([name]) => map.delete(name));
+  return dropped.map(([, each]) => each);
 }
 
 export class Painting {
@@ -42,7 +52,7 @@ export class Painting {
     this.tiles = new Map();
     this.programs = new Map();
     this.layerTextures = new Map();
-    this.exposure = { key: "", value: 1 };
+    this.exposures = new Map(); // of the states drawn last: two, where a divider compares
     const { colour: chroma, shading } = manifest.code;
     this.chroma = chroma.low.length;
     this.shades = shading ? shading.low.length : 0;
@@ -52,7 +62,8 @@ export class Painting {
     this.hasRegions = manifest.tiles.regions;
     this.gloss = this.#glossTexture();
     this.spectra = new Map();
-    this.shadow = null; // {key, texture, lamps}
+    this.shadowsOf = new Map(); // shadows of the lamps drawn last: {texture, count}
+    this.shadow = null; // those of the state that is drawn
   }
 
   /** Whether something that the present view needs is on its way. */
@@ -222,10 +233,10 @@ export class Painting {
   #exposureOf(state, lamps) {
     if (state.exposure !== "auto") return state.exposure;
     const key = JSON.stringify([state.lamps, state.ambient, this.shadow?.key ?? ""]);
-    if (key === this.exposure.key) return this.exposure.value;
+    if (this.exposures.has(key)) return this.exposures.get(key);
     const { levels } = this.manifest.tiles;
     const level = Math.max(levels.findIndex(({ rows, columns }) => rows * columns <= EXPOSURE_PIXELS), 0);
-    if (!this.#haveAll(level)) return this.exposure.value;
+    if (!this.#haveAll(level)) return [...this.exposures.values()].at(-1) ?? 1;
     const { gl } = this, { rows, columns } = levels[level];
     this.meter ??= target(gl, columns, rows);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.meter.framebuffer);
@@ -248,8 +259,9 @@ export class Painting {
     let bin = 0;
     for (let below = bins[0]; bin < 65535 && below < colour.ADAPTED.percentile * (seen - 1) + 1; below += bins[++bin]);
     const sheet = state.ambient + state.lamps.reduce((sum, lamp) => sum + lamp.intensity * Math.sin((lamp.elevation_deg * Math.PI) / 180), 0);
-    this.exposure = { key, value: colour.adaptedExposure(seen ? 2 ** (((bin + 0.5) / 65535) * 32 - 20) : 0, sheet) };
-    return this.exposure.value;
+    const exposure = colour.adaptedExposure(seen ? 2 ** (((bin + 0.5) / 65535) * 32 - 20) : 0, sheet);
+    remember(this.exposures, key, exposure);
+    return exposure;
   }
 
   // cast shadows
@@ -268,24 +280,22 @@ export class Painting {
   #askShadows(lamps) {
     if (!this.shadows) return;
     const wanted = lamps.map(({ vector, w, radius }) => ({ vector, w, radius }));
-    const key = JSON.stringify(wanted);
-    if (lamps.length && key !== this.shadow?.key) this.shadows.request(key, wanted);
+    const key = JSON.stringify(wanted), ready = this.shadowsOf.get(key);
+    if (ready) remember(this.shadowsOf, key, ready);
+    else if (lamps.length) this.shadows.request(key, wanted);
+    // until they come, those of the lamps just before
+    this.shadow = ready ?? [...this.shadowsOf.values()].filter(({ count }) => count === lamps.length).at(-1) ?? null;
   }
 
   #keepShadows(key, visibility) {
     const { gl } = this, { rows, columns } = this.shadows;
     const count = visibility.length / (rows * columns);
-    if (this.shadow?.count !== count) {
-      if (this.shadow) gl.deleteTexture(this.shadow.texture);
-      const made = texture(gl, gl.TEXTURE_2D_ARRAY, gl.LINEAR);
-      gl.texParameteri(gl.TEXTURE_2D_ARRAY, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
-      gl.texStorage3D(gl.TEXTURE_2D_ARRAY, Math.floor(Math.log2(Math.max(rows, columns))) + 1, gl.R8, columns, rows, count);
-      this.shadow = { texture: made, count };
-    }
-    gl.bindTexture(gl.TEXTURE_2D_ARRAY, this.shadow.texture);
+    const made = texture(gl, gl.TEXTURE_2D_ARRAY, gl.LINEAR);
+    gl.texParameteri(gl.TEXTURE_2D_ARRAY, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
+    gl.texStorage3D(gl.TEXTURE_2D_ARRAY, Math.floor(Math.log2(Math.max(rows, columns))) + 1, gl.R8, columns, rows, count);
     gl.texSubImage3D(gl.TEXTURE_2D_ARRAY, 0, 0, 0, 0, columns, rows, count, gl.RED, gl.UNSIGNED_BYTE, visibility);
     gl.generateMipmap(gl.TEXTURE_2D_ARRAY);
-    this.shadow.key = key;
+    for (const dropped of remember(this.shadowsOf, key, { key, texture: made, count })) gl.deleteTexture(dropped.texture);
   }
 
   // tiles

@@ -1,0 +1,53 @@
+// What is shown: the appearance, an enhancement of it, or a layer with its legend.
+import { choice, element, slider, tick } from "viewer/dom";
+import { text } from "viewer/texts";
+
+const ENHANCEMENTS = ["none", "specular", "curvature", "raking"];
+const BARS = { grey: "linear-gradient(to right,#000,#fff)", diverging: "linear-gradient(to right,#2166ac,#f7f7f7,#b2182b)" };
+
+/** The section "layers" of a painting, an object or a cloth. */
+export function layersSection(app) {
+  const { state, scene } = app;
+  const names = scene.layers().map(({ name, label_key }) => [name, text(label_key ?? `layer.${name}`)]);
+  const parts = [choice(text("layer"), names, state.layer, (layer) => {
+    state.layer = layer;
+    app.rebuild();
+  })];
+  if (state.layer === "appearance" && app.flat) {
+    parts.push(choice(text("enhance"), ENHANCEMENTS.map((name) => [name, text(`enhance.${name}`)]), state.enhance, (enhance) => {
+      state.enhance = enhance;
+      app.rebuild();
+    }));
+    if (state.enhance !== "none") {
+      parts.push(slider(text("strength"), { low: 0, high: 1, step: 0.05, value: state.strength, write: (v) => v.toFixed(2), change: (v) => ((state.strength = v), app.change()) }));
+      parts.push(element("p", { className: "hint" }, text("enhance.hint")));
+    }
+  }
+  for (const option of scene.options?.() ?? []) parts.push(optionControl(app, option));
+  return parts;
+}
+
+/** An option of the scene: {name, label_key, values: null (yes or no) or [[value, label_key]], value}. */
+function optionControl(app, { name, label_key, values, value }) {
+  const set = (chosen) => {
+    app.state.options = { ...app.state.options, [name]: chosen };
+    app.rebuild();
+  };
+  const shown = app.state.options[name] ?? value;
+  if (!values) return tick(text(label_key), shown, set);
+  return choice(text(label_key), values.map(([key, label]) => [key, text(label)]), shown, set);
+}
+
+/** The legend of the layer that is shown, in its place on the picture. */
+export function showLegend(app, place) {
+  const layer = app.scene.layers().find(({ name }) => name === app.state.layer);
+  place.hidden = !layer || layer.name === "appearance";
+  if (place.hidden) return;
+  const bar = BARS[layer.map];
+  const number = (value) => `${Number(value.toPrecision(3))}${layer.unit ? ` ${layer.unit}` : ""}`;
+  const ends = bar ? [
+    element("div", { className: "bar", style: `background:${bar}` }),
+    element("div", { className: "ends" }, ...layer.range.map((value) => element("span", {}, number(value)))),
+  ] : [element("div", {}, text(`legend.${layer.map}`))];
+  place.replaceChildren(element("strong", {}, text(layer.label_key ?? `layer.${layer.name}`)), ...ends);
+}

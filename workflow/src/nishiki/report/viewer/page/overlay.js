@@ -1,0 +1,49 @@
+// Drawn over the picture: scale bar, ruler, the place that was probed.
+import { drawing } from "viewer/dom";
+
+const LONGEST = 180; // CSS pixels of the scale bar
+const NARROW = 700, BUTTON = 52; // a narrow page has a button below the scale bar
+
+/** Of a flat scene: from its own unit to CSS pixels of the canvas. */
+function toScreen(scene, state, ratio) {
+  const [x0, y0] = scene.toScene(0, 0, state), [x1, y1] = scene.toScene(1000, 1000, state);
+  const [sx, sy] = [(x1 - x0) / 1000, (y1 - y0) / 1000];
+  return { scale: 1 / (Math.abs(sx) * ratio), at: ([x, y]) => [(x - x0) / sx / ratio, (y - y0) / sy / ratio] };
+}
+
+/** Redraw; app.ruler: [] or one or two points in the unit of the scene; app.mark: the point that was probed. */
+export function drawOverlay(app, svg) {
+  const { scene, state, ratio } = app;
+  svg.replaceChildren();
+  if (!app.flat) return;
+  const { unit } = scene.bounds(), { scale, at } = toScreen(scene, state, ratio);
+  const width = svg.clientWidth, height = svg.clientHeight - (innerWidth <= NARROW ? BUTTON : 0);
+  const power = 10 ** Math.floor(Math.log10(LONGEST / scale));
+  const length = [5, 2, 1].map((k) => k * power).find((each) => each * scale <= LONGEST) ?? power;
+  svg.append(...segment([width - 16 - length * scale, height - 18], [width - 16, height - 18], true), words(width - 16 - (length * scale) / 2, height - 26, written(length, unit)));
+  if (app.mark) {
+    const [x, y] = at(app.mark);
+    svg.append(...["shade", "line"].map((name) => drawing("path", { class: name, d: `M${x - 9} ${y}h6m6 0h6M${x} ${y - 9}v6m0 6v6` })));
+  }
+  const [from, to] = app.ruler;
+  if (from && to) {
+    const [a, b] = [at(from), at(to)];
+    svg.append(...segment(a, b, true), words((a[0] + b[0]) / 2, (a[1] + b[1]) / 2 - 10, app.rulerText()));
+  }
+}
+
+/** A length with its unit; large ones in cm or m. */
+export function written(length, unit) {
+  if (unit !== "mm") return `${Number(length.toPrecision(4))} ${unit}`;
+  const [value, name] = length >= 1000 ? [length / 1000, "m"] : length >= 100 ? [length / 10, "cm"] : length < 0.1 ? [length * 1000, "µm"] : [length, "mm"];
+  return `${Number(value.toPrecision(4))} ${name}`;
+}
+
+const words = (x, y, text) => drawing("text", { x, y, "text-anchor": "middle" }, text);
+
+function segment([x1, y1], [x2, y2], ends) {
+  const length = Math.max(Math.hypot(x2 - x1, y2 - y1), 1e-6), [nx, ny] = [(-5 * (y2 - y1)) / length, (5 * (x2 - x1)) / length];
+  const end = (x, y) => `M${x - nx} ${y - ny}L${x + nx} ${y + ny}`;
+  const d = `M${x1} ${y1}L${x2} ${y2}${ends ? end(x1, y1) + end(x2, y2) : ""}`;
+  return ["shade", "line"].map((name) => drawing("path", { class: name, d }));
+}

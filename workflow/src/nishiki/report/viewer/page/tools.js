@@ -1,0 +1,124 @@
+// What a pointer and the keys do on a flat picture: light, move, probe, ruler. Wheel and pinch zoom with every tool;
+// the right or middle button moves the picture.
+import { drawing, element } from "viewer/dom";
+import { panned, zoomed } from "viewer/flat";
+import { directionAt, pointOf } from "viewer/lamps";
+import { text } from "viewer/texts";
+
+const ICONS = {
+  light: "M12 3v2M12 19v2M3 12h2M19 12h2M5.6 5.6l1.4 1.4M17 17l1.4 1.4M5.6 18.4L7 17M17 7l1.4-1.4M12 8a4 4 0 1 0 0 8a4 4 0 1 0 0-8",
+  move: "M12 3v18M3 12h18M12 3l-3 3M12 3l3 3M12 21l-3-3M12 21l3-3M3 12l3-3M3 12l3 3M21 12l-3-3M21 12l-3 3",
+  probe: "M10 3a7 7 0 1 0 0 14a7 7 0 1 0 0-14M15 15l6 6M10 7v6M7 10h6",
+  ruler: "M3 16L16 3l5 5L8 21zM6 13l2 2M9 10l3 3M12 7l2 2",
+  next: "M9 5l7 7l-7 7",
+  previous: "M15 5l-7 7l7 7",
+  fit: "M4 9V4h5M15 4h5v5M20 15v5h-5M9 20H4v-5",
+};
+const KEYS = { l: "light", m: "move", p: "probe", r: "ruler" };
+const KEY_ZOOM = 1.25, KEY_PAN = 60, KEY_LAMP = 0.05, KEY_PROBE = 8; // factor; pixels; of the unit disc; pixels
+const CLICK = 5; // pixels that a click may wander
+
+/** The buttons on the picture. app: {tool, chooseTool(name), fit()} */
+export function toolbar(app) {
+  const icon = (name) => drawing("svg", { viewBox: "0 0 24 24", "aria-hidden": "true" }, drawing("path", { d: ICONS[name] }));
+  const names = app.flat ? Object.values(KEYS) : ["move", "probe"];
+  const step = (name, by) => element("button", { type: "button", title: text(`tool.${name}`), "aria-label": text(`tool.${name}`), onclick: () => app.setView(app.scene.capturedView(app.state, by)) }, icon(name));
+  return [
+    ...names.map((name) => element("button", { type: "button", title: text(`tool.${name}`), "aria-label": text(`tool.${name}`), "aria-pressed": app.tool === name, onclick: () => app.chooseTool(name) }, icon(name))),
+    element("button", { type: "button", title: text("tool.fit"), "aria-label": text("tool.fit"), onclick: () => app.fit() }, icon("fit")),
+    ...(app.flat ? [] : [step("next", 1), step("previous", -1)]),
+  ];
+}
+
+/** Listens on the canvas of a flat scene. */
+export class FlatTools {
+  constructor(app, canvas) {
+    Object.assign(this, { app, canvas });
+    this.pointers = new Map();
+    canvas.addEventListener("pointerdown", (event) => this.down(event));
+    canvas.addEventListener("pointermove", (event) => this.move(event));
+    for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, (event) => this.up(event));
+    canvas.addEventListener("contextmenu", (event) => event.preventDefault());
+    canvas.addEventListener("keydown", (event) => this.key(event));
+    canvas.addEventListener("wheel", (event) => {
+      event.preventDefault();
+      this.zoom(Math.exp(-event.deltaY * (event.ctrlKey ? 0.01 : 0.0015)), ...this.at(event));
+    }, { passive: false });
+  }
+
+  /** Pixel of the canvas under an event. */
+  at({ offsetX, offsetY }) {
+    return [offsetX * this.app.ratio, offsetY * this.app.ratio];
+  }
+
+  zoom(factor, x = this.canvas.width / 2, y = this.canvas.height / 2) {
+    this.app.setView(zoomed(this.app.scene, this.app.state, factor, x, y));
+  }
+
+  pan(dx, dy) {
+    this.app.setView(panned(this.app.scene, this.app.state, dx, dy));
+  }
+
+  down(event) {
+    this.canvas.setPointerCapture(event.pointerId);
+    this.pointers.set(event.pointerId, this.at(event));
+    this.started = this.at(event);
+    this.moves = event.button > 0;
+    if (this.pointers.size > 1 || this.moves) return;
+    if (this.app.tool === "ruler") this.app.measure([this.app.scene.toScene(...this.at(event), this.app.state)]);
+    else if (this.app.tool === "light") this.light(event);
+  }
+
+  move(event) {
+    const before = this.pointers.get(event.pointerId);
+    if (!before) return;
+    const here = this.at(event), [dx, dy] = [here[0] - before[0], here[1] - before[1]];
+    this.pointers.set(event.pointerId, here);
+    const { tool, scene, state } = this.app;
+    if (this.pointers.size > 1) {
+      const [, other] = [...this.pointers].find(([id]) => id !== event.pointerId);
+      const reach = (point) => Math.max(Math.hypot(point[0] - other[0], point[1] - other[1]), 1);
+      this.pan(dx / 2, dy / 2);
+      this.zoom(reach(here) / reach(before), (here[0] + other[0]) / 2, (here[1] + other[1]) / 2);
+    } else if (tool === "move" || this.moves) this.pan(dx, dy);
+    else if (tool === "light") this.light(event);
+    else if (tool === "ruler") this.app.measure([this.app.ruler[0], scene.toScene(...here, state)]);
+  }
+
+  up(event) {
+    if (!this.pointers.delete(event.pointerId)) return;
+    const here = this.at(event), wandered = Math.hypot(here[0] - this.started[0], here[1] - this.started[1]);
+    if (this.app.tool === "probe" && wandered < CLICK * this.app.ratio && !this.moves) this.app.probe(...here);
+    if (this.app.tool === "ruler" && this.app.ruler.length === 2) this.app.say(this.app.rulerText());
+  }
+
+  light({ offsetX, offsetY }) {
+    const { clientWidth, clientHeight } = this.canvas, reach = Math.min(clientWidth, clientHeight) / 2;
+    this.app.moveLamp(directionAt((offsetX - clientWidth / 2) / reach, (clientHeight / 2 - offsetY) / reach));
+  }
+
+  key(event) {
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    const { app, canvas } = this;
+    const arrow = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];
+    if (event.key in KEYS) app.chooseTool(KEYS[event.key]);
+    else if (event.key === "+" || event.key === "=") this.zoom(KEY_ZOOM);
+    else if (event.key === "-") this.zoom(1 / KEY_ZOOM);
+    else if (event.key === "0") app.fit();
+    else if (event.key === "Enter" && app.tool === "probe") app.probe(...(app.markOnCanvas() ?? [canvas.width / 2, canvas.height / 2]));
+    else if (arrow) this.arrow(arrow, event.shiftKey);
+    else return;
+    event.preventDefault();
+  }
+
+  arrow([x, y], shift) {
+    const { app, canvas } = this;
+    if (app.tool === "light" && !shift) {
+      const [px, py] = pointOf(app.state.lamps[app.lamp]);
+      app.moveLamp(directionAt(px + KEY_LAMP * x, py + KEY_LAMP * y), true);
+    } else if (app.tool === "probe" && !shift) {
+      const [px, py] = app.markOnCanvas() ?? [canvas.width / 2, canvas.height / 2];
+      app.probe(px + KEY_PROBE * app.ratio * x, py - KEY_PROBE * app.ratio * y);
+    } else this.pan(-KEY_PAN * app.ratio * x, KEY_PAN * app.ratio * y);
+  }
+}
