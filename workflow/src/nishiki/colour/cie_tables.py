@@ -1,8 +1,8 @@
 """CIE tables at 400..700 nm in steps of 5 nm, kept as code: a changed number changes the code digest.
 
 Colour-matching functions: CIE 1931 2 degree standard observer (CIE 018:2019, table 6). Illuminants D50, D65, FL2, FL7,
-FL11, LED-B1, LED-B3 and LED-B5: CIE 015:2018. Taken once from colour-science 0.4.7, against which the tests compare them. CIE data
-are facts published by the Commission Internationale de l'Eclairage.
+FL11, LED-B1, LED-B3 and LED-B5: CIE 015:2018. Taken once from colour-science 0.4.7, against which the tests compare
+them. CIE data are facts published by the Commission Internationale de l'Eclairage.
 """
 
 # fmt: off

@@ -31,8 +31,8 @@ def illuminant(name: str) -> np.ndarray:
     """(61,) relative spectral power of a CIE illuminant on the working grid, 100 at 560 nm where tabulated so.
 
     Known: A (Planck's law with c2 = 1.435e7 nm K at 2848 K, CIE 015:2018 eq. 1), D50, D65 (tables), E (equal energy),
-    FL2, FL7, FL11 (also written F2, F7, F11), LED-B1, LED-B3, LED-B5 (CIE 015:2018: blue LEDs with phosphor, warm, neutral
-    and cold). Raises UserError for another name.
+    FL2, FL7, FL11 (also written F2, F7, F11), LED-B1, LED-B3, LED-B5 (blue LEDs with phosphor: warm,
+    neutral, cold; CIE 015:2018). Raises UserError for another name.
     """
     key = name.strip().upper()
     if key == "A":

@@ -13,7 +13,7 @@ class LightSettings(Closed):
 
     elevation_deg: float = Field(45, gt=0, le=90, description="above the plane of the object")
     azimuth_deg: float = Field(90, ge=-360, le=360, description="from x (right) towards y (up)")
-    illuminant: str = Field("D65", description="A, D50, D65, E, F2, F7, F11, LED-B1, -B3, -B5, or a CSV: wavelength_nm, power")
+    illuminant: str = Field("D65", description="A, D50, D65, E, F2, F7, F11, LED-B1, -B3, -B5, or a CSV: nm, power")
     intensity: float = Field(1.0, ge=0, description="1: a white board facing the lamp has luminance 1")
 
 

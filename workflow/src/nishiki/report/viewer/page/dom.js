@@ -45,7 +45,7 @@ export function slider(text, { low, high, step, value, write = (v) => v, change 
 
 /** A choice: options [[value, text]]. */
 export function choice(text, options, value, change) {
-  const select = element("select", { onchange: () => change(select.value) }, options.map(([key, shown]) => element("option", { value: key }, shown)));
+  const select = element("select", { "aria-label": text, onchange: () => change(select.value) }, options.map(([key, shown]) => element("option", { value: key }, shown)));
   select.value = value;
   const label = element("label", {}, text, select);
   label.show = (v) => (select.value = v);
