@@ -22,12 +22,12 @@ const SAMPLES = 4; // of a pixel at the object's edge
 const MILLIMETRES = { mm: 1, cm: 10, m: 1000 };
 const LAYER = { appearance: 0, colours: 1, greys: 2, normals: 3, place: 4 };
 const LAYERS = [
-  { name: "appearance", label_key: "layer_appearance", unit: "", range: [0, 1], map: "grey" },
-  { name: "diffuse", label_key: "layer_diffuse", unit: "", range: [0, 1], map: "grey" },
-  { name: "specular", label_key: "layer_specular", unit: "", range: [0, 0.2], map: "grey" },
-  { name: "roughness", label_key: "layer_roughness", unit: "rad", range: [0, 1], map: "grey" },
-  { name: "normals", label_key: "layer_normals", unit: "", range: [-1, 1], map: "normal" },
-  { name: "residual", label_key: "layer_residual", unit: "", range: [-0.2, 0.2], map: "diverging" },
+  { name: "appearance", label_key: "layer.appearance", unit: "", range: [0, 1], map: "grey" },
+  { name: "diffuse", label_key: "layer.diffuse", unit: "", range: [0, 1], map: "grey" },
+  { name: "specular", label_key: "layer.specular", unit: "", range: [0, 0.2], map: "grey" },
+  { name: "roughness", label_key: "layer.roughness", unit: "rad", range: [0, 1], map: "grey" },
+  { name: "normals", label_key: "layer.normals", unit: "", range: [-1, 1], map: "normal" },
+  { name: "residual", label_key: "layer.residual_coded", unit: "", range: [-0.2, 0.2], map: "diverging" },
 ];
 
 export class ObjectScene {
