@@ -129,6 +129,7 @@ def test_keys_alone_reach_lamp_view_probe_and_divider(shown):
     shown.page.wait_for_selector("[data-section=probe] .plot")
     compare = section(shown, "compare")
     compare.get_by_text("Keep this on the left").press("Enter")
+    shown.page.locator("#divider").wait_for()
     shown.page.locator("#divider").press("ArrowRight")
     assert state(shown)["compare"]["divider"] == pytest.approx(0.52)
 

@@ -92,13 +92,13 @@ export function lampsSection(app) {
       } }, text("lamp.add")),
       state.lamps.length > 1 && element("button", { type: "button", onclick: () => (state.lamps.splice(app.lamp, 1), app.rebuild()) }, text("lamp.remove"))),
     sliders.azimuth, sliders.elevation,
-    ...illuminantControls(app.manifest, lamp.illuminant, (illuminant, continued) => {
+    ...(app.manifest.illuminants ? illuminantControls(app.manifest, lamp.illuminant, (illuminant, continued) => {
       state.lamps[app.lamp].illuminant = illuminant;
       if (continued) app.change();
       else app.rebuild();
-    }),
+    }) : []),
     slider(text("intensity"), { low: 0, high: 3, step: 0.05, value: lamp.intensity, write: (v) => v.toFixed(2), change: set("intensity") }),
-    slider(text("softness"), { low: 0, high: 20, step: 0.25, value: lamp.radius_deg, write: (v) => `${v}°`, change: set("radius_deg") }),
+    app.flat && slider(text("softness"), { low: 0, high: 20, step: 0.25, value: lamp.radius_deg, write: (v) => `${v}°`, change: set("radius_deg") }),
     slider(text("distance"), { low: NEAREST, high: INFINITE, step: 0.1, value: lamp.distance ?? INFINITE, write: (v) => (v > FARTHEST ? text("distance.infinite") : text("distance.lengths", { length: v.toFixed(1) })),
       change: (v) => set("distance")(v > FARTHEST ? null : v) }),
     slider(text("ambient"), { low: 0, high: 0.5, step: 0.01, value: state.ambient, write: (v) => v.toFixed(2), change: (v) => ((state.ambient = v), app.change()) }),
@@ -107,12 +107,12 @@ export function lampsSection(app) {
 }
 
 function exposureControls(app) {
-  const { state } = app, automatic = state.exposure === "auto";
+  const { state } = app, automatic = app.flat && state.exposure === "auto";
   const box = element("input", { type: "checkbox", checked: automatic, onchange: () => {
     state.exposure = box.checked ? "auto" : 1;
     app.rebuild();
   } });
-  const parts = [element("label", { className: "row" }, box, text("exposure.auto"))];
-  if (!automatic) parts.push(slider(text("exposure"), { low: -4, high: 4, step: 0.1, value: Math.log2(state.exposure), write: (v) => `${v > 0 ? "+" : ""}${v.toFixed(1)} EV`, change: (v) => ((state.exposure = Number((2 ** v).toPrecision(3))), app.change()) }));
+  const parts = app.flat ? [element("label", { className: "row" }, box, text("exposure.auto"))] : [];
+  if (!automatic) parts.push(slider(text("exposure"), { low: -4, high: 4, step: 0.1, value: state.exposure === "auto" ? 0 : Math.log2(state.exposure), write: (v) => `${v > 0 ? "+" : ""}${v.toFixed(1)} EV`, change: (v) => ((state.exposure = Number((2 ** v).toPrecision(3))), app.change()) }));
   return parts;
 }
