@@ -114,11 +114,13 @@ def profile_folder(name: str) -> Path:
 
 
 def _tell(flow, seconds: float) -> None:
+    from nishiki.commands.viewing import VIEWERS
+
     for scene in flow.plans:
-        report = Path(flow.results, scene, "current", "report.html")
-        where = report if report.is_file() else report.parent
-        if where.exists():  # not where only some of its artifacts were asked for
-            print(f"{scene}: {where}")
+        current = Path(flow.results, scene, "current")
+        pages = [current / name for name in ("report.html", *VIEWERS) if (current / name).is_file()]
+        if current.exists():  # not where only some of its artifacts were asked for
+            print(f"{scene}: {', '.join(map(str, pages)) or current}")
     print(f"done in {seconds:.1f} s")
 
 
