@@ -49,10 +49,7 @@ def write_page(blocks: Blocks, manifest: dict[str, Any]) -> dict[str, Any]:
     from jinja2 import Environment, FileSystemLoader
     from markupsafe import Markup
 
-    modules = {
-        f"viewer/{path.stem}": f"data:text/javascript;base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
-        for path in sorted(PAGE.glob("*.js"))
-    }
+    modules = {f"viewer/{path.stem}": _module(path) for path in sorted(PAGE.glob("*.js"))}
     manifest = {**manifest, "data": {"inline": blocks.kept is not None}}
     environment = Environment(loader=FileSystemLoader(PAGE), autoescape=True, keep_trailing_newline=True)
     html = environment.get_template("index.html.j2").render(
@@ -71,6 +68,12 @@ def write_page(blocks: Blocks, manifest: dict[str, Any]) -> dict[str, Any]:
         "blocks": len(blocks.bytes),
         "inline": blocks.kept is not None,
     }
+
+
+def _module(path: Path) -> str:
+    """A module as an address that holds it; errors name it as `viewer/...`."""
+    text = path.read_bytes() + f"\n//# sourceURL=viewer/{path.name}\n".encode("ascii")
+    return f"data:text/javascript;base64,{base64.b64encode(text).decode('ascii')}"
 
 
 def _texts() -> dict[str, dict[str, str]]:

@@ -25,8 +25,15 @@ export function pointOf({ azimuth_deg, elevation_deg }) {
 /** The section "light". app: {state, manifest, lamp (index), change(), rebuild(), say(text)}. */
 export function lampsSection(app) {
   const { state } = app;
-  app.lamp = Math.min(app.lamp, state.lamps.length - 1);
-  const lamp = state.lamps[app.lamp];
+  app.lamp = Math.max(Math.min(app.lamp, state.lamps.length - 1), 0);
+  const lamp = state.lamps[app.lamp], ambient = ambientControl(app);
+  const add = element("button", { type: "button", onclick: () => {
+    const opposite = lamp ? { azimuth_deg: (lamp.azimuth_deg + 180) % 360, illuminant: lamp.illuminant } : {};
+    state.lamps.push({ ...LAMP, ...opposite });
+    app.lamp = state.lamps.length - 1;
+    app.rebuild();
+  } }, text("lamp.add"));
+  if (!lamp) return [add, ambient];
   const marks = drawing("g");
   const pad = drawing("svg", { class: "pad", viewBox: "-108 -108 216 216", tabindex: 0, role: "application", "aria-label": text("pad") },
     drawing("circle", { class: "sky", r: 100 }), ...[30, 60].map((e) => drawing("circle", { class: "ring", r: 100 * Math.cos((e * Math.PI) / 180) })), marks);
@@ -85,11 +92,7 @@ export function lampsSection(app) {
     pad,
     element("div", { className: "buttons", role: "group", "aria-label": text("lamps") },
       state.lamps.map((each, k) => element("button", { type: "button", "aria-pressed": k === app.lamp, title: nameOf(each.illuminant), onclick: () => ((app.lamp = k), app.rebuild()) }, text("lamp", { number: k + 1 }))),
-      state.lamps.length < MOST && element("button", { type: "button", onclick: () => {
-        state.lamps.push({ ...LAMP, azimuth_deg: (lamp.azimuth_deg + 180) % 360, illuminant: lamp.illuminant });
-        app.lamp = state.lamps.length - 1;
-        app.rebuild();
-      } }, text("lamp.add")),
+      state.lamps.length < MOST && add,
       state.lamps.length > 1 && element("button", { type: "button", onclick: () => (state.lamps.splice(app.lamp, 1), app.rebuild()) }, text("lamp.remove"))),
     sliders.azimuth, sliders.elevation,
     ...(app.manifest.illuminants ? illuminantControls(app.manifest, lamp.illuminant, (illuminant, continued) => {
@@ -101,9 +104,14 @@ export function lampsSection(app) {
     app.flat && slider(text("softness"), { low: 0, high: 20, step: 0.25, value: lamp.radius_deg, write: (v) => `${v}°`, change: set("radius_deg") }),
     slider(text("distance"), { low: NEAREST, high: INFINITE, step: 0.1, value: lamp.distance ?? INFINITE, write: (v) => (v > FARTHEST ? text("distance.infinite") : text("distance.lengths", { length: v.toFixed(1) })),
       change: (v) => set("distance")(v > FARTHEST ? null : v) }),
-    slider(text("ambient"), { low: 0, high: 0.5, step: 0.01, value: state.ambient, write: (v) => v.toFixed(2), change: (v) => ((state.ambient = v), app.change()) }),
+    ambient,
     ...exposureControls(app),
   ].filter(Boolean);
+}
+
+function ambientControl(app) {
+  const { state } = app;
+  return slider(text("ambient"), { low: 0, high: 0.5, step: 0.01, value: state.ambient, write: (v) => v.toFixed(2), change: (v) => ((state.ambient = v), app.change()) });
 }
 
 function exposureControls(app) {

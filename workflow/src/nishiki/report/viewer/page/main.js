@@ -179,6 +179,7 @@ class App {
   }
 
   moveLamp(direction, spoken = false) {
+    if (!this.state.lamps.length) return;
     Object.assign(this.state.lamps[this.lamp], direction);
     this.showLamp?.();
     this.change();

@@ -113,7 +113,7 @@ export class FlatTools {
 
   arrow([x, y], shift) {
     const { app, canvas } = this;
-    if (app.tool === "light" && !shift) {
+    if (app.tool === "light" && !shift && app.state.lamps.length) {
       const [px, py] = pointOf(app.state.lamps[app.lamp]);
       app.moveLamp(directionAt(px + KEY_LAMP * x, py + KEY_LAMP * y), true);
     } else if (app.tool === "probe" && !shift) {
