@@ -16,7 +16,7 @@ ALLOWED = ("file:", "data:", "blob:", "about:")
 @pytest.fixture(scope="module")
 def index(finished_site):
     """The page of a tiny painting."""
-    finished_site.configure(products=["viewer"])
+    finished_site.configure(products=["report", "viewer"])
     finished_site.nishiki("run")
     finished_site.restore_configuration()
     return finished_site.folder / "results/tiny/current/viewer/index.html"
@@ -59,6 +59,14 @@ def section(shown, name):
     if part.get_attribute("open") is None:
         part.locator("summary").click()
     return part
+
+
+def test_report_shows_the_viewer_where_it_is_unfolded(browser, index):
+    browser.page.goto((index.parents[1] / "report.html").absolute().as_uri())
+    assert len(browser.page.frames) == 1, "it is not loaded before"
+    browser.page.locator("summary", has_text="viewer").first.click()
+    browser.page.frame_locator("iframe").get_by_text("Lamp 1").wait_for()
+    assert browser.messages == []
 
 
 def test_lamp_follows_the_pointer_and_the_picture_follows_the_lamp(shown):

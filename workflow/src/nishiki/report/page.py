@@ -117,6 +117,15 @@ class Fold:
 
 
 @dataclass(frozen=True)
+class Frame:
+    """Another page inside this one, and a link to it; `address` relative to the folder where this page is opened."""
+
+    kind: ClassVar[str] = "frame"
+    address: str
+    title: str
+
+
+@dataclass(frozen=True)
 class Listing:
     """Lines as they are typed at a terminal."""
 
@@ -124,7 +133,7 @@ class Listing:
     text: str
 
 
-Block = str | Table | Figures | Facts | Note | Heading | Fold | Listing
+Block = str | Table | Figures | Facts | Note | Heading | Fold | Frame | Listing
 """What stands in a section; a text is a paragraph."""
 
 

@@ -16,7 +16,19 @@ from nishiki.artifacts.provenance import canonical
 from nishiki.artifacts.stage import Context
 from nishiki.report.files import contents
 from nishiki.report.numbers import figure, plain
-from nishiki.report.page import Block, Cell, Facts, Fold, Listing, Page, Section, Table, Tile, render_page
+from nishiki.report.page import (
+    Block,
+    Cell,
+    Facts,
+    Fold,
+    Frame,
+    Listing,
+    Page,
+    Section,
+    Table,
+    Tile,
+    render_page,
+)
 from nishiki.report.pictures import file_jpeg
 
 PLANNED = ("hold_out", "without", "truth_sha256", "training_sha256", "left_out")
@@ -56,10 +68,11 @@ def write_scene_page(
     """
     stamp, settings = context.stamp, context.settings
     closing = closing_sections(context.inputs, stages, stamp, settings.left_out, more_left_out, more_made)
+    viewer = next((name for name in context.inputs if name.endswith("viewer")), None)
     page = Page(
         title=settings.title or title or stamp["scene"],
         subtitle=Markup("Scene <code>{}</code>, {}.").format(stamp["scene"], about),
-        sections=[section for section in sections if section is not None] + closing,
+        sections=[section for section in (viewer and viewer_section(viewer), *sections, *closing) if section],
         version=stamp["version"],
         footer=f"Nishiki {stamp['version']}, scene {stamp['scene']}, report {stamp['key']}.",
         stamp=f"{stamp['scene']}/{stamp['stage']}/{stamp['key']}",
@@ -78,6 +91,13 @@ def write_scene_page(
         "about": about,
         "figures": [dataclasses.asdict(tile) for tile in tiles],
     }
+
+
+def viewer_section(stage: str) -> Section:
+    """The viewer of the scene, loaded where somebody unfolds it; it stands beside the report in `current`."""
+    frame = Frame(f"{stage}/index.html", "Interactive viewer")
+    fold = Fold("viewer", "move lamps, change their spectrum, zoom, measure, compare: loaded at a click", [frame])
+    return Section("viewer", "Look for yourself", [fold], "Viewer")
 
 
 def first_picture(inputs: Mapping[str, Artifact]) -> bytes | None:

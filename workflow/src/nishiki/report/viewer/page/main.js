@@ -1,5 +1,5 @@
 // The page: one scene on a canvas, its state, and the panel that changes the state.
-import { element, slider } from "viewer/dom";
+import { element } from "viewer/dom";
 import { lampsSection } from "viewer/lamps";
 import { layersSection, showLegend } from "viewer/layers";
 import { Loader } from "viewer/loader";
