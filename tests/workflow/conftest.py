@@ -184,3 +184,14 @@ def put_back(finished_site: Site):
         shutil.rmtree(finished_site.folder / name)
         shutil.move(saved / name, finished_site.folder / name)
     shutil.rmtree(saved)
+
+
+@pytest.fixture(scope="module")
+def viewed(finished_site):
+    """The finished painting with its viewer and report, for all tests of a module."""
+    lent = put_back(finished_site)
+    site = next(lent)
+    site.configure(products=["report", "viewer"])
+    site.nishiki("run")
+    yield site
+    next(lent, None)

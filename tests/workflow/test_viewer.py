@@ -1,12 +1,14 @@
-"""The viewer's page of a painting in headless Chromium: what it shows is what render shows; nothing is fetched."""
+"""The viewer of a painting in headless Chromium: it shows what render shows, obeys hands and keys, fetches nothing."""
 
+import base64
 import json
 import re
+import urllib.parse
 
 import numpy as np
 import pytest
 import viewer_pages
-from viewer_pages import lamp
+from viewer_pages import READ, lamp, opened
 
 from nishiki.artifacts.artifact import open_artifact
 from nishiki.artifacts.maps import Maps
@@ -21,49 +23,231 @@ STATES = (
     {"lamps": [lamp(250, 40, "D50", distance=0.8)], "ambient": 0.02},
 )
 FRONTAL = {"x": 0, "y": 0, "zoom": 1, "tilt_deg": 0, "azimuth_deg": 0}
+ALLOWED = ("file:", "data:", "blob:", "about:")
 
 
-def test_the_canvas_shows_what_render_shows_and_values_are_those_of_the_maps(site):
-    site.configure(products=["viewer"])
-    site.nishiki("run")
-    current = site.folder / "results/tiny/current"
+@pytest.fixture(scope="module")
+def index(viewed):
+    """Its page."""
+    return viewed.folder / "results/tiny/current/viewer/index.html"
+
+
+@pytest.fixture(scope="module")
+def browser(index):
+    """One browser for all tests: a start takes longer than a test."""
+    with opened(index, width=900, height=640) as page:
+        yield page
+
+
+@pytest.fixture
+def shown(browser, index):
+    """The page, opened anew; nothing may be written to the console or asked of a network."""
+    browser.page.set_viewport_size({"width": 900, "height": 640})
+    browser.page.goto("about:blank")
+    browser.page.goto(index.resolve().as_uri())
+    browser.page.wait_for_function("window.nishiki")
+    browser.page.evaluate("nishiki.idle()")
+    yield browser
+    assert browser.messages == []
+    assert not [address for address in browser.requests if not address.startswith(ALLOWED)]
+
+
+def state(shown):
+    """The state of the page."""
+    return shown.page.evaluate("JSON.parse(JSON.stringify(nishiki.state))")
+
+
+def picture(shown):
+    """The canvas as it is, from its middle upwards."""
+    shown.page.evaluate("nishiki.idle()")
+    return np.frombuffer(base64.b64decode(shown.page.evaluate(READ)), np.uint8)
+
+
+def section(shown, name):
+    """A section of the panel, unfolded."""
+    part = shown.page.locator(f"[data-section={name}]")
+    if part.get_attribute("open") is None:
+        part.locator("summary").click()
+    return part
+
+
+def test_the_canvas_shows_what_render_shows_and_values_are_those_of_the_maps(viewed, shown):
+    page, current = shown, viewed.folder / "results/tiny/current"
     inputs = {name: open_artifact(current / name) for name in ("normals", "height", "spectra", "brdf")}
     scene = viewer_pages.plane_scene(inputs)
     rows, columns = scene.shape
-    with viewer_pages.opened(current / "viewer/index.html", width=400, height=300) as page:
-        for state in STATES:
-            expected, exposure = viewer_pages.rendered(scene, {**state, "exposure": "auto"})
-            shown = page.picture(columns, rows, **state, exposure="auto", view=FRONTAL)
-            assert page.page.evaluate("nishiki.scene.exposure.value") == pytest.approx(exposure, rel=0.06)
-            shown = page.picture(columns, rows, **state, exposure=exposure, view=FRONTAL)
-            errors = viewer_pages.difference(shown, expected)
-            assert errors.mean() < 0.35, state
-            assert np.percentile(errors, 99) < 1.5, state
-        turned = page.picture(columns, rows, lamps=[lamp(270, 20)], exposure=1.0)
-        assert viewer_pages.difference(turned, shown).mean() > 2  # another lamp, another picture
-        probe = page.page.evaluate(f"nishiki.scene.probe({columns // 2 + 0.5}, {rows // 2 + 0.5}, nishiki.state)")
-        normals = Maps(inputs["normals"].folder)
-        normal = normals.read("normals")[rows // 2, columns // 2]
-        assert np.degrees(np.arccos(np.clip(np.dot(probe["normal"], normal), -1, 1))) < 0.5
-        assert probe["layers"]["lights_used"] == normals.read("lights_used")[rows // 2, columns // 2]
-        basis = np.array(scene.basis)
-        spectrum = scene.coefficients[rows // 2, columns // 2] @ basis
-        assert np.abs(np.array(probe["spectrum"]["reflectance"]) - spectrum).max() < 0.02
-        for layer in page.page.evaluate("nishiki.scene.layers()"):
-            page.set(layer=layer["name"])
-        assert page.messages == []
-        assert [url for url in page.requests if not url.startswith(("file:", "data:", "blob:"))] == []
+    for state in STATES:
+        expected, exposure = viewer_pages.rendered(scene, {**state, "exposure": "auto"})
+        shown = page.picture(columns, rows, **state, exposure="auto", view=FRONTAL)
+        assert page.page.evaluate("nishiki.scene.exposureShown") == pytest.approx(exposure, rel=0.06)
+        shown = page.picture(columns, rows, **state, exposure=exposure, view=FRONTAL)
+        errors = viewer_pages.difference(shown, expected)
+        assert errors.mean() < 0.35, state
+        assert np.percentile(errors, 99) < 1.5, state
+    turned = page.picture(columns, rows, lamps=[lamp(270, 20)], exposure=1.0)
+    assert viewer_pages.difference(turned, shown).mean() > 2  # another lamp, another picture
+    probe = page.page.evaluate(f"nishiki.scene.probe({columns // 2 + 0.5}, {rows // 2 + 0.5}, nishiki.state)")
+    normals = Maps(inputs["normals"].folder)
+    normal = normals.read("normals")[rows // 2, columns // 2]
+    assert np.degrees(np.arccos(np.clip(np.dot(probe["normal"], normal), -1, 1))) < 0.5
+    assert probe["layers"]["lights_used"] == normals.read("lights_used")[rows // 2, columns // 2]
+    basis = np.array(scene.basis)
+    spectrum = scene.coefficients[rows // 2, columns // 2] @ basis
+    assert np.abs(np.array(probe["spectrum"]["reflectance"]) - spectrum).max() < 0.02
+    for layer in page.page.evaluate("nishiki.scene.layers()"):
+        page.set(layer=layer["name"])
 
 
-def test_blocks_beside_the_page_hold_every_byte(site):
-    site.configure(products=["viewer"], viewer={"inline_mb": 0})
-    site.nishiki("run")
-    folder = site.folder / "results/tiny/current/viewer"
+def test_report_shows_the_viewer_where_it_is_unfolded(browser, index):
+    browser.page.goto((index.parents[1] / "report.html").absolute().as_uri())
+    assert not [frame for frame in browser.page.frames if "viewer" in frame.url], "it is not loaded before"
+    browser.page.locator("summary", has_text="viewer").first.click()
+    browser.page.frame_locator("iframe").get_by_text("Lamp 1").wait_for()
+    assert browser.messages == []
+
+
+def test_lamp_follows_the_pointer_and_the_picture_follows_the_lamp(shown):
+    before = picture(shown)
+    box = shown.page.locator("#canvas").bounding_box()
+    shown.page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    shown.page.mouse.down()
+    shown.page.mouse.move(box["x"] + box["width"] * 0.2, box["y"] + box["height"] / 2, steps=3)
+    shown.page.mouse.up()
+    (lamp,) = state(shown)["lamps"]
+    assert lamp["azimuth_deg"] == pytest.approx(180, abs=1)
+    assert lamp["elevation_deg"] < 60
+    assert np.mean(picture(shown) != before) > 0.2
+
+
+def test_spectrum_layer_and_enhancement_change_what_is_seen(shown):
+    seen = [picture(shown)]
+    section(shown, "light").get_by_label("Spectrum", exact=True).select_option("F11")
+    seen.append(picture(shown))
+    section(shown, "layers").get_by_label("Layer").select_option("normals")
+    seen.append(picture(shown))
+    section(shown, "layers").get_by_label("Layer").select_option("appearance")
+    section(shown, "layers").get_by_label("Enhancement").select_option("specular")
+    seen.append(picture(shown))
+    assert all(np.mean(a != b) > 0.05 for k, a in enumerate(seen) for b in seen[:k])
+
+
+def test_table_of_a_lamp_is_read_or_refused_with_a_reason(shown, tmp_path):
+    light = section(shown, "light")
+    light.get_by_label("Spectrum", exact=True).select_option("csv")
+    good, bad = tmp_path / "lamp.csv", tmp_path / "bad.csv"
+    good.write_text("wavelength_nm,power\n380,0\n500,1\n720,3\n")
+    bad.write_text("500,1\n")
+    light.locator("input[type=file]").set_input_files(bad)
+    shown.page.wait_for_function("document.querySelector('[role=alert]').textContent.includes('400 to 700')")
+    assert state(shown)["lamps"][0]["illuminant"] == "D65"
+    light.locator("input[type=file]").set_input_files(good)
+    shown.page.wait_for_function("nishiki.state.lamps[0].illuminant.csv")
+    assert state(shown)["lamps"][0]["illuminant"]["csv"]["power"] == [0, 1, 3]
+
+
+def test_wheel_zooms_about_the_pointer(shown):
+    box = shown.page.locator("#canvas").bounding_box()
+    here = [box["width"] * 0.3, box["height"] * 0.4]
+    place = "([x, y]) => nishiki.scene.toScene(x, y, nishiki.state)"
+    before = shown.page.evaluate(place, here)
+    shown.page.mouse.move(box["x"] + here[0], box["y"] + here[1])
+    shown.page.mouse.wheel(0, -600)
+    shown.page.wait_for_function("nishiki.state.view.zoom > 2")
+    np.testing.assert_allclose(shown.page.evaluate(place, here), before, atol=0.5)
+
+
+def test_keys_alone_reach_lamp_view_probe_and_divider(shown):
+    shown.page.locator("#canvas").focus()
+    press = shown.page.keyboard.press
+    first = state(shown)["lamps"][0]
+    press("ArrowLeft")
+    assert state(shown)["lamps"][0] != first
+    assert "Lamp at azimuth" in shown.page.locator("#spoken").text_content()
+    press("+")
+    press("Shift+ArrowRight")
+    view = state(shown)["view"]
+    assert view["zoom"] == pytest.approx(1.25)
+    assert view["x"] > 0
+    press("p")
+    shown.page.locator("#canvas").focus()
+    press("Enter")
+    shown.page.wait_for_selector("[data-section=probe] .plot")
+    compare = section(shown, "compare")
+    compare.get_by_text("Keep this on the left").press("Enter")
+    shown.page.locator("#divider").wait_for()
+    shown.page.locator("#divider").press("ArrowRight")
+    assert state(shown)["compare"]["divider"] == pytest.approx(0.52)
+
+
+def test_two_states_stand_under_the_divider(shown):
+    plain = picture(shown).reshape(-1, shown.page.evaluate("nishiki.scene.canvas.width"), 4)
+    section(shown, "compare").get_by_text("Keep this on the left").click()
+    shown.set(layer="normals")
+    both = picture(shown).reshape(plain.shape)
+    middle = plain.shape[1] // 2
+    assert np.array_equal(both[:, : middle - 1], plain[:, : middle - 1])
+    assert np.mean(both[:, middle + 1 :] != plain[:, middle + 1 :]) > 0.2
+
+
+def test_ruler_measures_in_the_unit_of_the_scene(shown):
+    shown.page.get_by_role("button", name="Ruler").click()
+    box = shown.page.locator("#canvas").bounding_box()
+    ends = [[box["width"] * share, box["height"] / 2] for share in (0.3, 0.6)]
+    shown.page.mouse.move(box["x"] + ends[0][0], box["y"] + ends[0][1])
+    shown.page.mouse.down()
+    shown.page.mouse.move(box["x"] + ends[1][0], box["y"] + ends[1][1], steps=2)
+    shown.page.mouse.up()
+    (x0, _), (x1, _) = (shown.page.evaluate("([x, y]) => nishiki.scene.toScene(x, y, nishiki.state)", e) for e in ends)
+    unit = shown.page.evaluate("nishiki.scene.bounds().unit")
+    said = shown.page.locator("#spoken").text_content()
+    value, of = said.split(" ")
+    assert of == unit
+    assert float(value) == pytest.approx(x1 - x0, rel=0.01)
+
+
+def test_bookmark_brings_back_lamps_view_and_note(index, shown):
+    section(shown, "bookmark").get_by_label("Note").fill("craquelure <b>here</b>")
+    shown.page.locator("#canvas").focus()
+    shown.page.keyboard.press("+")
+    shown.page.keyboard.press("ArrowDown")
+    shown.page.wait_for_function("location.hash.length > 1")
+    shown.page.wait_for_timeout(500)
+    address, before = shown.page.url, state(shown)
+    kept = json.loads(urllib.parse.unquote(address.split("#")[1]))
+    assert set(kept) == {"lamps", "view", "note"}
+    shown.page.goto("about:blank")
+    shown.page.goto(address)
+    shown.page.wait_for_function("window.nishiki")
+    assert state(shown)["note"] == before["note"]
+    assert state(shown)["view"]["zoom"] == pytest.approx(before["view"]["zoom"], rel=1e-5)
+    assert state(shown)["lamps"][0]["elevation_deg"] == pytest.approx(before["lamps"][0]["elevation_deg"], abs=0.01)
+
+
+def test_both_languages_have_all_texts_and_a_phone_has_all_controls(shown):
+    texts = shown.page.evaluate("JSON.parse(document.getElementById('texts').textContent)")
+    assert set(texts["en"]) == set(texts["ja"])
+    shown.page.set_viewport_size({"width": 390, "height": 780})
+    button = shown.page.locator("#sheet")
+    shown.page.locator("#panel").wait_for(state="hidden")
+    button.click()
+    section(shown, "help").get_by_label("Language").select_option("ja")
+    assert shown.page.locator("[data-section=light] summary").text_content() == "照明"
+    assert shown.page.evaluate("document.documentElement.lang") == "ja"
+    unnamed = """[...document.querySelectorAll('button, input, select, textarea')].filter(each =>
+      !(each.getAttribute('aria-label') || each.textContent.trim() || each.closest('label')?.textContent.trim()))"""
+    assert shown.page.evaluate(f"{unnamed}.length") == 0
+    assert shown.page.evaluate("document.documentElement.scrollWidth") <= 390
+
+
+def test_blocks_beside_the_page_hold_every_byte(viewed, browser):
+    viewed.configure(products=["viewer"], viewer={"inline_mb": 0})
+    viewed.nishiki("run")
+    folder = viewed.folder / "results/tiny/current/viewer"
     html = (folder / "index.html").read_text()
     manifest = json.loads(re.search(r'id="manifest">(.*?)</script>', html).group(1))
     assert not manifest["data"]["inline"]
-    with viewer_pages.opened(folder / "index.html", width=200, height=150) as page:
-        picture = page.picture(64, 48, view=FRONTAL)
-        assert picture.std() > 10
-        assert page.messages == []
-        assert any(url.endswith("data/tile-0-0-0.js") for url in page.requests)
+    browser.page.goto((folder / "index.html").as_uri())
+    browser.page.wait_for_function("window.nishiki")
+    assert browser.picture(64, 48, view=FRONTAL).std() > 10
+    assert browser.messages == []
+    assert any(url.endswith("data/tile-0-0-0.js") for url in browser.requests)

@@ -229,14 +229,22 @@ export class Painting {
     return { colours: new Float32Array(colours), whites: new Float32Array(whites) };
   }
 
+  /** Exposure that was chosen last. */
+  get exposureShown() {
+    return [...this.exposures.values()].at(-1) ?? 1;
+  }
+
   /** Exposure of a state: its own number, or that of an eye adapted to the picture. */
   #exposureOf(state, lamps) {
     if (state.exposure !== "auto") return state.exposure;
     const key = JSON.stringify([state.lamps, state.ambient, this.shadow?.key ?? ""]);
-    if (this.exposures.has(key)) return this.exposures.get(key);
+    if (this.exposures.has(key)) {
+      remember(this.exposures, key, this.exposures.get(key));
+      return this.exposureShown;
+    }
     const { levels } = this.manifest.tiles;
     const level = Math.max(levels.findIndex(({ rows, columns }) => rows * columns <= EXPOSURE_PIXELS), 0);
-    if (!this.#haveAll(level)) return [...this.exposures.values()].at(-1) ?? 1;
+    if (!this.#haveAll(level)) return this.exposureShown;
     const { gl } = this, { rows, columns } = levels[level];
     this.meter ??= target(gl, columns, rows);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.meter.framebuffer);
