@@ -91,6 +91,13 @@ class Site:
 
         return tuple(chain_of(self.geometry))
 
+    def usual_stages(self) -> set[str]:
+        """Stages of the default products: exports and viewers are made where they are asked for."""
+        from nishiki.stages.table import chain_of
+
+        on_request = ("export", "viewer")
+        return {name for name, stage in chain_of(self.geometry).items() if stage.asked_as not in on_request}
+
     def run_facts(self) -> dict[str, tuple[str, str]]:
         """Key and time of the last run of each stage."""
         current = self.folder / "results/tiny/current"

@@ -4,53 +4,20 @@ import json
 import os
 
 import pytest
+from loaded_and_read import WhatIsLoadedAndRead, run_facts
 
 from nishiki.packages import EXTRAS
-from nishiki.stages.table import CHAIN
 
 pytestmark = pytest.mark.slow
 
-LIGHT = {"numpy"}
 
+class TestPainting(WhatIsLoadedAndRead):
+    """The painting."""
 
-def run_facts(site) -> dict[str, dict]:
-    current = site.folder / "results/tiny/current"
-    return {path.parent.name: json.loads(path.read_text()) for path in current.glob("*/run.json")}
-
-
-@pytest.fixture(params=["finished_site", "finished_object", "finished_cloth"])
-def any_site(request):
-    return request.getfixturevalue(request.param)
-
-
-def test_no_stage_loads_a_heavy_package_that_it_has_not_declared(any_site):
-    found = run_facts(any_site)
-    undeclared = {name: set(facts["packages"]) - LIGHT - set(CHAIN[name].libraries) for name, facts in found.items()}
-    assert len(undeclared) > 6
-    assert not {name: packages for name, packages in undeclared.items() if packages}
-
-
-def test_optional_packages_are_loaded_exactly_where_the_plan_says(any_site):
-    told = json.loads(any_site.nishiki("plan", "--json").stdout)
-    planned = {stage["stage"]: set(stage["packages"]) & set(EXTRAS) for stage in told["stages"]}
-    found = {name: set(facts["packages"]) & set(EXTRAS) for name, facts in run_facts(any_site).items()}
-    assert found == planned
-    assert set(told["optional_packages"]["loaded"]) == set().union(*planned.values())
-
-
-def test_ingest_reads_what_the_plan_says(any_site):
-    told = json.loads(any_site.nishiki("plan", "--json").stdout)
-    current = any_site.folder / "results/tiny/current/ingest"
-    assert json.loads((current / "artifact.json").read_text())["diagnostics"]["read"] == told["reads"]
-    # every file at least once: to be decoded; and most twice: to be proven against the seal
-    assert json.loads((current / "run.json").read_text())["bytes_read"] > told["reads"]["total"]["bytes_read"]
-
-
-def test_the_report_says_what_was_read_and_left_out(any_site):
-    page = (any_site.folder / "results/tiny/current/report.html").read_text()
-    assert "What was read and what was left out, and why" in page
-    assert "no photograph is camera raw" in page
-    assert "all files" in page
+    @pytest.fixture
+    def finished(self, finished_site):
+        """The scene."""
+        return finished_site
 
 
 def test_a_scene_that_needs_less_reads_less(site):

@@ -2,12 +2,24 @@
 
 import json
 
+import numpy as np
 import pytest
+import trimesh
 from examples import run_examples
+from loaded_and_read import WhatIsLoadedAndRead
 
 pytestmark = pytest.mark.slow
 
 AFTER_RESIDUAL = ["object_render", "object_evaluate", "object_report", "publish"]
+
+
+class TestObject(WhatIsLoadedAndRead):
+    """The object."""
+
+    @pytest.fixture
+    def finished(self, finished_object):
+        """The scene."""
+        return finished_object
 
 
 def artifact(site, stage):
@@ -15,7 +27,7 @@ def artifact(site, stage):
 
 
 def test_every_stage_ran_and_nothing_is_left_to_do(object_site):
-    assert set(object_site.run_facts()) == set(object_site.stages())
+    assert set(object_site.run_facts()) == object_site.usual_stages()
     assert object_site.would_run() == []
 
 
@@ -77,3 +89,16 @@ def test_a_flipped_bit_is_named(object_site, stage):
         assert victim.name in done.stdout
     finally:
         victim.write_bytes(sound)
+
+
+def test_an_object_is_exported(object_site):
+    object_site.nishiki("export", "tiny", "gltf", "--output", "for-others")
+    mesh = trimesh.load(object_site.folder / "for-others/object.glb", force="mesh")
+    given = trimesh.load(object_site.folder / "results/tiny/current/mesh.ply", process=False)
+    np.testing.assert_allclose(mesh.bounds, given.bounds / 1000, rtol=1e-5)
+    assert len(mesh.faces) == len(given.faces)
+    (manifest,) = (object_site.folder / "results/tiny/object_export").glob("*/artifact.json")
+    figures = json.loads(manifest.read_text())["diagnostics"]["losses"]["gltf"]["kinds"]["gltf"]["psnr_db"]
+    evaluation = json.loads((object_site.folder / "results/tiny/current/object_evaluate/evaluation.json").read_text())
+    model = evaluation["figures"]["model_alone"]["mean_covered_psnr_db"]
+    assert figures["fitted"]["all"] > model - 0.5, "the textures show no less than the model without its residual"

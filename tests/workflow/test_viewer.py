@@ -101,7 +101,7 @@ def test_the_canvas_shows_what_render_shows_and_values_are_those_of_the_maps(vie
 def test_report_shows_the_viewer_where_it_is_unfolded(browser, index):
     browser.page.goto((index.parents[1] / "report.html").absolute().as_uri())
     assert not [frame for frame in browser.page.frames if "viewer" in frame.url], "it is not loaded before"
-    browser.page.locator("summary", has_text="viewer").first.click()
+    browser.page.locator("#viewer summary").click()
     browser.page.frame_locator("iframe").get_by_text("Lamp 1").wait_for()
     assert browser.messages == []
 

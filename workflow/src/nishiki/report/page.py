@@ -118,11 +118,12 @@ class Fold:
 
 @dataclass(frozen=True)
 class Frame:
-    """Another page inside this one, and a link to it; `address` relative to the folder where this page is opened."""
+    """Another page inside this one, loaded at a click; `address` as seen from where this page is opened."""
 
     kind: ClassVar[str] = "frame"
     address: str
     title: str
+    summary: str
 
 
 @dataclass(frozen=True)

@@ -95,9 +95,8 @@ def write_scene_page(
 
 def viewer_section(stage: str) -> Section:
     """The viewer of the scene, loaded where somebody unfolds it; it stands beside the report in `current`."""
-    frame = Frame(f"{stage}/index.html", "Interactive viewer")
-    fold = Fold("viewer", "move lamps, change their spectrum, zoom, measure, compare: loaded at a click", [frame])
-    return Section("viewer", "Look for yourself", [fold], "Viewer")
+    summary = "move lamps or the object, zoom, measure, compare: loaded at a click"
+    return Section("viewer", "Look for yourself", [Frame(f"{stage}/index.html", "Viewer", summary)], "Viewer")
 
 
 def first_picture(inputs: Mapping[str, Artifact]) -> bytes | None:
