@@ -11,6 +11,12 @@ configfile: "config/config.yaml"
 include: "workflow/rules/common.smk"
 
 
+# A scheduler of a cluster terminates every process of a run at once. Snakemake's own handler takes a lock that the
+# interrupted thread may hold, and then waits for ever; an interrupt ends its jobs in order.
+onstart:
+    interrupt_when_terminated()
+
+
 wildcard_constraints:
     scene="[A-Za-z0-9_-]+",
     key="[0-9a-f]{12}",

@@ -273,6 +273,23 @@ def test_a_termination_ends_an_engine_whose_own_handler_waits_for_ever(start, wh
     assert [record.state for record in records(Path("results"))] == ["ended"]
 
 
+def test_a_termination_of_all_processes_ends_an_engine_inside_its_event_loop(start):
+    """There asyncio keeps an interrupt to itself until the loop ends, and a lock's holder never ends."""
+    child = (
+        f"import sys; sys.path.insert(0, {str(SOURCE)!r})\n"
+        "import asyncio,signal,threading,time; from nishiki.processes import interrupt_when_terminated\n"
+        "lock=threading.Lock(); signal.signal(15, lambda *_: lock.acquire()); interrupt_when_terminated()\n"
+        "async def work():\n with lock: print('ready', flush=True); time.sleep(60)\n"
+        "try: asyncio.run(work())\n"
+        "except KeyboardInterrupt: sys.exit(7)"
+    )
+    heed = "import signal; signal.signal(2, signal.default_int_handler); "
+    process = start("a", heed + "sys.exit(" + CALL.format(child=child) + ")")
+    os.killpg(process.pid, signal.SIGTERM)
+    assert process.wait(timeout=20) == 7
+    assert [record.state for record in records(Path("results"))] == ["ended"]
+
+
 def test_a_termination_reaches_an_engine_that_heeds_no_interrupt(start):
     """Shells start what stands before & with interrupts ignored."""
     child = "import signal,sys,time; signal.signal(15, lambda *_: sys.exit(7)); "

@@ -15,6 +15,7 @@ from nishiki.engine.scheduling import PARTS
 from nishiki.engine.workflow import Workflow
 from nishiki.stages.table import CHAIN
 from nishiki.engine.running_lock import scenes_to_make
+from nishiki.processes import interrupt_when_terminated
 from nishiki.threads import VARIABLES as THREADS
 from snakemake.exceptions import WorkflowError
 

@@ -119,3 +119,19 @@ def stop(find: Callable[[], list[int]], *, patience_s: float = 5.0) -> list[int]
         if not running:
             return []
     return find()
+
+
+def interrupt_when_terminated() -> None:
+    """Treat a termination of this process as an interrupt, once: whatever arrives later finds it ending already.
+
+    Raises KeyboardInterrupt in the main thread at the first SIGTERM or SIGINT; an ignored SIGINT stays ignored.
+    """
+
+    def interrupt(*_: object) -> None:
+        for number in heeded:
+            signal.signal(number, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    heeded = [number for number in (signal.SIGTERM, signal.SIGINT) if signal.getsignal(number) != signal.SIG_IGN]
+    for number in heeded:
+        signal.signal(number, interrupt)
