@@ -14,7 +14,7 @@ RIM = 0.4
 OUTSIDE = [(0.0, -0.6), (0.6, -0.6), (0.7, RIM)]
 
 
-def turned(profile, spacing=0.025, columns=90):
+def turned(profile, spacing=0.036, columns=64):
     """Closed body of revolution about z from points (radius, z) of its profile, axis to axis."""
     corners = np.array(profile)
     rows = [

@@ -93,7 +93,10 @@ def measured_of(weave, *, body=0.05, normal_only=False):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("binding", [Binding("plain", 2, 1), Binding("twill", 3, 1), SATIN])
+@pytest.mark.parametrize(
+    "binding",
+    [*(pytest.param(Binding(*one), marks=pytest.mark.long) for one in (("plain", 2, 1), ("twill", 3, 1))), SATIN],
+)
 def test_search_finds_the_weave_and_its_yarns(binding):
     truth = yarns(binding, aspect_warp=np.log(0.7), rough_across_warp=np.log(0.24), crimp=0.1)
     search = search_yarns(measured_of(truth), [Binding("plain", 2, 1), Binding("twill", 3, 1), SATIN])

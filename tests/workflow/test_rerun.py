@@ -192,6 +192,7 @@ def test_bad_scene_table_is_told_in_one_line_with_status_2(asked, table, message
     assert message in told
 
 
+@pytest.mark.long
 def test_scenes_side_by_side_have_one_thread_each_and_the_last_one_two(site):
     rows = "".join(f"{name}\tcaptures/tiny\t\tnormals\n" for name in ("first", "second"))
     broken = "".join(f"{name}\tcaptures/{name}\t\tnormals\n" for name in ("cut", "gone"))
