@@ -8,12 +8,13 @@ import pytest
 from mirror_rays import Scene, dome
 
 from nishiki.calibrate.lamps import _centred
-from nishiki.calibrate.mirror import SphereCamera, outline_points, pixel_of_direction, reflected_rays, sphere_of
 from nishiki.calibrate.result import put_into_capture, write_calibration
-from nishiki.calibrate.spheres import SphereInput, calibrate_spheres
+from nishiki.calibrate.spheres import SphereInput
+from nishiki.calibrate.spheres_result import calibrate_spheres
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
 from nishiki.capture.lights import read_lights
+from nishiki.capture.mirror_sphere import SphereCamera, outline_points, pixel_of_direction, reflected_rays, sphere_of
 from nishiki.capture.relight_files import read_dome
 from nishiki.errors import UserError
 

@@ -10,15 +10,19 @@ in proportion to
 All lamps and the outlines of all spheres are fitted together by least squares: highlights in units of their
 uncertainty, outlines held by the covariance of their fits, brightness of the surface in units of its own scatter. Of
 log E, means over a lamp (its strength) and over a place (reflectance of the surface, shading of the lens) do not count.
+Origin and scale follow the outlines while these move: what an outline leaves uncertain, all lamps share.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.calibrate.mirror import SphereCamera, reflected_rays
+from nishiki.capture.mirror_sphere import SphereCamera, reflected_rays
+
+LEAST_FREEDOM = 8  # of the highlights: as many must agree before their uncertainty is taken from their agreement
 
 
 @dataclass(frozen=True)
@@ -35,11 +39,11 @@ class Sighting:
 class Falloff:
     """Light on a flat surface.
 
-    points (n, 3) of the surface relative to the origin, z = 0 for one in the object's plane; log_light (lamps, n),
-    NaN where saturated or dark.
+    pixels (n, 2) of the surface, which is the object's plane: to the right of and above the photograph's middle;
+    log_light (lamps, n), NaN where saturated or dark.
     """
 
-    points: np.ndarray
+    pixels: np.ndarray
     log_light: np.ndarray
 
 
@@ -64,6 +68,8 @@ class LampFit:
         uncertainties are right. NaN without redundancy.
     falloff_rms : float
         Root mean square of the relative residuals on the surface; NaN without one.
+    pitch : float
+        Length of a pixel in the object's plane.
     """
 
     directions: np.ndarray
@@ -74,6 +80,7 @@ class LampFit:
     residuals_px: dict[tuple[int, int], float]
     chi_square: float
     falloff_rms: float
+    pitch: float
 
     @property
     def positions(self) -> np.ndarray:
@@ -88,7 +95,7 @@ def fit_lamps(
     covariances: list[np.ndarray],
     camera: SphereCamera,
     radius: float,
-    origin: np.ndarray,
+    origin_of: Callable[[list[np.ndarray]], tuple[np.ndarray, float]],
     *,
     lamps: int,
     near: bool,
@@ -97,8 +104,9 @@ def fit_lamps(
     """Directions and, where `near`, distances of all lamps.
 
     sightings of `lamps` lamps on the spheres whose outlines have these parameters and covariances; radius: of the
-    spheres, sets the unit; origin (3,): of the scene, in the camera's frame; near: fit the distances (two spheres or
-    more, or a surface), else lamps are taken to be far away.
+    spheres, sets the unit; origin_of: gives, from the outlines' parameters, the origin (3,) of the scene in the
+    camera's frame and the length of a pixel in the object's plane; near: fit the distances (two spheres or more, or a
+    surface), else lamps are taken to be far away.
     """
     from scipy.optimize import least_squares
 
@@ -114,7 +122,7 @@ def fit_lamps(
         for k in range(spheres):
             of = seen_by == k
             points[of], directions[of] = reflected_rays(at[of], outlines[k], camera, radius)
-        return points - origin, directions
+        return points - origin_of(outlines)[0], directions
 
     points, directions = rays(parameters, pixels)
     # Radians on the mirror's picture of the surroundings for a pixel, in both directions.
@@ -133,11 +141,13 @@ def fit_lamps(
         inverse = start_inverse + values[:, 2] / scale if near else np.zeros(lamps)
         return u / np.linalg.norm(u, axis=1)[:, None], inverse
 
+    def outlines_of(x: np.ndarray) -> list[np.ndarray]:
+        moved = x[lamps * unknowns :].reshape(spheres, 3)
+        return [p + root @ m for p, root, m in zip(parameters, roots, moved, strict=True)]
+
     def highlight_residuals(x: np.ndarray) -> np.ndarray:
         u, inverse = lamp_of(x)
-        moved = x[lamps * unknowns :].reshape(spheres, 3)
-        outlines = [p + root @ m for p, root, m in zip(parameters, roots, moved, strict=True)]
-        at, shown = rays(outlines, pixels)
+        at, shown = rays(outlines_of(x), pixels)
         towards = u[which] - inverse[which, None] * at
         towards /= np.linalg.norm(towards, axis=1)[:, None]
         away = (towards - shown) / (per_pixel * sigma_px)[:, None]
@@ -145,7 +155,8 @@ def fit_lamps(
 
     def surface_residuals(x: np.ndarray) -> np.ndarray:
         u, inverse = lamp_of(x)
-        towards = u[:, None, :] - inverse[:, None, None] * falloff.points
+        places = np.column_stack([falloff.pixels * origin_of(outlines_of(x))[1], np.zeros(len(falloff.pixels))])
+        towards = u[:, None, :] - inverse[:, None, None] * places
         expected = np.log(np.maximum(towards[..., 2], 1e-9)) - 1.5 * np.log((towards**2).sum(axis=-1))
         return _centred(falloff.log_light - expected)
 
@@ -158,16 +169,19 @@ def fit_lamps(
         return np.concatenate(parts)
 
     x = np.zeros(lamps * unknowns + 3 * spheres)
-    for _ in range(3 if falloff is not None else 1):
+    freedom = 2 * len(sightings) - lamps * unknowns
+    chi = float("nan")
+    for _ in range(3 if falloff is not None or freedom >= LEAST_FREEDOM else 1):
         fit = least_squares(residuals, x, x_scale="jac", method="trf", ftol=1e-10, xtol=1e-10, max_nfev=40)
         x = fit.x
         if falloff is not None:
             spread = max(float(np.sqrt((surface_residuals(x) ** 2).mean())), 1e-4)
+        left = highlight_residuals(x).reshape(2, -1)
+        chi = float((left**2).sum() / freedom) if freedom > 0 else chi
+        if freedom >= LEAST_FREEDOM:  # many highlights that agree better than expected are that good
+            sigma_px = sigma_px * min(1.0, np.sqrt(chi))
     covariance = np.linalg.pinv(fit.jac.T @ fit.jac)
     u, inverse = lamp_of(x)
-    left = highlight_residuals(x).reshape(2, -1)
-    freedom = 2 * len(sightings) - lamps * unknowns
-    chi = float((left**2).sum() / freedom) if freedom > 0 else float("nan")
     # Where highlights disagree by more than their own uncertainty, all uncertainties grow with that.
     worse = max(1.0, chi) if freedom > 0 else 1.0
     blocks = [covariance[i * unknowns : (i + 1) * unknowns, i * unknowns : (i + 1) * unknowns] for i in range(lamps)]
@@ -177,7 +191,7 @@ def fit_lamps(
         distance = 1 / inverse
         position_sigma = np.sqrt((direction_sigma * distance) ** 2 + (inverse_sigma * distance**2) ** 2)
     position_sigma = np.where((inverse > 0) & near, position_sigma, np.inf)
-    off = np.linalg.norm(left, axis=0) * sigma_px
+    off = np.linalg.norm(highlight_residuals(x).reshape(2, -1), axis=0) * sigma_px
     return LampFit(
         u,
         direction_sigma,
@@ -187,6 +201,7 @@ def fit_lamps(
         {(s.lamp, s.sphere): float(px) for s, px in zip(sightings, off, strict=True)},
         chi,
         spread if falloff is not None else float("nan"),
+        origin_of(outlines_of(x))[1],
     )
 
 

@@ -1,12 +1,11 @@
 """Lamps of a dome from photographs of mirror spheres: one sphere gives directions, two or more give positions.
 
 Every photograph shows the same spheres under one lamp. Steps: outlines from the edges that all photographs share,
-highlights from what each photograph has more than the others, one fit of all lamps and outlines (`lamps`), files.
+highlights from what each photograph has more than the others, one fit of all lamps and outlines (`lamps`).
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,29 +13,16 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.calibrate.lamps import Falloff, LampFit, Sighting, fit_lamps
-from nishiki.calibrate.mirror import (
-    DOUBLED,
-    FAINT,
-    Highlight,
-    Outline,
-    SphereCamera,
-    find_circles,
-    find_highlight,
-    fit_outline,
-    lamp_light,
-    outline_points,
-    sphere_of,
-)
 from nishiki.calibrate.photographs import full_scale_of, read_grey
-from nishiki.calibrate.result import Calibration, finite
-from nishiki.capture.lights import light_name, read_lights
+from nishiki.calibrate.sphere_outline import Outline, find_circles, fit_outline
+from nishiki.capture.lights import light_name
+from nishiki.capture.mirror_sphere import Highlight, SphereCamera, find_highlight, sphere_of
 from nishiki.errors import UserError
-from nishiki.report.page import Figure, Figures, Section, Table
-from nishiki.report.pictures import encoded
-from nishiki.report.svg import lights_plot
 
 MARGIN = 1.65  # of the radius: half the side of the crop around a sphere
 SEARCH_SIDE = 1000  # pixels of the picture in which spheres are looked for
+DOUBLED = 0.35  # light of the second highlight relative to the first, from which it is doubtful which is the lamp
+FAINT = 0.15  # of the median peak: below there is no highlight
 AREA_RANGE = 2.8  # a highlight this many times larger or smaller than the others is doubtful
 POSITION_SHARE = 0.05  # relative uncertainty of a distance up to which positions are written
 BOARD_BLOCKS = 12  # along the longer side of the board's photographs
@@ -64,8 +50,43 @@ class SphereInput:
     compare: Path | None = None
 
 
-def calibrate_spheres(given: SphereInput) -> Calibration:
-    """Lamps of all photographs, with uncertainties, files and page. UserError where one cannot be measured."""
+@dataclass(frozen=True)
+class MeasuredSpheres:
+    """What the photographs show.
+
+    Attributes
+    ----------
+    names : list of str
+        Of the lamps, by their photographs.
+    camera : SphereCamera
+    mean : (rows, columns) float32
+        Of all photographs.
+    outlines : list of Outline
+        One a sphere.
+    crops : list of (picture, (column, row))
+        Brightest of all photographs around each sphere, and the crop's corner.
+    highlights : dict
+        By (lamp, sphere); None where there is none.
+    fit : LampFit
+        In millimetres where the spheres' radius is known, else in radii.
+    positioned : bool
+        Whether all lamps have positions worth writing.
+    warnings : list of str
+    """
+
+    names: list[str]
+    camera: SphereCamera
+    mean: np.ndarray
+    outlines: list[Outline]
+    crops: list[tuple[np.ndarray, tuple[int, int]]]
+    highlights: dict[tuple[int, int], Highlight | None]
+    fit: LampFit
+    positioned: bool
+    warnings: list[str]
+
+
+def measure_spheres(given: SphereInput) -> MeasuredSpheres:
+    """Lamps of all photographs. UserError where one cannot be measured."""
     _refuse(given)
     names = [light_name(path.name) for path in given.photographs]
     doubled_names = sorted({name for name in names if names.count(name) > 1})
@@ -74,49 +95,24 @@ def calibrate_spheres(given: SphereInput) -> Calibration:
     mean, brightest = _overview(given.photographs)
     camera = SphereCamera.of(*mean.shape, given.focal_px)
     outlines = _outlines(given, camera, mean, brightest)
-    found, crops = _highlights(given, names, outlines, camera)
-    sightings, warnings = _sightings(found, names, len(outlines))
+    highlights, crops = _highlights(given, names, outlines, camera)
+    sightings, warnings = _sightings(highlights, names, len(outlines))
     near = len(outlines) > 1
-    origin, pitch_mm = _origin(outlines, camera, given)
-    falloff = _falloff(given, camera, pitch_mm) if given.board else None
+    falloff = _falloff(given, camera) if given.board else None
     fit = fit_lamps(
         sightings,
         [each.parameters for each in outlines],
         [each.covariance for each in outlines],
         camera,
         given.radius_mm or 1.0,
-        origin,
+        lambda parameters: _origin(parameters, camera, given),
         lamps=len(names),
         near=near or falloff is not None,
         falloff=falloff,
     )
     warnings += _fit_warnings(fit, names, near, given)
     positioned = _positioned(fit, given)
-    numbers = _numbers(fit, names, outlines, found, camera, given, pitch_mm, positioned)
-    sections = [
-        _lamp_section(fit, names, found, outlines, positioned),
-        *_picture_sections(mean, outlines, camera, crops, found, names),
-    ]
-    if given.compare is not None:
-        comparison, section = _comparison(fit, names, given.compare)
-        numbers["comparison"] = comparison
-        sections.insert(1, section)
-    lines: dict = {"lights": {"file": "lamps_mm.lp" if positioned else "lamps.lp"}}
-    if positioned:
-        lines = {
-            "lights": {"file": "lamps_mm.lp", "kind": "position_mm"},
-            "pixel_pitch_mm": finite(pitch_mm),
-        }
-    files = {"lamps.lp": lp_text([path.name for path in given.photographs], fit.directions)}
-    if positioned:
-        files["lamps_mm.lp"] = lp_text([path.name for path in given.photographs], fit.positions)
-    width_mm = pitch_mm * camera.columns if given.radius_mm else 0.0
-    files["lamps.dome"] = dome_text(names, fit.directions, fit.positions if positioned else None, width_mm)
-    inputs = [*given.photographs, *given.board, *([given.mask] if given.mask else [])]
-    inputs += [given.compare] if given.compare else []
-    kind = "orthographic camera" if camera.focal_px is None else f"focal length {camera.focal_px:g} px"
-    subtitle = f"{len(names)} lamps from {len(outlines)} mirror sphere{'s' if near else ''}, {kind}."
-    return Calibration("spheres", numbers, inputs, lines, sections, subtitle, files, warnings)
+    return MeasuredSpheres(names, camera, mean, outlines, crops, highlights, fit, positioned, warnings)
 
 
 def _refuse(given: SphereInput) -> None:
@@ -232,11 +228,11 @@ def _highlights(
     for k, outline in enumerate(outlines):
         crop = _crop(outline.circle(camera), (camera.rows, camera.columns))
         stack = _stack(given.photographs, crop)
-        rest, noise = lamp_light(stack)
+        rest, noise = _lamp_light(stack)
         noise = max(noise, full_scale_of(given.photographs[0]) / 65535)
         crops.append((stack.max(axis=0), _corner(crop)))
         for i in range(len(names)):
-            found[i, k] = find_highlight(rest[i], noise, outline, camera, _corner(crop))
+            found[i, k] = find_highlight(rest[i], noise, outline.parameters, camera, _corner(crop))
     return found, crops
 
 
@@ -283,17 +279,29 @@ def _reason(found: dict[tuple[int, int], Highlight | None], lamp: int, spheres: 
     return "two of similar strength" if any(h is not None and h.second > DOUBLED for h in highlights) else "none"
 
 
-def _origin(outlines: list[Outline], camera: SphereCamera, given: SphereInput) -> tuple[np.ndarray, float]:
+def _lamp_light(stack: np.ndarray) -> tuple[np.ndarray, float]:
+    """Crops less what they show without their own lamp, and the noise that remains.
+
+    From five photographs on, the median over the photographs is what the sphere shows of its surroundings; of fewer,
+    the median of each crop.
+    """
+    dark = np.median(stack, axis=0) if len(stack) >= 5 else np.median(stack, axis=(1, 2), keepdims=True)
+    rest = (stack - dark).astype(np.float32)
+    return rest, float(1.4826 * np.median(np.abs(rest - np.median(rest))))
+
+
+def _origin(outlines: list[np.ndarray], camera: SphereCamera, given: SphereInput) -> tuple[np.ndarray, float]:
     """Point (3,) that lamps are seen from, in the camera's frame, and millimetres a pixel in the object's plane.
 
-    With one sphere lamps are seen from its centre; with more from the point of the object's plane in the middle of
-    the photograph. That plane faces the camera and passes the spheres' lowest points, raised by the object's height.
+    outlines: their parameters. With one sphere lamps are seen from its centre; with more from the point of the object's
+    plane in the middle of the photograph. That plane faces the camera and passes the spheres' lowest points, raised by
+    the object's height.
     """
     radius = given.radius_mm or 1.0
-    spheres = [sphere_of(each.parameters, camera, radius)[0] for each in outlines]
+    spheres = [sphere_of(each, camera, radius)[0] for each in outlines]
     middle = np.array([(camera.columns - 1) / 2, (camera.rows - 1) / 2]) - camera.centre
     if camera.focal_px is None:
-        pitch = radius / float(np.mean([each.parameters[2] for each in outlines]))
+        pitch = radius / float(np.mean([each[2] for each in outlines]))
         plane = given.object_height_mm
     else:
         plane = float(np.mean([centre[2] - radius for centre in spheres])) + given.object_height_mm
@@ -303,8 +311,8 @@ def _origin(outlines: list[Outline], camera: SphereCamera, given: SphereInput) -
     return np.array([middle[0] * pitch, -middle[1] * pitch, plane]), pitch
 
 
-def _falloff(given: SphereInput, camera: SphereCamera, pitch_mm: float) -> Falloff:
-    """Logarithm of the light on blocks of the board, relative to the origin in its plane."""
+def _falloff(given: SphereInput, camera: SphereCamera) -> Falloff:
+    """Logarithm of the light on blocks of the board."""
     top = 0.98 * full_scale_of(given.board[0])
     side = max(1, max(camera.rows, camera.columns) // BOARD_BLOCKS)
     rows, columns = camera.rows // side, camera.columns // side
@@ -317,12 +325,11 @@ def _falloff(given: SphereInput, camera: SphereCamera, pitch_mm: float) -> Fallo
         mean, brightest = blocks.mean(axis=(1, 3)), blocks.max(axis=(1, 3))
         values.append(np.where((brightest < top) & (mean > 0.02 * top), np.log(np.maximum(mean, 1e-9)), np.nan))
     row, column = np.mgrid[:rows, :columns] * side + (side - 1) / 2
-    x, y = (column - (camera.columns - 1) / 2) * pitch_mm, -(row - (camera.rows - 1) / 2) * pitch_mm
-    points = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+    right, above = column - (camera.columns - 1) / 2, (camera.rows - 1) / 2 - row
     log_light = np.array(values).reshape(len(values), -1)
     if np.isfinite(log_light).mean() < 0.3:
         raise UserError("--board: less than a third of the board is neither dark nor saturated. Remedy: expose again")
-    return Falloff(points, log_light)
+    return Falloff(np.column_stack([right.ravel(), above.ravel()]), log_light)
 
 
 def _positioned(fit: LampFit, given: SphereInput) -> bool:
@@ -353,184 +360,3 @@ def _fit_warnings(fit: LampFit, names: list[str], near: bool, given: SphereInput
             "directions were written. Spheres further apart, or a board, determine distances"
         )
     return warnings
-
-
-def lp_text(files: Sequence[str], vectors: np.ndarray) -> str:
-    """An .lp file: the number of lamps, then file name and vector of each."""
-    rows = [f"{_quoted(file)} {x:.9g} {y:.9g} {z:.9g}\n" for file, (x, y, z) in zip(files, vectors, strict=True)]
-    return f"{len(rows)}\n" + "".join(rows)
-
-
-def _quoted(file: str) -> str:
-    return f'"{file}"' if " " in file else file
-
-
-def dome_text(names: list[str], directions: np.ndarray, positions: np.ndarray | None, width_mm: float) -> str:
-    """Relight's description of a dome: lamps in order, lengths in millimetres.
-
-    Directions are from the middle of the picture; `names` are those of the photographs, which Relight does not read.
-    """
-
-    def listed(vectors: np.ndarray) -> list[dict[str, float]]:
-        return [{axis: float(f"{v:.9g}") for axis, v in zip("xyz", vector, strict=True)} for vector in vectors]
-
-    near = positions is not None
-    content = {
-        "label": "",
-        "notes": "measured by nishiki calibrate spheres; lengths in mm",
-        "imageWidth": float(f"{width_mm:.9g}"),
-        "domeDiameter": float(f"{2 * np.linalg.norm(positions, axis=1).mean():.6g}") if near else 0.0,
-        "verticalOffset": 0.0,
-        "lightConfiguration": "lights3d" if near else "directional",
-        "directions": listed(directions),
-        "positionsSphere": listed(positions) if near else [],
-        "positions3d": listed(positions) if near else [],
-        "ledAdjust": [],
-        "names": names,
-    }
-    return json.dumps(content, indent=1) + "\n"
-
-
-def _numbers(fit, names, outlines, found, camera, given, pitch_mm, positioned) -> dict:
-    lamps = []
-    for i, name in enumerate(names):
-        lamp = {
-            "lamp": name,
-            "direction": [finite(v, 9) for v in fit.directions[i]],
-            "direction_sigma_deg": finite(np.degrees(fit.direction_sigma[i])),
-            "highlights": [
-                None
-                if found[i, k] is None
-                else {
-                    "column": finite(found[i, k].pixel[0]),
-                    "row": finite(found[i, k].pixel[1]),
-                    "sigma_px": finite(found[i, k].sigma_px),
-                    "residual_px": finite(fit.residuals_px[i, k]) if (i, k) in fit.residuals_px else None,
-                }
-                for k in range(len(outlines))
-            ],
-        }
-        if positioned:
-            lamp["position_mm"] = [finite(v, 9) for v in fit.positions[i]]
-            lamp["position_sigma_mm"] = finite(fit.position_sigma[i])
-        lamps.append(lamp)
-    spheres = []
-    for each in outlines:
-        column, row, radius = each.circle(camera)
-        spheres.append(
-            {
-                "row": finite(row),
-                "column": finite(column),
-                "radius_px": finite(radius),
-                "outline_rms_px": finite(each.rms_px),
-                "outline_share": finite(each.support),
-            }
-        )
-    return {
-        "camera": {"kind": "orthographic" if camera.focal_px is None else "perspective", "focal_px": camera.focal_px},
-        "seen_from": "centre of the sphere"
-        if len(outlines) == 1 and not given.board
-        else "middle of the object's plane",
-        "spheres": spheres,
-        "radius_mm": given.radius_mm,
-        "pixel_pitch_mm": finite(pitch_mm) if given.radius_mm else None,
-        "lamps": lamps,
-        "positions_written": positioned,
-        "chi_square": finite(fit.chi_square) if np.isfinite(fit.chi_square) else None,
-        "falloff_rms": finite(fit.falloff_rms) if np.isfinite(fit.falloff_rms) else None,
-    }
-
-
-def _lamp_section(fit: LampFit, names, found, outlines, positioned: bool) -> Section:
-    rows = []
-    for i, name in enumerate(names):
-        u = fit.directions[i]
-        highlights = [found[i, k] for k in range(len(outlines))]
-        rows.append(
-            (
-                name,
-                float(np.degrees(np.arctan2(u[1], u[0]))),
-                float(np.degrees(np.arccos(np.clip(u[2], -1, 1)))),
-                float(np.degrees(fit.direction_sigma[i])),
-                float(1 / fit.inverse_distance[i]) if positioned else None,
-                float(fit.position_sigma[i]) if positioned else None,
-                max((fit.residuals_px.get((i, k), 0.0) for k in range(len(outlines))), default=None),
-                sum(1 for k, h in enumerate(highlights) if h is not None and (i, k) in fit.residuals_px),
-            )
-        )
-    head = ("lamp", "azimuth °", "polar °", "± °", "distance mm", "± mm", "residual px", "spheres used")
-    plot = lights_plot(np.asarray(fit.directions), list(names), ["sample"] * len(names))
-    caption = "From above: the middle is towards the camera, the rim the object's plane."
-    return Section(
-        "lamps", "Lamps", [Figures([Figure("Directions", caption, svg=plot)], 2), Table(head, rows, "lrrrrrrr")]
-    )
-
-
-def _picture_sections(mean, outlines, camera, crops, found, names) -> list[Section]:
-    """The photographs' mean with the outlines, and every sphere with all highlights at once."""
-    import cv2
-
-    figures = []
-    for k, (outline, (brightest, corner)) in enumerate(zip(outlines, crops, strict=True)):
-        zoom = max(1, int(np.ceil(480 / max(brightest.shape))))
-        codes = _display(brightest)
-        codes = cv2.resize(codes, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_NEAREST)
-
-        def place(points: np.ndarray, corner=corner, zoom=zoom) -> np.ndarray:
-            return np.round(((np.atleast_2d(points) - corner + 0.5) * zoom - 0.5) * 16).astype(np.int32)
-
-        curve = place(outline_points(outline.parameters, camera))
-        cv2.polylines(codes, [curve.reshape(-1, 1, 2)], True, (90, 220, 90), 1, cv2.LINE_AA, 4)
-        for i in range(len(names)):
-            if found[i, k] is not None:
-                column, row = place(found[i, k].pixel)[0]
-                cv2.drawMarker(codes, (int(column / 16), int(row / 16)), (255, 90, 40), cv2.MARKER_CROSS, 9, 1)
-        caption = (
-            f"Brightest of all photographs. Green: the outline fitted, {outline.rms_px:.2g} px root mean square, along "
-            f"{100 * outline.support:.0f} % of it. Red: where each lamp's highlight was measured."
-        )
-        figures.append(Figure(f"Sphere {k + 1}", caption, encoded(codes)))
-    scale = 900 / max(mean.shape)
-    small = cv2.resize(_display(mean), None, fx=min(1, scale), fy=min(1, scale), interpolation=cv2.INTER_AREA)
-    for outline in outlines:
-        curve = np.round((outline_points(outline.parameters, camera) + 0.5) * min(1, scale) - 0.5).astype(np.int32)
-        cv2.polylines(small, [curve.reshape(-1, 1, 2)], True, (90, 220, 90), 1, cv2.LINE_AA)
-    figures.append(Figure("All spheres", "Mean of all photographs, with the outlines.", encoded(small)))
-    return [Section("spheres", "Spheres", [Figures(figures, 2)])]
-
-
-def _display(grey: np.ndarray) -> np.ndarray:
-    """Grey codes (rows, columns, 3) uint8 for a page, brightened by a square root."""
-    top = float(np.percentile(grey, 99.8)) or 1.0
-    return np.repeat((255 * np.sqrt(np.clip(grey / top, 0, 1))).astype(np.uint8)[..., None], 3, axis=2)
-
-
-def _comparison(fit: LampFit, names: list[str], path: Path) -> tuple[dict, Section]:
-    """Angles to the directions of another file, by name where it has names, else in order."""
-    other = read_lights(path, frontal=False)
-    if all(file is None for file in other.files):
-        if len(other.names) != len(names):
-            raise UserError(f"{path}: expected {len(names)} lamps, one a photograph, found {len(other.names)}")
-        theirs = other.directions
-    else:
-        places = [other.index(name) for name in names]
-        if None in places:
-            raise UserError(f"{path}: no lamp for the photograph {names[places.index(None)]}")
-        theirs = other.directions[places]
-    cosines = np.clip((fit.directions * theirs).sum(axis=1), -1, 1)
-    angles = np.degrees(np.arccos(cosines))
-    left, _, right = np.linalg.svd(fit.directions.T @ theirs)
-    turn = (left * [1, 1, np.sign(np.linalg.det(left @ right))]) @ right
-    turned = np.degrees(np.arccos(np.clip(((fit.directions @ turn) * theirs).sum(axis=1), -1, 1)))
-    numbers = {
-        "file": path.name,
-        "mean_deg": finite(angles.mean()),
-        "max_deg": finite(angles.max()),
-        "mean_deg_after_common_turn": finite(turned.mean()),
-    }
-    rows = [(name, float(angle), float(rest)) for name, angle, rest in zip(names, angles, turned, strict=True)]
-    text = (
-        f"Against {path.name}: mean {angles.mean():.2f}°, largest {angles.max():.2f}°; {turned.mean():.2f}° after one "
-        "turn that all lamps share, as between two cameras' frames."
-    )
-    return numbers, Section("comparison", "Compared", [text, Table(("lamp", "angle °", "after turn °"), rows, "lrr")])

@@ -1,43 +1,247 @@
-"""Directions of lamps from the highlight on a mirror sphere."""
+"""Mirror spheres in photographs: the ray that each pixel of one reflects, and where a lamp's highlight lies.
+
+Frame of all vectors: x right, y up, z towards the camera. A perspective camera has its centre at the origin and looks
+along -z; an orthographic one looks along -z from everywhere.
+
+A sphere with centre C and radius R is seen by a perspective camera inside a cone about c = C / |C| with half angle
+alpha, sin(alpha) = R / |C|. A ray r (unit) of its outline fulfils r . c = cos(alpha), or r . m = 1 with
+m = c / cos(alpha): the three parameters of the outline, an ellipse. An orthographic camera sees a circle; its
+parameters are column, row and radius. At a point P of the sphere with normal n and direction v to the camera the
+mirror shows the lamp in direction d = 2 (n . v) n - v.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-HIGHLIGHT = 0.9  # of the brightest blurred value: the lamp's own image and not what else the sphere reflects
+INSIDE = 0.97  # of the radius: highlights beyond are cut off by the outline
+LEVELS = (0.5, 0.75)  # of a highlight's peak, above which it counts; the distance of both centroids is its asymmetry
+STRICT_LEVELS = (0.9, 0.95)  # the same where the photograph also shows what else the sphere reflects
+LEAST_SIGMA_PX = 0.05  # of a centroid: pixels are samples
 
 
-def direction_from_sphere(image: np.ndarray, centre: tuple[float, float], radius: float) -> np.ndarray:
-    """Unit direction (3,) float64 to the lamp whose image is the brightest spot on a mirror sphere.
+@dataclass(frozen=True)
+class SphereCamera:
+    """The camera that sees the spheres.
 
-    image (rows, columns) of any scale; centre (row, column) and radius of the sphere's outline in pixels, seen from
-    afar along z. The spot's centroid gives the normal n there and the mirror law the lamp: l = 2 (n . v) n - v with
-    v = (0, 0, 1). ValueError where no spot lies on the sphere.
+    Attributes
+    ----------
+    rows, columns : int
+        Size of the photographs.
+    focal_px : float or None
+        Focal length in pixels; None: orthographic (seen from afar).
+    centre : (float, float)
+        Principal point (column, row).
+    """
+
+    rows: int
+    columns: int
+    focal_px: float | None
+    centre: tuple[float, float]
+
+    @classmethod
+    def of(cls, rows: int, columns: int, focal_px: float | None = None, centre=None) -> SphereCamera:
+        """A camera whose principal point is the middle of the photograph, unless given."""
+        return cls(rows, columns, focal_px, centre or ((columns - 1) / 2, (rows - 1) / 2))
+
+    def rays(self, pixels: np.ndarray) -> np.ndarray:
+        """Unit directions (n, 3) away from a perspective camera through pixels (n, 2), column first."""
+        x, y = (pixels - self.centre).T
+        rays = np.column_stack([x, -y, np.full(len(pixels), -self.focal_px)])
+        return rays / np.linalg.norm(rays, axis=1)[:, None]
+
+
+def outline_points(parameters: np.ndarray, camera: SphereCamera, count: int = 180) -> np.ndarray:
+    """Points (count, 2) of an outline in pixels (column, row)."""
+    turn = np.linspace(0, 2 * np.pi, count, endpoint=False)
+    if camera.focal_px is None:
+        column, row, radius = parameters
+        return np.column_stack([column + radius * np.cos(turn), row + radius * np.sin(turn)])
+    length = np.linalg.norm(parameters)
+    axis = parameters / length
+    cosine, sine = 1 / length, np.sqrt(max(0.0, 1 - 1 / length**2))
+    across = np.linalg.svd(axis[None])[2][1:]
+    rays = cosine * axis + sine * (np.cos(turn)[:, None] * across[0] + np.sin(turn)[:, None] * across[1])
+    return np.column_stack(
+        [
+            camera.centre[0] - camera.focal_px * rays[:, 0] / rays[:, 2],
+            camera.centre[1] + camera.focal_px * rays[:, 1] / rays[:, 2],
+        ]
+    )
+
+
+def circle_of(parameters: np.ndarray, camera: SphereCamera) -> tuple[float, float, float]:
+    """Column, row and radius in pixels of the circle nearest to an outline."""
+    if camera.focal_px is None:
+        return tuple(float(v) for v in parameters)
+    edge = outline_points(parameters, camera)
+    middle = (edge.min(axis=0) + edge.max(axis=0)) / 2
+    return float(middle[0]), float(middle[1]), float(np.linalg.norm(edge - middle, axis=1).mean())
+
+
+def sphere_of(parameters: np.ndarray, camera: SphereCamera, radius: float) -> tuple[np.ndarray, float]:
+    """Centre (3,) and radius of the sphere with this outline, in the unit of the radius.
+
+    For an orthographic camera the unit of a pixel is radius / radius in pixels, x and y count from the principal
+    point, and z from the plane on which the sphere lies: its centre has z = radius.
+    """
+    if camera.focal_px is None:
+        pitch = radius / parameters[2]
+        x, y = (parameters[0] - camera.centre[0]) * pitch, -(parameters[1] - camera.centre[1]) * pitch
+        return np.array([x, y, radius]), radius
+    length = np.linalg.norm(parameters)
+    return parameters / length * (radius / np.sqrt(1 - 1 / length**2)), radius
+
+
+def reflected_rays(
+    pixels: np.ndarray, parameters: np.ndarray, camera: SphereCamera, radius: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points (n, 3) of the sphere that pixels (n, 2) show, and directions (n, 3) in which it shows its surroundings.
+
+    NaN where a pixel does not show the sphere.
+    """
+    centre, radius = sphere_of(parameters, camera, radius)
+    with np.errstate(invalid="ignore"):
+        if camera.focal_px is None:
+            pitch = radius / parameters[2]
+            x, y = (pixels[:, 0] - parameters[0]) * pitch, -(pixels[:, 1] - parameters[1]) * pitch
+            points = centre + np.column_stack([x, y, np.sqrt(radius**2 - x * x - y * y)])
+            back = np.broadcast_to([0.0, 0.0, 1.0], points.shape)
+        else:
+            rays = camera.rays(pixels)
+            along = rays @ centre
+            # The nearer of the two cuts; the distance of the ray from the centre, squared, without cancellation.
+            off = ((centre - along[:, None] * rays) ** 2).sum(axis=1)
+            points = (along - np.sqrt(radius**2 - off))[:, None] * rays
+            back = -rays
+    normals = (points - centre) / radius
+    return points, 2 * (normals * back).sum(axis=1)[:, None] * normals - back
+
+
+def pixel_of_direction(
+    direction: np.ndarray, parameters: np.ndarray, camera: SphereCamera, radius: float
+) -> np.ndarray:
+    """Pixel (2,) (column, row) at which the sphere shows its surroundings in a direction (3,).
+
+    The normal halves the angle between the directions to lamp and camera; for a perspective camera the latter depends
+    on the point, which few repetitions settle.
+    """
+    centre, radius = sphere_of(parameters, camera, radius)
+    back = np.array([0.0, 0.0, 1.0]) if camera.focal_px is None else -centre / np.linalg.norm(centre)
+    for _ in range(1 if camera.focal_px is None else 30):
+        normal = direction + back
+        point = centre + radius * normal / np.linalg.norm(normal)
+        if camera.focal_px is not None:
+            back = -point / np.linalg.norm(point)
+    if camera.focal_px is None:
+        pitch = radius / parameters[2]
+        return np.array([camera.centre[0] + point[0] / pitch, camera.centre[1] - point[1] / pitch])
+    return np.array(camera.centre) + camera.focal_px * np.array([-point[0], point[1]]) / point[2]
+
+
+@dataclass(frozen=True)
+class Highlight:
+    """The image of a lamp on a sphere.
+
+    Attributes
+    ----------
+    pixel : (2,)
+        Column and row at which the sphere shows the lamp's middle.
+    sigma_px : float
+        Standard deviation of that place.
+    area_px : float
+        Pixels above half the peak.
+    peak : float
+        Largest value above what the sphere shows without the lamp.
+    second : float
+        Light of the next largest highlight relative to this one.
+    cut : bool
+        Whether it reaches the sphere's outline or the edge of the photograph.
+    """
+
+    pixel: np.ndarray
+    sigma_px: float
+    area_px: float
+    peak: float
+    second: float
+    cut: bool
+
+
+def find_highlight(
+    picture: np.ndarray, noise: float, outline: np.ndarray, camera: SphereCamera, corner=(0, 0), *, levels=LEVELS
+) -> Highlight | None:
+    """The highlight of a lamp on a sphere; None where there is none.
+
+    picture (rows, columns) float32: crop of a photograph less what the sphere shows without the lamp; noise: its
+    standard deviation; outline: the sphere's parameters; corner: column and row of the crop's corner; levels: see
+    `LEVELS`. A mirror sphere shows equal solid angles on (nearly) equal areas, so the mean of the directions that its
+    pixels show, weighted by their light, is the middle of an extended lamp, saturated or not; the mean of the pixels
+    themselves is not.
     """
     import cv2
 
-    # Only the sphere's own square is looked at.
+    corner = np.asarray(corner, float)
+    column, row, radius = circle_of(outline, camera)
+    rows, columns = np.indices(picture.shape)
+    from_middle = np.hypot(columns + corner[0] - column, rows + corner[1] - row)
+    within = from_middle < radius - 0.5
+    smooth = cv2.GaussianBlur(picture, (0, 0), max(0.7, 0.004 * radius))
+    smooth = np.where(within, smooth, 0.0)
+    peak = float(smooth.max())
+    if not peak > 6 * noise:
+        return None
+    count, labels = cv2.connectedComponents((smooth > levels[0] * peak).astype(np.uint8), connectivity=8)
+    light = np.bincount(labels.ravel(), weights=smooth.ravel(), minlength=count)
+    light[0] = 0
+    first = int(np.argmax(light))
+    chosen = labels == first
+    second = float(np.sort(light)[-2] / light[first]) if count > 2 else 0.0
+    places = []
+    for level in levels:
+        weight = np.where(chosen, np.maximum(smooth - level * peak, 0.0), 0.0)
+        used = weight > 0
+        pixels = np.column_stack([columns[used], rows[used]]) + corner
+        _, directions = reflected_rays(pixels, outline, camera, 1.0)
+        good = np.isfinite(directions).all(axis=1)
+        if not good.any():
+            return None
+        mean = weight[used][good] @ directions[good]
+        places.append(pixel_of_direction(mean / np.linalg.norm(mean), outline, camera, 1.0))
+    area = float(chosen.sum())
+    asymmetry = float(np.linalg.norm(places[0] - places[1])) / 2
+    # Of a centroid of `area` pixels with equal noise: sigma^2 = noise^2 sum((p - mean)^2) / sum(weight)^2.
+    random = noise / peak * np.sqrt(area / 6)
+    border = (rows == 0) & (corner[1] <= 0) | (columns == 0) & (corner[0] <= 0)
+    border |= (rows + corner[1] >= camera.rows - 1) | (columns + corner[0] >= camera.columns - 1)
+    cut = bool((chosen & ((from_middle > INSIDE * radius) | border)).any())
+    sigma = float(np.sqrt(LEAST_SIGMA_PX**2 + asymmetry**2 + random**2))
+    return Highlight(places[0], sigma, area, peak, second, cut)
+
+
+def direction_from_sphere(image: np.ndarray, centre: tuple[float, float], radius: float) -> np.ndarray:
+    """Unit direction (3,) float64 to the lamp that a mirror sphere shows in a single photograph.
+
+    image (rows, columns) of any scale; centre (row, column) and radius of the sphere's outline in pixels, seen from
+    afar along z. ValueError where no highlight lies on the sphere.
+    """
     top, left = (max(0, int(c - radius)) for c in centre)
     bottom, right = (int(c + radius) + 2 for c in centre)
-    part = np.ascontiguousarray(image[top:bottom, left:right], dtype=np.float32)
+    part = np.asarray(image[top:bottom, left:right], dtype=np.float32)
+    camera = SphereCamera.of(*image.shape)
+    outline = np.array([centre[1], centre[0], radius])
     rows, columns = np.ogrid[top : top + part.shape[0], left : left + part.shape[1]]
-    inside = np.hypot(rows - centre[0], columns - centre[1]) < 0.98 * radius
+    inside = np.hypot(rows - centre[0], columns - centre[1]) < radius
     if not inside.any():
         raise ValueError("the sphere lies outside the picture")
-    smooth = cv2.GaussianBlur(part, (0, 0), max(0.5, 0.01 * radius))
-    smooth = np.where(inside, smooth, -np.inf)
-    peak = np.unravel_index(int(np.argmax(smooth)), smooth.shape)
-    floor = float(np.median(smooth[inside]))
-    if not smooth[peak] > floor:
+    rest = part - np.median(part[inside])
+    highlight = find_highlight(
+        rest, float(np.median(np.abs(rest[inside]))), outline, camera, (left, top), levels=STRICT_LEVELS
+    )
+    if highlight is None:
         raise ValueError("no highlight on the sphere")
-    bright = (smooth >= floor + HIGHLIGHT * (smooth[peak] - floor)).astype(np.uint8)
-    _, labels = cv2.connectedComponents(bright)
-    weight = np.where(labels == labels[peak], smooth - floor, 0.0)
-    row, column = float((rows * weight).sum() / weight.sum()), float((columns * weight).sum() / weight.sum())
-    x, y = (column - centre[1]) / radius, -(row - centre[0]) / radius
-    z = np.sqrt(max(0.0, 1.0 - x * x - y * y))
-    normal = np.array([x, y, z])
-    return 2.0 * z * normal - np.array([0.0, 0.0, 1.0])
+    return reflected_rays(highlight.pixel[None], outline, camera, 1.0)[1][0]
 
 
 def mean_direction(directions: np.ndarray) -> tuple[np.ndarray, float]:

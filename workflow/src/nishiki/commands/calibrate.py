@@ -19,7 +19,8 @@ def target(options: argparse.Namespace, rest: list[str]) -> None:
 def spheres(options: argparse.Namespace, rest: list[str]) -> None:
     """Measure the lamps of a dome from photographs of mirror spheres."""
     from nishiki.calibrate.photographs import list_photographs
-    from nishiki.calibrate.spheres import SphereInput, calibrate_spheres
+    from nishiki.calibrate.spheres import SphereInput
+    from nishiki.calibrate.spheres_result import calibrate_spheres
 
     result = calibrate_spheres(
         SphereInput(

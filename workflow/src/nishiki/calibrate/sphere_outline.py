@@ -1,14 +1,4 @@
-"""Mirror spheres in photographs: where their outline lies, where a lamp's highlight lies, and the ray that it reflects.
-
-Frame of all vectors: x right, y up, z towards the camera. A perspective camera has its centre at the origin and looks
-along -z; an orthographic one looks along -z from everywhere.
-
-A sphere with centre C and radius R is seen by a perspective camera inside a cone about c = C / |C| with half angle
-alpha, sin(alpha) = R / |C|. A ray r (unit) of its outline fulfils r . c = cos(alpha), or r . m = 1 with
-m = c / cos(alpha): the ellipse of the outline has these three unknowns, and they follow from linear least squares. An
-orthographic camera sees a circle. At a point P of the sphere with normal n and direction v to the camera the mirror
-shows the lamp in direction d = 2 (n . v) n - v.
-"""
+"""Outlines of mirror spheres, from the edges that photographs under different lamps share."""
 
 from __future__ import annotations
 
@@ -16,49 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from nishiki.capture.mirror_sphere import SphereCamera, circle_of, outline_points
+
 ANGLES = 360  # directions from the seed's centre in which an edge is looked for
 SECTORS = 12  # of the outline, left out one after the other for its uncertainty
 LEAST_SUPPORT = 0.3  # share of the outline on which an edge must have been found
 TRIALS = 600  # circles through three edge points that are tried
 RIVAL = 0.7  # of the best support: circles with as much are compared by their radius
 OUTERMOST = 0.04  # relative difference of radii that are taken to be of one circle
-INSIDE = 0.97  # of the radius: highlights beyond are cut off by the outline
-HALF_LEVEL = 0.5  # of a highlight's peak: the part of it that counts
-STEEP_LEVEL = 0.75  # the same for the second centroid; the distance of both measures the asymmetry
-DOUBLED = 0.35  # light of the second highlight relative to the first, from which it is doubtful which is the lamp
-FAINT = 0.15  # of the median peak: below there is no highlight
-LEAST_SIGMA_PX = 0.05  # of a centroid: pixels are samples
-
-
-@dataclass(frozen=True)
-class SphereCamera:
-    """The camera that sees the spheres.
-
-    Attributes
-    ----------
-    rows, columns : int
-        Size of the photographs.
-    focal_px : float or None
-        Focal length in pixels; None: orthographic (seen from afar).
-    centre : (float, float)
-        Principal point (column, row).
-    """
-
-    rows: int
-    columns: int
-    focal_px: float | None
-    centre: tuple[float, float]
-
-    @classmethod
-    def of(cls, rows: int, columns: int, focal_px: float | None = None, centre=None) -> SphereCamera:
-        """A camera whose principal point is the middle of the photograph, unless given."""
-        return cls(rows, columns, focal_px, centre or ((columns - 1) / 2, (rows - 1) / 2))
-
-    def rays(self, pixels: np.ndarray) -> np.ndarray:
-        """Unit directions (n, 3) away from a perspective camera through pixels (n, 2), column first."""
-        x, y = (pixels - self.centre).T
-        rays = np.column_stack([x, -y, np.full(len(pixels), -self.focal_px)])
-        return rays / np.linalg.norm(rays, axis=1)[:, None]
+REFLECTION_PX = 0.1  # how far what the rim reflects shifts the whole edge, which no part of the edge tells
 
 
 @dataclass(frozen=True)
@@ -70,7 +26,8 @@ class Outline:
     parameters : (3,)
         m for a perspective camera, (column, row, radius) in pixels for an orthographic one.
     covariance : (3, 3)
-        Of the parameters, by the jackknife over sectors of the outline.
+        Of the parameters: the jackknife over sectors of the outline, and a shift and growth of all of it by
+        `REFLECTION_PX`.
     rms_px : float
         Root mean square distance of the edge points used.
     support : float
@@ -87,90 +44,7 @@ class Outline:
 
     def circle(self, camera: SphereCamera) -> tuple[float, float, float]:
         """Column, row and radius in pixels of the circle nearest to the outline."""
-        if camera.focal_px is None:
-            return tuple(float(v) for v in self.parameters)
-        edge = outline_points(self.parameters, camera)
-        middle = (edge.min(axis=0) + edge.max(axis=0)) / 2
-        return float(middle[0]), float(middle[1]), float(np.linalg.norm(edge - middle, axis=1).mean())
-
-
-def outline_points(parameters: np.ndarray, camera: SphereCamera, count: int = 180) -> np.ndarray:
-    """Points (count, 2) of an outline in pixels (column, row)."""
-    turn = np.linspace(0, 2 * np.pi, count, endpoint=False)
-    if camera.focal_px is None:
-        column, row, radius = parameters
-        return np.column_stack([column + radius * np.cos(turn), row + radius * np.sin(turn)])
-    length = np.linalg.norm(parameters)
-    axis = parameters / length
-    cosine, sine = 1 / length, np.sqrt(max(0.0, 1 - 1 / length**2))
-    across = np.linalg.svd(axis[None])[2][1:]
-    rays = cosine * axis + sine * (np.cos(turn)[:, None] * across[0] + np.sin(turn)[:, None] * across[1])
-    return np.column_stack(
-        [
-            camera.centre[0] - camera.focal_px * rays[:, 0] / rays[:, 2],
-            camera.centre[1] + camera.focal_px * rays[:, 1] / rays[:, 2],
-        ]
-    )
-
-
-def sphere_of(parameters: np.ndarray, camera: SphereCamera, radius: float) -> tuple[np.ndarray, float]:
-    """Centre (3,) and radius of the sphere with this outline, in the unit of the radius.
-
-    For an orthographic camera the unit of a pixel is radius / radius in pixels, x and y count from the principal
-    point, and z from the plane on which the sphere lies: its centre has z = radius.
-    """
-    if camera.focal_px is None:
-        pitch = radius / parameters[2]
-        x, y = (parameters[0] - camera.centre[0]) * pitch, -(parameters[1] - camera.centre[1]) * pitch
-        return np.array([x, y, radius]), radius
-    length = np.linalg.norm(parameters)
-    return parameters / length * (radius / np.sqrt(1 - 1 / length**2)), radius
-
-
-def reflected_rays(
-    pixels: np.ndarray, parameters: np.ndarray, camera: SphereCamera, radius: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Points (n, 3) of the sphere that pixels (n, 2) show, and directions (n, 3) in which it shows its surroundings.
-
-    NaN where a pixel does not show the sphere.
-    """
-    centre, radius = sphere_of(parameters, camera, radius)
-    with np.errstate(invalid="ignore"):
-        if camera.focal_px is None:
-            pitch = radius / parameters[2]
-            x, y = (pixels[:, 0] - parameters[0]) * pitch, -(pixels[:, 1] - parameters[1]) * pitch
-            points = centre + np.column_stack([x, y, np.sqrt(radius**2 - x * x - y * y)])
-            back = np.broadcast_to([0.0, 0.0, 1.0], points.shape)
-        else:
-            rays = camera.rays(pixels)
-            along = rays @ centre
-            # The nearer of the two cuts; the distance of the ray from the centre, squared, without cancellation.
-            off = ((centre - along[:, None] * rays) ** 2).sum(axis=1)
-            points = (along - np.sqrt(radius**2 - off))[:, None] * rays
-            back = -rays
-    normals = (points - centre) / radius
-    return points, 2 * (normals * back).sum(axis=1)[:, None] * normals - back
-
-
-def pixel_of_direction(
-    direction: np.ndarray, parameters: np.ndarray, camera: SphereCamera, radius: float
-) -> np.ndarray:
-    """Pixel (2,) (column, row) at which the sphere shows its surroundings in a direction (3,).
-
-    The normal halves the angle between the directions to lamp and camera; for a perspective camera the latter depends
-    on the point, which few repetitions settle.
-    """
-    centre, radius = sphere_of(parameters, camera, radius)
-    back = np.array([0.0, 0.0, 1.0]) if camera.focal_px is None else -centre / np.linalg.norm(centre)
-    for _ in range(1 if camera.focal_px is None else 30):
-        normal = direction + back
-        point = centre + radius * normal / np.linalg.norm(normal)
-        if camera.focal_px is not None:
-            back = -point / np.linalg.norm(point)
-    if camera.focal_px is None:
-        pitch = radius / parameters[2]
-        return np.array([camera.centre[0] + point[0] / pitch, camera.centre[1] - point[1] / pitch])
-    return np.array(camera.centre) + camera.focal_px * np.array([-point[0], point[1]]) / point[2]
+        return circle_of(self.parameters, camera)
 
 
 def edge_strength(
@@ -255,7 +129,7 @@ def fit_outline(stack: np.ndarray, seed: tuple[float, float, float], camera: Sph
         middle = (edge.min(axis=0) + edge.max(axis=0)) / 2
         circle = (float(middle[0]), float(middle[1]), float(np.linalg.norm(edge - middle, axis=1).mean()))
     pixels, distance = pixels[keep], distance[keep]
-    covariance = _jackknife(pixels, circle, corner, camera)
+    covariance = _jackknife(pixels, circle, corner, camera) + _shifted(parameters, camera)
     return Outline(parameters, covariance, float(np.sqrt((distance**2).mean())), float(support), pixels)
 
 
@@ -344,93 +218,14 @@ def _jackknife(pixels, circle, corner, camera) -> np.ndarray:
     return (len(present) - 1) / len(present) * away.T @ away
 
 
-@dataclass(frozen=True)
-class Highlight:
-    """The image of a lamp on a sphere.
-
-    Attributes
-    ----------
-    pixel : (2,)
-        Column and row at which the sphere shows the lamp's middle.
-    sigma_px : float
-        Standard deviation of that place.
-    area_px : float
-        Pixels above half the peak.
-    peak : float
-        Largest value above what the sphere shows without the lamp.
-    second : float
-        Light of the next largest highlight relative to this one.
-    cut : bool
-        Whether it reaches the sphere's outline or the edge of the photograph.
-    """
-
-    pixel: np.ndarray
-    sigma_px: float
-    area_px: float
-    peak: float
-    second: float
-    cut: bool
-
-
-def find_highlight(
-    picture: np.ndarray, noise: float, outline: Outline, camera: SphereCamera, corner=(0, 0)
-) -> Highlight | None:
-    """The highlight of a lamp on a sphere; None where there is none.
-
-    picture (rows, columns) float32: crop of a photograph less what the sphere shows without the lamp; noise: its
-    standard deviation. A mirror sphere shows equal solid angles on (nearly) equal areas, so the mean of the directions
-    that its pixels show, weighted by their light, is the middle of an extended lamp, saturated or not; the mean of
-    the pixels themselves is not.
-    """
-    import cv2
-
-    corner = np.asarray(corner, float)
-    column, row, radius = outline.circle(camera)
-    rows, columns = np.indices(picture.shape)
-    from_middle = np.hypot(columns + corner[0] - column, rows + corner[1] - row)
-    within = from_middle < radius - 0.5
-    smooth = cv2.GaussianBlur(picture, (0, 0), max(0.7, 0.004 * radius))
-    smooth = np.where(within, smooth, 0.0)
-    peak = float(smooth.max())
-    if not peak > 6 * noise:
-        return None
-    count, labels = cv2.connectedComponents((smooth > HALF_LEVEL * peak).astype(np.uint8), connectivity=8)
-    light = np.bincount(labels.ravel(), weights=smooth.ravel(), minlength=count)
-    light[0] = 0
-    first = int(np.argmax(light))
-    chosen = labels == first
-    second = float(np.sort(light)[-2] / light[first]) if count > 2 else 0.0
-    places = []
-    for level in (HALF_LEVEL, STEEP_LEVEL):
-        weight = np.where(chosen, np.maximum(smooth - level * peak, 0.0), 0.0)
-        used = weight > 0
-        pixels = np.column_stack([columns[used], rows[used]]) + corner
-        _, directions = reflected_rays(pixels, outline.parameters, camera, 1.0)
-        good = np.isfinite(directions).all(axis=1)
-        if not good.any():
-            return None
-        mean = weight[used][good] @ directions[good]
-        places.append(pixel_of_direction(mean / np.linalg.norm(mean), outline.parameters, camera, 1.0))
-    area = float(chosen.sum())
-    asymmetry = float(np.linalg.norm(places[0] - places[1])) / 2
-    # Of a centroid of `area` pixels with equal noise: sigma^2 = noise^2 sum((p - mean)^2) / sum(weight)^2.
-    random = noise / peak * np.sqrt(area / 6)
-    border = (rows == 0) & (corner[1] <= 0) | (columns == 0) & (corner[0] <= 0)
-    border |= (rows + corner[1] >= camera.rows - 1) | (columns + corner[0] >= camera.columns - 1)
-    cut = bool((chosen & ((from_middle > INSIDE * radius) | border)).any())
-    sigma = float(np.sqrt(LEAST_SIGMA_PX**2 + asymmetry**2 + random**2))
-    return Highlight(places[0], sigma, area, peak, second, cut)
-
-
-def lamp_light(stack: np.ndarray) -> tuple[np.ndarray, float]:
-    """Crops less what they show without their own lamp, and the noise that remains.
-
-    From five photographs on, the median over the photographs is what the sphere shows of its surroundings; of fewer,
-    the median of each crop.
-    """
-    dark = np.median(stack, axis=0) if len(stack) >= 5 else np.median(stack, axis=(1, 2), keepdims=True)
-    rest = (stack - dark).astype(np.float32)
-    return rest, float(1.4826 * np.median(np.abs(rest - np.median(rest))))
+def _shifted(parameters: np.ndarray, camera: SphereCamera) -> np.ndarray:
+    """Covariance of the parameters of an outline whose column, row and radius are each uncertain by `REFLECTION_PX`."""
+    points = outline_points(parameters, camera)
+    column, row, radius = circle_of(parameters, camera)
+    outwards = (points - (column, row)) / radius
+    moves = np.array([1.0, 0.0]), np.array([0.0, 1.0]), outwards
+    changes = np.column_stack([_solve(points + REFLECTION_PX * move, camera) - parameters for move in moves])
+    return changes @ changes.T
 
 
 def find_circles(pictures: np.ndarray, count: int) -> list[tuple[float, float, float]]:

@@ -1,0 +1,228 @@
+"""From photographs of mirror spheres to the result of their calibration: files, numbers, and the page to judge by."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.calibrate.lamps import LampFit
+from nishiki.calibrate.result import Calibration, finite
+from nishiki.calibrate.spheres import MeasuredSpheres, SphereInput, measure_spheres
+from nishiki.capture.lights import read_lights
+from nishiki.capture.mirror_sphere import outline_points
+from nishiki.errors import UserError
+from nishiki.report.page import Figure, Figures, Section, Table
+from nishiki.report.pictures import encoded
+from nishiki.report.svg import lights_plot
+
+
+def calibrate_spheres(given: SphereInput) -> Calibration:
+    """Lamps of all photographs, with uncertainties, files and page. UserError where one cannot be measured."""
+    measured = measure_spheres(given)
+    names, camera, fit = measured.names, measured.camera, measured.fit
+    numbers = _numbers(measured, given)
+    sections = [_lamp_section(measured), _picture_section(measured)]
+    if given.compare is not None:
+        numbers["comparison"], section = _comparison(fit, names, given.compare)
+        sections.insert(1, section)
+    files = {"lamps.lp": lp_text([path.name for path in given.photographs], fit.directions)}
+    lines: dict = {"lights": {"file": "lamps.lp"}}
+    if measured.positioned:
+        files["lamps_mm.lp"] = lp_text([path.name for path in given.photographs], fit.positions)
+        lines = {"lights": {"file": "lamps_mm.lp", "kind": "position_mm"}, "pixel_pitch_mm": finite(fit.pitch)}
+    width_mm = fit.pitch * camera.columns if given.radius_mm else 0.0
+    files["lamps.dome"] = dome_text(names, fit.directions, fit.positions if measured.positioned else None, width_mm)
+    inputs = [*given.photographs, *given.board, *([given.mask] if given.mask else [])]
+    inputs += [given.compare] if given.compare else []
+    kind = "orthographic camera" if camera.focal_px is None else f"focal length {camera.focal_px:g} px"
+    spheres = len(measured.outlines)
+    subtitle = f"{len(names)} lamps from {spheres} mirror sphere{'s' if spheres > 1 else ''}, {kind}."
+    return Calibration("spheres", numbers, inputs, lines, sections, subtitle, files, measured.warnings)
+
+
+def lp_text(files: Sequence[str], vectors: np.ndarray) -> str:
+    """An .lp file: the number of lamps, then file name and vector of each."""
+    rows = [f"{_quoted(file)} {x:.9g} {y:.9g} {z:.9g}\n" for file, (x, y, z) in zip(files, vectors, strict=True)]
+    return f"{len(rows)}\n" + "".join(rows)
+
+
+def _quoted(file: str) -> str:
+    return f'"{file}"' if " " in file else file
+
+
+def dome_text(names: list[str], directions: np.ndarray, positions: np.ndarray | None, width_mm: float) -> str:
+    """Relight's description of a dome: lamps in order, lengths in millimetres.
+
+    Directions are from the middle of the picture; `names` are those of the photographs, which Relight does not read.
+    """
+
+    def listed(vectors: np.ndarray) -> list[dict[str, float]]:
+        return [{axis: float(f"{v:.9g}") for axis, v in zip("xyz", vector, strict=True)} for vector in vectors]
+
+    near = positions is not None
+    content = {
+        "label": "",
+        "notes": "measured by nishiki calibrate spheres; lengths in mm",
+        "imageWidth": float(f"{width_mm:.9g}"),
+        "domeDiameter": float(f"{2 * np.linalg.norm(positions, axis=1).mean():.6g}") if near else 0.0,
+        "verticalOffset": 0.0,
+        "lightConfiguration": "lights3d" if near else "directional",
+        "directions": listed(directions),
+        "positionsSphere": listed(positions) if near else [],
+        "positions3d": listed(positions) if near else [],
+        "ledAdjust": [],
+        "names": names,
+    }
+    return json.dumps(content, indent=1) + "\n"
+
+
+def _numbers(measured: MeasuredSpheres, given: SphereInput) -> dict:
+    fit, names, camera, outlines = measured.fit, measured.names, measured.camera, measured.outlines
+    found, positioned = measured.highlights, measured.positioned
+    lamps = []
+    for i, name in enumerate(names):
+        lamp = {
+            "lamp": name,
+            "direction": [finite(v, 9) for v in fit.directions[i]],
+            "direction_sigma_deg": finite(np.degrees(fit.direction_sigma[i])),
+            "highlights": [
+                None
+                if found[i, k] is None
+                else {
+                    "column": finite(found[i, k].pixel[0]),
+                    "row": finite(found[i, k].pixel[1]),
+                    "sigma_px": finite(found[i, k].sigma_px),
+                    "residual_px": finite(fit.residuals_px[i, k]) if (i, k) in fit.residuals_px else None,
+                }
+                for k in range(len(outlines))
+            ],
+        }
+        if positioned:
+            lamp["position_mm"] = [finite(v, 9) for v in fit.positions[i]]
+            lamp["position_sigma_mm"] = finite(fit.position_sigma[i])
+        lamps.append(lamp)
+    spheres = []
+    for each in outlines:
+        column, row, radius = each.circle(camera)
+        spheres.append(
+            {
+                "row": finite(row),
+                "column": finite(column),
+                "radius_px": finite(radius),
+                "outline_rms_px": finite(each.rms_px),
+                "outline_share": finite(each.support),
+            }
+        )
+    return {
+        "camera": {"kind": "orthographic" if camera.focal_px is None else "perspective", "focal_px": camera.focal_px},
+        "seen_from": "centre of the sphere"
+        if len(outlines) == 1 and not given.board
+        else "middle of the object's plane",
+        "spheres": spheres,
+        "radius_mm": given.radius_mm,
+        "pixel_pitch_mm": finite(fit.pitch) if given.radius_mm else None,
+        "lamps": lamps,
+        "positions_written": positioned,
+        "chi_square": finite(fit.chi_square) if np.isfinite(fit.chi_square) else None,
+        "falloff_rms": finite(fit.falloff_rms) if np.isfinite(fit.falloff_rms) else None,
+    }
+
+
+def _lamp_section(measured: MeasuredSpheres) -> Section:
+    fit, names, positioned = measured.fit, measured.names, measured.positioned
+    rows = []
+    for i, name in enumerate(names):
+        u = fit.directions[i]
+        rows.append(
+            (
+                name,
+                float(np.degrees(np.arctan2(u[1], u[0]))),
+                float(np.degrees(np.arccos(np.clip(u[2], -1, 1)))),
+                float(np.degrees(fit.direction_sigma[i])),
+                float(1 / fit.inverse_distance[i]) if positioned else None,
+                float(fit.position_sigma[i]) if positioned else None,
+                max(px for (lamp, _), px in fit.residuals_px.items() if lamp == i),
+                sum(1 for lamp, _ in fit.residuals_px if lamp == i),
+            )
+        )
+    head = ("lamp", "azimuth °", "polar °", "± °", "distance mm", "± mm", "residual px", "spheres used")
+    plot = lights_plot(np.asarray(fit.directions), list(names), ["sample"] * len(names))
+    caption = "From above: the middle is towards the camera, the rim the object's plane."
+    return Section(
+        "lamps", "Lamps", [Figures([Figure("Directions", caption, svg=plot)], 2), Table(head, rows, "lrrrrrrr")]
+    )
+
+
+def _picture_section(measured: MeasuredSpheres) -> Section:
+    """The photographs' mean with the outlines, and every sphere with all highlights at once."""
+    import cv2
+
+    mean, camera, outlines, found = measured.mean, measured.camera, measured.outlines, measured.highlights
+
+    figures = []
+    for k, (outline, (brightest, corner)) in enumerate(zip(outlines, measured.crops, strict=True)):
+        zoom = max(1, int(np.ceil(480 / max(brightest.shape))))
+        codes = _display(brightest)
+        codes = cv2.resize(codes, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_NEAREST)
+
+        def place(points: np.ndarray, corner=corner, zoom=zoom) -> np.ndarray:
+            return np.round(((np.atleast_2d(points) - corner + 0.5) * zoom - 0.5) * 16).astype(np.int32)
+
+        curve = place(outline_points(outline.parameters, camera))
+        cv2.polylines(codes, [curve.reshape(-1, 1, 2)], True, (90, 220, 90), 1, cv2.LINE_AA, 4)
+        for i in range(len(measured.names)):
+            if found[i, k] is not None:
+                column, row = place(found[i, k].pixel)[0]
+                cv2.drawMarker(codes, (int(column / 16), int(row / 16)), (255, 90, 40), cv2.MARKER_CROSS, 9, 1)
+        caption = (
+            f"Brightest of all photographs. Green: the outline fitted, {outline.rms_px:.2g} px root mean square, along "
+            f"{100 * outline.support:.0f} % of it. Red: where each lamp's highlight was measured."
+        )
+        figures.append(Figure(f"Sphere {k + 1}", caption, encoded(codes)))
+    scale = 900 / max(mean.shape)
+    small = cv2.resize(_display(mean), None, fx=min(1, scale), fy=min(1, scale), interpolation=cv2.INTER_AREA)
+    for outline in outlines:
+        curve = np.round((outline_points(outline.parameters, camera) + 0.5) * min(1, scale) - 0.5).astype(np.int32)
+        cv2.polylines(small, [curve.reshape(-1, 1, 2)], True, (90, 220, 90), 1, cv2.LINE_AA)
+    figures.append(Figure("All spheres", "Mean of all photographs, with the outlines.", encoded(small)))
+    return Section("spheres", "Spheres", [Figures(figures, 2)])
+
+
+def _display(grey: np.ndarray) -> np.ndarray:
+    """Grey codes (rows, columns, 3) uint8 for a page, brightened by a square root."""
+    top = float(np.percentile(grey, 99.8)) or 1.0
+    return np.repeat((255 * np.sqrt(np.clip(grey / top, 0, 1))).astype(np.uint8)[..., None], 3, axis=2)
+
+
+def _comparison(fit: LampFit, names: list[str], path: Path) -> tuple[dict, Section]:
+    """Angles to the directions of another file, by name where it has names, else in order."""
+    other = read_lights(path, frontal=False)
+    if all(file is None for file in other.files):
+        if len(other.names) != len(names):
+            raise UserError(f"{path}: expected {len(names)} lamps, one a photograph, found {len(other.names)}")
+        theirs = other.directions
+    else:
+        places = [other.index(name) for name in names]
+        if None in places:
+            raise UserError(f"{path}: no lamp for the photograph {names[places.index(None)]}")
+        theirs = other.directions[places]
+    cosines = np.clip((fit.directions * theirs).sum(axis=1), -1, 1)
+    angles = np.degrees(np.arccos(cosines))
+    left, _, right = np.linalg.svd(fit.directions.T @ theirs)
+    turn = (left * [1, 1, np.sign(np.linalg.det(left @ right))]) @ right
+    turned = np.degrees(np.arccos(np.clip(((fit.directions @ turn) * theirs).sum(axis=1), -1, 1)))
+    numbers = {
+        "file": path.name,
+        "mean_deg": finite(angles.mean()),
+        "max_deg": finite(angles.max()),
+        "mean_deg_after_common_turn": finite(turned.mean()),
+    }
+    rows = [(name, float(angle), float(rest)) for name, angle, rest in zip(names, angles, turned, strict=True)]
+    text = (
+        f"Against {path.name}: mean {angles.mean():.2f}°, largest {angles.max():.2f}°; {turned.mean():.2f}° after one "
+        "turn that all lamps share, as between two cameras' frames."
+    )
+    return numbers, Section("comparison", "Compared", [text, Table(("lamp", "angle °", "after turn °"), rows, "lrr")])
