@@ -119,7 +119,7 @@ def recognise(source: Path, *, lights_file: Path | None = None, mask: Path | Non
         return _with_spheres(source, probes, mask)
     expected = (
         "a .lp file, Relight's .relight or info.json, light_directions.txt, folders of mirror spheres with "
-        "circle_data.txt; for a turntable a .mat file with matrices P or a list of cameras; or "
+        "circle_data.txt; for a turntable a .mat file with matrices P, a list of cameras or those of COLMAP; or "
         "photographs named GENERATOR_ANALYSER"
     )
     remedy = "Give the lights file, or write capture.yaml and frames.csv by hand"

@@ -11,12 +11,14 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.capture.cameras import camera_centre, camera_problems
-from nishiki.capture.layouts import natural_key, photographs_in
+from nishiki.capture.colmap import colmap_folder, read_colmap
+from nishiki.capture.layouts import natural_key, photographs_in, source_problems
 from nishiki.capture.polariser import parse_state
 from nishiki.capture.seal import sha256_of
 from nishiki.formats.bounds import bound
 from nishiki.formats.files import Refused, read_text
 from nishiki.formats.image_header import IMAGE_SUFFIXES
+from nishiki.formats.image_headers import read_header
 from nishiki.formats.matlab import read_matlab
 from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, warning
 from nishiki.formats.text_tables import expect_rows, reading, refusal
@@ -45,9 +47,13 @@ def recognise_round(source: Path) -> RoundLayout | None:
     """The turntable or polarisation series in a folder, known by the files inside; None where it is neither.
 
     A turntable: numbered photographs with a MATLAB file that holds a cell array P of 3x4 projection matrices, or with a
-    list of cameras as the Middlebury multi-view sets have it (`*_par.txt`). A polarisation series: photographs named
-    G_A, the angles of generator and analyser in degrees. Raises CaptureError where one is recognised but not whole.
+    list of cameras as the Middlebury multi-view sets have it (`*_par.txt`), or with cameras of COLMAP. A polarisation
+    series: photographs named G_A, the angles of generator and analyser in degrees. Raises CaptureError where one is
+    recognised but not whole.
     """
+    reconstruction = colmap_folder(source)
+    if reconstruction is not None:
+        return _colmap(source, reconstruction)
     photographs = photographs_in(source)
     lists = [path for path in sorted(source.glob("*.txt")) if _is_camera_list(path)]
     if lists:
@@ -186,6 +192,31 @@ def _middlebury(source: Path, path: Path) -> RoundLayout:
         what, found = "pictures that the cameras do not name were left out", ", ".join(extra[:5])
         notes.append(warning("photograph-unlisted", str(source), what, found=found))
     return _turntable("turntable with a list of cameras", photographs, np.array(matrices), path.name, None, notes)
+
+
+def _colmap(source: Path, reconstruction: Path) -> RoundLayout:
+    """Photographs that COLMAP registered, in the folder itself or in `images`, as `image_undistorter` leaves them."""
+    views = read_colmap(reconstruction)
+    folder = source / "images" if (source / "images").is_dir() else source
+    problems, photographs = [], [folder / view.name for view in views]
+    for view, path in zip(views, photographs, strict=True):
+        if not path.is_file():
+            problems.append(error("photograph-missing", reconstruction.name, f"no photograph '{view.name}'"))
+            continue
+        problems += source_problems(path, folder)
+        header = read_header(path)
+        if (header.rows, header.columns) != (view.rows, view.columns):
+            expected, found = f"{view.columns} x {view.rows}", f"{header.columns} x {header.rows}"
+            what, remedy = "not the size that its camera has", "Give the photographs that COLMAP was given"
+            problems.append(error("camera-values", view.name, what, expected=expected, found=found, remedy=remedy))
+    raise_errors(problems)
+    notes = []
+    extra = [p.name for p in photographs_in(folder) if p not in photographs]
+    if extra:
+        what, found = "pictures that COLMAP did not register were left out", ", ".join(extra[:5])
+        notes.append(warning("photograph-unlisted", str(folder), what, found=found))
+    matrices = np.array([view.matrix for view in views])
+    return _turntable("turntable with cameras of COLMAP", photographs, matrices, reconstruction.name, None, notes)
 
 
 def _turntable(

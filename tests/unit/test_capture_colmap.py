@@ -1,0 +1,116 @@
+"""Cameras of COLMAP, text and binary, become a turntable's: files written here after COLMAP's description of them."""
+
+import struct
+
+import cv2
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from nishiki.capture.colmap import read_colmap
+from nishiki.capture.convert import convert
+from nishiki.capture.folder import load_capture
+from nishiki.formats.problems import CaptureError
+
+ROWS, COLUMNS = 24, 32
+PINHOLE = (1, "PINHOLE", [40.0, 41.0, 16.5, 11.0])
+
+
+def around(count=8):
+    """Names, rotations and translations of cameras once round the object, looking at it."""
+    for i, turn in enumerate(2 * np.pi * np.arange(count) / count):
+        rotation = Rotation.from_euler("zx", [np.degrees(turn), 100], degrees=True)
+        yield f"view{i}.png", rotation, np.array([0.1, -0.2, 5.0])
+
+
+def write_model(folder, kind, *, camera=PINHOLE, views=None):
+    folder.mkdir(parents=True, exist_ok=True)
+    number, model, parameters = camera
+    views = list(around()) if views is None else views
+    quaternions = [rotation.as_quat()[[3, 0, 1, 2]] for _, rotation, _ in views]
+    if kind == "text":
+        numbers = " ".join(map(repr, parameters))
+        (folder / "cameras.txt").write_text(f"# comment\n7 {model} {COLUMNS} {ROWS} {numbers}\n")
+        lines = ["# comment"]
+        for i, ((name, _, translation), q) in enumerate(zip(views, quaternions, strict=True)):
+            pose = " ".join(repr(float(v)) for v in (*q, *translation))
+            lines += [f"{i + 1} {pose} 7 {name}", "1.5 2.5 -1" if i % 2 else ""]
+        (folder / "images.txt").write_text("\n".join(lines) + "\n")
+        return
+    head = struct.pack("<QiiQQ", 1, 7, number, COLUMNS, ROWS)
+    (folder / "cameras.bin").write_bytes(head + struct.pack(f"<{len(parameters)}d", *parameters))
+    content = struct.pack("<Q", len(views))
+    for i, ((name, _, translation), q) in enumerate(zip(views, quaternions, strict=True)):
+        content += struct.pack("<i7di", i + 1, *q, *translation, 7) + name.encode() + b"\0"
+        content += struct.pack("<Q", i) + struct.pack("<ddq", 1.5, 2.5, -1) * i
+    (folder / "images.bin").write_bytes(content)
+
+
+def photographs(folder, names):
+    folder.mkdir(parents=True, exist_ok=True)
+    for i, name in enumerate(names):
+        cv2.imwrite(str(folder / name), np.full((ROWS, COLUMNS, 3), 20 * i + 5, np.uint8))
+
+
+@pytest.mark.parametrize("kind", ["text", "binary"])
+@pytest.mark.parametrize("place", [".", "sparse", "sparse/0"])
+def test_a_reconstruction_becomes_a_turntable(tmp_path, kind, place):
+    source = tmp_path / "object"
+    photographs(source if place == "." else source / "images", [name for name, _, _ in around()] + ["other.png"])
+    write_model(source / place, kind)
+    conversion = convert(source, tmp_path / "capture")
+    assert conversion.layout == "turntable with cameras of COLMAP"
+    assert any("other.png" in str(note) for note in conversion.warnings)
+    capture = load_capture(tmp_path / "capture")
+    assert capture.settings.turntable.full_turn
+    point = np.array([0.3, -0.2, 0.4])
+    for name, rotation, translation in around():
+        seen = rotation.apply(point) + translation
+        x, y, w = capture.matrices[name.removesuffix(".png")] @ [*point, 1]
+        # COLMAP's pixels count from the corner of the first one, a capture's from its centre
+        np.testing.assert_allclose(
+            [x / w + 0.5, y / w + 0.5],
+            [40 * seen[0] / seen[2] + 16.5, 41 * seen[1] / seen[2] + 11.0],
+            atol=1e-9,
+        )
+
+
+def test_a_distortion_is_refused_unless_it_is_zero(tmp_path):
+    write_model(tmp_path, "text", camera=(2, "SIMPLE_RADIAL", [40.0, 16.0, 12.0, 0.01]))
+    with pytest.raises(CaptureError, match="image_undistorter"):
+        read_colmap(tmp_path)
+    write_model(tmp_path, "text", camera=(2, "SIMPLE_RADIAL", [40.0, 16.0, 12.0, 0.0]))
+    assert len(read_colmap(tmp_path)) == 8
+
+
+def test_photographs_that_are_missing_or_of_another_size_are_named(tmp_path):
+    names = [name for name, _, _ in around()]
+    photographs(tmp_path / "s", names[1:])
+    write_model(tmp_path / "s", "binary")
+    with pytest.raises(CaptureError, match=r"view0\.png"):
+        convert(tmp_path / "s", tmp_path / "capture")
+    cv2.imwrite(str(tmp_path / "s" / names[0]), np.zeros((ROWS + 1, COLUMNS, 3), np.uint8))
+    with pytest.raises(CaptureError, match="32 x 24"):
+        convert(tmp_path / "s", tmp_path / "capture")
+
+
+@pytest.mark.parametrize("kind", ["text", "binary"])
+def test_files_that_end_anywhere_are_read_or_refused(tmp_path, kind):
+    write_model(tmp_path, kind)
+    suffix = ".txt" if kind == "text" else ".bin"
+    for file in (f"cameras{suffix}", f"images{suffix}"):
+        content = (tmp_path / file).read_bytes()
+        refused = 0
+        for length in range(len(content)):
+            (tmp_path / file).write_bytes(content[:length])
+            try:
+                read_colmap(tmp_path)
+            except CaptureError:
+                refused += 1
+        (tmp_path / file).write_bytes(content)
+        assert refused > (len(content) * 0.9 if kind == "binary" else 5)
+    (tmp_path / "images.txt").unlink(missing_ok=True)
+    (tmp_path / "images.bin").write_bytes(struct.pack("<Q", 2**60))
+    (tmp_path / "cameras.bin").write_bytes(struct.pack("<Q", 0))
+    with pytest.raises(CaptureError, match="more than the"):
+        read_colmap(tmp_path)

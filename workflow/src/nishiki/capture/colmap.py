@@ -1,0 +1,177 @@
+"""Cameras of a COLMAP reconstruction: `cameras` and `images`, as text (.txt) or binary (.bin)."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.formats.bounds import bound
+from nishiki.formats.files import read_bytes
+from nishiki.formats.problems import CaptureError, error
+from nishiki.formats.text_tables import expect_rows, reading
+
+PLACES = (".", "sparse", "sparse/0")
+KINDS = (".txt", ".bin")
+# Name, number of parameters, and how many of these come before the distortion, by COLMAP's number of the model.
+MODELS = (
+    ("SIMPLE_PINHOLE", 3, 3),
+    ("PINHOLE", 4, 4),
+    ("SIMPLE_RADIAL", 4, 3),
+    ("RADIAL", 5, 3),
+    ("OPENCV", 8, 4),
+    ("OPENCV_FISHEYE", 8, 4),
+    ("FULL_OPENCV", 12, 4),
+    ("FOV", 5, 4),
+    ("SIMPLE_RADIAL_FISHEYE", 4, 3),
+    ("RADIAL_FISHEYE", 5, 3),
+    ("THIN_PRISM_FISHEYE", 12, 4),
+)
+FISHEYE = ("FISHEYE", "FOV")
+CORNER = 0.5  # COLMAP's pixels count from the corner of the top left one, ours from its centre
+
+
+@dataclass(frozen=True)
+class ColmapView:
+    """A registered photograph: name below the folder of images, size in pixels, projection matrix (3, 4) float64."""
+
+    name: str
+    rows: int
+    columns: int
+    matrix: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Camera:
+    rows: int
+    columns: int
+    intrinsics: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Image:
+    """quaternion: w, x, y, z of the rotation from world to camera."""
+
+    name: str
+    camera: int
+    quaternion: tuple[float, ...]
+    translation: tuple[float, ...]
+
+
+def colmap_folder(source: Path) -> Path | None:
+    """Where the reconstruction of a folder of photographs lies: in it, in `sparse` or in `sparse/0`; or None."""
+    for place in PLACES:
+        if any(all((source / place / f"{part}{kind}").is_file() for part in ("cameras", "images")) for kind in KINDS):
+            return source / place
+    return None
+
+
+def read_colmap(folder: Path) -> list[ColmapView]:
+    """The registered photographs, sorted by name.
+
+    Raises CaptureError: cameras-unreadable, cameras-many; cameras-distorted where a camera has a distortion, which
+    projection matrices cannot say.
+    """
+    kind = ".bin" if (folder / "cameras.bin").is_file() and (folder / "images.bin").is_file() else ".txt"
+    cameras = _parsed(folder / f"cameras{kind}", dict(zip(KINDS, (_text_cameras, _binary_cameras), strict=True))[kind])
+    images = _parsed(folder / f"images{kind}", dict(zip(KINDS, (_text_images, _binary_images), strict=True))[kind])
+    expect_rows(len(images), "views", f"images{kind}", "cameras")
+    return [_view(image, cameras, f"images{kind}") for image in sorted(images, key=lambda image: image.name)]
+
+
+def _parsed(path: Path, parse: Callable):
+    try:
+        with reading(path.name, "cameras"):
+            return parse(read_bytes(path, "table_bytes"))
+    except (ValueError, IndexError, struct.error) as e:
+        what, remedy = "not as COLMAP writes it", "Export the model again, as text or binary"
+        raise CaptureError(error("cameras-unreadable", path.name, what, found=str(e)[:120], remedy=remedy)) from e
+
+
+def _view(image: _Image, cameras: dict[int, _Camera], file: str) -> ColmapView:
+    from scipy.spatial.transform import Rotation
+
+    camera = cameras.get(image.camera)
+    if camera is None:
+        what = f"the photograph '{image.name}' names a camera that is not there"
+        raise CaptureError(error("cameras-unreadable", file, what, found=f"camera {image.camera}"))
+    w, x, y, z = image.quaternion
+    if not np.isfinite(image.quaternion).all() or not any(image.quaternion):
+        raise CaptureError(error("camera-values", file, f"rotation of the photograph '{image.name}'"))
+    pose = np.column_stack([Rotation.from_quat([x, y, z, w]).as_matrix(), image.translation])
+    return ColmapView(image.name, camera.rows, camera.columns, camera.intrinsics @ pose)
+
+
+def _camera(model: str, parameters: Sequence[float], rows: int, columns: int) -> _Camera:
+    """CaptureError (cameras-distorted) where the camera has a distortion."""
+    plain = next(before for name, _, before in MODELS if name == model)
+    if any(parameters[plain:]) or any(word in model for word in FISHEYE):
+        remedy = "Take the distortion out of the photographs (colmap image_undistorter), and convert what that writes"
+        what = f"the camera {model} of {columns} x {rows} pixels has a distortion"
+        raise CaptureError(error("cameras-distorted", "cameras", what, expected="PINHOLE", remedy=remedy))
+    fx, fy = (parameters[0], parameters[0]) if plain == 3 else parameters[:2]
+    cx, cy = (value - CORNER for value in parameters[plain - 2 : plain])
+    return _Camera(rows, columns, np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]))
+
+
+def _text_cameras(content: bytes) -> dict[int, _Camera]:
+    cameras = {}
+    for line in _lines(content):
+        number, model, columns, rows, *parameters = line.split()
+        count = {name: count for name, count, _ in MODELS}.get(model)
+        if count != len(parameters):
+            raise ValueError(f"camera {number}: model {model} with {len(parameters)} parameters")
+        cameras[int(number)] = _camera(model, list(map(float, parameters)), int(rows), int(columns))
+    return cameras
+
+
+def _text_images(content: bytes) -> list[_Image]:
+    """Two lines a photograph: number, quaternion, translation, camera, name; then its points, which are passed over."""
+    images = []
+    for line in _lines(content, empty=True)[::2]:
+        if line:
+            words = line.split(maxsplit=9)
+            numbers = tuple(map(float, words[1:8]))
+            images.append(_Image(words[9], int(words[8]), numbers[:4], numbers[4:]))
+    return images
+
+
+def _lines(content: bytes, *, empty: bool = False) -> list[str]:
+    lines = (line.strip() for line in content.decode("utf-8-sig").split("\n"))
+    return [line for line in lines if (line or empty) and not line.startswith("#")]
+
+
+def _binary_cameras(content: bytes) -> dict[int, _Camera]:
+    cameras, at = {}, 8
+    for _ in range(_count(content)):
+        number, model, columns, rows = struct.unpack_from("<iiQQ", content, at)
+        if not 0 <= model < len(MODELS):
+            raise ValueError(f"camera {number}: model number {model}")
+        name, count, _ = MODELS[model]
+        cameras[number] = _camera(name, struct.unpack_from(f"<{count}d", content, at + 24), rows, columns)
+        at += 24 + 8 * count
+    return cameras
+
+
+def _binary_images(content: bytes) -> list[_Image]:
+    images, at = [], 8
+    for _ in range(_count(content)):
+        _, *numbers, camera = struct.unpack_from("<i7di", content, at)
+        end = content.index(b"\0", at + 64)
+        (points,) = struct.unpack_from("<Q", content, end + 1)
+        images.append(_Image(content[at + 64 : end].decode(), camera, tuple(numbers[:4]), tuple(numbers[4:])))
+        at = end + 9 + 24 * points
+        if at > len(content):
+            raise ValueError(f"the file ends before the {points} points of '{images[-1].name}'")
+    return images
+
+
+def _count(content: bytes) -> int:
+    """The number of entries that a file begins with, which a broken one may state as any number."""
+    (count,) = struct.unpack_from("<Q", content)
+    if count > bound("views"):
+        raise ValueError(f"{count} entries, more than the {bound('views')} views that are read")
+    return count
