@@ -23,10 +23,12 @@ class Scene:
     """Spheres (centre, radius) lying on the plane z = floor; z towards the camera; lengths in mm.
 
     focal_px: camera at the origin looking along -z; None: orthographic with `pitch` mm a pixel. Pixels around spheres
-    are the mean of samples x samples rays, those of the plane one ray.
+    are the mean of samples x samples rays, those of the plane one ray. The lens blurs before pixels gather the light: a
+    highlight smaller than a pixel keeps its place.
     """
 
     def __init__(self, spheres, *, rows, columns, floor, focal_px=None, pitch=None, samples=6):
+        self.samples = samples
         self.spheres = [(np.array(c, float), r) for c, r in spheres]
         self.rows, self.columns, self.floor = rows, columns, floor
         self.focal_px, self.pitch = focal_px, pitch
@@ -36,10 +38,11 @@ class Scene:
         self.boxes = []
         for k in range(len(self.spheres)):
             at = np.argwhere(self.plane[0] == k)
-            (top, left), (bottom, right) = np.maximum(at.min(axis=0) - 2, 0), at.max(axis=0) + 3
+            (top, left), (bottom, right) = np.maximum(at.min(axis=0) - 5, 0), at.max(axis=0) + 6
             box = (slice(top, bottom), slice(left, right))
-            parts = [self._trace(row[box] + dy, column[box] + dx) for dy in steps for dx in steps]
-            self.boxes.append((box, parts))
+            fine_row = (row[box][:, :1] + steps).reshape(-1, 1)
+            fine_column = (column[box][0][:, None] + steps).reshape(1, -1)
+            self.boxes.append((box, self._trace(*np.broadcast_arrays(fine_row, fine_column))))
 
     def _rays(self, row, column):
         x, y = column - (self.columns - 1) / 2, (self.rows - 1) / 2 - row
@@ -70,10 +73,11 @@ class Scene:
     def photograph(self, lamp, *, size=3.0, glare=6.0, blur=0.7, noise=0.004, seed=0, extra=None):
         """(rows, columns) float, clipped at 1: a ball of radius `size` at `lamp` shines `glare` times full scale."""
         lamps = [(np.asarray(lamp, float), 1.0), *((np.asarray(at, float), share) for at, share in extra or [])]
-        total = self._light(self.plane, lamps, size, glare)
-        for box, parts in self.boxes:
-            total[box] = sum(self._light(part, lamps, size, glare) for part in parts) / len(parts)
-        picture = cv2.GaussianBlur(total, (0, 0), blur)
+        picture = self._light(self.plane, lamps, size, glare)
+        for box, traced in self.boxes:
+            fine = cv2.GaussianBlur(self._light(traced, lamps, size, glare), (0, 0), blur * self.samples)
+            height, width = picture[box].shape
+            picture[box] = fine.reshape(height, self.samples, width, self.samples).mean(axis=(1, 3))
         random = np.random.default_rng(seed)
         picture = picture + random.normal(0, 1, picture.shape) * np.hypot(
             noise, noise * np.sqrt(np.maximum(picture, 0))

@@ -106,7 +106,8 @@ def fit_lamps(
     sightings of `lamps` lamps on the spheres whose outlines have these parameters and covariances; radius: of the
     spheres, sets the unit; origin_of: gives, from the outlines' parameters, the origin (3,) of the scene in the
     camera's frame and the length of a pixel in the object's plane; near: fit the distances (two spheres or more, or a
-    surface), else lamps are taken to be far away.
+    surface), else lamps are taken to be far away. The distance of a lamp that one sphere alone shows is held loosely
+    at the median of the others.
     """
     from scipy.optimize import least_squares
 
@@ -131,6 +132,10 @@ def fit_lamps(
     ]
     per_pixel = 10 * np.sqrt((steps[0] ** 2 + steps[1] ** 2) / 2)
     start, start_inverse = _start(points, directions, which, lamps, near)
+    typical = float(np.median(start_inverse[start_inverse > 0])) if (start_inverse > 0).any() else 0.0
+    alone = np.bincount(which, minlength=lamps) < 2
+    once = np.flatnonzero(alone & (typical > 0 and falloff is None))
+    start_inverse[once] = typical
     across = np.stack([np.linalg.svd(u[None])[2][1:] for u in start])
     unknowns = 3 if near else 2
     scale = float(np.linalg.norm(points, axis=1).max()) or radius  # rho is fitted in units of 1 / scale
@@ -164,12 +169,14 @@ def fit_lamps(
 
     def residuals(x: np.ndarray) -> np.ndarray:
         parts = [highlight_residuals(x), x[lamps * unknowns :]]
+        if len(once):
+            parts.append(lamp_of(x)[1][once] / typical - 1)
         if falloff is not None:
             parts.append(surface_residuals(x) / spread)
         return np.concatenate(parts)
 
     x = np.zeros(lamps * unknowns + 3 * spheres)
-    freedom = 2 * len(sightings) - lamps * unknowns
+    freedom = 2 * len(sightings) - lamps * unknowns + len(once)
     chi = float("nan")
     for _ in range(3 if falloff is not None or freedom >= LEAST_FREEDOM else 1):
         fit = least_squares(residuals, x, x_scale="jac", method="trf", ftol=1e-10, xtol=1e-10, max_nfev=40)

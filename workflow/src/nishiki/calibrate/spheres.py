@@ -16,7 +16,7 @@ from nishiki.calibrate.lamps import Falloff, LampFit, Sighting, fit_lamps
 from nishiki.calibrate.photographs import full_scale_of, read_grey
 from nishiki.calibrate.sphere_outline import Outline, find_circles, fit_outline
 from nishiki.capture.lights import light_name
-from nishiki.capture.mirror_sphere import Highlight, SphereCamera, find_highlight, sphere_of
+from nishiki.capture.mirror_sphere import INSIDE, Highlight, SphereCamera, find_highlight, sphere_of
 from nishiki.errors import UserError
 
 MARGIN = 1.65  # of the radius: half the side of the crop around a sphere
@@ -228,7 +228,9 @@ def _highlights(
     for k, outline in enumerate(outlines):
         crop = _crop(outline.circle(camera), (camera.rows, camera.columns))
         stack = _stack(given.photographs, crop)
-        rest, noise = _lamp_light(stack)
+        column, row, radius = outline.circle(camera)
+        rows, columns = np.ogrid[crop]
+        rest, noise = _lamp_light(stack, np.hypot(rows - row, columns - column) < INSIDE * radius)
         noise = max(noise, full_scale_of(given.photographs[0]) / 65535)
         crops.append((stack.max(axis=0), _corner(crop)))
         for i in range(len(names)):
@@ -279,15 +281,16 @@ def _reason(found: dict[tuple[int, int], Highlight | None], lamp: int, spheres: 
     return "two of similar strength" if any(h is not None and h.second > DOUBLED for h in highlights) else "none"
 
 
-def _lamp_light(stack: np.ndarray) -> tuple[np.ndarray, float]:
-    """Crops less what they show without their own lamp, and the noise that remains.
+def _lamp_light(stack: np.ndarray, on_sphere: np.ndarray) -> tuple[np.ndarray, float]:
+    """Crops less what they show without their own lamp, and the noise that remains on the sphere.
 
     From five photographs on, the median over the photographs is what the sphere shows of its surroundings; of fewer,
     the median of each crop.
     """
     dark = np.median(stack, axis=0) if len(stack) >= 5 else np.median(stack, axis=(1, 2), keepdims=True)
     rest = (stack - dark).astype(np.float32)
-    return rest, float(1.4826 * np.median(np.abs(rest - np.median(rest))))
+    shown = rest[:, on_sphere]
+    return rest, float(1.4826 * np.median(np.abs(shown - np.median(shown))))
 
 
 def _origin(outlines: list[np.ndarray], camera: SphereCamera, given: SphereInput) -> tuple[np.ndarray, float]:
