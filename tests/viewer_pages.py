@@ -7,18 +7,20 @@ import importlib.util
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
-from nishiki.colour.colour import delta_e_2000, illuminant, srgb_matrix, xyz_to_lab
+from nishiki.brdf.slopes import slope_covariance
+from nishiki.colour.colour import cie_1931_cmfs, delta_e_2000, illuminant, srgb_matrix, xyz_to_lab
 from nishiki.colour.encoding import decode
 from nishiki.render.display import adapted_exposure, display_image
 from nishiki.render.plane.frame import render
 from nishiki.render.plane.scene import Ambient, Light, PlaneScene
+from nishiki.render.plane.shadow import cast_shadows
 from nishiki.stages.render.declaration import LightSettings
 from nishiki.stages.render.requests import direction, white_sheet
 from nishiki.stages.render.run import load_scene, seen
@@ -95,8 +97,8 @@ def lamp(azimuth: float, elevation: float, illuminant: str = "D65", **changes: A
     }
 
 
-def rendered(scene: PlaneScene, state: dict[str, Any]) -> tuple[np.ndarray, float]:
-    """(rows, columns, 3) uint8 that `render` shows of a state of the page, frontal, in full size; and the exposure."""
+def lights_of(scene: PlaneScene, state: dict[str, Any]) -> list[Light]:
+    """The lamps of a state of the page, for `render`."""
     lights = []
     side = max(scene.shape) * scene.pitch
     for each in state["lamps"]:
@@ -113,6 +115,12 @@ def rendered(scene: PlaneScene, state: dict[str, Any]) -> tuple[np.ndarray, floa
                 **place,
             )
         )
+    return lights
+
+
+def rendered(scene: PlaneScene, state: dict[str, Any]) -> tuple[np.ndarray, float]:
+    """(rows, columns, 3) uint8 that `render` shows of a state of the page, frontal, in full size; and the exposure."""
+    lights = lights_of(scene, state)
     made = render(scene, lights, ambient=Ambient(spectrum=lights[0].spectrum, level=state["ambient"]))
     exposure = state["exposure"]
     if exposure == "auto":
@@ -121,6 +129,47 @@ def rendered(scene: PlaneScene, state: dict[str, Any]) -> tuple[np.ndarray, floa
         ]
         exposure = adapted_exposure(made.xyz, seen=seen(made), sheet=white_sheet(settings, state["ambient"]))
     return display_image(made.xyz, white=made.white_xyz, exposure=exposure).pixels, exposure
+
+
+def enhanced(scene: PlaneScene, state: dict[str, Any]) -> np.ndarray:
+    """(rows, columns, 3) uint8 of an enhancement by its formula (docs/stages/viewer.md), from pictures of `render`.
+
+    state : with one distant lamp, a number as exposure, `enhance` and `strength`.
+    """
+    strength, name = state["strength"], state["enhance"]
+    (light,) = lights_of(scene, state)
+    visibility = cast_shadows(scene.height, [light], pitch=scene.pitch).visibility
+    slopes = scene.normals[..., :2] / np.maximum(scene.normals[..., 2:], 0.2)
+    if name == "raking":
+        normals = scene.normals * [1 + 4 * strength, 1 + 4 * strength, 1]
+        normals = (normals / np.linalg.norm(normals, axis=-1, keepdims=True)).astype(np.float32)
+        covariance = None if scene.slopes is None else slope_covariance(normals)
+        scene = replace(scene, normals=normals, slopes=covariance)
+
+    def xyz(scene, level):
+        ambient = Ambient(spectrum=light.spectrum, level=level)
+        return render(scene, [light], ambient=ambient, visibility=visibility).xyz.astype(np.float64)
+
+    matte = replace(scene, gloss=replace(scene.gloss, beta=np.zeros_like(scene.gloss.beta)))
+    gloss = xyz(scene, 0.0) - xyz(matte, 0.0)
+    lit = xyz(matte, 0.0)
+    ambient = xyz(matte, state["ambient"]) - lit
+    white = light.spectrum @ cie_1931_cmfs().T / (light.spectrum @ cie_1931_cmfs()[1])
+    if name == "specular":
+        halfway = light.central_direction() + np.array([0, 0, 1])
+        cosine = np.maximum(scene.normals @ (halfway / np.linalg.norm(halfway)), 0)
+        highlight = 0.6 * strength * light.intensity * visibility[0] * cosine**60
+        shown = lit * (1 - 0.8 * strength) + ambient + gloss + highlight[..., None] * white
+    elif name == "curvature":
+        around = np.pad(slopes, ((1, 1), (1, 1), (0, 0)), mode="edge")
+        bend = around[1:-1, 2:, 0] - around[1:-1, :-2, 0] + around[:-2, 1:-1, 1] - around[2:, 1:-1, 1]
+        shown = (lit + ambient) * np.clip(1 + 6 * strength * bend, 0.3, 1.7)[..., None] + gloss
+    else:
+        spectra = scene.coefficients @ scene.basis
+        colour = (spectra * light.spectrum) @ cie_1931_cmfs().T / (light.spectrum @ cie_1931_cmfs()[1])
+        shade = (lit + ambient)[..., 1:2] / colour[..., 1:2]
+        shown = shade * ((1 - strength) * colour + strength * 0.6 * white) + gloss
+    return display_image(shown.astype(np.float32), white=white, exposure=state["exposure"]).pixels
 
 
 def difference(first: np.ndarray, second: np.ndarray) -> np.ndarray:

@@ -98,6 +98,22 @@ def test_the_canvas_shows_what_render_shows_and_values_are_those_of_the_maps(vie
         page.set(layer=layer["name"])
 
 
+@pytest.mark.parametrize("enhancement", ["specular", "curvature", "raking"])
+def test_an_enhancement_is_what_its_formula_says(viewed, shown, enhancement):
+    current = viewed.folder / "results/tiny/current"
+    scene = viewer_pages.plane_scene(
+        {name: open_artifact(current / name) for name in ("normals", "height", "spectra", "brdf")}
+    )
+    plain = {"lamps": [lamp(90, 45)], "ambient": 0.05, "exposure": 0.8, "strength": 0.5, "view": FRONTAL}
+    rows, columns = scene.shape
+    expected = viewer_pages.enhanced(scene, {**plain, "enhance": enhancement})
+    canvas = shown.picture(columns, rows, **plain, enhance=enhancement)
+    errors = viewer_pages.difference(canvas, expected)
+    assert errors.mean() < 0.35
+    assert np.percentile(errors, 99) < 1.5
+    assert viewer_pages.difference(canvas, shown.picture(columns, rows, **plain, enhance="none")).mean() > 1
+
+
 def test_report_shows_the_viewer_where_it_is_unfolded(browser, index):
     browser.page.goto((index.parents[1] / "report.html").absolute().as_uri())
     assert not [frame for frame in browser.page.frames if "viewer" in frame.url], "it is not loaded before"

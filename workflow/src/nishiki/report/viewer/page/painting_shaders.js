@@ -65,8 +65,11 @@ vec3 decodedNormal(vec2 code) {
   return vec3(2.0 * s, 1.0 - square) / (1.0 + square);
 }
 
+/** Raking light shows a steeper relief. */
+vec3 steepened(vec3 n) { return enhance == 3 ? normalize(vec3(n.xy * (1.0 + 4.0 * strength), n.z)) : n; }
+
 vec2 slopeAt(vec2 place) {
-  vec3 n = decodedNormal(codes(0, clamp(place, vec2(0.5), size - 0.5)).rg);
+  vec3 n = steepened(decodedNormal(codes(0, clamp(place, vec2(0.5), size - 0.5)).rg));
   return n.xy / max(n.z, 0.2);
 }
 
@@ -108,7 +111,7 @@ void main() {
   result = vec4(n * 0.5 + 0.5, 1.0);
   return;
 #endif
-  if (enhance == 3) n = normalize(vec3(n.xy * (1.0 + 4.0 * strength), n.z));
+  n = steepened(n);
   float u = values0.b * top;
   vec4 table = texelFetch(gloss, ivec2(0, region), 0);
   float contrast = (table.x - 1.0) * (table.x + 1.0);
