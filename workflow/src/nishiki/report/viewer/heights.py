@@ -10,28 +10,27 @@ import numpy as np
 
 NOTHING = -32768
 STEPS = 65000
-LEAST_STEP = 0.002  # of a code, in pixels: a horizon of two pixels is then right to 0.06 degrees
 
 
 def height_block(
-    read: Callable[[slice], np.ndarray], shape: tuple[int, int], pitch: float, most_pixels: int
+    read: Callable[[slice], np.ndarray], shape: tuple[int, int], pitch: float, most_pixels: int, least_step: float
 ) -> tuple[bytes, dict[str, Any]]:
     """Block of a height map, and what a reader has to know of it.
 
-    read : rows of the map in the unit of `pitch`, NaN where it is not known. Above `most_pixels` it is averaged. Codes
-    are int16, difference from left + above - above left, low bytes of all before the high ones.
+    read : rows of the map in the unit of `pitch`, NaN where it is not known. Above `most_pixels` it is averaged.
+    least_step : of a code, in pixels of the map; larger where 16 bits hold the range no finer. Codes are int16,
+    difference from left + above - above left, low bytes of all before the high ones.
     """
     factor = max(1, int(np.ceil(np.sqrt(shape[0] * shape[1] / most_pixels))))
     bands = [_means(read(slice(k, min(k + 64 * factor, shape[0]))), factor) for k in range(0, shape[0], 64 * factor)]
     height = np.concatenate(bands)
     known = np.isfinite(height)
     low, high = (float(height[known].min()), float(height[known].max())) if known.any() else (0.0, 0.0)
-    step = max(LEAST_STEP * pitch, (high - low) / STEPS)
+    step = max(least_step * pitch, (high - low) / STEPS)
     codes = np.where(known, np.rint((np.nan_to_num(height) - low) / step) - STEPS // 2, NOTHING).astype(np.int16)
     change = np.diff(np.diff(codes, axis=0, prepend=np.int16(0)), axis=1, prepend=np.int16(0))
     data = zlib.compress(np.ascontiguousarray(change.view(np.uint8).reshape(-1, 2).T).tobytes(), 9)
     return data, {
-        "block": "height",
         "rows": height.shape[0],
         "columns": height.shape[1],
         "factor": factor,

@@ -20,8 +20,10 @@ ILLUMINANTS = ("D65", "D50", "A", "E", "F2", "F7", "F11", "LED-B1", "LED-B3", "L
 BAND_ROWS = 256
 FINE_STEP, COARSE_STEP, FINE_PIXELS = 0.35, 1.2, 2_000_000
 """Steps of colour, and the size of a map up to which the finer is taken."""
-MOST_SHADOW_PIXELS = 1_200_000
-"""Heights above which the map that casts the shadows is averaged: a sweep over it takes about a tenth of a second."""
+RELIEFS = ((1_200_000, 0.002), (16_000_000, 0.03))
+"""Sizes above which the heights that cast the shadows are averaged, and steps of their codes, in pixels. A sweep over
+the first takes about a tenth of a second, so that its shadows follow a lamp that is dragged; those of the second come
+when the lamp rests. Neighbours that differ by a step of 0.03 make a horizon of 1.7 degrees."""
 
 
 def run(context: Context) -> dict:
@@ -46,12 +48,15 @@ def run(context: Context) -> dict:
         pyramid.push(maps.read(slice(first, min(first + BAND_ROWS, rows))))
     height = Maps(context.inputs["height"].folder) if "height" in context.inputs else None
     pitch = maps.normals.group.attrs.get("pixel_pitch_mm")
-    shadows = None
+    shadows = []
     if height is not None and maps.casts_shadows:
-        block, shadows = height_block(
-            lambda band: height.read("height", band), (rows, columns), pitch or 1.0, MOST_SHADOW_PIXELS
-        )
-        blocks.add("height", block)
+        smaller = [most for most, _ in RELIEFS if most < rows * columns]
+        for number, (most, step) in enumerate(RELIEFS[: len(smaller) + 1]):
+            block, described = height_block(
+                lambda band: height.read("height", band), (rows, columns), pitch or 1.0, most, step
+            )
+            blocks.add(f"height-{number}", block)
+            shadows.append({"block": f"height-{number}", **described})
     manifest = {
         "format": 1,
         "chain": "painting",

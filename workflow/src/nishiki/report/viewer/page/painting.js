@@ -62,13 +62,14 @@ export class Painting {
     this.hasRegions = manifest.tiles.regions;
     this.gloss = this.#glossTexture();
     this.spectra = new Map();
-    this.shadowsOf = new Map(); // shadows of the lamps drawn last: {texture, count}
+    this.shadows = []; // of reliefs, the coarse first
+    this.shadowsOf = new Map(); // shadows of the lamps drawn last: {key, level, texture, count}
     this.shadow = null; // those of the state that is drawn
   }
 
   /** Whether something that the present view needs is on its way. */
   get busy() {
-    return this.pending > 0 || Boolean(this.shadows?.busy);
+    return this.pending > 0 || this.shadows.some(({ busy }) => busy);
   }
 
   bounds() {
@@ -97,7 +98,7 @@ export class Painting {
   cost() {
     const lobes = this.manifest.gloss.beta[0].length, blurred = this.manifest.gloss.blurred && lobes ? 1 : 0;
     return {
-      texture_reads: Math.ceil(this.planes / 3) + 4 * blurred + 1 + lobes + (this.manifest.shadows ? 1 : 0) + (this.hasRegions ? 1 : 0),
+      texture_reads: Math.ceil(this.planes / 3) + 4 * blurred + 1 + lobes + (this.manifest.shadows.length ? 1 : 0) + (this.hasRegions ? 1 : 0),
       operations: 60 + 8 * this.chroma + 12 * this.shades + 60 * blurred + (lobes ? 90 : 20) + lobes * (blurred ? 22 : 4) + 40,
     };
   }
@@ -237,7 +238,7 @@ export class Painting {
   /** Exposure of a state: its own number, or that of an eye adapted to the picture. */
   #exposureOf(state, lamps) {
     if (state.exposure !== "auto") return state.exposure;
-    const key = JSON.stringify([state.lamps, state.ambient, this.shadow?.key ?? ""]);
+    const key = JSON.stringify([state.lamps, state.ambient, this.shadow?.key, this.shadow?.level]);
     if (this.exposures.has(key)) {
       remember(this.exposures, key, this.exposures.get(key));
       return this.exposureShown;
@@ -274,36 +275,40 @@ export class Painting {
 
   // cast shadows
 
-  #openShadows() {
-    if (!this.manifest.shadows) return;
-    this.#wait(openHeights(this.manifest.shadows, this.loader).then((heights) => {
-      this.shadows = new Shadows(heights);
-      this.shadows.onready = (key, visibility) => {
-        this.#keepShadows(key, visibility);
+  /** Open the reliefs one after the other: the coarse one follows a lamp that is dragged, the finer one a lamp at rest. */
+  async #openShadows() {
+    for (const [level, relief] of this.manifest.shadows.entries()) {
+      const shadows = new Shadows(await this.#wait(openHeights(relief, this.loader)));
+      shadows.onready = (key, visibility) => {
+        this.#keepShadows(key, level, visibility);
         this.onready();
       };
-    }));
+      this.shadows.push(shadows);
+      this.onready();
+    }
   }
 
   #askShadows(lamps) {
-    if (!this.shadows) return;
     const wanted = lamps.map(({ vector, w, radius }) => ({ vector, w, radius }));
     const key = JSON.stringify(wanted), ready = this.shadowsOf.get(key);
     if (ready) remember(this.shadowsOf, key, ready);
-    else if (lamps.length) this.shadows.request(key, wanted);
+    // near lamps are marched from every pixel: too slow on the finer relief
+    const level = ready ? ready.level + 1 : 0;
+    if (lamps.length && (level === 0 || !lamps.some(({ w }) => w))) this.shadows[level]?.request(key, wanted);
     // until they come, those of the lamps just before
     this.shadow = ready ?? [...this.shadowsOf.values()].filter(({ count }) => count === lamps.length).at(-1) ?? null;
   }
 
-  #keepShadows(key, visibility) {
-    const { gl } = this, { rows, columns } = this.shadows;
+  #keepShadows(key, level, visibility) {
+    const { gl } = this, { rows, columns } = this.shadows[level];
     const count = visibility.length / (rows * columns);
     const made = texture(gl, gl.TEXTURE_2D_ARRAY, gl.LINEAR);
     gl.texParameteri(gl.TEXTURE_2D_ARRAY, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
     gl.texStorage3D(gl.TEXTURE_2D_ARRAY, Math.floor(Math.log2(Math.max(rows, columns))) + 1, gl.R8, columns, rows, count);
     gl.texSubImage3D(gl.TEXTURE_2D_ARRAY, 0, 0, 0, 0, columns, rows, count, gl.RED, gl.UNSIGNED_BYTE, visibility);
     gl.generateMipmap(gl.TEXTURE_2D_ARRAY);
-    for (const dropped of remember(this.shadowsOf, key, { key, texture: made, count })) gl.deleteTexture(dropped.texture);
+    gl.deleteTexture(this.shadowsOf.get(key)?.texture ?? null);
+    for (const dropped of remember(this.shadowsOf, key, { key, level, texture: made, count })) gl.deleteTexture(dropped.texture);
   }
 
   // tiles
