@@ -8,7 +8,7 @@ from nishiki.artifacts.closed import Closed, Guarded
 from nishiki.artifacts.limits import Limit, at
 from nishiki.stages.base import Cost, Stage
 
-Format = Literal["normals", "height", "albedo", "relight", "spectral", "gltf", "mitsuba"]
+Format = Literal["normals", "height", "albedo", "relight", "spectral", "gltf", "mitsuba", "merl"]
 Kind = Literal["ptm", "hsh", "rbf"]
 LIMITS = (
     Limit("quantised", "largest angle by which 16 bits move a normal, degrees", at("losses.normals.largest_deg")),
@@ -67,6 +67,7 @@ NEEDS: dict[str, tuple[str, ...]] = {
     "spectral": ("spectra",),
     "gltf": ("height", "spectra", "brdf"),
     "mitsuba": ("height", "spectra", "brdf"),
+    "merl": ("spectra", "brdf"),
 }
 """Stages that a format reads where the capture can feed them."""
 

@@ -1,7 +1,7 @@
 """Export: files of a painting for other programs, and what each of them loses."""
 
 from nishiki.artifacts.stage import Context
-from nishiki.stages.export import albedo, gltf, height, mitsuba, normals, relight, spectral
+from nishiki.stages.export import albedo, gltf, height, merl, mitsuba, normals, relight, spectral
 from nishiki.stages.export.scene import ExportedScene
 
 WRITERS = {
@@ -12,6 +12,7 @@ WRITERS = {
     "spectral": spectral.write,
     "gltf": gltf.write,
     "mitsuba": mitsuba.write,
+    "merl": merl.write,
 }
 
 
