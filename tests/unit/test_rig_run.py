@@ -23,7 +23,8 @@ from nishiki.photometric.solve import estimate_normals
 from nishiki.rig.device import DeviceError, DeviceLost
 from nishiki.rig.frame_check import exif_exposure_s, measure, sharpness
 from nishiki.rig.journal import Journal
-from nishiki.rig.run import expect_devices, reachable_angle, read_frames_of, run_capture
+from nishiki.rig.opened_rig import expect_devices, reachable_angle
+from nishiki.rig.run import read_frames_of, run_capture
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import re
 
-from nishiki.rig.device import DeviceError
+from nishiki.rig.device import DeviceError, closed_on_failure
 from nishiki.rig.grbl import not_homed
 from nishiki.rig.operator import ask_operator
 from nishiki.rig.serial_line import SerialLine
@@ -46,14 +46,11 @@ class ComXimTurntable:
         self.angle: float | None = None
         self.range_deg = (0.0, 360.0)
         self.line = SerialLine(name, port, baud, ending=";", ignore=b"#")
-        try:
+        with closed_on_failure(self.line):
             # Opening the port can reach the table as noise, which it answers with CR+ERR: either answer shows that it
             # is there.
             self.line.ask("CT()", r"CR\+(OK|ERR)", ANSWER_S)
             self.line.discard()
-        except BaseException:
-            self.line.close()
-            raise
 
     def home(self) -> None:
         """Find the zero; see `reference`."""

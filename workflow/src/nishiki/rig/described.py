@@ -11,7 +11,7 @@ from pydantic import Field, field_validator
 from nishiki.artifacts.closed import Closed
 from nishiki.capture.polariser import parse_state
 from nishiki.formats.problems import CaptureError
-from nishiki.rig.device import DeviceError
+from nishiki.rig.device import DeviceError, closed_on_failure
 from nishiki.rig.dome import expect_lamp
 from nishiki.rig.grbl import expect_in_range, not_homed
 from nishiki.rig.operator import ask_operator, expect_state
@@ -99,11 +99,8 @@ class _Device:
         greeting = re.escape(line.greeting)
         self.line = SerialLine(name, line.port, line.baud, line.ending, greeting)
         if greeting:
-            try:
+            with closed_on_failure(self.line):
                 self.line.greeting(greeting, line.greeting_s)  # not sent by a board that does not restart when opened
-            except BaseException:
-                self.line.close()
-                raise
 
     def ask(self, exchange: Exchange, **values: float) -> None:
         refused = rf"(?i){re.escape(exchange.error)}" if exchange.error else ""
@@ -120,11 +117,8 @@ class HomeMadeLamps(_Device):
     def __init__(self, name: str, settings: DescribedLamps) -> None:
         super().__init__(name, settings)
         self.settings, self.count = settings, settings.count
-        try:
+        with closed_on_failure(self.line):
             self.light(None)
-        except BaseException:
-            self.line.close()
-            raise
 
     def light(self, lamp: int | None) -> None:
         """Light one lamp, numbered from 1, or none."""

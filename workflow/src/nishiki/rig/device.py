@@ -5,6 +5,8 @@ A laboratory adds a device of its own by writing one class with the methods belo
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
@@ -24,6 +26,23 @@ class DeviceLost(DeviceError):
 
     Close the rig, open it again, home its axes and repeat the step: nothing is known of its positions.
     """
+
+
+class Closable(Protocol):
+    """A device, or the line to one."""
+
+    def close(self) -> None:
+        """Let it go; a second call does nothing."""
+
+
+@contextmanager
+def closed_on_failure(opened: Closable) -> Iterator[None]:
+    """Close what was just opened where its first commands fail, so that it can be opened again."""
+    try:
+        yield
+    except BaseException:
+        opened.close()
+        raise
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 
-from nishiki.rig.device import DeviceError
+from nishiki.rig.device import DeviceError, closed_on_failure
 from nishiki.rig.serial_line import SerialLine
 
 GREETING = "RTI-Dome in"
@@ -42,12 +42,9 @@ class BracketDome:
     ) -> None:
         self.name, self.count, self.first, self.settle_s = name, count, first, settle_s
         self.line = SerialLine(name, port, baud, restart=GREETING)
-        try:
+        with closed_on_failure(self.line):
             self.line.greeting(GREETING, GREETING_S)  # a board that does not restart when opened sends none
             self.light(None)
-        except BaseException:
-            self.line.close()
-            raise
 
     def light(self, lamp: int | None) -> None:
         """Light one lamp, numbered from 1, or none."""

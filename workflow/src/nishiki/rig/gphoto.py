@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from nishiki.packages import optional
-from nishiki.rig.device import DeviceError, DeviceLost, Exposure
+from nishiki.rig.device import DeviceError, DeviceLost, Exposure, closed_on_failure
 
 WIDGETS = {
     "seconds": ("shutterspeed", "shutterspeed2", "exposuretime"),
@@ -61,12 +61,9 @@ class GPhotoCamera:
         self.name, self.files, self.exposure_s = name, files, 0.0
         self.gphoto: Any = optional("gphoto2")
         self.camera: Any = self._open(model, port)
-        try:
+        with closed_on_failure(self):
             for key, value in (settings or {}).items():
                 self._choose(key, value)
-        except BaseException:
-            self.close()
-            raise
 
     def configure(self, exposure: Exposure) -> Exposure:
         """Set exposure time, aperture and sensitivity to the camera's nearest steps; returns what it took."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 import time
 
-from nishiki.rig.device import DeviceError, DeviceLost
+from nishiki.rig.device import DeviceError, DeviceLost, closed_on_failure
 from nishiki.rig.serial_line import SerialLine
 
 GREETING = r"^Grbl"
@@ -73,13 +73,10 @@ class Grbl:
         self.line = SerialLine(device, port, baud, restart=GREETING)
         self.home_position: dict[str, float] = {}
         self.alarmed = False
-        try:
+        with closed_on_failure(self.line):
             # Most boards restart when their port is opened; one that is reached by USB itself does not.
             if not self.line.greeting(GREETING, GREETING_S):
                 self._restart()
-        except BaseException:
-            self.line.close()
-            raise
 
     @property
     def homed(self) -> bool:

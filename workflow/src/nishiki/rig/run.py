@@ -17,7 +17,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import fcntl
-import math
 import os
 import shutil
 import time
@@ -33,20 +32,15 @@ from nishiki.formats.files import flush_folder
 from nishiki.formats.image_headers import read_header
 from nishiki.formats.problems import CaptureError
 from nishiki.rig.capture_tables import capture_settings, refuse_unusable_settings, write_tables
-from nishiki.rig.description import RigDescription, open_rig, read_rig
-from nishiki.rig.device import DeviceError, DeviceLost, Exposure, Rig
-from nishiki.rig.frame_check import (
-    Measures,
-    exif_exposure_s,
-    expected_level,
-    measure,
-    read_photograph,
-    reasons_against,
-)
+from nishiki.rig.description import open_rig, read_rig
+from nishiki.rig.device import DeviceError, DeviceLost, Rig
+from nishiki.rig.frame_check import Measures, exif_exposure_s, measure, read_photograph
 from nishiki.rig.frames_table import AUTOMATIC, PlannedFrame, read_table, summary, table_text
 from nishiki.rig.journal import Journal
+from nishiki.rig.neighbours import Neighbours
+from nishiki.rig.opened_rig import OpenedRig, expect_devices
 from nishiki.rig.operator import ask_operator
-from nishiki.rig.plan import ReadPlan, frame_distance, incidence_cosines, read_plan
+from nishiki.rig.plan import ReadPlan, read_plan
 from nishiki.rig.run_state import RunState
 
 REQUESTS = {
@@ -60,7 +54,6 @@ RECONNECTIONS = 5
 """Times that the devices are opened again for one frame."""
 WAIT_S = 2.0
 """Seconds before the first reconnection; each further one waits twice as long."""
-NEIGHBOURS = {"dome": 4, "turntable": 2, "goniometer": 2}
 GOOD_PEAK = (0.55, 0.85)
 """Of full scale: where the automatic exposure puts the brightest pixels but one in a thousand."""
 TRIALS = 12
@@ -138,41 +131,6 @@ def work_folder(capture: Path) -> Path:
     return capture.with_name(f"{capture.name}.rig")
 
 
-def expect_devices(frames: tuple[PlannedFrame, ...], rig: Rig | RigDescription) -> None:
-    """UserError where frames need lamps, axes, angles or polarisers that a rig does not have."""
-    wanted = {frame.lamp for frame in frames if frame.lamp is not None}
-    count = getattr(rig.lamps, "count", math.inf) if rig.lamps is not None else 0
-    if wanted and max(wanted) > count:
-        raise UserError(f"plan: expected a rig with lamp {max(wanted)}, found {count} lamps in its description")
-    for kind, names, devices in (
-        ("axis", {name for frame in frames for name, _ in frame.axes}, rig.axes),
-        ("polariser", {name for frame in frames for name, _ in frame.polarisers}, rig.polarisers),
-    ):
-        if missing := sorted(names - set(devices)):
-            there = ", ".join(devices) or "none"
-            raise UserError(
-                f"plan: no {kind} '{missing[0]}' in the rig's description, which has {there}. "
-                "Remedy: use one name in both"
-            )
-    for frame in frames:
-        for name, angle in frame.axes:
-            limits = getattr(rig.axes[name], "range_deg", None)
-            if limits is not None:
-                reachable_angle(angle, limits, f"plan: {frame.file}: axis {name}")
-        for name, state in frame.polarisers:
-            states = getattr(rig.polarisers[name], "states", None)
-            if states is not None and state not in states:
-                raise UserError(f"plan: {frame.file}: polariser {name} has {', '.join(states)}, not '{state}'")
-
-
-def reachable_angle(angle: float, limits: tuple[float, float], where: str) -> float:
-    """The angle, or the same direction one turn on or back, that lies in the range of an axis."""
-    for turned in (angle, angle - 360, angle + 360):
-        if limits[0] - 1e-9 <= turned <= limits[1] + 1e-9:
-            return turned
-    raise UserError(f"{where}: expected {limits[0]:g} to {limits[1]:g} degrees, found {angle:g}")
-
-
 class CaptureRun:
     """One capture on its way; see `run_capture`."""
 
@@ -188,17 +146,15 @@ class CaptureRun:
         pause: Callable[[float], None],
     ) -> None:
         self.rig_file, self.plan, self.frames, self.capture = rig, plan, frames, capture
-        self.observer, self.open_devices, self.ask, self.pause = observer, open_devices, ask, pause
+        self.observer, self.ask, self.pause = observer, ask, pause
+        self.devices = OpenedRig(rig, frames, open_devices)
+        self.neighbours = Neighbours(plan, frames)
         self.work = work_folder(capture)
         self.payload, self.incoming = self.work / "capture", self.work / "incoming"
         self.journal = Journal(self.work / "journal.jsonl")
         self.camera = validate(Camera, capture_settings(plan)["camera"], "plan: capture.camera")
-        self.references = incidence_cosines(plan, frames)
-        self.by_file = {frame.file: frame for frame in frames}
         self.kept: dict[str, dict[str, Any]] = {}
         self.exposures: dict[str, float] = {}
-        self.rig: Rig | None = None
-        self.set_to: tuple[Any, Exposure] | None = None
         self.subject: str | None = "object"
 
     def complete(self, plan_file: Path) -> str:
@@ -217,7 +173,7 @@ class CaptureRun:
                     self._note("stop", message=str(error))
                 raise
             finally:
-                self._close()
+                self.devices.close()
 
     # The folder of the run
 
@@ -328,7 +284,7 @@ class CaptureRun:
             except DeviceLost as error:
                 losses += 1
                 self._note("lost", file=frame.file, attempt=losses, message=str(error))
-                self._close()
+                self.devices.close()
                 if losses > RECONNECTIONS:
                     raise DeviceLost(f"{frame.file}: {error}. {SAME_COMMAND}") from None
                 self.pause(WAIT_S * 2 ** (losses - 1))
@@ -337,19 +293,9 @@ class CaptureRun:
         self, frame: PlannedFrame, seconds: float | None
     ) -> tuple[Path, float | None, Measures | None, list[str]]:
         self._expect_room(frame)
-        rig = self._opened()
+        rig = self.devices.opened()
         self._prepare_subject(frame.group)
-        for name, state in frame.polarisers:
-            rig.polarisers[name].set(state)
-        for name, angle in frame.axes:
-            axis = rig.axes[name]
-            axis.move_to(reachable_angle(angle, axis.range_deg, f"{frame.file}: axis {name}"))
-        if rig.lamps is not None and (frame.lamp is not None or frame.group == "dark"):
-            rig.lamps.light(frame.lamp)
-        wanted = Exposure(seconds, frame.aperture, frame.iso)
-        if self.set_to is None or self.set_to[0] != wanted:
-            self.set_to = (wanted, rig.camera.configure(wanted))
-        taken = self.set_to[1].seconds or seconds
+        taken = self.devices.set_up(frame, seconds)
         _clear(self.incoming)
         path = self._pick(frame, rig.camera.photograph(self.incoming))
         try:
@@ -358,7 +304,7 @@ class CaptureRun:
             return path, taken, None, [f"the photograph cannot be read: {error.problems[0]}"]
         measures = measure(codes, self.camera, exif_exposure_s(path))
         self.observer.photographed(frame, codes, measures)
-        return path, taken, measures, self._reasons(frame, measures, taken)
+        return path, taken, measures, self.neighbours.reasons_against(frame, measures, taken, self.kept)
 
     def _pick(self, frame: PlannedFrame, files: tuple[Path, ...]) -> Path:
         """The photograph among the files of an exposure; the JPEG beside a raw file goes to companions/."""
@@ -397,48 +343,6 @@ class CaptureRun:
         os.replace(path, target)
         flush_folder(target.parent)
 
-    def _reasons(self, frame: PlannedFrame, measures: Measures, exposure_s: float | None) -> list[str]:
-        """Why a photograph cannot be kept, by itself and beside those that are."""
-        known = {file: Measures(**event["measures"]) for file, event in self.kept.items() if file in self.by_file}
-        objects = [m for file, m in known.items() if self.by_file[file].group == "object" and m.sharpness]
-        return reasons_against(
-            frame.group,
-            measures,
-            self.plan.settings.checks,
-            first=next(iter(known.values()), None),
-            reference_sharpness=objects[0].sharpness if objects else None,
-            expected=self._expected(frame, known, exposure_s),
-            exposure_s=exposure_s,
-        )
-
-    def _expected(
-        self, frame: PlannedFrame, known: dict[str, Measures], exposure_s: float | None
-    ) -> tuple[float, float] | None:
-        """Level that a frame should have by its neighbours, and the factor by which it may differ."""
-        settings = self.plan.settings
-        if frame.group == "dark" or settings.checks.brightness is None:
-            return None
-        near = [(frame_distance(self.plan, frame, self.by_file[file]), file) for file in known]
-        near = sorted(pair for pair in near if math.isfinite(pair[0]))[: NEIGHBOURS[settings.kind]]
-        boards = {self.by_file[file].light: file for file in known if file.startswith("white/")} if frame.light else {}
-        lights = {frame.light, *(self.by_file[file].light for _, file in near)}
-        use_boards = frame.group == "object" and lights <= set(boards)
-
-        def reference(file: str) -> float:
-            """What the brightness of a frame is proportional to: its board's, or the cosine of its lamp's angle."""
-            light = self.by_file[file].light
-            return self._rate(boards[light], known) if use_boards else self.references[file]
-
-        pairs = [(reference(file), self._rate(file, known)) for _, file in near]
-        pairs = [(value, rate) for value, rate in pairs if value > 0 and rate > 0]
-        if not pairs:
-            return None
-        return expected_level(reference(frame.file), pairs) * (exposure_s or 1.0), settings.checks.brightness
-
-    def _rate(self, file: str, known: dict[str, Measures]) -> float:
-        """Level of a kept frame for one second of exposure."""
-        return known[file].level / (self.kept[file]["exposure_s"] or 1.0)
-
     def _expect_room(self, frame: PlannedFrame) -> None:
         """UserError before an exposure that the disk has no room for."""
         largest = max((event["bytes"] for event in self.kept.values()), default=frame.bytes)
@@ -460,7 +364,7 @@ class CaptureRun:
             lit = [f for f in self.frames if f.group == group and f.exposure_s == frame.exposure_s]
             if frame.group == "dark" or not lit:
                 raise UserError(f"{frame.file}: exposure {frame.exposure_s} is not known. Remedy: give it in seconds")
-            self.exposures[group] = self._meter(max(lit, key=lambda f: self.references[f.file]))
+            self.exposures[group] = self._meter(max(lit, key=lambda f: self.neighbours.references[f.file]))
             self._note("exposure", group=group, exposure_s=self.exposures[group])
         return self.exposures[group]
 
@@ -489,26 +393,6 @@ class CaptureRun:
             "exposure_s in the plan"
         )
 
-    # Devices
-
-    def _opened(self) -> Rig:
-        if self.rig is None:
-            rig = self.open_devices(self.rig_file)
-            try:
-                expect_devices(self.frames, rig)
-                if any(frame.axes for frame in self.frames):
-                    rig.home()
-            except BaseException:
-                rig.close()
-                raise
-            self.rig, self.set_to = rig, None
-        return self.rig
-
-    def _close(self) -> None:
-        if self.rig is not None:
-            self.rig.close()
-            self.rig = None
-
     def _prepare_subject(self, group: str) -> None:
         """Ask for what has to stand before the camera."""
         if group != self.subject:
@@ -524,7 +408,7 @@ class CaptureRun:
         """Write the tables, check the capture as ./nishiki check does, and rename it to its name."""
         from nishiki.observations.check import check_capture
 
-        self._close()
+        self.devices.close()
         names = channel_names(read_header(self.payload / self.frames[0].file))
         exposures = {file: event["exposure_s"] for file, event in self.kept.items() if event["exposure_s"]}
         write_tables(self.payload, self.plan, self.frames, exposures, names)
