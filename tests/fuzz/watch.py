@@ -44,6 +44,7 @@ def lower_bounds() -> None:
 def watched(read: Callable[[bytes], None], data: bytes) -> str:
     """Run a reader on data: 'read', or 'refused' where it raised UserError. Anything else it does is raised."""
     if not _state["hooked"]:
+        sys.dont_write_bytecode = True  # of modules that a reader imports when it first needs them
         sys.addaudithook(_hook)
         _state["hooked"] = True
     before, start = _peak_megabytes(), time.process_time()
@@ -80,8 +81,6 @@ def _peak_megabytes() -> float:
 
 def _hook(event: str, args: tuple) -> None:
     if not _state["reading"]:
-        return
-    if "__pycache__" in str(args[:1]):  # modules that are imported when they are first needed
         return
     if event in _EVENTS or (event == "open" and isinstance(args[2], int) and args[2] & _WRITING):
         _state["seen"] = _state["seen"] or f"{event} {str(args[:2])[:200]}"
