@@ -88,3 +88,11 @@ def test_parts_of_bands_are_not_written(tmp_path):
     array = BandedGroup.create(tmp_path / "a.zarr").create_array("map", (20, 6), (8, 6), "float32")
     with pytest.raises(ValueError, match="no whole chunks"):
         array[4:12] = np.zeros((8, 6))
+
+
+def test_attributes_change_only_where_they_are_written(tmp_path):
+    group = BandedGroup.create(tmp_path / "a.zarr", {"stamp": "x"})
+    with pytest.raises(TypeError):
+        group.attrs["pitch"] = 0.5
+    group.update(pitch=0.5)
+    assert dict(BandedGroup(tmp_path / "a.zarr").attrs) == {"stamp": "x", "pitch": 0.5}

@@ -7,8 +7,10 @@ reads, and the other way round as long as the chunks of an array are bands of wh
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -96,12 +98,12 @@ class BandedArray:
 
 
 class BandedGroup:
-    """Arrays in one folder, and what is said of them together (`attrs`; `update` changes it)."""
+    """Arrays in one folder, and what is said of them together: `attrs`, which only `update` changes, and writes."""
 
     def __init__(self, folder: Path | str):
         """Open a group that is there."""
         self.folder = Path(folder)
-        self.attrs: dict[str, Any] = read_json(self.folder / METADATA).get("attributes", {})
+        self.attrs: Mapping[str, Any] = MappingProxyType(read_json(self.folder / METADATA).get("attributes", {}))
 
     @classmethod
     def create(cls, folder: Path | str, attributes: dict[str, Any] | None = None) -> BandedGroup:
@@ -112,8 +114,8 @@ class BandedGroup:
 
     def update(self, **attributes: Any) -> None:
         """Say more of the group."""
-        self.attrs.update(attributes)
-        _write_group(self.folder, self.attrs)
+        self.attrs = MappingProxyType({**self.attrs, **attributes})
+        _write_group(self.folder, dict(self.attrs))
 
     def __contains__(self, name: str) -> bool:
         return (self.folder / name / METADATA).is_file()

@@ -45,7 +45,7 @@ class NormalsSettings(Guarded):
     channel."""
 
     STAGE: ClassVar[str] = "normals"
-    VERSION: ClassVar[int] = 2
+    VERSION: ClassVar[int] = 3
     LIMITS: ClassVar[tuple[Limit, ...]] = LIMITS
 
     solver: Literal["default", "lobe", "lobes", "least_squares"] = Field(

@@ -1,0 +1,53 @@
+"""The stage height: its unit, and what it says of reliefs that bow."""
+
+from types import SimpleNamespace
+
+import numpy as np
+from pages import make_artifact
+
+from nishiki.artifacts.artifact import Artifact, ArtifactWriter
+from nishiki.artifacts.maps import Maps
+from nishiki.artifacts.stage import Context
+from nishiki.progress import Progress
+from nishiki.stages.height.declaration import HeightSettings
+from nishiki.stages.height.run import run
+from nishiki.stages.normals.declaration import NormalsSettings
+from nishiki.stages.normals.run import create_maps
+
+STAMP = {"scene": "small", "stage": "height", "key": "0123456789ab", "version": "1"}
+PITCH_MM = 0.5
+
+
+def solved_normals(folder, slope_x, slope_y) -> Artifact:
+    """The artifact of the stage normals for slopes (rows, columns)."""
+    settings = NormalsSettings(solver="least_squares")
+    frames = SimpleNamespace(shape=slope_x.shape, channels=("grey",), band_rows=16, pixel_pitch_mm=PITCH_MM)
+    normals = np.dstack([-slope_x, -slope_y, np.ones_like(slope_x)])
+
+    def fill(writer):
+        context = SimpleNamespace(output=writer, stamp=STAMP, settings=settings)
+        maps = create_maps(context, frames, terms=0, relight=False)
+        maps["normals"][...] = normals / np.linalg.norm(normals, axis=2, keepdims=True)
+        maps["flags"][...] = np.zeros(slope_x.shape, np.uint8)
+        maps["sigma"][...] = np.full(slope_x.shape, 0.01)
+        return {}
+
+    return make_artifact(folder, settings, fill, stamp=STAMP, stage="normals")
+
+
+def integrated(folder, normals: Artifact, **settings) -> tuple[np.ndarray, dict]:
+    """Height and diagnostics of the stage."""
+    with ArtifactWriter(folder / "height" / STAMP["key"]) as output:
+        context = Context(
+            {"normals": normals}, HeightSettings(**settings), output, None, None, STAMP, Progress("small/height")
+        )
+        diagnostics = run(context)
+        return Maps(output.folder).read("height"), diagnostics
+
+
+def test_heights_of_a_capture_with_a_known_scale_are_in_millimetres(tmp_path):
+    """The stage normals keeps the distance of pixels; without it exports would have no scale."""
+    level = np.zeros((30, 40))
+    height, diagnostics = integrated(tmp_path, solved_normals(tmp_path, level + 0.2, level + 0.1))
+    assert diagnostics["unit"] == "mm"
+    np.testing.assert_allclose(np.diff(height, axis=1), 0.2 * PITCH_MM, atol=1e-5)
