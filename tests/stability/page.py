@@ -85,7 +85,14 @@ def _limits() -> list[str]:
     from nishiki.stages.table import LIMITS
 
     rows = [
-        [stage, f"`{limit.name}`", limit.meaning, limit.stated, limit.why, limit.remedy]
+        [
+            stage,
+            f"`{limit.name}`",
+            limit.meaning,
+            limit.stated + ", warns only" * limit.warns,
+            limit.why,
+            limit.remedy,
+        ]
         for stage, limits in LIMITS.items()
         for limit in limits
         if limit.stated

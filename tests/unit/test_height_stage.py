@@ -6,10 +6,11 @@ import numpy as np
 from pages import make_artifact
 
 from nishiki.artifacts.artifact import Artifact, ArtifactWriter
+from nishiki.artifacts.limits import check, limit_warnings
 from nishiki.artifacts.maps import Maps
 from nishiki.artifacts.stage import Context
 from nishiki.progress import Progress
-from nishiki.stages.height.declaration import HeightSettings
+from nishiki.stages.height.declaration import LIMITS, HeightSettings
 from nishiki.stages.height.run import run
 from nishiki.stages.normals.declaration import NormalsSettings
 from nishiki.stages.normals.run import create_maps
@@ -51,3 +52,25 @@ def test_heights_of_a_capture_with_a_known_scale_are_in_millimetres(tmp_path):
     height, diagnostics = integrated(tmp_path, solved_normals(tmp_path, level + 0.2, level + 0.1))
     assert diagnostics["unit"] == "mm"
     np.testing.assert_allclose(np.diff(height, axis=1), 0.2 * PITCH_MM, atol=1e-5)
+
+
+def dome(columns=40, rows=30):
+    """Slopes of a dome that is 0.25 of its width high."""
+    x = np.linspace(-1, 1, columns) + np.zeros((rows, 1))
+    y = np.linspace(0.75, -0.75, rows)[:, None] + np.zeros(columns)
+    return -0.5 * x, -0.5 * y
+
+
+def test_a_relief_that_bows_is_warned_of_with_the_remedy(tmp_path):
+    _, diagnostics = integrated(tmp_path, solved_normals(tmp_path, *dome()))
+    (warning,) = limit_warnings("height", LIMITS, diagnostics)
+    assert "height.flatten: true" in warning
+    assert "height.allow: [bow]" in warning
+    check("height", LIMITS, diagnostics)
+    assert not limit_warnings("height", LIMITS, diagnostics, ["bow"])
+
+
+def test_a_flattened_relief_is_not_warned_of(tmp_path):
+    _, diagnostics = integrated(tmp_path, solved_normals(tmp_path, *dome()), flatten=True)
+    assert diagnostics["flattened_deg"] > 10
+    assert not limit_warnings("height", LIMITS, diagnostics)

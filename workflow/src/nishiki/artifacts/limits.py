@@ -19,6 +19,7 @@ Figure = Callable[[Mapping[str, Any]], float | None]
 class Limit:
     """figure: of the stage's diagnostics, None where it does not apply. The result is beyond the limit below `least` or
     above `most`; without either the figure is reported only. why: the limit and not another; remedy: what to change.
+    warns: beyond it the run goes on with a warning, because the result may be right.
     """
 
     name: str
@@ -28,6 +29,7 @@ class Limit:
     least: float | None = None
     remedy: str = ""
     why: str = ""
+    warns: bool = False
 
     def beyond(self, value: float) -> bool:
         """Whether a value is beyond the limit; a NaN is."""
@@ -117,7 +119,8 @@ def limit_checks(
 
 def check(stage: str, limits: Iterable[Limit], diagnostics: Mapping[str, Any], allow: Iterable[str] = ()) -> None:
     """UserError naming each limit that the result of a stage is beyond, with its remedy, unless it is allowed."""
-    wrong = [each for each in limit_checks(limits, diagnostics, allow) if each.beyond and not each.allowed]
+    beyond = [each for each in limit_checks(limits, diagnostics, allow) if each.beyond and not each.allowed]
+    wrong = [each for each in beyond if not each.limit.warns]
     if wrong:
         failed = "; ".join(
             f"{each.limit.meaning} is {each.value:.4g}, expected {each.limit.stated} (limit {each.limit.name}). "
@@ -129,3 +132,15 @@ def check(stage: str, limits: Iterable[Limit], diagnostics: Mapping[str, Any], a
             f"the result is beyond what can be trusted and is not kept: {failed}. To keep such a result all the same, "
             f"set {stage}.allow: [{names}]; what finished before stays"
         )
+
+
+def limit_warnings(
+    stage: str, limits: Iterable[Limit], diagnostics: Mapping[str, Any], allow: Iterable[str] = ()
+) -> list[str]:
+    """A sentence for each limit that only warns and that the result of a stage is beyond, unless it is allowed."""
+    return [
+        f"{each.limit.meaning} is {each.value:.2g}, expected {each.limit.stated}. {each.limit.remedy}; or, if it is "
+        f"right, set {stage}.allow: [{each.limit.name}]"
+        for each in limit_checks(limits, diagnostics, allow)
+        if each.beyond and not each.allowed and each.limit.warns
+    ]

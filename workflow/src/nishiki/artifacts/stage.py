@@ -12,7 +12,7 @@ from nishiki.artifacts.artifact import MANIFEST, Artifact, ArtifactWriter, open_
 from nishiki.artifacts.bounds import at_bounds
 from nishiki.artifacts.closed import Guarded, parse
 from nishiki.artifacts.finite import expect_finite
-from nishiki.artifacts.limits import check
+from nishiki.artifacts.limits import check, limit_warnings
 from nishiki.artifacts.provenance import canonical, stage_key
 from nishiki.artifacts.run_facts import RunFacts
 from nishiki.artifacts.scatter import StagePart, TiledStage, in_order
@@ -144,9 +144,11 @@ def _run(
         diagnostics = run(context)
         if not part:
             check(model.STAGE, model.LIMITS, diagnostics, settings.allow)
-            for each in at_bounds(diagnostics):
-                who = model.STAGE if arguments.scene == NAMELESS else f"{arguments.scene}/{model.STAGE}"
-                print(f"nishiki {who}: warning: a fitted parameter ended at its bound: {each}", file=sys.stderr)
+            warnings = [f"a fitted parameter ended at its bound: {each}" for each in at_bounds(diagnostics)]
+            warnings += limit_warnings(model.STAGE, model.LIMITS, diagnostics, settings.allow)
+            who = model.STAGE if arguments.scene == NAMELESS else f"{arguments.scene}/{model.STAGE}"
+            for each in warnings:
+                print(f"nishiki {who}: warning: {each}", file=sys.stderr)
         expect_finite(output.folder, model.STAGE)
         manifest = {
             **stamp,

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nishiki.errors import UserError
+from nishiki.photometric.flatten import flatten_normals
 from nishiki.photometric.poisson import conjugate_gradients, divergence, edge_gradients, poisson_symbol, solve_rectangle
 
 METHODS = ("auto", "dct", "weighted")
@@ -19,6 +20,7 @@ LEAST_NZ = 0.05  # normals that are steeper (87 degrees) count as this steep: sl
 LEAST_WEIGHT = 1e-3  # a steep pixel keeps this much say, so that it stays tied to its neighbours
 NOT_UNIT = 0.02  # of the squared length, as where normals are shaded
 PITCHES = (1e-12, 1e12)  # beyond, heights and their squares leave float32
+BOW_PIXELS = 100_000  # at most, to which the quadratic surface of `bow` is fitted
 SINGLE_ABOVE = 4_000_000  # pixels above which the work arrays are float32: half the memory, heights to about 1e-5
 
 
@@ -30,14 +32,17 @@ class HeightField:
     NaN where `valid` (rows, columns) bool is False: a number there would be a wall around the object.
     integrability_rms: root mean square of p_y - q_x, in slope per unit length, over the 2 x 2 squares of valid pixels;
     0 for the normals of a continuous surface. gradient_rms: root mean square of (height difference / pitch - slope)
-    over valid neighbours. parts: number of connected parts, whose relative heights the normals do not tell. residual:
-    relative residual of the linear system at the end.
+    over valid neighbours. bow: see `bow`. flattened_deg: root mean square angle by which normals were turned to flatten
+    the relief, degrees; 0 where they were not. parts: number of connected parts, whose relative heights the normals do
+    not tell. residual: relative residual of the linear system at the end.
     """
 
     height: np.ndarray
     valid: np.ndarray
     integrability_rms: float
     gradient_rms: float
+    bow: float
+    flattened_deg: float
     parts: int
     iterations: int
     residual: float
@@ -46,13 +51,16 @@ class HeightField:
     @property
     def diagnostics(self):
         """The scalars, as plain numbers."""
-        names = ("method", "integrability_rms", "gradient_rms", "parts", "iterations", "residual")
+        names = ("method", "integrability_rms", "gradient_rms", "bow", "flattened_deg")
+        names += ("parts", "iterations", "residual")
         inside = self.height[self.valid]
         span = float(inside.max() - inside.min()) if inside.size else 0.0
         return {**{name: getattr(self, name) for name in names}, "valid_pixels": int(inside.size), "range": span}
 
 
-def integrate_normals(normals, *, valid=None, pixel_pitch=1.0, method="auto", tolerance=1e-5, max_iterations=400):
+def integrate_normals(
+    normals, *, valid=None, pixel_pitch=1.0, method="auto", flatten=False, tolerance=1e-5, max_iterations=400
+):
     """Integrate unit normals (rows, columns, 3) into a HeightField.
 
     valid (rows, columns) bool, None for all; pixel_pitch: distance of neighbouring pixels, whose unit the height takes.
@@ -62,11 +70,16 @@ def integrate_normals(normals, *, valid=None, pixel_pitch=1.0, method="auto", to
         "weighted": only valid pixels, weighted by nz^4, the inverse variance of a slope for equal angular errors.
         "auto": "dct" where every pixel is valid and none is steeper than 80 degrees, else "weighted".
 
+    flatten: take the smooth part of the normals off (`flatten_normals`), for an object that is flat overall.
+
     Raises UserError on shapes that do not fit, a pitch out of 1e-12 .. 1e12, no valid pixel, and unknown methods.
     """
     normals, valid = checked_normals(normals, valid, pixel_pitch)
     if method not in METHODS:
         raise UserError(f"height: expected a method of {', '.join(METHODS)}, found {method!r}")
+    turned = 0.0
+    if flatten:
+        normals, turned = flatten_normals(normals, valid)
     if method == "auto":
         method = "dct" if valid.all() and normals[..., 2].min() > np.cos(np.radians(80.0)) else "weighted"
     dtype = np.float32 if valid.size > SINGLE_ABOVE else np.float64
@@ -83,7 +96,9 @@ def integrate_normals(normals, *, valid=None, pixel_pitch=1.0, method="auto", to
         height, iterations, residual = conjugate_gradients(weights, right, symbol, tolerance, max_iterations)
     parts = level_parts(height, valid)
     curl, mismatch = leftovers(height, gradients, valid, float(pixel_pitch))
-    return HeightField(height.astype(np.float32), valid, curl, mismatch, parts, iterations, residual, method)
+    height = height.astype(np.float32)
+    bowed, turned = bow(height, valid, float(pixel_pitch)), float(np.degrees(turned))
+    return HeightField(height, valid, curl, mismatch, bowed, turned, parts, iterations, residual, method)
 
 
 def checked_normals(normals, valid, pixel_pitch):
@@ -145,3 +160,20 @@ def leftovers(height, gradients, valid, pitch):
     total += np.sum(np.square((np.diff(height, axis=0) - down)[below], dtype=np.float64))
     edges = np.count_nonzero(beside) + np.count_nonzero(below)
     return float(curl), float(np.sqrt(total / max(1, edges)) / pitch)
+
+
+def bow(height, valid, pitch):
+    """Range of the second-order part of the heights over the longer side of the valid pixels; 0 of a single pixel.
+
+    The second-order part is that of the least-squares quadratic surface: a plane has none, a bowl is hardly more.
+    """
+    extent = max(np.ptp(np.flatnonzero(valid.any(axis=1))), np.ptp(np.flatnonzero(valid.any(axis=0))))
+    if extent == 0:
+        return 0.0
+    inside = np.flatnonzero(valid)
+    rows, columns = np.divmod(inside[:: -(-inside.size // BOW_PIXELS)], valid.shape[1])
+    x, y = 2 * (columns - columns.mean()) / extent, 2 * (rows - rows.mean()) / extent
+    z = height[rows, columns].astype(np.float64) / (pitch * extent)
+    terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
+    solution = np.linalg.lstsq(terms, z, rcond=None)[0]
+    return float(np.ptp(terms[:, 3:] @ solution[3:]))

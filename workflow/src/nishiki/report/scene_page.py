@@ -131,8 +131,8 @@ def closing_sections(
                 [*left_out_blocks(left_out, diagnostics), *more_left_out], "Left out"),
         Section("conditions", "Conditions and flags", [Table(
             ("Stage", "figure", "value", "expected", "state"), rows, "lwrll",
-            "Condition numbers, flagged shares and errors of every stage, with the limits beyond which a run stops "
-            "unless the stage's setting “allow” names them.")], "Conditions"),
+            "Condition numbers, flagged shares and errors of every stage, with the limits beyond which a run stops, "
+            "or warns, unless the stage's setting “allow” names them.")], "Conditions"),
         Section("made", "How it was made",
                 [*more_made, made, *(record(inputs[name].manifest, stages[name]) for name in there)]),
         Section("verify", "How to verify", verification(stamp)),
@@ -175,7 +175,7 @@ def left_out_blocks(left_out: Mapping[str, str], diagnostics: Mapping[str, Mappi
 def conditions(manifest: Mapping[str, Any], limits: Sequence[Limit]) -> list[tuple[Cell, ...]]:
     """Rows (stage, meaning, value, limit, state) of one artifact; last, the parameters that ended at a bound.
 
-    A run stops where a result is beyond a limit and not allowed to be.
+    A run stops where a result is beyond a limit and not allowed to be; beyond some it goes on with a warning.
     """
     stage, rows = manifest["stage"], []
     for check in limit_checks(limits, manifest["diagnostics"], manifest["settings"].get("allow", ())):
@@ -185,7 +185,9 @@ def conditions(manifest: Mapping[str, Any], limits: Sequence[Limit]) -> list[tup
             stated = f"at most {plain(limit.most)}"
         elif limit.least is not None:
             stated = f"at least {plain(limit.least)}"
-        state = "–" if not limit.stated else "beyond, allowed" if check.beyond else "within"
+        state = "–"
+        if limit.stated:
+            state = "within" if not check.beyond else "beyond, allowed" if check.allowed else f"beyond: {limit.remedy}"
         rows.append((stage, limit.meaning, plain(check.value), stated, state))
     for parameter in at_bounds(manifest["diagnostics"]):
         rows.append((stage, f"fitted parameter at a bound: {parameter}", None, "inside its range", "at its bound"))

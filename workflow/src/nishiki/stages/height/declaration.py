@@ -17,6 +17,15 @@ LIMITS = (
         remedy="set height.method to another solver, or more iterations; check the normals' maps for islands",
         why="captures gave 1e-5 and less; a hundredth bends a surface by about its own relief",
     ),
+    Limit(
+        "bow",
+        "depth of the bowl in the relief over its longer side",
+        at("bow"),
+        most=0.02,
+        remedy="if the object is flat overall, slow errors of the normals bend it: set height.flatten: true",
+        why="panels seldom warp by 2 cm a metre; flat ones under near lamps taken as distant gave 0.025 to 0.24",
+        warns=True,
+    ),
     Limit("integrability", "rms curl of the gradients", at("integrability_rms")),
     Limit("parts", "separate parts of the object, each with its own zero", at("parts")),
 )
@@ -31,6 +40,9 @@ class HeightSettings(Guarded):
 
     method: Literal["auto", "dct", "weighted"] = Field(
         "auto", description="dct: Poisson on the full rectangle; weighted: with mask and weights; auto: as needed"
+    )
+    flatten: bool = Field(
+        False, description="the object is flat overall: take the smooth part of the normals off before the integration"
     )
 
 

@@ -15,7 +15,10 @@ def run(context: Context) -> dict:
     normals = maps.read("normals")
     valid = (maps.read("flags") & bits.NO_ESTIMATE) == 0
     pitch = maps.group.attrs.get("pixel_pitch_mm")
-    field = integrate_normals(normals, valid=valid, pixel_pitch=pitch or 1.0, method=context.settings.method)
+    settings = context.settings
+    field = integrate_normals(
+        normals, valid=valid, pixel_pitch=pitch or 1.0, method=settings.method, flatten=settings.flatten
+    )
     out = MapWriter(
         context.output.folder,
         rows=normals.shape[0],
