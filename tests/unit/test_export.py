@@ -15,10 +15,12 @@ import OpenEXR
 import pytest
 import tifffile
 import trimesh
+from pages import make_artifact
 from PIL import Image, ImageCms
 from small_painting import COLUMNS, PITCH_MM, ROWS, STAMP, dome, export_context, small_painting
 
 from nishiki.artifacts.finite import expect_finite
+from nishiki.artifacts.maps import MapWriter
 from nishiki.brdf.torrance_sparrow import specular
 from nishiki.cli import FORMATS
 from nishiki.colour.colour import (
@@ -37,10 +39,14 @@ from nishiki.formats.tiff_bands import TiffWriter
 from nishiki.render.plane.frame import render
 from nishiki.render.plane.scene import Gloss, Light, PlaneScene, View
 from nishiki.stages.export.declaration import ExportSettings, Format
+from nishiki.stages.export.gltf import textures
 from nishiki.stages.export.gltf_material import GltfMaterial, fitted_material
 from nishiki.stages.export.light_models import HarmonicModel, ptm_weights, solve
+from nishiki.stages.export.relief_mesh import reliefs
 from nishiki.stages.export.report import export_section
 from nishiki.stages.export.run import run
+from nishiki.stages.export.scene import ExportedScene
+from nishiki.stages.height.declaration import HeightSettings
 
 LAMPS = [(np.sin(a) * 0.7, np.cos(a) * 0.7, 0.714) for a in np.radians([10, 100, 190, 280])]
 
@@ -395,6 +401,25 @@ def test_gltf_is_the_displaced_plane_with_the_relief_in_its_normal_texture(expor
     srgb = xyz_to_srgb_linear(xyz_from_spectra(lamp, painting.reflectance()), white=white_xyz(lamp))
     shown = np.asarray(material.baseColorTexture)[row, column] / 255
     assert np.abs(shown - srgb_encode(srgb[painting.known])).mean() < 0.01
+
+
+def test_reliefs_that_were_flattened_are_exported_with_their_normals(tmp_path):
+    """The mesh is flat, so vertex normals that still lean would shade it as the bowl that was taken off."""
+    painting = small_painting(tmp_path)
+    level = np.zeros((ROWS, COLUMNS), np.float32)
+    upright = np.dstack([level, level, level + 1])
+
+    def flattened(writer):
+        maps = MapWriter(writer.folder, rows=ROWS, columns=COLUMNS, band_rows=16, stamp=STAMP)
+        maps.write("height", level, unit="mm")
+        maps.write("normals", upright)
+
+    painting.inputs["height"] = make_artifact(tmp_path / "flat", HeightSettings(), flattened, stamp=STAMP)
+    scene = ExportedScene(painting.inputs)
+    for part in reliefs(scene, 10_000, colours=None):
+        np.testing.assert_array_equal(part.normals, np.tile(np.float32([0, 0, 1]), (len(part.normals), 1)))
+    np.testing.assert_array_equal(textures(scene, 512)[1], upright)
+    assert scene.normals(slice(0, ROWS))[..., 0].std() > 0.05
 
 
 def test_the_fitted_lobe_of_gltf_looks_like_ours():

@@ -55,7 +55,7 @@ def test_the_bowl_of_a_slow_tilt_goes_and_the_relief_stays(strength):
     truth = ripples()
     wrong = tilted_by_near_lamps(normals_of(truth), strength)
     bent = integrate_normals(wrong)
-    flat = integrate_normals(wrong, flatten=True)
+    flat = integrate_normals(flatten_normals(wrong, ALL)[0])
     assert bent.bow > 0.02
     assert flat.bow < 0.01
     assert rms(bent.height, truth) > truth.std()
@@ -88,14 +88,14 @@ def test_pixels_outside_the_mask_do_nothing():
     assert not first[~valid].any()
 
 
-def test_a_body_is_bent_flat_only_where_asked():
-    """A cap of a sphere is not a flat object: without the setting it keeps its shape, and its bow is reported."""
+def test_a_body_keeps_its_shape_unless_it_is_flattened():
+    """A cap of a sphere is not a flat object; its bow is reported."""
     x, y = places()
     cap = COLUMNS / 2 * np.sqrt(4 - x**2 - y**2)
     field = integrate_normals(normals_of(cap))
     assert rms(field.height, cap) < 0.01 * cap.std()
     assert field.bow > 0.1
-    assert np.ptp(integrate_normals(normals_of(cap), flatten=True).height) < 0.1 * np.ptp(cap)
+    assert np.ptp(integrate_normals(flatten_normals(normals_of(cap), ALL)[0]).height) < 0.1 * np.ptp(cap)
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 7), (5, 1), (300, 3)])
@@ -104,6 +104,12 @@ def test_small_and_narrow_fields(shape):
     turned, angle = flatten_normals(normals, np.ones(shape, dtype=bool))
     np.testing.assert_allclose(turned, np.broadcast_to([0, 0, 1], turned.shape), atol=1e-6)
     assert angle == pytest.approx(np.arcsin(0.6))
+
+
+def test_nothing_valid_is_nothing_turned():
+    turned, angle = flatten_normals(normals_of(ripples()), ~ALL)
+    assert not turned.any()
+    assert angle == 0
 
 
 def test_block_means_are_at_the_middle_of_their_squares():

@@ -6,6 +6,7 @@ import numpy as np
 from pages import make_artifact
 
 from nishiki.artifacts.artifact import Artifact, ArtifactWriter
+from nishiki.artifacts.finite import expect_finite
 from nishiki.artifacts.limits import check, limit_warnings
 from nishiki.artifacts.maps import Maps
 from nishiki.artifacts.stage import Context
@@ -36,22 +37,24 @@ def solved_normals(folder, slope_x, slope_y) -> Artifact:
     return make_artifact(folder, settings, fill, stamp=STAMP, stage="normals")
 
 
-def integrated(folder, normals: Artifact, **settings) -> tuple[np.ndarray, dict]:
-    """Height and diagnostics of the stage."""
+def integrated(folder, normals: Artifact, **settings) -> tuple[dict, dict]:
+    """Maps and diagnostics of the stage."""
     with ArtifactWriter(folder / "height" / STAMP["key"]) as output:
         context = Context(
             {"normals": normals}, HeightSettings(**settings), output, None, None, STAMP, Progress("small/height")
         )
         diagnostics = run(context)
-        return Maps(output.folder).read("height"), diagnostics
+        expect_finite(output.folder, "height")
+        maps = Maps(output.folder)
+        return {name: maps.read(name) for name in ("height", "normals") if name in maps}, diagnostics
 
 
 def test_heights_of_a_capture_with_a_known_scale_are_in_millimetres(tmp_path):
     """The stage normals keeps the distance of pixels; without it exports would have no scale."""
     level = np.zeros((30, 40))
-    height, diagnostics = integrated(tmp_path, solved_normals(tmp_path, level + 0.2, level + 0.1))
+    maps, diagnostics = integrated(tmp_path, solved_normals(tmp_path, level + 0.2, level + 0.1))
     assert diagnostics["unit"] == "mm"
-    np.testing.assert_allclose(np.diff(height, axis=1), 0.2 * PITCH_MM, atol=1e-5)
+    np.testing.assert_allclose(np.diff(maps["height"], axis=1), 0.2 * PITCH_MM, atol=1e-5)
 
 
 def dome(columns=40, rows=30):
@@ -62,7 +65,9 @@ def dome(columns=40, rows=30):
 
 
 def test_a_relief_that_bows_is_warned_of_with_the_remedy(tmp_path):
-    _, diagnostics = integrated(tmp_path, solved_normals(tmp_path, *dome()))
+    maps, diagnostics = integrated(tmp_path, solved_normals(tmp_path, *dome()))
+    assert "normals" not in maps
+    assert diagnostics["flattened_deg"] == 0
     (warning,) = limit_warnings("height", LIMITS, diagnostics)
     assert "height.flatten: true" in warning
     assert "height.allow: [bow]" in warning
@@ -71,6 +76,8 @@ def test_a_relief_that_bows_is_warned_of_with_the_remedy(tmp_path):
 
 
 def test_a_flattened_relief_is_not_warned_of(tmp_path):
-    _, diagnostics = integrated(tmp_path, solved_normals(tmp_path, *dome()), flatten=True)
+    maps, diagnostics = integrated(tmp_path, solved_normals(tmp_path, *dome()), flatten=True)
+    assert np.ptp(maps["height"]) < 0.01 * 40 * PITCH_MM
+    assert maps["normals"][..., 2].min() > np.cos(np.radians(2))
     assert diagnostics["flattened_deg"] > 10
     assert not limit_warnings("height", LIMITS, diagnostics)

@@ -29,7 +29,7 @@ def flatten_normals(normals, valid):
     normals : (rows, columns, 3)
         Unit vectors, x right, y up, z to the camera.
     valid : (rows, columns) bool
-        Where they are used; at least one.
+        Where they are used.
 
     Returns
     -------
@@ -39,10 +39,12 @@ def flatten_normals(normals, valid):
         Root mean square angle by which valid normals were turned, radians.
     """
     rows, columns = valid.shape
+    out = np.zeros((rows, columns, 3), np.float32)
+    if not valid.any():
+        return out, 0.0
     smooth = smooth_normals(normals, valid)
     x = np.linspace(-1, 1, columns)
     y = np.linspace(-1, 1, rows) if rows > 1 else np.zeros(1)
-    out = np.zeros((rows, columns, 3), np.float32)
     squares = 0.0
     for start in range(0, rows, BAND):
         band = slice(start, start + BAND)

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from nishiki.errors import UserError
-from nishiki.photometric.flatten import flatten_normals
 from nishiki.photometric.poisson import conjugate_gradients, divergence, edge_gradients, poisson_symbol, solve_rectangle
 
 METHODS = ("auto", "dct", "weighted")
@@ -32,9 +31,8 @@ class HeightField:
     NaN where `valid` (rows, columns) bool is False: a number there would be a wall around the object.
     integrability_rms: root mean square of p_y - q_x, in slope per unit length, over the 2 x 2 squares of valid pixels;
     0 for the normals of a continuous surface. gradient_rms: root mean square of (height difference / pitch - slope)
-    over valid neighbours. bow: see `bow`. flattened_deg: root mean square angle by which normals were turned to flatten
-    the relief, degrees; 0 where they were not. parts: number of connected parts, whose relative heights the normals do
-    not tell. residual: relative residual of the linear system at the end.
+    over valid neighbours. bow: see `bow`. parts: number of connected parts, whose relative heights the normals do not
+    tell. residual: relative residual of the linear system at the end.
     """
 
     height: np.ndarray
@@ -42,7 +40,6 @@ class HeightField:
     integrability_rms: float
     gradient_rms: float
     bow: float
-    flattened_deg: float
     parts: int
     iterations: int
     residual: float
@@ -51,16 +48,13 @@ class HeightField:
     @property
     def diagnostics(self):
         """The scalars, as plain numbers."""
-        names = ("method", "integrability_rms", "gradient_rms", "bow", "flattened_deg")
-        names += ("parts", "iterations", "residual")
+        names = ("method", "integrability_rms", "gradient_rms", "bow", "parts", "iterations", "residual")
         inside = self.height[self.valid]
         span = float(inside.max() - inside.min()) if inside.size else 0.0
         return {**{name: getattr(self, name) for name in names}, "valid_pixels": int(inside.size), "range": span}
 
 
-def integrate_normals(
-    normals, *, valid=None, pixel_pitch=1.0, method="auto", flatten=False, tolerance=1e-5, max_iterations=400
-):
+def integrate_normals(normals, *, valid=None, pixel_pitch=1.0, method="auto", tolerance=1e-5, max_iterations=400):
     """Integrate unit normals (rows, columns, 3) into a HeightField.
 
     valid (rows, columns) bool, None for all; pixel_pitch: distance of neighbouring pixels, whose unit the height takes.
@@ -70,16 +64,11 @@ def integrate_normals(
         "weighted": only valid pixels, weighted by nz^4, the inverse variance of a slope for equal angular errors.
         "auto": "dct" where every pixel is valid and none is steeper than 80 degrees, else "weighted".
 
-    flatten: take the smooth part of the normals off (`flatten_normals`), for an object that is flat overall.
-
     Raises UserError on shapes that do not fit, a pitch out of 1e-12 .. 1e12, no valid pixel, and unknown methods.
     """
     normals, valid = checked_normals(normals, valid, pixel_pitch)
     if method not in METHODS:
         raise UserError(f"height: expected a method of {', '.join(METHODS)}, found {method!r}")
-    turned = 0.0
-    if flatten:
-        normals, turned = flatten_normals(normals, valid)
     if method == "auto":
         method = "dct" if valid.all() and normals[..., 2].min() > np.cos(np.radians(80.0)) else "weighted"
     dtype = np.float32 if valid.size > SINGLE_ABOVE else np.float64
@@ -97,8 +86,8 @@ def integrate_normals(
     parts = level_parts(height, valid)
     curl, mismatch = leftovers(height, gradients, valid, float(pixel_pitch))
     height = height.astype(np.float32)
-    bowed, turned = bow(height, valid, float(pixel_pitch)), float(np.degrees(turned))
-    return HeightField(height, valid, curl, mismatch, bowed, turned, parts, iterations, residual, method)
+    bowed = bow(height, valid, float(pixel_pitch))
+    return HeightField(height, valid, curl, mismatch, bowed, parts, iterations, residual, method)
 
 
 def checked_normals(normals, valid, pixel_pitch):

@@ -50,7 +50,7 @@ def textures(scene: ExportedScene, most: int) -> tuple[np.ndarray, np.ndarray, i
         known = scene.known(band)[..., None]
         share = np.maximum(block_mean(known, step), 1e-9)
         albedo.append((block_mean(scene.srgb(band), step) / share).astype(np.float32))
-        mean = block_mean(scene.normals(band), step)
+        mean = block_mean(scene.relief_normals(band), step)
         length = np.linalg.norm(mean, axis=-1, keepdims=True)
         normals.append((mean / np.where(length > 0, length, 1)).astype(np.float32))
     return np.concatenate(albedo), np.concatenate(normals), step

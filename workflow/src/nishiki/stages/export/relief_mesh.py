@@ -58,7 +58,7 @@ def reliefs(scene: ExportedScene, most: int, *, colours: np.ndarray | None) -> I
         x = np.broadcast_to((right - columns / 2) * scene.pitch, here.shape)
         y = np.broadcast_to(((rows / 2 - down) * scene.pitch)[:, None], here.shape)
         z = block_mean(np.where(known, height, 0), step) / weight
-        normals = block_mean(np.where(known[..., None], scene.normals(band), 0), step)
+        normals = block_mean(np.where(known[..., None], scene.relief_normals(band), 0), step)
         length = np.linalg.norm(normals, axis=-1, keepdims=True)
         normals = np.where(length > 0, normals / np.where(length > 0, length, 1), [0, 0, 1])
         linear = np.zeros_like(normals)

@@ -63,6 +63,12 @@ class ExportedScene:
         """(r, columns, 3) float32 unit normals, x right, y up, z to the camera; 0 where there is no estimate."""
         return np.where(self.known(rows)[..., None], self._maps.read("normals", rows), np.float32(0))
 
+    def relief_normals(self, rows: slice) -> np.ndarray:
+        """As `normals`, of the relief: flattened where the height is."""
+        if self._height is None or "normals" not in self._height:
+            return self.normals(rows)
+        return self._height.read("normals", rows)
+
     def height(self, rows: slice) -> np.ndarray:
         """(r, columns) float32 height towards the camera in the unit of lengths, NaN where there is none."""
         if self._height is None:

@@ -35,7 +35,7 @@ class HeightSettings(Guarded):
     """Integration of the normals."""
 
     STAGE: ClassVar[str] = "height"
-    VERSION: ClassVar[int] = 2
+    VERSION: ClassVar[int] = 3
     LIMITS: ClassVar[tuple[Limit, ...]] = LIMITS
 
     method: Literal["auto", "dct", "weighted"] = Field(

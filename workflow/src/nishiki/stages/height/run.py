@@ -6,6 +6,7 @@ from nishiki.artifacts.maps import Maps, MapWriter
 from nishiki.artifacts.stage import Context
 from nishiki.photometric import flags as bits
 from nishiki.photometric.expected_error import expected_error
+from nishiki.photometric.flatten import flatten_normals
 from nishiki.photometric.height import integrate_normals
 
 
@@ -15,10 +16,6 @@ def run(context: Context) -> dict:
     normals = maps.read("normals")
     valid = (maps.read("flags") & bits.NO_ESTIMATE) == 0
     pitch = maps.group.attrs.get("pixel_pitch_mm")
-    settings = context.settings
-    field = integrate_normals(
-        normals, valid=valid, pixel_pitch=pitch or 1.0, method=settings.method, flatten=settings.flatten
-    )
     out = MapWriter(
         context.output.folder,
         rows=normals.shape[0],
@@ -26,13 +23,19 @@ def run(context: Context) -> dict:
         band_rows=256,
         stamp=context.stamp,
     )
+    of_relief, turned = normals, 0.0
+    if context.settings.flatten:
+        of_relief, turned = flatten_normals(normals, valid)
+        out.write("normals", of_relief, unit="unit vector, flattened; 0 where there is no estimate")
+    field = integrate_normals(of_relief, valid=valid, pixel_pitch=pitch or 1.0, method=context.settings.method)
+    del of_relief
     out.write(
         "height",
         field.height.astype(np.float32),
         unit="mm" if pitch else "pixels",
         nan="not integrated: outside the mask, or no estimate of the normal",
     )
-    diagnostics = field.diagnostics
+    diagnostics = {**field.diagnostics, "flattened_deg": float(np.degrees(turned))}
     del field
     error = expected_error(normals, maps.read("sigma"), valid)
     out.write("expected_error", error, unit="radians, rms angle of the normal; pi / 2 where there is no estimate")
