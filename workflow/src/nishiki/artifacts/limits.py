@@ -139,8 +139,8 @@ def limit_warnings(
 ) -> list[str]:
     """A sentence for each limit that only warns and that the result of a stage is beyond, unless it is allowed."""
     return [
-        f"{each.limit.meaning} is {each.value:.2g}, expected {each.limit.stated}. {each.limit.remedy}; or, if it is "
-        f"right, set {stage}.allow: [{each.limit.name}]"
+        f"{each.limit.meaning} is {each.value:.2g}, expected {each.limit.stated}. Remedy: {each.limit.remedy}; or, if "
+        f"it is right, set {stage}.allow: [{each.limit.name}]"
         for each in limit_checks(limits, diagnostics, allow)
         if each.beyond and not each.allowed and each.limit.warns
     ]
