@@ -103,6 +103,7 @@ def others(root: Path, ingest: Artifact) -> dict[str, Artifact]:
     def height(writer):
         maps = MapWriter(writer.folder, rows=rows, columns=columns, band_rows=16, stamp=STAMP)
         maps.write("height", np.zeros((rows, columns), np.float32), unit="mm")
+        return {"bow": 0.3}
 
     def spectra(writer):
         maps = MapWriter(writer.folder, rows=rows, columns=columns, band_rows=16, stamp=STAMP)
@@ -202,6 +203,11 @@ def test_the_page_is_whole_and_opens_offline(page):
 
 def test_diagnostics_state_the_size_of_the_page(report, page):
     assert open_artifact(report.folder).diagnostics["bytes"] == len(page.encode())
+
+
+def test_a_result_beyond_a_limit_that_warns_is_told_at_the_top(page):
+    note = page[page.index('class="note warn"') :]
+    assert note.index("set height.flatten: true") < note.index('id="appearance"')
 
 
 def test_the_title_is_text_not_markup(page):

@@ -11,7 +11,7 @@ from markupsafe import Markup
 from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.bounds import at_bounds
 from nishiki.artifacts.closed import Closed
-from nishiki.artifacts.limits import Limit, limit_checks
+from nishiki.artifacts.limits import Limit, limit_checks, limit_warnings
 from nishiki.artifacts.provenance import canonical
 from nishiki.artifacts.stage import Context
 from nishiki.report.files import contents
@@ -69,6 +69,17 @@ def write_scene_page(
     stamp, settings = context.stamp, context.settings
     closing = closing_sections(context.inputs, stages, stamp, settings.left_out, more_left_out, more_made)
     viewer = next((name for name in context.inputs if name.endswith("viewer")), None)
+    beyond = [
+        f"{name}: {warning}"
+        for name in stages
+        if name in context.inputs
+        for warning in limit_warnings(
+            name,
+            stages[name].limits,
+            context.inputs[name].diagnostics,
+            context.inputs[name].settings.get("allow", ()),
+        )
+    ]
     page = Page(
         title=settings.title or title or stamp["scene"],
         subtitle=Markup("Scene <code>{}</code>, {}.").format(stamp["scene"], about),
@@ -78,7 +89,7 @@ def write_scene_page(
         stamp=f"{stamp['scene']}/{stamp['stage']}/{stamp['key']}",
         facts=facts,
         tiles=tiles,
-        warnings=warnings,
+        warnings=[*warnings, *beyond],
     )
     html = render_page(page)
     context.output.path("report.html").write_text(html, encoding="utf-8")
