@@ -4,9 +4,9 @@
 
 Captures are simulated, 144 x 192 pixels of 0.5 mm; the white boards are taken away, and the stated lamp directions get
 random errors. Both variants run through `nishiki run`, so that the figures are those a user gets. One JSON object a
-line: lamps_half_diagonals: distance of the lamps; lamps_wrong_deg: standard deviation of their stated directions along each
-axis; rms_mm and relief_mm: of the height's error and of the relief, less a plane; bow and flattened_deg: as the stage
-says.
+line: lamps_half_diagonals: distance of the lamps; lamps_wrong_deg: standard deviation of their stated directions along
+each axis; rms_mm and relief_mm: of the height's error and of the relief, less a plane; bow and flattened_deg: as the
+stage says.
 """
 
 import argparse
