@@ -17,10 +17,18 @@ from nishiki.artifacts.artifact import Artifact
 from nishiki.brdf.slopes import slope_covariance
 from nishiki.colour.colour import cie_1931_cmfs, delta_e_2000, illuminant, srgb_matrix, xyz_to_lab
 from nishiki.colour.encoding import decode
-from nishiki.render.display import adapted_exposure, display_image
+from nishiki.render.cloth.dyes import dyed
+from nishiki.render.cloth.frame import RenderVariant
+from nishiki.render.cloth.frame import render as render_cloth
+from nishiki.render.cloth.models import ClothModels
+from nishiki.render.cloth.scene import Lamp
+from nishiki.render.cloth.studio import linear_colour
+from nishiki.render.display import adapted_exposure, developed, display_image
 from nishiki.render.plane.frame import render
 from nishiki.render.plane.scene import Ambient, Light, PlaneScene
 from nishiki.render.plane.shadow import cast_shadows
+from nishiki.stages.cloth_render.declaration import DYES
+from nishiki.stages.cloth_viewer.scene import SHAPES, shape_of
 from nishiki.stages.render.declaration import LightSettings
 from nishiki.stages.render.requests import direction, white_sheet
 from nishiki.stages.render.run import load_scene, seen
@@ -170,6 +178,37 @@ def enhanced(scene: PlaneScene, state: dict[str, Any]) -> np.ndarray:
         shade = (lit + ambient)[..., 1:2] / colour[..., 1:2]
         shown = shade * ((1 - strength) * colour + strength * 0.6 * white) + gloss
     return display_image(shown.astype(np.float32), white=white, exposure=state["exposure"]).pixels
+
+
+def cloth_rendered(
+    models: ClothModels, state: dict[str, Any], shape: str, *, supersampling: int = 3, shadows: bool = True
+) -> tuple[np.ndarray, np.ndarray]:
+    """What `cloth_render` shows of a state of a cloth's page in the first view of a surface.
+
+    Returns
+    -------
+    tuple of numpy.ndarray
+        (rows, columns, 3) uint8; (rows, columns) bool, the pixels that the cloth covers wholly.
+    """
+    stage, options = SHAPES[shape](), state.get("options", {})
+    numbers = shape_of(stage).numbers
+    middle, radius = np.array(numbers["centre"]), numbers["radius"]
+    front, lamps = stage.camera.rotation * [[1], [-1], [-1]], []
+    for each in state["lamps"]:
+        towards = direction(each["elevation_deg"], each["azimuth_deg"]) @ front
+        near = each["distance"] and 2 * radius * each["distance"]
+        place = {"place": tuple(middle + near * towards), "distance": near} if near else {"direction": tuple(towards)}
+        lamps.append(Lamp(colour=(each["intensity"],) * 3, radius=np.radians(each["radius_deg"]), **place))
+    region, _, model = options.get("material", f"{models.regions[0]}-{models.default}").partition("-")
+    brdf = models.brdf(region, model)
+    dye = options.get("dye", "measured")
+    brdf = brdf if dye == "measured" else dyed(brdf, {dye: linear_colour(DYES[dye])})[dye]
+    materials = (brdf,) if stage.paper is None else (brdf, stage.paper)
+    take = RenderVariant(materials, (1.0,) * len(lamps), around=state["ambient"])
+    light = {"surroundings": stage.surroundings, "shadows": shadows}
+    picture = render_cloth(stage.scene, [take], lamps, stage.camera, supersampling=supersampling, **light)[0]
+    image = developed(picture.linear, picture.coverage, exposure=state["exposure"], soft=True, background=1.0)
+    return image.pixels, picture.cloth > 1 - 1e-6
 
 
 def difference(first: np.ndarray, second: np.ndarray) -> np.ndarray:

@@ -1,9 +1,10 @@
-"""The viewer's page against render: differences of canvas and picture at 1:1, bytes, processor time of a frame.
+"""The viewer's page against render or cloth_render: differences of the pictures, bytes, processor time of a frame.
 
     python tests/benchmarks/viewer.py results/SCENE ...
 
-Each folder holds the results of one painting with the product viewer. Where the painting is larger than the canvas, its
-middle is compared. The browser is headless Chromium with its software rasteriser.
+Each folder holds the results of one painting or cloth with the product viewer. Where a painting is larger than the
+canvas, its middle is compared at 1:1; of a cloth the pixels that it covers wholly, 800 x 600. The browser is headless
+Chromium with its software rasteriser.
 """
 
 import argparse
@@ -21,6 +22,8 @@ import viewer_pages  # noqa: E402
 from viewer_pages import lamp  # noqa: E402
 
 from nishiki.artifacts.artifact import open_artifact  # noqa: E402
+from nishiki.render.cloth.models import ClothModels  # noqa: E402
+from nishiki.stages.cloth_viewer.scene import SHAPES  # noqa: E402
 
 STATES = {
     "D65 45°": {"lamps": [lamp(90, 45)], "ambient": 0.05},
@@ -32,6 +35,17 @@ STATES = {
         "ambient": 0.1,
     },
     "D50 near": {"lamps": [lamp(250, 40, "D50", distance=0.8)], "ambient": 0.02},
+}
+CLOTH_STATES = {
+    "35°": {"lamps": [lamp(140, 35, radius_deg=1.5)], "ambient": 0.16},
+    "12°": {"lamps": [lamp(10, 12, radius_deg=1.5)], "ambient": 0.05},
+    "two wide": {
+        "lamps": [lamp(60, 60, radius_deg=4), lamp(160, 30, intensity=0.6, radius_deg=3)],
+        "ambient": 0.1,
+    },
+    "near": {"lamps": [lamp(90, 40, distance=1.0, radius_deg=2)], "ambient": 0.1},
+    "from around": {"lamps": [], "ambient": 0.3},
+    "dyed": {"lamps": [lamp(140, 35, radius_deg=1.5)], "ambient": 0.16, "options": {"dye": "gold"}},
 }
 MOST = (512, 512)
 FRAMES = 5
@@ -92,11 +106,41 @@ def measured(folder: Path) -> list[dict]:
     return rows
 
 
+def measured_cloth(folder: Path) -> list[dict]:
+    """Rows of one scene: one a surface and state, one a model, and one of its sizes and times."""
+    current, rows = folder / "current", []
+    models = ClothModels(open_artifact(current / "cloth_brdf", contents=False).folder)
+    others = [f"{models.regions[0]}-{name}" for name in models.names(models.regions[0]) if name != models.default]
+    states = [(shape, name, state) for shape in SHAPES for name, state in CLOTH_STATES.items()]
+    states += [("drape", name, {**CLOTH_STATES["35°"], "options": {"material": name}}) for name in others]
+    with viewer_pages.opened(current / "cloth_viewer/index.html", width=1000, height=700) as page:
+        for shape, name, state in states:
+            options = {**state.get("options", {}), "shape": shape}
+            state = {**state, "exposure": 0.9, "options": options}
+            shown = page.picture(800, 600, **state, view=None)
+            expected, cloth = viewer_pages.cloth_rendered(models, state, shape)
+            errors = viewer_pages.difference(shown, expected)[cloth]
+            rows.append({"shape": shape, "state": name, "mean": errors.mean(), "p99": np.percentile(errors, 99)})
+        for shape in SHAPES:
+            page.set(**CLOTH_STATES["35°"], options={"shape": shape})
+            frame = f"""() => {{
+              const start = performance.now();
+              for (let k = 1; k <= {FRAMES}; k++) {{
+                nishiki.scene.draw({{...nishiki.state, ambient: 0.1 + 0.001 * k}});
+                nishiki.scene.readPixels();
+              }}
+              return (performance.now() - start) / {FRAMES};
+            }}"""
+            rows.append({"shape": shape, "frame_ms": page.page.evaluate(frame), "messages": page.messages})
+    return rows
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folders", nargs="+", type=Path, help="results/SCENE")
     for folder in parser.parse_args().folders:
-        for row in measured(folder):
+        of_cloth = (folder / "current/cloth_viewer").exists()
+        for row in measured_cloth(folder) if of_cloth else measured(folder):
             print(json.dumps({key: round(v, 3) if isinstance(v, float) else v for key, v in row.items()}), flush=True)
 
 

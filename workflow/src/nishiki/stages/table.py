@@ -32,6 +32,7 @@ NAMES = (
     "weave",
     "cloth_brdf",
     "cloth_render",
+    "cloth_viewer",
     "cloth_evaluate",
     "cloth_report",
 )

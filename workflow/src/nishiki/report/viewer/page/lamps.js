@@ -83,7 +83,7 @@ export function lampsSection(app) {
     app.change();
   };
   show();
-  const captured = !app.flat && state.options.lighting !== "free";
+  const captured = app.scene.offers.includes("captured lamps") && state.options.lighting !== "free";
   return [
     captured && element("p", { className: "hint" }, text("lamps.captured"), " ", element("button", { type: "button", onclick: () => {
       state.options = { ...state.options, lighting: "free" };
@@ -101,7 +101,7 @@ export function lampsSection(app) {
       else app.rebuild();
     }) : []),
     slider(text("intensity"), { low: 0, high: 3, step: 0.05, value: lamp.intensity, write: (v) => v.toFixed(2), change: set("intensity") }),
-    app.flat && slider(text("softness"), { low: 0, high: 20, step: 0.25, value: lamp.radius_deg, write: (v) => `${v}°`, change: set("radius_deg") }),
+    app.scene.offers.includes("softness") && slider(text("softness"), { low: 0, high: 20, step: 0.25, value: lamp.radius_deg, write: (v) => `${v}°`, change: set("radius_deg") }),
     slider(text("distance"), { low: NEAREST, high: INFINITE, step: 0.1, value: lamp.distance ?? INFINITE, write: (v) => (v > FARTHEST ? text("distance.infinite") : text("distance.lengths", { length: v.toFixed(1) })),
       change: (v) => set("distance")(v > FARTHEST ? null : v) }),
     ambient,
@@ -115,12 +115,12 @@ function ambientControl(app) {
 }
 
 function exposureControls(app) {
-  const { state } = app, automatic = app.flat && state.exposure === "auto";
+  const { state } = app, offered = app.scene.offers.includes("auto exposure"), automatic = offered && state.exposure === "auto";
   const box = element("input", { type: "checkbox", checked: automatic, onchange: () => {
     state.exposure = box.checked ? "auto" : 1;
     app.rebuild();
   } });
-  const parts = app.flat ? [element("label", { className: "row" }, box, text("exposure.auto"))] : [];
+  const parts = offered ? [element("label", { className: "row" }, box, text("exposure.auto"))] : [];
   if (!automatic) parts.push(slider(text("exposure"), { low: -4, high: 4, step: 0.1, value: state.exposure === "auto" ? 0 : Math.log2(state.exposure), write: (v) => `${v > 0 ? "+" : ""}${v.toFixed(1)} EV`, change: (v) => ((state.exposure = Number((2 ** v).toPrecision(3))), app.change()) }));
   return parts;
 }

@@ -23,17 +23,21 @@ export function layersSection(app) {
       parts.push(element("p", { className: "hint" }, text("enhance.hint")));
     }
   }
-  for (const option of scene.options?.() ?? []) parts.push(optionControl(app, option));
+  for (const option of scene.options?.() ?? []) {
+    if (!option.when || state.options[option.when[0]] === option.when[1]) parts.push(optionControl(app, option));
+  }
   return parts;
 }
 
-/** An option of the scene: {name, label_key, values: null (yes or no) or [[value, label_key]], value}. */
-function optionControl(app, { name, label_key, values, value }) {
+/** An option of the scene: {name, label_key, values: [[value, label_key]], value}, with `colour` a colour, with neither yes
+ * or no; when: [other option, its value] that it depends on. */
+function optionControl(app, { name, label_key, values, colour, value }) {
   const set = (chosen) => {
     app.state.options = { ...app.state.options, [name]: chosen };
     app.rebuild();
   };
   const shown = app.state.options[name] ?? value;
+  if (colour) return element("label", {}, text(label_key), element("input", { type: "color", value: shown, "aria-label": text(label_key), onchange: (event) => set(event.target.value) }));
   if (!values) return tick(text(label_key), shown, set);
   return choice(text(label_key), values.map(([key, label]) => [key, text(label)]), shown, set);
 }

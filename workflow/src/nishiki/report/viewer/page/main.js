@@ -1,4 +1,5 @@
 // The page: one scene on a canvas, its state, and the panel that changes the state.
+import { ClothScene } from "viewer/cloth";
 import { element } from "viewer/dom";
 import { lampsSection } from "viewer/lamps";
 import { layersSection, showLegend } from "viewer/layers";
@@ -12,7 +13,7 @@ import { bookmark, copy, firstState, fromBookmark } from "viewer/state";
 import { LANGUAGES, preferred, speak, text } from "viewer/texts";
 import { FlatTools, toolbar } from "viewer/tools";
 
-const SCENES = { painting: Painting, object: ObjectScene };
+const SCENES = { painting: Painting, object: ObjectScene, cloth: ClothScene };
 const BOOKMARK_AFTER = 400; // ms without a change
 const MOST_RATIO = 2; // pixels of the canvas to one of CSS
 const by = (id) => document.getElementById(id);
@@ -29,7 +30,7 @@ class App {
     by("busy").textContent = text("busy");
     this.resize();
     this.scene = await SCENES[this.manifest.chain].open(canvas, this.manifest, new Loader());
-    this.first = firstState(this.scene.firstView?.() ?? { x: 0, y: 0, zoom: 1, tilt_deg: 0, azimuth_deg: 0 }, preferred());
+    this.first = { ...firstState(this.scene.firstView?.() ?? { x: 0, y: 0, zoom: 1, tilt_deg: 0, azimuth_deg: 0 }, preferred()), ...this.scene.firstState?.() };
     this.state = fromBookmark(location.hash, this.first);
     this.scene.onready = () => this.redraw();
     if (this.flat) new FlatTools(this, canvas);

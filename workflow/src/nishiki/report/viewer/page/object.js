@@ -56,6 +56,11 @@ export class ObjectScene {
     return this.working > 0;
   }
 
+  /** What of the panel this scene has use for. */
+  get offers() {
+    return ["captured lamps"];
+  }
+
   /** Axis of the turn and radius of the object, for the control of the camera. */
   get axis() {
     return this.manifest.turn.axis;

@@ -33,7 +33,8 @@ export function zoomed(view, factor, radius) {
   return { ...view, captured: null, eye: add(view.target, scale(normalised(away), length)) };
 }
 
-/** Listens on a canvas and asks `change(view)` for a redraw. `scene` gives axis, radius, freeView and capturedViews. */
+/** Listens on a canvas and asks `change(view)` for a redraw. `scene` gives axis, radius, freeViewOf and, where there
+ * are captured views, capturedView. */
 export class Orbit {
   constructor(canvas, scene, current, change) {
     Object.assign(this, { canvas, scene, current, change });
@@ -81,7 +82,7 @@ export class Orbit {
       this.apply((view) => (event.shiftKey ? panned(view, x, y) : orbited(view, this.scene.axis, x, y)));
     } else if (event.key === "+" || event.key === "-") {
       this.apply((view) => zoomed(view, event.key === "+" ? 1 / 1.1 : 1.1, this.scene.radius));
-    } else if (event.key === "PageUp" || event.key === "PageDown") {
+    } else if (this.scene.capturedView && (event.key === "PageUp" || event.key === "PageDown")) {
       this.change(this.scene.capturedView(this.current(), event.key === "PageUp" ? 1 : -1));
     } else {
       return;

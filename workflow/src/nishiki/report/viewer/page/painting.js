@@ -67,6 +67,11 @@ export class Painting {
     this.shadow = null; // those of the state that is drawn
   }
 
+  /** What of the panel this scene has use for. */
+  get offers() {
+    return ["softness", "auto exposure"];
+  }
+
   /** Whether something that the present view needs is on its way. */
   get busy() {
     return this.pending > 0 || this.shadows.some(({ busy }) => busy);

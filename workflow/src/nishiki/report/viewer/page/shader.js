@@ -20,9 +20,12 @@ export class Shader {
     for (let n = 0; n < count; n++) {
       const { name, type, size } = gl.getActiveUniform(this.program, n);
       const plain = name.replace("[0]", "");
-      const sampler = [gl.SAMPLER_2D, gl.INT_SAMPLER_2D, gl.UNSIGNED_INT_SAMPLER_2D].includes(type);
-      this.uniforms.set(plain, { type, size, unit, sampler, at: gl.getUniformLocation(this.program, name) });
-      if (sampler) unit += size;
+      const target = {
+        [gl.SAMPLER_2D]: gl.TEXTURE_2D, [gl.INT_SAMPLER_2D]: gl.TEXTURE_2D, [gl.UNSIGNED_INT_SAMPLER_2D]: gl.TEXTURE_2D,
+        [gl.SAMPLER_3D]: gl.TEXTURE_3D, [gl.SAMPLER_2D_ARRAY]: gl.TEXTURE_2D_ARRAY,
+      }[type];
+      this.uniforms.set(plain, { type, size, unit, target, at: gl.getUniformLocation(this.program, name) });
+      if (target) unit += size;
     }
   }
 
@@ -35,12 +38,12 @@ export class Shader {
   set(name, value) {
     const { gl } = this, uniform = this.uniforms.get(name);
     if (!uniform) return;
-    const { at, type, unit, size, sampler } = uniform;
-    if (sampler) {
+    const { at, type, unit, size, target } = uniform;
+    if (target) {
       const textures = [value].flat();
       for (let n = 0; n < size; n++) {
         gl.activeTexture(gl.TEXTURE0 + unit + n);
-        gl.bindTexture(gl.TEXTURE_2D, textures[n]);
+        gl.bindTexture(target, textures[n]);
       }
       gl.uniform1iv(at, textures.slice(0, size).map((_, n) => unit + n));
       return;
@@ -51,6 +54,7 @@ export class Shader {
       [gl.FLOAT_VEC4]: "uniform4fv", [gl.INT]: "uniform1iv", [gl.INT_VEC2]: "uniform2iv", [gl.BOOL]: "uniform1iv",
     };
     if (type === gl.FLOAT_MAT3) gl.uniformMatrix3fv(at, true, numbers);
+    else if (type === gl.FLOAT_MAT4) gl.uniformMatrix4fv(at, true, numbers);
     else gl[setters[type]](at, numbers);
   }
 }

@@ -26,7 +26,7 @@ export function toolbar(app) {
   return [
     ...names.map((name) => element("button", { type: "button", title: text(`tool.${name}`), "aria-label": text(`tool.${name}`), "aria-pressed": app.tool === name, onclick: () => app.chooseTool(name) }, icon(name))),
     element("button", { type: "button", title: text("tool.fit"), "aria-label": text("tool.fit"), onclick: () => app.fit() }, icon("fit")),
-    ...(app.flat ? [] : [step("next", 1), step("previous", -1)]),
+    ...(app.scene.capturedView ? [step("next", 1), step("previous", -1)] : []),
   ];
 }
 
