@@ -131,6 +131,6 @@ def _photographs(folder: Path, normals: np.ndarray, channels: np.ndarray, lights
 
     def fill(writer: ArtifactWriter) -> dict:
         write_observations(load_capture(capture), writer.folder, settings=IngestSettings())
-        return {}
+        return {"capture": settings}
 
     return make_artifact(folder, IngestSettings(), fill, stamp=STAMP, stage="ingest")

@@ -196,7 +196,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 FORMATS = """\
-formats of a painting: normals, height, albedo, relight, spectral, gltf, mitsuba, merl
+formats of a painting: normals, height, albedo, relight, spectral, gltf, mitsuba, merl, iiif
 formats of an object:  gltf
 See docs/stages/export.md."""
 

@@ -1,17 +1,19 @@
 """Pictures that grow by bands of rows on the disk, and their JPEG files: one a picture, or the tiles of a deep zoom.
 
-The deep-zoom layout (`NAME.dzi`, `NAME_files/LEVEL/COLUMN_ROW.jpg`) is that of Microsoft's Deep Zoom, which
-OpenSeadragon and OpenLIME read.
+Two layouts of a deep zoom: Microsoft's (`NAME.dzi`, `NAME_files/LEVEL/COLUMN_ROW.jpg`), which OpenSeadragon and
+OpenLIME read, and that of IIIF's Image API 3.0 at level 0 (`info.json`, `REGION/SIZE/0/default.jpg`).
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 TILE, OVERLAP = 254, 1
+IIIF_TILE, IIIF_WHOLE = 512, 1024  # tiles without overlap; longest side of the whole picture in one file
 ROWS_AT_A_TIME = 512
 Samples = np.ndarray  # (rows, columns, 3) uint8, R, G, B; may lie on the disk
 
@@ -72,6 +74,55 @@ def write_deep_zoom(folder: Path, name: str, picture: Samples, scratch: Path, qu
             (here / f"{column}_{row}.jpg").write_bytes(jpeg_bytes(present[window], quality))
         if level:
             present = _halved(present, scratch / f"level_{level - 1}")
+
+
+def write_iiif_image(folder: Path, address: str, picture: Samples, scratch: Path, quality: int) -> None:
+    """Tiles of all levels at full, half, quarter ... size, as a server of the Image API 3.0 would name them.
+
+    address: of the folder on the web, which info.json must state. scratch: for smaller copies. The whole picture is
+    there in one size, see `iiif_size`; more of it has to be put together from tiles.
+    """
+    import cv2
+
+    rows, columns = picture.shape[:2]
+    factors, present = [1], picture
+    width, height = iiif_size(rows, columns)
+    while True:
+        factor = factors[-1]
+        high, wide = present.shape[:2]
+        for top in range(0, high, IIIF_TILE):
+            for left in range(0, wide, IIIF_TILE):
+                tile = present[top : top + IIIF_TILE, left : left + IIIF_TILE]
+                x, y = left * factor, top * factor
+                region = f"{x},{y},{min(IIIF_TILE * factor, columns - x)},{min(IIIF_TILE * factor, rows - y)}"
+                _iiif_file(folder, region, f"{tile.shape[1]},{tile.shape[0]}").write_bytes(jpeg_bytes(tile, quality))
+        if width <= wide < 2 * width:
+            whole = cv2.resize(np.asarray(present), (width, height), interpolation=cv2.INTER_AREA)
+        if max(high, wide) <= IIIF_TILE:
+            break
+        factors.append(2 * factor)
+        present = _halved(present, scratch / f"factor_{2 * factor}")
+    for size in ("max", f"{width},{height}"):
+        _iiif_file(folder, "full", size).write_bytes(jpeg_bytes(whole, quality))
+    info = {
+        "@context": "http://iiif.io/api/image/3/context.json", "id": address, "type": "ImageService3",
+        "protocol": "http://iiif.io/api/image", "profile": "level0", "width": columns, "height": rows,
+        "maxWidth": IIIF_WHOLE, "sizes": [{"width": width, "height": height}],
+        "tiles": [{"width": IIIF_TILE, "scaleFactors": factors}],
+    }  # fmt: skip
+    (folder / "info.json").write_text(json.dumps(info, indent=1) + "\n", encoding="utf-8")
+
+
+def iiif_size(rows: int, columns: int) -> tuple[int, int]:
+    """Width and height of the whole picture that `write_iiif_image` keeps: at most IIIF_WHOLE pixels a side."""
+    share = min(1.0, IIIF_WHOLE / max(rows, columns))
+    return max(1, round(columns * share)), max(1, round(rows * share))
+
+
+def _iiif_file(folder: Path, region: str, size: str) -> Path:
+    here = folder / region / size / "0"
+    here.mkdir(parents=True, exist_ok=True)
+    return here / "default.jpg"
 
 
 def read_full_resolution(folder: Path, name: str, rows: int, columns: int) -> Iterator[tuple[slice, Samples]]:

@@ -8,7 +8,7 @@ from nishiki.artifacts.closed import Closed, Guarded
 from nishiki.artifacts.limits import Limit, at
 from nishiki.stages.base import Cost, Stage
 
-Format = Literal["normals", "height", "albedo", "relight", "spectral", "gltf", "mitsuba", "merl"]
+Format = Literal["normals", "height", "albedo", "relight", "spectral", "gltf", "mitsuba", "merl", "iiif"]
 Kind = Literal["ptm", "hsh", "rbf"]
 LIMITS = (
     Limit("quantised", "largest angle by which 16 bits move a normal, degrees", at("losses.normals.largest_deg")),
@@ -39,6 +39,16 @@ class GltfSettings(Closed):
     texture_px: int = Field(4096, ge=16, le=16384, description="most texels along a side")
 
 
+class IiifSettings(Closed):
+    """Tiles and manifest for viewers of libraries and museums."""
+
+    address: str = Field(
+        "http://localhost:8000",
+        pattern=r"^https?://\S+$",
+        description="where the folder `iiif` will be found on the web; its files must state it",
+    )
+
+
 class ExportSettings(Guarded):
     """Files of the results for other programs."""
 
@@ -57,6 +67,7 @@ class ExportSettings(Guarded):
     )
     relight: RelightSettings = Field(RelightSettings(), description="relightable images")
     gltf: GltfSettings = Field(GltfSettings(), description="binary glTF")
+    iiif: IiifSettings = Field(IiifSettings(), description="tiles and manifest for viewers of museums")
     hold_out: tuple[str, ...] = Field((), description="lights that no fit saw; filled in by the plan")
 
 
@@ -68,6 +79,7 @@ NEEDS: dict[str, tuple[str, ...]] = {
     "gltf": ("height", "spectra", "brdf"),
     "mitsuba": ("height", "spectra", "brdf"),
     "merl": ("spectra", "brdf"),
+    "iiif": ("height", "spectra"),
 }
 """Stages that a format reads where the capture can feed them."""
 

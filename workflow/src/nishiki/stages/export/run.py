@@ -1,7 +1,7 @@
 """Export: files of a painting for other programs, and what each of them loses."""
 
 from nishiki.artifacts.stage import Context
-from nishiki.stages.export import albedo, gltf, height, merl, mitsuba, normals, relight, spectral
+from nishiki.stages.export import albedo, gltf, height, iiif, merl, mitsuba, normals, relight, spectral
 from nishiki.stages.export.scene import ExportedScene
 
 WRITERS = {
@@ -13,6 +13,7 @@ WRITERS = {
     "gltf": gltf.write,
     "mitsuba": mitsuba.write,
     "merl": merl.write,
+    "iiif": iiif.write,
 }
 
 

@@ -1,0 +1,115 @@
+"""Tiles and manifest of the International Image Interoperability Framework, for viewers of libraries and museums.
+
+Image API 3.0, level 0 (files alone, no image server), and Presentation API 3.0: one canvas with the layers to choose
+from, its scale in millimetres (Physical Dimension service), and what capture.yaml says of object, maker and rights.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.artifacts.stage import Context
+from nishiki.colour.colour import srgb_encode
+from nishiki.formats.picture_tiles import iiif_size, picture_on_disk, write_iiif_image
+from nishiki.render.display import normals_as_colours
+from nishiki.stages.export.scene import ExportedScene
+
+PRESENTATION = "http://iiif.io/api/presentation/3/context.json"
+PHYSICAL = "http://iiif.io/api/annex/services/physdim"
+OPEN_RIGHTS = r"https?://(creativecommons\.org|rightsstatements\.org)/\S+"
+"""What `rights` of a manifest may be."""
+QUALITY = 92  # of the JPEG tiles
+RAKING = np.array([-np.cos(np.radians(20)), 0.0, np.sin(np.radians(20))])
+"""Light of the relief picture: from the left, 20 degrees above the surface."""
+ABOUT = {"object_id": "Object", "creator": "Photographs by", "date": "Photographed", "notes": "Notes"}
+
+
+def colour(scene: ExportedScene, rows: slice) -> np.ndarray:
+    """Diffuse colour, sRGB."""
+    return np.floor(255 * srgb_encode(scene.srgb(rows)) + 0.5)
+
+
+def relief(scene: ExportedScene, rows: slice) -> np.ndarray:
+    """The surface as if it were grey plaster, in raking light."""
+    lit = np.maximum(scene.relief_normals(rows) @ RAKING, 0)
+    return np.repeat(np.floor(255 * srgb_encode(lit)[..., None] + 0.5), 3, axis=-1)
+
+
+def normals(scene: ExportedScene, rows: slice) -> np.ndarray:
+    """Normals as colours, y up."""
+    return normals_as_colours(scene.normals(rows)) // 257
+
+
+LAYERS: dict[str, tuple[str, Callable[[ExportedScene, slice], np.ndarray]]] = {
+    "colour": ("Colour of the surface in daylight (D65), without shading and gloss", colour),
+    "relief": ("Relief in raking light from the left, 20° above the surface", relief),
+    "normals": ("Normals as colours: right red, up green, towards the eye blue", normals),
+}
+
+
+def write(context: Context, scene: ExportedScene) -> dict:
+    """Folder `iiif`: `manifest.json`, and a folder of tiles for each layer."""
+    address = context.settings.iiif.address.rstrip("/")
+    folder = context.output.path("exports/iiif/manifest.json").parent
+    for name, (_, picture_of) in LAYERS.items():
+        with tempfile.TemporaryDirectory(dir=context.output.folder) as scratch:
+            picture = picture_on_disk(Path(scratch) / "picture", *scene.shape)
+            for rows in scene.bands():
+                picture[rows] = picture_of(scene, rows)
+            write_iiif_image(folder / name, f"{address}/{name}", picture, Path(scratch), QUALITY)
+    text = json.dumps(manifest(context, scene, address), indent=1, ensure_ascii=False) + "\n"
+    (folder / "manifest.json").write_text(text, encoding="utf-8")
+    paths = sorted(path.relative_to(context.output.folder).as_posix() for path in folder.rglob("*") if path.is_file())
+    return {"files": paths, "address": address, "layers": list(LAYERS)}
+
+
+def manifest(context: Context, scene: ExportedScene, address: str) -> dict:
+    """The Presentation API's manifest, as plain data."""
+    about = context.inputs["ingest"].diagnostics["capture"]
+    (rows, columns), canvas = scene.shape, f"{address}/canvas"
+    images = [_image(address, name, label, scene.shape) for name, (label, _) in LAYERS.items()]
+    painted = {
+        "id": f"{canvas}/painted", "type": "Annotation", "motivation": "painting", "target": canvas,
+        "body": {"type": "Choice", "items": images},
+    }  # fmt: skip
+    page = {"id": f"{canvas}/page", "type": "AnnotationPage", "items": [painted]}
+    shown = {"id": canvas, "type": "Canvas", "height": rows, "width": columns, "items": [page]}
+    if scene.pitch_mm:
+        shown["service"] = [{
+            "@context": f"{PHYSICAL}/1/context.json", "id": f"{canvas}/scale", "type": "Service", "profile": PHYSICAL,
+            "physicalScale": scene.pitch_mm, "physicalUnits": "mm",
+        }]  # fmt: skip
+    stamp = context.stamp
+    facts = {label: about.get(key) for key, label in ABOUT.items()}
+    facts["Made by"] = f"Nishiki {stamp['version']}: scene {stamp['scene']}, export {stamp['key']}"
+    content = {
+        "@context": PRESENTATION, "id": f"{address}/manifest.json", "type": "Manifest",
+        "label": {"none": [about.get("title") or stamp["scene"]]},
+        "metadata": [_pair(label, value) for label, value in facts.items() if value], "items": [shown],
+    }  # fmt: skip
+    rights = about.get("rights")
+    if rights and re.fullmatch(OPEN_RIGHTS, rights):
+        content["rights"] = rights
+    elif rights:
+        content["requiredStatement"] = _pair("Rights", rights)
+    return content
+
+
+def _pair(label: str, value: str) -> dict:
+    return {"label": {"en": [label]}, "value": {"none": [value]}}
+
+
+def _image(address: str, name: str, label: str, shape: tuple[int, int]) -> dict:
+    """A layer: the picture that stands for it, and its tiles."""
+    width, height = iiif_size(*shape)
+    service = {"id": f"{address}/{name}", "type": "ImageService3", "profile": "level0"}
+    return {
+        "id": f"{address}/{name}/full/{width},{height}/0/default.jpg", "type": "Image", "format": "image/jpeg",
+        "label": {"en": [label]}, "width": width, "height": height, "service": [service],
+    }  # fmt: skip
