@@ -36,6 +36,7 @@ from nishiki.errors import UserError
 from nishiki.formats.exr_bands import ExrWriter, read_blocks
 from nishiki.formats.picture_tiles import read_full_resolution, read_jpeg, write_deep_zoom, write_iiif_image
 from nishiki.formats.tiff_bands import TiffWriter
+from nishiki.render.display import normals_as_colours
 from nishiki.render.plane.frame import render
 from nishiki.render.plane.scene import Gloss, Light, PlaneScene, View
 from nishiki.stages.export.declaration import ExportSettings, Format
@@ -575,6 +576,10 @@ def test_iiif_tiles_are_the_picture_and_the_manifest_is_one(exported):
         np.arccos(np.clip((read * exported.painting.normals).sum(-1) / np.linalg.norm(read, axis=-1), -1, 1))
     )
     assert np.median(angle[known]) < 2
+    losses = exported.reported["losses"]["iiif"]["jpeg_psnr_db"]
+    coded = normals_as_colours(exported.painting.normals.astype(np.float32)) // 257
+    error = ((read + 1) / 2 * 255 - coded)[known]
+    assert losses["normals"] == pytest.approx(-10 * np.log10(np.mean((error / 255) ** 2)), abs=1)
 
 
 @pytest.mark.parametrize("shape", [(700, 1300), (513, 512), (2500, 40), (3, 5)])
@@ -587,7 +592,7 @@ def test_iiif_files_are_those_that_a_viewer_asks_for(tmp_path, shape):
     info = json.loads((tmp_path / "a" / "info.json").read_text())
     assert (info["height"], info["width"]) == shape
     (tiles,) = info["tiles"]
-    asked = {"full/max", f"full/{info['sizes'][0]['width']},{info['sizes'][0]['height']}"}
+    asked = {"full/max", *(f"full/{size['width']},{size['height']}" for size in info["sizes"])}
     for factor in tiles["scaleFactors"]:
         side = tiles["width"] * factor
         shown = np.zeros((-(-shape[0] // factor), -(-shape[1] // factor), 3), np.uint8)

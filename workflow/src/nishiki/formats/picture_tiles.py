@@ -80,7 +80,7 @@ def write_iiif_image(folder: Path, address: str, picture: Samples, scratch: Path
     """Tiles of all levels at full, half, quarter ... size, as a server of the Image API 3.0 would name them.
 
     address: of the folder on the web, which info.json must state. scratch: for smaller copies. The whole picture is
-    there in one size, see `iiif_size`; more of it has to be put together from tiles.
+    there in two sizes, that of the last tile and `iiif_size`; more of it has to be put together from tiles.
     """
     import cv2
 
@@ -102,19 +102,30 @@ def write_iiif_image(folder: Path, address: str, picture: Samples, scratch: Path
             break
         factors.append(2 * factor)
         present = _halved(present, scratch / f"factor_{2 * factor}")
-    for size in ("max", f"{width},{height}"):
-        _iiif_file(folder, "full", size).write_bytes(jpeg_bytes(whole, quality))
+    wholes = {present.shape[1::-1]: present, (width, height): whole}  # viewers ask for both
+    for (wide, high), shown in wholes.items():
+        _iiif_file(folder, "full", f"{wide},{high}").write_bytes(jpeg_bytes(shown, quality))
+    _iiif_file(folder, "full", "max").write_bytes(jpeg_bytes(whole, quality))
     info = {
         "@context": "http://iiif.io/api/image/3/context.json", "id": address, "type": "ImageService3",
         "protocol": "http://iiif.io/api/image", "profile": "level0", "width": columns, "height": rows,
-        "maxWidth": IIIF_WHOLE, "sizes": [{"width": width, "height": height}],
+        "maxWidth": IIIF_WHOLE, "sizes": [{"width": wide, "height": high} for wide, high in wholes],
         "tiles": [{"width": IIIF_TILE, "scaleFactors": factors}],
     }  # fmt: skip
     (folder / "info.json").write_text(json.dumps(info, indent=1) + "\n", encoding="utf-8")
 
 
+def read_iiif_tiles(folder: Path, rows: int, columns: int) -> Iterator[tuple[tuple[slice, slice], Samples]]:
+    """Tiles of `write_iiif_image` at full resolution with their windows, decoded."""
+    for top in range(0, rows, IIIF_TILE):
+        for left in range(0, columns, IIIF_TILE):
+            high, wide = min(IIIF_TILE, rows - top), min(IIIF_TILE, columns - left)
+            path = folder / f"{left},{top},{wide},{high}" / f"{wide},{high}" / "0" / "default.jpg"
+            yield (slice(top, top + high), slice(left, left + wide)), read_jpeg(path)
+
+
 def iiif_size(rows: int, columns: int) -> tuple[int, int]:
-    """Width and height of the whole picture that `write_iiif_image` keeps: at most IIIF_WHOLE pixels a side."""
+    """Width and height of the larger whole picture that `write_iiif_image` keeps: at most IIIF_WHOLE pixels a side."""
     share = min(1.0, IIIF_WHOLE / max(rows, columns))
     return max(1, round(columns * share)), max(1, round(rows * share))
 

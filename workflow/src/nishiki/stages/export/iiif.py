@@ -16,7 +16,7 @@ import numpy as np
 
 from nishiki.artifacts.stage import Context
 from nishiki.colour.colour import srgb_encode
-from nishiki.formats.picture_tiles import iiif_size, picture_on_disk, write_iiif_image
+from nishiki.formats.picture_tiles import iiif_size, picture_on_disk, read_iiif_tiles, write_iiif_image
 from nishiki.render.display import normals_as_colours
 from nishiki.stages.export.scene import ExportedScene
 
@@ -57,16 +57,30 @@ def write(context: Context, scene: ExportedScene) -> dict:
     """Folder `iiif`: `manifest.json`, and a folder of tiles for each layer."""
     address = context.settings.iiif.address.rstrip("/")
     folder = context.output.path("exports/iiif/manifest.json").parent
+    psnr_db = {}
     for name, (_, picture_of) in LAYERS.items():
         with tempfile.TemporaryDirectory(dir=context.output.folder) as scratch:
             picture = picture_on_disk(Path(scratch) / "picture", *scene.shape)
             for rows in scene.bands():
                 picture[rows] = picture_of(scene, rows)
             write_iiif_image(folder / name, f"{address}/{name}", picture, Path(scratch), QUALITY)
-    text = json.dumps(manifest(context, scene, address), indent=1, ensure_ascii=False) + "\n"
-    (folder / "manifest.json").write_text(text, encoding="utf-8")
+            psnr_db[name] = _psnr_db(folder / name, picture)
+    write_manifest(folder, manifest(context, scene, address))
     paths = sorted(path.relative_to(context.output.folder).as_posix() for path in folder.rglob("*") if path.is_file())
-    return {"files": paths, "address": address, "layers": list(LAYERS)}
+    return {"files": paths, "address": address, "jpeg_psnr_db": psnr_db}
+
+
+def _psnr_db(folder: Path, picture: np.ndarray) -> float:
+    """What the tiles at full resolution keep of the coded picture; peak 255."""
+    tiles = read_iiif_tiles(folder, *picture.shape[:2])
+    squares = sum(float(np.square(tile - picture[window].astype(np.float32)).sum()) for window, tile in tiles)
+    return float(10 * np.log10(255**2 * picture.size / max(squares, 1.0)))
+
+
+def write_manifest(folder: Path, content: dict) -> None:
+    """`manifest.json` of a folder."""
+    text = json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+    (folder / "manifest.json").write_text(text, encoding="utf-8")
 
 
 def manifest(context: Context, scene: ExportedScene, address: str) -> dict:

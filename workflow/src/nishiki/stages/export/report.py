@@ -41,6 +41,8 @@ def lost(each: dict) -> str:
         error = figures["psnr_db"][lights]
         which = "lights that no fit saw" if lights == "check" else "the fitted lights (no others are kept)"
         texts.append(f"{kind}: {figure(error['all'])} dB against photographs under {which} ({error['lights']})")
+    for layer, decibels in each.get("jpeg_psnr_db", {}).items():
+        texts.append(f"{layer}: JPEG keeps {figure(decibels)} dB of the coded picture")
     if each.get("shading_terms_left_out"):
         texts.append("directional terms of the body's shading are left out")
     return "; ".join(texts) or "nothing"
