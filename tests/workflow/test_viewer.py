@@ -10,8 +10,12 @@ import pytest
 import viewer_pages
 from viewer_pages import READ, lamp, opened
 
-from nishiki.artifacts.artifact import open_artifact
+from nishiki.artifacts.artifact import ArtifactWriter, open_artifact
 from nishiki.artifacts.maps import Maps
+from nishiki.artifacts.stage import Context
+from nishiki.progress import Progress
+from nishiki.stages.viewer import run as stage
+from nishiki.stages.viewer.declaration import ViewerSettings
 
 pytestmark = [
     pytest.mark.slow,
@@ -96,6 +100,30 @@ def test_the_canvas_shows_what_render_shows_and_values_are_those_of_the_maps(vie
     assert np.abs(np.array(probe["spectrum"]["reflectance"]) - spectrum).max() < 0.02
     for layer in page.page.evaluate("nishiki.scene.layers()"):
         page.set(layer=layer["name"])
+
+
+def test_shadows_of_a_lamp_at_rest_are_those_of_the_full_heights(viewed, shown, tmp_path, monkeypatch):
+    current = viewed.folder / "results/tiny/current"
+    stages = ("ingest", "normals", "height", "spectra", "brdf", "evaluate")
+    inputs = {name: open_artifact(current / name) for name in stages if (current / name).exists()}
+    scene = viewer_pages.plane_scene({name: inputs[name] for name in ("normals", "height", "spectra", "brdf")})
+    rows, columns = scene.shape
+    monkeypatch.setattr(stage, "RELIEFS", ((rows * columns // 16, 0.002), (16_000_000, 0.002)))
+    with ArtifactWriter(tmp_path / ("0" * 12)) as output:
+        stamp = {"scene": "tiny", "stage": "viewer", "key": "0" * 12, "version": "0"}
+        stage.run(Context(inputs, ViewerSettings(), output, None, None, stamp, Progress("tiny/viewer")))
+        shown.page.goto((output.folder / "index.html").resolve().as_uri())
+        shown.page.wait_for_function("window.nishiki")
+        shown.page.evaluate("nishiki.idle()")
+        assert shown.page.evaluate("nishiki.scene.shadows.length") == 2
+        state = {"lamps": [lamp(180, 7)], "ambient": 0.0, "exposure": 2.0, "view": FRONTAL}
+        rest = shown.picture(columns, rows, **state).copy()
+        shown.page.evaluate("nishiki.scene.shadows.length = 1; nishiki.scene.shadowsOf.clear();")
+        dragged = shown.picture(columns, rows, **state)
+    expected, _ = viewer_pages.rendered(scene, state)
+    errors = [np.percentile(viewer_pages.difference(each, expected), 99) for each in (rest, dragged)]
+    assert errors[0] < 2
+    assert errors[1] > 2 * errors[0]
 
 
 @pytest.mark.parametrize("enhancement", ["specular", "curvature", "raking"])

@@ -68,7 +68,7 @@ export class ClothScene {
 
   /** What of the panel this scene has use for. */
   get offers() {
-    return ["softness", "auto exposure"];
+    return ["softness", "exposure sheet"];
   }
 
   /** For the control of the camera. */

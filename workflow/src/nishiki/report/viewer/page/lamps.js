@@ -115,12 +115,12 @@ function ambientControl(app) {
 }
 
 function exposureControls(app) {
-  const { state } = app, offered = app.scene.offers.includes("auto exposure"), automatic = offered && state.exposure === "auto";
+  const { state } = app, offered = ["auto", "sheet"].find((kind) => app.scene.offers.includes(`exposure ${kind}`)), automatic = offered && state.exposure === "auto";
   const box = element("input", { type: "checkbox", checked: automatic, onchange: () => {
     state.exposure = box.checked ? "auto" : 1;
     app.rebuild();
   } });
-  const parts = offered ? [element("label", { className: "row" }, box, text("exposure.auto"))] : [];
+  const parts = offered ? [element("label", { className: "row" }, box, text(`exposure.${offered}`))] : [];
   if (!automatic) parts.push(slider(text("exposure"), { low: -4, high: 4, step: 0.1, value: state.exposure === "auto" ? 0 : Math.log2(state.exposure), write: (v) => `${v > 0 ? "+" : ""}${v.toFixed(1)} EV`, change: (v) => ((state.exposure = Number((2 ** v).toPrecision(3))), app.change()) }));
   return parts;
 }

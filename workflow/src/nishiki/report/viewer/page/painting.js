@@ -69,7 +69,7 @@ export class Painting {
 
   /** What of the panel this scene has use for. */
   get offers() {
-    return ["softness", "auto exposure"];
+    return ["softness", "exposure auto"];
   }
 
   /** Whether something that the present view needs is on its way. */
