@@ -9,6 +9,8 @@ BIOSCHEMAS = "https://bioschemas.org/profiles/"
 PROJECT_LICENCE = "https://spdx.org/licenses/BSD-3-Clause"
 FORMATS = {
     ".json": "application/json",
+    ".jsonld": "application/ld+json",
+    ".xml": "application/xml",
     ".csv": "text/csv",
     ".html": "text/html",
     ".png": "image/png",

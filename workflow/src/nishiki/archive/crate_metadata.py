@@ -6,8 +6,10 @@ A function of what is packed: the same artifacts give the same bytes. https://ww
 import re
 from dataclasses import dataclass
 
+from nishiki.archive.cidoc_crm import CIDOC_CRM
 from nishiki.archive.crate_entities import BIOSCHEMAS, PROJECT_LICENCE, Entity, ids, media_type
 from nishiki.archive.crate_stages import PackedStage, ended, library_entities, stage_entities, started
+from nishiki.archive.lido import LIDO
 from nishiki.artifacts.provenance import stage_program
 
 METADATA = "ro-crate-metadata.json"
@@ -20,6 +22,7 @@ PROFILES = {
     "https://w3id.org/ro/wfrun/provenance/0.5": ("Provenance Run Crate", "0.5"),
     WORKFLOW: ("Workflow RO-Crate", "1.0"),
 }
+MUSEUM_STANDARDS = {LIDO: "LIDO 1.1", CIDOC_CRM: "CIDOC Conceptual Reference Model 7.1 with CRMdig 3.2"}
 MAIN, LOCK = "code/Snakefile", "code/uv.lock"
 
 
@@ -56,7 +59,9 @@ def metadata(scene: str, version: str, capture: PackedCapture, stages: list[Pack
 
 def _other(name: str) -> Entity:
     entity: Entity = {"@id": name, "@type": "File", "name": name, "encodingFormat": media_type(name)}
-    if name == "README.md":
+    if name in (LIDO, CIDOC_CRM):
+        entity["description"] = f"Object and digitisation in the words of museums: {MUSEUM_STANDARDS[name]}"
+    if name in ("README.md", LIDO, CIDOC_CRM):
         entity["about"] = {"@id": "./"}
     return entity
 

@@ -14,9 +14,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from nishiki.archive.cidoc_crm import CIDOC_CRM, crm_graph
 from nishiki.archive.crate_metadata import LOCK, METADATA, PackedCapture, metadata
 from nishiki.archive.crate_names import MANIFEST, manifest_text
 from nishiki.archive.crate_stages import PackedStage
+from nishiki.archive.digitisation import Digitisation
+from nishiki.archive.lido import LIDO, lido_text
 from nishiki.archive.tree import FolderTree
 from nishiki.artifacts.artifact import MANIFEST as ARTIFACT
 from nishiki.artifacts.artifact import RUN, Artifact
@@ -84,7 +87,8 @@ class Crate:
 @dataclass(frozen=True)
 class PackedScene:
     """What is to be packed. artifacts: in the order of the flow; capture: the sealed folder; about: what capture.yaml
-    says of title, people and rights; facts: what the plan tells besides, as plain data; does: stages in words."""
+    says of title, people and rights; facts: what the plan tells besides, as plain data; does: stages in words; method:
+    how the capture was made (`capture_method`)."""
 
     name: str
     version: str
@@ -94,6 +98,7 @@ class PackedScene:
     about: dict[str, str | None]
     facts: dict[str, Any]
     does: dict[str, str]
+    method: dict[str, Any] = field(default_factory=dict)
 
 
 def pack(scene: PackedScene, project: Path, target: Path, *, with_capture: bool, tell: Tell) -> str:
@@ -114,7 +119,8 @@ def pack(scene: PackedScene, project: Path, target: Path, *, with_capture: bool,
         _copy_code(crate, project)
         crate.write("scene.json", _json({"scene": scene.name, **scene.facts}))
         crate.write("README.md", _readme(scene, stages, capture))
-        others = ["README.md", "scene.json", MANIFEST]
+        _describe_for_museums(crate, scene, stages)
+        others = ["README.md", "scene.json", LIDO, CIDOC_CRM, MANIFEST]
         others += [name for name in ("code/LICENSE", LOCK) if name in crate.files]
         crate.write(METADATA, _json(metadata(scene.name, scene.version, capture, stages, others)))
         text = manifest_text({name: sha256 for name, (_, sha256) in crate.files.items()})
@@ -184,6 +190,15 @@ def _copy_code(crate: Crate, project: Path) -> None:
                 crate.copy(path / file if file else path, f"code/{name}/{file}" if file else f"code/{name}")
 
 
+def _describe_for_museums(crate: Crate, scene: PackedScene, stages: list[PackedStage]) -> None:
+    digitisation = Digitisation(scene.name, scene.version, scene.capture_digest, scene.about, scene.method, stages)
+    try:
+        crate.write(LIDO, lido_text(digitisation))
+    except ValueError as error:
+        raise UserError(f"{scene.capture}: {error}. Remedy: remove control characters from capture.yaml") from None
+    crate.write(CIDOC_CRM, _json(crm_graph(digitisation)))
+
+
 def _json(value: Any) -> str:
     return json.dumps(value, indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
 
@@ -209,6 +224,9 @@ result; its `artifact.json` names its files with their SHA-256, its settings, an
 
 Is everything still what it was? `sha256sum --check {MANIFEST}` compares the files; `./nishiki verify FOLDER` of the
 workflow also follows the way from the photographs to every result, and computes every key again.
+
+`{LIDO}` describes object and digitisation as museums exchange records (LIDO 1.1), `{CIDOC_CRM}` as a graph of the
+CIDOC Conceptual Reference Model (JSON-LD).
 """
 
 

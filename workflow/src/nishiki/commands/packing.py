@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 
 from nishiki.archive.damage import shown
+from nishiki.archive.digitisation import capture_method
 from nishiki.archive.pack import PackedScene, pack, write_zip
 from nishiki.artifacts.artifact import Artifact, open_artifact
 from nishiki.artifacts.stage import PROJECT_VERSION
@@ -70,6 +71,7 @@ def _scene(flow: Workflow, name: str, plan: Plan) -> PackedScene:
             "truth_sha256": plan.facts.truth_sha256,
         },
         does={stage: CHAIN[stage].does for stage in plan.stages},
+        method=capture_method(described),
     )
 
 

@@ -1,0 +1,203 @@
+"""The records of a crate for museums: LIDO 1.1 and the CIDOC CRM, by their structure, their vocabulary and readers."""
+
+import os
+from pathlib import Path
+from xml.etree import ElementTree as XML
+
+import pytest
+import rdflib
+from museum_vocabularies import KINDS_OF, LITERAL, PROPERTIES, kinds, lido_faults
+from rdflib.namespace import RDF, RDFS
+
+from nishiki.archive.cidoc_crm import CONTEXT, DESCRIPTION, crm_graph
+from nishiki.archive.crate_metadata import METADATA
+from nishiki.archive.crate_stages import PackedStage
+from nishiki.archive.digitisation import TECHNIQUES, Digitisation, capture_method
+from nishiki.archive.lido import lido_text
+from nishiki.archive.pack import _json
+from nishiki.capture.schema import CaptureFile, GoniometerFile, TurntableFile
+
+pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning:rdflib")  # of its own parsers
+LIDO = {"lido": "http://www.lido-schema.org"}
+CRATE = "http://crate.example/"
+ABOUT = {
+    "title": "Höhe & <Tiefe>",
+    "creator": "山田 花子",
+    "date": "2026-01-31",
+    "object_id": "inv. 12",
+    "rights": "https://creativecommons.org/licenses/by/4.0/",
+    "notes": "ein Hinweis",
+}
+METHOD = {"geometry": "plane", "camera": "Camera of Works, 50 Mpx", "pixel_pitch_mm": 0.05}
+
+
+def packed_stage(name, upstream):
+    manifest = {"stage": name, "key": f"{name}key", "settings": {"method": "äbc"}, "upstream": dict.fromkeys(upstream)}
+    run = {"finished": "2026-02-01T10:00:30+00:00", "seconds": 30.0}
+    return PackedStage(manifest, run, True, f"does {name}", {"artifact.json": (10, "ab" * 32)})
+
+
+STAGES = [packed_stage("ingest", ["capture"]), packed_stage("normals", ["ingest"]), packed_stage("height", ["normals"])]
+STAGES.append(packed_stage("report", ["ingest", "normals", "height"]))
+
+
+def digitised(about=None, method=None):
+    return Digitisation("scene", "0.1.0", "cd" * 32, {**ABOUT, **(about or {})}, METHOD | (method or {}), STAGES)
+
+
+def nothing_said():
+    return Digitisation("scene", "0.1.0", "cd" * 32, dict.fromkeys(ABOUT), {"geometry": "plane"}, STAGES)
+
+
+def record(scene):
+    return XML.fromstring(lido_text(scene))
+
+
+def texts(root, name):
+    return [element.text for element in root.iterfind(f".//lido:{name}", LIDO)]
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [digitised(), nothing_said(), digitised({"rights": "© Museum", "date": "2026-01-31 to 02-02"})],
+    ids=["all", "nothing", "words"],
+)
+def test_a_lido_record_has_the_structure_of_its_schema(scene):
+    assert lido_faults(record(scene)) == []
+
+
+def test_the_schema_of_the_tests_finds_faults():
+    root = record(digitised())
+    event = root.find(".//lido:event", LIDO)
+    event.append(event[0])
+    del root.find(".//lido:recordID", LIDO).attrib[f"{{{LIDO['lido']}}}type"]
+    assert [fault.partition(":")[0] for fault in lido_faults(root)] == ["event", "recordID"]
+
+
+def test_a_lido_record_says_what_is_known():
+    root = record(digitised())
+    assert texts(root, "titleSet/lido:appellationValue") == [ABOUT["title"]]
+    assert texts(root, "workID") == ["inv. 12"]
+    assert texts(root, "event/lido:eventType/lido:term") == ["Digitization"]
+    assert texts(root, "event//lido:nameActorSet/lido:appellationValue") == [ABOUT["creator"]]
+    assert texts(root, "eventMethod/lido:term") == [TECHNIQUES["plane"]]
+    assert texts(root, "displayObject") == ["Camera: Camera of Works, 50 Mpx"]
+    assert texts(root, "earliestDate") == texts(root, "latestDate") == ["2026-01-31"] * 2
+    assert texts(root, "descriptiveNoteValue") == ["ein Hinweis"]
+    assert texts(root, "rightsType/lido:conceptID") == [ABOUT["rights"]] * 2
+    assert texts(root, "resourceID") == ["sha256:" + "cd" * 32, "./"]
+    assert texts(root, "resourceDescription")[0] == "a pixel is 0.05 mm on the object"
+    assert "ingest, normals, height, report" in texts(root, "resourceDescription")[1]
+
+
+def test_nothing_is_invented_where_capture_yaml_is_silent():
+    root = record(nothing_said())
+    assert texts(root, "titleSet/lido:appellationValue") == ["scene"]
+    assert texts(root, "sourceAppellation") == ["Name of the scene; capture.yaml states no title."]
+    assert texts(root, "objectWorkType/lido:term") == ["not stated"]
+    for name in ("workID", "actor", "eventDate", "displayObject", "rightsResource", "resourceDateTaken"):
+        assert texts(root, name) == []
+    kinds_present = {str(each) for each in graph(nothing_said()).objects(None, RDF.type)}
+    assert not any(word in kind for kind in kinds_present for word in ("Actor", "Right", "Device", "Time-Span"))
+
+
+def test_a_date_in_words_stays_words():
+    root = record(digitised({"date": "2026-01-31 to 02-02"}))
+    assert texts(root, "displayDate") == ["2026-01-31 to 02-02"] * 2
+    assert texts(root, "earliestDate") == []
+    assert "P82a" not in _json(crm_graph(digitised({"date": "2026-01-31 to 02-02"})))
+
+
+def test_a_text_that_xml_cannot_hold_is_an_error():
+    with pytest.raises(ValueError, match=r"capture\.yaml cannot be written as XML"):
+        lido_text(digitised({"notes": "a\x07b"}))
+
+
+def test_every_geometry_has_its_technique():
+    geometries = {
+        choice
+        for model in (CaptureFile, TurntableFile, GoniometerFile)
+        for choice in model.model_fields["geometry"].annotation.__args__
+    }
+    assert set(TECHNIQUES) == geometries
+
+
+def test_the_method_is_read_from_capture_yaml_of_each_geometry():
+    plane = CaptureFile(format=1, lights={"file": "lights.lp"}, pixel_pitch_mm=0.2, camera={"model": "A"})
+    assert capture_method(plane) == {"geometry": "plane", "camera": "A", "pixel_pitch_mm": 0.2}
+    table = TurntableFile(format=1, geometry="turntable")
+    assert capture_method(table) == {"geometry": "turntable", "camera": None, "pixel_pitch_mm": None}
+    cloth = GoniometerFile(format=1, geometry="goniometer", goniometer={"pixel_pitch_mm": 0.02})
+    assert capture_method(cloth) == {"geometry": "goniometer", "camera": None, "pixel_pitch_mm": 0.02}
+
+
+def graph(scene):
+    return rdflib.Graph().parse(data=_json(crm_graph(scene)), format="json-ld", publicID=CRATE + "cidoc-crm.jsonld")
+
+
+def short(node):
+    return next(
+        (str(node).replace(place, f"{name}:") for name, place in CONTEXT.items() if str(node).startswith(place)), ""
+    )
+
+
+@pytest.mark.parametrize("scene", [digitised(), nothing_said()], ids=["all", "nothing"])
+def test_the_graph_uses_classes_and_properties_as_they_are_defined(scene):
+    found = graph(scene)
+    kind = {node: short(name) for node, name in found.subject_objects(RDF.type)}
+    assert set(kind.values()) <= set(KINDS_OF)
+    links = [each for each in found if each[1] not in (RDF.type, RDFS.label)]
+    assert len(links) > 30
+    for subject, name, value in links:
+        domain, values = PROPERTIES[short(name)]
+        assert domain in kinds(kind[subject]), (subject, name)
+        assert isinstance(value, rdflib.Literal) if values == LITERAL else values in kinds(kind[value]), (name, value)
+
+
+def test_a_query_follows_a_result_to_the_object_the_photographer_and_the_day():
+    query = """
+        PREFIX crm: <http://www.cidoc-crm.org/cidoc-crm/>
+        PREFIX dig: <http://www.ics.forth.gr/isl/CRMdig/>
+        SELECT ?number ?name ?begin ?camera WHERE {
+          ?result (^dig:L11_had_output/dig:L2_used_as_source)+ ?capture .
+          ?photographing dig:L20_has_created ?capture ; dig:L1_digitized ?object ; crm:P14_carried_out_by ?person ;
+            crm:P4_has_time-span/crm:P82a_begin_of_the_begin ?begin ; dig:L12_happened_on_device/rdfs:label ?camera .
+          ?object crm:P48_has_preferred_identifier/crm:P190_has_symbolic_content ?number .
+          ?person crm:P1_is_identified_by/crm:P190_has_symbolic_content ?name .
+        }"""
+    result = rdflib.URIRef(CRATE + "artifacts/height/heightkey/")
+    (row,) = set(graph(digitised()).query(query, initBindings={"result": result}))
+    begin = rdflib.Literal("2026-01-31T00:00:00", datatype=rdflib.XSD.dateTime)
+    assert tuple(row) == (
+        *map(rdflib.Literal, (ABOUT["object_id"], ABOUT["creator"])),
+        begin,
+        rdflib.Literal(METHOD["camera"]),
+    )
+
+
+def test_both_descriptions_of_a_crate_mean_the_same_things():
+    assert DESCRIPTION == METADATA
+    names = {str(node) for node in graph(digitised()).subjects() if isinstance(node, rdflib.URIRef)}
+    assert {CRATE, CRATE + "capture/", CRATE + "artifacts/normals/normalskey/", CRATE + "code/Snakefile"} <= names
+    assert {f"{CRATE}{METADATA}#{name}" for name in ("object", "creator", "run-height", "settings-height")} <= names
+
+
+def test_the_table_of_the_tests_is_what_the_vocabularies_say():
+    """Against the RDFS of CIDOC CRM and CRMdig, as the npm packages @vocabulary/crm and @vocabulary/dig carry them."""
+    folder = Path(os.environ.get("NODE_PATH", "")) / "@vocabulary"
+    if not (folder / "crm/crm.nq").is_file() or not (folder / "dig/dig.nq").is_file():
+        pytest.skip("the npm packages @vocabulary/crm and @vocabulary/dig are not installed (set NODE_PATH)")
+    known = rdflib.Dataset(default_union=True)
+    for name in ("crm", "dig"):
+        known.parse(data=(folder / name / f"{name}.nq").read_text(encoding="utf-8"), format="nquads")
+    for name, (domain, values) in PROPERTIES.items():
+        node = rdflib.URIRef(CONTEXT[name[:3]] + name[4:])
+        assert {short(each) for each in known.objects(node, RDFS.domain)} == {domain}
+        ranges = {short(each) or LITERAL for each in known.objects(node, RDFS.range)}
+        assert ranges & {values, "xsd:dateTime" if values == LITERAL else values}
+    for name, above in KINDS_OF.items():
+        node = rdflib.URIRef(CONTEXT[name[:3]] + name[4:])
+        stated = {
+            short(each).replace("E22_Man-", "E22_Human-") for each in known.transitive_objects(node, RDFS.subClassOf)
+        }
+        assert set(above) <= stated, name

@@ -1,0 +1,122 @@
+"""A packed scene as a graph of the CIDOC Conceptual Reference Model 7.1 and its extension CRMdig 3.2, in JSON-LD.
+
+The photographs are a D2 Digitization Process on a physical object, every stage is a D10 Software Execution on what it
+read. Identifiers are those of the crate's description, so that both graphs can be joined. What is not known is left
+out. https://www.cidoc-crm.org https://www.cidoc-crm.org/crmdig
+"""
+
+import re
+from typing import Any
+
+from nishiki.archive.crate_entities import Entity, ids
+from nishiki.archive.crate_stages import PackedStage, ended, started
+from nishiki.archive.digitisation import Digitisation, days_of
+from nishiki.artifacts.provenance import canonical
+
+CIDOC_CRM = "cidoc-crm.jsonld"
+DESCRIPTION = "ro-crate-metadata.json"
+"""The file whose identifiers with '#' are meant."""
+CONTEXT = {
+    "crm": "http://www.cidoc-crm.org/cidoc-crm/",
+    "dig": "http://www.ics.forth.gr/isl/CRMdig/",
+    "label": "http://www.w3.org/2000/01/rdf-schema#label",
+    "xsd": "http://www.w3.org/2001/XMLSchema#",
+}
+
+
+def crm_graph(scene: Digitisation) -> Entity:
+    """The graph of a scene: object, digitisation, capture, stages, and the crate that holds them."""
+    folders = ["capture/", *(stage.folder for stage in scene.stages)]
+    crate = _node("./", "dig:D1_Digital_Object", scene.said("title") or scene.scene)
+    crate |= {"crm:P106_is_composed_of": ids(folders), "crm:P129_is_about": {"@id": _named("object")}}
+    software = _node("code/Snakefile", "dig:D14_Software", f"Nishiki {scene.version}")
+    stages = [entity for stage in scene.stages for entity in _stage(stage, scene.stages)]
+    graph = [crate, _object(scene), *_digitisation(scene), *_capture(scene), software, *stages]
+    return {"@context": CONTEXT, "@graph": graph}
+
+
+def _object(scene: Digitisation) -> Entity:
+    node = _node(_named("object"), "crm:E19_Physical_Object", scene.said("title"))
+    if scene.said("object_id"):
+        node["crm:P48_has_preferred_identifier"] = _appellation("crm:E42_Identifier", scene.said("object_id"))
+    if scene.said("title"):
+        node["crm:P1_is_identified_by"] = _appellation("crm:E41_Appellation", scene.said("title"))
+    return node
+
+
+def _digitisation(scene: Digitisation) -> list[Entity]:
+    """The photographs being taken: of what, by whom, when, with what, how."""
+    event = _node(_named("digitisation"), "dig:D2_Digitization_Process", f"Photographs of {scene.scene}")
+    event |= {"dig:L1_digitized": {"@id": _named("object")}, "dig:L20_has_created": {"@id": "capture/"}}
+    nodes = [event]
+    if scene.said("creator"):
+        event["crm:P14_carried_out_by"] = {"@id": _named("creator")}
+        nodes.append(_node(_named("creator"), "crm:E39_Actor", scene.said("creator")))
+        nodes[-1]["crm:P1_is_identified_by"] = _appellation("crm:E41_Appellation", scene.said("creator"))
+    if scene.said("date"):
+        event["crm:P4_has_time-span"] = _time_span(scene.said("date"))
+    if scene.technique:
+        event["crm:P32_used_general_technique"] = {"@type": "crm:E55_Type", "label": scene.technique}
+    if scene.camera:
+        event["dig:L12_happened_on_device"] = {"@id": _named("camera")}
+        nodes.append(_node(_named("camera"), "dig:D8_Digital_Device", scene.camera))
+    if scene.said("notes"):
+        event["crm:P3_has_note"] = scene.said("notes")
+    return nodes
+
+
+def _capture(scene: Digitisation) -> list[Entity]:
+    """The sealed photographs, and the rights in them."""
+    capture = _node("capture/", "dig:D9_Data_Object", "Sealed capture")
+    capture["crm:P1_is_identified_by"] = _appellation("crm:E42_Identifier", f"sha256:{scene.digest}")
+    if scene.scale:
+        capture["crm:P3_has_note"] = scene.scale
+    rights = scene.said("rights")
+    if not rights:
+        return [capture]
+    place = rights if re.fullmatch(r"https?://[^\s<>\"]+", rights) else _named("rights")
+    capture["crm:P104_is_subject_to"] = {"@id": place}
+    return [capture, _node(place, "crm:E30_Right", rights)]
+
+
+def _stage(stage: PackedStage, stages: list[PackedStage]) -> list[Entity]:
+    """The run of a stage, its settings, and its result."""
+    folders = {other.stage: other.folder for other in stages} | {"capture": "capture/"}
+    run = _node(_named(f"run-{stage.stage}"), "dig:D10_Software_Execution", f"{stage.stage}: {stage.does}")
+    run |= {
+        "dig:L23_used_software_or_firmware": {"@id": "code/Snakefile"},
+        "dig:L2_used_as_source": ids(folders[above] for above in stage.manifest["upstream"]),
+        "dig:L13_used_parameters": {"@id": _named(f"settings-{stage.stage}")},
+        "dig:L11_had_output": {"@id": stage.folder},
+        "dig:L31_has_starting_date-time": _moment(started(stage)),
+        "dig:L32_has_ending_date-time": _moment(ended(stage)),
+    }
+    settings = _node(_named(f"settings-{stage.stage}"), "dig:D1_Digital_Object", f"settings of {stage.stage}")
+    settings["crm:P190_has_symbolic_content"] = canonical(stage.manifest["settings"])
+    result = _node(stage.folder, "dig:D1_Digital_Object", f"{stage.stage} {stage.manifest['key']}")
+    digest = stage.files["artifact.json"][1]
+    result["crm:P1_is_identified_by"] = _appellation("crm:E42_Identifier", f"sha256:{digest}")
+    return [run, settings, result]
+
+
+def _time_span(text: str) -> Entity:
+    span: Entity = {"@type": "crm:E52_Time-Span", "label": text, "crm:P82_at_some_time_within": text}
+    if days := days_of(text):
+        span["crm:P82a_begin_of_the_begin"], span["crm:P82b_end_of_the_end"] = map(_moment, days)
+    return span
+
+
+def _moment(text: str) -> Entity:
+    return {"@type": "xsd:dateTime", "@value": text}
+
+
+def _appellation(kind: str, text: str) -> Entity:
+    return {"@type": kind, "crm:P190_has_symbolic_content": text}
+
+
+def _node(place: str, kind: str, label: str) -> dict[str, Any]:
+    return {"@id": place, "@type": kind, **({"label": label} if label else {})}
+
+
+def _named(name: str) -> str:
+    return f"{DESCRIPTION}#{name}"
