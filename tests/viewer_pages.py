@@ -25,7 +25,7 @@ from nishiki.render.cloth.scene import Lamp
 from nishiki.render.cloth.studio import linear_colour
 from nishiki.render.display import adapted_exposure, developed, display_image
 from nishiki.render.plane.frame import render
-from nishiki.render.plane.scene import Ambient, Light, PlaneScene
+from nishiki.render.plane.scene import Ambient, Light, PlaneScene, View
 from nishiki.render.plane.shadow import cast_shadows
 from nishiki.stages.cloth_render.declaration import DYES
 from nishiki.stages.cloth_viewer.scene import SHAPES, shape_of
@@ -126,10 +126,26 @@ def lights_of(scene: PlaneScene, state: dict[str, Any]) -> list[Light]:
     return lights
 
 
-def rendered(scene: PlaneScene, state: dict[str, Any]) -> tuple[np.ndarray, float]:
-    """(rows, columns, 3) uint8 that `render` shows of a state of the page, frontal, in full size; and the exposure."""
+def tilted_view(scene: PlaneScene, tilt_deg: float, azimuth_deg: float, zoom: float = 1) -> View:
+    """A pinhole camera so far away that its picture is a parallel projection, a pixel for a pixel across the tilt."""
+    tilt, azimuth = np.radians([tilt_deg, azimuth_deg])
+    along, across = np.array([[np.cos(azimuth), np.sin(azimuth), 0], [-np.sin(azimuth), np.cos(azimuth), 0]])
+    normal = np.array([0, 0, 1.0])
+    rows, columns = scene.shape
+    far = 1e4 * rows * scene.pitch
+    return View(
+        eye_mm=tuple(far * (np.sin(tilt) * along + np.cos(tilt) * normal)),
+        up=tuple(along[1] * (np.cos(tilt) * along - np.sin(tilt) * normal) + across[1] * across),
+        field_of_view=2 * np.arctan(rows * scene.pitch / 2 / far / zoom),
+        rows=rows,
+        columns=columns,
+    )
+
+
+def rendered(scene: PlaneScene, state: dict[str, Any], view: View | None = None) -> tuple[np.ndarray, float]:
+    """(rows, columns, 3) uint8 that `render` shows of a state of the page, frontal or from `view`; and the exposure."""
     lights = lights_of(scene, state)
-    made = render(scene, lights, ambient=Ambient(spectrum=lights[0].spectrum, level=state["ambient"]))
+    made = render(scene, lights, view, ambient=Ambient(spectrum=lights[0].spectrum, level=state["ambient"]))
     exposure = state["exposure"]
     if exposure == "auto":
         settings = [

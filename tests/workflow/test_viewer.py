@@ -7,6 +7,7 @@ import urllib.parse
 
 import numpy as np
 import pytest
+import scipy.ndimage
 import viewer_pages
 from viewer_pages import READ, lamp, opened
 
@@ -100,6 +101,58 @@ def test_the_canvas_shows_what_render_shows_and_values_are_those_of_the_maps(vie
     assert np.abs(np.array(probe["spectrum"]["reflectance"]) - spectrum).max() < 0.02
     for layer in page.page.evaluate("nishiki.scene.layers()"):
         page.set(layer=layer["name"])
+
+
+def test_tilted_picture_is_that_of_render_and_its_relief_is_lifted(viewed, shown):
+    current = viewed.folder / "results/tiny/current"
+    inputs = {name: open_artifact(current / name) for name in ("normals", "height", "spectra", "brdf")}
+    scene = viewer_pages.plane_scene(inputs)
+    rows, columns = scene.shape
+    tilt, azimuth = 50, 205
+    state = {"lamps": [lamp(90, 45)], "ambient": 0.05, "exposure": 0.8}
+    tilted = {**FRONTAL, "tilt_deg": tilt, "azimuth_deg": azimuth}
+    # pixels of the canvas a third of those of the maps: at the same size render shows means of samples
+    state["view"] = {**tilted, "zoom": 3}
+    expected, _ = viewer_pages.rendered(scene, state, viewer_pages.tilted_view(scene, tilt, azimuth, 3))
+    shown.page.evaluate("nishiki.scene.lifted = nishiki.scene.relief; nishiki.scene.relief = null")
+    flat = shown.picture(columns, rows, **state).copy()
+    errors = viewer_pages.difference(flat, expected)
+    assert np.median(errors) < 0.8  # where neighbours differ, the page interpolates codes and render what they mean
+    assert errors.mean() < 2.5
+
+    # the relief ten times as high, in pixels of a third, against rays that go down in small steps
+    view, state["view"] = viewer_pages.tilted_view(scene, tilt, azimuth), tilted
+    height = 10 * np.nan_to_num(Maps(inputs["height"].folder).read("height"))
+    shown.page.evaluate("""([surface, rows, columns, pitch]) => { const { scene } = nishiki;
+      scene.relief = new scene.lifted.constructor(scene.gl, { surface, rows, columns, pitch }, pitch); }""",
+      [height.ravel().tolist(), rows, columns, scene.pitch])  # fmt: skip
+    size = (3 * columns, 3 * rows)
+    lifted = shown.picture(*size, **state, layer="normals")
+    towards = np.array(view.eye_mm) / np.linalg.norm(view.eye_mm)
+    up = np.array(view.up)
+    right = np.cross(up, towards)
+    y, x = np.mgrid[rows / 2 - 1 / 6 : -rows / 2 : -1 / 3, -columns / 2 + 1 / 6 : columns / 2 : 1 / 3] * scene.pitch
+    screen = x[..., None] * right + y[..., None] * up
+    place, above = np.full((*x.shape, 2), -1.0), np.zeros(x.shape, bool)
+    for level in np.linspace(height.max() + 1e-6, height.min(), 400):
+        point = screen + towards * ((level - screen[..., 2]) / towards[2])[..., None]
+        at = np.stack([(rows - 1) / 2 - point[..., 1] / scene.pitch, (columns - 1) / 2 + point[..., 0] / scene.pitch])
+        surface = scipy.ndimage.map_coordinates(height, at, order=1, mode="nearest")
+        on = (np.abs(point[..., 1]) < rows * scene.pitch / 2) & (np.abs(point[..., 0]) < columns * scene.pitch / 2)
+        above |= on & (surface < level)
+        hit = on & above & (surface >= level) & (place[..., 0] < -0.9)
+        place[hit] = np.moveaxis(at, 0, -1)[hit]
+    seen = place[..., 0] > -0.9
+    assert np.mean((lifted.max(axis=-1) > 27) == seen) > 0.98
+    seen = scipy.ndimage.binary_erosion(seen, iterations=3)
+    normals = np.stack([scipy.ndimage.map_coordinates(n, np.moveaxis(place, -1, 0), order=1)
+                        for n in np.moveaxis(scene.normals, -1, 0)], axis=-1)  # fmt: skip
+    apart = np.abs(normals[seen] * 0.5 + 0.5 - lifted[seen] / 255).max(axis=-1)
+    shown.page.evaluate("nishiki.scene.relief = null")
+    unlifted = shown.picture(*size, **state, layer="normals")
+    without = np.abs(normals[seen] * 0.5 + 0.5 - unlifted[seen] / 255).max(axis=-1)
+    assert np.median(apart) < 0.02
+    assert np.mean(apart) < 0.25 * np.mean(without)
 
 
 def test_shadows_of_a_lamp_at_rest_are_those_of_the_full_heights(viewed, shown, tmp_path, monkeypatch):
@@ -212,6 +265,13 @@ def test_keys_alone_reach_lamp_view_probe_and_divider(shown):
     view = state(shown)["view"]
     assert view["zoom"] == pytest.approx(1.25)
     assert view["x"] > 0
+    press("t")
+    shown.page.locator("#canvas").focus()
+    press("ArrowRight")
+    press("ArrowUp")
+    assert state(shown)["view"]["tilt_deg"] == pytest.approx(np.hypot(5, 5))
+    assert state(shown)["view"]["azimuth_deg"] == pytest.approx(45)
+    assert "azimuth 45" in shown.page.locator("#spoken").text_content()
     press("p")
     shown.page.locator("#canvas").focus()
     press("Enter")

@@ -1,4 +1,6 @@
-// Moving over a flat scene: pan and zoom; a view is {x, y, zoom}: the point in the middle, and how much larger than fitted.
+// Moving over a flat scene: a view is {x, y, zoom, tilt_deg, azimuth_deg}: the point in the middle, how much larger than
+// fitted, and where the eye stands: so far from the front, towards this direction, from the right upwards.
+import { MOST_TILT } from "viewer/plane_view";
 
 const MOST_ZOOM = 400, LEAST_ZOOM = 0.5;
 
@@ -15,6 +17,13 @@ export function zoomed(scene, state, factor, x, y) {
 export function panned(scene, state, dx, dy) {
   const [x0, y0] = scene.toScene(0, 0, state), [x1, y1] = scene.toScene(dx, dy, state);
   return inside(scene, { ...state.view, x: state.view.x - (x1 - x0), y: state.view.y - (y1 - y0) });
+}
+
+/** `state.view` with the eye moved by so many degrees to the right and up. */
+export function tilted({ view }, right, up) {
+  const azimuth = (view.azimuth_deg * Math.PI) / 180;
+  const x = view.tilt_deg * Math.cos(azimuth) + right, y = view.tilt_deg * Math.sin(azimuth) + up;
+  return { ...view, tilt_deg: Math.min(Math.hypot(x, y), MOST_TILT), azimuth_deg: ((Math.atan2(y, x) * 180) / Math.PI + 360) % 360 };
 }
 
 /** The middle stays on the object. */

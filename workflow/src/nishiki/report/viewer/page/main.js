@@ -132,7 +132,7 @@ class App {
   }
 
   helpSection() {
-    const keys = this.flat ? ["l m p r", "← → ↑ ↓", "⇧ ← → ↑ ↓", "+ −", "0"] : ["← → ↑ ↓", "+ −", "0"];
+    const keys = this.flat ? ["l m t p r", "← → ↑ ↓", "⇧ ← → ↑ ↓", "+ −", "0"] : ["← → ↑ ↓", "+ −", "0"];
     const { texture_reads, operations } = this.scene.cost(), { width_mm, height_mm, unit } = this.scene.bounds();
     const size = [width_mm, height_mm].map((length) => written(length, unit)).join(" × ");
     const languages = element("select", { "aria-label": text("language"), onchange: () => ((this.state.language = languages.value), this.rebuild()) },
@@ -198,14 +198,12 @@ class App {
   }
 
   markOnCanvas() {
-    if (!this.mark) return null;
-    const [x0, y0] = this.scene.toScene(0, 0, this.state), [x1, y1] = this.scene.toScene(1000, 1000, this.state);
-    return [(1000 * (this.mark[0] - x0)) / (x1 - x0), (1000 * (this.mark[1] - y0)) / (y1 - y0)];
+    return this.mark && this.scene.fromScene(this.mark, this.state);
   }
 
   async probe(x, y) {
-    this.mark = this.flat ? this.scene.toScene(x, y, this.state) : null;
     this.probed = await this.scene.probe(x, y, this.state);
+    this.mark = this.flat ? this.scene.pointAt(x, y, this.state) : null;
     this.opened.add("probe");
     this.rebuild();
   }

@@ -4,19 +4,13 @@ import { drawing } from "viewer/dom";
 const LONGEST = 180; // CSS pixels of the scale bar
 const NARROW = 700, BUTTON = 52; // a narrow page has a button below the scale bar
 
-/** Of a flat scene: from its own unit to CSS pixels of the canvas. */
-function toScreen(scene, state, ratio) {
-  const [x0, y0] = scene.toScene(0, 0, state), [x1, y1] = scene.toScene(1000, 1000, state);
-  const [sx, sy] = [(x1 - x0) / 1000, (y1 - y0) / 1000];
-  return { scale: 1 / (Math.abs(sx) * ratio), at: ([x, y]) => [(x - x0) / sx / ratio, (y - y0) / sy / ratio] };
-}
-
 /** Redraw; app.ruler: [] or one or two points in the unit of the scene; app.mark: the point that was probed. */
 export function drawOverlay(app, svg) {
   const { scene, state, ratio } = app;
   svg.replaceChildren();
   if (!app.flat) return;
-  const { unit } = scene.bounds(), { scale, at } = toScreen(scene, state, ratio);
+  const { unit, width_mm } = scene.bounds(), scale = (scene.fit() * state.view.zoom * scene.manifest.columns) / width_mm / ratio; // CSS pixels to the unit
+  const at = (point) => scene.fromScene(point, state).map((v) => v / ratio);
   const width = svg.clientWidth, height = svg.clientHeight - (innerWidth <= NARROW ? BUTTON : 0);
   const power = 10 ** Math.floor(Math.log10(LONGEST / scale));
   const length = [5, 2, 1].map((k) => k * power).find((each) => each * scale <= LONGEST) ?? power;

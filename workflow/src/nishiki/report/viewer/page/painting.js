@@ -6,25 +6,18 @@ import * as colour from "viewer/colour";
 import { bind, context, program, readback, target, texture } from "viewer/gl";
 import { picture } from "viewer/loader";
 import { LAYER_FRAGMENT, paintingFragment, TILE_VERTEX } from "viewer/painting_shaders";
+import { PlaneView } from "viewer/plane_view";
+import { Relief } from "viewer/relief";
 import { openHeights, Shadows } from "viewer/shadows";
+import { Tiles } from "viewer/tiles";
 
-const TEXTURE_BYTES = 256e6; // of tiles that are kept
 const EXPOSURE_PIXELS = 1 << 18; // at most, of the picture that the exposure is chosen from
 const MOST_LAMPS = 8;
 const ENHANCEMENTS = ["none", "specular", "curvature", "raking"];
 const LAYER_COLOURS = ["grey", "diverging", "flags"];
-const MIPMAPS = 3; // of a tile: levels of the pyramid are a factor of 4 apart
 const BACKGROUND = 0.106;
+const FRONTAL = { x: 0, y: 0, zoom: 1, tilt_deg: 0, azimuth_deg: 0 };
 const KEPT = 3; // states whose shadows and exposure are kept
-
-/** Pictures of a tile: before each its length in bytes, four of them, the lowest first. */
-function stackOf(data) {
-  const view = new DataView(data.buffer, data.byteOffset, data.byteLength), parts = [];
-  for (let at = 0; at < data.length; at += 4 + view.getUint32(at, true)) {
-    parts.push(picture(data.subarray(at + 4, at + 4 + view.getUint32(at, true)), "image/webp"));
-  }
-  return Promise.all(parts);
-}
 
 /** Put an entry last in a map and keep the last few; the values that were dropped. */
 function remember(map, key, value) {
@@ -39,7 +32,7 @@ export class Painting {
   /** Opens a painting; ready to draw once its coarsest tiles are there. */
   static async open(canvas, manifest, loader) {
     const scene = new Painting(canvas, manifest, loader);
-    await scene.#tile(manifest.tiles.levels.length - 1, 0, 0);
+    await scene.tiles.load(manifest.tiles.levels.length - 1, 0, 0);
     scene.#openShadows();
     return scene;
   }
@@ -49,7 +42,6 @@ export class Painting {
     this.gl = context(canvas);
     this.onready = () => {};
     this.pending = 0;
-    this.tiles = new Map();
     this.programs = new Map();
     this.layerTextures = new Map();
     this.exposures = new Map(); // of the states drawn last: two, where a divider compares
@@ -59,10 +51,12 @@ export class Painting {
     this.terms = shading ? shading.mean.length : 0;
     this.planes = 3 + this.chroma + this.shades; // the region comes after them
     this.stack = Math.ceil((this.planes + 1) / 3);
+    this.tiles = new Tiles(this.gl, manifest.tiles, this.stack, loader, (promise) => this.#wait(promise));
     this.hasRegions = manifest.tiles.regions;
     this.gloss = this.#glossTexture();
     this.spectra = new Map();
     this.shadows = []; // of reliefs, the coarse first
+    this.relief = null; // the coarse one, for tilted views
     this.shadowsOf = new Map(); // shadows of the lamps drawn last: {key, level, texture, count}
     this.shadow = null; // those of the state that is drawn
   }
@@ -88,11 +82,30 @@ export class Painting {
     return Math.min(this.canvas.width / this.manifest.columns, this.canvas.height / this.manifest.rows);
   }
 
-  /** Point of the scene, in its own unit, at a pixel of the canvas (from its upper left corner). */
+  /** Point of the scene's plane, in its own unit, at a pixel of the canvas (from its upper left corner). */
   toScene(x, y, state) {
+    return this.#pointOf(this.#place(state).toMap(x, y));
+  }
+
+  /** Point of the relief [x, y, height] at a pixel of the canvas. */
+  pointAt(x, y, state) {
+    const place = this.#toRelief(x, y, state);
+    return [...this.#pointOf(place), this.relief?.heightAt(...place) || 0];
+  }
+
+  #toRelief(x, y, state) {
+    return this.#place(state).toRelief(x, y, (...at) => this.relief.heightAt(...at));
+  }
+
+  #pointOf([column, row]) {
     const { rows, columns, pitch_mm } = this.manifest, pitch = pitch_mm ?? 1;
-    const [column, row] = this.#toMap(x, y, state);
     return [(column - columns / 2) * pitch, (rows / 2 - row) * pitch];
+  }
+
+  /** Pixel of the canvas of a point of the scene [x, y, height]. */
+  fromScene([x, y, height], state) {
+    const { rows, columns, pitch_mm } = this.manifest, pitch = pitch_mm ?? 1;
+    return this.#place(state).toCanvas(x / pitch + columns / 2, rows / 2 - y / pitch, this.relief ? height : 0);
   }
 
   layers() {
@@ -124,15 +137,17 @@ export class Painting {
     gl.clearColor(BACKGROUND, BACKGROUND, BACKGROUND, 1);
     gl.clear(gl.COLOR_BUFFER_BIT);
     const place = this.#place(state);
+    if (place.tilted) gl.enable(gl.DEPTH_TEST);
     if (layer?.block) this.#drawLayer(layer, place);
     else this.#drawTiles(state, lamps, place, area, { exposure, output: plain ? 0 : 2 });
+    gl.disable(gl.DEPTH_TEST);
     gl.disable(gl.SCISSOR_TEST);
   }
 
   /** What is known at a pixel of the canvas: null beside the painting. */
   async probe(x, y, state) {
     const { manifest } = this;
-    const [column, row] = this.#toMap(x, y, state).map(Math.floor);
+    const [column, row] = this.#toRelief(x, y, state).map(Math.floor);
     if (column < 0 || row < 0 || column >= manifest.columns || row >= manifest.rows) return null;
     const layers = Object.fromEntries(await Promise.all(manifest.layers.filter(({ block }) => block).map(async (layer) => {
       const { texture: made } = await this.#layerTexture(layer);
@@ -169,23 +184,13 @@ export class Painting {
 
   // view
 
-  /** Scale and offset from pixels of the map to those of the canvas; whole offsets, so that 1:1 resamples nothing. */
   #place({ view }) {
-    const { rows, columns, pitch_mm } = this.manifest, pitch = pitch_mm ?? 1;
-    const scale = this.fit() * view.zoom;
-    const x = Math.round(this.canvas.width / 2 - (columns / 2 + view.x / pitch) * scale);
-    const y = Math.round(this.canvas.height / 2 - (rows / 2 - view.y / pitch) * scale);
-    return { scale, x, y, width: this.canvas.width, height: this.canvas.height };
+    return this.#placed(this.canvas, this.fit() * view.zoom, view);
   }
 
-  #toMap(x, y, state) {
-    const place = this.#place(state);
-    return [(x - place.x) / place.scale, (y - place.y) / place.scale];
-  }
-
-  /** Coarsest level whose pixels are no larger than those of the canvas. */
-  #levelOf(scale) {
-    return Math.max(this.manifest.tiles.levels.findLastIndex(({ factor }) => factor * scale < 1.25), 0);
+  #placed(screen, scale, view) {
+    const { rows, columns, pitch_mm } = this.manifest;
+    return new PlaneView({ rows, columns, pitch: pitch_mm ?? 1 }, screen, scale, view, this.relief?.heights);
   }
 
   // lamps and colours
@@ -250,7 +255,7 @@ export class Painting {
     }
     const { levels } = this.manifest.tiles;
     const level = Math.max(levels.findIndex(({ rows, columns }) => rows * columns <= EXPOSURE_PIXELS), 0);
-    if (!this.#haveAll(level)) return this.exposureShown;
+    if (!this.tiles.haveAll(level)) return this.exposureShown;
     const { gl } = this, { rows, columns } = levels[level];
     this.meter ??= target(gl, columns, rows);
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.meter.framebuffer);
@@ -258,8 +263,8 @@ export class Painting {
     gl.disable(gl.SCISSOR_TEST);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT);
-    const place = { scale: 1 / levels[level].factor, x: 0, y: 0, width: columns, height: rows };
     const area = { x: 0, y: 0, width: columns, height: rows };
+    const place = this.#placed(area, 1 / levels[level].factor, FRONTAL);
     this.#drawTiles({ ...state, enhance: "none" }, lamps, place, area, { exposure: null, output: 1 });
     const bytes = readback(gl, 0, 0, columns, rows);
     const bins = new Uint32Array(65536);
@@ -283,7 +288,8 @@ export class Painting {
   /** Open the reliefs one after the other: the coarse one follows a lamp that is dragged, the finer one a lamp at rest. */
   async #openShadows() {
     for (const [level, relief] of this.manifest.shadows.entries()) {
-      const shadows = new Shadows(await this.#wait(openHeights(relief, this.loader)));
+      const heights = await this.#wait(openHeights(relief, this.loader)), shadows = new Shadows(heights);
+      this.relief ??= new Relief(this.gl, heights, this.manifest.pitch_mm ?? 1);
       shadows.onready = (key, visibility) => {
         this.#keepShadows(key, level, visibility);
         this.onready();
@@ -318,38 +324,6 @@ export class Painting {
 
   // tiles
 
-  /** Tiles of a level that an area of the screen shows: [row, column]. */
-  #visible(level, { scale, x, y }, area) {
-    const { levels, size } = this.manifest.tiles, { rows, columns, factor } = levels[level];
-    const side = size * factor * scale;
-    const range = (from, to, start, count) => {
-      const first = Math.max(Math.floor((from - start) / side), 0), last = Math.min(Math.floor((to - 1 - start) / side), count - 1);
-      return Array.from({ length: Math.max(last - first + 1, 0) }, (_, k) => first + k);
-    };
-    const across = range(area.x, area.x + area.width, x, Math.ceil(columns / size));
-    return range(area.y, area.y + area.height, y, Math.ceil(rows / size)).flatMap((row) => across.map((column) => [row, column]));
-  }
-
-  #haveAll(level) {
-    const { rows, columns, factor } = this.manifest.tiles.levels[level];
-    const all = this.#visible(level, { scale: 1 / factor, x: 0, y: 0 }, { x: 0, y: 0, width: columns, height: rows });
-    return all.map(([row, column]) => this.#ready(level, row, column)).every(Boolean);
-  }
-
-  /** Texture of a tile, or null while it is on its way. */
-  #ready(level, row, column) {
-    const known = this.tiles.get(`${level}-${row}-${column}`);
-    if (!known) {
-      this.#tile(level, row, column);
-      return null;
-    }
-    if (known.texture) {
-      this.tiles.delete(known.name); // the last used come last
-      this.tiles.set(known.name, known);
-    }
-    return known.texture;
-  }
-
   /** A promise on which `busy` depends. */
   #wait(promise) {
     this.pending++;
@@ -360,81 +334,54 @@ export class Painting {
     return promise;
   }
 
-  /** Promise of the texture of a tile. */
-  #tile(level, row, column) {
-    const name = `${level}-${row}-${column}`;
-    if (!this.tiles.has(name)) {
-      const tile = { name, texture: null };
-      this.tiles.set(name, tile);
-      tile.making = this.#wait(this.#make(tile));
-    }
-    return this.tiles.get(name).making;
-  }
-
-  async #make(tile) {
-    const pictures = await stackOf(await this.loader.load(`tile-${tile.name}`));
-    const { gl } = this, side = this.#side();
-    tile.texture = texture(gl, gl.TEXTURE_2D_ARRAY, gl.LINEAR);
-    gl.texParameteri(gl.TEXTURE_2D_ARRAY, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_NEAREST);
-    gl.texStorage3D(gl.TEXTURE_2D_ARRAY, MIPMAPS, gl.RGBA8, side, side, pictures.length);
-    pictures.forEach((image, layer) => {
-      gl.texSubImage3D(gl.TEXTURE_2D_ARRAY, 0, 0, 0, layer, side, side, 1, gl.RGBA, gl.UNSIGNED_BYTE, image);
-      image.close();
-    });
-    gl.generateMipmap(gl.TEXTURE_2D_ARRAY);
-    this.#forget();
-    return tile.texture;
-  }
-
-  #side() {
-    return this.manifest.tiles.size + 2 * this.manifest.tiles.border;
-  }
-
-  /** Drop the tiles used longest ago; the coarsest stays. */
-  #forget() {
-    const most = Math.max(Math.floor(TEXTURE_BYTES / (this.#side() ** 2 * 5.3 * this.stack)), 8);
-    for (const [name, tile] of this.tiles) {
-      if (this.tiles.size <= most) break;
-      if (!tile.texture || name.startsWith(`${this.manifest.tiles.levels.length - 1}-`)) continue;
-      this.gl.deleteTexture(tile.texture);
-      this.tiles.delete(name);
-    }
-  }
-
   /** Draw the tiles in sight, coarser ones below those that are still on their way. */
   #drawTiles(state, lamps, place, area, { exposure, output }) {
-    const last = this.manifest.tiles.levels.length - 1, level = this.#levelOf(place.scale);
-    const wanted = this.#visible(level, place, area);
-    const complete = wanted.map(([row, column]) => this.#ready(level, row, column)).every(Boolean);
-    const levels = complete ? [level] : [...new Set([last, level])];
-    const uniforms = this.#shader(state, lamps, { exposure, output });
-    const set = (call, name, value) => uniforms[name] && this.gl[call](uniforms[name], value);
-    for (const each of levels) {
-      const { gl } = this, { size, border } = this.manifest.tiles, { factor } = this.manifest.tiles.levels[each];
-      const columns = this.manifest.columns / factor, rows = this.manifest.rows / factor, step = factor * place.scale;
-      gl.uniform4f(uniforms.toClip, (2 * step) / place.width, (-2 * step) / place.height, (2 * place.x) / place.width - 1, 1 - (2 * place.y) / place.height);
+    const { gl, tiles, manifest } = this, { size, border, levels } = manifest.tiles;
+    const level = tiles.levelOf(place.scale), bounds = place.bounds(area), wanted = tiles.within(level, bounds);
+    const complete = wanted.map(([row, column]) => tiles.ready(level, row, column)).every(Boolean);
+    const uniforms = this.#shader(state, lamps, place, { exposure, output });
+    const set = (call, name, value) => uniforms[name] && gl[call](uniforms[name], value);
+    for (const each of complete ? [level] : [...new Set([levels.length - 1, level])]) {
+      const { factor } = levels[each], columns = manifest.columns / factor, rows = manifest.rows / factor, step = factor * place.scale;
+      gl.clear(gl.DEPTH_BUFFER_BIT);
       gl.uniform2f(uniforms.size, columns, rows);
-      set("uniform1f", "pitch", (this.manifest.pitch_mm ?? 1) * factor);
+      set("uniform1f", "pitch", (manifest.pitch_mm ?? 1) * factor);
       set("uniform1f", "blur", Math.min(1, 1 / step ** 2));
       set("uniform1f", "stride", Math.max(1, 1 / step));
-      for (const [row, column] of each === level ? wanted : this.#visible(each, place, area)) {
-        const made = this.#ready(each, row, column);
+      for (const [row, column] of each === level ? wanted : tiles.within(each, bounds)) {
+        const made = tiles.ready(each, row, column);
         if (!made) continue;
         bind(gl, 0, gl.TEXTURE_2D_ARRAY, made, uniforms.planes);
         gl.uniform2f(uniforms.origin, column * size - border, row * size - border);
-        gl.uniform4f(uniforms.corners, column * size, row * size, Math.min((column + 1) * size, columns), Math.min((row + 1) * size, rows));
-        gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
+        this.#drawMesh(uniforms, place, factor, [column * size, row * size, Math.min((column + 1) * size, columns), Math.min((row + 1) * size, rows)]);
       }
     }
   }
 
+  /** Draw a rectangle of the map, its corners in pixels averaged by `factor`: two triangles, or a mesh that is lifted. */
+  #drawMesh(uniforms, place, factor, corners) {
+    const { gl } = this, { toClip, lift, depth } = place.uniforms(factor);
+    const relief = place.tilted && this.relief;
+    const cells = relief ? relief.cells((corners[2] - corners[0]) * factor, place.scale) : 1;
+    gl.uniform4f(uniforms.corners, ...corners);
+    gl.uniformMatrix3x2fv(uniforms.toClip, false, toClip);
+    gl.uniform4f(uniforms.depth, ...depth);
+    gl.uniform1i(uniforms.cells, cells);
+    if (relief) {
+      gl.uniform2f(uniforms.lift, ...lift);
+      gl.uniform1f(uniforms.reliefScale, relief.scale * factor);
+      bind(gl, 3, gl.TEXTURE_2D, relief.texture, uniforms.relief);
+    }
+    gl.drawArrays(gl.TRIANGLES, 0, 6 * cells ** 2);
+  }
+
   /** The program of a state in use, with everything but the tile set; its uniforms. */
-  #shader(state, lamps, { exposure, output }) {
+  #shader(state, lamps, place, { exposure, output }) {
     const { gl, manifest } = this, { code, gloss } = manifest;
     const shadowed = Boolean(this.shadow && this.shadow.count === lamps.length && lamps.length);
     const defines = {
       PLANES: this.planes, CHROMA: this.chroma, TERMS: this.terms, SHADES: this.shades, LAMPS: lamps.length,
-      LOBES: gloss.beta[0].length, REGIONS: this.hasRegions ? 1 : 0, BLURRED: gloss.blurred ? 1 : 0, SHADOWS: shadowed ? 1 : 0, OUTPUT: output,
+      LOBES: gloss.beta[0].length, REGIONS: this.hasRegions ? 1 : 0, BLURRED: gloss.blurred ? 1 : 0, SHADOWS: shadowed ? 1 : 0, OUTPUT: output, RELIEF: place.tilted && this.relief ? 1 : 0,
     };
     const shader = this.#program(JSON.stringify(defines), TILE_VERTEX, paintingFragment(defines), defines);
     const { uniforms } = shader;
@@ -442,7 +389,8 @@ export class Painting {
     const { colours, whites } = this.#colours(state, exposure);
     const set = (call, name, ...values) => uniforms[name] && gl[call](uniforms[name], ...values);
     const ranges = ({ low, high }) => new Float32Array(low.flatMap((value, k) => [value, high[k]]));
-    set("uniform1f", "side", this.#side());
+    set("uniform1f", "side", this.tiles.side);
+    set("uniform3f", "toward", ...place.toward);
     set("uniform2f", "normalCode", code.normal.width, code.normal.fineness);
     set("uniform1f", "top", code.colour.top);
     set("uniform2fv", "chromaRange", this.chroma ? ranges(code.colour) : new Float32Array(2));
@@ -502,18 +450,18 @@ export class Painting {
     this.#layerTexture(layer);
     const { made } = this.layerTextures.get(layer.name);
     if (!made) return;
-    const shader = this.#program("layer", TILE_VERTEX, LAYER_FRAGMENT, {});
+    const defines = { RELIEF: place.tilted && this.relief ? 1 : 0 };
+    const shader = this.#program(`layer${defines.RELIEF}`, TILE_VERTEX, LAYER_FRAGMENT, defines);
     const { uniforms } = shader;
     shader.use();
     bind(gl, 0, gl.TEXTURE_2D, made.texture, uniforms.codes);
-    gl.uniform4f(uniforms.corners, 0, 0, manifest.columns, manifest.rows);
-    gl.uniform4f(uniforms.toClip, (2 * place.scale) / place.width, (-2 * place.scale) / place.height, (2 * place.x) / place.width - 1, 1 - (2 * place.y) / place.height);
+    gl.clear(gl.DEPTH_BUFFER_BIT);
     gl.uniform2f(uniforms.size, manifest.columns, manifest.rows);
     gl.uniform1i(uniforms.colouring, Math.max(LAYER_COLOURS.indexOf(layer.map), 0));
     gl.uniform1f(uniforms.nothing, layer.code.nothing);
     // codes to 0 ... 1 over the range that is shown
     gl.uniform1f(uniforms.scale, (layer.code.high - layer.code.low) / layer.code.top / (layer.range[1] - layer.range[0]));
-    gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
+    this.#drawMesh(uniforms, place, 1, [0, 0, manifest.columns, manifest.rows]);
   }
 
   /** RGBA bytes of one pixel of a texture, or of a layer of an array texture. */
@@ -532,7 +480,7 @@ export class Painting {
   async #record(column, row) {
     const { size, border, unknown } = this.manifest.tiles;
     const [tileRow, tileColumn] = [row, column].map((k) => Math.floor(k / size));
-    const made = await this.#tile(0, tileRow, tileColumn);
+    const made = await this.tiles.load(0, tileRow, tileColumn);
     const place = [column - tileColumn * size + border, row - tileRow * size + border];
     const values = Array.from({ length: this.stack }, (_, layer) => [...this.#readPixel(made, layer, ...place)].slice(0, 3)).flat();
     const region = values[this.planes];

@@ -1,14 +1,40 @@
 // Shaders of the painting. Shading follows nishiki.render.plane.kernel term by term.
 
-/** A tile's quad: corners in pixels of its level, taken to clip space by an affine map. */
+/** A rectangle of the map: squares of two triangles each, lifted by the relief where RELIEF says so. */
 export const TILE_VERTEX = `
-uniform vec4 corners;       // left, top, right, bottom of the tile in pixels of its level
-uniform vec4 toClip;        // scale and offset
+uniform vec4 corners;       // left, top, right, bottom in pixels of the level
+uniform int cells;          // squares along each side
+uniform mat3x2 toClip;
+uniform vec4 depth;         // of column, row, height and 1
+#if RELIEF
+uniform sampler2D relief;
+uniform float reliefScale;  // its pixels to one of the level
+uniform vec2 lift;
+#endif
 out vec2 at;                // column and row, in pixels of the level, 0 at the upper left corner
+
+float height() {
+#if RELIEF
+  vec2 last = vec2(textureSize(relief, 0) - 1), place = clamp(at * reliefScale - 0.5, vec2(0.0), last);
+  ivec2 low = ivec2(place), high = ivec2(min(place + 1.0, last));
+  vec2 share = fract(place);
+  float above = mix(texelFetch(relief, low, 0).r, texelFetch(relief, ivec2(high.x, low.y), 0).r, share.x);
+  float below = mix(texelFetch(relief, ivec2(low.x, high.y), 0).r, texelFetch(relief, high, 0).r, share.x);
+  return mix(above, below, share.y);
+#else
+  return 0.0;
+#endif
+}
+
 void main() {
-  vec2 unit = vec2(gl_VertexID & 1, gl_VertexID >> 1);
-  at = mix(corners.xy, corners.zw, unit);
-  gl_Position = vec4(at * toClip.xy + toClip.zw, 0.0, 1.0);
+  int cell = gl_VertexID / 6, corner = gl_VertexID - 6 * cell;
+  ivec2 unit = ivec2(cell % cells, cell / cells) + ivec2(50 >> corner & 1, 44 >> corner & 1); // columns 010011, rows 001101
+  at = mix(corners.xy, corners.zw, vec2(unit) / float(cells));
+  float h = height();
+  gl_Position = vec4(toClip * vec3(at, 1.0), dot(depth, vec4(at, h, 1.0)), 1.0);
+#if RELIEF
+  gl_Position.xy += lift * h;
+#endif
 }`;
 
 /** GLSL that reads plane k of the tile: constant indices, because indices that vary cost a software rasteriser dearly. */
@@ -42,6 +68,7 @@ uniform vec4 lamps[LAMPS + 1];   // direction and 0, or position and 1
 uniform vec4 powers[LAMPS + 1];  // intensity, squared reference distance or 0
 uniform float ambient;
 uniform float pitch;             // of the level's pixels
+uniform vec3 toward;             // the eye
 uniform float stride;            // pixels of the level between the neighbours whose slopes are compared
 uniform float blur;              // variance of the slopes that a pixel of the screen sees, relative to a pixel of the map
 uniform sampler2D gloss;         // a row a region: index, entering, -, -; then beta, 1 / gamma^2 of each lobe
@@ -104,7 +131,7 @@ void main() {
   int region = 0;
 #if REGIONS > 0
   region = int(texelFetch(planes, ivec3(floor(at - origin), ${Math.floor(PLANES / 3)}), 0).${"rgb"[PLANES % 3]} * 255.0 + 0.5);
-  if (region == 255) { result = vec4(0.0); return; }
+  if (region == 255) discard;
 #endif
   vec3 n = decodedNormal(values0.rg);
 #if OUTPUT == 2
@@ -115,8 +142,8 @@ void main() {
   float u = values0.b * top;
   vec4 table = texelFetch(gloss, ivec2(0, region), 0);
   float contrast = (table.x - 1.0) * (table.x + 1.0);
-  const vec3 v = vec3(0.0, 0.0, 1.0);
-  float cosR = n.z;
+  vec3 v = toward;
+  float cosR = dot(n, v);
   float inverseR = cosR > 0.0 ? 1.0 / cosR : 0.0;
 #if LOBES > 0
   ${repeat(LOBES, (k) => `vec2 lobe${k} = texelFetch(gloss, ivec2(${k + 1}, region), 0).xy;`)}

@@ -1,21 +1,23 @@
-// What a pointer and the keys do on a flat picture: light, move, probe, ruler. Wheel and pinch zoom with every tool;
+// What a pointer and the keys do on a flat picture: light, move, tilt, probe, ruler. Wheel and pinch zoom with every tool;
 // the right or middle button moves the picture.
 import { drawing, element } from "viewer/dom";
-import { panned, zoomed } from "viewer/flat";
+import { panned, tilted, zoomed } from "viewer/flat";
 import { directionAt, pointOf } from "viewer/lamps";
 import { text } from "viewer/texts";
 
 const ICONS = {
   light: "M12 3v2M12 19v2M3 12h2M19 12h2M5.6 5.6l1.4 1.4M17 17l1.4 1.4M5.6 18.4L7 17M17 7l1.4-1.4M12 8a4 4 0 1 0 0 8a4 4 0 1 0 0-8",
   move: "M12 3v18M3 12h18M12 3l-3 3M12 3l3 3M12 21l-3-3M12 21l3-3M3 12l3-3M3 12l3 3M21 12l-3-3M21 12l-3 3",
+  tilt: "M4 9l16-4v10L4 19zM12 2v2M12 21v-2M9 5l3-3l3 3",
   probe: "M10 3a7 7 0 1 0 0 14a7 7 0 1 0 0-14M15 15l6 6M10 7v6M7 10h6",
   ruler: "M3 16L16 3l5 5L8 21zM6 13l2 2M9 10l3 3M12 7l2 2",
   next: "M9 5l7 7l-7 7",
   previous: "M15 5l-7 7l7 7",
   fit: "M4 9V4h5M15 4h5v5M20 15v5h-5M9 20H4v-5",
 };
-const KEYS = { l: "light", m: "move", p: "probe", r: "ruler" };
-const KEY_ZOOM = 1.25, KEY_PAN = 60, KEY_LAMP = 0.05, KEY_PROBE = 8; // factor; pixels; of the unit disc; pixels
+const KEYS = { l: "light", m: "move", t: "tilt", p: "probe", r: "ruler" };
+const KEY_ZOOM = 1.25, KEY_PAN = 60, KEY_LAMP = 0.05, KEY_PROBE = 8, KEY_TILT = 5; // factor; pixels; of the unit disc; pixels; degrees
+const TILT = 180; // degrees of a drag over the whole height of the canvas
 const CLICK = 5; // pixels that a click may wander
 
 /** The buttons on the picture. app: {tool, chooseTool(name), fit()} */
@@ -59,13 +61,17 @@ export class FlatTools {
     this.app.setView(panned(this.app.scene, this.app.state, dx, dy));
   }
 
+  tilt(dx, dy) {
+    this.app.setView(tilted(this.app.state, dx, dy));
+  }
+
   down(event) {
     this.canvas.setPointerCapture(event.pointerId);
     this.pointers.set(event.pointerId, this.at(event));
     this.started = this.at(event);
     this.moves = event.button > 0;
     if (this.pointers.size > 1 || this.moves) return;
-    if (this.app.tool === "ruler") this.app.measure([this.app.scene.toScene(...this.at(event), this.app.state)]);
+    if (this.app.tool === "ruler") this.app.measure([this.app.scene.pointAt(...this.at(event), this.app.state)]);
     else if (this.app.tool === "light") this.light(event);
   }
 
@@ -82,7 +88,8 @@ export class FlatTools {
       this.zoom(reach(here) / reach(before), (here[0] + other[0]) / 2, (here[1] + other[1]) / 2);
     } else if (tool === "move" || this.moves) this.pan(dx, dy);
     else if (tool === "light") this.light(event);
-    else if (tool === "ruler") this.app.measure([this.app.ruler[0], scene.toScene(...here, state)]);
+    else if (tool === "tilt") this.tilt((-dx * TILT) / this.canvas.height, (dy * TILT) / this.canvas.height);
+    else if (tool === "ruler") this.app.measure([this.app.ruler[0], scene.pointAt(...here, state)]);
   }
 
   up(event) {
@@ -119,6 +126,9 @@ export class FlatTools {
     } else if (app.tool === "probe" && !shift) {
       const [px, py] = app.markOnCanvas() ?? [canvas.width / 2, canvas.height / 2];
       app.probe(px + KEY_PROBE * app.ratio * x, py - KEY_PROBE * app.ratio * y);
+    } else if (app.tool === "tilt" && !shift) {
+      this.tilt(KEY_TILT * x, KEY_TILT * y);
+      app.say(text("tilt.at", { tilt: Math.round(app.state.view.tilt_deg), azimuth: Math.round(app.state.view.azimuth_deg) }));
     } else this.pan(-KEY_PAN * app.ratio * x, KEY_PAN * app.ratio * y);
   }
 }
