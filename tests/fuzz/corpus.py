@@ -22,7 +22,7 @@ from nishiki.capture.seal import seal
 
 TABLES = ("plane", "turntable", "goniometer", "cameras", "points", "intensities", "spectra", "reflectances", "brdf")
 TABLES += ("scenes", "camera list", "matlab")
-IMAGES = (".png", ".jpg", ".tif", ".exr")
+IMAGES = (".png", ".jpg", ".tif", ".exr", ".ptm", ".rti")
 YAML = ("plane", "turntable", "goniometer", "intrinsics", "configuration", "instrument")
 LIGHTS = (".lp", ".csv", ".txt", ".relight")
 MESHES = (".ply", ".obj")
@@ -121,7 +121,22 @@ def _images(folder: Path) -> list[bytes]:
         with OpenEXR.File(header, {"RGB": (codes / 65535).astype(np.float16)}) as file:
             file.write(str(path))
         seeds.append(of(IMAGES, ".exr", path.read_bytes()))
+    seeds += [of(IMAGES, ".ptm", polynomials(packed=packed)) for packed in (False, True)]
+    seeds.append(of(IMAGES, ".rti", b"#HSH1.2\n3\n2 3 3\n4 2 1\n" + bytes(8 * 4) + bytes(range(72))))
     return [*seeds, *(of(IMAGES, ".tif", tiff(kind)) for kind in ("planes", "deflate", "pages"))]
+
+
+def polynomials(*, packed: bool) -> bytes:
+    """A polynomial texture map of 4 x 3 pixels, its nine planes as bytes or as JPEG streams."""
+    layout = "PTM_FORMAT_JPEG_LRGB" if packed else "PTM_FORMAT_LRGB"
+    start = f"PTM_1.2\n{layout}\n4\n3\n1 1 1 1 1 1\n0 0 0 0 0 0\n".encode()
+    if not packed:
+        return start + bytes(range(108))
+    stream = cv2.imencode(".jpg", np.full((3, 4), 90, np.uint8))[1].tobytes()
+    nine = " 0" * 9
+    order, references = " 1 0 2 3 4 5 6 7 8", " 1" + " -1" * 8
+    lists = [nine, nine, nine, order, references, f" {len(stream)}" * 9, " 5" + " 0" * 8]
+    return start + b"90\n" + "\n".join(lists).encode() + b"\n" + stream + b"\0\0\0\2\7" + stream * 8
 
 
 def tiff(kind: str, *, rows: int = 4, columns: int = 5, channels: int = 6) -> bytes:

@@ -23,6 +23,7 @@ from nishiki.capture.frames import read_frames
 from nishiki.capture.goniometer_tables import read_table
 from nishiki.capture.lights import lights_from_vectors, read_lights
 from nishiki.capture.relight_files import read_relight
+from nishiki.capture.relightable import SUFFIXES, open_relightable
 from nishiki.capture.schema import geometry_named, read_capture_file
 from nishiki.capture.seal import manifest_text, read_manifest
 from nishiki.capture.spectra_tables import read_curves
@@ -124,9 +125,12 @@ def _alone(name: str, content: bytes):
 
 
 def images(data: bytes) -> None:
-    """PNG, JPEG, TIFF, OpenEXR: header, pixels, mask, labels."""
+    """PNG, JPEG, TIFF, OpenEXR: header, pixels, mask, labels; relightable images."""
     suffix, _, content = choice(data, IMAGES)
     path = put(f"x{suffix}", content)
+    if suffix in SUFFIXES:
+        assert np.isfinite(open_relightable(path).shown(np.array([0.6, 0.0, 0.8]))).all()
+        return
     header = read_header(path)
     names = header.names or tuple(f"c{i}" for i in range(header.channels - header.alpha))
     codes = read_codes(path, names, header=header)

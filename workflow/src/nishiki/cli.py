@@ -154,13 +154,15 @@ def _parser() -> argparse.ArgumentParser:
     )
     sub.add_argument(
         "source",
-        help="folder of photographs with an .lp file, camera matrices, or polariser angles; or a table of reflectances "
-        "of a cloth by direction (.csv, .txt)",
+        help="folder of photographs with an .lp file, camera matrices, or polariser angles; a table of reflectances "
+        "of a cloth by direction (.csv, .txt); or a relightable image (.ptm, .rti), from which pictures are rendered",
     )
     sub.add_argument("capture", help="capture folder to make; must not exist")
     sub.add_argument("--title", help="title of the object")
     sub.add_argument("--encoding", choices=("linear", "srgb"), help="of the photographs (default: srgb for JPEG)")
-    sub.add_argument("--lights", help="file of the lights, where it is not found by itself")
+    sub.add_argument(
+        "--lights", help="file of the lights, where it is not found by itself; of a relightable image: to render under"
+    )
     sub.add_argument("--mask", help="image whose non-zero pixels are the object; turntable: a folder of them")
     sub.add_argument(
         "--white",

@@ -12,12 +12,14 @@ from typing import Literal
 import numpy as np
 import yaml
 
-from nishiki.capture.goniometer_convert import recognise_table, refuse_for_table, write_table_capture
+from nishiki.capture.goniometer_convert import recognise_table, write_table_capture
 from nishiki.capture.goniometer_tables import ReflectanceTable
 from nishiki.capture.layouts import Layout, has_lamps, photographs_in, recognise
+from nishiki.capture.lights import Lights
 from nishiki.capture.pairing import pair_by_name
+from nishiki.capture.relightable import lamps_for, recognise_relightable, write_rendered
 from nishiki.capture.schema_base import FORMAT
-from nishiki.capture.taking import channel_names, file_names, take
+from nishiki.capture.taking import channel_names, file_names, refuse_without_photographs, take
 from nishiki.capture.turntable_convert import write_round
 from nishiki.capture.turntable_layouts import recognise_round
 from nishiki.formats.image_headers import read_header
@@ -53,7 +55,8 @@ def convert(
     region: tuple[int, int, int, int] | None = None,
     link: bool = False,
 ) -> Conversion:
-    """Make the capture folder `target`, which must not exist, from a folder of photographs or a table of reflectances.
+    """Make the capture folder `target`, which must not exist, from a folder of photographs, a table of reflectances or
+    a relightable image (`.ptm`, `.rti`), from which pictures are rendered.
 
     white: folder of the white board's photographs, paired by the part of the names that varies, see `pair_by_name` (for
     a turntable: named by their polariser state); dark: folder of dark frames, all of which are averaged; checks: lights
@@ -61,16 +64,21 @@ def convert(
     picture of the object, for a turntable the folder of the silhouettes; link: hard links instead of copies (same disk;
     then never edit either).
     The folder appears whole or not at all. Raises CaptureError (target-exists, option-unusable, folder-missing,
-    light-unknown, and those of `pair_by_name`, `recognise`, `recognise_round`, `recognise_table` and `read_table`).
+    light-unknown, and those of `pair_by_name`, `recognise`, `recognise_round`, `recognise_table`, `read_table`
+    and `open_relightable`).
     """
     source, target = Path(source), Path(target)
     if target.exists():
         remedy = "Choose another name; nothing is overwritten"
         raise CaptureError(error("target-exists", str(target), "target exists", remedy=remedy))
     raise_errors(folder_problems(white=white, dark=dark))
+    relightable = recognise_relightable(source)
+    if relightable is not None:
+        refuse_without_photographs(white=white, dark=dark, check=checks)
+        return _of_relightable(target, relightable, lights_file, mask, encoding, title, region, link)
     table = recognise_table(source) if lights_file is None else None
     if table is not None:
-        refuse_for_table(mask=mask, white=white, dark=dark, check=checks, encoding=encoding, roi=region)
+        refuse_without_photographs(mask=mask, white=white, dark=dark, check=checks, encoding=encoding, roi=region)
         return _of_table(target, table, title, link)
     turntable = recognise_round(source) if lights_file is None and source.is_dir() and not has_lamps(source) else None
     if turntable is not None:
@@ -129,6 +137,32 @@ def _of_table(target: Path, table: Path, title: str | None, link: bool) -> Conve
     notes = _write_complete(target, write)
     count, channels = len(read[0].values), read[0].channels
     return Conversion(target, "table of reflectances", count, tuple(notes), "goniometer", channels)
+
+
+def _of_relightable(
+    target: Path,
+    file: Path,
+    lights_file: Path | None,
+    mask: Path | None,
+    encoding: str | None,
+    title: str | None,
+    region: tuple[int, int, int, int] | None,
+    link: bool,
+) -> Conversion:
+    """The capture of pictures rendered from a relightable image, under the lamps of a lights file or our own."""
+    lamps = lamps_for(lights_file)
+
+    def write(partial: Path) -> list[Problem]:
+        settings, rows, notes = write_rendered(
+            partial, file, lamps, encoding=encoding, mask=mask, title=title, link=link
+        )
+        if region is not None:
+            settings["region_of_interest"] = list(region)
+        _write_tables(partial, settings, rows, lamps)
+        return notes
+
+    notes = _write_complete(target, write)
+    return Conversion(target, f"rendered from {file.name}", len(lamps.names), tuple(notes))
 
 
 def _write_complete(target: Path, write: Callable[[Path], list[Problem]]) -> list[Problem]:
@@ -196,7 +230,7 @@ def _write(
         settings["mask"] = take(layout.mask, folder / f"mask{layout.mask.suffix.lower()}", link)
     if region is not None:
         settings["region_of_interest"] = list(region)
-    _write_tables(folder, settings, rows, layout)
+    _write_tables(folder, settings, rows, layout.lights)
     return [*notes, *_notes(header.sample, jpeg, encoding, source)]
 
 
@@ -208,18 +242,15 @@ def _notes(sample: str, jpeg: bool, encoding: str | None, source: Path) -> list[
     return []
 
 
-def _write_tables(folder: Path, settings: dict, rows: list[tuple[str, str, str]], layout: Layout) -> None:
+def _write_tables(folder: Path, settings: dict, rows: list[tuple[str, str, str]], lights: Lights) -> None:
     text = "# Capture folder: see docs/capture-folder.md\n" + yaml.safe_dump(
         settings, sort_keys=False, allow_unicode=True
     )
     (folder / "capture.yaml").write_text(text, encoding="utf-8")
     table = "file,role,light\n" + "".join(",".join(_quoted(v) for v in row) + "\n" for row in rows)
     (folder / "frames.csv").write_text(table, encoding="utf-8")
-    lines = (
-        f"{name} {x:.9g} {y:.9g} {z:.9g}\n"
-        for name, (x, y, z) in zip(layout.lights.names, layout.lights.vectors, strict=True)
-    )
-    (folder / "lights.lp").write_text(f"{len(layout.lights.names)}\n" + "".join(lines), encoding="utf-8")
+    lines = (f"{name} {x:.9g} {y:.9g} {z:.9g}\n" for name, (x, y, z) in zip(lights.names, lights.vectors, strict=True))
+    (folder / "lights.lp").write_text(f"{len(lights.names)}\n" + "".join(lines), encoding="utf-8")
 
 
 def _quoted(value: str) -> str:

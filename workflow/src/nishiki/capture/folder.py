@@ -17,7 +17,7 @@ from nishiki.capture.frames import DIALECTS, Frame, dialect_of, inside, read_fra
 from nishiki.capture.goniometer import GoniometerCapture, examine_goniometer
 from nishiki.capture.lights import Lights, direction_problems, read_lights
 from nishiki.capture.photographed import Photographed
-from nishiki.capture.schema import NAMED_ILLUMINANTS, CaptureFile, geometry_named, read_capture_file
+from nishiki.capture.schema import LOST_BY_FIT, NAMED_ILLUMINANTS, CaptureFile, geometry_named, read_capture_file
 from nishiki.capture.schema_base import Session
 from nishiki.capture.spectra_tables import Curves, read_curves
 from nishiki.capture.turntable import TurntableCapture, examine_turntable
@@ -168,6 +168,9 @@ def examine(root: Path) -> tuple[Capture | TurntableCapture | GoniometerCapture 
     lights = attempt(lambda: read_lights(lights_path, kind=settings.lights.kind)) if lights_path else None
     mask, regions = named(settings.mask, "mask"), named(settings.regions, "regions")
     scales = named(settings.lights.intensities, "lights.intensities")
+    if named(settings.rendered_from, "rendered_from"):
+        what = f"these pictures are no photographs: they were rendered from {settings.rendered_from}; {LOST_BY_FIT}"
+        problems.append(warning("rendered", "capture.yaml", what))
     if lights is None or frames is None:
         return None, problems
     intensities = attempt(lambda: read_intensities(scales, lights, names)) if scales else None

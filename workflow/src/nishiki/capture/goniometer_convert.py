@@ -30,14 +30,6 @@ def recognise_table(source: Path) -> Path | None:
     return tables[0] if tables else None
 
 
-def refuse_for_table(**options) -> None:
-    """CaptureError (option-unusable) for what has a meaning for photographs only."""
-    given = [name for name, value in options.items() if value]
-    if given:
-        remedy = "A table of reflectances has no photographs; leave the option out"
-        raise CaptureError(error("option-unusable", ", ".join(given), "cannot be used here", remedy=remedy))
-
-
 def write_table_capture(
     folder: Path, table: Path, *, title: str | None, link: bool
 ) -> tuple[ReflectanceTable, list[Problem]]:

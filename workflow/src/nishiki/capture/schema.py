@@ -15,6 +15,11 @@ from nishiki.formats.problems import CaptureError
 
 NAMED_ILLUMINANTS = ("A", "D50", "D55", "D65", "E", *(f"F{i}" for i in range(1, 13)))
 Count = Annotated[int, Field(strict=True, ge=0)]
+LOST_BY_FIT = (
+    "cast shadows and highlights are as smooth as that fit made them, what it left over is gone, its coefficients have "
+    "8 bits, and neither the scale of brightness nor the strengths and distances of the lamps are known"
+)
+"""What a capture lacks whose pictures were rendered from a relightable image."""
 
 
 class LightsFile(Closed):
@@ -34,6 +39,7 @@ class CaptureFile(Session):
     region_of_interest: tuple[Count, Count, Count, Count] | None = None
     mask: str | None = None
     regions: str | None = None
+    rendered_from: str | None = None
 
     @model_validator(mode="after")
     def _pitch_for_positions(self) -> CaptureFile:

@@ -6,6 +6,7 @@ bounds of `nishiki.formats.bounds`, and only then is the file decoded.
 
 from __future__ import annotations
 
+import io
 import os
 import struct
 from pathlib import Path
@@ -44,6 +45,17 @@ def read_header(path: Path, *, name: str | None = None) -> ImageHeader:
     problem = _absurd(header, bytes_on_disk, name)
     if problem:
         raise CaptureError(problem)
+    return header
+
+
+def jpeg_header(content: bytes) -> ImageHeader:
+    """Header of a JPEG picture in memory. ValueError where it is none, or cannot hold the size that it claims."""
+    try:
+        header = _jpeg(io.BytesIO(content))
+    except (struct.error, EOFError) as e:
+        raise ValueError(str(e)) from None
+    if header.stored_bytes > header.ratio * len(content):
+        raise ValueError(f"{header.rows} x {header.columns} in {len(content)} bytes")
     return header
 
 

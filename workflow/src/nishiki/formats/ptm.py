@@ -1,18 +1,91 @@
-"""Polynomial texture maps in one file, `.ptm`: PTM_FORMAT_RGB of version 1.2 (Malzbender and others, 2001).
+"""Polynomial texture maps in one file, `.ptm` of versions 1.1 and 1.2 (Malzbender and others, 2001).
 
-Six coefficients of u^2, v^2, u v, u, v, 1 a colour, each a byte: coefficient = (byte - bias) scale, values 0 to 255.
-Red, green and blue follow each other whole; rows from the bottom.
+Six coefficients of u^2, v^2, u v, u, v, 1, each a byte: coefficient = (byte - bias) scale, for values 0 to 255; u and v
+are the x and y of the unit vector to the lamp. PTM_FORMAT_RGB has six for each colour: red, green and blue follow each
+other whole. PTM_FORMAT_LRGB has six for a brightness that multiplies a colour of three bytes (divided by 255); the
+colours follow as a plane of their own, or pixel by pixel in version 1.1. PTM_FORMAT_JPEG_LRGB has the nine as JPEG
+streams, see `ptm_jpeg`. Rows from the bottom.
+Reference: T. Malzbender, D. Gelb and H. Wolters (2001), Polynomial texture maps, SIGGRAPH.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from nishiki.formats.files import Refused, expect_memory
+from nishiki.formats.ptm_jpeg import STREAMS, PtmStreams
+from nishiki.formats.text_heading import TextHeading
+
 ORDER = (3, 5, 4, 1, 2, 0)  # of the file's terms among 1, u, v, u^2, u v, v^2
 ROWS_AT_A_TIME = 256
+BYTES_A_PIXEL = {"PTM_FORMAT_RGB": 18, "PTM_FORMAT_LRGB": 9, "PTM_FORMAT_JPEG_LRGB": 0}
+REMEDY = "Save it again as PTM_FORMAT_RGB or PTM_FORMAT_LRGB, or convert the photographs that it was made from"
+
+
+@dataclass(frozen=True)
+class PtmFile:
+    """A polynomial texture map; its bytes lie on the disk, those of JPEG streams in memory.
+
+    layout : PTM_FORMAT_...; terms : (3 or 1, rows, columns, 6) uint8 of red, green and blue or of the brightness;
+    colours : (rows, columns, 3) uint8, or None for RGB; both rows from the bottom. scale, bias : (6,).
+    """
+
+    layout: str
+    terms: np.ndarray
+    colours: np.ndarray | None
+    scale: np.ndarray
+    bias: np.ndarray
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        return self.terms.shape[1], self.terms.shape[2]
+
+    def shown(self, light: np.ndarray) -> np.ndarray:
+        """(rows, columns, 3) float32 from the top, for a unit vector to the lamp; full brightness is 1, not clipped."""
+        u, v, _ = light
+        weights = np.array([u * u, v * v, u * v, u, v, 1.0]) * self.scale / 255
+        offset, weights = np.float32(-self.bias @ weights), weights.astype(np.float32)
+        rows, columns = self.shape
+        picture = np.empty((rows, columns, 3), np.float32)
+        for start in range(0, rows, ROWS_AT_A_TIME):
+            band = slice(start, start + ROWS_AT_A_TIME)
+            values = (self.terms[:, band].astype(np.float32) @ weights + offset).transpose(1, 2, 0)
+            picture[band] = values if self.colours is None else values * (self.colours[band] / np.float32(255))
+        return picture[::-1]
+
+
+def open_ptm(path: Path) -> PtmFile:
+    """Read the heading, and what is compressed.
+
+    Refused where the file is none, of another layout, ends early or claims more than is read.
+    """
+    heading = TextHeading(path)
+    version, layout = heading.word(), heading.word()
+    if version not in ("PTM_1.1", "PTM_1.2") or layout not in BYTES_A_PIXEL:
+        expected, found = f"PTM_1.2 with {', '.join(BYTES_A_PIXEL)}", f"{version} with {layout}"
+        raise Refused(path.name, "a kind of PTM that is not read", expected=expected, found=found, remedy=REMEDY)
+    columns, rows = heading.integers(2)
+    heading.picture_size(columns, rows)
+    scale, bias = np.array(heading.floats(6)), np.array(heading.floats(6))
+    streams = PtmStreams.of(heading) if layout == "PTM_FORMAT_JPEG_LRGB" else None
+    count = streams.bytes if streams else rows * columns * BYTES_A_PIXEL[layout]
+    stored = np.memmap(path, np.uint8, "r", offset=heading.data(count), shape=(count,))
+    if streams:
+        expect_memory(3 * rows * columns * STREAMS, path.name)
+        planes = np.moveaxis(streams.decoded(stored, rows, columns, path.name), 0, -1)
+        return PtmFile(layout, planes[None, ..., :6], planes[..., 6:], scale, bias)
+    if layout == "PTM_FORMAT_RGB":
+        return PtmFile(layout, stored.reshape(3, rows, columns, 6), None, scale, bias)
+    if version == "PTM_1.1":
+        mixed = stored.reshape(rows, columns, 9)
+        return PtmFile(layout, mixed[None, ..., :6], mixed[..., 6:], scale, bias)
+    terms, colours = stored[: 6 * rows * columns], stored[6 * rows * columns :]
+    return PtmFile(layout, terms.reshape(1, rows, columns, 6), colours.reshape(rows, columns, 3), scale, bias)
 
 
 def write_ptm(path: Path, planes: Sequence[np.ndarray], scale: np.ndarray, bias: np.ndarray) -> None:
@@ -43,18 +116,14 @@ def write_ptm(path: Path, planes: Sequence[np.ndarray], scale: np.ndarray, bias:
 def read_ptm(path: Path, band_rows: int) -> Iterator[tuple[slice, np.ndarray]]:
     """Bands of rows and their coefficients (rows, columns, 6, 3) of 1, u, v, u^2, u v, v^2, for values 0 to 1.
 
-    Raises ValueError for another format.
+    Of PTM_FORMAT_RGB; Refused by `open_ptm`, ValueError for another layout.
     """
-    with open(path, "rb") as file:
-        lines = [file.readline().decode("ascii").split() for _ in range(6)]
-        start = file.tell()
-    if lines[0] != ["PTM_1.2"] or lines[1] != ["PTM_FORMAT_RGB"]:
-        raise ValueError(f"{path}: expected PTM_1.2 in PTM_FORMAT_RGB, found {lines[:2]}")
-    columns, rows = int(lines[2][0]), int(lines[3][0])
-    span, zero = (np.array(line, float) for line in lines[4:])
-    stored = np.memmap(path, np.uint8, "r", offset=start, shape=(3, rows, columns, 6))
+    stored = open_ptm(path)
+    if stored.colours is not None:
+        raise ValueError(f"{path}: expected PTM_FORMAT_RGB, found {stored.layout}")
+    rows = stored.shape[0]
     for top in range(0, rows, band_rows):
         band = slice(top, min(top + band_rows, rows))
-        codes = np.asarray(stored[:, rows - band.stop : rows - band.start])[:, ::-1]
-        terms = (codes - zero) * span / 255
+        codes = np.asarray(stored.terms[:, rows - band.stop : rows - band.start])[:, ::-1]
+        terms = (codes - stored.bias) * stored.scale / 255
         yield band, terms[..., np.argsort(ORDER)].transpose(1, 2, 3, 0)

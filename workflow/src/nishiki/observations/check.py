@@ -94,7 +94,14 @@ def _listed(capture: Capture | TurntableCapture | GoniometerCapture) -> set[str]
         return listed_files(capture)
     settings = capture.settings
     named = [settings.lights.file, settings.lights.intensities, settings.camera.sensitivities, settings.illuminant]
-    named += [settings.mask, settings.regions, "capture.yaml", "frames.csv", *(f.file for f in capture.frames)]
+    named += [
+        settings.rendered_from,
+        settings.mask,
+        settings.regions,
+        "capture.yaml",
+        "frames.csv",
+        *(f.file for f in capture.frames),
+    ]
     return {Path(name).as_posix() for name in named if name}
 
 

@@ -1,0 +1,252 @@
+"""Relightable images become captures: files written here by the formats' descriptions, decoded pixel by pixel."""
+
+import io
+import math
+import struct
+
+import numpy as np
+import pytest
+from PIL import Image
+from small_painting import dome
+
+from nishiki.api import read_observations
+from nishiki.capture.convert import convert
+from nishiki.capture.folder import load_capture
+from nishiki.capture.relightable import lamps_for, open_relightable
+from nishiki.cli import main
+from nishiki.colour.colour import srgb_encode
+from nishiki.colour.encoding import decode
+from nishiki.formats.hsh import hemispherical_harmonics
+from nishiki.formats.problems import CaptureError
+from nishiki.formats.ptm import write_ptm
+from nishiki.observations.check import check_capture
+from nishiki.photometric.solve import estimate_normals
+from nishiki.stages.export.light_models import HarmonicModel, hsh_weights, ptm_weights
+
+ROWS, COLUMNS = 5, 7
+SCALE, BIAS = [1.5, 0.75, 2.0, 1.25, 0.5, 1.0], [120, 100, 131, 127, 90, 3]
+LIGHT = np.array([0.3, -0.5, math.sqrt(0.66)])
+
+
+def random_codes(*shape, seed=0):
+    return np.random.default_rng(seed).integers(0, 256, shape).astype(np.uint8)
+
+
+def heading(layout, version="PTM_1.2"):
+    numbers = f"{COLUMNS}\n{ROWS}\n{' '.join(map(str, SCALE))} \n{' '.join(map(str, BIAS))}\n"
+    return f"{version}\n{layout}\n{numbers}".encode()
+
+
+def polynomial(codes, light):
+    """0 to 255 of six bytes, term by term."""
+    u, v, _ = map(float, light)
+    monomials = [u * u, v * v, u * v, u, v, 1.0]
+    return sum(s * (int(c) - b) * m for s, c, b, m in zip(SCALE, codes, BIAS, monomials, strict=True))
+
+
+def rgb_file():
+    """Bytes, and the value (0 to 1) of a pixel and colour."""
+    codes = random_codes(3, ROWS, COLUMNS, 6)  # rows from the bottom
+    return heading(
+        "PTM_FORMAT_RGB"
+    ) + codes.tobytes(), lambda r, c, k: polynomial(codes[k, ROWS - 1 - r, c], LIGHT) / 255
+
+
+def brightness_and_colour(terms, colours):
+    """Of planes from the bottom."""
+    return lambda r, c, k: polynomial(terms[ROWS - 1 - r, c], LIGHT) / 255 * int(colours[ROWS - 1 - r, c, k]) / 255
+
+
+def lrgb_file():
+    terms, colours = random_codes(ROWS, COLUMNS, 6), random_codes(ROWS, COLUMNS, 3, seed=1)
+    return heading("PTM_FORMAT_LRGB") + terms.tobytes() + colours.tobytes(), brightness_and_colour(terms, colours)
+
+
+def older_lrgb_file():
+    terms, colours = random_codes(ROWS, COLUMNS, 6), random_codes(ROWS, COLUMNS, 3, seed=1)
+    stored = b"".join(terms[r, c].tobytes() + colours[r, c].tobytes() for r in range(ROWS) for c in range(COLUMNS))
+    return heading("PTM_FORMAT_LRGB", "PTM_1.1") + stored, brightness_and_colour(terms, colours)
+
+
+def jpeg_file(transforms=(0, 0, 1, 0, 0, 0, 0, 0, 0), motion=0):
+    """Stream 2 is the difference from stream 4 inverted, stream 0 that from stream 2; stream 1 has two corrections."""
+    streams, stored = [], []
+    for plane in random_codes(9, ROWS, COLUMNS, seed=2):
+        buffer = io.BytesIO()
+        Image.fromarray(plane).save(buffer, "JPEG", quality=95)
+        streams.append(buffer.getvalue())
+        stored.append(np.asarray(Image.open(io.BytesIO(buffer.getvalue()))).astype(int))
+    order, references = [5, 0, 3, 1, 2, 4, 6, 7, 8], [2, -1, 4, -1, -1, -1, -1, -1, -1]
+    planes = [plane.copy() for plane in stored]
+    planes[2] = (stored[2] + (255 - stored[4]) - 128) % 256
+    planes[0] = (stored[0] + planes[2] - 128) % 256
+    corrections = struct.pack(">IB", 8, 250) + struct.pack(">IB", ROWS * COLUMNS - 1, 7)
+    planes[1][8 // COLUMNS, 8 % COLUMNS], planes[1][-1, -1] = 250, 7
+    sizes, extra = [len(s) for s in streams], [0, len(corrections), *[0] * 7]
+    lists = [transforms, [motion] * 9, [0] * 9, order, references, sizes, extra]
+    head = (
+        heading("PTM_FORMAT_JPEG_LRGB") + b"90\n" + "".join(" ".join(map(str, each)) + "\n" for each in lists).encode()
+    )
+    data = b"".join(stream + (corrections if i == 1 else b"") for i, stream in enumerate(streams))
+    terms, colours = np.stack(planes[:6], axis=-1), np.stack(planes[6:], axis=-1)
+    return head + data, brightness_and_colour(terms, colours)
+
+
+def hsh_file(terms=9, line="\n"):
+    codes = random_codes(ROWS, COLUMNS, 3, terms)  # rows from the top
+    random = np.random.default_rng(5)
+    scale, bias = random.uniform(0.5, 2, terms).astype("<f4"), random.uniform(-1, 0, terms).astype("<f4")
+    head = line.join(["#HSH1.2", "# another", "3", f"{COLUMNS} {ROWS} 3", f"{terms} 2 1", ""]).encode()
+    weights = harmonics_as_viewers_have_them(LIGHT)[:terms]
+
+    def value(r, c, k):
+        numbers = zip(codes[r, c, k], scale, bias, weights, strict=True)
+        return sum((int(code) / 255 * float(s) + float(b)) * w for code, s, b, w in numbers)
+
+    return head + scale.tobytes() + bias.tobytes() + codes.tobytes(), value
+
+
+def harmonics_as_viewers_have_them(light):
+    """Sixteen values, written out."""
+    turn, c = math.atan2(light[1], light[0]), light[2]
+    s, pi = math.sqrt(c - c * c), math.pi
+    cubic = 1 - 5 * c + 5 * c * c
+    return [
+        *(1 / math.sqrt(2 * pi), math.sqrt(6 / pi) * math.cos(turn) * s),
+        *(math.sqrt(3 / (2 * pi)) * (2 * c - 1), math.sqrt(6 / pi) * math.sin(turn) * s),
+        math.sqrt(30 / pi) * math.cos(2 * turn) * (c * c - c),
+        math.sqrt(30 / pi) * math.cos(turn) * (2 * c - 1) * s,
+        math.sqrt(5 / (2 * pi)) * (1 - 6 * c + 6 * c * c),
+        math.sqrt(30 / pi) * math.sin(turn) * (2 * c - 1) * s,
+        math.sqrt(30 / pi) * math.sin(2 * turn) * (c * c - c),
+        2 * math.sqrt(35 / pi) * math.cos(3 * turn) * s**3,
+        math.sqrt(210 / pi) * math.cos(2 * turn) * (2 * c - 1) * (c * c - c),
+        2 * math.sqrt(21 / pi) * math.cos(turn) * s * cubic,
+        math.sqrt(7 / (2 * pi)) * (-1 + 12 * c - 30 * c * c + 20 * c**3),
+        2 * math.sqrt(21 / pi) * math.sin(turn) * s * cubic,
+        math.sqrt(210 / pi) * math.sin(2 * turn) * (2 * c - 1) * (c * c - c),
+        2 * math.sqrt(35 / pi) * math.sin(3 * turn) * s**3,
+    ]
+
+
+FILES = {
+    "rgb.ptm": rgb_file,
+    "lrgb.ptm": lrgb_file,
+    "older.ptm": older_lrgb_file,
+    "jpeg.ptm": jpeg_file,
+    "four.rti": lambda: hsh_file(4),
+    "nine.rti": lambda: hsh_file(9, "\r\n"),
+    "sixteen.RTI": lambda: hsh_file(16),
+}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_values_are_those_of_a_slow_decoder(tmp_path, name):
+    content, value = FILES[name]()
+    (tmp_path / name).write_bytes(content)
+    shown = open_relightable(tmp_path / name).shown(LIGHT)
+    expected = [[[value(r, c, k) for k in range(3)] for c in range(COLUMNS)] for r in range(ROWS)]
+    assert np.ptp(expected) > 0.5
+    np.testing.assert_allclose(shown, expected, atol=2e-5)
+
+
+def test_harmonics_are_those_of_the_export():
+    lights = dome(30, 0)
+    np.testing.assert_allclose([hemispherical_harmonics(light, 3) for light in lights], hsh_weights(lights), atol=1e-12)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_files_that_end_anywhere_or_claim_too_much_are_refused(tmp_path, name):
+    content, _ = FILES[name]()
+    path = tmp_path / name
+    for length in range(0, len(content), 7):
+        path.write_bytes(content[:length])
+        with pytest.raises(CaptureError) as caught:
+            open_relightable(path)
+        assert caught.value.problems[0].kind == "relightable-unreadable"
+    size = (f"{COLUMNS}\n{ROWS}\n" if name.endswith("ptm") else f"{COLUMNS} {ROWS} 3").encode()
+    for claim in (b"100000 100000 3", b"999999999 1 3", b"0 5 3", b"-3 5 3", b"9" * 30 + b" 1 3", b"x 5 3"):
+        path.write_bytes(content.replace(size, claim if name.lower().endswith("rti") else claim[:-2] + b"\n", 1))
+        with pytest.raises(CaptureError):
+            open_relightable(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "text"),
+    [
+        ("a.ptm", heading("PTM_FORMAT_LUM") + bytes(900), "PTM_FORMAT_LUM"),
+        ("a.ptm", heading("PTM_FORMAT_RGB", "PTM_2.0") + bytes(900), r"PTM_2\.0"),
+        ("a.ptm", heading("PTM_FORMAT_RGB").replace(b"1.5", b"nan") + bytes(900), "numbers"),
+        ("a.ptm", jpeg_file(motion=3)[0], "motion"),
+        ("a.ptm", jpeg_file(transforms=[2] * 9)[0], "transforms"),
+        ("a.ptm", jpeg_file()[0].replace(b"2 -1 4", b"2 -1 0"), "not made before"),
+        ("a.ptm", jpeg_file()[0].replace(struct.pack(">I", ROWS * COLUMNS - 1), b"\0\0\1\0"), "beyond the picture"),
+        ("a.ptm", jpeg_file()[0].replace(b"\xff\xc0", b"\xff\xc3"), "JPEG"),
+        ("a.rti", rgb_file()[0], "#HSH"),
+        ("a.rti", hsh_file()[0].replace(b"9 2 1", b"9 1 1"), "basis 1"),
+        ("a.rti", hsh_file()[0].replace(b"9 2 1", b"8 2 1"), "8 terms"),
+    ],
+)
+def test_other_kinds_are_refused_by_name(tmp_path, name, content, text, capsys):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(CaptureError, match=text):
+        convert(tmp_path / name, tmp_path / "c")
+    assert not (tmp_path / "c").exists()
+    with pytest.raises(SystemExit) as ended:
+        main(["convert", str(tmp_path / name), str(tmp_path / "c")])
+    assert ended.value.code == 2
+    assert name in capsys.readouterr().err
+
+
+def test_a_capture_says_that_its_pictures_were_rendered(tmp_path):
+    folder = tmp_path / "source"
+    folder.mkdir()
+    (folder / "relief.ptm").write_bytes(lrgb_file()[0])
+    made = convert(folder, tmp_path / "c", region=(0, 0, 4, 6))
+    assert {"rendered", "rendered-clipped"} == {each.kind for each in made.warnings}
+    capture = load_capture(tmp_path / "c")
+    assert capture.settings.rendered_from == "relief.ptm"
+    assert (tmp_path / "c/relief.ptm").read_bytes() == (folder / "relief.ptm").read_bytes()
+    assert "no photographs" in capture.settings.notes
+    assert capture.settings.camera.encoding == "srgb"
+    problems = check_capture(tmp_path / "c", level="full")
+    assert "rendered" in {each.kind for each in problems}
+    assert "file-unlisted" not in {each.kind for each in problems}
+    lamps = lamps_for(None)
+    np.testing.assert_allclose(capture.directions, lamps.directions, atol=1e-8)
+    (tmp_path / "own.lp").write_text("3\n0 0 1\n0.6 0 0.8\n0 0.6 0.8\n")
+    made = convert(folder / "relief.ptm", tmp_path / "d", lights_file=tmp_path / "own.lp", encoding="linear")
+    assert made.photographs == 3
+    with pytest.raises(CaptureError, match="check"):
+        convert(folder, tmp_path / "e", checks=("a",))
+    (folder / "other.rti").write_bytes(b"")
+    with pytest.raises(CaptureError, match="several"):
+        convert(folder, tmp_path / "e")
+
+
+def test_normals_survive_our_own_export(tmp_path):
+    """A matte relief under 24 lamps: fitted, written and converted as a user would; normals by least squares."""
+    rows, columns = 40, 48
+    y, x = np.mgrid[0:rows, 0:columns] / 6
+    normals = np.stack([0.35 * np.sin(x), 0.3 * np.cos(y + x / 2), np.ones_like(x)], axis=-1)
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    colour = np.array([0.5, 0.35, 0.2])
+    lights = dome(24, 0)
+    values = np.maximum(normals.reshape(-1, 3) @ lights.T, 0)[..., None] * colour
+    coded = srgb_encode(values)
+    model = HarmonicModel.of("ptm", lights, coded, np.ones(coded.shape[:2], bool))
+    fitted = model.fit(coded, np.ones(coded.shape[:2], bool)).reshape(rows, columns, 6, 3)
+    low, span = fitted.min(axis=(0, 1)), np.ptp(fitted, axis=(0, 1))
+    planes = np.rint(255 * (fitted - low) / span).astype(np.uint8)
+    write_ptm(tmp_path / "relief.ptm", [planes[:, :, term] for term in range(6)], span, -low / span)
+    convert(tmp_path / "relief.ptm", tmp_path / "c")
+    observed = read_observations(tmp_path / "c")
+    field = estimate_normals(observed.values.mean(axis=-1), observed.directions, valid=observed.valid)
+    exact = np.einsum("lb,rcbk->lrck", ptm_weights(observed.directions), fitted)  # what the fit says, in full precision
+    unrounded = estimate_normals(decode(np.clip(exact, 0, 1), "srgb").mean(axis=-1), observed.directions)
+    assert degrees_apart(field.normals, unrounded.normals).mean() < 0.3
+    assert degrees_apart(field.normals, normals).mean() < 3.5  # the polynomials themselves
+
+
+def degrees_apart(some, others):
+    return np.degrees(np.arccos(np.clip((some * others).sum(axis=-1), -1, 1)))

@@ -1,0 +1,117 @@
+"""Relightable images (`.ptm`, `.rti`) as captures: they hold no photographs, so pictures are rendered from them.
+
+Unless the user names them, the lamps are ours: RINGS around the normal, within what domes cover and where a fit
+interpolates. Of several that were tried on photographs these give the best normals (docs/imports.md).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.capture.layouts import photographs_in
+from nishiki.capture.lights import Lights, lights_from_vectors, read_lights
+from nishiki.capture.relight_files import is_relight, read_relight
+from nishiki.capture.schema import LOST_BY_FIT
+from nishiki.capture.schema_base import FORMAT
+from nishiki.capture.taking import COLOUR, take
+from nishiki.formats.files import Refused, expect_memory
+from nishiki.formats.hsh import HshFile, open_hsh
+from nishiki.formats.problems import CaptureError, Problem, error, warning
+from nishiki.formats.ptm import PtmFile, open_ptm
+from nishiki.formats.text_tables import refusal
+
+SUFFIXES = (".ptm", ".rti")
+RINGS = ((20, 6), (35, 9), (50, 9))  # degrees from the normal, lamps
+BYTES_A_PIXEL = 36  # of memory, for a picture that is rendered and coded
+LEAST_CLIPPED = 1e-4  # share of a picture's values below which clipping is not worth a warning
+
+
+def recognise_relightable(source: Path) -> Path | None:
+    """The relightable image that the source is, or the only one in this folder without photographs; else None.
+
+    Raises CaptureError (layout-unknown) where a folder holds several.
+    """
+    if source.is_file():
+        return source if source.suffix.lower() in SUFFIXES else None
+    if not source.is_dir() or photographs_in(source):
+        return None
+    files = sorted(path for path in source.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
+    if len(files) > 1:
+        what, remedy = "several relightable images", f"Convert one: {files[0]}"
+        named = ", ".join(path.name for path in files[:5])
+        raise CaptureError(error("layout-unknown", str(source), what, found=named, remedy=remedy))
+    return files[0] if files else None
+
+
+def open_relightable(path: Path) -> PtmFile | HshFile:
+    """The image in a file. CaptureError (relightable-unreadable) where it is none that is read."""
+    try:
+        image = open_hsh(path) if path.suffix.lower() == ".rti" else open_ptm(path)
+        expect_memory(BYTES_A_PIXEL * image.shape[0] * image.shape[1], path.name)
+    except Refused as e:
+        raise CaptureError(refusal(e, "relightable-unreadable")) from e
+    return image
+
+
+def lamps_for(lights_file: Path | None) -> Lights:
+    """The lamps of a file, or those of RINGS, named by polar angle and azimuth in degrees."""
+    if lights_file is not None:
+        return read_relight(lights_file) if is_relight(lights_file) else read_lights(lights_file)
+    names, vectors = [], []
+    for ring, (polar, count) in enumerate(RINGS):
+        for step in range(count):
+            azimuth = 360 * (step + 0.5 * (ring % 2)) / count
+            z, turn = np.cos(np.radians(polar)), np.radians(azimuth)
+            names.append(f"polar{polar:02d}_azimuth{azimuth:03.0f}")
+            vectors.append((np.cos(turn) * np.sqrt(1 - z * z), np.sin(turn) * np.sqrt(1 - z * z), z))
+    return lights_from_vectors(names, np.array(vectors), file="rendered lamps")
+
+
+def write_rendered(
+    folder: Path, file: Path, lights: Lights, *, encoding: str | None, mask: Path | None, title: str | None, link: bool
+) -> tuple[dict, list[tuple[str, str, str]], list[Problem]]:
+    """Render into a new folder, and take the file itself along.
+
+    Returns the content of capture.yaml, the rows of frames.csv and what the user should know.
+    """
+    image = open_relightable(file)
+    folder.mkdir(parents=True)
+    files = [f"frames/{name}.png" for name in lights.names]
+    clipped = [_render(image, light, folder / name) for name, light in zip(files, lights.directions, strict=True)]
+    rows = [(name, "sample", light) for name, light in zip(files, lights.names, strict=True)]
+    polar = np.degrees(np.arccos(lights.directions[:, 2]))
+    about = (
+        f"rendered from the {image.layout} file {file.name} under {len(rows)} lamps {polar.min():.0f} to "
+        f"{polar.max():.0f} degrees from the normal"
+    )
+    settings = {
+        "format": FORMAT,
+        "title": title or file.stem,
+        "notes": f"These pictures are no photographs. They were {about}; {LOST_BY_FIT}.",
+        "geometry": "plane",
+        "camera": {"channels": list(COLOUR), "encoding": encoding or "srgb"},
+        "lights": {"file": "lights.lp", "kind": "direction"},
+        "rendered_from": take(file, folder / file.name, link),
+    }
+    if mask is not None:
+        settings["mask"] = take(mask, folder / f"mask{mask.suffix.lower()}", link)
+    remedy = "Convert the photographs that it was made from, if they exist"
+    notes = [warning("rendered", file.name, f"pictures were {about}; {LOST_BY_FIT}", remedy=remedy), *lights.warnings]
+    if max(clipped) >= LEAST_CLIPPED:
+        what, found = "values beyond black and full brightness were clipped", f"{100 * np.mean(clipped):.2g} % of all"
+        notes.append(warning("rendered-clipped", file.name, what, found=found))
+    return settings, rows, notes
+
+
+def _render(image: PtmFile | HshFile, light: np.ndarray, path: Path) -> float:
+    """Write one picture as PNG of 16 bits; returns the share of its values that were clipped."""
+    import cv2
+
+    path.parent.mkdir(exist_ok=True)
+    values = image.shown(light)
+    codes = np.rint(65535 * np.clip(values, 0, 1)).astype(np.uint16)
+    _, coded = cv2.imencode(".png", np.ascontiguousarray(codes[..., ::-1]), [cv2.IMWRITE_PNG_COMPRESSION, 1])
+    path.write_bytes(coded.tobytes())
+    return float(np.mean((values < 0) | (values > 1)))
