@@ -21,7 +21,7 @@ from zarr.codecs import Crc32cCodec, ZstdCodec
 from nishiki.capture.seal import seal
 
 TABLES = ("plane", "turntable", "goniometer", "cameras", "points", "intensities", "spectra", "reflectances", "brdf")
-TABLES += ("scenes", "camera list", "matlab")
+TABLES += ("scenes", "camera list", "matlab", "meshroom")
 IMAGES = (".png", ".jpg", ".tif", ".exr", ".ptm", ".rti")
 YAML = ("plane", "turntable", "goniometer", "intrinsics", "configuration", "instrument")
 LIGHTS = (".lp", ".csv", ".txt", ".relight")
@@ -89,7 +89,19 @@ def _tables(folder: Path) -> list[bytes]:
         of(TABLES, "camera list", f"1\n{row}\n"),
         of(TABLES, "matlab", matlab(packed=False)),
         of(TABLES, "matlab", matlab(packed=True)),
+        of(TABLES, "meshroom", json.dumps(MESHROOM)),
     ]
+
+
+MESHROOM = {
+    "version": ["1", "2", "8"],
+    "views": [{"viewId": "1", "poseId": "1", "intrinsicId": "2", "path": "/x/a.png"}],
+    "intrinsics": [
+        {"intrinsicId": "2", "width": "4", "height": "3", "sensorWidth": "36", "type": "radial3", "focalLength": "30",
+         "pixelRatio": "1", "principalPoint": ["0.5", "0"], "distortionParams": ["0.1", "0", "0"]}
+    ],
+    "poses": [{"poseId": "1", "pose": {"transform": {"rotation": list("100010001"), "center": ["0", "0", "-5"]}}}],
+}  # fmt: skip
 
 
 def matlab(*, packed: bool) -> bytes:

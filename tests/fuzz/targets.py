@@ -22,6 +22,7 @@ from nishiki.capture.folder import examine, read_intensities
 from nishiki.capture.frames import read_frames
 from nishiki.capture.goniometer_tables import read_table
 from nishiki.capture.lights import lights_from_vectors, read_lights
+from nishiki.capture.meshroom import read_meshroom
 from nishiki.capture.relight_files import read_relight
 from nishiki.capture.relightable import SUFFIXES, open_relightable
 from nishiki.capture.schema import geometry_named, read_capture_file
@@ -106,6 +107,7 @@ def tables(data: bytes) -> None:
             "brdf": lambda: read_table(put("r.brdf", content), "r.brdf"),
             "scenes": lambda: load_project({"scenes": str(put("scenes.tsv", content))}),
             "camera list": lambda: _alone("a_par.txt", content),
+            "meshroom": lambda: read_meshroom(put("c.sfm", content)),
             "matlab": lambda: (_alone("a.mat", content), read_instrument(put("i.mat", content))),
         }[kind]()
 

@@ -57,6 +57,10 @@ def write_round(
     if layout.matrices is not None:
         block["cameras"] = "cameras.csv"
         _write_cameras(folder / "cameras.csv", layout)
+    if layout.lens is not None:
+        block["intrinsics"] = "intrinsics.yaml"
+        text = yaml.safe_dump(layout.lens.model_dump(mode="json"), sort_keys=False)
+        (folder / "intrinsics.yaml").write_text(text, encoding="utf-8")
     if layout.calibration is not None:
         block["calibration"] = take(layout.calibration, folder / layout.calibration.name, link)
     camera = {"channels": list(channel_names(header)), "encoding": coding}

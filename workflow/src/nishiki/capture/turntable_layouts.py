@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import io
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from nishiki.capture.cameras import camera_centre, camera_problems
-from nishiki.capture.colmap import colmap_folder, read_colmap
+from nishiki.capture.colmap import ColmapView, colmap_folder, read_colmap
 from nishiki.capture.layouts import natural_key, photographs_in, source_problems
+from nishiki.capture.meshroom import RegisteredView, meshroom_file, read_meshroom
 from nishiki.capture.polariser import parse_state
 from nishiki.capture.seal import sha256_of
+from nishiki.capture.turntable_schema import Intrinsics
 from nishiki.formats.bounds import bound
 from nishiki.formats.files import Refused, read_text
 from nishiki.formats.image_header import IMAGE_SUFFIXES
@@ -31,7 +33,7 @@ FEWEST_STATES = 3
 @dataclass(frozen=True)
 class RoundLayout:
     """photographs[i] shows views[i] in the polariser state states[i] ('' for none); matrices (views, 3, 4) or None;
-    calibration: the instrument's own file, or None."""
+    calibration: the instrument's own file, or None; lens: of all photographs where it is distorted, or None."""
 
     name: str
     photographs: tuple[Path, ...]
@@ -41,19 +43,23 @@ class RoundLayout:
     full_turn: bool
     calibration: Path | None
     warnings: tuple[Problem, ...]
+    lens: Intrinsics | None = None
 
 
 def recognise_round(source: Path) -> RoundLayout | None:
     """The turntable or polarisation series in a folder, known by the files inside; None where it is neither.
 
     A turntable: numbered photographs with a MATLAB file that holds a cell array P of 3x4 projection matrices, or with a
-    list of cameras as the Middlebury multi-view sets have it (`*_par.txt`), or with cameras of COLMAP. A polarisation
-    series: photographs named G_A, the angles of generator and analyser in degrees. Raises CaptureError where one is
-    recognised but not whole.
+    list of cameras as the Middlebury multi-view sets have it (`*_par.txt`), or with cameras of COLMAP or Meshroom. A
+    polarisation series: photographs named G_A, the angles of generator and analyser in degrees. Raises CaptureError
+    where one is recognised but not whole.
     """
     reconstruction = colmap_folder(source)
     if reconstruction is not None:
-        return _colmap(source, reconstruction)
+        return _registered(source, "COLMAP", reconstruction.name, read_colmap(reconstruction))
+    cameras = meshroom_file(source)
+    if cameras is not None:
+        return _meshroom(source, cameras)
     photographs = photographs_in(source)
     lists = [path for path in sorted(source.glob("*.txt")) if _is_camera_list(path)]
     if lists:
@@ -194,29 +200,47 @@ def _middlebury(source: Path, path: Path) -> RoundLayout:
     return _turntable("turntable with a list of cameras", photographs, np.array(matrices), path.name, None, notes)
 
 
-def _colmap(source: Path, reconstruction: Path) -> RoundLayout:
-    """Photographs that COLMAP registered, in the folder itself or in `images`, as `image_undistorter` leaves them."""
-    views = read_colmap(reconstruction)
+def _registered(source: Path, program: str, file: str, views: list[ColmapView] | list[RegisteredView]) -> RoundLayout:
+    """Photographs that a program found the cameras of, in the folder itself or in `images`."""
     folder = source / "images" if (source / "images").is_dir() else source
     problems, photographs = [], [folder / view.name for view in views]
     for view, path in zip(views, photographs, strict=True):
         if not path.is_file():
-            problems.append(error("photograph-missing", reconstruction.name, f"no photograph '{view.name}'"))
+            problems.append(error("photograph-missing", file, f"no photograph '{view.name}'"))
             continue
         problems += source_problems(path, folder)
         header = read_header(path)
         if (header.rows, header.columns) != (view.rows, view.columns):
             expected, found = f"{view.columns} x {view.rows}", f"{header.columns} x {header.rows}"
-            what, remedy = "not the size that its camera has", "Give the photographs that COLMAP was given"
+            what, remedy = "not the size that its camera has", f"Give the photographs that {program} was given"
             problems.append(error("camera-values", view.name, what, expected=expected, found=found, remedy=remedy))
     raise_errors(problems)
     notes = []
     extra = [p.name for p in photographs_in(folder) if p not in photographs]
     if extra:
-        what, found = "pictures that COLMAP did not register were left out", ", ".join(extra[:5])
+        what, found = f"pictures that {program} did not register were left out", ", ".join(extra[:5])
         notes.append(warning("photograph-unlisted", str(folder), what, found=found))
     matrices = np.array([view.matrix for view in views])
-    return _turntable("turntable with cameras of COLMAP", photographs, matrices, reconstruction.name, None, notes)
+    return _turntable(f"turntable with cameras of {program}", photographs, matrices, file, None, notes)
+
+
+def _meshroom(source: Path, path: Path) -> RoundLayout:
+    """Photographs with the poses of Meshroom; its lens goes along where it is distorted."""
+    views = read_meshroom(path)
+    names = [view.name for view in views]
+    if len(set(names)) != len(names):
+        found = next(name for name in names if names.count(name) > 1)
+        what, remedy = "two photographs of one name", "Give them names of their own before Meshroom is run"
+        raise CaptureError(error("photograph-repeats", path.name, what, found=found, remedy=remedy))
+    lenses = {view.lens for view in views}
+    layout = _registered(source, "Meshroom", path.name, views)
+    if not any(any(lens.distortion) for lens in lenses):
+        return layout
+    if len({lens.distortion for lens in lenses}) > 1:
+        what, found = "several lenses whose distortions differ", f"{len(lenses)} lenses"
+        remedy = "Photograph with one camera and lens, and let Meshroom treat all photographs as of one"
+        raise CaptureError(error("cameras-distorted", path.name, what, found=found, remedy=remedy))
+    return replace(layout, lens=views[0].lens)
 
 
 def _turntable(

@@ -1,5 +1,6 @@
 """Cameras: intrinsics, distortion and pose of every view, with reprojection errors."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ from nishiki.capture.cameras import read_points
 from nishiki.errors import UserError
 from nishiki.geometry.board import BoardShape, Detection, detect_boards
 from nishiki.geometry.calibration import Calibration, calibrate
-from nishiki.geometry.camera import Camera
+from nishiki.geometry.camera import NO_DISTORTION, Camera
 from nishiki.geometry.cameras_file import save_cameras
 from nishiki.geometry.matrices import cameras_of_matrices
 from nishiki.geometry.pose import Pose, Sight, estimate_pose
@@ -82,7 +83,7 @@ def points_of(folder: Path, views: Views) -> dict[str, np.ndarray] | None:
 
 
 def given(views: Views, points: dict[str, np.ndarray] | None) -> tuple[list[Camera], list[float | None], dict, tuple]:
-    """The given matrices, and their error where correspondences can tell it."""
+    """The given matrices with the distortion of a given lens, and their error where correspondences can tell it."""
     rows, columns = views.shape
     missing = [name for name in views.views if name not in views.matrices]
     if missing:
@@ -90,10 +91,12 @@ def given(views: Views, points: dict[str, np.ndarray] | None) -> tuple[list[Came
             f"cameras: no matrix for view {', '.join(missing[:8])}. Remedy: one row of cameras.csv for every view"
         )
     decomposed = cameras_of_matrices({name: views.matrices[name] for name in views.views}, rows=rows, columns=columns)
-    errors: list[float | None] = [None] * len(decomposed.cameras)
+    distortion = tuple(views.intrinsics["distortion"]) if views.intrinsics else NO_DISTORTION
+    cameras = [replace(camera, distortion=distortion) for camera in decomposed.cameras]
+    errors: list[float | None] = [None] * len(cameras)
     if points:
         mirror = np.array(decomposed.mirror or (1, 1, 1))
-        for place, camera in enumerate(decomposed.cameras):
+        for place, camera in enumerate(cameras):
             table = points[camera.name]
             pixels, depth = camera.project(table[:, 2:] * mirror)
             if (depth <= 0).any():
@@ -103,7 +106,7 @@ def given(views: Views, points: dict[str, np.ndarray] | None) -> tuple[list[Came
                     "Remedy: matrices and points must be of one world; check unit and order of the axes"
                 )
             errors[place] = float(np.sqrt(((pixels - table[:, :2]) ** 2).sum(axis=1).mean()))
-    return list(decomposed.cameras), errors, {}, decomposed.mirror
+    return cameras, errors, {}, decomposed.mirror
 
 
 def located(context: Context, views: Views, source: str, points: dict | None) -> tuple[list[Camera], list[float], dict]:

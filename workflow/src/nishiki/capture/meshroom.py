@@ -1,0 +1,160 @@
+"""Cameras that Meshroom (AliceVision) found: `cameras.sfm` or another `.sfm` file, which is JSON.
+
+A point X of the world is seen at R (X - C): `rotation` holds R column by column, `center` C; x right, y down, z into
+the scene. The point x, y on the plane at depth 1 is moved by the lens' distortion and falls on the pixel
+(fx x + w/2 + cx, fy y + h/2 + cy), which counts from the centre of the top left one: AliceVision reads the pixel (i, j)
+of a picture at (i, j). fx is `focalLength` w / `sensorWidth`. Older versions of the file state pixels: see `_lens`.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.capture.turntable_schema import Intrinsics
+from nishiki.formats.files import read_text
+from nishiki.formats.problems import CaptureError, error
+from nishiki.formats.text_tables import expect_rows, reading
+
+REMEDY = "Save the cameras again as .sfm (JSON) with Meshroom's node ConvertSfMFormat"
+# Names of the distortions that are read, and where Brown's k1, k2, p1, p2, k3 stand among their parameters.
+NONE, RADIAL1, RADIAL3, BROWN = (), (0, None, None, None, None), (0, 1, None, None, 2), (0, 1, 3, 4, 2)
+DISTORTIONS = {
+    **{name: NONE for name in ("pinhole", "none")},
+    **{name: RADIAL1 for name in ("radial1", "radialk1")},
+    **{name: RADIAL3 for name in ("radial3", "radialk3")},
+    "brown": BROWN,
+}
+
+
+@dataclass(frozen=True)
+class RegisteredView:
+    """A photograph whose camera is known: file name, size in pixels, projection matrix (3, 4) float64, lens."""
+
+    name: str
+    rows: int
+    columns: int
+    matrix: np.ndarray
+    lens: Intrinsics
+
+
+def meshroom_file(source: Path) -> Path | None:
+    """`cameras.sfm` in a folder of photographs, else the only `.sfm` there; None without.
+
+    CaptureError (layout-unknown) where there are several and none of this name.
+    """
+    files = sorted(path for path in source.glob("*.sfm") if path.is_file())
+    if len(files) > 1 and source / "cameras.sfm" not in files:
+        found = ", ".join(path.name for path in files[:5])
+        what, remedy = "several .sfm files", "Keep the one that StructureFromMotion wrote, or call it cameras.sfm"
+        raise CaptureError(error("layout-unknown", str(source), what, found=found, remedy=remedy))
+    return next((path for path in files if path.name == "cameras.sfm"), files[0] if files else None)
+
+
+def read_meshroom(path: Path) -> list[RegisteredView]:
+    """The photographs that have a pose, sorted by name.
+
+    Raises CaptureError: cameras-unreadable, cameras-many; cameras-distorted where a lens cannot be said by Brown's five
+    numbers.
+    """
+    with reading(path.name, "cameras"):
+        text = read_text(path, "json_bytes")
+    try:
+        content = json.loads(text)
+        version = tuple(_whole(each) for each in content["version"])
+        lenses = {str(each["intrinsicId"]): _lens(each, version, path.name) for each in content["intrinsics"]}
+        poses = {str(each["poseId"]): _pose(each["pose"]["transform"]) for each in content.get("poses", [])}
+        expect_rows(len(content["views"]), "views", path.name, "cameras")
+        views = [
+            _view(view, lenses, poses[str(view["poseId"])])
+            for view in content["views"]
+            if str(view.get("poseId")) in poses
+        ]
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as e:
+        found = f"without {e}" if isinstance(e, KeyError) else str(e)[:120]
+        what = "not cameras as Meshroom writes them"
+        raise CaptureError(error("cameras-unreadable", path.name, what, found=found, remedy=REMEDY)) from e
+    if not views:
+        what, remedy = "no photograph has a pose", "Take the file that the node StructureFromMotion wrote"
+        raise CaptureError(error("cameras-unreadable", path.name, what, remedy=remedy))
+    return sorted(views, key=lambda view: view.name)
+
+
+def _view(view: dict, lenses: dict, pose: np.ndarray) -> RegisteredView:
+    name = re.split(r"[\\/]", view["path"])[-1]
+    if "rigId" in view or view.get("isPoseIndependant") in (False, "false", "0"):
+        raise ValueError(f"'{name}' belongs to a rig of cameras, whose poses are not read")
+    rows, columns, lens = lenses[str(view["intrinsicId"])]
+    matrix = np.array([[lens.fx, 0, lens.cx], [0, lens.fy, lens.cy], [0, 0, 1]]) @ pose
+    return RegisteredView(name, rows, columns, matrix, lens)
+
+
+def _pose(transform: dict) -> np.ndarray:
+    """(3, 4): R and -R C."""
+    rotation = np.array([_number(each) for each in transform["rotation"]]).reshape(3, 3).T
+    centre = np.array([_number(each) for each in transform["center"]]).reshape(3)
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
+        raise ValueError("a rotation that is none")
+    return np.column_stack([rotation, -rotation @ centre])
+
+
+def _lens(intrinsic: dict, version: tuple[int, ...], file: str) -> tuple[int, int, Intrinsics]:
+    """Rows, columns, and the lens in pixels, by the version of the file.
+
+    Before 1.2 there is one focal length in pixels, in 1.2.0 and 1.2.1 two; from 1.2.2 on one in millimetres and
+    `pixelRatio`, which is fx / fy before 1.2.5 and fy / fx from then on. The principal point counts from the corner
+    before 1.2.1, from the middle from then on.
+    """
+    columns, rows = _whole(intrinsic["width"]), _whole(intrinsic["height"])
+    if version < (1, 2):
+        fx = fy = _number(intrinsic["pxFocalLength"])
+    elif version < (1, 2, 2):
+        fx, fy = map(_number, intrinsic["pxFocalLength"])
+    else:
+        fx = _number(intrinsic["focalLength"]) / _number(intrinsic["sensorWidth"]) * columns
+        ratio = _number(intrinsic.get("pixelRatio", 1))
+        fy = fx / ratio if version < (1, 2, 5) else fx * ratio
+    cx, cy = map(_number, intrinsic["principalPoint"])
+    if version >= (1, 2, 1):
+        cx, cy = cx + columns / 2, cy + rows / 2
+    if min(rows, columns, fx, fy) <= 0:
+        raise ValueError(f"a camera of {columns} x {rows} pixels with focal lengths {fx:g} and {fy:g}")
+    return rows, columns, Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy, distortion=_distortion(intrinsic, file))
+
+
+def _distortion(intrinsic: dict, file: str) -> tuple[float, ...]:
+    """Brown's k1, k2, p1, p2, k3. CaptureError (cameras-distorted) where the lens has another kind of distortion."""
+    model = intrinsic["type"]
+    kind = intrinsic.get("distortionType", model) if model == "pinhole" else model
+    undone = intrinsic.get("undistortionType", "none") not in ("none", "")
+    parameters = [_number(each) for each in intrinsic.get("distortionParams") or []]
+    if kind not in DISTORTIONS or undone:
+        what, expected = f"a lens of the model '{model}', distortion '{kind}'", "none, radial (1 or 3 terms) or Brown's"
+        remedy = "Let Meshroom find the cameras again with one of these models (CameraInit: allowed models)"
+        raise CaptureError(error("cameras-distorted", file, what, expected=expected, remedy=remedy))
+    places = DISTORTIONS[kind]
+    if not any(parameters):
+        return (0.0,) * 5
+    needed = 1 + max((place for place in places if place is not None), default=-1)
+    if len(parameters) != needed:
+        raise ValueError(f"distortion '{kind}' with {len(parameters)} parameters")
+    return tuple(0.0 if place is None else parameters[place] for place in places)
+
+
+def _number(value: object) -> float:
+    """A number, which Meshroom writes as text. ValueError unless it is finite."""
+    if isinstance(value, bool) or not isinstance(value, str | int | float) or not math.isfinite(float(value)):
+        raise ValueError(f"'{str(value)[:40]}' where a number is expected")
+    return float(value)
+
+
+def _whole(value: object) -> int:
+    number = _number(value)
+    if number != int(number):
+        raise ValueError(f"'{str(value)[:40]}' where a whole number is expected")
+    return int(number)
