@@ -48,7 +48,7 @@ def write_cameras(folder, *, version=(1, 2, 8), lenses=None, name="cameras.sfm",
     views, poses = [], []
     for i, (file, rotation, translation) in enumerate(around()):
         number, lens = str(900 + i), lenses[i % len(lenses)]["intrinsicId"]
-        path = [f"C:\\Users\\me\\{file}", f"/home/me/photographs/{file}"][i % 2]
+        path = [f"C:\\Users\\me\\{file}", f"/mnt/photographs/{file}"][i % 2]
         views.append({"viewId": number, "poseId": number, "intrinsicId": lens, "path": path, "metadata": {"a": "b"}})
         matrix = rotation.as_matrix()
         columns = [repr(float(matrix[row, column])) for column in range(3) for row in range(3)]

@@ -10,7 +10,6 @@ from nishiki.formats.files import Refused, expect_bound, open_regular
 HEADING_BYTES = 4096  # more than any such heading has
 LARGEST = 1e6  # of scales and biases, which belong to values of 0 to 255
 WORD = re.compile(rb"[ \t\r\n]*([^ \t\r\n]+)(?=[ \t\r\n])")
-COMMENTS = re.compile(rb"(?:#[^\n]*\n)*")
 LINE_END = re.compile(rb"[ \t]*\r?\n")
 REMEDY = "Copy it again, or convert the photographs that it was made from"
 
@@ -35,7 +34,9 @@ class TextHeading:
 
     def skip_comments(self) -> None:
         """Go past the lines that begin with #."""
-        self.place = COMMENTS.match(self.start, self.place).end()
+        while self.start[self.place : self.place + 1] == b"#":
+            end = self.start.find(b"\n", self.place)
+            self.place = end + 1 if end >= 0 else len(self.start)
 
     def word(self) -> str:
         """The next word, of at most 80 characters."""
