@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 import subprocess
+import zipfile
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import get_args
@@ -36,14 +37,15 @@ from nishiki.errors import UserError
 from nishiki.formats.exr_bands import ExrWriter, read_blocks
 from nishiki.formats.picture_tiles import read_full_resolution, read_jpeg, write_deep_zoom, write_iiif_image
 from nishiki.formats.tiff_bands import TiffWriter
+from nishiki.packages import installed
 from nishiki.render.display import normals_as_colours
 from nishiki.render.plane.frame import render
 from nishiki.render.plane.scene import Gloss, Light, PlaneScene, View
 from nishiki.stages.export.declaration import ExportSettings, Format
-from nishiki.stages.export.gltf import textures
 from nishiki.stages.export.gltf_material import GltfMaterial, fitted_material
 from nishiki.stages.export.iiif import manifest
 from nishiki.stages.export.light_models import HarmonicModel, ptm_weights, solve
+from nishiki.stages.export.look import textures
 from nishiki.stages.export.relief_mesh import reliefs
 from nishiki.stages.export.report import export_section
 from nishiki.stages.export.run import run
@@ -52,13 +54,17 @@ from nishiki.stages.height.declaration import HeightSettings
 
 LAMPS = [(np.sin(a) * 0.7, np.cos(a) * 0.7, 0.714) for a in np.radians([10, 100, 190, 280])]
 
+OF_PACKAGES = {"usd": "usd-core", "materialx": "materialx"}
+FORMATS_HERE = tuple(name for name in get_args(Format) if installed(OF_PACKAGES.get(name, "numpy")))
+"""Formats that can be written: those of the extra `export` only where it is installed."""
+
 
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory):
     """The painting, the folder of its exports in all formats, and what the stage reports."""
     folder = tmp_path_factory.mktemp("painting")
     painting = small_painting(folder)
-    context = export_context(painting, folder / "export", ExportSettings(formats=get_args(Format)))
+    context = export_context(painting, folder / "export", ExportSettings(formats=FORMATS_HERE))
     with context.output as output:
         reported = run(context)
         expect_finite(output.folder, "export")
@@ -176,7 +182,7 @@ def test_y_down_turns_green_only(exported, tmp_path):
 def test_the_page_names_every_file_and_what_it_loses(exported):
     export = SimpleNamespace(diagnostics=exported.reported)
     (_, table) = export_section(export).blocks
-    assert [row[0] for row in table.rows] == list(get_args(Format))
+    assert [row[0] for row in table.rows] == list(FORMATS_HERE)
     text = " ".join(str(cell) for row in table.rows for cell in row)
     assert all(path.name in text for path in exported.folder.iterdir())
     assert export_section(None) is None
@@ -403,6 +409,32 @@ def test_gltf_is_the_displaced_plane_with_the_relief_in_its_normal_texture(expor
     srgb = xyz_to_srgb_linear(xyz_from_spectra(lamp, painting.reflectance()), white=white_xyz(lamp))
     shown = np.asarray(material.baseColorTexture)[row, column] / 255
     assert np.abs(shown - srgb_encode(srgb[painting.known])).mean() < 0.01
+
+
+def test_usd_and_materialx_have_the_mesh_the_textures_and_the_error_of_gltf(exported):
+    if not {"usd", "materialx"} <= set(FORMATS_HERE):
+        pytest.skip("usd-core or materialx is not installed (extra export)")
+    from pxr import Usd, UsdGeom
+
+    (mesh,) = trimesh.load(exported.folder / "painting.glb", process=False).geometry.values()
+    with zipfile.ZipFile(exported.folder / "painting.usdz") as package:
+        inside = {name: package.read(name) for name in package.namelist()}
+    stage = Usd.Stage.Open(str(exported.folder / "painting.usdz"))
+    shape = UsdGeom.Mesh(stage.GetPrimAtPath("/surface/mesh"))
+    np.testing.assert_array_equal(np.array(shape.GetPointsAttr().Get()), mesh.vertices.astype(np.float32))
+    np.testing.assert_array_equal(np.array(shape.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3), mesh.faces)
+    places = np.array(UsdGeom.PrimvarsAPI(shape).GetPrimvar("st").Get())
+    np.testing.assert_allclose(places, mesh.visual.uv, atol=1e-6)  # trimesh counts from the bottom, too
+    for name, texture in (
+        ("colour", mesh.visual.material.baseColorTexture),
+        ("normals", mesh.visual.material.normalTexture),
+    ):
+        assert inside[f"textures/{name}.png"] == (exported.folder / f"materialx/{name}.png").read_bytes()
+        np.testing.assert_array_equal(Image.open(io.BytesIO(inside[f"textures/{name}.png"])), texture)
+    losses = exported.reported["losses"]
+    for name in ("usd", "materialx"):
+        for lights, figures in losses[name]["kinds"][name]["psnr_db"].items():
+            assert figures["all"] == pytest.approx(losses["gltf"]["kinds"]["gltf"]["psnr_db"][lights]["all"], abs=0.05)
 
 
 def test_reliefs_that_were_flattened_are_exported_with_their_normals(tmp_path):

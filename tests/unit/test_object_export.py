@@ -8,7 +8,9 @@ from unit.test_patches_charts import around, ball
 from nishiki.brdf.texels.lighting import Lighting
 from nishiki.brdf.torrance_sparrow import GAMMA_PER_SIGMA
 from nishiki.stages.export.gltf_material import ggx
-from nishiki.stages.object_export.gltf import ALPHA_PER_SIGMA, direction_to
+from nishiki.stages.object_export.declaration import LIMITS
+from nishiki.stages.object_export.errors import direction_to
+from nishiki.stages.object_export.look import ALPHA_PER_SIGMA
 from nishiki.stages.object_export.texture_atlas import fill_gaps, sample, texture_atlas
 
 
@@ -76,3 +78,11 @@ def test_lamps_at_a_place_and_in_a_direction(atlas):
     np.testing.assert_allclose(near, expected / np.linalg.norm(expected, axis=1, keepdims=True), atol=1e-6)
     far = Lighting("direction", ((0.0, 0.0, 1.0),)).lamp(camera)
     np.testing.assert_allclose(direction_to(far, positions), [far.vector] * 2, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["gltf", "usd", "materialx"])
+def test_limits_hold_for_whatever_formats_are_asked_for(name):
+    figures = {"losses": {name: {"placed": 0.3, "clipped": 0.01}}}
+    beyond = {limit.name: limit.beyond(limit.figure(figures)) for limit in LIMITS}
+    assert beyond == {"clipped": False, "placed": True}
+    assert [limit.figure({"losses": {}}) for limit in LIMITS] == [None, None]

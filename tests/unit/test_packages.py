@@ -21,12 +21,14 @@ PLACES = {
     "av": {"output.py"},
     "colour-science": {"sensitivities.py"},
     "gphoto2": {"gphoto.py"},
+    "materialx": {"materialx.py"},
     "pymeshlab": {"merging.py", "meshlab.py"},
     "pyarrow": {"exporting.py"},
     "pyserial": {"ports.py", "serial_line.py"},
     "rawpy": {"raw.py"},
     "scikit-image": {"hull.py", "surface.py"},
     "trimesh": {"merging.py", "mesh_files.py", "mesh_store.py"},
+    "usd-core": {"usd.py"},
 }
 """The modules that take a package of an extra. Of a new one, `idle` of the declaration says which scenes load it."""
 

@@ -8,6 +8,8 @@ import trimesh
 from examples import run_examples
 from loaded_and_read import WhatIsLoadedAndRead
 
+from nishiki.packages import installed
+
 pytestmark = pytest.mark.slow
 
 AFTER_RESIDUAL = ["object_render", "object_evaluate", "object_report", "publish"]
@@ -92,13 +94,25 @@ def test_a_flipped_bit_is_named(object_site, stage):
 
 
 def test_an_object_is_exported(object_site):
-    object_site.nishiki("export", "tiny", "gltf", "--output", "for-others")
+    more = [name for name, package in (("usd", "usd-core"), ("materialx", "materialx")) if installed(package)]
+    object_site.nishiki("export", "tiny", "gltf", *more, "--output", "for-others")
     mesh = trimesh.load(object_site.folder / "for-others/object.glb", force="mesh")
     given = trimesh.load(object_site.folder / "results/tiny/current/mesh.ply", process=False)
     np.testing.assert_allclose(mesh.bounds, given.bounds / 1000, rtol=1e-5)
     assert len(mesh.faces) == len(given.faces)
     (manifest,) = (object_site.folder / "results/tiny/object_export").glob("*/artifact.json")
-    figures = json.loads(manifest.read_text())["diagnostics"]["losses"]["gltf"]["kinds"]["gltf"]["psnr_db"]
+    losses = json.loads(manifest.read_text())["diagnostics"]["losses"]
+    figures = losses["gltf"]["kinds"]["gltf"]["psnr_db"]
     evaluation = json.loads((object_site.folder / "results/tiny/current/object_evaluate/evaluation.json").read_text())
     model = evaluation["figures"]["model_alone"]["mean_covered_psnr_db"]
     assert figures["fitted"]["all"] > model - 0.5, "the textures show no less than the model without its residual"
+    for name in more:
+        assert losses[name]["kinds"][name]["psnr_db"]["fitted"]["all"] == pytest.approx(
+            figures["fitted"]["all"], abs=0.3
+        )
+    if "usd" in more:
+        from pxr import Usd, UsdGeom
+
+        stage = Usd.Stage.Open(str(object_site.folder / "for-others/object.usdz"))
+        points = np.array(UsdGeom.Mesh(stage.GetPrimAtPath("/surface/mesh")).GetPointsAttr().Get())
+        np.testing.assert_allclose([points.min(axis=0), points.max(axis=0)], mesh.bounds, rtol=1e-5)

@@ -198,8 +198,8 @@ def _parser() -> argparse.ArgumentParser:
 
 
 FORMATS = """\
-formats of a painting: normals, height, albedo, relight, spectral, gltf, mitsuba, merl, iiif
-formats of an object:  gltf
+formats of a painting: normals, height, albedo, relight, spectral, gltf, usd, materialx, mitsuba, merl, iiif
+formats of an object:  gltf, usd, materialx
 See docs/stages/export.md."""
 
 

@@ -15,6 +15,7 @@ MODULES = {
     "dracopy": "DracoPy",
     "gphoto2": "gphoto2",
     "jinja2": "jinja2",
+    "materialx": "MaterialX",
     "numba": "numba",
     "numpy": "numpy",
     "opencv-contrib-python-headless": "cv2",
@@ -26,6 +27,7 @@ MODULES = {
     "scikit-image": "skimage",
     "scipy": "scipy",
     "trimesh": "trimesh",
+    "usd-core": "pxr",
     "zarr": "zarr",
 }
 """Package as it is installed, to the module that is imported."""
@@ -39,6 +41,8 @@ EXTRAS = {
     "pyserial": "rig",
     "colour-science": "rig",
     "pyarrow": "export",
+    "materialx": "export",
+    "usd-core": "export",
 }
 """Packages that are no part of the least installation, and the extra that brings them."""
 PURPOSE = {
@@ -49,6 +53,8 @@ PURPOSE = {
     "scikit-image": "a surface from silhouettes",
     "colour-science": "a colour target",
     "pyarrow": "a Parquet file",
+    "materialx": "a MaterialX document",
+    "usd-core": "a USD file",
     "gphoto2": "a camera on USB",
     "pyserial": "a device on a serial line",
 }

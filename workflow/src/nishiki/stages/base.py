@@ -246,6 +246,11 @@ def no_film(stage: str, key: str) -> Reason:
     return lambda facts, settings: None if getattr(settings[stage], key) else "no video is asked for"
 
 
+def no_format(stage: str, name: str) -> Reason:
+    """Reason not to load the package that writes a format."""
+    return lambda facts, settings: None if name in settings[stage].formats else f"no file of format {name} is asked for"
+
+
 def digest_of(path: str, key: str) -> str:
     """SHA-256 of a file that a setting names; UserError where it is missing."""
     if not Path(path).is_file():

@@ -6,9 +6,11 @@ from pydantic import Field
 
 from nishiki.artifacts.closed import Closed, Guarded
 from nishiki.artifacts.limits import Limit, at
-from nishiki.stages.base import Cost, Stage
+from nishiki.stages.base import Cost, Stage, no_format
 
-Format = Literal["normals", "height", "albedo", "relight", "spectral", "gltf", "mitsuba", "merl", "iiif"]
+Format = Literal[
+    "normals", "height", "albedo", "relight", "spectral", "gltf", "mitsuba", "merl", "iiif", "usd", "materialx"
+]
 Kind = Literal["ptm", "hsh", "rbf"]
 LIMITS = (
     Limit("quantised", "largest angle by which 16 bits move a normal, degrees", at("losses.normals.largest_deg")),
@@ -34,7 +36,7 @@ class RelightSettings(Closed):
 
 
 class GltfSettings(Closed):
-    """Binary glTF."""
+    """Binary glTF, USD and MaterialX."""
 
     texture_px: int = Field(4096, ge=16, le=16384, description="most texels along a side")
 
@@ -66,7 +68,7 @@ class ExportSettings(Guarded):
         2_000_000, ge=100, le=100_000_000, description="most vertices of a mesh; more pixels are averaged in squares"
     )
     relight: RelightSettings = Field(RelightSettings(), description="relightable images")
-    gltf: GltfSettings = Field(GltfSettings(), description="binary glTF")
+    gltf: GltfSettings = Field(GltfSettings(), description="textures of glTF, USD and MaterialX")
     iiif: IiifSettings = Field(IiifSettings(), description="tiles and manifest for viewers of museums")
     hold_out: tuple[str, ...] = Field((), description="lights that no fit saw; filled in by the plan")
 
@@ -80,6 +82,8 @@ NEEDS: dict[str, tuple[str, ...]] = {
     "mitsuba": ("height", "spectra", "brdf"),
     "merl": ("spectra", "brdf"),
     "iiif": ("height", "spectra"),
+    "usd": ("height", "spectra", "brdf"),
+    "materialx": ("height", "spectra", "brdf"),
 }
 """Stages that a format reads where the capture can feed them."""
 
@@ -90,7 +94,8 @@ STAGE = Stage(
     wants=lambda settings: tuple(dict.fromkeys(name for each in settings.formats for name in NEEDS.get(each, ()))),
     needs_colour=True,
     looks_at=lambda facts, settings, asked: ("check",),
-    libraries=("numpy", "numba", "zarr", "OpenEXR", "opencv-contrib-python-headless"),
+    libraries=("numpy", "numba", "zarr", "OpenEXR", "opencv-contrib-python-headless", "usd-core", "materialx"),
+    idle={"usd-core": no_format("export", "usd"), "materialx": no_format("export", "materialx")},
     deliverables=("exports",),
     threads=1,
     cost=lambda facts: Cost(mib=620, bytes_per_pixel=40, seconds=5, us_per_pixel=20, us_per_sample=3),

@@ -40,10 +40,20 @@ class GltfMaterial:
         """specularColorFactor, of each channel."""
         return max(self.strength, 1.0)
 
+    @property
+    def normal_reflectance(self) -> float:
+        """w F0."""
+        return self.weight * min(self.factor * ((self.index - 1) / (self.index + 1)) ** 2, 1.0)
+
+    @property
+    def grazing_reflectance(self) -> float:
+        """w F at grazing light."""
+        return self.weight
+
     def fresnel(self, cos_q: np.ndarray) -> np.ndarray:
         """w F at the cosine of view and half vector."""
-        normal = min(self.factor * ((self.index - 1) / (self.index + 1)) ** 2, 1.0)
-        return self.weight * (normal + (1 - normal) * (1 - cos_q) ** 5)
+        normal = self.normal_reflectance
+        return normal + (self.grazing_reflectance - normal) * (1 - cos_q) ** 5
 
     def base_colour(self, albedo: np.ndarray) -> np.ndarray:
         """The base colour with which the body has this albedo under light and view along the normal."""
@@ -57,6 +67,23 @@ class GltfMaterial:
         reflected = self.fresnel(half[2])
         gloss = np.pi * reflected * ggx(np.maximum(normals @ half, 0), cos_i, cos_r, self.roughness**2)
         return ((1 - reflected) * base + gloss[:, None]) * cos_i[:, None]
+
+
+class WhiteAtGrazing(GltfMaterial):
+    """The same lobe in UsdPreviewSurface and OpenPBR, which have no weight: at grazing light they reflect all of it.
+
+    OpenPBR has the exact reflectance of a dielectric where this has Schlick's approximation.
+    """
+
+    @property
+    def grazing_reflectance(self) -> float:
+        """1, whatever the weight."""
+        return 1.0
+
+
+def white_at_grazing(material: GltfMaterial) -> GltfMaterial:
+    """A material as formats without a weight take it."""
+    return WhiteAtGrazing(material.roughness, material.strength, material.index)
 
 
 def ggx(cos_phi: np.ndarray, cos_i: np.ndarray, cos_r: np.ndarray, alpha: np.ndarray | float) -> np.ndarray:

@@ -1,7 +1,7 @@
 """Export: files of a painting for other programs, and what each of them loses."""
 
 from nishiki.artifacts.stage import Context
-from nishiki.stages.export import albedo, gltf, height, iiif, merl, mitsuba, normals, relight, spectral
+from nishiki.stages.export import albedo, gltf, height, iiif, materialx, merl, mitsuba, normals, relight, spectral, usd
 from nishiki.stages.export.scene import ExportedScene
 
 WRITERS = {
@@ -14,6 +14,8 @@ WRITERS = {
     "mitsuba": mitsuba.write,
     "merl": merl.write,
     "iiif": iiif.write,
+    "usd": usd.write,
+    "materialx": materialx.write,
 }
 
 

@@ -1,17 +1,30 @@
 """Declaration of the stage `object_export`: settings, inputs, limits of its result, cost."""
 
-from typing import ClassVar, Literal
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal, get_args
 
 from pydantic import Field
 
 from nishiki.artifacts.closed import Guarded
-from nishiki.artifacts.limits import Limit, at
-from nishiki.stages.base import Cost, Stage, photographs_or_states
+from nishiki.artifacts.limits import Figure, Limit, at
+from nishiki.stages.base import Cost, Stage, no_format, photographs_or_states
 
-Format = Literal["gltf"]
+Format = Literal["gltf", "usd", "materialx"]
+
+
+def _of_look(name: str) -> Figure:
+    """A figure that every format states, because all have the same textures."""
+
+    def figure(diagnostics: Mapping[str, Any]) -> float | None:
+        found = (at(f"losses.{each}.{name}")(diagnostics) for each in get_args(Format))
+        return next((value for value in found if value is not None), None)
+
+    return figure
+
+
 LIMITS = (
-    Limit("clipped", "share of the texels whose colour is brighter than white", at("losses.gltf.clipped")),
-    Limit("placed", "share of the triangles that have a place in the textures", at("losses.gltf.placed"), least=0.5,
+    Limit("clipped", "share of the texels whose colour is brighter than white", _of_look("clipped")),
+    Limit("placed", "share of the triangles that have a place in the textures", _of_look("placed"), least=0.5,
           remedy="check the mesh and the charts of the stage texels", why="objects gave 1; without texels there is no "
           "colour"),
 )  # fmt: skip
@@ -38,7 +51,17 @@ STAGE = Stage(
     uses=("polarise",),
     needs_colour=True,
     looks_at=photographs_or_states,
-    libraries=("numpy", "scipy", "numba", "zarr", "pywavelets", "opencv-contrib-python-headless"),
+    libraries=(
+        "numpy",
+        "scipy",
+        "numba",
+        "zarr",
+        "pywavelets",
+        "opencv-contrib-python-headless",
+        "usd-core",
+        "materialx",
+    ),
+    idle={"usd-core": no_format("object_export", "usd"), "materialx": no_format("object_export", "materialx")},
     deliverables=("exports",),
     threads=1,
     cost=lambda facts: Cost(mib=400, bytes_per_sample=20, seconds=5, us_per_sample=2),

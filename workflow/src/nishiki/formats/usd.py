@@ -1,0 +1,141 @@
+"""OpenUSD: a textured mesh with the material UsdPreviewSurface, and all its files in one package (.usdz).
+
+The gloss is said by roughness and index of refraction, which all programs understand alike. The workflow of specular
+colours would hold a texture of its strength, but Blender multiplies such a colour with the reflectance of the index.
+"""
+
+import os
+import tempfile
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from nishiki.formats.picture_tiles import png_bytes
+from nishiki.formats.textured_surface import SurfaceLook, TexturedMesh
+from nishiki.packages import optional
+
+ROOT = "/surface"
+READER = f"{ROOT}/material/places"
+DATE = time.mktime((1980, 1, 2, 0, 0, 0, 0, 0, -1))
+"""Of all files in a package, so that the same results give the same bytes."""
+CHANNELS = {"colour": "rgb", "roughness": "r", "normals": "rgb"}
+"""Textures that the material has, and what it takes of each."""
+
+
+def write_usdz(path: Path, mesh: TexturedMesh, look: SurfaceLook, *, name: str, facts: Mapping[str, Any]) -> None:
+    """Write a package: y is up, the unit is the metre. Of the look's weights it takes the mean.
+
+    facts: stand in the layer's `customLayerData`.
+
+    Raises
+    ------
+    UserError
+        Where the package usd-core is not installed.
+    """
+    optional("usd-core")
+    from pxr import Sdf
+
+    with tempfile.TemporaryDirectory(dir=path.parent, prefix=".usd-") as scratch:
+        folder = Path(scratch)
+        textures = {}
+        for texture, picture in look.pictures().items():
+            if texture not in CHANNELS:
+                continue
+            textures[texture] = f"textures/{texture}.png"
+            (folder / "textures").mkdir(exist_ok=True)
+            (folder / textures[texture]).write_bytes(png_bytes(picture))
+        _write_layer(folder / "surface.usdc", mesh, look, name, facts)
+        for file in ("surface.usdc", *textures.values()):  # the package says when they were written
+            os.utime(folder / file, (DATE, DATE))
+        with Sdf.ZipFileWriter.CreateNew(str(path)) as package:
+            for file in ("surface.usdc", *textures.values()):  # the layer first, as the specification wants it
+                package.AddFile(str(folder / file), file)
+
+
+def _write_layer(path: Path, mesh: TexturedMesh, look: SurfaceLook, name: str, facts: Mapping[str, Any]) -> None:
+    from pxr import Kind, Usd, UsdGeom, UsdShade
+
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    root = UsdGeom.Xform.Define(stage, ROOT).GetPrim()
+    root.SetDisplayName(name)
+    Usd.ModelAPI(root).SetKind(Kind.Tokens.component)
+    stage.SetDefaultPrim(root)
+    stage.GetRootLayer().customLayerData = {key: str(value) for key, value in facts.items()}
+    shape = _define_mesh(stage, mesh)
+    material = _define_material(stage, look)
+    UsdShade.MaterialBindingAPI.Apply(shape).Bind(material)
+    stage.Save()
+
+
+def _define_mesh(stage: Any, mesh: TexturedMesh) -> Any:
+    from pxr import Sdf, UsdGeom, Vt
+
+    shape = UsdGeom.Mesh.Define(stage, f"{ROOT}/mesh")
+    positions = np.ascontiguousarray(mesh.positions, np.float32)
+    shape.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(positions))
+    shape.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(np.stack([positions.min(axis=0), positions.max(axis=0)])))
+    shape.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(mesh.triangles), 3, np.int32)))
+    shape.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(np.ascontiguousarray(mesh.triangles, np.int32).ravel()))
+    shape.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(mesh.normals, np.float32)))
+    shape.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+    shape.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    upwards = np.column_stack([mesh.texture[:, 0], 1 - mesh.texture[:, 1]]).astype(np.float32)  # v from the bottom
+    places = UsdGeom.PrimvarsAPI(shape).CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex)
+    places.Set(Vt.Vec2fArray.FromNumpy(upwards))
+    return shape.GetPrim()
+
+
+def _define_material(stage: Any, look: SurfaceLook) -> Any:
+    from pxr import Sdf, UsdShade
+
+    types = Sdf.ValueTypeNames
+    material = UsdShade.Material.Define(stage, f"{ROOT}/material")
+    surface = _shader(stage, "surface", "UsdPreviewSurface")
+    material.CreateSurfaceOutput().ConnectToSource(surface.CreateOutput("surface", types.Token))
+    reader = _shader(stage, "places", "UsdPrimvarReader_float2")
+    reader.CreateInput("varname", types.String).Set("st")
+    reader.CreateOutput("result", types.Float2)
+    surface.CreateInput("metallic", types.Float).Set(0.0)
+    surface.CreateInput("ior", types.Float).Set(look.mean_index)
+    surface.CreateInput("diffuseColor", types.Color3f).ConnectToSource(_texture(stage, "colour", (1.0, 0.0)))
+    roughness = surface.CreateInput("roughness", types.Float)
+    if isinstance(look.roughness, np.ndarray):
+        roughness.ConnectToSource(_texture(stage, "roughness", (1.0, 0.0)))
+    else:
+        roughness.Set(look.roughness)
+    if look.normals is not None:
+        surface.CreateInput("normal", types.Normal3f).ConnectToSource(_texture(stage, "normals", (2.0, -1.0)))
+    return material
+
+
+def _texture(stage: Any, name: str, scale: tuple[float, float]) -> Any:
+    """The output of a texture's node; scale: factor and summand of its values."""
+    from pxr import Gf, Sdf, UsdShade
+
+    types = Sdf.ValueTypeNames
+    shader = _shader(stage, name, "UsdUVTexture")
+    shader.CreateInput("file", types.Asset).Set(Sdf.AssetPath(f"textures/{name}.png"))
+    shader.CreateInput("sourceColorSpace", types.Token).Set("sRGB" if name == "colour" else "raw")
+    for side in ("wrapS", "wrapT"):
+        shader.CreateInput(side, types.Token).Set("clamp")
+    if scale != (1.0, 0.0):
+        factor, summand = scale
+        shader.CreateInput("scale", types.Float4).Set(Gf.Vec4f(factor, factor, factor, 1))
+        shader.CreateInput("bias", types.Float4).Set(Gf.Vec4f(summand, summand, summand, 0))
+    reader = UsdShade.Shader.Get(stage, READER)
+    shader.CreateInput("st", types.Float2).ConnectToSource(reader.ConnectableAPI(), "result")
+    channels = CHANNELS[name]
+    return shader.CreateOutput(channels, types.Float if channels == "r" else types.Float3)
+
+
+def _shader(stage: Any, name: str, kind: str) -> Any:
+    from pxr import UsdShade
+
+    shader = UsdShade.Shader.Define(stage, f"{ROOT}/material/{name}")
+    shader.CreateIdAttr(kind)
+    return shader

@@ -1,0 +1,169 @@
+"""How an object looks to formats of scenes: mesh, colour, roughness and strength of the gloss as textures.
+
+The simplified Torrance-Sparrow lobe K_s / n.v exp(-a^2 / (2 s^2)) (Miyazaki et al., 2007, eq. 8), relative to a white
+that faces the lamp, becomes the lobe of Trowbridge and Reitz with the same peak and the same width at half of it:
+
+    alpha = s sqrt(2 ln 2) / sqrt(sqrt 2 - 1),      w F0 = 4 alpha^2 K_s
+
+Without a white board albedo is relative to a lamp of unknown strength and may be above 1: `lamp_strength` divides it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from nishiki.artifacts.stage import Context
+from nishiki.atlas.store import Texels
+from nishiki.brdf.texels.model import factors, predict
+from nishiki.colour.colour import srgb_encode
+from nishiki.formats.textured_surface import SurfaceLook, TexturedMesh
+from nishiki.render.display import three_channels
+from nishiki.render.object.decoded_object import DecodedObject
+from nishiki.stages.object_export.texture_atlas import TextureAtlas, fill_gaps, texture_atlas
+
+ALPHA_PER_SIGMA = float(np.sqrt(2 * np.log(2) / (np.sqrt(2) - 1)))
+INDEX = 1.5
+NORMAL_REFLECTANCE = ((INDEX - 1) / (INDEX + 1)) ** 2
+METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
+PRIOR = 0.04  # squared irradiance that the model's own albedo counts as
+LEAST_ALPHA = 0.03**2  # roughness below which viewers show nothing of distant lamps
+
+
+@dataclass(frozen=True)
+class ObjectLook:
+    """Textures of an object.
+
+    Attributes
+    ----------
+    decoded, layout
+        The object, and the places of its charts in the textures.
+    colour, roughness, specular : (rows, columns, 3) or (rows, columns) uint8 ndarray
+        Base colour, sRGB; square root of alpha; share of the reflectance along the normal.
+    factor : float
+        The reflectance of share 1, as a factor of that of glass (0.04).
+    scale : float
+        Strength of the lamp with which albedo is at most 1.
+    clipped : float
+        Share of the texels that are brighter than white nevertheless.
+    """
+
+    decoded: DecodedObject
+    layout: TextureAtlas
+    colour: np.ndarray
+    roughness: np.ndarray
+    specular: np.ndarray
+    factor: float
+    scale: float
+    clipped: float
+
+    @property
+    def normal_reflectance(self) -> float:
+        """F0 where the share is 1."""
+        return min(self.factor * NORMAL_REFLECTANCE, 1.0)
+
+    def surface(self) -> SurfaceLook:
+        """The same in the words of USD and MaterialX."""
+        return SurfaceLook(self.colour, self.roughness, self.normal_reflectance, weight=self.specular)
+
+    def figures(self) -> dict:
+        """What the diagnostics say of it."""
+        placed = self.layout.placed
+        return {
+            "faces": int(placed.sum()),
+            "placed": float(placed.mean()),
+            "texture": list(self.layout.shape),
+            "clipped": self.clipped,
+            "lamp_strength": self.scale,
+        }
+
+
+def object_look(context: Context) -> ObjectLook:
+    """Textures from the decoded parameters."""
+    decoded = DecodedObject.open(context.inputs)
+    layout = texture_atlas(decoded.atlas)
+    albedo, alpha, reflectance = textures(decoded, Texels(context.inputs["texels"].folder), layout)
+    scale = max(float(np.percentile(albedo.max(axis=-1), 99.5)), 1.0)
+    albedo, reflectance = albedo / scale, reflectance / scale
+    factor = max(float(np.percentile(reflectance, 99.5)) / NORMAL_REFLECTANCE, 1.0)
+    colour, roughness = coded(srgb_encode(albedo)), coded(np.sqrt(alpha))
+    specular = coded(np.clip(reflectance / NORMAL_REFLECTANCE / factor, 0, 1))
+    clipped = float(np.mean((albedo > 1).any(axis=-1)))
+    return ObjectLook(decoded, layout, colour, roughness, specular, factor, scale, clipped)
+
+
+def object_mesh(context: Context, look: ObjectLook) -> TexturedMesh:
+    """The mesh in metres where its unit is known; a vertex once for each place in the textures."""
+    layout, mesh = look.layout, look.decoded.mesh
+    placed = layout.placed
+    flat = np.column_stack([mesh.triangles[placed].ravel(), layout.corners[placed].reshape(-1, 2)])
+    unique, numbers = np.unique(flat, axis=0, return_inverse=True)
+    vertex = unique[:, 0].astype(np.int64)
+    normals = mesh.normals[vertex] / np.linalg.norm(mesh.normals[vertex], axis=1, keepdims=True)
+    positions = mesh.vertices[vertex] * METRES.get(context.inputs["mesh"].diagnostics.get("unit"), 1.0)
+    places = (unique[:, :0:-1] + 0.5) / np.array(layout.shape[::-1])
+    return TexturedMesh(positions, normals, places, numbers.reshape(-1, 3))
+
+
+def unit_of(context: Context) -> str:
+    """What a length of 1 in the file means."""
+    unit = context.inputs["mesh"].diagnostics.get("unit")
+    return "metres" if unit in METRES else f"{unit} of the cameras"
+
+
+def coded(values: np.ndarray) -> np.ndarray:
+    """Eight bits of values in 0 to 1."""
+    return np.rint(255 * np.clip(values, 0, 1)).astype(np.uint8)
+
+
+def textures(decoded: DecodedObject, texels: Texels, layout: TextureAtlas) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Albedo (rows, columns, 3), alpha and w F0 (rows, columns) of the whole texture, from the decoded parameters."""
+    albedo = np.zeros((*layout.shape, 3), np.float32)
+    alpha, reflectance = (np.zeros(layout.shape, np.float32) for _ in range(2))
+    known = np.zeros(layout.shape, bool)
+    for tile, (row, column) in enumerate(layout.origin):
+        kd, ks, sigma = decoded.residual.parameters(tile)
+        positions, normals, inside = texels.geometry(tile)
+        kd = body_colour(decoded, texels, tile, (kd, ks, sigma), (positions, normals))
+        window = (slice(row, row + len(kd)), slice(column, column + len(kd)))
+        width = np.clip(ALPHA_PER_SIGMA * sigma, LEAST_ALPHA, 1)
+        for texture, values in (
+            (albedo, three_channels(kd)),
+            (alpha, width),
+            (reflectance, 4 * width**2 * ks.mean(axis=-1)),
+        ):
+            texture[window][inside] = values[inside]
+        known[window] |= inside
+    stacked = np.concatenate([albedo, alpha[..., None], reflectance[..., None]], axis=-1)
+    filled = fill_gaps(stacked, known)
+    return filled[..., :3], filled[..., 3], filled[..., 4]
+
+
+def body_colour(
+    decoded: DecodedObject,
+    texels: Texels,
+    tile: int,
+    parameters: tuple[np.ndarray, np.ndarray, np.ndarray],
+    surface: tuple[np.ndarray, np.ndarray],
+) -> np.ndarray:
+    """(T, T, channels) albedo of a tile by least squares from all views that see a texel: from the diffuse light where
+    polarisers separated it, else from all light less the model's gloss.
+
+    The model's own K_d is smooth where the residual holds the detail. It stands where no view sees a texel, and weighs
+    as much as a view that is lit to a fifth. parameters: kd, ks, sigma; surface: positions and normals.
+    """
+    kd, ks, sigma = parameters
+    above, below = PRIOR * kd, np.full(kd.shape, PRIOR)
+    separated = "diffuse" in texels.components
+    values = texels.read("diffuse" if separated else "total", tile)
+    for number, seen in enumerate(texels.visible(tile)):
+        if not seen.any():
+            continue
+        light, view = divmod(number, len(decoded.views))
+        camera = decoded.cameras[view]
+        lamp = decoded.lighting.lamp(camera, light)
+        points = (surface[0][seen], surface[1][seen], camera.centre, lamp)
+        irradiance, _ = factors(*points, kd.shape[-1])
+        gloss = 0 if separated else predict(kd[seen], ks[seen], sigma[seen], *points)[1]
+        above[seen] += irradiance * (values[number][seen] - gloss)
+        below[seen] += irradiance**2
+    return np.maximum(above / below, 0)
