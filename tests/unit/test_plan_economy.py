@@ -10,6 +10,7 @@ from nishiki.engine.leaving_out import PARTS
 from nishiki.engine.plan import Plan, make_plan
 from nishiki.engine.project import Scene, StageSettings
 from nishiki.errors import UserError
+from nishiki.packages import EXTRAS
 from nishiki.report.page import Facts
 from nishiki.report.scene_page import left_out_blocks
 from nishiki.stages.base import SceneFacts
@@ -142,7 +143,7 @@ def test_the_report_is_told_of_parts_and_packages():
 )
 def test_optional_packages_of_a_scene(facts, settings, loaded):
     found = planned(facts, "render", "evaluate", "report", **settings)
-    optional = {"rawpy", "av", "trimesh", "pymeshlab", "scikit-image"}
+    optional = set(EXTRAS)
     assert {package for names in found.packages.values() for package in names} & optional == loaded
     chain = {package for stage in CHAIN.values() if stage.serves(facts.geometry) for package in stage.libraries}
     assert set(found.idle) == (chain & optional) - loaded
@@ -221,3 +222,18 @@ def test_versions_of_packages_that_a_scene_does_not_load_are_no_reason_to_run_ag
     assert "rawpy" in CHAIN["ingest"].libraries
     assert not {"rawpy", "av", "OpenEXR"} & set(stages["ingest"].packages)
     assert "av" not in stages["render"].packages
+
+
+@pytest.mark.parametrize(("facts", "stage"), [(PLANE, "export"), (OBJECT, "object_export")])
+@pytest.mark.parametrize(
+    ("formats", "loaded"), [(["gltf"], set()), (["gltf", "usd"], {"usd-core"}), (["materialx"], {"materialx"})]
+)
+def test_a_package_of_a_format_is_loaded_where_it_is_asked_for(facts, stage, formats, loaded):
+    found = planned(facts, "export", **{stage: {"formats": formats}})
+    assert set(found.packages[stage]) & {"usd-core", "materialx"} == loaded
+    told = {package: why for package, why in found.idle.items() if package in ("usd-core", "materialx")}
+    assert told == {
+        package: f"no file of format {name} is asked for"
+        for package, name in (("usd-core", "usd"), ("materialx", "materialx"))
+        if package not in loaded
+    }
