@@ -14,6 +14,7 @@ from nishiki.capture.frames import inside
 from nishiki.capture.lights import Lights, light_name, lights_from_vectors, read_lights
 from nishiki.capture.mirror_sphere import direction_from_sphere, mean_direction
 from nishiki.capture.relight_files import find_relight, is_relight, read_dome, read_relight
+from nishiki.capture.rtibuilder import RtiProject
 from nishiki.formats.bounds import bound
 from nishiki.formats.files import NAME_BYTES, is_plain, leads_out, read_text
 from nishiki.formats.image_header import IMAGE_SUFFIXES
@@ -89,14 +90,17 @@ def source_problems(path: Path, folder: Path) -> list[Problem]:
 def recognise(source: Path, *, lights_file: Path | None = None, mask: Path | None = None) -> Layout:
     """Find lamps and photographs in a folder.
 
-    A lights file (given, or the one `.lp` there, or Relight's `.relight` or `info.json`), DiLiGenT's
-    light_directions.txt, or mirror spheres with their circles (folders holding circle_data.txt: column, row from
-    below, radius) with the photographs beside them.
+    A project of RTIBuilder; a lights file (given, or the one `.lp` there, or Relight's `.relight` or `info.json`);
+    DiLiGenT's light_directions.txt; or mirror spheres with their circles (folders holding circle_data.txt: column, row
+    from below, radius) with the photographs beside them.
     Raises CaptureError (folder-missing, layout-unknown, photographs-count, photograph-missing, and those of lights).
     """
     if not source.is_dir():
         raise CaptureError(error("folder-missing", str(source), "no such folder"))
     mask = mask or _find_mask(source)
+    project = RtiProject.of(source)
+    if project is not None:
+        return _of_project(project, lights_file, mask)
     listed = sorted(source.glob("*.lp"))
     if lights_file is None and len(listed) > 1:
         found = ", ".join(p.name for p in listed)
@@ -118,17 +122,31 @@ def recognise(source: Path, *, lights_file: Path | None = None, mask: Path | Non
     if probes:
         return _with_spheres(source, probes, mask)
     expected = (
-        "a .lp file, Relight's .relight or info.json, light_directions.txt, folders of mirror spheres with "
-        "circle_data.txt; for a turntable a .mat file with matrices P, a list of cameras or those of COLMAP; or "
-        "photographs named GENERATOR_ANALYSER"
+        "a .lp file, a project of RTIBuilder, Relight's .relight or info.json, light_directions.txt, folders of mirror "
+        "spheres with circle_data.txt; for a turntable a .mat file with matrices P, a list of cameras or those of "
+        "COLMAP or Meshroom; or photographs named GENERATOR_ANALYSER"
     )
     remedy = "Give the lights file, or write capture.yaml and frames.csv by hand"
     raise CaptureError(error("layout-unknown", str(source), "no lamps found", expected=expected, remedy=remedy))
 
 
+def _of_project(project: RtiProject, lights_file: Path | None, mask: Path | None) -> Layout:
+    """The lights of an RTIBuilder project, given or its own, and the photographs that they name, by stem."""
+    lights_file = lights_file or project.lights_file()
+    lights = read_relight(lights_file) if is_relight(lights_file) else read_lights(lights_file)
+    if all(file is None for file in lights.files):
+        what, remedy = "the lights file names no photographs", "Convert the folder of photographs with --lights"
+        raise CaptureError(error("layout-unknown", lights_file.name, what, remedy=remedy))
+    folder = project.photographs(lights)
+    layout = _with_lights(folder, lights, mask or _find_mask(folder))
+    note = project.note(lights_file, lights, folder)
+    return replace(layout, name="RTIBuilder project", warnings=(note, *layout.warnings))
+
+
 def has_lamps(source: Path) -> bool:
     """Whether a folder tells where the lamps of a plane's photographs were."""
     listed = (source / "light_directions.txt").is_file() or any(source.glob("*.lp"))
+    listed = listed or RtiProject.of(source) is not None
     return listed or any(source.glob(f"*/{PROBE_DATA}")) or find_relight(source) is not None
 
 

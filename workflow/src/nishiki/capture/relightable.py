@@ -13,6 +13,7 @@ import numpy as np
 from nishiki.capture.layouts import photographs_in
 from nishiki.capture.lights import Lights, lights_from_vectors, read_lights
 from nishiki.capture.relight_files import is_relight, read_relight
+from nishiki.capture.rtibuilder import RtiProject
 from nishiki.capture.schema import LOST_BY_FIT
 from nishiki.capture.schema_base import FORMAT
 from nishiki.capture.taking import COLOUR, take
@@ -35,7 +36,7 @@ def recognise_relightable(source: Path) -> Path | None:
     """
     if source.is_file():
         return source if source.suffix.lower() in SUFFIXES else None
-    if not source.is_dir() or photographs_in(source):
+    if not source.is_dir() or photographs_in(source) or RtiProject.of(source) is not None:
         return None
     files = sorted(path for path in source.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
     if len(files) > 1:
