@@ -4,6 +4,8 @@ import base64
 import json
 import re
 import urllib.parse
+import zlib
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,9 +16,14 @@ from viewer_pages import READ, lamp, opened
 from nishiki.artifacts.artifact import ArtifactWriter, open_artifact
 from nishiki.artifacts.maps import Maps
 from nishiki.artifacts.stage import Context
+from nishiki.evaluate.prediction import light_of, predict_light
+from nishiki.observations.plane import Observations
 from nishiki.progress import Progress
+from nishiki.stages.evaluate.run import EvaluatedScene
+from nishiki.stages.viewer import photographs
 from nishiki.stages.viewer import run as stage
 from nishiki.stages.viewer.declaration import ViewerSettings
+from nishiki.stages.viewer.painting import PaintingMaps
 
 pytestmark = [
     pytest.mark.slow,
@@ -99,8 +106,52 @@ def test_the_canvas_shows_what_render_shows_and_values_are_those_of_the_maps(vie
     basis = np.array(scene.basis)
     spectrum = scene.coefficients[rows // 2, columns // 2] @ basis
     assert np.abs(np.array(probe["spectrum"]["reflectance"]) - spectrum).max() < 0.02
+    shown_values = {each["view"]: each for each in probe["photographs"]}
+    frames = Observations((current / "ingest").resolve())
+    with_ingest = {**inputs, "ingest": open_artifact(current / "ingest")}
+    evaluated = EvaluatedScene(Context(with_ingest, None, None, None, None, {}, None), frames)
+    assert list(shown_values) == list(frames.lights)
+    values, valid = frames.read(slice(0, rows), channel="mean")
+    assert probe["sample_pixels"] == 0
+    for j, name in enumerate(frames.lights):
+        place = (rows // 2, columns // 2)
+        if valid[(j, *place)]:
+            assert shown_values[name]["values"][0] == pytest.approx(values[(j, *place)], abs=0.02)
+        predicted = predict_light(evaluated.model, light_of(frames.directions[j], None), pitch=evaluated.pitch)
+        assert shown_values[name]["predicted"][0] == pytest.approx(predicted.channels[place].mean(), abs=0.02)
     for layer in page.page.evaluate("nishiki.scene.layers()"):
         page.set(layer=layer["name"])
+
+
+def test_photographs_of_large_paintings_are_sampled_around_the_middle(viewed, monkeypatch):
+    current = viewed.folder / "results/tiny/current"
+    inputs = {name: open_artifact(current / name) for name in ("ingest", "normals", "height", "spectra", "brdf")}
+    frames = Observations(inputs["ingest"].folder)
+    monkeypatch.setattr(photographs, "MOST_CODES", 20_000)
+    blocks = {}
+    told = photographs.photographs_of(
+        PaintingMaps.of(inputs), frames, SimpleNamespace(add=blocks.__setitem__), Progress("")
+    )
+    shape = (2, len(frames.lights), told["rows"], told["columns"])
+    assert told["step"] == 3
+    assert np.prod(shape) <= 20_000
+    codes = np.frombuffer(zlib.decompress(blocks["photographs"]), np.uint8).reshape(shape)
+    assert all(
+        abs(2 * first + (count - 1) * told["step"] - (size - 1)) <= 1
+        for first, count, size in zip(told["first"], shape[2:], frames.shape, strict=True)
+    )
+    evaluated = EvaluatedScene(Context(inputs, None, None, None, None, {}, None), frames)
+    values, valid = frames.read(slice(0, frames.shape[0]), channel="mean")
+    samples = (slice(told["first"][0], None, told["step"]), slice(told["first"][1], None, told["step"]))
+    for j in range(len(frames.lights)):
+        seen, usable = values[j][samples], valid[j][samples]
+        assert np.array_equal(codes[0, j] == told["nothing"], ~usable)
+        predicted = predict_light(evaluated.model, light_of(frames.directions[j], None)).channels.mean(axis=-1)[samples]
+        for code, expected in zip(codes[:, j], (seen, predicted), strict=True):
+            known = (code != told["nothing"]) & np.isfinite(expected)
+            decoded = told["white"] * (code[known] / told["top"]) ** 2
+            steps = np.sqrt(told["white"] * np.maximum(expected[known], 0)) / told["top"] + 1e-4 * told["white"]
+            assert np.all(np.abs(decoded - np.maximum(expected[known], 0)) < 1.1 * steps)
 
 
 def test_tilted_picture_is_that_of_render_and_its_relief_is_lifted(viewed, shown):

@@ -12,7 +12,7 @@ class ViewerSettings(Guarded):
     """A page on which the lamp moves, offline."""
 
     STAGE: ClassVar[str] = "viewer"
-    VERSION: ClassVar[int] = 1
+    VERSION: ClassVar[int] = 2
 
     step: Literal["auto"] | Annotated[float, Field(ge=0.1, le=8)] = Field(
         "auto",

@@ -9,12 +9,14 @@ from nishiki.colour.colour import cie_1931_cmfs
 from nishiki.colour.colour import illuminant as cie_illuminant
 from nishiki.colour.sampling import WAVELENGTHS_NM
 from nishiki.formats.stored import load_arrays
+from nishiki.observations.plane import Observations
 from nishiki.report.viewer.heights import height_block
 from nishiki.report.viewer.page import Blocks, write_page
 from nishiki.report.viewer.pictures import webp_stack
 from nishiki.report.viewer.pyramid import BORDER, TILE, Pyramid
 from nishiki.stages.viewer.layers import layers_of
 from nishiki.stages.viewer.painting import UNKNOWN_REGION, PaintingCode, PaintingMaps, gloss_of
+from nishiki.stages.viewer.photographs import photographs_of
 
 ILLUMINANTS = ("D65", "D50", "A", "E", "F2", "F7", "F11", "LED-B1", "LED-B3", "LED-B5")
 BAND_ROWS = 256
@@ -80,6 +82,7 @@ def run(context: Context) -> dict:
         },
         "shadows": shadows,
         "layers": layers_of(context.inputs, blocks),
+        "photographs": photographs_of(maps, Observations(context.inputs["ingest"].folder), blocks, context.progress),
     }
     return write_page(blocks, manifest)
 

@@ -4,7 +4,7 @@
 // is known), from the centre of the painting, x to the right and y up.
 import * as colour from "viewer/colour";
 import { bind, context, program, readback, target, texture } from "viewer/gl";
-import { picture } from "viewer/loader";
+import { inflate, picture } from "viewer/loader";
 import { LAYER_FRAGMENT, paintingFragment, TILE_VERTEX } from "viewer/painting_shaders";
 import { PlaneView } from "viewer/plane_view";
 import { Relief } from "viewer/relief";
@@ -172,7 +172,22 @@ export class Painting {
         sigma: sigma == null ? null : manifest.wavelengths_nm.map(() => sigma),
       },
       gloss: beta[0].length ? { beta: beta[record.region], gamma_rad: gamma[record.region], refractive_index: refractive_index[record.region] } : null,
-      photographs: null,
+      ...(await this.#photographsAt(column, row)),
+    };
+  }
+
+  /** What every photograph shows, and what the model predicts, at the sample nearest to a pixel of the map. */
+  async #photographsAt(column, row) {
+    const { block, rows, columns, first, step, lights, white, top, nothing } = this.manifest.photographs;
+    this.photographs ??= inflate(await this.loader.load(block));
+    const codes = await this.photographs;
+    const nearest = (place, start, count) => Math.min(Math.max(Math.round((place - start) / step), 0), count - 1);
+    const [y, x] = [nearest(row, first[0], rows), nearest(column, first[1], columns)];
+    const value = (kind, light) => codes[((kind * lights.length + light) * rows + y) * columns + x];
+    const linear = (code) => (code === nothing ? null : [white * (code / top) ** 2]);
+    return {
+      photographs: lights.map((view, k) => ({ view, values: linear(value(0, k)), predicted: linear(value(1, k)) })),
+      sample_pixels: Math.hypot(first[0] + y * step - row, first[1] + x * step - column),
     };
   }
 

@@ -24,6 +24,7 @@ export function probeSection(app) {
     element("dl", { className: "values" }, rows.flatMap(([name, value]) => [element("dt", {}, name), element("dd", {}, value)])),
     probed.spectrum && spectrumPlot(probed.spectrum),
     probed.photographs?.length && photographsPlot(probed.photographs),
+    probed.sample_pixels !== undefined && element("p", { className: "hint" }, text("probe.sample", { pixels: Math.round(probed.sample_pixels) })),
   ].filter(Boolean);
 }
 
@@ -45,6 +46,7 @@ function spectrumPlot({ nm, reflectance, sigma }) {
 function photographsPlot(photographs) {
   const mean = (values) => values.reduce((sum, value) => sum + value, 0) / values.length;
   const pairs = photographs.filter(({ values, predicted }) => values && predicted).map(({ values, predicted }) => [mean(values), mean(predicted)]);
+  if (!pairs.length) return null;
   const high = Math.max(...pairs.flat(), 1e-6), step = (WIDE - LEFT - 8) / pairs.length;
   const y = (value) => TALL - BELOW - (Math.max(value, 0) / high) * (TALL - BELOW - 8);
   return drawing("svg", { class: "plot", viewBox: `0 0 ${WIDE} ${TALL}`, role: "img", "aria-label": text("probe.photographs") },
