@@ -21,6 +21,8 @@ FORMATS = {
     ".webp": "image/webp",
     ".npz": "application/zip",
     ".ply": "model/ply",
+    ".glb": "model/gltf-binary",
+    ".usdz": "model/vnd.usdz+zip",
     ".md": "text/markdown",
     ".txt": "text/plain",
 }
