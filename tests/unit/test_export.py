@@ -357,6 +357,8 @@ def test_spectra_are_read_exactly(exported):
     assert exported.reported["losses"]["spectral"]["outside"] == np.mean((true < 0) | (true > 1))
     header = (exported.folder / "spectra.hdr").read_text()
     assert re.search(r"wavelength = \{400, 405, .*, 700\}", header)
+    left, top = -COLUMNS * PITCH_MM / 2, ROWS * PITCH_MM / 2
+    assert f"map info = {{Arbitrary, 1, 1, {left:g}, {top:g}, {PITCH_MM}, {PITCH_MM}, units=mm}}" in header
     bil = np.fromfile(exported.folder / "spectra.img", "<f4").reshape(ROWS, 61, COLUMNS)
     np.testing.assert_array_equal(bil.transpose(0, 2, 1), true)
 

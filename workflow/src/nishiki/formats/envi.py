@@ -82,5 +82,8 @@ def envi_header(
         "data ignore value = 0",
     ]
     if pitch_mm:
-        lines.append(f"pixel size = {{{pitch_mm:.9g}, {pitch_mm:.9g}, units=mm}}")
+        size = f"{pitch_mm:.9g}, {pitch_mm:.9g}"
+        left, top = -columns * pitch_mm / 2, rows * pitch_mm / 2  # of pixel (1, 1), as in our TIFF files
+        lines.append(f"pixel size = {{{size}, units=mm}}")
+        lines.append(f"map info = {{Arbitrary, 1, 1, {left:.9g}, {top:.9g}, {size}, units=mm}}")
     return "\n".join(lines) + "\n"
