@@ -26,7 +26,9 @@ THREE = next(
 )
 """The npm package three; None where it is not installed."""
 PAGE = """<!doctype html><meta charset="utf-8">
-<script type="importmap">{"imports": {"three": "./three/build/three.module.js", "loaders/": "./three/examples/jsm/loaders/"}}</script>
+<script type="importmap">
+{"imports": {"three": "./three/build/three.module.js", "loaders/": "./three/examples/jsm/loaders/"}}
+</script>
 <script type="module">
 import * as THREE from "three";
 import { GLTFLoader } from "loaders/GLTFLoader.js";
@@ -37,7 +39,8 @@ scene.add(model, lamp);
 const camera = new THREE.OrthographicCamera(-1, 1, 1, -1, 0, 2);
 camera.position.z = 1;
 globalThis.draw = ([rows, columns, pixel, direction]) => {
-  Object.assign(camera, { right: (columns * pixel) / 2, left: (-columns * pixel) / 2, top: (rows * pixel) / 2, bottom: (-rows * pixel) / 2 });
+  const right = (columns * pixel) / 2, top = (rows * pixel) / 2;
+  Object.assign(camera, { left: -right, right, top, bottom: -top });
   camera.updateProjectionMatrix();
   renderer.setSize(columns, rows, false);
   lamp.position.set(...direction);
