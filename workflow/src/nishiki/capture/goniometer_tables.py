@@ -1,18 +1,20 @@
-"""Tables of reflectances: CSV with a column a channel, and the Cornell `.brdf` format."""
+"""Tables of reflectances: CSV with a column a channel, `.brdf` of Cornell, `.bin` of UTIA and `.binary` of MERL."""
 
 from __future__ import annotations
 
 import re
 from array import array
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from nishiki.formats.bounds import bound
+from nishiki.formats.merl import MERL_BYTES, merl_values, read_merl
 from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, warning
 from nishiki.formats.text_tables import cells_of, expect_rows, reading, table_lines
+from nishiki.formats.utia import UTIA_BYTES, read_utia
 
 ANGLES = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
 QUANTITIES = {
@@ -27,6 +29,10 @@ QUANTITIES = {
 }
 """What the name of a column says of its quantity, looked for in this order without capitals."""
 BRDF, UNSAID = "BRDF (1/sr)", "no quantity in the name"
+COLOURS = ("red", "green", "blue")
+MERL_LIGHTS = ((0.0, 0.0), *((15.0 * k, phi) for k in range(1, 6) for phi in (0.0, 45.0, 90.0)))
+MERL_VIEWS = ((0.0, 0.0), *((3.0 * k, 7.5 * step) for k in range(1, 27) for step in range(48)))
+"""theta and phi in degrees at which tables of the MERL database are read: as densely as a cloth is photographed."""
 SHOWN = 5  # wrong rows told of one kind
 MOST_PROBLEMS = 20  # rows that cannot be read, before reading stops
 Lines = Iterator[tuple[int, str]]
@@ -45,11 +51,13 @@ class ReflectanceTable:
 
 
 def read_table(path: Path, name: str) -> ReflectanceTable:
-    """Read `.brdf` (Cornell: angles in radians, a value a wavelength) or CSV.
+    """Read `.brdf` (Cornell: angles in radians, a value a wavelength), `.bin` (UTIA), `.binary` (MERL) or CSV.
 
     Raises CaptureError with all mistakes: table-missing, table-unreadable, table-many, table-columns,
     table-quantities, table-empty, angle-invalid, table-value.
     """
+    if path.suffix.lower() in (".bin", ".binary"):
+        return (_utia if path.suffix.lower() == ".bin" else _merl)(path, name)
     with reading(name, "table"):
         lines = table_lines(path, name, limit="reflectances_bytes")
         table = (_cornell if path.suffix.lower() == ".brdf" else _csv)(lines, name)
@@ -60,6 +68,8 @@ def is_table(path: Path) -> bool:
     """Whether a file is a table of reflectances, by its suffix and its heading."""
     if path.suffix.lower() == ".brdf":
         return True
+    if path.suffix.lower() in (".bin", ".binary"):
+        return path.stat().st_size == (UTIA_BYTES if path.suffix.lower() == ".bin" else MERL_BYTES)
     if path.suffix.lower() != ".csv":
         return False
     try:
@@ -153,6 +163,34 @@ def _cornell(lines: Lines, name: str) -> tuple[np.ndarray, tuple[str, ...], arra
     rows = rest.reshape(-1, wide).copy()
     rows[:, :4] = np.degrees(rows[:, :4])
     return rows, tuple(f"{nm:g} nm" for nm in values[1 : 1 + count]), places[1 + count :: wide]
+
+
+def _utia(path: Path, name: str) -> ReflectanceTable:
+    """A table of the UTIA database."""
+    with reading(name, "table"):
+        rows = read_utia(path, name)
+    table = _checked(rows, COLOURS, array("q", range(1, len(rows) + 1)), name)
+    what = "the values of a UTIA table are taken to be in 1/sr"
+    note = warning("table-scale", name, what, remedy="Check their scale: the file does not state it")
+    return replace(table, warnings=(*table.warnings, note))
+
+
+def _merl(path: Path, name: str) -> ReflectanceTable:
+    """An isotropic table of the MERL database, read at MERL_LIGHTS and MERL_VIEWS."""
+    with reading(name, "table"):
+        stored = read_merl(path, name)
+    angles = np.array([(*light, *view) for light in MERL_LIGHTS for view in MERL_VIEWS])
+    values = merl_values(stored, _unit(angles[:, :2]), _unit(angles[:, 2:]))
+    table = _checked(np.column_stack([angles, values]), COLOURS, array("q", range(1, len(angles) + 1)), name)
+    what = f"an isotropic table, read at {len(MERL_LIGHTS)} directions of light and {len(MERL_VIEWS)} of view"
+    found = f"views up to {MERL_VIEWS[-1][0]:g} degrees; highlights narrower than the steps of 3 degrees are lost"
+    return replace(table, warnings=(*table.warnings, warning("table-resampled", name, what, found=found)))
+
+
+def _unit(degrees: np.ndarray) -> np.ndarray:
+    """Unit vectors (n, 3) of theta and phi (n, 2)."""
+    theta, phi = np.radians(degrees).T
+    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=1)
 
 
 def _checked(rows: np.ndarray, channels: tuple[str, ...], lines: array, name: str) -> ReflectanceTable:

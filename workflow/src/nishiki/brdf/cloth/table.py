@@ -12,8 +12,8 @@ from typing import ClassVar
 import numpy as np
 
 from nishiki.brdf.cloth.interface import ArrayFields, halves, only_above
+from nishiki.formats.utia import UTIA_PHI_DEG, UTIA_THETA_DEG
 
-UTIA_THETA_DEG, UTIA_PHI_DEG = np.arange(0, 90, 15.0), np.arange(0, 360, 7.5)
 _HALF_PI = np.pi / 2
 _NEAREST_HORIZON = 1e-3  # z of the directions that stand for those at and beyond the horizon
 

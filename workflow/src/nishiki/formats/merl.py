@@ -1,0 +1,57 @@
+"""Tables of the MERL BRDF database, `.binary`: isotropic materials by half vector and difference.
+
+Three int32 (90, 90, 180), then doubles (colour, theta_h, theta_d, phi_d), lowest byte first, in steps of MERL_SCALE.
+theta_h, from the normal to the half vector, is spaced by squares: cell k begins at 90 (k / 90)^2 degrees. theta_d, from
+the half vector to the light, and phi_d, around it from the plane of the normal, are spaced by one degree; phi_d and
+phi_d + 180 are the same. Values below 0: light or view is below the surface.
+Reference: W. Matusik, H. Pfister, M. Brand and L. McMillan (2003), A data-driven reflectance model, ACM Transactions on
+Graphics 22 (3).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.formats.files import Refused, read_bytes
+
+MERL_SHAPE = (90, 90, 180)
+MERL_SCALE = np.array([1.0, 1.15, 1.66]) / 1500
+MERL_BYTES = 12 + 8 * 3 * int(np.prod(MERL_SHAPE))
+
+
+def read_merl(path: Path, name: str) -> np.ndarray:
+    """(90, 90, 180, 3) float64 of BRDF values in 1/sr, red, green, blue. Refused where the file is no such table."""
+    content = read_bytes(path, "reflectances_bytes", name=name)
+    if len(content) != MERL_BYTES or tuple(np.frombuffer(content, "<i4", 3)) != MERL_SHAPE:
+        found = f"{len(content)} bytes that begin with {np.frombuffer(content[:12].ljust(12), '<i4').tolist()}"
+        expected = f"{MERL_BYTES} bytes that begin with {list(MERL_SHAPE)}, as a table of the MERL database has"
+        raise Refused(name, "not such a table", expected=expected, found=found)
+    stored = np.frombuffer(content, "<f8", offset=12).reshape(3, *MERL_SHAPE)
+    return np.moveaxis(stored, 0, -1) * MERL_SCALE
+
+
+def merl_values(table: np.ndarray, light: np.ndarray, view: np.ndarray) -> np.ndarray:
+    """(n, 3) values of a table for unit vectors (n, 3) to light and view, the normal being z.
+
+    Linear between the middles of the cells. Below 0 where one of the cells around has no value.
+    """
+    from scipy.ndimage import map_coordinates
+
+    half = light + view
+    half = half / np.linalg.norm(half, axis=1, keepdims=True)
+    along = np.clip((light * half).sum(axis=1), -1, 1)
+    polar = np.arctan2(np.hypot(half[:, 0], half[:, 1]), half[:, 2])
+    # Around the half vector from the plane through it and the normal: `across` lies in that plane.
+    turn = np.arctan2(half[:, 1], half[:, 0])
+    across = np.stack([np.cos(polar) * np.cos(turn), np.cos(polar) * np.sin(turn), -np.sin(polar)], axis=1)
+    aside = np.stack([-np.sin(turn), np.cos(turn), np.zeros_like(turn)], axis=1)
+    around = np.mod(np.arctan2((light * aside).sum(axis=1), (light * across).sum(axis=1)), np.pi)
+    cells = np.stack([90 * np.sqrt(polar / (np.pi / 2)), np.degrees(np.arccos(along)), np.degrees(around)]) - 0.5
+    cells[2] += 1  # of the table continued by one cell at both ends
+    continued = np.concatenate([table[:, :, -1:], table, table[:, :, :1]], axis=2)
+    known = np.where(continued < 0, -np.inf, continued)
+    with np.errstate(invalid="ignore"):  # 0 times infinity
+        values = np.stack([map_coordinates(known[..., k], cells, order=1, mode="nearest") for k in range(3)], axis=1)
+    return np.where(np.isfinite(values).all(axis=1, keepdims=True), values, -1.0)
