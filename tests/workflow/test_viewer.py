@@ -7,6 +7,7 @@ import urllib.parse
 import zlib
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 import scipy.ndimage
@@ -406,3 +407,39 @@ def test_blocks_beside_the_page_hold_every_byte(viewed, browser):
     assert browser.picture(64, 48, view=FRONTAL).std() > 10
     assert browser.messages == []
     assert any(url.endswith("data/tile-0-0-0.js") for url in browser.requests)
+
+
+def test_results_of_two_settings_stand_under_one_divider(viewed, browser):
+    before = (viewed.folder / "results/tiny/current/viewer").resolve()
+    viewed.configure(products=["viewer"], viewer={"step": 8.0})
+    viewed.nishiki("run")
+    page = browser.page
+    page.set_viewport_size({"width": 900, "height": 640})
+    state = {"lamps": [lamp(180, 35, "A")], "exposure": 0.7}
+    inside = (slice(150, 500), slice(90, 250))
+
+    def screen():
+        page.wait_for_timeout(300)
+        page.evaluate("nishiki.idle()")
+        return cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_COLOR)[inside].astype(int)
+
+    alone = []
+    for folder in (before, (viewed.folder / "results/tiny/current/viewer").resolve()):
+        page.goto((folder / "index.html").as_uri())
+        page.wait_for_function("window.nishiki")
+        browser.set(**state)
+        alone.append(screen())
+    assert np.abs(alone[0] - alone[1]).max() > 8
+    printed = viewed.nishiki("view", "tiny", "--beside", str(before), "--print")
+    page.goto(printed.stdout.strip().splitlines()[-1])
+    page.wait_for_function("window.nishiki")
+    browser.set(**state)
+    page.wait_for_function("nishiki.state.compare && document.querySelector('#beside')")
+    assert before.name in section(browser, "compare").text_content()
+    assert np.abs(screen() - alone[0]).max() <= 2
+    browser.set(compare={"divider": 0.02, "state": None})
+    assert np.abs(screen() - alone[1]).max() <= 2
+    assert browser.messages == []
+    refused = viewed.nishiki("view", "tiny", "--beside", "nowhere", "--print", check=False)
+    assert refused.returncode == 2
+    assert "nowhere" in refused.stderr

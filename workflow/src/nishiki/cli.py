@@ -109,6 +109,8 @@ def _parser() -> argparse.ArgumentParser:
     text = "through a server for this machine alone, until Ctrl-C (default port: any that is free)"
     sub.add_argument("--serve", nargs="?", type=int, const=0, metavar="PORT", help=text)
     sub.add_argument("--print", action="store_true", help="print the address only; open nothing")
+    text = "another scene, or a folder of its viewer's results, on the left of a divider, under the same lamps"
+    sub.add_argument("--beside", metavar="OTHER", help=text)
     sub = command("table", "exporting:table", "write the figures of a campaign as a table, one row a scene")
     sub.add_argument("file", help="file to write, .csv or .parquet (needs the extra export)")
     sub.add_argument("--configfile", default="config/config.yaml", help="configuration (default %(default)s)")

@@ -5,6 +5,7 @@ import functools
 import http.server
 import json
 import os
+import urllib.parse
 import webbrowser
 from collections.abc import Mapping
 from pathlib import Path
@@ -31,13 +32,49 @@ def view(options: argparse.Namespace, rest: list[str]) -> int:
         page = page_of(flow, options.scene)
     else:
         page = write_index(flow)
+    other = beside(flow, options) if options.beside else None
     if options.serve is None:
-        print(page)
+        query = "" if other is None else query_of(page.resolve(), other.resolve())
+        print(page.resolve().as_uri() + query if query else page)
         if not options.print:
-            webbrowser.open(page.resolve().as_uri())
+            webbrowser.open(page.resolve().as_uri() + query)
         return 0
-    serve(results, page, options.serve, open_browser=not options.print)
+    query = "" if other is None else query_of(page, other)
+    serve(results, page, options.serve, open_browser=not options.print, query=query)
     return 0
+
+
+def beside(flow: Workflow, options: argparse.Namespace) -> Path:
+    """The viewer that --beside names: of a scene, or in a folder of results.
+
+    Raises
+    ------
+    UserError
+        Where no scene is named to put it beside, or either of the two has no viewer.
+    """
+    if not options.scene:
+        raise UserError(f"--beside {options.beside}: beside which scene? Remedy: ./nishiki view SCENE --beside OTHER")
+    folder = Path(options.beside)
+    page = folder / PAGE if (folder / PAGE).is_file() else page_of(flow, options.beside)
+    both = (page_of(flow, options.scene), page)
+    for each in both:
+        if each.name != PAGE:
+            raise UserError(
+                f"{each.parent}: no viewer is there. Remedy: add `viewer` to the products of the scene, and run"
+            )
+    stages = [_read(each.parent / "artifact.json").get("stage") for each in both]
+    if stages[0] != stages[1]:
+        raise UserError(
+            f"{page}: a page of {stages[1]}, expected one of {stages[0]}. Remedy: name a scene of the same kind"
+        )
+    if options.serve is not None and not page.resolve().is_relative_to(Path(flow.results).resolve()):
+        raise UserError(f"{page}: only pages within {flow.results} are served. Remedy: leave out --serve")
+    return page
+
+
+def query_of(page: Path, other: Path) -> str:
+    """What the address of a viewer needs so that another stands on the left of its divider."""
+    return "?" + urllib.parse.urlencode({"beside": Path(os.path.relpath(other, page.parent)).as_posix()})
 
 
 def page_of(flow: Workflow, scene: str) -> Path:
@@ -129,7 +166,7 @@ class _Quiet(http.server.SimpleHTTPRequestHandler):
         """Requests are not printed."""
 
 
-def serve(results: Path, page: Path, port: int, *, open_browser: bool) -> None:
+def serve(results: Path, page: Path, port: int, *, open_browser: bool, query: str = "") -> None:
     """Serve the results to this machine's browsers alone until interrupted (port 0: any that is free)."""
     handler = functools.partial(_Quiet, directory=str(results))
     try:
@@ -137,7 +174,7 @@ def serve(results: Path, page: Path, port: int, *, open_browser: bool) -> None:
     except OSError as error:
         raise UserError(f"--serve {port}: {error.strerror}. Remedy: another port, or 0 for any that is free") from None
     with server:
-        address = f"http://127.0.0.1:{server.server_port}/{page.relative_to(results).as_posix()}"
+        address = f"http://127.0.0.1:{server.server_port}/{page.relative_to(results).as_posix()}{query}"
         print(f"{address}   (Ctrl-C ends it)", flush=True)
         if open_browser:
             webbrowser.open(address)

@@ -1,4 +1,5 @@
 // The page: one scene on a canvas, its state, and the panel that changes the state.
+import { Beside, follow } from "viewer/beside";
 import { ClothScene } from "viewer/cloth";
 import { element } from "viewer/dom";
 import { lampsSection } from "viewer/lamps";
@@ -31,8 +32,12 @@ class App {
     this.resize();
     this.scene = await SCENES[this.manifest.chain].open(canvas, this.manifest, new Loader());
     this.first = { ...firstState(this.scene.firstView?.() ?? { x: 0, y: 0, zoom: 1, tilt_deg: 0, azimuth_deg: 0 }, preferred()), ...this.scene.firstState?.() };
+    const { searchParams } = new URL(location.href);
+    if (searchParams.has("beside")) this.first.compare = { divider: 0.5, state: null };
     this.state = fromBookmark(location.hash, this.first);
     this.scene.onready = () => this.redraw();
+    if (searchParams.has("part")) follow(this);
+    else if (searchParams.has("beside")) this.beside = new Beside(this, searchParams.get("beside"));
     if (this.flat) new FlatTools(this, canvas);
     else this.wireOrbit();
     addEventListener("resize", () => (this.resize(), this.redraw()));
@@ -106,6 +111,7 @@ class App {
 
   compareSection() {
     const { compare } = this.state;
+    if (this.beside) return [element("p", { className: "hint" }, text("beside.left", this.beside.told))];
     const keep = element("button", { type: "button", onclick: () => {
       const { view, compare: before, note, language, ...kept } = copy(this.state);
       this.state.compare = { divider: before?.divider ?? 0.5, state: kept };
@@ -246,12 +252,13 @@ class App {
     const { scene, state } = this, { width, height } = canvas, { compare } = state;
     const cut = compare ? Math.round(compare.divider * width) : 0;
     if (cut < width) scene.draw(state, { x: cut, y: 0, width: width - cut, height });
-    if (cut > 0) scene.draw({ ...state, ...compare.state, compare: null }, { x: 0, y: 0, width: cut, height });
+    if (cut > 0 && !this.beside) scene.draw({ ...state, ...compare.state, compare: null }, { x: 0, y: 0, width: cut, height });
     by("divider").hidden = !compare;
     if (compare) {
       by("divider").style.left = `${100 * compare.divider}%`;
       by("divider").setAttribute("aria-valuenow", Math.round(100 * compare.divider));
     }
+    this.beside?.show(cut / width);
     drawOverlay(this, by("overlay"));
     showLegend(this, by("legend"));
     if (!this.saying || by("busy").textContent === text("busy")) by("busy").textContent = scene.busy ? text("busy") : "";

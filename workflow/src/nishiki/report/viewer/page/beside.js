@@ -1,0 +1,46 @@
+// Two pages under one divider: results of two settings, or of two scenes of one object. The page that was opened holds the
+// other in a frame on the left of its divider, and tells it its state; ?beside=ADDRESS names that page.
+import { copy } from "viewer/state";
+
+/** In the page that was opened. */
+export class Beside {
+  /** app: whose first state has a divider; address: of the other page, relative to this one. */
+  constructor(app, address) {
+    Object.assign(this, { app, sent: "", told: { title: address, scene: "", key: "" } });
+    const other = new URL(address, location.href);
+    other.searchParams.set("part", "");
+    this.frame = document.createElement("iframe");
+    Object.assign(this.frame, { id: "beside", src: other.href, title: address, tabIndex: -1 });
+    document.getElementById("canvas").after(this.frame);
+    addEventListener("message", ({ source, data }) => {
+      if (source !== this.frame.contentWindow || !data.opened) return;
+      this.told = data.opened;
+      this.sent = "";
+      app.rebuild();
+    });
+  }
+
+  /** Show the share of the picture that lies left of the divider, in the state of this page and at its exposure. */
+  show(share) {
+    const { state, scene } = this.app, { compare, language, note, ...seen } = copy(state);
+    this.frame.style.clipPath = `inset(0 ${100 * (1 - share)}% 0 0)`;
+    if (seen.exposure === "auto") seen.exposure = scene.exposureShown ?? "auto";
+    const message = JSON.stringify(seen);
+    if (message === this.sent || !this.told.key) return;
+    this.sent = message;
+    this.frame.contentWindow.postMessage({ state: seen }, "*");
+  }
+}
+
+/** In the page on the left: no panel, and the state that it is told. */
+export function follow(app) {
+  document.body.classList.add("part");
+  app.resize();
+  addEventListener("message", ({ source, data }) => {
+    if (source !== parent || !data.state) return;
+    for (const [key, value] of Object.entries(data.state)) if (key in app.first) app.state[key] = value;
+    app.redraw();
+  });
+  const { title, scene, key } = app.manifest;
+  parent.postMessage({ opened: { title, scene, key } }, "*");
+}
