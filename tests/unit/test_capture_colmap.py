@@ -1,6 +1,7 @@
 """Cameras of COLMAP, text and binary, become a turntable's: files written here after COLMAP's description of them."""
 
 import struct
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -11,6 +12,7 @@ from nishiki.capture.colmap import read_colmap
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
 from nishiki.formats.problems import CaptureError
+from nishiki.geometry.camera import Camera
 
 ROWS, COLUMNS = 24, 32
 PINHOLE = (1, "PINHOLE", [40.0, 41.0, 16.5, 11.0])
@@ -75,12 +77,45 @@ def test_a_reconstruction_becomes_a_turntable(tmp_path, kind, place):
         )
 
 
-def test_a_distortion_is_refused_unless_it_is_zero(tmp_path):
-    write_model(tmp_path, "text", camera=(2, "SIMPLE_RADIAL", [40.0, 16.0, 12.0, 0.01]))
-    with pytest.raises(CaptureError, match="image_undistorter"):
-        read_colmap(tmp_path)
+@pytest.mark.parametrize(
+    ("number", "model", "parameters", "brown"),
+    [
+        (2, "SIMPLE_RADIAL", [40.0, 16.0, 12.0, 0.04], (0.04, 0, 0, 0, 0)),
+        (3, "RADIAL", [40.0, 16.0, 12.0, 0.04, -0.02], (0.04, -0.02, 0, 0, 0)),
+        (4, "OPENCV", [40.0, 41.0, 16.0, 12.0, 0.04, -0.02, 0.003, -0.001], (0.04, -0.02, 0.003, -0.001, 0)),
+        (6, "FULL_OPENCV", [40.0, 41.0, 16.0, 12.0, 0.1, 0.2, 0.01, 0.02, 0.3, 0, 0, 0], (0.1, 0.2, 0.01, 0.02, 0.3)),
+    ],
+)
+@pytest.mark.parametrize("kind", ["text", "binary"])
+def test_a_distorted_lens_goes_along(tmp_path, kind, number, model, parameters, brown):
+    """Points fall where OpenCV, whose models these are, sees them."""
+    photographs(tmp_path / "s", [name for name, _, _ in around()])
+    write_model(tmp_path / "s", kind, camera=(number, model, parameters))
+    convert(tmp_path / "s", tmp_path / "capture")
+    capture = load_capture(tmp_path / "capture")
+    lens = capture.intrinsics
+    assert lens.distortion == pytest.approx(brown)
+    points = np.random.default_rng(1).uniform(-0.5, 0.5, (20, 3))
+    fx, fy, cx, cy = parameters[:4] if number > 3 else [parameters[0], *parameters[:3]]
+    inner = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    for name, rotation, translation in around():
+        matrix = capture.matrices[name.removesuffix(".png")]
+        camera = replace(Camera.from_matrix("v", matrix, rows=ROWS, columns=COLUMNS), distortion=lens.distortion)
+        expected = cv2.projectPoints(points, rotation.as_rotvec(), translation, inner, np.array(brown))[0][:, 0]
+        np.testing.assert_allclose(camera.project(points)[0] + 0.5, expected, atol=1e-9)
+
+
+def test_other_distortions_are_refused(tmp_path):
+    full = [40.0, 41.0, 16.0, 12.0, 0.1, 0.2, 0, 0, 0.3, 0.01, 0, 0]
+    for camera in ((6, "FULL_OPENCV", full), (5, "OPENCV_FISHEYE", [40.0, 40, 16, 12, 0, 0, 0, 0])):
+        write_model(tmp_path, "text", camera=camera)
+        with pytest.raises(CaptureError, match="image_undistorter"):
+            read_colmap(tmp_path)
     write_model(tmp_path, "text", camera=(2, "SIMPLE_RADIAL", [40.0, 16.0, 12.0, 0.0]))
     assert len(read_colmap(tmp_path)) == 8
+    write_model(tmp_path, "text", camera=(2, "SIMPLE_RADIAL", [-40.0, 16.0, 12.0, 0.0]))
+    with pytest.raises(CaptureError, match="not as COLMAP"):
+        read_colmap(tmp_path)
 
 
 def test_photographs_that_are_missing_or_of_another_size_are_named(tmp_path):

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from nishiki.capture.registered import RegisteredView
+from nishiki.capture.turntable_schema import Intrinsics
 from nishiki.formats.bounds import bound
 from nishiki.formats.files import read_bytes
 from nishiki.formats.problems import CaptureError, error
@@ -16,7 +18,8 @@ from nishiki.formats.text_tables import expect_rows, reading
 
 PLACES = (".", "sparse", "sparse/0")
 KINDS = (".txt", ".bin")
-# Name, number of parameters, and how many of these come before the distortion, by COLMAP's number of the model.
+# Name, number of parameters, and how many of these come before the distortion, by COLMAP's number of the model. The
+# distortion begins with k1, k2, p1, p2, k3 of Brown's model as far as it goes; what follows is another model's.
 MODELS = (
     ("SIMPLE_PINHOLE", 3, 3),
     ("PINHOLE", 4, 4),
@@ -30,25 +33,16 @@ MODELS = (
     ("RADIAL_FISHEYE", 5, 3),
     ("THIN_PRISM_FISHEYE", 12, 4),
 )
+BROWN = 5
 FISHEYE = ("FISHEYE", "FOV")
 CORNER = 0.5  # COLMAP's pixels count from the corner of the top left one, ours from its centre
-
-
-@dataclass(frozen=True)
-class ColmapView:
-    """A registered photograph: name below the folder of images, size in pixels, projection matrix (3, 4) float64."""
-
-    name: str
-    rows: int
-    columns: int
-    matrix: np.ndarray
 
 
 @dataclass(frozen=True)
 class _Camera:
     rows: int
     columns: int
-    intrinsics: np.ndarray
+    lens: Intrinsics
 
 
 @dataclass(frozen=True)
@@ -69,11 +63,11 @@ def colmap_folder(source: Path) -> Path | None:
     return None
 
 
-def read_colmap(folder: Path) -> list[ColmapView]:
+def read_colmap(folder: Path) -> list[RegisteredView]:
     """The registered photographs, sorted by name.
 
-    Raises CaptureError: cameras-unreadable, cameras-many; cameras-distorted where a camera has a distortion, which
-    projection matrices cannot say.
+    Raises CaptureError: cameras-unreadable, cameras-many; cameras-distorted where a lens cannot be said by Brown's five
+    numbers.
     """
     kind = ".bin" if (folder / "cameras.bin").is_file() and (folder / "images.bin").is_file() else ".txt"
     cameras = _parsed(folder / f"cameras{kind}", dict(zip(KINDS, (_text_cameras, _binary_cameras), strict=True))[kind])
@@ -91,7 +85,7 @@ def _parsed(path: Path, parse: Callable):
         raise CaptureError(error("cameras-unreadable", path.name, what, found=str(e)[:120], remedy=remedy)) from e
 
 
-def _view(image: _Image, cameras: dict[int, _Camera], file: str) -> ColmapView:
+def _view(image: _Image, cameras: dict[int, _Camera], file: str) -> RegisteredView:
     from scipy.spatial.transform import Rotation
 
     camera = cameras.get(image.camera)
@@ -102,19 +96,24 @@ def _view(image: _Image, cameras: dict[int, _Camera], file: str) -> ColmapView:
     if not np.isfinite(image.quaternion).all() or not any(image.quaternion):
         raise CaptureError(error("camera-values", file, f"rotation of the photograph '{image.name}'"))
     pose = np.column_stack([Rotation.from_quat([x, y, z, w]).as_matrix(), image.translation])
-    return ColmapView(image.name, camera.rows, camera.columns, camera.intrinsics @ pose)
+    return RegisteredView.of(image.name, (camera.rows, camera.columns), camera.lens, pose)
 
 
 def _camera(model: str, parameters: Sequence[float], rows: int, columns: int) -> _Camera:
-    """CaptureError (cameras-distorted) where the camera has a distortion."""
+    """CaptureError (cameras-distorted) where the camera has another distortion than Brown's."""
     plain = next(before for name, _, before in MODELS if name == model)
-    if any(parameters[plain:]) or any(word in model for word in FISHEYE):
+    distortion = [float(value) for value in parameters[plain:]]
+    if any(distortion[BROWN:]) or any(word in model for word in FISHEYE):
         remedy = "Take the distortion out of the photographs (colmap image_undistorter), and convert what that writes"
-        what = f"the camera {model} of {columns} x {rows} pixels has a distortion"
-        raise CaptureError(error("cameras-distorted", "cameras", what, expected="PINHOLE", remedy=remedy))
+        what = f"the camera {model} of {columns} x {rows} pixels has a distortion that is not read"
+        expected = "PINHOLE, SIMPLE_RADIAL, RADIAL or OPENCV"
+        raise CaptureError(error("cameras-distorted", "cameras", what, expected=expected, remedy=remedy))
     fx, fy = (parameters[0], parameters[0]) if plain == 3 else parameters[:2]
     cx, cy = (value - CORNER for value in parameters[plain - 2 : plain])
-    return _Camera(rows, columns, np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]))
+    brown = tuple((distortion + [0.0] * BROWN)[:BROWN])
+    if not (np.isfinite([fx, fy, cx, cy, *brown]).all() and min(fx, fy) > 0):
+        raise ValueError(f"camera {model} with {' '.join(f'{value:g}' for value in parameters)}")
+    return _Camera(rows, columns, Intrinsics(fx=fx, fy=fy, cx=cx, cy=cy, distortion=brown))
 
 
 def _text_cameras(content: bytes) -> dict[int, _Camera]:

@@ -11,11 +11,11 @@ from __future__ import annotations
 import json
 import math
 import re
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from nishiki.capture.registered import RegisteredView
 from nishiki.capture.turntable_schema import Intrinsics
 from nishiki.formats.files import read_text
 from nishiki.formats.problems import CaptureError, error
@@ -30,17 +30,6 @@ DISTORTIONS = {
     **{name: RADIAL3 for name in ("radial3", "radialk3")},
     "brown": BROWN,
 }
-
-
-@dataclass(frozen=True)
-class RegisteredView:
-    """A photograph whose camera is known: file name, size in pixels, projection matrix (3, 4) float64, lens."""
-
-    name: str
-    rows: int
-    columns: int
-    matrix: np.ndarray
-    lens: Intrinsics
 
 
 def meshroom_file(source: Path) -> Path | None:
@@ -90,8 +79,7 @@ def _view(view: dict, lenses: dict, pose: np.ndarray) -> RegisteredView:
     if "rigId" in view or view.get("isPoseIndependant") in (False, "false", "0"):
         raise ValueError(f"'{name}' belongs to a rig of cameras, whose poses are not read")
     rows, columns, lens = lenses[str(view["intrinsicId"])]
-    matrix = np.array([[lens.fx, 0, lens.cx], [0, lens.fy, lens.cy], [0, 0, 1]]) @ pose
-    return RegisteredView(name, rows, columns, matrix, lens)
+    return RegisteredView.of(name, (rows, columns), lens, pose)
 
 
 def _pose(transform: dict) -> np.ndarray:

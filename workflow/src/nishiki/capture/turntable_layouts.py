@@ -11,10 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.capture.cameras import camera_centre, camera_problems
-from nishiki.capture.colmap import ColmapView, colmap_folder, read_colmap
+from nishiki.capture.colmap import colmap_folder, read_colmap
 from nishiki.capture.layouts import natural_key, photographs_in, source_problems
-from nishiki.capture.meshroom import RegisteredView, meshroom_file, read_meshroom
+from nishiki.capture.meshroom import meshroom_file, read_meshroom
 from nishiki.capture.polariser import parse_state
+from nishiki.capture.registered import RegisteredView, distorted_lens
 from nishiki.capture.seal import sha256_of
 from nishiki.capture.turntable_schema import Intrinsics
 from nishiki.formats.bounds import bound
@@ -59,7 +60,7 @@ def recognise_round(source: Path) -> RoundLayout | None:
         return _registered(source, "COLMAP", reconstruction.name, read_colmap(reconstruction))
     cameras = meshroom_file(source)
     if cameras is not None:
-        return _meshroom(source, cameras)
+        return _registered(source, "Meshroom", cameras.name, read_meshroom(cameras))
     photographs = photographs_in(source)
     lists = [path for path in sorted(source.glob("*.txt")) if _is_camera_list(path)]
     if lists:
@@ -200,10 +201,16 @@ def _middlebury(source: Path, path: Path) -> RoundLayout:
     return _turntable("turntable with a list of cameras", photographs, np.array(matrices), path.name, None, notes)
 
 
-def _registered(source: Path, program: str, file: str, views: list[ColmapView] | list[RegisteredView]) -> RoundLayout:
+def _registered(source: Path, program: str, file: str, views: list[RegisteredView]) -> RoundLayout:
     """Photographs that a program found the cameras of, in the folder itself or in `images`."""
+    names = [view.name for view in views]
+    if len(set(names)) != len(names):
+        found = next(name for name in names if names.count(name) > 1)
+        what, remedy = "two photographs of one name", f"Give them names of their own before {program} is run"
+        raise CaptureError(error("photograph-repeats", file, what, found=found, remedy=remedy))
+    lens = distorted_lens(views, file)
     folder = source / "images" if (source / "images").is_dir() else source
-    problems, photographs = [], [folder / view.name for view in views]
+    problems, photographs = [], [folder / name for name in names]
     for view, path in zip(views, photographs, strict=True):
         if not path.is_file():
             problems.append(error("photograph-missing", file, f"no photograph '{view.name}'"))
@@ -221,26 +228,8 @@ def _registered(source: Path, program: str, file: str, views: list[ColmapView] |
         what, found = f"pictures that {program} did not register were left out", ", ".join(extra[:5])
         notes.append(warning("photograph-unlisted", str(folder), what, found=found))
     matrices = np.array([view.matrix for view in views])
-    return _turntable(f"turntable with cameras of {program}", photographs, matrices, file, None, notes)
-
-
-def _meshroom(source: Path, path: Path) -> RoundLayout:
-    """Photographs with the poses of Meshroom; its lens goes along where it is distorted."""
-    views = read_meshroom(path)
-    names = [view.name for view in views]
-    if len(set(names)) != len(names):
-        found = next(name for name in names if names.count(name) > 1)
-        what, remedy = "two photographs of one name", "Give them names of their own before Meshroom is run"
-        raise CaptureError(error("photograph-repeats", path.name, what, found=found, remedy=remedy))
-    lenses = {view.lens for view in views}
-    layout = _registered(source, "Meshroom", path.name, views)
-    if not any(any(lens.distortion) for lens in lenses):
-        return layout
-    if len({lens.distortion for lens in lenses}) > 1:
-        what, found = "several lenses whose distortions differ", f"{len(lenses)} lenses"
-        remedy = "Photograph with one camera and lens, and let Meshroom treat all photographs as of one"
-        raise CaptureError(error("cameras-distorted", path.name, what, found=found, remedy=remedy))
-    return replace(layout, lens=views[0].lens)
+    layout = _turntable(f"turntable with cameras of {program}", photographs, matrices, file, None, notes)
+    return replace(layout, lens=lens)
 
 
 def _turntable(
