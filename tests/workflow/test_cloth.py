@@ -3,6 +3,7 @@
 import json
 
 import pytest
+import trimesh
 from loaded_and_read import WhatIsLoadedAndRead
 
 pytestmark = pytest.mark.slow
@@ -66,3 +67,15 @@ def test_a_flipped_bit_is_named(cloth_site, stage):
         assert victim.name in done.stdout
     finally:
         victim.write_bytes(sound)
+
+
+def test_a_cloth_is_exported(cloth_site):
+    wrong = cloth_site.nishiki("export", "tiny", "wood", check=False)
+    assert wrong.returncode == 2
+    assert "wood" in wrong.stderr
+    cloth_site.nishiki("export", "tiny", "gltf", "--output", "for-others")
+    (mesh,) = trimesh.load(cloth_site.folder / "for-others/cloth.glb").geometry.values()
+    (manifest,) = (cloth_site.folder / "results/tiny/cloth_export").glob("*/artifact.json")
+    surface = artifact(cloth_site, "cloth_render")["diagnostics"]["surface"]
+    assert len(mesh.faces) == surface["triangles"]
+    assert json.loads(manifest.read_text())["diagnostics"]["losses"]["gltf"]["against_model"]["delta_e"]["mean"] < 5

@@ -34,6 +34,7 @@ NAMES = (
     "cloth_render",
     "cloth_viewer",
     "cloth_evaluate",
+    "cloth_export",
     "cloth_report",
 )
 """A stage is a folder of this package with `declaration.py` and `run.py`, and one line here."""

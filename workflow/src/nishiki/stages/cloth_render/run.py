@@ -1,29 +1,20 @@
 """Cloth pictures: pictures of the cloth, draped and on cylinders, under its lamps and in its dyes."""
 
-from pathlib import Path
-
 import numpy as np
 
 from nishiki.artifacts.stage import Context
-from nishiki.errors import UserError
-from nishiki.render.cloth.drape import read_drape
 from nishiki.render.cloth.dyes import dyed
 from nishiki.render.cloth.frame import ClothPicture
-from nishiki.render.cloth.mesh_store import read_surface
 from nishiki.render.cloth.models import ClothModels
 from nishiki.render.cloth.scene import Brdf, Surface
-from nishiki.render.cloth.sheet import sheet
-from nishiki.render.cloth.studio import Lighting, linear_colour, studio, tubes, turning
-from nishiki.render.cloth.tangent import from_direction, from_texture
+from nishiki.render.cloth.studio import linear_colour, studio, tubes, turning
 from nishiki.render.display import DisplayImage, developed, exposure_for
 from nishiki.render.output import write_exr, write_png, write_video
 from nishiki.stages.cloth_render.declaration import ClothRenderSettings
+from nishiki.stages.cloth_render.scene import draped_cloth, lights_of, room
 
-FINEST_SIDE = 193
-"""Points along a side of the drawn cloth, half as many again as the shipped surface has."""
 BRIGHTEST = 0.95
 """Share of the display's white that the bright parts of the pictures may reach."""
-AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
 
 
 def run(context: Context) -> dict:
@@ -31,7 +22,8 @@ def run(context: Context) -> dict:
     settings = context.settings
     models = ClothModels(context.inputs["cloth_brdf"].folder)
     brdf = models.brdf(settings.region or models.regions[0], settings.model or None)
-    surface, shape = surface_of(settings)
+    draped = draped_cloth(settings)
+    surface = draped.surface
     view = settings.view
     place = {"elevation": np.radians(view.elevation_deg), "azimuth": np.radians(view.azimuth_deg)}
     size = {"rows": view.rows, "columns": view.columns, "distance": view.distance}
@@ -58,7 +50,7 @@ def run(context: Context) -> dict:
     return {
         "region": settings.region or models.regions[0],
         "model": settings.model or models.default,
-        "surface": shape,
+        "surface": draped.about,
         "exposure": exposure,
         "pictures": pictures,
         "video": video,
@@ -80,51 +72,6 @@ def shown(settings: ClothRenderSettings, picture: ClothPicture, exposure: float)
     """The PNG picture, over white."""
     soft = settings.tone == "soft"
     return developed(picture.linear, picture.coverage, exposure=exposure, soft=soft, background=1.0)
-
-
-def surface_of(settings: ClothRenderSettings) -> tuple[Surface, dict]:
-    """The draped cloth, or the surface of the file, with its weft; and what is to be said of it."""
-    if settings.mesh is not None:
-        read = read_surface(Path(settings.mesh.file), sha256=settings.mesh.sha256, smooth=settings.mesh.smooth)
-        mesh, turn = read.mesh, np.radians(settings.mesh.turned_deg)
-        if settings.mesh.weft == "texture":
-            if read.uv is None:
-                raise UserError(
-                    f"{settings.mesh.file}: expected texture coordinates, one pair a vertex, found none. Remedy: set "
-                    "mesh.weft to x, y or z, the axis along which the weft is laid on"
-                )
-            field = from_texture(mesh.vertices, mesh.triangles, mesh.normals, read.uv, turn=turn)
-        else:
-            axis = np.array(AXES[settings.mesh.weft], float)
-            field = from_direction(mesh.vertices, mesh.triangles, mesh.normals, axis, turn=turn)
-        diagnostics = {"transported": int(field.filled.sum()), "arbitrary": field.arbitrary, "sha256": read.sha256}
-        return Surface(mesh, field.weft), {"kind": "file", **sizes(mesh), **diagnostics}
-    side = min(FINEST_SIDE, max(settings.view.rows, settings.view.columns) + 1)  # no more points than pixels
-    surface, _ = sheet(read_drape(), side=side)
-    return surface, {"kind": "ball", **sizes(surface.mesh)}
-
-
-def sizes(mesh) -> dict:
-    """Counts of a mesh."""
-    return {"vertices": len(mesh.vertices), "triangles": len(mesh.triangles)}
-
-
-def lights_of(settings: ClothRenderSettings) -> list[Lighting]:
-    """The lamps."""
-    return [
-        Lighting(
-            np.radians(lamp.elevation_deg),
-            np.radians(lamp.azimuth_deg),
-            tuple(lamp.intensity * value for value in linear_colour(lamp.colour)),
-            np.radians(lamp.radius_deg),
-        )
-        for lamp in settings.lights.values()
-    ]
-
-
-def room(settings: ClothRenderSettings) -> dict:
-    """Light from around, and the paper."""
-    return {"level": settings.around, "reflectance": settings.paper}
 
 
 def swatches(context: Context, brdf: Brdf, cloths: dict[str, Brdf]) -> dict:

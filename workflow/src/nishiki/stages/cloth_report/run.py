@@ -10,6 +10,7 @@ from nishiki.report.scene_page import write_scene_page
 from nishiki.stages.cloth_brdf.report import model_name, reflection_section
 from nishiki.stages.cloth_evaluate.report import curves_section, errors_section
 from nishiki.stages.cloth_render.report import rendered_section
+from nishiki.stages.export.report import export_section
 from nishiki.stages.goniometer_samples.report import coverage_section, facts
 from nishiki.stages.table import chain_of
 from nishiki.stages.weave.report import weave_section
@@ -38,6 +39,7 @@ def run(context: Context) -> dict:
             errors_section(evaluation),
             curves_section(evaluation, region),
             coverage_section(inputs["goniometer_samples"]),
+            export_section(inputs.get("cloth_export")),
         ],
         warnings=[*(capture.get("warnings") or []), *(samples.get("warnings") or [])],
     )

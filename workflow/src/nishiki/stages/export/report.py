@@ -41,6 +41,12 @@ def lost(each: dict) -> str:
         error = figures["psnr_db"][lights]
         which = "lights that no fit saw" if lights == "check" else "the fitted lights (no others are kept)"
         texts.append(f"{kind}: {figure(error['all'])} dB against photographs under {which} ({error['lights']})")
+    if "against_model" in each:
+        measured = each["against_model"]
+        texts.append(
+            f"its material is {figure(measured['psnr_db']['all'])} dB and on average CIEDE2000 "
+            f"{figure(measured['delta_e']['mean'])} from the fitted model, in {measured['pictures']} pictures"
+        )
     for layer, decibels in each.get("jpeg_psnr_db", {}).items():
         texts.append(f"{layer}: JPEG keeps {figure(decibels)} dB of the coded picture")
     if each.get("shading_terms_left_out"):

@@ -1,0 +1,216 @@
+"""Exports of a cloth, read back by the libraries of other programs and by slow references."""
+
+import json
+import math
+import struct
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import trimesh
+from pages import make_artifact
+from unit.test_cloth_render import QUAD
+from unit.test_export import gltf_problems
+
+from nishiki.artifacts.artifact import ArtifactWriter
+from nishiki.artifacts.closed import parse
+from nishiki.artifacts.finite import expect_finite
+from nishiki.artifacts.stage import Context
+from nishiki.brdf.cloth.peers import Ward
+from nishiki.brdf.cloth.store import save_brdf
+from nishiki.progress import Progress
+from nishiki.render.cloth.drape import read_drape
+from nishiki.stages.cloth_export.declaration import ClothExportSettings
+from nishiki.stages.cloth_export.gltf import errors
+from nishiki.stages.cloth_export.gltf_cloth import GltfCloth, coded_error, fitted_cloth, pairs, sheen_albedo
+from nishiki.stages.cloth_export.run import run
+from nishiki.stages.cloth_export.scene import ExportedCloth
+from nishiki.stages.cloth_render.declaration import ClothRenderSettings
+from nishiki.stages.export.report import export_section
+
+STAMP = {"scene": "small", "stage": "cloth_export", "key": "0" * 12, "version": "0.1.0"}
+WARD = Ward(diffuse=np.array([0.05, 0.04, 0.1]), specular=np.full(3, 0.2), alpha_x=0.5, alpha_y=0.2)
+SHINY = GltfCloth(
+    base=np.array([0.1, 0.05, 0.02]), roughness=0.5, anisotropy=0.6, weight=0.9, specular_colour=np.full(3, 2.0),
+    sheen_colour=np.array([0.2, 0.2, 0.1]), sheen_roughness=0.4, along_warp=True,
+)  # fmt: skip
+
+
+def inputs_of(folder, **shown):
+    """What the stage reads: a model, and the settings of the pictures."""
+
+    def fill(writer):
+        save_brdf(writer.path("models/cloth/ward.npz"), WARD)
+        told = {"default": "ward", "regions": ["cloth"], "models": {"cloth": {"ward": {"used": [0]}}}}
+        writer.path("cloth_brdf.json").write_text(json.dumps(told))
+
+    settings = parse(ClothRenderSettings, {"view": {"rows": 48, "columns": 48}, **shown}, "settings")
+    return {
+        "cloth_brdf": make_artifact(folder, None, fill, stamp=STAMP, stage="cloth_brdf"),
+        "cloth_render": make_artifact(folder, settings, lambda writer: {}, stamp=STAMP),
+    }
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    """What was read, the folder of the exports in all formats, and what the stage reports."""
+    folder = tmp_path_factory.mktemp("cloth")
+    inputs = inputs_of(folder)
+    with ArtifactWriter(folder / STAMP["key"]) as output:
+        reported = run(Context(inputs, ClothExportSettings(), output, None, None, STAMP, Progress("small")))
+        expect_finite(output.folder, "cloth_export")
+        cloth = ExportedCloth.of(inputs)
+        yield SimpleNamespace(cloth=cloth, folder=output.folder / "exports", reported=reported)
+
+
+def slow_reference(light, view, *, sheen=True):
+    """The material SHINY by the formulas of the extensions' pages, term by term."""
+    alpha = SHINY.roughness**2
+    at, ab = alpha + (1 - alpha) * SHINY.anisotropy**2, alpha
+    t, b = np.array([0.0, 1.0, 0.0]), np.array([-1.0, 0.0, 0.0])  # turned by 90 degrees from the weft
+    h = (light + view) / np.linalg.norm(light + view)
+    a2 = at * ab
+    f = np.array([ab * (t @ h), at * (b @ h), a2 * h[2]])
+    distribution = a2 * (a2 / (f @ f)) ** 2 / math.pi
+    ggx_view = light[2] * math.hypot(at * (t @ view), ab * (b @ view), view[2])
+    ggx_light = view[2] * math.hypot(at * (t @ light), ab * (b @ light), light[2])
+    visibility = min(0.5 / (ggx_view + ggx_light), 1)
+    schlick = SHINY.weight * (0.08 + 0.92 * (1 - view @ h) ** 5)
+    value = (1 - schlick) * SHINY.base / math.pi + schlick * distribution * visibility
+    if not sheen:
+        return value
+    inverse = 1 / SHINY.sheen_roughness**2
+    charlie = (2 + inverse) * math.sqrt(1 - h[2] ** 2) ** inverse / (2 * math.pi)
+    charlie /= 4 * (light[2] + view[2] - light[2] * view[2])
+    kept = 1 - 0.2 * max(brute_albedo(light[2]), brute_albedo(view[2]))
+    return SHINY.sheen_colour * charlie + kept * value
+
+
+def brute_albedo(cosine):
+    """Directional albedo of a white sheen by adding up 90,000 directions."""
+    theta, phi = np.meshgrid((np.arange(300) + 0.5) / 300 * np.pi / 2, (np.arange(300) + 0.5) / 300 * 2 * np.pi)
+    out = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
+    h = out + np.array([math.sqrt(1 - cosine**2), 0, cosine])
+    cos_h = h[..., 2] / np.linalg.norm(h, axis=-1)
+    inverse = 1 / SHINY.sheen_roughness**2
+    values = (2 + inverse) * np.sqrt(1 - cos_h**2) ** inverse / (2 * np.pi)
+    values /= 4 * (cosine + out[..., 2] - cosine * out[..., 2])
+    return float(np.sum(values * np.cos(theta) * np.sin(theta)) * (np.pi / 2 / 300) * (2 * np.pi / 300))
+
+
+def test_the_material_is_that_of_the_extensions():
+    lights, views = (each[:20] for each in pairs(200, 3))
+    found = SHINY.evaluate(lights, views)
+    plain = replace(SHINY, sheen_colour=np.zeros(3)).evaluate(lights, views)
+    for k in range(20):
+        np.testing.assert_allclose(found[k], slow_reference(lights[k], views[k]), rtol=0.01)
+        np.testing.assert_allclose(plain[k], slow_reference(lights[k], views[k], sheen=False), rtol=1e-9)
+    np.testing.assert_allclose(
+        sheen_albedo(np.array([0.3, 0.9]), 0.4), [brute_albedo(0.3), brute_albedo(0.9)], rtol=0.01
+    )
+    assert not SHINY.evaluate(lights * [1, 1, -1], views).any()
+
+
+def test_the_fit_finds_a_material_again():
+    found = fitted_cloth(SHINY, count=200)
+    assert found.along_warp
+    for name, value in SHINY.as_dict().items():
+        np.testing.assert_allclose(getattr(found, name), value, atol=1e-3)
+    assert coded_error(found, SHINY) < 1e-4
+    dull = replace(SHINY, sheen_colour=np.zeros(3), along_warp=False)
+    found = fitted_cloth(dull, count=200)
+    assert not found.along_warp
+    assert not found.sheen_colour.any(), "sheen that brings nothing is left out"
+    assert "KHR_materials_sheen" not in found.material()["extensions"]
+
+
+def read_glb(path):
+    """The document of a binary glTF file, and its attributes and indices as arrays."""
+    data = path.read_bytes()
+    (length,) = struct.unpack_from("<I", data, 12)
+    document, binary = json.loads(data[20 : 20 + length]), data[28 + length :]
+
+    def array(number):
+        accessor = document["accessors"][number]
+        width = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}[accessor["type"]]
+        start = document["bufferViews"][accessor["bufferView"]]["byteOffset"]
+        kind = {5126: "<f4", 5125: "<u4"}[accessor["componentType"]]
+        return np.frombuffer(binary, kind, accessor["count"] * width, start).reshape(-1, width)
+
+    primitive = document["meshes"][0]["primitives"][0]
+    return document, {name: array(k) for name, k in primitive["attributes"].items()}, array(primitive["indices"])
+
+
+def test_gltf_is_valid(exported):
+    assert gltf_problems(exported.folder / "cloth.glb") == []
+
+
+def test_other_programs_read_the_mesh(exported):
+    (mesh,) = trimesh.load(exported.folder / "cloth.glb", process=False).geometry.values()
+    given = exported.cloth.draped.surface.mesh
+    np.testing.assert_allclose(mesh.vertices, given.vertices, atol=1e-6)
+    np.testing.assert_array_equal(mesh.faces, given.triangles)
+    np.testing.assert_allclose(mesh.vertex_normals, given.normals, atol=1e-5)
+    material = mesh.visual.material
+    told = exported.reported["losses"]["gltf"]["material"]
+    assert material.doubleSided
+    assert material.roughnessFactor == pytest.approx(told["roughness"])
+    assert material.metallicFactor == 0
+
+
+def test_tangents_run_along_the_weft_and_bitangents_along_the_warp(exported):
+    document, arrays, _ = read_glb(exported.folder / "cloth.glb")
+    tangents, normals, uv = (arrays[name].astype(float) for name in ("TANGENT", "NORMAL", "TEXCOORD_0"))
+    np.testing.assert_allclose(np.sum(tangents[:, :3] * normals, axis=1), 0, atol=1e-5)
+    assert (tangents[:, 3] == 1).all()
+    side = round(len(uv) ** 0.5)
+    grid = arrays["POSITION"].astype(float).reshape(side, side, 3)
+    weft, warp = (np.gradient(grid, axis=axis).reshape(-1, 3) for axis in (0, 1))
+    bitangents = np.cross(normals, tangents[:, :3])
+    for direction, expected in ((weft, tangents[:, :3]), (warp, bitangents)):
+        cosines = np.sum(direction * expected, axis=1) / np.linalg.norm(direction, axis=1)
+        assert np.median(cosines) > 0.99
+        assert np.percentile(cosines, 2) > 0.8  # cloth shears where it is pinched
+    places = uv.reshape(side, side, 2)
+    assert (np.diff(places[..., 0], axis=0) > 0).all(), "u runs along the weft"
+    assert (np.diff(places[..., 1], axis=1) < 0).all(), "v runs down, against the warp"
+    wide = read_drape()[-1, 0] - read_drape()[0, 0]
+    np.testing.assert_allclose(grid[-1, 0] - grid[0, 0], wide, atol=1e-5)
+    (material,) = document["materials"]
+    anisotropy = material["extensions"]["KHR_materials_anisotropy"]
+    assert anisotropy["anisotropyRotation"] == 0, "the ward lobe is wider along the weft"
+    assert anisotropy["anisotropyStrength"] > 0.3
+    assert document["extensionsUsed"] == sorted(material["extensions"])
+    assert document["asset"]["extras"] == {**STAMP, "region": "cloth", "model": "ward"}
+
+
+def test_the_loss_is_that_of_the_pictures(exported):
+    told = exported.reported["losses"]["gltf"]
+    assert errors(exported.cloth, exported.cloth.brdf)["psnr_db"]["all"] == pytest.approx(120)
+    measured = told["against_model"]
+    assert measured["pictures"] == 12
+    assert measured["psnr_db"]["worst"] <= measured["psnr_db"]["all"]
+    assert measured["psnr_db"]["all"] > 28
+    material = GltfCloth(**{**told["material"], **{
+        name: np.array(told["material"][name]) for name in ("base", "specular_colour", "sheen_colour")
+    }})  # fmt: skip
+    again = errors(exported.cloth, material)
+    assert again["delta_e"]["mean"] == pytest.approx(measured["delta_e"]["mean"], rel=1e-6)
+    turned = errors(exported.cloth, replace(material, along_warp=True))
+    assert turned["delta_e"]["mean"] > 2 * measured["delta_e"]["mean"]
+
+
+def test_a_surface_from_a_file_has_its_texture_coordinates_where_they_follow_the_weft(tmp_path):
+    path = tmp_path / "quad.obj"
+    path.write_text(QUAD)
+    for number, (changes, expected) in enumerate([({}, True), ({"turned_deg": 30}, False), ({"weft": "y"}, False)]):
+        inputs = inputs_of(tmp_path / str(number), mesh={"file": str(path), **changes})
+        assert (ExportedCloth.of(inputs).draped.uv is not None) == expected
+
+
+def test_the_page_names_the_file_and_its_loss(exported):
+    (_, table) = export_section(SimpleNamespace(diagnostics=exported.reported)).blocks
+    ((name, files, _, lost),) = table.rows
+    assert (name, files) == ("gltf", "cloth.glb")
+    assert "dB and on average CIEDE2000" in lost
