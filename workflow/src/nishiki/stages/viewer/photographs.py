@@ -36,12 +36,9 @@ def photographs_of(maps: PaintingMaps, frames: Observations, blocks: Blocks, pro
     first = [(size - 1) % step // 2 for size in frames.shape]  # the samples lie around the middle, as the lamps' origin
     observed = []
     for band in progress.over(frames.bands(), "photographs"):
-        chosen = slice((first[0] - band.start) % step, None, step)
-        if band.start + chosen.start >= band.stop:
-            continue
-        values, valid = frames.read(band, channel="mean")
-        values = np.where(valid, values, np.nan)[:, chosen, first[1] :: step]
-        observed.append(values)
+        for strip, values, valid in frames.strips(band, lights=np.arange(count), channel="mean"):
+            chosen = (slice(None), slice((first[0] - strip.start) % step, None, step), slice(first[1], None, step))
+            observed.append(np.where(valid[chosen], values[chosen], np.nan))
     photographs = np.concatenate(observed, axis=1)
     model = sampled_model(maps, frames, first, step)
     pitch = (frames.pixel_pitch_mm or 1.0) * step
