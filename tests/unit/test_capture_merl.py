@@ -9,9 +9,9 @@ import pytest
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
 from nishiki.capture.goniometer_tables import MERL_LIGHTS, MERL_VIEWS
-from nishiki.formats.merl import MERL_BYTES, MERL_SCALE, MERL_SHAPE, merl_values, read_merl
+from nishiki.formats.merl import MERL_BYTES, MERL_SCALE, MERL_SHAPE, merl_bytes, merl_directions, merl_values, read_merl
 from nishiki.formats.problems import CaptureError
-from nishiki.stages.export.merl import brdf_of, directions, table
+from nishiki.stages.export.merl import brdf_of
 
 COLOUR = np.array([0.4, 0.3, 0.2])
 MATERIAL = {
@@ -27,7 +27,7 @@ MATERIAL = {
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory):
     path = tmp_path_factory.mktemp("merl") / "satin.binary"
-    path.write_bytes(table(brdf_of(*directions(), **MATERIAL)))
+    path.write_bytes(merl_bytes(brdf_of(*merl_directions(), **MATERIAL)))
     return path
 
 
@@ -66,7 +66,7 @@ def test_every_pair_finds_its_cell():
 
 def test_the_middles_of_cells_are_read_exactly_and_what_is_hidden_is_not(exported):
     stored = read_merl(exported, exported.name)
-    light, view = directions()
+    light, view = merl_directions()
     expected = brdf_of(light, view, **MATERIAL)
     chosen = np.random.default_rng(3).integers(1, np.array(MERL_SHAPE) - 1, (2000, 3))
     rows = tuple(chosen.T)

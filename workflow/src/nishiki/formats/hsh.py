@@ -43,7 +43,7 @@ class HshFile:
 
     def shown(self, light: np.ndarray) -> np.ndarray:
         """(rows, columns, 3) float32 from the top, for a unit vector to the lamp; full brightness is 1, not clipped."""
-        harmonics = hemispherical_harmonics(light, math.isqrt(len(self.scale)))
+        (harmonics,) = hemispherical_harmonics(np.asarray(light, float)[None], math.isqrt(len(self.scale)))
         weights, offset = (harmonics * self.scale / 255).astype(np.float32), np.float32(harmonics @ self.bias)
         picture = np.empty((*self.shape, 3), np.float32)
         for start in range(0, len(picture), ROWS_AT_A_TIME):
@@ -52,26 +52,26 @@ class HshFile:
         return picture
 
 
-def hemispherical_harmonics(light: np.ndarray, order: int) -> np.ndarray:
-    """(order^2,) values of the basis for a unit vector to the lamp, in the order of RTIViewer.
+def hemispherical_harmonics(lights: np.ndarray, order: int) -> np.ndarray:
+    """(n, order^2) values of the basis for unit vectors (n, 3) to lamps, in the order of RTIViewer.
 
     Gautron and others (2004), eq. 5: Legendre functions of 2 cos(theta) - 1. Of a degree those with cos(m phi) come
     first, the largest m first, then those with sin(m phi); all with m above 0 have the sign that viewers give them.
     """
     from scipy.special import lpmv
 
-    x, y, z = light
-    azimuth, cosine = math.atan2(y, x), math.cos(min(math.acos(max(-1.0, min(1.0, z))), HORIZON))
+    azimuth = np.arctan2(lights[:, 1], lights[:, 0])
+    cosine = np.cos(np.minimum(np.arccos(np.clip(lights[:, 2], -1, 1)), HORIZON))
     values = []
     for degree in range(order):
         for signed in range(degree, -degree - 1, -1):
             m = abs(signed)
             ratio = math.factorial(degree - m) / math.factorial(degree + m)
             factor = math.sqrt((2 * degree + 1) * ratio / (2 * math.pi)) * (math.sqrt(2) if m else 1)
-            turn = math.cos(m * azimuth) if signed >= 0 else math.sin(m * azimuth)
+            turn = np.cos(m * azimuth) if signed >= 0 else np.sin(m * azimuth)
             sign = -1 if m else 1  # of viewers, beside the (-1)^m of Condon and Shortley that lpmv has
             values.append(sign * factor * turn * lpmv(m, degree, 2 * cosine - 1))
-    return np.array(values)
+    return np.stack(values, axis=1)
 
 
 def open_hsh(path: Path) -> HshFile:

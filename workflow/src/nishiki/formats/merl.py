@@ -18,6 +18,8 @@ from nishiki.formats.files import Refused, read_bytes
 
 MERL_SHAPE = (90, 90, 180)
 MERL_SCALE = np.array([1.0, 1.15, 1.66]) / 1500
+MERL_HIDDEN = -1.0
+"""Of a table where light or view is below the surface."""
 MERL_BYTES = 12 + 8 * 3 * int(np.prod(MERL_SHAPE))
 
 
@@ -55,3 +57,23 @@ def merl_values(table: np.ndarray, light: np.ndarray, view: np.ndarray) -> np.nd
     with np.errstate(invalid="ignore"):  # 0 times infinity
         values = np.stack([map_coordinates(known[..., k], cells, order=1, mode="nearest") for k in range(3)], axis=1)
     return np.where(np.isfinite(values).all(axis=1, keepdims=True), values, -1.0)
+
+
+def merl_directions() -> tuple[np.ndarray, np.ndarray]:
+    """Unit vectors (90, 90, 180, 3) to light and view in the middles of the table's cells; the normal is z."""
+    half_index, difference, turn = (np.arange(count) + 0.5 for count in MERL_SHAPE)
+    half = np.radians(half_index**2 / 90)[:, None, None]
+    difference, turn = np.radians(difference)[:, None], np.radians(turn)
+    x, y, z = np.broadcast_arrays(
+        np.sin(difference) * np.cos(turn), np.sin(difference) * np.sin(turn), np.cos(difference)
+    )
+    sine, cosine = np.sin(half), np.cos(half)
+    light = np.stack(np.broadcast_arrays(cosine * x + sine * z, y, cosine * z - sine * x), axis=-1)
+    middle = np.stack(np.broadcast_arrays(sine, 0.0, cosine), axis=-1)
+    return light, 2 * (light * middle).sum(axis=-1, keepdims=True) * middle - light
+
+
+def merl_bytes(brdf: np.ndarray) -> bytes:
+    """A file that holds BRDF values (90, 90, 180, 3) in 1/sr, at `merl_directions`."""
+    scaled = np.where(brdf >= 0, brdf / MERL_SCALE, brdf)
+    return np.array(MERL_SHAPE, "<i4").tobytes() + np.ascontiguousarray(np.moveaxis(scaled, -1, 0), "<f8").tobytes()

@@ -14,6 +14,8 @@ from typing import Protocol
 
 import numpy as np
 
+from nishiki.formats.hsh import hemispherical_harmonics
+
 RIDGES = (0.0, 1e-4, 1e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0)
 """Weights of the squared coefficients beside the squared errors, of those that are tried."""
 WIDTHS = (0.05, 0.075, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7)
@@ -22,7 +24,6 @@ LEAST_REDUNDANCY = 1e-3
 """Share of a light's value that does not come from itself, below which leaving it out says nothing of a fit."""
 SLIGHT = 1e-6  # added to the normal matrix of components, which are orthogonal but for the rounding of their codes
 LEAST_WEIGHT = 0.001  # of a captured light, below which viewers leave it out
-HSH_HORIZON = 3.1415 / 2 - 0.15  # radians: viewers of hsh take lower lights for this one
 
 
 class LightModel(Protocol):
@@ -52,29 +53,8 @@ def ptm_weights(lights: np.ndarray) -> np.ndarray:
     return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
 
 
-def hsh_weights(lights: np.ndarray) -> np.ndarray:
-    """(n, 9) of unit vectors (n, 3)."""
-    azimuth = np.arctan2(lights[:, 1], lights[:, 0])
-    cosine = np.cos(np.minimum(np.arccos(np.clip(lights[:, 2], -1, 1)), HSH_HORIZON))
-    root = np.sqrt(np.maximum(cosine - cosine**2, 0))
-    c, s = np.cos(azimuth), np.sin(azimuth)
-    return np.stack(
-        [
-            np.full_like(c, 1 / np.sqrt(2 * np.pi)),
-            np.sqrt(6 / np.pi) * c * root,
-            np.sqrt(3 / (2 * np.pi)) * (2 * cosine - 1),
-            np.sqrt(6 / np.pi) * s * root,
-            np.sqrt(30 / np.pi) * np.cos(2 * azimuth) * (cosine**2 - cosine),
-            np.sqrt(30 / np.pi) * c * (2 * cosine - 1) * root,
-            np.sqrt(5 / (2 * np.pi)) * (1 - 6 * cosine + 6 * cosine**2),
-            np.sqrt(30 / np.pi) * s * (2 * cosine - 1) * root,
-            np.sqrt(30 / np.pi) * np.sin(2 * azimuth) * (cosine**2 - cosine),
-        ],
-        axis=1,
-    )
-
-
-WEIGHTS = {"ptm": ptm_weights, "hsh": hsh_weights}
+HARMONICS = 3  # order: nine a channel
+WEIGHTS = {"ptm": ptm_weights, "hsh": lambda lights: hemispherical_harmonics(lights, HARMONICS)}
 
 
 @dataclass(frozen=True)

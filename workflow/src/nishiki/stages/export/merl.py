@@ -1,9 +1,4 @@
-"""Reflectance of the painting's regions as tables of the MERL database.
-
-A table holds the BRDF at 90 angles of the half vector from the normal (spaced by squares, fine near 0), 90 of the light
-from the half vector and 180 of the light around it (half a turn), red, green and blue one after the other.
-Reference: W. Matusik, H. Pfister, M. Brand and L. McMillan (2003), A data-driven reflectance model.
-"""
+"""Reflectance of the painting's regions as tables of the MERL database."""
 
 import numpy as np
 
@@ -11,14 +6,11 @@ from nishiki.artifacts.stage import Context
 from nishiki.brdf.body_shading import body_factor, transmittance
 from nishiki.brdf.parameters import gloss_table
 from nishiki.brdf.torrance_sparrow import specular
+from nishiki.formats.merl import MERL_HIDDEN, merl_bytes, merl_directions
 from nishiki.observations.plane import Observations
 from nishiki.report.files import read_json
 from nishiki.stages.export.scene import ExportedScene
 
-ANGLES = (90, 90, 180)
-SCALE = np.array([1.0, 1.15, 1.66]) / 1500
-HIDDEN = -1.0
-"""Where light or view is below the surface."""
 MATTE = (np.zeros((1, 1)), np.full((1, 1), 0.5), np.full(1, 1.45), 0.0)
 
 
@@ -27,7 +19,7 @@ def write(context: Context, scene: ExportedScene) -> dict:
     parameters = read_json(context.inputs.get("brdf"), "parameters.json")
     beta, gamma, index, transmission = MATTE if parameters is None else gloss_table(parameters)
     labels = Observations(context.inputs["ingest"].folder).regions if len(index) > 1 else None
-    light, view = directions()
+    light, view = merl_directions()
     files, spreads = [], []
     for region in range(len(index)):
         colour, shading, spread = mean_body(scene, labels, region)
@@ -35,24 +27,10 @@ def write(context: Context, scene: ExportedScene) -> dict:
             continue
         brdf = brdf_of(light, view, colour, shading, beta[region], gamma[region], index[region], transmission)
         file = f"exports/merl/region-{region}.binary"
-        context.output.path(file).write_bytes(table(brdf))
+        context.output.path(file).write_bytes(merl_bytes(brdf))
         files.append(file)
         spreads.append(spread)
     return {"files": files, "colour_spread": spreads}
-
-
-def directions() -> tuple[np.ndarray, np.ndarray]:
-    """Unit vectors (90, 90, 180, 3) to light and view in the middles of the table's cells; the normal is z."""
-    half_index, difference, turn = (np.arange(count) + 0.5 for count in ANGLES)
-    half = np.radians(half_index**2 / 90)[:, None, None]
-    difference, turn = np.radians(difference)[:, None], np.radians(turn)
-    x, y, z = np.broadcast_arrays(
-        np.sin(difference) * np.cos(turn), np.sin(difference) * np.sin(turn), np.cos(difference)
-    )
-    sine, cosine = np.sin(half), np.cos(half)
-    light = np.stack(np.broadcast_arrays(cosine * x + sine * z, y, cosine * z - sine * x), axis=-1)
-    middle = np.stack(np.broadcast_arrays(sine, 0.0, cosine), axis=-1)
-    return light, 2 * (light * middle).sum(axis=-1, keepdims=True) * middle - light
 
 
 def mean_body(
@@ -80,7 +58,7 @@ def mean_body(
 
 
 def brdf_of(light, view, colour, shading, beta, gamma, index, transmission) -> np.ndarray:
-    """The BRDF (..., 3) per steradian; `HIDDEN` where light or view is below the surface.
+    """The BRDF (..., 3) per steradian; `MERL_HIDDEN` where light or view is below the surface.
 
     light, view (..., 3): unit vectors; colour (3,), shading (3,): of the body; beta, gamma (lobes,); index: of
     refraction; transmission: share of the surface's loss that the body's light suffers.
@@ -96,10 +74,4 @@ def brdf_of(light, view, colour, shading, beta, gamma, index, transmission) -> n
         specular(normal, light, view, beta=b, gamma=g, refractive_index=index) for b, g in zip(beta, gamma, strict=True)
     )
     values = (body[..., None] * colour + (gloss / np.maximum(towards_light, 1e-9))[..., None]) / np.pi
-    return np.where(seen[..., None], values, HIDDEN)
-
-
-def table(brdf: np.ndarray) -> bytes:
-    """Bytes of the file: three integers, then the values (90, 90, 180, 3) in steps of the channels, by channel."""
-    scaled = np.where(brdf >= 0, brdf / SCALE, brdf)
-    return np.array(ANGLES, "<i4").tobytes() + np.ascontiguousarray(np.moveaxis(scaled, -1, 0), "<f8").tobytes()
+    return np.where(seen[..., None], values, MERL_HIDDEN)
