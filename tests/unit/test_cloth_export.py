@@ -1,10 +1,12 @@
 """Exports of a cloth, read back by the libraries of other programs and by slow references."""
 
+import importlib.util
 import json
 import math
 import struct
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -19,14 +21,21 @@ from nishiki.artifacts.finite import expect_finite
 from nishiki.artifacts.stage import Context
 from nishiki.brdf.cloth.peers import Ward
 from nishiki.brdf.cloth.store import save_brdf
+from nishiki.geometry.camera_path import scaled
 from nishiki.progress import Progress
+from nishiki.render.cloth.brdf_table import BrdfTable
 from nishiki.render.cloth.drape import read_drape
-from nishiki.stages.cloth_export.declaration import ClothExportSettings
-from nishiki.stages.cloth_export.gltf import errors
+from nishiki.render.cloth.frame import RenderVariant, render
+from nishiki.render.cloth.scene import ClothScene, Lamp, Matte
+from nishiki.render.cloth.studio import framed, paper_below
+from nishiki.stages.cloth_export.against_model import errors
+from nishiki.stages.cloth_export.declaration import ClothExportSettings, Format
 from nishiki.stages.cloth_export.gltf_cloth import GltfCloth, coded_error, fitted_cloth, pairs, sheen_albedo
+from nishiki.stages.cloth_export.mitsuba import camera_of
 from nishiki.stages.cloth_export.run import run
 from nishiki.stages.cloth_export.scene import ExportedCloth
 from nishiki.stages.cloth_render.declaration import ClothRenderSettings
+from nishiki.stages.cloth_render.scene import lights_of
 from nishiki.stages.export.report import export_section
 
 STAMP = {"scene": "small", "stage": "cloth_export", "key": "0" * 12, "version": "0.1.0"}
@@ -58,7 +67,9 @@ def exported(tmp_path_factory):
     folder = tmp_path_factory.mktemp("cloth")
     inputs = inputs_of(folder)
     with ArtifactWriter(folder / STAMP["key"]) as output:
-        reported = run(Context(inputs, ClothExportSettings(), output, None, None, STAMP, Progress("small")))
+        reported = run(
+            Context(inputs, ClothExportSettings(formats=get_args(Format)), output, None, None, STAMP, Progress("small"))
+        )
         expect_finite(output.folder, "cloth_export")
         cloth = ExportedCloth.of(inputs)
         yield SimpleNamespace(cloth=cloth, folder=output.folder / "exports", reported=reported)
@@ -211,6 +222,90 @@ def test_a_surface_from_a_file_has_its_texture_coordinates_where_they_follow_the
 
 def test_the_page_names_the_file_and_its_loss(exported):
     (_, table) = export_section(SimpleNamespace(diagnostics=exported.reported)).blocks
-    ((name, files, _, lost),) = table.rows
-    assert (name, files) == ("gltf", "cloth.glb")
-    assert "dB and on average CIEDE2000" in lost
+    (gltf, mitsuba) = table.rows
+    assert (gltf[:2], mitsuba[:2]) == (("gltf", "cloth.glb"), ("mitsuba", "mitsuba/"))
+    assert all("dB and on average CIEDE2000" in row[3] for row in table.rows)
+
+
+@pytest.fixture(scope="module")
+def nishiki_cloth(exported):
+    """The exported module of Mitsuba, with a variant set."""
+    mitsuba = pytest.importorskip("mitsuba", reason="Mitsuba 3 is not installed (group path-tracing)")
+    mitsuba.set_variant("scalar_rgb")
+    spec = importlib.util.spec_from_file_location("nishiki_cloth", exported.folder / "mitsuba/nishiki_cloth.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    module.define()
+    return module
+
+
+def our_picture(cloth, camera, towards, *, paper, supersampling=1):
+    """The cloth by our renderer with the exported table, under one lamp without a disc, and on this paper."""
+    surfaces = [cloth.draped.surface]
+    if paper:
+        azimuth = np.radians(cloth.shown.view.azimuth_deg)
+        surfaces.append(paper_below(surfaces[0].mesh.vertices, azimuth=azimuth))
+    take = RenderVariant((BrdfTable.of(cloth.brdf), Matte((cloth.shown.paper,) * 3)), (1.0,))
+    lamps = [Lamp(direction=tuple(towards), radius=0.0)]
+    scene = ClothScene.of(surfaces)
+    return render(scene, [take], lamps, camera, supersampling=supersampling, within=0.0)[0]
+
+
+@pytest.mark.parametrize("below", [False, True])
+def test_mitsuba_renders_what_we_render(exported, nishiki_cloth, below):
+    """Along the very rays of our samples: direct light on front and back, with cast shadows."""
+    import mitsuba as mi
+
+    cloth = exported.cloth
+    scene = nishiki_cloth.description(folder=exported.folder / "mitsuba")
+    lamps = [name for name in scene if name.startswith("lamp_")]
+    assert len(lamps) == len(cloth.shown.lights)
+    del scene[lamps[1]]
+    camera = camera_of(cloth)
+    if below:  # the back of the cloth
+        del scene["paper"]
+        camera = framed(
+            cloth.draped.surface.mesh.vertices, elevation=-1.0, azimuth=0.3, rows=48, columns=48, distance=3
+        )
+        scene[lamps[0]]["direction"] = [-0.3, 0.8, -0.5]
+    scene[lamps[0]]["irradiance"]["value"] = [np.pi] * 3
+    ours = our_picture(cloth, camera, -np.array(scene[lamps[0]]["direction"]), paper=not below)
+    row, column = np.nonzero(ours.coverage)
+    plane = (np.column_stack([column, row]) - camera.intrinsics[:2, 2]) / camera.intrinsics[0, 0]
+    rays = np.column_stack([plane, np.ones(len(plane))]) @ camera.rotation
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    loaded, sampler = mi.load_dict(scene), mi.load_dict({"type": "independent"})
+    sampler.seed(0, 1)
+    integrator, origin = loaded.integrator(), camera.centre.tolist()
+    theirs = np.array([integrator.sample(loaded, sampler, mi.Ray3f(origin, ray.tolist()))[0] for ray in rays])
+    expected = ours.linear[row, column]
+    lit, dark = (theirs > 1e-4).all(axis=1) & (expected > 1e-4).all(axis=1), (theirs < 1e-4).all(axis=1)
+    np.testing.assert_allclose(theirs[lit], expected[lit], rtol=1e-3)
+    assert lit.mean() > 0.3
+    assert np.mean(dark != (expected < 1e-4).all(axis=1)) < 0.03, "few samples differ in whether they are in shadow"
+
+
+def test_mitsuba_shows_the_picture_of_our_camera(exported, nishiki_cloth):
+    import mitsuba as mi
+
+    cloth = exported.cloth
+    scene = nishiki_cloth.description(folder=exported.folder / "mitsuba", columns=24, samples=16)
+    lamps = [name for name in scene if name.startswith("lamp_")]
+    del scene[lamps[1]]
+    theirs = np.array(mi.render(mi.load_dict(scene)))
+    lamp = lights_of(cloth.shown)[0]
+    azimuth = np.radians(cloth.shown.view.azimuth_deg)
+    camera = scaled(camera_of(cloth), 0.5)
+    ours = our_picture(cloth, camera, lamp.lamp(azimuth).direction, paper=True, supersampling=4).linear
+    ours = ours * np.array(lamp.colour)
+    assert theirs.sum() == pytest.approx(ours.sum(), rel=0.03)
+    assert np.corrcoef(theirs.ravel(), ours.ravel())[0, 1] > 0.95
+
+
+def test_points_of_a_lamp_fill_its_disc(nishiki_cloth):
+    direction = np.array([0.6, 0.64, 0.48])
+    lamp = {"direction": direction.tolist(), "radius_deg": 3.0}
+    np.testing.assert_allclose(nishiki_cloth.disc(lamp, 1), [direction], atol=1e-12)
+    angles = np.degrees(np.arccos(nishiki_cloth.disc(lamp, 200) @ direction))
+    assert angles.max() == pytest.approx(3, abs=0.05)
+    assert np.mean(angles**2) == pytest.approx(4.5, rel=0.01), "evenly over the area"

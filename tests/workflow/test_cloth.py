@@ -73,9 +73,10 @@ def test_a_cloth_is_exported(cloth_site):
     wrong = cloth_site.nishiki("export", "tiny", "wood", check=False)
     assert wrong.returncode == 2
     assert "wood" in wrong.stderr
-    cloth_site.nishiki("export", "tiny", "gltf", "--output", "for-others")
+    cloth_site.nishiki("export", "tiny", "gltf", "mitsuba", "--output", "for-others")
     (mesh,) = trimesh.load(cloth_site.folder / "for-others/cloth.glb").geometry.values()
     (manifest,) = (cloth_site.folder / "results/tiny/cloth_export").glob("*/artifact.json")
+    assert (cloth_site.folder / "for-others/mitsuba/nishiki_cloth.py").is_file()
     surface = artifact(cloth_site, "cloth_render")["diagnostics"]["surface"]
     assert len(mesh.faces) == surface["triangles"]
     assert json.loads(manifest.read_text())["diagnostics"]["losses"]["gltf"]["against_model"]["delta_e"]["mean"] < 5

@@ -100,8 +100,19 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
     return np.array(vertices, np.float64), np.array(triangles, np.int64).reshape(-1, 3)
 
 
-def write_ply(path: Path, mesh: Mesh, *, stamp: Mapping[str, str], unit: str) -> None:
-    """Binary little-endian PLY of a mesh, positions double, normals float; the stamp and the unit as comments."""
+def write_ply(
+    path: Path,
+    mesh: Mesh,
+    *,
+    stamp: Mapping[str, str],
+    unit: str,
+    attributes: Mapping[str, np.ndarray] | None = None,
+) -> None:
+    """Binary little-endian PLY of a mesh, positions double, normals float; the stamp and the unit as comments.
+
+    attributes: more float values (v, k) at the vertices; NAME becomes the properties NAME_0, NAME_1, ..
+    """
+    more = {name: np.asarray(values, np.float32) for name, values in (attributes or {}).items()}
     comments = [f"comment {name} {value}" for name, value in sorted(stamp.items())]
     heading = [
         "ply",
@@ -111,12 +122,20 @@ def write_ply(path: Path, mesh: Mesh, *, stamp: Mapping[str, str], unit: str) ->
         f"element vertex {len(mesh.vertices)}",
         *(f"property double {axis}" for axis in "xyz"),
         *(f"property float n{axis}" for axis in "xyz"),
+        *(f"property float {name}_{k}" for name, values in more.items() for k in range(values.shape[1])),
         f"element face {len(mesh.triangles)}",
         "property list uchar int vertex_indices",
         "end_header",
     ]
-    points = np.empty(len(mesh.vertices), np.dtype([("place", "<f8", 3), ("normal", "<f4", 3)]))
+    kinds = [
+        ("place", "<f8", 3),
+        ("normal", "<f4", 3),
+        *((name, "<f4", values.shape[1]) for name, values in more.items()),
+    ]
+    points = np.empty(len(mesh.vertices), np.dtype(kinds))
     points["place"], points["normal"] = mesh.vertices, mesh.normals
+    for name, values in more.items():
+        points[name] = values
     faces = np.empty(len(mesh.triangles), np.dtype([("count", "u1"), ("corner", "<i4", 3)]))
     faces["count"], faces["corner"] = 3, mesh.triangles
     text = "\n".join(line.replace("\n", " ") for line in heading) + "\n"

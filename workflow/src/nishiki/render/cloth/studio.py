@@ -24,6 +24,10 @@ def around(target, *, elevation: float, azimuth: float, distance: float) -> np.n
     return np.asarray(target, np.float64) + distance * towards
 
 
+MARGIN = 1.18
+"""Around what a studio shows, so much is its picture larger."""
+
+
 def framed(
     points: np.ndarray,
     *,
@@ -122,7 +126,7 @@ def studio(
     level: float,
     reflectance: float,
     wall: bool = True,
-    margin: float = 1.18,
+    margin: float = MARGIN,
 ) -> Studio:
     """Surfaces of cloth with their lowest point on the floor, before a camera that holds them in its picture.
 
@@ -137,12 +141,18 @@ def studio(
     ground = None
     if reflectance > 0:
         ground = Matte((reflectance,) * 3)
-        surfaces = [*surfaces, moved(_paper(extent, wall, azimuth), _foot(points, extent))]
+        surfaces = [*surfaces, paper_below(points, azimuth=azimuth, wall=wall)]
     scene = ClothScene.of(surfaces)
     light = AmbientLight((level,) * 3, (level / 3,) * 3, reach=0.45 * extent)
     lamps = tuple(light.lamp(azimuth) for light in lights)
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
     return Studio(scene, camera, azimuth, middle, tuple(lights), lamps, Surroundings.of(scene, light), ground)
+
+
+def paper_below(points: np.ndarray, *, azimuth: float, wall: bool = True) -> Surface:
+    """The paper on which points (n, 3) stand, for a camera at this azimuth; see `studio`."""
+    extent = float(np.linalg.norm(np.ptp(points, axis=0)))
+    return moved(_paper(extent, wall, azimuth), _foot(points, extent))
 
 
 def _foot(points: np.ndarray, extent: float) -> np.ndarray:
