@@ -75,21 +75,23 @@ def opened(glb: Path) -> Iterator:
         (web / "index.html").write_text(PAGE, encoding="utf-8")
         server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Silent, directory=web))
         threading.Thread(target=server.serve_forever, daemon=True).start()
-        with sync_playwright() as tool:
-            browser = tool.chromium.launch(executable_path=viewer_pages.CHROMIUM, args=viewer_pages.FLAGS)
-            page = browser.new_page()
-            problems = []
-            page.on("pageerror", lambda error: problems.append(str(error)))
-            page.goto(f"http://127.0.0.1:{server.server_port}/index.html")
-            page.wait_for_function("() => Boolean(globalThis.draw)", timeout=60_000)
+        try:
+            with sync_playwright() as tool:
+                browser = tool.chromium.launch(executable_path=viewer_pages.CHROMIUM, args=viewer_pages.FLAGS)
+                page = browser.new_page()
+                problems = []
+                page.on("pageerror", lambda error: problems.append(str(error)))
+                page.goto(f"http://127.0.0.1:{server.server_port}/index.html")
+                page.wait_for_function("() => Boolean(globalThis.draw)", timeout=60_000)
 
-            def draw(rows: int, columns: int, pixel: float, direction) -> np.ndarray:
-                text = page.evaluate("draw", [rows, columns, pixel, [float(v) for v in direction]])
-                values = np.frombuffer(base64.b64decode(text), np.uint8).reshape(rows, columns, 4)
-                return values[::-1]
+                def draw(rows: int, columns: int, pixel: float, direction) -> np.ndarray:
+                    text = page.evaluate("draw", [rows, columns, pixel, [float(v) for v in direction]])
+                    values = np.frombuffer(base64.b64decode(text), np.uint8).reshape(rows, columns, 4)
+                    return values[::-1]
 
-            yield draw
-            assert not problems
-            browser.close()
-        server.shutdown()
-        server.server_close()
+                yield draw
+                assert not problems
+                browser.close()
+        finally:
+            server.shutdown()
+            server.server_close()

@@ -39,9 +39,12 @@ def measured(folder: Path) -> dict:
     base = decode(look.colours.reshape(-1, 3) / 255, "srgb")
     normals = look.normals.reshape(-1, 3) / 255 * 2 - 1
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    photographs, (glb,) = Photographs(frames, scene), sorted(folder.glob("export/*/exports/painting.glb"))[-1:]
+    files = sorted(folder.glob("export/*/exports/painting.glb"), key=lambda file: file.stat().st_mtime)
+    if not files:
+        sys.exit(f"{folder}: no painting.glb. Remedy: ./nishiki export {folder.name} gltf")
+    photographs = Photographs(frames, scene)
     result = {"scene": folder.name, "pixels": rows * columns}
-    with three_page.opened(glb) as draw:
+    with three_page.opened(files[-1]) as draw:
         for name, lights in (("fitted", frames.fit_lights()), ("check", frames.check_lights())):
             found = {against: CodedErrors(len(lights)) for against in ("three", "formulas", "three against formulas")}
             strips = [strip for band in frames.bands() for strip in photographs.strips(band, lights)]

@@ -193,7 +193,7 @@ def test_tangents_run_along_the_weft_and_bitangents_along_the_warp(exported):
     assert anisotropy["anisotropyRotation"] == 0, "the ward lobe is wider along the weft"
     assert anisotropy["anisotropyStrength"] > 0.3
     assert document["extensionsUsed"] == sorted(material["extensions"])
-    assert document["asset"]["extras"] == {**STAMP, "region": "cloth", "model": "ward"}
+    assert document["asset"]["extras"] == {**STAMP, "unit": "metres", "region": "cloth", "model": "ward"}
 
 
 def test_the_loss_is_that_of_the_pictures(exported):

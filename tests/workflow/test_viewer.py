@@ -379,6 +379,17 @@ def test_bookmark_brings_back_lamps_view_and_note(index, shown):
     assert state(shown)["lamps"][0]["elevation_deg"] == pytest.approx(before["lamps"][0]["elevation_deg"], abs=0.01)
 
 
+@pytest.mark.parametrize(
+    "address", ["javascript:alert(1)", "https://a.example/index.html", "data:text/html,x", "http://["]
+)
+def test_pages_of_other_places_are_not_shown_beside(index, shown, address):
+    shown.page.goto(index.resolve().as_uri() + "?" + urllib.parse.urlencode({"beside": address}))
+    shown.page.wait_for_function("window.nishiki")
+    assert address in shown.page.locator("#spoken").text_content()
+    assert shown.page.locator("iframe").count() == 0
+    assert state(shown)["compare"] is None
+
+
 def test_both_languages_have_all_texts_and_a_phone_has_all_controls(shown):
     texts = shown.page.evaluate("JSON.parse(document.getElementById('texts').textContent)")
     assert set(texts["en"]) == set(texts["ja"])

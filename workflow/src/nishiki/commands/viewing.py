@@ -24,57 +24,47 @@ OPENED_FIRST = (*VIEWERS, "report.html")
 
 
 def view(options: argparse.Namespace, rest: list[str]) -> int:
-    """Open a scene, or the page of all scenes; with --serve through a local server until it is interrupted."""
+    """Open a scene, or the page of all scenes; with --serve or --beside through a local server until interrupted."""
     flow = Workflow(load_yaml(options.configfile), lazy=bool(options.scene), file=options.configfile,
                     leave_out_refused=not options.scene)  # fmt: skip
-    results = Path(flow.results)
-    if options.scene:
-        page = page_of(flow, options.scene)
-    else:
-        page = write_index(flow)
-    other = beside(flow, options) if options.beside else None
-    if options.serve is None:
-        query = "" if other is None else query_of(page.resolve(), other.resolve())
+    page, query, port = page_of(flow, options.scene) if options.scene else write_index(flow), "", options.serve
+    if options.beside:
+        page, query = beside(flow, page, options)
+        port = 0 if port is None and not options.print else port  # programs that open files drop what follows a ?
+    if port is None:
         print(page.resolve().as_uri() + query if query else page)
         if not options.print:
-            webbrowser.open(page.resolve().as_uri() + query)
+            webbrowser.open(page.resolve().as_uri())
         return 0
-    query = "" if other is None else query_of(page, other)
-    serve(results, page, options.serve, open_browser=not options.print, query=query)
+    serve(Path(flow.results), page, port, open_browser=not options.print, query=query)
     return 0
 
 
-def beside(flow: Workflow, options: argparse.Namespace) -> Path:
-    """The viewer that --beside names: of a scene, or in a folder of results.
+def beside(flow: Workflow, page: Path, options: argparse.Namespace) -> tuple[Path, str]:
+    """A viewer's page, and what its address needs so that the one which --beside names stands left of its divider.
 
     Raises
     ------
     UserError
-        Where no scene is named to put it beside, or either of the two has no viewer.
+        Where no scene is named to put it beside, either of the two has no viewer, or they cannot be served together.
     """
     if not options.scene:
         raise UserError(f"--beside {options.beside}: beside which scene? Remedy: ./nishiki view SCENE --beside OTHER")
-    folder = Path(options.beside)
-    page = folder / PAGE if (folder / PAGE).is_file() else page_of(flow, options.beside)
-    both = (page_of(flow, options.scene), page)
+    named = Path(options.beside, PAGE)
+    both = (page, named if named.is_file() else page_of(flow, options.beside))
     for each in both:
         if each.name != PAGE:
-            raise UserError(
-                f"{each.parent}: no viewer is there. Remedy: add `viewer` to the products of the scene, and run"
-            )
+            raise UserError(f"{each.parent}: no viewer is there. Remedy: add viewer to the scene's products, and run")
     stages = [_read(each.parent / "artifact.json").get("stage") for each in both]
     if stages[0] != stages[1]:
-        raise UserError(
-            f"{page}: a page of {stages[1]}, expected one of {stages[0]}. Remedy: name a scene of the same kind"
-        )
-    if options.serve is not None and not page.resolve().is_relative_to(Path(flow.results).resolve()):
-        raise UserError(f"{page}: only pages within {flow.results} are served. Remedy: leave out --serve")
-    return page
-
-
-def query_of(page: Path, other: Path) -> str:
-    """What the address of a viewer needs so that another stands on the left of its divider."""
-    return "?" + urllib.parse.urlencode({"beside": Path(os.path.relpath(other, page.parent)).as_posix()})
+        raise UserError(f"{both[1]}: a page of {stages[1]}, expected one of {stages[0]}. Remedy: a scene of this kind")
+    results = Path(flow.results)
+    try:
+        page, other = (results / each.resolve().relative_to(results.resolve()) for each in both)
+    except ValueError:
+        raise UserError(f"{both[1]}: not within {results}. Remedy: name a result of this configuration") from None
+    address = Path(os.path.relpath(other, page.parent)).as_posix()
+    return page, "?" + urllib.parse.urlencode({"beside": address})
 
 
 def page_of(flow: Workflow, scene: str) -> Path:

@@ -40,5 +40,6 @@ def write_glb(context: Context, cloth: ExportedCloth, material: GltfCloth) -> No
     number = glb.add("materials", name=f"{cloth.region} {cloth.model}", **properties)
     primitive = {"attributes": attributes, "indices": glb.corners(mesh.triangles), "material": number}
     glb.add("nodes", mesh=glb.add("meshes", primitives=[primitive]), name=context.stamp["scene"])
-    extras = {**context.stamp, "region": cloth.region, "model": cloth.model}
+    unit = "metres" if cloth.shown.mesh is None else "of the file, taken as metres"
+    extras = {**context.stamp, "unit": unit, "region": cloth.region, "model": cloth.model}
     glb.write(context.output.path("exports/cloth.glb"), generator=f"Nishiki {context.stamp['version']}", extras=extras)

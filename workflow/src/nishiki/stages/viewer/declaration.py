@@ -30,5 +30,5 @@ STAGE = Stage(
     needs_colour=True,
     libraries=("numpy", "numba", "jinja2", "zarr", "opencv-contrib-python-headless"),
     threads=1,
-    cost=lambda facts: Cost(mib=300, bytes_per_pixel=60, seconds=3, us_per_pixel=8),
+    cost=lambda facts: Cost(mib=300, bytes_per_pixel=60, seconds=3, us_per_pixel=5, us_per_sample=0.03),
 )

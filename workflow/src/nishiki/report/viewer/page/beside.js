@@ -2,15 +2,24 @@
 // other in a frame on the left of its divider, and tells it its state; ?beside=ADDRESS names that page.
 import { copy } from "viewer/state";
 
+/** The page at an address that stands where this one does, on the disk or on one site; null for any other. */
+export function pageBeside(address) {
+  try {
+    const other = new URL(address, location.href), { protocol, host } = location;
+    return other.protocol === protocol && other.host === host ? other : null;
+  } catch { // no address
+    return null;
+  }
+}
+
 /** In the page that was opened. */
 export class Beside {
-  /** app: whose first state has a divider; address: of the other page, relative to this one. */
-  constructor(app, address) {
-    Object.assign(this, { app, sent: "", told: { title: address, scene: "", key: "" } });
-    const other = new URL(address, location.href);
-    other.searchParams.set("part", "");
+  /** app: whose first state has a divider; page: the other's URL. */
+  constructor(app, page) {
+    Object.assign(this, { app, sent: "", told: { title: page.pathname, scene: "", key: "" } });
+    page.searchParams.set("part", "");
     this.frame = document.createElement("iframe");
-    Object.assign(this.frame, { id: "beside", src: other.href, title: address, tabIndex: -1 });
+    Object.assign(this.frame, { id: "beside", src: page.href, title: page.pathname, tabIndex: -1 });
     document.getElementById("canvas").after(this.frame);
     addEventListener("message", ({ source, data }) => {
       if (source !== this.frame.contentWindow || !data.opened) return;

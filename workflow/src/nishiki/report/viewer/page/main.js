@@ -1,5 +1,5 @@
 // The page: one scene on a canvas, its state, and the panel that changes the state.
-import { Beside, follow } from "viewer/beside";
+import { Beside, follow, pageBeside } from "viewer/beside";
 import { ClothScene } from "viewer/cloth";
 import { element } from "viewer/dom";
 import { lampsSection } from "viewer/lamps";
@@ -33,11 +33,12 @@ class App {
     this.scene = await SCENES[this.manifest.chain].open(canvas, this.manifest, new Loader());
     this.first = { ...firstState(this.scene.firstView?.() ?? { x: 0, y: 0, zoom: 1, tilt_deg: 0, azimuth_deg: 0 }, preferred()), ...this.scene.firstState?.() };
     const { searchParams } = new URL(location.href);
-    if (searchParams.has("beside")) this.first.compare = { divider: 0.5, state: null };
+    const address = searchParams.get("beside"), other = address === null ? null : pageBeside(address);
+    if (other) this.first.compare = { divider: 0.5, state: null };
     this.state = fromBookmark(location.hash, this.first);
     this.scene.onready = () => this.redraw();
     if (searchParams.has("part")) follow(this);
-    else if (searchParams.has("beside")) this.beside = new Beside(this, searchParams.get("beside"));
+    else if (other) this.beside = new Beside(this, other);
     if (this.flat) new FlatTools(this, canvas);
     else this.wireOrbit();
     addEventListener("resize", () => (this.resize(), this.redraw()));
@@ -47,6 +48,7 @@ class App {
     this.wireDivider();
     by("sheet").onclick = () => this.toggleSheet();
     this.rebuild();
+    if (address !== null && !other) this.say(text("beside.refused", { address }));
   }
 
   wireOrbit() {
