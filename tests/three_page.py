@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import functools
 import http.server
-import os
 import shutil
 import tempfile
 import threading
@@ -15,15 +14,10 @@ from pathlib import Path
 
 import numpy as np
 import viewer_pages
+from npm_packages import npm_folder
 
-THREE = next(
-    (
-        folder / "three"
-        for folder in map(Path, os.environ.get("NODE_PATH", "").split(os.pathsep))
-        if (folder / "three" / "build" / "three.module.js").is_file()
-    ),
-    None,
-)
+NODE_FOLDER = npm_folder("three/build/three.module.js")
+THREE = NODE_FOLDER / "three" if NODE_FOLDER else None
 """The npm package three; None where it is not installed."""
 PAGE = """<!doctype html><meta charset="utf-8">
 <script type="importmap">

@@ -2,27 +2,20 @@
 
 import functools
 import http.server
-import os
 import threading
-from pathlib import Path
 from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 import viewer_pages
+from npm_packages import npm_folder
 
 from nishiki.formats.picture_tiles import write_iiif_image
 from nishiki.stages.export.iiif import LAYERS, manifest, write_manifest
 
-TIFY = next(
-    (
-        folder / "tify" / "dist"
-        for folder in map(Path, os.environ.get("NODE_PATH", "").split(os.pathsep))
-        if (folder / "tify" / "dist" / "tify.js").is_file()
-    ),
-    None,
-)
+NODE_FOLDER = npm_folder("tify/dist/tify.js")
+TIFY = NODE_FOLDER / "tify" / "dist" if NODE_FOLDER else None
 pytestmark = [
     pytest.mark.skipif(viewer_pages.missing() is not None, reason=str(viewer_pages.missing())),
     pytest.mark.skipif(TIFY is None, reason="the npm package tify is not installed (set NODE_PATH to its folder)"),

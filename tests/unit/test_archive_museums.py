@@ -1,16 +1,16 @@
 """The records of a crate for museums: LIDO 1.1 and the CIDOC CRM, by their structure, their vocabulary and readers."""
 
-import os
-from pathlib import Path
 from xml.etree import ElementTree as XML
 
 import pytest
 import rdflib
 from museum_vocabularies import KINDS_OF, LITERAL, PROPERTIES, kinds, lido_faults
+from npm_packages import npm_folder
 from rdflib.namespace import RDF, RDFS
 
-from nishiki.archive.cidoc_crm import CONTEXT, DESCRIPTION, crm_graph
-from nishiki.archive.crate_metadata import METADATA
+from nishiki.archive.cidoc_crm import CONTEXT, crm_graph
+from nishiki.archive.crate_entities import METADATA, is_address
+from nishiki.archive.crate_metadata import _rights_id
 from nishiki.archive.crate_stages import PackedStage
 from nishiki.archive.digitisation import TECHNIQUES, Digitisation, capture_method
 from nishiki.archive.lido import lido_text
@@ -108,6 +108,25 @@ def test_a_date_in_words_stays_words():
     assert "P82a" not in _json(crm_graph(digitised({"date": "2026-01-31 to 02-02"})))
 
 
+@pytest.mark.parametrize("text", ["20260131", "2026-W05-6", "2026-01-31 10:00", "2026-01-31T10:00:00+02:00"])
+def test_a_day_is_written_in_one_way_however_it_was_stated(text):
+    root = record(digitised({"date": text}))
+    assert texts(root, "displayDate") == [text] * 2
+    assert texts(root, "earliestDate") == texts(root, "latestDate") == ["2026-01-31"] * 2
+
+
+@pytest.mark.parametrize(
+    ("rights", "address"),
+    [("http://a.example/b", True), ("https://a.example/<b>", False), ("https://a.example and others", False)],
+)
+def test_rights_are_an_address_in_every_record_or_in_none(rights, address):
+    assert is_address(rights) == address
+    scene = digitised({"rights": rights})
+    assert texts(record(scene), "rightsType/lido:conceptID") == [rights] * 2 * address
+    assert ((rdflib.URIRef(rights), RDF.type, rdflib.URIRef(CONTEXT["crm"] + "E30_Right")) in graph(scene)) == address
+    assert _rights_id(rights) == (rights if address else "#rights")
+
+
 def test_a_text_that_xml_cannot_hold_is_an_error():
     with pytest.raises(ValueError, match=r"capture\.yaml cannot be written as XML"):
         lido_text(digitised({"notes": "a\x07b"}))
@@ -176,7 +195,6 @@ def test_a_query_follows_a_result_to_the_object_the_photographer_and_the_day():
 
 
 def test_both_descriptions_of_a_crate_mean_the_same_things():
-    assert DESCRIPTION == METADATA
     names = {str(node) for node in graph(digitised()).subjects() if isinstance(node, rdflib.URIRef)}
     assert {CRATE, CRATE + "capture/", CRATE + "artifacts/normals/normalskey/", CRATE + "code/Snakefile"} <= names
     assert {f"{CRATE}{METADATA}#{name}" for name in ("object", "creator", "run-height", "settings-height")} <= names
@@ -184,12 +202,13 @@ def test_both_descriptions_of_a_crate_mean_the_same_things():
 
 def test_the_table_of_the_tests_is_what_the_vocabularies_say():
     """Against the RDFS of CIDOC CRM and CRMdig, as the npm packages @vocabulary/crm and @vocabulary/dig carry them."""
-    folder = Path(os.environ.get("NODE_PATH", "")) / "@vocabulary"
-    if not (folder / "crm/crm.nq").is_file() or not (folder / "dig/dig.nq").is_file():
+    files = {name: f"@vocabulary/{name}/{name}.nq" for name in ("crm", "dig")}
+    folder = npm_folder(*files.values())
+    if folder is None:
         pytest.skip("the npm packages @vocabulary/crm and @vocabulary/dig are not installed (set NODE_PATH)")
     known = rdflib.Dataset(default_union=True)
-    for name in ("crm", "dig"):
-        known.parse(data=(folder / name / f"{name}.nq").read_text(encoding="utf-8"), format="nquads")
+    for file in files.values():
+        known.parse(data=(folder / file).read_text(encoding="utf-8"), format="nquads")
     for name, (domain, values) in PROPERTIES.items():
         node = rdflib.URIRef(CONTEXT[name[:3]] + name[4:])
         assert {short(each) for each in known.objects(node, RDFS.domain)} == {domain}

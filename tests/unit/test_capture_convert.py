@@ -106,8 +106,11 @@ def test_a_sphere_without_a_highlight_is_refused():
 
 
 def test_spheres_beside_the_object(tmp_path):
-    """Rows of the circles are counted from the bottom, as PSBox writes them."""
+    """Rows of the circles are counted from the bottom, as PSBox writes them; finished images do not matter."""
     source = tmp_path / "source"
+    source.mkdir()
+    for name in ("finished.ptm", "finished.rti"):
+        (source / name).write_bytes(b"")
     photographs(source / "object", [f"Image_{i:02d}.png" for i in range(5)], channels=1)
     for probe, centre in (("Probe-1", (60.0, 70.0)), ("Probe-2", (64.0, 75.0))):
         for i, light in enumerate(LIGHTS):

@@ -1,6 +1,7 @@
 """Tables of the MERL database become captures: our own export of one, and half vectors worked out one by one."""
 
 import math
+import struct
 from itertools import product
 
 import numpy as np
@@ -101,6 +102,17 @@ def test_other_files_are_no_such_table(tmp_path, exported):
     assert MERL_SCALE[0] == 1 / 1500
     for broken in (content[:-8], b"\1" + content[1:], b"", content[:7]):
         (tmp_path / "x.binary").write_bytes(broken)
-        with pytest.raises(CaptureError):
+        with pytest.raises(CaptureError, match=rf"{MERL_BYTES} bytes.*found {len(broken)} bytes.*of the MERL database"):
             convert(tmp_path / "x.binary", tmp_path / "c")
     assert not (tmp_path / "c").exists()
+    with pytest.raises(CaptureError, match="no lamps found"):
+        convert(tmp_path, tmp_path / "c")  # a file of another length in a folder is no table
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_values_that_are_not_finite_are_refused_not_hidden(tmp_path, exported, value):
+    content = bytearray(exported.read_bytes())
+    content[12 + 8 * 1000 : 12 + 8 * 1001] = struct.pack("<d", value)
+    (tmp_path / "x.binary").write_bytes(content)
+    with pytest.raises(CaptureError, match=r"values that are not finite.*found 1 of 4374000.*Copy the file again"):
+        convert(tmp_path / "x.binary", tmp_path / "c")

@@ -146,6 +146,9 @@ def set_in(content, *path, value):
         (("intrinsics", 0, "width"), "0", "0 x 24"),
         (("intrinsics", 0, "focalLength"), "nan", "'nan' where a number"),
         (("intrinsics", 0, "focalLength"), "-1", "focal lengths"),
+        (("intrinsics", 0, "sensorWidth"), "0", "sensorWidth 0, which must be above 0"),
+        (("intrinsics", 0, "pixelRatio"), "0", "pixelRatio 0, which must be above 0"),
+        pytest.param(("intrinsics", 0, "focalLength"), 10**400, "not cameras as Meshroom.*too large", id="too-large"),
         (("views", 0, "rigId"), "3", "rig"),
         (("views", 0, "intrinsicId"), "5", "without '5'"),
         (("poses", 0, "pose", "transform", "rotation"), ["1"] * 9, "rotation"),
@@ -160,6 +163,19 @@ def test_what_cannot_be_used_is_named(tmp_path, path, value, text):
     write_cameras(tmp_path / "s", change=lambda content: set_in(content, *path, value=value))
     with pytest.raises(CaptureError, match=text):
         convert(tmp_path / "s", tmp_path / "c")
+
+
+def test_cameras_that_share_only_their_distortion_are_said_to(tmp_path):
+    photographs(tmp_path / "s", NAMES)
+    lenses = [intrinsic((1, 2, 8), "radial1", (0.1,), intrinsicId="0")]
+    lenses.append(lenses[0] | {"intrinsicId": "1", "focalLength": "70"})
+    write_cameras(tmp_path / "s", lenses=lenses)
+    (note,) = [note for note in convert(tmp_path / "s", tmp_path / "c").warnings if note.kind == "cameras-several"]
+    assert "only the distortion" in str(note)
+    assert "only the distortion" in load_capture(tmp_path / "c").settings.notes
+    write_cameras(tmp_path / "s", lenses=lenses[:1])
+    assert "cameras-several" not in {note.kind for note in convert(tmp_path / "s", tmp_path / "d").warnings}
+    assert load_capture(tmp_path / "d").settings.notes is None
 
 
 def test_two_lenses_that_differ_and_other_doubts_are_refused(tmp_path):

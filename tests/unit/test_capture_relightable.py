@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from PIL import Image
 from small_painting import dome
+from unit.test_capture_colmap import around, photographs, write_model
+from unit.test_capture_meshroom import write_cameras
 
 from nishiki.api import read_observations
 from nishiki.capture.convert import convert
@@ -241,6 +243,19 @@ def test_a_capture_says_that_its_pictures_were_rendered(tmp_path):
     (folder / "other.rti").write_bytes(b"")
     with pytest.raises(CaptureError, match="several"):
         convert(folder, tmp_path / "e")
+
+
+@pytest.mark.parametrize("program", ["COLMAP", "Meshroom"])
+def test_photographs_below_a_folder_win_over_its_relightable_images(tmp_path, program):
+    source = tmp_path / "source"
+    photographs(source / "images", [name for name, _, _ in around()])
+    if program == "COLMAP":
+        write_model(source / "sparse/0", "text")
+    else:
+        write_cameras(source)
+    for name in ("finished.ptm", "finished.rti"):
+        (source / name).write_bytes(lrgb_file()[0])
+        assert convert(source, tmp_path / name).layout == f"turntable with cameras of {program}"
 
 
 def test_normals_survive_our_own_export(tmp_path):

@@ -111,3 +111,15 @@ def test_what_is_missing_or_double_is_named(tmp_path):
     (lost / "original-captures/IMG_0008.tif").unlink()
     with pytest.raises(CaptureError, match=r"4 in jpeg-exports, 4 in original-captures.*Copy the photographs back"):
         convert(lost, tmp_path / "d")
+
+
+@pytest.mark.parametrize("empty", ["jpeg-exports", "assembly-files"])
+def test_photographs_in_the_folder_itself_are_no_project(tmp_path, empty):
+    source = tmp_path / "s"
+    pictures(source, ".jpg", level=70)
+    (source / empty).mkdir()
+    lines = [f"{name}.jpg {x:.6f} {y:.6f} {z:.6f}" for name, (x, y, z) in zip(NAMES, RING, strict=True)]
+    (source / "lamps.lp").write_text("\n".join([f"{len(lines)}", *lines]))
+    made = convert(source, tmp_path / "c")
+    assert (made.layout, made.photographs) == ("lights file", 5)
+    assert level_of(load_capture(tmp_path / "c")) == 70

@@ -59,7 +59,7 @@ def test_other_files_are_no_such_table(tmp_path, content):
     (tmp_path / "fabric.bin").write_bytes(content[:-8])
     with pytest.raises(CaptureError, match=r"1990656 bytes.*1990648"):
         read_table(tmp_path / "fabric.bin", "fabric.bin")
-    with pytest.raises(CaptureError):
+    with pytest.raises(CaptureError, match=r"1990656 bytes.*1990648.*of the UTIA database"):
         convert(tmp_path / "fabric.bin", tmp_path / "c")
     (tmp_path / "fabric.bin").write_bytes(content[:80] + struct.pack("<d", math.nan) + content[88:])
     with pytest.raises(CaptureError, match="not finite"):

@@ -127,6 +127,13 @@ def test_light_names_lose_folders_and_image_suffixes_only():
     assert light_name('"x/y/lamp.top"') == "lamp.top"
 
 
+@pytest.mark.parametrize("line", ["frames/ 0 0 1", "frames\\\\ 0 0 1", "frames/.png 0 0 1", "'' 0 0 1"])
+def test_a_lamp_without_a_name_is_refused(tmp_path, line):
+    path = write(tmp_path, f"3\na.png 0.6 0 0.8\n{line}\nb.png 0 0.6 0.8\n")
+    with pytest.raises(CaptureError, match=r"light 2 has no name.*Name the photograph"):
+        read_lights(path)
+
+
 coordinate = st.floats(-1e6, 1e6, allow_nan=False).filter(lambda v: v == 0 or abs(v) > 1e-6)
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
-from nishiki.archive.crate_metadata import METADATA
+from nishiki.archive.crate_entities import METADATA
 from nishiki.archive.damage import Damage
 from nishiki.archive.publication import check_publication
 from nishiki.archive.references import References

@@ -5,17 +5,14 @@ read. Identifiers are those of the crate's description, so that both graphs can 
 out. https://www.cidoc-crm.org https://www.cidoc-crm.org/crmdig
 """
 
-import re
 from typing import Any
 
-from nishiki.archive.crate_entities import Entity, ids
+from nishiki.archive.crate_entities import METADATA, Entity, ids, is_address
 from nishiki.archive.crate_stages import PackedStage, ended, started
 from nishiki.archive.digitisation import Digitisation, days_of
 from nishiki.artifacts.provenance import canonical
 
 CIDOC_CRM = "cidoc-crm.jsonld"
-DESCRIPTION = "ro-crate-metadata.json"
-"""The file whose identifiers with '#' are meant."""
 CONTEXT = {
     "crm": "http://www.cidoc-crm.org/cidoc-crm/",
     "dig": "http://www.ics.forth.gr/isl/CRMdig/",
@@ -74,7 +71,7 @@ def _capture(scene: Digitisation) -> list[Entity]:
     rights = scene.said("rights")
     if not rights:
         return [capture]
-    place = rights if re.fullmatch(r"https?://[^\s<>\"]+", rights) else _named("rights")
+    place = rights if is_address(rights) else _named("rights")
     capture["crm:P104_is_subject_to"] = {"@id": place}
     return [capture, _node(place, "crm:E30_Right", rights)]
 
@@ -119,4 +116,5 @@ def _node(place: str, kind: str, label: str) -> dict[str, Any]:
 
 
 def _named(name: str) -> str:
-    return f"{DESCRIPTION}#{name}"
+    """An identifier of the crate's description."""
+    return f"{METADATA}#{name}"

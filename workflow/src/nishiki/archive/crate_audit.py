@@ -15,7 +15,7 @@ from pathlib import Path
 from zipfile import BadZipFile
 
 from nishiki.archive.audit import in_order
-from nishiki.archive.crate_metadata import METADATA
+from nishiki.archive.crate_entities import METADATA
 from nishiki.archive.crate_names import MANIFEST, parse_manifest_text
 from nishiki.archive.damage import Damage
 from nishiki.archive.survey import CAPTURE, Survey, survey_artifact

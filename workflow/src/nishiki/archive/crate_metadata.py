@@ -3,16 +3,14 @@
 A function of what is packed: the same artifacts give the same bytes. https://www.researchobject.org/workflow-run-crate
 """
 
-import re
 from dataclasses import dataclass
 
 from nishiki.archive.cidoc_crm import CIDOC_CRM
-from nishiki.archive.crate_entities import BIOSCHEMAS, PROJECT_LICENCE, Entity, ids, media_type
+from nishiki.archive.crate_entities import BIOSCHEMAS, METADATA, PROJECT_LICENCE, Entity, ids, is_address, media_type
 from nishiki.archive.crate_stages import PackedStage, ended, library_entities, stage_entities, started
 from nishiki.archive.lido import LIDO
 from nishiki.artifacts.provenance import stage_program
 
-METADATA = "ro-crate-metadata.json"
 CONTEXT = ["https://w3id.org/ro/crate/1.1/context", "https://w3id.org/ro/terms/workflow-run/context"]
 RO_CRATE = "https://w3id.org/ro/crate/1.1"
 WORKFLOW = "https://w3id.org/workflowhub/workflow-ro-crate/1.0"
@@ -126,7 +124,7 @@ def _people_and_rights(capture: PackedCapture) -> list[Entity]:
 
 
 def _rights_id(rights: str | None) -> str:
-    return rights if rights and re.fullmatch(r"https?://[^\s<>\"]+", rights) else "#rights"
+    return rights if rights and is_address(rights) else "#rights"
 
 
 def _capture(capture: PackedCapture, stages: list[PackedStage]) -> list[Entity]:

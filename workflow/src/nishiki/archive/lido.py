@@ -6,9 +6,9 @@ that the schema demands: the kind of the object and the source of the record are
 a title is called by its name. https://lido-schema.org/schema/v1.1/lido-v1.1.html
 """
 
-import re
 from xml.etree import ElementTree as XML
 
+from nishiki.archive.crate_entities import is_address
 from nishiki.archive.digitisation import Digitisation, days_of
 
 LIDO = "lido.xml"
@@ -108,22 +108,22 @@ def _rights(resource: XML.Element, scene: Digitisation) -> None:
     rights = scene.said("rights")
     if rights:
         kind = _add(_add(resource, "rightsResource"), "rightsType")
-        if re.fullmatch(r"https?://\S+", rights):
+        if is_address(rights):
             _add(kind, "conceptID", rights, type=URI)
         else:
             _term(kind, rights, UNKNOWN_LANGUAGE)
 
 
 def _date(parent: XML.Element, name: str, scene: Digitisation) -> None:
-    """The day of the photographs, as text, and as span where the text is a date."""
+    """The day of the photographs, as text, and as span of ISO days where the text is a date."""
     text = scene.said("date")
     if text:
         dates = _add(parent, name)
         _add(dates, "displayDate", text)
-        if days_of(text):
+        if days := days_of(text):
             span = _add(dates, "date")
-            _add(span, "earliestDate", text)
-            _add(span, "latestDate", text)
+            for element, moment in zip(("earliestDate", "latestDate"), days, strict=True):
+                _add(span, element, moment.partition("T")[0])
 
 
 def _appellation(parent: XML.Element, name: str, language: str = UNKNOWN_LANGUAGE) -> None:

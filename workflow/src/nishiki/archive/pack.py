@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from nishiki.archive.cidoc_crm import CIDOC_CRM, crm_graph
-from nishiki.archive.crate_metadata import LOCK, METADATA, PackedCapture, metadata
+from nishiki.archive.crate_entities import METADATA
+from nishiki.archive.crate_metadata import LOCK, PackedCapture, metadata
 from nishiki.archive.crate_names import MANIFEST, manifest_text
 from nishiki.archive.crate_stages import PackedStage
 from nishiki.archive.digitisation import Digitisation

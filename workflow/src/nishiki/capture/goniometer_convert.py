@@ -19,7 +19,7 @@ def recognise_table(source: Path) -> Path | None:
     Raises CaptureError (layout-unknown) where a folder holds several.
     """
     if source.is_file():
-        return source if is_table(source) else None
+        return source if is_table(source, named=True) else None
     if not source.is_dir() or photographs_in(source):
         return None
     tables = sorted(path for path in source.iterdir() if path.is_file() and is_table(path))

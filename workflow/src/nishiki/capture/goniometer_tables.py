@@ -29,6 +29,8 @@ QUANTITIES = {
 }
 """What the name of a column says of its quantity, looked for in this order without capitals."""
 BRDF, UNSAID = "BRDF (1/sr)", "no quantity in the name"
+BINARY_BYTES = {".bin": UTIA_BYTES, ".binary": MERL_BYTES}
+"""Length of tables without a heading, by suffix."""
 COLOURS = ("red", "green", "blue")
 MERL_LIGHTS = ((0.0, 0.0), *((15.0 * k, phi) for k in range(1, 6) for phi in (0.0, 45.0, 90.0)))
 MERL_VIEWS = ((0.0, 0.0), *((3.0 * k, 7.5 * step) for k in range(1, 27) for step in range(48)))
@@ -56,7 +58,7 @@ def read_table(path: Path, name: str) -> ReflectanceTable:
     Raises CaptureError with all mistakes: table-missing, table-unreadable, table-many, table-columns,
     table-quantities, table-empty, angle-invalid, table-value.
     """
-    if path.suffix.lower() in (".bin", ".binary"):
+    if path.suffix.lower() in BINARY_BYTES:
         return (_utia if path.suffix.lower() == ".bin" else _merl)(path, name)
     with reading(name, "table"):
         lines = table_lines(path, name, limit="reflectances_bytes")
@@ -64,12 +66,15 @@ def read_table(path: Path, name: str) -> ReflectanceTable:
     return _checked(*table, name)
 
 
-def is_table(path: Path) -> bool:
-    """Whether a file is a table of reflectances, by its suffix and its heading."""
+def is_table(path: Path, *, named: bool = False) -> bool:
+    """Whether a file is a table of reflectances, by its suffix and its heading, or its length where it has no heading.
+
+    named: the user names the file itself, so that the length does not matter: reading it tells what is wrong.
+    """
     if path.suffix.lower() == ".brdf":
         return True
-    if path.suffix.lower() in (".bin", ".binary"):
-        return path.stat().st_size == (UTIA_BYTES if path.suffix.lower() == ".bin" else MERL_BYTES)
+    if path.suffix.lower() in BINARY_BYTES:
+        return named or path.stat().st_size == BINARY_BYTES[path.suffix.lower()]
     if path.suffix.lower() != ".csv":
         return False
     try:

@@ -147,7 +147,12 @@ def has_lamps(source: Path) -> bool:
     """Whether a folder tells where the lamps of a plane's photographs were."""
     listed = (source / "light_directions.txt").is_file() or any(source.glob("*.lp"))
     listed = listed or RtiProject.of(source) is not None
-    return listed or any(source.glob(f"*/{PROBE_DATA}")) or find_relight(source) is not None
+    return listed or has_spheres(source) or find_relight(source) is not None
+
+
+def has_spheres(source: Path) -> bool:
+    """Whether a folder has folders of mirror spheres with their circles."""
+    return any(source.glob(f"*/{PROBE_DATA}"))
 
 
 def _find_mask(source: Path) -> Path | None:

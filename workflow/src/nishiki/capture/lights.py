@@ -99,6 +99,11 @@ def lights_from_vectors(
             what = f"light '{name}' appears twice (numbers {seen[name] + 1} and {i + 1})"
             problems.append(error("light-duplicate", file, what, remedy="Remove or rename one"))
         seen.setdefault(name, i)
+        if not name:
+            remedy = "Name the photograph that it was taken with"
+            problems.append(
+                error("name-unusable", file, f"light {i + 1} has no name", found=repr(names[i]), remedy=remedy)
+            )
         problems += label_problems(name, "light", file)
     raise_errors(problems)
     uneven = np.abs(lengths - 1) > 0.01

@@ -64,7 +64,7 @@ def read_meshroom(path: Path) -> list[RegisteredView]:
             for view in content["views"]
             if str(view.get("poseId")) in poses
         ]
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as e:
+    except (ValueError, KeyError, TypeError, AttributeError, ArithmeticError, RecursionError) as e:
         found = f"without {e}" if isinstance(e, KeyError) else str(e)[:120]
         what = "not cameras as Meshroom writes them"
         raise CaptureError(error("cameras-unreadable", path.name, what, found=found, remedy=REMEDY)) from e
@@ -104,8 +104,8 @@ def _lens(intrinsic: dict, version: tuple[int, ...], file: str) -> tuple[int, in
     elif version < (1, 2, 2):
         fx, fy = map(_number, intrinsic["pxFocalLength"])
     else:
-        fx = _number(intrinsic["focalLength"]) / _number(intrinsic["sensorWidth"]) * columns
-        ratio = _number(intrinsic.get("pixelRatio", 1))
+        fx = _number(intrinsic["focalLength"]) / _positive(intrinsic["sensorWidth"], "sensorWidth") * columns
+        ratio = _positive(intrinsic.get("pixelRatio", 1), "pixelRatio")
         fy = fx / ratio if version < (1, 2, 5) else fx * ratio
     cx, cy = map(_number, intrinsic["principalPoint"])
     if version >= (1, 2, 1):
@@ -139,6 +139,13 @@ def _number(value: object) -> float:
     if isinstance(value, bool) or not isinstance(value, str | int | float) or not math.isfinite(float(value)):
         raise ValueError(f"'{str(value)[:40]}' where a number is expected")
     return float(value)
+
+
+def _positive(value: object, name: str) -> float:
+    number = _number(value)
+    if number <= 0:
+        raise ValueError(f"{name} {number:g}, which must be above 0")
+    return number
 
 
 def _whole(value: object) -> int:

@@ -10,6 +10,11 @@ import numpy as np
 from nishiki.capture.turntable_schema import Intrinsics
 from nishiki.formats.problems import CaptureError, error
 
+SHARED = (
+    "The photographs are of several cameras, which share only the distortion: fx, fy, cx and cy in "
+    "turntable.intrinsics are those of the first, and turntable.cameras has those of each."
+)
+
 
 @dataclass(frozen=True)
 class RegisteredView:

@@ -10,8 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.capture.layouts import photographs_in
+from nishiki.capture.colmap import colmap_folder
+from nishiki.capture.layouts import has_spheres, photographs_in
 from nishiki.capture.lights import Lights, lights_from_vectors, read_lights
+from nishiki.capture.meshroom import meshroom_file
 from nishiki.capture.relight_files import is_relight, read_relight
 from nishiki.capture.rtibuilder import RtiProject
 from nishiki.capture.schema import LOST_BY_FIT
@@ -32,11 +34,14 @@ LEAST_CLIPPED = 1e-4  # share of a picture's values below which clipping is not 
 def recognise_relightable(source: Path) -> Path | None:
     """The relightable image that the source is, or the only one in this folder without photographs; else None.
 
+    Photographs are better: a folder that has them in folders below, with mirror spheres or cameras, is none of ours.
     Raises CaptureError (layout-unknown) where a folder holds several.
     """
     if source.is_file():
         return source if source.suffix.lower() in SUFFIXES else None
     if not source.is_dir() or photographs_in(source) or RtiProject.of(source) is not None:
+        return None
+    if has_spheres(source) or colmap_folder(source) is not None or meshroom_file(source) is not None:
         return None
     files = sorted(path for path in source.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
     if len(files) > 1:

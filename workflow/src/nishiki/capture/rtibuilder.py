@@ -31,11 +31,17 @@ class RtiProject:
 
     @classmethod
     def of(cls, source: Path) -> RtiProject | None:
-        """The project in a folder, known by `assembly-files` or `jpeg-exports`; None where there is neither."""
+        """The project in a folder, known by `assembly-files` or `jpeg-exports`; None where there is neither.
+
+        None, too, where only the folder itself holds pictures: those of the project may be lost, or never were.
+        """
         known = (*PHOTOGRAPHS, ASSEMBLY, FINISHED)
         present = {path.name.casefold(): path for path in source.iterdir() if path.is_dir()}
         folders = {name: present[name] for name in known if name in present and not leads_out(present[name], source)}
-        return cls(source, folders) if {ASSEMBLY, PHOTOGRAPHS[0]} & set(folders) else None
+        if not {ASSEMBLY, PHOTOGRAPHS[0]} & set(folders):
+            return None
+        filled = any(_stems_in(folders[name]) for name in PHOTOGRAPHS if name in folders)
+        return cls(source, folders) if filled or not _stems_in(source) else None
 
     def lights_file(self) -> Path:
         """The only `.lp` in `assembly-files`, or in the project's own folder. CaptureError (layout-unknown)."""
@@ -60,7 +66,7 @@ class RtiProject:
         """
         counts = {}
         for name in self._order(lights):
-            stems = self._stems(name)
+            stems = _stems_in(self.folders[name])
             counts[name] = sum(light.casefold() in stems for light in lights.names)
             if counts[name] == len(lights.names):
                 return self.folders[name]
@@ -79,7 +85,7 @@ class RtiProject:
             for name in reversed(PHOTOGRAPHS)
             if name in self.folders
             and self.folders[name] != chosen
-            and {light.casefold() for light in lights.names} <= self._stems(name)
+            and {light.casefold() for light in lights.names} <= _stems_in(self.folders[name])
         ]
         what = f"an RTIBuilder project: the lights of {lights_file.name} and the photographs of {chosen.name}"
         found = f"the same photographs in {', '.join(others)}, not used" if others else ""
@@ -94,11 +100,12 @@ class RtiProject:
         present = [name for name in PHOTOGRAPHS if name in self.folders]
         return sorted(present, key=lambda name: -asked.count(name))
 
-    def _stems(self, name: str) -> set[str]:
-        files = self.folders[name].iterdir()
-        return {path.stem.casefold() for path in files if path.suffix.lower() in IMAGE_SUFFIXES}
-
     def _finished(self) -> Path | None:
         place = self.folders.get(FINISHED)
         files = sorted(place.iterdir()) if place else []
         return next((path for path in files if path.suffix.lower() in (".rti", ".ptm")), None)
+
+
+def _stems_in(folder: Path) -> set[str]:
+    """Names of the pictures in a folder, without suffix."""
+    return {path.stem.casefold() for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES}

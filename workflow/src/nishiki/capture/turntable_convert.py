@@ -65,6 +65,7 @@ def write_round(
         block["calibration"] = take(layout.calibration, folder / layout.calibration.name, link)
     camera = {"channels": list(channel_names(header)), "encoding": coding}
     settings = {"format": FORMAT, "title": title or source.name, "geometry": "turntable", "camera": camera}
+    settings |= {"notes": layout.notes} if layout.notes else {}
     settings |= {"turntable": block} if block else {}
     text = "# Capture folder: see docs/capture-folder.md\n" + yaml.safe_dump(
         settings, sort_keys=False, allow_unicode=True

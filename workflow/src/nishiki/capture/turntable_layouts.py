@@ -15,7 +15,7 @@ from nishiki.capture.colmap import colmap_folder, read_colmap
 from nishiki.capture.layouts import natural_key, photographs_in, source_problems
 from nishiki.capture.meshroom import meshroom_file, read_meshroom
 from nishiki.capture.polariser import parse_state
-from nishiki.capture.registered import RegisteredView, distorted_lens
+from nishiki.capture.registered import SHARED, RegisteredView, distorted_lens
 from nishiki.capture.seal import sha256_of
 from nishiki.capture.turntable_schema import Intrinsics
 from nishiki.formats.bounds import bound
@@ -34,7 +34,8 @@ FEWEST_STATES = 3
 @dataclass(frozen=True)
 class RoundLayout:
     """photographs[i] shows views[i] in the polariser state states[i] ('' for none); matrices (views, 3, 4) or None;
-    calibration: the instrument's own file, or None; lens: of all photographs where it is distorted, or None."""
+    calibration: the instrument's own file, or None; lens: of all photographs where it is distorted, or None;
+    notes: for capture.yaml."""
 
     name: str
     photographs: tuple[Path, ...]
@@ -45,6 +46,7 @@ class RoundLayout:
     calibration: Path | None
     warnings: tuple[Problem, ...]
     lens: Intrinsics | None = None
+    notes: str = ""
 
 
 def recognise_round(source: Path) -> RoundLayout | None:
@@ -227,9 +229,12 @@ def _registered(source: Path, program: str, file: str, views: list[RegisteredVie
     if extra:
         what, found = f"pictures that {program} did not register were left out", ", ".join(extra[:5])
         notes.append(warning("photograph-unlisted", str(folder), what, found=found))
+    shared = SHARED if lens is not None and any(view.lens != lens for view in views) else ""
+    if shared:
+        notes.append(warning("cameras-several", file, shared.rstrip(".")))
     matrices = np.array([view.matrix for view in views])
     layout = _turntable(f"turntable with cameras of {program}", photographs, matrices, file, None, notes)
-    return replace(layout, lens=lens)
+    return replace(layout, lens=lens, notes=shared)
 
 
 def _turntable(

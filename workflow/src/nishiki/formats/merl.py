@@ -24,13 +24,21 @@ MERL_BYTES = 12 + 8 * 3 * int(np.prod(MERL_SHAPE))
 
 
 def read_merl(path: Path, name: str) -> np.ndarray:
-    """(90, 90, 180, 3) float64 of BRDF values in 1/sr, red, green, blue. Refused where the file is no such table."""
+    """(90, 90, 180, 3) float64 of BRDF values in 1/sr, red, green, blue. Refused where the file is no such table.
+
+    Values below 0 are those of the file; values that are not finite are refused.
+    """
     content = read_bytes(path, "reflectances_bytes", name=name)
     if len(content) != MERL_BYTES or tuple(np.frombuffer(content, "<i4", 3)) != MERL_SHAPE:
         found = f"{len(content)} bytes that begin with {np.frombuffer(content[:12].ljust(12), '<i4').tolist()}"
         expected = f"{MERL_BYTES} bytes that begin with {list(MERL_SHAPE)}, as a table of the MERL database has"
-        raise Refused(name, "not such a table", expected=expected, found=found)
+        remedy = "Give a .binary file of the MERL database, or the measurements as .csv"
+        raise Refused(name, "not such a table", expected=expected, found=found, remedy=remedy)
     stored = np.frombuffer(content, "<f8", offset=12).reshape(3, *MERL_SHAPE)
+    broken = stored.size - np.count_nonzero(np.isfinite(stored))
+    if broken:
+        remedy = "Copy the file again from where it came"
+        raise Refused(name, "values that are not finite", found=f"{broken} of {stored.size}", remedy=remedy)
     return np.moveaxis(stored, 0, -1) * MERL_SCALE
 
 
@@ -56,7 +64,7 @@ def merl_values(table: np.ndarray, light: np.ndarray, view: np.ndarray) -> np.nd
     known = np.where(continued < 0, -np.inf, continued)
     with np.errstate(invalid="ignore"):  # 0 times infinity
         values = np.stack([map_coordinates(known[..., k], cells, order=1, mode="nearest") for k in range(3)], axis=1)
-    return np.where(np.isfinite(values).all(axis=1, keepdims=True), values, -1.0)
+    return np.where(np.isfinite(values).all(axis=1, keepdims=True), values, MERL_HIDDEN)
 
 
 def merl_directions() -> tuple[np.ndarray, np.ndarray]:

@@ -25,7 +25,8 @@ def read_utia(path: Path, name: str) -> np.ndarray:
     content = read_bytes(path, "reflectances_bytes", name=name)
     if len(content) != UTIA_BYTES:
         expected, found = f"{UTIA_BYTES} bytes, as a table of the UTIA database has", f"{len(content)}"
-        raise Refused(name, "not such a table", expected=expected, found=found)
+        remedy = "Give a .bin file of the UTIA database, or the measurements as .csv"
+        raise Refused(name, "not such a table", expected=expected, found=found, remedy=remedy)
     stored = np.moveaxis(np.frombuffer(content, "<f8").reshape(UTIA_SHAPE), 0, -1)
     by_light = np.concatenate([stored[:1].mean(axis=1), stored[1:].reshape(-1, *stored.shape[2:])])
     values = np.concatenate([by_light[:, :1].mean(axis=2), by_light[:, 1:].reshape(len(by_light), -1, 3)], axis=1)
