@@ -445,7 +445,9 @@ def test_results_of_two_settings_stand_under_one_divider(viewed, browser):
     page.goto(printed.stdout.strip().splitlines()[-1])
     page.wait_for_function("window.nishiki")
     browser.set(**state)
-    page.wait_for_function("nishiki.state.compare && document.querySelector('#beside')")
+    other = page.locator("#beside").element_handle().content_frame()
+    other.wait_for_function("window.nishiki && nishiki.state.exposure === 0.7", timeout=60_000)
+    other.evaluate("nishiki.idle()")
     assert before.name in section(browser, "compare").text_content()
     assert np.abs(screen() - alone[0]).max() <= 2
     browser.set(compare={"divider": 0.02, "state": None})
