@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import base64
-import functools
-import http.server
 import shutil
 import tempfile
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -48,13 +45,6 @@ globalThis.draw = ([rows, columns, pixel, direction]) => {
 </script>"""
 
 
-class Silent(http.server.SimpleHTTPRequestHandler):
-    """Files of a folder, without a line for each request."""
-
-    def log_message(self, *_):
-        pass
-
-
 @contextmanager
 def opened(glb: Path) -> Iterator:
     """A function (rows, columns, pixel, direction) that gives (rows, columns, 4) uint8, sRGB and 0 beside the mesh: the
@@ -67,25 +57,19 @@ def opened(glb: Path) -> Iterator:
         shutil.copy(glb, web / "model.glb")
         (web / "three").symlink_to(THREE)
         (web / "index.html").write_text(PAGE, encoding="utf-8")
-        server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Silent, directory=web))
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        try:
-            with sync_playwright() as tool:
-                browser = tool.chromium.launch(executable_path=viewer_pages.CHROMIUM, args=viewer_pages.FLAGS)
-                page = browser.new_page()
-                problems = []
-                page.on("pageerror", lambda error: problems.append(str(error)))
-                page.goto(f"http://127.0.0.1:{server.server_port}/index.html")
-                page.wait_for_function("() => Boolean(globalThis.draw)", timeout=60_000)
+        with viewer_pages.served(web) as address, sync_playwright() as tool:
+            browser = tool.chromium.launch(executable_path=viewer_pages.CHROMIUM, args=viewer_pages.FLAGS)
+            page = browser.new_page()
+            problems = []
+            page.on("pageerror", lambda error: problems.append(str(error)))
+            page.goto(f"{address}/index.html")
+            page.wait_for_function("() => Boolean(globalThis.draw)", timeout=60_000)
 
-                def draw(rows: int, columns: int, pixel: float, direction) -> np.ndarray:
-                    text = page.evaluate("draw", [rows, columns, pixel, [float(v) for v in direction]])
-                    values = np.frombuffer(base64.b64decode(text), np.uint8).reshape(rows, columns, 4)
-                    return values[::-1]
+            def draw(rows: int, columns: int, pixel: float, direction) -> np.ndarray:
+                text = page.evaluate("draw", [rows, columns, pixel, [float(v) for v in direction]])
+                values = np.frombuffer(base64.b64decode(text), np.uint8).reshape(rows, columns, 4)
+                return values[::-1]
 
-                yield draw
-                assert not problems
-                browser.close()
-        finally:
-            server.shutdown()
-            server.server_close()
+            yield draw
+            assert not problems
+            browser.close()

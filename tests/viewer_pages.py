@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import base64
+import functools
+import http.server
 import importlib.util
 import shutil
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -58,6 +61,11 @@ class Page:
     messages: list[str] = field(default_factory=list)
     requests: list[str] = field(default_factory=list)
 
+    def noted(self, message: str) -> None:
+        """Keep a message of the console, but for the driver's remark that tests read the canvas back often."""
+        if "GPU stall due to ReadPixels" not in message:
+            self.messages.append(message)
+
     def set(self, **changes: Any) -> None:
         """Change the state and wait until the picture is complete."""
         self.page.evaluate("(changes) => { nishiki.set(changes); }", changes)
@@ -74,6 +82,22 @@ class Page:
         return values[::-1, :, :3]
 
 
+class _Silent(http.server.SimpleHTTPRequestHandler):
+    def log_message(self, *_):
+        """Requests are not printed."""
+
+
+@contextmanager
+def served(folder: Path) -> Iterator[str]:
+    """The address of a folder, for pages that read files."""
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(_Silent, directory=folder)) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        try:
+            yield f"http://127.0.0.1:{server.server_port}"
+        finally:
+            server.shutdown()
+
+
 @contextmanager
 def opened(index: Path, *, width: int = 800, height: int = 600) -> Iterator[Page]:
     """The page in headless Chromium with its software rasteriser, once its scene can be drawn."""
@@ -82,7 +106,7 @@ def opened(index: Path, *, width: int = 800, height: int = 600) -> Iterator[Page
     with sync_playwright() as tool:
         browser = tool.chromium.launch(executable_path=CHROMIUM, args=FLAGS)
         shown = Page(browser.new_page(viewport={"width": width, "height": height}))
-        shown.page.on("console", lambda message: shown.messages.append(f"{message.type}: {message.text}"))
+        shown.page.on("console", lambda message: shown.noted(f"{message.type}: {message.text}"))
         shown.page.on("pageerror", lambda error: shown.messages.append(f"error: {error}"))
         shown.page.on("request", lambda request: shown.requests.append(request.url[:200]))
         shown.page.goto(index.resolve().as_uri())

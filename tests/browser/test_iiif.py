@@ -1,8 +1,5 @@
 """Tiles and manifest of IIIF in a viewer that shares nothing with us: Tify, from npm."""
 
-import functools
-import http.server
-import threading
 from types import SimpleNamespace
 
 import cv2
@@ -30,34 +27,23 @@ new Tify({container: "#viewer", manifestUrl: "manifest.json", translationsDirUrl
 </script>"""
 
 
-class Silent(http.server.SimpleHTTPRequestHandler):
-    """Files of a folder, without a line for each request."""
-
-    def log_message(self, *_):
-        pass
-
-
 @pytest.fixture
 def address(tmp_path):
     """Address of a folder with three layers of one colour each, and of the viewer beside them."""
     (tmp_path / "scratch").mkdir()
     web = tmp_path / "web"
     web.mkdir()
-    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Silent, directory=web))
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    address = f"http://127.0.0.1:{server.server_port}"
-    for name in LAYERS:
-        picture = np.broadcast_to(np.uint8(COLOURS[name]), (ROWS, COLUMNS, 3))
-        write_iiif_image(web / name, f"{address}/{name}", picture, tmp_path / "scratch", 92)
-    capture = SimpleNamespace(diagnostics={"capture": {"title": "Three sheets of paper"}})
-    stamp = {"version": "0", "scene": "sheets", "key": "0"}
-    scene = SimpleNamespace(shape=(ROWS, COLUMNS), pitch_mm=0.1)
-    write_manifest(web, manifest(SimpleNamespace(inputs={"ingest": capture}, stamp=stamp), scene, address))
-    (web / "tify").symlink_to(TIFY)
-    (web / "index.html").write_text(PAGE, encoding="utf-8")
-    yield address
-    server.shutdown()
-    server.server_close()
+    with viewer_pages.served(web) as address:
+        for name in LAYERS:
+            picture = np.broadcast_to(np.uint8(COLOURS[name]), (ROWS, COLUMNS, 3))
+            write_iiif_image(web / name, f"{address}/{name}", picture, tmp_path / "scratch", 92)
+        capture = SimpleNamespace(diagnostics={"capture": {"title": "Three sheets of paper"}})
+        stamp = {"version": "0", "scene": "sheets", "key": "0"}
+        scene = SimpleNamespace(shape=(ROWS, COLUMNS), pitch_mm=0.1)
+        write_manifest(web, manifest(SimpleNamespace(inputs={"ingest": capture}, stamp=stamp), scene, address))
+        (web / "tify").symlink_to(TIFY)
+        (web / "index.html").write_text(PAGE, encoding="utf-8")
+        yield address
 
 
 def test_viewer_shows_the_chosen_layer_from_its_tiles(address):

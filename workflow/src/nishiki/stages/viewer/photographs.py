@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from nishiki.artifacts.maps import directional_shading, shading_normals
+from nishiki.artifacts.maps import shading_normals
 from nishiki.brdf.parameters import gloss_table, is_facets
 from nishiki.brdf.slopes import slope_covariance
 from nishiki.evaluate.prediction import FittedModel, light_of, predict_light
@@ -67,7 +67,6 @@ def photographs_of(maps: PaintingMaps, frames: Observations, blocks: Blocks, pro
         "white": white,
         "top": TOP,
         "nothing": NOTHING,
-        "shadows": not directional_shading(maps.normals),
     }
 
 

@@ -159,8 +159,7 @@ export class Painting {
     const record = await this.#record(column, row);
     if (!record) return { position_mm: null, normal: null, layers, spectrum: null, gloss: null, photographs: null };
     const { beta, gamma, refractive_index } = manifest.gloss;
-    const pitch = manifest.pitch_mm ?? 1;
-    const place = [(column + 0.5 - manifest.columns / 2) * pitch, (manifest.rows / 2 - row - 0.5) * pitch, layers.height ?? 0];
+    const place = [...this.#pointOf([column + 0.5, row + 0.5]), layers.height ?? 0];
     const sigma = layers.sigma_spectrum;
     return {
       position_mm: place,
@@ -373,10 +372,15 @@ export class Painting {
     }
   }
 
+  /** The relief that lifts the picture; null from the front. */
+  #reliefOf(place) {
+    return place.tilted ? this.relief : null;
+  }
+
   /** Draw a rectangle of the map, its corners in pixels averaged by `factor`: two triangles, or a mesh that is lifted. */
   #drawMesh(uniforms, place, factor, corners) {
     const { gl } = this, { toClip, lift, depth } = place.uniforms(factor);
-    const relief = place.tilted && this.relief;
+    const relief = this.#reliefOf(place);
     const cells = relief ? relief.cells((corners[2] - corners[0]) * factor, place.scale) : 1;
     gl.uniform4f(uniforms.corners, ...corners);
     gl.uniformMatrix3x2fv(uniforms.toClip, false, toClip);
@@ -396,7 +400,7 @@ export class Painting {
     const shadowed = Boolean(this.shadow && this.shadow.count === lamps.length && lamps.length);
     const defines = {
       PLANES: this.planes, CHROMA: this.chroma, TERMS: this.terms, SHADES: this.shades, LAMPS: lamps.length,
-      LOBES: gloss.beta[0].length, REGIONS: this.hasRegions ? 1 : 0, BLURRED: gloss.blurred ? 1 : 0, SHADOWS: shadowed ? 1 : 0, OUTPUT: output, RELIEF: place.tilted && this.relief ? 1 : 0,
+      LOBES: gloss.beta[0].length, REGIONS: this.hasRegions ? 1 : 0, BLURRED: gloss.blurred ? 1 : 0, SHADOWS: shadowed ? 1 : 0, OUTPUT: output, RELIEF: this.#reliefOf(place) ? 1 : 0,
     };
     const shader = this.#program(JSON.stringify(defines), TILE_VERTEX, paintingFragment(defines), defines);
     const { uniforms } = shader;
@@ -465,7 +469,7 @@ export class Painting {
     this.#layerTexture(layer);
     const { made } = this.layerTextures.get(layer.name);
     if (!made) return;
-    const defines = { RELIEF: place.tilted && this.relief ? 1 : 0 };
+    const defines = { RELIEF: this.#reliefOf(place) ? 1 : 0 };
     const shader = this.#program(`layer${defines.RELIEF}`, TILE_VERTEX, LAYER_FRAGMENT, defines);
     const { uniforms } = shader;
     shader.use();

@@ -4,6 +4,7 @@
 // across d. A point p of the plane then moves to p + (cos t - 1) (p.d) d, and a height h lifts it by -h sin t d.
 
 export const MOST_TILT = 75; // degrees
+const RAY_STEPS = 256, HALVINGS = 20; // down a line of sight to the relief
 
 export class PlaneView {
   /** size: {rows, columns, pitch} of the map; screen: {width, height} of the canvas; scale: its pixels to one of the map
@@ -18,8 +19,8 @@ export class PlaneView {
     this.matrix = [[1 + shrink * dx * dx, -shrink * dx * dy], [-shrink * dx * dy, 1 + shrink * dy * dy]].map((row) => row.map((v) => v * scale));
     this.lift = [(-this.toward[0] * scale) / pitch, (this.toward[1] * scale) / pitch];
     const [[a, b], [c, d]] = this.matrix, middle = [columns / 2 + view.x / pitch, rows / 2 - view.y / pitch];
-    // whole offsets, so that 1:1 resamples nothing
-    this.offset = [Math.round(width / 2 - a * middle[0] - b * middle[1]), Math.round(height / 2 - c * middle[0] - d * middle[1])];
+    this.offset = [width / 2 - a * middle[0] - b * middle[1], height / 2 - c * middle[0] - d * middle[1]];
+    if (!this.tilted) this.offset = this.offset.map(Math.round); // so that 1:1 resamples nothing
   }
 
   /** Pixel of the canvas of a place on the map at this height. */
@@ -37,12 +38,18 @@ export class PlaneView {
 
   /** Place on the map of the point of the relief that a pixel of the canvas shows; heightAt(column, row) or NaN. */
   toRelief(x, y, heightAt) {
-    const [low, high] = this.heights, steps = this.tilted && high > low ? 256 : 0;
-    for (let k = 0; k < steps; k++) {
-      const height = high - ((high - low) * k) / steps, place = this.toMap(x, y, height);
-      if (heightAt(...place) >= height) return place;
+    const [low, high] = this.heights;
+    if (!this.tilted || low === high) return this.toMap(x, y);
+    const below = (height) => heightAt(...this.toMap(x, y, height)) >= height, step = (high - low) / RAY_STEPS;
+    let height = high;
+    while (height > low && !below(height)) height -= step;
+    let above = height + step;
+    for (let k = 0; k < HALVINGS; k++) {
+      const middle = (height + above) / 2;
+      if (below(middle)) height = middle;
+      else above = middle;
     }
-    return this.toMap(x, y, steps ? low : 0);
+    return this.toMap(x, y, height);
   }
 
   /** First and last pixel of the map, [left, top, right, bottom], that an area of the canvas can show. */
