@@ -19,6 +19,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from nishiki.brdf.cloth.interface import halves, only_above
+from nishiki.brdf.trowbridge_reitz import anisotropic_lobe
 from nishiki.colour.colour import srgb_encode
 from nishiki.render.cloth.scene import Brdf, three
 
@@ -63,7 +64,7 @@ class GltfCloth:
         across = self.roughness**2
         along = across + (1 - across) * self.anisotropy**2
         x, y = (across, along) if self.along_warp else (along, across)
-        gloss = trowbridge_reitz(g.h, incident, outgoing, x, y)[..., None]
+        gloss = anisotropic_lobe(g.h, incident, outgoing, x, y)[..., None]
         body = (1 - fresnel.max(axis=-1, keepdims=True)) * self.base / np.pi
         f = body + fresnel * gloss
         if self.sheen_colour.any():
@@ -103,15 +104,6 @@ class GltfCloth:
             "doubleSided": True,
             "extensions": extensions,
         }
-
-
-def trowbridge_reitz(h: np.ndarray, incident: np.ndarray, outgoing: np.ndarray, x: float, y: float) -> np.ndarray:
-    """D V, 1 / sr, of unit vectors (..., 3) above the horizon; x, y: alpha along weft and warp. V is at most 1, as in
-    KHR_materials_anisotropy."""
-    distribution = 1 / (np.pi * x * y * ((h[..., 0] / x) ** 2 + (h[..., 1] / y) ** 2 + h[..., 2] ** 2) ** 2)
-    light, view = (np.sqrt((x * d[..., 0]) ** 2 + (y * d[..., 1]) ** 2 + d[..., 2] ** 2) for d in (incident, outgoing))
-    masked = np.abs(outgoing[..., 2]) * light + np.abs(incident[..., 2]) * view
-    return distribution * np.minimum(0.5 / np.maximum(masked, 1e-9), 1.0)
 
 
 def charlie(cos_h: np.ndarray, cos_i: np.ndarray, cos_r: np.ndarray, roughness: float) -> np.ndarray:

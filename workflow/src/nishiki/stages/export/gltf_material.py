@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nishiki.brdf.torrance_sparrow import specular
+from nishiki.brdf.trowbridge_reitz import isotropic_lobe
 from nishiki.colour.encoding import encode
 
 ROUGHNESS = np.geomspace(0.05, 1, 90)
@@ -65,7 +66,7 @@ class GltfMaterial:
         half = (light + view) / np.linalg.norm(light + view)
         cos_i, cos_r = (np.maximum(normals @ each, 0) for each in (light, view))
         reflected = self.fresnel(half[2])
-        gloss = np.pi * reflected * ggx(np.maximum(normals @ half, 0), cos_i, cos_r, self.roughness**2)
+        gloss = np.pi * reflected * isotropic_lobe(np.maximum(normals @ half, 0), cos_i, cos_r, self.roughness**2)
         return ((1 - reflected) * base + gloss[:, None]) * cos_i[:, None]
 
 
@@ -86,14 +87,6 @@ def white_at_grazing(material: GltfMaterial) -> GltfMaterial:
     return WhiteAtGrazing(material.roughness, material.strength, material.index)
 
 
-def ggx(cos_phi: np.ndarray, cos_i: np.ndarray, cos_r: np.ndarray, alpha: np.ndarray | float) -> np.ndarray:
-    """D V of Trowbridge-Reitz, 1 / sr; cosines of normal with half vector, light and view."""
-    square = np.square(alpha)
-    distribution = square / (np.pi * ((cos_phi**2) * (square - 1) + 1) ** 2)
-    light, view = (np.sqrt(square + (1 - square) * c**2) for c in (cos_i, cos_r))
-    return distribution / np.maximum((cos_i + light) * (cos_r + view), 1e-9)
-
-
 def fitted_material(beta: np.ndarray, gamma: np.ndarray, index: float, albedo: float) -> GltfMaterial:
     """The material whose coded brightness under lights around, seen along the normal, is nearest to that of our lobes.
 
@@ -109,7 +102,7 @@ def fitted_material(beta: np.ndarray, gamma: np.ndarray, index: float, albedo: f
     weights = np.sin(ANGLES)
     best, least = GltfMaterial(1.0, 0.0, index), np.sum(weights * (encode(albedo * cos_i, "srgb") - true) ** 2)
     for roughness in ROUGHNESS:
-        shape = np.pi * ggx(cos_q, cos_i, np.ones_like(cos_i), roughness**2) * cos_i
+        shape = np.pi * isotropic_lobe(cos_q, cos_i, np.ones_like(cos_i), roughness**2) * cos_i
         for strength in STRENGTH:
             material = GltfMaterial(float(roughness), float(strength), index)
             reflected = material.fresnel(cos_q)

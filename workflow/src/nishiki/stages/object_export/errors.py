@@ -5,11 +5,11 @@ import numpy as np
 from nishiki.artifacts.stage import Context
 from nishiki.brdf.texels.lighting import POINT, Lamp
 from nishiki.brdf.texels.model import factors
+from nishiki.brdf.trowbridge_reitz import isotropic_lobe
 from nishiki.colour.encoding import decode, encode
 from nishiki.evaluate.object_photographs import Photographs
 from nishiki.geometry.raster import rasterise
 from nishiki.render.display import three_channels
-from nishiki.stages.export.gltf_material import ggx
 from nishiki.stages.export.photographs import CodedErrors
 from nishiki.stages.object_export.look import ObjectLook
 from nishiki.stages.object_export.texture_atlas import sample
@@ -67,7 +67,7 @@ def shaded(look: ObjectLook, stored: np.ndarray, view: int, *, white_at_grazing:
     normal = texels[:, 4] * look.normal_reflectance
     grazing = 1.0 if white_at_grazing else texels[:, 4]
     reflected = normal + (grazing - normal) * (1 - np.sum(half * towards, axis=1)) ** 5
-    gloss = np.pi * reflected * ggx(cos_phi, cos_i, cos_r, texels[:, 3]) * cos_i * angles[:, 0]
+    gloss = np.pi * reflected * isotropic_lobe(cos_phi, cos_i, cos_r, texels[:, 3]) * cos_i * angles[:, 0]
     return (1 - reflected[:, None]) * texels[:, :3] * irradiance + gloss[:, None], covered
 
 
