@@ -106,3 +106,16 @@ export function freeView(camera, centre) {
   const fov_deg = (360 / Math.PI) * Math.atan(camera.rows / (2 * camera.intrinsics[1][1]));
   return { eye, target, up: scale(down, -1), fov_deg, captured: null };
 }
+
+/** Matrix from the scene to a picture {width, height} of a camera, or to a part of it with its corner {x, y}; shift: in
+ * pixels; near, far: depths between which something is drawn. */
+export function screenMatrix({ intrinsics, rotation, translation }, { width, height, x = 0, y = 0 }, shift, near, far) {
+  const [columns, rows] = [intrinsics[0][2] + 0.5 - x + shift[0], intrinsics[1][2] + 0.5 - y + shift[1]];
+  const lens = [
+    [(2 * intrinsics[0][0]) / width, 0, (2 * columns) / width - 1],
+    [0, (-2 * intrinsics[1][1]) / height, 1 - (2 * rows) / height],
+    [0, 0, (far + near) / (far - near)], [0, 0, 1],
+  ];
+  const world = rotation.map((row, n) => [...row, translation[n]]);
+  return lens.map((row, n) => [0, 1, 2, 3].map((c) => row.reduce((sum, v, m) => sum + v * world[m][c], n === 2 && c === 3 ? (-2 * far * near) / (far - near) : 0)));
+}

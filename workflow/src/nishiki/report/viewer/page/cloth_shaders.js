@@ -1,25 +1,14 @@
 // Shaders of the cloth's viewer: nishiki.render.cloth on a mesh, with its BRDF from a table (render/cloth/brdf_table.py).
 
-const HEAD = `#version 300 es
-precision highp float;
-precision highp int;
-precision highp sampler2D;
-precision highp sampler3D;
-precision highp sampler2DArray;
-`;
-
-export const LAMPS = 8;
+import { ENCODING, LAMPS, REACHES } from "viewer/common_shaders";
 
 /** Depth of the cloth as a lamp sees it. */
-export const SHADOW_VERTEX = `${HEAD}
+export const SHADOW_VERTEX = `
 layout(location = 0) in vec3 place;
 uniform mat4 toLamp;
 void main() { gl_Position = toLamp * vec4(place, 1); }`;
 
-export const SHADOW_FRAGMENT = `${HEAD}
-void main() {}`;
-
-export const CLOTH_VERTEX = `${HEAD}
+export const CLOTH_VERTEX = `
 layout(location = 0) in vec3 place;
 layout(location = 1) in vec4 normal; // w: whether it is paper
 layout(location = 2) in vec4 weft;
@@ -38,7 +27,7 @@ void main() {
 }`;
 
 /** What a pixel's point sends to the eye, or a layer of it. */
-export const CLOTH_FRAGMENT = `${HEAD}
+export const CLOTH_FRAGMENT = `
 #define LAMPS ${LAMPS}
 const float PI = 3.14159265358979;
 const float FADES = 1.8;        // distance, in radii of the cloth, from which on the paper fades away
@@ -52,9 +41,7 @@ uniform int lamps;
 uniform bool near[LAMPS];
 uniform vec3 lampVector[LAMPS]; // unit vector to a distant lamp, or the place of a near one
 uniform float strength[LAMPS], reference[LAMPS]; // distance at which a near lamp has its strength
-uniform mat4 toLamp[LAMPS];
-uniform sampler2DArray shadows;
-uniform float lift, shadowBias; // along the normal, in the unit of the scene; in depths of the map
+uniform float lift;             // along the normal, in the unit of the scene
 uniform float above, below;     // radiance of the room
 uniform vec3 back;              // share of even light that the cloth sends back, mean over views
 uniform float reflectance, leastCosine; // of the paper; of the angle between normal and eye
@@ -103,13 +90,7 @@ vec3 reflected(vec3 i, vec3 o) { // pi f cos theta_i
   if (dyed) value += dye * i.z * (1.0 - albedoOfGloss(i)) * (1.0 - albedoOfGloss(o)) / max(1.0 - meanAlbedo, 1e-3);
   return value;
 }
-float reaches(int n, vec3 normal) {
-  vec4 seen = toLamp[n] * vec4(at + lift * normal, 1);
-  vec3 place = seen.xyz / seen.w * 0.5 + 0.5;
-  if (any(lessThan(place.xy, vec2(0))) || any(greaterThan(place.xy, vec2(1)))) return 1.0;
-  return textureLod(shadows, vec3(place.xy, n), 0.0).r < min(place.z, 1.0) - shadowBias ? 0.0 : 1.0;
-}
-void main() {
+${REACHES}void main() {
   vec3 view = normalize(eye - at), face = normalize(cross(dFdx(at), dFdy(at)));
   if (dot(face, view) < 0.0) face = -face;                // towards the eye
   float side = gl_FrontFacing ? 1.0 : -1.0;
@@ -143,7 +124,7 @@ void main() {
       result = vec4(value / incident.z, incident.z);
       return;
     }
-    light += level * value * reaches(k, n);
+    light += level * value * reaches(k, at + lift * n);
   }
   if (layer == 5) {
     result = vec4(0);
@@ -155,34 +136,15 @@ void main() {
   result = vec4(light, 1) * faded;
 }`;
 
-/** One triangle over the whole of a framebuffer. */
-export const SCREEN_VERTEX = `${HEAD}
-void main() { gl_Position = vec4(gl_VertexID == 1 ? 3 : -1, gl_VertexID == 2 ? 3 : -1, 0, 1); }`;
-
-/** The mean of the pictures so far and one more. */
-export const MEAN_FRAGMENT = `${HEAD}
-uniform sampler2D mean, next;
-uniform float count;            // of pictures in the mean
-uniform int coarse;             // pixels to one of the next picture
-out vec4 result;
-void main() {
-  ivec2 at = ivec2(gl_FragCoord.xy);
-  vec4 value = texelFetch(next, at / coarse, 0);
-  result = count > 0.0 ? mix(texelFetch(mean, at, 0), value, 1.0 / (count + 1.0)) : value;
-}`;
-
 /** From linear light to the canvas, over white (nishiki.render.display.developed with its shoulder). */
-export const DEVELOP_FRAGMENT = `${HEAD}
+export const DEVELOP_FRAGMENT = `
 uniform sampler2D picture;
 uniform float exposure;
 uniform bool coded;             // the values are to be shown as they are
 out vec4 result;
 const vec3 LUMINANCE = vec3(0.2126, 0.7152, 0.0722);
 const float START = 0.6;
-vec3 encoded(vec3 v) {
-  return mix(1.055 * pow(max(v, 0.0031308), vec3(1.0 / 2.4)) - 0.055, 12.92 * v, vec3(lessThanEqual(v, vec3(0.0031308))));
-}
-vec3 shoulder(vec3 linear) {
+${ENCODING}vec3 shoulder(vec3 linear) {
   float y = max(dot(linear, LUMINANCE), 0.0), t = max(y - START, 0.0) / (1.0 - START);
   float bent = y > START ? START + (1.0 - START) * t / (1.0 + t) : y;
   vec3 value = linear * (bent / max(y, 1e-12));

@@ -83,3 +83,6 @@ export function encode(linear) {
   const value = Math.min(Math.max(linear, 0), 1);
   return value <= 0.0031308 ? 12.92 * value : 1.055 * value ** (1 / 2.4) - 0.055;
 }
+
+/** Linear light of an sRGB code, 0..1 (IEC 61966-2-1). */
+export const decode = (code) => (code <= 0.04045 ? code / 12.92 : ((code + 0.055) / 1.055) ** 2.4);

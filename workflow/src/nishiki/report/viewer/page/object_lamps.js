@@ -1,0 +1,61 @@
+// Lamps of an object as a camera has them: those of the capture, fixed to the camera, or the state's own.
+import { centreOf } from "viewer/cameras";
+import { LAMPS } from "viewer/common_shaders";
+import { add, apply, multiply, scale, transpose } from "viewer/matrices";
+
+const TO_LAMP_FRAME = [[1, 0, 0], [0, -1, 0], [0, 0, -1]];
+const [AT_A_PLACE, DISTANT, ENVIRONMENT] = [0, 1, 2];
+
+/** Rows right, up and towards the camera. */
+export const lampFrame = (camera) => multiply(TO_LAMP_FRAME, camera.rotation);
+
+/** Whether a state's own lamps light the object. */
+export const hasFreeLamps = (state) => state.options?.lighting === "free" && (state.lamps ?? []).length > 0;
+
+/** Vector from a point, whose own vector to the camera is `away`, towards the captured lamp. */
+export function towardsCaptured(lighting, light, camera, away) {
+  const vector = apply(transpose(lampFrame(camera)), lighting.vectors[light]);
+  return lighting.kind === "camera" || lighting.kind === "position" ? add(away, vector) : vector;
+}
+
+/** Uniforms of the captured light. */
+export function capturedUniforms({ lighting }, light, camera) {
+  const frame = lampFrame(camera), vector = apply(transpose(frame), lighting.vectors[light]);
+  const form = { environment: ENVIRONMENT, direction: DISTANT, position: AT_A_PLACE, camera: AT_A_PLACE }[lighting.kind];
+  const place = form === AT_A_PLACE ? add(centreOf(camera), vector) : vector;
+  const lamp = { form, vector: place, colour: [1, 1, 1], reference: form === AT_A_PLACE ? lighting.reference : 0 };
+  const harmonics = form === ENVIRONMENT && lighting.harmonics[light].map((row) => {
+    return row.length === 3 ? row : new Array(3).fill(row.reduce((a, b) => a + b, 0) / row.length);
+  });
+  return uniforms([lamp], frame, harmonics || none());
+}
+
+/** Uniforms of the state's own lamps. */
+export function freeUniforms({ centre, radius }, state, camera) {
+  const frame = lampFrame(camera), lamps = [], harmonics = none();
+  for (const lamp of state.lamps.slice(0, LAMPS - 1)) {
+    const [azimuth, elevation] = [lamp.azimuth_deg, lamp.elevation_deg].map((v) => (v * Math.PI) / 180);
+    const seen = [Math.cos(elevation) * Math.cos(azimuth), Math.cos(elevation) * Math.sin(azimuth), Math.sin(elevation)];
+    const towards = apply(transpose(frame), seen), near = lamp.distance !== null && lamp.distance !== undefined;
+    const length = near ? lamp.distance * radius : 0;
+    lamps.push({
+      form: near ? AT_A_PLACE : DISTANT, vector: near ? add(centre, scale(towards, length)) : towards,
+      colour: new Array(3).fill(lamp.intensity ?? 1), reference: length,
+    });
+  }
+  if (state.ambient) {
+    harmonics[0] = new Array(3).fill(state.ambient);
+    lamps.push({ form: ENVIRONMENT, vector: [0, 0, 0], colour: [1, 1, 1], reference: 0 });
+  }
+  return uniforms(lamps, frame, harmonics);
+}
+
+const none = () => new Array(9).fill([0, 0, 0]);
+
+function uniforms(lamps, frame, harmonics) {
+  const padded = Array.from({ length: LAMPS }, (_, n) => lamps[n] ?? lamps[0]);
+  return {
+    lamps: lamps.length, form: padded.map((l) => l.form), lampVector: padded.map((l) => l.vector),
+    lampColour: padded.map((l) => l.colour), reference: padded.map((l) => l.reference), lampFrame: frame, harmonics,
+  };
+}

@@ -1,0 +1,203 @@
+// The texels of an object on the graphics processor, tile beside tile in one atlas: places, normals, parameters, residuals of
+// captured views, and what a camera sees of them. Streams are decoded one after another while frames go on.
+import { centreOf } from "viewer/cameras";
+import { trianglesOfTiles } from "viewer/coded_object";
+import { SCREEN_VERTEX } from "viewer/common_shaders";
+import { Shader, attribute, framebuffer, image } from "viewer/gl";
+import { DEPTH_FRAGMENT, MESH_VERTEX } from "viewer/object_shaders";
+import { SURFACE_FRAGMENT, SURFACE_VERTEX, VISIBILITY_FRAGMENT, texelFragment } from "viewer/object_texel_shaders";
+
+const KEPT_VIEWS = 6; // residual textures that stay on the GPU
+const SLICE_MS = 14; // of decoding between two chances for events
+const REDRAW_MS = 400; // between two pictures while decoding goes on
+
+export class ObjectTexels {
+  /** scene: its gl, manifest, loader, drawScreen(), onready() and shownAt, the time of its last picture. */
+  constructor(scene, coded, mesh, arrays) {
+    const { gl, manifest } = scene;
+    Object.assign(this, { scene, gl, manifest, coded, mesh, parts: manifest.parts.length });
+    this.residuals = new Map(); // `view/light` -> textures
+    this.version = 0; // of what is decoded
+    this.working = 0;
+    this.across = Math.ceil(Math.sqrt(coded.tiles));
+    this.atlas = this.across * coded.size;
+    this.programs = {
+      surface: new Shader(gl, SURFACE_VERTEX, SURFACE_FRAGMENT),
+      depth: new Shader(gl, MESH_VERTEX, DEPTH_FRAGMENT),
+      visibility: new Shader(gl, SCREEN_VERTEX, VISIBILITY_FRAGMENT),
+      texels: new Shader(gl, SCREEN_VERTEX, texelFragment(this.parts, coded.design.encoding === "srgb")),
+    };
+    this.#makePlaces(arrays);
+    const { atlas } = this;
+    this.diffuse = image(gl, "RGBA16F", atlas, atlas);
+    this.specular = image(gl, "RGBA16F", atlas, atlas);
+    this.zero = image(gl, "RGBA16F", 1, 1);
+    this.seen = Array.from({ length: this.parts }, () => image(gl, "RGBA16F", atlas, atlas));
+    this.seenTarget = framebuffer(gl, this.seen);
+    this.#upload(this.diffuse, null, new Float32Array(4 * atlas * atlas).fill(0.3));
+    this.#decodeAll();
+  }
+
+  /** Position and normal of every texel. */
+  #makePlaces(arrays) {
+    const { gl, atlas, coded } = this;
+    this.positions = image(gl, "RGBA32F", atlas, atlas);
+    this.normals = image(gl, "RGBA16F", atlas, atlas);
+    const pairs = trianglesOfTiles(this.mesh.surface, arrays, coded.size);
+    const instances = gl.createVertexArray();
+    gl.bindVertexArray(instances);
+    attribute(gl, 0, pairs, 4);
+    gl.vertexAttribDivisor(0, 1);
+    const target = framebuffer(gl, [this.positions, this.normals], [atlas, atlas]);
+    gl.viewport(0, 0, atlas, atlas);
+    gl.enable(gl.DEPTH_TEST);
+    gl.depthFunc(gl.LESS);
+    gl.clearColor(0, 0, 0, 0);
+    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    this.programs.surface.use({
+      corners: this.mesh.corners, size: coded.size, tilesAcross: this.across, atlasSize: atlas,
+    });
+    gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, pairs.length / 4);
+    gl.bindVertexArray(null);
+    gl.deleteFramebuffer(target);
+  }
+
+  #upload(target, tile, data) {
+    const { gl, across } = this, size = tile === null ? this.atlas : this.coded.size;
+    gl.bindTexture(gl.TEXTURE_2D, target);
+    const [x, y] = tile === null ? [0, 0] : [(tile % across) * size, Math.floor(tile / across) * size];
+    gl.texSubImage2D(gl.TEXTURE_2D, 0, x, y, size, size, gl.RGBA, gl.FLOAT, data);
+  }
+
+  /** Decode all streams, parameters first, in slices that leave time for frames. */
+  async #decodeAll() {
+    await this.#work(async (pause) => {
+      for (const { name, first, stop } of this.manifest.streams) {
+        const data = await this.scene.loader.load(name);
+        const kind = name.split("-")[0];
+        for (let tile = first; tile < stop; tile++) {
+          const streams = this.coded.streamsOf(tile, first, data, kind);
+          if (kind === "parameters") {
+            const { diffuse, specular } = this.coded.parameters(tile, streams[0]);
+            this.#upload(this.diffuse, tile, diffuse);
+            this.#upload(this.specular, tile, specular);
+          } else {
+            this.coded.decodeResidual(tile, streams);
+            for (const kept of this.residuals.values()) this.#uploadResidual(kept, tile);
+          }
+          this.version++;
+          await pause();
+        }
+      }
+    });
+  }
+
+  /** Run a task whose `pause` gives way to frames; `working` until it is done. */
+  async #work(task) {
+    this.working++;
+    let since = performance.now();
+    await task(async () => {
+      if (performance.now() - since < SLICE_MS) return;
+      if (performance.now() - this.scene.shownAt > REDRAW_MS) this.scene.onready();
+      await new Promise((resolve) => setTimeout(resolve));
+      since = performance.now();
+    });
+    this.working--;
+    this.scene.onready();
+  }
+
+  #uploadResidual(kept, tile) {
+    kept.parts.forEach((target, part) => {
+      const values = this.coded.residual(tile, kept.view, kept.light, part, this.parts);
+      if (values) this.#upload(target, tile, values);
+    });
+  }
+
+  /** Textures of a captured view's residual and of how well it sees each texel; filled while frames go on. */
+  residualOf(view, light) {
+    const key = `${view}/${light}`;
+    if (!this.residuals.has(key)) {
+      const { gl, atlas } = this;
+      const parts = Array.from({ length: this.parts }, () => image(gl, "RGBA16F", atlas, atlas));
+      const kept = { view, light, parts, visible: this.#visibility(view) };
+      this.residuals.set(key, kept);
+      this.#work(async (pause) => {
+        for (let tile = 0; tile < this.coded.tiles; tile++) {
+          if (this.coded.coefficients[tile] && this.residuals.get(key) === kept) {
+            this.#uploadResidual(kept, tile);
+            this.version++;
+            await pause();
+          }
+        }
+      });
+    }
+    const kept = this.residuals.get(key);
+    this.residuals.delete(key); // the most recent one last
+    this.residuals.set(key, kept);
+    if (this.residuals.size > KEPT_VIEWS) {
+      const [oldest, dropped] = this.residuals.entries().next().value;
+      this.residuals.delete(oldest);
+      [...dropped.parts, dropped.visible].forEach((old) => this.gl.deleteTexture(old));
+    }
+    return kept;
+  }
+
+  /** How well a captured view sees each texel. */
+  #visibility(view) {
+    const { gl, atlas } = this, camera = this.manifest.views[view];
+    const depths = image(gl, "R32F", camera.columns, camera.rows);
+    const target = framebuffer(gl, [depths], [camera.columns, camera.rows]);
+    gl.viewport(0, 0, camera.columns, camera.rows);
+    gl.clearColor(0, 0, 0, 0);
+    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    gl.enable(gl.DEPTH_TEST);
+    this.programs.depth.use(this.mesh.seenBy(camera));
+    this.mesh.draw();
+    const visible = image(gl, "R8", atlas, atlas);
+    const result = framebuffer(gl, [visible]);
+    gl.viewport(0, 0, atlas, atlas);
+    gl.disable(gl.DEPTH_TEST);
+    this.programs.visibility.use({
+      ...this.mesh.seenBy(camera), positions: this.positions, normals: this.normals, depths, eye: centreOf(camera),
+    });
+    this.scene.drawScreen();
+    gl.deleteFramebuffer(target);
+    gl.deleteFramebuffer(result);
+    gl.deleteTexture(depths);
+    return visible;
+  }
+
+  /** Draw into `seen` the texels as a camera sees them: lamps: uniforms; lenders: captured views that lend their residual of
+   * a light, with weights; within: {x, y, width, height} of the atlas alone. */
+  draw(camera, lamps, lenders, light, within = null) {
+    const { gl, atlas } = this;
+    const lent = lenders.map(({ view }) => this.residualOf(view, light)), eye = centreOf(camera);
+    const key = JSON.stringify([eye, lamps, lenders, light, this.version, within]);
+    if (key === this.drawn) return;
+    this.drawn = key;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.seenTarget);
+    gl.viewport(0, 0, atlas, atlas);
+    gl.disable(gl.DEPTH_TEST);
+    if (within) {
+      gl.enable(gl.SCISSOR_TEST);
+      gl.scissor(within.x, within.y, within.width, within.height);
+    }
+    const none = { parts: new Array(this.parts).fill(this.zero), visible: this.zero };
+    const [first, second] = [lent[0] ?? none, lent[1] ?? none];
+    this.programs.texels.use({
+      positions: this.positions, normals: this.normals, diffuse: this.diffuse, specular: this.specular,
+      residual0: first.parts, residual1: second.parts, visible0: first.visible, visible1: second.visible,
+      views: lent.length, weights: [lenders[0]?.weight ?? 0, lenders[1]?.weight ?? 0], eye, ...lamps,
+    });
+    this.scene.drawScreen();
+    if (within) gl.disable(gl.SCISSOR_TEST);
+  }
+
+  /** The four texels (16 numbers) from (x, y) on in a texture of the atlas. */
+  read(source, { x, y }) {
+    const { gl } = this, target = framebuffer(gl, [source]), out = new Float32Array(16);
+    gl.readPixels(x, y, 2, 2, gl.RGBA, gl.FLOAT, out);
+    gl.deleteFramebuffer(target);
+    return out;
+  }
+}
