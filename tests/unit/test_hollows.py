@@ -1,11 +1,12 @@
 """Hollows that no outline shows: found where no matt point fits the photographs, sunk as deep as these agree."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
-from nishiki.geometry.camera import look_at
+from nishiki.geometry.camera import NO_DISTORTION, look_at
 from nishiki.geometry.hollows import Photographed, contradicted_regions, sink_hollows
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.raster import interpolate, rasterise
@@ -38,12 +39,13 @@ def turned(profile, spacing=0.036, columns=64):
     return Mesh.of(vertices, np.concatenate([*bands, *ends]))
 
 
-def photographed(body):
-    """A painted matt body under a lamp beside the camera, from all round and above."""
+def photographed(body, distortion=NO_DISTORTION):
+    """A painted matt body under a lamp beside the camera, from all round and above, through this lens."""
     pictures, silhouettes, cameras = [], [], []
     for turn in 2 * np.pi * np.arange(24) / 24:
         eye = 4 * np.array([np.cos(turn) * np.cos(0.7), np.sin(turn) * np.cos(0.7), np.sin(0.7)])
         camera = look_at(eye, (0, 0, 0), rows=128, columns=128, field_of_view=0.5, up=(0, 0, 1))
+        camera = replace(camera, distortion=distortion)
         raster = rasterise(body, camera)
         points, normals = (
             interpolate(v, body.triangles, raster.triangle, raster.barycentric) for v in (body.vertices, body.normals)
@@ -107,3 +109,23 @@ def test_what_few_views_see_is_not_judged():
     below = hull.normals[:, 2] < -0.5
     assert below.any()
     assert (values[below] == -1).all()
+
+
+def test_the_distortion_of_the_lens_counts():
+    """The picture is bent by up to 8 pixels; a projection without the lens contradicts the body where it is right."""
+    hull = filled()
+    plain = photographed(hull)
+    bent = photographed(hull, (-3.0, 2.0, 0.02, -0.01, 0.0))
+    shift = [
+        np.abs(one.project(hull.vertices)[0] - other.project(hull.vertices)[0]).max()
+        for one, other in zip(plain.cameras, bent.cameras, strict=True)
+    ]
+    assert max(shift) > 6
+    expected, values = (scene.residuals(hull, hull.vertices, hull.normals) for scene in (plain, bent))
+    seen = (expected >= 0) & (values >= 0)
+    assert seen.sum() > 0.98 * np.count_nonzero(expected >= 0)
+    assert np.median(values[seen]) == pytest.approx(np.median(expected[seen]), rel=0.1)
+    assert np.percentile(values[seen], 90) < 1.2 * np.percentile(expected[seen], 90)
+    straight = replace(bent, cameras=plain.cameras).residuals(hull, hull.vertices, hull.normals)
+    assert np.median(straight[straight >= 0]) > 10 * np.median(expected[seen])
+    assert contradicted_regions(hull, bent) == []

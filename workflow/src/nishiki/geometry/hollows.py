@@ -101,13 +101,14 @@ class Photographed:
         """(n,) mean robust squared residual of points of a mesh in the views that see them; -1 where too few do."""
         out = np.empty(len(points))
         depths = np.stack([rasterise(mesh, camera).depth for camera in self.cameras])
-        matrices = np.array([camera.matrix for camera in self.cameras])
+        projected = [camera.project(points) for camera in self.cameras]
+        pixels, away = (np.stack([each[k] for each in projected]) for k in (0, 1))
         centres = np.array([camera.centre for camera in self.cameras])
         distance = np.linalg.norm(centres - points.mean(axis=0), axis=1).mean()
         footprint = distance / np.sqrt(abs(np.linalg.det(self.cameras[0].intrinsics)))
         residuals_at(
-            np.ascontiguousarray(points, np.float64), np.ascontiguousarray(normals, np.float64), depths,
-            self.pictures, matrices, centres, distance, 2.5 * footprint, out,
+            np.ascontiguousarray(points, np.float64), np.ascontiguousarray(normals, np.float64), pixels, away, depths,
+            self.pictures, centres, distance, 2.5 * footprint, out,
         )  # fmt: skip
         return out
 
@@ -277,8 +278,9 @@ def mean_residual(mesh: Mesh, pixels: dict[int, np.ndarray], photographed: Photo
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def residuals_at(points, normals, depths, pictures, matrices, centres, distance, tolerance, out):
-    """See `Photographed.residuals`; depths (views, rows, columns) of the mesh, tolerance: of the visibility."""
+def residuals_at(points, normals, pixels, away, depths, pictures, centres, distance, tolerance, out):
+    """See `Photographed.residuals`; pixels (views, n, 2) column and row of the points, away (views, n) their depths,
+    depths (views, rows, columns) of the mesh, tolerance: of the visibility."""
     views, rows, columns, channels = pictures.shape
     values, towards = np.empty((views, channels)), np.empty((views, 3))
     variance, facing = np.empty(views), np.empty(views)
@@ -290,11 +292,8 @@ def residuals_at(points, normals, depths, pictures, matrices, centres, distance,
             cosine = np.sum(ray * normals[i]) / length
             if cosine < 0.25:
                 continue
-            p = matrices[v]
-            z = p[2, 0] * x[0] + p[2, 1] * x[1] + p[2, 2] * x[2] + p[2, 3]
-            column = (p[0, 0] * x[0] + p[0, 1] * x[1] + p[0, 2] * x[2] + p[0, 3]) / z
-            row = (p[1, 0] * x[0] + p[1, 1] * x[1] + p[1, 2] * x[2] + p[1, 3]) / z
-            if not (1 <= column < columns - 2 and 1 <= row < rows - 2):
+            column, row, z = pixels[v, i, 0], pixels[v, i, 1], away[v, i]
+            if not (z > 0 and 1 <= column < columns - 2 and 1 <= row < rows - 2):
                 continue
             c, r = int(column + 0.5), int(row + 0.5)
             deepest = 0.0
