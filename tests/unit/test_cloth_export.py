@@ -14,6 +14,7 @@ import trimesh
 from pages import make_artifact
 from unit.test_cloth_render import QUAD
 from unit.test_export import gltf_problems
+from unit.test_half_vector_table import look_up, read_bsdf
 
 from nishiki.artifacts.artifact import ArtifactWriter
 from nishiki.artifacts.closed import parse
@@ -222,9 +223,20 @@ def test_a_surface_from_a_file_has_its_texture_coordinates_where_they_follow_the
 
 def test_the_page_names_the_file_and_its_loss(exported):
     (_, table) = export_section(SimpleNamespace(diagnostics=exported.reported)).blocks
-    (gltf, mitsuba) = table.rows
-    assert (gltf[:2], mitsuba[:2]) == (("gltf", "cloth.glb"), ("mitsuba", "mitsuba/"))
+    (gltf, mitsuba, bsdf) = (row[:2] for row in table.rows)
+    assert (gltf, mitsuba, bsdf) == (("gltf", "cloth.glb"), ("mitsuba", "mitsuba/"), ("bsdf", "cloth.bsdf"))
     assert all("dB and on average CIEDE2000" in row[3] for row in table.rows)
+
+
+def test_a_bsdf_file_holds_the_model(exported):
+    arrays = read_bsdf(exported.folder / "cloth.bsdf")
+    light, eye = (each[:12] for each in pairs(200, 4))
+    expected = exported.cloth.brdf.evaluate(light, eye) * eye[:, 2:]
+    found = np.array([look_up(arrays, i, o) for i, o in zip(light, eye, strict=True)])
+    np.testing.assert_allclose(found, expected, atol=0.1 * expected.max())
+    assert np.median(np.abs(found / expected - 1)) < 0.02
+    told = exported.reported["losses"]["bsdf"]["against_model"]
+    assert told["psnr_db"]["all"] > exported.reported["losses"]["gltf"]["against_model"]["psnr_db"]["all"] + 10
 
 
 @pytest.fixture(scope="module")
@@ -300,6 +312,19 @@ def test_mitsuba_shows_the_picture_of_our_camera(exported, nishiki_cloth):
     ours = ours * np.array(lamp.colour)
     assert theirs.sum() == pytest.approx(ours.sum(), rel=0.03)
     assert np.corrcoef(theirs.ravel(), ours.ravel())[0, 1] > 0.95
+
+
+def test_mitsuba_shows_the_same_cloth_from_its_measured_material(exported, nishiki_cloth):
+    """`cloth.bsdf` along the texture coordinates of `cloth.ply`, beside the model in Python."""
+    import mitsuba as mi
+
+    scene = nishiki_cloth.description(folder=exported.folder / "mitsuba", columns=24, samples=16)
+    expected = np.array(mi.render(mi.load_dict(scene)))
+    material = {"type": "measured", "filename": str(exported.folder / "cloth.bsdf")}
+    scene["cloth"]["bsdf"] = {"type": "twosided", "bsdf": material}
+    found = np.array(mi.render(mi.load_dict(scene)))
+    assert np.mean(np.abs(found - expected)) < 0.01 * expected.mean()
+    assert np.corrcoef(found.ravel(), expected.ravel())[0, 1] > 0.999
 
 
 def test_points_of_a_lamp_fill_its_disc(nishiki_cloth):

@@ -106,13 +106,18 @@ def write_ply(
     *,
     stamp: Mapping[str, str],
     unit: str,
+    uv: np.ndarray | None = None,
     attributes: Mapping[str, np.ndarray] | None = None,
 ) -> None:
     """Binary little-endian PLY of a mesh, positions double, normals float; the stamp and the unit as comments.
 
-    attributes: more float values (v, k) at the vertices; NAME becomes the properties NAME_0, NAME_1, ..
+    At the vertices, uv: texture coordinates (v, 2); attributes: more float values (v, k), NAME becomes the properties
+    NAME_0, NAME_1, ..
     """
     more = {name: np.asarray(values, np.float32) for name, values in (attributes or {}).items()}
+    names = [f"{name}_{k}" for name, values in more.items() for k in range(values.shape[1])]
+    if uv is not None:
+        more, names = {"uv": np.asarray(uv, np.float32), **more}, ["u", "v", *names]
     comments = [f"comment {name} {value}" for name, value in sorted(stamp.items())]
     heading = [
         "ply",
@@ -122,7 +127,7 @@ def write_ply(
         f"element vertex {len(mesh.vertices)}",
         *(f"property double {axis}" for axis in "xyz"),
         *(f"property float n{axis}" for axis in "xyz"),
-        *(f"property float {name}_{k}" for name, values in more.items() for k in range(values.shape[1])),
+        *(f"property float {name}" for name in names),
         f"element face {len(mesh.triangles)}",
         "property list uchar int vertex_indices",
         "end_header",

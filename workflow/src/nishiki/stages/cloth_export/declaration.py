@@ -8,7 +8,7 @@ from nishiki.artifacts.closed import Guarded
 from nishiki.artifacts.limits import Limit, at
 from nishiki.stages.base import Cost, Stage
 
-Format = Literal["gltf", "mitsuba"]
+Format = Literal["gltf", "mitsuba", "bsdf"]
 LIMITS = (
     Limit(
         "material",

@@ -23,7 +23,7 @@ def write(context: Context, cloth: ExportedCloth) -> dict:
     azimuth = np.radians(shown.view.azimuth_deg)
     stamp = {f"nishiki.{name}": text for name, text in context.stamp.items()}
     about = {"stamp": stamp, "unit": "m" if shown.mesh is None else "of the file"}
-    write_ply(folder / "cloth.ply", surface.mesh, **about, attributes={"weft": surface.weft})
+    write_ply(folder / "cloth.ply", surface.mesh, **about, uv=cloth.draped.uv, attributes={"weft": surface.weft})
     names = ["cloth.ply", "brdf.npz", "scene.json", "nishiki_cloth.py"]
     if shown.paper > 0:
         write_ply(folder / "paper.ply", paper_below(surface.mesh.vertices, azimuth=azimuth).mesh, **about)

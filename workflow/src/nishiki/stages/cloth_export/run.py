@@ -1,10 +1,10 @@
 """Cloth_export: files of a draped cloth for other programs, and what each of them loses."""
 
 from nishiki.artifacts.stage import Context
-from nishiki.stages.cloth_export import gltf, mitsuba
+from nishiki.stages.cloth_export import bsdf, gltf, mitsuba
 from nishiki.stages.cloth_export.scene import ExportedCloth
 
-WRITERS = {"gltf": gltf.write, "mitsuba": mitsuba.write}
+WRITERS = {"gltf": gltf.write, "mitsuba": mitsuba.write, "bsdf": bsdf.write}
 
 
 def run(context: Context) -> dict:

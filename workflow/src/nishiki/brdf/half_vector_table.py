@@ -1,0 +1,254 @@
+"""BRDFs as tables that follow their lobe, as the database of Dupuy and Jakob (2018) has them.
+
+For each direction i of the light the table has a square of numbers (s, t). A warp carries it to half vectors m, in
+proportion to the facets that i sees, so that most nodes lie where the gloss is:
+
+    D(m)        facets of a surface that sends back into the light what the BRDF sends back: D ~ 4 sigma f(m, m) m_z
+    sigma(i)  = integral of max(i.m, 0) D(m) over m
+    v(i, m)   = max(i.m, 0) D(m) / sigma(i), the density that the warp has
+    q(s, t)   = f(i, o) o_z 4 sigma(i) / D(m), o = 2 (i.m) m - i: what is stored
+
+Directions are places in a square: x = sqrt(2 theta / pi), y = (phi + pi) / 2 pi. All tables are linear between their
+nodes; the warp is the one whose density is so, rows (y) first, then the place in the row (x).
+Reference: J. Dupuy and W. Jakob (2018), An adaptive parameterization for efficient material acquisition and rendering,
+ACM Transactions on Graphics 37 (6); D by power iteration: J. Dupuy et al. (2015), Extracting microfacet-based BRDF
+parameters from arbitrary materials with power iterations, Computer Graphics Forum 34 (4).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from nishiki.threads import threads
+
+Evaluate = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""(n, channels) sr^-1 of unit vectors (n, 3) to light and eye, normal z; 0 below the horizon."""
+POLAR, AROUND = 32, 65
+"""Nodes of D, sigma and v from the normal to the horizon and around it;"""
+SIDE = 32
+"""of a square of q;"""
+INCIDENT = 16
+"""angles of the light from the normal,"""
+AZIMUTHS = 25
+"""and around it, both ends of the turn counted. Measured in docs/stages/cloth_export.md."""
+LOWEST = np.radians(88.0)
+"""Largest angle of the light from the normal."""
+HORIZON = 1e-3
+"""Cosine of directions on the horizon, which models leave out."""
+LEAST_FACETS = 1e-3
+"""Of D, of its largest: where a surface sends nothing back, something may still be seen from elsewhere."""
+ITERATIONS = 8
+
+
+@dataclass(frozen=True)
+class HalfVectorTable:
+    """theta (a,), phi (b,): of the light, radians; facets, area (around, polar): D and sigma; visible (b, a, around,
+    polar): v, of integral 1 over the square; values (b, a, channels, side, side): q, 0 for an eye below the horizon.
+    """
+
+    theta: np.ndarray
+    phi: np.ndarray
+    facets: np.ndarray
+    area: np.ndarray
+    visible: np.ndarray
+    values: np.ndarray
+
+    @property
+    def channels(self) -> int:
+        """Number of channels."""
+        return self.values.shape[2]
+
+    @classmethod
+    def of(cls, evaluate: Evaluate) -> HalfVectorTable:
+        """The table of a BRDF."""
+        theta = np.linspace(0, LOWEST, INCIDENT)
+        phi = np.linspace(-np.pi, np.pi, AZIMUTHS)
+        facets, area = facets_of(evaluate)
+        m, x = grid_directions(), np.linspace(0, 1, POLAR)
+        jacobian = np.sin(np.pi / 2 * x**2) * x
+        s = np.linspace(0, 1, SIDE)
+        t, s = (axis.ravel() for axis in np.meshgrid(s, s, indexing="ij"))
+
+        def square(place: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+            light = vectors(theta[place[1]], phi[place[0]])
+            seen = np.maximum(m @ light, 0) * facets * jacobian
+            seen /= integral(seen)
+            where = warped(seen, s, t)
+            half = vectors(np.pi / 2 * where[0] ** 2, (2 * where[1] - 1) * np.pi)
+            eye = 2 * (half @ light)[:, None] * half - light
+            f = evaluate(np.broadcast_to(light, eye.shape), eye) * np.maximum(eye[:, 2:], 0)
+            own_area = interpolated(area, *square_place(light[None]))
+            return seen, f * (4 * own_area / interpolated(facets, *where))[:, None]
+
+        places = list(product(range(len(phi)), range(len(theta))))
+        with ThreadPoolExecutor(threads()) as pool:
+            squares = list(pool.map(square, places))
+        visible = np.array([seen for seen, _ in squares]).reshape(len(phi), len(theta), *facets.shape)
+        values = np.array([q.T for _, q in squares]).reshape(len(phi), len(theta), -1, SIDE, SIDE)
+        tables = (np.asarray(each, np.float32) for each in (theta, phi, facets, area, visible, values))
+        return cls(*tables)
+
+    def evaluate(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
+        """(..., channels) sr^-1 for unit vectors (..., 3) in the frame x, y, normal; 0 below the horizon."""
+        incident, outgoing = np.broadcast_arrays(incident, outgoing)
+        above = (incident[..., 2] > 0) & (outgoing[..., 2] > 0)
+        out = np.zeros((*above.shape, self.channels))
+        i, o = incident[above], outgoing[above]
+        half = (i + o) / np.linalg.norm(i + o, axis=1, keepdims=True)
+        theta, phi = np.arctan2(np.hypot(i[:, 0], i[:, 1]), i[:, 2]), np.arctan2(i[:, 1], i[:, 0])
+        x, y = square_place(half)
+        corners = [
+            (of_b * of_a, (b, a)) for b, of_b in between(self.phi, phi) for a, of_a in between(self.theta, theta)
+        ]
+        s, t = unwarped(self.visible, corners, x, y)
+        values = np.moveaxis(self.values, 2, -1)
+        q = sum(weight[:, None] * interpolated(values, s, t, at) for weight, at in corners)
+        scale = interpolated(self.facets, x, y) / (4 * interpolated(self.area, *square_place(i)))
+        out[above] = q * (scale / o[:, 2])[:, None]
+        return out
+
+    def arrays(self, description: str) -> dict[str, np.ndarray]:
+        """What a file `.bsdf` of three channels, linear sRGB, holds; luminance: by which directions are drawn."""
+        return {
+            "description": np.frombuffer(description.encode(), np.uint8),
+            "phi_i": self.phi,
+            "theta_i": self.theta,
+            "ndf": self.facets,
+            "sigma": self.area,
+            "vndf": self.visible,
+            "rgb": self.values,
+            "luminance": self.values.mean(axis=2),
+            "jacobian": np.ones(1, np.uint8),
+        }
+
+
+def facets_of(evaluate: Evaluate) -> tuple[np.ndarray, np.ndarray]:
+    """D and sigma (around, polar) of a BRDF, by power iteration on what it sends back into the light."""
+    m = grid_directions()
+    upright = np.maximum(m[..., 2], 0)
+    lit = m.reshape(-1, 3).copy()
+    lit[:, 2] = np.maximum(lit[:, 2], HORIZON)
+    lit /= np.linalg.norm(lit, axis=1, keepdims=True)
+    back = evaluate(lit, lit).mean(axis=1).reshape(upright.shape) * upright
+    x = np.linspace(0, 1, POLAR)
+    solid = np.sin(np.pi / 2 * x**2) * x * trapezoid(POLAR) * trapezoid(AROUND)[:, None] * 2 * np.pi**2
+    seen = np.maximum(m.reshape(-1, 3) @ m.reshape(-1, 3).T, 0)
+    facets = np.ones_like(upright)
+    for _ in range(ITERATIONS):
+        facets = facets / np.sum(facets * upright * solid)
+        facets = (seen @ (facets * solid).ravel()).reshape(upright.shape) * back
+    facets = np.maximum(facets, LEAST_FACETS * facets.max())
+    facets /= np.sum(facets * upright * solid)
+    return facets, (seen @ (facets * solid).ravel()).reshape(upright.shape)
+
+
+def warped(density: np.ndarray, s: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Places x, y (n,) in the square where the warp of a density (rows, columns) carries s and t (n,), 0 to 1."""
+    rows, columns = density.shape
+    along = running(density)
+    totals = along[:, -1]
+    marginal = running(totals)
+    target = t * marginal[-1]
+    row = np.clip(np.searchsorted(marginal, target, side="right") - 1, 0, rows - 2)
+    v = linear_root(totals[row], totals[row + 1], target - marginal[row])
+    below, above = along[row], along[row + 1]
+    line = below + v[:, None] * (above - below)
+    target = s * line[:, -1]
+    column = np.clip((line <= target[:, None]).sum(axis=1) - 1, 0, columns - 2)
+    each = np.arange(len(s))
+    ends = [density[row, at] + v * (density[row + 1, at] - density[row, at]) for at in (column, column + 1)]
+    u = linear_root(*ends, target - line[each, column])
+    return (column + u) / (columns - 1), (row + v) / (rows - 1)
+
+
+def unwarped(densities: np.ndarray, corners: list, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """s and t (n,) that the warp carries to x and y; its density is the sum of weight densities[at] over corners."""
+    rows, columns = densities.shape[-2:]
+    along = running(densities)
+    totals = along[..., -1]
+    marginal = running(totals)
+    u, v = x * (columns - 1), y * (rows - 1)
+    column, row = np.minimum(u.astype(int), columns - 2), np.minimum(v.astype(int), rows - 2)
+    u, v = u - column, v - row
+
+    def summed(table: np.ndarray, *place: np.ndarray) -> np.ndarray:
+        return sum(weight * table[(*at, *place)] for weight, at in corners)
+
+    def in_row(table: np.ndarray, place: np.ndarray) -> np.ndarray:
+        return (1 - v) * summed(table, row, place) + v * summed(table, row + 1, place)
+
+    left, right = in_row(densities, column), in_row(densities, column + 1)
+    first, second = summed(totals, row), summed(totals, row + 1)
+    s = in_row(along, column) + u * (left + u * (right - left) / 2)
+    t = summed(marginal, row) + v * (first + v * (second - first) / 2)
+    least = np.finfo(np.float32).tiny
+    return s / np.maximum((1 - v) * first + v * second, least), t / np.maximum(
+        summed(marginal, np.full_like(row, rows - 1)), least
+    )
+
+
+def running(values: np.ndarray) -> np.ndarray:
+    """Integral of linear values over the last axis from its first node to each, in steps between nodes."""
+    steps = (values[..., 1:] + values[..., :-1]) / 2
+    return np.concatenate([np.zeros_like(values[..., :1]), np.cumsum(steps, axis=-1, dtype=np.float64)], axis=-1)
+
+
+def linear_root(first: np.ndarray, second: np.ndarray, area: np.ndarray) -> np.ndarray:
+    """u in 0 to 1 up to which the integral of first + u (second - first) is `area`."""
+    slope = second - first
+    root = np.sqrt(np.maximum(first**2 + 2 * area * slope, 0))
+    return np.clip(2 * area / np.maximum(first + root, 1e-300), 0, 1)
+
+
+def between(nodes: np.ndarray, values: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """The numbers of the nodes before and after values (n,), with their weights; beyond the last, its value."""
+    before = np.clip(np.searchsorted(nodes, values, side="right") - 1, 0, len(nodes) - 2)
+    share = np.clip((values - nodes[before]) / (nodes[before + 1] - nodes[before]), 0, 1)
+    return [(before, 1 - share), (before + 1, share)]
+
+
+def interpolated(table: np.ndarray, x: np.ndarray, y: np.ndarray, at: tuple = ()) -> np.ndarray:
+    """Values (n, ...) of table[at] (rows, columns, ...) at places x, y (n,), 0 to 1."""
+    rows, columns = table.shape[len(at) : len(at) + 2]
+    u, v = x * (columns - 1), y * (rows - 1)
+    column, row = np.minimum(u.astype(int), columns - 2), np.minimum(v.astype(int), rows - 2)
+    u, v = u - column, v - row
+    weights = ((1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v)
+    places = ((row, column), (row, column + 1), (row + 1, column), (row + 1, column + 1))
+    extra = (1,) * (table.ndim - len(at) - 2)
+    return sum(w.reshape(-1, *extra) * table[(*at, *place)] for w, place in zip(weights, places, strict=True))
+
+
+def grid_directions() -> np.ndarray:
+    """Unit vectors (around, polar, 3) of the nodes of D and sigma."""
+    theta, phi = np.pi / 2 * np.linspace(0, 1, POLAR) ** 2, np.linspace(-np.pi, np.pi, AROUND)[:, None]
+    return vectors(*np.broadcast_arrays(theta, phi))
+
+
+def vectors(theta: np.ndarray | float, phi: np.ndarray | float) -> np.ndarray:
+    """Unit vectors (..., 3) of angles from the normal and around it."""
+    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
+
+
+def square_place(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """x and y of unit vectors (n, 3)."""
+    theta = np.arctan2(np.hypot(directions[:, 0], directions[:, 1]), directions[:, 2])
+    phi = np.arctan2(directions[:, 1], directions[:, 0])
+    return np.sqrt(np.minimum(theta * 2 / np.pi, 1)), (phi + np.pi) / (2 * np.pi)
+
+
+def trapezoid(count: int) -> np.ndarray:
+    """Weights (count,) of the trapezoid rule over 0 to 1."""
+    weights = np.full(count, 1 / (count - 1))
+    weights[[0, -1]] /= 2
+    return weights
+
+
+def integral(table: np.ndarray) -> float:
+    """Of a table (rows, columns) over the square."""
+    return float(trapezoid(table.shape[0]) @ table @ trapezoid(table.shape[1]))
