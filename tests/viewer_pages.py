@@ -27,6 +27,7 @@ from nishiki.render.cloth.models import ClothModels
 from nishiki.render.cloth.scene import Lamp
 from nishiki.render.cloth.studio import linear_colour
 from nishiki.render.display import adapted_exposure, developed, display_image
+from nishiki.render.object.free_lamps import FreeLamp, FreeLighting
 from nishiki.render.plane.frame import render
 from nishiki.render.plane.scene import Ambient, Light, PlaneScene, View
 from nishiki.render.plane.shadow import cast_shadows
@@ -249,6 +250,21 @@ def cloth_rendered(
     picture = render_cloth(stage.scene, [take], lamps, stage.camera, supersampling=supersampling, **light)[0]
     image = developed(picture.linear, picture.coverage, exposure=state["exposure"], soft=True, background=1.0)
     return image.pixels, picture.cloth > 1 - 1e-6
+
+
+def own_lighting(state: dict[str, Any], rays: int = 16) -> FreeLighting:
+    """The lamps of a state of an object's page, for `object_render`."""
+    lamps = tuple(
+        FreeLamp(
+            np.radians(each["azimuth_deg"]),
+            np.radians(each["elevation_deg"]),
+            each["intensity"],
+            np.radians(each["radius_deg"]),
+            each["distance"],
+        )
+        for each in state["lamps"]
+    )
+    return FreeLighting(lamps, state["ambient"], state.get("options", {}).get("shadows", True), rays)
 
 
 def difference(first: np.ndarray, second: np.ndarray) -> np.ndarray:

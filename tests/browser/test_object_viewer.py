@@ -1,6 +1,7 @@
 """The page of an object in a real browser: what it decodes and draws, against the decoder and the renderer."""
 
 import base64
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,7 +9,6 @@ import pytest
 import viewer_pages
 from coded_dome import coded_dome
 
-from nishiki.brdf.texels.lighting import Lighting
 from nishiki.geometry.camera import look_at
 from nishiki.render.display import encoded
 from nishiki.render.object.shots import Shot, neighbours
@@ -60,14 +60,56 @@ def test_between_views(shown):
     check(shown, {"view": {"captured": 9.5}}, renderer, renderer.between(9, 0.5))
 
 
-def test_free_lamp_shows_the_model_alone(shown):
-    renderer = shown.decoded.renderer(rim=0, model_only=True)
-    azimuth, elevation = np.radians(40), np.radians(50)
-    towards = (np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation))
-    renderer.lighting = Lighting("direction", (tuple(map(float, towards)),))
-    lamp = viewer_pages.lamp(40, 50)
-    state = {"view": {"captured": 3}, "lamps": [lamp], "options": {"lighting": "free"}}
+LAMPS = {
+    "distant": [viewer_pages.lamp(180, 15, radius_deg=0)],
+    "wide and near": [
+        viewer_pages.lamp(200, 25, radius_deg=8),
+        viewer_pages.lamp(70, 40, radius_deg=3, distance=0.9, intensity=0.7),
+    ],
+}
+
+
+@pytest.mark.parametrize(("name", "shadows"), [("distant", False), ("wide and near", True)])
+def test_free_lamps_show_the_model_alone_with_the_shadows_of_rays(shown, name, shadows):
+    state = {"lamps": LAMPS[name], "ambient": 0.05, "view": {"captured": 3}}
+    state["options"] = {"lighting": "free"} if shadows else {"lighting": "free", "shadows": False}
+    lighting = viewer_pages.own_lighting(state)
+    renderer = shown.decoded.renderer(rim=0, own_lamps=lighting)
     check(shown, state, renderer, renderer.captured(3))
+
+
+def test_shadows_fall_where_they_should(shown):
+    state = {"lamps": LAMPS["distant"], "ambient": 0.05, "view": {"captured": 3}, "options": {"lighting": "free"}}
+    lighting = viewer_pages.own_lighting(state)
+    with_them = shown.decoded.renderer(rim=0, own_lamps=lighting)
+    without = shown.decoded.renderer(rim=0, own_lamps=replace(lighting, shadows=False))
+    shaded, plain = (encoded(next(each.render([each.captured(3)])).linear).pixels for each in (with_them, without))
+    changed = viewer_pages.difference(shaded, plain) > 8
+    assert changed.sum() > 150
+    assert np.median(viewer_pages.difference(canvas(shown, **state), shaded)[changed]) < 0.5
+
+
+def test_two_states_with_shadows_of_their_own_come_to_rest(shown):
+    """Both sides of the divider sum up their own samples."""
+    kept = {
+        "lamps": LAMPS["distant"],
+        "ambient": 0,
+        "options": {"lighting": "free"},
+        "layer": "appearance",
+        "exposure": 1,
+    }
+    state = {**kept, "lamps": LAMPS["wide and near"][:1], "view": {"captured": 3}}
+    right, left = (canvas(shown, **{**state, **change}).copy() for change in ({}, kept))
+    shown.page.page.evaluate(
+        "([state, kept]) => nishiki.set({...state, compare: {divider: 0.5, state: kept}})", [state, kept]
+    )
+    shown.page.page.evaluate("nishiki.idle()")
+    values = np.frombuffer(base64.b64decode(shown.page.page.evaluate(viewer_pages.READ)), np.uint8)
+    both = values.reshape(*right.shape[:2], 4)[::-1, :, :3]
+    assert (both[:, :70] == left[:, :70]).all()
+    assert (both[:, 80:] == right[:, 80:]).all()
+    assert (left != right).any()
+    shown.page.set(compare=None)
 
 
 def test_free_view(shown):
@@ -143,6 +185,19 @@ def test_a_region_is_a_part_of_the_same_picture(shown):
     assert (mixed[:, :69] == whole[:, :69]).all()
     assert (mixed[:, 70:] == other[:, 70:]).all()
     assert (whole != other).any()
+
+
+def test_controls_that_change_nothing_are_not_offered(shown):
+    """Lamps of the capture cannot be moved, and a lamp's spectrum means nothing to an object without spectra."""
+    section, words = shown.page.page.locator("[data-section=light]"), "cannot be computed"
+    ticks = shown.page.page.locator("[data-section=layers] input[type=checkbox]")
+    canvas(shown, options={}, lamps=[viewer_pages.lamp(40, 50)])
+    assert (section.locator(".pad").count(), section.locator("input[type=range]").count()) == (0, 1)  # the exposure's
+    assert ticks.count() == 2  # residual, places of the camera
+    canvas(shown, options={"lighting": "free"}, lamps=[viewer_pages.lamp(40, 50)])
+    assert (section.locator(".pad").count(), section.locator("select").count()) == (1, 0)
+    assert words in section.text_content()
+    assert ticks.count() == 2  # shadows, places of the camera
 
 
 def test_layers_differ_and_nothing_was_complained_of(shown):

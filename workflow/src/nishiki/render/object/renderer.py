@@ -27,8 +27,9 @@ from nishiki.geometry.camera import Camera
 from nishiki.geometry.camera_path import camera_between, fit_turn
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.raster import interpolate, rasterise
+from nishiki.render.object.free_lamps import FreeLighting, LampsInView, LitObject
 from nishiki.render.object.pixels import asked_for, by_tile, extend, look_up, mix
-from nishiki.render.object.shots import Method, Neighbours, ObjectPicture, Prepared, Shot, Tile, neighbours
+from nishiki.render.object.shots import Method, Neighbours, ObjectPicture, Prepared, Shot, Tile, lit_by, neighbours
 from nishiki.render.object.visibility import DepthMaps
 from nishiki.threads import threads as given_threads
 
@@ -43,7 +44,8 @@ class ObjectRenderer:
     mesh, atlas, cameras (of the captured views), residual and lighting as their rooms give them; geometry(tile) ->
     positions (T, T, 3), normals (T, T, 3), inside (T, T); encoding: of the capture; without: views that were left out
     of the fit and may not lend their residual to others; level > 0: a preview from the coarse part of the residual;
-    model_only: without the residual; rim: pixels by which values are carried on beyond the surface's edge; ceiling:
+    model_only: without the residual; own_lamps: light the object in place of the captured ones (the model
+    alone, since a residual belongs to its light); rim: pixels by which values are carried on beyond the surface's edge; ceiling:
     largest linear value that the capture could hold (None: any).  What was saturated or never seen is not bound by any
     photograph, and a lobe can grow there without limit: pictures are clipped to 0 .. ceiling, as the camera's were.
     """
@@ -64,6 +66,7 @@ class ObjectRenderer:
         method: Method = "cubic",
         level: int = 0,
         model_only: bool = False,
+        own_lamps: FreeLighting | None = None,
         rim: int = 2,
         ceiling: float | None = None,
         threads: int | None = None,
@@ -73,7 +76,8 @@ class ObjectRenderer:
         self.encoding, self.channels = encoding, channels
         self.turn = fit_turn(self.cameras, full_turn=full_turn)
         self.without, self.method, self.level = without, method, level
-        self.model_only, self.rim, self.ceiling = model_only, rim, ceiling
+        self.lit = None if own_lamps is None else LitObject(mesh, own_lamps)
+        self.model_only, self.rim, self.ceiling = model_only or self.lit is not None, rim, ceiling
         self.threads = threads or given_threads()
         self.parts = coded_parts(residual, encoding)
         self.depths = DepthMaps(mesh)
@@ -129,7 +133,10 @@ class ObjectRenderer:
         places[present] = np.arange(len(present))
         first, order = by_tile(places[tile], len(present) + 1)
         slots = {int(number): k for k, number in enumerate(present)}
-        lamps = [self.lighting.lamp(shot.camera, light) for light, _ in shot.lights]
+        if self.lit:
+            shot, lamps = lit_by(shot, ((0, 1.0),)), [self.lit.seen_by(shot.camera)]
+        else:
+            lamps = [self.lighting.lamp(shot.camera, light) for light, _ in shot.lights]
         prepared = Prepared(shot, raster, pixels, s, t, slots, first, order, lamps)
         prepared.values = np.zeros((len(shot.lights), len(self.parts), len(pixels), self.channels), np.float32)
         return prepared
@@ -171,7 +178,10 @@ class ObjectRenderer:
         """
         positions, normals = flat.positions[chosen], flat.normals[chosen]
         parameters = (values[chosen] for values in flat.parameters)
-        modelled = predict(*parameters, positions, normals, prepared.shot.camera.centre, lamp)
+        if isinstance(lamp, LampsInView):
+            modelled = lamp.predict(*parameters, positions, normals)
+        else:
+            modelled = predict(*parameters, positions, normals, prepared.shot.camera.centre, lamp)
         if len(self.parts) == 1:
             modelled = [modelled[0] + modelled[1]]
         coded = [encode(values, self.encoding) for values in modelled]

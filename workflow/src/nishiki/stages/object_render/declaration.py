@@ -1,6 +1,6 @@
 """Declaration of the stage `object_render`: settings, inputs, limits of its result, cost."""
 
-from typing import ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
@@ -17,6 +17,21 @@ class FilmSettings(Closed):
     supersampling: int = Field(2, ge=1, le=4, description="samples along each side of a pixel")
 
 
+class LampSettings(Closed):
+    """A lamp of one's own, fixed to the camera."""
+
+    azimuth_deg: float = Field(90, ge=-360, le=360, description="from the right of the picture, upwards")
+    elevation_deg: float = Field(45, ge=-90, le=90, description="above the picture's plane, towards the camera")
+    intensity: float = Field(1.0, ge=0, le=1000, description="of a white diffuser that faces the lamp")
+    radius_deg: float = Field(0.75, ge=0, le=45, description="half of the angle that it fills: soft edges of shadows")
+    distance: float | None = Field(
+        None, ge=0.6, le=1000, description="from the object's middle in its diameters, with fall-off; null: very far"
+    )
+
+
+Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$")]
+
+
 class ObjectRenderSettings(Guarded):
     """Pictures of the decoded object, and a video of it turning."""
 
@@ -30,6 +45,12 @@ class ObjectRenderSettings(Guarded):
     lights: dict[str, float] = Field(
         {}, description="weight L_j / L of each captured light, by name; none named: the first light alone"
     )
+    lamps: dict[Name, LampSettings] = Field(
+        {}, description="lamps of one's own in place of the captured ones; pictures then show the model alone"
+    )
+    around: float = Field(0.05, ge=0, le=100, description="even light from all around, where `lamps` light; white 1")
+    shadows: bool = Field(True, description="cast shadows of `lamps`")
+    shadow_rays: int = Field(32, ge=1, le=1024, description="to points of each lamp's disc, from every texel")
     film: FilmSettings | None = Field(FilmSettings(), description="null: no video")
     interpolation: Literal["linear", "cubic", "nearest"] = Field(
         "cubic", description="of the residual between captured views, from four or two of them; linear: as the paper"

@@ -7,6 +7,7 @@ from nishiki.errors import UserError
 from nishiki.render.display import developed, three_channels
 from nishiki.render.object.decoded_object import DecodedObject
 from nishiki.render.object.film import coverage, frames
+from nishiki.render.object.free_lamps import FreeLamp, FreeLighting
 from nishiki.render.object.renderer import ObjectRenderer
 from nishiki.render.object.shots import ObjectPicture, Shot, lit_by
 from nishiki.render.output import write_exr, write_normals_exr, write_normals_png, write_png, write_video
@@ -19,7 +20,11 @@ def run(context: Context) -> dict:
     decoded = DecodedObject.open(context.inputs)
     without = decoded.numbers(settings.hold_out)
     renderer = decoded.renderer(
-        without=without, method=settings.interpolation, level=settings.level, rim=settings.rim_px
+        without=without,
+        method=settings.interpolation,
+        level=settings.level,
+        rim=settings.rim_px,
+        own_lamps=own_lamps(settings),
     )
     lights = decoded.light_weights(settings.lights)
     named = stills(decoded, renderer, settings)
@@ -42,6 +47,28 @@ def run(context: Context) -> dict:
             "axis_deviation_deg": turn.deviation_deg,
         },
     }
+
+
+def own_lamps(settings: ObjectRenderSettings) -> FreeLighting | None:
+    """The lamps of the settings; None where those of the capture light the object."""
+    if not settings.lamps:
+        return None
+    if settings.lights:
+        raise UserError(
+            "object_render: expected weights of captured lights (`lights`) or lamps of one's own (`lamps`), found both. "
+            "Remedy: remove one of them"
+        )
+    lamps = tuple(
+        FreeLamp(
+            np.radians(lamp.azimuth_deg),
+            np.radians(lamp.elevation_deg),
+            lamp.intensity,
+            np.radians(lamp.radius_deg),
+            lamp.distance,
+        )
+        for lamp in settings.lamps.values()
+    )
+    return FreeLighting(lamps, settings.around, settings.shadows, settings.shadow_rays)
 
 
 def stills(decoded: DecodedObject, renderer: ObjectRenderer, settings: ObjectRenderSettings) -> list[tuple[str, Shot]]:

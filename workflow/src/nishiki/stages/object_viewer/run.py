@@ -29,7 +29,7 @@ def write_object(decoded: DecodedObject, blocks: Blocks, about: dict, *, without
         blocks.add(part.name, part.data)
         streams.append({"name": part.name, "first": part.first, "stop": part.stop})
         coded_bytes += len(part.data)
-    manifest = {"format": 1, "chain": "object", **about, "illuminants": {}, "streams": streams}
+    manifest = {"format": 1, "chain": "object", **about, "streams": streams}
     sizes = write_page(blocks, manifest | object_manifest(decoded, without=without))
     return {
         **sizes,

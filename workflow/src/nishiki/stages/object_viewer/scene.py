@@ -18,6 +18,7 @@ from nishiki.codec.observations import view_matrix
 from nishiki.codec.transform import Plane
 from nishiki.geometry.camera_path import CameraPath, fit_turn
 from nishiki.render.object.decoded_object import DecodedObject
+from nishiki.render.object.free_lamps import ball_around, shadow_lift
 from nishiki.render.object.renderer import coded_parts
 
 CHART_STEPS = 256  # steps of a texel: places on the charts are rounded to these
@@ -37,7 +38,7 @@ class StreamPart:
 def object_manifest(decoded: DecodedObject, *, without: frozenset[int]) -> dict:
     """The part of the page's manifest that only an object has, as plain data."""
     design, turn = decoded.residual.design, fit_turn(list(decoded.cameras), full_turn=decoded.full_turn)
-    centre = 0.5 * (decoded.mesh.vertices.min(axis=0) + decoded.mesh.vertices.max(axis=0))
+    centre, radius = ball_around(decoded.mesh)
     return {
         "views": [camera.as_dict() for camera in decoded.cameras],
         "lights": list(decoded.lights),
@@ -47,7 +48,8 @@ def object_manifest(decoded: DecodedObject, *, without: frozenset[int]) -> dict:
         "ceiling": decoded.ceiling,
         "parts": list(coded_parts(decoded.residual, decoded.encoding)),
         "centre": centre.tolist(),
-        "radius": float(np.linalg.norm(decoded.mesh.vertices - centre, axis=1).max()),
+        "radius": radius,
+        "lift": shadow_lift(decoded.mesh),
         "chart_steps": CHART_STEPS,
         "mesh_step": mesh_step(decoded.mesh, list(decoded.cameras)),
         "design": design.as_dict(),

@@ -25,6 +25,7 @@ export function pointOf({ azimuth_deg, elevation_deg }) {
 /** The section "light". app: {state, manifest, lamp (index), change(), rebuild(), say(text)}. */
 export function lampsSection(app) {
   const { state } = app;
+  if (app.scene.offers.includes("captured lamps") && state.options.lighting !== "free") return capturedSection(app);
   app.lamp = Math.max(Math.min(app.lamp, state.lamps.length - 1), 0);
   const lamp = state.lamps[app.lamp], ambient = ambientControl(app);
   const add = element("button", { type: "button", onclick: () => {
@@ -83,15 +84,10 @@ export function lampsSection(app) {
     app.change();
   };
   show();
-  const captured = app.scene.offers.includes("captured lamps") && state.options.lighting !== "free";
   return [
-    captured && element("p", { className: "hint" }, text("lamps.captured"), " ", element("button", { type: "button", onclick: () => {
-      state.options = { ...state.options, lighting: "free" };
-      app.rebuild();
-    } }, text("lamps.free"))),
     pad,
     element("div", { className: "buttons", role: "group", "aria-label": text("lamps") },
-      state.lamps.map((each, k) => element("button", { type: "button", "aria-pressed": k === app.lamp, title: nameOf(each.illuminant), onclick: () => ((app.lamp = k), app.rebuild()) }, text("lamp", { number: k + 1 }))),
+      state.lamps.map((each, k) => element("button", { type: "button", "aria-pressed": k === app.lamp, title: app.manifest.illuminants ? nameOf(each.illuminant) : "", onclick: () => ((app.lamp = k), app.rebuild()) }, text("lamp", { number: k + 1 }))),
       state.lamps.length < MOST && add,
       state.lamps.length > 1 && element("button", { type: "button", onclick: () => (state.lamps.splice(app.lamp, 1), app.rebuild()) }, text("lamp.remove"))),
     sliders.azimuth, sliders.elevation,
@@ -99,7 +95,7 @@ export function lampsSection(app) {
       state.lamps[app.lamp].illuminant = illuminant;
       if (continued) app.change();
       else app.rebuild();
-    }) : []),
+    }) : [element("p", { className: "hint" }, text("lamps.white"))]),
     slider(text("intensity"), { low: 0, high: 3, step: 0.05, value: lamp.intensity, write: (v) => v.toFixed(2), change: set("intensity") }),
     app.scene.offers.includes("softness") && slider(text("softness"), { low: 0, high: 20, step: 0.25, value: lamp.radius_deg, write: (v) => `${v}°`, change: set("radius_deg") }),
     slider(text("distance"), { low: NEAREST, high: INFINITE, step: 0.1, value: lamp.distance ?? INFINITE, write: (v) => (v > FARTHEST ? text("distance.infinite") : text("distance.lengths", { length: v.toFixed(1) })),
@@ -107,6 +103,15 @@ export function lampsSection(app) {
     ambient,
     ...exposureControls(app),
   ].filter(Boolean);
+}
+
+/** Under the lamps of the capture nothing can be moved. */
+function capturedSection(app) {
+  const free = element("button", { type: "button", onclick: () => {
+    app.state.options = { ...app.state.options, lighting: "free" };
+    app.rebuild();
+  } }, text("lamps.free"));
+  return [element("p", { className: "hint" }, text("lamps.captured")), free, ...exposureControls(app)];
 }
 
 function ambientControl(app) {

@@ -23,8 +23,9 @@ export function layersSection(app) {
       parts.push(element("p", { className: "hint" }, text("enhance.hint")));
     }
   }
-  for (const option of scene.options?.() ?? []) {
-    if (!option.when || state.options[option.when[0]] === option.when[1]) parts.push(optionControl(app, option));
+  const options = scene.options?.() ?? [], shown = (name) => state.options[name] ?? options.find((each) => each.name === name).value;
+  for (const option of options) {
+    if (!option.when || shown(option.when[0]) === option.when[1]) parts.push(optionControl(app, option));
   }
   return parts;
 }

@@ -11,6 +11,7 @@ import { ObjectProbe } from "viewer/object_probe";
 import {
   COVERAGE_FRAGMENT, DISPLAY_FRAGMENT, LINES_FRAGMENT, LINES_VERTEX, MESH_VERTEX, meshFragment,
 } from "viewer/object_shaders";
+import { ObjectShadows } from "viewer/object_shadows";
 import { ObjectSurface } from "viewer/object_surface";
 import { ObjectTexels } from "viewer/object_texels";
 import { ObjectViews } from "viewer/object_views";
@@ -36,6 +37,7 @@ export class ObjectScene extends RoundScene {
     scene.mesh = new ObjectSurface(scene.gl, manifest, arrays);
     scene.makePrograms();
     scene.texels = new ObjectTexels(scene, scene.coded, scene.mesh, arrays);
+    scene.shadows = new ObjectShadows(scene);
     return scene;
   }
 
@@ -47,12 +49,12 @@ export class ObjectScene extends RoundScene {
   }
 
   get busy() {
-    return this.texels.working > 0;
+    return this.texels.working > 0 || this.shadows.busy;
   }
 
   /** What of the panel this scene has use for. */
   get offers() {
-    return ["captured lamps"];
+    return ["captured lamps", "softness"];
   }
 
   /** Axis of the turn and radius of the object, for the control of the camera. */
@@ -103,11 +105,15 @@ export class ObjectScene extends RoundScene {
     return hasFreeLamps(state) || state.options?.residual === false ? [] : this.views.lending(view, position);
   }
 
-  /** Draw the texels as a state's camera sees them. */
-  drawTexels(state, camera, lenders) {
-    const light = this.lightOf(state);
-    const lamps = hasFreeLamps(state) ? freeUniforms(this.manifest, state, camera) : capturedUniforms(this.manifest, light, camera);
-    this.texels.draw(camera, lamps, lenders, light);
+  /** Draw the texels as a state's camera sees them, for a part of the canvas; see ObjectShadows. */
+  drawTexels(state, camera, lenders, part) {
+    const light = this.lightOf(state), free = hasFreeLamps(state);
+    const shaded = free && state.options.shadows !== false;
+    if (!shaded) this.shadows.forget(part);
+    const shadows = shaded ? this.shadows.next(part, state, camera) : null;
+    const lamps = free ? freeUniforms(this.manifest, state, camera) : capturedUniforms(this.manifest, light, camera);
+    this.texels.draw(camera, lamps, lenders, light, { shadows });
+    if (this.shadows.busy) setTimeout(() => this.onready());
   }
 
   /** Draw one frame; region {x, y, width, height} of the canvas, from its upper left corner, or all of it. */
@@ -115,9 +121,12 @@ export class ObjectScene extends RoundScene {
     const { gl, canvas } = this, size = { width: canvas.width, height: canvas.height };
     const area = region ?? { x: 0, y: 0, ...size }, view = this.views.of(state);
     const { camera, position } = this.cameraOf(view, size);
-    const lenders = this.lending(state, view, position);
     const layer = LAYERS.find(({ name }) => name === state.layer) ?? LAYERS[0];
-    if (layer.name === "appearance") this.drawTexels(state, camera, lenders);
+    const lenders = layer.name === "residual" ? this.views.lending(view, position) : this.lending(state, view, position);
+    const part = area.x === 0 && area.width < size.width ? "left" : "main";
+    if (area.width === size.width) this.shadows.forget("left");
+    if (layer.name === "appearance") this.drawTexels(state, camera, lenders, part);
+    else this.shadows.forget(part);
     const target = this.target(size.width, size.height);
     gl.enable(gl.SCISSOR_TEST);
     gl.scissor(area.x, canvas.height - area.y - area.height, area.width, area.height);
@@ -249,8 +258,9 @@ export class ObjectScene extends RoundScene {
     const lighting = ["captured", "free"].map((name) => [name, `option.lighting.${name}`]);
     return [
       { name: "lighting", label_key: "option.lighting", values: lighting, value: "captured" },
-      ...(lights.length > 1 ? [{ name: "light", label_key: "option.light", values: lights.map((name) => [name, name]), value: lights[0] }] : []),
-      { name: "residual", label_key: "option.residual", values: null, value: true },
+      ...(lights.length > 1 ? [{ name: "light", label_key: "option.light", values: lights.map((name) => [name, name]), value: lights[0], when: ["lighting", "captured"] }] : []),
+      { name: "residual", label_key: "option.residual", values: null, value: true, when: ["lighting", "captured"] },
+      { name: "shadows", label_key: "option.shadows", values: null, value: true, when: ["lighting", "free"] },
       { name: "cameras", label_key: "option.cameras", values: null, value: false },
     ];
   }

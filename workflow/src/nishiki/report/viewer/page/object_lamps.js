@@ -1,7 +1,8 @@
 // Lamps of an object as a camera has them: those of the capture, fixed to the camera, or the state's own.
 import { centreOf } from "viewer/cameras";
 import { LAMPS } from "viewer/common_shaders";
-import { add, apply, multiply, scale, transpose } from "viewer/matrices";
+import { freeLamps } from "viewer/free_lamps";
+import { add, apply, multiply, transpose } from "viewer/matrices";
 
 const TO_LAMP_FRAME = [[1, 0, 0], [0, -1, 0], [0, 0, -1]];
 const [AT_A_PLACE, DISTANT, ENVIRONMENT] = [0, 1, 2];
@@ -30,24 +31,22 @@ export function capturedUniforms({ lighting }, light, camera) {
   return uniforms([lamp], frame, harmonics || none());
 }
 
+/** The state's own lamps, each with point `k` of its disc; see free_lamps.js. */
+export function ownLamps({ centre, radius }, state, camera, k) {
+  return freeLamps(state.lamps.slice(0, LAMPS - 1), lampFrame(camera), centre, radius, k);
+}
+
 /** Uniforms of the state's own lamps. */
-export function freeUniforms({ centre, radius }, state, camera) {
-  const frame = lampFrame(camera), lamps = [], harmonics = none();
-  for (const lamp of state.lamps.slice(0, LAMPS - 1)) {
-    const [azimuth, elevation] = [lamp.azimuth_deg, lamp.elevation_deg].map((v) => (v * Math.PI) / 180);
-    const seen = [Math.cos(elevation) * Math.cos(azimuth), Math.cos(elevation) * Math.sin(azimuth), Math.sin(elevation)];
-    const towards = apply(transpose(frame), seen), near = lamp.distance !== null && lamp.distance !== undefined;
-    const length = near ? lamp.distance * radius : 0;
-    lamps.push({
-      form: near ? AT_A_PLACE : DISTANT, vector: near ? add(centre, scale(towards, length)) : towards,
-      colour: new Array(3).fill(lamp.intensity ?? 1), reference: length,
-    });
-  }
+export function freeUniforms(manifest, state, camera) {
+  const lamps = ownLamps(manifest, state, camera, 0).map(({ near, vector, strength, distance }) => {
+    return { form: near ? AT_A_PLACE : DISTANT, vector, colour: new Array(3).fill(strength), reference: near ? distance : 0 };
+  });
+  const harmonics = none();
   if (state.ambient) {
     harmonics[0] = new Array(3).fill(state.ambient);
     lamps.push({ form: ENVIRONMENT, vector: [0, 0, 0], colour: [1, 1, 1], reference: 0 });
   }
-  return uniforms(lamps, frame, harmonics);
+  return uniforms(lamps, lampFrame(camera), harmonics);
 }
 
 const none = () => new Array(9).fill([0, 0, 0]);

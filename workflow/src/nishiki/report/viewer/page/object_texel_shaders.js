@@ -1,7 +1,7 @@
 // Shaders of an object's texels, which lie in one atlas texture, tile beside tile: where they are, who sees them, and the encoded
 // model plus its residual (nishiki.render.object.renderer).
 
-import { ENCODING, LAMPS } from "viewer/common_shaders";
+import { ENCODING, LAMPS, REACHES } from "viewer/common_shaders";
 import { CAMERA } from "viewer/object_shaders";
 
 /** Quads around triangles on the charts, one for each tile that a triangle is near to. */
@@ -113,6 +113,40 @@ void main() {
   if (seen.z <= deepest + 1.5 * footprint * seen.z * (0.5 + slope)) result = vec4(min(cosine / 0.25, 1.0));
 }`;
 
+/** The triangles as a lamp sees them. */
+export const SHADOW_VERTEX = `
+uniform sampler2D corners;      // six texels a triangle
+uniform mat4 toLamp;
+void main() {
+  int at = gl_VertexID * 2, width = textureSize(corners, 0).x;
+  gl_Position = toLamp * vec4(texelFetch(corners, ivec2(at % width, at / width), 0).xyz, 1);
+}`;
+
+/** What one sample of the lamps' discs adds to the sums: codes of 8 bits hold 17 of them without rounding. */
+const SAMPLE = 15;
+
+/** Texels that are lit by one point of each lamp's disc, to be added up: four lamps a texture. */
+export const LIT_FRAGMENT = `${REACHES}
+uniform sampler2D positions, normals;
+uniform int lamps;
+uniform float lift;             // along the normal, in the unit of the object
+layout(location = 0) out vec4 first;
+layout(location = 1) out vec4 second;
+void main() {
+  ivec2 at = ivec2(gl_FragCoord.xy);
+  vec4 position = texelFetch(positions, at, 0);
+  if (position.w == 0.0) discard;
+  vec3 lifted = position.xyz + lift * texelFetch(normals, at, 0).xyz;
+  vec4 low = vec4(0), high = vec4(0);
+  for (int n = 0; n < lamps; n++) {
+    float lit = reaches(n, lifted) * ${SAMPLE}.0 / 255.0;
+    if (n < 4) low[n] = lit;
+    else high[n - 4] = lit;
+  }
+  first = low;
+  second = high;
+}`;
+
 /** Texels as a camera sees them under the lamps: the encoded model plus the residual of the captured views around. */
 export const texelFragment = (parts, srgb) => `${ENCODING}
 #define PARTS ${parts}
@@ -125,6 +159,8 @@ uniform vec3 eye;
 uniform int lamps, form[LAMPS]; // 0: at a place, 1: distant, 2: an irradiance over the normal
 uniform vec3 lampVector[LAMPS], lampColour[LAMPS];
 uniform float reference[LAMPS]; // distance at which a lamp at a place counts 1; 0: everywhere
+uniform sampler2D lit0, lit1;   // sums of LIT_FRAGMENT
+uniform float samples;          // that they are of; 0: no lamp is shaded
 uniform mat3 lampFrame;
 uniform vec3 harmonics[9];
 layout(location = 0) out vec4 result0;
@@ -136,6 +172,10 @@ float alphaSquared(float y) {   // 4 asin(sqrt y)^2
   float low = (3.9999998616316295 + y * 1.333368353707692) + y2 * (0.7096755135127832 + y * 0.47921577031967355);
   float high = (0.1619777507791828 + y * 0.8785672549192072) + y2 * (-1.0769357168334217 + y * 1.285807095824729);
   return y * (low + y2 * y2 * high);
+}
+float share(int n, ivec2 at) {  // of a lamp's disc that a texel sees
+  if (samples == 0.0 || form[n] == 2) return 1.0;
+  return (n < 4 ? texelFetch(lit0, at, 0)[n] : texelFetch(lit1, at, 0)[n - 4]) * 255.0 / (${SAMPLE}.0 * samples);
 }
 vec3 irradiance(vec3 normal) {
   vec3 n = lampFrame * normal;
@@ -161,6 +201,7 @@ void main() {
       light *= inversesqrt(square);
       if (reference[n] > 0.0) strength = reference[n] * reference[n] / square;
     }
+    strength *= share(n, at);
     float cosI = dot(normal, light);
     vec3 lit = form[n] == 2 ? irradiance(normal) : vec3(max(cosI, 0.0) * strength);
     body += lampColour[n] * lit;

@@ -168,11 +168,11 @@ export class ObjectTexels {
   }
 
   /** Draw into `seen` the texels as a camera sees them: lamps: uniforms; lenders: captured views that lend their residual of
-   * a light, with weights; within: {x, y, width, height} of the atlas alone. */
-  draw(camera, lamps, lenders, light, within = null) {
+   * a light, with weights; within: {x, y, width, height} of the atlas alone; shadows: of ObjectShadows. */
+  draw(camera, lamps, lenders, light, { within = null, shadows = null } = {}) {
     const { gl, atlas } = this;
     const lent = lenders.map(({ view }) => this.residualOf(view, light)), eye = centreOf(camera);
-    const key = JSON.stringify([eye, lamps, lenders, light, this.version, within]);
+    const key = JSON.stringify([eye, lamps, lenders, light, this.version, within, shadows?.part, shadows?.key, shadows?.samples]);
     if (key === this.drawn) return;
     this.drawn = key;
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.seenTarget);
@@ -187,7 +187,7 @@ export class ObjectTexels {
     this.programs.texels.use({
       positions: this.positions, normals: this.normals, diffuse: this.diffuse, specular: this.specular,
       residual0: first.parts, residual1: second.parts, visible0: first.visible, visible1: second.visible,
-      views: lent.length, weights: [lenders[0]?.weight ?? 0, lenders[1]?.weight ?? 0], eye, ...lamps,
+      lit0: this.zero, lit1: this.zero, samples: 0, views: lent.length, weights: [lenders[0]?.weight ?? 0, lenders[1]?.weight ?? 0], eye, ...lamps, ...shadows,
     });
     this.scene.drawScreen();
     if (within) gl.disable(gl.SCISSOR_TEST);
