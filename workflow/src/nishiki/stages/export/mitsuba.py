@@ -1,6 +1,8 @@
-"""A painting as a scene of Mitsuba 3: relief, textures, and our reflection model in Python."""
+"""A painting as a scene of Mitsuba 3: relief, textures, and two materials: our reflection model in Python, and
+`principled` for scenes without Python."""
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -8,13 +10,16 @@ import numpy as np
 from nishiki.artifacts.stage import Context
 from nishiki.brdf.parameters import gloss_table
 from nishiki.formats.exr_bands import ExrWriter
+from nishiki.formats.mitsuba_xml import Parameter, write_scene
+from nishiki.formats.textured_ply import faces, heading, vertices
 from nishiki.report.files import read_json
-from nishiki.stages.export import mitsuba_paint
+from nishiki.stages.export import mitsuba_paint, mitsuba_principled
+from nishiki.stages.export.gltf_material import GltfMaterial
+from nishiki.stages.export.look import errors, painting_look
 from nishiki.stages.export.relief_mesh import reliefs
 from nishiki.stages.export.scene import ExportedScene
 
-VERTEX = np.dtype([("place", "<f4", 3), ("texture", "<f4", 2)])
-FACE = np.dtype([("count", "u1"), ("corner", "<i4", 3)])
+UP = np.array([0.0, 0.0, 1.0])
 MATTE = ([0.0], [0.5], 1.45, 0.0)
 
 
@@ -22,7 +27,12 @@ def write(context: Context, scene: ExportedScene) -> dict:
     """The folder `mitsuba`; what of the model it leaves out."""
     folder = context.output.path("exports/mitsuba/scene.json").parent
     beta, gamma, index, transmission = gloss(context)
-    names = {"albedo": scene.srgb, "normals": scene.normals, "shading": scene.shading}
+    names = {
+        "albedo": scene.srgb,
+        "normals": scene.normals,
+        "shading": scene.shading,
+        "normalmap": lambda rows: coded(scene.relief_normals(rows)),
+    }
     clipped = 0
     header = {f"nishiki.{name}": text for name, text in context.stamp.items()}
     for name, read in names.items():
@@ -50,13 +60,17 @@ def write(context: Context, scene: ExportedScene) -> dict:
     }
     (folder / "scene.json").write_text(json.dumps(facts, indent=1) + "\n")
     (folder / "nishiki_paint.py").write_text(Path(mitsuba_paint.__file__).read_text(encoding="utf-8"))
-    made = ("scene.json", "nishiki_paint.py", "relief.ply", "flat.ply", *(f"{name}.exr" for name in names))
+    look = painting_look(context, scene)
+    write_plain_scene(folder / "scene.xml", facts, look.material)
+    paint = PrincipledPaint(look.material)
+    made = ("scene.json", "nishiki_paint.py", "scene.xml", "relief.ply", "flat.ply", *(f"{name}.exr" for name in names))
     files = [f"exports/mitsuba/{name}" for name in made]
     return {
         "files": files,
         "vertices": count,
         "shading_terms_left_out": max(scene.shading_terms - 3, 0),
         "clipped": clipped / (3 * scene.shape[0] * scene.shape[1]),
+        "kinds": {"principled": {"psnr_db": errors(context, scene, look, paint)}},
     }
 
 
@@ -70,43 +84,79 @@ def gloss(context: Context) -> tuple[list[float], list[float], float, float]:
     return beta[largest].tolist(), gamma[largest].tolist(), float(index[largest]), transmission
 
 
+def coded(normals: np.ndarray) -> np.ndarray:
+    """Normals (..., 3) as a normal map has them, (n + 1) / 2; upright where there is none."""
+    known = np.abs(normals).max(axis=-1, keepdims=True) > 0
+    return (np.where(known, normals, UP) + 1) / 2
+
+
+@dataclass(frozen=True)
+class PrincipledPaint:
+    """What principled shows of a painting whose gloss is that of a material of glTF."""
+
+    material: GltfMaterial
+
+    def shown(self, base: np.ndarray, normals: np.ndarray, light: np.ndarray) -> np.ndarray:
+        """As `GltfMaterial.shown`: (n, 3) light relative to a white that faces the lamp, seen along z."""
+        half = (light + UP) / np.linalg.norm(light + UP)
+        cos_phi, cos_i, cos_r = (np.maximum(normals @ each, 0) for each in (half, light, UP))
+        albedo = base * (1 - float(self.material.fresnel(np.array(1.0))))
+        cosines = (cos_phi, cos_i, cos_r, np.full_like(cos_i, half[2]))
+        body, gloss = mitsuba_principled.shown(albedo, self.material.roughness, *strength(self.material), cosines)
+        return (body + gloss[:, None]) * cos_i[:, None]
+
+
+def strength(material: GltfMaterial) -> tuple[float, float]:
+    """Reflectance along the normal where the weight is 1, and the weight."""
+    return min(material.factor * ((material.index - 1) / (material.index + 1)) ** 2, 1.0), material.weight
+
+
+def write_plain_scene(path: Path, facts: dict, material: GltfMaterial) -> None:
+    """scene.xml: the painting seen from the front under one distant lamp, with the material principled."""
+    wide, above = facts["width"] / 2, 2 * max(facts["width"], facts["height"])
+    to_world = np.diag([-wide, wide, -1.0, 1.0])  # x of Mitsuba's cameras points to the left
+    to_world[2, 3] = above
+    paint = mitsuba_principled.material(
+        mitsuba_principled.texture("albedo.exr"), material.roughness, *strength(material)
+    )
+    objects = {
+        "integrator": {"type": "path", "max_depth": Parameter("max_depth", "integer")},
+        "painting": {
+            **{"type": "ply", "filename": Parameter("mesh", "string")},
+            "bsdf": {
+                **{"type": "normalmap", "flip_invalid_normals": False, "use_shadowing_function": False},
+                **{"normalmap": mitsuba_principled.texture("normalmap.exr"), "paint": paint},
+            },
+        },
+        "lamp": {
+            **{"type": "directional", "direction": [Parameter(axis, "float") for axis in "xyz"]},
+            "irradiance": {"type": "rgb", "value": [float(np.pi)] * 3},
+        },
+        "sensor": {
+            **{"type": "orthographic", "to_world": to_world, "near_clip": 0.01 * above, "far_clip": 2 * above},
+            **mitsuba_principled.film(facts["columns"], facts["rows"]),
+        },
+    }
+    defaults = {"mesh": "relief.ply", "samples": 16, "max_depth": 2, "x": -0.5, "y": -0.5, "z": -0.7071}
+    write_scene(path, objects, defaults=defaults, remark="x, y, z: the way that the light goes; mesh: or flat.ply")
+
+
 def write_relief(folder: Path, context: Context, scene: ExportedScene) -> int:
-    """relief.ply, the displaced plane with the place of each vertex in the textures, and flat.ply; its vertices."""
+    """relief.ply, the displaced plane with the place of each vertex in the textures, and flat.ply; its vertices.
+
+    Their normals are those of the plane: principled takes the relief's from its texture, our model the faces'.
+    """
     most = context.settings.mesh_vertices
     counts = np.sum([(len(band.places), len(band.triangles)) for band in reliefs(scene, most, colours=None)], axis=0)
     with open(folder / "relief.ply", "wb") as file:
         file.write(heading(*counts))
         for band in reliefs(scene, most, colours=None):
-            file.write(vertices(band.places, band.texture))
+            file.write(vertices(band.places, np.broadcast_to(UP, band.places.shape), band.texture))
         for band in reliefs(scene, most, colours=None):
             file.write(faces(band.triangles))
     corners = np.array([[0, 0], [1, 0], [0, 1], [1, 1]], float)
     size = np.array([scene.shape[1], scene.shape[0]]) * scene.pitch
     places = np.column_stack([(corners - 0.5) * size * [1, -1], np.zeros(4)])
-    flat = heading(4, 2) + vertices(places, corners) + faces(np.array([[0, 2, 1], [1, 2, 3]]))
+    flat = heading(4, 2) + vertices(places, np.tile(UP, (4, 1)), corners) + faces(np.array([[0, 2, 1], [1, 2, 3]]))
     (folder / "flat.ply").write_bytes(flat)
     return int(counts[0])
-
-
-def heading(count: int, triangles: int) -> bytes:
-    """Of a binary PLY with places in the textures, u from the left and v from the top."""
-    lines = [
-        *("ply", "format binary_little_endian 1.0", f"element vertex {count}"),
-        *(f"property float {name}" for name in "xyzuv"),
-        *(f"element face {triangles}", "property list uchar int vertex_indices", "end_header"),
-    ]
-    return ("\n".join(lines) + "\n").encode("ascii")
-
-
-def vertices(places: np.ndarray, texture: np.ndarray) -> bytes:
-    """Vertices as the PLY holds them."""
-    points = np.empty(len(places), VERTEX)
-    points["place"], points["texture"] = places, texture
-    return points.tobytes()
-
-
-def faces(triangles: np.ndarray) -> bytes:
-    """Triangles as the PLY holds them."""
-    corners = np.empty(len(triangles), FACE)
-    corners["count"], corners["corner"] = 3, triangles
-    return corners.tobytes()

@@ -9,7 +9,7 @@ from nishiki.artifacts.closed import Guarded
 from nishiki.artifacts.limits import Figure, Limit, at
 from nishiki.stages.base import Cost, Stage, no_format, photographs_or_states
 
-Format = Literal["gltf", "usd", "materialx"]
+Format = Literal["gltf", "usd", "materialx", "mitsuba"]
 
 
 def _of_look(name: str) -> Figure:

@@ -1,5 +1,10 @@
 """What a viewer shows of an exported object, against the photographs."""
 
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import numpy as np
 
 from nishiki.artifacts.stage import Context
@@ -15,20 +20,87 @@ from nishiki.stages.object_export.look import ObjectLook
 from nishiki.stages.object_export.texture_atlas import sample
 
 
+@dataclass(frozen=True)
+class SeenPoints:
+    """Surface points behind the covered pixels of a captured view, under its first light.
+
+    Attributes
+    ----------
+    positions, normals : (n, 3) float64 ndarray
+        Of the points, in the cameras' world; normals of unit length.
+    places : (n, 2) float64 ndarray
+        Row and column in the textures, in texels.
+    centre : (3,) float64 ndarray
+        The camera's place.
+    lamp : Lamp
+        The light.
+    covered : (rows, columns) bool ndarray
+        The pixels, in whose order the points come.
+    """
+
+    positions: np.ndarray
+    normals: np.ndarray
+    places: np.ndarray
+    centre: np.ndarray
+    lamp: Lamp
+    covered: np.ndarray
+
+    @classmethod
+    def of(cls, look: ObjectLook, view: int) -> SeenPoints:
+        """Of the triangles that have a place in the textures."""
+        decoded, layout = look.decoded, look.layout
+        camera, mesh = decoded.cameras[view], decoded.mesh
+        raster = rasterise(mesh, camera)
+        covered = raster.triangle >= 0
+        covered[covered] = layout.placed[raster.triangle[covered]]
+        triangle, shares = raster.triangle[covered], raster.barycentric[covered].astype(np.float64)
+        shares = np.column_stack([shares, 1 - shares.sum(axis=1)])[..., None]
+        positions = np.sum(mesh.vertices[mesh.triangles[triangle]] * shares, axis=1)
+        normals = np.sum(mesh.normals[mesh.triangles[triangle]] * shares, axis=1)
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        places = np.sum(layout.corners[triangle] * shares, axis=1)
+        return cls(positions, normals, places, camera.centre, decoded.lighting.lamp(camera, 0), covered)
+
+    def factors(self) -> tuple[np.ndarray, np.ndarray]:
+        """Irradiance (n, 3) and strength of the lamp in the gloss (n,), as `nishiki.brdf.texels.model` has them."""
+        irradiance, angles = factors(self.positions, self.normals, self.centre, self.lamp, 3)
+        return irradiance, angles[:, 0]
+
+    def cosines(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """(n,) of the normal with half vector, light and view, at least 0, and of view with half vector."""
+        light, towards = direction_to(self.lamp, self.positions), self.centre - self.positions
+        towards = towards / np.linalg.norm(towards, axis=1, keepdims=True)
+        half = light + towards
+        half /= np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
+        cos_phi, cos_i, cos_r = (np.maximum(np.sum(self.normals * each, axis=1), 0) for each in (half, light, towards))
+        return cos_phi, cos_i, cos_r, np.sum(half * towards, axis=1)
+
+
 def errors(context: Context, look: ObjectLook, *, white_at_grazing: bool) -> dict[str, dict[str, float]]:
     """PSNR of the stored textures against photographs, in the capture's encoding: left-out views and some others.
 
     white_at_grazing : whether the format reflects all grazing light, whatever the share of the reflectance.
     """
+    base = decode(look.colour / 255, "srgb")
+    alpha = (look.roughness / 255) ** 2
+    weight = look.specular / 255
+    stored = np.concatenate([base, alpha[..., None], weight[..., None]], axis=-1)
+
+    def shown(points: SeenPoints) -> np.ndarray:
+        return look.scale * viewer_light(look, points, sample(stored, points.places), white_at_grazing=white_at_grazing)
+
+    return against_photographs(context, look, shown)
+
+
+def against_photographs(
+    context: Context, look: ObjectLook, shown: Callable[[SeenPoints], np.ndarray]
+) -> dict[str, dict[str, float]]:
+    """PSNR of linear values (n, 3) that something shows of seen points, as in `errors`."""
     decoded, settings, count = look.decoded, context.settings, len(look.decoded.views)
     left_out = decoded.numbers(settings.hold_out)
     seen = [view for view in range(count) if view not in left_out]
     spread = [seen[k * len(seen) // settings.views] for k in range(min(settings.views, len(seen)))]
     photographs = Photographs(context.inputs)
-    base = decode(look.colour / 255, "srgb")
-    alpha = (look.roughness / 255) ** 2
-    weight = look.specular / 255
-    stored = np.concatenate([base, alpha[..., None], weight[..., None]], axis=-1)
     result = {}
     for name, views in (("fitted", spread), ("check", sorted(left_out))):
         if not views:
@@ -36,39 +108,22 @@ def errors(context: Context, look: ObjectLook, *, white_at_grazing: bool) -> dic
         found = CodedErrors(len(views))
         for number, view in enumerate(views):
             linear, valid = photographs.read(view, 0)
-            shown, covered = shaded(look, stored, view, white_at_grazing=white_at_grazing)
-            compared = encode(three_channels(linear)[covered], decoded.encoding)
-            found.add(number, encode(look.scale * shown, decoded.encoding), compared, valid[covered])
+            points = SeenPoints.of(look, view)
+            compared = encode(three_channels(linear)[points.covered], decoded.encoding)
+            found.add(number, encode(shown(points), decoded.encoding), compared, valid[points.covered])
         result[name] = found.decibels()
     return result
 
 
-def shaded(look: ObjectLook, stored: np.ndarray, view: int, *, white_at_grazing: bool) -> tuple[np.ndarray, np.ndarray]:
-    """What a viewer shows of a captured view under its first light: (n, 3) of the covered pixels, and those."""
-    decoded, layout = look.decoded, look.layout
-    camera, mesh = decoded.cameras[view], decoded.mesh
-    raster = rasterise(mesh, camera)
-    covered = raster.triangle >= 0
-    covered[covered] = layout.placed[raster.triangle[covered]]
-    triangle, shares = raster.triangle[covered], raster.barycentric[covered].astype(np.float64)
-    shares = np.column_stack([shares, 1 - shares.sum(axis=1)])[..., None]
-    positions = np.sum(mesh.vertices[mesh.triangles[triangle]] * shares, axis=1)
-    normals = np.sum(mesh.normals[mesh.triangles[triangle]] * shares, axis=1)
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    texels = sample(stored, np.sum(layout.corners[triangle] * shares, axis=1))
-    lamp = decoded.lighting.lamp(camera, 0)
-    irradiance, angles = factors(positions, normals, camera.centre, lamp, 3)
-    light, towards = direction_to(lamp, positions), camera.centre - positions
-    towards = towards / np.linalg.norm(towards, axis=1, keepdims=True)
-    half = light + towards
-    half /= np.maximum(np.linalg.norm(half, axis=1, keepdims=True), 1e-9)
-    cosines = (np.maximum(np.sum(normals * each, axis=1), 0) for each in (half, light, towards))
-    cos_phi, cos_i, cos_r = cosines
+def viewer_light(look: ObjectLook, points: SeenPoints, texels: np.ndarray, *, white_at_grazing: bool) -> np.ndarray:
+    """(n, 3) what a viewer shows; texels (n, 5): base colour, alpha and share of the reflectance at the points."""
+    irradiance, strength = points.factors()
+    cos_phi, cos_i, cos_r, cos_q = points.cosines()
     normal = texels[:, 4] * look.normal_reflectance
     grazing = 1.0 if white_at_grazing else texels[:, 4]
-    reflected = normal + (grazing - normal) * (1 - np.sum(half * towards, axis=1)) ** 5
-    gloss = np.pi * reflected * isotropic_lobe(cos_phi, cos_i, cos_r, texels[:, 3]) * cos_i * angles[:, 0]
-    return (1 - reflected[:, None]) * texels[:, :3] * irradiance + gloss[:, None], covered
+    reflected = normal + (grazing - normal) * (1 - cos_q) ** 5
+    gloss = np.pi * reflected * isotropic_lobe(cos_phi, cos_i, cos_r, texels[:, 3]) * cos_i * strength
+    return (1 - reflected[:, None]) * texels[:, :3] * irradiance + gloss[:, None]
 
 
 def direction_to(lamp: Lamp, positions: np.ndarray) -> np.ndarray:

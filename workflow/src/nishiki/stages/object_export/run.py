@@ -1,9 +1,9 @@
 """Object_export: files of an object for other programs, and what each of them loses."""
 
 from nishiki.artifacts.stage import Context
-from nishiki.stages.object_export import gltf, materialx, usd
+from nishiki.stages.object_export import gltf, materialx, mitsuba, usd
 
-WRITERS = {"gltf": gltf.write, "usd": usd.write, "materialx": materialx.write}
+WRITERS = {"gltf": gltf.write, "usd": usd.write, "materialx": materialx.write, "mitsuba": mitsuba.write}
 
 
 def run(context: Context) -> dict:

@@ -1,0 +1,264 @@
+"""Scenes of Mitsuba 3 for objects and with its own material, rendered by it beside our own formulas."""
+
+import importlib.util
+from dataclasses import replace
+from types import SimpleNamespace
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from small_painting import COLUMNS, ROWS, export_context, small_painting
+from unit.test_patches_atlas import atlas_of
+from unit.test_patches_charts import around, ball
+
+from nishiki.brdf.texels.lighting import Lighting
+from nishiki.brdf.texels.model import predict
+from nishiki.colour.encoding import decode
+from nishiki.formats.mitsuba_xml import Parameter, write_scene
+from nishiki.stages.export import mitsuba_principled as principled
+from nishiki.stages.export.declaration import ExportSettings
+from nishiki.stages.export.look import painting_look
+from nishiki.stages.export.mitsuba import PrincipledPaint
+from nishiki.stages.export.run import run
+from nishiki.stages.export.scene import ExportedScene
+from nishiki.stages.object_export.errors import SeenPoints
+from nishiki.stages.object_export.look import ObjectLook, object_mesh
+from nishiki.stages.object_export.mitsuba import falloff, write_folder
+from nishiki.stages.object_export.texture_atlas import sample, texture_atlas
+
+STAMP = {"scene": "ball", "key": "0123456789ab"}
+UNIT = 0.001
+PLACE = (0.3, 0.2, 0.1)  # of the lamp, in the camera's frame
+
+
+@pytest.fixture(scope="module")
+def mi():
+    """Mitsuba with a variant that needs nothing else."""
+    mitsuba = pytest.importorskip("mitsuba", reason="Mitsuba 3 is not installed (group path-tracing)")
+    mitsuba.set_variant("scalar_rgb")
+    return mitsuba
+
+
+def test_a_scene_is_written_as_its_dictionary_says(tmp_path):
+    objects = {
+        "lamp": {"type": "point", "position": (1, 2.5, -3), "intensity": {"type": "rgb", "value": [1, 2, 3]}},
+        "shape": {"type": "ply", "filename": Parameter("mesh", "string"), "face_normals": True, "number": 2},
+        "eye": {"type": "orthographic", "to_world": np.arange(16.0).reshape(4, 4), "direction": (0.0, 1.0, 0.0)},
+    }
+    write_scene(tmp_path / "s.xml", objects, defaults={"mesh": "a.ply"}, include="b/$view.xml", remark="a--b")
+    scene = ElementTree.parse(tmp_path / "s.xml").getroot()
+    found = [(each.tag, each.attrib) for each in scene.iter()]
+    assert ("default", {"name": "mesh", "value": "a.ply"}) in found
+    assert ("point", {"name": "position", "x": "1", "y": "2.5", "z": "-3"}) in found
+    assert ("vector", {"name": "direction", "x": "0", "y": "1", "z": "0"}) in found
+    assert ("rgb", {"name": "intensity", "value": "1 2 3"}) in found
+    assert ("string", {"name": "filename", "value": "$mesh"}) in found
+    assert ("boolean", {"name": "face_normals", "value": "true"}) in found
+    assert ("integer", {"name": "number", "value": "2"}) in found
+    assert ("matrix", {"value": " ".join(map(str, range(16)))}) in found
+    assert ("include", {"filename": "b/$view.xml"}) in found
+    with pytest.raises(TypeError, match="expected a number"):
+        write_scene(tmp_path / "s.xml", {"a": {"type": "ply", "b": None}})
+
+
+@pytest.mark.parametrize(("roughness", "reflectance", "weight"), [(0.2, 0.03, 1.0), (0.5, 0.09, 0.4), (0.9, 0.3, 0.0)])
+def test_principled_is_what_mitsuba_evaluates(mi, roughness, reflectance, weight):
+    colour = np.array([0.8, 0.3, 0.1])
+    body = {"type": "rgb", "value": colour.tolist()}
+    material = mi.load_dict(principled.material(body, roughness, reflectance, weight))
+    interaction = mi.SurfaceInteraction3f()
+    interaction.n, interaction.uv = [0, 0, 1], [0.5, 0.5]
+    interaction.sh_frame = mi.Frame3f([0, 0, 1])
+    up, random = np.array([0, 0, 1.0]), np.random.default_rng(3)
+    for light, view in random.normal((0, 0, 1), 1, size=(60, 2, 3)):
+        light, view = light / np.linalg.norm(light), view / np.linalg.norm(view)
+        if min(light[2], view[2]) < 0.05:
+            continue
+        half = (light + view) / np.linalg.norm(light + view)
+        interaction.wi = mi.Vector3f(*view.tolist())
+        theirs = np.array(material.eval(mi.BSDFContext(), interaction, mi.Vector3f(*light.tolist())))
+        cosines = tuple(np.array([each]) for each in (half @ up, light @ up, view @ up, view @ half))
+        diffuse, gloss = principled.shown(colour[None], roughness, reflectance, weight, cosines)
+        np.testing.assert_allclose(theirs * np.pi, (diffuse + gloss[:, None])[0] * light[2], rtol=2e-5)
+
+
+def test_specular_and_roughness_of_principled_mean_what_the_page_says(mi):
+    by_index = mi.load_dict({"type": "principled", "roughness": 0.4, "eta": 1.5})
+    by_specular = mi.load_dict({"type": "principled", "roughness": 0.4, "specular": 0.5})
+    interaction = mi.SurfaceInteraction3f()
+    interaction.sh_frame, interaction.wi = mi.Frame3f([0, 0, 1]), mi.Vector3f(0, 0, 1)
+    values = [
+        np.array(each.eval(mi.BSDFContext(), interaction, mi.Vector3f(0, 0, 1))) for each in (by_index, by_specular)
+    ]
+    np.testing.assert_allclose(*values, rtol=1e-6)
+
+
+@pytest.fixture(scope="module")
+def painting(tmp_path_factory):
+    """A painting, the folder of its export, its look, and what the stage reports."""
+    folder = tmp_path_factory.mktemp("painting")
+    made = small_painting(folder)
+    context = export_context(made, folder / "export", ExportSettings(formats=("mitsuba",)))
+    with context.output as output:
+        reported = run(context)
+        look = painting_look(context, ExportedScene(made.inputs))
+        yield SimpleNamespace(made=made, folder=output.folder / "exports/mitsuba", look=look, reported=reported)
+
+
+def test_the_plain_scene_of_a_painting_shows_what_its_loss_is_reckoned_with(mi, painting):
+    light = np.array([0.5, 0.1, 0.86])
+    light /= np.linalg.norm(light)
+    towards = dict(zip("xyz", map(str, -light), strict=True))
+    scene = mi.load_file(str(painting.folder / "scene.xml"), mesh="flat.ply", samples="1", **towards)
+    theirs = np.array(mi.render(scene))
+    assert theirs.shape == (ROWS, COLUMNS, 3)
+    look = painting.look
+    base = decode(look.colours.reshape(-1, 3) / 255, "srgb")
+    normals = look.normals.reshape(-1, 3) / 255 * 2 - 1
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    ours = PrincipledPaint(look.material).shown(base, normals, light).reshape(ROWS, COLUMNS, 3)
+    # The random sample may fall between two texels, and the textures of the look have eight bits.
+    inner = painting.made.known & (ours.min(axis=-1) > 0.02)
+    apart = np.abs(theirs - ours)[inner] / ours[inner]
+    assert np.median(apart) < 0.02
+    assert np.corrcoef(theirs[inner].ravel(), ours[inner].ravel())[0, 1] > 0.99
+    relief = np.array(mi.render(mi.load_file(str(painting.folder / "scene.xml"), samples="4", **towards)))
+    assert np.median(np.abs(relief - ours)[inner] / ours[inner]) < 0.05, "the relief is shaded once"
+    error = painting.reported["losses"]["mitsuba"]["kinds"]["principled"]["psnr_db"]
+    assert error["check"]["lights"] == 3
+    assert error["check"]["all"] > 20
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    """A glossy ball with four cameras: its look, textures of the model, and the folder."""
+    folder = tmp_path_factory.mktemp("ball")
+    mesh = ball(4, noise=0.001)
+    atlas = atlas_of(mesh, around(4))
+    layout = texture_atlas(atlas)
+    y, x = np.mgrid[: layout.shape[0], : layout.shape[1]] / 20
+    kd = np.stack([0.4 + 0.2 * np.sin(x), 0.3 + 0.1 * np.cos(y), 0.2 + 0 * x], axis=-1).astype(np.float32)
+    ks = np.repeat((0.3 + 0.1 * np.sin(x + y))[..., None], 3, axis=-1).astype(np.float32)
+    sigma = (0.2 + 0.05 * np.cos(x - y))[..., None].astype(np.float32)
+    cameras = [replace(camera, name=f"{k} é") for k, camera in enumerate(around(4))]
+    decoded = SimpleNamespace(
+        mesh=mesh, cameras=cameras, views=[camera.name for camera in cameras], lights=["lamp"],
+        lighting=Lighting("position", (PLACE,)),
+    )  # fmt: skip
+    grey = (64 + 100 * (np.sin(x) + 1) / 2).astype(np.uint8)
+    look = ObjectLook(decoded, layout, np.rint(255 * kd).astype(np.uint8), grey, grey[::-1], 3.0, 1.5, 0.0)
+    context = SimpleNamespace(inputs={"mesh": SimpleNamespace(diagnostics={"unit": "mm"})})
+    textured = object_mesh(context, look)
+    parameters = {"kd": kd, "ks": ks, "sigma": sigma}
+    figures = write_folder(folder, look, textured, parameters, unit=UNIT, stamp=STAMP)
+    return SimpleNamespace(look=look, folder=folder, parameters=parameters, figures=figures)
+
+
+@pytest.fixture(scope="module")
+def nishiki_object(exported, mi):
+    """The exported module, its model registered."""
+    spec = importlib.util.spec_from_file_location("nishiki_object", exported.folder / "nishiki_object.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    module.define()
+    return module
+
+
+def along_our_rays(mi, scene, camera, points):
+    """What a scene of Mitsuba shows along the rays through seen points of a camera, (n, 3)."""
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(0, 1)
+    integrator, centre = scene.integrator(), camera.centre * UNIT
+    rays = points.positions * UNIT - centre
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    return np.array([
+        integrator.sample(scene, sampler, mi.Ray3f(centre.tolist(), ray.tolist()))[0] for ray in rays
+    ])  # fmt: skip
+
+
+def thinned(points, step):
+    """Some of the seen points."""
+    return replace(
+        points, positions=points.positions[::step], normals=points.normals[::step], places=points.places[::step]
+    )
+
+
+def test_mitsuba_shows_our_model_of_an_object(mi, exported, nishiki_object):
+    look = exported.look
+    camera = look.decoded.cameras[1]
+    points = thinned(SeenPoints.of(look, 1), 7)
+    stacked = np.concatenate(list(exported.parameters.values()), axis=-1)
+    kd, ks, sigma = np.split(sample(stacked, points.places), [3, 6], axis=1)
+    expected = sum(predict(kd, ks, sigma[:, 0], points.positions, points.normals, points.centre, points.lamp))
+    scene = nishiki_object.description(view="1 é", body="model", folder=exported.folder)
+    theirs = along_our_rays(mi, mi.load_dict(scene), camera, points)
+    lit = (expected > 1e-4).all(axis=1) & (theirs > 1e-6).all(axis=1)
+    assert lit.mean() > 0.5
+    assert len(lit) > 100
+    np.testing.assert_allclose(theirs[lit], expected[lit], rtol=2e-3)
+    assert np.mean((theirs > 1e-6).all(axis=1) != (expected > 1e-4).all(axis=1)) < 0.05
+
+
+def test_the_plain_scene_of_an_object_shows_what_its_loss_is_reckoned_with(mi, exported):
+    look = exported.look
+    points = thinned(SeenPoints.of(look, 2), 7)
+    stored = np.concatenate(
+        [decode(look.colour / 255, "srgb"), np.stack([look.roughness, look.specular], -1) / 255], axis=-1
+    )
+    texels = sample(stored, points.places)
+    cosines = points.cosines()
+    body, gloss = principled.shown(texels[:, :3], texels[:, 3], look.normal_reflectance, texels[:, 4], cosines)
+    expected = look.scale * (body + gloss[:, None]) * cosines[1][:, None]
+    lamp, middle = points.lamp.vector, look.decoded.mesh.vertices.mean(axis=0)
+    nearer = np.linalg.norm(lamp - middle) / np.linalg.norm(lamp - points.positions, axis=1)
+    expected *= nearer[:, None] ** 2
+    theirs = along_our_rays(
+        mi, mi.load_file(str(exported.folder / "scene.xml"), view="2"), look.decoded.cameras[2], points
+    )
+    lit = (expected > 1e-3).all(axis=1) & (theirs > 1e-6).all(axis=1)
+    assert lit.mean() > 0.5
+    np.testing.assert_allclose(theirs[lit], expected[lit], rtol=5e-3)
+
+
+def test_the_cameras_of_the_scenes_are_the_captures(mi, exported, nishiki_object):
+    for number, camera in enumerate(exported.look.decoded.cameras):
+        scenes = (
+            mi.load_dict(nishiki_object.description(view=camera.name, folder=exported.folder)),
+            mi.load_file(str(exported.folder / "scene.xml"), view=str(number)),
+        )
+        for scene in scenes:
+            sensor = scene.sensors()[0]
+            assert tuple(sensor.film().size()) == (camera.columns, camera.rows)
+            for column, row in ((0, 0), (camera.columns - 1, 3), (10, camera.rows - 1)):
+                place = [(column + 0.5) / camera.columns, (row + 0.5) / camera.rows]
+                ray = sensor.sample_ray(0, 0, place, [0.5, 0.5])[0]
+                point = (np.array(ray.o) + 5 * UNIT * np.array(ray.d)) / UNIT
+                np.testing.assert_allclose(camera.project(point[None])[0], [[column, row]], atol=0.01)
+    assert exported.figures["camera_px"] == pytest.approx(0, abs=1e-6)
+
+
+def test_what_a_pinhole_with_square_pixels_cannot_say_is_told(exported, tmp_path):
+    look = exported.look
+    wide = np.diag([1, 1.02, 1])
+    bent = [
+        replace(camera, intrinsics=camera.intrinsics @ wide, distortion=(0.5, 0, 0, 0, 0))
+        for camera in look.decoded.cameras
+    ]
+    other = replace(look, decoded=SimpleNamespace(**{**vars(look.decoded), "cameras": bent}))
+    mesh = object_mesh(SimpleNamespace(inputs={"mesh": SimpleNamespace(diagnostics={})}), look)
+    figures = write_folder(tmp_path, other, mesh, exported.parameters, unit=1.0, stamp=STAMP)
+    assert figures["camera_px"] > 0.5
+
+
+def test_lamps_of_each_kind(mi, exported, nishiki_object):
+    camera, points = exported.look.decoded.cameras[0], exported.look.decoded.mesh.vertices
+    near = Lighting("position", (PLACE,), reference=2.0).lamp(camera)
+    assert falloff(near, points) == 0
+    assert 0.05 < falloff(Lighting("position", (PLACE,)).lamp(camera), points) <= exported.figures["lamp_falloff"]
+    known = {"kind": "point", "position": [0, 0, 1], "distance": 2.0, "falloff": True}
+    assert nishiki_object.lamp_of(known)["intensity"]["value"] == pytest.approx([4 * np.pi] * 3)
+    unknown = {**known, "falloff": False}
+    assert nishiki_object.lamp_of(unknown)["type"] == "nishiki_lamp"
+    assert nishiki_object.lamp_of(unknown, plain=True, scale=2)["intensity"]["value"] == pytest.approx([8 * np.pi] * 3)
+    for lamp in ({"kind": "directional", "direction": [0, 0, -1]}, {"kind": "around", "radiance": [0.1, 0.2, 0.3]}):
+        assert mi.load_dict(nishiki_object.lamp_of(lamp)) is not None
