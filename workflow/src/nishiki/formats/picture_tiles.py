@@ -1,7 +1,8 @@
 """Pictures that grow by bands of rows on the disk, and their JPEG files: one a picture, or the tiles of a deep zoom.
 
-Two layouts of a deep zoom: Microsoft's (`NAME.dzi`, `NAME_files/LEVEL/COLUMN_ROW.jpg`), which OpenSeadragon and
-OpenLIME read, and that of IIIF's Image API 3.0 at level 0 (`info.json`, `REGION/SIZE/0/default.jpg`).
+Two layouts of a deep zoom: Microsoft's as OpenLIME reads it (`NAME.dzi`, `NAME_files/LEVEL/COLUMN_ROW.jpg`; level 0 is
+the largest that fits into one tile, not a single pixel), and that of IIIF's Image API 3.0 at level 0 (`info.json`,
+`REGION/SIZE/0/default.jpg`).
 """
 
 from __future__ import annotations
@@ -58,9 +59,9 @@ def read_jpeg(path: Path) -> Samples:
 
 
 def write_deep_zoom(folder: Path, name: str, picture: Samples, scratch: Path, quality: int) -> None:
-    """Tiles of all levels, the last at full resolution, the first a single pixel. scratch: for smaller copies."""
+    """Tiles of all levels, the first a single tile, the last at full resolution. scratch: for smaller copies."""
     rows, columns = picture.shape[:2]
-    levels = (max(rows, columns) - 1).bit_length()
+    levels = (-(-max(rows, columns) // TILE) - 1).bit_length()
     (folder / f"{name}.dzi").write_text(
         '<?xml version="1.0" encoding="UTF-8"?>\n'
         f'<Image xmlns="http://schemas.microsoft.com/deepzoom/2008" Format="jpg" Overlap="{OVERLAP}" '

@@ -9,7 +9,7 @@ Scopigno, 2018): the components are shared by the channels; between the captured
 are computed as the viewers compute them, so that the fit sees what will be shown.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Protocol
 
 import numpy as np
@@ -129,14 +129,35 @@ class PrincipalModel:
         """(planes, lights, 3) as viewers read them."""
         return (self.codes.astype(np.float64) - 127) / self.span[:, None, None]
 
+    def weights(self, light: np.ndarray) -> np.ndarray:
+        """(lights,) of every captured light, sum 1."""
+        return gaussian_weights(self.lights, light, self.width)
+
     def transfer(self, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        weights = gaussian_weights(self.lights, light, self.width)
+        weights = self.weights(light)
         return weights @ (self.mean_code / 255), np.einsum("l,plk->pk", weights, self.components)
 
     def fit(self, values: np.ndarray, valid: np.ndarray) -> np.ndarray:
         design = self.components.reshape(self.planes, -1).T
         rows = (values - self.mean_code / 255).reshape(len(values), -1, 1)
         return solve(design, rows, np.repeat(valid, 3, axis=1), SLIGHT * np.eye(self.planes))[..., 0]
+
+
+class OpenLimeModel(PrincipalModel):
+    """rbf as OpenLIME 1.2 shows it: `width` is not looked at, the Gaussians are as wide as the lights are far apart."""
+
+    @classmethod
+    def like(cls, model: PrincipalModel) -> "OpenLimeModel":
+        """The same planes, shown by OpenLIME."""
+        return cls(**{field.name: getattr(model, field.name) for field in fields(model)})
+
+    def weights(self, light: np.ndarray) -> np.ndarray:
+        """exp(-8 d^2 / m) of distances d, with m their mean weighted by exp(-2 d); sum 1."""
+        distances = np.linalg.norm(self.lights - light, axis=1)
+        near = np.exp(-2 * distances)
+        mean = distances @ near / near.sum()
+        weights = np.exp(-8 * distances**2 / max(mean, 1e-9))
+        return weights / weights.sum()
 
 
 def gaussian_weights(lights: np.ndarray, light: np.ndarray, width: float) -> np.ndarray:

@@ -19,7 +19,7 @@ from nishiki.formats.picture_tiles import (
 from nishiki.formats.ptm import read_ptm, write_ptm
 from nishiki.observations.plane import Observations
 from nishiki.render.display import normals_as_colours
-from nishiki.stages.export.light_models import HarmonicModel, LightModel, PrincipalModel
+from nishiki.stages.export.light_models import HarmonicModel, LightModel, OpenLimeModel, PrincipalModel
 from nishiki.stages.export.photographs import CodedErrors, Photographs
 from nishiki.stages.export.scene import ExportedScene
 
@@ -45,27 +45,20 @@ def write(context: Context, scene: ExportedScene) -> dict:
         stored = StoredModel.of(model, *samples)
         with tempfile.TemporaryDirectory(dir=context.output.folder) as scratch:
             stored.write(folder, Path(scratch), photographs, fitted, context)
-        groups = {"fitted": fitted, "check": checked}
-        errors = {
-            name: stored.errors(stored.decoded(folder, frames), photographs, lights)
-            for name, lights in groups.items()
-            if len(lights)
-        }
+        groups = {name: lights for name, lights in (("fitted", fitted), ("check", checked)) if len(lights)}
         kinds[kind] = {
             "planes": model.planes,
             "width": getattr(model, "width", None),
             "ridge": getattr(model, "ridge", None),
-            "psnr_db": errors,
+            "psnr_db": {name: stored.errors(folder, photographs, lights) for name, lights in groups.items()},
         }
         if kind == "ptm":
-            kinds["ptm file"] = {
-                "planes": model.planes,
-                "psnr_db": {
-                    name: stored.errors(of_file(folder, frames), photographs, lights)
-                    for name, lights in groups.items()
-                    if len(lights)
-                },
-            }
+            errors = {name: stored.file_errors(folder, photographs, lights) for name, lights in groups.items()}
+            kinds["ptm file"] = {"planes": model.planes, "psnr_db": errors}
+        if isinstance(model, PrincipalModel):
+            there = stored.shown_by(OpenLimeModel.like(model))
+            errors = {name: there.errors(folder, photographs, lights) for name, lights in groups.items()}
+            kinds["rbf in OpenLIME 1.2"] = {"planes": model.planes, "psnr_db": errors}
         write_layers(folder, scene, context)
         files += sorted(
             path.relative_to(context.output.folder).as_posix() for path in folder.rglob("*") if path.is_file()
@@ -158,10 +151,23 @@ class StoredModel:
                 codes = np.concatenate([picture[inner] for _, picture in parts], axis=-1)
                 yield rows, (codes / 255 - self.bias) * self.scale
 
-    def errors(
+    def shown_by(self, model: LightModel) -> "StoredModel":
+        """The same planes under another interpolation between the lights."""
+        other = StoredModel(model, self.scale, self.bias)
+        other.layout = self.layout
+        return other
+
+    def errors(self, folder: Path, photographs: Photographs, lights: np.ndarray) -> dict[str, float]:
+        """PSNR of what a viewer shows of the folder against the coded photographs."""
+        return self._errors(self.decoded(folder, photographs.frames), photographs, lights)
+
+    def file_errors(self, folder: Path, photographs: Photographs, lights: np.ndarray) -> dict[str, float]:
+        """PSNR of what a viewer shows of the .ptm file against the coded photographs."""
+        return self._errors(of_file(folder, photographs.frames), photographs, lights)
+
+    def _errors(
         self, bands: Iterator[tuple[slice, np.ndarray]], photographs: Photographs, lights: np.ndarray
     ) -> dict[str, float]:
-        """PSNR of what a viewer shows against the coded photographs; bands: of decoded coefficients."""
         errors = CodedErrors(len(lights))
         transfers = [self.model.transfer(photographs.frames.directions[light]) for light in lights]
         for rows, decoded in bands:
