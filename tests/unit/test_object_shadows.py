@@ -118,7 +118,6 @@ def test_shadows_of_a_post_on_a_plate_lie_where_geometry_says():
     seen = view.visible(FreeLamp(0.0, elevation), points, np.tile([0, 0, 1.0], (59, 1)))
     reach = (1 - view.lit.lift) / np.tan(elevation)
     np.testing.assert_array_equal(seen == 0, (points[:, 0] < 0.01) & (points[:, 0] > 0.01 - reach))
-    soft = view.visible
     view = LitObject(mesh, FreeLighting((), rays=256)).seen_by(camera)
     soft = view.visible(FreeLamp(0.0, elevation, radius=np.radians(5)), points, np.tile([0, 0, 1.0], (59, 1)))
     np.testing.assert_allclose(soft[np.argmin(abs(points[:, 0] + 1 / np.tan(elevation)))], 0.5, atol=0.35)

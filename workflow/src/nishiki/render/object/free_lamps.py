@@ -34,9 +34,9 @@ the mesh does not show, so that no shadow of it is lost."""
 class FreeLamp:
     """A lamp in the frame of the camera.
 
-    azimuth: from the right upwards, elevation: towards the camera, radians; intensity: of a white diffuser that faces it;
-    radius: angular, radians; distance: from the object's middle in diameters of the object, with fall-off by the inverse
-    square, at which the intensity counts; None: very far.
+    azimuth: from the right upwards, elevation: towards the camera, radians; intensity: of a white diffuser that faces
+    it; radius: angular, radians; distance: from the object's middle in diameters of the object, at which the intensity
+    counts, with fall-off by the inverse square; None: very far.
     """
 
     azimuth: float
@@ -124,7 +124,7 @@ class LampsInView:
         return diffuse, specular
 
     def visible(self, lamp: FreeLamp, positions: np.ndarray, normals: np.ndarray) -> np.ndarray:
-        """(n,) float32 in 0..1: share of a lamp's disc that points (n, 3) see; 0 where they face away from its middle."""
+        """(n,) float32 in 0..1: share of a lamp's disc that points (n, 3) see; 0 where they face away from it."""
         lit, lighting = self.lit, self.lit.lighting
         out = np.ones(len(positions), np.float32)
         if not lighting.shadows:
@@ -132,9 +132,7 @@ class LampsInView:
         starts = np.asarray(positions, np.float64) + lit.lift * np.asarray(normals, np.float64)
         middle, ends = self._disc(lamp, lighting.rays if lamp.radius > 0 else 1)
         near = lamp.distance is not None
-        facing = (
-            np.einsum("nk,nk->n", normals, (middle - positions) if near else np.broadcast_to(middle, starts.shape)) > 0
-        )
+        facing = np.sum(normals * (middle - positions if near else middle), axis=1) > 0
         out[~facing] = 0
         starts = starts[facing]
         seen = np.zeros(len(starts), np.int64)
@@ -146,8 +144,8 @@ class LampsInView:
         return out
 
     def _disc(self, lamp: FreeLamp, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """A lamp's middle (3,) and points of its disc (count, 3), in the object's frame: places, or unit directions of a
-        distant one."""
+        """A lamp's middle (3,) and points of its disc (count, 3), in the object's frame: places, or unit directions of
+        a distant one."""
         towards = self.rotation.T @ lamp.towards
         first = np.cross((1.0, 0, 0) if abs(towards[0]) < 0.6 else (0, 1.0, 0), towards)
         first /= np.linalg.norm(first)

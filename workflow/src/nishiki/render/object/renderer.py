@@ -44,8 +44,8 @@ class ObjectRenderer:
     mesh, atlas, cameras (of the captured views), residual and lighting as their rooms give them; geometry(tile) ->
     positions (T, T, 3), normals (T, T, 3), inside (T, T); encoding: of the capture; without: views that were left out
     of the fit and may not lend their residual to others; level > 0: a preview from the coarse part of the residual;
-    model_only: without the residual; own_lamps: light the object in place of the captured ones (the model
-    alone, since a residual belongs to its light); rim: pixels by which values are carried on beyond the surface's edge; ceiling:
+    model_only: without the residual; own_lamps: light the object in place of the captured ones (the model alone, since
+    a residual belongs to its light); rim: pixels by which values are carried on beyond the surface's edge; ceiling:
     largest linear value that the capture could hold (None: any).  What was saturated or never seen is not bound by any
     photograph, and a lobe can grow there without limit: pictures are clipped to 0 .. ceiling, as the camera's were.
     """

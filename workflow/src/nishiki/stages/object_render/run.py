@@ -55,8 +55,8 @@ def own_lamps(settings: ObjectRenderSettings) -> FreeLighting | None:
         return None
     if settings.lights:
         raise UserError(
-            "object_render: expected weights of captured lights (`lights`) or lamps of one's own (`lamps`), found both. "
-            "Remedy: remove one of them"
+            "object_render: expected weights of captured lights (`lights`) or lamps of one's own (`lamps`), "
+            "found both. Remedy: remove one of them"
         )
     lamps = tuple(
         FreeLamp(
