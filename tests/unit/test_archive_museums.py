@@ -28,6 +28,13 @@ ABOUT = {
     "rights": "https://creativecommons.org/licenses/by/4.0/",
     "notes": "ein Hinweis",
 }
+OBJECT = {
+    "object_kind": "painting",
+    "object_maker": "Atelier Ōkami",
+    "object_made": "1642",
+    "object_holder": "Museum of Works",
+    "object_place": "Kyōto",
+}
 METHOD = {"geometry": "plane", "camera": "Camera of Works, 50 Mpx", "pixel_pitch_mm": 0.05}
 
 
@@ -59,8 +66,8 @@ def texts(root, name):
 
 @pytest.mark.parametrize(
     "scene",
-    [digitised(), nothing_said(), digitised({"rights": "© Museum", "date": "2026-01-31 to 02-02"})],
-    ids=["all", "nothing", "words"],
+    [digitised(OBJECT), digitised(), nothing_said(), digitised({"rights": "© Museum", "date": "2026-01-31 to 02-02"})],
+    ids=["all", "no object", "nothing", "words"],
 )
 def test_a_lido_record_has_the_structure_of_its_schema(scene):
     assert lido_faults(record(scene)) == []
@@ -90,6 +97,34 @@ def test_a_lido_record_says_what_is_known():
     assert "ingest, normals, height, report" in texts(root, "resourceDescription")[1]
 
 
+def test_a_lido_record_says_who_made_and_who_keeps_the_object():
+    root = record(digitised(OBJECT))
+    assert texts(root, "objectWorkType/lido:term") == ["painting"]
+    assert texts(root, "repositoryName//lido:appellationValue") == ["Museum of Works"]
+    assert texts(root, "recordSource//lido:appellationValue") == ["Museum of Works"]
+    assert texts(root, "repositoryLocation//lido:appellationValue") == ["Kyōto"]
+    assert texts(root, "workID") == ["inv. 12"]
+    assert texts(root, "event/lido:eventType/lido:term") == ["Production", "Digitization"]
+    production = root.find(".//lido:event", LIDO)
+    assert texts(production, "nameActorSet/lido:appellationValue") == ["Atelier Ōkami"]
+    assert texts(production, "displayDate") == ["1642"]
+    assert texts(production, "earliestDate") == []
+
+
+def test_a_query_finds_maker_and_keeper_of_the_object():
+    query = """
+        PREFIX crm: <http://www.cidoc-crm.org/cidoc-crm/>
+        PREFIX dig: <http://www.ics.forth.gr/isl/CRMdig/>
+        SELECT ?kind ?maker ?when ?keeper ?place WHERE {
+          ?photographing dig:L1_digitized ?object . ?making crm:P108_has_produced ?object ;
+            crm:P14_carried_out_by/rdfs:label ?maker ; crm:P4_has_time-span/crm:P82_at_some_time_within ?when .
+          ?object crm:P2_has_type/rdfs:label ?kind ; crm:P50_has_current_keeper/rdfs:label ?keeper ;
+            crm:P55_has_current_location/rdfs:label ?place .
+        }"""
+    (row,) = set(graph(digitised(OBJECT)).query(query))
+    assert tuple(map(str, row)) == tuple(OBJECT.values())
+
+
 def test_nothing_is_invented_where_capture_yaml_is_silent():
     root = record(nothing_said())
     assert texts(root, "titleSet/lido:appellationValue") == ["scene"]
@@ -98,7 +133,8 @@ def test_nothing_is_invented_where_capture_yaml_is_silent():
     for name in ("workID", "actor", "eventDate", "displayObject", "rightsResource", "resourceDateTaken"):
         assert texts(root, name) == []
     kinds_present = {str(each) for each in graph(nothing_said()).objects(None, RDF.type)}
-    assert not any(word in kind for kind in kinds_present for word in ("Actor", "Right", "Device", "Time-Span"))
+    words = ("Actor", "Right", "Device", "Time-Span", "Production", "Place", "Human-Made")
+    assert not any(word in kind for kind in kinds_present for word in words)
 
 
 def test_a_date_in_words_stays_words():
@@ -160,7 +196,7 @@ def short(node):
     )
 
 
-@pytest.mark.parametrize("scene", [digitised(), nothing_said()], ids=["all", "nothing"])
+@pytest.mark.parametrize("scene", [digitised(OBJECT), digitised(), nothing_said()], ids=["all", "no object", "nothing"])
 def test_the_graph_uses_classes_and_properties_as_they_are_defined(scene):
     found = graph(scene)
     kind = {node: short(name) for node, name in found.subject_objects(RDF.type)}

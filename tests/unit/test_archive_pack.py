@@ -29,6 +29,8 @@ ABOUT = {
     "creator": "A. Photographer",
     "date": "2026-01-01",
     "object_id": "inv. 12",
+    "object_kind": "panel",
+    "object_holder": "Museum of Works",
     "rights": "https://creativecommons.org/licenses/by/4.0/",
     "notes": "a note",
 }
@@ -348,6 +350,7 @@ def test_the_description_names_people_licences_libraries_settings_and_every_resu
     assert root["datePublished"] == "2026-01-01T00:00:00+00:00"
     assert entities["#creator"]["name"] == ABOUT["creator"]
     assert entities["#object"]["identifier"] == ABOUT["object_id"]
+    assert entities["#object"]["description"] == "Kind of object: panel. Kept by: Museum of Works"
     assert entities["capture/"]["identifier"] == f"sha256:{scene[0].capture_digest}"
     assert entities["https://pypi.org/project/numpy/2.4.6/"]["softwareVersion"] == "2.4.6"
     for item in scene[0].artifacts:

@@ -40,11 +40,13 @@ def test_lights_may_be_named_by_file_stem_or_photograph(tmp_path):
 def test_yaml_details(tmp_path):
     folder = make_capture(tmp_path / "c")
     text = (folder / "capture.yaml").read_text()
-    extra = "date: 2024-05-01\nobject_id: 1234\nilluminant: D65\nwhite: {reflectance: 0.98, normal: [0, 0, 2]}\n"
+    extra = "date: 2024-05-01\nobject_id: 1234\nobject_made: 1642\nobject_holder: Museum\n"
+    extra += "illuminant: D65\nwhite: {reflectance: 0.98, normal: [0, 0, 2]}\n"
     (folder / "capture.yaml").write_text("\ufeff" + text + extra)
     capture = load_capture(folder)
     assert capture.settings.date == "2024-05-01"
     assert capture.settings.object_id == "1234"
+    assert (capture.settings.object_made, capture.settings.object_holder) == ("1642", "Museum")
     assert capture.illuminant == "D65"
     assert capture.settings.white.normal == (0, 0, 1)
 

@@ -663,7 +663,7 @@ def test_iiif_files_are_those_that_a_viewer_asks_for(tmp_path, shape):
 def test_rights_of_a_manifest(exported):
     def stated(rights):
         ingest = exported.painting.inputs["ingest"]
-        about = {**ingest.diagnostics["capture"], "rights": rights, "creator": "A. N. Other"}
+        about = {**ingest.diagnostics["capture"], "rights": rights, "creator": "A. N. Other", "object_holder": "Museum"}
         inputs = {"ingest": SimpleNamespace(diagnostics={"capture": about})}
         context = SimpleNamespace(inputs=inputs, stamp=STAMP)
         return manifest(context, ExportedScene(exported.painting.inputs), "https://a.example")
@@ -675,3 +675,4 @@ def test_rights_of_a_manifest(exported):
     plain = stated(None)
     assert not {"rights", "requiredStatement"} & set(plain)
     assert {"label": {"en": ["Photographs by"]}, "value": {"none": ["A. N. Other"]}} in plain["metadata"]
+    assert {"label": {"en": ["Kept by"]}, "value": {"none": ["Museum"]}} in plain["metadata"]

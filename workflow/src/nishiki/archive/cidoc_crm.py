@@ -28,17 +28,48 @@ def crm_graph(scene: Digitisation) -> Entity:
     crate |= {"crm:P106_is_composed_of": ids(folders), "crm:P129_is_about": {"@id": _named("object")}}
     software = _node("code/Snakefile", "dig:D14_Software", f"Nishiki {scene.version}")
     stages = [entity for stage in scene.stages for entity in _stage(stage, scene.stages)]
-    graph = [crate, _object(scene), *_digitisation(scene), *_capture(scene), software, *stages]
+    graph = [crate, *_object(scene), *_production(scene), *_digitisation(scene), *_capture(scene), software, *stages]
     return {"@context": CONTEXT, "@graph": graph}
 
 
-def _object(scene: Digitisation) -> Entity:
-    node = _node(_named("object"), "crm:E19_Physical_Object", scene.said("title"))
+def _object(scene: Digitisation) -> list[Entity]:
+    """The object, who keeps it, and where."""
+    kind = "crm:E22_Human-Made_Object" if _made(scene) else "crm:E19_Physical_Object"
+    node = _node(_named("object"), kind, scene.said("title"))
+    nodes = [node]
     if scene.said("object_id"):
         node["crm:P48_has_preferred_identifier"] = _appellation("crm:E42_Identifier", scene.said("object_id"))
     if scene.said("title"):
         node["crm:P1_is_identified_by"] = _appellation("crm:E41_Appellation", scene.said("title"))
-    return node
+    if scene.said("object_kind"):
+        node["crm:P2_has_type"] = {"@type": "crm:E55_Type", "label": scene.said("object_kind")}
+    if scene.said("object_holder"):
+        node["crm:P50_has_current_keeper"] = {"@id": _named("holder")}
+        nodes.append(_actor("holder", scene.said("object_holder")))
+    if scene.said("object_place"):
+        place = {"@type": "crm:E53_Place", "label": scene.said("object_place")}
+        place["crm:P1_is_identified_by"] = _appellation("crm:E41_Appellation", scene.said("object_place"))
+        node["crm:P55_has_current_location"] = place
+    return nodes
+
+
+def _made(scene: Digitisation) -> bool:
+    return bool(scene.said("object_maker") or scene.said("object_made"))
+
+
+def _production(scene: Digitisation) -> list[Entity]:
+    """The object being made: by whom, when."""
+    if not _made(scene):
+        return []
+    event = _node(_named("production"), "crm:E12_Production", "")
+    event["crm:P108_has_produced"] = {"@id": _named("object")}
+    nodes = [event]
+    if scene.said("object_maker"):
+        event["crm:P14_carried_out_by"] = {"@id": _named("maker")}
+        nodes.append(_actor("maker", scene.said("object_maker")))
+    if scene.said("object_made"):
+        event["crm:P4_has_time-span"] = _time_span(scene.said("object_made"))
+    return nodes
 
 
 def _digitisation(scene: Digitisation) -> list[Entity]:
@@ -48,8 +79,7 @@ def _digitisation(scene: Digitisation) -> list[Entity]:
     nodes = [event]
     if scene.said("creator"):
         event["crm:P14_carried_out_by"] = {"@id": _named("creator")}
-        nodes.append(_node(_named("creator"), "crm:E39_Actor", scene.said("creator")))
-        nodes[-1]["crm:P1_is_identified_by"] = _appellation("crm:E41_Appellation", scene.said("creator"))
+        nodes.append(_actor("creator", scene.said("creator")))
     if scene.said("date"):
         event["crm:P4_has_time-span"] = _time_span(scene.said("date"))
     if scene.technique:
@@ -105,6 +135,12 @@ def _time_span(text: str) -> Entity:
 
 def _moment(text: str) -> Entity:
     return {"@type": "xsd:dateTime", "@value": text}
+
+
+def _actor(name: str, text: str) -> Entity:
+    actor = _node(_named(name), "crm:E39_Actor", text)
+    actor["crm:P1_is_identified_by"] = _appellation("crm:E41_Appellation", text)
+    return actor
 
 
 def _appellation(kind: str, text: str) -> Entity:

@@ -10,6 +10,7 @@ from nishiki.archive.crate_entities import BIOSCHEMAS, METADATA, PROJECT_LICENCE
 from nishiki.archive.crate_stages import PackedStage, ended, library_entities, stage_entities, started
 from nishiki.archive.lido import LIDO
 from nishiki.artifacts.provenance import stage_program
+from nishiki.capture.schema_base import OBJECT_FACTS
 
 CONTEXT = ["https://w3id.org/ro/crate/1.1/context", "https://w3id.org/ro/terms/workflow-run/context"]
 RO_CRATE = "https://w3id.org/ro/crate/1.1"
@@ -26,7 +27,7 @@ MAIN, LOCK = "code/Snakefile", "code/uv.lock"
 
 @dataclass(frozen=True)
 class PackedCapture:
-    """The capture as it is packed. about: title, creator, date, object_id, rights, notes of capture.yaml."""
+    """The capture as it is packed. about: what capture.yaml says under the keys of `ABOUT`."""
 
     digest: str
     about: dict[str, str | None]
@@ -96,7 +97,7 @@ def _root(scene: str, capture: PackedCapture, stages: list[PackedStage], others:
     }
     if about.get("creator"):
         root["author"] = {"@id": "#creator"}
-    if about.get("object_id"):
+    if _says_of_object(about):
         root["about"] = {"@id": "#object"}
     return root
 
@@ -117,10 +118,25 @@ def _people_and_rights(capture: PackedCapture) -> list[Entity]:
     ]
     if about.get("creator"):
         entities.append({"@id": "#creator", "@type": "Person", "name": about["creator"]})
-    if about.get("object_id"):
-        title = about.get("title") or about["object_id"]
-        entities.append({"@id": "#object", "@type": "Thing", "name": title, "identifier": about["object_id"]})
+    if _says_of_object(about):
+        entities.append(_object(about))
     return entities
+
+
+def _says_of_object(about: dict[str, str | None]) -> bool:
+    return any(about.get(key) for key in ("object_id", *OBJECT_FACTS))
+
+
+def _object(about: dict[str, str | None]) -> Entity:
+    """The object; in words what schema.org has properties for only of works of art, which it need not be."""
+    entity: Entity = {"@id": "#object", "@type": "Thing"}
+    entity["name"] = about.get("title") or about.get("object_id") or "Object"
+    if about.get("object_id"):
+        entity["identifier"] = about["object_id"]
+    facts = [f"{label}: {about[key]}" for key, label in OBJECT_FACTS.items() if about.get(key)]
+    if facts:
+        entity["description"] = ". ".join(facts)
+    return entity
 
 
 def _rights_id(rights: str | None) -> str:

@@ -37,7 +37,7 @@ class Digitisation:
     digest : str
         SHA-256 of the seal of the capture.
     about : dict
-        `title`, `creator`, `date`, `object_id`, `rights`, `notes` of capture.yaml; None or empty where nothing is said.
+        What capture.yaml says under the keys of `ABOUT`; None or empty where nothing is said.
     method : dict
         `geometry`, `camera` (its model) and `pixel_pitch_mm` of capture.yaml; None where nothing is said.
     stages : list of PackedStage

@@ -2,8 +2,8 @@
 
 The object, its digitisation as an event, and photographs and results as resources. Elements stand in the order of the
 schema of the LIDO working group of CIDOC (ICOM, 2021). What capture.yaml does not say is left out, but the elements
-that the schema demands: the kind of the object and the source of the record are 'not stated', and a scene without
-a title is called by its name. https://lido-schema.org/schema/v1.1/lido-v1.1.html
+that the schema demands: the kind of the object and the source of the record (generally its repository, in the words of
+LIDO) are 'not stated' then, and a scene without a title is called by its name. https://lido-schema.org/schema/v1.1/lido-v1.1.html
 """
 
 from xml.etree import ElementTree as XML
@@ -47,16 +47,39 @@ def lido_text(scene: Digitisation) -> str:
 
 def _describe(parent: XML.Element, scene: Digitisation) -> None:
     kinds = _add(_add(parent, "objectClassificationWrap"), "objectWorkTypeWrap")
-    _term(_add(kinds, "objectWorkType"), NOT_STATED)
+    kind = scene.said("object_kind")
+    _term(_add(kinds, "objectWorkType"), kind or NOT_STATED, UNKNOWN_LANGUAGE if kind else "en")
     identification = _add(parent, "objectIdentificationWrap")
     title = _add(_add(identification, "titleWrap"), "titleSet")
     _add(title, "appellationValue", scene.said("title") or scene.scene, language=UNKNOWN_LANGUAGE)
     if not scene.said("title"):
         _add(title, "sourceAppellation", "Name of the scene; capture.yaml states no title.", language="en")
+    if any(scene.said(key) for key in ("object_id", "object_holder", "object_place")):
+        _repository(_add(_add(identification, "repositoryWrap"), "repositorySet"), scene)
+    events = _add(parent, "eventWrap")
+    if scene.said("object_maker") or scene.said("object_made"):
+        _production(_add(_add(events, "eventSet"), "event"), scene)
+    _digitisation(_add(_add(events, "eventSet"), "event"), scene)
+
+
+def _repository(repository: XML.Element, scene: Digitisation) -> None:
+    """Who keeps the object, under which number, and where."""
+    if scene.said("object_holder"):
+        name = _add(repository, "repositoryName")
+        _appellation(_add(name, "legalBodyName"), scene.said("object_holder"))
     if scene.said("object_id"):
-        repository = _add(_add(identification, "repositoryWrap"), "repositorySet")
         _add(repository, "workID", scene.said("object_id"), type=INVENTORY_NUMBER)
-    _digitisation(_add(_add(_add(parent, "eventWrap"), "eventSet"), "event"), scene)
+    if scene.said("object_place"):
+        _appellation(_add(_add(repository, "repositoryLocation"), "namePlaceSet"), scene.said("object_place"))
+
+
+def _production(event: XML.Element, scene: Digitisation) -> None:
+    """What happened to the object: it was made."""
+    _term(_add(event, "eventType"), "Production")
+    if scene.said("object_maker"):
+        actor = _add(_add(_add(event, "eventActor"), "actorInRole"), "actor")
+        _appellation(_add(actor, "nameActorSet"), scene.said("object_maker"))
+    _date(event, "eventDate", scene.said("object_made"))
 
 
 def _digitisation(event: XML.Element, scene: Digitisation) -> None:
@@ -66,7 +89,7 @@ def _digitisation(event: XML.Element, scene: Digitisation) -> None:
         role = _add(_add(event, "eventActor"), "actorInRole")
         _appellation(_add(_add(role, "actor"), "nameActorSet"), scene.said("creator"))
         _term(_add(role, "roleActor"), "creator of the photographs")
-    _date(event, "eventDate", scene)
+    _date(event, "eventDate", scene.said("date"))
     if scene.technique:
         _term(_add(event, "eventMethod"), scene.technique)
     if scene.camera:
@@ -82,10 +105,12 @@ def _administer(parent: XML.Element, scene: Digitisation, identifier: str) -> No
     kind = _add(record, "recordType")
     _add(kind, "conceptID", ITEM, type=URI)
     _term(kind, "Item-level record")
-    _appellation(_add(_add(record, "recordSource"), "legalBodyName"), NOT_STATED, "en")
+    holder = scene.said("object_holder")
+    source = _add(_add(record, "recordSource"), "legalBodyName")
+    _appellation(source, holder or NOT_STATED, UNKNOWN_LANGUAGE if holder else "en")
     resources = _add(parent, "resourceWrap")
     photographs = _resource(resources, f"sha256:{scene.digest}", "photographs", scene.scale)
-    _date(photographs, "resourceDateTaken", scene)
+    _date(photographs, "resourceDateTaken", scene.said("date"))
     if scene.said("creator"):
         source = _add(photographs, "resourceSource")
         _appellation(_add(source, "legalBodyName"), scene.said("creator"))
@@ -114,9 +139,8 @@ def _rights(resource: XML.Element, scene: Digitisation) -> None:
             _term(kind, rights, UNKNOWN_LANGUAGE)
 
 
-def _date(parent: XML.Element, name: str, scene: Digitisation) -> None:
-    """The day of the photographs, as text, and as span of ISO days where the text is a date."""
-    text = scene.said("date")
+def _date(parent: XML.Element, name: str, text: str) -> None:
+    """When something happened, as text, and as span of ISO days where the text is a date."""
     if text:
         dates = _add(parent, name)
         _add(dates, "displayDate", text)

@@ -17,6 +17,16 @@ from nishiki.formats.problems import CaptureError, Problem, error
 from nishiki.formats.text_tables import refusal
 
 FORMAT = 1
+OBJECT_FACTS = {
+    "object_kind": "Kind of object",
+    "object_maker": "Maker",
+    "object_made": "Made",
+    "object_holder": "Kept by",
+    "object_place": "Kept in",
+}
+"""Keys of capture.yaml on the object itself, beside `title` and `object_id`; their words on pages and in records."""
+ABOUT = ("title", "creator", "date", "object_id", *OBJECT_FACTS, "rights", "notes")
+"""Keys of capture.yaml that records of a digitisation take over."""
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Count = Annotated[int, Field(strict=True, ge=0)]
@@ -65,6 +75,11 @@ class Session(Closed):
     creator: str | None = None
     date: str | None = None
     object_id: str | None = None
+    object_kind: str | None = None
+    object_maker: str | None = None
+    object_made: str | None = None
+    object_holder: str | None = None
+    object_place: str | None = None
     rights: str | None = None
     notes: str | None = None
     illuminant: str | None = None
@@ -80,10 +95,11 @@ class Session(Closed):
             Date.fromisoformat(value[:10])
         return value
 
-    @field_validator("object_id", mode="before")
+    @field_validator("object_id", "object_made", mode="before")
     @classmethod
     def _number_as_text(cls, value: Any) -> Any:
-        return str(value) if isinstance(value, int) else value
+        # YAML reads an unquoted 1642 as a number and 1642-05-01 as a date; both are names here.
+        return value.isoformat() if isinstance(value, Date) else str(value) if isinstance(value, int) else value
 
 
 class UniqueKeyLoader(plain_yaml.SafeLoader):

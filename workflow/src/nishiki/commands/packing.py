@@ -8,14 +8,13 @@ from nishiki.archive.digitisation import capture_method
 from nishiki.archive.pack import PackedScene, pack, write_zip
 from nishiki.artifacts.artifact import Artifact, open_artifact
 from nishiki.artifacts.stage import PROJECT_VERSION
+from nishiki.capture.schema_base import ABOUT
 from nishiki.engine.plan import Plan
 from nishiki.engine.workflow import Workflow
 from nishiki.errors import UserError
 from nishiki.installation import PROJECT
 from nishiki.progress import Progress
 from nishiki.stages.table import CHAIN
-
-ABOUT = ("title", "creator", "date", "object_id", "rights", "notes")
 
 
 def pack_scene(options: argparse.Namespace, rest: list[str]) -> int:

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.artifacts.stage import Context
+from nishiki.capture.schema_base import OBJECT_FACTS
 from nishiki.colour.colour import srgb_encode
 from nishiki.formats.picture_tiles import iiif_size, picture_on_disk, read_iiif_tiles, write_iiif_image
 from nishiki.render.display import normals_as_colours
@@ -27,7 +28,13 @@ OPEN_RIGHTS = r"https?://(creativecommons\.org|rightsstatements\.org)/\S+"
 QUALITY = 92  # of the JPEG tiles
 RAKING = np.array([-np.cos(np.radians(20)), 0.0, np.sin(np.radians(20))])
 """Light of the relief picture: from the left, 20 degrees above the surface."""
-ABOUT = {"object_id": "Object", "creator": "Photographs by", "date": "Photographed", "notes": "Notes"}
+ABOUT = {
+    "object_id": "Object",
+    **OBJECT_FACTS,
+    "creator": "Photographs by",
+    "date": "Photographed",
+    "notes": "Notes",
+}
 
 
 def colour(scene: ExportedScene, rows: slice) -> np.ndarray:

@@ -3,6 +3,7 @@
 from typing import Any
 
 from nishiki.artifacts.artifact import Artifact
+from nishiki.capture.schema_base import OBJECT_FACTS
 from nishiki.report.files import contents, read_json
 from nishiki.report.numbers import figure, percent
 from nishiki.report.page import Block, Figure, Figures, Fold, Section, Table
@@ -37,8 +38,9 @@ def coverage_rows(stored: dict[str, Any]) -> list[tuple]:
 def facts(diagnostics: dict[str, Any], capture: dict[str, Any]) -> list[tuple[str, str]]:
     """Label and text of what is known of the measurements; capture : diagnostics of ingest, if there are any."""
     about = capture.get("capture") or {}
-    named = ("object_id", "creator", "date", "rights", "notes")
-    rows = [(key.removesuffix("_id").capitalize(), str(about[key])) for key in named if about.get(key)]
+    named = {"object_id": "Object", **OBJECT_FACTS}
+    named |= {key: key.capitalize() for key in ("creator", "date", "rights", "notes")}
+    rows = [(label, str(about[key])) for key, label in named.items() if about.get(key)]
     directions, along = diagnostics.get("directions"), diagnostics.get("normal_incidence")
     if directions is not None:
         text = f"{directions} pairs of directions, {diagnostics.get('incidences')} of light"

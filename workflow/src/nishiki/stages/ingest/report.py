@@ -4,12 +4,14 @@ from typing import Any
 
 import numpy as np
 
+from nishiki.capture.schema_base import OBJECT_FACTS
 from nishiki.report.numbers import degrees, figure, percent
 from nishiki.report.page import Block, Figure, Figures, Fold, Note, Section, Table
 from nishiki.report.svg import bars, lights_plot
 
 FACTS = (
     ("object_id", "Object"),
+    *OBJECT_FACTS.items(),
     ("creator", "Creator"),
     ("date", "Date"),
     ("rights", "Rights"),
