@@ -1,0 +1,75 @@
+"""Paintings exported as OpenPBR materials, drawn by the shaders that MaterialX makes of them: beside the formulas that
+their loss is reckoned with, and photographs.
+
+    .venv/bin/python tests/benchmarks/openpbr_in_webgl.py results/SCENE ...
+
+Needs the extra export and Chromium. PSNR of coded pictures, dB, peak 1, over the pixels whose photograph is valid: of
+the shader and of the formulas against the photographs, and of one against the other.
+"""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+import materialx_page
+
+from nishiki.artifacts.artifact import open_artifact
+from nishiki.colour.encoding import decode, encode
+from nishiki.observations.plane import Observations
+from nishiki.stages.export.declaration import ExportSettings
+from nishiki.stages.export.gltf_material import white_at_grazing
+from nishiki.stages.export.look import painting_look
+from nishiki.stages.export.photographs import CodedErrors, Photographs
+from nishiki.stages.export.scene import ExportedScene
+
+
+def measured(folder: Path) -> dict:
+    """Figures of one scene, {fitted, check: {against: dB}}."""
+    current = folder / "current"
+    names = [name for name in ("ingest", "normals", "height", "spectra", "brdf") if (current / name).exists()]
+    inputs = {name: open_artifact(current / name) for name in names}
+    scene, frames = ExportedScene(inputs), Observations(inputs["ingest"].folder)
+    look = painting_look(SimpleNamespace(inputs=inputs, settings=ExportSettings()), scene)
+    rows, columns = look.colours.shape[:2]
+    if look.step != 1 or frames.positions_mm is not None:
+        sys.exit(f"{folder}: expected a texel for a pixel and distant lamps; choose a smaller scene")
+    files = sorted(folder.glob("export/*/exports/materialx/painting.mtlx"), key=lambda file: file.stat().st_mtime)
+    if not files:
+        sys.exit(f"{folder}: no painting.mtlx. Remedy: ./nishiki export {folder.name} materialx")
+    base = decode(look.colours.reshape(-1, 3) / 255, "srgb")
+    normals = look.normals.reshape(-1, 3) / 255 * 2 - 1
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    material, photographs = white_at_grazing(look.material), Photographs(frames, scene)
+    result: dict = {"scene": folder.name, "pixels": rows * columns}
+    with materialx_page.opened(files[-1], rows, columns) as draw:
+        for name, lights in (("fitted", frames.fit_lights()), ("check", frames.check_lights())):
+            found = {against: CodedErrors(len(lights)) for against in ("shader", "formulas", "shader against formulas")}
+            strips = [strip for band in frames.bands() for strip in photographs.strips(band, lights)]
+            for number, light in enumerate(lights):
+                direction = frames.directions[light]
+                drawn = np.clip(encode(draw(direction), "srgb"), 0, 1)
+                formulas = np.clip(encode(material.shown(base, normals, direction), "srgb"), 0, 1)
+                formulas = formulas.reshape(rows, columns, 3)
+                for band, values, valid in strips:
+                    own = formulas[band].reshape(-1, 3)
+                    pairs = ((drawn, values[:, number]), (formulas, values[:, number]), (drawn, own))
+                    for errors, (shown, against) in zip(found.values(), pairs, strict=True):
+                        errors.add(number, shown[band].reshape(-1, 3), against, valid[:, number])
+            result[name] = {against: errors.decibels() for against, errors in found.items()}
+    return result
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folders", nargs="+", type=Path, help="results/SCENE, with the export materialx")
+    for folder in parser.parse_args().folders:
+        print(json.dumps(measured(folder)), flush=True)
+
+
+if __name__ == "__main__":
+    main()
