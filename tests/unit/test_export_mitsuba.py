@@ -23,7 +23,7 @@ from nishiki.stages.export.run import run
 from nishiki.stages.export.scene import ExportedScene
 from nishiki.stages.object_export.errors import SeenPoints
 from nishiki.stages.object_export.look import ObjectLook, object_mesh
-from nishiki.stages.object_export.mitsuba import falloff, write_folder
+from nishiki.stages.object_export.mitsuba import falloff, lamp_facts, write_folder
 from nishiki.stages.object_export.texture_atlas import sample, texture_atlas
 
 STAMP = {"scene": "ball", "key": "0123456789ab"}
@@ -262,3 +262,20 @@ def test_lamps_of_each_kind(mi, exported, nishiki_object):
     assert nishiki_object.lamp_of(unknown, plain=True, scale=2)["intensity"]["value"] == pytest.approx([8 * np.pi] * 3)
     for lamp in ({"kind": "directional", "direction": [0, 0, -1]}, {"kind": "around", "radiance": [0.1, 0.2, 0.3]}):
         assert mi.load_dict(nishiki_object.lamp_of(lamp)) is not None
+
+
+def test_what_the_scene_says_of_each_kind_of_lamp():
+    camera, middle = around(4)[1], np.array([0.1, 0.2, 0.3]) * UNIT
+    near = lamp_facts(Lighting("camera", reference=2.0).lamp(camera), middle, UNIT)
+    np.testing.assert_allclose(near.pop("position"), camera.centre * UNIT, rtol=1e-6)
+    assert near == {"kind": "point", "distance": 2 * UNIT, "falloff": True}
+    unknown = lamp_facts(Lighting("camera").lamp(camera), middle, UNIT)
+    assert unknown["distance"] == pytest.approx(np.linalg.norm(camera.centre * UNIT - middle))
+    assert unknown["falloff"] is False
+    far = lamp_facts(Lighting("direction", ((0.0, 0.6, 0.8),)).lamp(camera), middle, UNIT)
+    back = camera.rotation @ far["direction"]  # x right, y down, z into the scene
+    np.testing.assert_allclose(back, [0, 0.6, 0.8], atol=1e-6)
+    harmonics = tuple((0.1 * k, 0.2, 0.3) for k in range(9, 0, -1))
+    room = lamp_facts(Lighting("environment", harmonics=(harmonics,)).lamp(camera), middle, UNIT)
+    assert room["kind"] == "around"
+    assert room["radiance"] == pytest.approx([0.9, 0.2, 0.3])

@@ -135,7 +135,7 @@ def distance_px(camera: Camera, facts: dict, points: np.ndarray) -> float:
 
 def lamp_facts(lamp: Lamp, middle: np.ndarray, unit: float) -> dict:
     """A lamp as scene.json says it. `distance` of a near one: at which a white that faces it shows 1; where it shows
-    that at any distance (`falloff` false), that of the object's middle (3,). Surroundings whose lamps are unknown are
+    that at any distance (`falloff` false), that of the object's middle (3,), metres. Surroundings of unknown lamps are
     even light of their mean strength."""
     if lamp.form == POINT:
         position, known = np.asarray(lamp.vector, np.float64) * unit, lamp.reference > 0
