@@ -1,7 +1,9 @@
 """Relightable images become captures: files written here by the formats' descriptions, decoded pixel by pixel."""
 
 import io
+import json
 import math
+import re
 import struct
 
 import numpy as np
@@ -14,11 +16,12 @@ from unit.test_capture_meshroom import write_cameras
 from nishiki.api import read_observations
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
-from nishiki.capture.relightable import lamps_for, open_relightable
+from nishiki.capture.relightable import lamps_for, open_relightable, recognise_relightable
 from nishiki.cli import main
 from nishiki.colour.colour import srgb_encode
 from nishiki.colour.encoding import decode
 from nishiki.formats.hsh import hemispherical_harmonics
+from nishiki.formats.picture_tiles import write_deep_zoom
 from nishiki.formats.problems import CaptureError
 from nishiki.formats.ptm import write_ptm
 from nishiki.observations.check import check_capture
@@ -129,6 +132,134 @@ def harmonics_as_viewers_have_them(light):
         math.sqrt(210 / pi) * math.sin(2 * turn) * (2 * c - 1) * (c * c - c),
         2 * math.sqrt(35 / pi) * math.sin(3 * turn) * s**3,
     ]
+
+
+RELIGHT = {
+    ("ptm", "rgb"): 18, ("ptm", "lrgb"): 9, ("hsh", "rgb"): 27, ("hsh", "lrgb"): 12, ("sh", "rgb"): 27,
+    ("rbf", "mrgb"): 5,
+}  # fmt: skip
+
+
+def write_relight(folder, kind, space, count, rows=ROWS, columns=COLUMNS):
+    """A folder of relight; returns info.json's content and its planes (rows, columns, planes) as JPEG keeps them."""
+    folder.mkdir()
+    random, planes = np.random.default_rng(8), []
+    for number in range(-(-count // 3)):
+        picture = np.repeat(np.repeat(random.integers(0, 256, (-(-rows // 8), -(-columns // 8), 3)), 8, 0), 8, 1)
+        picture = Image.fromarray(picture[:rows, :columns].astype(np.uint8))
+        picture.save(folder / f"plane_{number}.jpg", quality=95, subsampling=0)
+        with Image.open(folder / f"plane_{number}.jpg") as stored:
+            planes.append(np.asarray(stored))
+    material = {"scale": random.uniform(0.2, 1, count).tolist(), "bias": random.uniform(0, 0.6, count).tolist()}
+    info = {"width": columns, "height": rows, "format": "jpg", "type": kind, "colorspace": space, "nplanes": count}
+    info |= {"materials": [material], "lights": dome(6, 1).ravel().tolist(), "sigma": 0.4}
+    if kind == "rbf":
+        info["basis"] = random.integers(0, 256, (count + 1) * 18).tolist()
+        material["range"] = random.uniform(100, 400, count).tolist()
+    (folder / "info.json").write_text(json.dumps(info))
+    return info, np.concatenate(planes, axis=-1)[..., :count]
+
+
+def relight_value(info, codes, light, k):
+    """0 to 1 of a pixel's planes, term by term."""
+    (material,), count = info["materials"], info["nplanes"]
+    numbers = [(int(c) / 255 - b) * s for c, b, s in zip(codes, material["bias"], material["scale"], strict=True)]
+    x, y, z = map(float, light)
+    if info["type"] == "rbf":
+        lights = np.reshape(info["lights"], (-1, 3))
+        weights = [math.exp(-sum((each - light) ** 2) / info["sigma"] ** 2) for each in lights]
+        weights = [0 if w <= 0.001 * sum(weights) else w for w in weights]
+        basis, value = np.reshape(info["basis"], (count + 1, 6, 3)), 0
+        for number, weight in enumerate(weights):
+            value += weight * basis[0, number, k] / 255
+            for plane in range(count):
+                value += weight * numbers[plane] * (basis[plane + 1, number, k] - 127) / material["range"][plane]
+        return value / sum(weights)
+    if info["type"] == "ptm":
+        terms = [1, x, y, x * x, x * y, y * y]
+    elif info["type"] == "hsh":
+        terms = harmonics_as_viewers_have_them(light)[:9]
+    else:
+        terms = [0.282095, 0.488603 * x, 0.488603 * z, 0.488603 * y, 1.092548 * x * y, 1.092548 * x * z]
+        terms += [0.630783 * (3 * z * z - 1), 1.092548 * y * z, 0.546274 * (y * y - x * x)]
+    if info["colorspace"] == "lrgb":
+        return numbers[k] * sum(t * n for t, n in zip(terms, numbers[3:], strict=True))
+    return sum(t * n for t, n in zip(terms, numbers[k::3], strict=True))
+
+
+@pytest.mark.parametrize(("kind", "space"), RELIGHT)
+def test_values_of_a_relight_folder_are_those_of_a_slow_decoder(tmp_path, kind, space):
+    info, planes = write_relight(tmp_path / "r", kind, space, RELIGHT[kind, space])
+    shown = open_relightable(tmp_path / "r").shown(LIGHT)
+    expected = [
+        [[relight_value(info, planes[r, c], LIGHT, k) for k in range(3)] for c in range(COLUMNS)] for r in range(ROWS)
+    ]
+    np.testing.assert_allclose(shown, expected, atol=2e-5)
+
+
+def test_tiles_of_a_relight_folder_are_put_together(tmp_path):
+    write_relight(tmp_path / "r", "ptm", "lrgb", 9, 300, 520)
+    whole = open_relightable(tmp_path / "r").codes
+    for number in range(3):
+        write_deep_zoom(tmp_path / "r", f"plane_{number}", whole[..., 3 * number : 3 * number + 3], tmp_path, 100)
+        (tmp_path / f"r/plane_{number}.jpg").unlink()
+    tiled = open_relightable(tmp_path / "r")
+    assert np.abs(tiled.codes.astype(int) - whole).max() < 6
+    made = convert(tmp_path / "r/info.json", tmp_path / "c")
+    assert made.photographs == 24
+    kept = {path.relative_to(tmp_path / "c/relight").as_posix() for path in (tmp_path / "c/relight").rglob("*.*")}
+    assert kept == set(tiled.files)
+    assert "file-unlisted" not in {each.kind for each in check_capture(tmp_path / "c", level="full")}
+
+
+def test_a_relight_folder_becomes_a_capture_unless_photographs_lie_in_it(tmp_path):
+    write_relight(tmp_path / "r", "hsh", "rgb", 27)
+    Image.new("RGB", (COLUMNS, ROWS)).save(tmp_path / "r/normals.jpg")
+    made = convert(tmp_path / "r", tmp_path / "c")
+    assert made.layout == "rendered from r"
+    assert {"rendered", "rendered-clipped"} >= {each.kind for each in made.warnings} >= {"rendered"}
+    assert load_capture(tmp_path / "c").settings.rendered_from == "relight/info.json"
+    for number in range(6):
+        Image.new("RGB", (COLUMNS, ROWS)).save(tmp_path / f"r/photo{number}.jpg")
+    assert recognise_relightable(tmp_path / "r") is None
+
+
+def without(key):
+    return lambda info: info.pop(key)
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (lambda info: info.update(type="bilinear"), "bilinear in rgb"),
+        (lambda info: info.update(colorspace="mycc"), "ptm in mycc"),
+        (lambda info: info.update(nplanes=21), "21 planes"),
+        (lambda info: info.update(nplanes=18.0), "'nplanes'"),
+        (lambda info: info.update(width=99), "another size"),
+        (lambda info: info.update(width=1 << 19, height=1 << 19), "larger than is read"),
+        (lambda info: info["materials"][0].update(bias=[math.nan] * 18), "'bias'"),
+        (lambda info: info["materials"][0]["scale"].pop(), "'scale'"),
+        (without("materials"), "'scale'"),
+    ],
+)
+def test_relight_folders_that_are_not_read_are_refused_by_name(tmp_path, change, text):
+    info, _ = write_relight(tmp_path / "r", "ptm", "rgb", 18)
+    change(info)
+    (tmp_path / "r/info.json").write_text(json.dumps(info))
+    with pytest.raises(CaptureError, match=re.escape(text)):
+        convert(tmp_path / "r", tmp_path / "c")
+    assert not (tmp_path / "c").exists()
+
+
+def test_a_plane_that_is_missing_or_damaged_is_named(tmp_path):
+    write_relight(tmp_path / "r", "ptm", "rgb", 18)
+    whole = (tmp_path / "r/plane_4.jpg").read_bytes()
+    (tmp_path / "r/plane_4.jpg").write_bytes(whole[: len(whole) // 3])
+    with pytest.raises(CaptureError, match=r"plane_4\.jpg"):
+        convert(tmp_path / "r", tmp_path / "c")
+    (tmp_path / "r/plane_4.jpg").unlink()
+    with pytest.raises(CaptureError, match=r"plane_4\.dzi"):
+        convert(tmp_path / "r", tmp_path / "c")
 
 
 FILES = {

@@ -157,8 +157,8 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument(
         "source",
         help="folder of photographs with an .lp file, camera matrices, or polariser angles; a table of reflectances "
-        "by direction (.csv, .brdf, .bin, .binary); or a relightable image (.ptm, .rti), from which pictures are "
-        "rendered",
+        "by direction (.csv, .brdf, .bin, .binary); or a relightable image (.ptm, .rti, a folder of relight), from "
+        "which pictures are rendered",
     )
     sub.add_argument("capture", help="capture folder to make; must not exist")
     sub.add_argument("--title", help="title of the object")

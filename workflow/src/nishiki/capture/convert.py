@@ -56,7 +56,7 @@ def convert(
     link: bool = False,
 ) -> Conversion:
     """Make the capture folder `target`, which must not exist, from a folder of photographs, a table of reflectances or
-    a relightable image (`.ptm`, `.rti`), from which pictures are rendered.
+    a relightable image (`.ptm`, `.rti`, a folder of relight), from which pictures are rendered.
 
     white: folder of the white board's photographs, paired by the part of the names that varies, see `pair_by_name` (for
     a turntable: named by their polariser state); dark: folder of dark frames, all of which are averaged; checks: lights

@@ -1,4 +1,4 @@
-"""Relightable images (`.ptm`, `.rti`) as captures: they hold no photographs, so pictures are rendered from them.
+"""Relightable images (`.ptm`, `.rti`, folders of relight) as captures, of pictures that are rendered from them.
 
 Unless the user names them, the lamps are ours: RINGS around the normal, within what domes cover and where a fit
 interpolates. Of several that were tried on photographs these give the best normals (docs/imports.md).
@@ -6,6 +6,7 @@ interpolates. Of several that were tried on photographs these give the best norm
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -23,22 +24,32 @@ from nishiki.formats.files import Refused, expect_memory
 from nishiki.formats.hsh import HshFile, open_hsh
 from nishiki.formats.problems import CaptureError, Problem, error, warning
 from nishiki.formats.ptm import PtmFile, open_ptm
+from nishiki.formats.relight import INFO, RelightFolder, is_relight_folder, open_relight
 from nishiki.formats.text_tables import refusal
 
 SUFFIXES = (".ptm", ".rti")
+LAYERS = re.compile(r"plane_\d+|normals|albedo|height|depth|mean|thumbnail", re.IGNORECASE)
+"""Pictures that lie in a folder of relight and are no photographs, without suffix."""
 RINGS = ((20, 6), (35, 9), (50, 9))  # degrees from the normal, lamps
 BYTES_A_PIXEL = 36  # of memory, for a picture that is rendered and coded
+RELIGHT = "relight"  # folder of a capture that keeps the files of a relight folder
 LEAST_CLIPPED = 1e-4  # share of a picture's values below which clipping is not worth a warning
 
 
 def recognise_relightable(source: Path) -> Path | None:
-    """The relightable image that the source is, or the only one in this folder without photographs; else None.
+    """The relightable image that the source is (file, or folder of relight), or the only one in this folder without
+    photographs; else None.
 
     Photographs are better: a folder that has them in folders below, with mirror spheres or cameras, is none of ours.
     Raises CaptureError (layout-unknown) where a folder holds several.
     """
+    if source.is_file() and source.name == INFO and is_relight_folder(source.parent):
+        return source.parent
     if source.is_file():
         return source if source.suffix.lower() in SUFFIXES else None
+    if source.is_dir() and is_relight_folder(source):
+        photographs = [path for path in photographs_in(source) if not LAYERS.fullmatch(path.stem)]
+        return None if photographs else source
     if not source.is_dir() or photographs_in(source) or RtiProject.of(source) is not None:
         return None
     if has_spheres(source) or colmap_folder(source) is not None or meshroom_file(source) is not None:
@@ -51,10 +62,16 @@ def recognise_relightable(source: Path) -> Path | None:
     return files[0] if files else None
 
 
-def open_relightable(path: Path) -> PtmFile | HshFile:
-    """The image in a file. CaptureError (relightable-unreadable) where it is none that is read."""
+def open_relightable(path: Path) -> PtmFile | HshFile | RelightFolder:
+    """The image in a file or in a folder of relight.
+
+    CaptureError (relightable-unreadable) where it is none that is read.
+    """
     try:
-        image = open_hsh(path) if path.suffix.lower() == ".rti" else open_ptm(path)
+        if path.is_dir():
+            image = open_relight(path)
+        else:
+            image = open_hsh(path) if path.suffix.lower() == ".rti" else open_ptm(path)
         expect_memory(BYTES_A_PIXEL * image.shape[0] * image.shape[1], path.name)
     except Refused as e:
         raise CaptureError(refusal(e, "relightable-unreadable")) from e
@@ -88,10 +105,9 @@ def write_rendered(
     clipped = [_render(image, light, folder / name) for name, light in zip(files, lights.directions, strict=True)]
     rows = [(name, "sample", light) for name, light in zip(files, lights.names, strict=True)]
     polar = np.degrees(np.arccos(lights.directions[:, 2]))
-    about = (
-        f"rendered from the {image.layout} file {file.name} under {len(rows)} lamps {polar.min():.0f} to "
-        f"{polar.max():.0f} degrees from the normal"
-    )
+    what = f"{image.layout} {file.name}" if file.is_dir() else f"{image.layout} file {file.name}"
+    angles = f"{polar.min():.0f} to {polar.max():.0f} degrees from the normal"
+    about = f"rendered from the {what} under {len(rows)} lamps {angles}"
     settings = {
         "format": FORMAT,
         "title": title or file.stem,
@@ -99,7 +115,7 @@ def write_rendered(
         "geometry": "plane",
         "camera": {"channels": list(COLOUR), "encoding": encoding or "srgb"},
         "lights": {"file": "lights.lp", "kind": "direction"},
-        "rendered_from": take(file, folder / file.name, link),
+        "rendered_from": _keep(image, file, folder, link),
     }
     if mask is not None:
         settings["mask"] = take(mask, folder / f"mask{mask.suffix.lower()}", link)
@@ -111,7 +127,16 @@ def write_rendered(
     return settings, rows, notes
 
 
-def _render(image: PtmFile | HshFile, light: np.ndarray, path: Path) -> float:
+def _keep(image: PtmFile | HshFile | RelightFolder, source: Path, folder: Path, link: bool) -> str:
+    """Take the image itself along; returns its name relative to the capture."""
+    if not isinstance(image, RelightFolder):
+        return take(source, folder / source.name, link)
+    for name in image.files:
+        take(source / name, folder / RELIGHT / name, link)
+    return f"{RELIGHT}/{INFO}"
+
+
+def _render(image: PtmFile | HshFile | RelightFolder, light: np.ndarray, path: Path) -> float:
     """Write one picture as PNG of 16 bits; returns the share of its values that were clipped."""
     import cv2
 

@@ -102,6 +102,9 @@ def _listed(capture: Capture | TurntableCapture | GoniometerCapture) -> set[str]
         "frames.csv",
         *(f.file for f in capture.frames),
     ]
+    if settings.rendered_from and "/" in settings.rendered_from:  # a folder of relight: info.json stands for its planes
+        folder = Path(settings.rendered_from).parent
+        named += [f"{folder.as_posix()}/{name}" for name, entry in walk(capture.payload / folder) if entry.is_file()]
     return {Path(name).as_posix() for name in named if name}
 
 

@@ -15,6 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from nishiki.formats.hsh import hemispherical_harmonics
+from nishiki.formats.relight import gaussian_weights, ptm_weights
 
 RIDGES = (0.0, 1e-4, 1e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0)
 """Weights of the squared coefficients beside the squared errors, of those that are tried."""
@@ -23,7 +24,6 @@ WIDTHS = (0.05, 0.075, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7)
 LEAST_REDUNDANCY = 1e-3
 """Share of a light's value that does not come from itself, below which leaving it out says nothing of a fit."""
 SLIGHT = 1e-6  # added to the normal matrix of components, which are orthogonal but for the rounding of their codes
-LEAST_WEIGHT = 0.001  # of a captured light, below which viewers leave it out
 
 
 class LightModel(Protocol):
@@ -45,12 +45,6 @@ class LightModel(Protocol):
     def fit(self, values: np.ndarray, valid: np.ndarray) -> np.ndarray:
         """(n, planes) coefficients of pixels with values (n, lights, 3) where valid (n, lights) bool."""
         ...
-
-
-def ptm_weights(lights: np.ndarray) -> np.ndarray:
-    """(n, 6) of unit vectors (n, 3): 1, x, y, x^2, x y, y^2."""
-    x, y = lights[:, 0], lights[:, 1]
-    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
 
 
 HARMONICS = 3  # order: nine a channel
@@ -158,15 +152,6 @@ class OpenLimeModel(PrincipalModel):
         mean = distances @ near / near.sum()
         weights = np.exp(-8 * distances**2 / max(mean, 1e-9))
         return weights / weights.sum()
-
-
-def gaussian_weights(lights: np.ndarray, light: np.ndarray, width: float) -> np.ndarray:
-    """(L,) weights of the captured lights for another one, sum 1."""
-    squares = np.sum((lights - light) ** 2, axis=1)
-    weights = np.exp(-(squares - squares.min()) / width**2)
-    weights /= weights.sum()
-    weights[weights <= LEAST_WEIGHT] = 0
-    return weights / weights.sum()
 
 
 def chosen_ridge(design: np.ndarray, values: np.ndarray, valid: np.ndarray) -> float:
