@@ -131,7 +131,7 @@ def open_relight(folder: Path) -> RelightFolder:
     """
     name = f"{folder.name}/{INFO}"
     info = _info(folder, name)
-    kind, space = info.get("type"), info.get("colorspace")
+    kind, space = str(info.get("type")), str(info.get("colorspace"))
     rows, columns, count = (_whole(info, key, name) for key in ("height", "width", "nplanes"))
     terms = count - 3 if space == "lrgb" else count / 3
     harmonic = space in ("rgb", "lrgb") and terms == int(terms) and kind != "rbf" and _terms(kind, int(terms))
@@ -173,17 +173,17 @@ def _read_plane(folder: Path, name: str, out: np.ndarray) -> list[str]:
         text = read_text(folder / with_tiles, "settings_bytes")
     except FileNotFoundError:
         raise Refused(f"{folder.name}/{with_tiles}", "neither this nor a .jpg is there", remedy=REMEDY) from None
-    found = {key: re.search(rf'\b{key}="(\w{{1,9}})"', text) for key in ("TileSize", "Overlap", "Format")}
+    found = dict(re.findall(r'\b(TileSize|Overlap|Format)="(\w{1,9})"', text))
     levels = [int(path.name) for path in (folder / f"{name}_files").glob("*") if path.name.isdigit()]
-    if not all(found.values()) or not levels:
+    if len(found) < 3 or not levels:
         raise Refused(f"{folder.name}/{with_tiles}", "no deep zoom with tiles", remedy=REMEDY)
-    size, overlap = (int(found[key][1]) if found[key][1].isdigit() else 0 for key in ("TileSize", "Overlap"))
+    size, overlap = (int(found[key]) if found[key].isdigit() else 0 for key in ("TileSize", "Overlap"))
     if size < 16:
         raise Refused(f"{folder.name}/{with_tiles}", "tiles too small", found=f"{size} pixels", remedy=REMEDY)
     files, (rows, columns) = [with_tiles], out.shape[:2]
     for row in range(-(-rows // size)):
         for column in range(-(-columns // size)):
-            tile = f"{name}_files/{max(levels)}/{column}_{row}.{found['Format'][1]}"
+            tile = f"{name}_files/{max(levels)}/{column}_{row}.{found['Format']}"
             margin = (min(row, 1) * overlap, min(column, 1) * overlap)
             _fill(folder, tile, out[row * size : (row + 1) * size, column * size : (column + 1) * size], margin)
             files.append(tile)
