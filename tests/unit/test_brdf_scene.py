@@ -19,6 +19,7 @@ from nishiki.capture.folder import load_capture
 from nishiki.errors import UserError
 from nishiki.observations.plane import Observations
 from nishiki.observations.plane_store import write_observations
+from nishiki.photometric.flags import NO_ESTIMATE
 from nishiki.progress import Progress
 from nishiki.stages.brdf.declaration import BrdfSettings
 from nishiki.stages.brdf.run import fit_regions, gather
@@ -241,6 +242,31 @@ def test_the_stage_tells_outliers_in_the_unit_of_the_observations(tmp_path, refl
     histogram = gather(context, frames, Maps(tmp_path), None, np.array([True]))
     assert histogram.value_unit == unit
     assert histogram.rows[0, :, 2].sum() > 0
+
+
+def test_the_stage_leaves_out_pixels_of_a_capture_with_regions(tmp_path):
+    """Labels are uint8, in which the -1 of a pixel left out was region 255."""
+    capture = load_capture(make_capture(tmp_path / "c", rows=24, columns=32))
+    write_observations(capture, tmp_path, settings=IngestSettings())
+    frames = Observations(tmp_path)
+    out = MapWriter(tmp_path, rows=24, columns=32, band_rows=frames.band_rows, stamp={})
+    left_out = np.zeros((24, 32), np.uint8)
+    left_out[:5] = NO_ESTIMATE
+    out.write("normals", np.broadcast_to(np.array([0, 0, 1], np.float32), (24, 32, 3)))
+    out.write("flags", left_out)
+    out.write("reflectance", np.full((24, 32, 3), 0.4, np.float32))
+    out.write("sigma", np.full((24, 32), 0.01, np.float32))
+    context = SimpleNamespace(
+        settings=BrdfSettings(),
+        progress=Progress("scene/brdf"),
+        inputs={"normals": SimpleNamespace(diagnostics={"refined": False})},
+    )
+    labels = np.zeros((24, 32), np.uint8)
+    labels[:, 16:] = 1
+    two = gather(context, frames, Maps(tmp_path), labels, np.array([True, True]))
+    one = gather(context, frames, Maps(tmp_path), None, np.array([True]))
+    np.testing.assert_allclose(two.rows.sum(axis=0), one.rows[0], rtol=1e-6)
+    assert (two.rows[:, :, 2].sum(axis=1) > 0).all()
 
 
 def test_the_ladder_of_each_region_is_the_distribution_of_its_facets():

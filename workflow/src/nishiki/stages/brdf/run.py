@@ -198,7 +198,7 @@ def gather(
         observations, valid = frames.read(band, lights=lights, channel="mean")
         normals = shading_normals(maps, band)
         left_out = ((maps.read("flags", band) & NO_ESTIMATE) != 0) | (normals[..., 2] < lowest)
-        region_index = np.zeros(left_out.shape, int) if labels is None else labels[band]
+        region_index = np.zeros(left_out.shape, int) if labels is None else labels[band].astype(int)
         region = np.where(left_out | ~glossy[region_index], -1, region_index)
         reflectance = maps.read("reflectance", band).mean(axis=-1)
         sigma = np.sqrt(maps.read("sigma", band) ** 2 / 2 + slope_variance(maps, band))
