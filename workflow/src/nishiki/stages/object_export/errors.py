@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -76,42 +76,55 @@ class SeenPoints:
         return cos_phi, cos_i, cos_r, np.sum(half * towards, axis=1)
 
 
-def errors(context: Context, look: ObjectLook, *, white_at_grazing: bool) -> dict[str, dict[str, float]]:
-    """PSNR of the stored textures against photographs, in the capture's encoding: left-out views and some others.
+Shown = Callable[[SeenPoints], np.ndarray]
+"""Linear values (n, 3) that a program shows of seen points."""
 
-    white_at_grazing : whether the format reflects all grazing light, whatever the share of the reflectance.
-    """
-    base = decode(look.colour / 255, "srgb")
-    alpha = (look.roughness / 255) ** 2
-    weight = look.specular / 255
-    stored = np.concatenate([base, alpha[..., None], weight[..., None]], axis=-1)
 
-    def shown(points: SeenPoints) -> np.ndarray:
-        return look.scale * viewer_light(look, points, sample(stored, points.places), white_at_grazing=white_at_grazing)
+def errors(context: Context, look: ObjectLook, formats: Sequence[str]) -> dict[str, dict[str, dict[str, float]]]:
+    """PSNR of the stored textures against photographs, as some of `gltf`, `usd` and `materialx` take them."""
+    textures = [decode(look.colour / 255, "srgb"), (look.roughness[..., None] / 255) ** 2]
 
-    return against_photographs(context, look, shown)
+    def shown_by(specular: np.ndarray, *, white_at_grazing: bool) -> Shown:
+        stored = np.concatenate([*textures, specular[..., None] / 255], axis=-1)
+
+        def shown(points: SeenPoints) -> np.ndarray:
+            texels = sample(stored, points.places)
+            return look.scale * viewer_light(look, points, texels, white_at_grazing=white_at_grazing)
+
+        return shown
+
+    ways = {
+        "gltf": (look.specular, False),
+        "usd": (look.of_one_strength().specular, True),
+        "materialx": (look.specular, True),
+    }
+    asked = {name: shown_by(ways[name][0], white_at_grazing=ways[name][1]) for name in formats}
+    return against_photographs(context, look, asked)
 
 
 def against_photographs(
-    context: Context, look: ObjectLook, shown: Callable[[SeenPoints], np.ndarray]
-) -> dict[str, dict[str, float]]:
-    """PSNR of linear values (n, 3) that something shows of seen points, as in `errors`."""
+    context: Context, look: ObjectLook, asked: Mapping[str, Shown]
+) -> dict[str, dict[str, dict[str, float]]]:
+    """PSNR of linear values that several programs show of seen points, in the capture's encoding: of left-out views
+    (`check`) and some others (`fitted`). Photographs are read once for all."""
     decoded, settings, count = look.decoded, context.settings, len(look.decoded.views)
     left_out = decoded.numbers(settings.hold_out)
     seen = [view for view in range(count) if view not in left_out]
     spread = [seen[k * len(seen) // settings.views] for k in range(min(settings.views, len(seen)))]
     photographs = Photographs(context.inputs)
-    result = {}
-    for name, views in (("fitted", spread), ("check", sorted(left_out))):
+    result: dict[str, dict[str, dict[str, float]]] = {name: {} for name in asked}
+    for group, views in (("fitted", spread), ("check", sorted(left_out))):
         if not views:
             continue
-        found = CodedErrors(len(views))
+        found = {name: CodedErrors(len(views)) for name in asked}
         for number, view in enumerate(views):
             linear, valid = photographs.read(view, 0)
             points = SeenPoints.of(look, view)
             compared = encode(three_channels(linear)[points.covered], decoded.encoding)
-            found.add(number, encode(shown(points), decoded.encoding), compared, valid[points.covered])
-        result[name] = found.decibels()
+            for name, shown in asked.items():
+                found[name].add(number, encode(shown(points), decoded.encoding), compared, valid[points.covered])
+        for name, each in found.items():
+            result[name][group] = each.decibels()
     return result
 
 

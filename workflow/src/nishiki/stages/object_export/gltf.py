@@ -6,24 +6,23 @@ from nishiki.artifacts.stage import Context
 from nishiki.formats.glb import Glb
 from nishiki.formats.picture_tiles import png_bytes
 from nishiki.stages.export.normals import software
-from nishiki.stages.object_export.errors import errors
-from nishiki.stages.object_export.look import INDEX, ObjectLook, object_look, object_mesh, unit_of
+from nishiki.stages.object_export.look import INDEX
+from nishiki.stages.object_export.surface import ObjectSurface
 
 
-def write(context: Context) -> dict:
+def write(context: Context, surface: ObjectSurface) -> dict:
     """`object.glb`; its error against photographs."""
-    look = object_look(context)
+    write_glb(context, surface)
     return {
         "files": ["exports/object.glb"],
-        "vertices": write_glb(context, look),
-        **look.figures(),
-        "kinds": {"gltf": {"psnr_db": errors(context, look, white_at_grazing=False)}},
+        "vertices": len(surface.mesh.positions),
+        **surface.losses("gltf"),
     }
 
 
-def write_glb(context: Context, look: ObjectLook) -> int:
-    """The file; its number of vertices."""
-    mesh = object_mesh(context, look)
+def write_glb(context: Context, surface: ObjectSurface) -> None:
+    """The file."""
+    mesh, look = surface.mesh, surface.look
     glb = Glb(extensions={"KHR_materials_ior", "KHR_materials_specular"})
     attributes = {
         "POSITION": glb.vertices(mesh.positions, bounds=True),
@@ -54,6 +53,5 @@ def write_glb(context: Context, look: ObjectLook) -> int:
     )
     primitive = {"attributes": attributes, "indices": glb.corners(mesh.triangles), "material": material}
     glb.add("nodes", mesh=glb.add("meshes", primitives=[primitive]), name=context.stamp["scene"])
-    extras = {**context.stamp, "unit": unit_of(context)}
+    extras = {**context.stamp, "unit": surface.unit}
     glb.write(context.output.path("exports/object.glb"), generator=software(context), extras=extras)
-    return len(mesh.positions)

@@ -8,7 +8,9 @@ that faces the lamp, becomes the lobe of Trowbridge and Reitz with the same peak
 Without a white board albedo is relative to a lamp of unknown strength and may be above 1: `lamp_strength` divides it.
 """
 
-from dataclasses import dataclass
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -64,6 +66,10 @@ class ObjectLook:
     def surface(self) -> SurfaceLook:
         """The same in the words of USD and MaterialX."""
         return SurfaceLook(self.colour, self.roughness, self.normal_reflectance, weight=self.specular)
+
+    def of_one_strength(self) -> ObjectLook:
+        """With the mean of the strength everywhere, which is what USD can say."""
+        return replace(self, specular=np.full_like(self.specular, np.rint(self.specular.mean())))
 
     def figures(self) -> dict:
         """What the diagnostics say of it."""

@@ -2,17 +2,11 @@
 
 from nishiki.artifacts.stage import Context
 from nishiki.formats.materialx import write_materialx
-from nishiki.stages.object_export.errors import errors
-from nishiki.stages.object_export.look import object_look
+from nishiki.stages.object_export.surface import ObjectSurface
 
 
-def write(context: Context) -> dict:
+def write(context: Context, surface: ObjectSurface) -> dict:
     """`materialx/object.mtlx` and its textures; the error of the material against photographs."""
-    look = object_look(context)
     path = context.output.path("exports/materialx/object.mtlx")
-    files = write_materialx(path, look.surface(), facts=context.stamp)
-    return {
-        "files": [f"exports/materialx/{name}" for name in files],
-        **look.figures(),
-        "kinds": {"materialx": {"psnr_db": errors(context, look, white_at_grazing=True)}},
-    }
+    files = write_materialx(path, surface.look.surface(), facts=context.stamp)
+    return {"files": [f"exports/materialx/{name}" for name in files], **surface.losses("materialx")}

@@ -22,17 +22,18 @@ from nishiki.render.object.decoded_object import DecodedObject
 from nishiki.stages.export import mitsuba_principled as principled
 from nishiki.stages.object_export import mitsuba_object
 from nishiki.stages.object_export.errors import SeenPoints, against_photographs
-from nishiki.stages.object_export.look import METRES, ObjectLook, object_look, object_mesh
+from nishiki.stages.object_export.look import METRES, ObjectLook
+from nishiki.stages.object_export.surface import ObjectSurface
 from nishiki.stages.object_export.texture_atlas import TextureAtlas, fill_gaps, sample
 
 
-def write(context: Context) -> dict:
+def write(context: Context, surface: ObjectSurface) -> dict:
     """The folder `mitsuba`; its errors against photographs, and how far its cameras are from the capture's."""
-    look = object_look(context)
+    look = surface.look
     parameters = model_textures(look.decoded, look.layout)
     unit = METRES.get(context.inputs["mesh"].diagnostics.get("unit"), 1.0)
     folder = context.output.path("exports/mitsuba/scene.json").parent
-    figures = write_folder(folder, look, object_mesh(context, look), parameters, unit=unit, stamp=context.stamp)
+    figures = write_folder(folder, look, surface.mesh, parameters, unit=unit, stamp=context.stamp)
     return {
         "files": sorted(f"exports/mitsuba/{path.relative_to(folder)}" for path in folder.rglob("*") if path.is_file()),
         **look.figures(),
@@ -207,4 +208,4 @@ def errors(context: Context, look: ObjectLook, parameters: dict[str, np.ndarray]
         return look.scale * (body * irradiance + (gloss * cosines[1] * strength)[:, None])
 
     found = {"model": by_model, "principled": by_principled}
-    return {name: against_photographs(context, look, shown) for name, shown in found.items()}
+    return against_photographs(context, look, found)

@@ -2,12 +2,16 @@
 
 from nishiki.artifacts.stage import Context
 from nishiki.stages.object_export import gltf, materialx, mitsuba, usd
+from nishiki.stages.object_export.surface import ObjectSurface
 
 WRITERS = {"gltf": gltf.write, "usd": usd.write, "materialx": materialx.write, "mitsuba": mitsuba.write}
 
 
 def run(context: Context) -> dict:
     """Write every format that the settings name."""
-    losses = {name: WRITERS[name](context) for name in context.progress.over(context.settings.formats, "format")}
+    surface = ObjectSurface(context)
+    losses = {
+        name: WRITERS[name](context, surface) for name in context.progress.over(context.settings.formats, "format")
+    }
     sizes = {file: context.output.path(file).stat().st_size for each in losses.values() for file in each["files"]}
     return {"losses": losses, "bytes": sizes}
