@@ -51,8 +51,8 @@ def dome(count: int, seed: int) -> np.ndarray:
     return np.stack([np.sin(polar) * np.cos(angle), np.sin(polar) * np.sin(angle), np.cos(polar)], axis=1)
 
 
-def small_painting(folder: Path) -> SmallPainting:
-    """Make the painting; one corner has no estimate."""
+def small_painting(folder: Path, *, regions: np.ndarray | None = None) -> SmallPainting:
+    """Make the painting; one corner has no estimate. regions: (rows, columns) uint8, 1 where highlights are narrow."""
     y, x = np.mgrid[ROWS:0:-1, 0:COLUMNS] * PITCH_MM  # y points up
     phase_x, phase_y = 2 * np.pi * x / 5, 2 * np.pi * y / 4
     height = 0.18 * np.sin(phase_x) * np.cos(phase_y) + 0.02 * x
@@ -72,8 +72,8 @@ def small_painting(folder: Path) -> SmallPainting:
     channels = np.stack([(waves @ basis)[..., band] for band in (45, 28, 8)], axis=-1)
     maps["normals"][1]["reflectance"] = channels
     inputs = {stage: _artifact(folder, stage, *made, basis) for stage, made in maps.items()}
-    inputs["brdf"] = _gloss(folder)
-    inputs["ingest"] = _photographs(folder, normals, channels, lights)
+    inputs["brdf"] = _gloss(folder, 1 if regions is None else 2)
+    inputs["ingest"] = _photographs(folder, normals, channels, lights, regions)
     return SmallPainting(height, normals.astype(np.float32), waves.astype(np.float32), basis, known, lights, inputs)
 
 
@@ -96,17 +96,20 @@ def _artifact(folder: Path, stage: str, settings, maps: dict, basis: np.ndarray)
     return make_artifact(folder, settings(), fill, stamp=STAMP, stage=stage)
 
 
-def _gloss(folder: Path) -> Artifact:
+def _gloss(folder: Path, regions: int) -> Artifact:
     def fill(writer: ArtifactWriter) -> dict:
-        region = {"beta": [0.6], "gamma": [0.25], "refractive_index": 1.45}
-        parameters = {"method": "scene", "regions": [region], "transmission": 0.0}
+        lobes = [([0.6], [0.25]), ([40.0], [0.1])][:regions]
+        described = [{"beta": beta, "gamma": gamma, "refractive_index": 1.45} for beta, gamma in lobes]
+        parameters = {"method": "scene", "regions": described, "transmission": 0.0}
         writer.path("parameters.json").write_text(json.dumps(parameters))
         return {}
 
     return make_artifact(folder, BrdfSettings(), fill, stamp=STAMP, stage="brdf")
 
 
-def _photographs(folder: Path, normals: np.ndarray, channels: np.ndarray, lights: np.ndarray) -> Artifact:
+def _photographs(
+    folder: Path, normals: np.ndarray, channels: np.ndarray, lights: np.ndarray, regions: np.ndarray | None
+) -> Artifact:
     """12-bit photographs of the matte relief, with a white board for every light."""
     capture = folder / "capture"
     table, names = ["file,role,light,exposure_s"], [f"L{number:02d}" for number in range(len(lights))]
@@ -127,6 +130,9 @@ def _photographs(folder: Path, normals: np.ndarray, channels: np.ndarray, lights
         "camera": {"channels": ["red", "green", "blue"], "encoding": "linear", "bits": 12, "saturation": 1.0},
         "lights": {"file": "lights.lp", "kind": "direction"},
     }
+    if regions is not None:
+        cv2.imwrite(str(capture / "regions.png"), regions)
+        settings["regions"] = "regions.png"
     (capture / "capture.yaml").write_text(yaml.safe_dump(settings, sort_keys=False))
 
     def fill(writer: ArtifactWriter) -> dict:

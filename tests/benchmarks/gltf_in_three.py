@@ -36,6 +36,7 @@ def measured(folder: Path) -> dict:
     rows, columns = look.colours.shape[:2]
     if look.step != 1 or frames.positions_mm is not None:
         sys.exit(f"{folder}: expected a texel for a pixel and distant lamps; choose a smaller scene")
+    gloss = look.gloss.gltf.of(np.arange(rows), np.arange(columns))
     base = decode(look.colours.reshape(-1, 3) / 255, "srgb")
     normals = look.normals.reshape(-1, 3) / 255 * 2 - 1
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -52,7 +53,7 @@ def measured(folder: Path) -> dict:
                 direction = frames.directions[light]
                 picture = draw(rows, columns, (scene.pitch_mm or 1) / 1000, direction)
                 drawn, covered = picture[..., :3] / 255, picture[..., 3] == 255
-                formulas = encode(look.material.shown(base, normals, direction), "srgb").reshape(rows, -1, 3)
+                formulas = encode(gloss.shown(base, normals, direction), "srgb").reshape(rows, -1, 3)
                 formulas = np.clip(formulas, 0, 1)
                 for band, values, valid in strips:
                     pairs = ((drawn, values[:, number]), (formulas, values[:, number]))

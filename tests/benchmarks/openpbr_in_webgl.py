@@ -22,7 +22,6 @@ from nishiki.artifacts.artifact import open_artifact
 from nishiki.colour.encoding import decode, encode
 from nishiki.observations.plane import Observations
 from nishiki.stages.export.declaration import ExportSettings
-from nishiki.stages.export.gltf_material import white_at_grazing
 from nishiki.stages.export.look import painting_look
 from nishiki.stages.export.photographs import CodedErrors, Photographs
 from nishiki.stages.export.scene import ExportedScene
@@ -44,7 +43,8 @@ def measured(folder: Path) -> dict:
     base = decode(look.colours.reshape(-1, 3) / 255, "srgb")
     normals = look.normals.reshape(-1, 3) / 255 * 2 - 1
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    material, photographs = white_at_grazing(look.material), Photographs(frames, scene)
+    material = look.gloss.materialx.of(np.arange(rows), np.arange(columns))
+    photographs = Photographs(frames, scene)
     result: dict = {"scene": folder.name, "pixels": rows * columns}
     with materialx_page.opened(files[-1], rows, columns) as draw:
         for name, lights in (("fitted", frames.fit_lights()), ("check", frames.check_lights())):

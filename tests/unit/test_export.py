@@ -417,7 +417,7 @@ def test_gltf_is_the_displaced_plane_with_the_relief_in_its_normal_texture(expor
     for lamp in LAMPS:
         np.testing.assert_allclose(shaded(coded, lamp), shaded(painting.normals[painting.known], lamp), atol=0.01)
     assert material.metallicFactor == 0
-    assert material.roughnessFactor == exported.reported["losses"]["gltf"]["material"]["roughness"]
+    assert material.roughnessFactor == exported.reported["losses"]["gltf"]["materials"][0]["roughness"]
     lamp = illuminant("D65")
     srgb = xyz_to_srgb_linear(xyz_from_spectra(lamp, painting.reflectance()), white=white_xyz(lamp))
     shown = np.asarray(material.baseColorTexture)[row, column] / 255

@@ -116,7 +116,7 @@ def test_the_plain_scene_of_a_painting_shows_what_its_loss_is_reckoned_with(mi, 
     base = decode(look.colours.reshape(-1, 3) / 255, "srgb")
     normals = look.normals.reshape(-1, 3) / 255 * 2 - 1
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    ours = PrincipledPaint(look.material).shown(base, normals, light).reshape(ROWS, COLUMNS, 3)
+    ours = PrincipledPaint(look.gloss.largest, look.gloss.largest).shown(base, normals, light).reshape(ROWS, COLUMNS, 3)
     # The random sample may fall between two texels, and the textures of the look have eight bits.
     inner = painting.made.known & (ours.min(axis=-1) > 0.02)
     apart = np.abs(theirs - ours)[inner] / ours[inner]

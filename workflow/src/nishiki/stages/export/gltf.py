@@ -5,28 +5,25 @@ import numpy as np
 from nishiki.artifacts.stage import Context
 from nishiki.formats.glb import Glb
 from nishiki.formats.picture_tiles import png_bytes
-from nishiki.formats.textured_surface import TexturedMesh
-from nishiki.stages.export.look import PaintingLook, errors, painting_look, painting_mesh, unit_of
+from nishiki.stages.export.look import PaintingSurface
 from nishiki.stages.export.normals import software
-from nishiki.stages.export.scene import ExportedScene
+from nishiki.stages.export.region_gloss import RegionGloss
 
 
-def write(context: Context, scene: ExportedScene) -> dict:
+def write(context: Context, surface: PaintingSurface) -> dict:
     """`painting.glb`; the error of its material against photographs."""
-    look = painting_look(context, scene)
-    mesh = write_glb(context, scene, look)
+    write_glb(context, surface)
     return {
         "files": ["exports/painting.glb"],
-        "vertices": len(mesh.positions),
-        "faces": len(mesh.triangles),
-        **look.figures(),
-        "kinds": {"gltf": {"psnr_db": errors(context, scene, look, look.material)}},
+        "vertices": len(surface.mesh.positions),
+        "faces": len(surface.mesh.triangles),
+        **surface.losses("gltf"),
     }
 
 
-def write_glb(context: Context, scene: ExportedScene, look: PaintingLook) -> TexturedMesh:
-    """The file; its mesh."""
-    mesh, material = painting_mesh(context, scene), look.material
+def write_glb(context: Context, surface: PaintingSurface) -> None:
+    """The file."""
+    mesh, look = surface.mesh, surface.look
     glb = Glb(extensions={"KHR_materials_ior", "KHR_materials_specular"})
     tangents = np.broadcast_to(np.float32([1, 0, 0, 1]), (len(mesh.positions), 4))
     attributes = {
@@ -35,24 +32,32 @@ def write_glb(context: Context, scene: ExportedScene, look: PaintingLook) -> Tex
         "TANGENT": glb.vertices(tangents),
         "TEXCOORD_0": glb.vertices(mesh.texture),
     }
+    colours = {"index": glb.texture(png_bytes(look.colours), mime="image/png")}
+    normals = {"index": glb.texture(png_bytes(look.normals), mime="image/png")}
+    roughness, specular = gloss_properties(glb, look.gloss.gltf)
     number = glb.add(
         "materials",
-        pbrMetallicRoughness={
-            "baseColorTexture": {"index": glb.texture(png_bytes(look.colours), mime="image/png")},
-            "metallicFactor": 0,
-            "roughnessFactor": material.roughness,
-        },
-        normalTexture={"index": glb.texture(png_bytes(look.normals), mime="image/png")},
+        pbrMetallicRoughness={"baseColorTexture": colours, "metallicFactor": 0, **roughness},
+        normalTexture=normals,
         extensions={
-            "KHR_materials_ior": {"ior": material.index},
-            "KHR_materials_specular": {
-                "specularFactor": material.weight,
-                "specularColorFactor": [material.factor] * 3,
-            },
+            "KHR_materials_ior": {"ior": look.gloss.gltf.materials[0].index},
+            "KHR_materials_specular": specular,
         },
     )
     primitive = {"attributes": attributes, "indices": glb.corners(mesh.triangles), "material": number}
     glb.add("nodes", mesh=glb.add("meshes", primitives=[primitive]), name=context.stamp["scene"])
-    extras = {**context.stamp, "unit": unit_of(scene)}
+    extras = {**context.stamp, "unit": surface.unit}
     glb.write(context.output.path("exports/painting.glb"), generator=software(context), extras=extras)
-    return mesh
+
+
+def gloss_properties(glb: Glb, gloss: RegionGloss) -> tuple[dict, dict]:
+    """Properties of roughness and of KHR_materials_specular: textures where there are several regions."""
+    material = gloss.materials[0]
+    factor = {"specularColorFactor": [float(material.factor)] * 3}
+    if gloss.labels is None:
+        return {"roughnessFactor": gloss.roughness}, {"specularFactor": float(material.weight), **factor}
+    roughness, weight = gloss.roughness, gloss.weight
+    green = np.stack([np.zeros_like(roughness), roughness, np.zeros_like(roughness)], axis=-1)
+    alpha = np.stack([*[np.full_like(weight, 255)] * 3, weight], axis=-1)
+    textures = [{"index": glb.texture(png_bytes(picture), mime="image/png")} for picture in (green, alpha)]
+    return {"metallicRoughnessTexture": textures[0]}, {"specularTexture": textures[1], **factor}

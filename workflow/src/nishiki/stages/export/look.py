@@ -1,21 +1,23 @@
-"""How a painting looks to formats of scenes: textures of colour and normals, and one lobe of gloss for all of it."""
+"""How a painting looks to formats of scenes: textures of colour and normals, and a lobe of gloss for each region."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
 from nishiki.artifacts.stage import Context
-from nishiki.brdf.parameters import gloss_table
 from nishiki.colour.colour import srgb_encode
 from nishiki.colour.encoding import decode, encode
 from nishiki.formats.textured_surface import SurfaceLook, TexturedMesh
 from nishiki.observations.plane import Observations
-from nishiki.report.files import read_json
-from nishiki.stages.export.gltf_material import GltfMaterial, fitted_material
 from nishiki.stages.export.photographs import CodedErrors, Photographs
+from nishiki.stages.export.region_gloss import PaintingGloss, RegionGloss, painting_gloss
 from nishiki.stages.export.relief_mesh import block_mean, reliefs
 from nishiki.stages.export.scene import ExportedScene
 
+FORMATS = ("gltf", "usd", "materialx")
 METRES = 1e-3  # of a millimetre; of a pixel where the capture states no scale
 
 
@@ -25,42 +27,78 @@ class PaintingLook:
 
     Attributes
     ----------
-    material : GltfMaterial
-        The lobe of gloss.
+    gloss : PaintingGloss
+        Lobes of its regions, as each format takes them.
     colours, normals : (rows, columns, 3) uint8 ndarray
         Base colour, sRGB; normals of the relief, y up, (n + 1) / 2.
     step : int
         Pixels along the side of a texel.
     """
 
-    material: GltfMaterial
+    gloss: PaintingGloss
     colours: np.ndarray
     normals: np.ndarray
     step: int
 
-    def surface(self) -> SurfaceLook:
+    def surface(self, gloss: RegionGloss) -> SurfaceLook:
         """The same in the words of USD and MaterialX."""
-        material = self.material
-        return SurfaceLook(self.colours, material.roughness, material.normal_reflectance, normals=self.normals)
+        return SurfaceLook(self.colours, gloss.roughness, gloss.reflectance, gloss.weight, self.normals)
 
-    def figures(self) -> dict:
+    def figures(self, gloss: RegionGloss) -> dict:
         """What the diagnostics say of it."""
-        material = self.material
-        return {
-            "pixels_a_texel": self.step * self.step,
-            "material": {"roughness": material.roughness, "specular": material.strength, "ior": material.index},
-        }
+        materials = [
+            {"roughness": material.roughness, "specular": material.strength, "ior": material.index}
+            for material in gloss.materials
+        ]
+        return {"pixels_a_texel": self.step * self.step, "materials": materials}
+
+
+class PaintingSurface:
+    """Mesh, look and errors of a painting: made once, when the first format asks for them."""
+
+    def __init__(self, context: Context, scene: ExportedScene):
+        self._context, self.scene = context, scene
+
+    @cached_property
+    def look(self) -> PaintingLook:
+        """Material and textures."""
+        return painting_look(self._context, self.scene)
+
+    @cached_property
+    def mesh(self) -> TexturedMesh:
+        """The plane displaced by the height."""
+        return painting_mesh(self._context, self.scene)
+
+    @property
+    def unit(self) -> str:
+        """What a length of 1 in the file means."""
+        pitch_mm = self.scene.pitch_mm
+        return f"1 is 1000 {self.scene.unit}" if pitch_mm is None else "metres"
+
+    def losses(self, name: str) -> dict:
+        """What the diagnostics say of a format, its files left out."""
+        figures = self.look.figures(getattr(self.look.gloss, name))
+        return {**figures, "kinds": {name: {"psnr_db": self._errors[name]}}}
+
+    @cached_property
+    def _errors(self) -> dict[str, dict]:
+        """PSNR of every format that is asked for; the photographs are read once."""
+        asked = {name: getattr(self.look.gloss, name) for name in FORMATS if name in self._context.settings.formats}
+        return errors(self._context, self.scene, self.look, asked)
 
 
 def painting_look(context: Context, scene: ExportedScene) -> PaintingLook:
     """Material and textures, at most `gltf.texture_px` texels a side."""
-    albedo, normals, step = textures(scene, context.settings.gltf.texture_px)
+    albedo, normals, labels, step = textures(scene, context.settings.gltf.texture_px)
     known = np.abs(normals).max(axis=-1) > 0
-    mean = float(albedo[known].mean()) if known.any() else 0.5
-    material = material_of(context, mean)
-    colours = np.rint(255 * srgb_encode(material.base_colour(albedo))).astype(np.uint8)
+    gloss = painting_gloss(context, albedo, known, labels)
+    rows, columns = known.shape
+    colours = np.empty((rows, columns, 3), np.uint8)
+    for row in range(rows):
+        material = gloss.gltf.of(np.array([row]), np.arange(columns))
+        colours[row] = np.rint(255 * srgb_encode(material.base_colour(albedo[row])))
     coded = np.rint((np.where(known[..., None], normals, [0, 0, 1]) + 1) / 2 * 255).astype(np.uint8)
-    return PaintingLook(material, colours, coded, step)
+    return PaintingLook(gloss, colours, coded, step)
 
 
 def painting_mesh(context: Context, scene: ExportedScene) -> TexturedMesh:
@@ -72,17 +110,13 @@ def painting_mesh(context: Context, scene: ExportedScene) -> TexturedMesh:
     return TexturedMesh(places * METRES, np.broadcast_to(np.float32([0, 0, 1]), places.shape), texture, triangles)
 
 
-def unit_of(scene: ExportedScene) -> str:
-    """What a length of 1 in the file means."""
-    return f"1 is 1000 {scene.unit}" if scene.pitch_mm is None else "metres"
-
-
-def textures(scene: ExportedScene, most: int) -> tuple[np.ndarray, np.ndarray, int]:
-    """Linear sRGB albedo and unit normals (rows, columns, 3), at most `most` texels a side; pixels along a texel."""
+def textures(scene: ExportedScene, most: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, int]:
+    """Linear sRGB albedo and unit normals (rows, columns, 3), regions (rows, columns) or None, at most `most` texels a
+    side; pixels along a texel."""
     rows, columns = scene.shape
     step = -(-max(rows, columns) // most)
     high = max(1, scene.band_rows // step) * step
-    albedo, normals = [], []
+    albedo, normals, labels = [], [], []
     for top in range(0, rows, high):
         band = slice(top, min(top + high, rows))
         known = scene.known(band)[..., None]
@@ -91,46 +125,68 @@ def textures(scene: ExportedScene, most: int) -> tuple[np.ndarray, np.ndarray, i
         mean = block_mean(scene.relief_normals(band), step)
         length = np.linalg.norm(mean, axis=-1, keepdims=True)
         normals.append((mean / np.where(length > 0, length, 1)).astype(np.float32))
-    return np.concatenate(albedo), np.concatenate(normals), step
+        regions = scene.regions(band)
+        if regions is not None:
+            labels.append(most_frequent(regions, known[..., 0], step))
+    return np.concatenate(albedo), np.concatenate(normals), np.concatenate(labels) if labels else None, step
 
 
-def material_of(context: Context, albedo: float) -> GltfMaterial:
-    """One lobe for the whole painting: the largest region's, matte where the gloss is left out."""
-    parameters = read_json(context.inputs.get("brdf"), "parameters.json")
-    if parameters is None:
-        return GltfMaterial(1.0, 0.0, 1.5)
-    beta, gamma, index, _ = gloss_table(parameters)
-    largest = int(np.argmax([region.get("samples", 0) for region in parameters["regions"]]))
-    return fitted_material(beta[largest], gamma[largest], float(index[largest]), albedo)
+def most_frequent(labels: np.ndarray, known: np.ndarray, step: int) -> np.ndarray:
+    """Labels (rows, columns) uint8 of squares of pixels: that of most of their known pixels, of equals the smallest."""
+    if step == 1:
+        return labels
+    present = np.unique(labels)
+    best = np.full((-(-labels.shape[0] // step), -(-labels.shape[1] // step)), present[0], np.uint8)
+    most = np.full(best.shape, -1.0)
+    for label in present:
+        share = block_mean((labels == label) & known, step)
+        best[share > most] = label
+        most = np.maximum(most, share)
+    return best
+
+
+class ShownMaterial(Protocol):
+    """What a program shows of pixels."""
+
+    def shown(self, base: np.ndarray, normals: np.ndarray, light: np.ndarray) -> np.ndarray:
+        """As `GltfMaterial.shown`."""
+
+
+class ShownGloss(Protocol):
+    """A gloss as a format takes it."""
+
+    def of(self, rows: np.ndarray, columns: np.ndarray) -> ShownMaterial:
+        """As `RegionGloss.of`."""
 
 
 def errors(
-    context: Context,
-    scene: ExportedScene,
-    look: PaintingLook,
-    material: GltfMaterial,
-) -> dict[str, dict[str, float]]:
+    context: Context, scene: ExportedScene, look: PaintingLook, glosses: Mapping[str, ShownGloss]
+) -> dict[str, dict[str, dict[str, float]]]:
     """PSNR of the stored look, seen from the front without cast shadows, under fitted and check lights.
 
-    material : how the format takes the look's lobe.
+    glosses : the look's gloss as formats take it, by their names; so are the results. The photographs are read once.
     """
     frames = Observations(context.inputs["ingest"].folder)
     photographs = Photographs(frames, scene)
     hold_out = context.settings.hold_out
     groups = {"fitted": frames.fit_lights(hold_out), "check": frames.check_lights(hold_out)}
-    result = {}
-    for name, lights in groups.items():
+    different = {id(gloss): gloss for gloss in glosses.values()}
+    result: dict[str, dict[str, dict[str, float]]] = {name: {} for name in glosses}
+    for group, lights in groups.items():
         if not len(lights):
             continue
-        found = CodedErrors(len(lights))
+        found = {each: CodedErrors(len(lights)) for each in different}
         for rows, values, valid in (strip for band in frames.bands() for strip in photographs.strips(band, lights)):
             down = np.arange(rows.start, rows.stop) // look.step
             across = np.arange(frames.shape[1]) // look.step
             base = decode(look.colours[down][:, across].reshape(-1, 3) / 255, "srgb")
             normals = look.normals[down][:, across].reshape(-1, 3) / 255 * 2 - 1
             normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-            for number, light in enumerate(lights):
-                shown = material.shown(base, normals, frames.directions[light])
-                found.add(number, encode(shown, "srgb"), values[:, number], valid[:, number])
-        result[name] = found.decibels()
+            for each, gloss in different.items():
+                material = gloss.of(down, across)
+                for number, light in enumerate(lights):
+                    shown = material.shown(base, normals, frames.directions[light])
+                    found[each].add(number, encode(shown, "srgb"), values[:, number], valid[:, number])
+        for name, gloss in glosses.items():
+            result[name][group] = found[id(gloss)].decibels()
     return result

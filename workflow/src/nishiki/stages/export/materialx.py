@@ -2,18 +2,12 @@
 
 from nishiki.artifacts.stage import Context
 from nishiki.formats.materialx import write_materialx
-from nishiki.stages.export.gltf_material import white_at_grazing
-from nishiki.stages.export.look import errors, painting_look
-from nishiki.stages.export.scene import ExportedScene
+from nishiki.stages.export.look import PaintingSurface
 
 
-def write(context: Context, scene: ExportedScene) -> dict:
+def write(context: Context, surface: PaintingSurface) -> dict:
     """`materialx/painting.mtlx` and its textures; the error of the material against photographs."""
-    look = painting_look(context, scene)
+    look = surface.look
     path = context.output.path("exports/materialx/painting.mtlx")
-    files = write_materialx(path, look.surface(), facts=context.stamp)
-    return {
-        "files": [f"exports/materialx/{name}" for name in files],
-        **look.figures(),
-        "kinds": {"materialx": {"psnr_db": errors(context, scene, look, white_at_grazing(look.material))}},
-    }
+    files = write_materialx(path, look.surface(look.gloss.materialx), facts=context.stamp)
+    return {"files": [f"exports/materialx/{name}" for name in files], **surface.losses("materialx")}

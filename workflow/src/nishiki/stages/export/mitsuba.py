@@ -15,7 +15,8 @@ from nishiki.formats.textured_ply import faces, heading, vertices
 from nishiki.report.files import read_json
 from nishiki.stages.export import mitsuba_paint, mitsuba_principled
 from nishiki.stages.export.gltf_material import GltfMaterial
-from nishiki.stages.export.look import errors, painting_look
+from nishiki.stages.export.look import PaintingSurface, errors
+from nishiki.stages.export.region_gloss import PaintingGloss
 from nishiki.stages.export.relief_mesh import reliefs
 from nishiki.stages.export.scene import ExportedScene
 
@@ -23,8 +24,9 @@ UP = np.array([0.0, 0.0, 1.0])
 MATTE = ([0.0], [0.5], 1.45, 0.0)
 
 
-def write(context: Context, scene: ExportedScene) -> dict:
+def write(context: Context, surface: PaintingSurface) -> dict:
     """The folder `mitsuba`; what of the model it leaves out."""
+    scene = surface.scene
     folder = context.output.path("exports/mitsuba/scene.json").parent
     beta, gamma, index, transmission = gloss(context)
     names = {
@@ -60,9 +62,9 @@ def write(context: Context, scene: ExportedScene) -> dict:
     }
     (folder / "scene.json").write_text(json.dumps(facts, indent=1) + "\n")
     (folder / "nishiki_paint.py").write_text(Path(mitsuba_paint.__file__).read_text(encoding="utf-8"))
-    look = painting_look(context, scene)
-    write_plain_scene(folder / "scene.xml", facts, look.material)
-    paint = PrincipledPaint(look.material)
+    look = surface.look
+    write_plain_scene(folder / "scene.xml", facts, look.gloss.largest)
+    principled = PrincipledGloss(look.gloss)
     made = ("scene.json", "nishiki_paint.py", "scene.xml", "relief.ply", "flat.ply", *(f"{name}.exr" for name in names))
     files = [f"exports/mitsuba/{name}" for name in made]
     return {
@@ -70,7 +72,7 @@ def write(context: Context, scene: ExportedScene) -> dict:
         "vertices": count,
         "shading_terms_left_out": max(scene.shading_terms - 3, 0),
         "clipped": clipped / (3 * scene.shape[0] * scene.shape[1]),
-        "kinds": {"principled": {"psnr_db": errors(context, scene, look, paint)}},
+        "kinds": {"principled": {"psnr_db": errors(context, scene, look, {"": principled})[""]}},
     }
 
 
@@ -92,23 +94,35 @@ def coded(normals: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class PrincipledPaint:
-    """What principled shows of a painting whose gloss is that of a material of glTF."""
+    """What principled shows of a painting; gltf: the material of its base colours, material: the one for all."""
 
+    gltf: GltfMaterial
     material: GltfMaterial
 
     def shown(self, base: np.ndarray, normals: np.ndarray, light: np.ndarray) -> np.ndarray:
         """As `GltfMaterial.shown`: (n, 3) light relative to a white that faces the lamp, seen along z."""
         half = (light + UP) / np.linalg.norm(light + UP)
         cos_phi, cos_i, cos_r = (np.maximum(normals @ each, 0) for each in (half, light, UP))
-        albedo = base * (1 - float(self.material.fresnel(np.array(1.0))))
+        albedo = base * (1 - np.expand_dims(self.gltf.fresnel(1.0), -1))
         cosines = (cos_phi, cos_i, cos_r, np.full_like(cos_i, half[2]))
         body, gloss = mitsuba_principled.shown(albedo, self.material.roughness, *strength(self.material), cosines)
         return (body + gloss[:, None]) * cos_i[:, None]
 
 
+@dataclass(frozen=True)
+class PrincipledGloss:
+    """The gloss of a painting as principled takes it: one lobe for all."""
+
+    gloss: PaintingGloss
+
+    def of(self, rows: np.ndarray, columns: np.ndarray) -> PrincipledPaint:
+        """The material of the texels in some rows and columns."""
+        return PrincipledPaint(self.gloss.gltf.of(rows, columns), self.gloss.largest)
+
+
 def strength(material: GltfMaterial) -> tuple[float, float]:
     """Reflectance along the normal where the weight is 1, and the weight."""
-    return min(material.factor * ((material.index - 1) / (material.index + 1)) ** 2, 1.0), material.weight
+    return float(material.reflectance_of_weight_1), float(material.weight)
 
 
 def write_plain_scene(path: Path, facts: dict, material: GltfMaterial) -> None:

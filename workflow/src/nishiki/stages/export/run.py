@@ -2,6 +2,7 @@
 
 from nishiki.artifacts.stage import Context
 from nishiki.stages.export import albedo, gltf, height, iiif, materialx, merl, mitsuba, normals, relight, spectral, usd
+from nishiki.stages.export.look import PaintingSurface
 from nishiki.stages.export.scene import ExportedScene
 
 WRITERS = {
@@ -10,19 +11,28 @@ WRITERS = {
     "albedo": albedo.write,
     "relight": relight.write,
     "spectral": spectral.write,
-    "gltf": gltf.write,
-    "mitsuba": mitsuba.write,
     "merl": merl.write,
     "iiif": iiif.write,
+}
+SURFACE_WRITERS = {
+    "gltf": gltf.write,
     "usd": usd.write,
     "materialx": materialx.write,
+    "mitsuba": mitsuba.write,
 }
+"""Of formats that have textures and material in common."""
 
 
 def run(context: Context) -> dict:
-    """Write every format that the settings name, each band by band."""
+    """Write every format that the settings name, each band by band but those of surfaces."""
     scene = ExportedScene(context.inputs)
-    losses = {name: WRITERS[name](context, scene) for name in context.progress.over(context.settings.formats, "format")}
+    surface = PaintingSurface(context, scene)
+    losses = {}
+    for name in context.progress.over(context.settings.formats, "format"):
+        if name in SURFACE_WRITERS:
+            losses[name] = SURFACE_WRITERS[name](context, surface)
+        else:
+            losses[name] = WRITERS[name](context, scene)
     sizes = {
         file: context.output.path(file).stat().st_size for each in losses.values() for file in each.get("files", ())
     }

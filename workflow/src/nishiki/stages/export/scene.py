@@ -13,6 +13,7 @@ from nishiki.evaluate.camera_colour import CameraColour, assumed_colour, fitted_
 from nishiki.formats.icc import D50
 from nishiki.formats.stored import load_arrays
 from nishiki.formats.tiff_bands import strips
+from nishiki.observations.plane import Observations
 from nishiki.photometric.flags import NO_ESTIMATE
 
 D65 = np.linalg.inv(srgb_matrix()).sum(axis=1)
@@ -34,6 +35,7 @@ class ExportedScene:
 
     def __init__(self, inputs: Mapping[str, Artifact]):
         self._inputs = inputs
+        self._frames = Observations(inputs["ingest"].folder)
         self._maps = Maps(inputs["normals"].folder)
         self._height = Maps(inputs["height"].folder) if "height" in inputs else None
         self._spectra = Maps(inputs["spectra"].folder) if "spectra" in inputs else None
@@ -106,6 +108,11 @@ class ExportedScene:
     def srgb(self, rows: slice) -> np.ndarray:
         """(r, columns, 3) diffuse colour in linear sRGB; 0 where there is no estimate."""
         return np.where(self.known(rows)[..., None], np.nan_to_num(self.coefficients(rows)) @ self.to_srgb().T, 0)
+
+    def regions(self, rows: slice) -> np.ndarray | None:
+        """(r, columns) uint8 region of gloss of each pixel; None where the capture names no regions."""
+        labels = self._frames.regions
+        return None if labels is None else labels[rows]
 
     @property
     def shading_terms(self) -> int:

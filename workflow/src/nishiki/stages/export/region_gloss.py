@@ -1,0 +1,126 @@
+"""The gloss of a painting as materials of its regions, and the textures that hold them.
+
+A texel has the region that most of its pixels have, so that its gloss is one that was fitted: a mean of roughness and
+strength would be the gloss of neither paint.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from nishiki.artifacts.stage import Context
+from nishiki.brdf.parameters import gloss_table
+from nishiki.report.files import read_json
+from nishiki.stages.export.gltf_material import GltfMaterial, best_material, coded_errors, white_at_grazing
+
+MATTE = GltfMaterial(1.0, 0.0, 1.5)
+
+
+@dataclass(frozen=True)
+class RegionGloss:
+    """Materials of one or several regions.
+
+    Attributes
+    ----------
+    materials : tuple of GltfMaterial
+        One a region, all of the same index of refraction and factor; with several regions as 8 bits hold them.
+    labels : (rows, columns) uint8 ndarray or None
+        Region of each texel; None where there is one region only.
+    """
+
+    materials: tuple[GltfMaterial, ...]
+    labels: np.ndarray | None = None
+
+    def of(self, rows: np.ndarray, columns: np.ndarray) -> GltfMaterial:
+        """The material of the texels in some rows and columns, row by row."""
+        first = self.materials[0]
+        if self.labels is None:
+            return first
+        numbers = self.labels[rows][:, columns].ravel()
+        roughness, strength = (self._values(name)[numbers] for name in ("roughness", "strength"))
+        return replace(first, roughness=roughness, strength=strength)
+
+    @property
+    def roughness(self) -> float | np.ndarray:
+        """One value, or a texture (rows, columns) uint8."""
+        return float(self.materials[0].roughness) if self.labels is None else self._texture("roughness")
+
+    @property
+    def weight(self) -> np.ndarray | None:
+        """Share of the reflectance, a texture (rows, columns) uint8; None where there is one region only."""
+        return None if self.labels is None else self._texture("weight")
+
+    @property
+    def reflectance(self) -> float:
+        """Along the normal; where there are several regions, of weight 1."""
+        material = self.materials[0]
+        return float(material.normal_reflectance if self.labels is None else material.reflectance_of_weight_1)
+
+    def _values(self, name: str) -> np.ndarray:
+        return np.array([getattr(material, name) for material in self.materials])
+
+    def _texture(self, name: str) -> np.ndarray:
+        return np.rint(255 * self._values(name)).astype(np.uint8)[self.labels]
+
+
+@dataclass(frozen=True)
+class PaintingGloss:
+    """The gloss of a painting as each format takes it; largest: the material of the region with the most samples."""
+
+    gltf: RegionGloss
+    materialx: RegionGloss
+    usd: RegionGloss
+    largest: GltfMaterial
+
+
+def painting_gloss(context: Context, albedo: np.ndarray, known: np.ndarray, labels: np.ndarray | None) -> PaintingGloss:
+    """Every region's lobes as one lobe, nearest in coded brightness; matte where the gloss is left out.
+
+    albedo : (rows, columns, 3), over whose mean in a region its gloss is seen; known, labels : (rows, columns).
+    UsdPreviewSurface has one strength for all: that with which all regions together are nearest.
+    """
+    parameters = read_json(context.inputs.get("brdf"), "parameters.json")
+    if parameters is None:
+        return _one_region(MATTE)
+    beta, gamma, index, _ = gloss_table(parameters)
+    if labels is None or len(beta) == 1:
+        mean = float(albedo[known].mean()) if known.any() else 0.5
+        return _one_region(best_material(coded_errors(beta[0], gamma[0], float(index[0]), mean), float(index[0])))
+    errors, counts = [], []
+    for region in range(len(beta)):
+        texels = known & (labels == region)
+        mean = float(albedo[texels].mean()) if texels.any() else 0.5
+        errors.append(coded_errors(beta[region], gamma[region], float(index[0]), mean))
+        counts.append(np.count_nonzero(texels))
+    free = [best_material(each, float(index[0])) for each in errors]
+    together = sum(count * each.min(axis=0) for count, each in zip(counts, errors, strict=True))
+    only = np.where(np.arange(together.size) == np.argmin(together), 0, np.inf)
+    alike = [best_material(each + only, float(index[0])) for each in errors]
+    gltf, usd = RegionGloss(_stored(free), labels), RegionGloss(_stored(alike), labels)
+    largest = int(np.argmax([region.get("samples", 0) for region in parameters["regions"]]))
+    return PaintingGloss(gltf, _white(gltf), _white(usd), free[largest])
+
+
+def _one_region(material: GltfMaterial) -> PaintingGloss:
+    gloss = RegionGloss((material,))
+    white = _white(gloss)
+    return PaintingGloss(gloss, white, white, material)
+
+
+def _white(gloss: RegionGloss) -> RegionGloss:
+    return replace(gloss, materials=tuple(white_at_grazing(material) for material in gloss.materials))
+
+
+def _stored(materials: Sequence[GltfMaterial]) -> tuple[GltfMaterial, ...]:
+    """With one factor, and with what 8 bits leave of roughness and weight."""
+    most = max(1.0, *(float(material.strength) for material in materials))
+    return tuple(
+        replace(
+            material,
+            roughness=max(round(255 * float(material.roughness)), 1) / 255,
+            strength=most * round(255 * float(material.strength) / most) / 255,
+            least_factor=most,
+        )
+        for material in materials
+    )
