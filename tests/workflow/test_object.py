@@ -95,7 +95,7 @@ def test_a_flipped_bit_is_named(object_site, stage):
 
 def test_an_object_is_exported(object_site):
     more = [name for name, package in (("usd", "usd-core"), ("materialx", "materialx")) if installed(package)]
-    object_site.nishiki("export", "tiny", "gltf", *more, "--output", "for-others")
+    object_site.nishiki("export", "tiny", "gltf", "mitsuba", *more, "--output", "for-others")
     mesh = trimesh.load(object_site.folder / "for-others/object.glb", force="mesh")
     given = trimesh.load(object_site.folder / "results/tiny/current/mesh.ply", process=False)
     np.testing.assert_allclose(mesh.bounds, given.bounds / 1000, rtol=1e-5)
@@ -110,6 +110,12 @@ def test_an_object_is_exported(object_site):
         assert losses[name]["kinds"][name]["psnr_db"]["fitted"]["all"] == pytest.approx(
             figures["fitted"]["all"], abs=0.3
         )
+    decibels = {name: each["psnr_db"]["fitted"]["all"] for name, each in losses["mitsuba"]["kinds"].items()}
+    assert decibels["model"] > decibels["principled"] > figures["fitted"]["all"] - 1.5
+    scene = object_site.folder / "for-others/mitsuba"
+    np.testing.assert_allclose(trimesh.load(scene / "object.ply").bounds, mesh.bounds, rtol=1e-5)
+    views = json.loads((scene / "scene.json").read_text())["views"]
+    assert len(list((scene / "views").iterdir())) == len(views) == 12
     if "usd" in more:
         from pxr import Usd, UsdGeom
 
