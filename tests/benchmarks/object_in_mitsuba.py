@@ -23,6 +23,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
+import _project  # noqa: F401
 from nishiki.artifacts.artifact import open_artifact
 from nishiki.atlas.surface import texel_points
 from nishiki.brdf.texels.model import predict
