@@ -15,11 +15,12 @@ from types import SimpleNamespace
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
+import _project  # noqa: F401
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import materialx_page
 
-import _project  # noqa: F401
 from nishiki.artifacts.artifact import open_artifact
 from nishiki.colour.encoding import decode, encode
 from nishiki.observations.plane import Observations
