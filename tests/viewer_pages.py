@@ -31,8 +31,8 @@ from nishiki.render.object.free_lamps import FreeLamp, FreeLighting
 from nishiki.render.plane.frame import render
 from nishiki.render.plane.scene import Ambient, Light, PlaneScene, View
 from nishiki.render.plane.shadow import cast_shadows
-from nishiki.stages.cloth_render.declaration import DYES
-from nishiki.stages.cloth_viewer.scene import SHAPES, shape_of
+from nishiki.stages.cloth_render.declaration import DYES, MeshSettings
+from nishiki.stages.cloth_viewer.scene import shape_of, surfaces
 from nishiki.stages.render.declaration import LightSettings
 from nishiki.stages.render.requests import direction, white_sheet
 from nishiki.stages.render.run import load_scene, seen
@@ -222,7 +222,13 @@ def enhanced(scene: PlaneScene, state: dict[str, Any]) -> np.ndarray:
 
 
 def cloth_rendered(
-    models: ClothModels, state: dict[str, Any], shape: str, *, supersampling: int = 3, shadows: bool = True
+    models: ClothModels,
+    state: dict[str, Any],
+    shape: str,
+    *,
+    mesh: MeshSettings | None = None,
+    supersampling: int = 3,
+    shadows: bool = True,
 ) -> tuple[np.ndarray, np.ndarray]:
     """What `cloth_render` shows of a state of a cloth's page in the first view of a surface.
 
@@ -231,7 +237,7 @@ def cloth_rendered(
     tuple of numpy.ndarray
         (rows, columns, 3) uint8; (rows, columns) bool, the pixels that the cloth covers wholly.
     """
-    stage, options = SHAPES[shape](), state.get("options", {})
+    stage, options = surfaces(mesh)[shape](), state.get("options", {})
     numbers = shape_of(stage).numbers
     middle, radius = np.array(numbers["centre"]), numbers["radius"]
     front, lamps = stage.camera.rotation * [[1], [-1], [-1]], []

@@ -13,7 +13,7 @@ from nishiki.brdf.cloth.store import save_brdf
 from nishiki.progress import Progress
 from nishiki.render.cloth.models import ClothModels
 from nishiki.report.viewer.page import Blocks
-from nishiki.stages.cloth_render.declaration import DYES
+from nishiki.stages.cloth_render.declaration import DYES, MeshSettings
 from nishiki.stages.cloth_viewer import scene
 from nishiki.stages.cloth_viewer.run import write_cloth
 
@@ -21,6 +21,23 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(viewer_pages.missing() is not None, reason=str(viewer_pages.missing())),
 ]
+ROOF = """v 0 0 0
+v 3 0 0
+v 3 1 -1
+v 0 1 -1
+v 3 0 -2
+v 0 0 -2
+vt 0 0
+vt 1 0
+vt 1 1
+vt 0 1
+vt 1 2
+vt 0 2
+f 1/1 2/2 3/3
+f 1/1 3/3 4/4
+f 4/4 3/3 5/5
+f 4/4 5/5 6/6
+"""
 WARDS = {
     "ward": Ward(diffuse=np.array([0.25, 0.08, 0.03]), specular=np.full(3, 0.15), alpha_x=0.45, alpha_y=0.2),
     "dull": Ward(diffuse=np.array([0.1, 0.2, 0.3]), specular=np.zeros(3), alpha_x=0.4, alpha_y=0.4),
@@ -50,19 +67,21 @@ def shown(tmp_path_factory):
         patch.setattr(scene, "SIZE", {"rows": 180, "columns": 240})
         blocks = Blocks(SimpleNamespace(path=lambda name: folder / name), inline_bytes=10**8)
         about = {"title": "Satin", "scene": "satin", "key": "", "version": ""}
-        write_cloth(ClothModels(folder), blocks, about, dyes=DYES, progress=Progress("test"))
+        (folder / "roof.obj").write_text(ROOF)
+        mesh = MeshSettings(file=str(folder / "roof.obj"))
+        write_cloth(ClothModels(folder), blocks, about, dyes=DYES, mesh=mesh, progress=Progress("test"))
         with viewer_pages.opened(folder / "index.html", width=500, height=300) as page:
-            yield SimpleNamespace(models=ClothModels(folder), page=page)
+            yield SimpleNamespace(models=ClothModels(folder), mesh=mesh, page=page)
 
 
 @pytest.mark.parametrize(
     ("shape", "name"),
-    [*(("drape", name) for name in STATES), ("flat", "near"), ("cylinders", "two, wide")],
+    [*(("drape", name) for name in STATES), ("flat", "near"), ("cylinders", "two, wide"), ("file", "distant")],
 )
 def test_the_page_shows_what_cloth_render_shows(shown, shape, name):
     state = {"options": {}, **STATES[name], "exposure": 0.9}
     state["options"] = {**state["options"], "shape": shape}
-    want, cloth = viewer_pages.cloth_rendered(shown.models, state, shape)
+    want, cloth = viewer_pages.cloth_rendered(shown.models, state, shape, mesh=shown.mesh)
     assert cloth.sum() > 4000
     got = shown.page.picture(240, 180, **state, view=None, layer="appearance")
     apart = viewer_pages.difference(got, want)[cloth]
@@ -90,6 +109,17 @@ def test_values_under_the_cursor(shown):
     assert probed["gloss"]["eye_deg"] < 0.5
     np.testing.assert_allclose(probed["gloss"]["reflectance"], WARDS["dull"].diffuse, rtol=0.01)
     assert shown.page.page.evaluate("nishiki.scene.probe(2, 2, nishiki.state)") is None
+
+
+def test_a_surface_from_a_file_comes_first_with_its_own_numbers(shown):
+    assert shown.page.page.evaluate("nishiki.scene.options()[0].value") == "file"
+    shown.page.picture(240, 180, **STATES["distant"], options={}, view=None)
+    probed = shown.page.page.evaluate("nishiki.scene.probe(119.5, 89.5, nishiki.state)")
+    place = np.array(probed["position_mm"])
+    assert (place > [0, 0, -1]).all()
+    assert (place < [3, 1, 0]).all()
+    np.testing.assert_allclose(place[1], -place[2], atol=1e-3)  # on the front of the roof
+    assert shown.page.page.evaluate("nishiki.scene.bounds().unit") == ""
 
 
 def test_dragging_turns_the_cloth_and_another_surface_brings_its_own_view(shown):

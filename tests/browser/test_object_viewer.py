@@ -160,6 +160,52 @@ def test_probe_gives_the_parameters(shown):
     assert shown.page.page.evaluate("nishiki.scene.probe(1, 1, nishiki.state)") is None
 
 
+def test_points_of_the_surface_for_the_ruler(shown):
+    page, camera = shown.page.page, shown.decoded.cameras[0]
+    canvas(shown, view={"captured": 0})
+    picture = shown.decoded.renderer().view(0)
+    for row, column in ((65, 75), (50, 60), (80, 90)):
+        corners = shown.decoded.mesh.vertices[shown.decoded.mesh.triangles[picture.triangle[row, column]]]
+        u, v = picture.barycentric[row, column]
+        got = page.evaluate(f"nishiki.scene.pointAt({column}.3, {row}.8, nishiki.state)")
+        np.testing.assert_allclose(got, u * corners[0] + v * corners[1] + (1 - u - v) * corners[2], atol=0.02)
+        back = page.evaluate("point => nishiki.scene.fromScene(point, nishiki.state)", got)
+        np.testing.assert_allclose(back, [column + 0.5, row + 0.5], atol=0.5)
+    assert page.evaluate("nishiki.scene.pointAt(1, 1, nishiki.state)") is None
+    point = np.array([[0.3, -0.2, 0.5]])  # the lens of a captured camera counts
+    seen = page.evaluate("point => nishiki.scene.fromScene(point, nishiki.state)", point[0].tolist())
+    np.testing.assert_allclose(np.subtract(seen, 0.5), camera.project(point)[0][0], atol=1e-6)
+    # the scale bar: a millimetre across the line of sight at the depth of the object's middle
+    middle = np.array(page.evaluate("nishiki.scene.manifest.centre"))
+    apart = camera.rotation @ middle + camera.translation
+    scale = page.evaluate("nishiki.scene.scaleOf(nishiki.state)")
+    np.testing.assert_allclose(scale, camera.intrinsics[0, 0] / apart[2], rtol=1e-9)
+
+
+def test_the_ruler_measures_and_does_not_turn(shown):
+    page = shown.page.page
+    page.evaluate("dispatchEvent(new Event('resize'))")
+    shown.page.set(view={"captured": 2}, options={})
+    page.locator("canvas").first.focus()
+    page.keyboard.press("r")
+    page.mouse.move(130, 100)
+    page.mouse.down()
+    page.mouse.move(150, 110)
+    page.mouse.move(165, 95)
+    page.mouse.up()
+    page.evaluate("nishiki.idle()")
+    assert page.evaluate("nishiki.state.view.captured") == 2
+    ends = [page.evaluate(f"nishiki.scene.pointAt({x}, {y}, nishiki.state)") for x, y in ((130, 100), (165, 95))]
+    length = np.linalg.norm(np.subtract(*ends))
+    assert length > 0.1
+    words = page.locator("#overlay text").all_text_contents()
+    assert len(words) == 2  # scale bar and ruler
+    value, unit = words[1].split()
+    assert unit == "mm"
+    np.testing.assert_allclose(float(value), length, rtol=1e-3)
+    page.keyboard.press("m")
+
+
 def test_dragging_turns_the_object_and_page_keys_step_through_captured_views(shown):
     page = shown.page.page
     canvas(shown, view={"captured": 2})

@@ -4,6 +4,7 @@ import importlib
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -22,6 +23,9 @@ from nishiki.render.cloth.models import ClothModels
 from nishiki.render.display import developed, shoulder
 from nishiki.stages.cloth_render.declaration import ClothRenderSettings
 from nishiki.stages.cloth_render.run import exposed
+from nishiki.stages.cloth_viewer.declaration import ClothViewerSettings
+from nishiki.stages.cloth_viewer.scene import SHAPES, shape_of, surfaces
+from nishiki.stages.table import CHAIN
 
 PROJECT = Path(__file__).resolve().parents[2]
 STAMP = {"scene": "small", "stage": "cloth_render", "key": "0" * 12, "version": "0.1.0"}
@@ -117,6 +121,22 @@ def test_a_surface_from_a_file(cloth_brdf, tmp_path):
     }  # fmt: skip
     laid = {**settings, "mesh": {"file": str(path), "weft": "y", "smooth": False}}
     assert rendered(tmp_path / "y" / ("0" * 12), cloth_brdf, **laid).diagnostics["surface"]["vertices"] == 6
+
+
+def test_the_page_of_the_cloth_takes_the_surface_of_the_pictures(tmp_path):
+    path = tmp_path / "quad.obj"
+    path.write_text(QUAD)
+    shown = ClothRenderSettings(mesh={"file": str(path), "turned_deg": 90})
+    mesh = CHAIN["cloth_viewer"].filled(ClothViewerSettings(), SimpleNamespace(cloth_render=shown))["mesh"]
+    assert (mesh.sha256, mesh.turned_deg) == (read_surface(path).sha256, 90)
+    nothing = CHAIN["cloth_viewer"].filled(ClothViewerSettings(), SimpleNamespace(cloth_render=ClothRenderSettings()))
+    assert list(surfaces(nothing["mesh"])) == list(SHAPES)
+    assert list(surfaces(mesh)) == ["file", *SHAPES]
+    shape = shape_of(surfaces(mesh)["file"]())
+    vertices = np.cumsum(shape.arrays["vertices"], axis=0) * shape.numbers["step"]
+    np.testing.assert_allclose(vertices[:4], [[0, 0, 0], [2, 0, 0], [2, 0.5, -1], [0, 0.5, -1]], atol=1e-4)
+    weft = np.cumsum(shape.arrays["weft"][:4].astype(int), axis=0) / 32767
+    np.testing.assert_allclose(abs(weft), np.tile(np.array([0, 0.5, 1]) / np.sqrt(1.25), (4, 1)), atol=1e-3)  # turned
 
 
 @pytest.mark.parametrize(

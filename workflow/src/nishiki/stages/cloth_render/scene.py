@@ -33,13 +33,14 @@ class DrapedCloth:
 def draped_cloth(settings: ClothRenderSettings) -> DrapedCloth:
     """The cloth over the ball, or the surface of the file."""
     if settings.mesh is not None:
-        return _from_file(settings.mesh)
+        return surface_from_file(settings.mesh)
     side = min(FINEST_SIDE, max(settings.view.rows, settings.view.columns) + 1)  # no more points than pixels
     surface, uv = sheet(read_drape(), side=side)
     return DrapedCloth(surface, uv, {"kind": "ball", **_sizes(surface.mesh)})
 
 
-def _from_file(wanted: MeshSettings) -> DrapedCloth:
+def surface_from_file(wanted: MeshSettings) -> DrapedCloth:
+    """The surface of a file, with its weft. UserError where it cannot be used."""
     read = read_surface(Path(wanted.file), sha256=wanted.sha256, smooth=wanted.smooth)
     mesh, turn, uv = read.mesh, np.radians(wanted.turned_deg), None
     if wanted.weft == "texture":

@@ -6,7 +6,7 @@ from pydantic import Field
 
 from nishiki.artifacts.closed import Guarded
 from nishiki.stages.base import Cost, Stage
-from nishiki.stages.cloth_render.declaration import DYES, Colour, Name
+from nishiki.stages.cloth_render.declaration import DYES, Colour, MeshSettings, Name, with_digest_of_mesh
 
 
 class ClothViewerSettings(Guarded):
@@ -16,6 +16,9 @@ class ClothViewerSettings(Guarded):
     VERSION: ClassVar[int] = 1
 
     dyes: dict[Name, Colour] = Field(DYES, description="dyes to choose from, sRGB colour; others are mixed on the page")
+    mesh: MeshSettings | None = Field(
+        None, description="a surface from a file beside the others; that of `cloth_render`, filled in by the plan"
+    )
     inline_mb: float = Field(6, ge=0, le=100, description="up to this size the page is one file")
 
 
@@ -26,6 +29,8 @@ STAGE = Stage(
     product="viewer",
     requires=("ingest", "cloth_brdf"),
     needs_colour=True,
-    libraries=("numpy", "scipy", "numba", "jinja2"),
+    filled=lambda block, settings: with_digest_of_mesh(block.mesh or settings.cloth_render.mesh),
+    libraries=("numpy", "scipy", "numba", "trimesh", "jinja2"),
+    idle={"trimesh": lambda facts, settings: None if settings["cloth_viewer"].mesh else "no mesh file is shown"},
     cost=lambda facts: Cost(mib=340, seconds=40),
 )

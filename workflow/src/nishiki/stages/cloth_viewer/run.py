@@ -5,7 +5,8 @@ from nishiki.progress import Progress
 from nishiki.render.cloth.models import ClothModels
 from nishiki.report.viewer.arrays import pack_arrays
 from nishiki.report.viewer.page import Blocks, write_page
-from nishiki.stages.cloth_viewer.scene import SHAPES, material_arrays, shape_of, table_numbers
+from nishiki.stages.cloth_render.declaration import MeshSettings
+from nishiki.stages.cloth_viewer.scene import material_arrays, shape_of, surfaces, table_numbers
 
 
 def run(context: Context) -> dict:
@@ -13,13 +14,23 @@ def run(context: Context) -> dict:
     blocks = Blocks(context.output, inline_bytes=int(context.settings.inline_mb * 1e6))
     models = ClothModels(context.inputs["cloth_brdf"].folder)
     about = {**context.stamp, "title": context.inputs["ingest"].diagnostics["capture"]["title"]}
-    return write_cloth(models, blocks, about, dyes=context.settings.dyes, progress=context.progress)
+    chosen = {"dyes": context.settings.dyes, "mesh": context.settings.mesh}
+    return write_cloth(models, blocks, about, **chosen, progress=context.progress)
 
 
-def write_cloth(models: ClothModels, blocks: Blocks, about: dict, *, dyes: dict[str, str], progress: Progress) -> dict:
-    """Blocks and page of a cloth; sizes in bytes. about: title and stamp; dyes: sRGB colours (#rrggbb) by name."""
+def write_cloth(
+    models: ClothModels,
+    blocks: Blocks,
+    about: dict,
+    *,
+    dyes: dict[str, str],
+    mesh: MeshSettings | None = None,
+    progress: Progress,
+) -> dict:
+    """Blocks and page of a cloth; sizes in bytes. about: title and stamp; dyes: sRGB colours (#rrggbb) by name; mesh: a
+    further surface, which the page opens with."""
     shapes = {}
-    for name, make in SHAPES.items():
+    for name, make in surfaces(mesh).items():
         shape = shape_of(make())
         blocks.add(f"shape-{name}", pack_arrays(shape.arrays))
         shapes[name] = shape.numbers

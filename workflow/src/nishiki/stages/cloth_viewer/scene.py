@@ -13,9 +13,11 @@ from nishiki.render.cloth.brdf_table import BrdfTable
 from nishiki.render.cloth.drape import read_drape
 from nishiki.render.cloth.dyes import dyed, gloss_alone
 from nishiki.render.cloth.local import LEAST_COSINE, LIFT
-from nishiki.render.cloth.scene import Brdf
+from nishiki.render.cloth.scene import Brdf, Surface
 from nishiki.render.cloth.sheet import sheet, swatch
 from nishiki.render.cloth.studio import Studio, studio, tubes
+from nishiki.stages.cloth_render.declaration import MeshSettings
+from nishiki.stages.cloth_render.scene import surface_from_file
 
 SIDE = 193
 """Points along a side of the draped cloth, as `cloth_render` draws it."""
@@ -28,8 +30,12 @@ SIZE = {"rows": 600, "columns": 800}
 
 
 def draped() -> Studio:
-    """The cloth over a ball, on paper without a wall: it is seen from all sides."""
-    surface, _ = sheet(read_drape(), side=SIDE)
+    """The cloth over a ball."""
+    return on_paper(sheet(read_drape(), side=SIDE)[0])
+
+
+def on_paper(surface: Surface) -> Studio:
+    """A surface on paper without a wall: it is seen from all sides."""
     view = {"elevation": np.radians(21), "azimuth": np.radians(12), "distance": 2.2}
     return studio([surface], [], **view, **SIZE, level=1.0, reflectance=PAPER, wall=False)
 
@@ -47,6 +53,14 @@ def cylinders() -> Studio:
 
 
 SHAPES: dict[str, Callable[[], Studio]] = {"drape": draped, "flat": flat, "cylinders": cylinders}
+FILE = "file"
+"""Name of the surface of a file, whose unit of length nobody knows."""
+
+
+def surfaces(mesh: MeshSettings | None) -> dict[str, Callable[[], Studio]]:
+    """What the page shows, by name; the surface of a file first."""
+    own = {} if mesh is None else {FILE: lambda: on_paper(surface_from_file(mesh).surface)}
+    return own | SHAPES
 
 
 @dataclass(frozen=True)

@@ -80,6 +80,15 @@ export function neighbours(turn, position, without = []) {
   return [{ view: earlier.view, weight: later.offset / span }, { view: later.view, weight: -earlier.offset / span }];
 }
 
+/** Column and row of a point in a camera's picture, by Brown's distortion. */
+export function projected(camera, point) {
+  const { intrinsics: k, distortion: [k1, k2, p1, p2, k3] } = camera;
+  const [x, y, depth] = add(apply(camera.rotation, point), camera.translation), [u, v] = [x / depth, y / depth];
+  const square = u * u + v * v, radial = 1 + square * (k1 + square * (k2 + square * k3));
+  const a = u * radial + 2 * p1 * u * v + p2 * (square + 2 * u * u), b = v * radial + p1 * (square + 2 * v * v) + 2 * p2 * u * v;
+  return [k[0][0] * a + k[0][1] * b + k[0][2], k[1][1] * b + k[1][2]];
+}
+
 /** A pinhole camera at `eye` towards `target`; fov_deg: vertical. */
 export function lookAt({ eye, target, up, fov_deg }, rows, columns) {
   const ahead = normalised(subtract(target, eye));

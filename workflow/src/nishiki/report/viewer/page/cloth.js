@@ -68,6 +68,11 @@ export class ClothScene extends RoundScene {
     return this.manifest.shapes[this.shown].radius;
   }
 
+  /** Millimetres to the unit of the surface that is shown; that of a file is not known, and its numbers are given as they are. */
+  get unit() {
+    return this.shown === "file" ? 1 : 1000;
+  }
+
   /** What differs from the page's first state. */
   firstState() {
     return { ambient: 0.16, lamps: [{ azimuth_deg: 140, elevation_deg: 35, distance: null, radius_deg: 1.5, intensity: 1, illuminant: "D65" }] };
@@ -215,11 +220,11 @@ export class ClothScene extends RoundScene {
     if (!this.#has(state)) return null;
     const [place, normal, openness, values] = [PLACE, 1, 3, REFLECTANCE].map((layer) => this.#pixel(x, y, state, layer));
     if (place[3] === 0) return null;
-    const unit = 1000, { vector, near } = this.lampsOf(state, 0)[0] ?? { vector: [0, 0, 1], near: false };
+    const { vector, near } = this.lampsOf(state, 0)[0] ?? { vector: [0, 0, 1], near: false };
     const n = normalised(normal.slice(0, 3).map((v) => 2 * v - 1)), at = place.slice(0, 3);
     const angle = (towards) => (Math.acos(Math.min(Math.max(dot(n, normalised(towards)), -1), 1)) * 180) / Math.PI;
     return {
-      position_mm: at.map((v) => v * unit), normal: n, layers: { openness: openness[0] }, spectrum: null, photographs: null,
+      position_mm: at.map((v) => v * this.unit), normal: n, layers: { openness: openness[0] }, spectrum: null, photographs: null,
       gloss: {
         reflectance: values.slice(0, 3), lamp_deg: angle(near ? subtract(vector, at) : vector),
         eye_deg: angle(subtract(this.viewOf(state).eye, at)),
@@ -257,8 +262,8 @@ export class ClothScene extends RoundScene {
   }
 
   bounds() {
-    const across = 2000 * this.radius;
-    return { width_mm: across, height_mm: across, unit: "mm" };
+    const across = 2 * this.radius * this.unit;
+    return { width_mm: across, height_mm: across, unit: this.shown === "file" ? "" : "mm" };
   }
 
   cost() {

@@ -6,10 +6,10 @@ import { lampsSection } from "viewer/lamps";
 import { layersSection, showLegend } from "viewer/layers";
 import { Loader } from "viewer/loader";
 import { ObjectScene } from "viewer/object";
-import { Orbit } from "viewer/orbit";
 import { drawOverlay, written } from "viewer/overlay";
 import { Painting } from "viewer/painting";
 import { probeSection } from "viewer/probe";
+import { RoundTools } from "viewer/round_tools";
 import { bookmark, copy, firstState, fromBookmark } from "viewer/state";
 import { LANGUAGES, preferred, speak, text } from "viewer/texts";
 import { FlatTools, toolbar } from "viewer/tools";
@@ -40,7 +40,7 @@ class App {
     if (searchParams.has("part")) follow(this);
     else if (other) this.beside = new Beside(this, other);
     if (this.flat) new FlatTools(this, canvas);
-    else this.wireOrbit();
+    else new RoundTools(this, canvas);
     addEventListener("resize", () => (this.resize(), this.redraw()));
     addEventListener("hashchange", () => {
       if (location.hash.slice(1) !== bookmark(this.state, this.first)) this.set(fromBookmark(location.hash, this.first));
@@ -49,16 +49,6 @@ class App {
     by("sheet").onclick = () => this.toggleSheet();
     this.rebuild();
     if (address !== null && !other) this.say(text("beside.refused", { address }));
-  }
-
-  wireOrbit() {
-    new Orbit(canvas, this.scene, () => this.state, (view) => this.setView(view));
-    let from = [];
-    canvas.addEventListener("pointerdown", ({ offsetX, offsetY }) => (from = [offsetX, offsetY]));
-    canvas.addEventListener("pointerup", ({ offsetX, offsetY }) => {
-      const still = Math.hypot(offsetX - from[0], offsetY - from[1]) < 5;
-      if (still && this.tool === "probe") this.probe(offsetX * this.ratio, offsetY * this.ratio);
-    });
   }
 
   resize() {
@@ -140,7 +130,7 @@ class App {
   }
 
   helpSection() {
-    const keys = this.flat ? ["l m t p r", "← → ↑ ↓", "⇧ ← → ↑ ↓", "+ −", "0"] : ["← → ↑ ↓", "+ −", "0"];
+    const keys = this.flat ? ["l m t p r", "← → ↑ ↓", "⇧ ← → ↑ ↓", "+ −", "0"] : [`m p${this.scene.offers.includes("ruler") ? " r" : ""}`, "← → ↑ ↓", "+ −", "0"];
     const { texture_reads, operations } = this.scene.cost(), { width_mm, height_mm, unit } = this.scene.bounds();
     const size = [width_mm, height_mm].map((length) => written(length, unit)).join(" × ");
     const languages = element("select", { "aria-label": text("language"), onchange: () => ((this.state.language = languages.value), this.rebuild()) },
@@ -148,7 +138,7 @@ class App {
     return [
       element("label", {}, text("language"), languages),
       element("dl", { className: "values" }, keys.flatMap((key) => [element("dt", {}, element("kbd", {}, key)), element("dd", {}, text(`keys.${this.flat ? "" : "object."}${key}`))])),
-      element("p", { className: "hint" }, text("size", { size }), unit === "px" ? ` ${text("no.scale")}` : ""),
+      element("p", { className: "hint" }, text("size", { size }), unit === "mm" ? "" : ` ${text(unit === "px" ? "no.scale" : "no.unit")}`),
       element("p", { className: "hint" }, text("cost", { reads: texture_reads, operations })),
     ];
   }
@@ -201,8 +191,8 @@ class App {
   }
 
   rulerText() {
-    const [[x0, y0], [x1, y1]] = this.ruler;
-    return written(Math.hypot(x1 - x0, y1 - y0), this.scene.bounds().unit);
+    const [from, to] = this.ruler;
+    return written(Math.hypot(...from.map((v, k) => v - to[k])), this.scene.bounds().unit);
   }
 
   markOnCanvas() {

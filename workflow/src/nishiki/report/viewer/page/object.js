@@ -2,10 +2,12 @@
 // nishiki.render.object draws it.
 
 import { unpackArrays } from "viewer/arrays";
+import { projected } from "viewer/cameras";
 import { CodedObject } from "viewer/coded_object";
 import { decode } from "viewer/colour";
 import { SCREEN_VERTEX } from "viewer/common_shaders";
 import { Shader, framebuffer, image } from "viewer/gl";
+import { add, apply, scale } from "viewer/matrices";
 import { capturedUniforms, freeUniforms, hasFreeLamps } from "viewer/object_lamps";
 import { ObjectProbe } from "viewer/object_probe";
 import {
@@ -54,7 +56,7 @@ export class ObjectScene extends RoundScene {
 
   /** What of the panel this scene has use for. */
   get offers() {
-    return ["captured lamps", "softness"];
+    return ["captured lamps", "softness", ...(this.millimetres ? ["ruler"] : [])];
   }
 
   /** Axis of the turn and radius of the object, for the control of the camera. */
@@ -68,6 +70,11 @@ export class ObjectScene extends RoundScene {
 
   get ceiling() {
     return this.manifest.ceiling ?? 1e30;
+  }
+
+  /** Millimetres to the cameras' unit; undefined where that is no length. */
+  get millimetres() {
+    return MILLIMETRES[this.manifest.unit];
   }
 
   firstView() {
@@ -241,11 +248,31 @@ export class ObjectScene extends RoundScene {
     const { camera } = this.cameraOf(this.views.of(state), this.canvas);
     const found = new ObjectProbe(this).at(camera, x, y, this.lightOf(state));
     if (!found) return null;
-    const { kd, ks, normal, place, photographs } = found, unit = MILLIMETRES[this.manifest.unit] ?? 1;
+    const { kd, ks, normal, place, photographs } = found;
     return {
-      position_mm: place.map((v) => v * unit), normal, layers: { diffuse: kd.slice(0, 3), specular: ks.slice(0, 3), roughness: kd[3] },
+      position_mm: scale(place, this.millimetres ?? 1), normal, layers: { diffuse: kd.slice(0, 3), specular: ks.slice(0, 3), roughness: kd[3] },
       spectrum: null, gloss: { specular: ks.slice(0, 3), sigma_rad: kd[3] }, photographs,
     };
+  }
+
+  /** Point of the surface at (x, y) of the canvas, mm; null beside the object. */
+  pointAt(x, y, state) {
+    const { camera } = this.cameraOf(this.views.of(state), this.canvas);
+    const place = new ObjectProbe(this).placeAt(camera, x, y);
+    return place && scale(place, this.millimetres);
+  }
+
+  /** Place on the canvas of a point, mm; as events have it, with whole numbers at the corners of pixels. */
+  fromScene(point, state) {
+    const { camera } = this.cameraOf(this.views.of(state), this.canvas);
+    return projected(camera, scale(point, 1 / this.millimetres)).map((v) => v + 0.5);
+  }
+
+  /** Pixels of the canvas to a millimetre at the depth of the object's middle. */
+  scaleOf(state) {
+    const { camera } = this.cameraOf(this.views.of(state), this.canvas);
+    const depth = add(apply(camera.rotation, this.manifest.centre), camera.translation)[2];
+    return camera.intrinsics[0][0] / depth / this.millimetres;
   }
 
   layers() {
@@ -266,9 +293,8 @@ export class ObjectScene extends RoundScene {
   }
 
   bounds() {
-    const millimetres = MILLIMETRES[this.manifest.unit];
-    const across = 2 * this.manifest.radius * (millimetres ?? 1);
-    return { width_mm: across, height_mm: across, unit: millimetres ? "mm" : "px" };
+    const across = 2 * this.manifest.radius * (this.millimetres ?? 1);
+    return { width_mm: across, height_mm: across, unit: this.millimetres ? "mm" : "" };
   }
 
   cost() {

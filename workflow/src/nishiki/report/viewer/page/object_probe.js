@@ -25,6 +25,12 @@ export class ObjectProbe {
     return { kd, ks, normal, place, photographs: this.#captures(texel, place, normal, light) };
   }
 
+  /** Place of the surface behind a pixel, in the cameras' unit; null beside the object. */
+  placeAt(camera, x, y) {
+    const texel = this.#texelAt(camera, x, y), { texels } = this.scene;
+    return texel && bilinear(texels.read(texels.positions, texel), texel).slice(0, 3);
+  }
+
   /** Texel {x, y, row, column} (row, column: parts of the way to the next) behind a pixel; null beside the object. */
   #texelAt(camera, x, y) {
     const { mesh, texels, coded, programs } = this.scene;

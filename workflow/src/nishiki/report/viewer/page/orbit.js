@@ -34,10 +34,10 @@ export function zoomed(view, factor, radius) {
 }
 
 /** Listens on a canvas and asks `change(view)` for a redraw. `scene` gives axis, radius, freeViewOf and, where there
- * are captured views, capturedView. */
+ * are captured views, capturedView; turns(): whether a drag with one pointer turns now. */
 export class Orbit {
-  constructor(canvas, scene, current, change) {
-    Object.assign(this, { canvas, scene, current, change });
+  constructor(canvas, scene, current, change, turns = () => true) {
+    Object.assign(this, { canvas, scene, current, change, turns });
     this.pointers = new Map();
     canvas.addEventListener("pointerdown", (event) => {
       canvas.setPointerCapture(event.pointerId);
@@ -70,7 +70,7 @@ export class Orbit {
       this.apply((view) => zoomed(panned(view, x / 2, y / 2), ratio, this.scene.radius));
     } else if (event.shiftKey) {
       this.apply((view) => panned(view, x, y));
-    } else {
+    } else if (this.turns()) {
       this.apply((view) => orbited(view, this.scene.axis, x, y));
     }
   }

@@ -8,8 +8,9 @@ const NARROW = 700, BUTTON = 52; // a narrow page has a button below the scale b
 export function drawOverlay(app, svg) {
   const { scene, state, ratio } = app;
   svg.replaceChildren();
-  if (!app.flat) return;
-  const { unit, width_mm } = scene.bounds(), scale = (scene.fit() * state.view.zoom * scene.manifest.columns) / width_mm / ratio; // CSS pixels to the unit
+  if (!app.flat && !scene.offers.includes("ruler")) return;
+  const { unit, width_mm } = scene.bounds(); // scale: CSS pixels to the unit
+  const scale = (app.flat ? (scene.fit() * state.view.zoom * scene.manifest.columns) / width_mm : scene.scaleOf(state)) / ratio;
   const at = (point) => scene.fromScene(point, state).map((v) => v / ratio);
   const width = svg.clientWidth, height = svg.clientHeight - (innerWidth <= NARROW ? BUTTON : 0);
   const power = 10 ** Math.floor(Math.log10(LONGEST / scale));
@@ -28,7 +29,7 @@ export function drawOverlay(app, svg) {
 
 /** A length with its unit; large ones in cm or m. */
 export function written(length, unit) {
-  if (unit !== "mm") return `${Number(length.toPrecision(4))} ${unit}`;
+  if (unit !== "mm") return `${Number(length.toPrecision(4))} ${unit}`.trim();
   const [value, name] = length >= 1000 ? [length / 1000, "m"] : length >= 100 ? [length / 10, "cm"] : length < 0.1 ? [length * 1000, "µm"] : [length, "mm"];
   return `${Number(value.toPrecision(4))} ${name}`;
 }

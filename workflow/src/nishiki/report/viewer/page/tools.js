@@ -3,6 +3,7 @@
 import { drawing, element } from "viewer/dom";
 import { panned, tilted, zoomed } from "viewer/flat";
 import { directionAt, pointOf } from "viewer/lamps";
+import { toolsOf } from "viewer/round_tools";
 import { text } from "viewer/texts";
 
 const ICONS = {
@@ -23,7 +24,7 @@ const CLICK = 5; // pixels that a click may wander
 /** The buttons on the picture. app: {tool, chooseTool(name), fit()} */
 export function toolbar(app) {
   const icon = (name) => drawing("svg", { viewBox: "0 0 24 24", "aria-hidden": "true" }, drawing("path", { d: ICONS[name] }));
-  const names = app.flat ? Object.values(KEYS) : ["move", "probe"];
+  const names = app.flat ? Object.values(KEYS) : toolsOf(app.scene);
   const step = (name, by) => element("button", { type: "button", title: text(`tool.${name}`), "aria-label": text(`tool.${name}`), onclick: () => app.setView(app.scene.capturedView(app.state, by)) }, icon(name));
   return [
     ...names.map((name) => element("button", { type: "button", title: text(`tool.${name}`), "aria-label": text(`tool.${name}`), "aria-pressed": app.tool === name, onclick: () => app.chooseTool(name) }, icon(name))),

@@ -1,0 +1,53 @@
+// What a pointer and the keys do on an object or a cloth besides turning it: values under a click, the ruler from point to
+// point of the surface, choice of the tool.
+import { Orbit } from "viewer/orbit";
+
+const KEYS = { m: "move", p: "probe", r: "ruler" };
+const CLICK = 5; // pixels that a click may wander
+
+/** Tools of a scene, for the toolbar. */
+export const toolsOf = (scene) => Object.values(KEYS).filter((name) => name !== "ruler" || scene.offers.includes("ruler"));
+
+export class RoundTools {
+  /** app: {scene, state, tool, ratio, ruler, chooseTool, setView, fit, probe, measure, say, rulerText} */
+  constructor(app, canvas) {
+    Object.assign(this, { app, from: [], measuring: false });
+    new Orbit(canvas, app.scene, () => app.state, (view) => app.setView(view), () => app.tool !== "ruler");
+    canvas.addEventListener("pointerdown", (event) => this.down(event));
+    canvas.addEventListener("pointermove", (event) => this.measuring && this.measure(event, [app.ruler[0]]));
+    canvas.addEventListener("pointerup", (event) => this.up(event));
+    canvas.addEventListener("pointercancel", () => (this.measuring = false));
+    canvas.addEventListener("keydown", (event) => this.key(event));
+  }
+
+  down(event) {
+    this.from = [event.offsetX, event.offsetY];
+    this.measuring = false;
+    if (this.app.tool !== "ruler" || !event.isPrimary || event.shiftKey) return;
+    this.app.measure([]);
+    this.measuring = this.measure(event, []);
+  }
+
+  /** Put the point of the surface under an event at the end of the ruler; whether there is one. */
+  measure({ offsetX, offsetY }, before) {
+    const { app } = this, point = app.scene.pointAt(offsetX * app.ratio, offsetY * app.ratio, app.state);
+    if (point) app.measure([...before, point]);
+    return Boolean(point);
+  }
+
+  up({ offsetX, offsetY }) {
+    const { app } = this, still = Math.hypot(offsetX - this.from[0], offsetY - this.from[1]) < CLICK;
+    if (still && app.tool === "probe") app.probe(offsetX * app.ratio, offsetY * app.ratio);
+    if (this.measuring && app.ruler.length === 2) app.say(app.rulerText());
+    this.measuring = false;
+  }
+
+  key(event) {
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
+    const { app } = this, tool = KEYS[event.key];
+    if (event.key === "0") app.fit();
+    else if (tool && toolsOf(app.scene).includes(tool)) app.chooseTool(tool);
+    else return;
+    event.preventDefault();
+  }
+}
