@@ -100,16 +100,19 @@ def test_two_states_with_shadows_of_their_own_come_to_rest(shown):
     }
     state = {**kept, "lamps": LAMPS["wide and near"][:1], "view": {"captured": 3}}
     right, left = (canvas(shown, **{**state, **change}).copy() for change in ({}, kept))
-    shown.page.page.evaluate(
-        "([state, kept]) => nishiki.set({...state, compare: {divider: 0.5, state: kept}})", [state, kept]
-    )
-    shown.page.page.evaluate("nishiki.idle()")
-    values = np.frombuffer(base64.b64decode(shown.page.page.evaluate(viewer_pages.READ)), np.uint8)
+    draw = """([state, kept]) => {
+      const { scene } = nishiki;
+      do {
+        scene.draw(state, {x: 75, y: 0, width: 75, height: 130});
+        scene.draw({...state, ...kept}, {x: 0, y: 0, width: 75, height: 130});
+      } while (scene.busy);
+      return (READ)(); // at once: the page draws its own state after it
+    }""".replace("READ", viewer_pages.READ)
+    values = np.frombuffer(base64.b64decode(shown.page.page.evaluate(draw, [state, kept])), np.uint8)
     both = values.reshape(*right.shape[:2], 4)[::-1, :, :3]
     assert (both[:, :70] == left[:, :70]).all()
     assert (both[:, 80:] == right[:, 80:]).all()
     assert (left != right).any()
-    shown.page.set(compare=None)
 
 
 def test_free_view(shown):
