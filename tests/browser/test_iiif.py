@@ -9,7 +9,8 @@ import viewer_pages
 from npm_packages import npm_folder
 
 from nishiki.formats.picture_tiles import write_iiif_image
-from nishiki.stages.export.iiif import LAYERS, manifest, write_manifest
+from nishiki.stages.export.iiif import LAYERS, canvas, image, manifest, manifest_of, write_manifest
+from nishiki.stages.object_export.iiif import BEHAVIOR
 
 NODE_FOLDER = npm_folder("tify/dist/tify.js")
 TIFY = NODE_FOLDER / "tify" / "dist" if NODE_FOLDER else None
@@ -44,6 +45,44 @@ def address(tmp_path):
         (web / "tify").symlink_to(TIFY)
         (web / "index.html").write_text(PAGE, encoding="utf-8")
         yield address
+
+
+@pytest.fixture
+def turn(tmp_path):
+    """Address of two views of an object of one colour each, and of the viewer beside them."""
+    (tmp_path / "scratch").mkdir()
+    web = tmp_path / "web"
+    web.mkdir()
+    with viewer_pages.served(web) as address:
+        canvases = []
+        for view, colour in (("000", (200, 40, 40)), ("001", (40, 60, 210))):
+            picture = np.broadcast_to(np.uint8(colour), (700, 600, 3))
+            write_iiif_image(web / view / "view", f"{address}/{view}/view", picture, tmp_path / "scratch", 92)
+            images = [image(f"{address}/{view}", "view", "View", (700, 600))]
+            canvases.append(canvas(f"{address}/canvas/{view}", images, (700, 600), 0.5))
+        capture = SimpleNamespace(diagnostics={"capture": {"title": "Two sides"}})
+        context = SimpleNamespace(inputs={"ingest": capture}, stamp={"version": "0", "scene": "sides", "key": "0"})
+        write_manifest(web, {**manifest_of(context, address, canvases), "behavior": [BEHAVIOR]})
+        (web / "tify").symlink_to(TIFY)
+        (web / "index.html").write_text(PAGE, encoding="utf-8")
+        yield address
+
+
+def test_viewer_turns_an_object_view_by_view(turn):
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as tool:
+        browser = tool.chromium.launch(executable_path=viewer_pages.CHROMIUM, args=viewer_pages.FLAGS)
+        page = browser.new_page(viewport={"width": 1600, "height": 1000})
+        page.goto(f"{turn}/index.html")
+        page.get_by_text("Two sides").first.wait_for()
+        for view, colour in enumerate(((200, 40, 40), (40, 60, 210))):
+            if view:
+                page.locator("button[title='Next page']").first.click()
+            page.wait_for_timeout(2000)
+            shown = cv2.imdecode(np.frombuffer(page.screenshot(), np.uint8), cv2.IMREAD_COLOR)[500, 800, ::-1]
+            np.testing.assert_allclose(shown.astype(int), colour, atol=3)
+        browser.close()
 
 
 def test_viewer_shows_the_chosen_layer_from_its_tiles(address):

@@ -10,6 +10,7 @@ from nishiki.brdf.torrance_sparrow import GAMMA_PER_SIGMA
 from nishiki.brdf.trowbridge_reitz import isotropic_lobe
 from nishiki.stages.object_export.declaration import LIMITS
 from nishiki.stages.object_export.errors import direction_to
+from nishiki.stages.object_export.iiif import pitch_mm
 from nishiki.stages.object_export.look import ALPHA_PER_SIGMA
 from nishiki.stages.object_export.texture_atlas import fill_gaps, sample, texture_atlas
 
@@ -86,3 +87,13 @@ def test_limits_hold_for_whatever_formats_are_asked_for(name):
     beyond = {limit.name: limit.beyond(limit.figure(figures)) for limit in LIMITS}
     assert beyond == {"clipped": False, "placed": True}
     assert [limit.figure({"losses": {}}) for limit in LIMITS] == [None, None]
+
+
+def test_the_scale_of_a_view_is_that_of_its_middle():
+    mesh, camera = ball(3), around(4)[1]
+    middle = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
+    aside = middle + 0.01 * camera.rotation[0]  # to the right in the picture
+    projected = [camera.matrix @ [*point, 1] for point in (middle, aside)]
+    pixels = np.diff([point[0] / point[2] for point in projected])[0]
+    assert pitch_mm(mesh, camera, "cm") == pytest.approx(10 * 0.01 / pixels, rel=1e-6)
+    assert pitch_mm(mesh, camera, "arbitrary") is None

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 import trimesh
 from examples import run_examples
+from iiif_prezi3 import Manifest
 from loaded_and_read import WhatIsLoadedAndRead
+from PIL import Image
 
 from nishiki.packages import installed
 
@@ -93,9 +95,40 @@ def test_a_flipped_bit_is_named(object_site, stage):
         victim.write_bytes(sound)
 
 
+def expect_views_for_museums(folder, losses, evaluated):
+    """A canvas for each view with layers and scale, as iiif-prezi3 reads it; pictures near the photographs."""
+    stored = json.loads((folder / "manifest.json").read_text())
+    read = Manifest(**stored)
+    assert read.behavior == ["individuals"]
+    assert len(read.items) == losses["views"] == len(list(folder.glob("view-*")))
+    scales = [canvas["service"][0]["physicalScale"] for canvas in stored["items"]]
+    np.testing.assert_allclose(scales, scales[0], rtol=0.05)  # the camera goes round at one distance
+    for canvas in stored["items"]:
+        assert canvas["label"]["en"][0].startswith("View ")
+        (painted,) = canvas["items"][0]["items"]
+        assert len(painted["body"]["items"]) == 3
+        for image in painted["body"]["items"]:
+            with Image.open(folder / image["id"].removeprefix("http://localhost:8000/")) as picture:
+                assert picture.size == (canvas["width"], canvas["height"])
+    psnr = losses["kinds"]["iiif"]["psnr_db"]["fitted"]
+    assert psnr["lights"] == losses["views"]
+    assert psnr["all"] == pytest.approx(evaluated["diagnostics"]["psnr"]["captured"]["mean_psnr_db"], abs=4)
+    view, model, normals = (tile(folder / f"view-000/{name}", read.items[0]) for name in ("view", "model", "normals"))
+    assert 0 < np.abs(view.astype(int) - model).mean() < 20
+    coded = normals[normals[..., 2] > 140] / 255 * 2 - 1
+    np.testing.assert_allclose(np.median(np.linalg.norm(coded, axis=-1)), 1, atol=0.03)
+
+
+def tile(folder, canvas):
+    """The upper left tile at full resolution."""
+    wide, high = min(512, canvas.width), min(512, canvas.height)
+    with Image.open(folder / f"0,0,{wide},{high}/{wide},{high}/0/default.jpg") as picture:
+        return np.asarray(picture)
+
+
 def test_an_object_is_exported(object_site):
     more = [name for name, package in (("usd", "usd-core"), ("materialx", "materialx")) if installed(package)]
-    object_site.nishiki("export", "tiny", "gltf", "mitsuba", *more, "--output", "for-others")
+    object_site.nishiki("export", "tiny", "gltf", "mitsuba", "iiif", *more, "--output", "for-others")
     mesh = trimesh.load(object_site.folder / "for-others/object.glb", force="mesh")
     given = trimesh.load(object_site.folder / "results/tiny/current/mesh.ply", process=False)
     np.testing.assert_allclose(mesh.bounds, given.bounds / 1000, rtol=1e-5)
@@ -116,6 +149,9 @@ def test_an_object_is_exported(object_site):
     np.testing.assert_allclose(trimesh.load(scene / "object.ply").bounds, mesh.bounds, rtol=1e-5)
     views = json.loads((scene / "scene.json").read_text())["views"]
     assert len(list((scene / "views").iterdir())) == len(views) == 12
+    expect_views_for_museums(
+        object_site.folder / "for-others/iiif", losses["iiif"], artifact(object_site, "object_evaluate")
+    )
     if "usd" in more:
         from pxr import Usd, UsdGeom
 

@@ -71,13 +71,13 @@ def write(context: Context, scene: ExportedScene) -> dict:
             for rows in scene.bands():
                 picture[rows] = picture_of(scene, rows)
             write_iiif_image(folder / name, f"{address}/{name}", picture, Path(scratch), QUALITY)
-            psnr_db[name] = _psnr_db(folder / name, picture)
+            psnr_db[name] = tiles_psnr_db(folder / name, picture)
     write_manifest(folder, manifest(context, scene, address))
     paths = sorted(path.relative_to(context.output.folder).as_posix() for path in folder.rglob("*") if path.is_file())
     return {"files": paths, "address": address, "jpeg_psnr_db": psnr_db}
 
 
-def _psnr_db(folder: Path, picture: np.ndarray) -> float:
+def tiles_psnr_db(folder: Path, picture: np.ndarray) -> float:
     """What the tiles at full resolution keep of the coded picture; peak 255."""
     tiles = read_iiif_tiles(folder, *picture.shape[:2])
     squares = sum(float(np.square(tile - picture[window].astype(np.float32)).sum()) for window, tile in tiles)
@@ -91,28 +91,36 @@ def write_manifest(folder: Path, content: dict) -> None:
 
 
 def manifest(context: Context, scene: ExportedScene, address: str) -> dict:
-    """The Presentation API's manifest, as plain data."""
-    about = context.inputs["ingest"].diagnostics["capture"]
-    (rows, columns), canvas = scene.shape, f"{address}/canvas"
-    images = [_image(address, name, label, scene.shape) for name, (label, _) in LAYERS.items()]
+    """The Presentation API's manifest of a painting, as plain data."""
+    images = [image(address, name, label, scene.shape) for name, (label, _) in LAYERS.items()]
+    return manifest_of(context, address, [canvas(f"{address}/canvas", images, scene.shape, scene.pitch_mm)])
+
+
+def canvas(address: str, images: list[dict], shape: tuple[int, int], pitch_mm: float | None) -> dict:
+    """A canvas with layers to choose from; pitch_mm: size of its pixels on the object."""
     painted = {
-        "id": f"{canvas}/painted", "type": "Annotation", "motivation": "painting", "target": canvas,
+        "id": f"{address}/painted", "type": "Annotation", "motivation": "painting", "target": address,
         "body": {"type": "Choice", "items": images},
     }  # fmt: skip
-    page = {"id": f"{canvas}/page", "type": "AnnotationPage", "items": [painted]}
-    shown = {"id": canvas, "type": "Canvas", "height": rows, "width": columns, "items": [page]}
-    if scene.pitch_mm:
+    page = {"id": f"{address}/page", "type": "AnnotationPage", "items": [painted]}
+    shown = {"id": address, "type": "Canvas", "height": shape[0], "width": shape[1], "items": [page]}
+    if pitch_mm:
         shown["service"] = [{
-            "@context": f"{PHYSICAL}/1/context.json", "id": f"{canvas}/scale", "type": "Service", "profile": PHYSICAL,
-            "physicalScale": scene.pitch_mm, "physicalUnits": "mm",
+            "@context": f"{PHYSICAL}/1/context.json", "id": f"{address}/scale", "type": "Service", "profile": PHYSICAL,
+            "physicalScale": pitch_mm, "physicalUnits": "mm",
         }]  # fmt: skip
-    stamp = context.stamp
+    return shown
+
+
+def manifest_of(context: Context, address: str, canvases: list[dict]) -> dict:
+    """A manifest with these canvases, and what capture.yaml says of object, maker and rights."""
+    about, stamp = context.inputs["ingest"].diagnostics["capture"], context.stamp
     facts = {label: about.get(key) for key, label in ABOUT.items()}
     facts["Made by"] = f"Nishiki {stamp['version']}: scene {stamp['scene']}, export {stamp['key']}"
     content = {
         "@context": PRESENTATION, "id": f"{address}/manifest.json", "type": "Manifest",
         "label": {"none": [about.get("title") or stamp["scene"]]},
-        "metadata": [_pair(label, value) for label, value in facts.items() if value], "items": [shown],
+        "metadata": [_pair(label, value) for label, value in facts.items() if value], "items": canvases,
     }  # fmt: skip
     rights = about.get("rights")
     if rights and re.fullmatch(OPEN_RIGHTS, rights):
@@ -126,7 +134,7 @@ def _pair(label: str, value: str) -> dict:
     return {"label": {"en": [label]}, "value": {"none": [value]}}
 
 
-def _image(address: str, name: str, label: str, shape: tuple[int, int]) -> dict:
+def image(address: str, name: str, label: str, shape: tuple[int, int]) -> dict:
     """A layer: the picture that stands for it, and its tiles."""
     width, height = iiif_size(*shape)
     service = {"id": f"{address}/{name}", "type": "ImageService3", "profile": "level0"}

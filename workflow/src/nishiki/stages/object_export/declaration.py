@@ -8,8 +8,9 @@ from pydantic import Field
 from nishiki.artifacts.closed import Guarded
 from nishiki.artifacts.limits import Figure, Limit, at
 from nishiki.stages.base import Cost, Stage, no_format, photographs_or_states
+from nishiki.stages.export.declaration import IiifSettings
 
-Format = Literal["gltf", "usd", "materialx", "mitsuba"]
+Format = Literal["gltf", "usd", "materialx", "mitsuba", "iiif"]
 
 
 def _of_look(name: str) -> Figure:
@@ -39,6 +40,7 @@ class ObjectExportSettings(Guarded):
 
     formats: tuple[Format, ...] = Field(("gltf",), min_length=1, description="what to write; docs/stages/export.md")
     views: int = Field(6, ge=1, le=360, description="captured views, evenly spread, on which the loss is measured")
+    iiif: IiifSettings = Field(IiifSettings(), description="tiles and manifest")
     hold_out: tuple[str, ...] = Field((), description="views left out of the fit; filled in by the plan")
 
 

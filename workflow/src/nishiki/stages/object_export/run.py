@@ -1,10 +1,16 @@
 """Object_export: files of an object for other programs, and what each of them loses."""
 
 from nishiki.artifacts.stage import Context
-from nishiki.stages.object_export import gltf, materialx, mitsuba, usd
+from nishiki.stages.object_export import gltf, iiif, materialx, mitsuba, usd
 from nishiki.stages.object_export.surface import ObjectSurface
 
-WRITERS = {"gltf": gltf.write, "usd": usd.write, "materialx": materialx.write, "mitsuba": mitsuba.write}
+WRITERS = {
+    "gltf": gltf.write,
+    "usd": usd.write,
+    "materialx": materialx.write,
+    "mitsuba": mitsuba.write,
+    "iiif": iiif.write,
+}
 
 
 def run(context: Context) -> dict:
