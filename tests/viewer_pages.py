@@ -74,6 +74,7 @@ class Page:
 
     def picture(self, width: int, height: int, **changes: Any) -> np.ndarray:
         """(height, width, 3) uint8 canvas of this size with a state."""
+        self.page.evaluate("nishiki.idle()")  # the page draws on a smaller canvas first
         self.page.evaluate(
             "([w, h]) => { nishiki.scene.canvas.width = w; nishiki.scene.canvas.height = h; }", [width, height]
         )

@@ -1,10 +1,12 @@
 """The viewer's page against render or cloth_render: differences of the pictures, bytes, processor time of a frame.
 
     python tests/benchmarks/viewer.py results/SCENE ...
+    python tests/benchmarks/viewer.py --openings 5 OLDER/index.html NEWER/index.html
 
 Each folder holds the results of one painting or cloth with the product viewer. Where a painting is larger than the
 canvas, its middle is compared at 1:1; of a cloth the pixels that it covers wholly, 800 x 600. The browser is headless
-Chromium with its software rasteriser.
+Chromium with its software rasteriser. With --openings pages of paintings are opened in turns in a browser that runs
+since five seconds, and the times from the opening to the first picture, and until nothing is on its way, are printed.
 """
 
 import argparse
@@ -47,6 +49,23 @@ CLOTH_STATES = {
     "from around": {"lamps": [], "ambient": 0.3},
     "dyed": {"lamps": [lamp(140, 35, radius_deg=1.5)], "ambient": 0.16, "options": {"dye": "gold"}},
 }
+FIRST_PICTURE = """
+const { drawArrays, bindFramebuffer, readPixels } = WebGL2RenderingContext.prototype;
+let target = null;
+WebGL2RenderingContext.prototype.bindFramebuffer = function (kind, framebuffer) {
+  target = framebuffer;
+  bindFramebuffer.call(this, kind, framebuffer);
+};
+WebGL2RenderingContext.prototype.drawArrays = function (...values) {
+  drawArrays.apply(this, values);
+  if (target || window.firstPicture) return;
+  window.firstPicture = Infinity;
+  queueMicrotask(() => {
+    readPixels.call(this, 0, 0, 1, 1, this.RGBA, this.UNSIGNED_BYTE, new Uint8Array(4)); // waits until it is drawn
+    window.firstPicture = performance.now();
+  });
+};
+"""
 MOST = (512, 512)
 FRAMES = 5
 
@@ -135,10 +154,41 @@ def measured_cloth(folder: Path) -> list[dict]:
     return rows
 
 
+def measured_openings(pages: list[Path], openings: int) -> list[dict]:
+    """Rows of times in ms: least, median and most."""
+    from playwright.sync_api import sync_playwright
+
+    times = {page: [] for page in pages}
+    with sync_playwright() as tool:
+        browser = tool.chromium.launch(executable_path=viewer_pages.CHROMIUM, args=viewer_pages.FLAGS)
+        browser.new_page().wait_for_timeout(5000)
+        for index in pages * openings:
+            page = browser.new_page(viewport={"width": 1200, "height": 760})
+            page.add_init_script(FIRST_PICTURE)
+            page.goto(index.resolve().as_uri(), wait_until="commit")
+            page.wait_for_function("window.firstPicture < Infinity && window.nishiki", timeout=60_000)
+            first = page.evaluate("window.firstPicture")
+            page.evaluate("nishiki.idle()")
+            times[index].append((first, page.evaluate("performance.now()")))
+            page.close()
+        browser.close()
+    quartiles = {page: np.percentile(each, (0, 50, 100), axis=0).round() for page, each in times.items()}
+    return [
+        {"page": str(page), "first_picture_ms": values[:, 0].tolist(), "at_rest_ms": values[:, 1].tolist()}
+        for page, values in quartiles.items()
+    ]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folders", nargs="+", type=Path, help="results/SCENE")
-    for folder in parser.parse_args().folders:
+    parser.add_argument("folders", nargs="+", type=Path, help="results/SCENE, or pages")
+    parser.add_argument("--openings", type=int, default=0)
+    arguments = parser.parse_args()
+    if arguments.openings:
+        for row in measured_openings(arguments.folders, arguments.openings):
+            print(json.dumps(row), flush=True)
+        return
+    for folder in arguments.folders:
         of_cloth = (folder / "current/cloth_viewer").exists()
         for row in measured_cloth(folder) if of_cloth else measured(folder):
             print(json.dumps({key: round(v, 3) if isinstance(v, float) else v for key, v in row.items()}), flush=True)

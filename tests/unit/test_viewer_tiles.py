@@ -1,6 +1,7 @@
 """Tiles and codes of the viewer: the same however the rows come in, and back to the values within their steps."""
 
 import struct
+import zlib
 from types import SimpleNamespace
 
 import cv2
@@ -8,6 +9,7 @@ import numpy as np
 import pytest
 
 from nishiki.report.viewer.encoding import NormalCode, PrincipalCode
+from nishiki.report.viewer.heights import MOST, encode
 from nishiki.report.viewer.page import Blocks
 from nishiki.report.viewer.pictures import webp_stack
 from nishiki.report.viewer.pyramid import BORDER, TILE, Pyramid
@@ -71,3 +73,50 @@ def test_a_block_of_every_byte_is_a_line_of_script(tmp_path):
     assert script.startswith(b'nishikiData("all",512,"')
     assert script.count(b"\n") == 1
     assert script.count(b"\r") == 0
+
+
+def decoded(block: bytes, code: dict, shape: tuple[int, int]) -> np.ndarray:
+    """Codes of a block of heights, pixel by pixel as the head of heights.py says."""
+    streams = []
+    while block:
+        (length,) = struct.unpack("<I", block[:4])
+        streams.append(zlib.decompress(block[4 : 4 + length]))
+        block = block[4 + length :]
+    *streams, large = [iter(each) for each in (*streams[:-1], np.frombuffer(streams[-1], np.uint8).reshape(2, -1).T)]
+    codes, seen = np.zeros(shape, np.int64), np.zeros((shape[0] + 1, shape[1] + 2), np.int64)
+    for row, column in np.ndindex(shape):
+        around = 2 * seen[row + 1, column] + 2 * seen[row, column + 1] + seen[row, column] + seen[row, column + 2]
+        z = next(streams[sum(int(around) > most for most in code["thresholds"])])
+        seen[row + 1, column + 1] = z
+        if z == MOST:
+            low, high = next(large)
+            z = int(low) + 256 * int(high)
+        west = codes[row, column - 1] if column else codes[row - 1, 0] if row else 0
+        predicted = west
+        if row > 1 and 1 < column < shape[1] - 1:
+            places = ((1, 0), (1, 1), (1, -1), (0, 2), (2, 0))
+            changes = [codes[row - up, column - left] - west for up, left in places]
+            change = sum(w * each for w, each in zip(code["weights"], changes, strict=True))
+            predicted = west + ((change + 128) >> 8)
+        codes[row, column] = (predicted + (-(z + 1) // 2 if z & 1 else z // 2) + 32768) % 65536 - 32768
+    return codes
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (2, 9), (3, 4), (9, 3), (40, 300)])
+def test_heights_come_back_from_their_block(shape):
+    rng = np.random.default_rng(5)
+    smooth = np.cumsum(rng.integers(-300, 301, shape), axis=1)
+    codes = np.clip(smooth + 9000 * np.sin(np.arange(shape[0]))[:, None], -32500, 32500).astype(np.int16)
+    codes[rng.random(shape) < 0.05] = -32768
+    block, code = encode(codes)
+    assert np.array_equal(decoded(block, code, shape), codes)
+
+
+def test_heights_take_less_than_deflated_differences():
+    rng = np.random.default_rng(6)
+    spread = np.repeat([2.0, 40.0], 100)[:, None]
+    codes = np.cumsum(np.cumsum(rng.normal(0, spread, (200, 300)), axis=0) * 0.2, axis=1).clip(-32000, 32000)
+    codes = codes.astype(np.int16)
+    change = np.diff(np.diff(codes, axis=0, prepend=np.int16(0)), axis=1, prepend=np.int16(0))
+    plain = zlib.compress(np.ascontiguousarray(change.view(np.uint8).reshape(-1, 2).T).tobytes(), 9)
+    assert len(encode(codes)[0]) < 0.8 * len(plain)

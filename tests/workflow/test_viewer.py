@@ -20,6 +20,9 @@ from nishiki.artifacts.stage import Context
 from nishiki.evaluate.prediction import light_of, predict_light
 from nishiki.observations.plane import Observations
 from nishiki.progress import Progress
+from nishiki.render.plane.scene import Light
+from nishiki.render.plane.shadow import cast_shadows
+from nishiki.report.viewer.heights import height_block
 from nishiki.stages.evaluate.run import EvaluatedScene
 from nishiki.stages.viewer import photographs
 from nishiki.stages.viewer import run as stage
@@ -35,6 +38,7 @@ STATES = (
     {"lamps": [lamp(180, 15, "A"), lamp(20, 60, "F11", intensity=0.5)], "ambient": 0.0},
     {"lamps": [lamp(250, 40, "D50", distance=0.8)], "ambient": 0.02},
 )
+RAKING = (lamp(180, 7), lamp(180, 5, distance=1.5))
 FRONTAL = {"x": 0, "y": 0, "zoom": 1, "tilt_deg": 0, "azimuth_deg": 0}
 ALLOWED = ("file:", "data:", "blob:", "about:")
 
@@ -216,28 +220,70 @@ def test_tilted_picture_is_that_of_render_and_its_relief_is_lifted(viewed, shown
     assert np.mean(apart) < 0.25 * np.mean(without)
 
 
-def test_shadows_of_a_lamp_at_rest_are_those_of_the_full_heights(viewed, shown, tmp_path, monkeypatch):
+def test_shadows_of_lamps_at_rest_are_those_of_the_full_heights(viewed, shown, tmp_path, monkeypatch):
     current = viewed.folder / "results/tiny/current"
     stages = ("ingest", "normals", "height", "spectra", "brdf", "evaluate")
     inputs = {name: open_artifact(current / name) for name in stages if (current / name).exists()}
     scene = viewer_pages.plane_scene({name: inputs[name] for name in ("normals", "height", "spectra", "brdf")})
     rows, columns = scene.shape
     monkeypatch.setattr(stage, "RELIEFS", ((rows * columns // 16, 0.002), (16_000_000, 0.002)))
+    states = [{"lamps": [each], "ambient": 0.0, "exposure": 2.0, "view": FRONTAL} for each in RAKING]
     with ArtifactWriter(tmp_path / ("0" * 12)) as output:
         stamp = {"scene": "tiny", "stage": "viewer", "key": "0" * 12, "version": "0"}
         stage.run(Context(inputs, ViewerSettings(), output, None, None, stamp, Progress("tiny/viewer")))
         shown.page.goto((output.folder / "index.html").resolve().as_uri())
         shown.page.wait_for_function("window.nishiki")
         shown.page.evaluate("nishiki.idle()")
-        assert shown.page.evaluate("nishiki.scene.shadows.length") == 2
-        state = {"lamps": [lamp(180, 7)], "ambient": 0.0, "exposure": 2.0, "view": FRONTAL}
-        rest = shown.picture(columns, rows, **state).copy()
-        shown.page.evaluate("nishiki.scene.shadows.length = 1; nishiki.scene.shadowsOf.clear();")
-        dragged = shown.picture(columns, rows, **state)
-    expected, _ = viewer_pages.rendered(scene, state)
-    errors = [np.percentile(viewer_pages.difference(each, expected), 99) for each in (rest, dragged)]
-    assert errors[0] < 2
-    assert errors[1] > 2 * errors[0]
+        assert shown.page.evaluate("nishiki.scene.shadows.levels.length") == 2
+        rest = [shown.picture(columns, rows, **state).copy() for state in states]
+        shown.page.evaluate("nishiki.scene.shadows.levels.length = 1; nishiki.scene.shadows.known.clear();")
+        dragged = [shown.picture(columns, rows, **state).copy() for state in states]
+    for state, *pictures in zip(states, rest, dragged, strict=True):
+        expected, _ = viewer_pages.rendered(scene, state)
+        errors = [np.percentile(viewer_pages.difference(each, expected), 99) for each in pictures]
+        assert errors[0] < 2
+        assert errors[1] > 2 * errors[0]
+
+
+def test_the_worker_reads_heights_with_holes_and_marches_as_render_does(shown):
+    rng = np.random.default_rng(8)
+    rows, columns = 75, 90
+    surface = scipy.ndimage.gaussian_filter(rng.normal(0, 30, (rows, columns)), 1.5)
+    surface[30:44, 20:50] += 60
+    known = scipy.ndimage.gaussian_filter(rng.random((rows, columns)), 3) > 0.47
+    surface = np.where(known, surface, np.nan).astype(np.float32)
+    block, described = height_block(lambda band: surface[band], (rows, columns), 1.0, rows * columns, 0.002)
+    part = [7, 20, 71, 74]  # left, top, right, bottom
+    lamps = [
+        ((30.0, 55.0, 40.0), None),
+        ((-100.0, 20.0, 70.0), None),
+        ((5.0, 3.0, 90.0), None),
+        ((80.0, -40.0, 50.0), part),
+    ]
+    heights, *visibilities = shown.page.evaluate(
+        """async ([text, described, lamps]) => {
+          const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)), { shadows } = nishiki.scene;
+          const worker = new shadows.levels[0].constructor(described), out = [(await worker.open(bytes, true)).surface];
+          for (const [vector, window] of lamps) {
+            const answer = new Promise((resolve) => (worker.onready = (job, visibility) => resolve(visibility)));
+            worker.request({ key: `${vector}`, lamps: [{ vector, w: 1, radius: 0.03 }], window });
+            out.push(await answer);
+          }
+          return out.map((each) => Array.from(each, (value) => (Number.isNaN(value) ? null : value)));
+        }""",
+        [base64.b64encode(block).decode(), described, lamps],
+    )
+    read = np.array([np.nan if value is None else value for value in heights]).reshape(rows, columns)
+    np.testing.assert_array_equal(np.isnan(read), ~known)
+    assert np.abs(read - surface)[known].max() <= 0.51 * described["step"] + 1e-5
+    for (position, window), seen in zip(lamps, visibilities, strict=True):
+        left, top, right, bottom = window or (0, 0, columns, rows)
+        inside = (slice(top, bottom), slice(left, right))
+        light = Light(spectrum=np.ones(61), position_mm=position, angular_radius=0.03)
+        expected = cast_shadows(read.astype(np.float32), [light], pitch=1.0).visibility[0][inside]
+        apart = np.abs(np.array(seen).reshape(expected.shape) / 255 - expected)[known[inside]]
+        assert apart.max() < 0.006
+        assert 0.05 < np.mean(expected[known[inside]] < 0.5) < 0.95
 
 
 @pytest.mark.parametrize("enhancement", ["specular", "curvature", "raking"])

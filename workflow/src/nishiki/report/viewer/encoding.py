@@ -32,16 +32,29 @@ LAMPS = ("D65", "A", "F2", "F11")
 BAND_SHARE = 0.02
 """Weight of a spectrum's own squared difference, relative to that of what is seen of it: metameric parts are kept."""
 LEAST_LUMINANCE = 1e-5
-SHADING_STEP = 0.013
-"""Step of the codes of the body shading for a step of colour of 1: a share of the light."""
-NORMAL_STEP = 0.0033
-"""Step of the codes of small tilts in s for a step of colour of 1; the angle is twice as large."""
+SEEN = 0.25
+"""Of a step: principal axes along which values spread by less are left out."""
 BRIGHT = 98
 """Percentile of the luminance that is shown as 0.8 of white: steps are those of the picture at that exposure."""
 FARTHEST = 99.95
 """Percentile of a plane's values up to which its code reaches."""
 DIRECTIONS = ((0.0, 0.0), (45.0, 0.0), (45.0, 90.0), (45.0, 180.0), (45.0, 270.0), (75.0, 45.0), (75.0, 225.0))
 """Polar angle and azimuth in degrees of the lights by which body shadings are compared."""
+
+
+@dataclass(frozen=True)
+class Steps:
+    """Steps of the codes: of colour in CIELAB, of small tilts in s (the angle is twice as large), of the body shading
+    as a share of the light."""
+
+    colour: float
+    tilt: float
+    shading: float
+
+    def scaled(self, colour: float) -> Steps:
+        """All in the proportion that gives this step of colour."""
+        factor = colour / self.colour
+        return Steps(colour, self.tilt * factor, self.shading * factor)
 
 
 @dataclass(frozen=True)
@@ -78,14 +91,14 @@ class PrincipalCode:
 
     @classmethod
     def of(cls, vectors: np.ndarray, features: np.ndarray, step: float) -> PrincipalCode:
-        """Fit to vectors (samples, n); features (n, m): what is seen of them. Axes below a quarter step are dropped."""
+        """Fit to vectors (samples, n); features (n, m): what is seen of them. Axes below `SEEN` steps are dropped."""
         mean = vectors.mean(axis=0)
         root = np.linalg.cholesky(
             features @ features.T + 1e-12 * np.trace(features @ features.T) * np.eye(len(features))
         )
         centred = (vectors - mean) @ root
         values, axes = np.linalg.eigh(centred.T @ centred / max(len(centred), 1))
-        order = [k for k in np.argsort(-values, kind="stable") if values[k] > (step / 4) ** 2]
+        order = [k for k in np.argsort(-values, kind="stable") if values[k] > (SEEN * step) ** 2]
         axes = axes[:, order]
         axes = axes * np.where(axes.sum(axis=0) < 0, -1, 1)
         projections = root @ axes
@@ -106,6 +119,10 @@ class PrincipalCode:
         for plane, component, values in zip(self.planes, self.components, codes, strict=True):
             out = out + plane.decode(values)[..., None] * component.astype(np.float32)
         return out
+
+    def backwards(self) -> PrincipalCode:
+        """The same with the axes of the smallest spread first."""
+        return PrincipalCode(self.mean, self.components[::-1], self.projections[:, ::-1], self.planes[::-1])
 
     def described(self) -> dict[str, Any]:
         """For the manifest."""
@@ -192,7 +209,8 @@ class NormalCode:
     def of(cls, normals: np.ndarray, step: float) -> NormalCode:
         """Fit to normals (samples, 3)."""
         tilts = np.abs(_stereographic(normals))
-        width = float(np.clip(np.percentile(tilts, FARTHEST) if tilts.size else 1.0, step * TOP / 2, 1.0))
+        farthest = min(np.percentile(tilts, FARTHEST), 1.0) if tilts.size else 1.0
+        width = float(max(farthest, step * TOP / 2))
         return cls(width, float(np.clip(step * TOP / 2 / width, 0.1, 1.0)))
 
     def encode(self, normals: np.ndarray) -> list[np.ndarray]:

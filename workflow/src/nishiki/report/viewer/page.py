@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import base64
 import json
+import re
 from pathlib import Path
 from typing import Any
 
 from nishiki.artifacts.artifact import ArtifactWriter
 
 PAGE = Path(__file__).parent / "page"
+IMPORT = re.compile(r'from "viewer/(\w+)";')
 ESCAPED = ((b"\\", b"\\\\"), (b'"', b'\\"'), (b"\n", b"\\n"), (b"\r", b"\\r"))
 """What no text between quotes may hold, the sign of the escape first."""
 
@@ -49,7 +51,7 @@ def write_page(blocks: Blocks, manifest: dict[str, Any]) -> dict[str, Any]:
     from jinja2 import Environment, FileSystemLoader
     from markupsafe import Markup
 
-    modules = {f"viewer/{path.stem}": _module(path) for path in sorted(PAGE.glob("*.js"))}
+    modules = {f"viewer/{name}": _module(PAGE / f"{name}.js") for name in sorted(_needed(manifest["chain"]))}
     manifest = {**manifest, "data": {"inline": blocks.kept is not None}}
     environment = Environment(loader=FileSystemLoader(PAGE), autoescape=True, keep_trailing_newline=True)
     html = environment.get_template("index.html.j2").render(
@@ -68,6 +70,17 @@ def write_page(blocks: Blocks, manifest: dict[str, Any]) -> dict[str, Any]:
         "blocks": len(blocks.bytes),
         "inline": blocks.kept is not None,
     }
+
+
+def _needed(chain: str) -> set[str]:
+    """Modules that the page of a chain imports; the scene's own is named as the chain."""
+    needed: set[str] = set()
+    coming = {"main", chain}
+    while coming:
+        needed |= coming
+        texts = [(PAGE / f"{name}.js").read_text(encoding="utf-8") for name in coming]
+        coming = {name for text in texts for name in IMPORT.findall(text)} - needed
+    return needed
 
 
 def _module(path: Path) -> str:

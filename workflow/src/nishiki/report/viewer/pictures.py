@@ -5,11 +5,12 @@ import struct
 import numpy as np
 
 
-def png(values: np.ndarray) -> bytes:
-    """A grey picture (rows, columns) uint8 as PNG."""
+def webp(planes: list[np.ndarray]) -> bytes:
+    """A lossless WebP of three planes (rows, columns) uint8."""
     import cv2
 
-    return cv2.imencode(".png", values, [cv2.IMWRITE_PNG_COMPRESSION, 9])[1].tobytes()
+    picture = np.stack(planes[::-1], axis=-1)  # OpenCV keeps blue first
+    return cv2.imencode(".webp", picture, [cv2.IMWRITE_WEBP_QUALITY, 101])[1].tobytes()
 
 
 def webp_stack(planes: list[np.ndarray]) -> bytes:
@@ -17,13 +18,10 @@ def webp_stack(planes: list[np.ndarray]) -> bytes:
 
     The last picture is filled up with zeros.
     """
-    import cv2
-
     parts = []
     for first in range(0, len(planes), 3):
         three = planes[first : first + 3]
         colours = three + [np.zeros_like(three[0])] * (3 - len(three))
-        picture = np.stack(colours[::-1], axis=-1)  # OpenCV keeps blue first
-        data = cv2.imencode(".webp", picture, [cv2.IMWRITE_WEBP_QUALITY, 101])[1].tobytes()
+        data = webp(colours)
         parts += [struct.pack("<I", len(data)), data]
     return b"".join(parts)

@@ -12,11 +12,11 @@ class ViewerSettings(Guarded):
     """A page on which the lamp moves, offline."""
 
     STAGE: ClassVar[str] = "viewer"
-    VERSION: ClassVar[int] = 2
+    VERSION: ClassVar[int] = 3
 
     step: Literal["auto"] | Annotated[float, Field(ge=0.1, le=8)] = Field(
         "auto",
-        description="of the codes of colour, in CIELAB; auto: 0.35 up to two megapixels, 1.2 above",
+        description="of the codes of colour, in CIELAB; auto: 0.35 up to two megapixels, 0.95 above; others follow",
     )
     inline_mb: float = Field(4, ge=0, le=100, description="up to this size the page is one file")
 

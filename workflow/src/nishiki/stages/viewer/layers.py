@@ -9,7 +9,7 @@ import numpy as np
 from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.maps import Maps
 from nishiki.report.viewer.page import Blocks
-from nishiki.report.viewer.pictures import png
+from nishiki.report.viewer.pictures import webp
 
 MOST_PIXELS = 1_000_000
 TOP, NOTHING = 254, 255
@@ -104,7 +104,7 @@ def _written(
     name: str, unit: str, colours: str, codes: np.ndarray, low: float, high: float, blocks: Blocks
 ) -> dict[str, Any]:
     block = f"layer-{name}"
-    blocks.add(block, png(codes))
+    blocks.add(block, webp([codes] * 3))
     return {
         "name": name,
         "label_key": f"layer.{name}",

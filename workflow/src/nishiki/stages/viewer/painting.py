@@ -19,11 +19,10 @@ from nishiki.brdf.parameters import gloss_table, is_facets
 from nishiki.colour.colour import srgb_matrix
 from nishiki.photometric.flags import NO_ESTIMATE
 from nishiki.report.viewer.encoding import (
-    NORMAL_STEP,
-    SHADING_STEP,
     ColourCode,
     NormalCode,
     PrincipalCode,
+    Steps,
     colour_matrices,
     shading_features,
 )
@@ -115,18 +114,19 @@ class PaintingCode:
     channels: int
 
     @classmethod
-    def of(cls, maps: PaintingMaps, band_rows: int, step: float) -> PaintingCode:
-        """Fit to a sample of the maps; step: of colour, in CIELAB."""
+    def of(cls, maps: PaintingMaps, band_rows: int, steps: Steps) -> PaintingCode:
+        """Fit to a sample of the maps."""
         values = maps.sample(band_rows)
         channels = values.shape[1] - 5 - maps.terms
         matrices = colour_matrices(maps.basis, np.linalg.inv(srgb_matrix()))
         shading = None
         if maps.terms:
             terms = values[:, 4 + channels : -1]
-            shading = PrincipalCode.of(terms, shading_features(maps.terms), step * SHADING_STEP)
+            # backwards, because a picture of the last planes of colour and the smallest of shading takes fewer bytes
+            shading = PrincipalCode.of(terms, shading_features(maps.terms), steps.shading).backwards()
         return cls(
-            NormalCode.of(values[:, 1:4], step * NORMAL_STEP),
-            ColourCode.of(values[:, 4 : 4 + channels], matrices, maps.basis, step),
+            NormalCode.of(values[:, 1:4], steps.tilt),
+            ColourCode.of(values[:, 4 : 4 + channels], matrices, maps.basis, steps.colour),
             shading,
             channels,
         )

@@ -10,6 +10,7 @@ from nishiki.colour.colour import illuminant as cie_illuminant
 from nishiki.colour.sampling import WAVELENGTHS_NM
 from nishiki.formats.stored import load_arrays
 from nishiki.observations.plane import Observations
+from nishiki.report.viewer.encoding import Steps
 from nishiki.report.viewer.heights import height_block
 from nishiki.report.viewer.page import Blocks, write_page
 from nishiki.report.viewer.pictures import webp_stack
@@ -20,8 +21,10 @@ from nishiki.stages.viewer.photographs import photographs_of
 
 ILLUMINANTS = ("D65", "D50", "A", "E", "F2", "F7", "F11", "LED-B1", "LED-B3", "LED-B5")
 BAND_ROWS = 256
-FINE_STEP, COARSE_STEP, FINE_PIXELS = 0.35, 1.2, 2_000_000
-"""Steps of colour, and the size of a map up to which the finer is taken."""
+FINE, COARSE, FINE_PIXELS = Steps(0.35, 0.00116, 0.0046), Steps(0.95, 0.011, 0.019), 2_000_000
+"""Steps of the codes, and the size of a map up to which the finer are taken. With the coarse ones each kind of code
+costs about the same difference of the picture for a bit; the steps of tilts are below the noise of the normals of
+photographs of that size."""
 RELIEFS = ((1_200_000, 0.002), (16_000_000, 0.03))
 """Sizes above which the heights that cast the shadows are averaged, and steps of their codes, in pixels. A sweep over
 the first takes about a tenth of a second, so that its shadows follow a lamp that is dragged; those of the second come
@@ -33,10 +36,8 @@ def run(context: Context) -> dict:
     maps = PaintingMaps.of(context.inputs)
     rows, columns = maps.shape
     blocks = Blocks(context.output, inline_bytes=int(context.settings.inline_mb * 1e6))
-    step = context.settings.step
-    if step == "auto":
-        step = FINE_STEP if rows * columns <= FINE_PIXELS else COARSE_STEP
-    code = PaintingCode.of(maps, BAND_ROWS, step)
+    steps, step = FINE if rows * columns <= FINE_PIXELS else COARSE, context.settings.step
+    code = PaintingCode.of(maps, BAND_ROWS, steps if step == "auto" else steps.scaled(step))
 
     regions: set[bool] = set()
 

@@ -57,3 +57,8 @@ export function tick(text, value, change) {
   const box = element("input", { type: "checkbox", checked: value, onchange: () => change(box.checked) });
   return element("label", { className: "row" }, box, text);
 }
+
+/** Call when what was drawn last is on the screen. */
+export function afterPicture(call) {
+  requestAnimationFrame(() => requestAnimationFrame(call));
+}

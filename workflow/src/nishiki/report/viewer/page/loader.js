@@ -6,14 +6,12 @@
 
 const waiting = new Map();
 // What windows-1252 makes of the bytes 128 ... 159; all others keep their number.
-const UPPER = new Map([..."\u20ac\x81\u201a\u0192\u201e\u2026\u2020\u2021\u02c6\u2030\u0160\u2039\u0152\x8d\u017d\x8f\x90\u2018\u2019\u201c\u201d\u2022\u2013\u2014\u02dc\u2122\u0161\u203a\u0153\x9d\u017e\u0178"].map((letter, k) => [letter.charCodeAt(0), 128 + k]));
+const BYTES = new Uint8Array(0x2200).map((_, k) => k);
+[..."\u20ac\x81\u201a\u0192\u201e\u2026\u2020\u2021\u02c6\u2030\u0160\u2039\u0152\x8d\u017d\x8f\x90\u2018\u2019\u201c\u201d\u2022\u2013\u2014\u02dc\u2122\u0161\u203a\u0153\x9d\u017e\u0178"].forEach((letter, k) => (BYTES[letter.charCodeAt(0)] = 128 + k));
 
 globalThis.nishikiData = (name, length, text) => {
   const out = new Uint8Array(text.length);
-  for (let i = 0; i < out.length; i++) {
-    const code = text.charCodeAt(i);
-    out[i] = code < 256 ? code : UPPER.get(code);
-  }
+  for (let i = 0; i < out.length; i++) out[i] = BYTES[text.charCodeAt(i)];
   if (out.length === length) waiting.get(name)?.(out);
   else console.error(`block ${name}: ${out.length} bytes, expected ${length}`);
 };
@@ -37,8 +35,8 @@ export class Loader {
   }
 
   async #read(name) {
-    const inlined = document.getElementById(`data-${name}`);
-    const data = inlined ? bytes(inlined.textContent) : await this.#script(name);
+    const inlined = await inlinedText(name);
+    const data = inlined === null ? await this.#script(name) : bytes(inlined);
     this.held += data.length;
     for (const [other, block] of this.blocks) {
       if (this.held <= this.limit) break;
@@ -60,6 +58,26 @@ export class Loader {
       document.head.append(element);
     });
   }
+}
+
+/** Text of a block inside the page, once the parser has read all of it; null where the page holds no such block. */
+async function inlinedText(name) {
+  for (;;) {
+    const element = document.getElementById(`data-${name}`), loading = document.readyState === "loading";
+    if (element && (element.nextSibling || !loading)) return element.textContent;
+    if (!loading) return null;
+    await parsed();
+  }
+}
+
+/** When the parser has read more of the page. */
+function parsed() {
+  return new Promise((resolve) => {
+    const watch = new MutationObserver(() => done());
+    const done = () => (watch.disconnect(), document.removeEventListener("readystatechange", done), resolve());
+    watch.observe(document.body, { childList: true });
+    document.addEventListener("readystatechange", done);
+  });
 }
 
 /** Bytes of base64 text. */

@@ -1,28 +1,32 @@
 // The page: one scene on a canvas, its state, and the panel that changes the state.
 import { Beside, follow, pageBeside } from "viewer/beside";
-import { ClothScene } from "viewer/cloth";
-import { element } from "viewer/dom";
+import { afterPicture, element } from "viewer/dom";
 import { lampsSection } from "viewer/lamps";
 import { layersSection, showLegend } from "viewer/layers";
 import { Loader } from "viewer/loader";
-import { ObjectScene } from "viewer/object";
 import { drawOverlay, written } from "viewer/overlay";
-import { Painting } from "viewer/painting";
 import { probeSection } from "viewer/probe";
 import { RoundTools } from "viewer/round_tools";
 import { bookmark, copy, firstState, fromBookmark } from "viewer/state";
 import { LANGUAGES, preferred, speak, text } from "viewer/texts";
 import { FlatTools, toolbar } from "viewer/tools";
 
-const SCENES = { painting: Painting, object: ObjectScene, cloth: ClothScene };
+// only the scene of this page is read
+const SCENES = {
+  painting: async () => (await import("viewer/painting")).Painting,
+  object: async () => (await import("viewer/object")).ObjectScene,
+  cloth: async () => (await import("viewer/cloth")).ClothScene,
+};
 const BOOKMARK_AFTER = 400; // ms without a change
 const MOST_RATIO = 2; // pixels of the canvas to one of CSS
+const PREVIEW = 1 / 3; // of the canvas's width and height in the first picture of a painting
 const by = (id) => document.getElementById(id);
 const canvas = by("canvas");
 
 class App {
   constructor(manifest) {
     Object.assign(this, { manifest, flat: manifest.chain === "painting", tool: manifest.chain === "painting" ? "light" : "move" });
+    this.preview = this.flat; // until the first picture is drawn
     Object.assign(this, { lamp: 0, ruler: [], mark: null, probed: undefined, asked: false, opened: new Set(["light"]) });
   }
 
@@ -30,7 +34,8 @@ class App {
     speak(preferred());
     by("busy").textContent = text("busy");
     this.resize();
-    this.scene = await SCENES[this.manifest.chain].open(canvas, this.manifest, new Loader());
+    const Scene = await SCENES[this.manifest.chain]();
+    this.scene = await Scene.open(canvas, this.manifest, new Loader());
     this.first = { ...firstState(this.scene.firstView?.() ?? { x: 0, y: 0, zoom: 1, tilt_deg: 0, azimuth_deg: 0 }, preferred()), ...this.scene.firstState?.() };
     const { searchParams } = new URL(location.href);
     const address = searchParams.get("beside"), other = address === null ? null : pageBeside(address);
@@ -52,7 +57,7 @@ class App {
   }
 
   resize() {
-    this.ratio = Math.min(devicePixelRatio || 1, MOST_RATIO);
+    this.ratio = Math.min(devicePixelRatio || 1, MOST_RATIO) * (this.preview ? PREVIEW : 1);
     canvas.width = Math.max(Math.round(canvas.clientWidth * this.ratio), 1);
     canvas.height = Math.max(Math.round(canvas.clientHeight * this.ratio), 1);
   }
@@ -240,6 +245,17 @@ class App {
     });
   }
 
+  /** Draw the next picture on the whole canvas: the first one is small, so that there is one soon. */
+  sharpen() {
+    this.preview = false;
+    this.asked = true;
+    afterPicture(() => {
+      this.asked = false;
+      this.resize();
+      this.draw();
+    });
+  }
+
   draw() {
     const { scene, state } = this, { width, height } = canvas, { compare } = state;
     const cut = compare ? Math.round(compare.divider * width) : 0;
@@ -253,6 +269,7 @@ class App {
     this.beside?.show(cut / width);
     drawOverlay(this, by("overlay"));
     showLegend(this, by("legend"));
+    if (this.preview) this.sharpen();
     if (!this.saying || by("busy").textContent === text("busy")) by("busy").textContent = scene.busy ? text("busy") : "";
   }
 }

@@ -2,38 +2,29 @@
 //
 // Pixels of the map have their upper left corner at whole numbers; the scene's own unit is mm (or pixels where no scale
 // is known), from the centre of the painting, x to the right and y up.
-import * as colour from "viewer/colour";
-import { bind, context, program, readback, target, texture } from "viewer/gl";
-import { inflate, picture } from "viewer/loader";
-import { LAYER_FRAGMENT, paintingFragment, TILE_VERTEX } from "viewer/painting_shaders";
+import { afterPicture } from "viewer/dom";
+import { bind, context, program, readback, texture } from "viewer/gl";
+import { Exposures } from "viewer/exposures";
+import { Colours } from "viewer/painting_colours";
+import { LAYER_FRAGMENT, paintingFragment, SHOWN, TILE_VERTEX } from "viewer/painting_shaders";
+import { Values } from "viewer/painting_values";
 import { PlaneView } from "viewer/plane_view";
 import { Relief } from "viewer/relief";
-import { openHeights, Shadows } from "viewer/shadows";
+import { Shadows } from "viewer/shadows";
 import { Tiles } from "viewer/tiles";
 
-const EXPOSURE_PIXELS = 1 << 18; // at most, of the picture that the exposure is chosen from
 const MOST_LAMPS = 8;
 const ENHANCEMENTS = ["none", "specular", "curvature", "raking"];
 const LAYER_COLOURS = ["grey", "diverging", "flags"];
 const BACKGROUND = 0.106;
 const FRONTAL = { x: 0, y: 0, zoom: 1, tilt_deg: 0, azimuth_deg: 0 };
-const KEPT = 3; // states whose shadows and exposure are kept
-
-/** Put an entry last in a map and keep the last few; the values that were dropped. */
-function remember(map, key, value) {
-  map.delete(key);
-  map.set(key, value);
-  const dropped = [...map.keys()].slice(0, -KEPT).map((name) => [name, map.get(name)]);
-  dropped.forEach(([name]) => map.delete(name));
-  return dropped.map(([, each]) => each);
-}
-
 export class Painting {
   /** Opens a painting; ready to draw once its coarsest tiles are there. */
   static async open(canvas, manifest, loader) {
     const scene = new Painting(canvas, manifest, loader);
-    await scene.tiles.load(manifest.tiles.levels.length - 1, 0, 0);
-    scene.#openShadows();
+    const tile = scene.tiles.load(manifest.tiles.levels.length - 1, 0, 0);
+    scene.#tileProgram(1, false); // compiled while the tile is decoded
+    await tile;
     return scene;
   }
 
@@ -43,22 +34,21 @@ export class Painting {
     this.onready = () => {};
     this.pending = 0;
     this.programs = new Map();
-    this.layerTextures = new Map();
-    this.exposures = new Map(); // of the states drawn last: two, where a divider compares
     const { colour: chroma, shading } = manifest.code;
     this.chroma = chroma.low.length;
     this.shades = shading ? shading.low.length : 0;
     this.terms = shading ? shading.mean.length : 0;
     this.planes = 3 + this.chroma + this.shades; // the region comes after them
-    this.stack = Math.ceil((this.planes + 1) / 3);
-    this.tiles = new Tiles(this.gl, manifest.tiles, this.stack, loader, (promise) => this.#wait(promise));
-    this.hasRegions = manifest.tiles.regions;
+    const wait = (promise) => this.#wait(promise);
+    this.tiles = new Tiles(this.gl, manifest.tiles, Math.ceil((this.planes + 1) / 3), loader, wait);
+    this.values = new Values(this.gl, manifest, this.tiles, loader, wait);
+    this.exposures = new Exposures(this.gl, this.tiles);
+    this.colours = new Colours(manifest);
     this.gloss = this.#glossTexture();
-    this.spectra = new Map();
-    this.shadows = []; // of reliefs, the coarse first
-    this.relief = null; // the coarse one, for tilted views
-    this.shadowsOf = new Map(); // shadows of the lamps drawn last: {key, level, texture, count}
+    this.shadows = new Shadows(this.gl, manifest.shadows, loader, MOST_LAMPS);
+    this.shadows.onready = () => this.onready();
     this.shadow = null; // those of the state that is drawn
+    this.relief = null; // the coarse one, for tilted views
   }
 
   /** What of the panel this scene has use for. */
@@ -68,7 +58,7 @@ export class Painting {
 
   /** Whether something that the present view needs is on its way. */
   get busy() {
-    return this.pending > 0 || this.shadows.some(({ busy }) => busy);
+    return this.pending > 0 || this.shadows.busy;
   }
 
   bounds() {
@@ -116,7 +106,7 @@ export class Painting {
   cost() {
     const lobes = this.manifest.gloss.beta[0].length, blurred = this.manifest.gloss.blurred && lobes ? 1 : 0;
     return {
-      texture_reads: Math.ceil(this.planes / 3) + 4 * blurred + 1 + lobes + (this.manifest.shadows.length ? 1 : 0) + (this.hasRegions ? 1 : 0),
+      texture_reads: Math.ceil(this.planes / 3) + 4 * blurred + 1 + lobes + (this.manifest.shadows.length ? 1 : 0) + (this.manifest.tiles.regions ? 1 : 0),
       operations: 60 + 8 * this.chroma + 12 * this.shades + 60 * blurred + (lobes ? 90 : 20) + lobes * (blurred ? 22 : 4) + 40,
     };
   }
@@ -128,7 +118,8 @@ export class Painting {
     const layer = this.manifest.layers.find(({ name }) => name === state.layer);
     const plain = !layer || layer.name === "appearance";
     const lamps = this.#lamps(state);
-    if (plain) this.#askShadows(lamps);
+    const place = this.#place(state);
+    if (plain) this.shadow = this.shadows.of(lamps, this.#share(place));
     const exposure = plain ? this.#exposureOf(state, lamps) : 1;
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.viewport(0, 0, canvas.width, canvas.height);
@@ -136,12 +127,12 @@ export class Painting {
     gl.scissor(area.x, canvas.height - area.y - area.height, area.width, area.height);
     gl.clearColor(BACKGROUND, BACKGROUND, BACKGROUND, 1);
     gl.clear(gl.COLOR_BUFFER_BIT);
-    const place = this.#place(state);
     if (place.tilted) gl.enable(gl.DEPTH_TEST);
     if (layer?.block) this.#drawLayer(layer, place);
-    else this.#drawTiles(state, lamps, place, area, { exposure, output: plain ? 0 : 2 });
+    else this.#drawTiles(state, lamps, place, area, { exposure, shown: plain ? SHOWN.display : SHOWN.normals });
     gl.disable(gl.DEPTH_TEST);
     gl.disable(gl.SCISSOR_TEST);
+    this.opening ??= this.#openShadows();
   }
 
   /** What is known at a pixel of the canvas: null beside the painting. */
@@ -149,45 +140,7 @@ export class Painting {
     const { manifest } = this;
     const [column, row] = this.#toRelief(x, y, state).map(Math.floor);
     if (column < 0 || row < 0 || column >= manifest.columns || row >= manifest.rows) return null;
-    const layers = Object.fromEntries(await Promise.all(manifest.layers.filter(({ block }) => block).map(async (layer) => {
-      const { texture: made } = await this.#layerTexture(layer);
-      const at = [Math.floor((column / manifest.columns) * layer.columns), Math.floor((row / manifest.rows) * layer.rows)];
-      const code = this.#readPixel(made, null, ...at)[0];
-      const { low, high, top, nothing } = layer.code;
-      return [layer.name, code === nothing && layer.map !== "flags" ? null : low + (code / top) * (high - low)];
-    })));
-    const record = await this.#record(column, row);
-    if (!record) return { position_mm: null, normal: null, layers, spectrum: null, gloss: null, photographs: null };
-    const { beta, gamma, refractive_index } = manifest.gloss;
-    const place = [...this.#pointOf([column + 0.5, row + 0.5]), layers.height ?? 0];
-    const sigma = layers.sigma_spectrum;
-    return {
-      position_mm: place,
-      normal: record.normal,
-      layers,
-      spectrum: manifest.basis && {
-        nm: manifest.wavelengths_nm,
-        reflectance: manifest.wavelengths_nm.map((_, k) => manifest.basis.reduce((sum, base, i) => sum + base[k] * record.coefficients[i], 0)),
-        sigma: sigma == null ? null : manifest.wavelengths_nm.map(() => sigma),
-      },
-      gloss: beta[0].length ? { beta: beta[record.region], gamma_rad: gamma[record.region], refractive_index: refractive_index[record.region] } : null,
-      ...(await this.#photographsAt(column, row)),
-    };
-  }
-
-  /** What every photograph shows, and what the model predicts, at the sample nearest to a pixel of the map. */
-  async #photographsAt(column, row) {
-    const { block, rows, columns, first, step, lights, white, top, nothing } = this.manifest.photographs;
-    this.photographs ??= inflate(await this.loader.load(block));
-    const codes = await this.photographs;
-    const nearest = (place, start, count) => Math.min(Math.max(Math.round((place - start) / step), 0), count - 1);
-    const [y, x] = [nearest(row, first[0], rows), nearest(column, first[1], columns)];
-    const value = (kind, light) => codes[((kind * lights.length + light) * rows + y) * columns + x];
-    const linear = (code) => (code === nothing ? null : [white * (code / top) ** 2]);
-    return {
-      photographs: lights.map((view, k) => ({ view, values: linear(value(0, k)), predicted: linear(value(1, k)) })),
-      sample_pixels: Math.hypot(first[0] + y * step - row, first[1] + x * step - column),
-    };
+    return this.values.at(column, row, this.#pointOf([column + 0.5, row + 0.5]));
   }
 
   /** RGBA bytes of the canvas as drawn, first row at the bottom. */
@@ -207,6 +160,12 @@ export class Painting {
     return new PlaneView({ rows, columns, pitch: pitch_mm ?? 1 }, screen, scale, view, this.relief?.heights);
   }
 
+  /** Part of the map [left, top, right, bottom] that the canvas shows, 0 to 1. */
+  #share(place) {
+    const { rows, columns } = this.manifest, [left, top, right, bottom] = place.bounds({ x: 0, y: 0, width: this.canvas.width, height: this.canvas.height });
+    return [left / columns, top / rows, (right + 1) / columns, (bottom + 1) / rows];
+  }
+
   // lamps and colours
 
   #lamps(state) {
@@ -220,120 +179,30 @@ export class Painting {
     });
   }
 
-  /** XYZ of a lamp's spectrum: {matrix (3, K), white}. */
-  #spectrum(choice) {
-    const key = JSON.stringify(choice);
-    if (!this.spectra.has(key)) {
-      const { manifest } = this, power = colour.powerOf(choice, manifest);
-      const white = colour.whiteOf(power, manifest.cmf);
-      const d65 = () => colour.whiteOf(colour.powerOf("D65", manifest), manifest.cmf);
-      const matrix = manifest.basis
-        ? colour.xyzMatrix(power, manifest.basis, manifest.cmf)
-        : colour.product(colour.adaptation(d65(), white), colour.inverse(colour.srgbMatrix()));
-      this.spectra.set(key, { matrix, white });
-    }
-    return this.spectra.get(key);
-  }
-
-  /** Uniforms of the colours: XYZ, or linear sRGB of the display at this exposure. */
-  #colours(state, exposure) {
-    const { direction, mean, components } = this.manifest.code.colour;
-    const choices = state.lamps.slice(0, MOST_LAMPS).map((lamp) => lamp.illuminant);
-    choices.push(choices[0] ?? "E"); // the ambient light
-    const first = this.#spectrum(choices[0]).white;
-    const toDisplay = exposure === null
-      ? [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
-      : colour.product(colour.srgbMatrix(), colour.adaptation(first)).map((row) => row.map((value) => value * exposure));
-    const colours = [], whites = [];
-    for (const choice of choices) {
-      const { matrix, white } = this.#spectrum(choice);
-      const shown = colour.product(toDisplay, matrix);
-      for (const vector of [direction, mean, ...components]) colours.push(...colour.apply(shown, vector));
-      whites.push(...colour.apply(toDisplay, white));
-    }
-    return { colours: new Float32Array(colours), whites: new Float32Array(whites) };
-  }
-
   /** Exposure that was chosen last. */
   get exposureShown() {
-    return [...this.exposures.values()].at(-1) ?? 1;
+    return this.exposures.last;
   }
 
   /** Exposure of a state: its own number, or that of an eye adapted to the picture. */
   #exposureOf(state, lamps) {
     if (state.exposure !== "auto") return state.exposure;
-    const key = JSON.stringify([state.lamps, state.ambient, this.shadow?.key, this.shadow?.level]);
-    if (this.exposures.has(key)) {
-      remember(this.exposures, key, this.exposures.get(key));
-      return this.exposureShown;
-    }
-    const { levels } = this.manifest.tiles;
-    const level = Math.max(levels.findIndex(({ rows, columns }) => rows * columns <= EXPOSURE_PIXELS), 0);
-    if (!this.tiles.haveAll(level)) return this.exposureShown;
-    const { gl } = this, { rows, columns } = levels[level];
-    this.meter ??= target(gl, columns, rows);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, this.meter.framebuffer);
-    gl.viewport(0, 0, columns, rows);
-    gl.disable(gl.SCISSOR_TEST);
-    gl.clearColor(0, 0, 0, 0);
-    gl.clear(gl.COLOR_BUFFER_BIT);
-    const area = { x: 0, y: 0, width: columns, height: rows };
-    const place = this.#placed(area, 1 / levels[level].factor, FRONTAL);
-    this.#drawTiles({ ...state, enhance: "none" }, lamps, place, area, { exposure: null, output: 1 });
-    const bytes = readback(gl, 0, 0, columns, rows);
-    const bins = new Uint32Array(65536);
-    let seen = 0;
-    for (let i = 0; i < bytes.length; i += 4) {
-      if (bytes[i + 3]) {
-        bins[bytes[i] * 256 + bytes[i + 1]]++;
-        seen++;
-      }
-    }
-    let bin = 0;
-    for (let below = bins[0]; bin < 65535 && below < colour.ADAPTED.percentile * (seen - 1) + 1; below += bins[++bin]);
-    const sheet = state.ambient + state.lamps.reduce((sum, lamp) => sum + lamp.intensity * Math.sin((lamp.elevation_deg * Math.PI) / 180), 0);
-    const exposure = colour.adaptedExposure(seen ? 2 ** (((bin + 0.5) / 65535) * 32 - 20) : 0, sheet);
-    remember(this.exposures, key, exposure);
-    return exposure;
+    const key = JSON.stringify([state.lamps, state.ambient, this.shadow?.key, this.shadows.finest(this.shadow, null).level]);
+    return this.exposures.of(key, state, (width, height, scale) => {
+      const area = { x: 0, y: 0, width, height };
+      const place = this.#placed(area, scale, FRONTAL);
+      this.#drawTiles({ ...state, enhance: "none" }, lamps, place, area, { exposure: null, shown: SHOWN.luminance });
+    });
   }
 
-  // cast shadows
-
-  /** Open the reliefs one after the other: the coarse one follows a lamp that is dragged, the finer one a lamp at rest. */
+  /** Open the reliefs one after the other, the coarse one first, once there is a picture. */
   async #openShadows() {
-    for (const [level, relief] of this.manifest.shadows.entries()) {
-      const heights = await this.#wait(openHeights(relief, this.loader)), shadows = new Shadows(heights);
-      this.relief ??= new Relief(this.gl, heights, this.manifest.pitch_mm ?? 1);
-      shadows.onready = (key, visibility) => {
-        this.#keepShadows(key, level, visibility);
-        this.onready();
-      };
-      this.shadows.push(shadows);
+    await this.#wait(new Promise(afterPicture));
+    for (const level of this.manifest.shadows.keys()) {
+      const heights = await this.#wait(this.shadows.open(level));
+      if (heights) this.relief = new Relief(this.gl, heights, this.manifest.pitch_mm ?? 1);
       this.onready();
     }
-  }
-
-  #askShadows(lamps) {
-    const wanted = lamps.map(({ vector, w, radius }) => ({ vector, w, radius }));
-    const key = JSON.stringify(wanted), ready = this.shadowsOf.get(key);
-    if (ready) remember(this.shadowsOf, key, ready);
-    // near lamps are marched from every pixel: too slow on the finer relief
-    const level = ready ? ready.level + 1 : 0;
-    if (lamps.length && (level === 0 || !lamps.some(({ w }) => w))) this.shadows[level]?.request(key, wanted);
-    // until they come, those of the lamps just before
-    this.shadow = ready ?? [...this.shadowsOf.values()].filter(({ count }) => count === lamps.length).at(-1) ?? null;
-  }
-
-  #keepShadows(key, level, visibility) {
-    const { gl } = this, { rows, columns } = this.shadows[level];
-    const count = visibility.length / (rows * columns);
-    const made = texture(gl, gl.TEXTURE_2D_ARRAY, gl.LINEAR);
-    gl.texParameteri(gl.TEXTURE_2D_ARRAY, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
-    gl.texStorage3D(gl.TEXTURE_2D_ARRAY, Math.floor(Math.log2(Math.max(rows, columns))) + 1, gl.R8, columns, rows, count);
-    gl.texSubImage3D(gl.TEXTURE_2D_ARRAY, 0, 0, 0, 0, columns, rows, count, gl.RED, gl.UNSIGNED_BYTE, visibility);
-    gl.generateMipmap(gl.TEXTURE_2D_ARRAY);
-    gl.deleteTexture(this.shadowsOf.get(key)?.texture ?? null);
-    for (const dropped of remember(this.shadowsOf, key, { key, level, texture: made, count })) gl.deleteTexture(dropped.texture);
   }
 
   // tiles
@@ -349,14 +218,16 @@ export class Painting {
   }
 
   /** Draw the tiles in sight, coarser ones below those that are still on their way. */
-  #drawTiles(state, lamps, place, area, { exposure, output }) {
+  #drawTiles(state, lamps, place, area, { exposure, shown }) {
     const { gl, tiles, manifest } = this, { size, border, levels } = manifest.tiles;
     const level = tiles.levelOf(place.scale), bounds = place.bounds(area), wanted = tiles.within(level, bounds);
     const complete = wanted.map(([row, column]) => tiles.ready(level, row, column)).every(Boolean);
-    const uniforms = this.#shader(state, lamps, place, { exposure, output });
+    const uniforms = this.#shader(state, lamps, place, { exposure, shown });
     const set = (call, name, value) => uniforms[name] && gl[call](uniforms[name], value);
     for (const each of complete ? [level] : [...new Set([levels.length - 1, level])]) {
-      const { factor } = levels[each], columns = manifest.columns / factor, rows = manifest.rows / factor, step = factor * place.scale;
+      const { factor } = levels[each], columns = manifest.columns / factor, rows = manifest.rows / factor;
+      // the meter looks at some of the pixels, each as it is
+      const metered = shown === SHOWN.luminance, step = metered ? 1 : factor * place.scale;
       gl.clear(gl.DEPTH_BUFFER_BIT);
       gl.uniform2f(uniforms.size, columns, rows);
       set("uniform1f", "pitch", (manifest.pitch_mm ?? 1) * factor);
@@ -366,6 +237,7 @@ export class Painting {
         const made = tiles.ready(each, row, column);
         if (!made) continue;
         bind(gl, 0, gl.TEXTURE_2D_ARRAY, made, uniforms.planes);
+        gl.texParameterf(gl.TEXTURE_2D_ARRAY, gl.TEXTURE_MAX_LOD, metered ? 0 : 1000);
         gl.uniform2f(uniforms.origin, column * size - border, row * size - border);
         this.#drawMesh(uniforms, place, factor, [column * size, row * size, Math.min((column + 1) * size, columns), Math.min((row + 1) * size, rows)]);
       }
@@ -394,18 +266,23 @@ export class Painting {
     gl.drawArrays(gl.TRIANGLES, 0, 6 * cells ** 2);
   }
 
-  /** The program of a state in use, with everything but the tile set; its uniforms. */
-  #shader(state, lamps, place, { exposure, output }) {
-    const { gl, manifest } = this, { code, gloss } = manifest;
-    const shadowed = Boolean(this.shadow && this.shadow.count === lamps.length && lamps.length);
+  /** The program for a number of lamps. */
+  #tileProgram(lamps, lifted) {
+    const { manifest, planes, chroma, terms, shades } = this, { gloss } = manifest;
     const defines = {
-      PLANES: this.planes, CHROMA: this.chroma, TERMS: this.terms, SHADES: this.shades, LAMPS: lamps.length,
-      LOBES: gloss.beta[0].length, REGIONS: this.hasRegions ? 1 : 0, BLURRED: gloss.blurred ? 1 : 0, SHADOWS: shadowed ? 1 : 0, OUTPUT: output, RELIEF: this.#reliefOf(place) ? 1 : 0,
+      PLANES: planes, CHROMA: chroma, TERMS: terms, SHADES: shades, LAMPS: lamps, LOBES: gloss.beta[0].length,
+      REGIONS: manifest.tiles.regions ? 1 : 0, BLURRED: gloss.blurred ? 1 : 0, SHADOWS: manifest.shadows.length ? 1 : 0, RELIEF: lifted ? 1 : 0,
     };
-    const shader = this.#program(JSON.stringify(defines), TILE_VERTEX, paintingFragment(defines), defines);
-    const { uniforms } = shader;
+    return this.#program(JSON.stringify(defines), TILE_VERTEX, paintingFragment(defines), defines);
+  }
+
+  /** The program of a state in use, with everything but the tile set; its uniforms. */
+  #shader(state, lamps, place, { exposure, shown }) {
+    const { gl, manifest } = this, { code, gloss } = manifest;
+    const shader = this.#tileProgram(lamps.length, Boolean(this.#reliefOf(place))), { uniforms } = shader;
     shader.use();
-    const { colours, whites } = this.#colours(state, exposure);
+    const illuminants = lamps.map(({ lamp }) => lamp.illuminant);
+    const { colours, whites } = this.colours.uniforms([...illuminants, illuminants[0] ?? "E"], exposure);
     const set = (call, name, ...values) => uniforms[name] && gl[call](uniforms[name], ...values);
     const ranges = ({ low, high }) => new Float32Array(low.flatMap((value, k) => [value, high[k]]));
     set("uniform1f", "side", this.tiles.side);
@@ -430,7 +307,13 @@ export class Painting {
     set("uniform1i", "enhance", Math.max(ENHANCEMENTS.indexOf(state.enhance), 0));
     set("uniform1f", "strength", state.strength ?? 0.5);
     bind(gl, 1, gl.TEXTURE_2D, this.gloss, uniforms.gloss);
-    if (shadowed) bind(gl, 2, gl.TEXTURE_2D_ARRAY, this.shadow.texture, uniforms.visibility);
+    set("uniform1i", "shown", shown);
+    if (uniforms.visibility) {
+      const shadow = this.shadow?.count === lamps.length ? this.shadow : null;
+      const { texture: made, place: part } = this.shadows.finest(shadow, shown === SHOWN.luminance ? null : this.#share(place));
+      gl.uniform4f(uniforms.shadowPlace, ...part);
+      bind(gl, 2, gl.TEXTURE_2D_ARRAY, made, uniforms.visibility);
+    }
     return uniforms;
   }
 
@@ -448,32 +331,15 @@ export class Painting {
     return made;
   }
 
-  // layers and probe
-
-  async #layerTexture(layer) {
-    if (!this.layerTextures.has(layer.name)) {
-      const making = this.loader.load(layer.block).then((data) => picture(data, "image/png")).then((image) => {
-        const { gl } = this, made = texture(gl, gl.TEXTURE_2D, gl.NEAREST);
-        gl.texImage2D(gl.TEXTURE_2D, 0, gl.R8, gl.RED, gl.UNSIGNED_BYTE, image);
-        return { texture: made };
-      });
-      const entry = { making, made: null };
-      this.layerTextures.set(layer.name, entry);
-      this.#wait(making.then((made) => (entry.made = made)));
-    }
-    return this.layerTextures.get(layer.name).making;
-  }
-
   #drawLayer(layer, place) {
     const { gl, manifest } = this;
-    this.#layerTexture(layer);
-    const { made } = this.layerTextures.get(layer.name);
+    const made = this.values.layer(layer);
     if (!made) return;
     const defines = { RELIEF: this.#reliefOf(place) ? 1 : 0 };
     const shader = this.#program(`layer${defines.RELIEF}`, TILE_VERTEX, LAYER_FRAGMENT, defines);
     const { uniforms } = shader;
     shader.use();
-    bind(gl, 0, gl.TEXTURE_2D, made.texture, uniforms.codes);
+    bind(gl, 0, gl.TEXTURE_2D, made, uniforms.codes);
     gl.clear(gl.DEPTH_BUFFER_BIT);
     gl.uniform2f(uniforms.size, manifest.columns, manifest.rows);
     gl.uniform1i(uniforms.colouring, Math.max(LAYER_COLOURS.indexOf(layer.map), 0));
@@ -481,38 +347,5 @@ export class Painting {
     // codes to 0 ... 1 over the range that is shown
     gl.uniform1f(uniforms.scale, (layer.code.high - layer.code.low) / layer.code.top / (layer.range[1] - layer.range[0]));
     this.#drawMesh(uniforms, place, 1, [0, 0, manifest.columns, manifest.rows]);
-  }
-
-  /** RGBA bytes of one pixel of a texture, or of a layer of an array texture. */
-  #readPixel(made, layer, column, row) {
-    const { gl } = this;
-    this.packing ??= gl.createFramebuffer();
-    gl.bindFramebuffer(gl.FRAMEBUFFER, this.packing);
-    if (layer === null) gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, made, 0);
-    else gl.framebufferTextureLayer(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0, made, 0, layer);
-    const bytes = readback(gl, column, row, 1, 1);
-    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-    return bytes;
-  }
-
-  /** Normal, coefficients and region of a pixel of the map; null where nothing is known. */
-  async #record(column, row) {
-    const { size, border, unknown } = this.manifest.tiles;
-    const [tileRow, tileColumn] = [row, column].map((k) => Math.floor(k / size));
-    const made = await this.tiles.load(0, tileRow, tileColumn);
-    const place = [column - tileColumn * size + border, row - tileRow * size + border];
-    const values = Array.from({ length: this.stack }, (_, layer) => [...this.#readPixel(made, layer, ...place)].slice(0, 3)).flat();
-    const region = values[this.planes];
-    if (region === unknown) return null;
-    const { normal, colour: code } = this.manifest.code;
-    const [sx, sy] = values.slice(0, 2).map((value) => value / 127 - 1).map((t) => normal.width * t * (normal.fineness + (1 - normal.fineness) * t * t));
-    const square = sx * sx + sy * sy;
-    const u = (values[2] / 255) * code.top;
-    const chroma = code.low.map((low, k) => low + (values[3 + k] / 255) * (code.high[k] - low));
-    return {
-      region,
-      normal: [2 * sx, 2 * sy, 1 - square].map((value) => value / (1 + square)),
-      coefficients: code.direction.map((d, i) => u ** 3 * d + u * u * chroma.reduce((sum, value, k) => sum + value * code.components[k][i], code.mean[i])),
-    };
   }
 }

@@ -1,5 +1,8 @@
 // Shaders of the painting. Shading follows nishiki.render.plane.kernel term by term.
 
+/** What a shader of the tiles writes: the picture, codes of its luminance, or the normals. */
+export const SHOWN = { display: 0, luminance: 1, normals: 2 };
+
 /** A rectangle of the map: squares of two triangles each, lifted by the relief where RELIEF says so. */
 export const TILE_VERTEX = `
 uniform vec4 corners;       // left, top, right, bottom in pixels of the level
@@ -47,8 +50,7 @@ const colourOf = (j, chroma) => `vec3 body = colours[${j} * (CHROMA + 2) + 1]${A
     if (enhance == 3) body = mix(body, 0.6 * whites[${j}], strength);
     total += body * diffuse + whites[${j}] * specular;`;
 
-/** Defines: PLANES, CHROMA, TERMS, SHADES (planes of the body shading), LAMPS, LOBES, REGIONS, BLURRED, SHADOWS,
- *  OUTPUT (0 display, 1 code of the luminance, 2 data layer). */
+/** Defines: PLANES, CHROMA, TERMS, SHADES (planes of the body shading), LAMPS, LOBES, REGIONS, BLURRED, SHADOWS. */
 export const paintingFragment = ({ PLANES, CHROMA, TERMS, SHADES, LAMPS, LOBES }) => `
 uniform sampler2DArray planes;
 uniform vec2 origin;             // of the tile with its border, in pixels of the level
@@ -75,7 +77,9 @@ uniform sampler2D gloss;         // a row a region: index, entering, -, -; then 
 uniform float transmission;
 #if SHADOWS
 uniform sampler2DArray visibility;
+uniform vec4 shadowPlace;        // scale and offset of its part of the map
 #endif
+uniform int shown;               // one of SHOWN
 uniform int enhance;             // 0 none, 1 specular, 2 curvature, 3 raking
 uniform float strength;
 in vec2 at;
@@ -134,10 +138,10 @@ void main() {
   if (region == 255) discard;
 #endif
   vec3 n = decodedNormal(values0.rg);
-#if OUTPUT == 2
-  result = vec4(n * 0.5 + 0.5, 1.0);
-  return;
-#endif
+  if (shown == ${SHOWN.normals}) {
+    result = vec4(n * 0.5 + 0.5, 1.0);
+    return;
+  }
   n = steepened(n);
   float u = values0.b * top;
   vec4 table = texelFetch(gloss, ivec2(0, region), 0);
@@ -178,7 +182,7 @@ void main() {
     vec3 l = way * inversesqrt(square);
     float e = powers[j].x * (powers[j].y > 0.0 ? powers[j].y / square : 1.0);
 #if SHADOWS
-    e *= texture(visibility, vec3(at / size, float(j))).r;
+    e *= texture(visibility, vec3(at / size * shadowPlace.xy + shadowPlace.zw, float(j))).r;
 #endif
     float cosI = dot(n, l);
     float c = max(cosI, 0.0);
@@ -235,14 +239,14 @@ void main() {
   diffuse *= max(f0 + (f1 + f3 * n.x + f4 * n.y) * (2.0 / 3.0) + f2 * 0.5375, 0.0);
 #endif
   { ${colourOf("LAMPS", CHROMA)} }
-#if OUTPUT == 1
-  // total.y is the luminance: 16 bits of its logarithm
-  float code = clamp((log2(max(total.y, 1e-6)) + 20.0) / 32.0, 0.0, 1.0) * 65535.0;
-  float high = floor(code / 256.0);
-  result = vec4(high / 255.0, floor(code - high * 256.0) / 255.0, 0.0, 1.0);
-#else
-  result = vec4(curve(total.r), curve(total.g), curve(total.b), 1.0);
-#endif
+  if (shown == ${SHOWN.luminance}) {
+    // total.y is the luminance: 16 bits of its logarithm
+    float code = clamp((log2(max(total.y, 1e-6)) + 20.0) / 32.0, 0.0, 1.0) * 65535.0;
+    float high = floor(code / 256.0);
+    result = vec4(high / 255.0, floor(code - high * 256.0) / 255.0, 0.0, 1.0);
+  } else {
+    result = vec4(curve(total.r), curve(total.g), curve(total.b), 1.0);
+  }
 }`;
 
 /** A data layer with its colours: grey, diverging or flags. */

@@ -8,7 +8,11 @@ export class Relief {
   /** heights: {surface (NaN: unknown), rows, columns, pitch}; pitch: of a pixel of the map, in the same unit. */
   constructor(gl, { surface, rows, columns, pitch: own }, pitch) {
     Object.assign(this, { rows, columns, scale: pitch / own, surface: filled(surface, columns) });
-    this.heights = this.surface.reduce(([low, high], value) => [Math.min(low, value), Math.max(high, value)], [0, 0]);
+    this.heights = [0, 0]; // lowest and highest
+    for (const value of this.surface) {
+      if (value < this.heights[0]) this.heights[0] = value;
+      else if (value > this.heights[1]) this.heights[1] = value;
+    }
     this.texture = texture(gl, gl.TEXTURE_2D, gl.NEAREST);
     gl.texImage2D(gl.TEXTURE_2D, 0, gl.R32F, columns, rows, 0, gl.RED, gl.FLOAT, this.surface);
   }

@@ -1,222 +1,158 @@
-// Cast shadows: which share of each lamp the relief leaves visible. The sweep and the march of
-// nishiki.render.plane.shadow and horizon, in a worker so that the page stays quick.
-import { inflate } from "viewer/loader";
+// Cast shadows: which share of each lamp the relief leaves visible, as textures for the shader.
+import { texture } from "viewer/gl";
+import { work } from "viewer/shadow_worker";
 
-/** Heights of a block: {surface (NaN: unknown), rows, columns, pitch, pieces, count}. */
-export async function openHeights(shadows, loader) {
-  const data = await inflate(await loader.load(shadows.block));
-  const { rows, columns } = shadows, size = rows * columns;
-  const codes = new Int16Array(size), surface = new Float32Array(size);
-  for (let row = 0, i = 0; row < rows; row++) {
-    for (let column = 0; column < columns; column++, i++) {
-      const above = row ? codes[i - columns] : 0, left = column ? codes[i - 1] : 0;
-      const corner = row && column ? codes[i - columns - 1] : 0;
-      codes[i] = (data[i] | (data[i + size] << 8)) + above + left - corner;
-      surface[i] = codes[i] === shadows.nothing ? NaN : shadows.low + codes[i] * shadows.step;
-    }
-  }
-  return { surface, rows, columns, pitch: shadows.pitch, ...separatePieces(surface, rows, columns) };
+const KEPT = 3; // states whose shadows are kept
+// Near lamps are marched from every pixel: on the finer relief only around what the canvas shows, up to a number of pixels.
+const MARGIN = 64, MOST_MARCHED = 3e6;
+
+/** Put an entry last in a map and keep the last few; the values that were dropped. */
+export function remember(map, key, value) {
+  map.delete(key);
+  map.set(key, value);
+  const dropped = [...map.keys()].slice(0, -KEPT).map((name) => [name, map.get(name)]);
+  dropped.forEach(([name]) => map.delete(name));
+  return dropped.map(([, each]) => each);
 }
 
-/** Connected pieces of known heights: {pieces (Int32Array or null where all is one), count}. */
-function separatePieces(surface, rows, columns) {
-  if (!surface.some(Number.isNaN)) return { pieces: null, count: 1 };
-  const pieces = new Int32Array(surface.length), queue = new Int32Array(surface.length);
-  let count = 0;
-  for (let start = 0; start < surface.length; start++) {
-    if (pieces[start] || Number.isNaN(surface[start])) continue;
-    pieces[start] = ++count;
-    queue[0] = start;
-    for (let read = 0, end = 1; read < end; read++) {
-      const at = queue[read], column = at % columns;
-      const around = [column ? at - 1 : -1, column < columns - 1 ? at + 1 : -1, at - columns, at + columns];
-      for (const next of around) {
-        if (next < 0 || next >= surface.length || pieces[next] || Number.isNaN(surface[next])) continue;
-        pieces[next] = count;
-        queue[end++] = next;
-      }
-    }
-  }
-  return count > 1 ? { pieces, count: count + 1 } : { pieces: null, count: 1 };
-}
-
-/** Visibilities of lamps, computed in a worker: `request(lamps)` answers by `onready`. */
-export class Shadows {
-  constructor(heights) {
-    this.rows = heights.rows;
-    this.columns = heights.columns;
-    this.onready = () => {};
+/** The heights of a block in a worker: `request(job)` answers by `onready(job, visibility)`. */
+class Heights {
+  /** described: rows, columns, pitch and code of the heights, of the manifest. */
+  constructor(described) {
+    this.described = described;
     this.running = null;
     this.next = null;
     const url = URL.createObjectURL(new Blob([`(${work})()`], { type: "text/javascript" }));
     this.worker = new Worker(url);
-    this.worker.postMessage({ heights });
-    this.worker.onmessage = ({ data }) => {
-      const key = this.running;
-      this.running = null;
-      if (this.next) this.#start(this.next);
-      this.onready(key, data);
-    };
+    URL.revokeObjectURL(url);
+  }
+
+  /** Promise of the heights {surface (NaN: unknown), rows, columns, pitch} where they are wanted here, else of null. */
+  open(block, wanted) {
+    const { described, worker } = this, { rows, columns, pitch } = described;
+    return new Promise((resolve, reject) => {
+      worker.onerror = ({ message }) => reject(new Error(`${described.block}: ${message}`));
+      worker.onmessage = ({ data }) => {
+        worker.onmessage = ({ data: visibility }) => this.#answered(visibility);
+        resolve(data && { surface: data, rows, columns, pitch });
+      };
+      worker.postMessage({ block, described, wanted });
+    });
+  }
+
+  /** Ask for {key, lamps: [{vector, w, radius}], window}; of several requests in a row only the last is answered. */
+  request(job) {
+    if (this.running && JSON.stringify(this.running) === JSON.stringify(job)) this.next = null;
+    else if (this.running) this.next = job;
+    else this.#start(job);
+  }
+
+  #start(job) {
+    this.next = null;
+    this.running = job;
+    this.worker.postMessage(job);
+  }
+
+  #answered(visibility) {
+    const job = this.running;
+    this.running = null;
+    if (this.next) this.#start(this.next);
+    this.onready(job, visibility);
+  }
+}
+
+/** Shadows of the lamps drawn last: those of the coarse relief follow a lamp that is dragged, those of the finer one come
+ *  when it rests. */
+export class Shadows {
+  /** most: lamps that the shader can take. */
+  constructor(gl, reliefs, loader, most) {
+    Object.assign(this, { gl, reliefs, loader });
+    this.levels = []; // heights that are open, the coarse first
+    this.known = new Map(); // by lamps: {key, count, parts}, parts by level: {texture, rows, columns, window}
+    this.onready = () => {};
+    this.none = { texture: this.#texture(1, 1, most, new Uint8Array(most).fill(255)), window: null };
   }
 
   get busy() {
-    return this.running !== null;
+    return this.levels.some(({ running }) => running !== null);
   }
 
-  /** Ask for the visibilities of lamps [{vector, w, radius}]; of several requests in a row only the last is answered. */
-  request(key, lamps) {
-    if (this.running === key) this.next = null;
-    else if (this.running !== null) this.next = { key, lamps };
-    else this.#start({ key, lamps });
+  /** Open a relief in a worker; promise of its heights, if it is the coarse one, which lifts tilted views. */
+  async open(level) {
+    const heights = new Heights(this.reliefs[level]);
+    const opened = await heights.open(await this.loader.load(this.reliefs[level].block), level === 0);
+    heights.onready = (job, visibility) => {
+      this.#keep(job, level, visibility);
+      this.onready();
+    };
+    this.levels.push(heights);
+    return opened;
   }
 
-  #start({ key, lamps }) {
-    this.next = null;
-    this.running = key;
-    this.worker.postMessage({ lamps });
-  }
-}
-
-// The worker's whole program: nothing from outside is in reach.
-function work() {
-  const NOWHERE = -1e30;
-  let heights, highest;
-
-  /** Share of a disc of this angular radius above a straight horizon. */
-  function discShare(elevation, horizon, radius) {
-    if (radius <= 0) return elevation > horizon ? 1 : 0;
-    const d = (elevation - horizon) / radius;
-    if (d >= 1) return 1;
-    if (d <= -1) return 0;
-    return 0.5 + (d * Math.sqrt(1 - d * d) + Math.asin(d)) / Math.PI;
+  /** Shadows of lamps, {key, count, parts}: until they come, those of the lamps just before, or null. view: [left, top,
+   *  right, bottom] of the map that the canvas shows, 0 to 1. */
+  of(lamps, view) {
+    const wanted = lamps.map(({ vector, w, radius }) => ({ vector, w, radius }));
+    const key = JSON.stringify(wanted), ready = this.known.get(key);
+    if (ready) remember(this.known, key, ready);
+    if (lamps.length) this.#ask(key, wanted, ready, view);
+    return ready ?? [...this.known.values()].filter(({ count }) => count === lamps.length).at(-1) ?? null;
   }
 
-  function sweep([x, y, z], radius, out) {
-    const { surface, pieces, count, pitch } = heights;
-    const elevation = Math.atan2(z, Math.hypot(x, y)), azimuth = Math.atan2(y, x);
-    const towardColumn = Math.cos(azimuth), towardRow = -Math.sin(azimuth);
-    // the lamp on the side of growing columns, within 45 degrees: strides turn the map
-    const swap = Math.abs(towardRow) > Math.abs(towardColumn);
-    const along = swap ? towardRow : towardColumn, across = swap ? towardColumn : towardRow;
-    const rows = swap ? heights.columns : heights.rows, columns = swap ? heights.rows : heights.columns;
-    const rowStride = swap ? 1 : heights.columns;
-    let columnStride = swap ? heights.columns : 1, base = 0;
-    const flip = along < 0;
-    if (flip) {
-      base = (columns - 1) * columnStride;
-      columnStride = -columnStride;
-    }
-    const slope = Math.round((across / Math.abs(along)) * 2 ** 20) / 2 ** 20;
-    const drift = slope * (columns - 1);
-    const first = Math.floor(Math.min(0, -drift)) - 1, last = Math.ceil(rows - 1 + Math.max(0, -drift)) + 1;
-    const phase = flip ? ((((-slope * (columns - 1)) % 1) + 1) % 1) : 0;
-    const step = pitch * Math.hypot(1, slope);
-    const floor = elevation > radius ? 0.5 * Math.tan(elevation - radius) : NOWHERE;
-    const low = Math.tan(Math.max(elevation - radius, -1.5)), high = Math.tan(Math.min(elevation + radius, 1.5));
-    const tops = new Int32Array(count), lineOf = new Int32Array(count).fill(first - 2);
-    const below = new Int32Array(columns), line = new Float64Array(columns);
-    let before = new Float64Array(columns), here = new Float64Array(columns);
-
-    function sweepLine(number, start, tangents) {
-      for (let column = columns - 1; column >= 0; column--) {
-        tangents[column] = NaN;
-        const at = start + slope * column, row = Math.floor(at), share = at - row;
-        if (row < 0 || row >= rows || (share > 0 && row + 1 >= rows)) continue;
-        const place = base + row * rowStride + column * columnStride;
-        let height = surface[place];
-        if (share > 0) height = (1 - share) * height + share * surface[place + rowStride];
-        if (Number.isNaN(height)) continue;
-        const piece = pieces ? pieces[place] : 0;
-        let top = lineOf[piece] === number ? tops[piece] : -1, tangent = NOWHERE;
-        if (top >= 0) {
-          tangent = (line[top] - height) / (top - column);
-          while (below[top] >= 0) {
-            const under = below[top], deeper = (line[under] - height) / (under - column);
-            if (deeper < tangent) break;
-            tangent = deeper;
-            top = under;
-          }
-          tangent /= step;
-        }
-        tangents[column] = tangent;
-        below[column] = top;
-        line[column] = height;
-        tops[piece] = column;
-        lineOf[piece] = number;
-      }
-    }
-
-    sweepLine(first - 1, first - 1 + phase, before);
-    for (let k = first; k < last + 1; k++) {
-      sweepLine(k, k + phase, here);
-      for (let column = 0; column < columns; column++) {
-        const lower = k - 1 + phase + slope * column, row = Math.floor(lower) + 1;
-        if (row < 0 || row >= rows) continue;
-        const weight = row - lower;
-        let a = before[column], b = here[column];
-        if (weight === 1 || Number.isNaN(a)) a = b;
-        else if (Number.isNaN(b)) b = a;
-        const tangent = (1 - weight) * Math.max(a, floor) + weight * Math.max(b, floor);
-        let share = 1;
-        if (tangent >= low) {
-          share = tangent > high && elevation + radius < 1.5 ? 0 : discShare(elevation, Math.atan(tangent), radius);
-        }
-        out[base + row * rowStride + column * columnStride] = Math.round(share * 255);
-      }
-      [before, here] = [here, before];
-    }
-  }
-
-  function march([x, y, z], radius, out) {
-    const { surface, pieces, rows, columns, pitch } = heights;
-    const lampColumn = x / pitch + (columns - 1) / 2, lampRow = -y / pitch + (rows - 1) / 2, lampZ = z / pitch;
-    for (let row = 0, i = 0; row < rows; row++) {
-      for (let column = 0; column < columns; column++, i++) {
-        const start = surface[i] / pitch, dc = lampColumn - column, dr = lampRow - row;
-        const horizontal = Math.hypot(dc, dr), rise = lampZ - start;
-        if (Number.isNaN(start) || horizontal <= 1e-12 * Math.abs(rise)) continue;
-        const elevation = Math.atan2(rise, horizontal);
-        const lowest = Math.tan(Math.max(elevation - radius, -1.5));
-        const byColumn = Math.abs(dc) >= Math.abs(dr), length = horizontal / Math.max(Math.abs(dc), Math.abs(dr));
-        const stepColumn = (dc / horizontal) * length, stepRow = (dr / horizontal) * length;
-        let tangent = NOWHERE;
-        for (let k = 1; ; k++) {
-          const distance = k * length, c = column + k * stepColumn, r = row + k * stepRow;
-          if (distance > horizontal || highest - start <= distance * Math.max(tangent, lowest)) break;
-          if (c < -1e-9 || c > columns - 1 + 1e-9 || r < -1e-9 || r > rows - 1 + 1e-9) break;
-          let r0 = Math.floor(r + 1e-9), c0 = Math.floor(c + 1e-9), share, other;
-          if (byColumn) {
-            c0 = Math.round(c);
-            share = Math.max(0, r - r0);
-            other = surface[Math.min(r0 + 1, rows - 1) * columns + c0];
-          } else {
-            r0 = Math.round(r);
-            share = Math.max(0, c - c0);
-            other = surface[r0 * columns + Math.min(c0 + 1, columns - 1)];
-          }
-          const at = surface[r0 * columns + c0];
-          const value = ((share < 1e-8 ? at : (1 - share) * at + share * other) / pitch - start) / distance;
-          if (value > tangent && (!pieces || pieces[r0 * columns + c0] === pieces[i])) tangent = value;
-        }
-        out[i] = Math.round(255 * discShare(elevation, Math.atan(tangent), radius));
-      }
-    }
-  }
-
-  onmessage = ({ data }) => {
-    if (data.heights) {
-      heights = data.heights;
-      highest = heights.surface.reduce((most, value) => (value > most ? value : most), 0) / heights.pitch;
+  #ask(key, lamps, ready, view) {
+    if (!ready) {
+      this.levels[0]?.request({ key, lamps, window: null });
       return;
     }
-    const size = heights.rows * heights.columns;
-    const visibility = new Uint8Array(size * data.lamps.length).fill(255);
-    data.lamps.forEach(({ vector, w, radius }, k) => {
-      const out = visibility.subarray(k * size, (k + 1) * size);
-      if (w) march(vector, radius, out);
-      else sweep(vector, radius, out);
-      for (let i = 0; i < size; i++) if (Number.isNaN(heights.surface[i])) out[i] = 255;
-    });
-    postMessage(visibility, [visibility.buffer]);
-  };
+    const [, fine] = this.levels, [, part] = ready.parts;
+    if (!fine || (part && holds(part.window, this.#pixels(view, 0)))) return;
+    const near = lamps.some(({ w }) => w), window = near ? this.#pixels(view, MARGIN) : null;
+    if (near) {
+      const marched = (window[2] - window[0]) * (window[3] - window[1]);
+      if (!marched || marched > MOST_MARCHED) return;
+    }
+    fine.request({ key, lamps, window });
+  }
+
+  /** A part [left, top, right, bottom] of the map, 0 to 1, in pixels of the finer relief. */
+  #pixels([left, top, right, bottom], margin) {
+    const { rows, columns } = this.reliefs[1];
+    const within = (value, most) => Math.min(Math.max(value, 0), most);
+    return [
+      within(Math.floor(left * columns) - margin, columns), within(Math.floor(top * rows) - margin, rows),
+      within(Math.ceil(right * columns) + margin, columns), within(Math.ceil(bottom * rows) + margin, rows),
+    ];
+  }
+
+  /** The finest shadows that there are of all of a view, or of all of the map where it is null: {texture, place}, place
+   *  being that of the texture on the map: scale and offset, across and down. */
+  finest(shadow, view) {
+    const parts = (shadow?.parts ?? []).filter(({ window }) => !window || (view && holds(window, this.#pixels(view, 0))));
+    const { texture: made, window, rows, columns } = parts.at(-1) ?? this.none;
+    if (!window) return { texture: made, level: parts.length - 1, place: [1, 1, 0, 0] };
+    const [left, top, right, bottom] = window, wide = right - left, high = bottom - top;
+    return { texture: made, level: parts.length - 1, place: [columns / wide, rows / high, -left / wide, -top / high] };
+  }
+
+  #keep({ key, lamps, window }, level, visibility) {
+    const { rows, columns } = this.reliefs[level], [left, top, right, bottom] = window ?? [0, 0, columns, rows];
+    const made = { texture: this.#texture(bottom - top, right - left, lamps.length, visibility), rows, columns, window };
+    const entry = this.known.get(key) ?? { key, count: lamps.length, parts: [] };
+    if (entry.parts[level]) this.gl.deleteTexture(entry.parts[level].texture);
+    if (level > entry.parts.length) return this.gl.deleteTexture(made.texture); // its coarse part was dropped meanwhile
+    entry.parts[level] = made;
+    for (const { parts } of remember(this.known, key, entry)) parts.forEach((part) => this.gl.deleteTexture(part.texture));
+  }
+
+  #texture(rows, columns, count, visibility) {
+    const { gl } = this, made = texture(gl, gl.TEXTURE_2D_ARRAY, gl.LINEAR);
+    gl.texParameteri(gl.TEXTURE_2D_ARRAY, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
+    gl.texStorage3D(gl.TEXTURE_2D_ARRAY, Math.floor(Math.log2(Math.max(rows, columns))) + 1, gl.R8, columns, rows, count);
+    gl.texSubImage3D(gl.TEXTURE_2D_ARRAY, 0, 0, 0, 0, columns, rows, count, gl.RED, gl.UNSIGNED_BYTE, visibility);
+    gl.generateMipmap(gl.TEXTURE_2D_ARRAY);
+    return made;
+  }
 }
+
+/** Whether a window, or the whole map where it is null, holds a part of it. */
+const holds = (window, [left, top, right, bottom]) => !window || (window[0] <= left && window[1] <= top && window[2] >= right && window[3] >= bottom);
