@@ -1,12 +1,13 @@
-"""The viewer's page against render or cloth_render: differences of the pictures, bytes, processor time of a frame.
+"""The viewer's page against render, object_render or cloth_render: differences of the pictures, bytes, time of a frame.
 
     python tests/benchmarks/viewer.py results/SCENE ...
     python tests/benchmarks/viewer.py --openings 5 OLDER/index.html NEWER/index.html
 
-Each folder holds the results of one painting or cloth with the product viewer. Where a painting is larger than the
-canvas, its middle is compared at 1:1; of a cloth the pixels that it covers wholly, 800 x 600. The browser is headless
-Chromium with its software rasteriser. With --openings pages of paintings are opened in turns in a browser that runs
-since five seconds, and the times from the opening to the first picture, and until nothing is on its way, are printed.
+Each folder holds the results of one painting, object or cloth with the product viewer. Where a painting is larger than
+the canvas, its middle is compared at 1:1; of an object and a cloth the pixels that they cover wholly, at the size of
+the capture and at 800 x 600. The browser is headless Chromium with its software rasteriser. With --openings pages of
+paintings are opened in turns in a browser that runs since five seconds, and the times from the opening to the first
+picture, and until nothing is on its way, are printed.
 """
 
 import argparse
@@ -25,6 +26,8 @@ from viewer_pages import lamp  # noqa: E402
 
 from nishiki.artifacts.artifact import open_artifact  # noqa: E402
 from nishiki.render.cloth.models import ClothModels  # noqa: E402
+from nishiki.render.display import encoded  # noqa: E402
+from nishiki.render.object.decoded_object import DecodedObject  # noqa: E402
 from nishiki.stages.cloth_viewer.scene import SHAPES  # noqa: E402
 
 STATES = {
@@ -66,6 +69,23 @@ WebGL2RenderingContext.prototype.drawArrays = function (...values) {
   });
 };
 """
+OBJECT_VIEW = 2
+OBJECT_STATES = {
+    "captured": {},
+    "model alone": {"options": {"residual": False}},
+    "far lamp, a point": {"lamps": [lamp(180, 25, radius_deg=0)], "ambient": 0.05, "options": {"lighting": "free"}},
+    "far lamp, 3°": {"lamps": [lamp(180, 25, radius_deg=3)], "ambient": 0.05, "options": {"lighting": "free"}},
+    "two, wide": {
+        "lamps": [lamp(60, 50, radius_deg=8), lamp(200, 15, intensity=0.6, radius_deg=3)],
+        "ambient": 0.05,
+        "options": {"lighting": "free"},
+    },
+    "near lamp": {
+        "lamps": [lamp(90, 40, distance=0.8, radius_deg=3)],
+        "ambient": 0.05,
+        "options": {"lighting": "free"},
+    },
+}
 MOST = (512, 512)
 FRAMES = 5
 
@@ -122,6 +142,34 @@ def measured(folder: Path) -> list[dict]:
             "messages": messages,
         }
     )
+    return rows
+
+
+def measured_object(folder: Path) -> list[dict]:
+    """Rows of one scene: one a state, of a captured view, and its own lamps without their shadows."""
+    current, rows = folder / "current", []
+    stages = ("ingest", "mesh", "cameras", "texels", "object_brdf", "residual")
+    decoded = DecodedObject.open({name: open_artifact(current / name, contents=False) for name in stages})
+    first = decoded.cameras[0]
+    states = dict(OBJECT_STATES)
+    for name, state in OBJECT_STATES.items():
+        if "lamps" in state:
+            states[f"{name}, no shadows"] = {**state, "options": {**state["options"], "shadows": False}}
+    with viewer_pages.opened(
+        current / "object_viewer/index.html", width=first.columns + 330, height=first.rows
+    ) as page:
+        for name, state in states.items():
+            state = {"lamps": [], "ambient": 0, "options": {}, "exposure": 1, "layer": "appearance", **state}
+            shown = page.picture(first.columns, first.rows, **state, view={"captured": OBJECT_VIEW})
+            own = viewer_pages.own_lighting(state) if state["lamps"] else None
+            renderer = decoded.renderer(rim=0, own_lamps=own, model_only=not state["options"].get("residual", True))
+            picture = next(renderer.render([renderer.captured(OBJECT_VIEW)]))
+            inner = picture.covered.copy()
+            for axis in (0, 1):  # the pixels beside the edge are blended with the background
+                inner &= np.roll(picture.covered, 1, axis) & np.roll(picture.covered, -1, axis)
+            errors = viewer_pages.difference(shown, encoded(picture.linear).pixels)[inner]
+            rows.append({"scene": folder.name, "state": name, "mean": errors.mean(), "p99": np.percentile(errors, 99)})
+        rows.append({"scene": folder.name, "messages": page.messages})
     return rows
 
 
@@ -189,8 +237,9 @@ def main() -> None:
             print(json.dumps(row), flush=True)
         return
     for folder in arguments.folders:
-        of_cloth = (folder / "current/cloth_viewer").exists()
-        for row in measured_cloth(folder) if of_cloth else measured(folder):
+        pages = {"viewer": measured, "object_viewer": measured_object, "cloth_viewer": measured_cloth}
+        (measure,) = (pages[name] for name in pages if (folder / "current" / name).exists())
+        for row in measure(folder):
             print(json.dumps({key: round(v, 3) if isinstance(v, float) else v for key, v in row.items()}), flush=True)
 
 

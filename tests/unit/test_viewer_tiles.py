@@ -1,5 +1,8 @@
 """Tiles and codes of the viewer: the same however the rows come in, and back to the values within their steps."""
 
+import base64
+import json
+import re
 import struct
 import zlib
 from types import SimpleNamespace
@@ -10,7 +13,7 @@ import pytest
 
 from nishiki.report.viewer.encoding import NormalCode, PrincipalCode
 from nishiki.report.viewer.heights import MOST, encode
-from nishiki.report.viewer.page import Blocks
+from nishiki.report.viewer.page import Blocks, write_page
 from nishiki.report.viewer.pictures import webp_stack
 from nishiki.report.viewer.pyramid import BORDER, TILE, Pyramid
 
@@ -120,3 +123,18 @@ def test_heights_take_less_than_deflated_differences():
     change = np.diff(np.diff(codes, axis=0, prepend=np.int16(0)), axis=1, prepend=np.int16(0))
     plain = zlib.compress(np.ascontiguousarray(change.view(np.uint8).reshape(-1, 2).T).tobytes(), 9)
     assert len(encode(codes)[0]) < 0.8 * len(plain)
+
+
+@pytest.mark.parametrize("chain", ["painting", "object", "cloth"])
+def test_a_page_holds_every_module_that_its_modules_name(tmp_path, chain):
+    blocks = Blocks(SimpleNamespace(path=lambda name: tmp_path / name), inline_bytes=100)
+    write_page(blocks, {"chain": chain, "title": "T", "version": ""})
+    page = (tmp_path / "index.html").read_text()
+    modules = json.loads(re.search(r'<script type="importmap"[^>]*>(.*?)</script>', page, re.S).group(1))["imports"]
+    named = {"viewer/main", f"viewer/{chain}"}
+    for address in modules.values():
+        text = base64.b64decode(address.split(",")[1]).decode()
+        text = re.sub(r'await import\("viewer/\w+"\)', "", text)  # the scene of each chain, by main
+        named |= {f"viewer/{name}" for name in re.findall(r"""["']viewer/(\w+)["']""", text)}
+    assert named == set(modules)
+    assert len(named) > 10
