@@ -9,6 +9,7 @@ under the lights of the fit and under others.
 
 import argparse
 import json
+import sys
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -17,6 +18,8 @@ from types import SimpleNamespace
 import numpy as np
 from scipy.optimize import least_squares
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
+import _project  # noqa: F401
 from nishiki.artifacts.artifact import open_artifact
 from nishiki.brdf.parameters import gloss_table
 from nishiki.brdf.torrance_sparrow import specular
@@ -25,7 +28,7 @@ from nishiki.colour.encoding import decode, encode
 from nishiki.report.files import read_json
 from nishiki.stages.export.declaration import ExportSettings
 from nishiki.stages.export.gltf_material import ANGLES, GltfMaterial
-from nishiki.stages.export.look import errors, painting_look
+from nishiki.stages.export.look import errors, painting_look, textures
 from nishiki.stages.export.region_gloss import RegionGloss
 from nishiki.stages.export.scene import ExportedScene
 
@@ -104,14 +107,14 @@ def measured(folder: Path) -> dict:
     gloss, colours = look.gloss.gltf, decode(look.colours / 255, "srgb")
     beta, gamma, index, _ = gloss_table(read_json(inputs["brdf"], "parameters.json"))
     lights = np.stack([np.sin(ANGLES), np.zeros_like(ANGLES), np.cos(ANGLES)], axis=1)
+    known = np.abs(textures(scene, context.settings.gltf.texture_px)[1]).max(axis=-1) > 0
     regions, parameters = [], []
     for number, plain in enumerate(gloss.materials):
         lobes = sum(
             specular(UP, lights, UP, beta=b, gamma=g, refractive_index=index[number])
             for b, g in zip(beta[number], gamma[number], strict=True)
         )
-        inside = np.abs(look.normals / 255 * 2 - 1).max(axis=-1) > 0
-        inside &= True if gloss.labels is None else gloss.labels == number
+        inside = known if gloss.labels is None else known & (gloss.labels == number)
         albedo = float(colours[inside].mean() * (1 - plain.fresnel(1.0)))
         best, alone, coated = fitted(plain, lobes, albedo)
         parameters.append(best)

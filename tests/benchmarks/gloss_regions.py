@@ -15,6 +15,8 @@ import cv2
 import numpy as np
 import yaml
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
+import _project  # noqa: F401
 from nishiki.simulate.command import main as simulate
 
 GLOSSES = ("varnish", "matte")

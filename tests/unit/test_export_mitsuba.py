@@ -45,7 +45,9 @@ def test_a_scene_is_written_as_its_dictionary_says(tmp_path):
         "shape": {"type": "ply", "filename": Parameter("mesh", "string"), "face_normals": True, "number": 2},
         "eye": {"type": "orthographic", "to_world": np.arange(16.0).reshape(4, 4), "direction": (0.0, 1.0, 0.0)},
     }
-    write_scene(tmp_path / "s.xml", objects, defaults={"mesh": "a.ply"}, include="b/$view.xml", remark="a--b")
+    remark = "a--b, a---b----"  # of which XML allows none
+    write_scene(tmp_path / "s.xml", objects, defaults={"mesh": "a.ply"}, include="b/$view.xml", remark=remark)
+    assert "a- -b, a- - -b- - - -" in (tmp_path / "s.xml").read_text()
     scene = ElementTree.parse(tmp_path / "s.xml").getroot()
     found = [(each.tag, each.attrib) for each in scene.iter()]
     assert ("default", {"name": "mesh", "value": "a.ply"}) in found

@@ -106,6 +106,12 @@ def test_the_table_is_near_the_model(table):
     assert not table.evaluate(light * [1, 1, -1], eye).any()
 
 
+def test_a_surface_that_reflects_nothing():
+    black = HalfVectorTable.of(lambda incident, outgoing: np.zeros((len(incident), 3)))
+    assert all(np.isfinite(each).all() for each in black.arrays("black").values())
+    assert not black.evaluate(directions(50, 0.1, 8), directions(50, 0.1, 9)).any()
+
+
 def test_the_warp_and_its_inverse():
     random = np.random.default_rng(5)
     densities = random.uniform(0.1, 1, (2, 1, 9, 7))

@@ -1,4 +1,8 @@
-"""Textures of exported objects: what is read at a surface point is what the tiles hold there."""
+"""Textures of exported objects: what is read at a surface point is what the tiles hold there. Addresses of views."""
+
+import json
+from types import SimpleNamespace
+from urllib.parse import unquote, urlsplit
 
 import numpy as np
 import pytest
@@ -8,6 +12,7 @@ from unit.test_patches_charts import around, ball
 from nishiki.brdf.texels.lighting import Lighting
 from nishiki.brdf.torrance_sparrow import GAMMA_PER_SIGMA
 from nishiki.brdf.trowbridge_reitz import isotropic_lobe
+from nishiki.stages.object_export import iiif
 from nishiki.stages.object_export.declaration import LIMITS
 from nishiki.stages.object_export.errors import direction_to
 from nishiki.stages.object_export.iiif import pitch_mm
@@ -97,3 +102,42 @@ def test_the_scale_of_a_view_is_that_of_its_middle():
     pixels = np.diff([point[0] / point[2] for point in projected])[0]
     assert pitch_mm(mesh, camera, "cm") == pytest.approx(10 * 0.01 / pixels, rel=1e-6)
     assert pitch_mm(mesh, camera, "arbitrary") is None
+
+
+def test_addresses_of_views_are_those_of_their_files_whatever_the_views_are_called(tmp_path, monkeypatch):
+    names = ["IMG #1", "a?b", "50%20", "é/2"]
+    mesh, cameras = ball(2), around(4)
+    grey, everywhere = np.full((4, 6, 3), 0.5, np.float32), np.ones((4, 6), bool)
+    renderer = SimpleNamespace(
+        captured=lambda place: SimpleNamespace(camera=cameras[place]),
+        render=lambda shots: [SimpleNamespace(linear=grey, covered=everywhere) for _ in shots],
+    )
+    decoded = SimpleNamespace(
+        views=names, mesh=mesh, encoding="srgb", numbers=lambda left_out: [], renderer=lambda **_: renderer
+    )
+    pictures = {name: np.full((4, 6, 3), 99, np.uint8) for name in iiif.LAYERS}
+    monkeypatch.setattr(iiif.DecodedObject, "open", lambda inputs: decoded)
+    monkeypatch.setattr(iiif, "Photographs", lambda inputs: SimpleNamespace(read=lambda *_: (grey, everywhere)))
+    monkeypatch.setattr(iiif, "layers", lambda *_: pictures)
+    (tmp_path / "exports/iiif").mkdir(parents=True)
+    context = SimpleNamespace(
+        inputs={
+            "mesh": SimpleNamespace(diagnostics={"unit": "mm"}),
+            "ingest": SimpleNamespace(diagnostics={"capture": {}}),
+        },
+        settings=SimpleNamespace(hold_out=(), iiif=SimpleNamespace(address="https://museum.example/jar")),
+        output=SimpleNamespace(folder=tmp_path, path=lambda file: tmp_path / file),
+        stamp={"version": "1", "scene": "jar", "key": "0"},
+    )
+    iiif.write(context, None)
+    canvases = json.loads((tmp_path / "exports/iiif/manifest.json").read_text())["items"]
+    assert [each["label"]["en"] for each in canvases] == [[f"View {name}"] for name in names]
+    assert len({each["id"] for each in canvases}) == len(names)
+    for canvas in canvases:
+        (painted,) = canvas["items"][0]["items"]
+        for image in painted["body"]["items"]:
+            for address in (image["id"], f"{image['service'][0]['id']}/info.json"):
+                parts = urlsplit(address)
+                assert not parts.query
+                assert not parts.fragment
+                assert (tmp_path / "exports/iiif" / unquote(parts.path).removeprefix("/jar/")).is_file(), address

@@ -128,7 +128,10 @@ class HalfVectorTable:
 
 
 def facets_of(evaluate: Evaluate) -> tuple[np.ndarray, np.ndarray]:
-    """D and sigma (around, polar) of a BRDF, by power iteration on what it sends back into the light."""
+    """D and sigma (around, polar) of a BRDF, by power iteration on what it sends back into the light.
+
+    Even facets where that is nothing.
+    """
     m = grid_directions()
     upright = np.maximum(m[..., 2], 0)
     lit = m.reshape(-1, 3).copy()
@@ -139,7 +142,7 @@ def facets_of(evaluate: Evaluate) -> tuple[np.ndarray, np.ndarray]:
     solid = np.sin(np.pi / 2 * x**2) * x * trapezoid(POLAR) * trapezoid(AROUND)[:, None] * 2 * np.pi**2
     seen = np.maximum(m.reshape(-1, 3) @ m.reshape(-1, 3).T, 0)
     facets = np.ones_like(upright)
-    for _ in range(ITERATIONS):
+    for _ in range(ITERATIONS if back.sum() > 0 else 0):
         facets = facets / np.sum(facets * upright * solid)
         facets = (seen @ (facets * solid).ravel()).reshape(upright.shape) * back
     facets = np.maximum(facets, LEAST_FACETS * facets.max())

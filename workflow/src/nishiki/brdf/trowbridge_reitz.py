@@ -19,7 +19,7 @@ def isotropic_lobe(
 ) -> np.ndarray:
     """D V, 1 / sr, with light and view masked separately.
 
-    cos_phi, cos_i, cos_r : cosines of the normal with half vector, light and view; alpha : width, 0 to 1.
+    cos_phi, cos_i, cos_r : cosines of the normal with half vector, light and view; alpha : width, above 0, at most 1.
     """
     square = np.square(alpha)
     light, view = (np.sqrt(square + (1 - square) * np.square(c)) for c in (cos_i, cos_r))
@@ -30,7 +30,7 @@ def isotropic_lobe(
 def anisotropic_lobe(h: np.ndarray, incident: np.ndarray, outgoing: np.ndarray, x: float, y: float) -> np.ndarray:
     """D V, 1 / sr, of unit vectors (..., 3) above the horizon, masking correlated by height.
 
-    x, y : widths along the axes. V is at most 1, as in KHR_materials_anisotropy.
+    x, y : widths along the axes, above 0. V is at most 1, as in KHR_materials_anisotropy.
     """
     light, view = (np.sqrt((x * d[..., 0]) ** 2 + (y * d[..., 1]) ** 2 + d[..., 2] ** 2) for d in (incident, outgoing))
     masked = np.abs(outgoing[..., 2]) * light + np.abs(incident[..., 2]) * view

@@ -5,6 +5,7 @@ A dictionary with the key `type` is an object; numbers, texts and arrays are its
 `mitsuba -D NAME=VALUE` sets. https://mitsuba.readthedocs.io/en/stable/src/key_topics/scene_format.html
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -49,7 +50,7 @@ def write_scene(
     """
     scene = ElementTree.Element("scene", version=VERSION)
     if remark:
-        scene.append(ElementTree.Comment(f" {remark.replace('--', '- -')} "))
+        scene.append(ElementTree.Comment(f" {re.sub('-(?=-)', '- ', remark)} "))
     for name, value in (defaults or {}).items():
         ElementTree.SubElement(scene, "default", name=name, value=_text(value))
     for name, values in objects.items():

@@ -26,7 +26,7 @@ class ClothExportSettings(Guarded):
     """Files of a draped cloth for other programs."""
 
     STAGE: ClassVar[str] = "cloth_export"
-    VERSION: ClassVar[int] = 1
+    VERSION: ClassVar[int] = 2
     LIMITS: ClassVar[tuple[Limit, ...]] = LIMITS
 
     formats: tuple[Format, ...] = Field(("gltf",), min_length=1, description="what to write; docs/stages/export.md")

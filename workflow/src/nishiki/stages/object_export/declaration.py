@@ -66,5 +66,5 @@ STAGE = Stage(
     idle={"usd-core": no_format("object_export", "usd"), "materialx": no_format("object_export", "materialx")},
     deliverables=("exports",),
     threads=1,
-    cost=lambda facts: Cost(mib=400, bytes_per_sample=20, seconds=5, us_per_sample=2),
+    cost=lambda facts: Cost(mib=560, bytes_per_sample=20, seconds=5, us_per_sample=2),
 )

@@ -48,7 +48,7 @@ def write(context: Context, _surface: ObjectSurface) -> dict:
     canvases = []
     pairs = zip(whole.render(shots), model.render(shots), strict=True)
     for place, (shown, modelled) in zip(places, pairs, strict=True):
-        view, camera = f"view-{decoded.views[place]}", shots[place].camera
+        view, camera = f"view-{place:03d}", shots[place].camera  # names of views may be no addresses
         pictures = layers(whole, camera, shown, modelled)
         shape = pictures["view"].shape[:2]
         for name, picture in pictures.items():
