@@ -22,7 +22,8 @@ from nishiki.capture.seal import seal
 
 TABLES = ("plane", "turntable", "goniometer", "cameras", "points", "intensities", "spectra", "reflectances", "brdf")
 TABLES += ("scenes", "camera list", "matlab", "meshroom")
-IMAGES = (".png", ".jpg", ".tif", ".exr", ".ptm", ".rti")
+FOLDER = ("info.json", "plane_0.dzi")
+IMAGES = (".png", ".jpg", ".tif", ".exr", ".ptm", ".rti", *FOLDER)
 YAML = ("plane", "turntable", "goniometer", "intrinsics", "configuration", "instrument")
 LIGHTS = (".lp", ".csv", ".txt", ".relight")
 MESHES = (".ply", ".obj")
@@ -135,7 +136,22 @@ def _images(folder: Path) -> list[bytes]:
         seeds.append(of(IMAGES, ".exr", path.read_bytes()))
     seeds += [of(IMAGES, ".ptm", polynomials(packed=packed)) for packed in (False, True)]
     seeds.append(of(IMAGES, ".rti", b"#HSH1.2\n3\n2 3 3\n4 2 1\n" + bytes(8 * 4) + bytes(range(72))))
+    make_relight(folder / "relight")
+    seeds += [of(IMAGES, name, (folder / "relight" / name).read_bytes()) for name in FOLDER]
     return [*seeds, *(of(IMAGES, ".tif", tiff(kind)) for kind in ("planes", "deflate", "pages"))]
+
+
+def make_relight(folder: Path) -> None:
+    """A folder of relight with Gaussians between two lights, its plane of 4 x 3 pixels a single tile."""
+    tile = folder / "plane_0_files/0/0_0.jpg"
+    tile.parent.mkdir(parents=True)
+    tile.write_bytes(cv2.imencode(".jpg", np.full((3, 4, 3), 90, np.uint8))[1].tobytes())
+    size = '<Size Width="4" Height="3"/>'
+    (folder / "plane_0.dzi").write_text(f'<Image Format="jpg" Overlap="1" TileSize="254">{size}</Image>')
+    material = {"scale": [0.5, 1, 2], "bias": [0.5, 0, 0.25], "range": [100, 200, 300]}
+    info = {"width": 4, "height": 3, "type": "rbf", "colorspace": "mrgb", "nplanes": 3, "materials": [material]}
+    info |= {"lights": [0, 0, 1, 0.6, 0, 0.8], "sigma": 0.4, "basis": list(range(100, 124))}
+    (folder / "info.json").write_text(json.dumps(info))
 
 
 def polynomials(*, packed: bool) -> bytes:

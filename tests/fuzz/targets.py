@@ -13,7 +13,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from fuzz.corpus import IMAGES, LIGHTS, MESHES, STORES, TABLES, YAML, corpus, make_store
+from fuzz.corpus import FOLDER, IMAGES, LIGHTS, MESHES, STORES, TABLES, YAML, corpus, make_relight, make_store
 from fuzz.watch import paused
 
 from nishiki.artifacts.artifact import MANIFEST, open_artifact
@@ -127,10 +127,10 @@ def _alone(name: str, content: bytes):
 
 
 def images(data: bytes) -> None:
-    """PNG, JPEG, TIFF, OpenEXR: header, pixels, mask, labels; relightable images."""
+    """PNG, JPEG, TIFF, OpenEXR: header, pixels, mask, labels; relightable images; the texts of a folder of relight."""
     suffix, _, content = choice(data, IMAGES)
-    path = put(f"x{suffix}", content)
-    if suffix in SUFFIXES:
+    path = put(f"x{suffix}", content) if suffix not in FOLDER else _relight_folder(suffix, content)
+    if suffix in SUFFIXES or suffix in FOLDER:
         assert np.isfinite(open_relightable(path).shown(np.array([0.6, 0.0, 0.8]))).all()
         return
     header = read_header(path)
@@ -141,6 +141,13 @@ def images(data: bytes) -> None:
     assert read_mask(path).shape == codes.shape[:2]
     with suppress(CaptureError):  # several channels
         read_labels(path)
+
+
+def _relight_folder(name: str, content: bytes) -> Path:
+    folder = place() / "relight"
+    paused(shutil.rmtree, folder, True)
+    paused(make_relight, folder)
+    return put(f"relight/{name}", content).parent
 
 
 def yaml(data: bytes) -> None:

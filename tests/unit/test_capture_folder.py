@@ -51,6 +51,18 @@ def test_yaml_details(tmp_path):
     assert capture.settings.white.normal == (0, 0, 1)
 
 
+@pytest.mark.parametrize("text", ["0755", "00123", "17.5", "yes", "12:30", "1_23", "1642-5-1", "0x10"])
+@pytest.mark.parametrize("key", ["title", "object_id", "object_made"])
+def test_texts_on_the_object_are_taken_as_they_stand(tmp_path, key, text):
+    folder = make_capture(tmp_path / "c")
+    edit_yaml(folder, title=None)
+    content = (folder / "capture.yaml").read_text()
+    (folder / "capture.yaml").write_text(content + f"{key}: {text}\n")
+    assert getattr(load_capture(folder).settings, key) == text
+    (folder / "capture.yaml").write_text(content + "object_id:\n")
+    assert load_capture(folder).settings.object_id is None
+
+
 def test_spectra_are_read_in_the_order_of_the_channels(tmp_path):
     folder = make_capture(tmp_path / "c")
     (folder / "spectra").mkdir()

@@ -4,6 +4,7 @@ import io
 import json
 import math
 import re
+import shutil
 import struct
 
 import numpy as np
@@ -236,6 +237,7 @@ def without(key):
         (lambda info: info.update(nplanes=21), "21 planes"),
         (lambda info: info.update(nplanes=18.0), "'nplanes'"),
         (lambda info: info.update(width=99), "another size"),
+        (lambda info: info.update(width=COLUMNS - 1), "r/plane_0.jpg: a plane of another size"),
         (lambda info: info.update(width=1 << 19, height=1 << 19), "larger than is read"),
         (lambda info: info["materials"][0].update(bias=[math.nan] * 18), "'bias'"),
         (lambda info: info["materials"][0]["scale"].pop(), "'scale'"),
@@ -260,6 +262,102 @@ def test_a_plane_that_is_missing_or_damaged_is_named(tmp_path):
     (tmp_path / "r/plane_4.jpg").unlink()
     with pytest.raises(CaptureError, match=r"plane_4\.dzi"):
         convert(tmp_path / "r", tmp_path / "c")
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (lambda info: info.update(sigma=1e-300), "'sigma' cannot be used: expected at least 0.001, found 1e-300"),
+        (lambda info: info.update(sigma=-0.4), "'sigma'"),
+        (lambda info: info["materials"][0]["range"].__setitem__(2, 1e-300), "'range'"),
+        (lambda info: info.update(lights=[1.02 * v for v in info["lights"]]), "'lights'"),
+        (lambda info: info.update(lights=[0] * 18), "vectors of length 1, found length 0"),
+        (lambda info: info.update(lights=[], basis=[]), "'lights'"),
+    ],
+)
+def test_gaussians_that_cannot_be_evaluated_are_refused(tmp_path, change, text):
+    info, _ = write_relight(tmp_path / "r", "rbf", "mrgb", 5)
+    info["lights"] = [round(v, 3) for v in info["lights"]]
+    (tmp_path / "r/info.json").write_text(json.dumps(info))
+    assert np.isfinite(open_relightable(tmp_path / "r").shown(LIGHT)).all()
+    change(info)
+    (tmp_path / "r/info.json").write_text(json.dumps(info))
+    with pytest.raises(CaptureError, match=re.escape(text)):
+        open_relightable(tmp_path / "r")
+
+
+def write_tiles(folder):
+    """One plane of three, of two tiles in each direction, as deep zoom."""
+    write_relight(folder, "rbf", "mrgb", 3, 300, 300)
+    write_deep_zoom(folder, "plane_0", open_relightable(folder).codes, folder.parent, 90)
+    (folder / "plane_0.jpg").unlink()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "text"),
+    [
+        (b'Width="300"', b'Width="301"', "r/plane_0.dzi: a plane of another size than info.json says: expected 300 x"),
+        (b'Height="300"', b"", "r/plane_0.dzi: no deep zoom"),
+        (b'TileSize="254"', 'TileSize="\u00b2"'.encode(), "r/plane_0.dzi: no deep zoom"),
+        (b'TileSize="254"', 'TileSize="\u0662\u0662"'.encode(), "r/plane_0.dzi: no deep zoom"),
+        (b'TileSize="254"', b'TileSize="8"', "r/plane_0.dzi: tiles too small"),
+        (b"<?xml", b"\xff\xfe<?xml", "r/plane_0.dzi: not UTF-8 text"),
+    ],
+)
+def test_a_deep_zoom_that_is_not_read_is_refused_by_name(tmp_path, old, new, text):
+    write_tiles(tmp_path / "r")
+    file = tmp_path / "r/plane_0.dzi"
+    content = file.read_bytes()
+    assert old in content
+    file.write_bytes(content.replace(old, new))
+    with pytest.raises(CaptureError, match=re.escape(text)):
+        open_relightable(tmp_path / "r")
+
+
+def test_folders_of_levels_are_numbers_and_a_missing_tile_is_named_with_its_level(tmp_path):
+    write_tiles(tmp_path / "r")
+    tiles = tmp_path / "r/plane_0_files"
+    whole = open_relightable(tmp_path / "r").codes
+    (tiles / "\u00b2").mkdir()
+    (tiles / "1").rename(tiles / "01")
+    np.testing.assert_array_equal(open_relightable(tmp_path / "r").codes, whole)
+    (tiles / "01/1_0.jpg").unlink()
+    with pytest.raises(CaptureError, match=r"r/plane_0_files/01/1_0\.jpg: file is missing"):
+        open_relightable(tmp_path / "r")
+    shutil.rmtree(tiles / "01")
+    shutil.rmtree(tiles / "0")
+    with pytest.raises(CaptureError, match=r"plane_0\.dzi: no deep zoom"):
+        open_relightable(tmp_path / "r")
+
+
+@pytest.mark.parametrize("name", ["info.json", "plane_0.dzi", "plane_0_files/1/1_1.jpg"])
+def test_nothing_is_read_through_links_that_leave_a_relight_folder(tmp_path, name):
+    write_tiles(tmp_path / "r")
+    (tmp_path / "r" / name).rename(tmp_path / "elsewhere")
+    (tmp_path / "r" / name).symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(CaptureError, match=f"r/{name}: a link that leads out of the folder"):
+        convert(tmp_path / "r", tmp_path / "c")
+    assert not (tmp_path / "c").exists()
+
+
+def test_the_title_is_the_name_of_the_relight_folder(tmp_path, monkeypatch):
+    write_relight(tmp_path / "coin 1.5 mm", "ptm", "lrgb", 9)
+    monkeypatch.chdir(tmp_path / "coin 1.5 mm")
+    for number, source in enumerate(("info.json", ".", tmp_path / "coin 1.5 mm")):
+        convert(source, tmp_path / f"c{number}")
+        assert load_capture(tmp_path / f"c{number}").settings.title == "coin 1.5 mm"
+
+
+def test_photographs_beside_planes_and_lights_of_relight_are_what_is_converted(tmp_path):
+    info, _ = write_relight(tmp_path / "r", "hsh", "rgb", 27)
+    for number in range(6):
+        Image.new("RGB", (COLUMNS, ROWS), (number, 0, 0)).save(tmp_path / f"r/photo{number}.jpg")
+    Image.new("RGB", (COLUMNS, ROWS)).save(tmp_path / "r/normals.png")
+    made = convert(tmp_path / "r", tmp_path / "c")
+    assert (made.photographs, made.layout) == (6, "directions in order")
+    capture = load_capture(tmp_path / "c")
+    np.testing.assert_allclose(capture.lights.vectors.ravel(), info["lights"], atol=1e-8)
+    assert [frame.file for frame in capture.observed] == [f"frames/photo{number}.jpg" for number in range(6)]
 
 
 FILES = {
@@ -387,6 +485,19 @@ def test_photographs_below_a_folder_win_over_its_relightable_images(tmp_path, pr
     for name in ("finished.ptm", "finished.rti"):
         (source / name).write_bytes(lrgb_file()[0])
         assert convert(source, tmp_path / name).layout == f"turntable with cameras of {program}"
+    write_relight(tmp_path / "r", "ptm", "lrgb", 9)
+    shutil.copytree(tmp_path / "r", source, dirs_exist_ok=True)
+    assert convert(source, tmp_path / "c").layout == f"turntable with cameras of {program}"
+
+
+@pytest.mark.parametrize("found", ["a/circle_data.txt", "jpeg-exports/a.jpg"])
+def test_spheres_and_projects_of_rtibuilder_win_over_a_relight_folder(tmp_path, found):
+    write_relight(tmp_path / "r", "ptm", "lrgb", 9)
+    (tmp_path / "r" / found).parent.mkdir()
+    (tmp_path / "r" / found).touch()
+    assert recognise_relightable(tmp_path / "r") is None
+    with pytest.raises(CaptureError, match=r"photographs is expected beside the mirror spheres|\.lp"):
+        convert(tmp_path / "r", tmp_path / "c")
 
 
 def test_normals_survive_our_own_export(tmp_path):

@@ -21,6 +21,7 @@ from nishiki.formats.image_header import IMAGE_SUFFIXES
 from nishiki.formats.image_headers import read_header
 from nishiki.formats.images import read_codes
 from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, warning
+from nishiki.formats.relight import INFO, LAYERS, is_relight_folder
 from nishiki.formats.text_tables import expect_rows, reading, table_lines
 
 MASK_WORD = re.compile(r"(^|[._\- ])mask([._\- ]|$)", re.IGNORECASE)
@@ -52,15 +53,17 @@ def natural_key(path: Path) -> list:
 
 
 def photographs_in(folder: Path) -> list[Path]:
-    """Pictures of a folder that are no masks, in natural order.
+    """Pictures of a folder that are no masks, and in a folder of relight none of its planes and maps, in natural order.
 
     CaptureError (outside-folder, name-unusable) where one is a link that leads out of the folder, or its name cannot
     be that of a file in a capture.
     """
     pictures = (p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file())
-    chosen = sorted((p for p in pictures if not MASK_WORD.search(p.stem)), key=natural_key)
+    fitted = is_relight_folder(folder)
+    others = (p for p in pictures if not (MASK_WORD.search(p.stem) or (fitted and LAYERS.fullmatch(p.stem))))
+    chosen = sorted(others, key=natural_key)
     raise_errors(problem for path in chosen for problem in source_problems(path, folder))
-    if not chosen:
+    if not chosen and not fitted:
         _refuse_unread(folder)
     return chosen
 
@@ -107,7 +110,7 @@ def recognise(source: Path, *, lights_file: Path | None = None, mask: Path | Non
         raise CaptureError(error("layout-unknown", str(source), "several .lp files", found=found, remedy="Name one"))
     lights_file = lights_file or (listed[0] if listed else None)
     if lights_file is None and not (source / "light_directions.txt").is_file():
-        lights_file = find_relight(source)
+        lights_file = _of_relight(source)
     if lights_file is not None and lights_file.suffix.lower() == ".dome":
         lights, width_mm = read_dome(lights_file)
         return replace(
@@ -147,7 +150,14 @@ def has_lamps(source: Path) -> bool:
     """Whether a folder tells where the lamps of a plane's photographs were."""
     listed = (source / "light_directions.txt").is_file() or any(source.glob("*.lp"))
     listed = listed or RtiProject.of(source) is not None
-    return listed or has_spheres(source) or find_relight(source) is not None
+    return listed or has_spheres(source) or _of_relight(source) is not None
+
+
+def _of_relight(source: Path) -> Path | None:
+    """Relight's file of the lamps in a folder; its `info.json` beside planes alone tells of no photographs."""
+    found = find_relight(source)
+    alone = found is not None and found.name == INFO and is_relight_folder(source) and not photographs_in(source)
+    return None if alone else found
 
 
 def has_spheres(source: Path) -> bool:

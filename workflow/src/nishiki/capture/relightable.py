@@ -6,7 +6,6 @@ interpolates. Of several that were tried on photographs these give the best norm
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import numpy as np
@@ -28,8 +27,6 @@ from nishiki.formats.relight import INFO, RelightFolder, is_relight_folder, open
 from nishiki.formats.text_tables import refusal
 
 SUFFIXES = (".ptm", ".rti")
-LAYERS = re.compile(r"plane_\d+|normals|albedo|height|depth|mean|thumbnail", re.IGNORECASE)
-"""Pictures that lie in a folder of relight and are no photographs, without suffix."""
 RINGS = ((20, 6), (35, 9), (50, 9))  # degrees from the normal, lamps
 BYTES_A_PIXEL = 36  # of memory, for a picture that is rendered and coded
 RELIGHT = "relight"  # folder of a capture that keeps the files of a relight folder
@@ -44,16 +41,15 @@ def recognise_relightable(source: Path) -> Path | None:
     Raises CaptureError (layout-unknown) where a folder holds several.
     """
     if source.is_file() and source.name == INFO and is_relight_folder(source.parent):
-        return source.parent
+        return source.parent.resolve()
     if source.is_file():
         return source if source.suffix.lower() in SUFFIXES else None
-    if source.is_dir() and is_relight_folder(source):
-        photographs = [path for path in photographs_in(source) if not LAYERS.fullmatch(path.stem)]
-        return None if photographs else source
     if not source.is_dir() or photographs_in(source) or RtiProject.of(source) is not None:
         return None
     if has_spheres(source) or colmap_folder(source) is not None or meshroom_file(source) is not None:
         return None
+    if is_relight_folder(source):
+        return source.resolve()
     files = sorted(path for path in source.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
     if len(files) > 1:
         what, remedy = "several relightable images", f"Convert one: {files[0]}"
@@ -110,7 +106,7 @@ def write_rendered(
     about = f"rendered from the {what} under {len(rows)} lamps {angles}"
     settings = {
         "format": FORMAT,
-        "title": title or file.stem,
+        "title": title or (file.name if file.is_dir() else file.stem),
         "notes": f"These pictures are no photographs. They were {about}; {LOST_BY_FIT}.",
         "geometry": "plane",
         "camera": {"channels": list(COLOUR), "encoding": encoding or "srgb"},

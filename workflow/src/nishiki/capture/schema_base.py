@@ -27,6 +27,9 @@ OBJECT_FACTS = {
 """Keys of capture.yaml on the object itself, beside `title` and `object_id`; their words on pages and in records."""
 ABOUT = ("title", "creator", "date", "object_id", *OBJECT_FACTS, "rights", "notes")
 """Keys of capture.yaml that records of a digitisation take over."""
+TEXTS = frozenset(ABOUT) - {"date"}
+"""Keys whose values are the text that stands in the file, though YAML would read 0755, 17.5 or yes as other things."""
+NULL, TEXT = "tag:yaml.org,2002:null", "tag:yaml.org,2002:str"
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Count = Annotated[int, Field(strict=True, ge=0)]
@@ -95,25 +98,21 @@ class Session(Closed):
             Date.fromisoformat(value[:10])
         return value
 
-    @field_validator("object_id", "object_made", mode="before")
-    @classmethod
-    def _number_as_text(cls, value: Any) -> Any:
-        # YAML reads an unquoted 1642 as a number and 1642-05-01 as a date; both are names here.
-        return value.isoformat() if isinstance(value, Date) else str(value) if isinstance(value, int) else value
-
 
 class UniqueKeyLoader(plain_yaml.SafeLoader):
-    """Safe YAML in which a key that appears twice is an error instead of the last one winning silently."""
+    """Safe YAML in which a key that appears twice is an error instead of the last one winning silently; and TEXTS."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
         seen = set()
-        for key_node, _ in node.value:
+        for key_node, value_node in node.value:
             key = self.construct_object(key_node, deep=True)
             if not isinstance(key, str):
                 raise yaml.constructor.ConstructorError(None, None, f"key {key!r} is not text", key_node.start_mark)
             if key in seen:
                 raise yaml.constructor.ConstructorError(None, None, f"key {key!r} appears twice", key_node.start_mark)
             seen.add(key)
+            if key in TEXTS and isinstance(value_node, yaml.ScalarNode) and value_node.tag != NULL:
+                value_node.tag = TEXT
         return super().construct_mapping(node, deep)
 
 

@@ -25,7 +25,11 @@ from nishiki.formats.images import read_codes
 
 INFO = "info.json"
 CHANNELS = ("red", "green", "blue")
+LAYERS = re.compile(r"plane_\d+|normals|albedo|height|depth|mean|thumbnail", re.IGNORECASE)
+"""Pictures that lie in such a folder and are no photographs, without suffix."""
 LEAST_WEIGHT = 0.001  # of a captured light, below which viewers leave it out
+LEAST_WIDTH = 0.001  # of Gaussians and of the spans of components
+OFF_UNIT = 0.01  # of a light's length
 ROWS_AT_A_TIME = 256
 REMEDY = "Fit it again with relight as ptm, hsh, sh (rgb or lrgb) or rbf (mrgb), or convert the photographs"
 
@@ -153,8 +157,7 @@ def open_relight(folder: Path) -> RelightFolder:
         lights = _numbers(info, "lights", None, name).reshape(-1, 3)
         basis = _numbers(info, "basis", (count + 1) * len(lights) * 3, name).reshape(count + 1, -1, 3)
         spans, (width,) = _numbers(material, "range", count, name), _numbers(info, "sigma", 1, name)
-        if len(lights) == 0 or width <= 0 or (spans == 0).any():
-            raise Refused(name, "lights, sigma or range without a value", remedy=REMEDY)
+        _expect_gaussians(lights, width, spans, name)
         components = np.concatenate([basis[:1] / 255, (basis[1:] - 127) / spans[:, None, None]])
     codes, files = np.empty((rows, columns, 3 * pictures), np.uint8), [INFO]
     for number in range(pictures):
@@ -163,49 +166,77 @@ def open_relight(folder: Path) -> RelightFolder:
     return RelightFolder(kind, space, codes[..., :count], scale, bias, lights, components, width, tuple(files))
 
 
+def _expect_gaussians(lights: np.ndarray, width: float, spans: np.ndarray, name: str) -> None:
+    """Refused unless lights are unit vectors, and what is divided by is not close to 0."""
+    lengths = np.linalg.norm(lights, axis=1)
+    if len(lights) == 0 or np.abs(lengths - 1).max() > OFF_UNIT:
+        found = f"length {lengths[np.abs(lengths - 1).argmax()]:.3g}" if len(lights) else "none"
+        raise Refused(name, "'lights' cannot be used", expected="vectors of length 1", found=found, remedy=REMEDY)
+    for key, least in (("sigma", width), ("range", np.abs(spans).min())):
+        if least < LEAST_WIDTH:
+            expected, found = f"at least {LEAST_WIDTH}", f"{least:.3g}"
+            raise Refused(name, f"'{key}' cannot be used", expected=expected, found=found, remedy=REMEDY)
+
+
 def _read_plane(folder: Path, name: str, out: np.ndarray) -> list[str]:
     """Fill (rows, columns, 3) from a picture or from the tiles of its full resolution; names of the files read."""
     if (folder / f"{name}.jpg").is_file():
-        _fill(folder, f"{name}.jpg", out, (0, 0))
+        _fill(folder, f"{name}.jpg", out)
         return [f"{name}.jpg"]
-    with_tiles = f"{name}.dzi"
+    (rows, columns), with_tiles = out.shape[:2], f"{name}.dzi"
+    about = f"{folder.name}/{with_tiles}"
     try:
-        text = read_text(folder / with_tiles, "settings_bytes")
+        text = read_text(_within(folder, with_tiles), "settings_bytes", name=about)
     except FileNotFoundError:
-        raise Refused(f"{folder.name}/{with_tiles}", "neither this nor a .jpg is there", remedy=REMEDY) from None
-    found = dict(re.findall(r'\b(TileSize|Overlap|Format)="(\w{1,9})"', text))
-    levels = [int(path.name) for path in (folder / f"{name}_files").glob("*") if path.name.isdigit()]
-    if len(found) < 3 or not levels:
-        raise Refused(f"{folder.name}/{with_tiles}", "no deep zoom with tiles", remedy=REMEDY)
-    size, overlap = (int(found[key]) if found[key].isdigit() else 0 for key in ("TileSize", "Overlap"))
+        raise Refused(about, "neither this nor a .jpg is there", remedy=REMEDY) from None
+    except UnicodeDecodeError:
+        raise Refused(about, "not UTF-8 text", remedy=REMEDY) from None
+    found = dict(re.findall(r'\b(TileSize|Overlap|Format)="(\w{1,9})"', text, re.ASCII))
+    sides = dict(re.findall(r'\b(Width|Height)="(\d{1,9})"', "".join(re.findall(r"<Size\b[^>]*>", text)), re.ASCII))
+    levels = [path.name for path in (folder / f"{name}_files").glob("*") if re.fullmatch("[0-9]+", path.name)]
+    if len(found) < 3 or len(sides) < 2 or not levels:
+        raise Refused(about, "no deep zoom with tiles", remedy=REMEDY)
+    if (int(sides["Height"]), int(sides["Width"])) != (rows, columns):
+        raise _other_size(about, (rows, columns), f"{int(sides['Width'])} x {int(sides['Height'])}")
+    size, overlap = (int(found[key]) if found[key].isdecimal() else 0 for key in ("TileSize", "Overlap"))
     if size < 16:
-        raise Refused(f"{folder.name}/{with_tiles}", "tiles too small", found=f"{size} pixels", remedy=REMEDY)
-    files, (rows, columns) = [with_tiles], out.shape[:2]
+        raise Refused(about, "tiles too small", found=f"{size} pixels", remedy=REMEDY)
+    files, level = [with_tiles], max(levels, key=int)
     for row in range(-(-rows // size)):
         for column in range(-(-columns // size)):
-            tile = f"{name}_files/{max(levels)}/{column}_{row}.{found['Format']}"
+            tile = f"{name}_files/{level}/{column}_{row}.{found['Format']}"
             margin = (min(row, 1) * overlap, min(column, 1) * overlap)
             _fill(folder, tile, out[row * size : (row + 1) * size, column * size : (column + 1) * size], margin)
             files.append(tile)
     return files
 
 
-def _fill(folder: Path, name: str, out: np.ndarray, margin: tuple[int, int]) -> None:
-    """Copy a picture, without the rows and columns of its margin, into a window."""
+def _fill(folder: Path, name: str, out: np.ndarray, margin: tuple[int, int] | None = None) -> None:
+    """Copy a picture into a window. margin : rows and columns before those of a tile; it may have more after them."""
+    about = f"{folder.name}/{name}"
+    codes = read_codes(_within(folder, name), CHANNELS, name=about)
+    if margin is not None:
+        codes = codes[margin[0] :, margin[1] :][: out.shape[0], : out.shape[1]]
+    if codes.shape != out.shape or codes.dtype != np.uint8:
+        raise _other_size(about, out.shape, f"{codes.shape[1]} x {codes.shape[0]} of {codes.dtype}")
+    out[:] = codes
+
+
+def _other_size(about: str, shape: tuple[int, ...], found: str) -> Refused:
+    expected, what = f"{shape[1]} x {shape[0]} of 8 bits", f"a plane of another size than {INFO} says"
+    return Refused(about, what, expected=expected, found=found, remedy=REMEDY)
+
+
+def _within(folder: Path, name: str) -> Path:
+    """The path of a file of the folder. Refused where it is a link elsewhere."""
     if leads_out(folder / name, folder):
         raise Refused(f"{folder.name}/{name}", "a link that leads out of the folder", remedy="Copy the file into it")
-    codes = read_codes(folder / name, CHANNELS)[margin[0] :, margin[1] :][: out.shape[0], : out.shape[1]]
-    if codes.shape != out.shape or codes.dtype != np.uint8:
-        expected, found = f"{out.shape[1]} x {out.shape[0]} of 8 bits", f"{codes.shape[1]} x {codes.shape[0]}"
-        raise Refused(
-            f"{folder.name}/{name}", "a plane of another size than info.json says", expected=expected, found=found
-        )
-    out[:] = codes
+    return folder / name
 
 
 def _info(folder: Path, name: str) -> dict[str, Any]:
     try:
-        content = json.loads(read_text(folder / INFO, "table_bytes", name=name))
+        content = json.loads(read_text(_within(folder, INFO), "table_bytes", name=name))
     except (ValueError, RecursionError) as e:
         raise Refused(name, "not JSON", found=str(e)[:80], remedy=REMEDY) from None
     if not isinstance(content, dict):
