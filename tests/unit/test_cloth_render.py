@@ -139,6 +139,15 @@ def test_the_page_of_the_cloth_takes_the_surface_of_the_pictures(tmp_path):
     np.testing.assert_allclose(abs(weft), np.tile(np.array([0, 0.5, 1]) / np.sqrt(1.25), (4, 1)), atol=1e-3)  # turned
 
 
+def test_a_missing_surface_is_told_by_the_setting_that_names_it(tmp_path):
+    missing, none = {"file": str(tmp_path / "none.obj")}, SimpleNamespace(cloth_render=ClothRenderSettings())
+    with pytest.raises(UserError, match=r"cloth_viewer\.mesh\.file"):
+        CHAIN["cloth_viewer"].filled(ClothViewerSettings(mesh=missing), none)
+    shown = SimpleNamespace(cloth_render=ClothRenderSettings(mesh=missing))
+    with pytest.raises(UserError, match=r"cloth_render\.mesh\.file"):
+        CHAIN["cloth_viewer"].filled(ClothViewerSettings(), shown)
+
+
 @pytest.mark.parametrize(
     ("mesh", "words"),
     [

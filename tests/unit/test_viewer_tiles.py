@@ -105,7 +105,7 @@ def decoded(block: bytes, code: dict, shape: tuple[int, int]) -> np.ndarray:
     return codes
 
 
-@pytest.mark.parametrize("shape", [(1, 1), (2, 9), (3, 4), (9, 3), (40, 300)])
+@pytest.mark.parametrize("shape", [(1, 1), (2, 9), (3, 4), (9, 3), (40, 300), (520, 20)])
 def test_heights_come_back_from_their_block(shape):
     rng = np.random.default_rng(5)
     smooth = np.cumsum(rng.integers(-300, 301, shape), axis=1)

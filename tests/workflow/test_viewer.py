@@ -286,6 +286,16 @@ def test_the_worker_reads_heights_with_holes_and_marches_as_render_does(shown):
         assert 0.05 < np.mean(expected[known[inside]] < 0.5) < 0.95
 
 
+def test_heights_that_cannot_be_read_are_an_error_and_are_not_waited_for(shown):
+    said = shown.page.evaluate(
+        """async () => {
+          const { shadows, manifest } = nishiki.scene, worker = new shadows.levels[0].constructor(manifest.shadows[0]);
+          return worker.open(new Uint8Array([1, 2, 3]), true).then(() => null, (error) => error.message);
+        }"""
+    )
+    assert said.startswith("height-0: ")
+
+
 @pytest.mark.parametrize("enhancement", ["specular", "curvature", "raking"])
 def test_an_enhancement_is_what_its_formula_says(viewed, shown, enhancement):
     current = viewed.folder / "results/tiny/current"

@@ -91,11 +91,11 @@ class ClothRenderSettings(Guarded):
     film: FilmSettings | None = Field(None, description="a video; null: none")
 
 
-def with_digest_of_mesh(mesh: MeshSettings | None) -> dict:
-    """What the plan fills in: the digest of the file, where the settings state none."""
+def with_digest_of_mesh(mesh: MeshSettings | None, stage: str) -> dict:
+    """What the plan fills in for a stage: the digest of the file, where the settings state none."""
     if mesh is None or mesh.sha256:
         return {"mesh": mesh}
-    return {"mesh": mesh.model_copy(update={"sha256": digest_of(mesh.file, "cloth_render.mesh.file")})}
+    return {"mesh": mesh.model_copy(update={"sha256": digest_of(mesh.file, f"{stage}.mesh.file")})}
 
 
 STAGE = Stage(
@@ -106,7 +106,7 @@ STAGE = Stage(
     product="render",
     requires=("cloth_brdf",),
     needs_colour=True,
-    filled=lambda block, settings: with_digest_of_mesh(block.mesh),
+    filled=lambda block, settings: with_digest_of_mesh(block.mesh, "cloth_render"),
     libraries=("numpy", "scipy", "numba", "trimesh", "OpenEXR", "opencv-contrib-python-headless", "av"),
     idle={
         "av": no_film("cloth_render", "film"),

@@ -29,7 +29,11 @@ STAGE = Stage(
     product="viewer",
     requires=("ingest", "cloth_brdf"),
     needs_colour=True,
-    filled=lambda block, settings: with_digest_of_mesh(block.mesh or settings.cloth_render.mesh),
+    filled=lambda block, settings: (
+        with_digest_of_mesh(block.mesh, "cloth_viewer")
+        if block.mesh
+        else with_digest_of_mesh(settings.cloth_render.mesh, "cloth_render")
+    ),
     libraries=("numpy", "scipy", "numba", "trimesh", "jinja2"),
     idle={"trimesh": lambda facts, settings: None if settings["cloth_viewer"].mesh else "no mesh file is shown"},
     cost=lambda facts: Cost(mib=340, seconds=40),

@@ -261,8 +261,12 @@ export function work() {
 
   onmessage = async ({ data }) => {
     if (data.block) {
-      heights = await open(data.block, data.described);
-      postMessage(data.wanted ? heights.surface : null);
+      try {
+        heights = await open(data.block, data.described);
+        postMessage({ surface: data.wanted ? heights.surface : null });
+      } catch (error) { // of an async function none reaches onerror
+        postMessage({ error: error.message });
+      }
     } else {
       const visibility = visibilities(data.lamps, data.window);
       postMessage(visibility, [visibility.buffer]);

@@ -34,7 +34,8 @@ class Heights {
       worker.onerror = ({ message }) => reject(new Error(`${described.block}: ${message}`));
       worker.onmessage = ({ data }) => {
         worker.onmessage = ({ data: visibility }) => this.#answered(visibility);
-        resolve(data && { surface: data, rows, columns, pitch });
+        if (data.error) reject(new Error(`${described.block}: ${data.error}`));
+        else resolve(data.surface && { surface: data.surface, rows, columns, pitch });
       };
       worker.postMessage({ block, described, wanted });
     });
