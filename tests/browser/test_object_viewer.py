@@ -89,6 +89,30 @@ def test_shadows_fall_where_they_should(shown):
     assert np.median(viewer_pages.difference(canvas(shown, **state), shaded)[changed]) < 0.5
 
 
+DARK_BUT_THE_LAST = [viewer_pages.lamp(50 * n, 30, radius_deg=0, intensity=0.02) for n in range(7)]
+
+
+@pytest.mark.parametrize(
+    ("lamps", "ambient"),
+    [([*DARK_BUT_THE_LAST, viewer_pages.lamp(200, 35, radius_deg=0)], 0.05), ([], 0.3), ([], 0)],
+    ids=["eight and even light", "even light alone", "none"],
+)
+def test_every_lamp_that_the_panel_offers_and_even_light_without_any(shown, lamps, ambient):
+    state = {"lamps": lamps, "ambient": ambient, "view": {"captured": 3}, "options": {"lighting": "free"}}
+    renderer = shown.decoded.renderer(rim=0, own_lamps=viewer_pages.own_lighting(state))
+    check(shown, state, renderer, renderer.captured(3))
+
+
+def test_the_ceiling_of_the_capture_does_not_bind_free_lamps(shown):
+    assert shown.page.page.evaluate("nishiki.scene.manifest.ceiling") == 1
+    state = {"view": {"captured": 3}, "options": {"lighting": "free", "shadows": False}}
+    bright = canvas(shown, **state, lamps=[viewer_pages.lamp(40, 60, intensity=4)], exposure=0.25).astype(int)
+    plain = canvas(shown, **state, lamps=[viewer_pages.lamp(40, 60)], exposure=1).astype(int)
+    canvas(shown, exposure=1)
+    assert bright.max() > encoded(np.full((1, 1, 3), 0.27)).pixels.max()  # at this exposure 1 is 0.25
+    assert np.percentile(abs(bright - plain), 99) <= 2
+
+
 def test_two_states_with_shadows_of_their_own_come_to_rest(shown):
     """Both sides of the divider sum up their own samples."""
     kept = {
@@ -247,6 +271,55 @@ def test_controls_that_change_nothing_are_not_offered(shown):
     assert (section.locator(".pad").count(), section.locator("select").count()) == (1, 0)
     assert words in section.text_content()
     assert ticks.count() == 2  # shadows, places of the camera
+
+
+def test_depth_buffers_are_given_back(shown):
+    canvas(shown, view={"captured": 0})
+    made, alive = shown.page.page.evaluate("""async () => {
+      const { scene } = nishiki, { gl } = scene, create = gl.createRenderbuffer, remove = gl.deleteRenderbuffer;
+      const alive = new Set();
+      let made = 0;
+      gl.createRenderbuffer = () => { const one = create.call(gl); made++; alive.add(one); return one; };
+      gl.deleteRenderbuffer = (one) => { alive.delete(one); remove.call(gl, one); };
+      scene.dropTargets();
+      await scene.probe(75, 65, nishiki.state);
+      for (let view = 0; view < 8; view++) scene.texels.residualOf(view, 0);
+      scene.draw(nishiki.state);
+      scene.dropTargets();
+      delete gl.createRenderbuffer;
+      delete gl.deleteRenderbuffer;
+      return [made, alive.size];
+    }""")
+    assert made > 8
+    assert alive == 0
+
+
+def test_a_point_has_three_coordinates(shown):
+    page = shown.page.page
+    page.evaluate("dispatchEvent(new Event('resize'))")
+    shown.page.set(view={"captured": 2}, options={})
+    page.locator("canvas").first.focus()
+    page.keyboard.press("p")
+    page.mouse.click(150, 100)
+    place = page.locator("[data-section=probe] dd").first
+    place.wait_for(state="attached")
+    *values, last = place.text_content().split(", ")
+    last, unit = last.split()
+    assert unit == "mm"
+    want = page.evaluate("nishiki.scene.pointAt(150, 100, nishiki.state)")
+    np.testing.assert_allclose([float(value) for value in (*values, last)], want, rtol=1e-3, atol=1e-4)
+    page.locator("canvas").first.focus()
+    page.keyboard.press("m")
+
+
+def test_a_tool_that_is_chosen_keeps_the_focus(shown):
+    page = shown.page.page
+    for number in (1, 0):
+        page.locator("#tools button").nth(number).focus()
+        page.keyboard.press("Enter")
+        focused = "document.activeElement === document.querySelectorAll('#tools button')[NUMBER]"
+        assert page.evaluate(focused.replace("NUMBER", str(number)))
+        assert page.locator("#tools button").nth(number).get_attribute("aria-pressed") == "true"
 
 
 def test_layers_differ_and_nothing_was_complained_of(shown):

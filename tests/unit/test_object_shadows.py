@@ -1,5 +1,7 @@
 """Shadows of an object's own lamps against a slow reference, triangle by triangle; and the pictures that have them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from coded_dome import coded_dome
@@ -122,6 +124,23 @@ def test_shadows_of_a_post_on_a_plate_lie_where_geometry_says():
     soft = view.visible(FreeLamp(0.0, elevation, radius=np.radians(5)), points, np.tile([0, 0, 1.0], (59, 1)))
     np.testing.assert_allclose(soft[np.argmin(abs(points[:, 0] + 1 / np.tan(elevation)))], 0.5, atol=0.35)
     assert len(np.unique(soft)) > 4
+
+
+def test_the_ceiling_of_the_capture_does_not_bind_other_lamps(decoded):
+    assert decoded.ceiling == 1
+    lighting = FreeLighting((replace(LAMP, intensity=4.0),), shadows=False)
+    renderers = [each.renderer(own_lamps=lighting) for each in (decoded, replace(decoded, ceiling=None))]
+    got, want = (next(each.render([each.captured(3)])).linear for each in renderers)
+    assert got.max() > 1.5
+    np.testing.assert_array_equal(got, want)
+
+
+@pytest.mark.parametrize("name", ["around", "shadows", "shadow_rays"])
+def test_what_goes_with_lamps_is_refused_without_them(name):
+    changed = {"around": 0.2, "shadows": False, "shadow_rays": 4}[name]
+    with pytest.raises(UserError, match=f"`{name}` is set without `lamps`"):
+        own_lamps(ObjectRenderSettings(**{name: changed}))
+    assert own_lamps(ObjectRenderSettings(**{name: changed}, lamps={"dark": {"intensity": 0}}))
 
 
 def test_settings_name_one_kind_of_light():

@@ -47,7 +47,8 @@ class ObjectRenderer:
     model_only: without the residual; own_lamps: light the object in place of the captured ones (the model alone, since
     a residual belongs to its light); rim: pixels by which values are carried on beyond the surface's edge; ceiling:
     largest linear value that the capture could hold (None: any).  What was saturated or never seen is not bound by any
-    photograph, and a lobe can grow there without limit: pictures are clipped to 0 .. ceiling, as the camera's were.
+    photograph, and a lobe can grow there without limit: pictures are clipped to 0 .. ceiling, as the camera's were;
+    under own_lamps, of any intensity, the ceiling says nothing.
     """
 
     def __init__(
@@ -232,7 +233,7 @@ class ObjectRenderer:
     def _picture(self, prepared: Prepared) -> ObjectPicture:
         raster, shot = prepared.raster, prepared.shot
         linear = np.zeros((raster.triangle.size, self.channels), np.float32)
-        highest = np.inf if self.ceiling is None else self.ceiling
+        highest = np.inf if self.lit or self.ceiling is None else self.ceiling
         for values, (_, weight) in zip(prepared.values, shot.lights, strict=True):
             light = sum(to_linear(part, self.encoding) for part in values)
             linear[prepared.pixels] += np.float32(weight) * np.clip(light, 0, highest, dtype=np.float32)

@@ -52,6 +52,7 @@ def run(context: Context) -> dict:
 def own_lamps(settings: ObjectRenderSettings) -> FreeLighting | None:
     """The lamps of the settings; None where those of the capture light the object."""
     if not settings.lamps:
+        _refuse_what_needs_lamps(settings)
         return None
     if settings.lights:
         raise UserError(
@@ -69,6 +70,17 @@ def own_lamps(settings: ObjectRenderSettings) -> FreeLighting | None:
         for lamp in settings.lamps.values()
     )
     return FreeLighting(lamps, settings.around, settings.shadows, settings.shadow_rays)
+
+
+def _refuse_what_needs_lamps(settings: ObjectRenderSettings) -> None:
+    """Raise UserError where light that goes with `lamps` is set without any of them."""
+    fields = ObjectRenderSettings.model_fields
+    for name in ("around", "shadows", "shadow_rays"):
+        if getattr(settings, name) != fields[name].default:
+            raise UserError(
+                f"object_render: `{name}` is set without `lamps`, and goes with lamps of one's own alone. "
+                f"Remedy: name a lamp (intensity 0 for light from all around alone), or remove `{name}`"
+            )
 
 
 def stills(decoded: DecodedObject, renderer: ObjectRenderer, settings: ObjectRenderSettings) -> list[tuple[str, Shot]]:

@@ -7,7 +7,7 @@ import { CLOTH_FRAGMENT, CLOTH_VERTEX, DEVELOP_FRAGMENT, SHADOW_VERTEX } from "v
 import { decode } from "viewer/colour";
 import { LAMPS, SCREEN_VERTEX } from "viewer/common_shaders";
 import { freeLamps } from "viewer/free_lamps";
-import { Shader, framebuffer, image } from "viewer/gl";
+import { Shader, drop, framebuffer, image } from "viewer/gl";
 import { dot, normalised, scale, subtract } from "viewer/matrices";
 import { MeanPictures } from "viewer/mean_picture";
 import { RoundScene } from "viewer/round_scene";
@@ -240,7 +240,7 @@ export class ClothScene extends RoundScene {
     const out = new Float32Array(4);
     gl.bindFramebuffer(gl.FRAMEBUFFER, target);
     gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.FLOAT, out);
-    gl.deleteFramebuffer(target);
+    drop(gl, target);
     gl.deleteTexture(values);
     return Array.from(out);
   }

@@ -150,7 +150,7 @@ export function attribute(gl, place, data, size) {
   return gl.vertexAttribPointer(place, size, type, type !== gl.FLOAT, 0, 0);
 }
 
-/** A framebuffer that draws into textures, with a depth buffer of its size where asked for. */
+/** A framebuffer that draws into textures, with a depth buffer of its size where asked for; to be deleted by `drop`. */
 export function framebuffer(gl, textures, depth = null) {
   const made = gl.createFramebuffer();
   gl.bindFramebuffer(gl.FRAMEBUFFER, made);
@@ -158,13 +158,19 @@ export function framebuffer(gl, textures, depth = null) {
     gl.framebufferTexture2D(gl.FRAMEBUFFER, gl.COLOR_ATTACHMENT0 + n, gl.TEXTURE_2D, each, 0);
   });
   if (depth) {
-    gl.bindRenderbuffer(gl.RENDERBUFFER, gl.createRenderbuffer());
+    made.depth = gl.createRenderbuffer();
+    gl.bindRenderbuffer(gl.RENDERBUFFER, made.depth);
     gl.renderbufferStorage(gl.RENDERBUFFER, gl.DEPTH_COMPONENT24, ...depth);
-    gl.framebufferRenderbuffer(
-      gl.FRAMEBUFFER, gl.DEPTH_ATTACHMENT, gl.RENDERBUFFER, gl.getParameter(gl.RENDERBUFFER_BINDING));
+    gl.framebufferRenderbuffer(gl.FRAMEBUFFER, gl.DEPTH_ATTACHMENT, gl.RENDERBUFFER, made.depth);
   }
   gl.drawBuffers(textures.map((_, n) => gl.COLOR_ATTACHMENT0 + n));
   return made;
+}
+
+/** Delete a framebuffer and its depth buffer; its textures stay. */
+export function drop(gl, framebuffer) {
+  gl.deleteRenderbuffer(framebuffer.depth ?? null);
+  gl.deleteFramebuffer(framebuffer);
 }
 
 /** A framebuffer with an RGBA8 texture of this size: {framebuffer, texture, width, height}. */

@@ -72,7 +72,7 @@ class App {
   /** The state changed in a way that the panel shows with other controls. */
   rebuild() {
     const active = document.activeElement?.getAttribute("aria-label") ?? document.activeElement?.textContent;
-    const inside = by("panel").contains(document.activeElement);
+    const inside = ["tools", "panel"].find((name) => by(name).contains(document.activeElement));
     speak(this.state.language);
     document.title = this.manifest.title;
     canvas.setAttribute("aria-label", text(this.flat ? "canvas.flat" : "canvas.object", { title: this.manifest.title }));
@@ -83,7 +83,7 @@ class App {
     by("divider").setAttribute("aria-label", text("divider"));
     by("sheet").textContent = text("controls");
     by("panel").replaceChildren(...this.panel());
-    if (inside) [...by("panel").querySelectorAll("button,select,input,svg")].find((each) => (each.getAttribute("aria-label") ?? each.textContent) === active)?.focus();
+    if (inside) [...by(inside).querySelectorAll("button,select,input,svg")].find((each) => (each.getAttribute("aria-label") ?? each.textContent) === active)?.focus();
     this.change();
   }
 

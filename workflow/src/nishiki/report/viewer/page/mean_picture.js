@@ -3,7 +3,7 @@
 // frames have been slow.
 import { SCREEN_VERTEX } from "viewer/common_shaders";
 import { SAMPLES } from "viewer/free_lamps";
-import { Shader, framebuffer, image } from "viewer/gl";
+import { Shader, drop, framebuffer, image } from "viewer/gl";
 
 const COARSE = 3; // pixels of the canvas to one of a coarse picture, along each side
 const SLOW = [150, 2000]; // ms between two changes of the state that say that frames are slow
@@ -69,7 +69,7 @@ export class MeanPictures {
     if (!part) return;
     for (const { texture, target } of [part.sample, ...part.mean]) {
       gl.deleteTexture(texture);
-      gl.deleteFramebuffer(target);
+      drop(gl, target);
     }
     delete this.parts[name];
   }

@@ -6,7 +6,7 @@ import { projected } from "viewer/cameras";
 import { CodedObject } from "viewer/coded_object";
 import { decode } from "viewer/colour";
 import { SCREEN_VERTEX } from "viewer/common_shaders";
-import { Shader, framebuffer, image } from "viewer/gl";
+import { Shader, drop, framebuffer, image } from "viewer/gl";
 import { add, apply, scale } from "viewer/matrices";
 import { capturedUniforms, freeUniforms, hasFreeLamps } from "viewer/object_lamps";
 import { ObjectProbe } from "viewer/object_probe";
@@ -20,6 +20,7 @@ import { ObjectViews } from "viewer/object_views";
 import { RoundScene } from "viewer/round_scene";
 
 const SAMPLES = 4; // of a pixel at the object's edge
+const MOST_LIGHT = 6e4; // that a half float holds
 const MILLIMETRES = { mm: 1, cm: 10, m: 1000 };
 const LAYER = { appearance: 0, colours: 1, greys: 2, normals: 3 };
 const LAYERS = [
@@ -68,8 +69,9 @@ export class ObjectScene extends RoundScene {
     return this.manifest.radius;
   }
 
-  get ceiling() {
-    return this.manifest.ceiling ?? 1e30;
+  /** Largest linear value of a state's picture: under other lamps what the capture could hold means nothing. */
+  ceilingOf(state) {
+    return hasFreeLamps(state) ? MOST_LIGHT : (this.manifest.ceiling ?? MOST_LIGHT);
   }
 
   /** Millimetres to the cameras' unit; undefined where that is no length. */
@@ -115,7 +117,7 @@ export class ObjectScene extends RoundScene {
   /** Draw the texels as a state's camera sees them, for a part of the canvas; see ObjectShadows. */
   drawTexels(state, camera, lenders, part) {
     const light = this.lightOf(state), free = hasFreeLamps(state);
-    const shaded = free && state.options.shadows !== false;
+    const shaded = free && state.lamps?.length > 0 && state.options.shadows !== false;
     if (!shaded) this.shadows.forget(part);
     const shadows = shaded ? this.shadows.next(part, state, camera) : null;
     const lamps = free ? freeUniforms(this.manifest, state, camera) : capturedUniforms(this.manifest, light, camera);
@@ -138,7 +140,7 @@ export class ObjectScene extends RoundScene {
     gl.enable(gl.SCISSOR_TEST);
     gl.scissor(area.x, canvas.height - area.y - area.height, area.width, area.height);
     this.begin(target.plain, size);
-    this.drawPicture(camera, layer, lenders, this.lightOf(state));
+    this.drawPicture(camera, layer, lenders, state);
     this.begin(target.smooth, size);
     this.programs.coverage.use(this.mesh.seenBy(camera));
     this.mesh.draw();
@@ -151,7 +153,7 @@ export class ObjectScene extends RoundScene {
     const grey = decode(state.options?.background ?? 0);
     this.onCanvas(area, () => {
       this.programs.display.use({
-        picture: target.picture, coverage: target.coverage, overlay: lined ? target.overlay : this.texels.zero, ceiling: this.ceiling, lined,
+        picture: target.picture, coverage: target.coverage, overlay: lined ? target.overlay : this.texels.zero, ceiling: this.ceilingOf(state), lined,
         exposure: typeof state.exposure === "number" ? state.exposure : 1,
         background: [grey, grey, grey], coded: layer.name !== "appearance",
       });
@@ -176,11 +178,11 @@ export class ObjectScene extends RoundScene {
     gl.blitFramebuffer(...corners, ...corners, gl.COLOR_BUFFER_BIT, gl.NEAREST);
   }
 
-  drawPicture(camera, layer, lenders, light) {
-    const [texels, kind, channel] = this.shown(layer.name, lenders, light), { mesh } = this;
+  drawPicture(camera, layer, lenders, state) {
+    const [texels, kind, channel] = this.shown(layer.name, lenders, this.lightOf(state)), { mesh } = this;
     this.programs.mesh.use({
       ...mesh.seenBy(camera), texels, grids: mesh.grids, cells: mesh.cells, size: this.coded.size,
-      tilesAcross: this.texels.across, layer: kind, ceiling: this.ceiling, range: layer.range, channel,
+      tilesAcross: this.texels.across, layer: kind, ceiling: this.ceilingOf(state), range: layer.range, channel,
     });
     mesh.draw();
   }
@@ -236,7 +238,7 @@ export class ObjectScene extends RoundScene {
   dropTargets() {
     const { gl } = this;
     for (const { smooth, storage, plain, covered, lined, ...textures } of this.targets.values()) {
-      [smooth, plain, covered, lined].forEach((old) => gl.deleteFramebuffer(old));
+      [smooth, plain, covered, lined].forEach((old) => drop(gl, old));
       storage.forEach((old) => gl.deleteRenderbuffer(old));
       Object.values(textures).forEach((old) => gl.deleteTexture(old));
     }

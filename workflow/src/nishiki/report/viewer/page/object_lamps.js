@@ -11,7 +11,7 @@ const [AT_A_PLACE, DISTANT, ENVIRONMENT] = [0, 1, 2];
 export const lampFrame = (camera) => multiply(TO_LAMP_FRAME, camera.rotation);
 
 /** Whether a state's own lamps light the object. */
-export const hasFreeLamps = (state) => state.options?.lighting === "free" && (state.lamps ?? []).length > 0;
+export const hasFreeLamps = (state) => state.options?.lighting === "free";
 
 /** Vector from a point, whose own vector to the camera is `away`, towards the captured lamp. */
 export function towardsCaptured(lighting, light, camera, away) {
@@ -33,10 +33,10 @@ export function capturedUniforms({ lighting }, light, camera) {
 
 /** The state's own lamps, each with point `k` of its disc; see free_lamps.js. */
 export function ownLamps({ centre, radius }, state, camera, k) {
-  return freeLamps(state.lamps.slice(0, LAMPS - 1), lampFrame(camera), centre, radius, k);
+  return freeLamps((state.lamps ?? []).slice(0, LAMPS), lampFrame(camera), centre, radius, k);
 }
 
-/** Uniforms of the state's own lamps. */
+/** Uniforms of the state's own lamps and of its even light. */
 export function freeUniforms(manifest, state, camera) {
   const lamps = ownLamps(manifest, state, camera, 0).map(({ near, vector, strength, distance }) => {
     return { form: near ? AT_A_PLACE : DISTANT, vector, colour: new Array(3).fill(strength), reference: near ? distance : 0 };
@@ -50,9 +50,10 @@ export function freeUniforms(manifest, state, camera) {
 }
 
 const none = () => new Array(9).fill([0, 0, 0]);
+const DARK = { form: DISTANT, vector: [0, 0, 1], colour: [0, 0, 0], reference: 0 };
 
 function uniforms(lamps, frame, harmonics) {
-  const padded = Array.from({ length: LAMPS }, (_, n) => lamps[n] ?? lamps[0]);
+  const padded = Array.from({ length: LAMPS + 1 }, (_, n) => lamps[n] ?? DARK);
   return {
     lamps: lamps.length, form: padded.map((l) => l.form), lampVector: padded.map((l) => l.vector),
     lampColour: padded.map((l) => l.colour), reference: padded.map((l) => l.reference), lampFrame: frame, harmonics,

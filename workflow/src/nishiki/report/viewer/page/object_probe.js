@@ -1,7 +1,7 @@
 // Values of an object under the pointer: place, normal, parameters, and what the captured views show there.
 import { centreOf } from "viewer/cameras";
 import { decode } from "viewer/colour";
-import { framebuffer, image } from "viewer/gl";
+import { drop, framebuffer, image } from "viewer/gl";
 import { add, apply, dot, norm, normalised, subtract } from "viewer/matrices";
 import { capturedUniforms, towardsCaptured } from "viewer/object_lamps";
 import { PLACE_LAYER } from "viewer/object_shaders";
@@ -53,7 +53,7 @@ export class ObjectProbe {
     this.scene.mesh.draw();
     const out = new Float32Array(4);
     gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.FLOAT, out);
-    gl.deleteFramebuffer(target);
+    drop(gl, target);
     gl.deleteTexture(values);
     return out;
   }

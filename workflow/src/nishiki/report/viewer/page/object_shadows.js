@@ -2,7 +2,7 @@
 // as a sum over SAMPLES points of the discs. A picture that moves shows the first; it gets smoother while it rests.
 import { SCREEN_VERTEX } from "viewer/common_shaders";
 import { SAMPLES } from "viewer/free_lamps";
-import { Shader, framebuffer, image } from "viewer/gl";
+import { Shader, drop, framebuffer, image } from "viewer/gl";
 import { lampFrame, ownLamps } from "viewer/object_lamps";
 import { LIT_FRAGMENT, SHADOW_VERTEX } from "viewer/object_texel_shaders";
 import { MAP_BIAS, SHADOW_FRAGMENT, ShadowMaps } from "viewer/shadow_maps";
@@ -33,7 +33,7 @@ export class ObjectShadows {
   forget(part) {
     const { gl } = this, sum = this.sums[part];
     if (!sum) return;
-    gl.deleteFramebuffer(sum.target);
+    drop(gl, sum.target);
     sum.textures.forEach((old) => gl.deleteTexture(old));
     delete this.sums[part];
   }

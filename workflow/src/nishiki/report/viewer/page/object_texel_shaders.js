@@ -150,7 +150,7 @@ void main() {
 /** Texels as a camera sees them under the lamps: the encoded model plus the residual of the captured views around. */
 export const texelFragment = (parts, srgb) => `${ENCODING}
 #define PARTS ${parts}
-#define LAMPS ${LAMPS}
+#define LAMPS ${LAMPS + 1} // one more, for the even light beside the state's own
 uniform sampler2D positions, normals, diffuse, specular;
 uniform sampler2D residual0[PARTS], residual1[PARTS], visible0, visible1;
 uniform int views;              // that lend their residual: 0, 1 or 2

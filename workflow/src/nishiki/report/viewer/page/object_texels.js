@@ -3,7 +3,7 @@
 import { centreOf } from "viewer/cameras";
 import { trianglesOfTiles } from "viewer/coded_object";
 import { SCREEN_VERTEX } from "viewer/common_shaders";
-import { Shader, attribute, framebuffer, image } from "viewer/gl";
+import { Shader, attribute, drop, framebuffer, image } from "viewer/gl";
 import { DEPTH_FRAGMENT, MESH_VERTEX } from "viewer/object_shaders";
 import { SURFACE_FRAGMENT, SURFACE_VERTEX, VISIBILITY_FRAGMENT, texelFragment } from "viewer/object_texel_shaders";
 
@@ -59,7 +59,7 @@ export class ObjectTexels {
     });
     gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, pairs.length / 4);
     gl.bindVertexArray(null);
-    gl.deleteFramebuffer(target);
+    drop(gl, target);
   }
 
   #upload(target, tile, data) {
@@ -161,8 +161,8 @@ export class ObjectTexels {
       ...this.mesh.seenBy(camera), positions: this.positions, normals: this.normals, depths, eye: centreOf(camera),
     });
     this.scene.drawScreen();
-    gl.deleteFramebuffer(target);
-    gl.deleteFramebuffer(result);
+    drop(gl, target);
+    drop(gl, result);
     gl.deleteTexture(depths);
     return visible;
   }
@@ -197,7 +197,7 @@ export class ObjectTexels {
   read(source, { x, y }) {
     const { gl } = this, target = framebuffer(gl, [source]), out = new Float32Array(16);
     gl.readPixels(x, y, 2, 2, gl.RGBA, gl.FLOAT, out);
-    gl.deleteFramebuffer(target);
+    drop(gl, target);
     return out;
   }
 }

@@ -11,13 +11,13 @@ export function probeSection(app) {
   if (probed === null) return [element("p", { className: "hint" }, text("probe.nothing"))];
   const { unit } = app.scene.bounds(), rows = [];
   const number = (value, digits = 3) => (value === null || value === undefined ? "–" : `${Number(value.toPrecision(digits))}`);
-  if (probed.position_mm) rows.push([text("probe.position"), `${probed.position_mm.slice(0, 2).map((v) => number(v, 4)).join(", ")} ${unit}`]);
+  if (probed.position_mm) rows.push([text("probe.position"), `${probed.position_mm.slice(0, app.flat ? 2 : 3).map((v) => number(v, 4)).join(", ")} ${unit}`]);
   if (probed.normal) {
     rows.push([text("layer.normals"), probed.normal.map((v) => v.toFixed(3)).join(", ")]);
     rows.push([text("probe.tilt"), `${((Math.acos(Math.min(probed.normal[2], 1)) * 180) / Math.PI).toFixed(1)}°`]);
   }
   for (const layer of app.scene.layers()) {
-    if (layer.name in (probed.layers ?? {})) rows.push([text(layer.label_key ?? `layer.${layer.name}`), `${number(probed.layers[layer.name])} ${layer.unit ?? ""}`]);
+    if (layer.name in (probed.layers ?? {})) rows.push([text(layer.label_key ?? `layer.${layer.name}`), `${[probed.layers[layer.name]].flat().map((v) => number(v)).join(", ")} ${layer.unit ?? ""}`]);
   }
   for (const [name, value] of Object.entries(probed.gloss ?? {})) rows.push([text(`gloss.${name}`), [value].flat().map((v) => number(v)).join(", ")]);
   return [
