@@ -6,6 +6,7 @@ from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import numpy as np
+import OpenEXR
 import pytest
 from small_painting import COLUMNS, ROWS, export_context, small_painting
 from unit.test_patches_atlas import atlas_of
@@ -13,19 +14,24 @@ from unit.test_patches_charts import around, ball
 
 from nishiki.brdf.texels.lighting import Lighting
 from nishiki.brdf.texels.model import predict
-from nishiki.colour.encoding import decode
+from nishiki.colour.encoding import encode
 from nishiki.formats.mitsuba_xml import Parameter, write_scene
+from nishiki.observations.plane import Observations
+from nishiki.report.numbers import figure
 from nishiki.stages.export import mitsuba_principled as principled
 from nishiki.stages.export.declaration import ExportSettings
-from nishiki.stages.export.look import painting_look
+from nishiki.stages.export.gltf_material import GltfMaterial
 from nishiki.stages.export.mitsuba import PrincipledPaint
+from nishiki.stages.export.photographs import Photographs
+from nishiki.stages.export.report import lost
 from nishiki.stages.export.run import run
 from nishiki.stages.export.scene import ExportedScene
 from nishiki.stages.object_export.errors import SeenPoints
 from nishiki.stages.object_export.look import ObjectLook, object_mesh
-from nishiki.stages.object_export.mitsuba import falloff, lamp_facts, write_folder
+from nishiki.stages.object_export.mitsuba import by_principled, falloff, lamp_facts, write_folder
 from nishiki.stages.object_export.texture_atlas import sample, texture_atlas
 
+F0 = ((1.45 - 1) / (1.45 + 1)) ** 2  # along the normal, of the index of the small painting
 STAMP = {"scene": "ball", "key": "0123456789ab"}
 UNIT = 0.001
 PLACE = (0.3, 0.2, 0.1)  # of the lamp, in the camera's frame
@@ -103,8 +109,41 @@ def painting(tmp_path_factory):
     context = export_context(made, folder / "export", ExportSettings(formats=("mitsuba",)))
     with context.output as output:
         reported = run(context)
-        look = painting_look(context, ExportedScene(made.inputs))
-        yield SimpleNamespace(made=made, folder=output.folder / "exports/mitsuba", look=look, reported=reported)
+        yield SimpleNamespace(made=made, folder=output.folder / "exports/mitsuba", reported=reported)
+
+
+def shown_by_files(painting, light):
+    """(rows, columns, 3) that principled shows of the whole albedo.exr and normalmap.exr."""
+    colours, normals = (
+        OpenEXR.File(str(painting.folder / f"{name}.exr")).channels()["RGB"].pixels.reshape(-1, 3).astype(float)
+        for name in ("albedo", "normalmap")
+    )
+    normals = 2 * normals - 1
+    paint = ElementTree.parse(painting.folder / "scene.xml").getroot().find(".//bsdf[@type='normalmap']")
+    read = {each.get("name"): float(each.get("value")) for each in paint.iter("float")}
+    index = read["eta"]
+    material = GltfMaterial(read["roughness"], read.get("weight", 1.0) * ((index - 1) / (index + 1)) ** 2 / F0, 1.45)
+    return PrincipledPaint(material).shown(colours, normals, light).reshape(ROWS, COLUMNS, 3)
+
+
+def test_the_loss_of_a_painting_is_reckoned_from_its_files(painting, tmp_path):
+    frames = Observations(painting.made.inputs["ingest"].folder)
+    squares, count = 0.0, 0
+    photographs = Photographs(frames, ExportedScene(painting.made.inputs))
+    shown = [encode(shown_by_files(painting, light), "srgb").clip(0, 1) for light in frames.directions]
+    lights = np.arange(len(shown))[-3:]  # those of no fit
+    for band in frames.bands():
+        for rows, values, valid in photographs.strips(band, lights):
+            for number, light in enumerate(lights):
+                apart = shown[light][rows].reshape(-1, 3) - values[:, number]
+                squares += np.sum(apart[valid[:, number]] ** 2)
+                count += 3 * np.count_nonzero(valid[:, number])
+    error = painting.reported["losses"]["mitsuba"]["kinds"]["principled"]["psnr_db"]["check"]["all"]
+    assert error == pytest.approx(-10 * np.log10(squares / count), abs=1e-3)
+    coarse = ExportSettings(formats=("mitsuba",), gltf={"texture_px": 16})
+    context = export_context(painting.made, tmp_path, coarse)
+    with context.output:
+        assert run(context)["losses"]["mitsuba"]["kinds"] == painting.reported["losses"]["mitsuba"]["kinds"]
 
 
 def test_the_plain_scene_of_a_painting_shows_what_its_loss_is_reckoned_with(mi, painting):
@@ -114,12 +153,8 @@ def test_the_plain_scene_of_a_painting_shows_what_its_loss_is_reckoned_with(mi, 
     scene = mi.load_file(str(painting.folder / "scene.xml"), mesh="flat.ply", samples="1", **towards)
     theirs = np.array(mi.render(scene))
     assert theirs.shape == (ROWS, COLUMNS, 3)
-    look = painting.look
-    base = decode(look.colours.reshape(-1, 3) / 255, "srgb")
-    normals = look.normals.reshape(-1, 3) / 255 * 2 - 1
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    ours = PrincipledPaint(look.gloss.largest, look.gloss.largest).shown(base, normals, light).reshape(ROWS, COLUMNS, 3)
-    # The random sample may fall between two texels, and the textures of the look have eight bits.
+    ours = shown_by_files(painting, light)
+    # The random sample may fall between two texels.
     inner = painting.made.known & (ours.min(axis=-1) > 0.02)
     apart = np.abs(theirs - ours)[inner] / ours[inner]
     assert np.median(apart) < 0.02
@@ -204,16 +239,7 @@ def test_mitsuba_shows_our_model_of_an_object(mi, exported, nishiki_object):
 def test_the_plain_scene_of_an_object_shows_what_its_loss_is_reckoned_with(mi, exported):
     look = exported.look
     points = thinned(SeenPoints.of(look, 2), 7)
-    stored = np.concatenate(
-        [decode(look.colour / 255, "srgb"), np.stack([look.roughness, look.specular], -1) / 255], axis=-1
-    )
-    texels = sample(stored, points.places)
-    cosines = points.cosines()
-    body, gloss = principled.shown(texels[:, :3], texels[:, 3], look.normal_reflectance, texels[:, 4], cosines)
-    expected = look.scale * (body + gloss[:, None]) * cosines[1][:, None]
-    lamp, middle = points.lamp.vector, look.decoded.mesh.vertices.mean(axis=0)
-    nearer = np.linalg.norm(lamp - middle) / np.linalg.norm(lamp - points.positions, axis=1)
-    expected *= nearer[:, None] ** 2
+    expected = by_principled(look, look.decoded.mesh.vertices.mean(axis=0))(points)
     theirs = along_our_rays(
         mi, mi.load_file(str(exported.folder / "scene.xml"), view="2"), look.decoded.cameras[2], points
     )
@@ -237,6 +263,7 @@ def test_the_cameras_of_the_scenes_are_the_captures(mi, exported, nishiki_object
                 point = (np.array(ray.o) + 5 * UNIT * np.array(ray.d)) / UNIT
                 np.testing.assert_allclose(camera.project(point[None])[0], [[column, row]], atol=0.01)
     assert exported.figures["camera_px"] == pytest.approx(0, abs=1e-6)
+    assert "cameras" not in lost(exported.figures)
 
 
 def test_what_a_pinhole_with_square_pixels_cannot_say_is_told(exported, tmp_path):
@@ -250,6 +277,7 @@ def test_what_a_pinhole_with_square_pixels_cannot_say_is_told(exported, tmp_path
     mesh = object_mesh(SimpleNamespace(inputs={"mesh": SimpleNamespace(diagnostics={})}), look)
     figures = write_folder(tmp_path, other, mesh, exported.parameters, unit=1.0, stamp=STAMP)
     assert figures["camera_px"] > 0.5
+    assert f"its cameras are off by at most {figure(figures['camera_px'])} pixels" in lost(figures)
 
 
 def test_lamps_of_each_kind(mi, exported, nishiki_object):
@@ -257,6 +285,9 @@ def test_lamps_of_each_kind(mi, exported, nishiki_object):
     near = Lighting("position", (PLACE,), reference=2.0).lamp(camera)
     assert falloff(near, points) == 0
     assert 0.05 < falloff(Lighting("position", (PLACE,)).lamp(camera), points) <= exported.figures["lamp_falloff"]
+    told = f"are off by at most {figure(100 * exported.figures['lamp_falloff'])} % on the object"
+    assert told in lost(exported.figures)
+    assert "lamps" not in lost({**exported.figures, "lamp_falloff": 0.0})
     known = {"kind": "point", "position": [0, 0, 1], "distance": 2.0, "falloff": True}
     assert nishiki_object.lamp_of(known)["intensity"]["value"] == pytest.approx([4 * np.pi] * 3)
     unknown = {**known, "falloff": False}

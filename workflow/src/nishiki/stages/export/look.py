@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -19,6 +19,15 @@ from nishiki.stages.export.scene import ExportedScene
 
 FORMATS = ("gltf", "usd", "materialx")
 METRES = 1e-3  # of a millimetre; of a pixel where the capture states no scale
+
+
+class Texels(NamedTuple):
+    """Rows (r,) and columns (c,) of texels; linear colours and unit normals (r c, 3), row by row."""
+
+    rows: np.ndarray
+    columns: np.ndarray
+    colours: np.ndarray
+    normals: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -39,6 +48,13 @@ class PaintingLook:
     colours: np.ndarray
     normals: np.ndarray
     step: int
+
+    def texels(self, rows: slice, columns: int) -> Texels:
+        """Those that stand for pixels."""
+        down, across = np.arange(rows.start, rows.stop) // self.step, np.arange(columns) // self.step
+        base = decode(self.colours[down][:, across].reshape(-1, 3) / 255, "srgb")
+        normals = self.normals[down][:, across].reshape(-1, 3) / 255 * 2 - 1
+        return Texels(down, across, base, normals / np.linalg.norm(normals, axis=1, keepdims=True))
 
     def surface(self, gloss: RegionGloss) -> SurfaceLook:
         """The same in the words of USD and MaterialX."""
@@ -152,6 +168,13 @@ class ShownMaterial(Protocol):
         """As `GltfMaterial.shown`."""
 
 
+class StoredTextures(Protocol):
+    """Colours and normals as files hold them."""
+
+    def texels(self, rows: slice, columns: int) -> Texels:
+        """As `PaintingLook.texels`."""
+
+
 class ShownGloss(Protocol):
     """A gloss as a format takes it."""
 
@@ -160,7 +183,7 @@ class ShownGloss(Protocol):
 
 
 def errors(
-    context: Context, scene: ExportedScene, look: PaintingLook, glosses: Mapping[str, ShownGloss]
+    context: Context, scene: ExportedScene, look: StoredTextures, glosses: Mapping[str, ShownGloss]
 ) -> dict[str, dict[str, dict[str, float]]]:
     """PSNR of the stored look, seen from the front without cast shadows, under fitted and check lights.
 
@@ -177,15 +200,11 @@ def errors(
             continue
         found = {each: CodedErrors(len(lights)) for each in different}
         for rows, values, valid in (strip for band in frames.bands() for strip in photographs.strips(band, lights)):
-            down = np.arange(rows.start, rows.stop) // look.step
-            across = np.arange(frames.shape[1]) // look.step
-            base = decode(look.colours[down][:, across].reshape(-1, 3) / 255, "srgb")
-            normals = look.normals[down][:, across].reshape(-1, 3) / 255 * 2 - 1
-            normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+            texels = look.texels(rows, frames.shape[1])
             for each, gloss in different.items():
-                material = gloss.of(down, across)
+                material = gloss.of(texels.rows, texels.columns)
                 for number, light in enumerate(lights):
-                    shown = material.shown(base, normals, frames.directions[light])
+                    shown = material.shown(texels.colours, texels.normals, frames.directions[light])
                     found[each].add(number, encode(shown, "srgb"), values[:, number], valid[:, number])
         for name, gloss in glosses.items():
             result[name][group] = found[id(gloss)].decibels()

@@ -15,8 +15,8 @@ from nishiki.formats.textured_ply import faces, heading, vertices
 from nishiki.report.files import read_json
 from nishiki.stages.export import mitsuba_paint, mitsuba_principled
 from nishiki.stages.export.gltf_material import GltfMaterial
-from nishiki.stages.export.look import PaintingSurface, errors
-from nishiki.stages.export.region_gloss import PaintingGloss
+from nishiki.stages.export.look import Texels, errors
+from nishiki.stages.export.region_gloss import largest_lobe, largest_region
 from nishiki.stages.export.relief_mesh import reliefs
 from nishiki.stages.export.scene import ExportedScene
 
@@ -24,27 +24,21 @@ UP = np.array([0.0, 0.0, 1.0])
 MATTE = ([0.0], [0.5], 1.45, 0.0)
 
 
-def write(context: Context, surface: PaintingSurface) -> dict:
+def write(context: Context, scene: ExportedScene) -> dict:
     """The folder `mitsuba`; what of the model it leaves out."""
-    scene = surface.scene
     folder = context.output.path("exports/mitsuba/scene.json").parent
     beta, gamma, index, transmission = gloss(context)
     names = {
-        "albedo": scene.srgb,
+        "albedo": lambda rows: np.maximum(scene.srgb(rows), 0),  # samples with a channel below 0 would be dropped
         "normals": scene.normals,
         "shading": scene.shading,
         "normalmap": lambda rows: coded(scene.relief_normals(rows)),
     }
-    clipped = 0
     header = {f"nishiki.{name}": text for name, text in context.stamp.items()}
     for name, read in names.items():
         with ExrWriter(folder / f"{name}.exr", "RGB", *scene.shape, header) as exr:
             for rows in scene.bands():
-                values = read(rows)
-                if name == "albedo":  # the renderer drops samples with a channel below 0
-                    clipped += int(np.count_nonzero(values < 0))
-                    values = np.maximum(values, 0)
-                exr.write(values)
+                exr.write(read(rows))
     count = write_relief(folder, context, scene)
     facts = {
         "rows": scene.shape[0],
@@ -62,9 +56,10 @@ def write(context: Context, surface: PaintingSurface) -> dict:
     }
     (folder / "scene.json").write_text(json.dumps(facts, indent=1) + "\n")
     (folder / "nishiki_paint.py").write_text(Path(mitsuba_paint.__file__).read_text(encoding="utf-8"))
-    look = surface.look
-    write_plain_scene(folder / "scene.xml", facts, look.gloss.largest)
-    principled = PrincipledGloss(look.gloss)
+    material = largest_lobe(context, scene)
+    write_plain_scene(folder / "scene.xml", facts, material)
+    principled = PrincipledGloss(PrincipledPaint(material))
+    clipped = sum(int(np.count_nonzero(scene.srgb(rows) < 0)) for rows in scene.bands())
     made = ("scene.json", "nishiki_paint.py", "scene.xml", "relief.ply", "flat.ply", *(f"{name}.exr" for name in names))
     files = [f"exports/mitsuba/{name}" for name in made]
     return {
@@ -72,7 +67,7 @@ def write(context: Context, surface: PaintingSurface) -> dict:
         "vertices": count,
         "shading_terms_left_out": max(scene.shading_terms - 3, 0),
         "clipped": clipped / (3 * scene.shape[0] * scene.shape[1]),
-        "kinds": {"principled": {"psnr_db": errors(context, scene, look, {"": principled})[""]}},
+        "kinds": {"principled": {"psnr_db": errors(context, scene, PaintingFiles(scene), {"": principled})[""]}},
     }
 
 
@@ -82,7 +77,7 @@ def gloss(context: Context) -> tuple[list[float], list[float], float, float]:
     if parameters is None:
         return MATTE
     beta, gamma, index, transmission = gloss_table(parameters)
-    largest = int(np.argmax([region.get("samples", 0) for region in parameters["regions"]]))
+    largest = largest_region(parameters)
     return beta[largest].tolist(), gamma[largest].tolist(), float(index[largest]), transmission
 
 
@@ -93,17 +88,29 @@ def coded(normals: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class PrincipledPaint:
-    """What principled shows of a painting; gltf: the material of its base colours, material: the one for all."""
+class PaintingFiles:
+    """Colours and normals of a painting as albedo.exr and normalmap.exr hold them."""
 
-    gltf: GltfMaterial
+    scene: ExportedScene
+
+    def texels(self, rows: slice, columns: int) -> Texels:
+        """A texel is a pixel."""
+        normals = 2 * coded(self.scene.relief_normals(rows)).reshape(-1, 3) - 1
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        colours = np.maximum(self.scene.srgb(rows), 0).reshape(-1, 3)
+        return Texels(np.arange(rows.start, rows.stop), np.arange(columns), colours, normals)
+
+
+@dataclass(frozen=True)
+class PrincipledPaint:
+    """What principled shows of a painting."""
+
     material: GltfMaterial
 
-    def shown(self, base: np.ndarray, normals: np.ndarray, light: np.ndarray) -> np.ndarray:
+    def shown(self, albedo: np.ndarray, normals: np.ndarray, light: np.ndarray) -> np.ndarray:
         """As `GltfMaterial.shown`: (n, 3) light relative to a white that faces the lamp, seen along z."""
         half = (light + UP) / np.linalg.norm(light + UP)
         cos_phi, cos_i, cos_r = (np.maximum(normals @ each, 0) for each in (half, light, UP))
-        albedo = base * (1 - np.expand_dims(self.gltf.fresnel(1.0), -1))
         cosines = (cos_phi, cos_i, cos_r, np.full_like(cos_i, half[2]))
         body, gloss = mitsuba_principled.shown(albedo, self.material.roughness, *strength(self.material), cosines)
         return (body + gloss[:, None]) * cos_i[:, None]
@@ -113,11 +120,11 @@ class PrincipledPaint:
 class PrincipledGloss:
     """The gloss of a painting as principled takes it: one lobe for all."""
 
-    gloss: PaintingGloss
+    paint: PrincipledPaint
 
-    def of(self, rows: np.ndarray, columns: np.ndarray) -> PrincipledPaint:
+    def of(self, _rows: np.ndarray, _columns: np.ndarray) -> PrincipledPaint:
         """The material of the texels in some rows and columns."""
-        return PrincipledPaint(self.gloss.gltf.of(rows, columns), self.gloss.largest)
+        return self.paint
 
 
 def strength(material: GltfMaterial) -> tuple[float, float]:

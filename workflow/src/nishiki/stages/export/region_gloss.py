@@ -13,6 +13,7 @@ from nishiki.artifacts.stage import Context
 from nishiki.brdf.parameters import gloss_table
 from nishiki.report.files import read_json
 from nishiki.stages.export.gltf_material import GltfMaterial, best_material, coded_errors, white_at_grazing
+from nishiki.stages.export.scene import ExportedScene
 
 MATTE = GltfMaterial(1.0, 0.0, 1.5)
 
@@ -66,12 +67,11 @@ class RegionGloss:
 
 @dataclass(frozen=True)
 class PaintingGloss:
-    """The gloss of a painting as each format takes it; largest: the material of the region with the most samples."""
+    """The gloss of a painting as each format takes it."""
 
     gltf: RegionGloss
     materialx: RegionGloss
     usd: RegionGloss
-    largest: GltfMaterial
 
 
 def painting_gloss(context: Context, albedo: np.ndarray, known: np.ndarray, labels: np.ndarray | None) -> PaintingGloss:
@@ -98,14 +98,35 @@ def painting_gloss(context: Context, albedo: np.ndarray, known: np.ndarray, labe
     only = np.where(np.arange(together.size) == np.argmin(together), 0, np.inf)
     alike = [best_material(each + only, float(index[0])) for each in errors]
     gltf, usd = RegionGloss(_stored(free), labels), RegionGloss(_stored(alike), labels)
-    largest = int(np.argmax([region.get("samples", 0) for region in parameters["regions"]]))
-    return PaintingGloss(gltf, _white(gltf), _white(usd), free[largest])
+    return PaintingGloss(gltf, _white(gltf), _white(usd))
+
+
+def largest_lobe(context: Context, scene: ExportedScene) -> GltfMaterial:
+    """The lobe of the region with the most samples, as `painting_gloss` finds it from pixels; read by bands."""
+    parameters = read_json(context.inputs.get("brdf"), "parameters.json")
+    if parameters is None:
+        return MATTE
+    beta, gamma, index, _ = gloss_table(parameters)
+    largest, total, count = largest_region(parameters), 0.0, 0
+    for rows in scene.bands():
+        inside, labels = scene.known(rows), scene.regions(rows)
+        if labels is not None and len(beta) > 1:
+            inside &= labels == largest
+        total += float(scene.srgb(rows)[inside].sum())
+        count += 3 * np.count_nonzero(inside)
+    mean = total / count if count else 0.5
+    return best_material(coded_errors(beta[largest], gamma[largest], float(index[0]), mean), float(index[0]))
+
+
+def largest_region(parameters: dict) -> int:
+    """Number of the region with the most samples; parameters: of the stage brdf."""
+    return int(np.argmax([region.get("samples", 0) for region in parameters["regions"]]))
 
 
 def _one_region(material: GltfMaterial) -> PaintingGloss:
     gloss = RegionGloss((material,))
     white = _white(gloss)
-    return PaintingGloss(gloss, white, white, material)
+    return PaintingGloss(gloss, white, white)
 
 
 def _white(gloss: RegionGloss) -> RegionGloss:

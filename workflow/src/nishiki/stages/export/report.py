@@ -8,6 +8,7 @@ INTRO = (
     "Files for other programs, in the folder exports beside this page's artifacts. What a format loses was measured on "
     "the very files; what it cannot hold is said in docs/stages/export.md."
 )
+LEAST_PX = 0.01  # distances of cameras below it are rounding
 
 
 def export_section(export: Artifact | None) -> Section | None:
@@ -49,6 +50,13 @@ def lost(each: dict) -> str:
         )
     for layer, decibels in each.get("jpeg_psnr_db", {}).items():
         texts.append(f"{layer}: JPEG keeps {figure(decibels)} dB of the coded picture")
+    if each.get("camera_px", 0) >= LEAST_PX:
+        texts.append(f"its cameras are off by at most {figure(each['camera_px'])} pixels")
+    if each.get("lamp_falloff"):
+        texts.append(
+            f"lamps of scene.xml, whose distance always counts, are off by at most "
+            f"{figure(100 * each['lamp_falloff'])} % on the object"
+        )
     if each.get("shading_terms_left_out"):
         texts.append("directional terms of the body's shading are left out")
     return "; ".join(texts) or "nothing"

@@ -13,12 +13,12 @@ WRITERS = {
     "spectral": spectral.write,
     "merl": merl.write,
     "iiif": iiif.write,
+    "mitsuba": mitsuba.write,
 }
 SURFACE_WRITERS = {
     "gltf": gltf.write,
     "usd": usd.write,
     "materialx": materialx.write,
-    "mitsuba": mitsuba.write,
 }
 """Of formats that have textures and material in common."""
 

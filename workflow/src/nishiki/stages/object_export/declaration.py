@@ -35,7 +35,7 @@ class ObjectExportSettings(Guarded):
     """Files of an object for other programs."""
 
     STAGE: ClassVar[str] = "object_export"
-    VERSION: ClassVar[int] = 1
+    VERSION: ClassVar[int] = 2
     LIMITS: ClassVar[tuple[Limit, ...]] = LIMITS
 
     formats: tuple[Format, ...] = Field(("gltf",), min_length=1, description="what to write; docs/stages/export.md")

@@ -21,7 +21,7 @@ from nishiki.render.display import three_channels
 from nishiki.render.object.decoded_object import DecodedObject
 from nishiki.stages.export import mitsuba_principled as principled
 from nishiki.stages.object_export import mitsuba_object
-from nishiki.stages.object_export.errors import SeenPoints, against_photographs
+from nishiki.stages.object_export.errors import SeenPoints, Shown, against_photographs
 from nishiki.stages.object_export.look import METRES, ObjectLook
 from nishiki.stages.object_export.surface import ObjectSurface
 from nishiki.stages.object_export.texture_atlas import TextureAtlas, fill_gaps, sample
@@ -32,13 +32,14 @@ def write(context: Context, surface: ObjectSurface) -> dict:
     look = surface.look
     parameters = model_textures(look.decoded, look.layout)
     unit = METRES.get(context.inputs["mesh"].diagnostics.get("unit"), 1.0)
+    middle = surface.mesh.positions.mean(axis=0) / unit
     folder = context.output.path("exports/mitsuba/scene.json").parent
     figures = write_folder(folder, look, surface.mesh, parameters, unit=unit, stamp=context.stamp)
     return {
         "files": sorted(f"exports/mitsuba/{path.relative_to(folder)}" for path in folder.rglob("*") if path.is_file()),
         **look.figures(),
         **figures,
-        "kinds": {name: {"psnr_db": found} for name, found in errors(context, look, parameters).items()},
+        "kinds": {name: {"psnr_db": found} for name, found in errors(context, look, parameters, middle).items()},
     }
 
 
@@ -148,13 +149,18 @@ def lamp_facts(lamp: Lamp, middle: np.ndarray, unit: float) -> dict:
     return {"kind": "around", "radiance": mean.astype(float).tolist()}
 
 
-def falloff(lamp: Lamp, points: np.ndarray) -> float:
-    """Largest share by which a near lamp whose distance does not count in the capture is stronger or weaker at points
-    (n, 3) for a renderer, where it always counts."""
+def falling(lamp: Lamp, points: np.ndarray, middle: np.ndarray) -> np.ndarray:
+    """(n,) by how much a near lamp whose distance does not count in the capture is stronger at points (n, 3) for a
+    renderer, where it always counts; it is right at the object's middle (3,)."""
     if lamp.form != POINT or lamp.reference > 0:
-        return 0.0
+        return np.ones(len(points))
     distance = np.linalg.norm(points - lamp.vector, axis=1)
-    return float(np.abs((np.linalg.norm(points.mean(axis=0) - lamp.vector) / distance) ** 2 - 1).max())
+    return (np.linalg.norm(middle - lamp.vector) / distance) ** 2
+
+
+def falloff(lamp: Lamp, points: np.ndarray) -> float:
+    """Largest share by which such a lamp is stronger or weaker at points (n, 3)."""
+    return float(np.abs(falling(lamp, points, points.mean(axis=0)) - 1).max())
 
 
 def write_plain_scene(folder: Path, look: ObjectLook, facts: dict) -> None:
@@ -189,23 +195,33 @@ def write_plain_scene(folder: Path, look: ObjectLook, facts: dict) -> None:
             write_scene(folder / f"views/{number}-{light}.xml", {"sensor": sensor, "lamp": emitter})
 
 
-def errors(context: Context, look: ObjectLook, parameters: dict[str, np.ndarray]) -> dict[str, dict]:
-    """PSNR against photographs of the reflection model and of principled, both with the colours of all photographs."""
+def errors(
+    context: Context, look: ObjectLook, parameters: dict[str, np.ndarray], middle: np.ndarray
+) -> dict[str, dict]:
+    """PSNR against photographs of the reflection model and of principled, both with the colours of all photographs;
+    middle (3,): of the object in the cameras' world."""
     colour = decode(look.colour / 255, "srgb")
-    weights = np.stack([look.roughness, look.specular], axis=-1) / 255
     model = np.concatenate([colour * look.scale, parameters["ks"], parameters["sigma"]], axis=-1)
-    plain = np.concatenate([colour, weights], axis=-1)
 
     def by_model(points: SeenPoints) -> np.ndarray:
         kd, ks, sigma = np.split(sample(model, points.places), [3, 6], axis=1)
         return sum(predict(kd, ks, sigma[:, 0], points.positions, points.normals, points.centre, points.lamp))
 
-    def by_principled(points: SeenPoints) -> np.ndarray:
-        texels = sample(plain, points.places)
+    found = {"model": by_model, "principled": by_principled(look, middle)}
+    return against_photographs(context, look, found)
+
+
+def by_principled(look: ObjectLook, middle: np.ndarray) -> Shown:
+    """What scene.xml shows of seen points; middle (3,): of the object in the cameras' world."""
+    weights = np.stack([look.roughness, look.specular], axis=-1) / 255
+    stored = np.concatenate([decode(look.colour / 255, "srgb"), weights], axis=-1)
+
+    def shown(points: SeenPoints) -> np.ndarray:
+        texels = sample(stored, points.places)
         irradiance, strength = points.factors()
         cosines = points.cosines()
         body, gloss = principled.shown(texels[:, :3], texels[:, 3], look.normal_reflectance, texels[:, 4], cosines)
-        return look.scale * (body * irradiance + (gloss * cosines[1] * strength)[:, None])
+        lit = look.scale * (body * irradiance + (gloss * cosines[1] * strength)[:, None])
+        return lit * falling(points.lamp, points.positions, middle)[:, None]
 
-    found = {"model": by_model, "principled": by_principled}
-    return against_photographs(context, look, found)
+    return shown
