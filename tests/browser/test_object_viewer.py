@@ -38,6 +38,16 @@ def canvas(shown, **state):
     )
 
 
+def with_tool(shown, key):
+    """The page, from a captured view, with the tool of a key chosen."""
+    page = shown.page.page
+    page.evaluate("dispatchEvent(new Event('resize'))")
+    shown.page.set(view={"captured": 2}, options={})
+    page.locator("canvas").first.focus()
+    page.keyboard.press(key)
+    return page
+
+
 def check(shown, state, renderer, shot):
     picture = next(renderer.render([shot]))
     want = encoded(picture.linear).pixels
@@ -210,11 +220,7 @@ def test_points_of_the_surface_for_the_ruler(shown):
 
 
 def test_the_ruler_measures_and_does_not_turn(shown):
-    page = shown.page.page
-    page.evaluate("dispatchEvent(new Event('resize'))")
-    shown.page.set(view={"captured": 2}, options={})
-    page.locator("canvas").first.focus()
-    page.keyboard.press("r")
+    page = with_tool(shown, "r")
     page.mouse.move(130, 100)
     page.mouse.down()
     page.mouse.move(150, 110)
@@ -295,11 +301,7 @@ def test_depth_buffers_are_given_back(shown):
 
 
 def test_a_point_has_three_coordinates(shown):
-    page = shown.page.page
-    page.evaluate("dispatchEvent(new Event('resize'))")
-    shown.page.set(view={"captured": 2}, options={})
-    page.locator("canvas").first.focus()
-    page.keyboard.press("p")
+    page = with_tool(shown, "p")
     page.mouse.click(150, 100)
     place = page.locator("[data-section=probe] dd").first
     place.wait_for(state="attached")

@@ -175,9 +175,7 @@ def unwarped(densities: np.ndarray, corners: list, x: np.ndarray, y: np.ndarray)
     along = running(densities)
     totals = along[..., -1]
     marginal = running(totals)
-    u, v = x * (columns - 1), y * (rows - 1)
-    column, row = np.minimum(u.astype(int), columns - 2), np.minimum(v.astype(int), rows - 2)
-    u, v = u - column, v - row
+    row, column, v, u = cell(rows, columns, x, y)
 
     def summed(table: np.ndarray, *place: np.ndarray) -> np.ndarray:
         return sum(weight * table[(*at, *place)] for weight, at in corners)
@@ -215,12 +213,17 @@ def between(nodes: np.ndarray, values: np.ndarray) -> list[tuple[np.ndarray, np.
     return [(before, 1 - share), (before + 1, share)]
 
 
+def cell(rows: int, columns: int, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, ...]:
+    """First row and column (n,) of the nodes around places x, y (n,), 0 to 1, and the shares of the next ones."""
+    u, v = x * (columns - 1), y * (rows - 1)
+    column, row = np.minimum(u.astype(int), columns - 2), np.minimum(v.astype(int), rows - 2)
+    return row, column, v - row, u - column
+
+
 def interpolated(table: np.ndarray, x: np.ndarray, y: np.ndarray, at: tuple = ()) -> np.ndarray:
     """Values (n, ...) of table[at] (rows, columns, ...) at places x, y (n,), 0 to 1."""
     rows, columns = table.shape[len(at) : len(at) + 2]
-    u, v = x * (columns - 1), y * (rows - 1)
-    column, row = np.minimum(u.astype(int), columns - 2), np.minimum(v.astype(int), rows - 2)
-    u, v = u - column, v - row
+    row, column, v, u = cell(rows, columns, x, y)
     weights = ((1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v)
     places = ((row, column), (row, column + 1), (row + 1, column), (row + 1, column + 1))
     extra = (1,) * (table.ndim - len(at) - 2)
