@@ -1,8 +1,12 @@
 """A small painting with an analytic relief: the artifacts that an export reads, and its photographs."""
 
 import json
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
+from typing import get_args
 
 import cv2
 import numpy as np
@@ -11,12 +15,16 @@ from captures import write_frame
 from pages import make_artifact
 
 from nishiki.artifacts.artifact import Artifact, ArtifactWriter
+from nishiki.artifacts.finite import expect_finite
 from nishiki.artifacts.maps import MapWriter
 from nishiki.artifacts.stage import Context
 from nishiki.capture.folder import load_capture
 from nishiki.observations.plane_store import write_observations
+from nishiki.packages import installed
 from nishiki.progress import Progress
 from nishiki.stages.brdf.declaration import BrdfSettings
+from nishiki.stages.export.declaration import ExportSettings, Format
+from nishiki.stages.export.run import run
 from nishiki.stages.height.declaration import HeightSettings
 from nishiki.stages.ingest.declaration import IngestSettings
 from nishiki.stages.normals.declaration import NormalsSettings
@@ -25,6 +33,12 @@ from nishiki.stages.spectra.declaration import SpectraSettings
 ROWS, COLUMNS, PITCH_MM, BAND_ROWS = 45, 60, 0.25, 16
 STAMP = {"scene": "small", "stage": "export", "key": "0123456789ab", "version": "1"}
 NANOMETRES = np.arange(400, 701, 5)
+
+LAMPS = [(np.sin(a) * 0.7, np.cos(a) * 0.7, 0.714) for a in np.radians([10, 100, 190, 280])]
+
+OF_PACKAGES = {"usd": "usd-core", "materialx": "materialx"}
+FORMATS_HERE = tuple(name for name in get_args(Format) if installed(OF_PACKAGES.get(name, "numpy")))
+"""Formats that can be written: those of the extra `export` only where it is installed."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +95,22 @@ def export_context(painting: SmallPainting, folder: Path, settings) -> Context:
     """What a stage is given, with the output in `folder`."""
     output = ArtifactWriter(folder / STAMP["key"])
     return Context(painting.inputs, settings, output, None, None, STAMP, Progress("small/export"))
+
+
+@contextmanager
+def exported_painting(folder: Path, formats: tuple[str, ...]) -> Iterator[SimpleNamespace]:
+    """The painting, the folder of its exports in `formats`, and what the stage reports."""
+    painting = small_painting(folder)
+    context = export_context(painting, folder / "export", ExportSettings(formats=formats))
+    with context.output as output:
+        reported = run(context)
+        expect_finite(output.folder, "export")
+        yield SimpleNamespace(painting=painting, folder=output.folder / "exports", reported=reported)
+
+
+def shaded(normals: np.ndarray, lamp: tuple[float, float, float]) -> np.ndarray:
+    """Of matte white."""
+    return np.maximum(normals @ np.asarray(lamp), 0)
 
 
 def _artifact(folder: Path, stage: str, settings, maps: dict, basis: np.ndarray) -> Artifact:

@@ -11,9 +11,9 @@ from typing import get_args
 import numpy as np
 import pytest
 import trimesh
+from npm_packages import gltf_problems
 from pages import make_artifact
 from unit.test_cloth_render import QUAD
-from unit.test_export import gltf_problems
 from unit.test_half_vector_table import look_up, read_bsdf
 
 from nishiki.artifacts.artifact import ArtifactWriter
