@@ -152,6 +152,9 @@ def test_the_page_names_every_file_and_what_it_loses(exported):
     text = " ".join(str(cell) for row in table.rows for cell in row)
     assert all(path.name in text for path in exported.folder.iterdir())
     assert export_section(None) is None
+    losses = {row[0]: row[-1] for row in table.rows}
+    assert re.fullmatch(r"colours of single pixels .* by [\d.]+ % \(rms\)", losses["merl"])
+    assert losses["height"] == "nothing"
 
 
 @pytest.mark.parametrize("rows", [1, 16, 37])

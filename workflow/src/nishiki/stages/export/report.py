@@ -37,6 +37,9 @@ def lost(each: dict) -> str:
         texts.append(f"{figure(100 * each['clipped'])} % of the samples are outside of the colour space")
     if "outside" in each:
         texts.append(f"{figure(100 * each['outside'])} % of the reflectances are outside of 0 to 1, and kept so")
+    if each.get("colour_spread"):
+        spread = figure(100 * max(each["colour_spread"]))
+        texts.append(f"colours of single pixels differ from the one colour of their region by {spread} % (rms)")
     for kind, figures in each.get("kinds", {}).items():
         lights = "check" if "check" in figures["psnr_db"] else "fitted"
         error = figures["psnr_db"][lights]
