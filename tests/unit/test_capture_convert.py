@@ -195,3 +195,27 @@ def test_lamps_from_the_measured_mirror_sphere_agree_with_its_lights_file(data):
         angles.append(np.degrees(np.arccos(found @ given[i] / np.linalg.norm(given[i]))))
     assert np.mean(angles) < 4.0
     assert np.median(angles) < 3.0
+
+
+@pytest.mark.parametrize(
+    ("place", "given", "title"),
+    [
+        ("coin 1.5 mm", ".", "coin 1.5 mm"),
+        ("coin 1.5 mm", "./", "coin 1.5 mm"),
+        ("coin 1.5 mm/inner", "..", "coin 1.5 mm"),
+        ("coin 1.5 mm/inner", "../../coin 1.5 mm/inner/..", "coin 1.5 mm"),
+        (".", "coin 1.5 mm/", "coin 1.5 mm"),
+        (".", "link", "link"),
+        ("link", ".", "coin 1.5 mm"),
+    ],
+)
+def test_the_title_is_the_name_of_the_folder_however_it_is_named(tmp_path, monkeypatch, place, given, title):
+    source = tmp_path / "coin 1.5 mm"
+    photographs(source, [f"{i}.png" for i in range(5)])
+    (source / "lights.lp").write_text(lines())
+    (source / "inner").mkdir()
+    (tmp_path / "link").symlink_to(source)
+    monkeypatch.chdir(tmp_path / place)
+    made = convert(given, tmp_path / "c")
+    assert load_capture(tmp_path / "c").settings.title == title
+    assert {each.file for each in made.warnings} == {title}

@@ -67,7 +67,7 @@ def convert(
     light-unknown, and those of `pair_by_name`, `recognise`, `recognise_round`, `recognise_table`, `read_table`
     and `open_relightable`).
     """
-    source, target = Path(source), Path(target)
+    source, target = _named(Path(source)), Path(target)
     if target.exists():
         remedy = "Choose another name; nothing is overwritten"
         raise CaptureError(error("target-exists", str(target), "target exists", remedy=remedy))
@@ -113,6 +113,11 @@ def convert(
         target, lambda p: _write(p, layout, source, white, dark, checks, encoding, title, region, link)
     )
     return Conversion(target, layout.name, len(layout.photographs), (*layout.warnings, *notes))
+
+
+def _named(source: Path) -> Path:
+    """The source by a path that ends in its name, from which titles are taken; `.` and `..` have none."""
+    return Path(os.path.abspath(source)) if source.name in ("", "..") else source
 
 
 def folder_problems(**given: Path | None) -> list[Problem]:

@@ -74,6 +74,11 @@ def hemispherical_harmonics(lights: np.ndarray, order: int) -> np.ndarray:
     return np.stack(values, axis=1)
 
 
+def _bytes(terms: int, rows: int, columns: int) -> int:
+    """Of the factors and the picture."""
+    return 8 * terms + 3 * terms * rows * columns
+
+
 def open_hsh(path: Path) -> HshFile:
     """Read the heading. Refused where the file is none, of another kind, ends early or claims more than is read."""
     heading = TextHeading(path)
@@ -82,13 +87,14 @@ def open_hsh(path: Path) -> HshFile:
         raise Refused(path.name, what, expected="#HSH1.2", found=found, remedy=REMEDY)
     heading.skip_comments()
     (kind,), (columns, rows, colours), (terms, basis, width) = (heading.integers(n) for n in (1, 3, 3))
-    if (kind, colours, basis, width) != (3, 3, 2, 1) or terms not in [n * n for n in range(1, LARGEST_ORDER + 1)]:
+    if (kind, colours, basis, width) != (3, 3, 2, 1) or terms not in [2, *(n * n for n in range(1, LARGEST_ORDER + 1))]:
         expected = "kind 3, 3 colours, 1, 4, 9 or 16 terms, basis 2, 1 byte a value"
         found = f"kind {kind}, {colours} colours, {terms} terms, basis {basis}, {width} bytes"
         raise Refused(path.name, "a kind of .rti that is not read", expected=expected, found=found, remedy=REMEDY)
     heading.picture_size(columns, rows)
-    count = rows * columns * 3 * terms
-    begin = heading.data(8 * terms + count)
+    if terms == 2 or (terms == 1 and heading.size >= heading.place + _bytes(4, rows, columns)):
+        terms = (terms + 1) ** 2
+    begin = heading.data(_bytes(terms, rows, columns))
     factors = np.fromfile(path, "<f4", 2 * terms, offset=begin).astype(np.float64)
     heading.expect_sound(factors.tolist())
     stored = np.memmap(path, np.uint8, "r", offset=begin + 8 * terms, shape=(rows, columns, 3, terms))

@@ -3,8 +3,9 @@
 Six coefficients of u^2, v^2, u v, u, v, 1, each a byte: coefficient = (byte - bias) scale, for values 0 to 255; u and v
 are the x and y of the unit vector to the lamp. PTM_FORMAT_RGB has six for each colour: red, green and blue follow each
 other whole. PTM_FORMAT_LRGB has six for a brightness that multiplies a colour of three bytes (divided by 255); the
-colours follow as a plane of their own, or pixel by pixel in version 1.1. PTM_FORMAT_JPEG_LRGB has the nine as JPEG
-streams, see `ptm_jpeg`. Rows from the bottom.
+colours follow as a plane of their own, or pixel by pixel in version 1.1. PTM_FORMAT_JPEG_RGB and PTM_FORMAT_JPEG_LRGB
+have them as JPEG streams, see `ptm_jpeg`. Rows from the bottom. Not read, because what was found of them is not enough
+or contradicts itself: PTM_FORMAT_LUM, PTM_FORMAT_PTM_LUT, PTM_FORMAT_PTM_C_LUT, PTM_FORMAT_JPEGLS_RGB and _LRGB.
 Reference: T. Malzbender, D. Gelb and H. Wolters (2001), Polynomial texture maps, SIGGRAPH.
 """
 
@@ -17,12 +18,12 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.formats.files import Refused, expect_memory
-from nishiki.formats.ptm_jpeg import STREAMS, PtmStreams
+from nishiki.formats.ptm_jpeg import PtmStreams
 from nishiki.formats.text_heading import TextHeading
 
 ORDER = (3, 5, 4, 1, 2, 0)  # of the file's terms among 1, u, v, u^2, u v, v^2
 ROWS_AT_A_TIME = 256
-BYTES_A_PIXEL = {"PTM_FORMAT_RGB": 18, "PTM_FORMAT_LRGB": 9, "PTM_FORMAT_JPEG_LRGB": 0}
+PLANES = {"PTM_FORMAT_RGB": 18, "PTM_FORMAT_LRGB": 9, "PTM_FORMAT_JPEG_RGB": 18, "PTM_FORMAT_JPEG_LRGB": 9}
 REMEDY = "Save it again as PTM_FORMAT_RGB or PTM_FORMAT_LRGB, or convert the photographs that it was made from"
 
 
@@ -66,18 +67,21 @@ def open_ptm(path: Path) -> PtmFile:
     """
     heading = TextHeading(path)
     version, layout = heading.word(), heading.word()
-    if version not in ("PTM_1.1", "PTM_1.2") or layout not in BYTES_A_PIXEL:
-        expected, found = f"PTM_1.2 with {', '.join(BYTES_A_PIXEL)}", f"{version} with {layout}"
+    if version not in ("PTM_1.1", "PTM_1.2") or layout not in PLANES:
+        expected, found = f"PTM_1.2 with {', '.join(PLANES)}", f"{version} with {layout}"
         raise Refused(path.name, "a kind of PTM that is not read", expected=expected, found=found, remedy=REMEDY)
     columns, rows = heading.integers(2)
     heading.picture_size(columns, rows)
     scale, bias = np.array(heading.floats(6)), np.array(heading.floats(6))
-    streams = PtmStreams.of(heading) if layout == "PTM_FORMAT_JPEG_LRGB" else None
-    count = streams.bytes if streams else rows * columns * BYTES_A_PIXEL[layout]
+    streams = PtmStreams.of(heading, PLANES[layout]) if "JPEG" in layout else None
+    count = streams.bytes if streams else rows * columns * PLANES[layout]
     stored = np.memmap(path, np.uint8, "r", offset=heading.data(count), shape=(count,))
     if streams:
-        expect_memory(3 * rows * columns * STREAMS, path.name)
-        planes = np.moveaxis(streams.decoded(stored, rows, columns, path.name), 0, -1)
+        expect_memory(3 * rows * columns * PLANES[layout], path.name)
+        planes = streams.decoded(stored, rows, columns, path.name)
+        if layout == "PTM_FORMAT_JPEG_RGB":
+            return PtmFile(layout, np.moveaxis(planes.reshape(3, 6, rows, columns), 1, -1), None, scale, bias)
+        planes = np.moveaxis(planes, 0, -1)
         return PtmFile(layout, planes[None, ..., :6], planes[..., 6:], scale, bias)
     if layout == "PTM_FORMAT_RGB":
         return PtmFile(layout, stored.reshape(3, rows, columns, 6), None, scale, bias)

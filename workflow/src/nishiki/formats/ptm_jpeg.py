@@ -1,4 +1,7 @@
-"""The compressed form of polynomial texture maps: nine JPEG streams of one channel, six coefficients and three colours.
+"""The compressed form of polynomial texture maps: JPEG streams of one channel, one for each coefficient and colour.
+
+Nine of PTM_FORMAT_JPEG_LRGB: six coefficients, then red, green and blue. 18 of PTM_FORMAT_JPEG_RGB: the six of red,
+those of green, those of blue.
 
 A stream may hold the difference from another one (its reference, or 255 minus that where its transform is 1), plus 128
 and modulo 256; streams are made in the order that the heading states. Corrections follow each stream: five bytes a
@@ -17,7 +20,6 @@ from nishiki.formats.image_headers import jpeg_header
 from nishiki.formats.images import check_jpeg
 from nishiki.formats.text_heading import REMEDY, TextHeading
 
-STREAMS = 9
 NONE = -1  # the reference of a stream that is no difference
 
 
@@ -32,24 +34,24 @@ class PtmStreams:
     corrections: tuple[int, ...]
 
     @classmethod
-    def of(cls, heading: TextHeading) -> PtmStreams:
-        """Read the lists of the heading. Refused where they cannot be followed."""
+    def of(cls, heading: TextHeading, count: int) -> PtmStreams:
+        """Read the lists of the heading, for so many streams. Refused where they cannot be followed."""
         heading.integers(1)  # the encoder's quality
-        transforms, right, down, order, references, sizes, corrections = (heading.integers(STREAMS) for _ in range(7))
+        transforms, right, down, order, references, sizes, corrections = (heading.integers(count) for _ in range(7))
         faults = {
             "motion vectors, which are not read": any(right) or any(down),
             "transforms other than 0 and 1": not set(transforms) <= {0, 1},
-            "an order that is none": sorted(order) != list(range(STREAMS)),
+            "an order that is none": sorted(order) != list(range(count)),
             "sizes that cannot be": min(sizes) < 1 or min(corrections) < 0 or any(n % 5 for n in corrections),
             "a reference that is not made before its stream": any(
-                each != NONE and not (0 <= each < STREAMS and order[each] < order[stream])
+                each != NONE and not (0 <= each < count and order[each] < order[stream])
                 for stream, each in enumerate(references)
             ),
         }
         for what, present in faults.items():
             if present:
                 raise Refused(heading.name, f"compressed streams with {what}", remedy=REMEDY)
-        steps = tuple(order.index(step) for step in range(STREAMS))
+        steps = tuple(order.index(step) for step in range(count))
         return cls(tuple(each == 1 for each in transforms), steps, tuple(references), tuple(sizes), tuple(corrections))
 
     @property
@@ -58,8 +60,8 @@ class PtmStreams:
         return sum(self.sizes) + sum(self.corrections)
 
     def decoded(self, stored: np.ndarray, rows: int, columns: int, name: str) -> np.ndarray:
-        """(9, rows, columns) uint8 from the bytes that follow the heading. Refused where a stream is damaged."""
-        planes = np.empty((STREAMS, rows, columns), np.uint8)
+        """(streams, rows, columns) uint8 from the bytes that follow the heading. Refused where a stream is damaged."""
+        planes = np.empty((len(self.sizes), rows, columns), np.uint8)
         lengths = [length for pair in zip(self.sizes, self.corrections, strict=True) for length in pair]
         starts = np.concatenate([[0], np.cumsum(lengths)])
         for stream in self.steps:

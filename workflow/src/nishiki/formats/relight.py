@@ -1,11 +1,11 @@
 """Relightable images as folders: `info.json` and pictures of coefficients, as relight writes and OpenLIME reads them.
 
-Three coefficients a picture, `plane_N.jpg` or the tiles of a deep zoom (`plane_N.dzi`): value = (code / 255 - bias)
-scale, for values 0 to 1. In the colour space rgb the red, green and blue of each term follow each other; in lrgb the
-first picture is a colour, and the terms are those of a brightness that multiplies it; in mrgb the planes weigh
-principal components, whose values at the captured lights are in info.json. Terms: polynomials (ptm; Malzbender and
-others, 2001), hemispherical (hsh; Gautron and others, 2004) and spherical harmonics (sh), Gaussians between lights
-(rbf; Ponchio, Corsini and Scopigno, 2018).
+Three coefficients a picture: value = (code / 255 - bias) scale, for values 0 to 1. In the colour space rgb the red,
+green and blue of each term follow each other; in lrgb the first picture is a colour (code / 255), and the terms are
+those of a brightness that multiplies it; in mrgb the planes weigh principal components, whose values in each direction
+of a table are in info.json (`materials.bin` in folders of 2018 and 2019); mycc is the same for brightness, R - B and
+G - (R + B) / 2, of which the planes are taken in turn as long as there are all three, then those of brightness. The
+terms and the weights of a table's directions: `relight_weights`.
 """
 
 from __future__ import annotations
@@ -19,53 +19,28 @@ from typing import Any
 
 import numpy as np
 
-from nishiki.formats.files import Refused, expect_bound, expect_memory, leads_out, read_text
-from nishiki.formats.hsh import LARGEST_ORDER, hemispherical_harmonics
-from nishiki.formats.images import read_codes
+from nishiki.formats.files import Refused, expect_bound, expect_memory, read_bytes, read_text
+from nishiki.formats.relight_planes import REMEDY, has_planes, read_plane, within
+from nishiki.formats.relight_weights import FROM_YCOCG, bilinear_weights, gaussian_weights, terms_of
 
 INFO = "info.json"
-CHANNELS = ("red", "green", "blue")
-LAYERS = re.compile(r"plane_\d+|normals|albedo|height|depth|mean|thumbnail", re.IGNORECASE)
-"""Pictures that lie in such a folder and are no photographs, without suffix."""
-LEAST_WEIGHT = 0.001  # of a captured light, below which viewers leave it out
+BASIS = "materials.bin"
+LAYERS = re.compile(r"plane_\d+|materials|normals|albedo|height|depth|means?|medians?|error|thumbnail", re.IGNORECASE)
+"""Pictures that relight and viewers put into such a folder and are no photographs, without suffix."""
+TABULATED = ("rbf", "bilinear")
 LEAST_WIDTH = 0.001  # of Gaussians and of the spans of components
 OFF_UNIT = 0.01  # of a light's length
 ROWS_AT_A_TIME = 256
-REMEDY = "Fit it again with relight as ptm, hsh, sh (rgb or lrgb) or rbf (mrgb), or convert the photographs"
-
-
-def ptm_weights(lights: np.ndarray) -> np.ndarray:
-    """(n, 6) of unit vectors (n, 3): 1, x, y, x^2, x y, y^2."""
-    x, y = lights[:, 0], lights[:, 1]
-    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
-
-
-def spherical_harmonics(lights: np.ndarray) -> np.ndarray:
-    """(n, 9) of unit vectors (n, 3), in the order and with the factors of OpenLIME."""
-    x, y, z = lights.T
-    first, second = 0.5 * math.sqrt(3 / math.pi), 0.5 * math.sqrt(15 / math.pi)
-    linear = [np.full_like(x, 0.5 / math.sqrt(math.pi)), first * x, first * z, first * y]
-    square = 0.5 * math.sqrt(5 / math.pi) * (3 * z * z - 1)
-    mixed = [second * x * y, second * x * z, square, second * y * z, 0.5 * second * (y * y - x * x)]
-    return np.stack([*linear, *mixed], axis=1)
-
-
-def gaussian_weights(lights: np.ndarray, light: np.ndarray, width: float) -> np.ndarray:
-    """(lights,) of captured unit vectors (lights, 3) for one light, sum 1."""
-    squares = np.sum((lights - light) ** 2, axis=1)
-    weights = np.exp(-(squares - squares.min()) / width**2)
-    weights /= weights.sum()
-    weights[weights <= LEAST_WEIGHT] = 0
-    return weights / weights.sum()
 
 
 @dataclass(frozen=True)
 class RelightFolder:
     """A relightable image of a folder.
 
-    kind : ptm, hsh, sh or rbf; colour_space : rgb, lrgb or mrgb; codes : (rows, columns, planes) uint8, rows from the
-    top; scale, bias : (planes,); lights : (n, 3), components : (planes + 1, n, 3) with their mean first, width : of the
-    Gaussians, all three of rbf only; files : names that were read, relative to the folder.
+    kind : ptm, hsh, sh, rbf or bilinear; colour_space : rgb, lrgb, mrgb or mycc; codes : (rows, columns, planes) uint8,
+    rows from the top; scale, bias : (planes,); components : (planes + 1, n, 3) of red, green and blue with their mean
+    first, of rbf and bilinear; lights : (n, 3), width : of the Gaussians, both of rbf only; files : names that were
+    read, relative to the folder.
     """
 
     kind: str
@@ -100,32 +75,36 @@ class RelightFolder:
             codes = self.codes[band].astype(np.float32)
             picture[band] = codes @ steps + offset
             if self.colour_space == "lrgb":
-                picture[band] *= (codes[..., :3] / np.float32(255) - self.bias[:3]) * self.scale[:3]
+                picture[band] *= codes[..., :3] / np.float32(255)
         return picture
 
     def _transfer(self, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """o (3,) and T (planes, 3): values are o + coefficients T; of lrgb those of the brightness."""
-        if self.kind == "rbf":
-            weights = gaussian_weights(self.lights, light, self.width)
+        if self.kind in TABULATED:
+            directions = self.components.shape[1]
+            gaussian = self.kind == "rbf"
+            weights = (
+                gaussian_weights(self.lights, light, self.width)
+                if gaussian
+                else bilinear_weights(math.isqrt(directions), light)
+            )
             mean, *components = np.einsum("l,plk->pk", weights, self.components)
             return mean, np.array(components)
-        terms = _terms(self.kind, len(self.scale) // 3 if self.colour_space == "rgb" else len(self.scale) - 3)
+        terms = terms_of(self.kind, _terms(self.colour_space, len(self.scale)))
         weights = terms(light[None])[0]
         if self.colour_space == "rgb":
             return np.zeros(3), np.kron(weights[:, None], np.eye(3))
         return np.zeros(3), np.concatenate([np.zeros((3, 3)), np.repeat(weights[:, None], 3, axis=1)])
 
 
-def _terms(kind: str, count: int) -> Any:
-    """The function of a kind with this many terms; None where it has another number of them."""
-    if kind == "hsh" and count in [order**2 for order in range(1, LARGEST_ORDER + 1)]:
-        return lambda lights: hemispherical_harmonics(lights, math.isqrt(count))
-    return {("ptm", 6): ptm_weights, ("sh", 9): spherical_harmonics}.get((kind, count))
+def _terms(space: str, planes: int) -> int:
+    """Terms of rgb or lrgb in this many planes; 0 where they are no whole number."""
+    return planes - 3 if space == "lrgb" else planes // 3 * (planes % 3 == 0)
 
 
 def is_relight_folder(folder: Path) -> bool:
     """Whether a folder holds a relightable image: `info.json` and its first plane."""
-    return (folder / INFO).is_file() and any((folder / f"plane_0{end}").is_file() for end in (".jpg", ".dzi"))
+    return (folder / INFO).is_file() and has_planes(folder)
 
 
 def open_relight(folder: Path) -> RelightFolder:
@@ -136,11 +115,12 @@ def open_relight(folder: Path) -> RelightFolder:
     name = f"{folder.name}/{INFO}"
     info = _info(folder, name)
     kind, space = str(info.get("type")), str(info.get("colorspace"))
-    rows, columns, count = (_whole(info, key, name) for key in ("height", "width", "nplanes"))
-    terms = count - 3 if space == "lrgb" else count / 3
-    harmonic = space in ("rgb", "lrgb") and terms == int(terms) and kind != "rbf" and _terms(kind, int(terms))
-    if not harmonic and (kind, space) != ("rbf", "mrgb"):
-        expected = "ptm, hsh or sh in rgb or lrgb with its number of planes, or rbf in mrgb"
+    rows, columns = (_whole(info, key, name) for key in ("height", "width"))
+    triples = _triples(info, name) if space == "mycc" else None
+    count = triples[0] if triples else _whole(info, "nplanes", name)
+    fitted = space in ("rgb", "lrgb") and terms_of(kind, _terms(space, count)) is not None
+    if not fitted and not (kind in TABULATED and space in ("mrgb", "mycc")):
+        expected = "ptm, hsh or sh in rgb or lrgb with its number of planes, or rbf or bilinear in mrgb or mycc"
         found = f"{kind} in {space} with {count} planes"
         raise Refused(
             name, "a kind of relightable image that is not read", expected=expected, found=found, remedy=REMEDY
@@ -152,91 +132,83 @@ def open_relight(folder: Path) -> RelightFolder:
     materials = info.get("materials")
     material = materials[0] if isinstance(materials, list) and materials and isinstance(materials[0], dict) else {}
     scale, bias = (_numbers(material, key, count, name) for key in ("scale", "bias"))
-    lights, components, width = np.empty((0, 3)), np.empty((0, 0, 3)), 0.0
+    lights, components, width, files = np.empty((0, 3)), np.empty((0, 0, 3)), 0.0, [INFO]
     if kind == "rbf":
         lights = _numbers(info, "lights", None, name).reshape(-1, 3)
-        basis = _numbers(info, "basis", (count + 1) * len(lights) * 3, name).reshape(count + 1, -1, 3)
-        spans, (width,) = _numbers(material, "range", count, name), _numbers(info, "sigma", 1, name)
-        _expect_gaussians(lights, width, spans, name)
-        components = np.concatenate([basis[:1] / 255, (basis[1:] - 127) / spans[:, None, None]])
-    codes, files = np.empty((rows, columns, 3 * pictures), np.uint8), [INFO]
+        (width,) = _numbers(info, "sigma", 1, name)
+        _expect_gaussians(lights, width, name)
+    if kind in TABULATED:
+        directions = len(lights) if kind == "rbf" else _resolution(info, name) ** 2
+        basis, more = _basis(folder, info, (count + 1, directions, 3), name)
+        components = _components(basis, _numbers(material, "range", count, name), triples, name)
+        files += more
+    codes = np.empty((rows, columns, 3 * pictures), np.uint8)
     for number in range(pictures):
-        part = codes[..., 3 * number : 3 * number + 3]
-        files += _read_plane(folder, f"plane_{number}", part)
+        files += read_plane(folder, number, codes[..., 3 * number : 3 * number + 3])
     return RelightFolder(kind, space, codes[..., :count], scale, bias, lights, components, width, tuple(files))
 
 
-def _expect_gaussians(lights: np.ndarray, width: float, spans: np.ndarray, name: str) -> None:
-    """Refused unless lights are unit vectors, and what is divided by is not close to 0."""
+def _triples(info: dict[str, Any], name: str) -> tuple[int, int]:
+    """Planes of mycc, and how many of each of the two differences are among them."""
+    planes = _numbers(info, "yccplanes", 3, name)
+    brightness, first, second = planes.astype(int)
+    if (planes != planes.astype(int)).any() or first != second or not 0 <= first <= brightness < 1 << 10:
+        expected, found = "brightness and two differences, as many of each", repr(info["yccplanes"])[:40]
+        raise Refused(name, "'yccplanes' cannot be used", expected=expected, found=found, remedy=REMEDY)
+    if brightness == 0:
+        raise Refused(name, "'yccplanes' cannot be used", expected="planes", found="none", remedy=REMEDY)
+    return int(planes.sum()), int(first)
+
+
+def _resolution(info: dict[str, Any], name: str) -> int:
+    """Nodes of the grid of bilinear, each way."""
+    side = _whole(info, "resolution", name)
+    if not 2 <= side <= 256:
+        raise Refused(name, "'resolution' cannot be used", expected="2 to 256", found=str(side), remedy=REMEDY)
+    return side
+
+
+def _basis(folder: Path, info: dict[str, Any], shape: tuple[int, ...], name: str) -> tuple[np.ndarray, list[str]]:
+    """The codes of mean and components, and the name of the file if they lie in one of their own."""
+    if "basis" in info or not (folder / BASIS).is_file():
+        return _numbers(info, "basis", math.prod(shape), name).reshape(shape), []
+    content = read_bytes(within(folder, BASIS), "table_bytes", name=f"{folder.name}/{BASIS}")
+    if len(content) != math.prod(shape):
+        expected, found = f"{math.prod(shape)} bytes", str(len(content))
+        raise Refused(f"{folder.name}/{BASIS}", "another size than info.json says", expected=expected, found=found)
+    return np.frombuffer(content, np.uint8).astype(float).reshape(shape), [BASIS]
+
+
+def _components(basis: np.ndarray, spans: np.ndarray, triples: tuple[int, int] | None, name: str) -> np.ndarray:
+    """Mean and components as red, green and blue. Refused where a span is close to 0."""
+    _expect_at_least(LEAST_WIDTH, "range", np.abs(spans).min(), name)
+    values = np.concatenate([basis[:1] / 255, (basis[1:] - 127) / spans[:, None, None]])
+    if triples is None:
+        return values
+    planes, alternating = triples
+    channel = np.where(np.arange(planes) < 3 * alternating, np.arange(planes) % 3, 0)
+    values[1:] *= np.eye(3)[channel][:, None]
+    return values @ FROM_YCOCG.T
+
+
+def _expect_gaussians(lights: np.ndarray, width: float, name: str) -> None:
+    """Refused unless lights are unit vectors, and the width is not close to 0."""
     lengths = np.linalg.norm(lights, axis=1)
     if len(lights) == 0 or np.abs(lengths - 1).max() > OFF_UNIT:
         found = f"length {lengths[np.abs(lengths - 1).argmax()]:.3g}" if len(lights) else "none"
         raise Refused(name, "'lights' cannot be used", expected="vectors of length 1", found=found, remedy=REMEDY)
-    for key, least in (("sigma", width), ("range", np.abs(spans).min())):
-        if least < LEAST_WIDTH:
-            expected, found = f"at least {LEAST_WIDTH}", f"{least:.3g}"
-            raise Refused(name, f"'{key}' cannot be used", expected=expected, found=found, remedy=REMEDY)
+    _expect_at_least(LEAST_WIDTH, "sigma", width, name)
 
 
-def _read_plane(folder: Path, name: str, out: np.ndarray) -> list[str]:
-    """Fill (rows, columns, 3) from a picture or from the tiles of its full resolution; names of the files read."""
-    if (folder / f"{name}.jpg").is_file():
-        _fill(folder, f"{name}.jpg", out)
-        return [f"{name}.jpg"]
-    (rows, columns), with_tiles = out.shape[:2], f"{name}.dzi"
-    about = f"{folder.name}/{with_tiles}"
-    try:
-        text = read_text(_within(folder, with_tiles), "settings_bytes", name=about)
-    except FileNotFoundError:
-        raise Refused(about, "neither this nor a .jpg is there", remedy=REMEDY) from None
-    except UnicodeDecodeError:
-        raise Refused(about, "not UTF-8 text", remedy=REMEDY) from None
-    found = dict(re.findall(r'\b(TileSize|Overlap|Format)="(\w{1,9})"', text, re.ASCII))
-    sides = dict(re.findall(r'\b(Width|Height)="(\d{1,9})"', "".join(re.findall(r"<Size\b[^>]*>", text)), re.ASCII))
-    levels = [path.name for path in (folder / f"{name}_files").glob("*") if re.fullmatch("[0-9]+", path.name)]
-    if len(found) < 3 or len(sides) < 2 or not levels:
-        raise Refused(about, "no deep zoom with tiles", remedy=REMEDY)
-    if (int(sides["Height"]), int(sides["Width"])) != (rows, columns):
-        raise _other_size(about, (rows, columns), f"{int(sides['Width'])} x {int(sides['Height'])}")
-    size, overlap = (int(found[key]) if found[key].isdecimal() else 0 for key in ("TileSize", "Overlap"))
-    if size < 16:
-        raise Refused(about, "tiles too small", found=f"{size} pixels", remedy=REMEDY)
-    files, level = [with_tiles], max(levels, key=int)
-    for row in range(-(-rows // size)):
-        for column in range(-(-columns // size)):
-            tile = f"{name}_files/{level}/{column}_{row}.{found['Format']}"
-            margin = (min(row, 1) * overlap, min(column, 1) * overlap)
-            _fill(folder, tile, out[row * size : (row + 1) * size, column * size : (column + 1) * size], margin)
-            files.append(tile)
-    return files
-
-
-def _fill(folder: Path, name: str, out: np.ndarray, margin: tuple[int, int] | None = None) -> None:
-    """Copy a picture into a window. margin : rows and columns before those of a tile; it may have more after them."""
-    about = f"{folder.name}/{name}"
-    codes = read_codes(_within(folder, name), CHANNELS, name=about)
-    if margin is not None:
-        codes = codes[margin[0] :, margin[1] :][: out.shape[0], : out.shape[1]]
-    if codes.shape != out.shape or codes.dtype != np.uint8:
-        raise _other_size(about, out.shape, f"{codes.shape[1]} x {codes.shape[0]} of {codes.dtype}")
-    out[:] = codes
-
-
-def _other_size(about: str, shape: tuple[int, ...], found: str) -> Refused:
-    expected, what = f"{shape[1]} x {shape[0]} of 8 bits", f"a plane of another size than {INFO} says"
-    return Refused(about, what, expected=expected, found=found, remedy=REMEDY)
-
-
-def _within(folder: Path, name: str) -> Path:
-    """The path of a file of the folder. Refused where it is a link elsewhere."""
-    if leads_out(folder / name, folder):
-        raise Refused(f"{folder.name}/{name}", "a link that leads out of the folder", remedy="Copy the file into it")
-    return folder / name
+def _expect_at_least(least: float, key: str, value: float, name: str) -> None:
+    if value < least:
+        expected, found = f"at least {least}", f"{value:.3g}"
+        raise Refused(name, f"'{key}' cannot be used", expected=expected, found=found, remedy=REMEDY)
 
 
 def _info(folder: Path, name: str) -> dict[str, Any]:
     try:
-        content = json.loads(read_text(_within(folder, INFO), "table_bytes", name=name))
+        content = json.loads(read_text(within(folder, INFO), "table_bytes", name=name))
     except (ValueError, RecursionError) as e:
         raise Refused(name, "not JSON", found=str(e)[:80], remedy=REMEDY) from None
     if not isinstance(content, dict):
@@ -247,7 +219,7 @@ def _info(folder: Path, name: str) -> dict[str, Any]:
 def _whole(info: dict[str, Any], key: str, name: str) -> int:
     value = info.get(key)
     if type(value) is not int or not 0 < value < 1 << 20:
-        raise Refused(name, f"'{key}' is no number of pixels or planes", found=repr(value)[:40], remedy=REMEDY)
+        raise Refused(name, f"'{key}' is no whole number above 0", found=repr(value)[:40], remedy=REMEDY)
     return value
 
 

@@ -15,7 +15,7 @@ from typing import Protocol
 import numpy as np
 
 from nishiki.formats.hsh import hemispherical_harmonics
-from nishiki.formats.relight import gaussian_weights, ptm_weights
+from nishiki.formats.relight_weights import gaussian_weights, ptm_weights
 
 RIDGES = (0.0, 1e-4, 1e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0)
 """Weights of the squared coefficients beside the squared errors, of those that are tried."""

@@ -1,0 +1,171 @@
+"""Planes of a relightable image in a folder: `plane_N.jpg`, a deep zoom, or its tiles in one file (OpenLIME's tarzoom).
+
+A `.tzi` is JSON: size, side of the tiles, levels, and where each tile begins in the `.tzb` of the same name. Tiles
+follow each other by level, the smallest first, and row by row; `planes.tzi` (itarzoom) has the tiles of all planes of
+one place one after the other, `stride` of them.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.formats.files import Refused, leads_out, open_regular, read_text
+from nishiki.formats.image_headers import jpeg_header
+from nishiki.formats.images import check_jpeg, read_codes
+
+CHANNELS = ("red", "green", "blue")
+ALL_PLANES = "planes.tzi"
+LEAST_TILE = 16  # pixels
+MOST_LEVELS = 24
+REMEDY = "Fit it again with relight as ptm, hsh, rbf or bilinear, or convert the photographs"
+
+
+def has_planes(folder: Path) -> bool:
+    """Whether the first plane lies in a folder, in one of the layouts that are read."""
+    first = [f"plane_0{end}" for end in (".jpg", ".dzi", ".tzi")]
+    return any((folder / name).is_file() for name in (*first, ALL_PLANES))
+
+
+def within(folder: Path, name: str) -> Path:
+    """The path of a file of the folder. Refused where it is a link elsewhere."""
+    if leads_out(folder / name, folder):
+        raise Refused(f"{folder.name}/{name}", "a link that leads out of the folder", remedy="Copy the file into it")
+    return folder / name
+
+
+def read_plane(folder: Path, number: int, out: np.ndarray) -> list[str]:
+    """Fill (rows, columns, 3) from a picture or from the tiles of its full resolution; names of the files read.
+
+    Refused; CaptureError where a picture cannot be decoded.
+    """
+    name = f"plane_{number}"
+    if (folder / f"{name}.jpg").is_file():
+        _fill(folder, f"{name}.jpg", out)
+        return [f"{name}.jpg"]
+    if (folder / f"{name}.tzi").is_file() and not (folder / f"{name}.dzi").is_file():
+        return _read_joined_tiles(folder, f"{name}.tzi", 0, out)
+    if (folder / ALL_PLANES).is_file() and not (folder / f"{name}.dzi").is_file():
+        return _read_joined_tiles(folder, ALL_PLANES, number, out)
+    return _read_deep_zoom(folder, name, out)
+
+
+def _read_deep_zoom(folder: Path, name: str, out: np.ndarray) -> list[str]:
+    (rows, columns), with_tiles = out.shape[:2], f"{name}.dzi"
+    about = f"{folder.name}/{with_tiles}"
+    try:
+        text = read_text(within(folder, with_tiles), "settings_bytes", name=about)
+    except FileNotFoundError:
+        raise Refused(about, "neither this nor a .jpg is there", remedy=REMEDY) from None
+    except UnicodeDecodeError:
+        raise Refused(about, "not UTF-8 text", remedy=REMEDY) from None
+    found = dict(re.findall(r'\b(TileSize|Overlap|Format)="(\w{1,9})"', text, re.ASCII))
+    sides = dict(re.findall(r'\b(Width|Height)="(\d{1,9})"', "".join(re.findall(r"<Size\b[^>]*>", text)), re.ASCII))
+    levels = [path.name for path in (folder / f"{name}_files").glob("*") if re.fullmatch("[0-9]+", path.name)]
+    if len(found) < 3 or len(sides) < 2 or not levels:
+        raise Refused(about, "no deep zoom with tiles", remedy=REMEDY)
+    if (int(sides["Height"]), int(sides["Width"])) != (rows, columns):
+        raise _other_size(about, (rows, columns), f"{int(sides['Width'])} x {int(sides['Height'])}")
+    size, overlap = (int(found[key]) if found[key].isdecimal() else 0 for key in ("TileSize", "Overlap"))
+    _expect_tiles(size, about)
+    files, level = [with_tiles], max(levels, key=int)
+    for row in range(-(-rows // size)):
+        for column in range(-(-columns // size)):
+            tile = f"{name}_files/{level}/{column}_{row}.{found['Format']}"
+            margin = (min(row, 1) * overlap, min(column, 1) * overlap)
+            _fill(folder, tile, out[row * size : (row + 1) * size, column * size : (column + 1) * size], margin)
+            files.append(tile)
+    return files
+
+
+def _read_joined_tiles(folder: Path, name: str, number: int, out: np.ndarray) -> list[str]:
+    """From the tiles in one file. number : of the plane among those that alternate in it."""
+    about, (rows, columns) = f"{folder.name}/{name}", out.shape[:2]
+    try:
+        index = json.loads(read_text(within(folder, name), "table_bytes", name=about))
+        size, overlap, width, height, levels = (
+            index[key] for key in ("tilesize", "overlap", "width", "height", "nlevels")
+        )
+        stride, offsets = (index["stride"] if name == ALL_PLANES else 1), index["offsets"]
+        sound = all(type(n) is int for n in (size, overlap, width, height, levels, stride, *offsets))
+    except (ValueError, RecursionError, KeyError, TypeError):
+        sound = False
+    if not sound or not 0 < levels <= MOST_LEVELS or number >= stride or overlap < 0:
+        raise Refused(
+            about, "no list of tiles", expected="tilesize, overlap, width, height, nlevels, offsets", remedy=REMEDY
+        )
+    if (height, width) != (rows, columns):
+        raise _other_size(about, (rows, columns), f"{width} x {height}")
+    _expect_tiles(size, about)
+    below = range(1, levels)  # halvings of the levels that come first
+    start = sum(-(-(width >> halved) // size) * -(-(height >> halved) // size) for halved in below)
+    joined = f"{name[:-4]}.tzb"
+    place, across = f"{folder.name}/{joined}", -(-columns // size)
+    with open(_opened(within(folder, joined), place), "rb") as file:
+        stored = file.seek(0, 2)
+        for tile in range(-(-rows // size) * across):
+            row, column = divmod(tile, across)
+            first = (start + tile) * stride + number
+            begin, end = offsets[first : first + 2] if first + 1 < len(offsets) else (0, 0)
+            if not 0 <= begin < end <= stored:
+                expected, found = f"tile {first} within {stored} bytes", f"bytes {begin} to {end}"
+                raise Refused(about, "no list of these tiles", expected=expected, found=found, remedy=REMEDY)
+            file.seek(begin)
+            codes = _decoded(
+                np.frombuffer(file.read(end - begin), np.uint8), size + 2 * overlap, f"{place}, tile {first}"
+            )
+            margin = (min(row, 1) * overlap, min(column, 1) * overlap)
+            part = out[row * size : (row + 1) * size, column * size : (column + 1) * size]
+            _copy(codes, part, margin, f"{place}, tile {first}")
+    return [name, joined] if number == 0 or name != ALL_PLANES else []
+
+
+def _opened(path: Path, name: str) -> int:
+    try:
+        return open_regular(path, name)
+    except FileNotFoundError:
+        raise Refused(name, "the file of the tiles is missing", remedy=REMEDY) from None
+
+
+def _decoded(content: np.ndarray, most: int, name: str) -> np.ndarray:
+    """The samples (rows, columns, 3) of a JPEG picture in memory, of at most that many rows and columns."""
+    import cv2
+
+    try:
+        header = jpeg_header(content.tobytes())
+        check_jpeg(content)
+    except (ValueError, EOFError) as e:
+        raise Refused(name, "not a whole JPEG picture", found=str(e), remedy=REMEDY) from None
+    if max(header.rows, header.columns) > most:
+        raise _other_size(name, (most, most), f"{header.columns} x {header.rows}")
+    samples = cv2.imdecode(content, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    if samples is None:
+        raise Refused(name, "a JPEG picture that cannot be decoded", remedy=REMEDY)
+    return samples[..., ::-1]
+
+
+def _fill(folder: Path, name: str, out: np.ndarray, margin: tuple[int, int] | None = None) -> None:
+    """Copy a picture into a window. margin : rows and columns before those of a tile; it may have more after them."""
+    about = f"{folder.name}/{name}"
+    _copy(read_codes(within(folder, name), CHANNELS, name=about), out, margin, about)
+
+
+def _copy(codes: np.ndarray, out: np.ndarray, margin: tuple[int, int] | None, about: str) -> None:
+    if margin is not None:
+        codes = codes[margin[0] :, margin[1] :][: out.shape[0], : out.shape[1]]
+    if codes.shape != out.shape or codes.dtype != np.uint8:
+        raise _other_size(about, out.shape, f"{codes.shape[1]} x {codes.shape[0]} of {codes.dtype}")
+    out[:] = codes
+
+
+def _expect_tiles(size: int, about: str) -> None:
+    if size < LEAST_TILE:
+        raise Refused(about, "tiles too small", found=f"{size} pixels", remedy=REMEDY)
+
+
+def _other_size(about: str, shape: tuple[int, ...], found: str) -> Refused:
+    expected = f"{shape[1]} x {shape[0]} of 8 bits"
+    return Refused(about, "a plane of another size than info.json says", expected=expected, found=found, remedy=REMEDY)
