@@ -3,7 +3,7 @@
 Three coefficients a picture: value = (code / 255 - bias) scale, for values 0 to 1. In the colour space rgb the red,
 green and blue of each term follow each other; in lrgb the first picture is a colour (code / 255), and the terms are
 those of a brightness that multiplies it; in mrgb the planes weigh principal components, whose values in each direction
-of a table are in info.json (`materials.bin` in folders of 2018 and 2019); mycc is the same for brightness, R - B and
+of a table are in info.json (in `materials.bin` in older folders); mycc is the same for brightness, R - B and
 G - (R + B) / 2, of which the planes are taken in turn as long as there are all three, then those of brightness. The
 terms and the weights of a table's directions: `relight_weights`.
 """
@@ -91,6 +91,8 @@ class RelightFolder:
             mean, *components = np.einsum("l,plk->pk", weights, self.components)
             return mean, np.array(components)
         terms = terms_of(self.kind, _terms(self.colour_space, len(self.scale)))
+        if terms is None:
+            raise ValueError(f"{self.layout}: no such terms")
         weights = terms(light[None])[0]
         if self.colour_space == "rgb":
             return np.zeros(3), np.kron(weights[:, None], np.eye(3))
