@@ -65,8 +65,14 @@ def dome(count: int, seed: int) -> np.ndarray:
     return np.stack([np.sin(polar) * np.cos(angle), np.sin(polar) * np.sin(angle), np.cos(polar)], axis=1)
 
 
-def small_painting(folder: Path, *, regions: np.ndarray | None = None) -> SmallPainting:
-    """Make the painting; one corner has no estimate. regions: (rows, columns) uint8, 1 where highlights are narrow."""
+def small_painting(
+    folder: Path, *, regions: np.ndarray | None = None, shading: np.ndarray | None = None, transmission: float = 0.0
+) -> SmallPainting:
+    """Make the painting; one corner has no estimate.
+
+    regions : (rows, columns) uint8, 1 where highlights are narrow; shading : (rows, columns, terms) of the body;
+    transmission : share of the surface's loss that the body's light suffers.
+    """
     y, x = np.mgrid[ROWS:0:-1, 0:COLUMNS] * PITCH_MM  # y points up
     phase_x, phase_y = 2 * np.pi * x / 5, 2 * np.pi * y / 4
     height = 0.18 * np.sin(phase_x) * np.cos(phase_y) + 0.02 * x
@@ -85,8 +91,10 @@ def small_painting(folder: Path, *, regions: np.ndarray | None = None) -> SmallP
     }
     channels = np.stack([(waves @ basis)[..., band] for band in (45, 28, 8)], axis=-1)
     maps["normals"][1]["reflectance"] = channels
+    if shading is not None:
+        maps["normals"][1]["shading"] = shading
     inputs = {stage: _artifact(folder, stage, *made, basis) for stage, made in maps.items()}
-    inputs["brdf"] = _gloss(folder, 1 if regions is None else 2)
+    inputs["brdf"] = _gloss(folder, 1 if regions is None else 2, transmission)
     inputs["ingest"] = _photographs(folder, normals, channels, lights, regions)
     return SmallPainting(height, normals.astype(np.float32), waves.astype(np.float32), basis, known, lights, inputs)
 
@@ -126,11 +134,11 @@ def _artifact(folder: Path, stage: str, settings, maps: dict, basis: np.ndarray)
     return make_artifact(folder, settings(), fill, stamp=STAMP, stage=stage)
 
 
-def _gloss(folder: Path, regions: int) -> Artifact:
+def _gloss(folder: Path, regions: int, transmission: float) -> Artifact:
     def fill(writer: ArtifactWriter) -> dict:
         lobes = [([0.6], [0.25]), ([40.0], [0.1])][:regions]
         described = [{"beta": beta, "gamma": gamma, "refractive_index": 1.45} for beta, gamma in lobes]
-        parameters = {"method": "scene", "regions": described, "transmission": 0.0}
+        parameters = {"method": "scene", "regions": described, "transmission": transmission}
         writer.path("parameters.json").write_text(json.dumps(parameters))
         return {}
 

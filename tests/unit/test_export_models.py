@@ -1,18 +1,13 @@
-"""Our reflection model in tables of MERL and as a BSDF of Mitsuba."""
+"""Our reflection model in tables of MERL."""
 
-import importlib.util
 import json
-from dataclasses import replace
 
 import numpy as np
 import OpenEXR
 import pytest
-from small_painting import PITCH_MM, exported_painting
+from small_painting import exported_painting
 
 from nishiki.brdf.torrance_sparrow import specular
-from nishiki.colour.colour import illuminant, white_xyz, xyz_to_srgb_linear
-from nishiki.render.plane.frame import render
-from nishiki.render.plane.scene import Gloss, Light, PlaneScene, View
 
 
 @pytest.fixture(scope="module")
@@ -20,15 +15,6 @@ def exported(tmp_path_factory):
     """The painting, the folder of its exports, and what the stage reports."""
     with exported_painting(tmp_path_factory.mktemp("painting"), ("merl", "mitsuba")) as made:
         yield made
-
-
-def plane_scene(painting):
-    """The painting as our own renderer takes it."""
-    normals = np.where(painting.known[..., None], painting.normals, np.float32(0))
-    height = np.where(painting.known, painting.height, np.nan).astype(np.float32)
-    gloss = Gloss([[0.6]], [[0.25]], [1.45])
-    fields = {"coefficients": painting.coefficients, "basis": painting.basis, "pitch": PITCH_MM}
-    return PlaneScene(normals, gloss=gloss, height=height, **fields)
 
 
 def merl_value(table, light, view):
@@ -49,8 +35,7 @@ def test_a_merl_table_holds_the_reflection_model(exported):
     assert np.frombuffer(content, "<i4", 3).tolist() == [90, 90, 180]
     table = np.frombuffer(content, "<f8", offset=12).reshape(3, 90, 90, 180)
     assert (table[:, 89, 80, 90] < 0).all()  # the light is below the surface
-    gloss = json.loads((exported.folder / "mitsuba/scene.json").read_text())["gloss"]
-    beta, gamma = (np.array([float(v) for v in gloss[name].split()]) for name in ("beta", "gamma"))
+    (gloss,) = json.loads((exported.folder / "mitsuba/scene.json").read_text())["gloss"]["regions"]
     random, up = np.random.default_rng(0), np.array([0, 0, 1.0])
     errors = []
     for _ in range(400):
@@ -61,7 +46,7 @@ def test_a_merl_table_holds_the_reflection_model(exported):
         value = merl_value(table, light, view)
         lobes = sum(
             specular(up, light, view, beta=b, gamma=g, refractive_index=gloss["index"])
-            for b, g in zip(beta, gamma, strict=True)
+            for b, g in zip(gloss["beta"], gloss["gamma"], strict=True)
         )
         body = value * np.pi - lobes / light[2]  # the colour, but for the surface's loss and the cells' size
         errors.append(body)
@@ -71,34 +56,3 @@ def test_a_merl_table_holds_the_reflection_model(exported):
     srgb = colour[exported.painting.known].mean(axis=0)
     np.testing.assert_allclose(body, srgb, rtol=0.1)
     assert np.percentile(np.abs(errors - body), 90) < 0.1 * body.mean()
-
-
-@pytest.fixture(scope="module")
-def nishiki_paint(exported):
-    """The exported module of Mitsuba, with a variant set."""
-    mitsuba = pytest.importorskip("mitsuba", reason="Mitsuba 3 is not installed (group path-tracing)")
-    mitsuba.set_variant("scalar_rgb")
-    spec = importlib.util.spec_from_file_location("nishiki_paint", exported.folder / "mitsuba/nishiki_paint.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-@pytest.mark.parametrize("lamp", [(0.6, 0.1, 0.79), (-0.1, -0.05, 0.99)])
-def test_mitsuba_renders_what_we_render(exported, nishiki_paint, lamp):
-    import mitsuba
-
-    painting = exported.painting
-    folder = exported.folder / "mitsuba"
-    flat = np.array(mitsuba.render(nishiki_paint.load([lamp], relief=False, samples=1, folder=folder)))
-    light = Light(direction=lamp, spectrum=illuminant("D65"))
-    scene = replace(plane_scene(painting), height=None)
-    d65 = white_xyz(illuminant("D65"))
-    ours = xyz_to_srgb_linear(render(scene, [light], View()).xyz, white=d65)
-    known = painting.known & (ours.min(axis=-1) > 0.01)
-    np.testing.assert_allclose(flat[known], ours[known], rtol=0.01)
-    assert known.mean() > 0.9
-    relief = np.array(mitsuba.render(nishiki_paint.load([lamp], samples=1, folder=folder)))
-    inner = known.copy()
-    inner[[0, -1]] = inner[:, [0, -1]] = False
-    assert np.median(np.abs(relief[inner] - ours[inner])) < 0.01

@@ -2,13 +2,14 @@
 `principled` for scenes without Python."""
 
 import json
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from nishiki.artifacts.stage import Context
-from nishiki.brdf.parameters import gloss_table
+from nishiki.brdf.parameters import gloss_table, is_facets
 from nishiki.formats.exr_bands import ExrWriter
 from nishiki.formats.mitsuba_xml import Parameter, write_scene
 from nishiki.formats.textured_ply import faces, heading, vertices
@@ -16,29 +17,31 @@ from nishiki.report.files import read_json
 from nishiki.stages.export import mitsuba_paint, mitsuba_principled
 from nishiki.stages.export.gltf_material import GltfMaterial
 from nishiki.stages.export.look import Texels, errors
-from nishiki.stages.export.region_gloss import largest_lobe, largest_region
+from nishiki.stages.export.region_gloss import RegionGloss, region_materials
 from nishiki.stages.export.relief_mesh import reliefs
 from nishiki.stages.export.scene import ExportedScene
 
 UP = np.array([0.0, 0.0, 1.0])
-MATTE = ([0.0], [0.5], 1.45, 0.0)
+MATTE = (np.array([[0.0]]), np.array([[0.5]]), np.array([1.45]), 0.0)
+ONE_CHANNEL = ("regions", "roughness", "weight")
+Texture = Callable[[slice], np.ndarray]
+"""Some rows of a texture, of the picture's columns."""
 
 
 def write(context: Context, scene: ExportedScene) -> dict:
     """The folder `mitsuba`; what of the model it leaves out."""
     folder = context.output.path("exports/mitsuba/scene.json").parent
-    beta, gamma, index, transmission = gloss(context)
-    names = {
-        "albedo": lambda rows: np.maximum(scene.srgb(rows), 0),  # samples with a channel below 0 would be dropped
-        "normals": scene.normals,
-        "shading": scene.shading,
-        "normalmap": lambda rows: coded(scene.relief_normals(rows)),
-    }
+    parameters = read_json(context.inputs.get("brdf"), "parameters.json")
+    gloss = RegionGloss(region_materials(context, scene), None)
+    if len(gloss.materials) > 1:
+        gloss = replace(gloss, labels=scene.regions(slice(0, scene.shape[0])))
+    of_model, of_principled = model_textures(scene, parameters), principled_textures(scene, gloss)
     header = {f"nishiki.{name}": text for name, text in context.stamp.items()}
-    for name, read in names.items():
-        with ExrWriter(folder / f"{name}.exr", "RGB", *scene.shape, header) as exr:
+    for name, read in {**of_model, **of_principled}.items():
+        channels = "Y" if name in ONE_CHANNEL else "RGB"
+        with ExrWriter(folder / f"{name}.exr", channels, *scene.shape, header) as exr:
             for rows in scene.bands():
-                exr.write(read(rows))
+                exr.write(read(rows).reshape(-1, scene.shape[1], len(channels)))
     count = write_relief(folder, context, scene)
     facts = {
         "rows": scene.shape[0],
@@ -46,39 +49,61 @@ def write(context: Context, scene: ExportedScene) -> dict:
         "width": scene.shape[1] * scene.pitch,
         "height": scene.shape[0] * scene.pitch,
         "unit": scene.unit,
-        "gloss": {
-            "beta": " ".join(map(str, beta)),
-            "gamma": " ".join(map(str, gamma)),
-            "index": index,
-            "transmission": transmission,
-        },
+        "textures": list(of_model),
+        "shadows": not scene.has_directional_shading,
+        "gloss": gloss_facts(parameters),
         "stamp": dict(context.stamp),
     }
     (folder / "scene.json").write_text(json.dumps(facts, indent=1) + "\n")
     (folder / "nishiki_paint.py").write_text(Path(mitsuba_paint.__file__).read_text(encoding="utf-8"))
-    material = largest_lobe(context, scene)
-    write_plain_scene(folder / "scene.xml", facts, material)
-    principled = PrincipledGloss(PrincipledPaint(material))
+    write_plain_scene(folder / "scene.xml", facts, gloss)
     clipped = sum(int(np.count_nonzero(scene.srgb(rows) < 0)) for rows in scene.bands())
-    made = ("scene.json", "nishiki_paint.py", "scene.xml", "relief.ply", "flat.ply", *(f"{name}.exr" for name in names))
-    files = [f"exports/mitsuba/{name}" for name in made]
+    names = ("scene.json", "nishiki_paint.py", "scene.xml", "relief.ply", "flat.ply")
+    files = [f"exports/mitsuba/{name}" for name in (*names, *(f"{name}.exr" for name in (*of_model, *of_principled)))]
     return {
         "files": files,
         "vertices": count,
-        "shading_terms_left_out": max(scene.shading_terms - 3, 0),
         "clipped": clipped / (3 * scene.shape[0] * scene.shape[1]),
-        "kinds": {"principled": {"psnr_db": errors(context, scene, PaintingFiles(scene), {"": principled})[""]}},
+        "kinds": {
+            "principled": {"psnr_db": errors(context, scene, PaintingFiles(scene), {"": PrincipledGloss(gloss)})[""]}
+        },
     }
 
 
-def gloss(context: Context) -> tuple[list[float], list[float], float, float]:
-    """Strengths, half widths, index and losses of the region with the most samples; matte without the stage brdf."""
-    parameters = read_json(context.inputs.get("brdf"), "parameters.json")
-    if parameters is None:
-        return MATTE
-    beta, gamma, index, transmission = gloss_table(parameters)
-    largest = largest_region(parameters)
-    return beta[largest].tolist(), gamma[largest].tolist(), float(index[largest]), transmission
+def model_textures(scene: ExportedScene, parameters: dict | None) -> dict[str, Texture]:
+    """What `nishiki_paint.py` reads, by name; parameters: of the stage brdf, None for a matte painting."""
+    textures: dict[str, Texture] = {
+        "albedo": lambda rows: np.maximum(scene.srgb(rows), 0),  # samples with a channel below 0 would be dropped
+        "normals": scene.shading_normals,
+        "shading": scene.shading,
+    }
+    if scene.has_directional_shading:
+        textures["directional"] = lambda rows: np.pad(scene.directional_terms(rows), ((0, 0), (0, 0), (0, 1)))
+    if parameters is not None and is_facets(parameters):
+        textures["slopes"] = scene.slopes
+    if parameters is not None and len(parameters["regions"]) > 1:
+        textures["regions"] = scene.regions
+    return textures
+
+
+def principled_textures(scene: ExportedScene, gloss: RegionGloss) -> dict[str, Texture]:
+    """What `scene.xml` reads beside the albedo."""
+    textures: dict[str, Texture] = {"normalmap": lambda rows: coded(scene.relief_normals(rows))}
+    if gloss.labels is not None:
+        for name in ("roughness", "weight"):
+            values = np.array([getattr(material, name) for material in gloss.materials])
+            textures[name] = lambda rows, values=values: values[gloss.labels[rows]]
+    return textures
+
+
+def gloss_facts(parameters: dict | None) -> dict:
+    """Lobes of each region, and the losses of the body's light at the surface."""
+    beta, gamma, index, transmission = MATTE if parameters is None else gloss_table(parameters)
+    names = ("beta", "gamma", "index")
+    regions = [
+        dict(zip(names, each, strict=True)) for each in zip(beta.tolist(), gamma.tolist(), index.tolist(), strict=True)
+    ]
+    return {"regions": regions, "transmission": transmission}
 
 
 def coded(normals: np.ndarray) -> np.ndarray:
@@ -112,33 +137,37 @@ class PrincipledPaint:
         half = (light + UP) / np.linalg.norm(light + UP)
         cos_phi, cos_i, cos_r = (np.maximum(normals @ each, 0) for each in (half, light, UP))
         cosines = (cos_phi, cos_i, cos_r, np.full_like(cos_i, half[2]))
-        body, gloss = mitsuba_principled.shown(albedo, self.material.roughness, *strength(self.material), cosines)
+        material = self.material
+        reflectance = float(np.max(material.reflectance_of_weight_1))  # of all regions
+        body, gloss = mitsuba_principled.shown(albedo, material.roughness, reflectance, material.weight, cosines)
         return (body + gloss[:, None]) * cos_i[:, None]
 
 
 @dataclass(frozen=True)
 class PrincipledGloss:
-    """The gloss of a painting as principled takes it: one lobe for all."""
+    """The gloss of a painting as principled takes it."""
 
-    paint: PrincipledPaint
+    gloss: RegionGloss
 
-    def of(self, _rows: np.ndarray, _columns: np.ndarray) -> PrincipledPaint:
+    def of(self, rows: np.ndarray, columns: np.ndarray) -> PrincipledPaint:
         """The material of the texels in some rows and columns."""
-        return self.paint
+        return PrincipledPaint(self.gloss.of(rows, columns))
 
 
-def strength(material: GltfMaterial) -> tuple[float, float]:
-    """Reflectance along the normal where the weight is 1, and the weight."""
-    return float(material.reflectance_of_weight_1), float(material.weight)
-
-
-def write_plain_scene(path: Path, facts: dict, material: GltfMaterial) -> None:
+def write_plain_scene(path: Path, facts: dict, gloss: RegionGloss) -> None:
     """scene.xml: the painting seen from the front under one distant lamp, with the material principled."""
     wide, above = facts["width"] / 2, 2 * max(facts["width"], facts["height"])
     to_world = np.diag([-wide, wide, -1.0, 1.0])  # x of Mitsuba's cameras points to the left
     to_world[2, 3] = above
+    first = gloss.materials[0]
+    values = (
+        (float(first.roughness), float(first.weight))
+        if gloss.labels is None
+        else (mitsuba_principled.texture(f"{name}.exr", exact=True) for name in ("roughness", "weight"))
+    )
+    roughness, weight = values
     paint = mitsuba_principled.material(
-        mitsuba_principled.texture("albedo.exr"), material.roughness, *strength(material)
+        mitsuba_principled.texture("albedo.exr"), roughness, float(first.reflectance_of_weight_1), weight
     )
     objects = {
         "integrator": {"type": "path", "max_depth": Parameter("max_depth", "integer")},

@@ -11,12 +11,16 @@ or, in a program of your own, after mi.set_variant(...):
 A picture's value is relative to a perfect white diffuser that faces a lamp of strength 1. For unit vectors n (normal of
 the texture), l, v and h with c = n.l, r = n.v:
 
-    value = c f T(c) T(r) albedo + sum_k beta_k D_k F G / r,     f = max(a + b c + d (n.h)^8, 0)
-    D = exp(-ln 2 (phi / gamma)^2),  phi: angle of n and h;  F: Fresnel, exact;  G = min(1, 2 (n.h) min(c, r) / v.h)
-    T(x) = 1 + t ((1 - F(x)) / (1 - F(1)) - 1)
+    value = c f T(c) T(r) albedo + sum_k beta_k D_k F G / r,     f = max(a + b c + d (n.h)^8 + e_x l_x + e_y l_y, 0)
+    D = s^2 / sqrt(det(s^2 + C)) exp(-u'(s^2 + C)^-1 u / 2),  s = gamma / sqrt(2 ln 2)
+    F: Fresnel, exact;  G = min(1, 2 (n.h) min(c, r) / v.h);  T(x) = 1 + t ((1 - F(x)) / (1 - F(1)) - 1)
+
+u is the slope of n less that of h, C the covariance of the slopes inside a texel, both scaled so that u is as long as
+the angle phi of n and h: without slopes, D = exp(-ln 2 (phi / gamma)^2). beta, gamma and the index of refraction are
+those of the texel's region.
 
 S. Tominaga and N. Tanaka (2004), Measuring and rendering art paintings using a color camera, eq. 10 to 13; the body's
-factor f and its losses at the surface T as on Nishiki's page of the stage render.
+factor f, its losses at the surface T and the slopes as on Nishiki's page of the stage render.
 """
 
 import argparse
@@ -25,6 +29,7 @@ import math
 from pathlib import Path
 
 NAME = "nishiki_paint"
+TEXTURES = ("albedo", "normals", "shading", "directional", "slopes", "regions")
 
 
 def define():
@@ -33,44 +38,77 @@ def define():
     import mitsuba as mi
 
     class Paint(mi.BSDF):
-        """The model; textures `albedo`, `normals` and `shading` (a, b, d), all raw, normals in world coordinates."""
+        """The model. gloss: regions and losses of scene.json, as text; textures, raw, by their names in `TEXTURES`,
+        some of which a painting may lack; normals in world coordinates."""
 
         def __init__(self, props):
             mi.BSDF.__init__(self, props)
-            self.albedo, self.normals, self.shading = (props[name] for name in ("albedo", "normals", "shading"))
-            self.beta, self.gamma = ([float(v) for v in props[name].split()] for name in ("beta", "gamma"))
-            self.index, self.transmission = float(props["index"]), float(props["transmission"])
+            self.textures = {name: props[name] for name in TEXTURES if name in props}
+            gloss = json.loads(props["gloss"])
+            self.regions, self.transmission = gloss["regions"], gloss["transmission"]
             flags = mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.FrontSide | mi.BSDFFlags.SpatiallyVarying
             self.m_flags, self.m_components = flags, [flags]
 
-        def fresnel(self, cosine):
-            contrast = self.index**2 - 1
+        def texel(self, name, si, active):
+            return self.textures[name].eval_3(si, active) if name in self.textures else mi.Color3f(0)
+
+        def of_region(self, region, values):
+            """The value of a texel's region."""
+            chosen = mi.Float(values[0])
+            for number, value in enumerate(values[1:], 1):
+                chosen = dr.select(region > number - 0.5, value, chosen)
+            return chosen
+
+        def fresnel(self, cosine, index):
+            contrast = index * index - 1
             s = dr.sqrt(contrast + cosine * cosine) + cosine
             d = contrast / s
             parallel = (cosine * s - 1) / (cosine * d + 1)
             return 0.5 * (d / s) ** 2 * (1 + parallel * parallel)
 
-        def passed(self, cosine):
-            straight = 1 - ((self.index - 1) / (self.index + 1)) ** 2
-            return 1 + self.transmission * ((1 - self.fresnel(cosine)) / straight - 1)
+        def passed(self, cosine, index):
+            straight = 1 - ((index - 1) / (index + 1)) ** 2
+            return 1 + self.transmission * ((1 - self.fresnel(cosine, index)) / straight - 1)
+
+        def body(self, si, light, c, along, active):
+            a, b, d = self.texel("shading", si, active)
+            x, y, _ = self.texel("directional", si, active)
+            return dr.maximum(a + b * c + d * dr.maximum(along, 0) ** 8 + x * light.x + y * light.y, 0)
+
+        def lobes(self, si, normal, half, region, active):
+            """Sum of beta D."""
+            phi = dr.atan2(dr.norm(dr.cross(normal, half)), dr.dot(normal, half))
+            nz, hz = dr.maximum(normal.z, 0.2), dr.maximum(half.z, 1e-3)
+            x, y = normal.x / nz - half.x / hz, normal.y / nz - half.y / hz
+            square = x * x + y * y
+            scale = dr.select(square > 1e-8, phi * phi / dr.maximum(square, 1e-8), nz**3)
+            xx, xy, yy = self.texel("slopes", si, active)
+            total = mi.Float(0)
+            for lobe in range(len(self.regions[0]["beta"])):
+                beta, gamma = (
+                    self.of_region(region, [each[name][lobe] for each in self.regions]) for name in ("beta", "gamma")
+                )
+                narrow = gamma * gamma / (2 * math.log(2))
+                a, b, c = narrow + scale * xx, scale * xy, narrow + scale * yy
+                inverse = 1 / (a * c - b * b)
+                exponent = 0.5 * scale * (c * x * x - 2 * b * x * y + a * y * y) * inverse
+                total += beta * narrow * dr.sqrt(inverse) * dr.exp(-exponent)
+            return total
 
         def eval(self, ctx, si, wo, active=True):
-            normal = mi.Vector3f(self.normals.eval_3(si, active))
+            normal = mi.Vector3f(self.texel("normals", si, active))
             light, view = si.to_world(wo), si.to_world(si.wi)
             half = dr.normalize(light + view)
             c, r, q = dr.dot(normal, light), dr.dot(normal, view), dr.dot(view, half)
             along = dr.dot(normal, half)
             seen = active & (c > 0) & (r > 0) & (si.wi.z > 0) & (wo.z > 0) & (dr.squared_norm(normal) > 0.5)
             c, r, q = (dr.maximum(each, 1e-6) for each in (c, r, q))
-            phi = dr.atan2(dr.norm(dr.cross(normal, half)), along)
-            shading = self.shading.eval_3(si, active)
-            body = dr.maximum(shading[0] + shading[1] * c + shading[2] * dr.maximum(along, 0) ** 8, 0)
-            lobes = 0
-            for beta, gamma in zip(self.beta, self.gamma, strict=True):
-                lobes += beta * dr.exp2(-((phi / gamma) ** 2))
-            gloss = lobes * self.fresnel(q) * dr.minimum(1 / r, 2 * dr.maximum(along, 0) * dr.minimum(c / r, 1) / q)
-            colour = mi.Color3f(self.albedo.eval_3(si, active)) * (c * body * self.passed(c) * self.passed(r))
-            value = (colour + mi.Color3f(gloss)) / math.pi
+            region = self.textures["regions"].eval_1(si, active) if "regions" in self.textures else 0
+            index = self.of_region(region, [each["index"] for each in self.regions])
+            body = c * self.body(si, light, c, along, active) * self.passed(c, index) * self.passed(r, index)
+            masked = dr.minimum(1 / r, 2 * dr.maximum(along, 0) * dr.minimum(c / r, 1) / q)
+            gloss = self.lobes(si, normal, half, region, active) * self.fresnel(q, index) * masked
+            value = (mi.Color3f(self.texel("albedo", si, active)) * body + mi.Color3f(gloss)) / math.pi
             return dr.select(seen, value, mi.Color3f(0))
 
         def pdf(self, ctx, si, wo, active=True):
@@ -95,11 +133,12 @@ def define():
     mi.register_bsdf(NAME, lambda props: Paint(props))
 
 
-def description(lights, *, relief=True, columns=None, samples=16, folder=None):
+def description(lights, *, relief=None, columns=None, samples=16, folder=None):
     """The scene as Mitsuba's dictionary.
 
     lights: unit vectors towards distant lamps of strength 1; relief: the height is geometry and casts shadows, else the
-    picture is flat; columns: width of the picture, by default that of the textures.
+    picture is flat, by default where the directional terms of the body already hold the shadows; columns: width of the
+    picture, by default that of the textures.
     """
     import mitsuba as mi
 
@@ -107,10 +146,10 @@ def description(lights, *, relief=True, columns=None, samples=16, folder=None):
     facts = json.loads((folder / "scene.json").read_text())
     wide = facts["width"]
     to_world = mi.ScalarTransform4f()
-    mesh = "relief.ply" if relief else "flat.ply"
+    mesh = "relief.ply" if (facts["shadows"] if relief is None else relief) else "flat.ply"
     shape = {"type": "ply", "filename": str(folder / mesh), "face_normals": True}
-    bsdf = {"type": NAME, **facts["gloss"]}
-    for name in ("albedo", "normals", "shading"):
+    bsdf = {"type": NAME, "gloss": json.dumps(facts["gloss"])}
+    for name in facts["textures"]:
         bsdf[name] = {
             **{"type": "bitmap", "filename": str(folder / f"{name}.exr"), "raw": True},
             **{"filter_type": "nearest", "wrap_mode": "clamp"},
@@ -167,7 +206,8 @@ def main():
     elevation, azimuth = math.radians(options.elevation), math.radians(options.azimuth)
     across = math.cos(elevation)
     lamp = (across * math.cos(azimuth), across * math.sin(azimuth), math.sin(elevation))
-    scene = load([lamp], relief=not options.flat, columns=options.columns, samples=options.samples)
+    relief = False if options.flat else None
+    scene = load([lamp], relief=relief, columns=options.columns, samples=options.samples)
     mi.util.write_bitmap(options.output, mi.render(scene))
 
 

@@ -101,26 +101,26 @@ def painting_gloss(context: Context, albedo: np.ndarray, known: np.ndarray, labe
     return PaintingGloss(gltf, _white(gltf), _white(usd))
 
 
-def largest_lobe(context: Context, scene: ExportedScene) -> GltfMaterial:
-    """The lobe of the region with the most samples, as `painting_gloss` finds it from pixels; read by bands."""
+def region_materials(context: Context, scene: ExportedScene) -> tuple[GltfMaterial, ...]:
+    """The lobe of each region, as `painting_gloss` finds it from pixels, in full precision; read by bands."""
     parameters = read_json(context.inputs.get("brdf"), "parameters.json")
     if parameters is None:
-        return MATTE
+        return (MATTE,)
     beta, gamma, index, _ = gloss_table(parameters)
-    largest, total, count = largest_region(parameters), 0.0, 0
+    totals, counts = np.zeros(len(beta)), np.zeros(len(beta))
     for rows in scene.bands():
-        inside, labels = scene.known(rows), scene.regions(rows)
-        if labels is not None and len(beta) > 1:
-            inside &= labels == largest
-        total += float(scene.srgb(rows)[inside].sum())
-        count += 3 * np.count_nonzero(inside)
-    mean = total / count if count else 0.5
-    return best_material(coded_errors(beta[largest], gamma[largest], float(index[0]), mean), float(index[0]))
-
-
-def largest_region(parameters: dict) -> int:
-    """Number of the region with the most samples; parameters: of the stage brdf."""
-    return int(np.argmax([region.get("samples", 0) for region in parameters["regions"]]))
+        known, labels = scene.known(rows), scene.regions(rows)
+        numbers = np.zeros(known.shape, np.uint8) if labels is None or len(beta) == 1 else labels
+        colours = scene.srgb(rows)[known].mean(axis=-1)
+        totals += np.bincount(numbers[known], colours, len(beta))
+        counts += np.bincount(numbers[known], minlength=len(beta))
+    means = np.where(counts > 0, totals / np.maximum(counts, 1), 0.5)
+    materials = [
+        best_material(coded_errors(*lobes, float(index[0]), mean), float(index[0]))
+        for *lobes, mean in zip(beta, gamma, means, strict=True)
+    ]
+    factor = max(1.0, *(float(material.strength) for material in materials))
+    return tuple(replace(material, least_factor=factor) for material in materials)
 
 
 def _one_region(material: GltfMaterial) -> PaintingGloss:

@@ -60,6 +60,4 @@ def lost(each: dict) -> str:
             f"lamps of scene.xml, whose distance always counts, are off by at most "
             f"{figure(100 * each['lamp_falloff'])} % on the object"
         )
-    if each.get("shading_terms_left_out"):
-        texts.append("directional terms of the body's shading are left out")
     return "; ".join(texts) or "nothing"

@@ -5,7 +5,8 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
-from nishiki.artifacts.maps import Maps
+from nishiki.artifacts.maps import Maps, directional_shading, shading_normals
+from nishiki.brdf.slopes import slope_covariance
 from nishiki.colour.colour import adaptation_matrix, illuminant, srgb_matrix, white_xyz, xyz_matrix
 from nishiki.colour.training import synthetic_reflectances
 from nishiki.errors import UserError
@@ -65,6 +66,16 @@ class ExportedScene:
         """(r, columns, 3) float32 unit normals, x right, y up, z to the camera; 0 where there is no estimate."""
         return np.where(self.known(rows)[..., None], self._maps.read("normals", rows), np.float32(0))
 
+    def shading_normals(self, rows: slice) -> np.ndarray:
+        """As `normals`, those that predict lamps: few lamps have their own (stage normals)."""
+        return np.where(self.known(rows)[..., None], shading_normals(self._maps, rows), np.float32(0))
+
+    def slopes(self, rows: slice) -> np.ndarray:
+        """(r, columns, 3) float32 covariance of the slopes inside each pixel, as the stage render takes it."""
+        first, last = max(rows.start - 1, 0), min(rows.stop + 1, self.shape[0])
+        covariance = slope_covariance(self.shading_normals(slice(first, last)))
+        return covariance[rows.start - first :][: rows.stop - rows.start]
+
     def relief_normals(self, rows: slice) -> np.ndarray:
         """As `normals`, of the relief: flattened where the height is."""
         if self._height is None or "normals" not in self._height:
@@ -114,16 +125,20 @@ class ExportedScene:
         labels = self._frames.regions
         return None if labels is None else labels[rows]
 
-    @property
-    def shading_terms(self) -> int:
-        """Terms of the body shading; 0 for Lambert's law."""
-        return self._maps.group["shading"].shape[-1] if "shading" in self._maps else 0
-
     def shading(self, rows: slice) -> np.ndarray:
         """(r, columns, 3) terms a, b, d of the body shading, (1, 0, 0) for Lambert's law."""
-        if self.shading_terms:
+        if "shading" in self._maps:
             return self._maps.read("shading", rows)[..., :3]
         return np.broadcast_to(np.float32([1, 0, 0]), (*self.known(rows).shape, 3))
+
+    @property
+    def has_directional_shading(self) -> bool:
+        """Whether the body shading holds the shadows of a pixel's surroundings: no others are cast on top of it."""
+        return directional_shading(self._maps)
+
+    def directional_terms(self, rows: slice) -> np.ndarray:
+        """(r, columns, 2) terms e_x, e_y of such a body shading."""
+        return self._maps.read("shading", rows)[..., 3:]
 
     def to_xyz_d50(self) -> tuple[np.ndarray, str]:
         """(3, K) from coefficients to XYZ under D50, white (0.9642, 1, 0.8249); where it comes from, in words."""
