@@ -6,32 +6,21 @@ from types import SimpleNamespace
 from xml.etree import ElementTree
 
 import numpy as np
-import OpenEXR
 import pytest
-from small_painting import COLUMNS, ROWS, export_context, small_painting
 from unit.test_patches_atlas import atlas_of
 from unit.test_patches_charts import around, ball
 
 from nishiki.brdf.texels.lighting import Lighting
 from nishiki.brdf.texels.model import predict
-from nishiki.colour.encoding import encode
 from nishiki.formats.mitsuba_xml import Parameter, write_scene
-from nishiki.observations.plane import Observations
 from nishiki.report.numbers import figure
 from nishiki.stages.export import mitsuba_principled as principled
-from nishiki.stages.export.declaration import ExportSettings
-from nishiki.stages.export.gltf_material import GltfMaterial
-from nishiki.stages.export.mitsuba import PrincipledPaint
-from nishiki.stages.export.photographs import Photographs
 from nishiki.stages.export.report import lost
-from nishiki.stages.export.run import run
-from nishiki.stages.export.scene import ExportedScene
 from nishiki.stages.object_export.errors import SeenPoints
 from nishiki.stages.object_export.look import ObjectLook, object_mesh
 from nishiki.stages.object_export.mitsuba import by_principled, falloff, lamp_facts, write_folder
 from nishiki.stages.object_export.texture_atlas import sample, texture_atlas
 
-F0 = ((1.45 - 1) / (1.45 + 1)) ** 2  # along the normal, of the index of the small painting
 STAMP = {"scene": "ball", "key": "0123456789ab"}
 UNIT = 0.001
 PLACE = (0.3, 0.2, 0.1)  # of the lamp, in the camera's frame
@@ -99,71 +88,6 @@ def test_specular_and_roughness_of_principled_mean_what_the_page_says(mi):
         np.array(each.eval(mi.BSDFContext(), interaction, mi.Vector3f(0, 0, 1))) for each in (by_index, by_specular)
     ]
     np.testing.assert_allclose(*values, rtol=1e-6)
-
-
-@pytest.fixture(scope="module")
-def painting(tmp_path_factory):
-    """A painting, the folder of its export, its look, and what the stage reports."""
-    folder = tmp_path_factory.mktemp("painting")
-    made = small_painting(folder)
-    context = export_context(made, folder / "export", ExportSettings(formats=("mitsuba",)))
-    with context.output as output:
-        reported = run(context)
-        yield SimpleNamespace(made=made, folder=output.folder / "exports/mitsuba", reported=reported)
-
-
-def shown_by_files(painting, light):
-    """(rows, columns, 3) that principled shows of the whole albedo.exr and normalmap.exr."""
-    colours, normals = (
-        OpenEXR.File(str(painting.folder / f"{name}.exr")).channels()["RGB"].pixels.reshape(-1, 3).astype(float)
-        for name in ("albedo", "normalmap")
-    )
-    normals = 2 * normals - 1
-    paint = ElementTree.parse(painting.folder / "scene.xml").getroot().find(".//bsdf[@type='normalmap']")
-    read = {each.get("name"): float(each.get("value")) for each in paint.iter("float")}
-    index = read["eta"]
-    material = GltfMaterial(read["roughness"], read.get("weight", 1.0) * ((index - 1) / (index + 1)) ** 2 / F0, 1.45)
-    return PrincipledPaint(material).shown(colours, normals, light).reshape(ROWS, COLUMNS, 3)
-
-
-def test_the_loss_of_a_painting_is_reckoned_from_its_files(painting, tmp_path):
-    frames = Observations(painting.made.inputs["ingest"].folder)
-    squares, count = 0.0, 0
-    photographs = Photographs(frames, ExportedScene(painting.made.inputs))
-    shown = [encode(shown_by_files(painting, light), "srgb").clip(0, 1) for light in frames.directions]
-    lights = np.arange(len(shown))[-3:]  # those of no fit
-    for band in frames.bands():
-        for rows, values, valid in photographs.strips(band, lights):
-            for number, light in enumerate(lights):
-                apart = shown[light][rows].reshape(-1, 3) - values[:, number]
-                squares += np.sum(apart[valid[:, number]] ** 2)
-                count += 3 * np.count_nonzero(valid[:, number])
-    error = painting.reported["losses"]["mitsuba"]["kinds"]["principled"]["psnr_db"]["check"]["all"]
-    assert error == pytest.approx(-10 * np.log10(squares / count), abs=1e-3)
-    coarse = ExportSettings(formats=("mitsuba",), gltf={"texture_px": 16})
-    context = export_context(painting.made, tmp_path, coarse)
-    with context.output:
-        assert run(context)["losses"]["mitsuba"]["kinds"] == painting.reported["losses"]["mitsuba"]["kinds"]
-
-
-def test_the_plain_scene_of_a_painting_shows_what_its_loss_is_reckoned_with(mi, painting):
-    light = np.array([0.5, 0.1, 0.86])
-    light /= np.linalg.norm(light)
-    towards = dict(zip("xyz", map(str, -light), strict=True))
-    scene = mi.load_file(str(painting.folder / "scene.xml"), mesh="flat.ply", samples="1", **towards)
-    theirs = np.array(mi.render(scene))
-    assert theirs.shape == (ROWS, COLUMNS, 3)
-    ours = shown_by_files(painting, light)
-    # The random sample may fall between two texels.
-    inner = painting.made.known & (ours.min(axis=-1) > 0.02)
-    apart = np.abs(theirs - ours)[inner] / ours[inner]
-    assert np.median(apart) < 0.02
-    assert np.corrcoef(theirs[inner].ravel(), ours[inner].ravel())[0, 1] > 0.99
-    relief = np.array(mi.render(mi.load_file(str(painting.folder / "scene.xml"), samples="4", **towards)))
-    assert np.median(np.abs(relief - ours)[inner] / ours[inner]) < 0.05, "the relief is shaded once"
-    error = painting.reported["losses"]["mitsuba"]["kinds"]["principled"]["psnr_db"]
-    assert error["check"]["lights"] == 3
-    assert error["check"]["all"] > 20
 
 
 @pytest.fixture(scope="module")

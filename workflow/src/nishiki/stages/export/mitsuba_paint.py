@@ -109,7 +109,7 @@ def define():
             masked = dr.minimum(1 / r, 2 * dr.maximum(along, 0) * dr.minimum(c / r, 1) / q)
             gloss = self.lobes(si, normal, half, region, active) * self.fresnel(q, index) * masked
             value = (mi.Color3f(self.texel("albedo", si, active)) * body + mi.Color3f(gloss)) / math.pi
-            return dr.select(seen, value, mi.Color3f(0))
+            return dr.select(seen, dr.maximum(value, 0), mi.Color3f(0))  # colours outside of sRGB
 
         def pdf(self, ctx, si, wo, active=True):
             return dr.select(active & (si.wi.z > 0) & (wo.z > 0), mi.warp.square_to_cosine_hemisphere_pdf(wo), 0)

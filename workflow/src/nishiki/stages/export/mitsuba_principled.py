@@ -21,10 +21,9 @@ from nishiki.formats.mitsuba_xml import Parameter
 from nishiki.formats.textured_surface import index_of
 
 
-def texture(file: str, *, raw: bool = True, exact: bool = False) -> dict[str, Any]:
-    """A picture of values (raw) or of sRGB colours, as Mitsuba's dictionary; exact: not interpolated."""
-    filtered = {"filter_type": "nearest"} if exact else {}
-    return {"type": "bitmap", "filename": file, "raw": raw, "wrap_mode": "clamp", **filtered}
+def texture(file: str, *, raw: bool = True) -> dict[str, Any]:
+    """A picture of values (raw) or of sRGB colours, as Mitsuba's dictionary."""
+    return {"type": "bitmap", "filename": file, "raw": raw, "wrap_mode": "clamp"}
 
 
 def material(
