@@ -18,6 +18,7 @@ import argparse
 import importlib.util
 import json
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -116,15 +117,18 @@ def under_lamps(pictures: Pictures, exported: ExportedScene) -> dict:
     return found
 
 
-def against_photographs(pictures: Pictures, exported: ExportedScene, frames: Observations) -> dict:
-    """PSNR against the photographs, as `CodedErrors` says it."""
+def against_photographs(
+    pictures: Pictures, exported: ExportedScene, frames: Observations, hold_out: Sequence[str]
+) -> dict:
+    """PSNR against the photographs, as `CodedErrors` says it; hold_out: lights that no fit saw, where the capture
+    names none."""
     ways = {
         f"{name}{'_relief' * relief}": (getattr(pictures, name), relief)
         for name in ("render", "paint", "plain")
         for relief in (False, True)
     }
     found = {}
-    for group, lights in {"fitted": frames.fit_lights(()), "check": frames.check_lights(())}.items():
+    for group, lights in {"fitted": frames.fit_lights(hold_out), "check": frames.check_lights(hold_out)}.items():
         errors = {name: CodedErrors(len(lights)) for name in ways}
         for number, light in enumerate(lights):
             lamp = np.asarray(frames.directions[light], float)
@@ -158,8 +162,11 @@ def main() -> None:
         }
         pictures, exported = Pictures(mi, inputs, made[-1], options.samples), ExportedScene(inputs)
         print(json.dumps({"scene": folder.name, "lamps": under_lamps(pictures, exported)}), flush=True)
-        frames = Observations(inputs["ingest"].folder)
-        photographs = against_photographs(pictures, exported, frames)
+        frames, hold_out = (
+            Observations(inputs["ingest"].folder),
+            open_artifact(made[-1].parents[1]).settings["hold_out"],
+        )
+        photographs = against_photographs(pictures, exported, frames, hold_out)
         print(json.dumps({"scene": folder.name, "photographs": photographs}), flush=True)
 
 
