@@ -1,15 +1,15 @@
 """Paintings exported for Mitsuba 3, rendered by it beside our own pictures and the photographs.
 
-    python tests/benchmarks/painting_in_mitsuba.py results/SCENE ... [--samples 64] [--variant llvm_ad_rgb]
+    python tests/benchmarks/painting_in_mitsuba.py results/SCENE ... [--samples 16] [--variant llvm_ad_rgb]
 
 Needs Mitsuba (group path-tracing) and `./nishiki export SCENE mitsuba`. Two JSON lines a scene:
 
-    lamps        one lamp 60 and 20 degrees above the plane, from the left; `paint`: nishiki_paint.py with one sample a
-                 pixel, flat, against `render` without cast shadows: relative difference, median and 99th percentile
-                 over the channels, share of the pixels above 1 %, and that among pixels whose colour sRGB holds;
-                 `paint_db`: of the coded pictures; `relief_db`: with the relief against `render` with cast shadows;
-                 `plain_db`: scene.xml, flat, against nishiki_paint.py; `without_*_db`: `render` without the slopes,
-                 the regions but the largest, the directional terms: what each is worth
+    lamps        one lamp 60 and 20 degrees above the plane, from the left; nishiki_paint.py, flat, against `render`
+                 without cast shadows: relative difference, median and 99th percentile over the channels, share of the
+                 pixels above 1 %, and that among pixels whose colour sRGB holds; `paint_db`: of the coded pictures;
+                 `relief_db`: with the relief against `render` with cast shadows; `plain_db`: scene.xml, flat, against
+                 nishiki_paint.py; `without_*_db`: `render` without the slopes, the regions but the largest, the
+                 directional terms: what each is worth
     photographs  dB of the coded pictures under the lights of the fit and under those that no fit saw: `render`,
                  nishiki_paint.py and scene.xml, flat and with the relief
 """
@@ -59,9 +59,9 @@ class Pictures:
         xyz = render(scene, [Light(direction=tuple(lamp), spectrum=D65)], shadows=shadows).xyz
         return xyz_to_srgb_linear(xyz, white=white_xyz(D65))
 
-    def paint(self, lamp: np.ndarray, *, relief: bool = False, samples: int | None = None) -> np.ndarray:
-        """nishiki_paint.py."""
-        samples = self._samples if samples is None else samples
+    def paint(self, lamp: np.ndarray, *, relief: bool = False) -> np.ndarray:
+        """nishiki_paint.py; flat, all samples of a pixel are alike."""
+        samples = self._samples if relief else 1
         made = self._module.description([lamp.tolist()], relief=relief, samples=samples, folder=self._folder)
         return np.array(self._mi.render(self._mi.load_dict(made)))
 
@@ -69,8 +69,8 @@ class Pictures:
         """scene.xml."""
         towards = dict(zip("xyz", map(str, -lamp), strict=True))
         mesh = "relief.ply" if relief else "flat.ply"
-        file = str(self._folder / "scene.xml")
-        return np.array(self._mi.render(self._mi.load_file(file, mesh=mesh, samples=str(self._samples), **towards)))
+        changes = {"mesh": mesh, "samples": str(self._samples if relief else 1), **towards}
+        return np.array(self._mi.render(self._mi.load_file(str(self._folder / "scene.xml"), **changes)))
 
 
 def decibels(theirs: np.ndarray, ours: np.ndarray) -> float:
@@ -92,7 +92,7 @@ def under_lamps(pictures: Pictures, exported: ExportedScene) -> dict:
     found = {}
     for elevation in np.radians(ELEVATIONS):
         lamp = np.array([-np.cos(elevation), 0, np.sin(elevation)])
-        ours, theirs, scene = pictures.render(lamp), pictures.paint(lamp, samples=1), pictures.scene
+        ours, theirs, scene = pictures.render(lamp), pictures.paint(lamp), pictures.scene
         lit = known & (ours.min(axis=-1) > 1e-4)
         apart = np.abs(theirs[lit] / ours[lit] - 1)
         lines = {
@@ -147,7 +147,7 @@ def against_photographs(
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folders", nargs="+", type=Path, help="results/SCENE, with the export mitsuba")
-    parser.add_argument("--samples", type=int, default=64, help="a pixel")
+    parser.add_argument("--samples", type=int, default=16, help="a pixel, with the relief")
     parser.add_argument("--variant", default="llvm_ad_rgb", help="of Mitsuba; scalar_rgb needs no LLVM")
     options = parser.parse_args()
     import mitsuba as mi

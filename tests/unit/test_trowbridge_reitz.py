@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from nishiki.brdf.trowbridge_reitz import anisotropic_lobe, isotropic_lobe
+from nishiki.brdf.trowbridge_reitz import anisotropic_lobe, isotropic_lobe, widened_roughness
 
 
 def hemisphere(count=400):
@@ -51,3 +51,15 @@ def test_no_lobe_reflects_more_light_than_it_gets():
     correlated = anisotropic_lobe(half, light, np.broadcast_to(view, light.shape), 0.5, 0.5)
     shares = [np.sum(lobe * light[:, 2] * area) for lobe in (separate, correlated)]
     assert 0.6 < shares[0] < shares[1] < 1  # facets that the light misses, a view near it misses too
+
+
+@pytest.mark.parametrize(("roughness", "deviation"), [(0.3, 0.03), (0.3, 0.06), (0.5, 0.2)])
+def test_a_widened_lobe_is_as_high_as_the_mean_over_facets_of_other_slopes(roughness, deviation):
+    slopes = deviation * np.random.default_rng(0).standard_normal((200_000, 2))
+    cosine = 1 / np.sqrt(1 + np.sum(slopes**2, axis=1))  # of the normal's half vector with each facet
+    narrow, wide = roughness**2, widened_roughness(roughness, deviation**2) ** 2
+    mean = isotropic_lobe(cosine, 1.0, 1.0, narrow).mean()
+    assert isotropic_lobe(1.0, 1.0, 1.0, wide) == pytest.approx(mean, rel=0.26)
+    assert isotropic_lobe(1.0, 1.0, 1.0, narrow) > 1.1 * mean
+    assert widened_roughness(roughness, 0.0) == pytest.approx(roughness)
+    assert widened_roughness(roughness, 9.0) == 1

@@ -101,15 +101,17 @@ def define():
             half = dr.normalize(light + view)
             c, r, q = dr.dot(normal, light), dr.dot(normal, view), dr.dot(view, half)
             along = dr.dot(normal, half)
-            seen = active & (c > 0) & (r > 0) & (si.wi.z > 0) & (wo.z > 0) & (dr.squared_norm(normal) > 0.5)
+            lit = active & (c > 0) & (si.wi.z > 0) & (wo.z > 0) & (dr.squared_norm(normal) > 0.5)
+            faces_the_view = r > 0  # others show their body without gloss
             c, r, q = (dr.maximum(each, 1e-6) for each in (c, r, q))
             region = self.textures["regions"].eval_1(si, active) if "regions" in self.textures else 0
             index = self.of_region(region, [each["index"] for each in self.regions])
             body = c * self.body(si, light, c, along, active) * self.passed(c, index) * self.passed(r, index)
             masked = dr.minimum(1 / r, 2 * dr.maximum(along, 0) * dr.minimum(c / r, 1) / q)
             gloss = self.lobes(si, normal, half, region, active) * self.fresnel(q, index) * masked
+            gloss = dr.select(faces_the_view, gloss, 0)
             value = (mi.Color3f(self.texel("albedo", si, active)) * body + mi.Color3f(gloss)) / math.pi
-            return dr.select(seen, dr.maximum(value, 0), mi.Color3f(0))  # colours outside of sRGB
+            return dr.select(lit, dr.maximum(value, 0), mi.Color3f(0))  # colours outside of sRGB
 
         def pdf(self, ctx, si, wo, active=True):
             return dr.select(active & (si.wi.z > 0) & (wo.z > 0), mi.warp.square_to_cosine_hemisphere_pdf(wo), 0)

@@ -1,8 +1,6 @@
 """scene.xml: a painting in Mitsuba's own material `principled`, its textures, and what it shows.
 
-A texel is a pixel. The slopes inside it widen its lobe: alpha of Trowbridge and Reitz is about sqrt(2) times the
-standard deviation of the facets' slopes along an axis, so that alpha^2 grows by the sum of both axes' variances
-(Olano and Baker 2010, for a lobe without a direction).
+A texel is a pixel, with the lobe of its region, which the slopes inside it widen.
 """
 
 from collections.abc import Callable
@@ -12,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from nishiki.brdf.trowbridge_reitz import widened_roughness
 from nishiki.formats.mitsuba_xml import Parameter, write_scene
 from nishiki.stages.export import mitsuba_principled
 from nishiki.stages.export.gltf_material import GltfMaterial
@@ -29,14 +28,14 @@ class PrincipledPaint:
     material: GltfMaterial
 
     def shown(self, albedo: np.ndarray, normals: np.ndarray, light: np.ndarray) -> np.ndarray:
-        """As `GltfMaterial.shown`: (n, 3) light relative to a white that faces the lamp, seen along z."""
+        """As `GltfMaterial.shown`; facets turned away from the view are black."""
         half = (light + UP) / np.linalg.norm(light + UP)
         cos_phi, cos_i, cos_r = (np.maximum(normals @ each, 0) for each in (half, light, UP))
         cosines = (cos_phi, cos_i, cos_r, np.full_like(cos_i, half[2]))
         material = self.material
         reflectance = float(np.max(material.reflectance_of_weight_1))  # that of all regions
         body, gloss = mitsuba_principled.shown(albedo, material.roughness, reflectance, material.weight, cosines)
-        return (body + gloss[:, None]) * cos_i[:, None]
+        return (body + gloss[:, None]) * np.where(cos_r > 0, cos_i, 0)[:, None]
 
 
 @dataclass(frozen=True)
@@ -78,11 +77,10 @@ class PlainPainting:
 
     def roughness(self, rows: slice) -> np.ndarray:
         """(r, columns) square root of alpha."""
-        alpha_squared = self._of_regions("roughness", rows) ** 4
-        if self.facets:
-            covariance = self.scene.slopes(rows)
-            alpha_squared = alpha_squared + covariance[..., 0] + covariance[..., 2]
-        return np.minimum(alpha_squared, 1) ** 0.25
+        roughness = self._of_regions("roughness", rows)
+        if not self.facets:
+            return roughness
+        return widened_roughness(roughness, self.scene.slopes(rows)[..., ::2].mean(axis=-1))
 
     def weight(self, rows: slice) -> np.ndarray:
         """(r, columns) share of the reflectance of weight 1."""
