@@ -19,6 +19,7 @@ from nishiki.stages.export.region_gloss import RegionGloss
 from nishiki.stages.export.scene import ExportedScene
 
 UP = np.array([0.0, 0.0, 1.0])
+LEAST_Z = 0.01  # of a normal that the view sees
 
 
 @dataclass(frozen=True)
@@ -70,10 +71,14 @@ class PlainPainting:
         return np.maximum(self.scene.srgb(rows), 0)
 
     def normalmap(self, rows: slice) -> np.ndarray:
-        """(r, columns, 3) normals of the relief, (n + 1) / 2; upright where there is none."""
+        """(r, columns, 3) normals of the relief, (n + 1) / 2; upright where there is none.
+
+        Those turned away from the view, which Mitsuba shows black, are raised to its edge.
+        """
         normals = self.scene.relief_normals(rows)
         known = np.abs(normals).max(axis=-1, keepdims=True) > 0
-        return (np.where(known, normals, UP) + 1) / 2
+        raised = np.where(known, np.maximum(normals, [-1, -1, LEAST_Z]), UP)
+        return (raised / np.linalg.norm(raised, axis=-1, keepdims=True) + 1) / 2
 
     def roughness(self, rows: slice) -> np.ndarray:
         """(r, columns) square root of alpha."""
