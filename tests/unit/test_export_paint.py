@@ -126,7 +126,27 @@ def test_textures_are_written_where_a_painting_has_them(plain, rich):
     assert names[rich.folder] == ["albedo", "normals", "shading", "directional", "slopes", "regions"]
     assert not (plain.folder / "weight.exr").exists()
     for made in (plain, rich):
+        raised = exr(made.folder / "normalmap.exr").reshape(ROWS, COLUMNS, 3)[TURNED_AWAY]
+        assert (raised[..., 2] > 0.5).all()  # above the horizon, where Mitsuba shows them
         assert sorted(f"exports/mitsuba/{path.name}" for path in made.folder.iterdir()) == sorted(made.losses["files"])
+
+
+def test_a_painting_whose_gloss_was_left_out_is_matte(mi, tmp_path):
+    painting = small_painting(tmp_path)
+    del painting.inputs["brdf"]
+    context = export_context(painting, tmp_path / "export", ExportSettings(formats=("mitsuba",)))
+    with context.output as output:
+        run(context)
+        folder = output.folder / "exports/mitsuba"
+        assert json.loads((folder / "scene.json").read_text())["textures"] == ["albedo", "normals", "shading"]
+        assert not (folder / "roughness.exr").exists()
+        assert 'type="diffuse"' in (folder / "scene.xml").read_text()
+        albedo = exr(folder / "albedo.exr").reshape(ROWS, COLUMNS, 3)
+        flat = np.array(mi.render(nishiki_paint(folder).load(LAMPS[:1], relief=False, samples=1, folder=folder)))
+    normals = np.where(painting.known[..., None], painting.normals, 0)
+    lit = painting.known & (normals @ LAMPS[0] > 0.05)
+    shade = normals @ LAMPS[0] / np.linalg.norm(LAMPS[0])
+    np.testing.assert_allclose(flat[lit], (albedo * shade[..., None])[lit], rtol=1e-3)
 
 
 def test_slopes_by_bands_are_those_of_the_whole_picture(plain):
