@@ -13,6 +13,8 @@ from numba import njit
 
 from nishiki.threads import over_rows
 
+GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
+"""Radians between points of a spiral that covers a disc evenly, where each has the same share of its area."""
 LEAF = 4
 """Triangles in a leaf."""
 SLACK = 1e-9  # of the corners' weights

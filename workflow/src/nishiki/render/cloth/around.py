@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from nishiki.geometry.ray_tree import blocked
+from nishiki.geometry.ray_tree import GOLDEN_ANGLE, blocked
 from nishiki.render.cloth.local import LIFT, Samples
 from nishiki.render.cloth.scene import AmbientLight, Brdf, ClothScene, three
 from nishiki.threads import over_rows, threads
@@ -134,7 +134,7 @@ def _open(boxes, triangles, vertices, normals, rays, reach, lift, first, last, f
             for ray in range(rays):
                 # A spiral of equal projected area: every vertex tests the same directions about its normal.
                 radius = np.sqrt((ray + 0.5) / rays)
-                angle = 2.399963229728653 * ray
+                angle = GOLDEN_ANGLE * ray
                 x, y = radius * np.cos(angle), radius * np.sin(angle)
                 z = np.sqrt(max(0.0, 1.0 - radius * radius))
                 dx = z * nx + x * (1.0 + s * nx * nx * p) + y * q

@@ -9,7 +9,7 @@ from numba import njit
 
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.raster import Raster
-from nishiki.geometry.ray_tree import blocked
+from nishiki.geometry.ray_tree import GOLDEN_ANGLE, blocked
 from nishiki.render.cloth.scene import ClothScene, Lamp
 from nishiki.threads import over_rows
 
@@ -244,7 +244,7 @@ def disc_point(pixel, index, count):
     shift = np.float64(h & np.uint64(0xFFFFFF)) / 16777216.0
     spin = np.float64((h >> np.uint64(24)) & np.uint64(0xFFFFFF)) / 16777216.0
     radius = np.sqrt((index + shift) / count)
-    angle = 2.399963229728653 * index + 2.0 * np.pi * spin
+    angle = GOLDEN_ANGLE * index + 2.0 * np.pi * spin
     return radius * np.cos(angle), radius * np.sin(angle)
 
 

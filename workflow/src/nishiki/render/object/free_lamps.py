@@ -20,10 +20,8 @@ from nishiki.brdf.texels.lighting import DISTANT, HARMONICS, POINT, TO_LAMP_FRAM
 from nishiki.brdf.texels.model import predict
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
-from nishiki.geometry.ray_tree import RayTree, cast, make_tree
+from nishiki.geometry.ray_tree import GOLDEN_ANGLE, RayTree, cast, make_tree
 
-GOLDEN = np.pi * (3 - np.sqrt(5))
-"""Radians between points of a spiral that covers a disc evenly."""
 LIFT = 0.25
 """Rays start this far above the surface, in median edges of the mesh. Normals are smooth and triangles flat: without it
 triangles that lie a little turned away from the lamp would be in their neighbours' shadow. What is smaller than an edge
@@ -81,7 +79,7 @@ def disc_points(count: int) -> np.ndarray:
         return np.zeros((1, 2))
     number = np.arange(count)
     reach = np.sqrt((number + 0.5) / count)
-    return np.stack([reach * np.cos(GOLDEN * number), reach * np.sin(GOLDEN * number)], axis=1)
+    return np.stack([reach * np.cos(GOLDEN_ANGLE * number), reach * np.sin(GOLDEN_ANGLE * number)], axis=1)
 
 
 class LitObject:
