@@ -16,10 +16,12 @@ from typing import Any
 
 import numpy as np
 
-from nishiki.artifacts.artifact import Artifact
+from nishiki.artifacts.artifact import Artifact, ArtifactWriter, open_artifact
+from nishiki.artifacts.stage import Context
 from nishiki.brdf.slopes import slope_covariance
 from nishiki.colour.colour import cie_1931_cmfs, delta_e_2000, illuminant, srgb_matrix, xyz_to_lab
 from nishiki.colour.encoding import decode
+from nishiki.progress import Progress
 from nishiki.render.cloth.dyes import dyed
 from nishiki.render.cloth.frame import RenderVariant
 from nishiki.render.cloth.frame import render as render_cloth
@@ -36,6 +38,8 @@ from nishiki.stages.cloth_viewer.scene import shape_of, surfaces
 from nishiki.stages.render.declaration import LightSettings
 from nishiki.stages.render.requests import direction, white_sheet
 from nishiki.stages.render.run import load_scene, seen
+from nishiki.stages.viewer import run as viewer_run
+from nishiki.stages.viewer.declaration import ViewerSettings
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 FLAGS = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-sandbox"]
@@ -72,6 +76,22 @@ class Page:
         self.page.evaluate("(changes) => { nishiki.set(changes); }", changes)
         self.page.evaluate("nishiki.idle()")
 
+    def state(self) -> dict[str, Any]:
+        """The state of the page."""
+        return self.page.evaluate("JSON.parse(JSON.stringify(nishiki.state))")
+
+    def canvas(self) -> np.ndarray:
+        """(n,) uint8 bytes of the canvas as it is, from its lowest row upwards, once the picture is complete."""
+        self.page.evaluate("nishiki.idle()")
+        return np.frombuffer(base64.b64decode(self.page.evaluate(READ)), np.uint8)
+
+    def section(self, name: str) -> Any:
+        """A section of the panel, unfolded."""
+        part = self.page.locator(f"[data-section={name}]")
+        if part.get_attribute("open") is None:
+            part.locator("summary").click()
+        return part
+
     def picture(self, width: int, height: int, **changes: Any) -> np.ndarray:
         """(height, width, 3) uint8 canvas of this size with a state."""
         self.page.evaluate("nishiki.idle()")  # the page draws on a smaller canvas first
@@ -82,6 +102,20 @@ class Page:
         self.page.evaluate("nishiki.scene.draw(nishiki.state)")
         values = np.frombuffer(base64.b64decode(self.page.evaluate(READ)), np.uint8).reshape(height, width, 4)
         return values[::-1, :, :3]
+
+
+@contextmanager
+def painting_page(current: Path, folder: Path) -> Iterator[Path]:
+    """The page that the stage viewer makes in an empty folder of the present results of a painting."""
+    inputs = {
+        name: open_artifact(current / name)
+        for name in ("ingest", "normals", "height", "spectra", "brdf", "evaluate")
+        if (current / name).exists()
+    }
+    stamp = {"scene": "tiny", "stage": "viewer", "key": "0" * 12, "version": "0"}
+    with ArtifactWriter(folder / stamp["key"]) as output:
+        viewer_run.run(Context(inputs, ViewerSettings(), output, None, None, stamp, Progress("tiny/viewer")))
+        yield (output.folder / "index.html").resolve()
 
 
 class _Silent(http.server.SimpleHTTPRequestHandler):

@@ -124,7 +124,7 @@ def test_the_ceiling_of_the_capture_does_not_bind_free_lamps(shown):
 
 
 def test_two_states_with_shadows_of_their_own_come_to_rest(shown):
-    """Both sides of the divider sum up their own samples."""
+    """Both sides of the divider sum up their own samples, and carry on the object's edge from it alone."""
     kept = {
         "lamps": LAMPS["distant"],
         "ambient": 0,
@@ -144,8 +144,8 @@ def test_two_states_with_shadows_of_their_own_come_to_rest(shown):
     }""".replace("READ", viewer_pages.READ)
     values = np.frombuffer(base64.b64decode(shown.page.page.evaluate(draw, [state, kept])), np.uint8)
     both = values.reshape(*right.shape[:2], 4)[::-1, :, :3]
-    assert (both[:, :70] == left[:, :70]).all()
-    assert (both[:, 80:] == right[:, 80:]).all()
+    assert (both[:, :75] == left[:, :75]).all()
+    assert (both[:, 75:] == right[:, 75:]).all()
     assert (left != right).any()
 
 
@@ -239,6 +239,33 @@ def test_the_ruler_measures_and_does_not_turn(shown):
     page.keyboard.press("m")
 
 
+def test_keys_alone_measure_and_read_values(shown):
+    page = with_tool(shown, "r")
+    before = page.evaluate("nishiki.state.view")
+    for key in ("ArrowLeft", "Enter", *["ArrowRight"] * 3, "ArrowDown", "Enter", "ArrowDown"):
+        page.keyboard.press(key)
+    assert page.evaluate("nishiki.state.view") == before
+    size = page.evaluate("[nishiki.scene.canvas.clientWidth, nishiki.scene.canvas.clientHeight]")
+    middle = np.subtract(size, 1) / 2
+    places = [np.add(middle, offset) for offset in ((-8, 0), (16, 8))]
+    ends = [page.evaluate("([x, y]) => nishiki.scene.pointAt(x, y, nishiki.state)", place.tolist()) for place in places]
+    value, unit = page.locator("#spoken").text_content().split()
+    assert unit == "mm"
+    np.testing.assert_allclose(float(value), np.linalg.norm(np.subtract(*ends)), rtol=1e-3)
+    page.keyboard.press("p")
+    page.keyboard.press("ArrowUp")
+    page.keyboard.press("Enter")
+    place = page.locator("[data-section=probe] dd").first
+    place.wait_for(state="attached")
+    here = page.evaluate("([x, y]) => nishiki.scene.pointAt(x, y, nishiki.state)", places[1].tolist())
+    read = [float(number) for number in place.text_content().removesuffix(" mm").split(", ")]
+    np.testing.assert_allclose(read, here, rtol=1e-3, atol=1e-3)
+    page.keyboard.press("m")
+    page.keyboard.press("ArrowLeft")
+    shown.page.page.evaluate("nishiki.idle()")
+    assert page.evaluate("nishiki.state.view.captured") is None  # with this tool an arrow turns
+
+
 def test_dragging_turns_the_object_and_page_keys_step_through_captured_views(shown):
     page = shown.page.page
     canvas(shown, view={"captured": 2})
@@ -261,7 +288,7 @@ def test_a_region_is_a_part_of_the_same_picture(shown):
     )
     values = np.frombuffer(base64.b64decode(shown.page.page.evaluate(viewer_pages.READ)), np.uint8)
     mixed = values.reshape(130, 150, 4)[::-1, :, :3]
-    assert (mixed[:, :69] == whole[:, :69]).all()
+    assert (mixed[:, :70] == whole[:, :70]).all()
     assert (mixed[:, 70:] == other[:, 70:]).all()
     assert (whole != other).any()
 

@@ -8,7 +8,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from nishiki.artifacts import provenance, syntax
-from nishiki.artifacts.provenance import canonical, code_digest, code_files, differences, stage_key
+from nishiki.artifacts.javascript import modules_of
+from nishiki.artifacts.provenance import (
+    canonical,
+    code_digest,
+    code_files,
+    data_files,
+    differences,
+    program_of,
+    stage_key,
+)
 
 settings = st.recursive(
     st.none()
@@ -115,6 +124,32 @@ def test_only_a_change_of_imported_code_changes_the_digest(project, file, old, n
     assert old in text
     (package / file).write_text(text.replace(old, new))
     assert (digest() != before) == changes
+
+
+@pytest.mark.parametrize(
+    ("module", "remade"),
+    [
+        ("painting", {"viewer"}),
+        ("orbit", {"viewer", "object_viewer", "cloth_viewer"}),
+        ("shadow_maps", {"object_viewer", "cloth_viewer"}),
+        ("mean_picture", {"cloth_viewer"}),
+    ],
+)
+def test_a_page_is_made_again_where_a_module_that_it_holds_changes_and_nowhere_else(module, remade):
+    used = {
+        stage: {path.name for path in data_files(code_files(program_of(stage)))}
+        for stage in ("viewer", "object_viewer", "cloth_viewer")
+    }
+    assert {stage for stage, names in used.items() if f"{module}.js" in names} == remade
+    assert all(
+        {"page.js", "main.js", "style.css", "texts.en.json", "index.html.j2"} <= names for names in used.values()
+    )
+
+
+def test_a_module_that_a_page_imports_and_nobody_has_is_named(tmp_path):
+    (tmp_path / "page.js").write_text('import { start } from "viewer/nowhere";\n')
+    with pytest.raises(FileNotFoundError, match=r"page\.js: imports viewer/nowhere"):
+        modules_of(tmp_path / "page.js", [tmp_path])
 
 
 def test_touching_a_file_changes_nothing(project):

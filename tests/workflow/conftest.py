@@ -11,8 +11,10 @@ from pathlib import Path
 
 import pytest
 import yaml
+from viewer_pages import opened
 
 PROJECT = Path(__file__).resolve().parents[2]
+ALLOWED = ("file:", "data:", "blob:", "about:")
 COPIED = ("Snakefile", "workflow", "scripts", "config", "envs")
 SMALL_RENDER = {
     "pictures": [{"name": "daylight"}],
@@ -202,3 +204,29 @@ def viewed(finished_site):
     site.nishiki("run")
     yield site
     next(lent, None)
+
+
+@pytest.fixture(scope="module")
+def index(viewed):
+    """The page of the painting."""
+    return viewed.folder / "results/tiny/current/viewer/index.html"
+
+
+@pytest.fixture(scope="module")
+def browser(index):
+    """One browser for all tests of a module: a start takes longer than a test."""
+    with opened(index, width=900, height=640) as page:
+        yield page
+
+
+@pytest.fixture
+def shown(browser, index):
+    """The page of the painting, opened anew; nothing may be written to the console or asked of a network."""
+    browser.page.set_viewport_size({"width": 900, "height": 640})
+    browser.page.goto("about:blank")
+    browser.page.goto(index.resolve().as_uri())
+    browser.page.wait_for_function("window.nishiki")
+    browser.page.evaluate("nishiki.idle()")
+    yield browser
+    assert browser.messages == []
+    assert not [address for address in browser.requests if not address.startswith(ALLOWED)]

@@ -5,8 +5,9 @@ code: stage name and format version, exactly the settings that it reads, and the
 The code digest covers the syntax trees of the stage's `run.py` and of every module of this project that it imports,
 directly or not, without comments and docstrings; declarations of stages are left out, because the settings stand in the
 key as values, and costs, texts and limits change no byte of a result. So is the package's own `__init__.py`, which only
-names what users call. Modules go by their names below the package and scripts by theirs, so that the digests of a
-checkout and of an installed package are the same.
+names what users call. Tables and templates beside these modules count too, and of the JavaScript of pages the modules
+that the stage's own page is built from. Modules go by their names below the package and scripts by theirs, so that the
+digests of a checkout and of an installed package are the same.
 """
 
 import functools
@@ -18,6 +19,7 @@ import unicodedata
 from pathlib import Path
 from typing import Any
 
+from nishiki.artifacts.javascript import modules_of
 from nishiki.artifacts.syntax import syntax_of
 from nishiki.errors import UserError
 from nishiki.installation import SCRIPTS, SOURCE
@@ -152,12 +154,21 @@ def _module_files(name: str) -> list[Path]:
 
 def data_files(modules: list[Path]) -> list[Path]:
     """Tables and templates that lie in the folders of the modules, and in a folder that has the name of a module beside
-    it: they decide the result as code does."""
+    it: they decide the result as code does. JavaScript in a folder of the latter kind counts where JavaScript that lies
+    beside a module imports it, directly or not."""
     own = [path for path in modules if SOURCE / PACKAGE in path.parent.parents and _is_module(path)]
-    folders = {path.parent for path in own} | {path.with_suffix("") for path in own if path.with_suffix("").is_dir()}
-    return sorted(
-        item for folder in folders for item in folder.iterdir() if item.is_file() and item.suffix not in (".py", ".md")
-    )
+    beside = {path.parent for path in own}
+    named = {path.with_suffix("") for path in own if path.with_suffix("").is_dir()}
+    files = {
+        item
+        for folder in beside | named
+        for item in folder.iterdir()
+        if item.is_file() and item.suffix not in (".py", ".md")
+    }
+    scripts = {item for item in files if item.suffix == ".js"}
+    entries = [item for item in scripts if item.parent in beside]
+    imported = {item for entry in entries for item in modules_of(entry, sorted(named))}
+    return sorted((files - scripts) | (scripts & imported))
 
 
 @functools.cache

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import base64
 import json
-import re
 from pathlib import Path
 from typing import Any
 
 from nishiki.artifacts.artifact import ArtifactWriter
+from nishiki.artifacts.javascript import modules_of
 
 PAGE = Path(__file__).parent / "page"
-IMPORT = re.compile(r'from "viewer/(\w+)";')
 ESCAPED = ((b"\\", b"\\\\"), (b'"', b'\\"'), (b"\n", b"\\n"), (b"\r", b"\\r"))
 """What no text between quotes may hold, the sign of the escape first."""
 
@@ -46,12 +45,13 @@ class Blocks:
         self.output.path(f"data/{name}.js").write_bytes(script)
 
 
-def write_page(blocks: Blocks, manifest: dict[str, Any]) -> dict[str, Any]:
-    """Write index.html of a manifest and its blocks; sizes in bytes, for the diagnostics."""
+def write_page(blocks: Blocks, manifest: dict[str, Any], entry: Path) -> dict[str, Any]:
+    """Write index.html of a manifest and its blocks; sizes in bytes, for the diagnostics. entry: the module that the
+    page begins with."""
     from jinja2 import Environment, FileSystemLoader
     from markupsafe import Markup
 
-    modules = {f"viewer/{name}": _module(PAGE / f"{name}.js") for name in sorted(_needed(manifest["chain"]))}
+    modules = {f"viewer/{path.stem}": _module(path) for path in modules_of(entry, [PAGE])}
     manifest = {**manifest, "data": {"inline": blocks.kept is not None}}
     environment = Environment(loader=FileSystemLoader(PAGE), autoescape=True, keep_trailing_newline=True)
     html = environment.get_template("index.html.j2").render(
@@ -70,17 +70,6 @@ def write_page(blocks: Blocks, manifest: dict[str, Any]) -> dict[str, Any]:
         "blocks": len(blocks.bytes),
         "inline": blocks.kept is not None,
     }
-
-
-def _needed(chain: str) -> set[str]:
-    """Modules that the page of a chain imports; the scene's own is named as the chain."""
-    needed: set[str] = set()
-    coming = {"main", chain}
-    while coming:
-        needed |= coming
-        texts = [(PAGE / f"{name}.js").read_text(encoding="utf-8") for name in coming]
-        coming = {name for text in texts for name in IMPORT.findall(text)} - needed
-    return needed
 
 
 def _module(path: Path) -> str:

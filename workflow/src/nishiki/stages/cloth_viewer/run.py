@@ -1,5 +1,7 @@
 """Cloth_viewer: a page on which a cloth hangs, lies flat and is dyed under any lamp, data beside it or inside it."""
 
+from pathlib import Path
+
 from nishiki.artifacts.stage import Context
 from nishiki.progress import Progress
 from nishiki.render.cloth.models import ClothModels
@@ -7,6 +9,8 @@ from nishiki.report.viewer.arrays import pack_arrays
 from nishiki.report.viewer.page import Blocks, write_page
 from nishiki.stages.cloth_render.declaration import MeshSettings
 from nishiki.stages.cloth_viewer.scene import material_arrays, shape_of, surfaces, table_numbers
+
+PAGE = Path(__file__).with_name("page.js")
 
 
 def run(context: Context) -> dict:
@@ -46,7 +50,7 @@ def write_cloth(
         "format": 1, "chain": "cloth", **about, "shapes": shapes, "table": table_numbers(), "dyes": dyes,
         "materials": [{"region": region, "model": model} for region, model in chosen],
     }  # fmt: skip
-    return {**write_page(blocks, manifest), "shape_bytes": _bytes(blocks, "shape-"), "models": len(chosen)}
+    return {**write_page(blocks, manifest, PAGE), "shape_bytes": _bytes(blocks, "shape-"), "models": len(chosen)}
 
 
 def _bytes(blocks: Blocks, prefix: str) -> int:

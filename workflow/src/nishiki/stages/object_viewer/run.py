@@ -1,11 +1,15 @@
 """Object_viewer: a page on which the coded object is decoded and seen from any view, data beside it or inside it."""
 
+from pathlib import Path
+
 from nishiki.artifacts.stage import Context
 from nishiki.observations.views import Views
 from nishiki.render.object.decoded_object import DecodedObject
 from nishiki.report.viewer.arrays import pack_arrays
 from nishiki.report.viewer.page import Blocks, write_page
 from nishiki.stages.object_viewer.scene import decoder_arrays, object_manifest, stream_parts
+
+PAGE = Path(__file__).with_name("page.js")
 
 
 def run(context: Context) -> dict:
@@ -30,7 +34,7 @@ def write_object(decoded: DecodedObject, blocks: Blocks, about: dict, *, without
         streams.append({"name": part.name, "first": part.first, "stop": part.stop})
         coded_bytes += len(part.data)
     manifest = {"format": 1, "chain": "object", **about, "streams": streams}
-    sizes = write_page(blocks, manifest | object_manifest(decoded, without=without))
+    sizes = write_page(blocks, manifest | object_manifest(decoded, without=without), PAGE)
     return {
         **sizes,
         "stream_bytes": coded_bytes,

@@ -1,5 +1,7 @@
 """Viewer: a page on which a painting is seen under moving lamps, its data beside it or inside it."""
 
+from pathlib import Path
+
 import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
@@ -19,6 +21,7 @@ from nishiki.stages.viewer.layers import layers_of
 from nishiki.stages.viewer.painting import UNKNOWN_REGION, PaintingCode, PaintingMaps, gloss_of
 from nishiki.stages.viewer.photographs import photographs_of
 
+PAGE = Path(__file__).with_name("page.js")
 ILLUMINANTS = ("D65", "D50", "A", "E", "F2", "F7", "F11", "LED-B1", "LED-B3", "LED-B5")
 BAND_ROWS = 256
 FINE, COARSE, FINE_PIXELS = Steps(0.35, 0.00116, 0.0046), Steps(0.95, 0.011, 0.019), 2_000_000
@@ -85,7 +88,7 @@ def run(context: Context) -> dict:
         "layers": layers_of(context.inputs, blocks),
         "photographs": photographs_of(maps, Observations(context.inputs["ingest"].folder), blocks, context.progress),
     }
-    return write_page(blocks, manifest)
+    return write_page(blocks, manifest, PAGE)
 
 
 def illuminants(ingest: Artifact) -> dict[str, dict[str, list[float]]]:

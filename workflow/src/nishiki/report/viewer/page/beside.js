@@ -16,17 +16,27 @@ export function pageBeside(address) {
 export class Beside {
   /** app: whose first state has a divider; page: the other's URL. */
   constructor(app, page) {
-    Object.assign(this, { app, sent: "", told: { title: page.pathname, scene: "", key: "" } });
+    Object.assign(this, { app, sent: "", number: 0, told: { title: page.pathname, scene: "", key: "" } });
+    this.rested = 0; // number of the last state whose picture is complete
     page.searchParams.set("part", "");
     this.frame = document.createElement("iframe");
     Object.assign(this.frame, { id: "beside", src: page.href, title: page.pathname, tabIndex: -1 });
     document.getElementById("canvas").after(this.frame);
     addEventListener("message", ({ source, data }) => {
-      if (source !== this.frame.contentWindow || !data.opened) return;
-      this.told = data.opened;
-      this.sent = "";
-      app.rebuild();
+      if (source !== this.frame.contentWindow) return;
+      if (data.opened) {
+        Object.assign(this, { told: data.opened, sent: "" });
+        app.rebuild();
+      } else if (data.rested) {
+        this.rested = Math.max(this.rested, data.rested);
+        app.showBusy();
+      }
     });
+  }
+
+  /** Whether the other page is still drawing the state that it was told last. */
+  get busy() {
+    return this.rested !== this.number;
   }
 
   /** Show the share of the picture that lies left of the divider, in the state of this page and at its exposure. */
@@ -37,7 +47,7 @@ export class Beside {
     const message = JSON.stringify(seen);
     if (message === this.sent || !this.told.key) return;
     this.sent = message;
-    this.frame.contentWindow.postMessage({ state: seen }, "*");
+    this.frame.contentWindow.postMessage({ state: seen, number: ++this.number }, "*");
   }
 }
 
@@ -49,6 +59,7 @@ export function follow(app) {
     if (source !== parent || !data.state) return;
     for (const [key, value] of Object.entries(data.state)) if (key in app.first) app.state[key] = value;
     app.redraw();
+    app.idle().then(() => parent.postMessage({ rested: data.number }, "*"));
   });
   const { title, scene, key } = app.manifest;
   parent.postMessage({ opened: { title, scene, key } }, "*");

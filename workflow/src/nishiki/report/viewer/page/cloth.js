@@ -5,13 +5,14 @@ import { freeView, lookAt, screenMatrix } from "viewer/cameras";
 import { sharesOf, uploadMaterial, uploadSurface } from "viewer/cloth_blocks";
 import { CLOTH_FRAGMENT, CLOTH_VERTEX, DEVELOP_FRAGMENT, SHADOW_VERTEX } from "viewer/cloth_shaders";
 import { decode } from "viewer/colour";
-import { LAMPS, SCREEN_VERTEX } from "viewer/common_shaders";
+import { SCREEN_VERTEX } from "viewer/common_shaders";
 import { freeLamps } from "viewer/free_lamps";
 import { Shader, drop, framebuffer, image } from "viewer/gl";
 import { dot, normalised, scale, subtract } from "viewer/matrices";
 import { MeanPictures } from "viewer/mean_picture";
 import { RoundScene } from "viewer/round_scene";
 import { MAP_BIAS, SHADOW_FRAGMENT, ShadowMaps } from "viewer/shadow_maps";
+import { MOST_LAMPS } from "viewer/state";
 
 const NEAREST = 0.02, FARTHEST = 40; // of what is drawn, in radii of the cloth
 const BELOW = 1 / 3; // of the light from above
@@ -136,7 +137,7 @@ export class ClothScene extends RoundScene {
   lampsOf(state, k) {
     const { camera, centre, radius, floor } = this.manifest.shapes[this.shapeName(state)];
     const front = [camera.rotation[0], scale(camera.rotation[1], -1), scale(camera.rotation[2], -1)];
-    const lamps = freeLamps((state.lamps ?? []).slice(0, LAMPS), front, centre, radius, k);
+    const lamps = freeLamps((state.lamps ?? []).slice(0, MOST_LAMPS), front, centre, radius, k);
     return lamps.filter(({ near, shadow }) => floor === null || shadow[1] > (near ? floor : 0));
   }
 
@@ -154,7 +155,7 @@ export class ClothScene extends RoundScene {
     const shape = this.manifest.shapes[this.shapeName(state)], dye = this.dyeOf(state);
     const material = this.materials.get(this.keyOf(state)), lamps = this.lampsOf(state, k);
     const matrices = this.#drawShadows(lamps, surface, shape), { sides, rings, turns, edge, least_cosine } = this.manifest.table;
-    const padded = (values, empty) => Array.from({ length: LAMPS }, (_, n) => values[n] ?? empty);
+    const padded = (values, empty) => Array.from({ length: MOST_LAMPS }, (_, n) => values[n] ?? empty);
     const zero = new Array(16).fill(0);
     return {
       lamps: lamps.length, near: padded(lamps.map(({ near }) => near), false), lampVector: padded(lamps.map(({ vector }) => vector), [0, 0, 1]),

@@ -1,6 +1,7 @@
 // Shaders of the cloth's viewer: nishiki.render.cloth on a mesh, with its BRDF from a table (render/cloth/brdf_table.py).
 
-import { ENCODING, LAMPS, REACHES } from "viewer/common_shaders";
+import { ENCODING, REACHES } from "viewer/common_shaders";
+import { MOST_LAMPS } from "viewer/state";
 
 /** Depth of the cloth as a lamp sees it. */
 export const SHADOW_VERTEX = `
@@ -28,7 +29,7 @@ void main() {
 
 /** What a pixel's point sends to the eye, or a layer of it. */
 export const CLOTH_FRAGMENT = `
-#define LAMPS ${LAMPS}
+#define LAMPS ${MOST_LAMPS}
 const float PI = 3.14159265358979;
 const float FADES = 1.8;        // distance, in radii of the cloth, from which on the paper fades away
 in vec3 at, towards, along;

@@ -1,6 +1,6 @@
 // Parts of shaders that the scenes of objects and of cloths share.
 
-export const LAMPS = 8;
+import { MOST_LAMPS } from "viewer/state";
 
 /** One triangle over the whole of a framebuffer. */
 export const SCREEN_VERTEX = `
@@ -18,7 +18,7 @@ vec3 decoded(vec3 v) {
 
 /** Whether light of lamp n reaches a place that stands `lift` above the surface; see shadow_maps.js. */
 export const REACHES = `
-uniform mat4 toLamp[${LAMPS}];
+uniform mat4 toLamp[${MOST_LAMPS}];
 uniform sampler2DArray shadows;
 uniform float shadowBias;       // in depths of a map
 float reaches(int n, vec3 lifted) {

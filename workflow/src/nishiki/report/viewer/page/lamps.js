@@ -1,11 +1,10 @@
 // The lamps: a pad that shows the half space above the object from its front, and the controls of the lamp chosen.
 import { drawing, element, slider } from "viewer/dom";
 import { illuminantControls, nameOf } from "viewer/illuminants";
-import { LAMP } from "viewer/state";
+import { LAMP, MOST_LAMPS } from "viewer/state";
 import { text } from "viewer/texts";
 
 const LOWEST = 3; // degrees of elevation
-const MOST = 8;
 const [NEAREST, FARTHEST] = [0.6, 6]; // distance in lengths of the object; beyond it the lamp is at infinity
 const INFINITE = FARTHEST + 0.1;
 
@@ -88,7 +87,7 @@ export function lampsSection(app) {
     pad,
     element("div", { className: "buttons", role: "group", "aria-label": text("lamps") },
       state.lamps.map((each, k) => element("button", { type: "button", "aria-pressed": k === app.lamp, title: app.manifest.illuminants ? nameOf(each.illuminant) : "", onclick: () => ((app.lamp = k), app.rebuild()) }, text("lamp", { number: k + 1 }))),
-      state.lamps.length < MOST && add,
+      state.lamps.length < MOST_LAMPS && add,
       state.lamps.length > 1 && element("button", { type: "button", onclick: () => (state.lamps.splice(app.lamp, 1), app.rebuild()) }, text("lamp.remove"))),
     sliders.azimuth, sliders.elevation,
     ...(app.manifest.illuminants ? illuminantControls(app.manifest, lamp.illuminant, (illuminant, continued) => {

@@ -11,12 +11,6 @@ import { bookmark, copy, firstState, fromBookmark } from "viewer/state";
 import { LANGUAGES, preferred, speak, text } from "viewer/texts";
 import { FlatTools, toolbar } from "viewer/tools";
 
-// only the scene of this page is read
-const SCENES = {
-  painting: async () => (await import("viewer/painting")).Painting,
-  object: async () => (await import("viewer/object")).ObjectScene,
-  cloth: async () => (await import("viewer/cloth")).ClothScene,
-};
 const BOOKMARK_AFTER = 400; // ms without a change
 const MOST_RATIO = 2; // pixels of the canvas to one of CSS
 const PREVIEW = 1 / 3; // of the canvas's width and height in the first picture of a painting
@@ -24,18 +18,18 @@ const by = (id) => document.getElementById(id);
 const canvas = by("canvas");
 
 class App {
-  constructor(manifest) {
-    Object.assign(this, { manifest, flat: manifest.chain === "painting", tool: manifest.chain === "painting" ? "light" : "move" });
+  /** Scene: class of what is shown. */
+  constructor(manifest, Scene) {
+    Object.assign(this, { manifest, Scene, flat: manifest.chain === "painting", tool: manifest.chain === "painting" ? "light" : "move" });
     this.preview = this.flat; // until the first picture is drawn
-    Object.assign(this, { lamp: 0, ruler: [], mark: null, probed: undefined, asked: false, opened: new Set(["light"]) });
+    Object.assign(this, { lamp: 0, ruler: [], place: null, mark: null, probed: undefined, asked: false, opened: new Set(["light"]) });
   }
 
   async open() {
     speak(preferred());
     by("busy").textContent = text("busy");
     this.resize();
-    const Scene = await SCENES[this.manifest.chain]();
-    this.scene = await Scene.open(canvas, this.manifest, new Loader());
+    this.scene = await this.Scene.open(canvas, this.manifest, new Loader());
     this.first = { ...firstState(this.scene.firstView?.() ?? { x: 0, y: 0, zoom: 1, tilt_deg: 0, azimuth_deg: 0 }, preferred()), ...this.scene.firstState?.() };
     const { searchParams } = new URL(location.href);
     const address = searchParams.get("beside"), other = address === null ? null : pageBeside(address);
@@ -135,14 +129,15 @@ class App {
   }
 
   helpSection() {
-    const keys = this.flat ? ["l m t p r", "← → ↑ ↓", "⇧ ← → ↑ ↓", "+ −", "0"] : [`m p${this.scene.offers.includes("ruler") ? " r" : ""}`, "← → ↑ ↓", "+ −", "0"];
+    const keys = this.flat ? ["l m t p r"] : [`m p${this.scene.offers.includes("ruler") ? " r" : ""}`];
+    keys.push("← → ↑ ↓", "⇧ ← → ↑ ↓", "Enter", "+ −", "0");
     const { texture_reads, operations } = this.scene.cost(), { width_mm, height_mm, unit } = this.scene.bounds();
     const size = [width_mm, height_mm].map((length) => written(length, unit)).join(" × ");
     const languages = element("select", { "aria-label": text("language"), onchange: () => ((this.state.language = languages.value), this.rebuild()) },
       Object.entries(LANGUAGES).map(([code, name]) => element("option", { value: code, selected: code === this.state.language }, name)));
     return [
       element("label", {}, text("language"), languages),
-      element("dl", { className: "values" }, keys.flatMap((key) => [element("dt", {}, element("kbd", {}, key)), element("dd", {}, text(`keys.${this.flat ? "" : "object."}${key}`))])),
+      element("dl", { className: "values keys" }, keys.flatMap((key) => [element("dt", {}, element("kbd", {}, key)), element("dd", {}, text(`keys.${this.flat ? "" : "object."}${key}`))])),
       element("p", { className: "hint" }, text("size", { size }), unit === "mm" ? "" : ` ${text(unit === "px" ? "no.scale" : "no.unit")}`),
       element("p", { className: "hint" }, text("cost", { reads: texture_reads, operations })),
     ];
@@ -164,7 +159,10 @@ class App {
     by("spoken").textContent = words;
     by("busy").textContent = words;
     clearTimeout(this.saying);
-    this.saying = setTimeout(() => (by("busy").textContent = ""), 2500);
+    this.saying = setTimeout(() => {
+      this.saying = null;
+      this.showBusy();
+    }, 2500);
   }
 
   chooseTool(name) {
@@ -200,10 +198,6 @@ class App {
     return written(Math.hypot(...from.map((v, k) => v - to[k])), this.scene.bounds().unit);
   }
 
-  markOnCanvas() {
-    return this.mark && this.scene.fromScene(this.mark, this.state);
-  }
-
   async probe(x, y) {
     this.probed = await this.scene.probe(x, y, this.state);
     this.mark = this.flat ? this.scene.pointAt(x, y, this.state) : null;
@@ -213,6 +207,9 @@ class App {
 
   toggleSheet(open = !by("panel").classList.contains("open")) {
     by("panel").classList.toggle("open", open);
+    document.body.classList.toggle("sheet", open); // a narrow page shows the picture above the controls
+    this.resize();
+    this.redraw();
     by("sheet").setAttribute("aria-expanded", `${open}`);
   }
 
@@ -270,25 +267,41 @@ class App {
     drawOverlay(this, by("overlay"));
     showLegend(this, by("legend"));
     if (this.preview) this.sharpen();
-    if (!this.saying || by("busy").textContent === text("busy")) by("busy").textContent = scene.busy ? text("busy") : "";
+    this.showBusy();
+  }
+
+  /** Whether something that the picture needs is on its way. */
+  get busy() {
+    return this.scene.busy || Boolean(this.beside?.busy);
+  }
+
+  /** Say whether something is on its way, unless something else is being said. */
+  showBusy() {
+    if (!this.saying) by("busy").textContent = this.busy ? text("busy") : "";
+  }
+
+  /** Promise of a complete picture. */
+  async idle() {
+    do await new Promise((resolve) => setTimeout(resolve, 20));
+    while (this.asked || this.busy);
   }
 }
 
-const app = new App(JSON.parse(by("manifest").textContent));
-try {
-  await app.open();
-  window.nishiki = {
-    scene: app.scene,
-    get state() {
-      return app.state;
-    },
-    set: (changes) => app.set(changes),
-    idle: async () => {
-      do await new Promise((resolve) => setTimeout(resolve, 20));
-      while (app.asked || app.scene.busy);
-    },
-  };
-} catch (error) {
-  by("busy").textContent = error.message;
-  throw error;
+/** Open the page with a class of scenes. */
+export async function start(Scene) {
+  const app = new App(JSON.parse(by("manifest").textContent), Scene);
+  try {
+    await app.open();
+    window.nishiki = {
+      scene: app.scene,
+      get state() {
+        return app.state;
+      },
+      set: (changes) => app.set(changes),
+      idle: () => app.idle(),
+    };
+  } catch (error) {
+    by("busy").textContent = error.message;
+    throw error;
+  }
 }

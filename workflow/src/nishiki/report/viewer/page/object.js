@@ -20,6 +20,7 @@ import { ObjectViews } from "viewer/object_views";
 import { RoundScene } from "viewer/round_scene";
 
 const SAMPLES = 4; // of a pixel at the object's edge
+const EDGE = 2; // pixels from which the object's edge is carried on
 const MOST_LIGHT = 6e4; // that a half float holds
 const MILLIMETRES = { mm: 1, cm: 10, m: 1000 };
 const LAYER = { appearance: 0, colours: 1, greys: 2, normals: 3 };
@@ -138,7 +139,8 @@ export class ObjectScene extends RoundScene {
     else this.shadows.forget(part);
     const target = this.target(size.width, size.height);
     gl.enable(gl.SCISSOR_TEST);
-    gl.scissor(area.x, canvas.height - area.y - area.height, area.width, area.height);
+    // more than the area, because the object's edge is carried on from the pixels around
+    gl.scissor(area.x - EDGE, canvas.height - area.y - area.height - EDGE, area.width + 2 * EDGE, area.height + 2 * EDGE);
     this.begin(target.plain, size);
     this.drawPicture(camera, layer, lenders, state);
     this.begin(target.smooth, size);

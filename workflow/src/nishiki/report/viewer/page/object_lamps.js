@@ -1,8 +1,8 @@
 // Lamps of an object as a camera has them: those of the capture, fixed to the camera, or the state's own.
 import { centreOf } from "viewer/cameras";
-import { LAMPS } from "viewer/common_shaders";
 import { freeLamps } from "viewer/free_lamps";
 import { add, apply, multiply, transpose } from "viewer/matrices";
+import { MOST_LAMPS } from "viewer/state";
 
 const TO_LAMP_FRAME = [[1, 0, 0], [0, -1, 0], [0, 0, -1]];
 const [AT_A_PLACE, DISTANT, ENVIRONMENT] = [0, 1, 2];
@@ -33,7 +33,7 @@ export function capturedUniforms({ lighting }, light, camera) {
 
 /** The state's own lamps, each with point `k` of its disc; see free_lamps.js. */
 export function ownLamps({ centre, radius }, state, camera, k) {
-  return freeLamps((state.lamps ?? []).slice(0, LAMPS), lampFrame(camera), centre, radius, k);
+  return freeLamps((state.lamps ?? []).slice(0, MOST_LAMPS), lampFrame(camera), centre, radius, k);
 }
 
 /** Uniforms of the state's own lamps and of its even light. */
@@ -53,7 +53,7 @@ const none = () => new Array(9).fill([0, 0, 0]);
 const DARK = { form: DISTANT, vector: [0, 0, 1], colour: [0, 0, 0], reference: 0 };
 
 function uniforms(lamps, frame, harmonics) {
-  const padded = Array.from({ length: LAMPS + 1 }, (_, n) => lamps[n] ?? DARK);
+  const padded = Array.from({ length: MOST_LAMPS + 1 }, (_, n) => lamps[n] ?? DARK);
   return {
     lamps: lamps.length, form: padded.map((l) => l.form), lampVector: padded.map((l) => l.vector),
     lampColour: padded.map((l) => l.colour), reference: padded.map((l) => l.reference), lampFrame: frame, harmonics,

@@ -6,6 +6,7 @@ import { Shader, drop, framebuffer, image } from "viewer/gl";
 import { lampFrame, ownLamps } from "viewer/object_lamps";
 import { LIT_FRAGMENT, SHADOW_VERTEX } from "viewer/object_texel_shaders";
 import { MAP_BIAS, SHADOW_FRAGMENT, ShadowMaps } from "viewer/shadow_maps";
+import { MOST_LAMPS } from "viewer/state";
 
 export class ObjectShadows {
   /** scene: gl, manifest, mesh, texels, drawScreen(). */
@@ -61,7 +62,7 @@ export class ObjectShadows {
     gl.blendFunc(gl.ONE, gl.ONE);
     this.programs.lit.use({
       positions: texels.positions, normals: texels.normals, lamps: lamps.length, lift: manifest.lift, shadows: this.maps.texture,
-      shadowBias: MAP_BIAS, toLamp: [...matrices, ...new Array(8 - matrices.length).fill(new Array(16).fill(0))],
+      shadowBias: MAP_BIAS, toLamp: [...matrices, ...new Array(MOST_LAMPS - matrices.length).fill(new Array(16).fill(0))],
     });
     this.scene.drawScreen();
     gl.disable(gl.BLEND);

@@ -1,7 +1,8 @@
 // Shaders of an object's texels, which lie in one atlas texture, tile beside tile: where they are, who sees them, and the encoded
 // model plus its residual (nishiki.render.object.renderer).
 
-import { ENCODING, LAMPS, REACHES } from "viewer/common_shaders";
+import { ENCODING, REACHES } from "viewer/common_shaders";
+import { MOST_LAMPS } from "viewer/state";
 import { CAMERA } from "viewer/object_shaders";
 
 /** Quads around triangles on the charts, one for each tile that a triangle is near to. */
@@ -150,7 +151,7 @@ void main() {
 /** Texels as a camera sees them under the lamps: the encoded model plus the residual of the captured views around. */
 export const texelFragment = (parts, srgb) => `${ENCODING}
 #define PARTS ${parts}
-#define LAMPS ${LAMPS + 1} // one more, for the even light beside the state's own
+#define LAMPS ${MOST_LAMPS + 1} // one more, for the even light beside the state's own
 uniform sampler2D positions, normals, diffuse, specular;
 uniform sampler2D residual0[PARTS], residual1[PARTS], visible0, visible1;
 uniform int views;              // that lend their residual: 0, 1 or 2

@@ -76,12 +76,13 @@ export class Orbit {
   }
 
   key(event) {
+    if (event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey) return;
     const arrows = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] }[event.key];
     if (arrows) {
       const [x, y] = scale(arrows, KEY_STEP);
       this.apply((view) => (event.shiftKey ? panned(view, x, y) : orbited(view, this.scene.axis, x, y)));
-    } else if (event.key === "+" || event.key === "-") {
-      this.apply((view) => zoomed(view, event.key === "+" ? 1 / 1.1 : 1.1, this.scene.radius));
+    } else if (["+", "=", "-"].includes(event.key)) {
+      this.apply((view) => zoomed(view, event.key === "-" ? 1.1 : 1 / 1.1, this.scene.radius));
     } else if (this.scene.capturedView && (event.key === "PageUp" || event.key === "PageDown")) {
       this.change(this.scene.capturedView(this.current(), event.key === "PageUp" ? 1 : -1));
     } else {

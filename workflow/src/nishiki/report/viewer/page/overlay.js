@@ -4,10 +4,12 @@ import { drawing } from "viewer/dom";
 const LONGEST = 180; // CSS pixels of the scale bar
 const NARROW = 700, BUTTON = 52; // a narrow page has a button below the scale bar
 
-/** Redraw; app.ruler: [] or one or two points in the unit of the scene; app.mark: the point that was probed. */
+/** Redraw; app.ruler: [] or one or two points in the unit of the scene; app.mark: the point that was probed; app.place: CSS
+ * pixels of the cross that keys move. */
 export function drawOverlay(app, svg) {
   const { scene, state, ratio } = app;
   svg.replaceChildren();
+  if (app.place && ["probe", "ruler"].includes(app.tool)) svg.append(...cross(app.place));
   if (!app.flat && !scene.offers.includes("ruler")) return;
   const { unit, width_mm } = scene.bounds(); // scale: CSS pixels to the unit
   const scale = (app.flat ? (scene.fit() * state.view.zoom * scene.manifest.columns) / width_mm : scene.scaleOf(state)) / ratio;
@@ -16,10 +18,7 @@ export function drawOverlay(app, svg) {
   const power = 10 ** Math.floor(Math.log10(LONGEST / scale));
   const length = [5, 2, 1].map((k) => k * power).find((each) => each * scale <= LONGEST) ?? power;
   svg.append(...segment([width - 16 - length * scale, height - 18], [width - 16, height - 18], true), words(width - 16 - (length * scale) / 2, height - 26, written(length, unit)));
-  if (app.mark) {
-    const [x, y] = at(app.mark);
-    svg.append(...["shade", "line"].map((name) => drawing("path", { class: name, d: `M${x - 9} ${y}h6m6 0h6M${x} ${y - 9}v6m0 6v6` })));
-  }
+  if (app.mark) svg.append(...cross(at(app.mark)));
   const [from, to] = app.ruler;
   if (from && to) {
     const [a, b] = [at(from), at(to)];
@@ -34,6 +33,7 @@ export function written(length, unit) {
   return `${Number(value.toPrecision(4))} ${name}`;
 }
 
+const cross = ([x, y]) => ["shade", "line"].map((name) => drawing("path", { class: name, d: `M${x - 9} ${y}h6m6 0h6M${x} ${y - 9}v6m0 6v6` }));
 const words = (x, y, text) => drawing("text", { x, y, "text-anchor": "middle" }, text);
 
 function segment([x1, y1], [x2, y2], ends) {

@@ -11,20 +11,21 @@ import { Values } from "viewer/painting_values";
 import { PlaneView } from "viewer/plane_view";
 import { Relief } from "viewer/relief";
 import { Shadows } from "viewer/shadows";
+import { MOST_LAMPS } from "viewer/state";
 import { Tiles } from "viewer/tiles";
 
-const MOST_LAMPS = 8;
 const ENHANCEMENTS = ["none", "specular", "curvature", "raking"];
 const LAYER_COLOURS = ["grey", "diverging", "flags"];
 const BACKGROUND = 0.106;
 const FRONTAL = { x: 0, y: 0, zoom: 1, tilt_deg: 0, azimuth_deg: 0 };
 export class Painting {
-  /** Opens a painting; ready to draw once its coarsest tiles are there. */
+  /** Opens a painting; ready to draw once its coarsest tile is there and the level from which the exposure is chosen, in
+   * long paintings a finer one. */
   static async open(canvas, manifest, loader) {
     const scene = new Painting(canvas, manifest, loader);
-    const tile = scene.tiles.load(manifest.tiles.levels.length - 1, 0, 0);
-    scene.#tileProgram(1, false); // compiled while the tile is decoded
-    await tile;
+    const tiles = [manifest.tiles.levels.length - 1, scene.exposures.level].map((level) => scene.tiles.loadAll(level));
+    scene.#tileProgram(1, false); // compiled while the tiles are decoded
+    await Promise.all(tiles);
     return scene;
   }
 
@@ -119,7 +120,8 @@ export class Painting {
     const plain = !layer || layer.name === "appearance";
     const lamps = this.#lamps(state);
     const place = this.#place(state);
-    if (plain) this.shadow = this.shadows.of(lamps, this.#share(place));
+    const part = area.x === 0 && area.width < canvas.width ? "left" : "main"; // of the divider
+    this.shadow = plain ? this.shadows.of(lamps, this.#share(place), part) : null;
     const exposure = plain ? this.#exposureOf(state, lamps) : 1;
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.viewport(0, 0, canvas.width, canvas.height);
@@ -148,8 +150,6 @@ export class Painting {
     this.gl.bindFramebuffer(this.gl.FRAMEBUFFER, null);
     return readback(this.gl, 0, 0, this.canvas.width, this.canvas.height);
   }
-
-  // view
 
   #place({ view }) {
     return this.#placed(this.canvas, this.fit() * view.zoom, view);
@@ -204,8 +204,6 @@ export class Painting {
       this.onready();
     }
   }
-
-  // tiles
 
   /** A promise on which `busy` depends. */
   #wait(promise) {

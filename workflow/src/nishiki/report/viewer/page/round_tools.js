@@ -1,5 +1,6 @@
 // What a pointer and the keys do on an object or a cloth besides turning it: values under a click, the ruler from point to
 // point of the surface, choice of the tool.
+import { KeyPlace } from "viewer/key_place";
 import { Orbit } from "viewer/orbit";
 
 const KEYS = { m: "move", p: "probe", r: "ruler" };
@@ -12,12 +13,13 @@ export class RoundTools {
   /** app: {scene, state, tool, ratio, ruler, chooseTool, setView, fit, probe, measure, say, rulerText} */
   constructor(app, canvas) {
     Object.assign(this, { app, from: [], measuring: false });
+    this.keys = new KeyPlace(app, canvas);
+    canvas.addEventListener("keydown", (event) => this.key(event)); // before those of the camera
     new Orbit(canvas, app.scene, () => app.state, (view) => app.setView(view), () => app.tool !== "ruler");
     canvas.addEventListener("pointerdown", (event) => this.down(event));
     canvas.addEventListener("pointermove", (event) => this.measuring && this.measure(event, [app.ruler[0]]));
     canvas.addEventListener("pointerup", (event) => this.up(event));
     canvas.addEventListener("pointercancel", () => (this.measuring = false));
-    canvas.addEventListener("keydown", (event) => this.key(event));
   }
 
   down(event) {
@@ -47,7 +49,7 @@ export class RoundTools {
     const { app } = this, tool = KEYS[event.key];
     if (event.key === "0") app.fit();
     else if (tool && toolsOf(app.scene).includes(tool)) app.chooseTool(tool);
-    else return;
+    else if (!this.keys.key(event)) return;
     event.preventDefault();
   }
 }

@@ -70,6 +70,7 @@ export class Shadows {
     Object.assign(this, { gl, reliefs, loader });
     this.levels = []; // heights that are open, the coarse first
     this.known = new Map(); // by lamps: {key, count, parts}, parts by level: {texture, rows, columns, window}
+    this.shown = {}; // keys of those that each part of the canvas shows
     this.onready = () => {};
     this.none = { texture: this.#texture(1, 1, most, new Uint8Array(most).fill(255)), window: null };
   }
@@ -91,13 +92,15 @@ export class Shadows {
   }
 
   /** Shadows of lamps, {key, count, parts}: until they come, those of the lamps just before, or null. view: [left, top,
-   *  right, bottom] of the map that the canvas shows, 0 to 1. */
-  of(lamps, view) {
+   *  right, bottom] of the map that the canvas shows, 0 to 1; part: of the canvas, whose lamps they are. */
+  of(lamps, view, part) {
     const wanted = lamps.map(({ vector, w, radius }) => ({ vector, w, radius }));
     const key = JSON.stringify(wanted), ready = this.known.get(key);
-    if (ready) remember(this.known, key, ready);
     if (lamps.length) this.#ask(key, wanted, ready, view);
-    return ready ?? [...this.known.values()].filter(({ count }) => count === lamps.length).at(-1) ?? null;
+    const before = this.known.get(this.shown[part]), shown = ready ?? (before?.count === lamps.length ? before : null);
+    if (shown) remember(this.known, shown.key, shown);
+    this.shown[part] = shown?.key;
+    return shown;
   }
 
   #ask(key, lamps, ready, view) {

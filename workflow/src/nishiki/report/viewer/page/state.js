@@ -1,5 +1,6 @@
 // What the page shows, as plain JSON; a bookmark is what differs from the first state, in the address after #.
 
+export const MOST_LAMPS = 8;
 export const LAMP = { azimuth_deg: 90, elevation_deg: 45, distance: null, radius_deg: 0.75, intensity: 1, illuminant: "D65" };
 
 /** The state in which a scene opens. view: of the scene's kind. */

@@ -4,6 +4,7 @@ import { picture } from "viewer/loader";
 
 const TEXTURE_BYTES = 256e6; // of tiles that are kept
 const MOST_ANISOTROPY = 4; // pixels that a tilt squeezes into one
+const WHOLE = [0, 0, Infinity, Infinity]; // of a level
 const MIPMAPS = 3; // of a tile: levels of the pyramid are a factor of 4 apart
 
 /** Pictures of a tile: before each its length in bytes, four of them, the lowest first. */
@@ -40,9 +41,14 @@ export class Tiles {
     return range(top, bottom, Math.ceil(rows / size)).flatMap((row) => across.map((column) => [row, column]));
   }
 
+  /** Promise of a whole level. */
+  loadAll(level) {
+    return Promise.all(this.within(level, WHOLE).map(([row, column]) => this.load(level, row, column)));
+  }
+
   /** Whether a whole level is here; what lacks is asked for. */
   haveAll(level) {
-    return this.within(level, [0, 0, Infinity, Infinity]).map(([row, column]) => this.ready(level, row, column)).every(Boolean);
+    return this.within(level, WHOLE).map(([row, column]) => this.ready(level, row, column)).every(Boolean);
   }
 
   /** Texture of a tile, or null while it is on its way. */

@@ -2,6 +2,7 @@
 // the right or middle button moves the picture.
 import { drawing, element } from "viewer/dom";
 import { panned, tilted, zoomed } from "viewer/flat";
+import { KeyPlace } from "viewer/key_place";
 import { directionAt, pointOf } from "viewer/lamps";
 import { toolsOf } from "viewer/round_tools";
 import { text } from "viewer/texts";
@@ -17,7 +18,7 @@ const ICONS = {
   fit: "M4 9V4h5M15 4h5v5M20 15v5h-5M9 20H4v-5",
 };
 const KEYS = { l: "light", m: "move", t: "tilt", p: "probe", r: "ruler" };
-const KEY_ZOOM = 1.25, KEY_PAN = 60, KEY_LAMP = 0.05, KEY_PROBE = 8, KEY_TILT = 5; // factor; pixels; of the unit disc; pixels; degrees
+const KEY_ZOOM = 1.25, KEY_PAN = 60, KEY_LAMP = 0.05, KEY_TILT = 5; // factor; pixels; of the unit disc; degrees
 const TILT = 180; // degrees of a drag over the whole height of the canvas
 const CLICK = 5; // pixels that a click may wander
 
@@ -38,6 +39,7 @@ export class FlatTools {
   constructor(app, canvas) {
     Object.assign(this, { app, canvas });
     this.pointers = new Map();
+    this.keys = new KeyPlace(app, canvas);
     canvas.addEventListener("pointerdown", (event) => this.down(event));
     canvas.addEventListener("pointermove", (event) => this.move(event));
     for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, (event) => this.up(event));
@@ -107,26 +109,23 @@ export class FlatTools {
 
   key(event) {
     if (event.ctrlKey || event.metaKey || event.altKey) return;
-    const { app, canvas } = this;
+    if (this.keys.key(event)) return void event.preventDefault();
+    const { app } = this;
     const arrow = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];
     if (event.key in KEYS) app.chooseTool(KEYS[event.key]);
     else if (event.key === "+" || event.key === "=") this.zoom(KEY_ZOOM);
     else if (event.key === "-") this.zoom(1 / KEY_ZOOM);
     else if (event.key === "0") app.fit();
-    else if (event.key === "Enter" && app.tool === "probe") app.probe(...(app.markOnCanvas() ?? [canvas.width / 2, canvas.height / 2]));
     else if (arrow) this.arrow(arrow, event.shiftKey);
     else return;
     event.preventDefault();
   }
 
   arrow([x, y], shift) {
-    const { app, canvas } = this;
+    const { app } = this;
     if (app.tool === "light" && !shift && app.state.lamps.length) {
       const [px, py] = pointOf(app.state.lamps[app.lamp]);
       app.moveLamp(directionAt(px + KEY_LAMP * x, py + KEY_LAMP * y), true);
-    } else if (app.tool === "probe" && !shift) {
-      const [px, py] = app.markOnCanvas() ?? [canvas.width / 2, canvas.height / 2];
-      app.probe(px + KEY_PROBE * app.ratio * x, py - KEY_PROBE * app.ratio * y);
     } else if (app.tool === "tilt" && !shift) {
       this.tilt(KEY_TILT * x, KEY_TILT * y);
       app.say(text("tilt.at", { tilt: Math.round(app.state.view.tilt_deg), azimuth: Math.round(app.state.view.azimuth_deg) }));
