@@ -22,7 +22,7 @@ from nishiki.capture.seal import seal
 
 TABLES = ("plane", "turntable", "goniometer", "cameras", "points", "intensities", "spectra", "reflectances", "brdf")
 TABLES += ("scenes", "camera list", "matlab", "meshroom")
-FOLDER = ("info.json", "plane_0.dzi")
+FOLDER = ("info.json", "plane_0.dzi", "plane_0.tzi")
 IMAGES = (".png", ".jpg", ".tif", ".exr", ".ptm", ".rti", *FOLDER)
 YAML = ("plane", "turntable", "goniometer", "intrinsics", "configuration", "instrument")
 LIGHTS = (".lp", ".csv", ".txt", ".relight")
@@ -138,16 +138,22 @@ def _images(folder: Path) -> list[bytes]:
     seeds.append(of(IMAGES, ".rti", b"#HSH1.2\n3\n2 3 3\n4 2 1\n" + bytes(8 * 4) + bytes(range(72))))
     make_relight(folder / "relight")
     seeds += [of(IMAGES, name, (folder / "relight" / name).read_bytes()) for name in FOLDER]
+    info = json.loads((folder / "relight/info.json").read_text()) | {"type": "bilinear", "colorspace": "mycc"}
+    info |= {"resolution": 2, "yccplanes": [1, 1, 1], "basis": list(range(100, 148))}
+    seeds += [of(IMAGES, "info.json", json.dumps(info))]
     return [*seeds, *(of(IMAGES, ".tif", tiff(kind)) for kind in ("planes", "deflate", "pages"))]
 
 
 def make_relight(folder: Path) -> None:
-    """A folder of relight with Gaussians between two lights, its plane of 4 x 3 pixels a single tile."""
+    """A folder of relight with Gaussians between two lights, its plane of 4 x 3 pixels a single tile, in both forms."""
     tile = folder / "plane_0_files/0/0_0.jpg"
     tile.parent.mkdir(parents=True)
     tile.write_bytes(cv2.imencode(".jpg", np.full((3, 4, 3), 90, np.uint8))[1].tobytes())
     size = '<Size Width="4" Height="3"/>'
     (folder / "plane_0.dzi").write_text(f'<Image Format="jpg" Overlap="1" TileSize="254">{size}</Image>')
+    joined = {"tilesize": 254, "overlap": 1, "width": 4, "height": 3, "nlevels": 1, "offsets": [0, tile.stat().st_size]}
+    (folder / "plane_0.tzi").write_text(json.dumps(joined))
+    (folder / "plane_0.tzb").write_bytes(tile.read_bytes())
     material = {"scale": [0.5, 1, 2], "bias": [0.5, 0, 0.25], "range": [100, 200, 300]}
     info = {"width": 4, "height": 3, "type": "rbf", "colorspace": "mrgb", "nplanes": 3, "materials": [material]}
     info |= {"lights": [0, 0, 1, 0.6, 0, 0.8], "sigma": 0.4, "basis": list(range(100, 124))}

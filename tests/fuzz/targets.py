@@ -147,6 +147,8 @@ def _relight_folder(name: str, content: bytes) -> Path:
     folder = place() / "relight"
     paused(shutil.rmtree, folder, True)
     paused(make_relight, folder)
+    if name.endswith(".tzi"):  # a deep zoom is taken before it
+        paused((folder / "plane_0.dzi").unlink)
     return put(f"relight/{name}", content).parent
 
 
