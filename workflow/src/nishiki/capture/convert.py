@@ -25,6 +25,8 @@ from nishiki.capture.turntable_layouts import recognise_round
 from nishiki.formats.image_headers import read_header
 from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, warning
 
+Examination = Callable[[Path], list[Problem]]
+
 
 @dataclass(frozen=True)
 class Conversion:
@@ -54,6 +56,7 @@ def convert(
     title: str | None = None,
     region: tuple[int, int, int, int] | None = None,
     link: bool = False,
+    examine: Examination | None = None,
 ) -> Conversion:
     """Make the capture folder `target`, which must not exist, from a folder of photographs, a table of reflectances or
     a relightable image (`.ptm`, `.rti`, a folder of relight), from which pictures are rendered.
@@ -62,10 +65,10 @@ def convert(
     a turntable: named by their polariser state); dark: folder of dark frames, all of which are averaged; checks: lights
     kept for evaluation; encoding: of the photographs, None for what is usual; region: row, column, rows, columns; mask:
     picture of the object, for a turntable the folder of the silhouettes; link: hard links instead of copies (same disk;
-    then never edit either).
-    The folder appears whole or not at all. Raises CaptureError (target-exists, option-unusable, folder-missing,
-    light-unknown, and those of `pair_by_name`, `recognise`, `recognise_round`, `recognise_table`, `read_table`
-    and `open_relightable`).
+    then never edit either); examine: what is wrong with the folder that was made, as `check_capture` tells it: errors
+    are raised. The folder appears whole or not at all.
+    Raises CaptureError (target-exists, option-unusable, folder-missing, light-unknown, and those of `pair_by_name`,
+    `recognise`, `recognise_round`, `recognise_table`, `read_table` and `open_relightable`).
     """
     source, target = _named(Path(source)), Path(target)
     if target.exists():
@@ -75,11 +78,11 @@ def convert(
     relightable = recognise_relightable(source)
     if relightable is not None:
         refuse_without_photographs(white=white, dark=dark, check=checks)
-        return _of_relightable(target, relightable, lights_file, mask, encoding, title, region, link)
+        return _of_relightable(target, relightable, lights_file, mask, encoding, title, region, link, examine)
     table = recognise_table(source) if lights_file is None else None
     if table is not None:
         refuse_without_photographs(mask=mask, white=white, dark=dark, check=checks, encoding=encoding, roi=region)
-        return _of_table(target, table, title, link)
+        return _of_table(target, table, title, link, examine)
     turntable = recognise_round(source) if lights_file is None and source.is_dir() and not has_lamps(source) else None
     if turntable is not None:
         refuse_for_round(checks, region)
@@ -98,7 +101,7 @@ def convert(
                 link=link,
             )
 
-        notes = _write_complete(target, write_turntable)
+        notes = _write_complete(target, write_turntable, examine)
         return Conversion(
             target, turntable.name, len(turntable.photographs), (*turntable.warnings, *notes), "turntable"
         )
@@ -110,7 +113,7 @@ def convert(
         remedy = "The names of the lamps are those of their photographs, without the suffix"
         raise CaptureError(error("light-unknown", str(source), what, expected=expected, found=turntable, remedy=remedy))
     notes = _write_complete(
-        target, lambda p: _write(p, layout, source, white, dark, checks, encoding, title, region, link)
+        target, lambda p: _write(p, layout, source, white, dark, checks, encoding, title, region, link), examine
     )
     return Conversion(target, layout.name, len(layout.photographs), (*layout.warnings, *notes))
 
@@ -130,7 +133,7 @@ def folder_problems(**given: Path | None) -> list[Problem]:
     ]
 
 
-def _of_table(target: Path, table: Path, title: str | None, link: bool) -> Conversion:
+def _of_table(target: Path, table: Path, title: str | None, link: bool, examine: Examination | None) -> Conversion:
     """The capture of a table of reflectances; `photographs` counts its measurements."""
     read: list[ReflectanceTable] = []
 
@@ -139,7 +142,7 @@ def _of_table(target: Path, table: Path, title: str | None, link: bool) -> Conve
         read.append(content)
         return notes
 
-    notes = _write_complete(target, write)
+    notes = _write_complete(target, write, examine)
     count, channels = len(read[0].values), read[0].channels
     return Conversion(target, "table of reflectances", count, tuple(notes), "goniometer", channels)
 
@@ -153,6 +156,7 @@ def _of_relightable(
     title: str | None,
     region: tuple[int, int, int, int] | None,
     link: bool,
+    examine: Examination | None,
 ) -> Conversion:
     """The capture of pictures rendered from a relightable image, under the lamps of a lights file or our own."""
     lamps = lamps_for(lights_file)
@@ -166,17 +170,18 @@ def _of_relightable(
         _write_tables(partial, settings, rows, lamps)
         return notes
 
-    notes = _write_complete(target, write)
+    notes = _write_complete(target, write, examine)
     return Conversion(target, f"rendered from {file.name}", len(lamps.names), tuple(notes))
 
 
-def _write_complete(target: Path, write: Callable[[Path], list[Problem]]) -> list[Problem]:
-    """Write into a folder beside the target and rename it when it is whole."""
+def _write_complete(target: Path, write: Callable[[Path], list[Problem]], examine: Examination | None) -> list[Problem]:
+    """Write into a folder beside the target and rename it when it is whole, and nothing is wrong with it."""
     partial = target.with_name(f".{target.name}.partial")
     if partial.exists():
         shutil.rmtree(partial)
     try:
         notes = write(partial)
+        raise_errors(examine(partial) if examine else ())
         os.rename(partial, target)
     finally:
         if partial.exists():

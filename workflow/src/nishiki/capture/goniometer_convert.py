@@ -22,7 +22,8 @@ def recognise_table(source: Path) -> Path | None:
         return source if is_table(source, named=True) else None
     if not source.is_dir() or photographs_in(source):
         return None
-    tables = sorted(path for path in source.iterdir() if path.is_file() and is_table(path))
+    visible = (path for path in source.iterdir() if not path.name.startswith(".") and path.is_file())
+    tables = sorted(path for path in visible if is_table(path))
     if len(tables) > 1:
         what, remedy = "several tables of reflectances", f"Convert one: {tables[0]}"
         named = ", ".join(path.name for path in tables[:5])

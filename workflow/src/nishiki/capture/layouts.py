@@ -16,7 +16,7 @@ from nishiki.capture.mirror_sphere import direction_from_sphere, mean_direction
 from nishiki.capture.relight_files import find_relight, is_relight, read_dome, read_relight
 from nishiki.capture.rtibuilder import RtiProject
 from nishiki.formats.bounds import bound
-from nishiki.formats.files import NAME_BYTES, is_plain, leads_out, read_text
+from nishiki.formats.files import NAME_BYTES, files_with, is_plain, leads_out, read_text, same_name
 from nishiki.formats.image_header import IMAGE_SUFFIXES
 from nishiki.formats.image_headers import read_header
 from nishiki.formats.images import read_codes
@@ -53,12 +53,12 @@ def natural_key(path: Path) -> list:
 
 
 def photographs_in(folder: Path) -> list[Path]:
-    """Pictures of a folder that are no masks, and in a folder of relight none of its planes and maps, in natural order.
+    """Pictures of a folder in natural order: no masks, no hidden files, of relight's folders no planes and maps.
 
     CaptureError (outside-folder, name-unusable) where one is a link that leads out of the folder, or its name cannot
     be that of a file in a capture.
     """
-    pictures = (p for p in folder.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and p.is_file())
+    pictures = files_with(folder, IMAGE_SUFFIXES)
     fitted = is_relight_folder(folder)
     others = (p for p in pictures if not (MASK_WORD.search(p.stem) or (fitted and LAYERS.fullmatch(p.stem))))
     chosen = sorted(others, key=natural_key)
@@ -70,11 +70,12 @@ def photographs_in(folder: Path) -> list[Path]:
 
 def _refuse_unread(folder: Path) -> None:
     """CaptureError (image-unsupported) where a folder holds pictures, but of formats that are not read."""
-    unread = sorted(p.name for p in folder.iterdir() if p.suffix.lower() in UNREAD_SUFFIXES)
+    unread = [path.name for path in files_with(folder, UNREAD_SUFFIXES)]
     if unread:
         expected = "PNG, JPEG, TIFF, OpenEXR or camera raw"
         found = f"{unread[0]} and {len(unread) - 1} more" if len(unread) > 1 else unread[0]
-        remedy = "Convert them to PNG without changing size or values (ImageMagick: mogrify -format png *.tga)"
+        suffix = os.path.splitext(unread[0])[1]
+        remedy = f"Convert them to PNG without changing size or values (ImageMagick: mogrify -format png *{suffix})"
         what = "these pictures are of a format that is not read"
         raise CaptureError(error("image-unsupported", str(folder), what, expected=expected, found=found, remedy=remedy))
 
@@ -104,10 +105,11 @@ def recognise(source: Path, *, lights_file: Path | None = None, mask: Path | Non
     project = RtiProject.of(source)
     if project is not None:
         return _of_project(project, lights_file, mask)
-    listed = sorted(source.glob("*.lp"))
+    listed = files_with(source, (".lp",))
     if lights_file is None and len(listed) > 1:
         found = ", ".join(p.name for p in listed)
-        raise CaptureError(error("layout-unknown", str(source), "several .lp files", found=found, remedy="Name one"))
+        what, remedy = "several .lp files", "Name one: --lights FILE"
+        raise CaptureError(error("layout-unknown", str(source), what, found=found, remedy=remedy))
     lights_file = lights_file or (listed[0] if listed else None)
     if lights_file is None and not (source / "light_directions.txt").is_file():
         lights_file = _of_relight(source)
@@ -129,7 +131,7 @@ def recognise(source: Path, *, lights_file: Path | None = None, mask: Path | Non
         "spheres with circle_data.txt; for a turntable a .mat file with matrices P, a list of cameras or those of "
         "COLMAP or Meshroom; or photographs named GENERATOR_ANALYSER"
     )
-    remedy = "Give the lights file, or write capture.yaml and frames.csv by hand"
+    remedy = "Name the lights file with --lights, or write capture.yaml and frames.csv by hand"
     raise CaptureError(error("layout-unknown", str(source), "no lamps found", expected=expected, remedy=remedy))
 
 
@@ -148,7 +150,7 @@ def _of_project(project: RtiProject, lights_file: Path | None, mask: Path | None
 
 def has_lamps(source: Path) -> bool:
     """Whether a folder tells where the lamps of a plane's photographs were."""
-    listed = (source / "light_directions.txt").is_file() or any(source.glob("*.lp"))
+    listed = (source / "light_directions.txt").is_file() or bool(files_with(source, (".lp",)))
     listed = listed or RtiProject.of(source) is not None
     return listed or has_spheres(source) or _of_relight(source) is not None
 
@@ -166,25 +168,31 @@ def has_spheres(source: Path) -> bool:
 
 
 def _find_mask(source: Path) -> Path | None:
-    masks = [p for p in source.iterdir() if p.suffix.lower() in (".png", ".tif", ".tiff") and MASK_WORD.search(p.stem)]
+    masks = [path for path in files_with(source, (".png", ".tif", ".tiff")) if MASK_WORD.search(path.stem)]
     raise_errors(problem for path in masks for problem in source_problems(path, source))
     return masks[0] if len(masks) == 1 else None
 
 
 def _with_lights(source: Path, lights: Lights, mask: Path | None, *, kind: str = "direction") -> Layout:
     """Photographs named in the lights file; where it names none, in the natural order of their names."""
-    present = photographs_in(source)
+    folder = source
+    if not (present := photographs_in(source)):
+        folder = _folder_named(source, lights)
+        present, mask = photographs_in(folder), mask or _find_mask(folder)
     if all(file is None for file in lights.files):
         _expect_count(source, present, len(lights.names))
         return _in_order(source, present, lights, None, mask, "directions in order", kind=kind)
-    by_name = {p.name.casefold(): p for p in present}
-    by_stem = {p.stem.casefold(): p for p in present}
+    by_name = {same_name(p.name): p for p in present}
+    by_stem = {same_name(p.stem): p for p in present}
+    held = f"{present[0].name} ... {present[-1].name}" if present else "no photographs"
+    remedy = "Put it there, or mend its name in the lights file"
     chosen, missing = [], []
     for name, file in zip(lights.names, lights.files, strict=True):
-        base = re.split(r"[\\/]", file)[-1].casefold()
-        path = by_name.get(base) or by_stem.get(name.casefold())
+        path = by_name.get(same_name(re.split(r"[\\/]", file)[-1])) or by_stem.get(same_name(name))
         chosen.append(path)
-        missing += [] if path else [error("photograph-missing", str(source), f"no photograph '{file}'")]
+        if path is None:
+            what = f"no photograph '{file}'"
+            missing.append(error("photograph-missing", str(folder), what, found=held, remedy=remedy))
     if missing:
         raise CaptureError(missing)
     extra = [p.name for p in present if p not in chosen]
@@ -193,6 +201,15 @@ def _with_lights(source: Path, lights: Lights, mask: Path | None, *, kind: str =
         what = "pictures that the lights file does not name were left out"
         notes.append(warning("photograph-unlisted", str(source), what, found=", ".join(extra[:5])))
     return Layout("lights file", tuple(chosen), lights, None, mask, tuple(notes))
+
+
+def _folder_named(source: Path, lights: Lights) -> Path:
+    """The folder of a folder without photographs that the lights file names for all of them; else the folder itself."""
+    folders = [re.split(r"[\\/]", file)[-2:-1] for file in lights.files if file]
+    if not folders or not folders[0] or any(each != folders[0] for each in folders):
+        return source
+    folder = source / folders[0][0]
+    return folder if folder.is_dir() and not leads_out(folder, source) else source
 
 
 def _diligent(source: Path, mask: Path | None) -> Layout:

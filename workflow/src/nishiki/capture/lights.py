@@ -7,6 +7,7 @@ are not of unit length, byte-order marks and blank lines. All are read; what can
 
 from __future__ import annotations
 
+import codecs
 import csv
 import io
 import math
@@ -67,16 +68,23 @@ def read_lights(path: Path, *, kind: str = "direction", frontal: bool = True) ->
     """
     with reading(path.name, "lights"):
         content = read_bytes(path, "table_bytes", name=path.name)
-        try:
-            text = content.decode("utf-8-sig")
-        except UnicodeDecodeError:
-            text = content.decode("latin-1")  # file names in an old code page; the numbers are ASCII anyway
+        text = _decoded(content)
         parse = _parse_table if path.suffix.lower() == ".csv" else _parse_list
         names, vectors = parse(text, path.name, counted=path.suffix.lower() not in (".csv", ".txt"))
     expect_rows(len(names), "lights", path.name, "lights")
     return lights_from_vectors(
         names, np.array(vectors, dtype=np.float64).reshape(-1, 3), file=path.name, kind=kind, frontal=frontal
     )
+
+
+def _decoded(content: bytes) -> str:
+    """Text of a lights file: UTF-16 by its mark, UTF-8, or Latin-1 (the numbers are ASCII anyway)."""
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return content.decode("utf-16")
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return content.decode("latin-1")  # file names in an old code page
 
 
 def lights_from_vectors(
@@ -155,16 +163,18 @@ def _parse_list(text: str, file: str, *, counted: bool) -> tuple[list[str | None
     elif counted:
         found = lines[0][1][:40] if lines else "an empty file"
         expected = "the number of lights in the first line"
-        raise CaptureError(error("lights-unreadable", file, "not a .lp file", expected=expected, found=found))
+        remedy = "Begin it with the number of lights; a line '[file name] x y z' for each follows"
+        what = "not a .lp file"
+        raise CaptureError(error("lights-unreadable", file, what, expected=expected, found=found, remedy=remedy))
     names, vectors, problems = [], [], []
     for number, line in lines:
         parsed = _parse_line(line)
         if parsed is None:
             where = f"{file} line {number}"
             expected = "[file name] x y z"
-            problems.append(
-                error("lights-unreadable", where, "line cannot be read", expected=expected, found=line[:60])
-            )
+            remedy = "End the line with the three numbers of the direction"
+            what, found = "line cannot be read", line[:60]
+            problems.append(error("lights-unreadable", where, what, expected=expected, found=found, remedy=remedy))
             continue
         names.append(parsed[0])
         vectors.append(parsed[1])
@@ -174,7 +184,8 @@ def _parse_list(text: str, file: str, *, counted: bool) -> tuple[list[str | None
         problems.append(error("lights-count", file, "count disagrees", expected=expected, found=found, remedy=remedy))
     raise_errors(problems)
     if any(n is None for n in names) and any(n is not None for n in names):
-        raise CaptureError(error("lights-unreadable", file, "some lines have a file name and some have none"))
+        what, remedy = "some lines have a file name and some have none", "Name the photograph in every line, or in none"
+        raise CaptureError(error("lights-unreadable", file, what, remedy=remedy))
     return names, vectors
 
 

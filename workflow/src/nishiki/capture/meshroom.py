@@ -17,7 +17,7 @@ import numpy as np
 
 from nishiki.capture.registered import RegisteredView
 from nishiki.capture.turntable_schema import Intrinsics
-from nishiki.formats.files import read_text
+from nishiki.formats.files import files_with, read_text
 from nishiki.formats.problems import CaptureError, error
 from nishiki.formats.text_tables import expect_rows, reading
 
@@ -37,7 +37,7 @@ def meshroom_file(source: Path) -> Path | None:
 
     CaptureError (layout-unknown) where there are several and none of this name.
     """
-    files = sorted(path for path in source.glob("*.sfm") if path.is_file())
+    files = files_with(source, (".sfm",))
     if len(files) > 1 and source / "cameras.sfm" not in files:
         found = ", ".join(path.name for path in files[:5])
         what, remedy = "several .sfm files", "Keep the one that StructureFromMotion wrote, or call it cameras.sfm"

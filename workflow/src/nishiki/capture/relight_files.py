@@ -1,6 +1,7 @@
 """Lamp directions from the files that the program Relight writes: `NAME.relight` (its project) and `info.json`.
 
-A project lists the photographs, each with its file name and `direction` {x, y, z}; one with `skip` is not used.
+A project lists the photographs, each with its file name and `direction` {x, y, z}; one with `skip` is not used. They
+lie in its `folder`.
 `info.json` of a relightable image holds `lights`, three numbers a photograph, without file names. A `.dome` holds the
 lamps of a rig in order: `directions`, and `positions3d` in millimetres where `lightConfiguration` is `lights3d`, with
 the width of the pictures in `imageWidth`. Axes as in `.lp`.
@@ -14,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.capture.lights import Lights, lights_from_vectors
-from nishiki.formats.files import read_text
+from nishiki.formats.files import files_with, read_text
 from nishiki.formats.problems import CaptureError, error, warning
 from nishiki.formats.text_tables import expect_rows, reading
 
@@ -26,12 +27,11 @@ def find_relight(source: Path) -> Path | None:
 
     CaptureError (layout-unknown) where there are several projects.
     """
-    projects = sorted(source.glob("*.relight"))
+    projects = files_with(source, (".relight",))
     if len(projects) > 1:
         found = ", ".join(p.name for p in projects[:5])
-        raise CaptureError(
-            error("layout-unknown", str(source), "several .relight files", found=found, remedy="Name one")
-        )
+        what, remedy = "several .relight files", "Name one: --lights FILE"
+        raise CaptureError(error("layout-unknown", str(source), what, found=found, remedy=remedy))
     if projects:
         return projects[0]
     info = source / "info.json"
@@ -52,6 +52,9 @@ def read_relight(path: Path) -> Lights:
         expect_rows(len(images), "lights", path.name, "lights")
         kept = [image for image in images if not (isinstance(image, dict) and image.get("skip") is True)]
         names = [_name(image, path.name) for image in kept]
+        folder = content.get("folder")
+        if isinstance(folder, str) and folder not in ("", "."):
+            names = [f"{folder}/{name}" for name in names]
         vectors = [_vector([image["direction"].get(axis) for axis in "xyz"], path.name) for image in kept]
         if len(kept) < len(images):
             what = "photographs that the project skips were left out"

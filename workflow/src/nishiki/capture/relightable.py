@@ -19,7 +19,7 @@ from nishiki.capture.rtibuilder import RtiProject
 from nishiki.capture.schema import LOST_BY_FIT
 from nishiki.capture.schema_base import FORMAT
 from nishiki.capture.taking import COLOUR, take
-from nishiki.formats.files import Refused, expect_memory
+from nishiki.formats.files import Refused, expect_memory, files_with
 from nishiki.formats.hsh import HshFile, open_hsh
 from nishiki.formats.problems import CaptureError, Problem, error, warning
 from nishiki.formats.ptm import PtmFile, open_ptm
@@ -50,7 +50,7 @@ def recognise_relightable(source: Path) -> Path | None:
         return None
     if is_relight_folder(source):
         return source.resolve()
-    files = sorted(path for path in source.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
+    files = files_with(source, SUFFIXES)
     if len(files) > 1:
         what, remedy = "several relightable images", f"Convert one: {files[0]}"
         named = ", ".join(path.name for path in files[:5])

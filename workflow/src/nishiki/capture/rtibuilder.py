@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from nishiki.capture.lights import Lights
-from nishiki.formats.files import leads_out
+from nishiki.formats.files import files_with, leads_out, same_name
 from nishiki.formats.image_header import IMAGE_SUFFIXES
 from nishiki.formats.problems import CaptureError, Problem, error, warning
 
@@ -47,7 +47,7 @@ class RtiProject:
         """The only `.lp` in `assembly-files`, or in the project's own folder. CaptureError (layout-unknown)."""
         places = [self.folders[ASSEMBLY]] if ASSEMBLY in self.folders else []
         for place in (*places, self.root):
-            files = sorted(path for path in place.iterdir() if path.suffix.lower() == ".lp" and path.is_file())
+            files = files_with(place, (".lp",))
             if len(files) > 1:
                 found = ", ".join(path.name for path in files[:5])
                 what, remedy = "several .lp files", f"Name one: --lights {files[0]}"
@@ -67,7 +67,7 @@ class RtiProject:
         counts = {}
         for name in self._order(lights):
             stems = _stems_in(self.folders[name])
-            counts[name] = sum(light.casefold() in stems for light in lights.names)
+            counts[name] = sum(same_name(light) in stems for light in lights.names)
             if counts[name] == len(lights.names):
                 return self.folders[name]
         found = ", ".join(f"{count} in {name}" for name, count in counts.items()) or "no folder of photographs"
@@ -85,7 +85,7 @@ class RtiProject:
             for name in reversed(PHOTOGRAPHS)
             if name in self.folders
             and self.folders[name] != chosen
-            and {light.casefold() for light in lights.names} <= _stems_in(self.folders[name])
+            and {same_name(light) for light in lights.names} <= _stems_in(self.folders[name])
         ]
         what = f"an RTIBuilder project: the lights of {lights_file.name} and the photographs of {chosen.name}"
         found = f"the same photographs in {', '.join(others)}, not used" if others else ""
@@ -102,10 +102,9 @@ class RtiProject:
 
     def _finished(self) -> Path | None:
         place = self.folders.get(FINISHED)
-        files = sorted(place.iterdir()) if place else []
-        return next((path for path in files if path.suffix.lower() in (".rti", ".ptm")), None)
+        return next(iter(files_with(place, (".rti", ".ptm"))), None) if place else None
 
 
 def _stems_in(folder: Path) -> set[str]:
     """Names of the pictures in a folder, without suffix."""
-    return {path.stem.casefold() for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES}
+    return {same_name(path.stem) for path in files_with(folder, IMAGE_SUFFIXES)}

@@ -16,6 +16,7 @@ from nishiki.capture.polariser import parse_state
 from nishiki.capture.schema_base import FORMAT
 from nishiki.capture.taking import channel_names, file_names, take
 from nishiki.capture.turntable_layouts import STATES, RoundLayout
+from nishiki.formats.files import files_with
 from nishiki.formats.image_header import ImageHeader
 from nishiki.formats.image_headers import read_header
 from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, warning
@@ -91,7 +92,7 @@ def _notes(header: ImageHeader, coding: str, encoding: str | None, source: Path)
 def _match_silhouettes(layout: RoundLayout, folder: Path) -> tuple[dict[Path, Path], tuple[Problem, ...]]:
     """Silhouette of each photograph, see `pair_by_name`; of one view in many states, the only picture."""
     suffixes = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
-    present = sorted((p for p in folder.iterdir() if p.suffix.lower() in suffixes and p.is_file()), key=natural_key)
+    present = sorted(files_with(folder, suffixes), key=natural_key)
     raise_errors(problem for path in present for problem in source_problems(path, folder))
     if len(present) == 1 and len(set(layout.views)) == 1:
         return {layout.photographs[0]: present[0]}, ()

@@ -19,7 +19,7 @@ from nishiki.capture.registered import SHARED, RegisteredView, distorted_lens
 from nishiki.capture.seal import sha256_of
 from nishiki.capture.turntable_schema import Intrinsics
 from nishiki.formats.bounds import bound
-from nishiki.formats.files import Refused, read_text
+from nishiki.formats.files import Refused, files_with, read_text
 from nishiki.formats.image_header import IMAGE_SUFFIXES
 from nishiki.formats.image_headers import read_header
 from nishiki.formats.matlab import read_matlab
@@ -64,14 +64,14 @@ def recognise_round(source: Path) -> RoundLayout | None:
     if cameras is not None:
         return _registered(source, "Meshroom", cameras.name, read_meshroom(cameras))
     photographs = photographs_in(source)
-    lists = [path for path in sorted(source.glob("*.txt")) if _is_camera_list(path)]
+    lists = [path for path in files_with(source, (".txt",)) if _is_camera_list(path)]
     if lists:
         return _middlebury(source, _only(lists, source))
     if not photographs:
         return None
     series = len(photographs) >= FEWEST_STATES and all(STATES.fullmatch(p.stem) for p in photographs)
     stored = {}
-    for path in sorted(source.glob("*.mat")):
+    for path in files_with(source, (".mat",)):
         try:
             matrices = _matrices_in(path)
         except CaptureError:
@@ -264,7 +264,7 @@ def _series(source: Path, photographs: list[Path]) -> RoundLayout:
         found = next(state for state in states if states.count(state) > 1)
         raise CaptureError(error("photograph-repeats", str(source), "two photographs of one state", found=found))
     order = sorted(range(len(states)), key=lambda i: parse_state(states[i]).angles_deg)
-    notes, calibrations = [], sorted(source.glob("*.mat"), key=natural_key)
+    notes, calibrations = [], sorted(files_with(source, (".mat",)), key=natural_key)
     generators, analysers = ({angles[k] for angles in (parse_state(s).angles_deg for s in states)} for k in (0, 1))
     if len(states) != len(generators) * len(analysers):
         expected, found = f"{len(generators)} x {len(analysers)} states", f"{len(states)}"

@@ -47,6 +47,7 @@ def convert(options: argparse.Namespace, rest: list[str]) -> None:
     """Make a sealed capture from photographs and lights, or cameras, or polariser states; the sources are only read."""
     from nishiki.capture.convert import convert as convert_folder
     from nishiki.capture.seal import seal as seal_capture
+    from nishiki.observations.check import check_capture
 
     made = convert_folder(
         Path(options.source),
@@ -60,6 +61,7 @@ def convert(options: argparse.Namespace, rest: list[str]) -> None:
         title=options.title,
         region=tuple(options.roi) if options.roi else None,
         link=options.link,
+        examine=None if options.open else check_capture,
     )
     things = "measurements" if made.geometry == "goniometer" else "photographs"
     if made.channels:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import os
 import stat
-from collections.abc import Iterator
+import unicodedata
+from collections.abc import Collection, Iterator
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -120,6 +121,23 @@ def is_plain(text: str) -> bool:
 def is_label(text: str) -> bool:
     """Whether a name (of a light, view, region) can be part of a file name: plain, no slashes, at most 100 bytes."""
     return bool(text) and is_plain(text) and not set(text) & set("/\\") and len(text.encode()) <= NAME_BYTES // 2
+
+
+def files_with(folder: Path, suffixes: Collection[str]) -> list[Path]:
+    """Files of a folder with one of these suffixes (small letters) in any case, in the order of their names.
+
+    Hidden files are left out: macOS writes a `._NAME` beside every file on a disk of another system.
+    """
+    return sorted(
+        path
+        for path in folder.iterdir()
+        if path.suffix.lower() in suffixes and not path.name.startswith(".") and path.is_file()
+    )
+
+
+def same_name(name: str) -> str:
+    """A file name for comparison: without capitals, letters with accents composed, which macOS takes apart."""
+    return unicodedata.normalize("NFC", name).casefold()
 
 
 def leads_out(path: Path, folder: Path) -> bool:

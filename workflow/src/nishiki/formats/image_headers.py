@@ -75,9 +75,12 @@ def _parse(file: BinaryIO, start: bytes, path: Path, name: str) -> ImageHeader:
             return exr_header(path)
     except (struct.error, IndexError, KeyError, ValueError, EOFError, OSError, OverflowError, RuntimeError) as e:
         what = "image header is damaged or cut off"
-        raise CaptureError(error("image-truncated", name, what, found=str(e) or type(e).__name__)) from e
+        found, remedy = str(e) or type(e).__name__, "Copy the file again from the camera or the archive"
+        raise CaptureError(error("image-truncated", name, what, found=found, remedy=remedy)) from e
     expected = "PNG, JPEG, TIFF, OpenEXR or camera raw"
-    raise CaptureError(error("image-unreadable", name, "not an image", expected=expected, found=f"{start[:8]!r}"))
+    found = f"{start[:8]!r}" if start else "an empty file"
+    remedy = "Copy the file again from the camera or the archive, or move it away"
+    raise CaptureError(error("image-unreadable", name, "not an image", expected=expected, found=found, remedy=remedy))
 
 
 def _absurd(header: ImageHeader, bytes_on_disk: int, name: str) -> Problem | None:

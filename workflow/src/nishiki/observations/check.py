@@ -157,10 +157,15 @@ def _header_problems(
     for file, header in headers.items():
         if (header.rows, header.columns) != size:
             expected, found = f"{size[0]} x {size[1]} as {first}", f"{header.rows} x {header.columns}"
-            problems.append(error("image-size", file, "size differs", expected=expected, found=found))
+            what, remedy = (
+                "size differs",
+                "Develop all photographs alike, without rotation, or leave this one out",
+            )
+            problems.append(error("image-size", file, what, expected=expected, found=found, remedy=remedy))
         if header.sample != sample:
             expected = f"{sample} as {first}"
-            problems.append(error("image-depth", file, "depth differs", expected=expected, found=header.sample))
+            what, found, remedy = "depth differs", header.sample, "Develop all photographs alike, or leave this one out"
+            problems.append(error("image-depth", file, what, expected=expected, found=found, remedy=remedy))
     bits, held = capture.settings.camera.bits, {"uint8": 8, "uint16": 16}.get(sample, 16)
     if bits and bits > held:
         problems.append(
