@@ -332,6 +332,9 @@ def test_a_point_has_three_coordinates(shown):
     page.mouse.click(150, 100)
     place = page.locator("[data-section=probe] dd").first
     place.wait_for(state="attached")
+    names = page.locator("[data-section=probe] dt").all_text_contents()
+    assert len(set(names)) == len(names) == 6
+    assert not [name for name in names if "." in name]  # a text that is missing
     *values, last = place.text_content().split(", ")
     last, unit = last.split()
     assert unit == "mm"

@@ -14,7 +14,7 @@ import pytest
 from nishiki.artifacts.provenance import program_of
 from nishiki.report.viewer.encoding import NormalCode, PrincipalCode
 from nishiki.report.viewer.heights import MOST, encode
-from nishiki.report.viewer.page import Blocks, write_page
+from nishiki.report.viewer.page import PAGE, Blocks, write_page
 from nishiki.report.viewer.pictures import webp_stack
 from nishiki.report.viewer.pyramid import BORDER, TILE, Pyramid
 
@@ -138,3 +138,9 @@ def test_a_page_holds_every_module_that_its_modules_name(tmp_path, stage):
         named |= {f"viewer/{name}" for name in re.findall(r"""["']viewer/(\w+)["']""", text)}
     assert named == set(modules)
     assert len(named) > 10
+
+
+def test_every_text_that_a_page_names_is_there():
+    named = {key for path in PAGE.glob("*.js") for key in re.findall(r'\btext\("([\w.]+)"', path.read_text())}
+    assert len(named) > 40
+    assert named <= set(json.loads((PAGE / "texts.en.json").read_text()))

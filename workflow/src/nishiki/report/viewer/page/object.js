@@ -255,7 +255,7 @@ export class ObjectScene extends RoundScene {
     const { kd, ks, normal, place, photographs } = found;
     return {
       position_mm: scale(place, this.millimetres ?? 1), normal, layers: { diffuse: kd.slice(0, 3), specular: ks.slice(0, 3), roughness: kd[3] },
-      spectrum: null, gloss: { specular: ks.slice(0, 3), sigma_rad: kd[3] }, photographs,
+      spectrum: null, photographs,
     };
   }
 

@@ -18,7 +18,7 @@ export function drawOverlay(app, svg) {
   const power = 10 ** Math.floor(Math.log10(LONGEST / scale));
   const length = [5, 2, 1].map((k) => k * power).find((each) => each * scale <= LONGEST) ?? power;
   svg.append(...segment([width - 16 - length * scale, height - 18], [width - 16, height - 18], true), words(width - 16 - (length * scale) / 2, height - 26, written(length, unit)));
-  if (app.mark) svg.append(...cross(at(app.mark)));
+  if (app.mark && app.tool !== "ruler") svg.append(...cross(at(app.mark)));
   const [from, to] = app.ruler;
   if (from && to) {
     const [a, b] = [at(from), at(to)];

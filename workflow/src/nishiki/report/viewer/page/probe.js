@@ -23,7 +23,7 @@ export function probeSection(app) {
   return [
     element("dl", { className: "values" }, rows.flatMap(([name, value]) => [element("dt", {}, name), element("dd", {}, value)])),
     probed.spectrum && spectrumPlot(probed.spectrum),
-    probed.photographs?.length && photographsPlot(probed.photographs),
+    probed.photographs?.length && photographsPlot(probed.photographs, text(`probe.${app.flat ? "photographs" : "views"}`)),
     probed.sample_pixels !== undefined && element("p", { className: "hint" }, text("probe.sample", { pixels: Math.round(probed.sample_pixels) })),
   ].filter(Boolean);
 }
@@ -43,15 +43,15 @@ function spectrumPlot({ nm, reflectance, sigma }) {
     drawing("text", { x: LEFT - 3, y: 15, "text-anchor": "end" }, high.toFixed(1)), drawing("text", { x: LEFT - 3, y: TALL - BELOW, "text-anchor": "end" }, "0"));
 }
 
-function photographsPlot(photographs) {
+function photographsPlot(photographs, name) {
   const mean = (values) => values.reduce((sum, value) => sum + value, 0) / values.length;
   const pairs = photographs.filter(({ values, predicted }) => values && predicted).map(({ values, predicted }) => [mean(values), mean(predicted)]);
   if (!pairs.length) return null;
   const high = Math.max(...pairs.flat(), 1e-6), step = (WIDE - LEFT - 8) / pairs.length;
   const y = (value) => TALL - BELOW - (Math.max(value, 0) / high) * (TALL - BELOW - 8);
-  return drawing("svg", { class: "plot", viewBox: `0 0 ${WIDE} ${TALL}`, role: "img", "aria-label": text("probe.photographs") },
-    drawing("title", {}, text("probe.photographs")), axis(LEFT, TALL - BELOW, WIDE - 8, TALL - BELOW),
+  return drawing("svg", { class: "plot", viewBox: `0 0 ${WIDE} ${TALL}`, role: "img", "aria-label": name },
+    drawing("title", {}, name), axis(LEFT, TALL - BELOW, WIDE - 8, TALL - BELOW),
     ...pairs.map(([value], k) => drawing("circle", { cx: LEFT + (k + 0.5) * step, cy: y(value), r: 2.2, fill: "#f2c14e" })),
     path(pairs.map(([, predicted], k) => [LEFT + (k + 0.5) * step, y(predicted)])),
-    drawing("text", { x: LEFT, y: TALL - 4 }, text("probe.photographs")), drawing("text", { x: LEFT - 3, y: 15, "text-anchor": "end" }, Number(high.toPrecision(2))));
+    drawing("text", { x: LEFT, y: TALL - 4 }, name), drawing("text", { x: LEFT - 3, y: 15, "text-anchor": "end" }, Number(high.toPrecision(2))));
 }
