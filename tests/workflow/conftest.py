@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from viewer_pages import opened
+from viewer_pages import opened, painting_page
 
 PROJECT = Path(__file__).resolve().parents[2]
 ALLOWED = ("file:", "data:", "blob:", "about:")
@@ -207,9 +207,11 @@ def viewed(finished_site):
 
 
 @pytest.fixture(scope="module")
-def index(viewed):
-    """The page of the painting."""
-    return viewed.folder / "results/tiny/current/viewer/index.html"
+def index(finished_site, tmp_path_factory):
+    """The page of the finished painting, made without a run."""
+    current = finished_site.folder / "results/tiny/current"
+    with painting_page(current, tmp_path_factory.mktemp("page")) as page:
+        yield page
 
 
 @pytest.fixture(scope="module")

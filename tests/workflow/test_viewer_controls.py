@@ -13,15 +13,6 @@ pytestmark = [
 ]
 
 
-@pytest.fixture(scope="module")
-def index(finished_site, tmp_path_factory):
-    """The page of the finished painting, made without a run."""
-    with viewer_pages.painting_page(
-        finished_site.folder / "results/tiny/current", tmp_path_factory.mktemp("page")
-    ) as page:
-        yield page
-
-
 def test_lamp_follows_the_pointer_and_the_picture_follows_the_lamp(shown):
     before = shown.canvas()
     box = shown.page.locator("#canvas").bounding_box()
@@ -156,6 +147,11 @@ def test_both_languages_have_all_texts_and_a_phone_has_all_controls(shown):
     button = shown.page.locator("#sheet")
     shown.page.locator("#panel").wait_for(state="hidden")
     button.click()
+    shown.page.wait_for_timeout(300)  # the controls slide in
+    edges = shown.page.evaluate(
+        "['canvas', 'panel'].map((id) => document.getElementById(id).getBoundingClientRect().toJSON())"
+    )
+    assert edges[0]["bottom"] <= edges[1]["top"] + 1, "the controls do not cover the picture"
     shown.section("help").get_by_label("Language").select_option("ja")
     assert shown.page.locator("[data-section=light] summary").text_content() == "照明"
     assert shown.page.evaluate("document.documentElement.lang") == "ja"
