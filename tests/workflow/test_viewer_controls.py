@@ -52,6 +52,15 @@ def test_table_of_a_lamp_is_read_or_refused_with_a_reason(shown, tmp_path):
     assert shown.state()["lamps"][0]["illuminant"]["csv"]["power"] == [0, 1, 3]
 
 
+def test_a_section_stays_open_where_the_panel_is_made_anew_at_once(shown):
+    shown.page.evaluate("() => { document.querySelector('[data-section=help] summary').click(); nishiki.set({}); }")
+    shown.page.evaluate("nishiki.idle()")
+    assert shown.page.locator("[data-section=help]").get_attribute("open") is not None
+    shown.page.locator("[data-section=help] summary").press("Enter")
+    shown.set()
+    assert shown.page.locator("[data-section=help]").get_attribute("open") is None
+
+
 def test_wheel_zooms_about_the_pointer(shown):
     box = shown.page.locator("#canvas").bounding_box()
     here = [box["width"] * 0.3, box["height"] * 0.4]

@@ -96,8 +96,11 @@ class App {
   }
 
   section(name, children) {
-    return element("details", { open: this.opened.has(name), "data-section": name, ontoggle: (event) => (event.target.open ? this.opened.add(name) : this.opened.delete(name)) },
-      element("summary", {}, text(`section.${name}`)), ...children);
+    const keep = (open) => (open ? this.opened.add(name) : this.opened.delete(name));
+    // a click counts at once: the panel may be made anew before the event `toggle` comes
+    const summary = element("summary", { onclick: () => keep(!made.open) }, text(`section.${name}`));
+    const made = element("details", { open: this.opened.has(name), "data-section": name, ontoggle: () => made.isConnected && keep(made.open) }, summary, ...children);
+    return made;
   }
 
   compareSection() {
