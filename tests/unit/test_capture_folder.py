@@ -123,6 +123,19 @@ def test_a_folder_with_data_inside_is_sealed_in_place(tmp_path):
     assert verify_seal(tmp_path / "c") == []
 
 
+def test_a_link_to_a_folder_leads_to_the_sealed_capture(tmp_path):
+    folder = make_capture(tmp_path / "disk" / "c")
+    digest = capture_digest(folder)
+    link = tmp_path / "captures"
+    link.symlink_to("disk/c")
+    assert seal(link) == digest == capture_digest(link)
+    assert link.readlink().as_posix() == "disk/c"
+    assert verify_seal(link) == []
+    assert load_capture(folder).sealed
+    assert sorted(path.name for path in folder.parent.iterdir()) == ["c"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["captures", "disk"]
+
+
 def test_odd_names_survive_the_manifest(tmp_path):
     folder = make_capture(tmp_path / "c")
     for name in ("a b.txt", "100%.txt", "two\nlines.txt", "ä.txt", "%0A.txt"):

@@ -151,6 +151,13 @@ def empty_photograph(folder):
     (folder / "a.lp").write_text(listed(PNG))
 
 
+def cut_off(folder):
+    photographs(folder, JPG, size=(64, 80))
+    whole = (folder / JPG[3]).read_bytes()
+    (folder / JPG[3]).write_bytes(whole[: len(whole) - 20])
+    (folder / "a.lp").write_text(listed(JPG))
+
+
 def other_formats(folder):
     folder.mkdir()
     for i in range(3):
@@ -174,6 +181,7 @@ REFUSED = {
     "another depth": (one_other(sample=np.uint16), "a3.png: depth differs", "Develop all photographs alike"),
     "grey among colours": (one_other(channels=1), "a3.png: number of channels", "camera.channels"),
     "an empty file": (empty_photograph, "a0.png: not an image", "Copy the file again"),
+    "a photograph cut off": (cut_off, "IMG_3.jpg: image is cut off", "Copy the file again"),
     "another format": (other_formats, "b0.HEIC and 2 more", "mogrify -format png *.HEIC"),
     "no lamps": (lambda folder: photographs(folder, PNG), "no lamps found", "--lights"),
     "nothing": (lambda folder: folder.mkdir(), "no lamps found", "--lights"),

@@ -137,9 +137,10 @@ def seal(root: Path, *, progress: Callable[[str], None] | None = None) -> str:
 
     The folder's contents move into data/. Safe against being killed at any moment: the bag is prepared beside it as
     NAME.sealing, the whole folder is moved into that by one rename, and a second rename puts it in place; running seal
-    again finishes what was begun. Raises CaptureError: seal-done, seal-link, seal-occupied, folder-missing.
+    again finishes what was begun. Of a link the folder that it leads to is sealed, and the link stays. Raises
+    CaptureError: seal-done, seal-link, seal-occupied, folder-missing.
     """
-    root = root.absolute()
+    root = root.resolve()
     half = root.with_name(root.name + ".sealing")
     if not root.exists() and (half / "data").is_dir():
         # Killed between the two renames: the payload is whole; the tag files are made anew in case they are not.

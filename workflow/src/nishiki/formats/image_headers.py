@@ -1,4 +1,4 @@
-"""Size, depth and kind of a photograph from its first bytes, before anything large is allocated.
+"""Size, depth and kind of a photograph from its first bytes, and whether it ends, before anything large is allocated.
 
 A damaged or hostile header may claim any size; what it claims is compared with what the file can hold and with the
 bounds of `nishiki.formats.bounds`, and only then is the file decoded.
@@ -19,13 +19,15 @@ from nishiki.formats.problems import CaptureError, Problem, error
 from nishiki.formats.text_tables import refusal
 
 DEFLATE_RATIO = 1040  # deflate cannot shrink more than 1032:1, so a larger claim is damage or a decompression bomb
+TAIL, BLOCK = 1 << 12, 1 << 20  # bytes in which the end of a picture is looked for first, and in turn
 JPEG_RATIO = 3000  # a progressive JPEG of one even grey needs one bit for 64 samples, or for 768 with coarse colour
 
 
 def read_header(path: Path, *, name: str | None = None) -> ImageHeader:
     """Header of a photograph; CaptureError (image-missing, image-unreadable, image-truncated, image-absurd) if none.
 
-    name: how to call the file in messages (default: its own name).
+    Files that are cut off are found without decoding them: by the end marker of JPEG, the last chunk of PNG and the
+    places of the strips of TIFF. name: how to call the file in messages (default: its own name).
     """
     name = name or path.name
     try:
@@ -74,7 +76,7 @@ def _parse(file: BinaryIO, start: bytes, path: Path, name: str) -> ImageHeader:
 
             return exr_header(path)
     except (struct.error, IndexError, KeyError, ValueError, EOFError, OSError, OverflowError, RuntimeError) as e:
-        what = "image header is damaged or cut off"
+        what = "image is cut off, or its header is damaged"
         found, remedy = str(e) or type(e).__name__, "Copy the file again from the camera or the archive"
         raise CaptureError(error("image-truncated", name, what, found=found, remedy=remedy)) from e
     expected = "PNG, JPEG, TIFF, OpenEXR or camera raw"
@@ -114,6 +116,7 @@ def _png(file: BinaryIO) -> ImageHeader:
     if depth not in (1, 2, 4, 8, 16):
         raise ValueError(f"samples of {depth} bits")
     channels = {0: 1, 2: 3, 3: 3, 4: 2, 6: 4}[colour]
+    expect_end(file, file.tell(), b"\0\0\0\0IEND\xaeB`\x82", "PNG")
     sample: Sample = "uint16" if depth == 16 else "uint8"
     stored = rows * (columns * (1 if colour == 3 else channels) * depth // 8)
     return ImageHeader(
@@ -122,23 +125,45 @@ def _png(file: BinaryIO) -> ImageHeader:
 
 
 def _jpeg(file: BinaryIO) -> ImageHeader:
-    """Walk the segments to the start of frame (SOF), past thumbnails in the EXIF segment."""
+    header, start = jpeg_scan(file)
+    expect_end(file, start, b"\xff\xd9", "JPEG")
+    return header
+
+
+def jpeg_scan(file: BinaryIO) -> tuple[ImageHeader, int]:
+    """Header from the start of frame, and the place of the start of scan, over whole segments: a thumbnail in the EXIF
+    segment has both of its own. EOFError, ValueError or struct.error where there is none."""
     file.seek(2)
+    header = None
     while True:
         marker = file.read(2)
         while len(marker) == 2 and marker == b"\xff\xff":
             marker = b"\xff" + file.read(1)
         if len(marker) < 2 or marker[0] != 0xFF:
-            raise EOFError("no start of frame")
+            raise EOFError("JPEG without a scan" if header else "no start of frame")
         if marker[1] in (0x01, *range(0xD0, 0xD8)):
             continue
+        if marker[1] == 0xDA and header:
+            return header, file.tell() - 2
         (length,) = struct.unpack(">H", file.read(2))
-        if 0xC0 <= marker[1] <= 0xCF and marker[1] not in (0xC4, 0xC8, 0xCC):
+        if length < 2:
+            raise ValueError(f"JPEG segment of {length} bytes")
+        following = file.tell() + length - 2
+        if 0xC0 <= marker[1] <= 0xCF and marker[1] not in (0xC4, 0xC8, 0xCC) and not header:
             depth, rows, columns, channels = struct.unpack(">BHHB", file.read(6))
             if depth != 8 or channels not in (1, 3):
                 raise ValueError(f"JPEG of {depth} bits and {channels} components; 8 bits and 1 or 3 are read")
             stored = rows * columns * channels
-            return ImageHeader("jpeg", rows, columns, channels, "uint8", stored_bytes=stored, ratio=JPEG_RATIO)
-        if length < 2:
-            raise ValueError(f"JPEG segment of {length} bytes")
-        file.seek(length - 2, 1)
+            header = ImageHeader("jpeg", rows, columns, channels, "uint8", stored_bytes=stored, ratio=JPEG_RATIO)
+        file.seek(following)
+
+
+def expect_end(file: BinaryIO, start: int, mark: bytes, form: str) -> None:
+    """EOFError unless a mark stands between `start` and the end of the file, nearly always in its last bytes: some
+    programs append data of their own. Nothing but the end of the picture may have the bytes of the mark."""
+    end = file.seek(0, 2)
+    for place in (max(start, end - TAIL), *range(start, end, BLOCK)):
+        file.seek(place)
+        if mark in file.read(BLOCK + len(mark)):
+            return
+    raise EOFError(f"{form} ends after {end} bytes, without its end marker")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import struct
 import zlib
 from pathlib import Path
@@ -9,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.formats.image_header import ImageHeader
-from nishiki.formats.image_headers import read_header
+from nishiki.formats.image_headers import expect_end, jpeg_scan, read_header
 from nishiki.formats.problems import CaptureError, error
 
 Region = tuple[int, int, int, int]  # row, column, rows, columns
@@ -187,20 +188,8 @@ def check_jpeg(data: np.ndarray) -> None:
     Within the coded scan 0xFF is never followed by 0xD9, so an end marker after the start of scan is the real one.
     """
     stored = data.tobytes()
-    start = _scan_start(stored)
-    if stored.find(b"\xff\xd9", start) < 0:
-        raise EOFError(f"JPEG ends after {len(stored)} bytes, without its end marker")
+    file = io.BytesIO(stored)
+    _, start = jpeg_scan(file)
+    expect_end(file, start, b"\xff\xd9", "JPEG")
     if stored.count(b"\xff\xda", start) > MOST_SCANS:
         raise ValueError(f"JPEG of more than {MOST_SCANS} scans")
-
-
-def _scan_start(stored: bytes) -> int:
-    """Place of the start of scan, over whole segments: a thumbnail inside the EXIF segment has one of its own."""
-    place = 2
-    while stored[place : place + 2] != b"\xff\xda":
-        if stored[place : place + 1] != b"\xff" or place + 4 > len(stored):
-            raise EOFError("JPEG without a scan")
-        alone = stored[place + 1] in (0x01, 0xFF, *range(0xD0, 0xD8))
-        fill = 1 if stored[place + 1] == 0xFF else 2
-        place += fill if alone else 2 + struct.unpack(">H", stored[place + 2 : place + 4])[0]
-    return place
