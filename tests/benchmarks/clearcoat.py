@@ -10,7 +10,7 @@ under the lights of the fit and under others.
 import argparse
 import json
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
@@ -104,10 +104,10 @@ def measured(folder: Path) -> dict:
     inputs = {name: open_artifact(current / name) for name in names}
     context, scene = SimpleNamespace(inputs=inputs, settings=ExportSettings()), ExportedScene(inputs)
     look = painting_look(context, scene)
-    gloss, colours = look.gloss.gltf, decode(look.colours / 255, "srgb")
+    gloss, colours = replace(look.gloss.gltf, widened=None), decode(look.colours / 255, "srgb")
     beta, gamma, index, _ = gloss_table(read_json(inputs["brdf"], "parameters.json"))
     lights = np.stack([np.sin(ANGLES), np.zeros_like(ANGLES), np.cos(ANGLES)], axis=1)
-    known = np.abs(textures(scene, context.settings.gltf.texture_px)[1]).max(axis=-1) > 0
+    known = np.abs(textures(scene, context.settings.gltf.texture_px, slopes=False).normals).max(axis=-1) > 0
     regions, parameters = [], []
     for number, plain in enumerate(gloss.materials):
         lobes = sum(

@@ -34,11 +34,10 @@ def test_three_draws_the_material_that_the_loss_is_reckoned_with(tmp_path):
     base = decode(look.colours.reshape(-1, 3) / 255, "srgb")
     normals = look.normals.reshape(-1, 3) / 255 * 2 - 1
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    material = look.gloss.gltf.of(np.arange(rows), np.arange(columns))
     for lamp, picture in pictures.items():
         direction = np.array(lamp) / np.linalg.norm(lamp)
-        expected = encode(look.gloss.gltf.materials[0].shown(base, normals, direction), "srgb").reshape(
-            rows, columns, 3
-        )
+        expected = encode(material.shown(base, normals, direction), "srgb").reshape(rows, columns, 3)
         covered = picture[..., 3] == 255
         assert np.mean(covered[painting.known]) > 0.9  # the mesh ends at the middles of the outer pixels
         apart = np.abs(picture[..., :3] / 255 - np.clip(expected, 0, 1))[covered & painting.known]

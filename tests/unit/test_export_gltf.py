@@ -57,7 +57,9 @@ def test_gltf_is_the_displaced_plane_with_the_relief_in_its_normal_texture(expor
     for lamp in LAMPS:
         np.testing.assert_allclose(shaded(coded, lamp), shaded(painting.normals[painting.known], lamp), atol=0.01)
     assert material.metallicFactor == 0
-    assert material.roughnessFactor == exported.reported["losses"]["gltf"]["materials"][0]["roughness"]
+    roughness = np.asarray(material.metallicRoughnessTexture)[..., 1] / 255
+    narrowest = exported.reported["losses"]["gltf"]["materials"][0]["roughness"]
+    assert narrowest - 0.5 / 255 <= roughness.min() < roughness.max()  # the slopes inside a pixel widen the lobe
     lamp = illuminant("D65")
     srgb = xyz_to_srgb_linear(xyz_from_spectra(lamp, painting.reflectance()), white=white_xyz(lamp))
     shown = np.asarray(material.baseColorTexture)[row, column] / 255
@@ -105,7 +107,7 @@ def test_reliefs_that_were_flattened_are_exported_with_their_normals(tmp_path):
     scene = ExportedScene(painting.inputs)
     for part in reliefs(scene, 10_000, colours=None):
         np.testing.assert_array_equal(part.normals, np.tile(np.float32([0, 0, 1]), (len(part.normals), 1)))
-    np.testing.assert_array_equal(textures(scene, 512)[1], upright)
+    np.testing.assert_array_equal(textures(scene, 512, slopes=False).normals, upright)
     assert scene.normals(slice(0, ROWS))[..., 0].std() > 0.05
 
 

@@ -3,6 +3,7 @@
 import io
 import json
 import struct
+from contextlib import contextmanager
 from types import SimpleNamespace
 
 import numpy as np
@@ -23,16 +24,34 @@ LABELS = np.zeros((ROWS, COLUMNS), np.uint8)
 LABELS[10:30, 20:51] = 1
 
 
-@pytest.fixture(scope="module")
-def exported(tmp_path_factory):
+@contextmanager
+def exported_with(folder, painting, **settings):
     """The painting, the folder of its exports, its look, and what the stage reports."""
-    folder = tmp_path_factory.mktemp("regions")
-    painting = small_painting(folder, regions=LABELS)
-    context = export_context(painting, folder / "export", ExportSettings(formats=FORMATS))
+    context = export_context(painting, folder, ExportSettings(formats=FORMATS, **settings))
     with context.output as output:
         reported = run(context)
         look = painting_look(context, ExportedScene(painting.inputs))
         yield SimpleNamespace(painting=painting, folder=output.folder / "exports", look=look, losses=reported["losses"])
+
+
+@pytest.fixture(scope="module")
+def painting(tmp_path_factory):
+    """With two finishes."""
+    return small_painting(tmp_path_factory.mktemp("regions"), regions=LABELS)
+
+
+@pytest.fixture(scope="module")
+def exported(painting, tmp_path_factory):
+    """With texels of a pixel."""
+    with exported_with(tmp_path_factory.mktemp("fine"), painting) as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def coarse(painting, tmp_path_factory):
+    """With texels of 3 x 3 pixels."""
+    with exported_with(tmp_path_factory.mktemp("coarse"), painting, gltf={"texture_px": COLUMNS // 3}) as made:
+        yield made
 
 
 def contents(path):
@@ -54,9 +73,13 @@ def linear(coded):
     return np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)
 
 
-def test_a_viewer_of_gltf_shows_the_error_that_is_stated(exported):
+@pytest.mark.parametrize("size", ["exported", "coarse"])
+def test_a_viewer_of_gltf_shows_the_error_that_is_stated(request, size):
     """The dielectric of glTF 2.0, appendix B, with KHR_materials_specular, written out for light and view."""
+    exported = request.getfixturevalue(size)
     document, pictures = contents(exported.folder / "painting.glb")
+    step = exported.look.step
+    pictures = [picture.repeat(step, axis=0).repeat(step, axis=1)[:ROWS, :COLUMNS] for picture in pictures]
     (material,) = document["materials"]
     extension = material["extensions"]["KHR_materials_specular"]
     index = material["extensions"]["KHR_materials_ior"]["ior"]
@@ -82,9 +105,10 @@ def test_a_viewer_of_gltf_shows_the_error_that_is_stated(exported):
     stated = exported.losses["gltf"]["kinds"]["gltf"]["psnr_db"]["check"]["all"]
     assert -10 * np.log10(np.mean(squares)) == pytest.approx(stated, abs=0.3)  # photographs are 12 bits, in camera RGB
     assert np.ptp(alpha) > 0.05
+    assert step == (1 if size == "exported" else 3)
 
 
-def test_textures_have_the_lobe_of_each_region(exported):
+def test_textures_have_the_lobe_of_each_region_widened_by_the_slopes(exported):
     document, pictures = contents(exported.folder / "painting.glb")
     (material,) = document["materials"]
     broad, narrow = exported.losses["gltf"]["materials"]
@@ -95,9 +119,13 @@ def test_textures_have_the_lobe_of_each_region(exported):
     roughness = pictures[material["pbrMetallicRoughness"]["metallicRoughnessTexture"]["index"]]
     weight = pictures[extension["specularTexture"]["index"]]
     assert (roughness[..., 2] == 0).all()  # no metal
+    covariance = ExportedScene(exported.painting.inputs).slopes(slice(0, ROWS)).astype(float)
     for label, lobe in ((0, broad), (1, narrow)):
-        assert np.unique(roughness[..., 1][label == LABELS]) == round(255 * lobe["roughness"])
+        expected = (lobe["roughness"] ** 4 + covariance[..., 0] + covariance[..., 2]) ** 0.25
+        apart = roughness[..., 1] / 255 - np.minimum(expected, 1)
+        assert np.abs(apart[label == LABELS]).max() < 1.1 / 255  # the reported roughness has 8 bits, too
         assert np.unique(weight[..., 3][label == LABELS]) == round(255 * lobe["specular"] / most)
+    assert np.ptp(roughness[..., 1][LABELS == 1]) > 5
 
 
 def test_materialx_has_the_same_textures_and_the_same_error(exported):

@@ -10,6 +10,16 @@ import numpy as np
 STEEPEST = 0.2  # least n_z from which a slope is formed
 
 
+def slopes_of(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Slopes (rows, columns, 2) float32, n_x / n_z and n_y / n_z, and where they are known, (rows, columns) bool.
+
+    normals : (rows, columns, 3) float, unit vectors; others are unknown.
+    """
+    normals = np.asarray(normals, np.float32)
+    known = np.abs(np.einsum("rck,rck->rc", normals, normals) - 1) < 0.02
+    return normals[..., :2] / np.maximum(normals[..., 2:], np.float32(STEEPEST)), known
+
+
 def slope_covariance(normals: np.ndarray) -> np.ndarray:
     """Covariance of the slopes within each pixel, for normals that change linearly between the pixels' centres.
 
@@ -23,14 +33,18 @@ def slope_covariance(normals: np.ndarray) -> np.ndarray:
     axis of the picture the slope runs from half way to one neighbour to half way to the other: with the differences a
     and b to them, (a^2 + b^2) / 24.
     """
-    normals = np.asarray(normals, np.float32)
-    known = np.abs(np.einsum("rck,rck->rc", normals, normals) - 1) < 0.02
-    slopes = normals[..., :2] / np.maximum(normals[..., 2:], np.float32(STEEPEST))
-    covariance = np.zeros(normals.shape, np.float32)
+    slopes, known = slopes_of(normals)
+    covariance = np.zeros((*known.shape, 3), np.float32)
     pairs = (((slice(None, -1),), (slice(1, None),)), ((slice(None), slice(None, -1)), (slice(None), slice(1, None))))
     for first, second in pairs:  # neighbours down, then across
         step = (slopes[second] - slopes[first]) * (known[first] & known[second])[..., None]
-        squares = np.stack([step[..., 0] ** 2, step[..., 0] * step[..., 1], step[..., 1] ** 2], axis=-1) / 24
+        squares = products(step) / 24
         covariance[first] += squares
         covariance[second] += squares
     return covariance
+
+
+def products(slopes: np.ndarray) -> np.ndarray:
+    """(..., 3): xx, xy, yy of slopes (..., 2)."""
+    x, y = slopes[..., 0], slopes[..., 1]
+    return np.stack([x * x, x * y, y * y], axis=-1)

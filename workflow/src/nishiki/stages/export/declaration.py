@@ -55,7 +55,7 @@ class ExportSettings(Guarded):
     """Files of the results for other programs."""
 
     STAGE: ClassVar[str] = "export"
-    VERSION: ClassVar[int] = 5
+    VERSION: ClassVar[int] = 6
     LIMITS: ClassVar[tuple[Limit, ...]] = LIMITS
 
     formats: tuple[Format, ...] = Field(

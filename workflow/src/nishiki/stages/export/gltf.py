@@ -1,5 +1,7 @@
 """A painting as binary glTF: its plane displaced by the height, colour and normals as textures, gloss as a lobe."""
 
+from typing import Any
+
 import numpy as np
 
 from nishiki.artifacts.stage import Context
@@ -51,13 +53,14 @@ def write_glb(context: Context, surface: PaintingSurface) -> None:
 
 
 def gloss_properties(glb: Glb, gloss: RegionGloss) -> tuple[dict, dict]:
-    """Properties of roughness and of KHR_materials_specular: textures where there are several regions."""
-    material = gloss.materials[0]
-    factor = {"specularColorFactor": [float(material.factor)] * 3}
-    if gloss.labels is None:
-        return {"roughnessFactor": gloss.roughness}, {"specularFactor": float(material.weight), **factor}
-    roughness, weight = gloss.roughness, gloss.weight
-    green = np.stack([np.zeros_like(roughness), roughness, np.zeros_like(roughness)], axis=-1)
-    alpha = np.stack([*[np.full_like(weight, 255)] * 3, weight], axis=-1)
-    textures = [{"index": glb.texture(png_bytes(picture), mime="image/png")} for picture in (green, alpha)]
-    return {"metallicRoughnessTexture": textures[0]}, {"specularTexture": textures[1], **factor}
+    """Properties of roughness and of KHR_materials_specular: textures where they differ from texel to texel."""
+    material, roughness, weight = gloss.materials[0], gloss.roughness, gloss.weight
+    rough: dict[str, Any] = {"roughnessFactor": roughness}
+    specular: dict[str, Any] = {"specularFactor": float(material.weight)}
+    if isinstance(roughness, np.ndarray):
+        green = np.stack([np.zeros_like(roughness), roughness, np.zeros_like(roughness)], axis=-1)
+        rough = {"metallicRoughnessTexture": {"index": glb.texture(png_bytes(green), mime="image/png")}}
+    if weight is not None:
+        alpha = np.stack([*[np.full_like(weight, 255)] * 3, weight], axis=-1)
+        specular = {"specularTexture": {"index": glb.texture(png_bytes(alpha), mime="image/png")}}
+    return rough, {**specular, "specularColorFactor": [float(material.factor)] * 3}

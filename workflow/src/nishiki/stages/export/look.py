@@ -13,9 +13,9 @@ from nishiki.colour.encoding import decode, encode
 from nishiki.formats.textured_surface import SurfaceLook, TexturedMesh
 from nishiki.observations.plane import Observations
 from nishiki.stages.export.photographs import CodedErrors, Photographs
-from nishiki.stages.export.region_gloss import PaintingGloss, RegionGloss, painting_gloss
-from nishiki.stages.export.relief_mesh import block_mean, reliefs
-from nishiki.stages.export.scene import ExportedScene
+from nishiki.stages.export.region_gloss import PaintingGloss, RegionGloss, painting_gloss, slopes_widen
+from nishiki.stages.export.relief_mesh import reliefs
+from nishiki.stages.export.scene import ExportedScene, block_mean
 
 FORMATS = ("gltf", "usd", "materialx")
 METRES = 1e-3  # of a millimetre; of a pixel where the capture states no scale
@@ -105,9 +105,11 @@ class PaintingSurface:
 
 def painting_look(context: Context, scene: ExportedScene) -> PaintingLook:
     """Material and textures, at most `gltf.texture_px` texels a side."""
-    albedo, normals, labels, step = textures(scene, context.settings.gltf.texture_px)
+    albedo, normals, labels, variance, step = textures(
+        scene, context.settings.gltf.texture_px, slopes=slopes_widen(context)
+    )
     known = np.abs(normals).max(axis=-1) > 0
-    gloss = painting_gloss(context, albedo, known, labels)
+    gloss = painting_gloss(context, albedo, known, labels, variance)
     rows, columns = known.shape
     colours = np.empty((rows, columns, 3), np.uint8)
     for row in range(rows):
@@ -126,13 +128,23 @@ def painting_mesh(context: Context, scene: ExportedScene) -> TexturedMesh:
     return TexturedMesh(places * METRES, np.broadcast_to(np.float32([0, 0, 1]), places.shape), texture, triangles)
 
 
-def textures(scene: ExportedScene, most: int) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, int]:
-    """Linear sRGB albedo and unit normals (rows, columns, 3), regions (rows, columns) or None, at most `most` texels a
-    side; pixels along a texel."""
+class TexelMaps(NamedTuple):
+    """Means over texels: linear sRGB albedo and unit normals (rows, columns, 3); regions and variance of the slopes
+    inside a texel (rows, columns), or None; pixels along a texel."""
+
+    albedo: np.ndarray
+    normals: np.ndarray
+    labels: np.ndarray | None
+    variance: np.ndarray | None
+    step: int
+
+
+def textures(scene: ExportedScene, most: int, *, slopes: bool) -> TexelMaps:
+    """Maps with at most `most` texels a side, read by bands; slopes: with their variance."""
     rows, columns = scene.shape
     step = -(-max(rows, columns) // most)
     high = max(1, scene.band_rows // step) * step
-    albedo, normals, labels = [], [], []
+    albedo, normals, labels, variance = [], [], [], []
     for top in range(0, rows, high):
         band = slice(top, min(top + high, rows))
         known = scene.known(band)[..., None]
@@ -144,7 +156,10 @@ def textures(scene: ExportedScene, most: int) -> tuple[np.ndarray, np.ndarray, n
         regions = scene.regions(band)
         if regions is not None:
             labels.append(most_frequent(regions, known[..., 0], step))
-    return np.concatenate(albedo), np.concatenate(normals), np.concatenate(labels) if labels else None, step
+        if slopes:
+            variance.append(scene.slope_variance(band, step).astype(np.float32))
+    joined = (np.concatenate(each) if each else None for each in (labels, variance))
+    return TexelMaps(np.concatenate(albedo), np.concatenate(normals), *joined, step)
 
 
 def most_frequent(labels: np.ndarray, known: np.ndarray, step: int) -> np.ndarray:

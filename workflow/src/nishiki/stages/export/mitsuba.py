@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.artifacts.stage import Context
-from nishiki.brdf.parameters import gloss_table, is_facets
+from nishiki.brdf.parameters import gloss_table
 from nishiki.formats.exr_bands import ExrWriter
 from nishiki.formats.textured_ply import faces, heading, vertices
 from nishiki.report.files import read_json
 from nishiki.stages.export import mitsuba_paint
 from nishiki.stages.export.look import errors
 from nishiki.stages.export.mitsuba_plain import PlainPainting, write_plain_scene
-from nishiki.stages.export.region_gloss import RegionGloss, region_materials
+from nishiki.stages.export.region_gloss import RegionGloss, region_materials, slopes_widen
 from nishiki.stages.export.relief_mesh import reliefs
 from nishiki.stages.export.scene import ExportedScene
 
@@ -30,7 +30,7 @@ def write(context: Context, scene: ExportedScene) -> dict:
     """The folder `mitsuba`; what of the model it leaves out."""
     folder = context.output.path("exports/mitsuba/scene.json").parent
     parameters = read_json(context.inputs.get("brdf"), "parameters.json")
-    facets = parameters is not None and is_facets(parameters)
+    facets = slopes_widen(context)
     materials = region_materials(context, scene)
     labels = scene.regions(slice(0, scene.shape[0])) if len(materials) > 1 else None
     plain = PlainPainting(scene, RegionGloss(materials, labels), facets)

@@ -85,7 +85,7 @@ class PlainPainting:
         roughness = self._of_regions("roughness", rows)
         if not self.facets:
             return roughness
-        return widened_roughness(roughness, self.scene.slopes(rows)[..., ::2].mean(axis=-1))
+        return widened_roughness(roughness, self.scene.slope_variance(rows))
 
     def weight(self, rows: slice) -> np.ndarray:
         """(r, columns) share of the reflectance of weight 1."""

@@ -1,7 +1,8 @@
 """The gloss of a painting as materials of its regions, and the textures that hold them.
 
 A texel has the region that most of its pixels have, so that its gloss is one that was fitted: a mean of roughness and
-strength would be the gloss of neither paint.
+strength would be the gloss of neither paint. The slopes inside the texel widen it: a texel shows the mean gloss of its
+facets, not the gloss of their mean normal.
 """
 
 from collections.abc import Sequence
@@ -10,7 +11,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nishiki.artifacts.stage import Context
-from nishiki.brdf.parameters import gloss_table
+from nishiki.brdf.parameters import gloss_table, is_facets
+from nishiki.brdf.trowbridge_reitz import widened_roughness
 from nishiki.report.files import read_json
 from nishiki.stages.export.gltf_material import GltfMaterial, best_material, coded_errors, white_at_grazing
 from nishiki.stages.export.scene import ExportedScene
@@ -28,23 +30,30 @@ class RegionGloss:
         One a region, all of the same index of refraction and factor; with several regions as 8 bits hold them.
     labels : (rows, columns) uint8 ndarray or None
         Region of each texel; None where there is one region only.
+    widened : (rows, columns) uint8 ndarray or None
+        Roughness of each texel's lobe with the slopes inside the texel, 255 is 1; None: that of the material.
     """
 
     materials: tuple[GltfMaterial, ...]
     labels: np.ndarray | None = None
+    widened: np.ndarray | None = None
 
     def of(self, rows: np.ndarray, columns: np.ndarray) -> GltfMaterial:
         """The material of the texels in some rows and columns, row by row."""
-        first = self.materials[0]
-        if self.labels is None:
-            return first
-        numbers = self.labels[rows][:, columns].ravel()
-        roughness, strength = (self._values(name)[numbers] for name in ("roughness", "strength"))
-        return replace(first, roughness=roughness, strength=strength)
+        material = self.materials[0]
+        if self.labels is not None:
+            numbers = self.labels[rows][:, columns].ravel()
+            roughness, strength = (self._values(name)[numbers] for name in ("roughness", "strength"))
+            material = replace(material, roughness=roughness, strength=strength)
+        if self.widened is not None:
+            material = replace(material, roughness=self.widened[rows][:, columns].ravel() / 255)
+        return material
 
     @property
     def roughness(self) -> float | np.ndarray:
         """One value, or a texture (rows, columns) uint8."""
+        if self.widened is not None:
+            return self.widened
         return float(self.materials[0].roughness) if self.labels is None else self._texture("roughness")
 
     @property
@@ -74,10 +83,23 @@ class PaintingGloss:
     usd: RegionGloss
 
 
-def painting_gloss(context: Context, albedo: np.ndarray, known: np.ndarray, labels: np.ndarray | None) -> PaintingGloss:
+def slopes_widen(context: Context) -> bool:
+    """Whether there is a gloss whose lobes are those of the facets alone."""
+    parameters = read_json(context.inputs.get("brdf"), "parameters.json")
+    return parameters is not None and is_facets(parameters)
+
+
+def painting_gloss(
+    context: Context,
+    albedo: np.ndarray,
+    known: np.ndarray,
+    labels: np.ndarray | None,
+    variance: np.ndarray | None = None,
+) -> PaintingGloss:
     """Every region's lobes as one lobe, nearest in coded brightness; matte where the gloss is left out.
 
-    albedo : (rows, columns, 3), over whose mean in a region its gloss is seen; known, labels : (rows, columns).
+    albedo : (rows, columns, 3), over whose mean in a region its gloss is seen; known, labels : (rows, columns);
+    variance : (rows, columns) of the slopes inside a texel, which widens its lobe.
     UsdPreviewSurface has one strength for all: that with which all regions together are nearest.
     """
     parameters = read_json(context.inputs.get("brdf"), "parameters.json")
@@ -86,7 +108,8 @@ def painting_gloss(context: Context, albedo: np.ndarray, known: np.ndarray, labe
     beta, gamma, index, _ = gloss_table(parameters)
     if labels is None or len(beta) == 1:
         mean = float(albedo[known].mean()) if known.any() else 0.5
-        return _one_region(best_material(coded_errors(beta[0], gamma[0], float(index[0]), mean), float(index[0])))
+        material = best_material(coded_errors(beta[0], gamma[0], float(index[0]), mean), float(index[0]))
+        return _one_region(material, _widened([material], None, variance))
     errors, counts = [], []
     for region in range(len(beta)):
         texels = known & (labels == region)
@@ -97,7 +120,7 @@ def painting_gloss(context: Context, albedo: np.ndarray, known: np.ndarray, labe
     together = sum(count * each.min(axis=0) for count, each in zip(counts, errors, strict=True))
     only = np.where(np.arange(together.size) == np.argmin(together), 0, np.inf)
     alike = [best_material(each + only, float(index[0])) for each in errors]
-    gltf, usd = RegionGloss(_stored(free), labels), RegionGloss(_stored(alike), labels)
+    gltf, usd = (RegionGloss(_stored(each), labels, _widened(each, labels, variance)) for each in (free, alike))
     return PaintingGloss(gltf, _white(gltf), _white(usd))
 
 
@@ -123,10 +146,24 @@ def region_materials(context: Context, scene: ExportedScene) -> tuple[GltfMateri
     return tuple(replace(material, least_factor=factor) for material in materials)
 
 
-def _one_region(material: GltfMaterial) -> PaintingGloss:
-    gloss = RegionGloss((material,))
+def _one_region(material: GltfMaterial, widened: np.ndarray | None = None) -> PaintingGloss:
+    gloss = RegionGloss((material,), None, widened)
     white = _white(gloss)
     return PaintingGloss(gloss, white, white)
+
+
+def _widened(
+    materials: Sequence[GltfMaterial], labels: np.ndarray | None, variance: np.ndarray | None
+) -> np.ndarray | None:
+    """Roughness of the texels' lobes, as 8 bits hold it; None where nothing widens them, or there is no gloss."""
+    if variance is None or all(material.strength == 0 for material in materials):
+        return None
+    roughness = np.array([material.roughness for material in materials])
+    texture = np.empty(variance.shape, np.uint8)
+    for row, each in enumerate(variance):
+        narrow = roughness[0] if labels is None else roughness[labels[row]]
+        texture[row] = np.maximum(np.rint(255 * widened_roughness(narrow, each)), 1)
+    return texture
 
 
 def _white(gloss: RegionGloss) -> RegionGloss:

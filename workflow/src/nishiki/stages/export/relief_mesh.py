@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.stages.export.scene import ExportedScene
+from nishiki.stages.export.scene import ExportedScene, block_mean
 
 
 @dataclass(frozen=True)
@@ -87,17 +87,3 @@ def _triangles(numbers: np.ndarray) -> np.ndarray:
     all_there = np.minimum(np.minimum(a, b), np.minimum(c, d)) >= 0
     a, b, c, d = (corner[all_there] for corner in (a, b, c, d))
     return np.stack([np.stack([a, c, b], axis=-1), np.stack([b, c, d], axis=-1)], axis=1).reshape(-1, 3)
-
-
-def block_mean(values: np.ndarray, step: int) -> np.ndarray:
-    """Means over squares of pixels (the last ones may be smaller), float64."""
-    if step == 1:
-        return values.astype(np.float64)
-    sums = np.asarray(values, np.float64)
-    for axis in (0, 1):
-        starts = np.arange(0, values.shape[axis], step)
-        counts = np.diff([*starts, values.shape[axis]])
-        shape = [1] * values.ndim
-        shape[axis] = len(starts)
-        sums = np.add.reduceat(sums, starts, axis=axis) / counts.reshape(shape)
-    return sums

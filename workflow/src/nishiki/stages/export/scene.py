@@ -6,7 +6,7 @@ import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.maps import Maps, directional_shading, shading_normals
-from nishiki.brdf.slopes import slope_covariance
+from nishiki.brdf.slopes import products, slope_covariance, slopes_of
 from nishiki.colour.colour import adaptation_matrix, illuminant, srgb_matrix, white_xyz, xyz_matrix
 from nishiki.colour.training import synthetic_reflectances
 from nishiki.errors import UserError
@@ -70,11 +70,35 @@ class ExportedScene:
         """As `normals`, those that predict lamps: few lamps have their own (stage normals)."""
         return np.where(self.known(rows)[..., None], shading_normals(self._maps, rows), np.float32(0))
 
-    def slopes(self, rows: slice) -> np.ndarray:
-        """(r, columns, 3) float32 covariance of the slopes inside each pixel, as the stage render takes it."""
+    def slopes(self, rows: slice, step: int = 1) -> np.ndarray:
+        """Covariance of the slopes inside squares of pixels: xx, xy, yy.
+
+        Parameters
+        ----------
+        rows : slice
+            Beginning with a square's first row.
+        step : int
+            Pixels along the side of a square. Of 1 it is the covariance inside a pixel, as the stage render takes it.
+
+        Returns
+        -------
+        (r / step, columns / step, 3) ndarray: the mean of the covariances inside the square's known pixels, and the
+        covariance of these pixels' slopes (Olano and Baker 2010); 0 where none is known.
+        """
         first, last = max(rows.start - 1, 0), min(rows.stop + 1, self.shape[0])
-        covariance = slope_covariance(self.shading_normals(slice(first, last)))
-        return covariance[rows.start - first :][: rows.stop - rows.start]
+        normals, inside = self.shading_normals(slice(first, last)), slice(rows.start - first, rows.stop - first)
+        covariance = slope_covariance(normals)[inside]
+        if step == 1:
+            return covariance
+        slopes, known = slopes_of(normals[inside])
+        share = np.maximum(block_mean(known, step), 1e-9)[..., None]
+        mean = block_mean(slopes * known[..., None], step) / share
+        squares = block_mean((covariance + products(slopes)) * known[..., None], step) / share
+        return squares - products(mean)
+
+    def slope_variance(self, rows: slice, step: int = 1) -> np.ndarray:
+        """(r / step, columns / step): mean over the directions of what `slopes` has."""
+        return self.slopes(rows, step)[..., ::2].mean(axis=-1)
 
     def relief_normals(self, rows: slice) -> np.ndarray:
         """As `normals`, of the relief: flattened where the height is."""
@@ -150,3 +174,17 @@ class ExportedScene:
             colour = self.camera_colour()
             matrix, white, how = colour.matrix, colour.white, colour.how
         return adaptation_matrix(white, np.array(D50)) @ matrix, how
+
+
+def block_mean(values: np.ndarray, step: int) -> np.ndarray:
+    """Means over squares of pixels (the last ones may be smaller), float64."""
+    if step == 1:
+        return values.astype(np.float64)
+    sums = np.asarray(values, np.float64)
+    for axis in (0, 1):
+        starts = np.arange(0, values.shape[axis], step)
+        counts = np.diff([*starts, values.shape[axis]])
+        shape = [1] * values.ndim
+        shape[axis] = len(starts)
+        sums = np.add.reduceat(sums, starts, axis=axis) / counts.reshape(shape)
+    return sums
