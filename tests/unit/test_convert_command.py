@@ -93,9 +93,14 @@ def photographs_below(folder):
     (folder / "photos.lp").write_text(listed([f"photos/{name}" for name in PNG]))
 
 
-def project_beside_its_folder(folder):
+def folder_below_in_capitals(folder):
+    photographs(folder / "JPEG", JPG)
+    (folder / "a.lp").write_text(listed([f"D:\\coin\\jpeg\\{name}" for name in JPG]))
+
+
+def project_beside_its_folder(folder, named="Coin 1"):
     photographs(folder / "Coin 1", JPG)
-    (folder / "coin.RELIGHT").write_text(project(JPG, "Coin 1"))
+    (folder / "coin.RELIGHT").write_text(project(JPG, named))
 
 
 CONVERTED = {
@@ -111,7 +116,9 @@ CONVERTED = {
     "a Macintosh's disk": macintosh_disk,
     "a Macintosh's disk, without names": lambda folder: macintosh_disk(folder, [""] * 5),
     "photographs in a folder below": photographs_below,
+    "a folder below, in capitals": folder_below_in_capitals,
     "a project and its folder": project_beside_its_folder,
+    "a project and its folder by its path": lambda folder: project_beside_its_folder(folder, "/home/me/Coin 1/"),
 }
 
 
@@ -165,6 +172,15 @@ def other_formats(folder):
     (folder / "a.lp").write_text(listed([f"b{i}.HEIC" for i in range(3)]))
 
 
+def two_bytes_cut_off(folder):
+    photographs(folder, PNG)
+    (folder / "a.lp").write_bytes(listed(PNG).encode("utf-16")[:-1])
+
+
+def lights_file_in_place_of_a_folder(source):
+    source.write_text(listed(PNG))
+
+
 PLANE = np.stack([np.sin(np.linspace(-1, 1, 5)), np.zeros(5), np.cos(np.linspace(-1, 1, 5))], axis=1)
 REFUSED = {
     "lines are missing": (with_lights(listed(PNG[:3], count=5)), "a.lp: count disagrees", "restore the missing lines"),
@@ -179,10 +195,12 @@ REFUSED = {
     "two lamps": (with_lights(listed(PNG[:2])), "too few lights", "under more lamp positions"),
     "another size": (one_other(size=(8, 6)), "a3.png: size differs", "without rotation"),
     "another depth": (one_other(sample=np.uint16), "a3.png: depth differs", "Develop all photographs alike"),
-    "grey among colours": (one_other(channels=1), "a3.png: number of channels", "camera.channels"),
+    "grey among colours": (one_other(channels=1), "a3.png: number of channels", "Leave it out"),
     "an empty file": (empty_photograph, "a0.png: not an image", "Copy the file again"),
     "a photograph cut off": (cut_off, "IMG_3.jpg: image is cut off", "Copy the file again"),
     "another format": (other_formats, "b0.HEIC and 2 more", "mogrify -format png *.HEIC"),
+    "half a letter": (two_bytes_cut_off, "a.lp: not UTF-16-LE text", "Save it as UTF-8"),
+    "a lights file": (lights_file_in_place_of_a_folder, "no folder, no table", "Name the folder of the photographs"),
     "no lamps": (lambda folder: photographs(folder, PNG), "no lamps found", "--lights"),
     "nothing": (lambda folder: folder.mkdir(), "no lamps found", "--lights"),
 }  # fmt: skip

@@ -6,7 +6,7 @@ import math
 import os
 import re
 from dataclasses import dataclass, replace
-from pathlib import Path
+from pathlib import Path, PurePath
 
 import numpy as np
 
@@ -100,7 +100,9 @@ def recognise(source: Path, *, lights_file: Path | None = None, mask: Path | Non
     Raises CaptureError (folder-missing, layout-unknown, photographs-count, photograph-missing, and those of lights).
     """
     if not source.is_dir():
-        raise CaptureError(error("folder-missing", str(source), "no such folder"))
+        remedy = "Name the folder of the photographs; a lights file outside of it by --lights FILE"
+        what = "no folder, no table of reflectances and no relightable image" if source.exists() else "no such folder"
+        raise CaptureError(error("folder-missing", str(source), what, remedy=remedy))
     mask = mask or _find_mask(source)
     project = RtiProject.of(source)
     if project is not None:
@@ -205,11 +207,13 @@ def _with_lights(source: Path, lights: Lights, mask: Path | None, *, kind: str =
 
 def _folder_named(source: Path, lights: Lights) -> Path:
     """The folder of a folder without photographs that the lights file names for all of them; else the folder itself."""
-    folders = [re.split(r"[\\/]", file)[-2:-1] for file in lights.files if file]
-    if not folders or not folders[0] or any(each != folders[0] for each in folders):
-        return source
-    folder = source / folders[0][0]
-    return folder if folder.is_dir() and not leads_out(folder, source) else source
+    named = {same_name(PurePath(*re.split(r"[\\/]", file or "")).parent.name) for file in lights.files}
+    found = [
+        path
+        for path in sorted(source.iterdir())
+        if named == {same_name(path.name)} and path.is_dir() and not leads_out(path, source)
+    ]
+    return found[0] if found else source
 
 
 def _diligent(source: Path, mask: Path | None) -> Layout:

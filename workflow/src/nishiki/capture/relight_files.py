@@ -54,7 +54,7 @@ def read_relight(path: Path) -> Lights:
         names = [_name(image, path.name) for image in kept]
         folder = content.get("folder")
         if isinstance(folder, str) and folder not in ("", "."):
-            names = [f"{folder}/{name}" for name in names]
+            names = [f"{folder.rstrip('/')}/{name}" for name in names]
         vectors = [_vector([image["direction"].get(axis) for axis in "xyz"], path.name) for image in kept]
         if len(kept) < len(images):
             what = "photographs that the project skips were left out"

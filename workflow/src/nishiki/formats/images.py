@@ -69,7 +69,7 @@ def expect_channels(header: ImageHeader, channels: tuple[str, ...], name: str) -
             pass
     found = f"{header.channels} ({', '.join(header.names)})" if header.names else f"{header.channels}"
     expected = f"{count} ({', '.join(channels)})"
-    remedy = "List the file's channels under camera.channels"
+    remedy = "Leave it out if the other photographs have these channels, else list its own under camera.channels"
     raise CaptureError(
         error("channels-differ", name, "number of channels", expected=expected, found=found, remedy=remedy)
     )

@@ -27,8 +27,8 @@ def reading(name: str, kind: str) -> Iterator[None]:
         remedy = MISSING_FRAMES if kind == "frames" else "Put the file there, or take its name out of capture.yaml"
         raise CaptureError(error(f"{kind}-missing", name, "file is missing", remedy=remedy)) from e
     except UnicodeDecodeError as e:
-        found = f"{e.reason} at byte {e.start}"
-        raise CaptureError(error(f"{kind}-unreadable", name, "not UTF-8 text", found=found)) from e
+        what, found, remedy = f"not {e.encoding.upper()} text", f"{e.reason} at byte {e.start}", "Save it as UTF-8 text"
+        raise CaptureError(error(f"{kind}-unreadable", name, what, found=found, remedy=remedy)) from e
     except csv.Error as e:
         raise CaptureError(error(f"{kind}-unreadable", name, "not a table", found=str(e))) from e
     except Refused as e:
