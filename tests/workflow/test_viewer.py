@@ -253,6 +253,11 @@ def test_results_of_two_settings_stand_under_one_divider(viewed, browser):
     assert np.abs(screen() - alone[0]).max() <= 2
     browser.set(compare={"divider": 0.02, "state": None})
     assert np.abs(screen() - alone[1]).max() <= 2
+    # of which nothing is seen, nothing is waited for: browsers do not draw it
+    browser.page.evaluate("nishiki.set({ compare: { divider: 0, state: null }, ambient: 0.2 })")
+    page.wait_for_timeout(500)
+    assert page.evaluate("Promise.race([nishiki.idle().then(() => true), new Promise((r) => setTimeout(r, 5000))])")
+    browser.set(compare={"divider": 0.02, "state": None})
     # the picture is complete once the other page has drawn it too, however slow that page is
     other.evaluate("""() => {
       const ask = requestAnimationFrame;

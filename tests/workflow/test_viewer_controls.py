@@ -131,6 +131,31 @@ def test_keys_alone_measure(shown):
     assert float(value) == pytest.approx(x1 - x0, rel=0.01)
 
 
+def test_values_are_those_of_the_last_place_and_the_controls_show_them(shown):
+    """The first answer comes after the second; on a telephone the controls are closed before."""
+    shown.page.set_viewport_size({"width": 390, "height": 780})
+    shown.page.get_by_role("button", name="Values").click()
+    shown.page.evaluate("""() => {
+      const { scene } = nishiki, answer = scene.probe.bind(scene), late = [500];
+      scene.probe = async (...place) => {
+        const found = answer(...place);
+        await new Promise((resolve) => setTimeout(resolve, late.pop() ?? 0));
+        return found;
+      };
+    }""")
+    box = shown.page.locator("#canvas").bounding_box()
+    places = [[box["width"] * share, box["height"] / 2] for share in (0.4, 0.6)]
+    _, (x, y, *_) = (shown.page.evaluate("([x, y]) => nishiki.scene.pointAt(x, y, nishiki.state)", p) for p in places)
+    for place in places:
+        shown.page.mouse.click(*place)
+    values = shown.page.locator("[data-section=probe] dd")
+    values.first.wait_for()
+    shown.page.wait_for_timeout(1000)
+    *read, _ = values.first.text_content().replace(",", "").split()
+    np.testing.assert_allclose([float(number) for number in read], [x, y], atol=0.15)  # the middle of a pixel
+    assert 0 < values.first.bounding_box()["y"] < 780
+
+
 def test_bookmark_brings_back_lamps_view_and_note(index, shown):
     shown.section("bookmark").get_by_label("Note").fill("craquelure <b>here</b>")
     shown.page.locator("#canvas").focus()

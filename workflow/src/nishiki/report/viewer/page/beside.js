@@ -16,7 +16,7 @@ export function pageBeside(address) {
 export class Beside {
   /** app: whose first state has a divider; page: the other's URL. */
   constructor(app, page) {
-    Object.assign(this, { app, sent: "", number: 0, told: { title: page.pathname, scene: "", key: "" } });
+    Object.assign(this, { app, sent: "", number: 0, share: 0, told: { title: page.pathname, scene: "", key: "" } });
     this.rested = 0; // number of the last state whose picture is complete
     page.searchParams.set("part", "");
     this.frame = document.createElement("iframe");
@@ -34,14 +34,15 @@ export class Beside {
     });
   }
 
-  /** Whether the other page is still drawing the state that it was told last. */
+  /** Whether the other page is still drawing the state that it was told last; one of which nothing is seen does not draw. */
   get busy() {
-    return this.rested !== this.number;
+    return this.share > 0 && this.rested !== this.number;
   }
 
   /** Show the share of the picture that lies left of the divider, in the state of this page and at its exposure. */
   show(share) {
     const { state, scene } = this.app, { compare, language, note, ...seen } = copy(state);
+    this.share = share;
     this.frame.style.clipPath = `inset(0 ${100 * (1 - share)}% 0 0)`;
     if (seen.exposure === "auto") seen.exposure = scene.exposureShown ?? "auto";
     const message = JSON.stringify(seen);

@@ -22,7 +22,7 @@ class App {
   constructor(manifest, Scene) {
     Object.assign(this, { manifest, Scene, flat: manifest.chain === "painting", tool: manifest.chain === "painting" ? "light" : "move" });
     this.preview = this.flat; // until the first picture is drawn
-    Object.assign(this, { lamp: 0, ruler: [], place: null, mark: null, probed: undefined, asked: false, opened: new Set(["light"]) });
+    Object.assign(this, { lamp: 0, ruler: [], place: null, mark: null, probed: undefined, probes: 0, asked: false, opened: new Set(["light"]) });
   }
 
   async open() {
@@ -202,10 +202,14 @@ class App {
   }
 
   async probe(x, y) {
-    this.probed = await this.scene.probe(x, y, this.state);
-    this.mark = this.flat ? this.scene.pointAt(x, y, this.state) : null;
+    const number = ++this.probes, mark = this.flat ? this.scene.pointAt(x, y, this.state) : null;
+    const probed = await this.scene.probe(x, y, this.state);
+    if (number !== this.probes) return; // another place was asked for in the meantime
+    Object.assign(this, { probed, mark });
     this.opened.add("probe");
     this.rebuild();
+    if (getComputedStyle(by("panel")).visibility === "hidden") this.toggleSheet(true); // on a narrow page
+    by("panel").querySelector("[data-section=probe]").scrollIntoView({ block: "nearest" });
   }
 
   toggleSheet(open = !by("panel").classList.contains("open")) {
