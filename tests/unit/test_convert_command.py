@@ -118,7 +118,7 @@ CONVERTED = {
     "photographs in a folder below": photographs_below,
     "a folder below, in capitals": folder_below_in_capitals,
     "a project and its folder": project_beside_its_folder,
-    "a project and its folder by its path": lambda folder: project_beside_its_folder(folder, "/home/me/Coin 1/"),
+    "a project and its folder by its path": lambda folder: project_beside_its_folder(folder, "D:/scans/Coin 1/"),
 }
 
 
