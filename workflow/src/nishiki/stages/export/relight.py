@@ -88,6 +88,14 @@ class StoredModel:
         scale, low = span * (1 + 2 * MARGIN), low - MARGIN * span
         return cls(model, scale, -low / scale)
 
+    def codes(self, coefficients: np.ndarray) -> np.ndarray:
+        """(n, planes) uint8 of coefficients."""
+        return np.rint(255 * np.clip(coefficients / self.scale + self.bias, 0, 1)).astype(np.uint8)
+
+    def coefficients(self, codes: np.ndarray) -> np.ndarray:
+        """Of codes, as viewers compute them."""
+        return (codes / 255 - self.bias) * self.scale
+
     def write(
         self, folder: Path, scratch: Path, photographs: Photographs, lights: np.ndarray, context: Context
     ) -> None:
@@ -97,7 +105,7 @@ class StoredModel:
         pictures = [picture_on_disk(scratch / f"plane_{n}", rows, columns) for n in range(self.model.planes // 3)]
         for part, values, valid in (strip for band in frames.bands() for strip in photographs.strips(band, lights)):
             coefficients = self.model.fit(values, valid)
-            codes = np.rint(255 * np.clip(coefficients / self.scale + self.bias, 0, 1)).astype(np.uint8)
+            codes = self.codes(coefficients)
             for number, picture in enumerate(pictures):
                 picture[part] = codes[:, 3 * number : 3 * number + 3].reshape(-1, columns, 3)
         self.layout = "deepzoom" if max(rows, columns) > LARGEST_SINGLE else "image"
@@ -149,7 +157,7 @@ class StoredModel:
                 rows = slice(top, min(top + frames.band_rows, stop))
                 inner = slice(top - start, rows.stop - start)
                 codes = np.concatenate([picture[inner] for _, picture in parts], axis=-1)
-                yield rows, (codes / 255 - self.bias) * self.scale
+                yield rows, self.coefficients(codes)
 
     def shown_by(self, model: LightModel) -> "StoredModel":
         """The same planes under another interpolation between the lights."""
