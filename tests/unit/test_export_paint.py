@@ -120,6 +120,15 @@ def test_shadows_are_cast_by_the_relief_unless_the_body_shading_holds_them(mi, p
         assert scene["painting"]["filename"] == str(made.folder / mesh)
 
 
+def test_variants_without_rgb_are_refused_with_those_that_do(mi, plain):
+    mi.set_variant("scalar_spectral")
+    try:
+        with pytest.raises(RuntimeError, match=r"not scalar_spectral\. Remedy: scalar_rgb"):
+            nishiki_paint(plain.folder).define()
+    finally:
+        mi.set_variant("scalar_rgb")
+
+
 def test_textures_are_written_where_a_painting_has_them(plain, rich):
     names = {made.folder: json.loads((made.folder / "scene.json").read_text())["textures"] for made in (plain, rich)}
     assert names[plain.folder] == ["albedo", "normals", "shading", "slopes"]

@@ -92,6 +92,7 @@ def open_hsh(path: Path) -> HshFile:
         found = f"kind {kind}, {colours} colours, {terms} terms, basis {basis}, {width} bytes"
         raise Refused(path.name, "a kind of .rti that is not read", expected=expected, found=found, remedy=REMEDY)
     heading.picture_size(columns, rows)
+    # Some files state the degree, 1 or 2, in place of the number of terms; of 1 the length of the file decides.
     if terms == 2 or (terms == 1 and heading.size >= heading.place + _bytes(4, rows, columns)):
         terms = (terms + 1) ** 2
     begin = heading.data(_bytes(terms, rows, columns))

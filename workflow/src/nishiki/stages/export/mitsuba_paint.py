@@ -33,9 +33,12 @@ TEXTURES = ("albedo", "normals", "shading", "directional", "slopes", "regions")
 
 
 def define():
-    """Register the reflection model with the variant of Mitsuba that is set."""
+    """Register the reflection model with the variant of Mitsuba that is set, one for RGB."""
     import drjit as dr
     import mitsuba as mi
+
+    if not mi.is_rgb:
+        raise RuntimeError(f"{NAME} has colours in RGB, not {mi.variant()}. Remedy: scalar_rgb or llvm_ad_rgb")
 
     class Paint(mi.BSDF):
         """The model. gloss: regions and losses of scene.json, as text; textures, raw, by their names in `TEXTURES`,
@@ -198,7 +201,7 @@ def main():
     parser = argparse.ArgumentParser(description="Render the painting under one distant lamp.")
     parser.add_argument("--elevation", type=float, default=45, help="degrees above the plane of the painting")
     parser.add_argument("--azimuth", type=float, default=90, help="degrees, 0: right, 90: top")
-    parser.add_argument("--variant", default="scalar_rgb", help="of Mitsuba; llvm_ad_rgb and cuda_ad_rgb are faster")
+    parser.add_argument("--variant", default="scalar_rgb", help="of Mitsuba, for RGB; llvm_ad_rgb is faster")
     parser.add_argument("--columns", type=int, help="width of the picture in pixels")
     parser.add_argument("--samples", type=int, default=16, help="a pixel")
     parser.add_argument("--flat", action="store_true", help="without the relief's cast shadows")
