@@ -22,8 +22,10 @@ def gltf_problems(path: Path) -> list[dict]:
     node = shutil.which("node")
     if node is None:
         pytest.skip("node is not installed, which runs the validator of glTF")
-    script = "const v=require('gltf-validator'),f=require('fs');v.validateBytes(new Uint8Array(f.readFileSync("
-    script += "process.argv[1]))).then(r=>console.log(JSON.stringify(r.issues)))"
+    script = "const v=require('gltf-validator'),f=require('fs'),p=require('path'),n=process.argv[1];"
+    script += "const beside=u=>f.promises.readFile(p.join(p.dirname(n),u)).then(b=>new Uint8Array(b));"
+    script += "v.validateBytes(new Uint8Array(f.readFileSync(n)),{externalResourceFunction:beside})"
+    script += ".then(r=>console.log(JSON.stringify(r.issues)))"
     done = subprocess.run([node, "-e", script, str(path)], capture_output=True, text=True, check=False)
     if "Cannot find module 'gltf-validator'" in done.stderr:
         pytest.skip("the npm package gltf-validator is not installed (set NODE_PATH to its folder)")

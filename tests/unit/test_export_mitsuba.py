@@ -7,8 +7,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from unit.test_patches_atlas import atlas_of
-from unit.test_patches_charts import around, ball
+from glossy_ball import PLACE, glossy_ball
+from unit.test_patches_charts import around
 
 from nishiki.brdf.texels.lighting import Lighting
 from nishiki.brdf.texels.model import predict
@@ -17,13 +17,12 @@ from nishiki.report.numbers import figure
 from nishiki.stages.export import mitsuba_principled as principled
 from nishiki.stages.export.report import lost
 from nishiki.stages.object_export.errors import SeenPoints
-from nishiki.stages.object_export.look import ObjectLook, object_mesh
+from nishiki.stages.object_export.look import object_mesh
 from nishiki.stages.object_export.mitsuba import by_principled, falloff, lamp_facts, write_folder
-from nishiki.stages.object_export.texture_atlas import sample, texture_atlas
+from nishiki.stages.object_export.texture_atlas import sample
 
 STAMP = {"scene": "ball", "key": "0123456789ab"}
 UNIT = 0.001
-PLACE = (0.3, 0.2, 0.1)  # of the lamp, in the camera's frame
 
 
 @pytest.fixture(scope="module")
@@ -94,23 +93,8 @@ def test_specular_and_roughness_of_principled_mean_what_the_page_says(mi):
 def exported(tmp_path_factory):
     """A glossy ball with four cameras: its look, textures of the model, and the folder."""
     folder = tmp_path_factory.mktemp("ball")
-    mesh = ball(4, noise=0.001)
-    atlas = atlas_of(mesh, around(4))
-    layout = texture_atlas(atlas)
-    y, x = np.mgrid[: layout.shape[0], : layout.shape[1]] / 20
-    kd = np.stack([0.4 + 0.2 * np.sin(x), 0.3 + 0.1 * np.cos(y), 0.2 + 0 * x], axis=-1).astype(np.float32)
-    ks = np.repeat((0.3 + 0.1 * np.sin(x + y))[..., None], 3, axis=-1).astype(np.float32)
-    sigma = (0.2 + 0.05 * np.cos(x - y))[..., None].astype(np.float32)
-    cameras = [replace(camera, name=f"{k} é") for k, camera in enumerate(around(4))]
-    decoded = SimpleNamespace(
-        mesh=mesh, cameras=cameras, views=[camera.name for camera in cameras], lights=["lamp"],
-        lighting=Lighting("position", (PLACE,)),
-    )  # fmt: skip
-    grey = (64 + 100 * (np.sin(x) + 1) / 2).astype(np.uint8)
-    look = ObjectLook(decoded, layout, np.rint(255 * kd).astype(np.uint8), grey, grey[::-1], 3.0, 1.5, 0.0)
-    context = SimpleNamespace(inputs={"mesh": SimpleNamespace(diagnostics={"unit": "mm"})})
+    look, parameters, context = glossy_ball()
     textured = object_mesh(context, look)
-    parameters = {"kd": kd, "ks": ks, "sigma": sigma}
     figures = write_folder(folder, look, textured, parameters, unit=UNIT, stamp=STAMP)
     return SimpleNamespace(look=look, folder=folder, parameters=parameters, figures=figures)
 

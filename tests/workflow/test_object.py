@@ -128,7 +128,7 @@ def tile(folder, canvas):
 
 def test_an_object_is_exported(object_site):
     more = [name for name, package in (("usd", "usd-core"), ("materialx", "materialx")) if installed(package)]
-    object_site.nishiki("export", "tiny", "gltf", "mitsuba", "iiif", *more, "--output", "for-others")
+    object_site.nishiki("export", "tiny", "gltf", "mitsuba", "iiif", "kintsugi", *more, "--output", "for-others")
     mesh = trimesh.load(object_site.folder / "for-others/object.glb", force="mesh")
     given = trimesh.load(object_site.folder / "results/tiny/current/mesh.ply", process=False)
     np.testing.assert_allclose(mesh.bounds, given.bounds / 1000, rtol=1e-5)
@@ -145,6 +145,10 @@ def test_an_object_is_exported(object_site):
         )
     decibels = {name: each["psnr_db"]["fitted"]["all"] for name, each in losses["mitsuba"]["kinds"].items()}
     assert decibels["model"] > decibels["principled"] > figures["fitted"]["all"] - 1.5
+    tables = {name: each["psnr_db"]["fitted"]["all"] for name, each in losses["kintsugi"]["kinds"].items()}
+    assert tables["by the Builder's formulas"] > figures["fitted"]["all"] - 0.5
+    same = trimesh.load(object_site.folder / "for-others/kintsugi/object.glb", force="mesh")
+    np.testing.assert_allclose(same.bounds, mesh.bounds, rtol=1e-6)
     scene = object_site.folder / "for-others/mitsuba"
     np.testing.assert_allclose(trimesh.load(scene / "object.ply").bounds, mesh.bounds, rtol=1e-5)
     views = json.loads((scene / "scene.json").read_text())["views"]

@@ -202,7 +202,7 @@ def _parser() -> argparse.ArgumentParser:
 
 FORMATS = """\
 formats of a painting: normals, height, albedo, relight, spectral, gltf, usd, materialx, mitsuba, merl, iiif
-formats of an object:  gltf, usd, materialx, mitsuba, iiif
+formats of an object:  gltf, usd, materialx, mitsuba, iiif, kintsugi
 formats of a cloth:    gltf, mitsuba, bsdf
 See docs/stages/export.md."""
 

@@ -58,10 +58,16 @@ class Glb:
 
     def texture(self, picture: bytes, *, mime: str) -> int:
         """A texture of an encoded picture, not repeated at its edges."""
+        return self._texture(bufferView=self.view(picture), mimeType=mime)
+
+    def texture_beside(self, uri: str) -> int:
+        """A texture of a picture that is a file beside this one."""
+        return self._texture(uri=uri)
+
+    def _texture(self, **image: Any) -> int:
         if not self.content.get("samplers"):
             self.add("samplers", magFilter=9729, minFilter=9987, wrapS=33071, wrapT=33071)
-        image = self.add("images", bufferView=self.view(picture), mimeType=mime)
-        return self.add("textures", sampler=0, source=image)
+        return self.add("textures", sampler=0, source=self.add("images", **image))
 
     def write(self, path: Path, *, generator: str, extras: Mapping[str, Any]) -> None:
         """Write the file; node 0 is the scene."""

@@ -10,7 +10,7 @@ from nishiki.artifacts.limits import Figure, Limit, at
 from nishiki.stages.base import Cost, Stage, no_format, photographs_or_states
 from nishiki.stages.export.declaration import IiifSettings
 
-Format = Literal["gltf", "usd", "materialx", "mitsuba", "iiif"]
+Format = Literal["gltf", "usd", "materialx", "mitsuba", "iiif", "kintsugi"]
 
 
 def _of_look(name: str) -> Figure:

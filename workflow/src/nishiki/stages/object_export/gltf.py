@@ -1,5 +1,8 @@
 """An object as binary glTF."""
 
+from collections.abc import Callable, Mapping
+from typing import Any
+
 import numpy as np
 
 from nishiki.artifacts.stage import Context
@@ -8,6 +11,8 @@ from nishiki.formats.picture_tiles import png_bytes
 from nishiki.stages.export.normals import software
 from nishiki.stages.object_export.look import INDEX
 from nishiki.stages.object_export.surface import ObjectSurface
+
+EXTENSIONS = ("KHR_materials_ior", "KHR_materials_specular")
 
 
 def write(context: Context, surface: ObjectSurface) -> dict:
@@ -22,23 +27,34 @@ def write(context: Context, surface: ObjectSurface) -> dict:
 
 def write_glb(context: Context, surface: ObjectSurface) -> None:
     """The file."""
+    glb = Glb(extensions=set(EXTENSIONS))
+    add_object(glb, context, surface, lambda _, picture: glb.texture(png_bytes(picture), mime="image/png"))
+    extras = {**context.stamp, "unit": surface.unit}
+    glb.write(context.output.path("exports/object.glb"), generator=software(context), extras=extras)
+
+
+def add_object(
+    glb: Glb,
+    context: Context,
+    surface: ObjectSurface,
+    texture: Callable[[str, np.ndarray], int],
+    *,
+    extras: Mapping[str, Any] | None = None,
+) -> None:
+    """Mesh and material of the object; texture: number of a named picture; extras: of the material."""
     mesh, look = surface.mesh, surface.look
-    glb = Glb(extensions={"KHR_materials_ior", "KHR_materials_specular"})
     attributes = {
         "POSITION": glb.vertices(mesh.positions, bounds=True),
         "NORMAL": glb.vertices(mesh.normals),
         "TEXCOORD_0": glb.vertices(mesh.texture),
     }
-    nothing = np.zeros_like(look.roughness)
-    white = np.full_like(look.colour, 255)
-    colour, roughness, strength = (
-        {"index": glb.texture(png_bytes(picture), mime="image/png")}
-        for picture in (
-            look.colour,
-            np.stack([nothing, look.roughness, nothing], axis=-1),
-            np.concatenate([white, look.specular[..., None]], axis=-1),
-        )
-    )
+    nothing, full = np.zeros_like(look.roughness), np.full_like(look.roughness, 255)
+    pictures = {
+        "albedo": look.colour,
+        "orm": np.stack([full, look.roughness, nothing], axis=-1),
+        "strength": np.stack([full, full, full, look.specular], axis=-1),
+    }
+    colour, roughness, strength = ({"index": texture(*each)} for each in pictures.items())
     material = glb.add(
         "materials",
         pbrMetallicRoughness={
@@ -50,8 +66,7 @@ def write_glb(context: Context, surface: ObjectSurface) -> None:
             "KHR_materials_ior": {"ior": INDEX},
             "KHR_materials_specular": {"specularTexture": strength, "specularColorFactor": [look.factor] * 3},
         },
+        extras=extras,
     )
     primitive = {"attributes": attributes, "indices": glb.corners(mesh.triangles), "material": material}
     glb.add("nodes", mesh=glb.add("meshes", primitives=[primitive]), name=context.stamp["scene"])
-    extras = {**context.stamp, "unit": surface.unit}
-    glb.write(context.output.path("exports/object.glb"), generator=software(context), extras=extras)

@@ -1,7 +1,7 @@
 """Object_export: files of an object for other programs, and what each of them loses."""
 
 from nishiki.artifacts.stage import Context
-from nishiki.stages.object_export import gltf, iiif, materialx, mitsuba, usd
+from nishiki.stages.object_export import gltf, iiif, kintsugi, materialx, mitsuba, usd
 from nishiki.stages.object_export.surface import ObjectSurface
 
 WRITERS = {
@@ -10,6 +10,7 @@ WRITERS = {
     "materialx": materialx.write,
     "mitsuba": mitsuba.write,
     "iiif": iiif.write,
+    "kintsugi": kintsugi.write,
 }
 
 
