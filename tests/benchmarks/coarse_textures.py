@@ -10,12 +10,16 @@ the lights of the fit and under those that no fit saw:
 
 `written` is what the files hold; `one roughness a region` the same without the slopes; `pixels' means` textures with a
 texel for a pixel, whose light is averaged over the texel: what a texel would show if it held all its pixels.
+
+--anisotropy: also textures of KHR_materials_anisotropy with a width along each axis of the covariance, in a tangent
+plane that is turned with the texel's normal, and with the tangents of the mesh, as three.js 0.187 has them
+(lights_physical_fragment.glsl.js).
 """
 
 import argparse
 import json
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -24,11 +28,14 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import _project  # noqa: F401
 from nishiki.artifacts.artifact import Artifact, open_artifact
+from nishiki.brdf.trowbridge_reitz import anisotropic_lobe, widened_roughness
 from nishiki.colour.colour import srgb_encode
 from nishiki.observations.plane import Observations
 from nishiki.stages.export.declaration import ExportSettings
+from nishiki.stages.export.gltf_material import GltfMaterial
 from nishiki.stages.export.look import FORMATS, PaintingLook, ShownGloss, painting_look
 from nishiki.stages.export.photographs import CodedErrors, Photographs
+from nishiki.stages.export.region_gloss import RegionGloss
 from nishiki.stages.export.scene import ExportedScene, block_mean
 
 STAGES = ("ingest", "normals", "height", "spectra", "brdf")
@@ -42,6 +49,61 @@ def look_of(inputs: dict[str, Artifact], step: int) -> PaintingLook:
     if look.step != step:
         sys.exit(f"the picture is too small for texels of {step} pixels")
     return look
+
+
+@dataclass(frozen=True)
+class AnisotropicGloss:
+    """A gloss with widths along both axes of the slopes' covariance, in 8 bits as KHR_materials_anisotropy has them.
+
+    turned : whether the tangents are turned with the texel's normal, or are those of the mesh.
+    """
+
+    gloss: RegionGloss
+    covariance: np.ndarray
+    turned: bool
+
+    def of(self, rows: np.ndarray, columns: np.ndarray) -> "AnisotropicTexels":
+        material = replace(self.gloss, widened=None).of(rows, columns)
+        return AnisotropicTexels(material, self.covariance[rows][:, columns].reshape(-1, 3), self.turned)
+
+
+@dataclass(frozen=True)
+class AnisotropicTexels:
+    """What it shows of pixels."""
+
+    material: GltfMaterial
+    covariance: np.ndarray
+    turned: bool
+
+    def shown(self, base: np.ndarray, normals: np.ndarray, light: np.ndarray) -> np.ndarray:
+        """As `GltfMaterial.shown`."""
+        xx, xy, yy = self.covariance.T
+        mean, half_difference = (xx + yy) / 2, (xx - yy) / 2
+        radius, turn = np.hypot(half_difference, xy), np.arctan2(xy, half_difference) / 2
+        roughness = self.material.roughness
+        across = np.maximum(coded(widened_roughness(roughness, np.maximum(mean - radius, 0))), 1 / 255) ** 2
+        along = widened_roughness(roughness, mean + radius) ** 2
+        along = (
+            across + (1 - across) * coded(np.sqrt(np.maximum(along - across, 0) / np.maximum(1 - across, 1e-9))) ** 2
+        )
+        x, y = np.broadcast_to([1.0, 0, 0], normals.shape), np.broadcast_to([0, 1.0, 0], normals.shape)
+        if self.turned:
+            x = x - normals * normals[:, :1]
+            x /= np.linalg.norm(x, axis=1, keepdims=True)
+            y = np.cross(normals, x)
+        cosine, sine = np.cos(turn)[:, None], np.sin(turn)[:, None]
+        frame = np.stack([cosine * x + sine * y, cosine * y - sine * x, normals], axis=1)
+        view = np.array([0.0, 0.0, 1.0])
+        half = (light + view) / np.linalg.norm(light + view)
+        above = [np.maximum(each, [-1, -1, 0]) for each in (frame @ light, frame @ view)]
+        gloss = np.pi * self.material.fresnel(half[2]) * anisotropic_lobe(frame @ half, *above, along, across)
+        body = np.expand_dims(1 - self.material.fresnel(half[2]), -1) * base
+        return (body + gloss[:, None]) * above[0][:, 2:]
+
+
+def coded(values: np.ndarray) -> np.ndarray:
+    """As 8 bits hold them."""
+    return np.rint(255 * values) / 255
 
 
 def linear_photographs(inputs: dict[str, Artifact], lights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -68,16 +130,23 @@ def texel_means(values: np.ndarray, valid: np.ndarray, step: int) -> np.ndarray:
     return block_mean(np.where(valid[..., None], values, 0), step) / np.maximum(share, 1e-9)
 
 
-def figures(inputs: dict[str, Artifact], looks: dict[int, PaintingLook], step: int, form: str) -> dict:
+def figures(
+    inputs: dict[str, Artifact], looks: dict[int, PaintingLook], step: int, form: str, *, anisotropy: bool
+) -> dict:
     """dB of the format's textures."""
     frames, look, fine = Observations(inputs["ingest"].folder), looks[step], looks[1]
     hold_out = open_artifact(inputs["normals"].folder).settings.get("hold_out", ())
     gloss = getattr(look.gloss, form)
-    ways = {
+    ways: dict[str, tuple[PaintingLook, ShownGloss]] = {
         "written": (look, gloss),
         "one roughness a region": (look, replace(gloss, widened=None)),
         "pixels' means": (fine, getattr(fine.gloss, form)),
     }
+    if anisotropy:
+        scene = ExportedScene(inputs)
+        covariance = scene.slopes(slice(0, scene.shape[0]), step)
+        ways["anisotropy"] = look, AnisotropicGloss(gloss, covariance, turned=True)
+        ways["anisotropy, tangents of the mesh"] = look, AnisotropicGloss(gloss, covariance, turned=False)
     found: dict[str, dict] = {}
     for group, lights in {"fitted": frames.fit_lights(hold_out), "check": frames.check_lights(hold_out)}.items():
         if not len(lights):
@@ -103,6 +172,7 @@ def main() -> None:
     parser.add_argument("folders", nargs="+", type=Path, help="results/SCENE")
     parser.add_argument("--steps", nargs="+", type=int, default=[1, 2, 4, 8], help="pixels along the side of a texel")
     parser.add_argument("--formats", nargs="+", choices=FORMATS, default=["gltf"])
+    parser.add_argument("--anisotropy", action="store_true", help="gltf with anisotropy as well")
     options = parser.parse_args()
     for folder in options.folders:
         current = folder / "current"
@@ -111,7 +181,10 @@ def main() -> None:
         for step in options.steps:
             for form in options.formats:
                 line = {"scene": folder.name, "pixels along a texel": step, "format": form}
-                print(json.dumps({**line, **figures(inputs, looks, step, form)}), flush=True)
+                print(
+                    json.dumps({**line, **figures(inputs, looks, step, form, anisotropy=options.anisotropy)}),
+                    flush=True,
+                )
 
 
 if __name__ == "__main__":
