@@ -4,9 +4,13 @@ import numpy as np
 
 from nishiki.artifacts.stage import Context
 from nishiki.formats.glb import Glb
+from nishiki.formats.picture_tiles import png_bytes
 from nishiki.stages.cloth_export.against_model import errors
 from nishiki.stages.cloth_export.gltf_cloth import GltfCloth, coded_error, fitted_cloth
 from nishiki.stages.cloth_export.scene import ExportedCloth
+
+ALONG_TANGENT = np.uint8([[[255, 128, 255]]])
+"""The texel of KHR_materials_anisotropy that says: along the tangent, with the whole strength."""
 
 
 def write(context: Context, cloth: ExportedCloth) -> dict:
@@ -37,6 +41,9 @@ def write_glb(context: Context, cloth: ExportedCloth, material: GltfCloth) -> No
     }
     if uv is not None:
         attributes["TEXCOORD_0"] = glb.vertices(np.column_stack([uv[:, 0], 1 - uv[:, 1]]))  # from the top
+        # What the extension assumes without a texture. Blender takes tangents from the mesh only where there is one.
+        along = {"index": glb.texture(png_bytes(ALONG_TANGENT), mime="image/png")}
+        properties["extensions"]["KHR_materials_anisotropy"]["anisotropyTexture"] = along
     number = glb.add("materials", name=f"{cloth.region} {cloth.model}", **properties)
     primitive = {"attributes": attributes, "indices": glb.corners(mesh.triangles), "material": number}
     glb.add("nodes", mesh=glb.add("meshes", primitives=[primitive]), name=context.stamp["scene"])

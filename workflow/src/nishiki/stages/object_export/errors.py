@@ -82,24 +82,21 @@ Shown = Callable[[SeenPoints], np.ndarray]
 
 def errors(context: Context, look: ObjectLook, formats: Sequence[str]) -> dict[str, dict[str, dict[str, float]]]:
     """PSNR of the stored textures against photographs, as some of `gltf`, `usd` and `materialx` take them."""
-    textures = [decode(look.colour / 255, "srgb"), (look.roughness[..., None] / 255) ** 2]
-
-    def shown_by(specular: np.ndarray, *, white_at_grazing: bool) -> Shown:
-        stored = np.concatenate([*textures, specular[..., None] / 255], axis=-1)
-
-        def shown(points: SeenPoints) -> np.ndarray:
-            texels = sample(stored, points.places)
-            return look.scale * viewer_light(look, points, texels, white_at_grazing=white_at_grazing)
-
-        return shown
-
-    ways = {
-        "gltf": (look.specular, False),
-        "usd": (look.of_one_strength().specular, True),
-        "materialx": (look.specular, True),
-    }
-    asked = {name: shown_by(ways[name][0], white_at_grazing=ways[name][1]) for name in formats}
+    asked = {name: shown_in(look, name) for name in formats}
     return against_photographs(context, look, asked)
+
+
+def shown_in(look: ObjectLook, name: str) -> Shown:
+    """What a viewer shows of one of the formats `gltf`, `usd` and `materialx`, light and view without cast shadows."""
+    strength = look.of_one_strength().specular if name == "usd" else look.specular
+    textures = [decode(look.colour / 255, "srgb"), (look.roughness[..., None] / 255) ** 2, strength[..., None] / 255]
+    stored = np.concatenate(textures, axis=-1)
+
+    def shown(points: SeenPoints) -> np.ndarray:
+        texels = sample(stored, points.places)
+        return look.scale * viewer_light(look, points, texels, white_at_grazing=name != "gltf")
+
+    return shown
 
 
 def against_photographs(
