@@ -12,6 +12,7 @@ from nishiki.brdf.slopes import slope_covariance
 from nishiki.brdf.trowbridge_reitz import isotropic_lobe
 from nishiki.stages.export.declaration import ExportSettings
 from nishiki.stages.export.look import painting_look
+from nishiki.stages.export.region_gloss import slopes_widen
 from nishiki.stages.export.scene import ExportedScene
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -93,10 +94,19 @@ def test_a_texel_shows_the_mean_gloss_of_its_pixels(painting, step):
     assert squares["wide"] < 0.3 * squares["narrow"]
 
 
-def test_lobes_that_hold_the_slopes_already_are_not_widened(tmp_path):
+@pytest.mark.parametrize("change", ["method", "strength"])
+def test_lobes_that_hold_the_slopes_already_and_matte_surfaces_are_not_widened(tmp_path, change):
     painting = small_painting(tmp_path)
     file = painting.inputs["brdf"].folder / "parameters.json"
+    context = SimpleNamespace(inputs=painting.inputs)
+    assert slopes_widen(context)
     assert isinstance(look_with(painting, 2).gloss.gltf.roughness, np.ndarray)
-    file.write_text(json.dumps({**json.loads(file.read_text()), "method": "paper"}))
+    parameters = json.loads(file.read_text())
+    if change == "method":
+        parameters["method"] = "paper"
+    else:
+        parameters["regions"][0]["beta"] = [0.0]
+    file.write_text(json.dumps(parameters))
+    assert not slopes_widen(context)
     gloss = look_with(painting, 2).gloss.gltf
     assert gloss.roughness == gloss.materials[0].roughness

@@ -84,9 +84,9 @@ class PaintingGloss:
 
 
 def slopes_widen(context: Context) -> bool:
-    """Whether there is a gloss whose lobes are those of the facets alone."""
+    """Whether there is a gloss, and its lobes are those of the facets alone."""
     parameters = read_json(context.inputs.get("brdf"), "parameters.json")
-    return parameters is not None and is_facets(parameters)
+    return parameters is not None and is_facets(parameters) and bool(gloss_table(parameters)[0].any())
 
 
 def painting_gloss(
