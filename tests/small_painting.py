@@ -116,6 +116,12 @@ def exported_painting(folder: Path, formats: tuple[str, ...]) -> Iterator[Simple
         yield SimpleNamespace(painting=painting, folder=output.folder / "exports", reported=reported)
 
 
+def of_pixels(vertices: np.ndarray) -> np.ndarray:
+    """(n,) bool: vertices (n, 3), mm, of a mesh of the painting that stand in the middle of a pixel, not on the picture's edge."""
+    outer = np.array([COLUMNS, ROWS]) * PITCH_MM / 2
+    return (np.abs(vertices[:, :2]) < outer * 0.999).all(axis=1)
+
+
 def shaded(normals: np.ndarray, lamp: tuple[float, float, float]) -> np.ndarray:
     """Of matte white."""
     return np.maximum(normals @ np.asarray(lamp), 0)

@@ -39,7 +39,7 @@ def test_three_draws_the_material_that_the_loss_is_reckoned_with(tmp_path):
         direction = np.array(lamp) / np.linalg.norm(lamp)
         expected = encode(material.shown(base, normals, direction), "srgb").reshape(rows, columns, 3)
         covered = picture[..., 3] == 255
-        assert np.mean(covered[painting.known]) > 0.9  # the mesh ends at the middles of the outer pixels
+        assert np.mean(covered[painting.known]) > 0.98  # less at the unknown corner
         apart = np.abs(picture[..., :3] / 255 - np.clip(expected, 0, 1))[covered & painting.known]
         assert apart.mean() < 0.01  # three.js does not take the light of the gloss from the body: up to 0.04 of it
         assert np.percentile(apart, 99) < 0.03

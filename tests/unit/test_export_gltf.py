@@ -17,6 +17,7 @@ from small_painting import (
     ROWS,
     STAMP,
     exported_painting,
+    of_pixels,
     shaded,
     small_painting,
 )
@@ -45,12 +46,14 @@ def test_gltf_is_the_displaced_plane_with_the_relief_in_its_normal_texture(expor
     painting = exported.painting
     scene = trimesh.load(exported.folder / "painting.glb")
     (mesh,) = scene.geometry.values()
-    assert len(mesh.vertices) == painting.known.sum()
-    metres = mesh.vertices * 1000
-    assert np.abs(metres[:, 2] - painting.height[painting.known]).max() < 1e-4
-    assert metres[:, 0].max() == pytest.approx((COLUMNS / 2 - 0.5) * PITCH_MM, rel=1e-5)
+    millimetres = mesh.vertices * 1000
+    own = of_pixels(millimetres)
+    assert np.abs(millimetres[own, 2] - painting.height[painting.known]).max() < 1e-4
+    outer = np.array([COLUMNS, ROWS]) * PITCH_MM / 2
+    np.testing.assert_allclose([millimetres[:, :2].min(axis=0), millimetres[:, :2].max(axis=0)], [-outer, outer], 1e-5)
+    np.testing.assert_allclose(mesh.visual.uv, millimetres[:, :2] / outer / 2 + 0.5, atol=1e-6)
     material = mesh.visual.material
-    texel = np.rint(mesh.visual.uv * [COLUMNS, ROWS] - 0.5).astype(int)
+    texel = np.rint(mesh.visual.uv[own] * [COLUMNS, ROWS] - 0.5).astype(int)
     row, column = ROWS - 1 - texel[:, 1], texel[:, 0]  # trimesh counts from the bottom
     np.testing.assert_array_equal(np.stack([row, column]), np.nonzero(painting.known))
     coded = np.asarray(material.normalTexture)[row, column] / 255 * 2 - 1

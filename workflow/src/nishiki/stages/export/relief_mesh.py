@@ -37,13 +37,20 @@ class Relief:
 def reliefs(scene: ExportedScene, most: int, *, colours: np.ndarray | None) -> Iterator[Relief]:
     """The mesh from top to bottom, at most `most` vertices, each the mean over a square of pixels that have a height.
 
+    Vertices stand in the middles of their squares. So that the mesh is as large as the picture, there is one more row
+    or column of them on each of its edges, with the heights of their neighbours. At the edge of an object inside the
+    picture the mesh ends at the middles of the outer squares.
+
     colours : (3, K) from the coefficients to linear sRGB; None: they are not read.
     """
     rows, columns = scene.shape
-    step = next(n for n in range(1, max(rows, columns) + 1) if -(-rows // n) * -(-columns // n) <= most)
+    longest = max(rows, columns)
+    step = next((n for n in range(1, longest) if (-(-rows // n) + 2) * (-(-columns // n) + 2) <= most), longest)
     across = -(-columns // step)
     high = max(1, scene.band_rows // step) * step
-    above = np.full(across, -1, np.int64)
+    places_across = np.minimum((np.arange(across) + 0.5) * step, (np.arange(across) * step + columns) / 2)
+    right = np.concatenate([[0], places_across, [columns]])
+    above = np.full(len(right), -1, np.int64)
     count = 0
     for top in range(0, rows, high):
         band = slice(top, min(top + high, rows))
@@ -51,13 +58,14 @@ def reliefs(scene: ExportedScene, most: int, *, colours: np.ndarray | None) -> I
         known = np.isfinite(height)
         share = block_mean(known, step)
         weight = np.where(share > 0, share, 1)
-        here = share >= 0.5
-        middles = top + (np.arange(here.shape[0]) + 0.5) * step
+        middles = top + (np.arange(len(share)) + 0.5) * step
         down = np.minimum(middles, (np.minimum(middles + step / 2, rows) + middles - step / 2) / 2)
-        right = np.minimum((np.arange(across) + 0.5) * step, (np.arange(across) * step + columns) / 2)
+        edges = (int(top == 0), int(band.stop == rows))
+        down = np.concatenate([[0] * edges[0], down, [rows] * edges[1]])
+        here = _with_edges(share >= 0.5, edges)
         x = np.broadcast_to((right - columns / 2) * scene.pitch, here.shape)
         y = np.broadcast_to(((rows / 2 - down) * scene.pitch)[:, None], here.shape)
-        z = block_mean(np.where(known, height, 0), step) / weight
+        z = _with_edges(block_mean(np.where(known, height, 0), step) / weight, edges)
         normals = block_mean(np.where(known[..., None], scene.relief_normals(band), 0), step)
         length = np.linalg.norm(normals, axis=-1, keepdims=True)
         normals = np.where(length > 0, normals / np.where(length > 0, length, 1), [0, 0, 1])
@@ -65,6 +73,7 @@ def reliefs(scene: ExportedScene, most: int, *, colours: np.ndarray | None) -> I
         if colours is not None:
             values = np.where(known[..., None], np.nan_to_num(scene.coefficients(band)), 0)
             linear = (block_mean(values, step) / weight[..., None]) @ colours.T
+        normals, linear = (_with_edges(values, edges) for values in (normals, linear))
         numbers = np.where(here, count + np.cumsum(here).reshape(here.shape) - 1, -1)
         count += int(here.sum())
         u = np.broadcast_to(right / columns, here.shape)
@@ -79,6 +88,11 @@ def reliefs(scene: ExportedScene, most: int, *, colours: np.ndarray | None) -> I
             np.stack([u, v], axis=-1)[here].astype(np.float32),
             triangles,
         )
+
+
+def _with_edges(values: np.ndarray, edges: tuple[int, int]) -> np.ndarray:
+    """Values (rows, columns, ...) with the first and last column once more, and so many more first and last rows."""
+    return np.pad(values, [edges, (1, 1), *[(0, 0)] * (values.ndim - 2)], mode="edge")
 
 
 def _triangles(numbers: np.ndarray) -> np.ndarray:
