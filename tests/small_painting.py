@@ -117,7 +117,7 @@ def exported_painting(folder: Path, formats: tuple[str, ...]) -> Iterator[Simple
 
 
 def of_pixels(vertices: np.ndarray) -> np.ndarray:
-    """(n,) bool: vertices (n, 3), mm, of a mesh of the painting that stand in the middle of a pixel, not on the picture's edge."""
+    """(n,) bool: vertices (n, 3) in mm of a mesh of the painting that stand in pixels, not on the picture's edge."""
     outer = np.array([COLUMNS, ROWS]) * PITCH_MM / 2
     return (np.abs(vertices[:, :2]) < outer * 0.999).all(axis=1)
 
