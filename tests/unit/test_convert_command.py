@@ -219,6 +219,17 @@ def test_what_cannot_be_used_is_named_with_a_remedy(tmp_path, kind, capsys):
     assert {path.name for path in tmp_path.iterdir()} == {"source"}
 
 
+@pytest.mark.parametrize("option", ["--lights", "--mask"])
+@pytest.mark.parametrize("given", ["nowhere.png", "source"])
+def test_options_that_name_no_file_are_told_before_anything_is_read(tmp_path, option, given, capsys):
+    with_lights(listed(PNG))(tmp_path / "source")
+    with pytest.raises(SystemExit) as ended:
+        main(["convert", str(tmp_path / "source"), str(tmp_path / "c"), option, str(tmp_path / given)])
+    assert ended.value.code == 2
+    assert f"{option} {tmp_path / given}: no such file" in capsys.readouterr().err
+    assert not (tmp_path / "c").exists()
+
+
 def test_what_is_to_be_completed_by_hand_is_not_examined(tmp_path):
     with_lights(listed(PNG[:2]))(tmp_path / "source")
     with pytest.raises(SystemExit, match="0"):

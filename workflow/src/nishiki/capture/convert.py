@@ -67,17 +67,18 @@ def convert(
     picture of the object, for a turntable the folder of the silhouettes; link: hard links instead of copies (same disk;
     then never edit either); examine: what is wrong with the folder that was made, as `check_capture` tells it: errors
     are raised. The folder appears whole or not at all.
-    Raises CaptureError (target-exists, option-unusable, folder-missing, light-unknown, and those of `pair_by_name`,
-    `recognise`, `recognise_round`, `recognise_table`, `read_table` and `open_relightable`).
+    Raises CaptureError (target-exists, option-unusable, folder-missing, file-missing, light-unknown, and those of
+    `pair_by_name`, `recognise`, `recognise_round`, `recognise_table`, `read_table` and `open_relightable`).
     """
     source, target = _named(Path(source)), Path(target)
     if target.exists():
         remedy = "Choose another name; nothing is overwritten"
         raise CaptureError(error("target-exists", str(target), "target exists", remedy=remedy))
-    raise_errors(folder_problems(white=white, dark=dark))
+    raise_errors([*folder_problems(white=white, dark=dark), *file_problems(lights=lights_file)])
     relightable = recognise_relightable(source)
     if relightable is not None:
         refuse_without_photographs(white=white, dark=dark, check=checks)
+        raise_errors(file_problems(mask=mask))
         return _of_relightable(target, relightable, lights_file, mask, encoding, title, region, link, examine)
     table = recognise_table(source) if lights_file is None else None
     if table is not None:
@@ -105,13 +106,14 @@ def convert(
         return Conversion(
             target, turntable.name, len(turntable.photographs), (*turntable.warnings, *notes), "turntable"
         )
+    raise_errors(file_problems(mask=mask))
     layout = recognise(source, lights_file=lights_file, mask=mask)
     unknown = [name for name in checks if layout.lights.index(name) is None]
     if unknown:
-        expected, turntable = f"one of {', '.join(layout.lights.names)}", ", ".join(unknown)
+        expected, found = f"one of {', '.join(layout.lights.names)}", ", ".join(unknown)
         what = "no such light to keep for evaluation"
         remedy = "The names of the lamps are those of their photographs, without the suffix"
-        raise CaptureError(error("light-unknown", str(source), what, expected=expected, found=turntable, remedy=remedy))
+        raise CaptureError(error("light-unknown", str(source), what, expected=expected, found=found, remedy=remedy))
     notes = _write_complete(
         target, lambda p: _write(p, layout, source, white, dark, checks, encoding, title, region, link), examine
     )
@@ -130,6 +132,15 @@ def folder_problems(**given: Path | None) -> list[Problem]:
         error("folder-missing", f"--{name} {path}", "no such folder", remedy=remedy)
         for name, path in given.items()
         if path is not None and not path.is_dir()
+    ]
+
+
+def file_problems(**given: Path | None) -> list[Problem]:
+    """file-missing for each option that must name a file and does not."""
+    return [
+        error("file-missing", f"--{name} {path}", "no such file", remedy="Give a file that is there")
+        for name, path in given.items()
+        if path is not None and not path.is_file()
     ]
 
 
