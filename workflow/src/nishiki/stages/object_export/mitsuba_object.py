@@ -199,7 +199,7 @@ def main():
     parser = argparse.ArgumentParser(description="Render the object as one of its photographs was taken.")
     parser.add_argument("--view", choices=views, metavar="VIEW", help=f"one of {', '.join(views)} (the first)")
     parser.add_argument("--light", choices=sorted(lights), metavar="LIGHT", help="of the capture (the first)")
-    parser.add_argument("--variant", default="scalar_rgb", help="of Mitsuba; llvm_ad_rgb and cuda_ad_rgb are faster")
+    parser.add_argument("--variant", default="scalar_rgb", help="of Mitsuba; llvm_ad_rgb is faster")
     parser.add_argument("--columns", type=int, help="width of the picture in pixels")
     parser.add_argument("--samples", type=int, default=16, help="a pixel")
     parser.add_argument("--depth", type=int, default=2, help="2: direct light; more: light from surface to surface")
