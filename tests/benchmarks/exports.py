@@ -1,10 +1,13 @@
 """Every export of finished scenes: bytes, what is lost, processor time, memory, and what other programs' readers say.
 
-    NODE_PATH=node_modules python tests/benchmarks/exports.py painting jar satin fossil dino [--configfile FILE]
+    NODE_PATH=node_modules python tests/benchmarks/exports.py --data FOLDER [--work FOLDER] [--only jar --formats gltf]
+    python tests/benchmarks/exports.py --configfile FILE --only SCENE ...
 
-Scenes are those of the configuration, in the folder where this is called; what they lack is made first. One JSON object
-a line for each format of each scene. Readers that are not installed are named as such: gltf-validator (npm), usd-core,
-MaterialX, Mitsuba, OpenImageIO, the package spectral.
+The scenes are the three of the demos, simulated, and rti_fossil and oxford_dino of the measured data; or those of a
+configuration of one's own. They are made in the folder of --work, whose results are taken up again. One JSON object a
+line for each format of each scene: bytes, processor seconds and memory of the export alone, and `loses`, what the
+report says of it. Readers that are not installed are named as such: gltf-validator (npm), usd-core, MaterialX, Mitsuba,
+OpenImageIO, the package spectral.
 """
 
 import argparse
@@ -13,6 +16,7 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import get_args
@@ -23,6 +27,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 import _project  # noqa: F401
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from economy import Runs
 from npm_packages import gltf_problems
 
 from nishiki.engine.project import load_yaml
@@ -147,15 +152,49 @@ def measured(scene: str, name: str, configfile: str) -> dict:
     }
 
 
+def five_scenes(data: Path, work: Path) -> Path:
+    """Captures of the five scenes in a folder, and the configuration that names them."""
+    runs = Runs(work)
+    captures = {
+        "painting": runs.simulate("painting"),
+        "jar": runs.simulate("jar", "--preset", "object"),
+        "satin": runs.simulate("satin", "--preset", "satin"),
+        "fossil": runs.converted(data / "rti_fossil"),
+        "dino": runs.converted(data / "oxford_dino"),
+    }
+    rows = ["scene\tcapture", *(f"{scene}\t{capture}" for scene, capture in captures.items())]
+    (work / "scenes.tsv").write_text("\n".join(rows) + "\n")
+    configuration = work / "config.yaml"
+    configuration.write_text("scenes: scenes.tsv\nresults: results\n")
+    return configuration
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("scenes", nargs="+")
+    parser.add_argument("--data", type=Path, help="folder of the measured data")
+    parser.add_argument("--work", type=Path, help="where the five scenes are made (default: a temporary folder)")
+    parser.add_argument("--configfile", type=Path, help="in place of --data: a configuration of finished scenes")
+    parser.add_argument("--only", nargs="+", metavar="SCENE", help="default: all")
     parser.add_argument("--formats", nargs="+", help="default: all that the scene's stage has")
-    parser.add_argument("--configfile", default="config/config.yaml")
     options = parser.parse_args()
-    for scene in options.scenes:
-        for name in options.formats or formats_of(scene, options.configfile):
-            print(json.dumps(measured(scene, name, options.configfile), ensure_ascii=False), flush=True)
+    if (options.data is None) == (options.configfile is None):
+        parser.error("either --data or --configfile is needed")
+    with tempfile.TemporaryDirectory() as temporary:
+        if options.data:
+            work = (options.work or Path(temporary)).absolute()
+            work.mkdir(parents=True, exist_ok=True)
+            configuration = five_scenes(options.data.absolute(), work)
+            os.chdir(work)
+        else:
+            configuration = options.configfile
+        for scene in options.only or scene_names(configuration):
+            for name in options.formats or formats_of(scene, str(configuration)):
+                print(json.dumps(measured(scene, name, str(configuration)), ensure_ascii=False), flush=True)
+
+
+def scene_names(configuration: Path) -> list[str]:
+    """Scenes of a configuration, in the order of its table."""
+    return list(Workflow(load_yaml(configuration), file=str(configuration)).plans)
 
 
 def formats_of(scene: str, configfile: str) -> list[str]:
