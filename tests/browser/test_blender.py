@@ -1,15 +1,21 @@
 """Exported files in Blender's Cycles: their light is that of the formulas that the loss is reckoned with."""
 
+from dataclasses import replace
+
 import blender_scene
 import numpy as np
 import pytest
 from small_painting import COLUMNS, PITCH_MM, ROWS, export_context, small_painting
+from textured_ball import textured_ball
 
 from nishiki.colour.encoding import decode, encode
+from nishiki.formats.usd import write_usdz
+from nishiki.packages import installed
 from nishiki.stages.export.declaration import ExportSettings
 from nishiki.stages.export.look import painting_look
 from nishiki.stages.export.run import run
 from nishiki.stages.export.scene import ExportedScene
+from nishiki.stages.object_export.errors import SeenPoints, shown_in
 
 pytestmark = pytest.mark.skipif(blender_scene.missing() is not None, reason=str(blender_scene.missing()))
 LAMPS = [np.array(lamp) / np.linalg.norm(lamp) for lamp in ((0.5, 0.3, 0.81), (-0.6, 0.1, 0.8), (0.1, 0.1, 1))]
@@ -50,3 +56,24 @@ def test_a_painting_of_two_finishes_is_drawn_as_the_formulas_say_and_stands_wher
             assert decibels(drawn, material.shown(base, wrong, lamp)[compared]) < 40, "other normals show"
         other = look.gloss.gltf.materials[0].shown(base, normals, lamp)
         assert decibels(drawn, other[compared]) < 40, "the gloss of each region shows"
+
+
+@pytest.mark.skipif(not installed("usd-core"), reason="usd-core is not installed (extra export)")
+def test_an_object_in_usd_is_drawn_from_captured_views_as_the_formulas_say(tmp_path):
+    look, mesh = textured_ball()
+    write_usdz(tmp_path / "object.usdz", mesh, look.of_one_strength().surface(), name="ball", facts={})
+    for view in (0, 1):
+        points = SeenPoints.of(look, view)
+        camera = blender_scene.pinhole(look.decoded.cameras[view], 1.0)
+        (picture,) = blender_scene.pictures(
+            tmp_path / "object.usdz", camera, [{"position": points.lamp.vector, "reference": 1.0}]
+        )
+        covered = picture[..., 3] > 0.99
+        assert np.mean(covered != points.covered) < 0.005
+        seen = picture[points.covered]
+        squares = np.sum((points.positions - points.lamp.vector) ** 2, axis=1, keepdims=True)  # ours has no fall-off
+        compared = (seen[:, 3] > 0.99) & (points.cosines()[2] > 0.5) & (seen[:, 0] > 0)
+        drawn, expected = (seen[:, :3] * squares)[compared], shown_in(look, "usd")(points)[compared]
+        assert decibels(drawn, expected) > 45
+        turned = replace(look, colour=np.ascontiguousarray(look.colour[::-1]))
+        assert decibels(drawn, shown_in(turned, "usd")(points)[compared]) < 30, "the places in the texture show"
