@@ -208,7 +208,8 @@ class App {
     Object.assign(this, { probed, mark });
     this.opened.add("probe");
     this.rebuild();
-    if (getComputedStyle(by("panel")).visibility === "hidden") this.toggleSheet(true); // on a narrow page
+    // on a narrow page; not while keys move a cross, under which the picture would become smaller
+    if (!this.place && getComputedStyle(by("panel")).visibility === "hidden") this.toggleSheet(true);
     by("panel").querySelector("[data-section=probe]").scrollIntoView({ block: "nearest" });
   }
 
