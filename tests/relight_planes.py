@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nishiki.formats.relight_weights import FROM_YCOCG, bilinear_weights, gaussian_weights, terms_of
+from nishiki.formats.relight_weights import FROM_YCOCG, bilinear_weights, gaussian_weights, grid_directions, terms_of
 
 SIGMA, SIDE, REGULARISATION = 0.125, 8, 0.1  # defaults of relight-cli: Gaussians, nodes along a side, r above
 OWN_RANGE = 0.5  # share of a plane's own range in its scale; the rest is that of the largest
@@ -138,17 +138,9 @@ def ranges(coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return scale, -low / scale
 
 
-def grid_directions() -> np.ndarray:
-    """(SIDE^2, 3) unit vectors of the nodes, in the order of `bilinear_weights`."""
-    down, across = np.mgrid[:SIDE, :SIDE] * 2 / (SIDE - 1) - 1
-    x, y = ((across - down) / 2).ravel(), ((across + down) / 2).ravel()
-    vectors = np.stack([x, y, np.maximum(1 - np.abs(x) - np.abs(y), 0)], axis=1)
-    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
-
-
 def resampling(lights: np.ndarray) -> np.ndarray:
     """(nodes, lights) from photographs to the values at the nodes of the grid; the module's x."""
-    squares = ((grid_directions()[:, None] - lights) ** 2).sum(axis=-1)
+    squares = ((grid_directions(SIDE)[:, None] - lights) ** 2).sum(axis=-1)
     near = np.exp(-(squares - squares.min(axis=1, keepdims=True)) / SIGMA**2)
     near /= near.sum(axis=1, keepdims=True)
     near[near <= LEAST_NODE_WEIGHT] = 0

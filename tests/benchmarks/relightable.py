@@ -5,9 +5,10 @@
     python tests/benchmarks/relightable.py --data FOLDER --kept-back          scenes that no choice was made on
 
 Every scene is run up to the export; some of its lights are held out. The photographs, sRGB-coded relative to a white
-that faces the lamp, are fitted under the other lights: by the stage export, and as 8-bit pictures by relight's method
-(tests/relight_planes.py: its arithmetic in NumPy, not its program). Both go through JPEG without subsampled colours and
-are decoded, clipped and rounded to 8 bits. One JSON line a scene and set of planes:
+that faces the lamp, are fitted under the other lights: by the stage export (`bilinear` with what the fitted model
+draws), and as 8-bit pictures by relight's method (tests/relight_planes.py: its arithmetic in NumPy, not its
+program). Both go through JPEG without subsampled colours and are decoded, clipped and rounded to 8 bits. One JSON line
+a scene and set of planes:
 
     fitted_db, unseen_db    PSNR (peak 1) under the lights of the fit and under those left out, over the object (a
                             painting: the whole frame) where the photograph is neither saturated nor black in all
@@ -15,7 +16,7 @@ are decoded, clipped and rounded to 8 bits. One JSON line a scene and set of pla
     openlime_unseen_db      of rbf: the same where the viewer takes Gaussians as OpenLIME 1.2 does
     kb                      planes and, where there is one, the table of components in info.json
     cpu_s                   processor time from coded photographs to JPEG files
-    kb_ratio, cpu_ratio     relative to our planes of the same number (bilinear: to our rbf)
+    kb_ratio, cpu_ratio     relative to our planes of the same kind and number
 
 `gltf` is what the scene's own reflection model gains in the export's glTF file, by the export's own figures.
 """
@@ -41,7 +42,8 @@ import relight_planes as relight
 from nishiki.artifacts.artifact import open_artifact
 from nishiki.formats.picture_tiles import jpeg_bytes
 from nishiki.observations.plane import Observations
-from nishiki.stages.export.light_models import OpenLimeModel, PrincipalModel
+from nishiki.stages.export.grid_pictures import GridPictures
+from nishiki.stages.export.light_models import OpenLimeModel, PrincipalModel, TabulatedModel
 from nishiki.stages.export.photographs import Photographs
 from nishiki.stages.export.relight import SAMPLES, StoredModel, model_of
 from nishiki.stages.export.scene import ExportedScene
@@ -66,7 +68,8 @@ class Scene:
     mask: np.ndarray
     fitted: np.ndarray
     unseen: np.ndarray
-    samples: tuple[np.ndarray, np.ndarray]
+    photographs: Photographs
+    drawn: GridPictures
     gltf: dict
 
 
@@ -80,7 +83,6 @@ class Made:
     decode: Callable[[np.ndarray], np.ndarray]
     shown: tuple[Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]], ...]
     table: list[int]
-    optimised: bool
 
 
 def scene_of(data: Path, folder: Path, name: str) -> Scene:
@@ -122,21 +124,29 @@ def scene_of(data: Path, folder: Path, name: str) -> Scene:
         frames.mask.ravel(),
         fitted,
         unseen,
-        photographs.samples(fitted, SAMPLES),
+        photographs,
+        GridPictures(frames, exported, fitted),
         diagnostics["losses"]["gltf"]["kinds"]["gltf"]["psnr_db"],
     )
 
 
 def ours(scene: Scene, kind: str, planes: int) -> Made:
     """By the stage export."""
-    model = model_of(kind, scene.directions[scene.fitted], *scene.samples, planes=planes)
-    stored = StoredModel.of(model, *scene.samples)
-    codes = stored.codes(model.fit(scene.values[:, scene.fitted], scene.valid[:, scene.fitted]))
+    seen, values, valid = scene.photographs, scene.values[:, scene.fitted], scene.valid[:, scene.fitted]
+    if kind == "bilinear":
+        seen = scene.drawn
+        strips = [strip for band in seen.frames.bands() for strip in seen.strips(band, scene.fitted)]
+        values, valid = (np.concatenate([strip[place] for strip in strips]) for place in (1, 2))
+    samples = seen.samples(scene.fitted, SAMPLES)
+    model = model_of(kind, scene.directions[scene.fitted], *samples, planes=planes)
+    stored = StoredModel.of(model, scene.directions[scene.fitted], *samples)
+    codes = stored.codes(model.fit(values, valid))
     shown, table = [model.transfer], []
     if isinstance(model, PrincipalModel):
         shown.append(OpenLimeModel.like(model).transfer)
+    if isinstance(model, TabulatedModel):
         table = np.concatenate([model.mean_code[None], model.codes]).ravel().tolist()
-    return Made(kind, model.colour_space, codes, stored.coefficients, tuple(shown), table, optimised=False)
+    return Made(kind, model.colour_space, codes, stored.coefficients, tuple(shown), table)
 
 
 def theirs(scene: Scene, kind: str, planes: int, brightness: int | None = None) -> Made:
@@ -151,20 +161,15 @@ def theirs(scene: Scene, kind: str, planes: int, brightness: int | None = None) 
     if kind in ("rbf", "bilinear"):
         table = [127] * (len(made.components) + 1) * made.mean.size
     if kind == "rbf":
-        base = OpenLimeModel(lights, *[np.zeros(0)] * 3, relight.SIGMA)
+        base = OpenLimeModel(*[np.zeros(0)] * 3, lights, relight.SIGMA)
         shown.append(made.shown_with(base.weights).transfer)
-    return Made(kind, made.colour_space, made.codes(), made.decoded, tuple(shown), table, optimised=True)
+    return Made(kind, made.colour_space, made.codes(), made.decoded, tuple(shown), table)
 
 
 def as_jpeg(made: Made, shape: tuple[int, int], quality: int) -> list[bytes]:
     """Files of the planes, three to a picture."""
     pictures = [made.codes[:, n : n + 3].reshape(*shape, 3) for n in range(0, made.codes.shape[1], 3)]
-    if not made.optimised:
-        return [jpeg_bytes(picture, quality) for picture in pictures]
-    options = [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_OPTIMIZE, 1]
-    options += [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
-    turned = [np.ascontiguousarray(picture[..., ::-1]) for picture in pictures]
-    return [cv2.imencode(".jpg", picture, options)[1].tobytes() for picture in turned]
+    return [jpeg_bytes(picture, quality) for picture in pictures]
 
 
 def decoded(made: Made, files: list[bytes]) -> np.ndarray:
@@ -193,8 +198,8 @@ def tasks() -> Iterator[tuple[str, str, int, Callable[[Scene], Made]]]:
         yield "ours", kind, planes, lambda scene, kind=kind, planes=planes: ours(scene, kind, planes)
         yield "relight", kind, planes, lambda scene, kind=kind, planes=planes: theirs(scene, kind, planes)
     for planes in PLANES:
-        yield "ours", "rbf", planes, lambda scene, planes=planes: ours(scene, "rbf", planes)
         for kind in ("rbf", "bilinear"):
+            yield "ours", kind, planes, lambda scene, kind=kind, planes=planes: ours(scene, kind, planes)
             for brightness in (None, MYCC_BRIGHTNESS[planes]):
                 arguments = (kind, planes, brightness)
                 yield "relight", kind, planes, lambda scene, arguments=arguments: theirs(scene, *arguments)
@@ -212,7 +217,7 @@ def measure(data: Path, folder: Path, name: str, qualities: list[int]) -> None:
         "unseen_db": scene.gltf["check"]["all"],
     }
     print(json.dumps({**about, **said}), flush=True)
-    reference: dict[tuple[int, int], tuple[float, float]] = {}
+    reference: dict[tuple[str, int, int], tuple[float, float]] = {}
     for side, kind, planes, make in tasks():
         if kind in ("rbf", "bilinear") and planes > 2 * len(scene.fitted):
             continue  # hardly fewer planes than photographs
@@ -224,7 +229,7 @@ def measure(data: Path, folder: Path, name: str, qualities: list[int]) -> None:
             files = as_jpeg(made, scene.shape, quality)
             cpu = seconds + time.process_time() - start
             size = (sum(map(len, files)) + len(json.dumps(made.table))) / 1e3
-            place = (planes + 100 * (kind == "hsh"), quality)
+            place = (kind, planes, quality)
             if side == "ours":
                 reference[place] = size, cpu
             coefficients = decoded(made, files)

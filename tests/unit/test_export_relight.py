@@ -1,15 +1,30 @@
 """Relightable images of a painting, shown as their viewers show them."""
 
 import json
+import math
 
 import numpy as np
 import pytest
 from PIL import Image
+from relightable_images import corners
 from small_painting import COLUMNS, ROWS, dome, exported_painting
 
 from nishiki.colour.colour import srgb_encode
 from nishiki.formats.picture_tiles import read_full_resolution, read_jpeg, write_deep_zoom
-from nishiki.stages.export.light_models import HarmonicModel, ptm_weights, solve
+from nishiki.formats.relight_weights import gaussian_weights, grid_directions
+from nishiki.observations.plane import Observations
+from nishiki.stages.export.grid_pictures import GridPictures
+from nishiki.stages.export.light_models import (
+    WIDTHS,
+    GridModel,
+    HarmonicModel,
+    chosen_width,
+    principal_components,
+    ptm_weights,
+    solve,
+)
+from nishiki.stages.export.photographs import Photographs
+from nishiki.stages.export.scene import ExportedScene
 
 
 @pytest.fixture(scope="module")
@@ -37,16 +52,24 @@ def rbf_weights(info, lights, light, openlime):
     return weights / weights.sum()
 
 
+def table_weights(info, weights):
+    """(planes + 1, 3) of the table in info.json, under weights of its directions."""
+    basis = np.array(info["basis"], float).reshape(info["nplanes"] + 1, len(weights), 3)
+    basis[0] /= 255
+    basis[1:] = (basis[1:] - 127) / np.array(info["materials"][0]["range"])[:, None, None]
+    return np.einsum("l,plk->pk", weights, basis)
+
+
 def viewer_weights(info, light, openlime=False):
     """Weights (planes + 1, 3) of the mean and the planes as OpenLIME's shader computes them from info.json."""
     x, y, z = light
+    if info["type"] == "bilinear":
+        side, around = info["resolution"], corners(info["resolution"], light)
+        weights = np.array([around.get(node, 0.0) for node in range(side * side)])
+        return table_weights(info, weights)
     if info["type"] == "rbf":
         lights = np.array(info["lights"]).reshape(-1, 3)
-        weights = rbf_weights(info, lights, light, openlime)
-        basis = np.array(info["basis"], float).reshape(info["nplanes"] + 1, len(lights), 3)
-        basis[0] /= 255
-        basis[1:] = (basis[1:] - 127) / np.array(info["materials"][0]["range"])[:, None, None]
-        return np.einsum("l,plk->pk", weights, basis)
+        return table_weights(info, rbf_weights(info, lights, light, openlime))
     if info["type"] == "ptm":
         bases = [1, x, y, x * x, x * y, y * y]
     else:
@@ -77,7 +100,10 @@ def shown_by_viewer(folder, light, openlime=False):
     return weights[0] + coefficients @ weights[1:]
 
 
-@pytest.mark.parametrize(("kind", "least"), [("ptm", 34), ("hsh", 34), ("rbf", 25), ("rbf in OpenLIME 1.2", 20)])
+KINDS = [("ptm", 34), ("hsh", 34), ("rbf", 25), ("rbf in OpenLIME 1.2", 20), ("bilinear", 30)]
+
+
+@pytest.mark.parametrize(("kind", "least"), KINDS)
 def test_a_relightable_image_shows_the_photographs_in_a_viewer(exported, kind, least):
     painting, folder = exported.painting, exported.folder / f"relight_{kind.split()[0]}"
     figures = exported.reported["losses"]["relight"]["kinds"][kind]["psnr_db"]
@@ -93,6 +119,67 @@ def test_a_relightable_image_shows_the_photographs_in_a_viewer(exported, kind, l
     assert decibels > least
     assert figures["fitted"]["all"] > least
     assert figures["check"]["lights"] == 3
+
+
+def test_values_of_the_grid_s_nodes_are_the_model_s_put_right_by_the_photographs(exported):
+    """Node by node and pixel by pixel; the correction by the stacked equations that it solves."""
+    frames = Observations(exported.painting.inputs["ingest"].folder)
+    lights = frames.fit_lights()
+    pictures = GridPictures(frames, ExportedScene(exported.painting.inputs), lights)
+    rows, values, _ = next(pictures.strips(slice(20, 22), lights))
+    _, photographs, valid = next(Photographs(frames, pictures._scene).strips(slice(20, 22), lights))
+    drawn = pictures.drawn(rows, slice(None))
+    captured, count = frames.directions[lights], len(lights)
+    nodes = [(math.cos(turn), math.sin(turn)) for turn in (-math.pi / 2, 0, math.pi, math.pi / 2)]
+    places = grid_directions(8)
+    np.testing.assert_allclose(places[[0, 7, 56, 63], :2], nodes, atol=1e-12)
+    around = [corners(8, light) for light in captured]
+    shown = np.array([[each.get(node, 0.0) for node in range(64)] for each in around])
+    for pixel in (3, 70):
+        assert valid[pixel].all()
+        first = np.zeros((64, 3))
+        for node, (x, y, z) in enumerate(places):
+            toward = np.array([x, y, max(z, 0.1)]) / math.sqrt(x * x + y * y + max(z, 0.1) ** 2)
+            weights = np.exp(-np.sum((captured - toward) ** 2, axis=1) / 0.3**2)
+            weights[weights <= 0.001 * weights.sum()] = 0
+            rest = photographs[pixel] - drawn[pixel, :count]
+            first[node] = drawn[pixel, count + node] + weights @ rest / weights.sum()
+        stacked = np.concatenate([shown, math.sqrt(0.1) * np.eye(64)])
+        wanted = np.concatenate([photographs[pixel], math.sqrt(0.1) * first])
+        expected = np.linalg.lstsq(stacked, wanted, rcond=None)[0]
+        np.testing.assert_allclose(values[pixel], np.clip(expected, -0.5, 1.5), atol=1e-6)
+
+
+def test_components_at_nodes_err_least_under_the_lights():
+    """Coefficients are those of the stacked least squares over lights and, with little weight, nodes."""
+    random = np.random.default_rng(7)
+    lights, values = dome(20, 4), np.clip(random.normal(size=(300, 64, 3)) @ np.diag([0.1, 0.2, 0.1]) + 0.5, 0, 1)
+    model = GridModel.of(lights, values, np.ones((300, 64), bool), 9)
+    shown = np.array([[corners(8, light).get(node, 0.0) for node in range(64)] for light in lights])
+    stacked = np.concatenate([shown, math.sqrt(0.006) * np.eye(64)])
+    design = np.einsum("rg,pgk->rkp", stacked, model.components).reshape(-1, 9)
+    wanted = np.einsum("rg,gk->rk", stacked, values[5] - model.mean).ravel()
+    expected = np.linalg.lstsq(design, wanted, rcond=None)[0]
+    found = model.fit(values[:8], np.ones((8, 64), bool))
+    np.testing.assert_allclose(found[5], expected, rtol=1e-3, atol=1e-4)
+
+
+def test_widths_and_components_are_those_of_slow_loops():
+    random = np.random.default_rng(2)
+    lights, values = dome(10, 3), random.uniform(size=(40, 10, 3))
+    valid = random.uniform(size=(40, 10)) > 0.2
+    errors = []
+    for width in WIDTHS:
+        total = 0.0
+        for left in range(10):
+            rest = [number for number in range(10) if number != left]
+            predicted = np.einsum("l,nlk->nk", gaussian_weights(lights[rest], lights[left], width), values[:, rest])
+            total += ((predicted - values[:, left])[valid[:, left]] ** 2).sum()
+        errors.append(total)
+    assert chosen_width(lights, values, valid) == WIDTHS[int(np.argmin(errors))]
+    rows = values.reshape(40, -1) - 0.5
+    expected = np.linalg.svd(rows, full_matrices=False)[2][:6]
+    np.testing.assert_allclose(np.abs(np.sum(principal_components(rows, 6) * expected, axis=1)), 1, atol=1e-9)
 
 
 def test_a_ptm_file_shows_the_photographs(exported):

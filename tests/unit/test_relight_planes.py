@@ -33,7 +33,7 @@ def slow_node(node, lights):
 def test_values_at_the_nodes_solve_the_stated_problem():
     """The made matrix minimises |A x - c|^2 + r |x - x0|^2 for every photograph c, but for weights that are cut off."""
     lights = dome(40, 2)
-    made, nodes = relight.resampling(lights), relight.grid_directions()
+    made, nodes = relight.resampling(lights), relight.grid_directions(relight.SIDE)
     assert nodes[0] == pytest.approx([0, -1, 0])
     assert nodes[7] == pytest.approx([1, 0, 0])
     first = np.array([slow_node(node, lights) for node in nodes])

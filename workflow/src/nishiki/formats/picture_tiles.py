@@ -30,12 +30,13 @@ def write_jpeg(path: Path, picture: Samples, quality: int) -> None:
 
 
 def jpeg_bytes(picture: Samples, quality: int) -> bytes:
-    """A JPEG picture with full resolution of all three channels, which may be no colours."""
+    """A JPEG picture with full resolution of all three channels, which may be no colours; Huffman codes of its own."""
     import cv2
 
     options = [
         *(cv2.IMWRITE_JPEG_QUALITY, quality),
         *(cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444),
+        *(cv2.IMWRITE_JPEG_OPTIMIZE, 1),
     ]
     return cv2.imencode(".jpg", np.ascontiguousarray(picture[..., ::-1]), options)[1].tobytes()
 

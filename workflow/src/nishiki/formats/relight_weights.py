@@ -70,3 +70,11 @@ def bilinear_weights(side: int, light: np.ndarray) -> np.ndarray:
     right, below = across - column, down - row
     weights[row : row + 2, column : column + 2] = np.outer([1 - below, below], [1 - right, right])
     return weights.ravel()
+
+
+def grid_directions(side: int) -> np.ndarray:
+    """(side^2, 3) unit vectors of the nodes, in the order of `bilinear_weights`; those of the outermost have z = 0."""
+    down, across = np.mgrid[:side, :side] * 2 / (side - 1) - 1
+    x, y = ((across - down) / 2).ravel(), ((across + down) / 2).ravel()
+    vectors = np.stack([x, y, np.maximum(1 - np.abs(x) - np.abs(y), 0)], axis=1)
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)

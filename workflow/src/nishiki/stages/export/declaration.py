@@ -11,7 +11,7 @@ from nishiki.stages.base import Cost, Stage, no_format
 Format = Literal[
     "normals", "height", "albedo", "relight", "spectral", "gltf", "mitsuba", "merl", "iiif", "usd", "materialx"
 ]
-Kind = Literal["ptm", "hsh", "rbf"]
+Kind = Literal["ptm", "hsh", "rbf", "bilinear"]
 LIMITS = (
     Limit("quantised", "largest angle by which 16 bits move a normal, degrees", at("losses.normals.largest_deg")),
     Limit(
@@ -29,10 +29,12 @@ class RelightSettings(Closed):
     """Relightable images."""
 
     kinds: tuple[Kind, ...] = Field(
-        ("ptm", "hsh", "rbf"), min_length=1, description="ptm: 18 planes; hsh: 27; rbf: as many as `planes`"
+        ("ptm", "hsh", "rbf", "bilinear"),
+        min_length=1,
+        description="ptm: 18 planes; hsh: 27; rbf, bilinear: as many as `planes`",
     )
-    planes: int = Field(18, ge=3, le=60, multiple_of=3, description="of rbf; three planes a picture")
-    jpeg_quality: int = Field(95, ge=50, le=100, description="of the planes")
+    planes: int = Field(18, ge=3, le=60, multiple_of=3, description="of rbf and bilinear; three planes a picture")
+    jpeg_quality: int = Field(97, ge=50, le=100, description="of the planes")
 
 
 class GltfSettings(Closed):
@@ -55,7 +57,7 @@ class ExportSettings(Guarded):
     """Files of the results for other programs."""
 
     STAGE: ClassVar[str] = "export"
-    VERSION: ClassVar[int] = 6
+    VERSION: ClassVar[int] = 7
     LIMITS: ClassVar[tuple[Limit, ...]] = LIMITS
 
     formats: tuple[Format, ...] = Field(
@@ -76,7 +78,7 @@ class ExportSettings(Guarded):
 NEEDS: dict[str, tuple[str, ...]] = {
     "height": ("height", "spectra"),
     "albedo": ("spectra",),
-    "relight": ("spectra",),
+    "relight": ("spectra", "brdf"),
     "spectral": ("spectra",),
     "gltf": ("height", "spectra", "brdf"),
     "mitsuba": ("height", "spectra", "brdf"),

@@ -5,8 +5,9 @@
 with c_p the pixel's coefficients (one plane each), l the direction of the light, k the channel. Polynomial texture maps
 (ptm; Malzbender, Gelb and Wolters, 2001): six monomials of l_x and l_y a channel. Hemispherical harmonics (hsh; Gautron
 and others, 2004): nine a channel. Radial basis functions over principal components (rbf; Ponchio, Corsini and
-Scopigno, 2018): the components are shared by the channels; between the captured lights Gaussians interpolate. Weights
-are computed as the viewers compute them, so that the fit sees what will be shown.
+Scopigno, 2018): the components are shared by the channels; between the captured lights Gaussians interpolate. The same
+at the nodes of a grid over the hemisphere (bilinear). Weights are computed as the viewers compute them, so that the fit
+sees what will be shown.
 """
 
 from dataclasses import dataclass, fields
@@ -15,7 +16,7 @@ from typing import Protocol
 import numpy as np
 
 from nishiki.formats.hsh import hemispherical_harmonics
-from nishiki.formats.relight_weights import gaussian_weights, ptm_weights
+from nishiki.formats.relight_weights import bilinear_weights, gaussian_weights, ptm_weights
 
 RIDGES = (0.0, 1e-4, 1e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0)
 """Weights of the squared coefficients beside the squared errors, of those that are tried."""
@@ -23,6 +24,8 @@ WIDTHS = (0.05, 0.075, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7)
 """Widths of the Gaussians between lights, as distances of unit vectors, of those that are tried."""
 LEAST_REDUNDANCY = 1e-3
 """Share of a light's value that does not come from itself, below which leaving it out says nothing of a fit."""
+GRID_SIDE = 8  # nodes along a side of the grid of bilinear
+NODES = 0.006  # n: weight of a node's squared error beside that of a captured light
 SLIGHT = 1e-6  # added to the normal matrix of components, which are orthogonal but for the rounding of their codes
 
 
@@ -79,62 +82,137 @@ class HarmonicModel:
 
 
 @dataclass(frozen=True)
-class PrincipalModel:
-    """rbf: principal components of all lights and channels together.
+class TabulatedModel:
+    """Principal components of all directions and channels together, in a table.
 
-    lights : (L, 3); mean_code : (L, 3) uint8; codes : (planes, L, 3) uint8 of the components; span : (planes,) units of
-    a component's code; width : of the Gaussians.
+    mean_code : (directions, 3) uint8; codes : (planes, directions, 3) uint8 of the components; span : (planes,) units
+    of a component's code.
     """
 
-    lights: np.ndarray
     mean_code: np.ndarray
     codes: np.ndarray
     span: np.ndarray
-    width: float
-    kind: str = "rbf"
-    colour_space: str = "mrgb"
 
-    @classmethod
-    def of(cls, lights: np.ndarray, values: np.ndarray, valid: np.ndarray, planes: int) -> "PrincipalModel":
-        """Components of sample pixels (n, lights, 3) at which all lights are valid, or of all pixels without any."""
-        whole = valid.all(axis=1)
-        rows = values[whole] if whole.sum() > planes else values
-        rows = rows.reshape(len(rows), -1)
-        mean_code = np.rint(255 * np.clip(rows.mean(axis=0), 0, 1))
-        planes = min(planes, 3 * (min(rows.shape) // 3))
-        components = np.linalg.svd(rows - mean_code / 255, full_matrices=False)[2][:planes]
-        span = 127 / np.maximum(np.abs(components).max(axis=1), 1e-6)
-        codes = np.rint(components * span[:, None]) + 127
-        shape = (len(lights), 3)
-        return cls(
-            lights,
-            mean_code.astype(np.uint8).reshape(shape),
-            codes.astype(np.uint8).reshape(len(codes), *shape),
-            span,
-            chosen_width(lights, values, valid),
-        )
+    @property
+    def colour_space(self) -> str:
+        return "mrgb"
 
     @property
     def planes(self) -> int:
         return len(self.codes)
 
     @property
+    def mean(self) -> np.ndarray:
+        """(directions, 3)."""
+        return self.mean_code / 255
+
+    @property
     def components(self) -> np.ndarray:
-        """(planes, lights, 3) as viewers read them."""
+        """(planes, directions, 3) as viewers read them."""
         return (self.codes.astype(np.float64) - 127) / self.span[:, None, None]
+
+    def weights(self, light: np.ndarray) -> np.ndarray:
+        """(directions,) for one light, sum 1."""
+        raise NotImplementedError
+
+    def transfer(self, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        weights = self.weights(light)
+        return weights @ self.mean, np.einsum("l,plk->pk", weights, self.components)
+
+
+@dataclass(frozen=True)
+class PrincipalModel(TabulatedModel):
+    """rbf: the directions are those of the captured lights. lights : (L, 3); width : of the Gaussians between them."""
+
+    lights: np.ndarray
+    width: float
+    kind: str = "rbf"
+
+    @classmethod
+    def of(cls, lights: np.ndarray, values: np.ndarray, valid: np.ndarray, planes: int) -> "PrincipalModel":
+        """Components of sample pixels (n, lights, 3) at which all lights are valid, or of all pixels without any."""
+        rows = whole_pixels(values, valid, planes)
+        mean_code = coded_mean(rows)
+        components = principal_components((rows - mean_code / 255).reshape(len(rows), -1), planes)
+        codes, span = coded_components(components.reshape(-1, *mean_code.shape))
+        return cls(mean_code, codes, span, lights, chosen_width(lights, values, valid))
 
     def weights(self, light: np.ndarray) -> np.ndarray:
         """(lights,) of every captured light, sum 1."""
         return gaussian_weights(self.lights, light, self.width)
 
-    def transfer(self, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        weights = self.weights(light)
-        return weights @ (self.mean_code / 255), np.einsum("l,plk->pk", weights, self.components)
-
     def fit(self, values: np.ndarray, valid: np.ndarray) -> np.ndarray:
         design = self.components.reshape(self.planes, -1).T
-        rows = (values - self.mean_code / 255).reshape(len(values), -1, 1)
+        rows = (values - self.mean).reshape(len(values), -1, 1)
         return solve(design, rows, np.repeat(valid, 3, axis=1), SLIGHT * np.eye(self.planes))[..., 0]
+
+
+@dataclass(frozen=True)
+class GridModel(TabulatedModel):
+    """bilinear: the directions are nodes of a grid over the hemisphere, and so are the values that are fitted.
+
+    metric : (nodes, nodes) lower triangle C; errors e of the nodes count as |C' e|^2.
+    """
+
+    metric: np.ndarray
+    kind: str = "bilinear"
+
+    @classmethod
+    def of(cls, lights: np.ndarray, values: np.ndarray, valid: np.ndarray, planes: int) -> "GridModel":
+        """Components of sample pixels (n, nodes, 3) that err least under captured lights (L, 3), and little at nodes.
+
+        C C' = A'A + n I, with A the weights of the nodes under the lights.
+        """
+        between = grid_weights(lights)
+        metric = np.linalg.cholesky(between.T @ between + NODES * np.eye(between.shape[1]))
+        rows = whole_pixels(values, valid, planes)
+        mean_code = coded_mean(rows)
+        seen = np.einsum("ngk,gh->nhk", rows - mean_code / 255, metric, optimize=True)
+        components = principal_components(seen.reshape(len(seen), -1), planes).reshape(-1, *mean_code.shape)
+        codes, span = coded_components(np.einsum("phk,hg->pgk", components, np.linalg.inv(metric), optimize=True))
+        return cls(mean_code, codes, span, metric)
+
+    def weights(self, light: np.ndarray) -> np.ndarray:
+        """(nodes,) of every node, sum 1."""
+        return bilinear_weights(GRID_SIDE, light)
+
+    def fit(self, values: np.ndarray, valid: np.ndarray) -> np.ndarray:
+        design = np.einsum("gh,pgk->hkp", self.metric, self.components).reshape(-1, self.planes)
+        rows = np.einsum("ngk,gh->nhk", values - self.mean, self.metric, optimize=True).reshape(len(values), -1, 1)
+        return solve(design, rows, np.repeat(valid, 3, axis=1), SLIGHT * np.eye(self.planes))[..., 0]
+
+
+def grid_weights(lights: np.ndarray) -> np.ndarray:
+    """(lights, nodes) of the nodes of the grid."""
+    return np.stack([bilinear_weights(GRID_SIDE, light) for light in lights])
+
+
+def whole_pixels(values: np.ndarray, valid: np.ndarray, planes: int) -> np.ndarray:
+    """Values (n, lights, 3) of the pixels at which all lights are valid; of all pixels where these are too few."""
+    whole = valid.all(axis=1)
+    return values[whole] if whole.sum() > planes else values
+
+
+def coded_mean(rows: np.ndarray) -> np.ndarray:
+    """(directions, 3) uint8 of values (n, directions, 3)."""
+    return np.rint(255 * np.clip(rows.mean(axis=0), 0, 1)).astype(np.uint8)
+
+
+def principal_components(rows: np.ndarray, planes: int) -> np.ndarray:
+    """(planes, variables) right singular vectors of rows (n, variables), the largest first.
+
+    From the smaller of the two matrices of products; fewer than `planes`, by threes, where rows or variables are few.
+    """
+    planes = min(planes, 3 * (min(rows.shape) // 3))
+    if len(rows) < rows.shape[1]:
+        return np.linalg.svd(rows, full_matrices=False)[2][:planes]
+    return np.linalg.eigh(rows.T @ rows)[1][:, ::-1][:, :planes].T
+
+
+def coded_components(components: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Codes (planes, directions, 3) uint8 of components, and units of a code (planes,)."""
+    span = 127 / np.maximum(np.abs(components).max(axis=(1, 2)), 1e-6)
+    return (np.rint(components * span[:, None, None]) + 127).astype(np.uint8), span
 
 
 class OpenLimeModel(PrincipalModel):
@@ -169,15 +247,15 @@ def chosen_ridge(design: np.ndarray, values: np.ndarray, valid: np.ndarray) -> f
 
 def chosen_width(lights: np.ndarray, values: np.ndarray, valid: np.ndarray) -> float:
     """The width of WIDTHS with which the others predict a light best."""
+    samples = values.transpose(1, 0, 2).reshape(len(lights), -1)
+    counted = np.repeat(valid.T, 3, axis=1)
+    others = ~np.eye(len(lights), dtype=bool)
     errors = []
     for width in WIDTHS:
-        total = 0.0
-        for number in range(len(lights)):
-            others = np.arange(len(lights)) != number
-            weights = gaussian_weights(lights[others], lights[number], width)
-            predicted = np.einsum("l,nlk->nk", weights, values[:, others])
-            total += float(np.sum(np.where(valid[:, number, None], predicted - values[:, number], 0) ** 2))
-        errors.append(total)
+        weights = np.zeros((len(lights), len(lights)))
+        for number, rest in enumerate(others):
+            weights[number, rest] = gaussian_weights(lights[rest], lights[number], width)
+        errors.append(float(np.sum(np.where(counted, weights @ samples - samples, 0) ** 2)))
     return WIDTHS[int(np.argmin(errors))]
 
 

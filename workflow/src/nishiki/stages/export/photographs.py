@@ -17,24 +17,38 @@ class Photographs:
         self.frames = frames
         self.matrix = xyz_to_srgb_linear(colour.matrix.T, white=colour.white).T
 
+    def coded(self, observations: np.ndarray) -> np.ndarray:
+        """sRGB-coded colours (..., 3), 0 to 1, of observations in the camera's channels (..., channels)."""
+        return srgb_encode(observations @ self.matrix.T)
+
     def strips(self, band: slice, lights: np.ndarray) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
         """Some rows of a band at a time: (n, lights, 3) values in 0 to 1 and (n, lights) bool of their pixels."""
         for rows, values, valid in self.frames.strips(band, lights=lights):
-            coded = srgb_encode(values @ self.matrix.T)
-            pixels = coded.reshape(len(lights), -1, 3).transpose(1, 0, 2)
-            yield rows, pixels.astype(np.float64), valid.reshape(len(lights), -1).T
+            yield rows, *self.seen(rows, slice(None), *self._by_pixel(values, valid))
+
+    def seen(
+        self, rows: slice, pixels: slice | np.ndarray, values: np.ndarray, valid: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """What is fitted of some pixels of rows, of the photographs' values (n, lights, 3) and validity there."""
+        return values[pixels], valid[pixels]
+
+    def _by_pixel(self, values: np.ndarray, valid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """(n, lights, 3) coded and (n, lights) bool of observations (lights, rows, columns, channels)."""
+        coded = self.coded(values).reshape(len(values), -1, 3).transpose(1, 0, 2)
+        return coded.astype(np.float64), valid.reshape(len(values), -1).T
 
     def samples(self, lights: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Values and validity of about `count` pixels evenly spread over the object."""
         step = max(1, int(np.count_nonzero(self.frames.mask)) // count)
         values, valid, passed = [], [], 0
         for band in self.frames.bands():
-            for rows, each, usable in self.strips(band, lights):
+            for rows, each, usable in self.frames.strips(band, lights=lights):
                 of_object = np.flatnonzero(self.frames.mask[rows])
                 chosen = of_object[-passed % step :: step]
                 passed += len(of_object)
-                values.append(each[chosen])
-                valid.append(usable[chosen])
+                sampled = self.seen(rows, chosen, *self._by_pixel(each, usable))
+                values.append(sampled[0])
+                valid.append(sampled[1])
         return np.concatenate(values), np.concatenate(valid)
 
 

@@ -19,7 +19,16 @@ from nishiki.formats.picture_tiles import (
 from nishiki.formats.ptm import read_ptm, write_ptm
 from nishiki.observations.plane import Observations
 from nishiki.render.display import normals_as_colours
-from nishiki.stages.export.light_models import HarmonicModel, LightModel, OpenLimeModel, PrincipalModel
+from nishiki.stages.export.grid_pictures import GridPictures
+from nishiki.stages.export.light_models import (
+    GRID_SIDE,
+    GridModel,
+    HarmonicModel,
+    LightModel,
+    OpenLimeModel,
+    PrincipalModel,
+    TabulatedModel,
+)
 from nishiki.stages.export.photographs import CodedErrors, Photographs
 from nishiki.stages.export.scene import ExportedScene
 
@@ -28,6 +37,7 @@ SAMPLES = 10_000
 """Pixels from which components, ridge, width and the range of every plane are taken, evenly spread."""
 ENDS = 0.05  # percent of the samples beyond each end of a plane's range
 MARGIN = 0.05  # of that range, added at each end
+OWN_RANGE = 0.5  # share of a plane's own range in its scale
 LARGEST_SINGLE = 2048  # pixels of the longer side up to which a plane is one file
 
 
@@ -41,10 +51,12 @@ def write(context: Context, scene: ExportedScene) -> dict:
     kinds, files = {}, []
     for kind in context.settings.relight.kinds:
         folder = context.output.path(f"exports/relight_{kind}/info.json").parent
-        model = model_of(kind, frames.directions[fitted], *samples, planes=context.settings.relight.planes)
-        stored = StoredModel.of(model, *samples)
+        seen = GridPictures(frames, scene, fitted) if kind == "bilinear" else photographs
+        chosen = samples if seen is photographs else seen.samples(fitted, SAMPLES)
+        model = model_of(kind, frames.directions[fitted], *chosen, planes=context.settings.relight.planes)
+        stored = StoredModel.of(model, frames.directions[fitted], *chosen)
         with tempfile.TemporaryDirectory(dir=context.output.folder) as scratch:
-            stored.write(folder, Path(scratch), photographs, fitted, context)
+            stored.write(folder, Path(scratch), seen, fitted, context)
         groups = {name: lights for name, lights in (("fitted", fitted), ("check", checked)) if len(lights)}
         kinds[kind] = {
             "planes": model.planes,
@@ -67,7 +79,9 @@ def write(context: Context, scene: ExportedScene) -> dict:
 
 
 def model_of(kind: str, lights: np.ndarray, values: np.ndarray, valid: np.ndarray, *, planes: int) -> LightModel:
-    """The model of one kind for these lights, with what it takes from sample pixels."""
+    """The model of one kind for these lights, with what it takes from sample pixels (of bilinear: `GridPictures`)."""
+    if kind == "bilinear":
+        return GridModel.of(lights, values, valid, planes)
     if kind == "rbf":
         return PrincipalModel.of(lights, values, valid, planes)
     return HarmonicModel.of(kind, lights, values, valid)
@@ -81,12 +95,19 @@ class StoredModel:
         self.layout = "image"
 
     @classmethod
-    def of(cls, model: LightModel, values: np.ndarray, valid: np.ndarray) -> "StoredModel":
-        """With the range of every plane from sample pixels."""
+    def of(cls, model: LightModel, lights: np.ndarray, values: np.ndarray, valid: np.ndarray) -> "StoredModel":
+        """With the range of every plane from sample pixels, and its steps from what it counts under lights (n, 3).
+
+        A step of every plane would err alike in the pictures where its scale is the largest range in pictures,
+        divided by the plane's root mean square weight under the lights; that costs fewest bytes for an error, but
+        leaves slight planes few of 256 codes. The scale is half of that and half of the plane's own range.
+        """
         low, high = np.percentile(model.fit(values, valid), [ENDS, 100 - ENDS], axis=0)
         span = np.maximum(high - low, 1e-6)
-        scale, low = span * (1 + 2 * MARGIN), low - MARGIN * span
-        return cls(model, scale, -low / scale)
+        weight = np.sqrt(np.mean([(model.transfer(light)[1] ** 2).sum(axis=1) for light in lights], axis=0))
+        weight = np.maximum(weight, 1e-6)
+        scale = (1 + 2 * MARGIN) * (OWN_RANGE * span + (1 - OWN_RANGE) * (span * weight).max() / weight)
+        return cls(model, scale, -(low - MARGIN * span) / scale)
 
     def codes(self, coefficients: np.ndarray) -> np.ndarray:
         """(n, planes) uint8 of coefficients."""
@@ -138,8 +159,11 @@ class StoredModel:
         if frames.pixel_pitch_mm:
             content["pixelSizeInMM"] = frames.pixel_pitch_mm
         if isinstance(self.model, PrincipalModel):
-            material["range"] = self.model.span.tolist()
             content["sigma"] = self.model.width
+        if isinstance(self.model, GridModel):
+            content["resolution"] = GRID_SIDE
+        if isinstance(self.model, TabulatedModel):
+            material["range"] = self.model.span.tolist()
             basis = np.concatenate([self.model.mean_code[None], self.model.codes])
             content["basis"] = basis.ravel().tolist()
         return content

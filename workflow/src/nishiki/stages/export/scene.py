@@ -6,16 +6,20 @@ import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.maps import Maps, directional_shading, shading_normals
+from nishiki.brdf.parameters import gloss_table, is_facets
 from nishiki.brdf.slopes import products, slope_covariance, slopes_of
 from nishiki.colour.colour import adaptation_matrix, illuminant, srgb_matrix, white_xyz, xyz_matrix
 from nishiki.colour.training import synthetic_reflectances
 from nishiki.errors import UserError
 from nishiki.evaluate.camera_colour import CameraColour, assumed_colour, fitted_colour
+from nishiki.evaluate.prediction import FittedModel
 from nishiki.formats.icc import D50
 from nishiki.formats.stored import load_arrays
 from nishiki.formats.tiff_bands import strips
 from nishiki.observations.plane import Observations
 from nishiki.photometric.flags import NO_ESTIMATE
+from nishiki.render.plane.scene import Gloss
+from nishiki.report.files import read_json
 
 D65 = np.linalg.inv(srgb_matrix()).sum(axis=1)
 """White of sRGB."""
@@ -148,6 +152,19 @@ class ExportedScene:
         """(r, columns) uint8 region of gloss of each pixel; None where the capture names no regions."""
         labels = self._frames.regions
         return None if labels is None else labels[rows]
+
+    def fitted_model(self, rows: slice) -> FittedModel:
+        """What predicts photographs of these rows; without gloss where it is left out."""
+        parameters = read_json(self._inputs.get("brdf"), "parameters.json")
+        labels = self.regions(rows) if parameters is not None and len(gloss_table(parameters)[0]) > 1 else None
+        return FittedModel(
+            self.shading_normals(rows),
+            np.nan_to_num(self._maps.read("reflectance", rows)),
+            Gloss.none() if parameters is None else Gloss(*gloss_table(parameters)),
+            labels,
+            self._maps.read("shading", rows) if "shading" in self._maps else None,
+            self.slopes(rows) if parameters is not None and is_facets(parameters) else None,
+        )
 
     def shading(self, rows: slice) -> np.ndarray:
         """(r, columns, 3) terms a, b, d of the body shading, (1, 0, 0) for Lambert's law."""
