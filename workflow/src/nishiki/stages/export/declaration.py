@@ -100,5 +100,5 @@ STAGE = Stage(
     idle={"usd-core": no_format("export", "usd"), "materialx": no_format("export", "materialx")},
     deliverables=("exports",),
     threads=1,
-    cost=lambda facts: Cost(mib=620, bytes_per_pixel=40, seconds=5, us_per_pixel=20, us_per_sample=3),
+    cost=lambda facts: Cost(mib=620, bytes_per_pixel=40, seconds=5, us_per_pixel=50, us_per_sample=3),
 )

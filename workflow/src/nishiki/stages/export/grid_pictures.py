@@ -5,8 +5,8 @@
 p are the photographs, m_L and m_G what the fitted model (stages normals and brdf, without cast shadows) draws under
 the captured lights and those of the grid, all coded for the screen, W Gaussians between the lights, sum 1, and A the
 weights by which a viewer interpolates between the nodes of the grid: what is shown under a captured light is nearly its
-photograph. The correction by A is that of F. Ponchio, M. Corsini and R. Scopigno (2018), RELIGHT: a compact and
-accurate RTI representation for the web, whose x0 is W p.
+photograph. The correction by A is that of F. Ponchio, M. Corsini and R. Scopigno (2018), A compact
+representation of relightable images for the web, whose x0 is W p.
 """
 
 import numpy as np
@@ -27,6 +27,8 @@ BEYOND = 0.5  # below 0 and above 1 that values at nodes may be
 
 class GridPictures(Photographs):
     """Pictures under the lights of the grid. lights : indices of the captured ones."""
+
+    pixels = 1 << 13
 
     def __init__(self, frames: Observations, scene: ExportedScene, lights: np.ndarray):
         super().__init__(frames, scene)

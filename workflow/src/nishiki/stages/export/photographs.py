@@ -12,6 +12,9 @@ from nishiki.stages.export.scene import ExportedScene
 class Photographs:
     """The photographs as sRGB-coded colours relative to a white that faces the lamp."""
 
+    pixels: int | None = None
+    """At a time, about; None: as many as are read at a time."""
+
     def __init__(self, frames: Observations, scene: ExportedScene):
         colour = scene.camera_colour()
         self.frames = frames
@@ -24,7 +27,11 @@ class Photographs:
     def strips(self, band: slice, lights: np.ndarray) -> Iterator[tuple[slice, np.ndarray, np.ndarray]]:
         """Some rows of a band at a time: (n, lights, 3) values in 0 to 1 and (n, lights) bool of their pixels."""
         for rows, values, valid in self.frames.strips(band, lights=lights):
-            yield rows, *self.seen(rows, slice(None), *self._by_pixel(values, valid))
+            step = max(self.pixels // values.shape[2], 1) if self.pixels else values.shape[1]
+            for top in range(0, values.shape[1], step):
+                part = slice(rows.start + top, min(rows.start + top + step, rows.stop))
+                inner = slice(top, top + step)
+                yield part, *self.seen(part, slice(None), *self._by_pixel(values[:, inner], valid[:, inner]))
 
     def seen(
         self, rows: slice, pixels: slice | np.ndarray, values: np.ndarray, valid: np.ndarray
@@ -46,9 +53,10 @@ class Photographs:
                 of_object = np.flatnonzero(self.frames.mask[rows])
                 chosen = of_object[-passed % step :: step]
                 passed += len(of_object)
-                sampled = self.seen(rows, chosen, *self._by_pixel(each, usable))
-                values.append(sampled[0])
-                valid.append(sampled[1])
+                if len(chosen):
+                    sampled = self.seen(rows, chosen, *self._by_pixel(each, usable))
+                    values.append(sampled[0])
+                    valid.append(sampled[1])
         return np.concatenate(values), np.concatenate(valid)
 
 
