@@ -11,7 +11,8 @@ Input are photographs as 8-bit codes, which relight takes as they are: it knows 
 
 A plane's bias is its smallest value; its scale is the mean of its own range and the largest range of all planes, so
 that planes of little weight get few codes and few bytes. Codes of planes and components are cut to integers, not
-rounded. F. Ponchio, M. Corsini and R. Scopigno (2018), A compact representation of relightable images for the web, Web3D.
+rounded. F. Ponchio, M. Corsini and R. Scopigno (2018), A compact representation of relightable images for the web,
+Web3D.
 """
 
 from __future__ import annotations
