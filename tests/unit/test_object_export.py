@@ -1,6 +1,7 @@
 """Textures of exported objects: what is read at a surface point is what the tiles hold there. Addresses of views."""
 
 import json
+from dataclasses import replace
 from types import SimpleNamespace
 from urllib.parse import unquote, urlsplit
 
@@ -16,7 +17,7 @@ from nishiki.stages.object_export import iiif
 from nishiki.stages.object_export.declaration import LIMITS
 from nishiki.stages.object_export.errors import direction_to
 from nishiki.stages.object_export.iiif import pitch_mm
-from nishiki.stages.object_export.look import ALPHA_PER_SIGMA
+from nishiki.stages.object_export.look import ALPHA_PER_SIGMA, ObjectLook
 from nishiki.stages.object_export.texture_atlas import fill_gaps, sample, texture_atlas
 
 
@@ -141,3 +142,19 @@ def test_addresses_of_views_are_those_of_their_files_whatever_the_views_are_call
                 assert not parts.query
                 assert not parts.fragment
                 assert (tmp_path / "exports/iiif" / unquote(parts.path).removeprefix("/jar/")).is_file(), address
+
+
+def test_with_one_strength_each_highlight_keeps_its_height():
+    specular, roughness = np.array([[20, 60], [120, 0]], np.uint8), np.array([[150, 120], [180, 90]], np.uint8)
+    look = ObjectLook(None, None, np.zeros((2, 2, 3), np.uint8), roughness, specular, factor=2.0, scale=1.0, clipped=0)
+    one = look.of_one_strength()
+    assert (one.specular == 50).all()
+    along_normal = [
+        each.specular / 255 * each.normal_reflectance * isotropic_lobe(*np.ones((3, 2, 2)), (each.roughness / 255) ** 2)
+        for each in (look, one)
+    ]
+    strong = specular > 0
+    np.testing.assert_allclose(along_normal[1][strong], along_normal[0][strong], rtol=4 / 150)  # 8 bits, four times
+    assert one.roughness[1, 1] == 255  # no gloss at all: as wide as it can be
+    matte = replace(look, specular=np.zeros_like(specular)).of_one_strength()
+    np.testing.assert_array_equal(matte.roughness, roughness)

@@ -43,8 +43,9 @@ def lost(each: dict) -> str:
     for kind, figures in each.get("kinds", {}).items():
         lights = "check" if "check" in figures["psnr_db"] else "fitted"
         error = figures["psnr_db"][lights]
-        which = "lights that no fit saw" if lights == "check" else "the fitted lights (no others are kept)"
-        texts.append(f"{kind}: {figure(error['all'])} dB against photographs under {which} ({error['lights']})")
+        which = "that no fit saw" if lights == "check" else "of the fit, because no others are kept"
+        of = "of views" if "lamp_strength" in each else "under lights"  # objects, or paintings
+        texts.append(f"{kind}: {figure(error['all'])} dB against photographs {of} {which} ({error['lights']})")
     if "against_model" in each:
         measured = each["against_model"]
         texts.append(

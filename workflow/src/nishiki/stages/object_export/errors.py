@@ -88,9 +88,9 @@ def errors(context: Context, look: ObjectLook, formats: Sequence[str]) -> dict[s
 
 def shown_in(look: ObjectLook, name: str) -> Shown:
     """What a viewer shows of one of the formats `gltf`, `usd` and `materialx`, light and view without cast shadows."""
-    strength = look.of_one_strength().specular if name == "usd" else look.specular
-    textures = [decode(look.colour / 255, "srgb"), (look.roughness[..., None] / 255) ** 2, strength[..., None] / 255]
-    stored = np.concatenate(textures, axis=-1)
+    said = look.of_one_strength() if name == "usd" else look
+    alpha, strength = (said.roughness / 255) ** 2, said.specular / 255
+    stored = np.concatenate([decode(look.colour / 255, "srgb"), alpha[..., None], strength[..., None]], axis=-1)
 
     def shown(points: SeenPoints) -> np.ndarray:
         texels = sample(stored, points.places)

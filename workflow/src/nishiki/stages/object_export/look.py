@@ -68,8 +68,14 @@ class ObjectLook:
         return SurfaceLook(self.colour, self.roughness, self.normal_reflectance, weight=self.specular)
 
     def of_one_strength(self) -> ObjectLook:
-        """With the mean of the strength everywhere, which is what USD can say."""
-        return replace(self, specular=np.full_like(self.specular, np.rint(self.specular.mean())))
+        """With the mean of the strength everywhere, which is what USD can say.
+
+        Roughness keeps the height of each texel's highlight, w F0 / (4 alpha^2): a weaker gloss is a wider one.
+        """
+        mean = np.rint(self.specular.mean())
+        wider = np.sqrt(np.sqrt(mean / np.maximum(self.specular, 0.5))) if mean else 1.0
+        roughness = np.clip(self.roughness * wider, 255 * np.sqrt(LEAST_ALPHA), 255)
+        return replace(self, roughness=np.rint(roughness).astype(np.uint8), specular=np.full_like(self.specular, mean))
 
     def figures(self) -> dict:
         """What the diagnostics say of it."""
