@@ -133,8 +133,12 @@ def measured(scene: str, name: str, configfile: str) -> dict:
     command = [sys.executable, "-m", "nishiki", "export", scene, name, "--configfile", configfile]
     environment = {**os.environ, "PYTHONPATH": str(PROJECT / "workflow/src")}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    if done.returncode:
+    refused = f"{name} needs "
+    if done.returncode and refused not in done.stderr:
         sys.exit(f"{' '.join(command)}: exit status {done.returncode}\n{done.stdout}{done.stderr}")
+    if done.returncode:
+        why = refused + done.stderr.split(refused, 1)[1].splitlines()[0]
+        return {"scene": scene, "format": name, "not_made": why}
     flow = Workflow({**load_yaml(Path(configfile)), "exports": {scene: [name]}}, only=scene, file=configfile)
     stage = next(each for each in flow.plans[scene].stages if each.endswith("export"))
     folder = Path(flow.artifact(scene, stage)).parent

@@ -11,7 +11,7 @@ Reference: T. Malzbender, D. Gelb and H. Wolters (2001), Polynomial texture maps
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -117,17 +117,19 @@ def write_ptm(path: Path, planes: Sequence[np.ndarray], scale: np.ndarray, bias:
                 file.write(block[::-1].tobytes())
 
 
-def read_ptm(path: Path, band_rows: int) -> Iterator[tuple[slice, np.ndarray]]:
-    """Bands of rows and their coefficients (rows, columns, 6, 3) of 1, u, v, u^2, u v, v^2, for values 0 to 1.
+def read_ptm(path: Path) -> Callable[[slice], np.ndarray]:
+    """A function from some rows to their coefficients (rows, columns, 6, 3) of 1, u, v, u^2, u v, v^2.
 
-    Of PTM_FORMAT_RGB; Refused by `open_ptm`, ValueError for another layout.
+    They are for values 0 to 1. Of PTM_FORMAT_RGB; Refused by `open_ptm`, ValueError for another layout.
     """
     stored = open_ptm(path)
     if stored.colours is not None:
         raise ValueError(f"{path}: expected PTM_FORMAT_RGB, found {stored.layout}")
-    rows = stored.shape[0]
-    for top in range(0, rows, band_rows):
-        band = slice(top, min(top + band_rows, rows))
-        codes = np.asarray(stored.terms[:, rows - band.stop : rows - band.start])[:, ::-1]
+    height = stored.shape[0]
+
+    def coefficients(rows: slice) -> np.ndarray:
+        codes = np.asarray(stored.terms[:, height - rows.stop : height - rows.start])[:, ::-1]
         terms = (codes - stored.bias) * stored.scale / 255
-        yield band, terms[..., np.argsort(ORDER)].transpose(1, 2, 3, 0)
+        return terms[..., np.argsort(ORDER)].transpose(1, 2, 3, 0)
+
+    return coefficients

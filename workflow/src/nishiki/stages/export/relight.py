@@ -2,7 +2,8 @@
 
 import json
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -39,6 +40,8 @@ ENDS = 0.05  # percent of the samples beyond each end of a plane's range
 MARGIN = 0.05  # of that range, added at each end
 OWN_RANGE = 0.5  # share of a plane's own range in its scale
 LARGEST_SINGLE = 2048  # pixels of the longer side up to which a plane is one file
+DecodedRows = tuple[slice, Callable[[slice], np.ndarray]]
+"""Rows, and a function from some of them to their coefficients (rows, columns, planes), which are large."""
 
 
 def write(context: Context, scene: ExportedScene) -> dict:
@@ -168,8 +171,8 @@ class StoredModel:
             content["basis"] = basis.ravel().tolist()
         return content
 
-    def decoded(self, folder: Path, frames: Observations) -> Iterator[tuple[slice, np.ndarray]]:
-        """Some rows at a time, at most a band, and the coefficients (rows, columns, planes) in their files."""
+    def decoded(self, folder: Path, frames: Observations) -> Iterator[DecodedRows]:
+        """Some rows at a time, at most a band, and what gives the coefficients of some of them from the files."""
         names = [f"plane_{number}" for number in range(self.model.planes // 3)]
         if self.layout == "image":
             bands = iter([[(slice(0, frames.shape[0]), read_jpeg(folder / f"{name}.jpg")) for name in names]])
@@ -180,8 +183,10 @@ class StoredModel:
             for top in range(start, stop, frames.band_rows):
                 rows = slice(top, min(top + frames.band_rows, stop))
                 inner = slice(top - start, rows.stop - start)
-                codes = np.concatenate([picture[inner] for _, picture in parts], axis=-1)
-                yield rows, self.coefficients(codes)
+                yield rows, partial(self._of_codes, np.concatenate([each[inner] for _, each in parts], axis=-1), rows)
+
+    def _of_codes(self, codes: np.ndarray, rows: slice, part: slice) -> np.ndarray:
+        return self.coefficients(codes[part.start - rows.start : part.stop - rows.start])
 
     def shown_by(self, model: LightModel) -> "StoredModel":
         """The same planes under another interpolation between the lights."""
@@ -195,26 +200,18 @@ class StoredModel:
 
     def file_errors(self, folder: Path, photographs: Photographs, lights: np.ndarray) -> dict[str, float]:
         """PSNR of what a viewer shows of the .ptm file against the coded photographs."""
-        return self._errors(of_file(folder, photographs.frames), photographs, lights)
+        coefficients = read_ptm(folder / PTM)
+        return self._errors(((band, coefficients) for band in photographs.frames.bands()), photographs, lights)
 
-    def _errors(
-        self, bands: Iterator[tuple[slice, np.ndarray]], photographs: Photographs, lights: np.ndarray
-    ) -> dict[str, float]:
+    def _errors(self, bands: Iterator[DecodedRows], photographs: Photographs, lights: np.ndarray) -> dict[str, float]:
         errors = CodedErrors(len(lights))
         transfers = [self.model.transfer(photographs.frames.directions[light]) for light in lights]
         for rows, decoded in bands:
             for part, values, valid in photographs.strips(rows, lights):
-                inner = slice(part.start - rows.start, part.stop - rows.start)
-                coefficients = decoded[inner].reshape(-1, self.model.planes)
+                coefficients = decoded(part).reshape(-1, self.model.planes)
                 for number, (offset, weights) in enumerate(transfers):
                     errors.add(number, offset + coefficients @ weights, values[:, number], valid[:, number])
         return errors.decibels()
-
-
-def of_file(folder: Path, frames: Observations) -> Iterator[tuple[slice, np.ndarray]]:
-    """Bands of coefficients (rows, columns, planes) from the .ptm file."""
-    for rows, terms in read_ptm(folder / PTM, frames.band_rows):
-        yield rows, terms.reshape(*terms.shape[:2], -1)
 
 
 def write_layers(folder: Path, scene: ExportedScene, context: Context) -> None:
