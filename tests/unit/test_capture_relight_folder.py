@@ -12,6 +12,7 @@ from relightable_images import COLUMNS, LIGHT, RELIGHT, ROWS, corners, relight_v
 
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
+from nishiki.capture.layouts import photographs_in
 from nishiki.capture.relightable import lamps_for, open_relightable, recognise_relightable
 from nishiki.formats.picture_tiles import write_deep_zoom
 from nishiki.formats.problems import CaptureError
@@ -90,6 +91,13 @@ def test_a_relight_folder_becomes_a_capture_unless_photographs_lie_in_it(tmp_pat
     for number in range(6):
         Image.new("RGB", (COLUMNS, ROWS)).save(tmp_path / f"r/photo{number}.jpg")
     assert recognise_relightable(tmp_path / "r") is None
+
+
+def test_planes_whose_names_are_not_found_are_no_photographs(tmp_path):
+    write_relight(tmp_path / "r", "hsh", "rgb", 27)
+    (tmp_path / "r/plane_0.jpg").rename(tmp_path / "r/plane_0.JPG")
+    assert recognise_relightable(tmp_path / "r") is None
+    assert photographs_in(tmp_path / "r") == []
 
 
 def without(key):

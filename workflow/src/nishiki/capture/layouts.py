@@ -59,7 +59,7 @@ def photographs_in(folder: Path) -> list[Path]:
     be that of a file in a capture.
     """
     pictures = files_with(folder, IMAGE_SUFFIXES)
-    fitted = is_relight_folder(folder)
+    fitted = (folder / INFO).is_file()
     others = (p for p in pictures if not (MASK_WORD.search(p.stem) or (fitted and LAYERS.fullmatch(p.stem))))
     chosen = sorted(others, key=natural_key)
     raise_errors(problem for path in chosen for problem in source_problems(path, folder))
