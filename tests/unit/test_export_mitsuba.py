@@ -8,17 +8,19 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from glossy_ball import PLACE, glossy_ball
+from scipy.spatial.transform import Rotation
 from unit.test_patches_charts import around
 
 from nishiki.brdf.texels.lighting import Lighting
 from nishiki.brdf.texels.model import predict
 from nishiki.formats.mitsuba_xml import Parameter, write_scene
+from nishiki.geometry.camera import Camera
 from nishiki.report.numbers import figure
 from nishiki.stages.export import mitsuba_principled as principled
 from nishiki.stages.export.report import lost
 from nishiki.stages.object_export.errors import SeenPoints
 from nishiki.stages.object_export.look import object_mesh
-from nishiki.stages.object_export.mitsuba import by_principled, falloff, lamp_facts, write_folder
+from nishiki.stages.object_export.mitsuba import by_principled, falloff, lamp_facts, nearest_pinhole, write_folder
 from nishiki.stages.object_export.texture_atlas import sample
 
 STAMP = {"scene": "ball", "key": "0123456789ab"}
@@ -186,6 +188,38 @@ def test_what_a_pinhole_with_square_pixels_cannot_say_is_told(exported, tmp_path
     figures = write_folder(tmp_path, other, mesh, exported.parameters, unit=1.0, stamp=STAMP)
     assert figures["camera_px"] > 0.5
     assert f"its cameras are off by at most {figure(figures['camera_px'])} pixels" in lost(figures)
+
+
+def test_the_nearest_pinhole_of_a_projective_camera_and_of_a_square_one(exported):
+    (camera, *_), points = exported.look.decoded.cameras, exported.look.decoded.mesh.vertices
+    assert nearest_pinhole(camera, points) is camera
+    skewed = np.array([[1.4, 0.03, 0], [0, 1, 0], [0, 0, 1.0]])
+    matrix = (
+        camera.intrinsics
+        @ skewed
+        @ Rotation.from_rotvec([0.4, 0.1, 0]).as_matrix()
+        @ np.column_stack([camera.rotation, camera.translation])
+    )
+    oblong = Camera.from_matrix("oblong", matrix, rows=camera.rows, columns=camera.columns)
+    found = nearest_pinhole(oblong, points)
+    k = found.intrinsics
+    assert k[0, 0] == k[1, 1]
+    assert k[0, 1] == 0
+    np.testing.assert_allclose(found.centre, oblong.centre, atol=1e-9)
+    expected = oblong.project(points)[0]
+    apart = np.sum((found.project(points)[0] - expected) ** 2)
+
+    def moved(angles, focal, axis):
+        turned = Rotation.from_rotvec(angles).as_matrix() @ found.rotation
+        square = k * [[focal, 1, 1], [1, focal, 1], [1, 1, 1]] + np.array([[0, 0, axis[0]], [0, 0, axis[1]], [0, 0, 0]])
+        other = replace(found, intrinsics=square, rotation=turned, translation=-turned @ found.centre)
+        return np.sum((other.project(points)[0] - expected) ** 2)
+
+    random = np.random.default_rng(4)
+    for _ in range(200):  # nothing nearby is nearer
+        size = 10 ** random.uniform(-4, -1)
+        angles, axis = size * random.normal(size=3), size * k[0, 0] * random.normal(size=2)
+        assert moved(angles, np.exp(size * random.normal()), axis) > (1 - 1e-3) * apart
 
 
 def test_lamps_of_each_kind(mi, exported, nishiki_object):

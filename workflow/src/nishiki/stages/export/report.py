@@ -44,7 +44,7 @@ def lost(each: dict) -> str:
         lights = "check" if "check" in figures["psnr_db"] else "fitted"
         error = figures["psnr_db"][lights]
         which = "that no fit saw" if lights == "check" else "of the fit, because no others are kept"
-        of = "of views" if "lamp_strength" in each else "under lights"  # objects, or paintings
+        of = "of views" if {"lamp_strength", "jpeg_psnr_db"} & each.keys() else "under lights"  # objects, or paintings
         texts.append(f"{kind}: {figure(error['all'])} dB against photographs {of} {which} ({error['lights']})")
     if "against_model" in each:
         measured = each["against_model"]

@@ -3,9 +3,12 @@ our reflection model in Python, and `principled` for scenes without Python."""
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 from nishiki.artifacts.stage import Context
 from nishiki.brdf.texels.lighting import DISTANT, POINT, Lamp
@@ -16,7 +19,7 @@ from nishiki.formats.mitsuba_xml import Parameter, write_scene
 from nishiki.formats.picture_tiles import png_bytes
 from nishiki.formats.textured_ply import faces, heading, vertices
 from nishiki.formats.textured_surface import TexturedMesh
-from nishiki.geometry.camera import Camera
+from nishiki.geometry.camera import NO_DISTORTION, Camera
 from nishiki.render.display import three_channels
 from nishiki.render.object.decoded_object import DecodedObject
 from nishiki.stages.export import mitsuba_principled as principled
@@ -25,6 +28,8 @@ from nishiki.stages.object_export.errors import SeenPoints, Shown, against_photo
 from nishiki.stages.object_export.look import METRES, ObjectLook
 from nishiki.stages.object_export.surface import ObjectSurface
 from nishiki.stages.object_export.texture_atlas import TextureAtlas, fill_gaps, sample
+
+FITTED_POINTS = 1000  # of the mesh, to which a pinhole is fitted
 
 
 def write(context: Context, surface: ObjectSurface) -> dict:
@@ -95,22 +100,56 @@ def model_textures(decoded: DecodedObject, layout: TextureAtlas) -> dict[str, np
 
 
 def scene_facts(decoded: DecodedObject, positions: np.ndarray, unit: float) -> tuple[dict, float]:
-    """Cameras and lamps of every captured view, lengths times `unit`; the largest distance in pixels between what a
-    pinhole with square pixels shows of `positions` and what the capture's cameras do."""
+    """Cameras and lamps of every captured view, lengths times `unit`; the largest distance in pixels between what the
+    pinholes with square pixels show of `positions` and what the capture's cameras do."""
     middle, views, apart = positions.mean(axis=0), {}, 0.0
+    points = positions / unit
     for name, camera in zip(decoded.views, decoded.cameras, strict=True):
-        facts = camera_facts(camera, positions, unit)
-        apart = max(apart, distance_px(camera, facts, positions / unit))
+        pinhole = nearest_pinhole(camera, points)
+        apart = max(apart, float(np.linalg.norm(pinhole.project(points)[0] - camera.project(points)[0], axis=1).max()))
         lamps = {
             light: lamp_facts(decoded.lighting.lamp(camera, number), middle, unit)
             for number, light in enumerate(decoded.lights)
         }
-        views[name] = {"camera": facts, "lamps": lamps}
+        views[name] = {"camera": camera_facts(pinhole, positions, unit), "lamps": lamps}
     return {"views": views}, apart
 
 
+def nearest_pinhole(camera: Camera, points: np.ndarray) -> Camera:
+    """The pinhole with square pixels at the camera's place that shows world points (n, 3) nearest to where the camera
+    has them (least squares of the distances in pixels); the camera itself where it is one.
+
+    Matrices without metric calibration, such as projective ones, have oblong pixels and an axis far off the picture.
+    """
+    k, middle = camera.intrinsics, np.array([camera.columns - 1, camera.rows - 1]) / 2
+    if not any(camera.distortion) and abs(k[0, 1]) + abs(k[0, 0] - k[1, 1]) < 1e-9 * k[0, 0]:
+        return camera
+    points = points[:: max(len(points) // FITTED_POINTS, 1)]
+    seen = camera.project(points)[0]
+    ahead = np.linalg.solve(k, [*middle, 1]) @ camera.rotation  # the first guess looks along the middle pixel
+    ahead /= np.linalg.norm(ahead)
+    right = camera.rotation[0] - ahead * (ahead @ camera.rotation[0])
+    right /= np.linalg.norm(right)
+    guess = np.stack([right, np.cross(ahead, right), ahead])
+
+    def pinhole(unknowns: np.ndarray) -> Camera:
+        rotation = Rotation.from_rotvec(unknowns[:3]).as_matrix() @ guess
+        focal, (column, row) = k[0, 0] * np.exp(unknowns[3]), middle + k[0, 0] * unknowns[4:]
+        square = np.array([[focal, 0, column], [0, focal, row], [0, 0, 1]])
+        return replace(
+            camera,
+            intrinsics=square,
+            rotation=rotation,
+            translation=-rotation @ camera.centre,
+            distortion=NO_DISTORTION,
+        )
+
+    found = least_squares(lambda unknowns: (pinhole(unknowns).project(points)[0] - seen).ravel(), np.zeros(6))
+    return pinhole(found.x)
+
+
 def camera_facts(camera: Camera, positions: np.ndarray, unit: float) -> dict:
-    """The pinhole as Mitsuba says it: camera to world with x to the left, y up and z ahead; `principal_offset`: of the
+    """A pinhole as Mitsuba says it: camera to world with x to the left, y up and z ahead; `principal_offset`: of the
     picture's middle from the optical axis, as shares of its width and height."""
     k, centre = camera.intrinsics, camera.centre * unit
     to_world = np.eye(4)
@@ -125,14 +164,6 @@ def camera_facts(camera: Camera, positions: np.ndarray, unit: float) -> dict:
         "near": float(0.1 * away.min()),
         "far": float(10 * away.max()),
     }
-
-
-def distance_px(camera: Camera, facts: dict, points: np.ndarray) -> float:
-    """Largest distance between the pixels of world points (n, 3) in a camera and in its pinhole with square pixels."""
-    k = camera.intrinsics
-    square = np.array([[k[0, 0], 0, k[0, 2]], [0, k[0, 0], k[1, 2]], [0, 0, 1]])
-    plain = Camera(camera.name, square, camera.rotation, camera.translation, camera.rows, camera.columns)
-    return float(np.linalg.norm(camera.project(points)[0] - plain.project(points)[0], axis=1).max())
 
 
 def lamp_facts(lamp: Lamp, middle: np.ndarray, unit: float) -> dict:
