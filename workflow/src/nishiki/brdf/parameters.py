@@ -139,9 +139,12 @@ def is_facets(parameters: dict) -> bool:
     return parameters["method"] != "paper"
 
 
-def gloss_table(parameters: dict) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+def gloss_table(parameters: dict | None) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """beta (regions, lobes), gamma (regions, lobes) in radians, refractive index (regions,) of a parameters.json, and
-    the share of the surface's loss that the body's light suffers (`nishiki.brdf.body_shading.transmittance`)."""
+    the share of the surface's loss that the body's light suffers (`nishiki.brdf.body_shading.transmittance`). None: a
+    painting without a fit, one region without gloss."""
+    if parameters is None:
+        return np.zeros((1, 1)), np.full((1, 1), 0.5), np.full(1, 1.45), 0.0
     regions = parameters["regions"]
     beta = np.array([region["beta"] for region in regions], dtype=np.float64)
     gamma = np.array([region["gamma"] for region in regions], dtype=np.float64)

@@ -11,13 +11,11 @@ from nishiki.observations.plane import Observations
 from nishiki.report.files import read_json
 from nishiki.stages.export.scene import ExportedScene
 
-MATTE = (np.zeros((1, 1)), np.full((1, 1), 0.5), np.full(1, 1.45), 0.0)
-
 
 def write(context: Context, scene: ExportedScene) -> dict:
     """A table a region: its lobes, and the mean of its body colour and body shading."""
     parameters = read_json(context.inputs.get("brdf"), "parameters.json")
-    beta, gamma, index, transmission = MATTE if parameters is None else gloss_table(parameters)
+    beta, gamma, index, transmission = gloss_table(parameters)
     labels = Observations(context.inputs["ingest"].folder).regions if len(index) > 1 else None
     light, view = merl_directions()
     files, spreads = [], []

@@ -20,7 +20,6 @@ from nishiki.stages.export.relief_mesh import reliefs
 from nishiki.stages.export.scene import ExportedScene
 
 UP = np.array([0.0, 0.0, 1.0])
-MATTE = (np.array([[0.0]]), np.array([[0.5]]), np.array([1.45]), 0.0)
 ONE_CHANNEL = ("regions", "roughness", "weight")
 Texture = Callable[[slice], np.ndarray]
 """Some rows of a texture, of the picture's columns."""
@@ -85,7 +84,7 @@ def model_textures(scene: ExportedScene, *, facets: bool, regions: bool) -> dict
 
 def gloss_facts(parameters: dict | None) -> dict:
     """Lobes of each region, and the losses of the body's light at the surface."""
-    beta, gamma, index, transmission = MATTE if parameters is None else gloss_table(parameters)
+    beta, gamma, index, transmission = gloss_table(parameters)
     names = ("beta", "gamma", "index")
     regions = [
         dict(zip(names, each, strict=True)) for each in zip(beta.tolist(), gamma.tolist(), index.tolist(), strict=True)
