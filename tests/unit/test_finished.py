@@ -245,8 +245,5 @@ def test_the_engine_of_a_run_is_told_which_scenes_are_left(tmp_path, monkeypatch
         ([], {"rerun_triggers": ["mtime"]}, True),
     ],
 )
-def test_options_that_say_what_to_make_leave_the_decision_to_the_engine(rest, profile, says, monkeypatch):
-    monkeypatch.delenv("SNAKEMAKE_PROFILE", raising=False)
+def test_options_that_say_what_to_make_leave_the_decision_to_the_engine(rest, profile, says):
     assert names_targets(rest, profile) == says
-    monkeypatch.setenv("SNAKEMAKE_PROFILE", "mine")
-    assert names_targets(rest, profile)

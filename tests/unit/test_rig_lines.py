@@ -297,6 +297,39 @@ def test_a_line_where_nothing_answers_is_not_taken_for_grbl(port):
             Grbl("controller", str(port))
 
 
+class InchesGrbl(SimulatedGrbl):
+    """A controller with $13=1: its status reports are in inches, commands are in millimetres."""
+
+    def _status(self):
+        state, _, rest = super()._status().split("|")
+        return f"{state}|MPos:{','.join(f'{value / 25.4:.4f}' for value in self.position.values())}|{rest}"
+
+
+class OldGrbl(SimulatedGrbl):
+    """A controller with GRBL 0.9: commas divide its status reports."""
+
+    def greet(self):
+        return ["", "Grbl 0.9j ['$' for help]", *super().greet()[2:]]
+
+    def _status(self):
+        return super()._status().replace("|", ",")
+
+
+@pytest.mark.parametrize(("kind", "setting"), [(InchesGrbl, r"\$13=0"), (OldGrbl, r"GRBL 1\.1")])
+def test_a_controller_that_reports_in_another_way_is_refused_at_once(port, kind, setting):
+    def turn():
+        axis = axis_of(Grbl("controller", str(port)))
+        axis.home()
+        axis.move_to(10.0)
+
+    start = time.monotonic()
+    with kind(port):
+        with pytest.raises(DeviceError, match=setting) as told:
+            turn()
+    assert not isinstance(told.value, DeviceLost)  # which would be tried again
+    assert time.monotonic() - start < 5.0
+
+
 # ComXim
 
 

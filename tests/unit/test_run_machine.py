@@ -1,10 +1,17 @@
-"""What a run may use of its machine: memory and threads."""
+"""What a run may use of its machine: memory, threads, links, the places of caches."""
 
+import errno
 import os
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from nishiki.artifacts.publish import expect_links
+from nishiki.commands.engine import engine_environment
+from nishiki.commands.running import _tell_unfinished
 from nishiki.engine.machine import memory_arguments, thread_arguments
+from nishiki.errors import UserError
 from nishiki.formats.bounds import machine_memory
 from nishiki.threads import over_rows, threads
 
@@ -55,3 +62,45 @@ def test_strips_cover_every_row_once(monkeypatch, rows, workers):
     seen = []
     over_rows(lambda start, stop, add: seen.extend(range(start + add, stop + add)), rows, 5)
     assert sorted(seen) == list(range(5, rows + 5))
+
+
+@pytest.mark.parametrize("number", [errno.EOPNOTSUPP, errno.EPERM])
+def test_results_on_a_file_system_without_links_are_refused_before_the_work(tmp_path, monkeypatch, number):
+    expect_links(tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+    def refuse(*_):
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(os, "symlink", refuse)
+    with pytest.raises(UserError, match=str(tmp_path)):
+        expect_links(tmp_path)
+
+
+@pytest.mark.parametrize("home", ["/proc/nohome", None])
+def test_a_home_that_cannot_be_written_is_not_used_for_caches(tmp_path, monkeypatch, home):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setenv("HOME", home or str(tmp_path / "home"))
+    environment = engine_environment()
+    assert environment.get("XDG_CACHE_HOME") == (str(tmp_path / ".snakemake/cache") if home else None)
+
+
+def test_a_profile_for_other_work_is_left_out_and_named(monkeypatch, capsys):
+    monkeypatch.setenv("SNAKEMAKE_PROFILE", "slurm-of-others")
+    assert "SNAKEMAKE_PROFILE" not in engine_environment()
+    assert "slurm-of-others" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("failed_stage", ["publish", None])
+def test_a_run_that_failed_never_ends_with_all_scenes_finished(tmp_path, monkeypatch, capsys, failed_stage):
+    artifact = tmp_path / "artifact.json"
+    artifact.write_text("{}")
+    plan = SimpleNamespace(stages=["ingest"])
+    flow = SimpleNamespace(plans={"icon": plan}, artifact=lambda scene, stage: Path(artifact), refused={})
+    monkeypatch.setattr("nishiki.engine.finished.reason_to_run", lambda flow, scene: "not published")
+    failure = {"scene": "icon", "stage": failed_stage, "name": "icon", "why": "Stale file handle", "log": "x.log"}
+    _tell_unfinished(flow, 1.0, [failure] if failed_stage else [])
+    text = capsys.readouterr().err
+    assert "1 of 1 scenes" not in text
+    assert ("Stale file handle" in text) == bool(failed_stage)

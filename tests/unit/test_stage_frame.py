@@ -26,6 +26,8 @@ def stage(monkeypatch, tmp_path, error):
     [
         (OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "c/0"), r"No space left.*c/0.*free space"),
         (OSError(errno.EROFS, os.strerror(errno.EROFS)), "Read-only file system.*writable"),
+        (OSError(errno.ESTALE, os.strerror(errno.ESTALE), "frames.zarr"), "frames.zarr.*Remedy"),
+        (OSError(errno.EHOSTDOWN, os.strerror(errno.EHOSTDOWN), "frames.zarr"), "frames.zarr.*Remedy"),
         (MemoryError("cannot allocate 9 GiB"), "not enough memory.*9 GiB"),
     ],
 )

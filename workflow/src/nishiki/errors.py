@@ -33,7 +33,13 @@ OF_THE_MACHINE = {
     errno.EPERM: "Remedy: check its permissions and run again",
     errno.EIO: "Remedy: check the disk, then ./nishiki verify, and run again",
     errno.EMFILE: "Remedy: raise the limit of open files (ulimit -n) and run again",
-}
+} | dict.fromkeys(
+    (
+        *(errno.ESTALE, errno.EHOSTDOWN, errno.EHOSTUNREACH, errno.ENETUNREACH, errno.ENETDOWN, errno.ETIMEDOUT),
+        *(errno.ENOTCONN, errno.ECONNABORTED, errno.ECONNRESET, errno.EREMOTEIO, errno.ENODEV, errno.ENXIO),
+    ),
+    "Remedy: connect the disk or the network share again, then run again; what is finished is kept",
+)
 """What a machine may refuse, as the system numbers it, and what to do then."""
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from nishiki.artifacts.artifact import MANIFEST, date_not_before
 from nishiki.artifacts.provenance import file_digest
+from nishiki.errors import UserError
 from nishiki.processes import owner
 
 INDEX = "index.json"
@@ -42,6 +43,20 @@ def publish(
     os.rename(partial, current)
     shutil.rmtree(old, ignore_errors=True)
     return current
+
+
+def expect_links(results: Path) -> None:
+    """Raise UserError where the file system of the results has no symbolic links, which `publish` makes."""
+    link = results / f".link.{owner()}.partial"
+    try:
+        os.symlink(INDEX, link)
+    except OSError as error:
+        raise UserError(
+            f"{results}: this file system has no symbolic links ({error.strerror}); the folder `current` of every scene "
+            "consists of them. Remedy: set results: /folder/on/another/disk in the configuration, or mount the share "
+            "with links (CIFS: option mfsymlinks)"
+        ) from None
+    link.unlink()
 
 
 def index_text(scene: str, artifacts: dict[str, dict[str, str]], code: str = "") -> str:

@@ -13,6 +13,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from statistics import fmean
 
+from nishiki.artifacts.publish import expect_links
 from nishiki.engine.finished import unfinished_scenes
 from nishiki.engine.plan import Plan
 from nishiki.engine.running_lock import registered
@@ -58,7 +59,26 @@ def names_targets(rest: Sequence[str], profile: dict) -> bool:
     value = (re.fullmatch(r"[0-9.]+|\w+[=:][^/]+", word) for word in rest)
     known = all(option or number for option, number in zip(how, value, strict=True))
     decided = WHAT_TO_MAKE & {str(key).replace("_", "-") for key in profile}
-    return not known or bool(decided) or "SNAKEMAKE_PROFILE" in os.environ
+    return not known or bool(decided)
+
+
+def engine_environment() -> dict[str, str]:
+    """Return the environment variables with which Snakemake is started.
+
+    A profile for other work (SNAKEMAKE_PROFILE) does not apply here, and a home folder that cannot be written is
+    replaced as the place of Snakemake's cache.
+    """
+    # Every stage is a process: without compiled bytecode each would compile the same imports again.
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    if profile := environment.pop("SNAKEMAKE_PROFILE", None):
+        _tell(f"SNAKEMAKE_PROFILE={profile} is not used here; name a profile for this run with --profile {profile}")
+    cache = Path(environment.get("XDG_CACHE_HOME") or "~/.cache").expanduser() / "snakemake"
+    try:
+        cache.mkdir(parents=True, exist_ok=True)
+        writable = os.access(cache, os.W_OK)
+    except (OSError, RuntimeError):  # RuntimeError: "~" where no home folder is known
+        writable = False
+    return environment if writable else environment | {"XDG_CACHE_HOME": os.path.abspath(".snakemake/cache")}
 
 
 def call_engine(
@@ -80,9 +100,7 @@ def call_engine(
     too. gone: machines of which it is known that nothing runs there any more. Raises UserError where another run of one
     of the scenes is alive.
     """
-    # Every stage is a process: without compiled bytecode each would compile the same imports again.
-    environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
-    environment |= {LEAVE_OUT: "1"} if flow.refused else {}
+    environment = engine_environment() | ({LEAVE_OUT: "1"} if flow.refused else {})
     if LOOKS_ONLY & set(command):
         return subprocess.run([*command[:3], "--nolock", *command[3:]], check=False, env=environment).returncode
     with registered(Path(flow.results), flow.plans, gone=gone, tell=_tell) as held:
@@ -97,6 +115,7 @@ def call_engine(
             if done:
                 _tell(f"{done} of {total} scenes are finished and left as they are")
             held.leave_out_finished(scenes)
+        expect_links(Path(flow.results))
         set_aside_unsound(dict(_plans(flow, scenes)), _tell, contents=held.unclean)
         with tempfile.TemporaryFile() as failed:
             counted = len(scenes) if unfinished_only else None

@@ -126,16 +126,20 @@ def _tell(flow, seconds: float) -> None:
 
 def _tell_unfinished(flow, seconds: float, failures: list[dict[str, str]]) -> None:
     """Which scenes a run that failed has not finished, where each stands, and why."""
-    next_of = {}
+    from nishiki.engine.finished import reason_to_run
+
+    next_of, failed = {}, {failure["scene"] for failure in failures}
     for scene, plan in flow.plans.items():
         missing = [stage for stage in plan.stages if not Path(flow.artifact(scene, stage)).is_file()]
         if missing:
             next_of[scene] = missing[0]
+        elif scene in failed and reason_to_run(flow, scene):
+            next_of[scene] = "publish"
     named = [f"{scene} (at {stage})" for scene, stage in next_of.items()] + list(flow.refused)
     total = len(flow.plans) + len(flow.refused)
-    done = f"after {seconds:.1f} s {total - len(named)} of {total} scenes are finished"
-    if named:
-        done += f"; not: {_some(named, ', ')}"
+    done = f"after {seconds:.1f} s {total - len(named)} of {total} scenes are finished; not: {_some(named, ', ')}"
+    if not named:
+        done = f"the run failed after {seconds:.1f} s, for the reason that stands above"
     print(f"{done}. Finished results are kept; the same command continues from there", file=sys.stderr)
     why = {failure["name"]: failure for failure in failures if failure["scene"] in next_of or not failure["scene"]}
     lines = [f"  {name}: {failure['why']} (log: {failure['log']})" for name, failure in why.items()]

@@ -15,6 +15,8 @@ from nishiki.rig.device import DeviceError, DeviceLost, closed_on_failure
 from nishiki.rig.serial_line import SerialLine
 
 GREETING = r"^Grbl"
+TOO_OLD = r"^Grbl 0\."
+"""Greeting of releases before 1.1, whose status reports have another form."""
 RESET = "\x18"
 """Ctrl-X: restarts the controller at once."""
 GREETING_S = 2.5
@@ -25,6 +27,7 @@ MOVE_S = 120.0
 POLL_S = 0.05
 STANDS_WITHIN = 0.02
 """Controller's units by which a position may differ from what was asked: it reports three decimals of whole steps."""
+MM_PER_INCH = 25.4
 
 ERRORS = {
     5: "Homing is switched off. Remedy: connect limit switches and set $22=1",
@@ -75,8 +78,8 @@ class Grbl:
         self.alarmed = False
         with closed_on_failure(self.line):
             # Most boards restart when their port is opened; one that is reached by USB itself does not.
-            if not self.line.greeting(GREETING, GREETING_S):
-                self._restart()
+            greeting = self.line.greeting(GREETING, GREETING_S)
+            self._expect_release(greeting or self._restart())
 
     @property
     def homed(self) -> bool:
@@ -103,6 +106,12 @@ class Grbl:
             _, position = self._wait_until_idle(end)
             if abs(position[letter] - target) <= STANDS_WITHIN:
                 return
+            if abs(position[letter] * MM_PER_INCH - target) <= STANDS_WITHIN:
+                self.home_position = {}
+                raise DeviceError(
+                    f"{self.device} at {self.port}: axis {letter} reports {position[letter]:.4f} after a movement to "
+                    f"{target:.3f}, which is the same position in inches. Remedy: set $13=0 and run again"
+                )
             if time.monotonic() > end:
                 self.home_position = {}
                 found = f"stands at {position[letter]:.3f}, expected {target:.3f}"
@@ -117,15 +126,26 @@ class Grbl:
         self.home_position = {}
         self.line.close()
 
-    def _restart(self) -> None:
+    def _expect_release(self, greeting: str) -> None:
+        """Raise DeviceError where the controller runs a release of GRBL that this module cannot read."""
+        if re.search(TOO_OLD, greeting):
+            raise DeviceError(
+                f"{self.device} at {self.port}: expected GRBL 1.1 or newer, found {greeting!r}. "
+                "Remedy: install GRBL 1.1 on the controller"
+            )
+
+    def _restart(self) -> str:
+        """Restart the controller and return its greeting."""
         self.line.discard()  # after some alarms it restarts by itself, and its greeting is still to be read
         self.line.send(RESET, ending=False)
-        if not self.line.greeting(GREETING, GREETING_S):
+        greeting = self.line.greeting(GREETING, GREETING_S)
+        if not greeting:
             raise DeviceLost(
                 f"{self.device} at {self.port}: sent Ctrl-X, received no greeting of GRBL within {GREETING_S:g} s. "
                 f"Remedy: check its power, and the port and speed ({self.line.baud} baud) with ./nishiki rig ports"
             )
         self.home_position, self.alarmed = {}, False
+        return greeting
 
     def _command(self, text: str, timeout_s: float) -> None:
         self._asking(text, r"^ok$", timeout_s)

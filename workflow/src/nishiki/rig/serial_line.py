@@ -67,7 +67,7 @@ class SerialLine:
         except OSError:
             pass  # the port has gone
 
-    def greeting(self, pattern: str, timeout_s: float) -> bool:
+    def greeting(self, pattern: str, timeout_s: float) -> str:
         """Wait for the line that a device sends when it starts, and for the end of its greeting.
 
         Parameters
@@ -79,15 +79,15 @@ class SerialLine:
 
         Returns
         -------
-        bool
-            Whether it came.
+        str
+            The line; empty where none came in time.
         """
         end = time.monotonic() + timeout_s
         while (line := self._next_line(end)) is not None:
             if re.search(pattern, line):
                 self.discard()
-                return True
-        return False
+                return line
+        return ""
 
     def discard(self) -> None:
         """Throw away what arrives, until nothing has arrived for QUIET_S (at most for ten times as long)."""
