@@ -83,13 +83,13 @@ def test_tests_bring_their_tools_and_they_stay(home):
     home.call("install", "--extras", "raw")
     home.call("test", "tests/unit")
     home.call("plan")
-    assert home.installed == [{"raw"}, {*USUAL, "rig", "dev", "bench"}]
+    assert home.installed == [{"raw"}, {*USUAL, "rig", "dev"}]
 
 
 def test_all_is_what_tests_types_and_documentation_need(home):
     home.call("install", "--all")
     home.call("test")
-    assert home.installed == [{*USUAL, "rig", "export", "dev", "bench", "docs", "types"}]
+    assert home.installed == [{*USUAL, "rig", "export", "dev", "docs", "types"}]
 
 
 def test_another_lock_installs_the_same_extras_again(home):

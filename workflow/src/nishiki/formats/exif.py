@@ -1,0 +1,142 @@
+"""What a camera wrote beside a photograph: exposure, orientation, colour space, model (Exif 2.32, CIPA DC-008)."""
+
+from __future__ import annotations
+
+import io
+import logging
+import os
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from nishiki.formats.files import open_regular
+
+MOST_BYTES = 1 << 16  # of the Exif block of a JPEG or PNG: a JPEG segment holds no more
+_ADOBE_RGB = "R03"  # interoperability index of Adobe RGB (DCF 2.0)
+
+
+@dataclass(frozen=True)
+class Exif:
+    """Facts that a camera recorded; None or '' where the file does not state them.
+
+    exposure_s: exposure time in seconds; f_number: focal length over aperture; iso: sensitivity; orientation: 1 to 8,
+    how a viewer would turn the picture (1: not at all); colour_space: 'srgb', 'adobe' or ''; model: of the camera;
+    taken: date and time of the exposure as 'YYYY:MM:DD HH:MM:SS' with a fraction of a second where it is stated.
+    """
+
+    exposure_s: float | None = None
+    f_number: float | None = None
+    iso: float | None = None
+    orientation: int = 1
+    colour_space: str = ""
+    model: str = ""
+    taken: str = ""
+
+
+def read_exif(path: Path, *, name: str | None = None) -> Exif:
+    """Read the camera's facts of a JPEG, PNG, TIFF or TIFF-like raw file; an empty record where there are none.
+
+    A damaged block counts as none. name: how to call the file in messages. FileNotFoundError; Refused where the path
+    is no regular file.
+    """
+    with os.fdopen(open_regular(path, name or path.name), "rb") as file:
+        return exif_of(file)
+
+
+def exif_of(file: BinaryIO) -> Exif:
+    """Read the camera's facts of an open file; see `read_exif`."""
+    try:
+        block = _exif_block(file)
+        return exif_of_tags(tiff_tags(block)) if block else Exif()
+    except (struct.error, ValueError, OSError, RuntimeError, KeyError, IndexError, TypeError, OverflowError):
+        return Exif()
+
+
+def tiff_tags(file: BinaryIO) -> dict[str, Any]:
+    """Values of the first directory of a TIFF stream by tag name, that of its Exif directory as a dict."""
+    import tifffile
+
+    logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # an Exif block has no pixels, of which it would warn
+    with tifffile.TiffFile(file, name="picture") as tiff:
+        return {tag.name: tag.value for tag in tiff.pages.first.tags if tag.code not in (273, 279, 324, 325)}
+
+
+def exif_of_tags(tags: dict[str, Any]) -> Exif:
+    """Turn tag values by name into a record; values of a wrong kind count as absent."""
+    inner = tags.get("ExifTag")
+    values = {**tags, **inner} if isinstance(inner, dict) else tags
+    orientation = _number(values.get("Orientation"))
+    interoperability = values.get("InteroperabilityTag")
+    index = interoperability.get("InteroperabilityIndex", "") if isinstance(interoperability, dict) else ""
+    space = "srgb" if values.get("ColorSpace") == 1 else "adobe" if str(index).startswith(_ADOBE_RGB) else ""
+    taken, fraction = (str(values.get(key) or "").strip() for key in ("DateTimeOriginal", "SubsecTimeOriginal"))
+    return Exif(
+        exposure_s=_number(values.get("ExposureTime")),
+        f_number=_number(values.get("FNumber")),
+        iso=_number(values.get("ISOSpeedRatings")),
+        orientation=int(orientation) if orientation and orientation <= 8 else 1,
+        colour_space=space,
+        model=str(values.get("Model") or "").strip()[:100],
+        taken=f"{taken}.{fraction}" if taken and fraction.isdecimal() else taken,
+    )
+
+
+def _number(value: Any) -> float | None:
+    """A positive finite number from a whole number, a rational (numerator, denominator) or a list of one."""
+    if isinstance(value, tuple) and len(value) == 2 and value[1]:
+        value = value[0] / value[1]
+    elif isinstance(value, tuple) and value:
+        value = value[0]
+    return float(value) if isinstance(value, (int, float)) and 0 < value < float("inf") else None
+
+
+def _exif_block(file: BinaryIO) -> BinaryIO | None:
+    """The TIFF stream that holds the facts: the file itself, or the block inside a JPEG or PNG."""
+    file.seek(0)
+    start = file.read(12)
+    if start[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
+        file.seek(0)
+        return file
+    segments = jpeg_segments(file) if start[:2] == b"\xff\xd8" else png_chunks(file) if start[1:4] == b"PNG" else ()
+    for mark, place, length in segments:
+        file.seek(place)
+        content = file.read(min(length, MOST_BYTES)) if mark in (b"\xff\xe1", b"eXIf") else b""
+        if mark == b"eXIf" or content.startswith(b"Exif\0\0"):
+            return io.BytesIO(content.removeprefix(b"Exif\0\0"))
+    return None
+
+
+def jpeg_segments(file: BinaryIO) -> Iterator[tuple[bytes, int, int]]:
+    """Yield (marker of two bytes, place, length) of each segment of a JPEG before its first scan."""
+    place = 2
+    while True:
+        file.seek(place)
+        marker = file.read(2)
+        while marker == b"\xff\xff":
+            place += 1
+            marker = b"\xff" + file.read(1)
+        if len(marker) < 2 or marker[0] != 0xFF:
+            return
+        if marker[1] == 0x01 or 0xD0 <= marker[1] < 0xD8:
+            place += 2
+            continue
+        (length,) = struct.unpack(">H", file.read(2))
+        yield marker, place + 4, length - 2
+        if marker[1] == 0xDA or length < 2:
+            return
+        place += 2 + length
+
+
+def png_chunks(file: BinaryIO) -> Iterator[tuple[bytes, int, int]]:
+    """Yield (type of four bytes, place, length) of each chunk of a PNG."""
+    place = 8
+    while True:
+        file.seek(place)
+        heading = file.read(8)
+        if len(heading) < 8:
+            return
+        (length,) = struct.unpack(">I", heading[:4])
+        yield heading[4:], place + 8, length
+        place += 12 + length
