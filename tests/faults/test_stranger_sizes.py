@@ -22,8 +22,9 @@ from nishiki.capture.frames import read_frames
 from nishiki.capture.goniometer_tables import read_table
 from nishiki.capture.layouts import natural_key
 from nishiki.capture.lights import read_lights
+from nishiki.capture.options import ConvertOptions
+from nishiki.capture.registry import recognise
 from nishiki.capture.seal import read_manifest
-from nishiki.capture.turntable_layouts import recognise_round
 from nishiki.engine.project import load_project
 from nishiki.errors import UserError
 from nishiki.formats.bounds import BOUNDS, bound
@@ -472,7 +473,7 @@ def test_superscripts_are_no_numbers(tmp_path):
     """'²'.isdigit() is true, int('²') an error: in file names, and in the count of a list of cameras."""
     assert natural_key(Path("²1.png")) < natural_key(Path("²10.png"))
     (tmp_path / "a_par.txt").write_text("²\na.png " + "1 " * 21 + "\n")
-    assert recognise_round(tmp_path) is None
+    assert recognise(tmp_path, ConvertOptions()) is None
 
 
 def test_a_short_row_of_a_scene_table(tmp_path):

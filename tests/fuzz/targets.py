@@ -23,12 +23,13 @@ from nishiki.capture.frames import read_frames
 from nishiki.capture.goniometer_tables import read_table
 from nishiki.capture.lights import lights_from_vectors, read_lights
 from nishiki.capture.meshroom import read_meshroom
+from nishiki.capture.options import ConvertOptions
+from nishiki.capture.registry import read_source
 from nishiki.capture.relight_files import read_relight
 from nishiki.capture.relightable import SUFFIXES, open_relightable
 from nishiki.capture.schema import geometry_named, read_capture_file
 from nishiki.capture.seal import manifest_text, read_manifest
 from nishiki.capture.spectra_tables import read_curves
-from nishiki.capture.turntable_layouts import recognise_round
 from nishiki.capture.turntable_schema import read_intrinsics
 from nishiki.engine.project import load_project, load_yaml
 from nishiki.errors import UserError
@@ -123,7 +124,7 @@ def _alone(name: str, content: bytes):
     for picture in ("a.png", "b.png"):
         put(f"round/{picture}", picture.encode())
     put(f"round/{name}", content)
-    return recognise_round(folder)
+    return read_source(folder, ConvertOptions())
 
 
 def images(data: bytes) -> None:

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from nishiki.capture.folder import load_capture
+from nishiki.capture.options import ConvertOptions
+from nishiki.capture.registry import LAYOUTS
 from nishiki.cli import main
 
 LIGHTS = np.array([[0.6, 0, 0.8], [0, 0.6, 0.8], [-0.6, 0, 0.8], [0, -0.48, 0.8773], [0.1, 0.2, 0.9747]])
@@ -235,3 +237,31 @@ def test_what_is_to_be_completed_by_hand_is_not_examined(tmp_path):
     with pytest.raises(SystemExit, match="0"):
         main(["convert", str(tmp_path / "source"), str(tmp_path / "c"), "--open"])
     assert (tmp_path / "c/frames.csv").is_file()
+
+
+def test_an_archive_is_listed_and_nothing_is_made(tmp_path, capsys):
+    archive = tmp_path / "archive"
+    with_lights(listed(PNG))(archive / "a/dome")
+    with_lights(listed(JPG))(archive / "a/lamps of others")
+    photographs(archive / "b", ["0_0.png", "0_45.png", "45_0.png", "45_45.png"])
+    photographs(archive / "c/holiday", PNG)
+    (archive / "d").mkdir()
+    main_of = ["convert", str(archive / "a/dome"), str(archive / "made")]
+    with pytest.raises(SystemExit, match="0"):
+        main(main_of)
+    before = sorted(archive.rglob("*"))
+    capsys.readouterr()
+    with pytest.raises(SystemExit, match="0"):
+        main(["convert", str(archive), "--list"])
+    *lines, total = capsys.readouterr().out.splitlines()
+    assert [line.split("  ")[0] for line in lines] == ["a/dome", "a/lamps of others", "b", "c/holiday", "d", "made"]
+    assert ["can be converted" in line for line in lines] == [True, False, True, False, False, False]
+    assert "5 photographs, 5 lamps" in lines[0]
+    assert "4 polariser states" in lines[2]
+    assert total.startswith("2 of 6")
+    assert sorted(archive.rglob("*")) == before
+
+
+@pytest.mark.parametrize("entry", LAYOUTS, ids=lambda entry: entry.name)
+def test_no_layout_is_found_in_an_empty_folder(tmp_path, entry):
+    assert entry.matches(tmp_path, ConvertOptions()) is None

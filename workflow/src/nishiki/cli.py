@@ -160,7 +160,9 @@ def _parser() -> argparse.ArgumentParser:
         "by direction (.csv, .brdf, .bin, .binary); or a relightable image (.ptm, .rti, a folder of relight), from "
         "which pictures are rendered",
     )
-    sub.add_argument("capture", help="capture folder to make; must not exist")
+    sub.add_argument("capture", nargs="?", help="capture folder to make; must not exist")
+    text = "say what each folder below the source is and whether it can be converted; nothing is made"
+    sub.add_argument("--list", action="store_true", help=text)
     sub.add_argument("--title", help="title of the object")
     sub.add_argument("--encoding", choices=("linear", "srgb"), help="of the photographs (default: srgb for JPEG)")
     sub.add_argument(

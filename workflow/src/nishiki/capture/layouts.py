@@ -13,6 +13,7 @@ import numpy as np
 from nishiki.capture.frames import inside
 from nishiki.capture.lights import Lights, light_name, lights_from_vectors, read_lights
 from nishiki.capture.mirror_sphere import direction_from_sphere, mean_direction
+from nishiki.capture.options import ConvertOptions
 from nishiki.capture.relight_files import find_relight, is_relight, read_dome, read_relight
 from nishiki.capture.rtibuilder import RtiProject
 from nishiki.formats.bounds import bound
@@ -27,6 +28,8 @@ from nishiki.formats.text_tables import expect_rows, reading, table_lines
 MASK_WORD = re.compile(r"(^|[._\- ])mask([._\- ]|$)", re.IGNORECASE)
 UNREAD_SUFFIXES = frozenset(".tga .bmp .webp .gif .heic .heif .jp2 .ppm .pgm .pnm .pfm .hdr .psd".split())
 PROBE_DATA = "circle_data.txt"
+DIRECTIONS = "light_directions.txt"
+RELIGHTABLE = (".ptm", ".rti")
 LUMA = np.array([0.299, 0.587, 0.114])
 DISAGREEMENT = np.radians(3.0)
 
@@ -45,6 +48,18 @@ class Layout:
     mask: Path | None
     warnings: tuple[Problem, ...]
     width_mm: float = 0.0
+    geometry = "plane"
+    channels: tuple[str, ...] = ()
+
+    @property
+    def count(self) -> int:
+        """Number of the photographs."""
+        return len(self.photographs)
+
+    @property
+    def parts(self) -> str:
+        """Photographs and lamps in words."""
+        return f"{self.count} photographs, {len(self.lights.names)} lamps"
 
 
 def natural_key(path: Path) -> list:
@@ -91,82 +106,56 @@ def source_problems(path: Path, folder: Path) -> list[Problem]:
     return []
 
 
-def recognise(source: Path, *, lights_file: Path | None = None, mask: Path | None = None) -> Layout:
-    """Find lamps and photographs in a folder.
+def find_lights_file(source: Path, options: ConvertOptions) -> Path | None:
+    """Find the lights file of a folder: given, the only `.lp`, or Relight's.
 
-    A project of RTIBuilder; a lights file (given, or the one `.lp` there, or Relight's `.relight` or `info.json`);
-    DiLiGenT's light_directions.txt; or mirror spheres with their circles (folders holding circle_data.txt: column, row
-    from below, radius) with the photographs beside them.
-    Raises CaptureError (folder-missing, layout-unknown, photographs-count, photograph-missing, and those of lights).
+    None without, and where the folder holds a relightable image in place of the photographs. CaptureError
+    (layout-unknown) where there are several.
     """
-    if not source.is_dir():
-        remedy = "Name the folder of the photographs; a lights file outside of it by --lights FILE"
-        what = "no folder, no table of reflectances and no relightable image" if source.exists() else "no such folder"
-        raise CaptureError(error("folder-missing", str(source), what, remedy=remedy))
-    mask = mask or _find_mask(source)
-    project = RtiProject.of(source)
-    if project is not None:
-        return _of_project(project, lights_file, mask)
     listed = files_with(source, (".lp",))
-    if lights_file is None and len(listed) > 1:
+    if options.lights_file is None and len(listed) > 1:
         found = ", ".join(p.name for p in listed)
         what, remedy = "several .lp files", "Name one: --lights FILE"
         raise CaptureError(error("layout-unknown", str(source), what, found=found, remedy=remedy))
-    lights_file = lights_file or (listed[0] if listed else None)
-    if lights_file is None and not (source / "light_directions.txt").is_file():
-        lights_file = _of_relight(source)
-    if lights_file is not None and lights_file.suffix.lower() == ".dome":
-        lights, width_mm = read_dome(lights_file)
-        return replace(
-            _with_lights(source, lights, mask, kind="position_mm" if width_mm else "direction"), width_mm=width_mm
-        )
-    if lights_file is not None:
-        lights = read_relight(lights_file) if is_relight(lights_file) else read_lights(lights_file)
-        return _with_lights(source, lights, mask)
-    if (source / "light_directions.txt").is_file():
-        return _diligent(source, mask)
-    probes = sorted(path.parent for path in source.glob(f"*/{PROBE_DATA}"))
-    if probes:
-        return _with_spheres(source, probes, mask)
-    expected = (
-        "a .lp file, a project of RTIBuilder, Relight's .relight or info.json, light_directions.txt, folders of mirror "
-        "spheres with circle_data.txt; for a turntable a .mat file with matrices P, a list of cameras or those of "
-        "COLMAP or Meshroom; or photographs named GENERATOR_ANALYSER"
-    )
-    remedy = "Name the lights file with --lights, or write capture.yaml and frames.csv by hand"
-    raise CaptureError(error("layout-unknown", str(source), "no lamps found", expected=expected, remedy=remedy))
+    file = options.lights_file or (listed[0] if listed else None)
+    if file is None and not (source / DIRECTIONS).is_file():
+        file = find_relight(source)
+    if file is None or photographs_in(source) or not (is_relight_folder(source) or files_with(source, RELIGHTABLE)):
+        return file
+    return None if file.name == INFO or _folder_named(source, _lights_of(file)[0]) == source else file
 
 
-def _of_project(project: RtiProject, lights_file: Path | None, mask: Path | None) -> Layout:
-    """The lights of an RTIBuilder project, given or its own, and the photographs that they name, by stem."""
-    lights_file = lights_file or project.lights_file()
-    lights = read_relight(lights_file) if is_relight(lights_file) else read_lights(lights_file)
+def read_with_lights_file(source: Path, file: Path, options: ConvertOptions) -> Layout:
+    """Read the lights and find their photographs."""
+    lights, width_mm = _lights_of(file)
+    kind = "position_mm" if width_mm else "direction"
+    layout = _with_lights(source, lights, options.mask or _find_mask(source), kind=kind)
+    return replace(layout, width_mm=width_mm)
+
+
+def _lights_of(file: Path) -> tuple[Lights, float]:
+    """Lights of a file of any kind, and the width of the pictures in millimetres where they are positions, else 0."""
+    if file.suffix.lower() == ".dome":
+        return read_dome(file)
+    return read_relight(file) if is_relight(file) else read_lights(file), 0.0
+
+
+def read_rtibuilder(source: Path, project: RtiProject, options: ConvertOptions) -> Layout:
+    """Read the lights of an RTIBuilder project, given or its own, and find the photographs they name, by stem."""
+    lights_file = options.lights_file or project.lights_file()
+    lights, _ = _lights_of(lights_file)
     if all(file is None for file in lights.files):
         what, remedy = "the lights file names no photographs", "Convert the folder of photographs with --lights"
         raise CaptureError(error("layout-unknown", lights_file.name, what, remedy=remedy))
     folder = project.photographs(lights)
-    layout = _with_lights(folder, lights, mask or _find_mask(folder))
+    layout = _with_lights(folder, lights, options.mask or _find_mask(source) or _find_mask(folder))
     note = project.note(lights_file, lights, folder)
     return replace(layout, name="RTIBuilder project", warnings=(note, *layout.warnings))
 
 
-def has_lamps(source: Path) -> bool:
-    """Whether a folder tells where the lamps of a plane's photographs were."""
-    listed = (source / "light_directions.txt").is_file() or bool(files_with(source, (".lp",)))
-    listed = listed or RtiProject.of(source) is not None
-    return listed or has_spheres(source) or _of_relight(source) is not None
-
-
-def _of_relight(source: Path) -> Path | None:
-    """Relight's file of the lamps in a folder; its `info.json` beside planes alone tells of no photographs."""
-    found = find_relight(source)
-    alone = found is not None and found.name == INFO and is_relight_folder(source) and not photographs_in(source)
-    return None if alone else found
-
-
-def has_spheres(source: Path) -> bool:
-    """Whether a folder has folders of mirror spheres with their circles."""
-    return any(source.glob(f"*/{PROBE_DATA}"))
+def find_spheres(source: Path, options: ConvertOptions) -> list[Path] | None:
+    """Find the folders of mirror spheres with their circles; None without."""
+    return sorted(path.parent for path in source.glob(f"*/{PROBE_DATA}")) or None
 
 
 def _find_mask(source: Path) -> Path | None:
@@ -216,9 +205,10 @@ def _folder_named(source: Path, lights: Lights) -> Path:
     return found[0] if found else source
 
 
-def _diligent(source: Path, mask: Path | None) -> Layout:
-    """DiLiGenT: directions and intensities by line; names from filenames.txt or in order."""
-    bare = read_lights(source / "light_directions.txt")
+def read_diligent(source: Path, directions: Path, options: ConvertOptions) -> Layout:
+    """Read a data set in the layout of DiLiGenT: directions, intensities and names by line, else names in order."""
+    mask = options.mask or _find_mask(source)
+    bare = read_lights(directions)
     names = source / "filenames.txt"
     present = photographs_in(source)
     if names.is_file():
@@ -247,8 +237,9 @@ def _diligent(source: Path, mask: Path | None) -> Layout:
     return layout
 
 
-def _with_spheres(source: Path, probes: list[Path], mask: Path | None) -> Layout:
-    """Lamps from mirror spheres photographed together with the object; both in natural order of the file names."""
+def read_with_spheres(source: Path, probes: list[Path], options: ConvertOptions) -> Layout:
+    """Measure lamps on spheres that were photographed with the object; both in natural order of the file names."""
+    mask = options.mask or _find_mask(source)
     numbered = re.compile(r"\d")
     folders = [p for p in source.iterdir() if p.is_dir() and p not in probes]
     objects = [pictures for pictures in map(photographs_in, folders) if pictures]

@@ -6,47 +6,70 @@ interpolates. Of several that were tried on photographs these give the best norm
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from nishiki.capture.colmap import colmap_folder
-from nishiki.capture.layouts import has_spheres, photographs_in
+from nishiki.capture.layouts import RELIGHTABLE as SUFFIXES
+from nishiki.capture.layouts import photographs_in
 from nishiki.capture.lights import Lights, lights_from_vectors, read_lights
-from nishiki.capture.meshroom import meshroom_file
+from nishiki.capture.options import NO_PHOTOGRAPHS, ConvertOptions, file_problems
+from nishiki.capture.plane_convert import write_tables
 from nishiki.capture.relight_files import is_relight, read_relight
-from nishiki.capture.rtibuilder import RtiProject
 from nishiki.capture.schema import LOST_BY_FIT
 from nishiki.capture.schema_base import FORMAT
 from nishiki.capture.taking import COLOUR, take
 from nishiki.formats.files import Refused, expect_memory, files_with
 from nishiki.formats.hsh import HshFile, open_hsh
-from nishiki.formats.problems import CaptureError, Problem, error, warning
+from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, warning
 from nishiki.formats.ptm import PtmFile, open_ptm
 from nishiki.formats.relight import INFO, RelightFolder, is_relight_folder, open_relight
 from nishiki.formats.text_tables import refusal
 
-SUFFIXES = (".ptm", ".rti")
 RINGS = ((20, 6), (35, 9), (50, 9))  # degrees from the normal, lamps
 BYTES_A_PIXEL = 36  # of memory, for a picture that is rendered and coded
 RELIGHT = "relight"  # folder of a capture that keeps the files of a relight folder
 LEAST_CLIPPED = 1e-4  # share of a picture's values below which clipping is not worth a warning
 
 
-def recognise_relightable(source: Path) -> Path | None:
-    """The relightable image that the source is (file, or folder of relight), or the only one in this folder without
-    photographs; else None.
+@dataclass(frozen=True)
+class Rendering:
+    """A relightable image, and the lamps under which pictures are rendered from it."""
 
-    Photographs are better: a folder that has them in folders below, with mirror spheres or cameras, is none of ours.
+    file: Path
+    lights: Lights
+    warnings: tuple[Problem, ...] = ()
+    geometry = "plane"
+    channels: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """What is converted."""
+        return f"rendered from {self.file.name}"
+
+    @property
+    def count(self) -> int:
+        """Number of the pictures to render."""
+        return len(self.lights.names)
+
+    @property
+    def parts(self) -> str:
+        """Image and lamps in words."""
+        return f"no photographs; {self.count} are rendered"
+
+
+def recognise_relightable(source: Path, options: ConvertOptions | None = None) -> Path | None:
+    """Find the relightable image that the source is (file, or folder of relight), or the only one in this folder
+    without photographs; None without.
+
     Raises CaptureError (layout-unknown) where a folder holds several.
     """
     if source.is_file() and source.name == INFO and is_relight_folder(source.parent):
         return source.parent.resolve()
     if source.is_file():
         return source if source.suffix.lower() in SUFFIXES else None
-    if not source.is_dir() or photographs_in(source) or RtiProject.of(source) is not None:
-        return None
-    if has_spheres(source) or colmap_folder(source) is not None or meshroom_file(source) is not None:
+    if not source.is_dir() or photographs_in(source):
         return None
     if is_relight_folder(source):
         return source.resolve()
@@ -56,6 +79,14 @@ def recognise_relightable(source: Path) -> Path | None:
         named = ", ".join(path.name for path in files[:5])
         raise CaptureError(error("layout-unknown", str(source), what, found=named, remedy=remedy))
     return files[0] if files else None
+
+
+def read_relightable(source: Path, file: Path, options: ConvertOptions) -> Rendering:
+    """Choose the lamps under which the image is rendered. CaptureError where it is none that is read."""
+    options.refuse(NO_PHOTOGRAPHS, "white", "dark", "checks")
+    raise_errors(file_problems(mask=options.mask))
+    open_relightable(file)
+    return Rendering(file, lamps_for(options.lights_file))
 
 
 def open_relightable(path: Path) -> PtmFile | HshFile | RelightFolder:
@@ -88,13 +119,9 @@ def lamps_for(lights_file: Path | None) -> Lights:
     return lights_from_vectors(names, np.array(vectors), file="rendered lamps")
 
 
-def write_rendered(
-    folder: Path, file: Path, lights: Lights, *, encoding: str | None, mask: Path | None, title: str | None, link: bool
-) -> tuple[dict, list[tuple[str, str, str]], list[Problem]]:
-    """Render into a new folder, and take the file itself along.
-
-    Returns the content of capture.yaml, the rows of frames.csv and what the user should know.
-    """
+def write_rendered(folder: Path, layout: Rendering, source: Path, options: ConvertOptions) -> list[Problem]:
+    """Render into a new folder, and take the file itself along; returns what the user should know."""
+    file, lights = layout.file, layout.lights
     image = open_relightable(file)
     folder.mkdir(parents=True)
     files = [f"frames/{name}.png" for name in lights.names]
@@ -106,21 +133,24 @@ def write_rendered(
     about = f"rendered from the {what} under {len(rows)} lamps {angles}"
     settings = {
         "format": FORMAT,
-        "title": title or (file.name if file.is_dir() else file.stem),
+        "title": options.title or (file.name if file.is_dir() else file.stem),
         "notes": f"These pictures are no photographs. They were {about}; {LOST_BY_FIT}.",
         "geometry": "plane",
-        "camera": {"channels": list(COLOUR), "encoding": encoding or "srgb"},
+        "camera": {"channels": list(COLOUR), "encoding": options.encoding or "srgb"},
         "lights": {"file": "lights.lp", "kind": "direction"},
-        "rendered_from": _keep(image, file, folder, link),
+        "rendered_from": _keep(image, file, folder, options.link),
     }
-    if mask is not None:
-        settings["mask"] = take(mask, folder / f"mask{mask.suffix.lower()}", link)
+    if options.mask is not None:
+        settings["mask"] = take(options.mask, folder / f"mask{options.mask.suffix.lower()}", options.link)
+    if options.region is not None:
+        settings["region_of_interest"] = list(options.region)
+    write_tables(folder, settings, rows, lights)
     remedy = "Convert the photographs that it was made from, if they exist"
     notes = [warning("rendered", file.name, f"pictures were {about}; {LOST_BY_FIT}", remedy=remedy), *lights.warnings]
     if max(clipped) >= LEAST_CLIPPED:
         what, found = "values beyond black and full brightness were clipped", f"{100 * np.mean(clipped):.2g} % of all"
         notes.append(warning("rendered-clipped", file.name, what, found=found))
-    return settings, rows, notes
+    return notes
 
 
 def _keep(image: PtmFile | HshFile | RelightFolder, source: Path, folder: Path, link: bool) -> str:

@@ -7,7 +7,6 @@ import shutil
 from pathlib import Path
 
 from nishiki.formats.image_header import ImageHeader
-from nishiki.formats.problems import CaptureError, error
 
 COLOUR = ("red", "green", "blue")
 FOLDERS = ("frames", "white", "dark", "silhouettes")
@@ -38,11 +37,3 @@ def take(origin: Path, place: Path, link: bool) -> str:
     else:
         shutil.copyfile(origin, place)
     return f"{place.parent.name}/{place.name}" if place.parent.name in FOLDERS else place.name
-
-
-def refuse_without_photographs(**options) -> None:
-    """CaptureError (option-unusable) for what has a meaning for photographs only, where there are none."""
-    given = [name for name, value in options.items() if value]
-    if given:
-        remedy = "What is converted holds no photographs; leave the option out"
-        raise CaptureError(error("option-unusable", ", ".join(given), "cannot be used here", remedy=remedy))

@@ -11,6 +11,7 @@ import yaml
 
 from nishiki.capture.cameras import MATRIX_COLUMNS
 from nishiki.capture.layouts import natural_key, photographs_in, source_problems
+from nishiki.capture.options import ConvertOptions, folder_problems
 from nishiki.capture.pairing import names_apart, pair_by_name
 from nishiki.capture.polariser import parse_state
 from nishiki.capture.schema_base import FORMAT
@@ -22,27 +23,20 @@ from nishiki.formats.image_headers import read_header
 from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, warning
 
 
-def write_round(
-    folder: Path,
-    layout: RoundLayout,
-    source: Path,
-    *,
-    silhouettes: Path | None,
-    white: Path | None,
-    dark: Path | None,
-    encoding: str | None,
-    title: str | None,
-    link: bool,
-) -> list[Problem]:
+def write_round(folder: Path, layout: RoundLayout, source: Path, options: ConvertOptions) -> list[Problem]:
     """Write the capture into a new folder; returns what the user should know.
 
-    silhouettes: folder of pictures named as the photographs; white, dark: folders of white boards, called by their
-    polariser state (off, on, 45, 0_90) where there are states, and of dark frames. Raises CaptureError (white-unnamed,
-    those of `pair_by_name` and of reading headers).
+    The folder of silhouettes (`mask`) holds pictures named as the photographs; that of white boards, called by their
+    polariser state (off, on, 45, 0_90) where there are states. Raises CaptureError (option-unusable, folder-missing,
+    white-unnamed, those of `pair_by_name` and of reading headers).
     """
+    options.refuse("Views of a turntable are held out by the setting hold_out when results are made", "checks")
+    options.refuse("Camera matrices count from the corner of the whole photograph, so that it is used whole", "region")
+    raise_errors(folder_problems(mask=options.mask))
+    white, dark, link = options.white, options.dark, options.link
     folder.mkdir(parents=True)
     header = read_header(layout.photographs[0])
-    outlines, notes = _match_silhouettes(layout, silhouettes) if silhouettes else ({}, ())
+    outlines, notes = _match_silhouettes(layout, options.mask) if options.mask else ({}, ())
     copies = {path: take(path, folder / "silhouettes" / path.name, link) for path in set(outlines.values())}
     rows = []
     for i, (photograph, file) in enumerate(zip(layout.photographs, file_names(layout.photographs), strict=True)):
@@ -53,7 +47,7 @@ def write_round(
         rows.append((take(board, folder / "white" / board.name, link), "white", "", state, ""))
     for photograph in photographs_in(dark) if dark else ():
         rows.append((take(photograph, folder / "dark" / photograph.name, link), "dark", "", "", ""))
-    coding = encoding or usual_encoding(header, series=any(layout.states))
+    coding = options.encoding or usual_encoding(header, series=any(layout.states))
     block: dict = {"full_turn": layout.full_turn, "unit": "arbitrary"} if layout.matrices is not None else {}
     if layout.matrices is not None:
         block["cameras"] = "cameras.csv"
@@ -65,7 +59,7 @@ def write_round(
     if layout.calibration is not None:
         block["calibration"] = take(layout.calibration, folder / layout.calibration.name, link)
     camera = {"channels": list(channel_names(header)), "encoding": coding}
-    settings = {"format": FORMAT, "title": title or source.name, "geometry": "turntable", "camera": camera}
+    settings = {"format": FORMAT, "title": options.title or source.name, "geometry": "turntable", "camera": camera}
     settings |= {"notes": layout.notes} if layout.notes else {}
     settings |= {"turntable": block} if block else {}
     text = "# Capture folder: see docs/capture-folder.md\n" + yaml.safe_dump(
@@ -73,7 +67,7 @@ def write_round(
     )
     (folder / "capture.yaml").write_text(text, encoding="utf-8")
     _write_frames(folder / "frames.csv", rows)
-    return [*notes, *_notes(header, coding, encoding, source)]
+    return [*notes, *_notes(header, coding, options.encoding, source)]
 
 
 def usual_encoding(header: ImageHeader, *, series: bool) -> str:

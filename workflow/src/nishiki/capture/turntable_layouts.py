@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -11,9 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.capture.cameras import camera_centre, camera_problems
-from nishiki.capture.colmap import colmap_folder, read_colmap
 from nishiki.capture.layouts import natural_key, photographs_in, source_problems
-from nishiki.capture.meshroom import meshroom_file, read_meshroom
+from nishiki.capture.options import ConvertOptions
 from nishiki.capture.polariser import parse_state
 from nishiki.capture.registered import SHARED, RegisteredView, distorted_lens
 from nishiki.capture.seal import sha256_of
@@ -47,43 +47,63 @@ class RoundLayout:
     warnings: tuple[Problem, ...]
     lens: Intrinsics | None = None
     notes: str = ""
+    geometry = "turntable"
+    channels: tuple[str, ...] = ()
+
+    @property
+    def count(self) -> int:
+        """Number of the photographs."""
+        return len(self.photographs)
+
+    @property
+    def parts(self) -> str:
+        """Photographs and cameras, or states, in words."""
+        known = (
+            f"{len(set(self.states))} polariser states" if self.matrices is None else f"{len(self.matrices)} cameras"
+        )
+        return f"{self.count} photographs, {known}"
 
 
-def recognise_round(source: Path) -> RoundLayout | None:
-    """The turntable or polarisation series in a folder, known by the files inside; None where it is neither.
+def cameras_of(program: str, read: Callable[[Path], list[RegisteredView]]) -> Callable[..., RoundLayout]:
+    """Make the reader of a folder whose cameras a program found; `read` gets the file or folder of the cameras."""
 
-    A turntable: numbered photographs with a MATLAB file that holds a cell array P of 3x4 projection matrices, or with a
-    list of cameras as the Middlebury multi-view sets have it (`*_par.txt`), or with cameras of COLMAP or Meshroom. A
-    polarisation series: photographs named G_A, the angles of generator and analyser in degrees. Raises CaptureError
-    where one is recognised but not whole.
-    """
-    reconstruction = colmap_folder(source)
-    if reconstruction is not None:
-        return _registered(source, "COLMAP", reconstruction.name, read_colmap(reconstruction))
-    cameras = meshroom_file(source)
-    if cameras is not None:
-        return _registered(source, "Meshroom", cameras.name, read_meshroom(cameras))
-    photographs = photographs_in(source)
+    def read_registered(source: Path, cameras: Path, options: ConvertOptions) -> RoundLayout:
+        return _registered(source, program, cameras.name, read(cameras))
+
+    return read_registered
+
+
+def find_camera_list(source: Path, options: ConvertOptions) -> Path | None:
+    """Find a list of cameras as the Middlebury multi-view sets have it. CaptureError where there are several."""
     lists = [path for path in files_with(source, (".txt",)) if _is_camera_list(path)]
-    if lists:
-        return _middlebury(source, _only(lists, source))
-    if not photographs:
-        return None
-    series = len(photographs) >= FEWEST_STATES and all(STATES.fullmatch(p.stem) for p in photographs)
+    return _only(lists, source) if lists else None
+
+
+def find_matrices(source: Path, options: ConvertOptions) -> tuple[Path, np.ndarray] | None:
+    """Find the MATLAB file beside photographs that holds projection matrices P, with the matrices.
+
+    Beside a polarisation series a file that cannot be read is its calibration, which is taken along unread.
+    CaptureError where one cannot be read, or several hold matrices.
+    """
+    series = bool(find_states(source, options))
     stored = {}
-    for path in files_with(source, (".mat",)):
+    for path in files_with(source, (".mat",)) if photographs_in(source) else ():
         try:
             matrices = _matrices_in(path)
         except CaptureError:
-            if not series:  # its calibration is taken along unread
+            if not series:
                 raise
             continue
         if matrices is not None:
             stored[path] = matrices
-    if stored:
-        path = _only(list(stored), source)
-        return _numbered(source, photographs, stored[path], path)
-    return _series(source, photographs) if series else None
+    return (_only(list(stored), source), next(iter(stored.values()))) if stored else None
+
+
+def find_states(source: Path, options: ConvertOptions) -> list[Path] | None:
+    """Find photographs that are all named G_A, the angles of generator and analyser in degrees."""
+    photographs = photographs_in(source)
+    series = len(photographs) >= FEWEST_STATES and all(STATES.fullmatch(p.stem) for p in photographs)
+    return photographs if series else None
 
 
 def _only(paths: list[Path], source: Path) -> Path:
@@ -126,8 +146,10 @@ def _matrices_in(path: Path) -> np.ndarray | None:
     return np.array(cells, np.float64).reshape(-1, 3, 4)
 
 
-def _numbered(source: Path, photographs: list[Path], matrices: np.ndarray, path: Path) -> RoundLayout:
-    """Photographs in the natural order of their names, one a matrix; a last one that repeats the first is left out."""
+def read_numbered(source: Path, stored: tuple[Path, np.ndarray], options: ConvertOptions) -> RoundLayout:
+    """Give the photographs, in the natural order of their names, a matrix each; leave out a last one that repeats the
+    first."""
+    (path, matrices), photographs = stored, photographs_in(source)
     notes = []
     repeated = len(photographs) > 2 and sha256_of(photographs[0]) == sha256_of(photographs[-1])
     if len(photographs) == len(matrices) + 1 or (repeated and len(photographs) == len(matrices)):
@@ -168,8 +190,8 @@ def _camera_lines(path: Path) -> list[list[str]]:
     return list(islice(kept, bound("views") + 2))
 
 
-def _middlebury(source: Path, path: Path) -> RoundLayout:
-    """Lines `name k11 ... k33 r11 ... r33 t1 t2 t3`: the camera is K [R t]."""
+def read_middlebury(source: Path, path: Path, options: ConvertOptions) -> RoundLayout:
+    """Read lines `name k11 ... k33 r11 ... r33 t1 t2 t3`: the camera is K [R t]."""
     lines = _camera_lines(path)
     expect_rows(len(lines) - 1, "views", path.name, "cameras")
     problems, notes, photographs, matrices = [], [], [], []
@@ -256,8 +278,8 @@ def view_names(photographs: list[Path]) -> tuple[str, ...]:
     return tuple(stems) if len(set(stems)) == len(stems) else tuple(f"{i + 1:03d}" for i in range(len(stems)))
 
 
-def _series(source: Path, photographs: list[Path]) -> RoundLayout:
-    """One view in many states; a MATLAB file beside the photographs is the instrument's calibration."""
+def read_series(source: Path, photographs: list[Path], options: ConvertOptions) -> RoundLayout:
+    """Read one view in many states; a MATLAB file beside the photographs is the instrument's calibration."""
     pairs = [STATES.fullmatch(p.stem).groups() for p in photographs]
     states = [parse_state(f"{generator}/{analyser}").name for generator, analyser in pairs]
     if len(set(states)) != len(states):

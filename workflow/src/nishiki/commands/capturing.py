@@ -4,6 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from nishiki.errors import UserError, printable
 from nishiki.progress import Progress
 
 SHOWN = 8  # channels of a table that are listed
@@ -46,12 +47,16 @@ def seal(options: argparse.Namespace, rest: list[str]) -> None:
 def convert(options: argparse.Namespace, rest: list[str]) -> None:
     """Make a sealed capture from photographs and lights, or cameras, or polariser states; the sources are only read."""
     from nishiki.capture.convert import convert as convert_folder
+    from nishiki.capture.options import ConvertOptions
     from nishiki.capture.seal import seal as seal_capture
     from nishiki.observations.check import check_capture
 
-    made = convert_folder(
-        Path(options.source),
-        Path(options.capture),
+    if options.list:
+        _list(Path(options.source))
+        return
+    if options.capture is None:
+        raise UserError("convert: expected the capture folder to make, CAPTURE, or --list. Remedy: name it")
+    given = ConvertOptions(
         lights_file=_path(options.lights),
         mask=_path(options.mask),
         white=_path(options.white),
@@ -63,6 +68,7 @@ def convert(options: argparse.Namespace, rest: list[str]) -> None:
         link=options.link,
         examine=None if options.open else check_capture,
     )
+    made = convert_folder(Path(options.source), Path(options.capture), given)
     things = "measurements" if made.geometry == "goniometer" else "photographs"
     if made.channels:
         shown = (
@@ -79,6 +85,20 @@ def convert(options: argparse.Namespace, rest: list[str]) -> None:
         return
     digest = seal_capture(Path(options.capture), progress=Progress(f"seal {options.capture}").tell)
     print(f"{made.folder}: {made.photographs} {things} ({made.layout}), sealed, digest {digest[:12]}")
+
+
+def _list(archive: Path) -> None:
+    """Print a line for each source below a folder: path, layout, parts, and why it cannot be converted."""
+    from nishiki.capture.archive_list import list_archive
+
+    if not archive.is_dir():
+        raise UserError(f"{archive}: expected a folder to list. Remedy: correct the path")
+    rows = [(*row[:3], row.reason or "can be converted") for row in list_archive(archive)]
+    widths = [max((len(row[i]) for row in rows), default=0) for i in range(3)]
+    for row in rows:
+        cells = (f"{printable(cell):<{width}}" for cell, width in zip(row, (*widths, 0), strict=True))
+        print("  ".join(cells).rstrip())
+    print(f"{sum(row[3] == 'can be converted' for row in rows)} of {len(rows)} can be converted")
 
 
 def _path(text: str | None) -> Path | None:

@@ -1,0 +1,80 @@
+"""Options of `convert`, which every reader of a folder layout gets, and their checks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from nishiki.formats.problems import CaptureError, Problem, error
+
+FLAGS = {"lights_file": "lights", "checks": "check", "region": "roi"}
+"""The command's names of fields that have another."""
+NO_PHOTOGRAPHS = "What is converted holds no photographs; leave the option out"
+
+
+@dataclass(frozen=True)
+class ConvertOptions:
+    """What a user gives `convert` beside source and target; further options are fields of this class.
+
+    Attributes
+    ----------
+    lights_file : Path or None
+        Lights file, where it is not found by itself; of a relightable image: the lamps to render under.
+    mask : Path or None
+        Picture of the object; for a turntable the folder of the silhouettes.
+    white : Path or None
+        Folder of the white board's photographs, paired by the part of the names that varies, see `pair_by_name`; for
+        a turntable named by their polariser state.
+    dark : Path or None
+        Folder of dark frames, all of which are averaged.
+    checks : tuple of str
+        Lights kept for evaluation.
+    encoding : str or None
+        Coding of the photographs; None for what is usual.
+    title : str or None
+        Title of the object; None for the name of the source.
+    region : tuple of int or None
+        Row, column, rows, columns.
+    link : bool
+        Make hard links instead of copies (same disk; then never edit either).
+    examine : callable or None
+        Function that finds what is wrong with the folder that was made, as `check_capture` does; errors are raised.
+    """
+
+    lights_file: Path | None = None
+    mask: Path | None = None
+    white: Path | None = None
+    dark: Path | None = None
+    checks: tuple[str, ...] = ()
+    encoding: Literal["linear", "srgb"] | None = None
+    title: str | None = None
+    region: tuple[int, int, int, int] | None = None
+    link: bool = False
+    examine: Callable[[Path], list[Problem]] | None = None
+
+    def refuse(self, remedy: str, *fields: str) -> None:
+        """Raise CaptureError (option-unusable) where one of these fields, which mean nothing to a layout, is given."""
+        given = [FLAGS.get(field, field) for field in fields if getattr(self, field)]
+        if given:
+            raise CaptureError(error("option-unusable", ", ".join(given), "cannot be used here", remedy=remedy))
+
+
+def folder_problems(**given: Path | None) -> list[Problem]:
+    """List folder-missing for each option that must name a folder of photographs and does not."""
+    remedy = "Give a folder that holds one picture a light; of a turntable one a view, or one a polariser state"
+    return [
+        error("folder-missing", f"--{name} {path}", "no such folder", remedy=remedy)
+        for name, path in given.items()
+        if path is not None and not path.is_dir()
+    ]
+
+
+def file_problems(**given: Path | None) -> list[Problem]:
+    """List file-missing for each option that must name a file and does not."""
+    return [
+        error("file-missing", f"--{name} {path}", "no such file", remedy="Give a file that is there")
+        for name, path in given.items()
+        if path is not None and not path.is_file()
+    ]

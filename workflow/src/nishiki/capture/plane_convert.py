@@ -1,0 +1,102 @@
+"""A recognised layout of a flat object's photographs, written as a capture folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from nishiki.capture.layouts import Layout, photographs_in
+from nishiki.capture.lights import Lights
+from nishiki.capture.options import ConvertOptions, file_problems
+from nishiki.capture.pairing import pair_by_name
+from nishiki.capture.schema_base import FORMAT
+from nishiki.capture.taking import channel_names, file_names, take
+from nishiki.formats.image_headers import read_header
+from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, warning
+
+
+def write_plane(folder: Path, layout: Layout, source: Path, options: ConvertOptions) -> list[Problem]:
+    """Write the capture into a new folder; returns what the user should know.
+
+    Raises CaptureError: file-missing, light-unknown, and those of `pair_by_name` and of reading headers.
+    """
+    raise_errors(file_problems(mask=options.mask))
+    unknown = [name for name in options.checks if layout.lights.index(name) is None]
+    if unknown:
+        expected, found = f"one of {', '.join(layout.lights.names)}", ", ".join(unknown)
+        what = "no such light to keep for evaluation"
+        remedy = "The names of the lamps are those of their photographs, without the suffix"
+        raise CaptureError(error("light-unknown", str(source), what, expected=expected, found=found, remedy=remedy))
+    link, region = options.link, options.region
+    folder.mkdir(parents=True)
+    header = read_header(layout.photographs[0])
+    channels = channel_names(header)
+    names, held = layout.lights.names, {layout.lights.index(name) for name in options.checks}
+    rows = []
+    for i, (photograph, file) in enumerate(zip(layout.photographs, file_names(layout.photographs), strict=True)):
+        rows.append((take(photograph, folder / "frames" / file, link), "check" if i in held else "sample", names[i]))
+    notes: list[Problem] = []
+    if options.white:
+        boards = photographs_in(options.white)
+        pairing = pair_by_name(layout.photographs, boards, what="white boards", folder=str(options.white))
+        notes += pairing.warnings
+        for board, light in zip(pairing.partners, names, strict=True):
+            rows.append((take(board, folder / "white" / board.name, link), "white", light))
+    for photograph in photographs_in(options.dark) if options.dark else ():
+        rows.append((take(photograph, folder / "dark" / photograph.name, link), "dark", ""))
+    settings = {"format": FORMAT, "title": options.title or source.name, "geometry": "plane"}
+    jpeg = header.kind == "jpeg"
+    coding = options.encoding or ("srgb" if jpeg else "linear")
+    settings["camera"] = {"channels": list(channels), "encoding": coding}
+    settings["lights"] = {"file": "lights.lp", "kind": "position_mm" if layout.width_mm else "direction"}
+    if layout.width_mm:
+        settings["pixel_pitch_mm"] = float(f"{layout.width_mm / header.columns:.9g}")
+    if layout.intensities is not None:
+        settings["lights"]["intensities"] = "intensities.csv"
+        _write_intensities(folder / "intensities.csv", layout, channels)
+    if layout.mask is not None:
+        settings["mask"] = take(layout.mask, folder / f"mask{layout.mask.suffix.lower()}", link)
+    if region is not None:
+        settings["region_of_interest"] = list(region)
+    write_tables(folder, settings, rows, layout.lights)
+    return [*notes, *_notes(header.sample, jpeg, options.encoding, source)]
+
+
+def _notes(sample: str, jpeg: bool, encoding: str | None, source: Path) -> list[Problem]:
+    if encoding is None and sample == "uint8" and not jpeg:
+        what = "8-bit photographs are taken to be linear"
+        remedy = "Give the encoding srgb if the camera or a converter coded them for display"
+        return [warning("encoding-assumed", source.name, what, remedy=remedy)]
+    return []
+
+
+def write_tables(folder: Path, settings: dict, rows: list[tuple[str, str, str]], lights: Lights) -> None:
+    """Write capture.yaml, frames.csv and lights.lp."""
+    text = "# Capture folder: see docs/capture-folder.md\n" + yaml.safe_dump(
+        settings, sort_keys=False, allow_unicode=True
+    )
+    (folder / "capture.yaml").write_text(text, encoding="utf-8")
+    table = "file,role,light\n" + "".join(",".join(_quoted(v) for v in row) + "\n" for row in rows)
+    (folder / "frames.csv").write_text(table, encoding="utf-8")
+    lines = (f"{name} {x:.9g} {y:.9g} {z:.9g}\n" for name, (x, y, z) in zip(lights.names, lights.vectors, strict=True))
+    (folder / "lights.lp").write_text(f"{len(lights.names)}\n" + "".join(lines), encoding="utf-8")
+
+
+def _quoted(value: str) -> str:
+    return '"' + value.replace('"', '""') + '"' if any(c in value for c in ',"\n') else value
+
+
+def _write_intensities(path: Path, layout: Layout, channels: tuple[str, ...]) -> None:
+    values = layout.intensities
+    if values.shape[1] == 1:
+        values = np.repeat(values, len(channels), axis=1)
+    if values.shape[1] != len(channels):
+        expected, found = f"{len(channels)} columns", f"{values.shape[1]}"
+        raise CaptureError(error("intensities-invalid", "light intensities", "table", expected=expected, found=found))
+    rows = (
+        f"{_quoted(n)},{','.join(f'{v:.9g}' for v in row)}\n"
+        for n, row in zip(layout.lights.names, values, strict=True)
+    )
+    path.write_text(f"light,{','.join(channels)}\n" + "".join(rows), encoding="utf-8")
