@@ -10,7 +10,7 @@ Conditions of loops over pixels are joined by & and |: the compiler makes scalar
 import numpy as np
 from numba import njit
 
-from nishiki.photometric.lanes import LANES, choose, load, splat, store
+from nishiki.photometric.lanes import LANES, choose, larger, load, smaller, splat, store
 
 BLOCK = 32  # 96 lights of three float32 planes of a block fit the second-level cache, one plane the first
 TERMS = 10
@@ -25,8 +25,8 @@ def sort_block(values, comparators):
         for p in range(0, BLOCK, LANES):
             upper, lower = (comparators[c, 0], p), (comparators[c, 1], p)
             a, b = load(values, upper), load(values, lower)
-            store(values, upper, choose(a < b, a, b))
-            store(values, lower, choose(b > a, b, a))
+            store(values, upper, smaller(a, b))
+            store(values, lower, larger(a, b))
 
 
 @njit(cache=True, error_model="numpy")

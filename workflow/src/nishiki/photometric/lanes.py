@@ -221,20 +221,41 @@ def choose(typing, condition, yes, no):
     return result(condition, yes, no), build
 
 
-@intrinsic
-def root(typing, value):
-    """Square roots of lanes, or of one number."""
+def _call_llvm(name, value, arguments):
+    """Typed call of an intrinsic function of LLVM on lanes or single float64 numbers of one type."""
     vectors = {**VECTORS, types.float64: ir.DoubleType()}
     names = {NUMBERS: f"v{LANES}f32", WIDE: f"v{LANES}f64", types.float64: "f64"}
     if value not in names:
         return None
 
     def build(context, builder, sig, args):
-        kind = ir.FunctionType(vectors[value], [vectors[value]])
-        function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.sqrt.{names[value]}")
+        kind = ir.FunctionType(vectors[value], [vectors[value]] * arguments)
+        function = cgutils.get_or_insert_function(builder.module, kind, f"llvm.{name}.{names[value]}")
         return builder.call(function, args)
 
-    return value(value), build
+    return value(*[value] * arguments), build
+
+
+@intrinsic
+def root(typing, value):
+    """Compute the square roots of lanes, or of one number."""
+    return _call_llvm("sqrt", value, 1)
+
+
+@intrinsic
+def smaller(typing, left, right):
+    """Select the smaller number per lane; the other one where one is NaN.
+
+    A store of `choose(left < right, left, right)` over `left` becomes a masked store, which some processors execute
+    in microcode, many times slower.
+    """
+    return _call_llvm("minnum", left, 2)
+
+
+@intrinsic
+def larger(typing, left, right):
+    """Select the larger number per lane; the other one where one is NaN."""
+    return _call_llvm("maxnum", left, 2)
 
 
 @njit(cache=True)
