@@ -42,7 +42,7 @@ MESSAGES = {
     ),
     "one of a few words": (
         {"normals": {"solver": "x"}},
-        "normals.solver: input should be 'default', 'lobe', 'lobes' or 'least_squares', found 'x'",
+        "normals.solver: input should be 'default', 'lobe' or 'least_squares', found 'x'",
     ),
     "a stage by its former name": ({"fabric": {"oblique": 0}}, "unknown key 'fabric'; it is now called 'cloth_brdf'"),
     "a product by its former name": (

@@ -42,7 +42,7 @@ def matt(count, pixels, seed, noise=0.0):
     return stack.astype(np.float32).reshape(count, 1, pixels), lights, normals, albedo
 
 
-@pytest.mark.parametrize("solver", ["least_squares", "lobe", "lobes"])
+@pytest.mark.parametrize("solver", ["least_squares", "lobe"])
 def test_matt_surfaces_are_exact(solver):
     stack, lights, normals, albedo = matt(24, 500, 1)
     field = estimate_normals(stack, lights, usable=stack > 0, solver=solver)
@@ -95,22 +95,21 @@ def lobe_scene(count, pixels, seed, b=0.15, d=0.3, exponent=8, noise=0.0):
     return stack.astype(np.float32).reshape(count, 1, pixels), lights, halves, normals
 
 
-@pytest.mark.parametrize("exponent", [2, 4, 8, 16, 32])
+@pytest.mark.parametrize("exponent", [4, 8, 16])
 def test_the_lobe_removes_what_lambert_leaves(exponent):
     stack, lights, _, normals = lobe_scene(40, 300, 6, exponent=exponent)
     usable = select_diffuse(stack, lights).usable
     lambert = estimate_normals(stack, lights, usable=usable, solver="least_squares")
-    lobe = estimate_normals(stack, lights, usable=usable, valid=stack > 0, solver="lobe", exponent=exponent)
+    lobe = estimate_normals(stack, lights, usable=usable, valid=stack > 0, solver="lobe")
     assert angle(lobe.normals[0], normals).mean() < 0.35 * angle(lambert.normals[0], normals).mean()
 
 
-@pytest.mark.parametrize("solver", ["lobe", "lobes"])
-def test_the_body_shading_predicts_lights_that_were_left_out(solver):
+def test_the_body_shading_predicts_lights_that_were_left_out():
     """Truth has a fall-off and a skirt of another exponent; predictions with (a, b, d) beat Lambert's several times."""
     stack, lights, halves, _ = lobe_scene(41, 200, 12, b=-0.2, exponent=6)
     fit = np.arange(41) % 5 != 2
     usable = stack[fit] > 0.02
-    found = estimate_normals(stack[fit], lights[fit], usable=usable, solver=solver)
+    found = estimate_normals(stack[fit], lights[fit], usable=usable, solver="lobe")
     lambert = estimate_normals(stack[fit], lights[fit], usable=usable, solver="least_squares")
     errors = {}
     for name, field in (("lobe", found), ("lambert", lambert)):
@@ -177,7 +176,7 @@ def test_what_cannot_be_estimated_is_flagged_and_finite():
     usable[:, 0, 3] = False  # nothing
     usable[3:, 0, 4] = False  # exactly three lights
     stack[0, 0, 5] = np.nan
-    for solver in ("least_squares", "lobe", "lobes"):
+    for solver in ("least_squares", "lobe"):
         field = estimate_normals(stack, lights, usable=usable, solver=solver)
         flags = field.flags[0]
         assert flags[0] & bits.TOO_FEW_LIGHTS
@@ -211,7 +210,7 @@ def test_few_lights_fall_back_on_lambert():
     np.testing.assert_array_equal(field.normals, same.normals)
 
 
-@pytest.mark.parametrize("solver", ["least_squares", "lobe", "lobes"])
+@pytest.mark.parametrize("solver", ["least_squares", "lobe"])
 def test_a_pixel_does_not_depend_on_the_tile(solver):
     stack, lights, _, _ = lobe_scene(20, 801, 8, noise=0.01)
     usable = select_diffuse(stack, lights).usable
@@ -242,7 +241,7 @@ def test_twelve_orders_of_radiometric_scale(power, seed, solver):
     seed=st.integers(0, 10_000),
     lights=st.integers(3, 20),
     scale=st.sampled_from([1e-30, 1e-6, 1.0, 1e6, 1e15]),
-    solver=st.sampled_from(["least_squares", "lobe", "lobes"]),
+    solver=st.sampled_from(["least_squares", "lobe"]),
 )
 def test_nothing_that_is_not_finite_leaves(seed, lights, scale, solver):
     """Any numbers, any lights in the upper half space, any mask: finite, of unit length, flagged where unknown."""
@@ -268,7 +267,6 @@ def test_nothing_that_is_not_finite_leaves(seed, lights, scale, solver):
         ({"weights": -np.ones(9), "solver": "least_squares"}, "zero or above"),
         ({"weights": np.ones(9), "solver": "lobe"}, "takes no weights"),
         ({"usable": np.ones((9, 1, 3), dtype=bool)}, r"\(9, 1, 4\)"),
-        ({"exponent": 5, "solver": "lobe"}, "found 5"),
     ],
 )
 def test_mistakes_are_named(change, message):

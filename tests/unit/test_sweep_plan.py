@@ -72,7 +72,7 @@ def test_a_scene_keeps_its_own_settings_and_they_are_the_default(project):
 
 
 def test_settings_of_all_variants_and_shared_ones(project):
-    settings = {"hold_out": ["light3"], "brdf.lobes": 1, "height": {"method": "weighted"}, "solver": "lobes"}
+    settings = {"hold_out": ["light3"], "brdf.lobes": 1, "height": {"method": "weighted"}, "solver": "least_squares"}
     swept = planned(project, scenes=["a"], stage="normals", vary={"refine": ["none"]}, settings=settings).scenes[0]
     for variant in swept.variants:
         stages = variant.plan.stages
@@ -81,16 +81,16 @@ def test_settings_of_all_variants_and_shared_ones(project):
         assert stages["normals"].settings["hold_out"] == ("light3",) or stages["normals"].settings["hold_out"] == [
             "light3"
         ]
-        assert stages["normals"].settings["solver"] == "lobes"
+        assert stages["normals"].settings["solver"] == "least_squares"
 
 
 def test_lights_are_left_out_where_nothing_else_checks(project):
-    swept = planned(project, scenes=["a"], stage="normals", vary={"solver": ["lobes"]}).scenes[0]
+    swept = planned(project, scenes=["a"], stage="normals", vary={"solver": ["least_squares"]}).scenes[0]
     assert {variant.plan.held_out for variant in swept.variants} == {("light5", "light15", "light25")}
 
 
 def test_the_default_variant_is_the_scene_s_own_plan(project):
-    swept = planned(project, scenes=["a"], stage="normals", vary={"solver": ["default", "lobes"]}).scenes[0]
+    swept = planned(project, scenes=["a"], stage="normals", vary={"solver": ["default", "least_squares"]}).scenes[0]
     own = make_plan(project.scenes["a"], PLANE)
     assert swept.variants[0].plan.stages["normals"].key == own.stages["normals"].key
     assert swept.variants[0].names == (AS_CONFIGURED, "solver=default")

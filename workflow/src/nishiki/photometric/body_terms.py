@@ -11,7 +11,7 @@ from numba import njit, prange
 from nishiki.photometric import flags as bits
 from nishiki.photometric.lanes import LANES, choose, load, planes, splat, store, widen
 from nishiki.photometric.lobe import BLOCK, powers
-from nishiki.photometric.refine import LEAST_FACTOR, SHADING_SQUARINGS, WIDTH
+from nishiki.photometric.refine import LEAST_FACTOR, WIDTH
 
 CHUNK = 32  # blocks that share one set of work arrays
 TERMS = 11  # six products of (c, c^2, c x^8), three right-hand sides, the sum of squares, the weight
@@ -42,7 +42,7 @@ def cosine_and_lobe(vectors, j, normals, p):
     n0, n1, n2 = load(normals, p), load(normals, p + BLOCK), load(normals, p + 2 * BLOCK)
     c = n0 * vectors[0, j] + n1 * vectors[1, j] + n2 * vectors[2, j]
     x = n0 * vectors[3, j] + n1 * vectors[4, j] + n2 * vectors[5, j]
-    _, power = powers(choose(x > least, x, least), SHADING_SQUARINGS)
+    _, power = powers(choose(x > least, x, least))
     return c, power
 
 

@@ -26,42 +26,35 @@ from nishiki.photometric.lanes import LANES, choose, load, planes, splat, store
 BLOCK = 32
 SUMS = 21  # 15 products and 5 right-hand sides of the Gauss-Newton step, the sum of squares
 SURFACE = 12  # normal, two tangents, a, b, d: float32, as the samples are
+EXPONENT = 8  # e of the model, that of `nishiki.brdf.body_shading`
 SLOPES = 6  # of a sample: by the tangents, c, c x^e; residual, weight
 FIT = 7  # normal, a, b, d, penalised sum of squares: float64
 
 
 @njit(cache=True, inline="always")
-def powers(x, squarings):
-    """x to the power 2^squarings - 1 and 2^squarings, 1 to 5; a loop would keep the callers from becoming SIMD code."""
+def powers(x):
+    """Compute x^7 and x^8 (EXPONENT)."""
     x2 = x * x
-    x4 = x2 * x2
-    x8 = x4 * x4
-    lower = x * x2 if squarings >= 2 else x
-    lower = lower * x4 if squarings >= 3 else lower
-    lower = lower * x8 if squarings >= 4 else lower
-    lower = lower * (x8 * x8) if squarings >= 5 else lower
+    lower = x * x2 * (x2 * x2)
     return lower, lower * x
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract"})
-def add_up(values, weights, vectors, surface, squarings, slopes, sums):
+def add_up(values, weights, vectors, surface, slopes, sums):
     """One pass over the lights: into sums (SUMS * BLOCK) float32 what the Gauss-Newton step needs.
 
     values, weights (lights, BLOCK) float32; vectors (6, lights) float32: l and h; surface (SURFACE * BLOCK) float32;
     slopes (SLOPES * lights, LANES): work array, so that either loop finds room in the registers.
     """
     for p in range(0, BLOCK, LANES):
-        if squarings == 3:  # the usual exponent, known to the compiler
-            differentiate(values, weights, vectors, surface, 3, p, slopes)
-        else:
-            differentiate(values, weights, vectors, surface, squarings, p, slopes)
+        differentiate(values, weights, vectors, surface, p, slopes)
         add_products(slopes, p, sums)
 
 
 @njit(cache=True, inline="always")
-def differentiate(values, weights, vectors, surface, squarings, p, slopes):
+def differentiate(values, weights, vectors, surface, p, slopes):
     """Derivatives of every sample by the five unknowns, its residual and its weight."""
-    zero, least, slope = np.float32(0.0), np.float32(1e-3), np.float32(1 << squarings)
+    zero, least, slope = np.float32(0.0), np.float32(1e-3), np.float32(EXPONENT)
     n0, n1, n2 = load(surface, p), load(surface, p + BLOCK), load(surface, p + 2 * BLOCK)
     s0, s1, s2 = load(surface, p + 3 * BLOCK), load(surface, p + 4 * BLOCK), load(surface, p + 5 * BLOCK)
     t0, t1, t2 = load(surface, p + 6 * BLOCK), load(surface, p + 7 * BLOCK), load(surface, p + 8 * BLOCK)
@@ -73,7 +66,7 @@ def differentiate(values, weights, vectors, surface, squarings, p, slopes):
         w = choose(c > zero, load(weights, (j, p)), zero)
         c = choose(c > zero, c, zero)
         x = n0 * hx + n1 * hy + n2 * hz
-        lower, power = powers(choose(x > least, x, least), squarings)
+        lower, power = powers(choose(x > least, x, least))
         factor = a + b * c + d * power
         along = factor + b * c
         skirt = d * slope * c * lower
@@ -304,7 +297,7 @@ def any_above_zero(active):
 
 
 @njit(cache=True, error_model="numpy")
-def descend(values, weights, vectors, squarings, prior, rounds, active, fit, surface, sums, work):
+def descend(values, weights, vectors, prior, rounds, active, fit, surface, sums, work):
     """Damped Gauss-Newton of the active pixels of a block from `fit`; fit, surface and sums are those of the end."""
     moved, trial_surface, trial, damping, turn, better, going, slopes = work
     moved[:] = fit
@@ -316,7 +309,7 @@ def descend(values, weights, vectors, squarings, prior, rounds, active, fit, sur
         if not any_above_zero(going):
             break
         set_surface(moved, trial_surface)
-        add_up(values, weights, vectors, trial_surface, squarings, slopes, trial)
+        add_up(values, weights, vectors, trial_surface, slopes, trial)
         judge(fit, moved, trial, prior, damping, turn, going, better, step == 0)
         take(better, moved, fit)
         take_lanes(better, trial_surface, surface)
@@ -339,14 +332,14 @@ def descent_work(lights):
 
 
 @njit(cache=True, error_model="numpy")
-def choose_samples(values, known, vectors, surface, squarings, limit, weights, count):
+def choose_samples(values, known, vectors, surface, limit, weights, count):
     """Weight 1 for the lit, known samples whose residual is at most `limit` (BLOCK,) float32; their number."""
     zero, one = np.float32(0.0), np.float32(1.0)
     for p in range(0, BLOCK, LANES):
         most, total = load(limit, p), splat(zero)
         least = zero - most
         for j in range(values.shape[0]):
-            c, factor = body_of(vectors, j, surface, p, squarings)
+            c, factor = body_of(vectors, j, surface, p)
             r = load(values, (j, p)) - c * factor
             w = choose((r <= most) & (r >= least) & (c > zero), load(known, (j, p)), zero)
             store(weights, (j, p), w)
@@ -355,29 +348,15 @@ def choose_samples(values, known, vectors, surface, squarings, limit, weights, c
 
 
 @njit(cache=True, inline="always")
-def body_of(vectors, j, surface, p, squarings):
+def body_of(vectors, j, surface, p):
     """Cosine of light j, and the factor on it."""
     least = np.float32(1e-3)
     n0, n1, n2 = load(surface, p), load(surface, p + BLOCK), load(surface, p + 2 * BLOCK)
     a, b, d = load(surface, p + 9 * BLOCK), load(surface, p + 10 * BLOCK), load(surface, p + 11 * BLOCK)
     c = n0 * vectors[0, j] + n1 * vectors[1, j] + n2 * vectors[2, j]
     x = n0 * vectors[3, j] + n1 * vectors[4, j] + n2 * vectors[5, j]
-    _, power = powers(choose(x > least, x, least), squarings)
+    _, power = powers(choose(x > least, x, least))
     return c, a + b * c + d * power
-
-
-@njit(cache=True, error_model="numpy")
-def disagreement(values, known, vectors, surface, squarings, per_scale, total):
-    """Sum over the known samples of the squared residual times per_scale^2, at most 9 each: what a fit leaves over."""
-    zero, most = np.float32(0.0), np.float32(9.0)
-    for p in range(0, BLOCK, LANES):
-        scale, left = load(per_scale, p), splat(zero)
-        for j in range(values.shape[0]):
-            c, factor = body_of(vectors, j, surface, p, squarings)
-            r = (load(values, (j, p)) - choose(c > zero, c, zero) * factor) * scale
-            square = r * r
-            left += load(known, (j, p)) * choose(square < most, square, most)
-        store(total, p, left)
 
 
 @njit(cache=True, error_model="numpy")

@@ -1,4 +1,4 @@
-"""Refining Lambertian normals by the lobe model: choosing the samples and the lobe's width at every pixel."""
+"""Refine Lambertian normals by the lobe model, and choose the samples of every pixel again."""
 
 import numpy as np
 from numba import njit, prange
@@ -11,22 +11,15 @@ from nishiki.photometric.lobe import (
     FIT,
     SUMS,
     SURFACE,
-    add_up,
     choose_samples,
     descend,
     descent_work,
-    disagreement,
-    factorise,
-    set_surface,
-    substitute,
-    take,
     take_lanes,
     tangential_variance,
 )
 
 WIDTH = 0.25  # standard deviation expected of b and d, relative to the albedo, where the samples scatter much
 FARTHEST = np.float32(1e12)  # times the albedo
-SHADING_SQUARINGS = 3  # exponent 8 of `nishiki.brdf.body_shading`
 LEAST_FACTOR = 0.01  # mean body factor, relative to Lambert's albedo, below which Lambert's law is kept for the shading
 FIRST_ROUNDS, ROUNDS = 4, 3  # Gauss-Newton steps for the samples first chosen, and for those chosen again
 CHUNK = 512  # pixels that share one set of work arrays
@@ -83,7 +76,7 @@ def load_light(samples, known, usable, place, albedo, values, may, use, j):
 
 @njit(cache=True, error_model="numpy")
 def fit_block(
-    values, known, usable, vectors, start, squarings, held, noise, reselections, at_least, active, result, buffers, work
+    values, known, usable, vectors, start, held, noise, reselections, at_least, active, result, buffers, work
 ):
     """Fit, choose the samples again, fit again; values relative to the Lambertian albedo.
 
@@ -107,14 +100,14 @@ def fit_block(
                 freedom = kept[p] - np.float32(5.0)
                 variance = np.float64(sums[p + 20 * BLOCK]) / (freedom if freedom > one else one)
                 limit[p] = np.float32(3.0 * (np.sqrt(variance) + noise))
-            choose_samples(values, known, vectors, surface, squarings, limit, spare, more)
+            choose_samples(values, known, vectors, surface, limit, spare, more)
             for p in range(BLOCK):
                 going[p] = going[p] if more[p] >= at_least else 0.0
                 kept[p] = more[p] if going[p] > 0.0 else kept[p]
                 limit[p] = going[p]
             take_lanes(limit, spare.reshape(-1), weights.reshape(-1))
         rounds = FIRST_ROUNDS if choice == 0 else ROUNDS
-        descend(values, weights, vectors, squarings, held, rounds, going, fit, surface, sums, work)
+        descend(values, weights, vectors, held, rounds, going, fit, surface, sums, work)
 
 
 @njit(cache=True, error_model="numpy")
@@ -136,23 +129,17 @@ def refine(
     """Refine the Lambertian estimates in the outputs of `solve_weighted` where there are samples enough.
 
     observations (lights, pixels) float32; usable, known (lights, pixels) uint8, or (lights, 1) for all pixels alike;
-    vectors (6, lights) float32; settings: least k of the exponents 2^k, prior, noise, reselections, at_least, largest
-    k; shading (pixels, 3) float32: (a, b, d) of `nishiki.brdf.body_shading`, Lambert's (1, 0, 0) before. Of several
-    exponents each pixel gets the one of least `disagreement`, with one common scale.
+    vectors (6, lights) float32; settings: prior, noise, reselections, at_least; shading (pixels, 3) float32: (a, b, d)
+    of `nishiki.brdf.body_shading`, Lambert's (1, 0, 0) before.
     """
     lights, pixels = observations.shape
-    low, high, reselections = int(settings[0]), int(settings[5]), int(settings[3])
-    prior, noise, at_least = settings[1], settings[2], settings[4]
+    prior, noise, reselections, at_least = settings[0], settings[1], int(settings[2]), settings[3]
     for chunk in prange((pixels + CHUNK - 1) // CHUNK):
         values, known_here = planes(lights, BLOCK), planes(lights, BLOCK)
         use, spare = planes(lights, BLOCK), planes(lights, BLOCK)
         start, held, active, variance = np.zeros(FIT * BLOCK), np.zeros(BLOCK), np.zeros(BLOCK), np.zeros(BLOCK)
         buffers = (spare, planes(1, BLOCK)[0], planes(1, BLOCK)[0], np.zeros(BLOCK))
-        per_scale, score = np.zeros(BLOCK, np.float32), np.zeros(BLOCK, np.float32)
-        record, lower = np.zeros(BLOCK, np.float32), planes(1, BLOCK)[0]
-        chosen = np.zeros(BLOCK, np.int64)
-        result, best = empty_result(lights), empty_result(lights)
-        condition = np.zeros(BLOCK)
+        result, condition = empty_result(lights), np.zeros(BLOCK)
         work = descent_work(lights)
         index = np.zeros(BLOCK, np.int64)
         p = chunk * CHUNK
@@ -175,34 +162,17 @@ def refine(
                 spread = np.float64(scalars[3, q]) / np.float64(scalars[0, q])
                 # The second part is a Gaussian prior of standard deviation WIDTH, in units of the squared residuals.
                 held[i] = prior * lights_used[q] / 3.0 + (spread / WIDTH) ** 2
-                per_scale[i] = np.float32(1.0 / max(noise + spread, 1e-6))
                 active[i] = 1.0 if i < width else 0.0
-            record[:] = np.inf
-            for k in range(low, high + 1):
-                fit_block(
-                    values, known_here, use, vectors, start, k, held, noise, reselections, at_least, active, result,
-                    buffers, work,
-                )  # fmt: skip
-                if high > low:
-                    disagreement(values, known_here, vectors, result[1], k, per_scale, score)
-                for i in range(BLOCK):
-                    less = score[i] < record[i] or k == low
-                    lower[i] = np.float32(1.0) if less else np.float32(0.0)
-                    record[i] = score[i] if less else record[i]
-                    chosen[i] = k if less else chosen[i]
-                take(lower, result[0], best[0])
-                take_lanes(lower, result[1], best[1])
-                take_lanes(lower, result[2], best[2])
-                take_lanes(lower, result[3].reshape(-1), best[3].reshape(-1))
-                take_lanes(lower, result[4], best[4])
-            tangential_variance(best[2], held, variance)
-            conditions_of(best[3], vectors, condition)
+            fit_block(
+                values, known_here, use, vectors, start, held, noise, reselections, at_least, active, result, buffers,
+                work,
+            )  # fmt: skip
+            tangential_variance(result[2], held, variance)
+            conditions_of(result[3], vectors, condition)
             store_fits(
-                index, width, best, variance, condition, max_condition, normals, scalars, lights_used, flags, spare
+                index, width, result, variance, condition, max_condition, normals, scalars, lights_used, flags, spare
             )
-            if low != SHADING_SQUARINGS or high != SHADING_SQUARINGS:
-                linear_terms(values, best, vectors, chosen, held, work[1], work[7], work[2])
-            store_shading(index, width, best, spare, shading)
+            store_shading(index, width, result, spare, shading)
 
 
 @njit(cache=True, error_model="numpy")
@@ -270,32 +240,3 @@ def store_shading(index, width, best, stored, shading):
             if mean > LEAST_FACTOR:  # false for NaN
                 p = index[i]
                 shading[p, 0], shading[p, 1], shading[p, 2] = a / mean, b / mean, d / mean
-
-
-@njit(cache=True, error_model="numpy")
-def linear_terms(values, best, vectors, chosen, prior, surface, slopes, trial):
-    """(a, b, d) of the fitted normals with the exponent of the shading map, where the fit chose another one.
-
-    One Gauss-Newton step from (a, 0, 0): the model is linear in the terms. The fits and sums of such pixels become its
-    own.
-    """
-    fit, _, sums, weights, _ = best
-    for p in range(BLOCK):
-        if chosen[p] != SHADING_SQUARINGS:
-            fit[p + 4 * BLOCK], fit[p + 5 * BLOCK] = 0.0, 0.0
-    set_surface(fit, surface)
-    add_up(values, weights, vectors, surface, SHADING_SQUARINGS, slopes, trial)
-    for p in range(BLOCK):
-        if chosen[p] == SHADING_SQUARINGS:
-            continue
-        for k in range(SUMS):
-            sums[p + k * BLOCK] = trial[p + k * BLOCK]
-        for k in range(9):  # the normal stands: no tangential steps
-            sums[p + k * BLOCK] = np.float32(1.0) if k == 0 or k == 5 else np.float32(0.0)
-        factors, inverses, positive = factorise(sums, p, 0.0, prior[p])
-        r2, r3, r4 = sums[p + 17 * BLOCK], sums[p + 18 * BLOCK], sums[p + 19 * BLOCK]
-        _, _, a, b, d = substitute(factors, inverses, 0.0, 0.0, np.float64(r2), np.float64(r3), np.float64(r4))
-        if positive:
-            fit[p + 3 * BLOCK], fit[p + 4 * BLOCK], fit[p + 5 * BLOCK] = fit[p + 3 * BLOCK] + a, b, d
-        else:
-            fit[p + 3 * BLOCK], fit[p + 4 * BLOCK], fit[p + 5 * BLOCK] = 1.0, 0.0, 0.0

@@ -8,10 +8,8 @@ from nishiki.errors import UserError
 from nishiki.photometric import flags as bits
 from nishiki.photometric.light_selection import all_finite, checked_stack
 
-SOLVERS = ("default", "lobe", "lobes", "least_squares")
-EXPONENTS = (2, 4, 8, 16)  # that the solver "lobes" tries
+SOLVERS = ("default", "lobe", "least_squares")
 PRIOR = 1e-4  # least weight of b^2 and d^2, times a third of the number of samples (about their sum of c^2)
-EXPONENT = 8  # of the gloss skirt
 RESELECTIONS = 1
 AT_LEAST = 6  # samples below which the gloss lobe is not tried: five unknowns and one to spare
 
@@ -72,7 +70,6 @@ def estimate_normals(
     solver="default",
     max_condition=1e4,
     noise=0.003,
-    exponent=EXPONENT,
 ):
     """Normals and albedo of every pixel from its observations under known lights.
 
@@ -91,18 +88,15 @@ def estimate_normals(
         Weights of the samples, zero or more; only for the solver `least_squares`.
     valid : (lights, rows, columns) array_like of bool, optional
         What is not valid enters no fit, chosen or not. Default: all.
-    solver : {'default', 'lobe', 'lobes', 'least_squares'}, optional
+    solver : {'default', 'lobe', 'least_squares'}, optional
         `least_squares`: ordinary (weighted) least squares on the usable samples. `lobe`, the default: from there, a
         reflectance with a diffuse fall-off and a gloss lobe (`nishiki.photometric.lobe`), which chooses the samples
         again among the valid ones; it starts from all valid ones where the selection is not to be followed
-        (`nishiki.photometric.distrust`). `lobes`: the same with the exponents 2, 4, 8 and 16 in turn, and at each
-        pixel the one with the smallest residual.
+        (`nishiki.photometric.distrust`).
     max_condition : float, optional
         Condition number of the weighted 3 x 3 normal matrix above which a pixel is flagged.
     noise : float, optional
-        Standard deviation of the observations relative to the albedo; for `lobe` and `lobes`.
-    exponent : {2, 4, 8, 16, 32}, optional
-        Exponent of the gloss lobe; for `lobe`.
+        Standard deviation of the observations relative to the albedo; for `lobe`.
 
     Returns
     -------
@@ -147,7 +141,7 @@ def estimate_normals(
     factors = sample_weights(stack, both(usable, valid), weights, shape)
     outputs = lambertian(stack, directions, factors, max_condition)
     shading = None
-    if solver in ("lobe", "lobes"):
+    if solver == "lobe":
         if weights is not None:
             raise UserError(
                 f"normals: the solver {solver!r} takes no weights; use 'least_squares', or leave samples out"
@@ -155,8 +149,7 @@ def estimate_normals(
         known = factors if valid is None else sample_weights(stack, valid, None, shape)
         if factors is not None and valid is not None:
             factors = without_distrusted(stack, directions, factors, known, outputs, max_condition)
-        exponents = EXPONENTS if solver == "lobes" else (exponent,)
-        shading = refine_lobe(stack, directions, factors, known, outputs, exponents, noise, max_condition)
+        shading = refine_lobe(stack, directions, factors, known, outputs, noise, max_condition)
         shading = shading.reshape(*shape[1:], 3)
     return replace(as_field(*outputs, shape[1:], solver), shading=shading)
 
@@ -183,7 +176,7 @@ def without_distrusted(stack, directions, usable, known, outputs, max_condition)
     return usable
 
 
-def refine_lobe(stack, directions, usable, known, outputs, exponents, noise, max_condition):
+def refine_lobe(stack, directions, usable, known, outputs, noise, max_condition):
     """Replace the Lambertian estimates in the outputs, in place, by those of the model with a gloss lobe.
 
     Returns the body shading (pixels, 3) float32 of `nishiki.brdf.body_shading`.
@@ -191,12 +184,10 @@ def refine_lobe(stack, directions, usable, known, outputs, exponents, noise, max
     from nishiki.brdf.body_shading import LAMBERT
     from nishiki.photometric.refine import refine
 
-    if not set(exponents) <= {2, 4, 8, 16, 32}:
-        raise UserError(f"normals: expected an exponent of 2, 4, 8, 16 or 32, found {exponents[0]}")
     vectors = with_half_vectors(directions)
     everything = np.ones((stack.shape[0], 1), dtype=np.uint8)
     shading = np.tile(np.array(LAMBERT, np.float32), (stack.shape[1], 1))
-    settings = np.array([np.log2(exponents[0]), PRIOR, noise, RESELECTIONS, AT_LEAST, np.log2(exponents[-1])])
+    settings = np.array([PRIOR, noise, RESELECTIONS, AT_LEAST])
     refine(
         stack,
         everything if usable is None else usable,
@@ -214,7 +205,7 @@ def with_half_vectors(directions):
     """(6, lights) float32: directions to the lights, and half vectors of light and view."""
     halves = directions + np.array([0.0, 0.0, 1.0])
     halves /= np.maximum(np.linalg.norm(halves, axis=1, keepdims=True), 1e-12)
-    return np.concatenate([directions.T, halves.T]).astype(np.float32)
+    return np.ascontiguousarray(np.concatenate([directions.T, halves.T]), dtype=np.float32)
 
 
 def shading_of_mean(intensity, mean, directions, field, *, usable, valid, least_change, noise=0.003):

@@ -48,8 +48,10 @@ class NormalsSettings(Guarded):
     VERSION: ClassVar[int] = 3
     LIMITS: ClassVar[tuple[Limit, ...]] = LIMITS
 
-    solver: Literal["default", "lobe", "lobes", "least_squares"] = Field(
-        "default", description="see docs/stages/normals.md"
+    solver: Literal["default", "lobe", "least_squares"] = Field(
+        "default",
+        description="least_squares: Lambert's law on the selected samples (Woodham 1980); lobe, the default: from "
+        "there, a diffuse fall-off and a gloss lobe, with the samples chosen again by their residuals",
     )
     lights: Lights = Field(
         "auto",
