@@ -7,11 +7,10 @@ Needs Mitsuba (group path-tracing) and `./nishiki export SCENE mitsuba`. Two JSO
     lamps        one lamp 60 and 20 degrees above the plane, from the left; nishiki_paint.py, flat, against `render`
                  without cast shadows: relative difference, median and 99th percentile over the channels, share of the
                  pixels above 1 %, and that among pixels whose colour sRGB holds; `paint_db`: of the coded pictures;
-                 `relief_db`: with the relief against `render` with cast shadows; `plain_db`: scene.xml, flat, against
-                 nishiki_paint.py; `without_*_db`: `render` without the slopes, the regions but the largest, the
-                 directional terms: what each is worth
+                 `relief_db`: with the relief against `render` with cast shadows; `without_*_db`: `render` without the
+                 slopes, the regions but the largest, the directional terms: what each is worth
     photographs  dB of the coded pictures under the lights of the fit and under those that no fit saw: `render`,
-                 nishiki_paint.py and scene.xml, flat and with the relief
+                 nishiki_paint.py, flat and with the relief
 """
 
 import argparse
@@ -65,13 +64,6 @@ class Pictures:
         made = self._module.description([lamp.tolist()], relief=relief, samples=samples, folder=self._folder)
         return np.array(self._mi.render(self._mi.load_dict(made)))
 
-    def plain(self, lamp: np.ndarray, *, relief: bool = False) -> np.ndarray:
-        """scene.xml."""
-        towards = dict(zip("xyz", map(str, -lamp), strict=True))
-        mesh = "relief.ply" if relief else "flat.ply"
-        changes = {"mesh": mesh, "samples": str(self._samples if relief else 1), **towards}
-        return np.array(self._mi.render(self._mi.load_file(str(self._folder / "scene.xml"), **changes)))
-
 
 def decibels(theirs: np.ndarray, ours: np.ndarray) -> float:
     """PSNR of sRGB-coded pixels (n, 3), peak 1."""
@@ -105,7 +97,6 @@ def under_lamps(pictures: Pictures, exported: ExportedScene) -> dict:
         }
         relief = pictures.paint(lamp, relief=True)
         lines["relief_db"] = decibels(relief[known], pictures.render(lamp, relief=True)[known])
-        lines["plain_db"] = decibels(pictures.plain(lamp)[known], pictures.paint(lamp)[known])
         left_out = {"slopes": replace(scene, slopes=None)}
         if scene.labels is not None:
             left_out["regions"] = largest_region(scene)
@@ -124,7 +115,7 @@ def against_photographs(
     names none."""
     ways = {
         f"{name}{'_relief' * relief}": (getattr(pictures, name), relief)
-        for name in ("render", "paint", "plain")
+        for name in ("render", "paint")
         for relief in (False, True)
     }
     found = {}

@@ -16,8 +16,8 @@ from nishiki.brdf.texels.model import predict
 from nishiki.formats.mitsuba_xml import Parameter, write_scene
 from nishiki.geometry.camera import Camera
 from nishiki.report.numbers import figure
-from nishiki.stages.export import mitsuba_principled as principled
 from nishiki.stages.export.report import lost
+from nishiki.stages.object_export import mitsuba_principled as principled
 from nishiki.stages.object_export.errors import SeenPoints
 from nishiki.stages.object_export.look import object_mesh
 from nishiki.stages.object_export.mitsuba import by_principled, falloff, lamp_facts, nearest_pinhole, write_folder

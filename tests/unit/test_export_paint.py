@@ -5,7 +5,6 @@ import json
 from contextlib import contextmanager
 from dataclasses import replace
 from types import SimpleNamespace
-from xml.etree import ElementTree
 
 import numpy as np
 import OpenEXR
@@ -15,14 +14,9 @@ from small_painting import COLUMNS, ROWS, export_context, small_painting
 
 from nishiki.brdf.slopes import slope_covariance
 from nishiki.colour.colour import illuminant, white_xyz, xyz_to_srgb_linear
-from nishiki.colour.encoding import encode
-from nishiki.observations.plane import Observations
 from nishiki.render.plane.frame import render
 from nishiki.render.plane.scene import Light, View
 from nishiki.stages.export.declaration import ExportSettings
-from nishiki.stages.export.gltf_material import GltfMaterial
-from nishiki.stages.export.mitsuba_plain import PrincipledPaint
-from nishiki.stages.export.photographs import Photographs
 from nishiki.stages.export.run import run
 from nishiki.stages.export.scene import ExportedScene
 from nishiki.stages.render.run import load_scene
@@ -32,7 +26,6 @@ LABELS[10:30, 20:51] = 1
 TURNED_AWAY = np.s_[20:23, 30:34]  # facets that lean further than the view sees
 LAMPS = [(0.6, 0.1, 0.79), (-0.1, -0.05, 0.99)]
 D65 = illuminant("D65")
-F0 = ((1.45 - 1) / (1.45 + 1)) ** 2  # along the normal, of the index of the small painting
 
 
 def terms(count):
@@ -133,10 +126,7 @@ def test_textures_are_written_where_a_painting_has_them(plain, rich):
     names = {made.folder: json.loads((made.folder / "scene.json").read_text())["textures"] for made in (plain, rich)}
     assert names[plain.folder] == ["albedo", "normals", "shading", "slopes"]
     assert names[rich.folder] == ["albedo", "normals", "shading", "directional", "slopes", "regions"]
-    assert not (plain.folder / "weight.exr").exists()
     for made in (plain, rich):
-        raised = exr(made.folder / "normalmap.exr").reshape(ROWS, COLUMNS, 3)[TURNED_AWAY]
-        assert (raised[..., 2] > 0.5).all()  # above the horizon, where Mitsuba shows them
         assert sorted(f"exports/mitsuba/{path.name}" for path in made.folder.iterdir()) == sorted(made.losses["files"])
 
 
@@ -148,8 +138,6 @@ def test_a_painting_whose_gloss_was_left_out_is_matte(mi, tmp_path):
         run(context)
         folder = output.folder / "exports/mitsuba"
         assert json.loads((folder / "scene.json").read_text())["textures"] == ["albedo", "normals", "shading"]
-        assert not (folder / "roughness.exr").exists()
-        assert 'type="diffuse"' in (folder / "scene.xml").read_text()
         albedo = exr(folder / "albedo.exr").reshape(ROWS, COLUMNS, 3)
         flat = np.array(mi.render(nishiki_paint(folder).load(LAMPS[:1], relief=False, samples=1, folder=folder)))
     normals = np.where(painting.known[..., None], painting.normals, 0)
@@ -171,71 +159,3 @@ def exr(path):
     with OpenEXR.File(str(path)) as file:
         (channel,) = file.channels().values()
         return channel.pixels.reshape(ROWS * COLUMNS, -1).astype(float)
-
-
-def shown_by_files(folder, light):
-    """(rows, columns, 3) that principled shows of the whole textures of scene.xml."""
-    colours, normals, roughness = (exr(folder / f"{name}.exr") for name in ("base_colour", "normalmap", "roughness"))
-    paint = ElementTree.parse(folder / "scene.xml").getroot().find(".//bsdf[@type='normalmap']")
-    read = {each.get("name"): float(each.get("value")) for each in paint.iter("float")}
-    weight = exr(folder / "weight.exr")[:, 0] if (folder / "weight.exr").exists() else read.get("weight", 1.0)
-    reflectance = ((read["eta"] - 1) / (read["eta"] + 1)) ** 2 / F0
-    material = GltfMaterial(roughness[:, 0], weight * reflectance, 1.45, reflectance)
-    return PrincipledPaint(material).shown(colours, 2 * normals - 1, light).reshape(ROWS, COLUMNS, 3)
-
-
-@pytest.mark.parametrize("kind", ["plain", "rich"])
-def test_the_loss_of_the_plain_scene_is_reckoned_from_its_files(request, kind, tmp_path):
-    made = request.getfixturevalue(kind)
-    frames, scene = Observations(made.painting.inputs["ingest"].folder), ExportedScene(made.painting.inputs)
-    photographs, squares, count = Photographs(frames, scene), 0.0, 0
-    lights = np.arange(len(frames.directions))[-3:]  # those of no fit
-    shown = [encode(shown_by_files(made.folder, light), "srgb").clip(0, 1) for light in frames.directions[lights]]
-    for band in frames.bands():
-        for rows, values, valid in photographs.strips(band, lights):
-            for number, picture in enumerate(shown):
-                apart = picture[rows].reshape(-1, 3) - values[:, number]
-                squares += np.sum(apart[valid[:, number]] ** 2)
-                count += 3 * np.count_nonzero(valid[:, number])
-    error = made.losses["kinds"]["principled"]["psnr_db"]
-    assert error["check"]["all"] == pytest.approx(-10 * np.log10(squares / count), abs=1e-3)
-    assert error["check"]["lights"] == 3
-    coarse = ExportSettings(formats=("mitsuba",), gltf={"texture_px": 16})
-    context = export_context(made.painting, tmp_path, coarse)
-    with context.output:
-        assert run(context)["losses"]["mitsuba"]["kinds"] == made.losses["kinds"]
-
-
-@pytest.mark.parametrize("kind", ["plain", "rich"])
-def test_the_plain_scene_shows_what_its_loss_is_reckoned_with(mi, request, kind):
-    made = request.getfixturevalue(kind)
-    light = np.array([0.2, 0.1, 0.86])
-    light /= np.linalg.norm(light)
-    towards = dict(zip("xyz", map(str, -light), strict=True))
-    file = str(made.folder / "scene.xml")
-    theirs = np.array(mi.render(mi.load_file(file, mesh="flat.ply", samples="1", **towards)))
-    assert theirs.shape == (ROWS, COLUMNS, 3)
-    ours = shown_by_files(made.folder, light)
-    inner = made.painting.known & (ours.min(axis=-1) > 0.02)
-    assert inner.mean() > 0.8
-    np.testing.assert_allclose(theirs[inner], ours[inner], rtol=0.001)
-    relief = np.array(mi.render(mi.load_file(file, samples="4", **towards)))
-    assert np.median(np.abs(relief - ours)[inner] / ours[inner]) < 0.05, "the relief is shaded once"
-    smooth = np.array(mi.render(mi.load_file(file, mesh="flat.ply", samples="4", filter="bilinear", **towards)))
-    apart = np.abs(smooth - theirs)[inner] / theirs[inner]
-    assert 1e-4 < np.median(apart) < 0.05
-
-
-def test_the_plain_scene_has_the_lobe_of_each_region_widened_by_the_slopes(plain, rich):
-    slopes = {made.folder: exr(made.folder / "slopes.exr") for made in (plain, rich)}
-    for made, labels in ((plain, np.zeros_like(LABELS)), (rich, LABELS)):
-        covariance = slopes[made.folder]
-        roughness = exr(made.folder / "roughness.exr")[:, 0]
-        alpha_squared = roughness**4 - covariance[:, 0] - covariance[:, 2]
-        for label in np.unique(labels):
-            narrow = alpha_squared[(labels.ravel() == label) & (roughness < 1)]
-            assert len(narrow) > 500
-            np.testing.assert_allclose(narrow, np.median(narrow), rtol=1e-3, atol=1e-6)
-    weight = exr(rich.folder / "weight.exr")[:, 0]
-    assert all(np.ptp(weight[LABELS.ravel() == label]) == 0 for label in (0, 1))
-    assert np.ptp(weight) > 0.3

@@ -1,5 +1,4 @@
-"""A painting as a scene of Mitsuba 3: relief, textures, and two materials: our reflection model in Python, and
-`principled` for scenes without Python."""
+"""Write a painting as a scene of Mitsuba 3: relief, textures, and our reflection model as a BSDF in Python."""
 
 import json
 from collections.abc import Callable
@@ -13,14 +12,11 @@ from nishiki.formats.exr_bands import ExrWriter
 from nishiki.formats.textured_ply import faces, heading, vertices
 from nishiki.report.files import read_json
 from nishiki.stages.export import mitsuba_paint
-from nishiki.stages.export.look import errors
-from nishiki.stages.export.mitsuba_plain import PlainPainting, write_plain_scene
-from nishiki.stages.export.region_gloss import RegionGloss, region_materials, slopes_widen
+from nishiki.stages.export.region_gloss import region_materials, slopes_widen
 from nishiki.stages.export.relief_mesh import reliefs
 from nishiki.stages.export.scene import ExportedScene
 
 UP = np.array([0.0, 0.0, 1.0])
-ONE_CHANNEL = ("regions", "roughness", "weight")
 Texture = Callable[[slice], np.ndarray]
 """Some rows of a texture, of the picture's columns."""
 
@@ -29,14 +25,11 @@ def write(context: Context, scene: ExportedScene) -> dict:
     """The folder `mitsuba`; what of the model it leaves out."""
     folder = context.output.path("exports/mitsuba/scene.json").parent
     parameters = read_json(context.inputs.get("brdf"), "parameters.json")
-    facets = slopes_widen(context)
-    materials = region_materials(context, scene)
-    labels = scene.regions(slice(0, scene.shape[0])) if len(materials) > 1 else None
-    plain = PlainPainting(scene, RegionGloss(materials, labels), facets)
-    of_model, of_plain = model_textures(scene, facets=facets, regions=labels is not None), plain.textures()
+    regions = len(region_materials(context, scene)) > 1
+    textures = model_textures(scene, facets=slopes_widen(context), regions=regions)
     header = {f"nishiki.{name}": text for name, text in context.stamp.items()}
-    for name, read in {**of_model, **of_plain}.items():
-        channels = "Y" if name in ONE_CHANNEL else "RGB"
+    for name, read in textures.items():
+        channels = "Y" if name == "regions" else "RGB"
         with ExrWriter(folder / f"{name}.exr", channels, *scene.shape, header) as exr:
             for rows in scene.bands():
                 exr.write(read(rows).reshape(-1, scene.shape[1], len(channels)))
@@ -47,22 +40,19 @@ def write(context: Context, scene: ExportedScene) -> dict:
         "width": scene.shape[1] * scene.pitch,
         "height": scene.shape[0] * scene.pitch,
         "unit": scene.unit,
-        "textures": list(of_model),
+        "textures": list(textures),
         "shadows": not scene.has_directional_shading,
         "gloss": gloss_facts(parameters),
         "stamp": dict(context.stamp),
     }
     (folder / "scene.json").write_text(json.dumps(facts, indent=1) + "\n")
     (folder / "nishiki_paint.py").write_text(Path(mitsuba_paint.__file__).read_text(encoding="utf-8"))
-    write_plain_scene(folder / "scene.xml", facts, plain)
     clipped = sum(int(np.count_nonzero(scene.srgb(rows) < 0)) for rows in scene.bands())
-    names = ("scene.json", "nishiki_paint.py", "scene.xml", "relief.ply", "flat.ply")
-    files = [f"exports/mitsuba/{name}" for name in (*names, *(f"{name}.exr" for name in (*of_model, *of_plain)))]
+    names = ("scene.json", "nishiki_paint.py", "relief.ply", "flat.ply", *(f"{name}.exr" for name in textures))
     return {
-        "files": files,
+        "files": [f"exports/mitsuba/{name}" for name in names],
         "vertices": count,
         "clipped": clipped / (3 * scene.shape[0] * scene.shape[1]),
-        "kinds": {"principled": {"psnr_db": errors(context, scene, plain, {"": plain})[""]}},
     }
 
 
@@ -95,7 +85,7 @@ def gloss_facts(parameters: dict | None) -> dict:
 def write_relief(folder: Path, context: Context, scene: ExportedScene) -> int:
     """relief.ply, the displaced plane with the place of each vertex in the textures, and flat.ply; its vertices.
 
-    Their normals are those of the plane: principled takes the relief's from its texture, our model the faces'.
+    Their normals are those of the plane: the model takes those of the faces.
     """
     most = context.settings.mesh_vertices
     counts = np.sum([(len(band.places), len(band.triangles)) for band in reliefs(scene, most, colours=None)], axis=0)

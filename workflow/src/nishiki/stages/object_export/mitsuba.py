@@ -22,8 +22,8 @@ from nishiki.formats.textured_surface import TexturedMesh
 from nishiki.geometry.camera import NO_DISTORTION, Camera
 from nishiki.render.display import three_channels
 from nishiki.render.object.decoded_object import DecodedObject
-from nishiki.stages.export import mitsuba_principled as principled
 from nishiki.stages.object_export import mitsuba_object
+from nishiki.stages.object_export import mitsuba_principled as principled
 from nishiki.stages.object_export.errors import SeenPoints, Shown, against_photographs
 from nishiki.stages.object_export.look import METRES, ObjectLook
 from nishiki.stages.object_export.surface import ObjectSurface
