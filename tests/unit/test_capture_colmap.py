@@ -112,7 +112,7 @@ def test_other_distortions_are_refused(tmp_path):
         with pytest.raises(CaptureError, match="image_undistorter"):
             read_colmap(tmp_path)
     write_model(tmp_path, "text", camera=(2, "SIMPLE_RADIAL", [40.0, 16.0, 12.0, 0.0]))
-    assert len(read_colmap(tmp_path)) == 8
+    assert len(read_colmap(tmp_path).views) == 8
     write_model(tmp_path, "text", camera=(2, "SIMPLE_RADIAL", [-40.0, 16.0, 12.0, 0.0]))
     with pytest.raises(CaptureError, match="not as COLMAP"):
         read_colmap(tmp_path)
@@ -149,3 +149,69 @@ def test_files_that_end_anywhere_are_read_or_refused(tmp_path, kind):
     (tmp_path / "cameras.bin").write_bytes(struct.pack("<Q", 0))
     with pytest.raises(CaptureError, match="more than the"):
         read_colmap(tmp_path)
+
+
+@pytest.mark.parametrize("lacking", ["all", "some", "none"])
+@pytest.mark.parametrize("stated", [None, 8, 12])
+def test_photographs_without_their_line_of_points_are_not_lost(tmp_path, lacking, stated):
+    names = [name for name, _, _ in around()]
+    write_model(tmp_path, "text")
+    lines = (tmp_path / "images.txt").read_text().split("\n")[1:]
+    keep = {"all": lambda i: i % 2 == 0, "some": lambda i: i % 2 == 0 or i % 6 == 1, "none": lambda i: True}[lacking]
+    heading = f"# Number of images: {stated}, mean observations per image: 0\n" if stated else ""
+    text = heading + "# IMAGE_ID, QW ...\n" + "\n".join(line for i, line in enumerate(lines) if keep(i))
+    (tmp_path / "images.txt").write_text(text.replace("\n6 ", "\n# a comment\n\n6 ") + "\n")
+    found = read_colmap(tmp_path)
+    assert [view.name for view in found.views] == names
+    assert [note.kind for note in found.notes] == (["cameras-count"] if stated == 12 else [])
+
+
+@pytest.mark.parametrize("line", ["1.5 2.5 -1 3.5 4.5 -1", "9 0 0 1 0 0 0 5 7", "9 0 0 1 0 0 0 5 x view.png"])
+def test_lines_that_are_neither_are_refused(tmp_path, line):
+    write_model(tmp_path, "text")
+    text = (tmp_path / "images.txt").read_text()
+    (tmp_path / "images.txt").write_text(f"{line}\n{text}")
+    with pytest.raises(CaptureError) as refused:
+        read_colmap(tmp_path)
+    assert refused.value.problems[0].kind == "cameras-unreadable"
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        (11, "RAD_TAN_THIN_PRISM_FISHEYE", [40.0, 40, 16, 12, *[0.0] * 12]),
+        (12, "SIMPLE_DIVISION", [40.0, 16, 12, 0.1]),
+        (15, "FISHEYE", [40.0, 40, 16, 12]),
+        (16, "EUCM", [40.0, 40, 16, 12, 0.5, 1.0]),
+        (17, "EQUIRECTANGULAR", [32.0, 24.0]),
+        (40, "A_MODEL_TO_COME", [40.0, 1.0]),
+    ],
+)
+@pytest.mark.parametrize("kind", ["text", "binary"])
+def test_newer_models_are_lenses_that_are_not_read(tmp_path, camera, kind):
+    write_model(tmp_path, kind, camera=camera)
+    with pytest.raises(CaptureError) as refused:
+        read_colmap(tmp_path)
+    assert refused.value.problems[0].kind == "cameras-distorted"
+
+
+def test_the_division_model_without_distortion_is_a_pinhole(tmp_path):
+    write_model(tmp_path / "a", "binary", camera=(13, "DIVISION", [40.0, 41.0, 16.5, 11.0, 0.0]))
+    write_model(tmp_path / "b", "binary")
+    for ours, theirs in zip(read_colmap(tmp_path / "a").views, read_colmap(tmp_path / "b").views, strict=True):
+        np.testing.assert_array_equal(ours.matrix, theirs.matrix)
+
+
+def test_back_slashes_separate_folders_and_views_stand_in_the_order_of_the_turn(tmp_path):
+    """Two cameras whose photographs alternate, as Windows names them, numbered without leading zeros."""
+    views = [(f"cam{i % 2}\\{9 + i // 2}.png", *view[1:]) for i, view in enumerate(around(12))]
+    for i, (name, _, _) in enumerate(views):
+        path = tmp_path / "s/images" / name.replace("\\", "/")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        cv2.imwrite(str(path), np.full((ROWS, COLUMNS, 3), 20 * i + 5, np.uint8))
+    write_model(tmp_path / "s/sparse", "text", views=views)
+    convert(tmp_path / "s", tmp_path / "capture")
+    capture = load_capture(tmp_path / "capture")
+    assert capture.settings.turntable.full_turn
+    levels = [cv2.imread(str(frame.path))[0, 0, 0] for frame in capture.frames]
+    assert levels == [20 * i + 5 for i in range(12)]

@@ -95,7 +95,7 @@ def test_matrices_are_those_of_the_colmap_import(tmp_path, version):
 
 def test_the_oldest_files_have_one_focal_length(tmp_path):
     write_cameras(tmp_path, version=(1, 0, 0), name="sfm.sfm")
-    (view, *_) = read_meshroom(tmp_path / "sfm.sfm")
+    (view, *_) = read_meshroom(tmp_path / "sfm.sfm").views
     assert (view.lens.fx, view.lens.fy, view.lens.cx, view.lens.cy) == pytest.approx((FX, FX, CX, CY))
 
 
@@ -185,8 +185,9 @@ def test_two_lenses_that_differ_and_other_doubts_are_refused(tmp_path):
     with pytest.raises(CaptureError, match="distortions differ"):
         convert(tmp_path / "s", tmp_path / "c")
     write_cameras(tmp_path / "s", change=lambda content: set_in(content, "views", 0, "path", value=f"a/{NAMES[1]}"))
-    with pytest.raises(CaptureError, match="two photographs of one name"):
+    with pytest.raises(CaptureError) as refused:
         convert(tmp_path / "s", tmp_path / "c")
+    assert refused.value.problems[0].kind == "photograph-repeats"
     write_cameras(tmp_path / "s")
     (tmp_path / "s" / NAMES[2]).unlink()
     with pytest.raises(CaptureError, match=NAMES[2]):
@@ -219,6 +220,6 @@ def test_rotations_are_read_column_by_column(tmp_path):
         content["poses"][0]["pose"]["transform"] = {"rotation": list(map(repr, listed)), "center": ["-1"] * 3}
 
     write_cameras(tmp_path, change=change)
-    view = next(view for view in read_meshroom(tmp_path / "cameras.sfm") if view.name == NAMES[0])
+    view = next(view for view in read_meshroom(tmp_path / "cameras.sfm").views if view.name.endswith(NAMES[0]))
     lens = np.array([[FX, 0, CX], [0, FY, CY], [0, 0, 1]])
     np.testing.assert_allclose(view.matrix, lens @ np.column_stack([turn, turn @ [1, 1, 1]]), atol=1e-9)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -9,17 +10,18 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.capture.registered import RegisteredView
+from nishiki.capture.registered import CORNER, RegisteredView, Registration
 from nishiki.capture.turntable_schema import Intrinsics
 from nishiki.formats.bounds import bound
 from nishiki.formats.files import read_bytes
-from nishiki.formats.problems import CaptureError, error
+from nishiki.formats.problems import CaptureError, Problem, error, warning
 from nishiki.formats.text_tables import expect_rows, reading
 
 PLACES = (".", "sparse", "sparse/0")
 KINDS = (".txt", ".bin")
-# Name, number of parameters, and how many of these come before the distortion, by COLMAP's number of the model. The
-# distortion begins with k1, k2, p1, p2, k3 of Brown's model as far as it goes; what follows is another model's.
+# Name, number of parameters, and how many of these come before the distortion, by COLMAP's number of the model; models
+# of another number are newer. The distortion begins with k1, k2, p1, p2, k3 of Brown's model as far as it goes; what
+# follows is another model's.
 MODELS = (
     ("SIMPLE_PINHOLE", 3, 3),
     ("PINHOLE", 4, 4),
@@ -32,10 +34,18 @@ MODELS = (
     ("SIMPLE_RADIAL_FISHEYE", 4, 3),
     ("RADIAL_FISHEYE", 5, 3),
     ("THIN_PRISM_FISHEYE", 12, 4),
+    ("RAD_TAN_THIN_PRISM_FISHEYE", 16, 4),
+    ("SIMPLE_DIVISION", 4, 3),
+    ("DIVISION", 5, 4),
+    ("SIMPLE_FISHEYE", 3, 3),
+    ("FISHEYE", 4, 4),
+    ("EUCM", 6, 4),
+    ("EQUIRECTANGULAR", 2, 2),
 )
 BROWN = 5
-FISHEYE = ("FISHEYE", "FOV")
-CORNER = 0.5  # COLMAP's pixels count from the corner of the top left one, ours from its centre
+OTHERS = ("FISHEYE", "FOV", "DIVISION", "EUCM", "EQUIRECTANGULAR")  # words of models that are not Brown's
+NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?|[-+]?(nan|inf)", re.IGNORECASE)
+HEADING = re.compile(rb"Number of images:\s*([0-9]{1,9})")
 
 
 @dataclass(frozen=True)
@@ -63,17 +73,19 @@ def colmap_folder(source: Path) -> Path | None:
     return None
 
 
-def read_colmap(folder: Path) -> list[RegisteredView]:
-    """The registered photographs, sorted by name.
+def read_colmap(folder: Path) -> Registration:
+    """The registered photographs.
 
     Raises CaptureError: cameras-unreadable, cameras-many; cameras-distorted where a lens cannot be said by Brown's five
     numbers.
     """
     kind = ".bin" if (folder / "cameras.bin").is_file() and (folder / "images.bin").is_file() else ".txt"
     cameras = _parsed(folder / f"cameras{kind}", dict(zip(KINDS, (_text_cameras, _binary_cameras), strict=True))[kind])
-    images = _parsed(folder / f"images{kind}", dict(zip(KINDS, (_text_images, _binary_images), strict=True))[kind])
-    expect_rows(len(images), "views", f"images{kind}", "cameras")
-    return [_view(image, cameras, f"images{kind}") for image in sorted(images, key=lambda image: image.name)]
+    file, notes = f"images{kind}", []
+    read = (lambda content: _text_images(content, notes)) if kind == ".txt" else _binary_images
+    images = _parsed(folder / file, read)
+    expect_rows(len(images), "views", file, "cameras")
+    return Registration(tuple(_view(image, cameras, file) for image in images), tuple(notes))
 
 
 def _parsed(path: Path, parse: Callable):
@@ -101,9 +113,10 @@ def _view(image: _Image, cameras: dict[int, _Camera], file: str) -> RegisteredVi
 
 def _camera(model: str, parameters: Sequence[float], rows: int, columns: int) -> _Camera:
     """CaptureError (cameras-distorted) where the camera has another distortion than Brown's."""
-    plain = next(before for name, _, before in MODELS if name == model)
+    plain = next((before for name, _, before in MODELS if name == model), 0)
     distortion = [float(value) for value in parameters[plain:]]
-    if any(distortion[BROWN:]) or any(word in model for word in FISHEYE):
+    straight = "DIVISION" in model and not any(distortion)
+    if not plain or any(distortion[BROWN:]) or (any(word in model for word in OTHERS) and not straight):
         remedy = "Take the distortion out of the photographs (colmap image_undistorter), and convert what that writes"
         what = f"the camera {model} of {columns} x {rows} pixels has a distortion that is not read"
         expected = "PINHOLE, SIMPLE_RADIAL, RADIAL or OPENCV"
@@ -120,36 +133,57 @@ def _text_cameras(content: bytes) -> dict[int, _Camera]:
     cameras = {}
     for line in _lines(content):
         number, model, columns, rows, *parameters = line.split()
-        count = {name: count for name, count, _ in MODELS}.get(model)
+        count = {name: count for name, count, _ in MODELS}.get(model, len(parameters))
         if count != len(parameters):
             raise ValueError(f"camera {number}: model {model} with {len(parameters)} parameters")
         cameras[int(number)] = _camera(model, list(map(float, parameters)), int(rows), int(columns))
     return cameras
 
 
-def _text_images(content: bytes) -> list[_Image]:
-    """Two lines a photograph: number, quaternion, translation, camera, name; then its points, which are passed over."""
-    images = []
-    for line in _lines(content, empty=True)[::2]:
-        if line:
-            words = line.split(maxsplit=9)
+def _text_images(content: bytes, notes: list[Problem]) -> list[_Image]:
+    """Lines `number quaternion translation camera name`, each followed by a line of triples for its points.
+
+    Files that people and scripts write for known poses lack the lines of points, all or some: a line of points is
+    known by its numbers, so that no photograph is taken for one.
+    """
+    images, points = [], True
+    for line in _lines(content):
+        words = line.split(maxsplit=9)
+        if len(line.split()) % 3 == 0 and all(map(_is_number, line.split())):
+            if points:
+                raise ValueError(f"a line of points without its photograph: {line[:60]}")
+            points = True
+        elif len(words) == 10 and all(map(_is_number, words[:9])):
             numbers = tuple(map(float, words[1:8]))
             images.append(_Image(words[9], int(words[8]), numbers[:4], numbers[4:]))
+            points = False
+        else:
+            raise ValueError(f"neither a photograph nor points: {line[:60]}")
+    stated = HEADING.search(content)
+    if stated and int(stated[1]) != len(images):
+        what, remedy = "photographs", "If some are missing, export the model again; it may have been cut off"
+        expected = f"{int(stated[1])} as its heading says"
+        found = f"{len(images)}"
+        notes.append(warning("cameras-count", "images.txt", what, expected=expected, found=found, remedy=remedy))
     return images
 
 
-def _lines(content: bytes, *, empty: bool = False) -> list[str]:
+def _is_number(word: str) -> bool:
+    return NUMBER.fullmatch(word) is not None
+
+
+def _lines(content: bytes) -> list[str]:
     lines = (line.strip() for line in content.decode("utf-8-sig").split("\n"))
-    return [line for line in lines if (line or empty) and not line.startswith("#")]
+    return [line for line in lines if line and not line.startswith("#")]
 
 
 def _binary_cameras(content: bytes) -> dict[int, _Camera]:
     cameras, at = {}, 8
     for _ in range(_count(content)):
         number, model, columns, rows = struct.unpack_from("<iiQQ", content, at)
-        if not 0 <= model < len(MODELS):
+        if not 0 <= model < 1 << 16:
             raise ValueError(f"camera {number}: model number {model}")
-        name, count, _ = MODELS[model]
+        name, count, _ = MODELS[model] if model < len(MODELS) else (f"of model {model}", 0, 0)
         cameras[number] = _camera(name, struct.unpack_from(f"<{count}d", content, at + 24), rows, columns)
         at += 24 + 8 * count
     return cameras

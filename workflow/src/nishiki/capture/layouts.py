@@ -62,9 +62,14 @@ class Layout:
         return f"{self.count} photographs, {len(self.lights.names)} lamps"
 
 
-def natural_key(path: Path) -> list:
+def natural_parts(text: str) -> list:
     """Sort key in which cat.2 comes before cat.10."""
-    return [int(part) if part.isdecimal() else part.casefold() for part in re.split(r"([0-9]+)", path.name)]
+    return [int(part) if part.isdecimal() else part.casefold() for part in re.split(r"([0-9]+)", text)]
+
+
+def natural_key(path: Path) -> list:
+    """`natural_parts` of a file's name."""
+    return natural_parts(path.name)
 
 
 def photographs_in(folder: Path) -> list[Path]:

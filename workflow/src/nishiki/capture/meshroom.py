@@ -9,13 +9,11 @@ of a picture at (i, j). fx is `focalLength` w / `sensorWidth`. Older versions of
 from __future__ import annotations
 
 import json
-import math
-import re
 from pathlib import Path
 
 import numpy as np
 
-from nishiki.capture.registered import RegisteredView
+from nishiki.capture.registered import RegisteredView, Registration, finite, positive, rigid, whole
 from nishiki.capture.turntable_schema import Intrinsics
 from nishiki.formats.files import files_with, read_text
 from nishiki.formats.problems import CaptureError, error
@@ -45,8 +43,8 @@ def meshroom_file(source: Path) -> Path | None:
     return next((path for path in files if path.name == "cameras.sfm"), files[0] if files else None)
 
 
-def read_meshroom(path: Path) -> list[RegisteredView]:
-    """The photographs that have a pose, sorted by name.
+def read_meshroom(path: Path) -> Registration:
+    """The photographs that have a pose.
 
     Raises CaptureError: cameras-unreadable, cameras-many; cameras-distorted where a lens cannot be said by Brown's five
     numbers.
@@ -55,7 +53,7 @@ def read_meshroom(path: Path) -> list[RegisteredView]:
         text = read_text(path, "json_bytes")
     try:
         content = json.loads(text)
-        version = tuple(_whole(each) for each in content["version"])
+        version = tuple(whole(each) for each in content["version"])
         lenses = {str(each["intrinsicId"]): _lens(each, version, path.name) for each in content["intrinsics"]}
         poses = {str(each["poseId"]): _pose(each["pose"]["transform"]) for each in content.get("poses", [])}
         expect_rows(len(content["views"]), "views", path.name, "cameras")
@@ -71,11 +69,11 @@ def read_meshroom(path: Path) -> list[RegisteredView]:
     if not views:
         what, remedy = "no photograph has a pose", "Take the file that the node StructureFromMotion wrote"
         raise CaptureError(error("cameras-unreadable", path.name, what, remedy=remedy))
-    return sorted(views, key=lambda view: view.name)
+    return Registration(tuple(views))
 
 
 def _view(view: dict, lenses: dict, pose: np.ndarray) -> RegisteredView:
-    name = re.split(r"[\\/]", view["path"])[-1]
+    name = view["path"]
     if "rigId" in view or view.get("isPoseIndependant") in (False, "false", "0"):
         raise ValueError(f"'{name}' belongs to a rig of cameras, whose poses are not read")
     rows, columns, lens = lenses[str(view["intrinsicId"])]
@@ -84,11 +82,9 @@ def _view(view: dict, lenses: dict, pose: np.ndarray) -> RegisteredView:
 
 def _pose(transform: dict) -> np.ndarray:
     """(3, 4): R and -R C."""
-    rotation = np.array([_number(each) for each in transform["rotation"]]).reshape(3, 3).T
-    centre = np.array([_number(each) for each in transform["center"]]).reshape(3)
-    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
-        raise ValueError("a rotation that is none")
-    return np.column_stack([rotation, -rotation @ centre])
+    rotation = np.array([finite(each) for each in transform["rotation"]]).reshape(3, 3).T
+    centre = np.array([finite(each) for each in transform["center"]]).reshape(3)
+    return np.column_stack([rigid(rotation), -rotation @ centre])
 
 
 def _lens(intrinsic: dict, version: tuple[int, ...], file: str) -> tuple[int, int, Intrinsics]:
@@ -98,16 +94,16 @@ def _lens(intrinsic: dict, version: tuple[int, ...], file: str) -> tuple[int, in
     `pixelRatio`, which is fx / fy before 1.2.5 and fy / fx from then on. The principal point counts from the corner
     before 1.2.1, from the middle from then on.
     """
-    columns, rows = _whole(intrinsic["width"]), _whole(intrinsic["height"])
+    columns, rows = whole(intrinsic["width"]), whole(intrinsic["height"])
     if version < (1, 2):
-        fx = fy = _number(intrinsic["pxFocalLength"])
+        fx = fy = finite(intrinsic["pxFocalLength"])
     elif version < (1, 2, 2):
-        fx, fy = map(_number, intrinsic["pxFocalLength"])
+        fx, fy = map(finite, intrinsic["pxFocalLength"])
     else:
-        fx = _number(intrinsic["focalLength"]) / _positive(intrinsic["sensorWidth"], "sensorWidth") * columns
-        ratio = _positive(intrinsic.get("pixelRatio", 1), "pixelRatio")
+        fx = finite(intrinsic["focalLength"]) / positive(intrinsic["sensorWidth"], "sensorWidth") * columns
+        ratio = positive(intrinsic.get("pixelRatio", 1), "pixelRatio")
         fy = fx / ratio if version < (1, 2, 5) else fx * ratio
-    cx, cy = map(_number, intrinsic["principalPoint"])
+    cx, cy = map(finite, intrinsic["principalPoint"])
     if version >= (1, 2, 1):
         cx, cy = cx + columns / 2, cy + rows / 2
     if min(rows, columns, fx, fy) <= 0:
@@ -120,7 +116,7 @@ def _distortion(intrinsic: dict, file: str) -> tuple[float, ...]:
     model = intrinsic["type"]
     kind = intrinsic.get("distortionType", model) if model == "pinhole" else model
     undone = intrinsic.get("undistortionType", "none") not in ("none", "")
-    parameters = [_number(each) for each in intrinsic.get("distortionParams") or []]
+    parameters = [finite(each) for each in intrinsic.get("distortionParams") or []]
     if kind not in DISTORTIONS or undone:
         what, expected = f"a lens of the model '{model}', distortion '{kind}'", "none, radial (1 or 3 terms) or Brown's"
         remedy = "Let Meshroom find the cameras again with one of these models (CameraInit: allowed models)"
@@ -132,24 +128,3 @@ def _distortion(intrinsic: dict, file: str) -> tuple[float, ...]:
     if len(parameters) != needed:
         raise ValueError(f"distortion '{kind}' with {len(parameters)} parameters")
     return tuple(0.0 if place is None else parameters[place] for place in places)
-
-
-def _number(value: object) -> float:
-    """A number, which Meshroom writes as text. ValueError unless it is finite."""
-    if isinstance(value, bool) or not isinstance(value, str | int | float) or not math.isfinite(float(value)):
-        raise ValueError(f"'{str(value)[:40]}' where a number is expected")
-    return float(value)
-
-
-def _positive(value: object, name: str) -> float:
-    number = _number(value)
-    if number <= 0:
-        raise ValueError(f"{name} {number:g}, which must be above 0")
-    return number
-
-
-def _whole(value: object) -> int:
-    number = _number(value)
-    if number != int(number):
-        raise ValueError(f"'{str(value)[:40]}' where a whole number is expected")
-    return int(number)

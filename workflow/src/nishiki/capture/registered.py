@@ -1,24 +1,36 @@
-"""A photograph whose camera another program found, and the lens that its photographs share."""
+"""Photographs whose cameras another program found: their files, lenses and poses, and whether these can be."""
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
 from nishiki.capture.turntable_schema import Intrinsics
-from nishiki.formats.problems import CaptureError, error
+from nishiki.formats.files import same_name, walk
+from nishiki.formats.image_header import IMAGE_SUFFIXES
+from nishiki.formats.image_headers import read_header
+from nishiki.formats.problems import CaptureError, Problem, error, warning
 
 SHARED = (
     "The photographs are of several cameras, which share only the distortion: fx, fy, cx and cy in "
     "turntable.intrinsics are those of the first, and turntable.cameras has those of each."
 )
+CORNER = 0.5  # pixels that count from the corner of the top left one, where ours count from its centre
+GL = np.diag([1.0, -1.0, -1.0])  # camera axes of OpenGL (y up, looking along -z) to ours (y down, looking along z)
+FEWEST_AXES = 3  # views whose lines of sight tell together where they look
+NEAR = 0.5  # root mean square distance of the lines of sight from one point, relative to the cameras' distance
 
 
 @dataclass(frozen=True)
 class RegisteredView:
-    """Name below the folder of photographs, size in pixels, projection matrix (3, 4) float64 without distortion, lens.
+    """Name of the photograph's file as the program knows it, size in pixels, projection matrix (3, 4) float64 without
+    distortion, lens.
 
     The matrix and the lens count pixels from the centre of the first one.
     """
@@ -32,8 +44,73 @@ class RegisteredView:
     @classmethod
     def of(cls, name: str, size: tuple[int, int], lens: Intrinsics, pose: np.ndarray) -> RegisteredView:
         """size: rows, columns; pose: (3, 4) from world to camera."""
-        matrix = np.array([[lens.fx, 0, lens.cx], [0, lens.fy, lens.cy], [0, 0, 1.0]]) @ pose
-        return cls(name, *size, matrix, lens)
+        return cls(name, *size, np.array(lens.as_dict()["matrix"]) @ pose, lens)
+
+
+@dataclass(frozen=True)
+class Registration:
+    """What a program's file of cameras holds: the photographs with a camera, and notes for the user."""
+
+    views: tuple[RegisteredView, ...]
+    notes: tuple[Problem, ...] = ()
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """The pictures in a folder and in the folders below it, found by the paths that other programs know them by."""
+
+    folder: Path
+
+    @cached_property
+    def _listed(self) -> list[tuple[tuple[str, ...], Path]]:
+        """Parts of each picture's path, for comparison, and the path; hidden files left out."""
+        names = (name for name, _ in walk(self.folder) if not any(p.startswith(".") for p in name.split("/")))
+        pictures = (name for name in names if Path(name).suffix.lower() in IMAGE_SUFFIXES)
+        return [(tuple(map(same_name, name.split("/"))), self.folder / name) for name in pictures]
+
+    def find(self, name: str) -> Path | None:
+        """The picture whose path ends most like this one, `images` and the folder itself first; None without.
+
+        Both slashes separate folders, and the suffix may be missing. CaptureError (photograph-ambiguous) where several
+        pictures fit equally.
+        """
+        asked = [same_name(part) for part in re.split(r"[\\/]+", name) if part not in ("", ".", "..")]
+        fits: dict[tuple[bool, int], list[Path]] = {}
+        for parts, path in self._listed:
+            whole = bool(asked) and parts[-1] == asked[-1]
+            if whole or (
+                asked and path.suffix and same_name(path.stem) in (asked[-1], same_name(Path(asked[-1]).stem))
+            ):
+                pairs = zip(reversed(parts[:-1]), reversed(asked[:-1]), strict=False)
+                alike = next(
+                    (i for i, (ours, theirs) in enumerate(pairs) if ours != theirs), min(len(parts), len(asked)) - 1
+                )
+                fits.setdefault((whole, alike), []).append(path)
+        best = fits[max(fits)] if fits else []
+        for place in (self.folder / "images", self.folder):
+            best = [path for path in best if path.parent == place] or best
+        if len(best) > 1:
+            found = ", ".join(str(path.relative_to(self.folder)) for path in best[:3])
+            what, remedy = f"several pictures may be the photograph '{name}'", "Move the others out of the folder"
+            raise CaptureError(error("photograph-ambiguous", str(self.folder), what, found=found, remedy=remedy))
+        return best[0] if best else None
+
+    def paths(self, names: Sequence[str], file: str) -> list[Path]:
+        """The picture of each name. CaptureError (photograph-missing) with every one that is not there."""
+        found = [self.find(name) for name in names]
+        remedy = f"Put it there, or take it out of {file}"
+        missing = [name for name, path in zip(names, found, strict=True) if path is None]
+        if missing:
+            raise CaptureError(
+                error("photograph-missing", file, f"no photograph '{name}' in {self.folder.name}", remedy=remedy)
+                for name in missing
+            )
+        return found
+
+    def size(self, name: str, file: str) -> tuple[int, int]:
+        """Rows and columns of a photograph. CaptureError as `paths`, and those of reading a header."""
+        header = read_header(self.paths([name], file)[0])
+        return header.rows, header.columns
 
 
 def distorted_lens(views: Sequence[RegisteredView], file: str) -> Intrinsics | None:
@@ -44,6 +121,75 @@ def distorted_lens(views: Sequence[RegisteredView], file: str) -> Intrinsics | N
     distortions = {view.lens.distortion for view in views}
     if len(distortions) > 1:
         what, found = "several lenses whose distortions differ", f"{len(distortions)}"
-        remedy = "Photograph with one camera and lens, and have all photographs treated as of one"
+        remedy = (
+            "Let the program write undistorted photographs with their cameras and convert these, or have all "
+            "photographs treated as of one camera and lens"
+        )
         raise CaptureError(error("cameras-distorted", file, what, found=found, remedy=remedy))
     return views[0].lens if any(map(any, distortions)) else None
+
+
+def aims_at(poses: np.ndarray) -> float | None:
+    """Distance of the lines of sight from the point nearest to all of them, root mean square, over the cameras' median
+    distance from it; infinite unless the point is in front of nearly all cameras; None where nothing can be told.
+
+    poses (n, 3, 4): from world to camera, looking along z. Photographs of an object look at it from around it.
+    """
+    if len(poses) < FEWEST_AXES:
+        return None
+    ahead = poses[:, 2, :3]
+    centres = -np.einsum("nji,nj->ni", poses[:, :, :3], poses[:, :, 3])
+    across = np.eye(3) - ahead[:, :, None] * ahead[:, None, :]
+    if np.linalg.cond(across.sum(axis=0)) > 1e4:  # parallel lines of sight meet nowhere
+        return None
+    point = np.linalg.solve(across.sum(axis=0), np.einsum("nij,nj->i", across, centres))
+    depth = np.einsum("ni,ni->n", point - centres, ahead)
+    distance = float(np.median(depth))
+    if (depth > 0).mean() < 0.9 or distance <= 1e-9 * np.abs(centres).max():
+        return math.inf
+    return float(np.sqrt((np.einsum("nij,nj->ni", across, point - centres) ** 2).sum(axis=1).mean()) / distance)
+
+
+def aim_problems(poses: np.ndarray, file: str) -> list[Problem]:
+    """cameras-outward where the cameras do not look at one place between them, as around an object they do."""
+    aim = aims_at(poses)
+    if aim is None or aim < NEAR:
+        return []
+    what = "the cameras do not look at one object: their lines of sight meet nowhere in front of them"
+    remedy = (
+        "If they stand around the object, the file has other axes or directions than such files have: "
+        "write it again with the program itself, or write cameras.csv by hand"
+    )
+    return [warning("cameras-outward", file, what, remedy=remedy)]
+
+
+def rigid(rotation: np.ndarray) -> np.ndarray:
+    """A rotation (3, 3) freed of a scale. ValueError where it is none: sheared, mirrored, or not finite."""
+    scale = np.cbrt(np.linalg.det(rotation)) if np.isfinite(rotation).all() else 0.0
+    turned = rotation / scale if scale > 0 else np.zeros((3, 3))
+    if np.abs(turned @ turned.T - np.eye(3)).max() > 1e-3:
+        raise ValueError("a rotation that is none: its axes are mirrored, or not at right angles")
+    return turned
+
+
+def finite(value: object) -> float:
+    """A number, also written as text. ValueError unless it is finite."""
+    if isinstance(value, bool) or not isinstance(value, str | int | float) or not math.isfinite(float(value)):
+        raise ValueError(f"'{str(value)[:40]}' where a number is expected")
+    return float(value)
+
+
+def positive(value: object, name: str) -> float:
+    """A number above 0. ValueError where it is none."""
+    number = finite(value)
+    if number <= 0:
+        raise ValueError(f"{name} {number:g}, which must be above 0")
+    return number
+
+
+def whole(value: object) -> int:
+    """A whole number. ValueError where it is none."""
+    number = finite(value)
+    if number != int(number):
+        raise ValueError(f"'{str(value)[:40]}' where a whole number is expected")
+    return int(number)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from nishiki.capture.bundler import bundler_file, read_bundler
 from nishiki.capture.colmap import colmap_folder, read_colmap
 from nishiki.capture.goniometer_convert import MeasuredTable, read_measurements, recognise_table
 from nishiki.capture.layouts import (
@@ -25,9 +26,11 @@ from nishiki.capture.layouts import (
     read_with_spheres,
 )
 from nishiki.capture.meshroom import meshroom_file, read_meshroom
+from nishiki.capture.metashape import metashape_file, read_metashape
 from nishiki.capture.options import ConvertOptions
 from nishiki.capture.relightable import Rendering, read_relightable, recognise_relightable
 from nishiki.capture.rtibuilder import RtiProject
+from nishiki.capture.transforms import read_transforms, transforms_file
 from nishiki.capture.turntable_layouts import (
     RoundLayout,
     cameras_of,
@@ -96,13 +99,31 @@ LAYOUTS = (
         "cameras of COLMAP",
         "cameras of COLMAP (cameras and images, .txt or .bin)",
         lambda source, options: colmap_folder(source),
-        cameras_of("COLMAP", read_colmap),
+        cameras_of("COLMAP", lambda folder, pictures: read_colmap(folder)),
     ),
     FolderLayout(
         "cameras of Meshroom",
         "cameras of Meshroom (cameras.sfm)",
         lambda source, options: meshroom_file(source),
-        cameras_of("Meshroom", read_meshroom),
+        cameras_of("Meshroom", lambda file, pictures: read_meshroom(file)),
+    ),
+    FolderLayout(
+        "cameras of transforms.json",
+        "cameras of Blender, nerfstudio or another NeRF program (transforms.json)",
+        lambda source, options: transforms_file(source),
+        cameras_of("transforms.json", read_transforms),
+    ),
+    FolderLayout(
+        "cameras of Metashape",
+        "cameras of Metashape (.xml)",
+        lambda source, options: metashape_file(source),
+        cameras_of("Metashape", lambda file, pictures: read_metashape(file)),
+    ),
+    FolderLayout(
+        "cameras of Bundler",
+        "cameras of Bundler (bundle.out with list.txt)",
+        lambda source, options: bundler_file(source),
+        cameras_of("Bundler", read_bundler),
     ),
     FolderLayout("list of cameras", "a list of cameras (*_par.txt)", find_camera_list, read_middlebury),
     FolderLayout("camera matrices", "a .mat file with matrices P", find_matrices, read_numbered),

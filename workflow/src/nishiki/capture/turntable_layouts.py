@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.capture.cameras import camera_centre, camera_problems
-from nishiki.capture.layouts import natural_key, photographs_in, source_problems
+from nishiki.capture.layouts import natural_key, natural_parts, photographs_in, source_problems
 from nishiki.capture.options import ConvertOptions
 from nishiki.capture.polariser import parse_state
-from nishiki.capture.registered import SHARED, RegisteredView, distorted_lens
+from nishiki.capture.registered import SHARED, Pictures, Registration, aim_problems, distorted_lens
 from nishiki.capture.seal import sha256_of
 from nishiki.capture.turntable_schema import Intrinsics
 from nishiki.formats.bounds import bound
@@ -25,7 +25,8 @@ from nishiki.formats.image_headers import read_header
 from nishiki.formats.matlab import read_matlab
 from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, warning
 from nishiki.formats.text_tables import expect_rows, reading, refusal
-from nishiki.geometry.turn import turn_of
+from nishiki.geometry.camera import Camera
+from nishiki.geometry.turn import order_round, turn_of
 
 STATES = re.compile(r"(\d+(?:\.\d+)?)_(\d+(?:\.\d+)?)")
 FEWEST_STATES = 3
@@ -64,11 +65,13 @@ class RoundLayout:
         return f"{self.count} photographs, {known}"
 
 
-def cameras_of(program: str, read: Callable[[Path], list[RegisteredView]]) -> Callable[..., RoundLayout]:
-    """Make the reader of a folder whose cameras a program found; `read` gets the file or folder of the cameras."""
+def cameras_of(program: str, read: Callable[[Path, Pictures], Registration]) -> Callable[..., RoundLayout]:
+    """Make the reader of a folder whose cameras a program found; `read` gets the file or folder of the cameras, and
+    the pictures of the source."""
 
     def read_registered(source: Path, cameras: Path, options: ConvertOptions) -> RoundLayout:
-        return _registered(source, program, cameras.name, read(cameras))
+        pictures = Pictures(source)
+        return _registered(source, program, cameras.name, read(cameras, pictures), pictures)
 
     return read_registered
 
@@ -225,36 +228,40 @@ def read_middlebury(source: Path, path: Path, options: ConvertOptions) -> RoundL
     return _turntable("turntable with a list of cameras", photographs, np.array(matrices), path.name, None, notes)
 
 
-def _registered(source: Path, program: str, file: str, views: list[RegisteredView]) -> RoundLayout:
-    """Photographs that a program found the cameras of, in the folder itself or in `images`."""
-    names = [view.name for view in views]
-    if len(set(names)) != len(names):
-        found = next(name for name in names if names.count(name) > 1)
-        what, remedy = "two photographs of one name", f"Give them names of their own before {program} is run"
-        raise CaptureError(error("photograph-repeats", file, what, found=found, remedy=remedy))
+def _registered(source: Path, program: str, file: str, found: Registration, pictures: Pictures) -> RoundLayout:
+    """Photographs that a program found the cameras of, in the natural order of their names."""
+    placed = zip(pictures.paths([view.name for view in found.views], file), found.views, strict=True)
+    ordered = sorted(placed, key=lambda each: natural_parts(str(each[0])))
+    photographs, views = [path for path, _ in ordered], [view for _, view in ordered]
+    if len(set(photographs)) != len(views):
+        twice = next(path.name for path in photographs if photographs.count(path) > 1)
+        what, remedy = (
+            "two cameras of one photograph",
+            f"Give the photographs names of their own before {program} is run",
+        )
+        raise CaptureError(error("photograph-repeats", file, what, found=twice, remedy=remedy))
     lens = distorted_lens(views, file)
-    folder = source / "images" if (source / "images").is_dir() else source
-    problems, photographs = [], [folder / name for name in names]
+    problems = []
     for view, path in zip(views, photographs, strict=True):
-        if not path.is_file():
-            problems.append(error("photograph-missing", file, f"no photograph '{view.name}'"))
-            continue
-        problems += source_problems(path, folder)
+        problems += source_problems(path, source)
         header = read_header(path)
         if (header.rows, header.columns) != (view.rows, view.columns):
-            expected, found = f"{view.columns} x {view.rows}", f"{header.columns} x {header.rows}"
+            expected, size = f"{view.columns} x {view.rows}", f"{header.columns} x {header.rows}"
             what, remedy = "not the size that its camera has", f"Give the photographs that {program} was given"
-            problems.append(error("camera-values", view.name, what, expected=expected, found=found, remedy=remedy))
+            problems.append(error("camera-values", path.name, what, expected=expected, found=size, remedy=remedy))
     raise_errors(problems)
-    notes = []
-    extra = [p.name for p in photographs_in(folder) if p not in photographs]
+    notes = list(found.notes)
+    folders = dict.fromkeys(path.parent for path in photographs)
+    extra = [path.name for folder in folders for path in photographs_in(folder) if path not in photographs]
     if extra:
-        what, found = f"pictures that {program} did not register were left out", ", ".join(extra[:5])
-        notes.append(warning("photograph-unlisted", str(folder), what, found=found))
+        what, some = f"pictures without a camera of {program} were left out", ", ".join(extra[:5])
+        notes.append(warning("photograph-unlisted", file, what, found=some))
     shared = SHARED if lens is not None and any(view.lens != lens for view in views) else ""
     if shared:
         notes.append(warning("cameras-several", file, shared.rstrip(".")))
     matrices = np.array([view.matrix for view in views])
+    cameras = [Camera.from_matrix(v.name, v.matrix, rows=v.rows, columns=v.columns) for v in views]
+    notes += aim_problems(np.array([np.column_stack([c.rotation, c.translation]) for c in cameras]), file)
     layout = _turntable(f"turntable with cameras of {program}", photographs, matrices, file, None, notes)
     return replace(layout, lens=lens, notes=shared)
 
@@ -262,13 +269,24 @@ def _registered(source: Path, program: str, file: str, views: list[RegisteredVie
 def _turntable(
     name: str, photographs: list[Path], matrices: np.ndarray, file: str, calibration: Path | None, notes: list[Problem]
 ) -> RoundLayout:
-    """A layout with its cameras checked, and whether they go once round."""
-    views = view_names(photographs)
-    raise_errors([p for view, m in zip(views, matrices, strict=True) for p in camera_problems(view, m, file)])
-    turn = turn_of(np.array([camera_centre(m) for m in matrices]))
-    states = ("",) * len(views)
+    """A layout with its cameras checked, in the order of the turn, and whether they go once round."""
+    raise_errors(
+        [p for path, m in zip(photographs, matrices, strict=True) for p in camera_problems(path.stem, m, file)]
+    )
+    centres = np.array([camera_centre(m) for m in matrices])
+    order = order_round(centres)
+    photographs, matrices = [photographs[i] for i in order], matrices[order]
+    turn = turn_of(centres[order])
+    full = turn is not None and turn.full
     return RoundLayout(
-        name, tuple(photographs), views, states, matrices, turn is not None and turn.full, calibration, tuple(notes)
+        name,
+        tuple(photographs),
+        view_names(photographs),
+        ("",) * len(photographs),
+        matrices,
+        full,
+        calibration,
+        tuple(notes),
     )
 
 

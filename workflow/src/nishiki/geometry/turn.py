@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 LARGEST_STEP = 1.6  # of a full turn, relative to the median step
+ON_CIRCLE = 0.1  # relative distance from the circle up to which a camera belongs to one ring
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,23 @@ class CircleCheck:
     def as_dict(self) -> dict:
         """Plain data, for JSON."""
         return asdict(self)
+
+
+def order_round(centres: np.ndarray) -> list[int]:
+    """Indices that bring camera centres (n, 3) into the order of the turn, the first one first.
+
+    Those of cameras that go once round a circle in another order than they are given in: names like cam1/0000, or
+    exports sorted by another key. All others keep their order.
+    """
+    given = list(range(len(centres)))
+    turn = turn_of(centres)
+    if turn is None or turn.full or turn.off_plane > ON_CIRCLE or turn.radius_min < 1 - ON_CIRCLE:
+        return given
+    angles = np.cumsum([0.0, *turn.steps_deg[:-1]]) % 360
+    ahead = angles if angles[1] <= 180 else -angles % 360  # in the sense in which the second follows the first
+    order = np.argsort(ahead, kind="stable").tolist()
+    again = turn_of(centres[order])
+    return order if again is not None and again.full else given
 
 
 def circle_centre(points: np.ndarray) -> np.ndarray:
