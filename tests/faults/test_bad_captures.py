@@ -249,7 +249,7 @@ BROKEN = {
         "9 x 32",
     ),
     "regions in colour": (
-        lambda f: (write_frame(f / "r.png", frame(1)[0], np.uint8), edit_yaml(f, regions="r.png")),
+        lambda f: (write_frame(f / "r.png", frame((1, 2, 3))[0], np.uint8), edit_yaml(f, regions="r.png")),
         "regions-unreadable",
         "one 8- or 16-bit channel",
     ),
@@ -359,6 +359,36 @@ def test_codes_near_the_top_of_fewer_bits_are_told_where_no_bits_are_stated(tmp_
     assert any("camera.bits" in text for text in diagnostics.warnings) == bool(bits)
     edit_yaml(folder, camera={**camera, "bits": 16})
     assert "bits-unsaid" not in {p.kind for p in check_capture(folder, level="full")}
+
+
+@pytest.mark.parametrize(
+    ("change", "kind"),
+    [
+        (put("frames/L01.png", 500, rows=25), "image-size"),
+        (put("frames/L01.png", 90, dtype=np.uint8), "image-depth"),
+        (put("frames/L01.png", 500, channels=1), "channels-differ"),
+    ],
+)
+def test_the_odd_first_photograph_is_blamed_and_not_the_others(tmp_path, change, kind):
+    folder = make_capture(tmp_path / "c", white=False, dark=False)
+    change(folder)
+    for level in ("quick", "full"):
+        errors = [p for p in check_capture(folder, level=level) if p.severity == "error"]
+        assert [(p.kind, p.file) for p in errors] == [(kind, "frames/L01.png")]
+
+
+def test_one_photograph_of_another_format_is_named(tmp_path):
+    folder = make_capture(tmp_path / "c", white=False, dark=False)
+    for i in range(1, 6):
+        path = folder / f"frames/L{i:02d}.png"
+        picture = (cv2.imread(str(path), cv2.IMREAD_UNCHANGED) >> 4).astype(np.uint8)
+        path.unlink()
+        name = "frames/L01.jpg" if i == 1 else f"frames/L{i:02d}.png"
+        cv2.imwrite(str(folder / name), picture)
+    text("frames.csv", "L01.png", "L01.jpg")(folder)
+    edit_yaml(folder, camera={"channels": ["red", "green", "blue"]})
+    found = [(p.severity, p.file) for p in check_capture(folder) if p.kind == "image-format"]
+    assert found == [("warning", "frames/L01.jpg")]
 
 
 def test_the_check_reports_everything_in_one_pass(tmp_path):

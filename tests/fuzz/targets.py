@@ -34,7 +34,8 @@ from nishiki.capture.turntable_schema import read_intrinsics
 from nishiki.engine.project import load_project, load_yaml
 from nishiki.errors import UserError
 from nishiki.formats.image_headers import read_header
-from nishiki.formats.images import read_codes, read_labels, read_mask
+from nishiki.formats.images import read_codes
+from nishiki.formats.masks import read_labels, read_mask
 from nishiki.formats.mesh_kind import expect_mesh
 from nishiki.formats.problems import CaptureError
 from nishiki.formats.stored import load_arrays, open_group

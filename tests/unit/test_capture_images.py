@@ -9,7 +9,8 @@ import OpenEXR
 import pytest
 
 from nishiki.formats.image_headers import read_header
-from nishiki.formats.images import read_codes, read_labels, read_mask
+from nishiki.formats.images import read_codes
+from nishiki.formats.masks import read_labels, read_mask
 from nishiki.formats.problems import CaptureError
 
 RGB = ("red", "green", "blue")

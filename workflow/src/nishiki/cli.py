@@ -168,7 +168,9 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument(
         "--lights", help="file of the lights, where it is not found by itself; of a relightable image: to render under"
     )
-    sub.add_argument("--mask", help="image whose non-zero pixels are the object; turntable: a folder of them")
+    sub.add_argument(
+        "--mask", help="picture, light where the object is, or with its shape as alpha; turntable: a folder of them"
+    )
     sub.add_argument(
         "--white",
         help="folder of the white board's photographs, one a light, paired by name",
@@ -351,7 +353,7 @@ def _with_calibrations(sub: argparse.ArgumentParser) -> None:
     made.add_argument(
         "--sphere", nargs=3, type=float, action="append", default=[], metavar=("ROW", "COLUMN", "RADIUS"), help=text
     )
-    made.add_argument("--mask", help="picture, non-zero on the spheres: their outlines are taken from it")
+    made.add_argument("--mask", help="picture, light on the spheres: their outlines are taken from it")
     made.add_argument("--count", type=int, default=1, help="spheres to look for (default %(default)s)")
     text = "focal length in pixels: perspective camera (default: orthographic, seen from afar)"
     made.add_argument("--focal-px", type=float, help=text)

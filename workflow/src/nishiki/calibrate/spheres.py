@@ -18,6 +18,7 @@ from nishiki.calibrate.sphere_outline import Outline, find_circles, fit_outline
 from nishiki.capture.lights import light_name
 from nishiki.capture.mirror_sphere import INSIDE, Highlight, SphereCamera, find_highlight, sphere_of
 from nishiki.errors import UserError
+from nishiki.formats.masks import read_mask
 
 MARGIN = 1.65  # of the radius: half the side of the crop around a sphere
 SEARCH_SIDE = 1000  # pixels of the picture in which spheres are looked for
@@ -153,13 +154,13 @@ def _outlines(given: SphereInput, camera: SphereCamera, mean: np.ndarray, bright
     import cv2
 
     if given.mask is not None:
-        mask = read_grey(given.mask)
+        mask = read_mask(given.mask)
         if mask.shape != mean.shape:
             raise UserError(
                 f"{given.mask}: expected the photographs' size {mean.shape[1]} x {mean.shape[0]}, found "
                 f"{mask.shape[1]} x {mask.shape[0]}"
             )
-        shapes = (mask > 0).astype(np.uint8)
+        shapes = mask.astype(np.uint8)
         count, _, parts, _ = cv2.connectedComponentsWithStats(shapes)
         seeds = [(x + (w - 1) / 2, y + (h - 1) / 2, (w + h) / 4) for x, y, w, h, area in parts[1:count] if area > 100]
         if not seeds:

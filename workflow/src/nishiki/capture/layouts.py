@@ -26,6 +26,7 @@ from nishiki.formats.relight import INFO, LAYERS, is_relight_folder
 from nishiki.formats.text_tables import expect_rows, reading, table_lines
 
 MASK_WORD = re.compile(r"(^|[._\- ])mask([._\- ]|$)", re.IGNORECASE)
+MASK_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".exr")
 UNREAD_SUFFIXES = frozenset(".tga .bmp .webp .gif .heic .heif .jp2 .ppm .pgm .pnm .pfm .hdr .psd".split())
 PROBE_DATA = "circle_data.txt"
 DIRECTIONS = "light_directions.txt"
@@ -164,7 +165,7 @@ def find_spheres(source: Path, options: ConvertOptions) -> list[Path] | None:
 
 
 def _find_mask(source: Path) -> Path | None:
-    masks = [path for path in files_with(source, (".png", ".tif", ".tiff")) if MASK_WORD.search(path.stem)]
+    masks = [path for path in files_with(source, MASK_SUFFIXES) if MASK_WORD.search(path.stem)]
     raise_errors(problem for path in masks for problem in source_problems(path, source))
     return masks[0] if len(masks) == 1 else None
 

@@ -12,8 +12,8 @@ from nishiki.capture.lights import Lights
 from nishiki.capture.options import ConvertOptions, file_problems
 from nishiki.capture.pairing import pair_by_name
 from nishiki.capture.schema_base import FORMAT
-from nishiki.capture.taking import channel_names, file_names, take
-from nishiki.formats.image_headers import read_header
+from nishiki.capture.taking import channel_names, file_names, take, take_mask, usual_header
+from nishiki.formats.masks import alpha_problems
 from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, warning
 
 
@@ -31,7 +31,7 @@ def write_plane(folder: Path, layout: Layout, source: Path, options: ConvertOpti
         raise CaptureError(error("light-unknown", str(source), what, expected=expected, found=found, remedy=remedy))
     link, region = options.link, options.region
     folder.mkdir(parents=True)
-    header = read_header(layout.photographs[0])
+    header = usual_header(layout.photographs)
     channels = channel_names(header)
     names, held = layout.lights.names, {layout.lights.index(name) for name in options.checks}
     rows = []
@@ -57,7 +57,10 @@ def write_plane(folder: Path, layout: Layout, source: Path, options: ConvertOpti
         settings["lights"]["intensities"] = "intensities.csv"
         _write_intensities(folder / "intensities.csv", layout, channels)
     if layout.mask is not None:
-        settings["mask"] = take(layout.mask, folder / f"mask{layout.mask.suffix.lower()}", link)
+        settings["mask"], doubts = take_mask(layout.mask, folder / f"mask{layout.mask.suffix.lower()}", link)
+        notes += doubts
+    else:
+        notes += alpha_problems(layout.photographs[0])
     if region is not None:
         settings["region_of_interest"] = list(region)
     write_tables(folder, settings, rows, layout.lights)

@@ -19,7 +19,7 @@ from nishiki.capture.plane_convert import write_tables
 from nishiki.capture.relight_files import is_relight, read_relight
 from nishiki.capture.schema import LOST_BY_FIT
 from nishiki.capture.schema_base import FORMAT
-from nishiki.capture.taking import COLOUR, take
+from nishiki.capture.taking import COLOUR, take, take_mask
 from nishiki.formats.files import Refused, expect_memory, files_with
 from nishiki.formats.hsh import HshFile, open_hsh
 from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, warning
@@ -140,13 +140,16 @@ def write_rendered(folder: Path, layout: Rendering, source: Path, options: Conve
         "lights": {"file": "lights.lp", "kind": "direction"},
         "rendered_from": _keep(image, file, folder, options.link),
     }
+    doubts: list[Problem] = []
     if options.mask is not None:
-        settings["mask"] = take(options.mask, folder / f"mask{options.mask.suffix.lower()}", options.link)
+        place = folder / f"mask{options.mask.suffix.lower()}"
+        settings["mask"], doubts = take_mask(options.mask, place, options.link)
     if options.region is not None:
         settings["region_of_interest"] = list(options.region)
     write_tables(folder, settings, rows, lights)
     remedy = "Convert the photographs that it was made from, if they exist"
-    notes = [warning("rendered", file.name, f"pictures were {about}; {LOST_BY_FIT}", remedy=remedy), *lights.warnings]
+    rendered = warning("rendered", file.name, f"pictures were {about}; {LOST_BY_FIT}", remedy=remedy)
+    notes = [rendered, *lights.warnings, *doubts]
     if max(clipped) >= LEAST_CLIPPED:
         what, found = "values beyond black and full brightness were clipped", f"{100 * np.mean(clipped):.2g} % of all"
         notes.append(warning("rendered-clipped", file.name, what, found=found))

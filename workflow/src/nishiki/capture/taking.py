@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 
 from nishiki.formats.image_header import ImageHeader
+from nishiki.formats.image_headers import read_header
+from nishiki.formats.masks import examine_mask
+from nishiki.formats.problems import CaptureError, Problem
 
 COLOUR = ("red", "green", "blue")
 FOLDERS = ("frames", "white", "dark", "silhouettes")
@@ -20,6 +25,23 @@ def channel_names(header: ImageHeader) -> tuple[str, ...]:
     count = header.channels - header.alpha
     known = {1: ("grey",), 3: COLOUR}
     return known.get(count, tuple(f"channel{i + 1}" for i in range(count)))
+
+
+def usual_header(photographs: Sequence[Path]) -> ImageHeader:
+    """Read the headers of all photographs and return one of the most frequent size, depth and format.
+
+    CaptureError where none of them can be read; `check_capture` names those that differ.
+    """
+    headers, problems = [], []
+    for path in photographs:
+        try:
+            headers.append(read_header(path))
+        except CaptureError as e:
+            problems += e.problems
+    if not headers:
+        raise CaptureError(problems)
+    traits = [(h.kind, h.rows, h.columns, h.channels, h.sample) for h in headers]
+    return headers[traits.index(Counter(traits).most_common(1)[0][0])]
 
 
 def file_names(photographs: tuple[Path, ...]) -> list[str]:
@@ -37,3 +59,8 @@ def take(origin: Path, place: Path, link: bool) -> str:
     else:
         shutil.copyfile(origin, place)
     return f"{place.parent.name}/{place.name}" if place.parent.name in FOLDERS else place.name
+
+
+def take_mask(origin: Path, place: Path, link: bool) -> tuple[str, list[Problem]]:
+    """Copy or hard-link a mask or silhouette; returns its name in the capture, and warnings about how it is read."""
+    return take(origin, place, link), list(examine_mask(origin).problems)

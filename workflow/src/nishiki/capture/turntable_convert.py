@@ -10,16 +10,16 @@ from pathlib import Path
 import yaml
 
 from nishiki.capture.cameras import MATRIX_COLUMNS
-from nishiki.capture.layouts import natural_key, photographs_in, source_problems
+from nishiki.capture.layouts import MASK_SUFFIXES, natural_key, photographs_in, source_problems
 from nishiki.capture.options import ConvertOptions, folder_problems
 from nishiki.capture.pairing import names_apart, pair_by_name
 from nishiki.capture.polariser import parse_state
 from nishiki.capture.schema_base import FORMAT
-from nishiki.capture.taking import channel_names, file_names, take
+from nishiki.capture.taking import channel_names, file_names, take, take_mask, usual_header
 from nishiki.capture.turntable_layouts import STATES, RoundLayout
 from nishiki.formats.files import files_with
 from nishiki.formats.image_header import ImageHeader
-from nishiki.formats.image_headers import read_header
+from nishiki.formats.masks import alpha_problems
 from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, warning
 
 
@@ -35,9 +35,13 @@ def write_round(folder: Path, layout: RoundLayout, source: Path, options: Conver
     raise_errors(folder_problems(mask=options.mask))
     white, dark, link = options.white, options.dark, options.link
     folder.mkdir(parents=True)
-    header = read_header(layout.photographs[0])
+    header = usual_header(layout.photographs)
     outlines, notes = _match_silhouettes(layout, options.mask) if options.mask else ({}, ())
-    copies = {path: take(path, folder / "silhouettes" / path.name, link) for path in set(outlines.values())}
+    notes = notes if options.mask else alpha_problems(layout.photographs[0])
+    copies = {}
+    for path in dict.fromkeys(outlines.values()):
+        copies[path], doubts = take_mask(path, folder / "silhouettes" / path.name, link)
+        notes = (*notes, *doubts)
     rows = []
     for i, (photograph, file) in enumerate(zip(layout.photographs, file_names(layout.photographs), strict=True)):
         outline = copies.get(outlines.get(photograph), "")
@@ -85,8 +89,7 @@ def _notes(header: ImageHeader, coding: str, encoding: str | None, source: Path)
 
 def _match_silhouettes(layout: RoundLayout, folder: Path) -> tuple[dict[Path, Path], tuple[Problem, ...]]:
     """Silhouette of each photograph, see `pair_by_name`; of one view in many states, the only picture."""
-    suffixes = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
-    present = sorted(files_with(folder, suffixes), key=natural_key)
+    present = sorted(files_with(folder, MASK_SUFFIXES), key=natural_key)
     raise_errors(problem for path in present for problem in source_problems(path, folder))
     if len(present) == 1 and len(set(layout.views)) == 1:
         return {layout.photographs[0]: present[0]}, ()

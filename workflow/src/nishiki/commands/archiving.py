@@ -37,9 +37,10 @@ def verify(options: argparse.Namespace, rest: list[str]) -> int:
     unsound = _print_damages(audit(targets, counts, threads=threads, tell=Progress("verify")), options.json)
     for capture in options.capture:
         from nishiki.capture.seal import verify_seal
+        from nishiki.formats.problems import group_problems
 
         problems = list(verify_seal(Path(capture)))
-        for problem in problems:
+        for problem in group_problems(problems):
             _print_damage(Damage(Path(capture), "damaged", str(problem)), options.json)
         counts.problems += len(problems)
         if not options.json:

@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 from nishiki.errors import UserError, printable
+from nishiki.formats.problems import group_problems
 from nishiki.progress import Progress
 
 SHOWN = 8  # channels of a table that are listed
@@ -26,7 +27,7 @@ def check(options: argparse.Namespace, rest: list[str]) -> int:
             Path(name), level="quick" if options.quick else "full", progress=lambda file, tell=progress: tell.tell(file)
         )
         errors = [problem for problem in problems if problem.severity == "error"]
-        for problem in problems:
+        for problem in group_problems(problems):
             print(f"{name}: {problem.severity}: {problem}")
         warnings = len(problems) - len(errors)
         print(f"{name}: {'usable' if not errors else 'cannot be used'}, {len(errors)} errors, {warnings} warnings")
@@ -75,7 +76,7 @@ def convert(options: argparse.Namespace, rest: list[str]) -> None:
             made.channels if len(made.channels) <= SHOWN else (*made.channels[: SHOWN - 1], "...", made.channels[-1])
         )
         print(f"{len(made.channels)} channels, taken to be in 1/sr: {', '.join(shown)}")
-    for problem in made.warnings:
+    for problem in group_problems(made.warnings):
         print(f"warning: {problem}", file=sys.stderr)
     if options.open:
         print(

@@ -9,9 +9,8 @@ from nishiki.capture.turntable import TurntableCapture, TurntableFacts, turntabl
 from nishiki.engine.project import Scene
 from nishiki.errors import UserError
 from nishiki.formats.image_headers import read_header
-from nishiki.formats.images import read_mask
 from nishiki.formats.problems import CaptureError
-from nishiki.observations.region import region_around, region_of
+from nishiki.observations.region import object_mask, region_around, region_of
 from nishiki.stages.base import SceneFacts
 
 USUAL_BLOCK = 16  # pixels, as `ingest.white_block` is by default: the rim about the object has at least one block
@@ -138,10 +137,8 @@ def _kept_pixels(capture: Capture) -> int:
     header = read_header(capture.observed[0].path, name=capture.observed[0].file)
     try:
         region = region_of(capture, header.rows, header.columns)
-        mask = read_mask(capture.mask, region=region, name=capture.settings.mask)
+        mask = object_mask(capture, (header.rows, header.columns), region).inside
     except CaptureError:
-        return 0
-    if mask.shape != region[2:] or not mask.any():
         return 0
     _, _, rows, columns = region_around(mask, region, USUAL_BLOCK)
     return rows * columns

@@ -25,11 +25,13 @@ def read_codes(
     luma: bool = False,
     region: Region | None = None,
     name: str | None = None,
+    alpha: bool = False,
 ) -> np.ndarray:
     """Stored codes (rows, columns, channels) uint8, uint16 or float32, channels in the order of their names.
 
     luma: for a JPEG decode its luma plane only, (rows, columns, 1); half the time of colour. An alpha channel is
-    dropped. Raises CaptureError (image-missing, image-unreadable, image-truncated, image-absurd, channels-differ).
+    dropped, or follows the others where alpha is asked for. Raises CaptureError (image-missing, image-unreadable,
+    image-truncated, image-absurd, channels-differ).
     """
     name = name or path.name
     header = header or read_header(path, name=name)
@@ -40,7 +42,7 @@ def read_codes(
         codes = read_raw(path, name)
     else:
         try:
-            codes = _decode(path, header, channels, luma and header.kind == "jpeg")
+            codes = _decode(path, header, channels, luma and header.kind == "jpeg", alpha)
         except Exception as e:  # whatever a damaged file makes a decoder stumble over, its own error classes included
             found = (str(e) or type(e).__name__)[:300]
             remedy = "Copy the file again from the camera or the archive"
@@ -48,6 +50,9 @@ def read_codes(
     if codes.shape[:2] != (header.rows, header.columns):
         found = f"{codes.shape[0]} x {codes.shape[1]}, header {header.rows} x {header.columns}"
         raise CaptureError(error("image-truncated", name, "decoded size differs from the header's", found=found))
+    if str(codes.dtype) != header.sample:
+        found = f"{codes.dtype}, header {header.sample}"
+        raise CaptureError(error("image-truncated", name, "decoded samples are of another type", found=found))
     if region is not None:
         row, column, rows, columns = region
         codes = np.ascontiguousarray(codes[row : row + rows, column : column + columns])
@@ -75,38 +80,7 @@ def expect_channels(header: ImageHeader, channels: tuple[str, ...], name: str) -
     )
 
 
-def read_mask(path: Path, *, region: Region | None = None, name: str | None = None) -> np.ndarray:
-    """Mask (rows, columns) bool: non-zero in any colour channel (alpha apart)."""
-    codes = _read_as_stored(path, name)
-    if region is not None:
-        row, column, rows, columns = region
-        codes = codes[row : row + rows, column : column + columns]
-    return (codes != 0).any(axis=2)
-
-
-def read_labels(path: Path, *, region: Region | None = None, name: str | None = None) -> np.ndarray:
-    """Label image (rows, columns) uint16 from a single-channel 8- or 16-bit image."""
-    codes = _read_as_stored(path, name)
-    if codes.shape[2] != 1 or codes.dtype == np.float32:
-        found = f"{codes.shape[2]} channels of {codes.dtype}"
-        raise CaptureError(
-            error(
-                "regions-unreadable", name or path.name, "label image", expected="one 8- or 16-bit channel", found=found
-            )
-        )
-    if region is not None:
-        row, column, rows, columns = region
-        codes = codes[row : row + rows, column : column + columns]
-    return codes[..., 0].astype(np.uint16)
-
-
-def _read_as_stored(path: Path, name: str | None) -> np.ndarray:
-    header = read_header(path, name=name)
-    count = header.channels - header.alpha
-    return read_codes(path, tuple(f"channel {i}" for i in range(count)), header=header, name=name)
-
-
-def _decode(path: Path, header: ImageHeader, channels: tuple[str, ...], luma: bool) -> np.ndarray:
+def _decode(path: Path, header: ImageHeader, channels: tuple[str, ...], luma: bool, alpha: bool) -> np.ndarray:
     if header.kind == "exr":
         from nishiki.formats.exr import read_exr
 
@@ -121,11 +95,11 @@ def _decode(path: Path, header: ImageHeader, channels: tuple[str, ...], luma: bo
 
         stored = data.tobytes()
         if not opencv_reads(stored):
-            return _without_alpha(decode_tiff(stored), len(channels))
-    return _without_alpha(_opencv(data, header, luma), len(channels) if not luma else 1)
+            return _select_channels(decode_tiff(stored), len(channels), alpha)
+    return _select_channels(_opencv(data, header, luma, alpha), len(channels) if not luma else 1, alpha)
 
 
-def _opencv(data: np.ndarray, header: ImageHeader, luma: bool) -> np.ndarray:
+def _opencv(data: np.ndarray, header: ImageHeader, luma: bool, alpha: bool) -> np.ndarray:
     import cv2
 
     if header.pages > 1:
@@ -139,7 +113,7 @@ def _opencv(data: np.ndarray, header: ImageHeader, luma: bool) -> np.ndarray:
         pixels = cv2.imdecode(data, flag | cv2.IMREAD_IGNORE_ORIENTATION)
         if pixels is not None:
             return pixels[:, :, None] if pixels.ndim == 2 else pixels
-    elif header.kind == "png" and header.channels == 2:
+    elif header.kind == "png" and header.channels == 2 and not alpha:
         pixels = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION)
     else:
         pixels = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
@@ -159,10 +133,14 @@ def _to_rgb(pixels: np.ndarray) -> np.ndarray:
     return cv2.cvtColor(pixels, cv2.COLOR_BGRA2RGBA) if pixels.shape[2] == 4 else pixels
 
 
-def _without_alpha(codes: np.ndarray, count: int) -> np.ndarray:
+def _select_channels(codes: np.ndarray, count: int, alpha: bool) -> np.ndarray:
+    """The first channels, and an alpha channel that follows them where it is asked for; OpenCV decodes grey as three
+    colours where there is one."""
     if codes.shape[2] < count:
         raise ValueError(f"{codes.shape[2]} channels were decoded where {count} are needed")
-    return codes if codes.shape[2] == count else codes[:, :, :count]
+    if alpha and count == 1 and codes.shape[2] == 4:
+        return codes[:, :, ::3]
+    return codes[:, :, : count + alpha]
 
 
 def check_png(data: np.ndarray) -> None:

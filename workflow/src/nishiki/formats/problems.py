@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from nishiki.errors import UserError, printable
 
+MOST_NAMED = 5
+"""Files of further problems that are named in a line."""
+FEW, SEVERAL = 3, 8
+"""Problems of one kind that stand apart where their facts differ, and where their remedies do too."""
 WHERE_IS_IT = "Correct the path; ./nishiki convert makes a capture of photographs, ./nishiki demo makes one to try"
 
 
@@ -37,10 +41,9 @@ class CaptureError(UserError):
     def __init__(self, problems: Problem | Iterable[Problem]):
         self.problems = (problems,) if isinstance(problems, Problem) else tuple(problems)
         errors = [p for p in self.problems if p.severity == "error"] or list(self.problems)
-        text = str(errors[0]) if errors else "capture cannot be used"
-        if len(errors) > 1:
-            text += "".join(f"\n  also: {p}" for p in errors[1:12])
-            text += f"\n  and {len(errors) - 12} more" if len(errors) > 12 else ""
+        first, *others = [str(problem) for problem in group_problems(errors)] or ["capture cannot be used"]
+        text = first + "".join(f"\n  also: {other}" for other in others[:11])
+        text += f"\n  and {len(others) - 11} more" if len(others) > 11 else ""
         super().__init__(text)
 
 
@@ -59,3 +62,31 @@ def raise_errors(problems: Iterable[Problem]) -> None:
     errors = [p for p in problems if p.severity == "error"]
     if errors:
         raise CaptureError(errors)
+
+
+def group_problems(problems: Iterable[Problem]) -> list[Problem]:
+    """Join problems that are equal but for their files, and many of one kind, into one with their number.
+
+    The first of them stands for all, in its place. Problems of one kind that differ in their facts are joined from four
+    on, those whose remedies differ from nine on.
+    """
+    groups: dict[tuple[str, str], list[Problem]] = {}
+    for problem in dict.fromkeys(problems):
+        groups.setdefault((problem.severity, problem.kind), []).append(problem)
+    joined: list[Problem] = []
+    for group in groups.values():
+        remedies = {p.remedy for p in group}
+        alike = {replace(p, file="") for p in group}
+        apart = 1 if len(alike) == 1 else FEW if len(remedies) == 1 else SEVERAL
+        joined += group if len(group) <= apart else [_join_problems(group)]
+    return joined
+
+
+def _join_problems(group: list[Problem]) -> Problem:
+    """The first of several problems, with their number and what sets the others apart: their files, or their facts."""
+    places = [p.file for p in group]
+    if len(set(places)) < len(places):
+        places = [p.what for p in group] if len({p.what for p in group}) == len(group) else [p.found for p in group]
+    named = ", ".join(dict.fromkeys(places[1 : MOST_NAMED + 1]))
+    more = f" and {len(group) - MOST_NAMED - 1} more" if len(group) > MOST_NAMED + 1 else ""
+    return replace(group[0], what=f"{group[0].what} (the first of {len(group)}; also {named}{more})")

@@ -88,8 +88,7 @@ def _tiles(
     capture: Capture, without: Collection[str], channels: int, tile_mib: int, white_block: int
 ) -> tuple[int, int]:
     """Chunks of frames.zarr that hold something of the object, of all that the whole region under every light has."""
-    from nishiki.formats.images import read_mask
-    from nishiki.observations.region import region_around, region_of, window_of
+    from nishiki.observations.region import object_mask, region_around, region_of, window_of
     from nishiki.observations.tiles import bands_with_object, rows_of_band
 
     lights = len(chosen(capture, without).capture.observed)
@@ -100,7 +99,7 @@ def _tiles(
     every = -(-rows // rows_of_band(lights, rows, columns, channels, tile_mib)) * len(capture.observed)
     if capture.mask is None:
         return every // len(capture.observed) * lights, every
-    mask = read_mask(capture.mask, region=region, name=capture.settings.mask)
+    mask = object_mask(capture, (header.rows, header.columns), region).inside
     around = region_around(mask, region, white_block)
     band_rows = rows_of_band(lights, *around[2:], channels, tile_mib)
     return len(bands_with_object(mask[window_of(region, around)], band_rows)) * lights, every

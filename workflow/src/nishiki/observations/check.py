@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -10,23 +12,23 @@ import numpy as np
 
 from nishiki.capture.folder import Capture, examine
 from nishiki.capture.frames import Frame
-from nishiki.capture.goniometer import GoniometerCapture
 from nishiki.capture.seal import payload_files, sha256_of, verify_seal
 from nishiki.capture.turntable import TurntableCapture
 from nishiki.formats.files import Refused, walk
 from nishiki.formats.image_header import ImageHeader
 from nishiki.formats.image_headers import read_header
-from nishiki.formats.images import expect_channels, read_labels, read_mask
+from nishiki.formats.images import expect_channels
 from nishiki.formats.problems import CaptureError, Problem, error, warning
 from nishiki.formats.text_tables import refusal
 from nishiki.observations.blocks import block_edges
+from nishiki.observations.choice import AnyCapture
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.goniometer_check import goniometer_files, look_at_windows
 from nishiki.observations.pairs_check import PairLevels
 from nishiki.observations.plane_decode import count_unusable
 from nishiki.observations.plane_store import frame_problems
 from nishiki.observations.reference import DarkField, board_field, measure_darks
-from nishiki.observations.region import region_of
+from nishiki.observations.region import object_mask, region_numbers, region_of
 from nishiki.observations.turntable_check import listed_files, silhouette_problems, turntable_content_problems
 
 SAME_DIRECTION = np.cos(np.radians(0.1))
@@ -50,24 +52,27 @@ def check_capture(
         problems += _attempt(lambda: _strange_entries(root))
     if capture is not None:
         problems += _unlisted(capture)
-        headers = {}
-        problems += _header_problems(capture, headers)
+        remarks, sound, size = _header_problems(capture)
+        problems += remarks
         looks = {"turntable": _look_round, "goniometer": look_at_windows}
         look = looks.get(capture.geometry, _look_at_plane)
-        problems += look(capture, headers, level == "full", progress or (lambda file: None))
+        if size is not None and sound.observed:
+            problems += look(sound, size, level == "full", progress or (lambda file: None))
     distinct = list(dict.fromkeys(problems))
     return sorted(distinct, key=lambda p: p.severity != "error")
 
 
-def _look_at_plane(capture: Capture, headers: dict, contents: bool, tick: Callable[[str], None]) -> list[Problem]:
-    problems = _same_directions(capture) + _strength_problems(capture) + _mask_problems(capture, headers)
+def _look_at_plane(
+    capture: Capture, size: tuple[int, int], contents: bool, tick: Callable[[str], None]
+) -> list[Problem]:
+    problems = _same_directions(capture) + _strength_problems(capture) + _mask_problems(capture, size)
     return problems + (_content_problems(capture, tick) if contents else [])
 
 
-def _look_round(capture: TurntableCapture, headers: dict, contents: bool, tick: Callable[[str], None]) -> list[Problem]:
-    if not capture.frames_of("sample"):
-        return []  # reported already; there is nothing to compare with
-    problems = silhouette_problems(capture, headers)
+def _look_round(
+    capture: TurntableCapture, size: tuple[int, int], contents: bool, tick: Callable[[str], None]
+) -> list[Problem]:
+    problems = silhouette_problems(capture, size)
     return problems + (turntable_content_problems(capture, tick) if contents else [])
 
 
@@ -86,7 +91,7 @@ def _attempt(work: Callable[[], list[Problem]]) -> list[Problem]:
         return [refusal(e, "file-refused")]
 
 
-def _listed(capture: Capture | TurntableCapture | GoniometerCapture) -> set[str]:
+def _listed(capture: AnyCapture) -> set[str]:
     """Every file that the capture's tables name."""
     if capture.geometry == "goniometer":
         return goniometer_files(capture)
@@ -108,7 +113,7 @@ def _listed(capture: Capture | TurntableCapture | GoniometerCapture) -> set[str]
     return {Path(name).as_posix() for name in named if name}
 
 
-def _unlisted(capture: Capture | TurntableCapture | GoniometerCapture) -> list[Problem]:
+def _unlisted(capture: AnyCapture) -> list[Problem]:
     """Files in the payload that nothing names: harmless, but perhaps a forgotten photograph."""
     payload = capture.payload
     files = (name for name, entry in walk(payload) if entry.is_file())
@@ -138,75 +143,66 @@ def _strength_problems(capture: Capture) -> list[Problem]:
     return [warning("strengths-unknown", "capture.yaml", what, remedy=remedy)]
 
 
-def _header_problems(
-    capture: Capture | TurntableCapture | GoniometerCapture, headers: dict[str, ImageHeader]
-) -> list[Problem]:
-    """Sizes, depths and channels of all photographs against the first that can be read."""
+def _header_problems(capture: AnyCapture) -> tuple[list[Problem], AnyCapture, tuple[int, int] | None]:
+    """Compare size, depth, channels and format of each photograph with those of most of them.
+
+    Returns problems, the capture without the photographs that differ, and the size of the others (rows, columns), None
+    where no photograph can be read.
+    """
     problems: list[Problem] = []
+    headers: dict[str, ImageHeader] = {}
     for frame in capture.frames:
         try:
-            header = read_header(frame.path, name=frame.file)
-            headers[frame.file] = header
-            expect_channels(header, capture.settings.camera.channels, frame.file)
+            headers[frame.file] = read_header(frame.path, name=frame.file)
+            expect_channels(headers[frame.file], capture.settings.camera.channels, frame.file)
         except CaptureError as e:
             problems += e.problems
     if not headers:
-        return problems
-    first = next((f.file for f in capture.observed if f.file in headers), next(iter(headers)))
-    size, sample = (headers[first].rows, headers[first].columns), headers[first].sample
-    for file, header in headers.items():
-        if (header.rows, header.columns) != size:
-            expected, found = f"{size[0]} x {size[1]} as {first}", f"{header.rows} x {header.columns}"
-            what, remedy = (
-                "size differs",
-                "Develop all photographs alike, without rotation, or leave this one out",
-            )
-            problems.append(error("image-size", file, what, expected=expected, found=found, remedy=remedy))
-        if header.sample != sample:
-            expected = f"{sample} as {first}"
-            what, found, remedy = "depth differs", header.sample, "Develop all photographs alike, or leave this one out"
-            problems.append(error("image-depth", file, what, expected=expected, found=found, remedy=remedy))
-    bits, held = capture.settings.camera.bits, {"uint8": 8, "uint16": 16}.get(sample, 16)
+        return problems, capture, None
+    shown = {frame.file for frame in capture.observed}
+    sizes = {file: f"{header.rows} x {header.columns}" for file, header in headers.items()}
+    problems += _exceptions(sizes, "image-size", "size differs", "Develop all photographs alike, without rotation")
+    depths = {file: header.sample for file, header in headers.items()}
+    problems += _exceptions(depths, "image-depth", "depth differs", "Develop all photographs alike")
+    kinds = {file: header.kind for file, header in headers.items() if file in shown}
+    severe = {p.file for p in problems}
+    problems += [
+        warning(p.kind, p.file, p.what, expected=p.expected, found=p.found, remedy=p.remedy)
+        for p in _exceptions(kinds, "image-format", "format differs", "Export all photographs by one program")
+        if p.file not in severe
+    ]
+    usual = next((h for file, h in headers.items() if file not in severe), next(iter(headers.values())))
+    bits, held = capture.settings.camera.bits, {"uint8": 8, "uint16": 16}.get(usual.sample, 16)
     if bits and bits > held:
         problems.append(
             error("bits-differ", "capture.yaml camera.bits", "bits", expected=f"at most {held}", found=f"{bits}")
         )
-    return problems + _attempt(lambda: _region_problems(capture, size))
+    size = usual.rows, usual.columns
+    if capture.geometry == "plane":
+        problems += _attempt(lambda: list(region_of(capture, *size)) and [])
+    sound = replace(capture, frames=tuple(f for f in capture.frames if f.file in headers and f.file not in severe))
+    return problems, sound, size
 
 
-def _region_problems(capture: Capture, size: tuple[int, int]) -> list[Problem]:
-    region_of(capture, *size)
-    return []
+def _exceptions(values: dict[str, str], kind: str, what: str, remedy: str) -> list[Problem]:
+    """Name the files whose value is another one than that of most files."""
+    counts = Counter(values.values())
+    usual, count = counts.most_common(1)[0] if counts else ("", 0)
+    like = next((file for file, value in values.items() if value == usual), "")
+    expected = f"{usual} as {count} of {len(values)}, such as {like}"
+    remedy = f"{remedy}, or leave this one out"
+    odd = {file: value for file, value in values.items() if value != usual}
+    return [error(kind, file, what, expected=expected, found=value, remedy=remedy) for file, value in odd.items()]
 
 
-def _mask_problems(capture: Capture, headers: dict[str, ImageHeader]) -> list[Problem]:
-    """Mask and regions: readable, of the frames' size, not empty."""
-    first = next((headers[f.file] for f in capture.observed if f.file in headers), None)
-    if first is None:
-        return []
-
-    def compare(shape: tuple[int, int], name: str, kind: str) -> list[Problem]:
-        if shape == (first.rows, first.columns):
-            return []
-        expected, found = f"{first.rows} x {first.columns} as the frames", f"{shape[0]} x {shape[1]}"
-        return [error(f"{kind}-size", name, f"size of the {kind}", expected=expected, found=found)]
-
-    def check_mask() -> list[Problem]:
-        mask = read_mask(capture.mask, name=capture.settings.mask)
-        sized = compare(mask.shape, capture.settings.mask, "mask")
-        if not sized:
-            row, column, rows, columns = region_of(capture, *mask.shape)
-            mask = mask[row : row + rows, column : column + columns]
-        remedy = "Non-zero pixels mark the object; check the mask and the region of interest"
-        empty = [error("mask-empty", capture.settings.mask, "mask has no pixels", remedy=remedy)]
-        return sized + ([] if mask.any() else empty)
-
-    def check_regions() -> list[Problem]:
-        labels = read_labels(capture.regions, name=capture.settings.regions)
-        return compare(labels.shape, capture.settings.regions, "regions")
-
-    problems = _attempt(check_mask) if capture.mask else []
-    return problems + (_attempt(check_regions) if capture.regions else [])
+def _mask_problems(capture: Capture, size: tuple[int, int]) -> list[Problem]:
+    """Mask and regions: readable, of the frames' size, not empty, with values and a shape that leave no doubt."""
+    try:
+        region = region_of(capture, *size)
+    except CaptureError:
+        return []  # reported already
+    problems = _attempt(lambda: list(object_mask(capture, size, region).problems))
+    return problems + _attempt(lambda: list(region_numbers(capture, size, region)[1]))
 
 
 def _content_problems(capture: Capture, tick: Callable[[str], None]) -> list[Problem]:
@@ -219,12 +215,9 @@ def _content_problems(capture: Capture, tick: Callable[[str], None]) -> list[Pro
     edges = block_edges(rows, CHECK_BLOCK), block_edges(columns, CHECK_BLOCK)
     darks, problems = _darks(reader, edges, tick)
     try:
-        mask = read_mask(capture.mask, region=reader.region) if capture.mask else np.ones((rows, columns), bool)
+        usable = object_mask(capture, (reader.rows, reader.columns), reader.region).inside.astype(np.uint8)
     except CaptureError:
-        mask = np.ones((rows, columns), bool)  # reported already
-    usable = (
-        mask.astype(np.uint8) if mask.shape == (rows, columns) and mask.any() else np.ones((rows, columns), np.uint8)
-    )
+        usable = np.ones((rows, columns), np.uint8)  # reported already
     pairs, digests = PairLevels(reader, darks, usable), {}
     for frame in capture.frames:
         if frame.role == "dark":

@@ -8,7 +8,7 @@ from pathlib import Path
 from nishiki.capture.frames import Frame
 from nishiki.capture.goniometer import GoniometerCapture
 from nishiki.capture.seal import sha256_of
-from nishiki.formats.image_header import ImageHeader
+from nishiki.formats.masks import label_problems
 from nishiki.formats.problems import CaptureError, Problem, error, warning
 from nishiki.observations.blocks import block_edges
 from nishiki.observations.frames import FrameReader
@@ -28,16 +28,12 @@ def goniometer_files(capture: GoniometerCapture) -> set[str]:
     return {Path(name).as_posix() for name in named if name}
 
 
-def look_at_windows(
-    capture: GoniometerCapture, headers: dict[str, ImageHeader], contents: bool, tick: Tick
-) -> list[Problem]:
-    """Regions against the frames' size; with `contents`, every photograph decoded."""
-    first = next((headers[f.file] for f in capture.observed if f.file in headers), None)
-    if first is None:
-        return []  # a table, or reported already
+def look_at_windows(capture: GoniometerCapture, size: tuple[int, int], contents: bool, tick: Tick) -> list[Problem]:
+    """Compare regions with the frames' size; with `contents`, decode every photograph."""
     problems: list[Problem] = []
     try:
-        region_labels(capture, (first.rows, first.columns))
+        labels = region_labels(capture, size)
+        problems += label_problems(labels, capture.settings.goniometer.regions) if labels is not None else []
     except CaptureError as e:
         problems += e.problems
     return problems + (_content_problems(capture, tick) if contents else [])

@@ -8,7 +8,8 @@ import numpy as np
 
 from nishiki.capture.frames import Frame
 from nishiki.capture.goniometer import GoniometerCapture
-from nishiki.formats.images import Region, read_labels
+from nishiki.formats.images import Region
+from nishiki.formats.masks import read_labels
 from nishiki.formats.problems import CaptureError, Problem, error, warning
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.reference import DarkField

@@ -13,7 +13,8 @@ import numpy as np
 from nishiki.capture.frames import Frame, inside
 from nishiki.capture.goniometer import GoniometerCapture
 from nishiki.capture.seal import expect_sealed, sealed_digests
-from nishiki.formats.problems import Problem, warning
+from nishiki.formats.masks import label_problems
+from nishiki.formats.problems import Problem, group_problems, warning
 from nishiki.formats.zarr_chunks import chunk_path, write_chunk
 from nishiki.formats.zarr_store import BandedGroup
 from nishiki.observations.blocks import block_edges
@@ -89,7 +90,8 @@ def write_goniometer(
     arrays = {"dark": levels} if labels is None else {"dark": levels, "regions": labels}
     write_small_arrays(group, reader, darks.defect, arrays)
     _write_names(capture, folder, reader, frames, darks, settings.white_block)
-    problems = (*capture.warnings, *reader.warnings(), *darks.problems, *written.problems)
+    doubts = label_problems(labels, capture.settings.goniometer.regions) if labels is not None else []
+    problems = (*capture.warnings, *doubts, *reader.warnings(), *darks.problems, *written.problems)
     return GoniometerDiagnostics(
         kind="photographs",
         channels=reader.names,
@@ -101,7 +103,7 @@ def write_goniometer(
         dark=written.dark,
         white_level=(min(written.levels), max(written.levels)),
         defects=int(darks.defect.sum()),
-        warnings=tuple(str(p) for p in problems),
+        warnings=tuple(map(str, group_problems(problems))),
     )
 
 
@@ -228,5 +230,5 @@ def _write_table(capture: GoniometerCapture, folder: Path) -> GoniometerDiagnost
         dark=int((table.values <= 0).any(axis=1).sum()),
         white_level=(),
         defects=0,
-        warnings=tuple(str(p) for p in capture.warnings),
+        warnings=tuple(map(str, group_problems(capture.warnings))),
     )

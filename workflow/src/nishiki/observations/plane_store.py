@@ -11,8 +11,7 @@ import numpy as np
 
 from nishiki.capture.folder import Capture
 from nishiki.capture.frames import Frame
-from nishiki.formats.images import read_labels, read_mask
-from nishiki.formats.problems import CaptureError, Problem, error
+from nishiki.formats.problems import Problem, group_problems
 from nishiki.formats.zarr_chunks import chunk_path, write_chunk
 from nishiki.formats.zarr_store import BandedGroup
 from nishiki.observations.choice import chosen
@@ -20,7 +19,7 @@ from nishiki.observations.frames import FrameReader
 from nishiki.observations.pairs_check import PairLevels
 from nishiki.observations.plane_decode import count_unusable
 from nishiki.observations.reference import Gains, measure_darks, measure_gains
-from nishiki.observations.region import edges_of, region_around, window_of
+from nishiki.observations.region import edges_of, object_mask, region_around, region_numbers, window_of
 from nishiki.observations.store_parts import (
     PhotographCounter,
     refuse_unusable,
@@ -32,7 +31,6 @@ from nishiki.observations.tiles import bands_with_object, rows_of_band
 STORE = "frames.zarr"
 FORMAT = 1
 ALL_SATURATED = 0.99
-MANY_REGIONS = 256
 
 
 class Settings(Protocol):
@@ -96,7 +94,9 @@ def write_observations(
         progress, len(capture.frames_of("dark")) + len(capture.frames_of("white")) + len(capture.observed)
     )
     reader = FrameReader.of(capture, settings.channels, unopened=choice.files)
-    asked, mask = reader.region, mask_of(capture, reader)
+    asked, size = reader.region, (reader.rows, reader.columns)
+    outline = object_mask(capture, size, asked)
+    mask = outline.inside.astype(np.uint8)
     if capture.mask is not None:
         reader, mask = cropped(reader, mask, settings.white_block)
     _, _, rows, columns = reader.region
@@ -112,33 +112,14 @@ def write_observations(
     )
     defect = darks.defect | gains.defect
     arrays = {"mask": mask, "gain": gains.gain, "dark": darks.for_frames(capture.observed)}
-    labels = regions_of(capture, reader)
+    labels, label_warnings = region_numbers(capture, size, reader.region)
     if labels is not None:
         arrays["regions"] = labels
     write_small_arrays(group, reader, defect, arrays)
     group.update(**_attributes(capture, reader, settings, band_rows), asked_region=list(asked))
-    problems = (*capture.warnings, *reader.warnings(), *darks.problems, *gains.problems, *pairs.problems(), *problems)
+    doubts = (*capture.warnings, *outline.problems, *label_warnings, *reader.warnings())
+    problems = (*doubts, *darks.problems, *gains.problems, *pairs.problems(), *problems)
     return _diagnostics(reader, counts, mask, defect, gains, problems, band_rows)
-
-
-def mask_of(capture: Capture, reader: FrameReader) -> np.ndarray:
-    """Mask (rows, columns) uint8 of the region, all ones without one. CaptureError: mask-size, mask-empty."""
-    if capture.mask is None:
-        return np.ones(reader.region[2:], np.uint8)
-    name = capture.settings.mask
-    full_mask = read_mask(capture.mask, name=name)
-    if full_mask.shape != (reader.rows, reader.columns):
-        expected, found = (
-            f"{reader.rows} x {reader.columns} as the frames",
-            f"{full_mask.shape[0]} x {full_mask.shape[1]}",
-        )
-        raise CaptureError(error("mask-size", name, "size of the mask", expected=expected, found=found))
-    row, column, rows, columns = reader.region
-    mask = full_mask[row : row + rows, column : column + columns].astype(np.uint8)
-    if not mask.any():
-        remedy = "Non-zero pixels mark the object; check the mask and the region of interest"
-        raise CaptureError(error("mask-empty", name, "mask has no pixels", remedy=remedy))
-    return mask
 
 
 def cropped(reader: FrameReader, mask: np.ndarray, white_block: int) -> tuple[FrameReader, np.ndarray]:
@@ -146,31 +127,6 @@ def cropped(reader: FrameReader, mask: np.ndarray, white_block: int) -> tuple[Fr
     region = region_around(mask, reader.region, white_block)
     window = window_of(reader.region, region)
     return replace(reader, region=region), np.ascontiguousarray(mask[window])
-
-
-def regions_of(capture: Capture, reader: FrameReader) -> np.ndarray | None:
-    """Region of each pixel (rows, columns) uint8, numbered from 0 in the order of the labels; None without a picture.
-
-    CaptureError: regions-size, regions-many.
-    """
-    if capture.regions is None:
-        return None
-    name = capture.settings.regions
-    full_labels = read_labels(capture.regions, name=name)
-    if full_labels.shape != (reader.rows, reader.columns):
-        expected, found = (
-            f"{reader.rows} x {reader.columns} as the frames",
-            f"{full_labels.shape[0]} x {full_labels.shape[1]}",
-        )
-        raise CaptureError(error("regions-size", name, "size of the regions", expected=expected, found=found))
-    row, column, rows, columns = reader.region
-    labels, index = np.unique(full_labels[row : row + rows, column : column + columns], return_inverse=True)
-    if len(labels) > MANY_REGIONS:
-        remedy = "Join regions of the same material: each gets its own reflection parameters"
-        found = f"{len(labels)} labels"
-        expected = f"at most {MANY_REGIONS}"
-        raise CaptureError(error("regions-many", name, "regions", expected=expected, found=found, remedy=remedy))
-    return index.reshape(rows, columns).astype(np.uint8)
 
 
 def _write_frames(
@@ -273,5 +229,5 @@ def _diagnostics(
         white_level=gains.levels,
         white_uniformity=gains.uniformity,
         defects=int((defect & (mask > 0)).sum()),
-        warnings=tuple(str(p) for p in problems),
+        warnings=tuple(map(str, group_problems(problems))),
     )

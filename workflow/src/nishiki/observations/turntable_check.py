@@ -10,14 +10,13 @@ import numpy as np
 from nishiki.capture.frames import Frame
 from nishiki.capture.seal import sha256_of
 from nishiki.capture.turntable import TurntableCapture
-from nishiki.formats.image_header import ImageHeader
-from nishiki.formats.images import read_mask
+from nishiki.formats.masks import read_mask
 from nishiki.formats.problems import CaptureError, Problem, error, warning
 from nishiki.observations.blocks import block_edges
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.plane_decode import count_unusable
 from nishiki.observations.reference import measure_darks
-from nishiki.observations.views_store import expect_silhouette, view_problems
+from nishiki.observations.views_store import read_silhouette, view_problems
 from nishiki.observations.views_white import measure_whites
 
 CHECK_BLOCK = 16
@@ -33,20 +32,18 @@ def listed_files(capture: TurntableCapture) -> set[str]:
     return {Path(name).as_posix() for name in (*named, "capture.yaml", "frames.csv") if name}
 
 
-def silhouette_problems(capture: TurntableCapture, headers: dict[str, ImageHeader]) -> list[Problem]:
-    """Silhouettes: readable, of the frames' size, not empty, not the whole picture."""
-    first = next((headers[f.file] for f in capture.observed if f.file in headers), None)
-    if first is None:
-        return []
+def silhouette_problems(capture: TurntableCapture, size: tuple[int, int]) -> list[Problem]:
+    """Silhouettes: readable, of the frames' size, not empty, not the whole picture, not likely inverted."""
     problems: list[Problem] = []
     for view in capture.views:
         frame = capture.silhouette_of(view)
         if frame is None:
             continue
         try:
-            outline = expect_silhouette(frame, (first.rows, first.columns))
-            if outline.all():
-                what, remedy = "silhouette covers the whole picture", "Non-zero pixels mark the object, zero all else"
+            outline = read_silhouette(frame, size)
+            problems += outline.problems
+            if outline.inside.all():
+                what, remedy = "silhouette covers the whole picture", "Light pixels mark the object, dark ones all else"
                 problems.append(warning("silhouette-full", frame.silhouette, what, remedy=remedy))
         except CaptureError as e:
             problems += e.problems

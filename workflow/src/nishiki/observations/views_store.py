@@ -12,8 +12,8 @@ import numpy as np
 from nishiki.capture.frames import Frame
 from nishiki.capture.turntable import TurntableCapture
 from nishiki.colour.encoding import encode
-from nishiki.formats.images import read_mask
-from nishiki.formats.problems import CaptureError, Problem, error
+from nishiki.formats.masks import Mask, examine_mask, expect_size, read_mask
+from nishiki.formats.problems import CaptureError, Problem, error, group_problems
 from nishiki.formats.zarr_chunks import chunk_path, write_chunk
 from nishiki.formats.zarr_store import BandedGroup
 from nishiki.observations.blocks import block_edges
@@ -94,7 +94,7 @@ def write_views(
     edges = tuple(block_edges(n, settings.white_block) for n in (reader.rows, reader.columns))
     path = Path(folder) / STORE
     group = BandedGroup.create(path)
-    outlines = _write_silhouettes(path, group, capture, reader)
+    outlines, doubts = _write_silhouettes(path, group, capture, reader)
     darks = measure_darks(reader, edges, tick)
     whites = measure_whites(reader, darks, edges, tick)
     counts, problems = _write_codes(path, group, reader, outlines, tick, opened=opened)
@@ -105,33 +105,32 @@ def write_views(
     write_small_arrays(group, reader, defect, arrays)
     block = settings.white_block
     group.update(**attributes_of(capture, reader, whites, white_block=block, silhouettes=outlines, boards=boards))
-    problems = (*capture.warnings, *reader.warnings(), *darks.problems, *whites.problems, *problems)
+    problems = (*capture.warnings, *doubts, *reader.warnings(), *darks.problems, *whites.problems, *problems)
     return _diagnostics(capture, reader, counts, whites, defect, outlines, boards, problems)
 
 
-def _write_silhouettes(path: Path, group: BandedGroup, capture: TurntableCapture, reader: FrameReader) -> list[str]:
-    """Given silhouettes, one chunk a view; returns the views that have one."""
+def _write_silhouettes(
+    path: Path, group: BandedGroup, capture: TurntableCapture, reader: FrameReader
+) -> tuple[list[str], list[Problem]]:
+    """Write the given silhouettes, one chunk a view; returns the views that have one, and warnings."""
     named = [(i, view, frame) for i, view in enumerate(capture.views) if (frame := capture.silhouette_of(view))]
     if not named:
-        return []
-    size = (reader.rows, reader.columns)
+        return [], []
+    size, problems = (reader.rows, reader.columns), []
     group.create_array("silhouettes", (len(capture.views), *size, 1), (1, *size, 1), np.uint8, compression="zstd")
     for i, _, frame in named:
-        outline = expect_silhouette(frame, size)
-        write_chunk(chunk_path(path / "silhouettes", i, 0), outline.astype(np.uint8), compression="zstd")
-    return [view for _, view, _ in named]
+        outline = read_silhouette(frame, size)
+        problems += outline.problems
+        write_chunk(chunk_path(path / "silhouettes", i, 0), outline.inside.astype(np.uint8), compression="zstd")
+    return [view for _, view, _ in named], problems
 
 
-def expect_silhouette(frame: Frame, size: tuple[int, int]) -> np.ndarray:
-    """Silhouette (rows, columns) bool. CaptureError: silhouette-size, silhouette-empty, those of reading pictures."""
-    outline = read_mask(frame.silhouette_path, name=frame.silhouette)
-    if outline.shape != size:
-        expected, found = f"{size[0]} x {size[1]} as the frames", f"{outline.shape[0]} x {outline.shape[1]}"
-        raise CaptureError(
-            error("silhouette-size", frame.silhouette, "size of the silhouette", expected=expected, found=found)
-        )
-    if not outline.any():
-        remedy = "Non-zero pixels mark the object"
+def read_silhouette(frame: Frame, size: tuple[int, int]) -> Mask:
+    """Read the silhouette of a view. CaptureError: silhouette-size, silhouette-empty, those of reading pictures."""
+    outline = examine_mask(frame.silhouette_path, name=frame.silhouette)
+    expect_size(outline.inside, size, frame.silhouette, "silhouette")
+    if not outline.inside.any():
+        remedy = "Light pixels mark the object"
         raise CaptureError(error("silhouette-empty", frame.silhouette, "silhouette has no pixels", remedy=remedy))
     return outline
 
@@ -243,5 +242,5 @@ def _diagnostics(
         silhouettes=len(outlines),
         boards=len(boards),
         calibration_pictures=len(capture.frames_of("board")),
-        warnings=tuple(str(p) for p in problems),
+        warnings=tuple(map(str, group_problems(problems))),
     )

@@ -30,7 +30,7 @@ from nishiki.capture.taking import channel_names
 from nishiki.errors import UserError
 from nishiki.formats.files import flush_folder
 from nishiki.formats.image_headers import read_header
-from nishiki.formats.problems import CaptureError
+from nishiki.formats.problems import CaptureError, group_problems
 from nishiki.rig.capture_tables import capture_settings, refuse_unusable_settings, write_tables
 from nishiki.rig.description import open_rig, read_rig
 from nishiki.rig.device import DeviceError, DeviceLost, Rig
@@ -417,7 +417,7 @@ class CaptureRun:
         if errors:
             raise UserError(
                 f"{self.payload}: every frame is taken, but the check found {len(errors)} errors:\n"
-                + "\n".join(map(str, errors))
+                + "\n".join(map(str, group_problems(errors)))
                 + "\nRemedy: correct the plan and run the same command; frames are taken again where their file is "
                 f"removed from {self.payload}"
             )
