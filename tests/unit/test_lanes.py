@@ -1,6 +1,11 @@
 """Arithmetic of lanes: every lane as a float32 number, at any place of an array."""
 
+import os
+import subprocess
+import sys
+
 import numpy as np
+import pytest
 from numba import njit
 
 from nishiki.photometric.lanes import LANES, choose, load, planes, root, splat, store
@@ -48,3 +53,34 @@ def test_planes_begin_at_a_register():
         assert (plane.shape, plane.dtype) == ((count, width), np.float32)
         assert not plane.any()
         assert plane.ctypes.data % (4 * LANES) == 0
+
+
+SUMS_OF_A_BLOCK = """
+import sys
+import numpy as np
+from nishiki.photometric.block import BLOCK
+from nishiki.photometric.lanes import LANES
+from nishiki.photometric.lobe import SLOPES, SUMS, add_products
+
+rng = np.random.default_rng(3)
+slopes, sums = rng.normal(size=(SLOPES * 41, LANES)).astype(np.float32), np.zeros(SUMS * BLOCK, np.float32)
+add_products(slopes, 0, sums)
+sys.stdout.buffer.write(sums.tobytes())
+"""
+
+
+@pytest.mark.slow
+def test_sums_have_the_same_bytes_on_every_processor(tmp_path):
+    """The oldest 64-bit instruction set has no fused multiply-add, which rounds once in place of twice."""
+    bytes_of = {}
+    for processor in ("x86-64", "x86-64-v3"):
+        environment = {
+            **os.environ,
+            "NUMBA_CPU_NAME": processor,
+            "NUMBA_CPU_FEATURES": "",
+            "NUMBA_CACHE_DIR": str(tmp_path),
+        }
+        done = subprocess.run([sys.executable, "-c", SUMS_OF_A_BLOCK], env=environment, capture_output=True, check=True)
+        bytes_of[processor] = done.stdout
+    assert len(bytes_of["x86-64"]) > 1000
+    assert bytes_of["x86-64"] == bytes_of["x86-64-v3"]

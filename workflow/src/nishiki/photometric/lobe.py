@@ -14,8 +14,8 @@ components of the normal and (a, b, d) together; then the samples are chosen aga
 BLOCK pixels at a time, as (lights, BLOCK) float32, in vector registers over the pixels. Each pixel is treated alone,
 and its lights are added up in their order: its result depends neither on the pixels that share its block nor on tiles
 and threads. Numbers of a block lie in one flat array, BLOCK of each kind after the other: in loops of float64 numbers,
-which the compiler makes vector code of, it then needs to check few pairs of arrays for overlap. The sums over the
-lights are formed by fused multiply-add, where the processor has it: half of the time, and one rounding less.
+which the compiler makes vector code of, it then needs to check few pairs of arrays for overlap. Products and sums are
+rounded apart: with fused multiply-add the bytes would depend on the processor.
 """
 
 import numpy as np
@@ -39,7 +39,7 @@ def powers(x):
     return lower, lower * x
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
+@njit(cache=True, error_model="numpy")
 def add_up(values, weights, vectors, surface, slopes, sums):
     """One pass over the lights: into sums (SUMS * BLOCK) float32 what the Gauss-Newton step needs.
 
@@ -79,7 +79,7 @@ def differentiate(values, weights, vectors, surface, p, slopes):
         store(slopes, (k + 5, 0), w)
 
 
-@njit(cache=True, error_model="numpy", fastmath={"contract"})
+@njit(cache=True, error_model="numpy")
 def add_products(slopes, p, sums):
     """Weighted products of the derivatives with each other and with the residuals, and the sum of squares."""
     zero = np.float32(0.0)
