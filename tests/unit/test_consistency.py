@@ -1,0 +1,125 @@
+"""Every photograph against its prediction from the others: faults are measured, sound sets are silent."""
+
+import numpy as np
+import pytest
+
+from nishiki.photometric.consistency import examine_photographs
+
+ROWS, COLUMNS = 60, 80
+
+
+def dome(rings=((8, 35), (4, 65)), start=7.0):
+    """Directions (lamps, 3) on rings of (lamps, elevation in degrees)."""
+    azimuth = np.concatenate([start + i + np.arange(n) * 360 / n for i, (n, _) in enumerate(rings)])
+    azimuth, elevation = np.radians(azimuth), np.radians(np.concatenate([np.full(n, e) for n, e in rings]))
+    return np.stack(
+        [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)], axis=1
+    )
+
+
+def relief(seed=0, steep=6.0):
+    """Height (rows, columns) in pixels: a few smooth hills, and none of the symmetries of the square."""
+    rng = np.random.default_rng(seed)
+    y, x = np.mgrid[:ROWS, :COLUMNS].astype(float)
+    height = np.zeros((ROWS, COLUMNS))
+    for _ in range(14):
+        row, column, size = rng.uniform(0, ROWS), rng.uniform(0, COLUMNS), rng.uniform(5, 12)
+        distance = np.hypot(x - column, y - row) / size
+        height += rng.choice([-1, 1]) * steep * size / 10 * np.exp(-(distance**2) / 2)
+    return height
+
+
+def photographs(directions, *, seed=0, gloss=0.0, albedo=(0.2, 0.8), noise=0.002, steep=6.0):
+    """Values (lamps, rows, columns) of a relief by Oren and Nayar's rough diffuse law (1994, first term, sigma 0.3)
+    and a Phong highlight, with shadows cast along the height; photon and reading noise."""
+    rng = np.random.default_rng(seed + 1000)
+    height = relief(seed, steep)
+    down, right = np.gradient(height)
+    normals = np.stack([-right, down, np.ones_like(height)], axis=2)
+    normals /= np.linalg.norm(normals, axis=2, keepdims=True)
+    colour = rng.uniform(*albedo, (6, 8)).repeat(10, axis=0).repeat(10, axis=1)
+    y, x = np.mgrid[:ROWS, :COLUMNS]
+    stack = []
+    for direction in directions:
+        cosine = np.maximum(normals @ direction, 0)
+        seen = normals[..., 2]
+        across = np.clip(direction[2] - cosine * seen, 0, None) / np.maximum(np.maximum(cosine, seen), 0.05)
+        shading = cosine * (0.83 + 0.25 * across)
+        mirrored = np.maximum(2 * cosine * seen - direction[2], 0)
+        lit = np.ones_like(height)
+        for step in np.arange(1, 24):
+            r, c = (y - step * direction[1]).round().astype(int), (x + step * direction[0]).round().astype(int)
+            inside = (r >= 0) & (r < ROWS) & (c >= 0) & (c < COLUMNS)
+            other = height[np.clip(r, 0, ROWS - 1), np.clip(c, 0, COLUMNS - 1)]
+            lit[inside & (other > height + step * direction[2] + 0.05)] = 0
+        value = lit * (colour * shading + gloss * mirrored**20 * (cosine > 0))
+        stack.append(value + rng.normal(0, 1, value.shape) * noise * np.sqrt(0.05 + value))
+    return np.array(stack)
+
+
+def degrees(first, second):
+    return np.degrees(np.arccos(np.clip((first * second).sum(axis=-1), -1, 1)))
+
+
+@pytest.mark.parametrize("options", [{}, {"gloss": 0.5}, {"albedo": (0.01, 0.03)}])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_sound_set_says_nothing(options, seed):
+    directions = dome()
+    result = examine_photographs(photographs(directions, seed=seed, **options), directions)
+    assert (result.failed, result.repeats) == ((), ())
+    assert np.abs(result.gain - 1).max() < 0.08
+    assert degrees(result.direction, directions).max() < 4
+    assert result.ambient < 0.03
+
+
+def test_gains_are_measured_with_their_errors():
+    directions, gains = dome(), np.ones(12)
+    gains[[0, 3, 4, 9]] = 2.0, 0.5, 0.5, 2.0
+    result = examine_photographs(photographs(directions) * gains[:, None, None], directions)
+    np.testing.assert_allclose(result.gain, gains, rtol=0.05)
+    assert (result.gain_sigma < 0.05).all()
+    assert degrees(result.direction, directions).max() < 4.5
+
+
+def test_gains_of_a_flat_object_have_large_errors():
+    """A tilt of the object and lamps that grow stronger to one side are then the same."""
+    directions = dome()
+    flat, hilly = (examine_photographs(photographs(directions, steep=s), directions) for s in (0.02, 6.0))
+    assert flat.gain_sigma.max() > 8 * hilly.gain_sigma.max()
+
+
+def test_room_light_is_measured():
+    directions = dome()
+    values = photographs(directions)
+    colour = np.random.default_rng(1000).uniform(0.2, 0.8, (6, 8)).repeat(10, axis=0).repeat(10, axis=1)
+    result = examine_photographs(values + 0.15 * colour, directions)
+    # the first term of the law leaves 0.83 of the albedo
+    assert result.ambient == pytest.approx(0.15 / 0.83, abs=0.02)
+    assert result.ambient > 5 * result.ambient_sigma
+
+
+def test_a_dark_photograph_and_a_repeated_one_are_named():
+    directions = dome()
+    values = photographs(directions)
+    values[5] = 0.001 * values[6]
+    values[8] = values[7] + np.random.default_rng(3).normal(0, 1, values[7].shape) * 0.001
+    result = examine_photographs(values, directions)
+    assert result.failed == (5,)
+    assert result.repeats == ((8, 7),)
+
+
+def test_a_lamp_elsewhere_is_measured():
+    directions = dome()
+    values = photographs(directions)
+    stated = directions.copy()
+    stated[2] = directions[9]
+    result = examine_photographs(values, stated)
+    assert degrees(result.direction[2], directions[2]) < 6
+    assert degrees(result.direction[9], directions[9]) < 4
+
+
+def test_too_little_to_predict_is_not_judged():
+    directions = dome()
+    values = photographs(directions)
+    assert examine_photographs(values[:3], directions[:3]) is None
+    assert examine_photographs(values * np.nan, directions) is None

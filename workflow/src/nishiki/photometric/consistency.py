@@ -1,0 +1,341 @@
+"""Predict every photograph of a plane scene from the others, and say where one of them disagrees.
+
+A pixel s of albedo times normal m_s shows under a far lamp of direction l_j (Woodham, 1980)
+
+    y_js = g_j max(m_s . l_j, 0) + a |m_s|
+
+with a gain g_j (exposure, strength of the lamp) and ambient light a (an image like the albedo that no lamp changes).
+All are fitted together by reweighted least squares. With c_js = m_s . l_j, weights w, M_s = sum_j w g^2 l l^T and the
+derivatives of the residuals after the gains and the ambient light, J, the normal matrix of these is what remains once
+m is eliminated,
+
+    S = sum_s (J^T w J - B_s M_s^-1 B_s^T),    B_s = J^T w (g l)
+
+It is nearly singular where the object is flat: a tilt of it is then the same as lamps that grow stronger to one side,
+and the standard errors grow. They are sandwich errors over patches of the picture (Huber, 1967), so that a misfit of
+the model (gloss, cast shadows, light from one part to another), which neighbours share, counts once a patch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+ROUNDS = 15  # of reweighting; the gains change by less than their errors after ten
+KINK = 2.0  # robust standard deviations of a pixel's residuals at which the weight of a value is a half (Cauchy)
+LEAST_SCALE = 0.003  # of the albedo: least standard deviation of a pixel's residuals, that of eight bits
+GRAZING = 0.1  # cosine below which a lamp's direct light cannot be predicted, and below whose negative there is none
+PATCHES = 8  # a side, over the picture: groups of pixels that count as one observation each
+FEWEST_LAMPS = 4  # one more than the unknowns of a pixel: fewer predict nothing
+FEWEST_PIXELS = 24  # lit by a lamp: eight for each of the three numbers of its direction
+MOST_PIXELS, MOST_VALUES = 1500, 40_000  # fitted; the errors are those of 64 patches, which more do not lower
+FAINT = 0.1  # gain below which a photograph shows the room and the noise, not its lamp
+LEAST_AMBIENT = 0.02  # of the albedo: less turns normals by less than half a degree, and lenses and walls give as much
+REPEATED = 0.25  # of the difference that two lamps should make: the same lamp twice leaves the noise of the camera
+SURE = 5.0  # standard errors at which a difference counts: once in two million by chance
+
+
+@dataclass(frozen=True)
+class Consistency:
+    """What each photograph (lights,) shows about itself, against the prediction from the others.
+
+    Attributes
+    ----------
+    residual : (lights,) float64
+        Median of |value - prediction| over the median prediction; NaN: not predicted.
+    gain, gain_sigma : (lights,) float64
+        Strength relative to the median photograph, and its standard error.
+    offset, offset_sigma : (lights,) float64
+        Light that does not follow the lamp, relative to the albedo under a frontal lamp, and its standard error; the
+        ambient light that all photographs share is included.
+    direction : (lights, 3) float64
+        Unit vector to the lamp that explains the photograph.
+    direction_sigma_deg : (lights,) float64
+        Standard error of that direction, degrees.
+    failed : tuple of int
+        Photographs in which the lamp did not burn.
+    repeats : tuple of (int, int)
+        Photographs of one lamp though two are stated; the first one fits its stated lamp worse.
+    ambient, ambient_sigma : float
+        Offset that all photographs share, and its standard error.
+    """
+
+    residual: np.ndarray
+    gain: np.ndarray
+    gain_sigma: np.ndarray
+    offset: np.ndarray
+    offset_sigma: np.ndarray
+    direction: np.ndarray
+    direction_sigma_deg: np.ndarray
+    failed: tuple[int, ...]
+    repeats: tuple[tuple[int, int], ...]
+    ambient: float
+    ambient_sigma: float
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Lambert's law fitted to pixels under all lamps.
+
+    Attributes
+    ----------
+    normals : (pixels, 3) float64
+        Albedo times normal.
+    gains, gains_sigma : (lights,) float64
+        Strengths, of median 1, and their standard errors.
+    ambient, ambient_sigma : float
+        Ambient light relative to the albedo, and its standard error.
+    weights : (lights, pixels) float64
+        Weight of each value, 0 to 1; 0 where the lamp lights the pixel at a grazing angle or not at all.
+    residuals, alone : (lights, pixels) float64
+        Value less its fit, and less its prediction by a fit without this value.
+    inverses : (pixels, 3, 3) float64
+        Inverse normal matrices M.
+    scale : (pixels,) float64
+        Robust standard deviation of the residuals.
+    """
+
+    normals: np.ndarray
+    gains: np.ndarray
+    gains_sigma: np.ndarray
+    ambient: float
+    ambient_sigma: float
+    weights: np.ndarray
+    residuals: np.ndarray
+    alone: np.ndarray
+    inverses: np.ndarray
+    scale: np.ndarray
+
+
+def examine_photographs(values: np.ndarray, directions: np.ndarray) -> Consistency | None:
+    """Compare every photograph of a plane scene with its prediction from the others.
+
+    Parameters
+    ----------
+    values : (lights, rows, columns) or (lights, rows, columns, channels)
+        Linear values of the reduced photographs, NaN where saturated or outside of the object.
+    directions : (lights, 3)
+        Unit vectors to the lamps as stated, x right, y up, z to the camera.
+
+    Returns
+    -------
+    Consistency or None
+        None where nothing can be predicted: fewer than 4 lamps, hardly a pixel, or a mirror.
+    """
+    grey = values.mean(axis=3) if values.ndim == 4 else values
+    places, patches = spread_pixels(grey)
+    if len(directions) < FEWEST_LAMPS or len(places) < FEWEST_PIXELS:
+        return None
+    chosen = grey.reshape(len(grey), -1)[:, places].astype(np.float64)
+    fit = fit_lambert(chosen, directions, patches)
+    if not np.isfinite(fit.gains).all():
+        return None
+    fit, ambient, sigma = take_ambient(chosen, directions, patches, fit)
+    return _compare(chosen, directions, patches, fit, (ambient, sigma))
+
+
+def take_ambient(values: np.ndarray, directions: np.ndarray, patches: np.ndarray, fit: Fit) -> tuple[Fit, float, float]:
+    """Measure the ambient light in deep shadows, else from a fit of which it must explain most of the residual.
+
+    Light from one part of the object to another, and rough surfaces, are like ambient light where the lamps reach, but
+    leave deep shadows dark. Returns the fit with the ambient light where it counts, the ambient light and its error.
+    """
+    albedo = np.linalg.norm(fit.normals, axis=1)
+    dark, sigma = deepest_shadows(values, fit, albedo, patches)
+    if np.isfinite(sigma):
+        if dark <= max(LEAST_AMBIENT, SURE * sigma):
+            return fit, max(dark, 0.0), sigma
+        ambient = dark
+        for _ in range(3):  # the albedo, which is the image of the ambient light, is of the fit before
+            rest = fit_lambert(values - ambient * albedo, directions, patches)
+            albedo = np.linalg.norm(rest.normals, axis=1)
+            ambient, sigma = deepest_shadows(values, replace(rest, ambient=ambient), albedo, patches)
+            if not np.isfinite(sigma):
+                return fit, 0.0, np.inf
+        return replace(rest, ambient=ambient), ambient, sigma
+    lit = fit
+    for _ in range(3):
+        reference = np.linalg.norm(lit.normals, axis=1)
+        lit = fit_lambert(values, directions, patches, reference)
+        albedo = np.linalg.norm(lit.normals, axis=1)
+    ratio = float(np.median(reference / albedo))
+    ambient, sigma = lit.ambient * ratio, lit.ambient_sigma * ratio
+    misfits = [float(np.median(np.abs(f.residuals) / np.linalg.norm(f.normals, axis=1))) for f in (fit, lit)]
+    explained = ambient > max(LEAST_AMBIENT, SURE * sigma) and misfits[1] < 0.5 * misfits[0]
+    return (replace(lit, ambient=ambient), ambient, sigma) if explained else (fit, 0.0, max(sigma, abs(ambient)))
+
+
+def deepest_shadows(values: np.ndarray, fit: Fit, albedo: np.ndarray, patches: np.ndarray) -> tuple[float, float]:
+    """Level of the deepest shadows relative to the albedo, and the spread of it; inf where the lamps cast none.
+
+    In shadow is a value of less than half its prediction, or of which the model says that the lamp does not reach it.
+    Of each patch the darkest twentieth counts, and of these levels the lowest fifth.
+    """
+    predictions = values - fit.residuals
+    shade = np.isfinite(values) & ((values < 0.5 * (predictions + fit.ambient * albedo)) | (fit.weights == 0))
+    levels = np.where(shade, values / albedo, np.nan)
+    floors = [
+        np.nanquantile(group, 0.05)
+        for group in (levels[:, patches == patch] for patch in np.unique(patches))
+        if np.isfinite(group).sum() > 3
+    ]
+    lowest = np.sort(floors)[: -(-len(floors) // 5)]
+    return (float(np.median(lowest)), float(np.std(lowest))) if len(lowest) > 2 else (np.nan, np.inf)
+
+
+def spread_pixels(grey: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Choose pixels (pixels,) evenly over the object, as places in the flat picture, and the patch of each."""
+    _, rows, columns = grey.shape
+    known = np.isfinite(grey).sum(axis=0) > max(FEWEST_LAMPS - 1, len(grey) // 2)
+    level = np.max(grey, axis=0, where=np.isfinite(grey), initial=0.0)
+    if known.any():  # nothing is predicted of places that no lamp reaches
+        known &= level > 0.05 * np.percentile(level[known], 90)
+    places = np.flatnonzero(known)
+    places = places[:: -(-len(places) // min(MOST_PIXELS, MOST_VALUES // len(grey))) or 1]
+    row, column = np.divmod(places, columns)
+    return places, row * PATCHES // rows * PATCHES + column * PATCHES // columns
+
+
+def fit_lambert(
+    values: np.ndarray, directions: np.ndarray, patches: np.ndarray, reference: np.ndarray | None = None
+) -> Fit:
+    """Fit Lambert's law and the gains to values (lights, pixels), NaN where unusable.
+
+    reference (pixels,): image of the ambient light, which is fitted too where it is given.
+    """
+    known = np.isfinite(values)
+    filled, lights = np.where(known, values, 0.0), len(values)
+    ambience = np.zeros(values.shape[1]) if reference is None else reference
+    gains, ambient = np.ones(lights), 0.0
+    weights = known / np.maximum(np.nanmedian(values, axis=0), 1e-12) ** 2
+    shade = np.zeros(values.shape)
+    outer = (directions[:, :, None] * directions[:, None, :]).reshape(lights, 9)
+    for turn in range(ROUNDS):
+        lamps = gains[:, None] * directions
+        matrix = ((weights * gains[:, None] ** 2).T @ outer).reshape(-1, 3, 3)
+        matrix += (1e-9 * np.trace(matrix, axis1=1, axis2=2) + 1e-300)[:, None, None] * np.eye(3)
+        inverse = np.linalg.inv(matrix)
+        direct = filled - ambient * ambience
+        normals = np.einsum("sab,sb->sa", inverse, (weights * direct).T @ lamps)
+        albedo = np.linalg.norm(normals, axis=1) + 1e-300
+        cosine = directions @ normals.T
+        # in shadow by the model and in the photograph: a bright value stays, else a wrong fit would drop what it misses
+        faint = known & (filled < GRAZING * albedo)
+        lit = known & ~(faint & (cosine < GRAZING * albedo))
+        lit = np.where(lit.sum(axis=0) > 3, lit, known)
+        dark = faint & (cosine < -GRAZING * albedo) & ~lit
+        residual = direct - np.where(dark, 0.0, gains[:, None] * cosine)
+        if turn:
+            # derivatives after the gains and, last, after the ambient light, by those after the normal
+            mixed = (weights * cosine)[:, :, None] * lamps[:, None, :]
+            mixed = np.concatenate([mixed, (ambience[:, None] * (weights.T @ lamps))[None]]).reshape(lights + 1, -1)
+            solved = (mixed.reshape(lights + 1, -1, 1, 3) @ inverse)[:, :, 0].reshape(lights + 1, -1)
+            # a prior of 1 for all of them keeps what is not determined at 1 and 0
+            system = np.eye(lights + 1) - solved @ mixed.T
+            system[:-1, :-1] += np.diag((weights * cosine**2).sum(axis=1))
+            coupled = (weights * cosine) @ ambience
+            system[:-1, -1] += coupled
+            system[-1, :-1] += coupled
+            system[-1, -1] += ((weights + shade) * ambience**2).sum()
+            # a common factor is no gain: the normals take it
+            system[:-1, :-1] += np.outer(gains, gains) * np.trace(system) / (gains @ gains)
+            scores = np.concatenate(
+                [weights * cosine * residual, ((weights + shade) * residual).sum(axis=0)[None] * ambience]
+            )
+            inverse_system = np.linalg.inv(system)
+            step = inverse_system @ scores.sum(axis=1)
+            gains, ambient = np.clip(gains + step[:-1], 1e-4, 1e4), float(ambient + step[-1])
+            norm = np.median(gains)
+            gains, normals, albedo, cosine = gains / norm, normals * norm, albedo * norm, cosine * norm
+            residual = filled - ambient * ambience - np.where(dark, 0.0, gains[:, None] * cosine)
+        spread = np.nanmedian(np.where(lit, np.abs(residual), np.nan), axis=0)
+        # at least that of all pixels: a pixel whose weights are gone to all but three values fits these exactly
+        usual = np.nanmedian(spread / albedo)
+        scale = np.maximum(1.4826 * np.fmax(spread, usual * albedo), LEAST_SCALE * albedo)
+        if turn < ROUNDS - 1:
+            last = scale
+            trust = 1 / ((1 + (residual / (KINK * scale)) ** 2) * scale**2)
+            weights, shade = lit * trust, dark * trust
+    groups = np.zeros((patches.max() + 1, lights + 1))
+    np.add.at(groups, patches, scores.T)
+    covariance = inverse_system @ (groups.T @ groups) @ inverse_system
+    sigma = np.sqrt(np.maximum(np.diag(covariance), np.diag(inverse_system)))
+    leverage = weights * np.einsum("ja,sab,jb->js", lamps, inverse, lamps)
+    alone = residual / np.maximum(1 - leverage, 1e-2)
+    return Fit(normals, gains, sigma[:-1], ambient, float(sigma[-1]), weights * last**2, residual, alone, inverse, last)
+
+
+def _compare(
+    values: np.ndarray, directions: np.ndarray, patches: np.ndarray, fit: Fit, ambient: tuple[float, float]
+) -> Consistency:
+    """Solve for what each photograph says, given the fit to the others."""
+    count = len(values)
+    albedo = np.linalg.norm(fit.normals, axis=1)
+    predictions = values - fit.alone - fit.ambient * albedo
+    offset, offset_sigma = np.full((2, count), np.nan)
+    residual, sigma_deg = np.full((2, count), np.nan)
+    found = np.full((count, 3), np.nan)
+    for j in range(count):
+        used = np.flatnonzero(fit.weights[j] > 0)
+        if len(used) < FEWEST_PIXELS:
+            continue
+        level = np.median(predictions[j, used])
+        residual[j] = np.median(np.abs(fit.alone[j, used])) / max(level, 1e-300)
+        # the normals without this photograph, by the update of the inverse for one row less
+        lamp = fit.gains[j] * directions[j]
+        step = (fit.alone[j] * fit.weights[j] / fit.scale**2)[:, None] * (fit.inverses @ lamp)
+        others = fit.normals - np.where(np.isfinite(step), step, 0.0)
+        target = values[j] - fit.ambient * albedo
+        vector, covariance = regress(others[used], target[used], patches[used])
+        length = max(float(np.linalg.norm(vector)), 1e-300)
+        found[j] = vector / length
+        across = np.eye(3) - np.outer(found[j], found[j])
+        sigma_deg[j] = np.degrees(np.sqrt(max(np.trace(across @ covariance @ across), 0.0)) / length)
+        terms = np.column_stack([predictions[j, used], albedo[used]])
+        line, covariance = regress(terms, values[j, used], patches[used])
+        offset[j], offset_sigma[j] = line[1], np.sqrt(max(covariance[1, 1], 0.0))
+    failed = tuple(np.flatnonzero(fit.gains + SURE * fit.gains_sigma < FAINT).tolist())
+    repeats = _repeated(values, predictions, residual, failed)
+    return Consistency(
+        residual, fit.gains, fit.gains_sigma, offset, offset_sigma, found, sigma_deg, failed, repeats, *ambient
+    )
+
+
+def regress(terms: np.ndarray, target: np.ndarray, patches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Solve terms (n, k) @ x = target (n,) by reweighted least squares; x (k,) and its covariance over patches."""
+    weights = np.ones(len(target))
+    for _ in range(ROUNDS):
+        inverse = np.linalg.pinv((terms * weights[:, None]).T @ terms)
+        solution = inverse @ (terms.T @ (weights * target))
+        residual = target - terms @ solution
+        scale = KINK * max(1.4826 * np.median(np.abs(residual)), 1e-12 + 1e-6 * np.abs(target).max())
+        weights = 1 / (1 + (residual / scale) ** 2)
+    groups = np.zeros((patches.max() + 1, terms.shape[1]))
+    np.add.at(groups, patches, terms * (weights * residual)[:, None])
+    return solution, inverse @ (groups.T @ groups) @ inverse
+
+
+def _repeated(
+    values: np.ndarray, predictions: np.ndarray, residual: np.ndarray, failed: tuple[int, ...]
+) -> tuple[tuple[int, int], ...]:
+    """Pairs of photographs that differ far less than their lamps should make them, and than neighbours do."""
+    judged = [j for j in range(len(values)) if j not in failed and np.isfinite(residual[j])]
+    measured, expected = (_differences(v[judged]) for v in (values, predictions))
+    if not np.isfinite(measured).any():
+        return ()
+    # the usual distance to the nearest photograph: that of a lamp's neighbours
+    usual = np.median(measured.min(axis=1))
+    first, second = np.nonzero(np.triu(measured < REPEATED * np.minimum(expected, usual)))
+    pairs = [(judged[i], judged[j]) for i, j in zip(first, second, strict=True)]
+    return tuple(pair if residual[pair[0]] > residual[pair[1]] else pair[::-1] for pair in pairs)
+
+
+def _differences(values: np.ndarray) -> np.ndarray:
+    """Mean difference (lights, lights) of photographs of equal median, relative to it; inf on the diagonal."""
+    level = values / np.maximum(np.nanmedian(values, axis=1, keepdims=True), 1e-300)
+    table = np.full((len(values), len(values)), np.inf)
+    for i, row in enumerate(level):
+        table[i] = np.nanmean(np.abs(level - row), axis=1)
+        table[i, i] = np.inf
+    return np.where(np.isfinite(table), table, np.inf)
