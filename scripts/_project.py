@@ -41,7 +41,12 @@ def use_kernel_cache() -> None:
         text = path.read_bytes()
         if b"numba" in text:
             digest.update(text)
-    os.environ["NUMBA_CACHE_DIR"] = str(folder / digest.hexdigest()[:12])
+    kernels = folder / digest.hexdigest()[:12]
+    os.environ["NUMBA_CACHE_DIR"] = str(kernels)
+    if not kernels.is_dir():
+        kernels.mkdir(parents=True, exist_ok=True)
+        text = "nishiki: compiling kernels, each at its first use; the first run takes a minute or two longer"
+        print(text, file=sys.stderr, flush=True)
 
 
 use_kernel_cache()
