@@ -36,7 +36,7 @@ from nishiki.errors import UserError
 from nishiki.formats.image_headers import read_header
 from nishiki.formats.images import read_codes
 from nishiki.formats.masks import read_labels, read_mask
-from nishiki.formats.mesh_kind import expect_mesh
+from nishiki.formats.mesh_heading import expect_mesh
 from nishiki.formats.problems import CaptureError
 from nishiki.formats.stored import load_arrays, open_group
 from nishiki.geometry.mesh_files import read_points as read_scan

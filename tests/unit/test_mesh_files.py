@@ -1,12 +1,16 @@
 """PLY and OBJ files in and out, and what is said about broken ones."""
 
+import struct
+
 import numpy as np
 import pytest
 import trimesh
 
 from nishiki.errors import UserError
+from nishiki.formats.mesh_heading import expect_mesh
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.mesh_files import read_points, read_triangles, write_ply
+from nishiki.render.cloth.mesh_store import read_surface
 
 
 @pytest.fixture
@@ -105,3 +109,76 @@ def test_cut_off_and_foreign_files_are_reported(ball, tmp_path):
     few.write_text("v 0 0 0\nv 1 0 0\n")
     with pytest.raises(UserError):
         read_points(few)
+
+
+HOUSE = np.array(
+    [[0, 0, 0], [10, 0, 0], [10, 10, 0], [0, 10, 0], [0, 0, 10], [10, 0, 10], [10, 10, 10], [0, 10, 10], [5, 5, 16]],
+    "f4",
+)
+HOUSE_FACES = [
+    [0, 3, 2, 1],
+    [0, 1, 5, 4],
+    [1, 2, 6, 5],
+    [2, 3, 7, 6],
+    [3, 0, 4, 7],
+    [4, 5, 8],
+    [5, 6, 8],
+    [6, 7, 8],
+    [7, 4, 8],
+]
+
+
+def house(order, count="B", index="i", *, line="\n", colours=False, texture=False):
+    """A box of squares under a roof of triangles: area 500 + 4 sqrt(1525) and volume 1200."""
+    names = {"B": "uchar", "H": "ushort", "I": "uint", "i": "int"}
+    lines = [
+        "ply",
+        f"format binary_{order}_endian 1.0",
+        "element vertex 9",
+        *(f"property float {axis}" for axis in "xyz"),
+    ]
+    lines += ["element face 9", f"property list {names[count]} {names[index]} vertex_indices"]
+    lines += ["property uchar red", "property uchar green"] if colours else []
+    lines += ["property list uchar float texcoord"] if texture else []
+    end = "<" if order == "little" else ">"
+    data = HOUSE.astype(f"{end}f4").tobytes()
+    for face in HOUSE_FACES:
+        data += struct.pack(f"{end}{count}{len(face)}{index}", len(face), *face) + (b"\1\2" if colours else b"")
+        pairs = [value for corner in face for value in (corner / 10, 1 - corner / 10)]
+        data += struct.pack(f"{end}B{len(pairs)}f", len(pairs), *pairs) if texture else b""
+    return line.join([*lines, "end_header", ""]).encode() + data
+
+
+@pytest.mark.parametrize("order", ["little", "big"])
+@pytest.mark.parametrize(
+    ("count", "index", "more"),
+    [
+        ("B", "i", {}),
+        ("H", "H", {}),
+        ("I", "I", {"line": "\r\n"}),
+        ("B", "I", {"colours": True}),
+        ("B", "i", {"texture": True, "colours": True}),
+    ],
+)
+def test_triangles_and_squares_in_one_binary_file(tmp_path, order, count, index, more):
+    path = tmp_path / "house.ply"
+    path.write_bytes(house(order, count, index, **more))
+    expect_mesh(path, path.name, "capture.yaml", scan=False)
+    vertices, triangles = read_triangles(path)
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    assert len(triangles) == 14
+    assert np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2 == pytest.approx(500 + 4 * 1525**0.5)
+    assert (a * np.cross(b, c)).sum() / 6 == pytest.approx(1200)
+    if more.get("texture"):
+        surface = read_surface(path)
+        number = [int(np.flatnonzero((HOUSE == vertex).all(axis=1))[0]) for vertex in surface.mesh.vertices]
+        np.testing.assert_allclose(surface.uv, [[n / 10, 1 - n / 10] for n in number], atol=1e-6)
+
+
+def test_mixed_files_that_end_anywhere_are_refused(tmp_path):
+    path = tmp_path / "house.ply"
+    content = house("little")
+    for length in range(content.index(b"end_header"), len(content)):
+        path.write_bytes(content[:length])
+        with pytest.raises(UserError):
+            read_triangles(path)

@@ -17,7 +17,7 @@ from nishiki.capture.spectra_tables import Curves
 from nishiki.capture.turntable_rules import turntable_problems
 from nishiki.capture.turntable_schema import Intrinsics, TurntableFile, read_intrinsics
 from nishiki.formats.image_headers import read_header
-from nishiki.formats.mesh_kind import expect_mesh
+from nishiki.formats.mesh_heading import expect_mesh
 from nishiki.formats.problems import Problem
 
 

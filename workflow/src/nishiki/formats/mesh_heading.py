@@ -1,4 +1,4 @@
-"""What a mesh file claims to hold, from its heading, before a reader allocates it.
+"""What a mesh file is and claims to hold, from its heading, before a reader allocates it.
 
 PLY as described by G. Turk (The PLY Polygon File Format, Stanford, 1994).
 """
@@ -6,15 +6,22 @@ PLY as described by G. Turk (The PLY Polygon File Format, Stanford, 1994).
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
 
-from nishiki.formats.files import Refused, expect_bound, open_regular
+import numpy as np
 
-_BYTES = {"char": 1, "uchar": 1, "short": 2, "ushort": 2, "int": 4, "uint": 4, "float": 4, "double": 8}
-_BYTES |= {"int8": 1, "uint8": 1, "int16": 2, "uint16": 2, "int32": 4, "uint32": 4, "float32": 4, "float64": 8}
+from nishiki.formats.files import Refused, expect_bound, open_regular
+from nishiki.formats.problems import CaptureError, error
+from nishiki.formats.text_tables import refusal
+
+KINDS = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
+KINDS |= {"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"}
+KINDS |= {"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"}
 FORMATS = ("ascii", "binary_little_endian", "binary_big_endian")
+MESHES = (".ply", ".obj")
 LONGEST = 1 << 16  # bytes of a heading
 MOST = 256  # elements, or properties of one
 REMEDY = "Export the mesh again"
@@ -23,12 +30,42 @@ UNREADABLE = "damaged PLY file: its heading cannot be read"
 
 @dataclass(frozen=True)
 class Element:
-    """name, count; least: bytes of one in the file, lists counted as empty; properties: how many."""
+    """name, count; properties: (name, type of a list's count or '', type), types as in `KINDS`."""
 
     name: str
     count: int
-    least: int
-    properties: int
+    properties: list[tuple[str, str, str]] = field(default_factory=list)
+
+    @property
+    def least(self) -> int:
+        """Bytes of one in a binary file, lists counted as empty."""
+        return sum(np.dtype(KINDS[count or kind]).itemsize for _, count, kind in self.properties)
+
+
+def expect_mesh(path: Path, file: str, where: str, *, scan: bool) -> None:
+    """CaptureError unless the file looks like a mesh: mesh-format by its suffix, mesh-unreadable, mesh-empty.
+
+    Only the heading of a PLY file and the start of an OBJ file are looked at. A scan may be points without faces.
+    """
+    known = MESHES[:1] if scan else MESHES
+    if path.suffix.lower() not in known:
+        what, remedy = "mesh file", "Convert it, for example with MeshLab"
+        raise CaptureError(error("mesh-format", where, what, expected=" or ".join(known), found=file, remedy=remedy))
+    try:
+        expect_mesh_file(path, file)
+        with path.open("rb") as stream:
+            if path.suffix.lower() == ".obj":
+                if not re.search(rb"^v\s", stream.read(LONGEST), re.MULTILINE):
+                    raise Refused(file, "OBJ file without vertices")
+                return
+            counts = {element.name: element.count for element in read_heading(stream, file)[1]}
+    except Refused as e:
+        raise CaptureError(refusal(e, "mesh-unreadable")) from e
+    for name in ("vertex",) if scan else ("vertex", "face"):
+        if not counts.get(name):
+            remedy = "Give a surface of triangles under turntable.mesh, or points under turntable.scans"
+            what = f"PLY file without {name} elements"
+            raise CaptureError(error("mesh-empty", where, what, found=file, remedy=remedy))
 
 
 def expect_mesh_file(path: Path, file: str) -> None:
@@ -46,7 +83,7 @@ def expect_mesh_file(path: Path, file: str) -> None:
     for name, limit in (("vertex", "mesh_vertices"), ("face", "mesh_faces")):
         expect_bound(sum(e.count for e in elements if e.name == name), limit, file)
     # in text a value is a digit and a blank; the very last needs no blank
-    needed = sum(e.count * (2 * e.properties if text_file else e.least) for e in elements)
+    needed = sum(e.count * (2 * len(e.properties) if text_file else e.least) for e in elements)
     if needed > size - start + 1:
         expected, found = f"{needed} bytes or more for {_counts(elements)}", f"{size - start} bytes after its heading"
         what = "damaged PLY file: it is cut off, or its heading is wrong"
@@ -66,24 +103,21 @@ def read_heading(stream: BinaryIO, file: str) -> tuple[bool, list[Element], int]
             case ["format", form, *_] if form in FORMATS:
                 pass
             case ["element", name, count] if count.isascii() and count.isdecimal() and len(count) <= 18:
-                elements.append(Element(name, int(count), 0, 0))
-            case ["property", "list", count, kind, _] if elements and {count, kind} <= _BYTES.keys():
-                elements[-1] = _with_property(elements[-1], _BYTES[count])
-            case ["property", kind, _] if elements and kind in _BYTES:
-                elements[-1] = _with_property(elements[-1], _BYTES[kind])
+                elements.append(Element(name, int(count)))
+            case ["property", "list", count, kind, name] if elements and {count, kind} <= KINDS.keys():
+                elements[-1].properties.append((name, count, kind))
+            case ["property", kind, name] if elements and kind in KINDS:
+                elements[-1].properties.append((name, "", kind))
             case ["comment" | "obj_info", *_] | []:
                 pass
             case _:
                 raise Refused(file, UNREADABLE, found=repr(line[:60]), remedy=REMEDY)
     hollow = [e.name for e in elements if e.count and not e.properties]
-    if form not in FORMATS or hollow or len(elements) > MOST or any(e.properties > MOST for e in elements):
+    if form not in FORMATS or hollow or len(elements) > MOST or any(len(e.properties) > MOST for e in elements):
         found = f"elements {', '.join(hollow)} without properties" if hollow else f"format {form!r}"
         raise Refused(file, UNREADABLE, found=found, remedy=REMEDY)
-    return form == "ascii", elements, end + len(b"end_header") + 1
-
-
-def _with_property(element: Element, size: int) -> Element:
-    return Element(element.name, element.count, element.least + size, element.properties + 1)
+    end += len(b"end_header")
+    return form == "ascii", elements, end + (2 if start[end : end + 2] == b"\r\n" else 1)
 
 
 def _counts(elements: list[Element]) -> str:

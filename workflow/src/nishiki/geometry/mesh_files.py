@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import BinaryIO
@@ -9,7 +11,7 @@ from typing import BinaryIO
 import numpy as np
 
 from nishiki.errors import UserError
-from nishiki.formats.mesh_heading import expect_mesh_file
+from nishiki.formats.mesh_heading import KINDS, Element, expect_mesh_file, read_heading
 from nishiki.geometry.mesh import Mesh
 from nishiki.packages import optional
 
@@ -58,9 +60,72 @@ def load_geometry(stream: BinaryIO, kind: str):
     """What trimesh finds in an open file of this kind, 'ply' or 'obj', vertices in the file's order; no other file is
     opened, whatever the mesh names. Any error of the library may come."""
     trimesh = optional("trimesh")
-
     options = {"process": False, "maintain_order": True, "skip_materials": True}
+    if kind == "ply":
+        stream = io.BytesIO(triangulated(stream.read()))
     return trimesh.load(stream, file_type=kind, resolver=_Nothing(), **options)
+
+
+def triangulated(content: bytes) -> bytes:
+    """Rewrite a binary PLY file whose faces have different numbers of corners, with fans of triangles.
+
+    The library's reader takes one size of faces for granted. Other files are returned as they are. Texture coordinates
+    of the corners go along, other properties of the faces and later elements do not. ValueError where the file ends
+    within its faces.
+    """
+    text, elements, first = read_heading(io.BytesIO(content), "mesh.ply")
+    names = [element.name for element in elements]
+    before = elements[: names.index("face")] if "face" in names else []
+    if text or not before or any(count for element in before for _, count, _ in element.properties):
+        return content
+    face = elements[len(before)]
+    begin = first + sum(element.count * element.least for element in before)
+    lists = _lists(content, begin, face, little=b"binary_little_endian" in content[:first])
+    counts, starts, kind = next((each for name, each in lists.items() if name.startswith("vertex_ind")), (None,) * 3)
+    if counts is None or len(np.unique(counts)) < 2:
+        return content
+    fans = np.maximum(counts - 2, 0)
+    owner = np.repeat(np.arange(len(counts)), fans)
+    step = np.arange(len(owner)) - np.repeat(np.cumsum(fans) - fans, fans)
+    corners = np.column_stack([np.zeros_like(step), step + 1, step + 2])
+    data, heading = np.frombuffer(content, np.uint8), re.split(rb"\r?\n", content[:first])
+    heading = heading[: next(i for i, line in enumerate(heading) if line.split()[:2] == [b"element", b"face"])]
+    heading.append(f"element face {len(owner)}\nproperty list uchar {kind} vertex_indices".encode())
+    columns = [np.full((len(owner), 1), 3, np.uint8), _values(data, starts[owner], corners, kind)]
+    lengths, starts, kind = lists.get("texcoord", (counts, starts, kind))
+    if (lengths == 2 * counts).all():
+        heading.append(f"property list uchar {kind} texcoord".encode())
+        pairs = (2 * corners[:, :, None] + np.arange(2)).reshape(-1, 6)
+        columns += [np.full((len(owner), 1), 6, np.uint8), _values(data, starts[owner], pairs, kind)]
+    return b"\n".join([*heading, b"end_header\n"]) + content[first:begin] + np.hstack(columns).tobytes()
+
+
+def _values(data: np.ndarray, starts: np.ndarray, places: np.ndarray, kind: str) -> np.ndarray:
+    """Bytes (n, ..) of the values at places (n, k) of lists that begin at `starts` (n,)."""
+    size = np.dtype(KINDS[kind]).itemsize
+    return data[((starts[:, None] + size * places)[:, :, None] + np.arange(size)).reshape(len(starts), -1)]
+
+
+def _lists(content: bytes, at: int, face: Element, *, little: bool) -> dict[str, tuple[np.ndarray, np.ndarray, str]]:
+    """Of each list property of the faces: its lengths, where its values begin, and their type."""
+    order = "little" if little else "big"
+    sizes = [
+        (name, np.dtype(KINDS[count or kind]).itemsize, np.dtype(KINDS[kind]).itemsize if count else 0)
+        for name, count, kind in face.properties
+    ]
+    found: dict[str, list[int]] = {name: [] for name, count, _ in face.properties if count}
+    for _ in range(face.count):
+        for name, size, each in sizes:
+            if each:
+                length = int.from_bytes(content[at : at + size], order)
+                found[name] += (length, at + size)
+                at += length * each
+            at += size
+        if at > len(content):
+            raise ValueError("it ends within its faces")
+    kinds = {name: kind for name, _, kind in face.properties}
+    pairs = {name: np.array(values, np.int64).reshape(-1, 2) for name, values in found.items()}
+    return {name: (each[:, 0], each[:, 1], kinds[name]) for name, each in pairs.items()}
 
 
 def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
