@@ -13,7 +13,7 @@ from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
 from nishiki.capture.goniometer import goniometer_facts
 from nishiki.capture.goniometer_rules import SAME_DEG, nearest
-from nishiki.capture.goniometer_tables import read_table
+from nishiki.capture.goniometer_tables import is_table, read_table
 from nishiki.capture.seal import seal
 from nishiki.cli import main
 from nishiki.errors import UserError
@@ -351,3 +351,92 @@ def test_columns_of_one_quantity_are_channels(tmp_path, columns):
     (tmp_path / "t.csv").write_text(f"{heading}\n0,0,10,0{',0.1' * len(columns)}\n")
     assert read_table(tmp_path / "t.csv", "t.csv").channels == columns
     assert convert(tmp_path / "t.csv", tmp_path / "c").channels == columns
+
+
+def spreadsheet(text, mark, decimal):
+    """The table as a spreadsheet of another country writes it."""
+    return "\n".join(line.replace(",", mark).replace(".", decimal) for line in text.split("\n"))
+
+
+@pytest.mark.parametrize("mark", [";", "\t"])
+@pytest.mark.parametrize(("before", "decimal"), [("", "."), ("", ","), ("sep=;\n", ","), ("\ufeff", ",")])
+def test_tables_of_spreadsheets_are_read(tmp_path, mark, before, decimal):
+    path = make_table(tmp_path / "c") / "reflectances.csv"
+    table = read_table(path, path.name)
+    path.write_text(before + spreadsheet(path.read_text(), mark, decimal), encoding="utf-8")
+    again = read_table(path, path.name)
+    assert is_table(path)
+    assert again.channels == table.channels
+    np.testing.assert_array_equal(again.values, table.values)
+    np.testing.assert_array_equal(again.outgoing_deg, table.outgoing_deg)
+
+
+def test_frames_of_spreadsheets_are_read(tmp_path):
+    folder = make_goniometer(tmp_path / "c", exposure_s=0.5)
+    frames = load_capture(folder).frames
+    text = (folder / "frames.csv").read_text()
+    (folder / "frames.csv").write_text("\n".join(
+        ";".join(c if "/" in c else c.replace(".", ",") for c in line.split(",")) for line in text.split("\n")
+    ))  # fmt: skip
+    assert load_capture(folder).frames == frames
+
+
+def test_the_table_of_a_spreadsheet_gives_the_same_as_the_plain_one(data):
+    folder = data / "faulty_captures" / "objects"
+    plain = read_table(folder / "17-goniometer-radians" / "degrees.csv", "t")
+    for name in ("19-goniometer-excel/semicolon.csv", "17-goniometer-radians/radians_named.csv"):
+        table = read_table(folder / name, "t")
+        np.testing.assert_array_equal(table.values, plain.values)
+        np.testing.assert_allclose(table.outgoing_deg, plain.outgoing_deg, atol=5e-4)
+        np.testing.assert_allclose(table.incident_deg, plain.incident_deg, atol=5e-4)
+    with pytest.raises(CaptureError) as refused:
+        read_table(folder / "17-goniometer-radians" / "radians.csv", "t")
+    assert [p.kind for p in refused.value.problems] == ["angles-radians"]
+
+
+@pytest.mark.parametrize(
+    ("names", "radians", "kinds"),
+    [
+        ("theta_i_rad,phi_i_rad,theta_r_rad,phi_r_rad", True, []),
+        ("theta_in (rad),phi_in (rad),theta_out (rad),phi_out (rad)", True, []),
+        ("theta_i,phi_i,theta_o,phi_o", True, ["angles-unit"]),
+        ("thetai,phii,thetar,phir", False, ["angles-unit"]),
+        ("Theta_L [°],Phi_L [°],Theta_V [°],Phi_V [°]", False, []),
+        ("theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg", True, None),
+    ],
+)
+def test_angles_are_read_in_the_unit_that_is_named_or_certain(tmp_path, names, radians, kinds):
+    path = make_table(tmp_path / "c") / "reflectances.csv"
+    table = read_table(path, path.name)
+    _, *lines = path.read_text().split("\n")
+    rows = [line.split(",") for line in lines if line]
+    if radians:
+        rows = [[*(repr(float(np.radians(float(v)))) for v in row[:4]), *row[4:]] for row in rows]
+    path.write_text("\n".join([f"{names},red,green,blue", *map(",".join, rows)]) + "\n")
+    assert is_table(path)
+    if kinds is None:
+        with pytest.raises(CaptureError) as refused:
+            read_table(path, path.name)
+        assert [p.kind for p in refused.value.problems] == ["angles-radians"]
+        path.write_text(path.read_text().replace("_deg", "_rad", 4))  # as the remedy says
+        kinds = []
+    again = read_table(path, path.name)
+    assert [note.kind for note in again.warnings] == kinds
+    np.testing.assert_allclose(again.incident_deg, table.incident_deg, atol=1e-9)
+    np.testing.assert_allclose(again.outgoing_deg, table.outgoing_deg, atol=1e-9)
+
+
+def test_frames_whose_angles_are_radians_are_named_and_read_as_such(tmp_path):
+    folder = make_goniometer(tmp_path / "c")
+    frames = load_capture(folder).frames
+    heading, *lines = (folder / "frames.csv").read_text().strip().split("\n")
+    rows = [line.split(",") for line in lines]
+    rows = [[*row[:2], *(repr(float(np.radians(float(v)))) if v else "" for v in row[2:6]), *row[6:]] for row in rows]
+    (folder / "frames.csv").write_text("\n".join([heading, *map(",".join, rows)]))
+    with pytest.raises(CaptureError) as refused:
+        load_capture(folder)
+    assert "angles-radians" in {p.kind for p in refused.value.problems}
+    (folder / "frames.csv").write_text("\n".join([heading.replace("_deg", "_rad"), *map(",".join, rows)]))
+    for ours, theirs in zip(load_capture(folder).frames, frames, strict=True):
+        pairs = zip(ours.angles_deg, theirs.angles_deg, strict=True)
+        assert all(a == b or a == pytest.approx(b, abs=1e-9) for a, b in pairs)

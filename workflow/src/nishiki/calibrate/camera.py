@@ -21,7 +21,7 @@ from nishiki.calibrate.result import Calibration, finite
 from nishiki.capture.taking import channel_names
 from nishiki.errors import UserError
 from nishiki.formats.image_headers import read_header
-from nishiki.formats.text_tables import table_lines
+from nishiki.formats.text_tables import comma_lines
 from nishiki.observations.linearise import check_linearity
 from nishiki.report.colour_map import heat
 from nishiki.report.page import Figure, Figures, Section, Table
@@ -77,7 +77,7 @@ def read_series(table: Path) -> dict[float, list[Path]]:
     """Photographs by exposure time from a table `file,exposure_s`; 0 stands for the closed lens."""
     if not table.is_file():
         raise UserError(f"{table}: no such file. Remedy: write a table with the columns file,exposure_s")
-    rows = csv.DictReader(line for _, line in table_lines(table, table.name))
+    rows = csv.DictReader(line for _, line in comma_lines(table, table.name))
     if not {"file", "exposure_s"} <= set(rows.fieldnames or ()):
         raise UserError(f"{table}: expected the columns file,exposure_s, found {','.join(rows.fieldnames or ())[:80]}")
     series: dict[float, list[Path]] = {}

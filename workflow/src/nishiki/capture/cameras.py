@@ -9,7 +9,7 @@ import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.formats.problems import CaptureError, Problem, error, raise_errors
-from nishiki.formats.text_tables import cells_of, expect_rows, label_problems, reading, table_lines
+from nishiki.formats.text_tables import cells_of, comma_lines, expect_rows, label_problems, reading
 from nishiki.geometry.camera import Camera
 
 MATRIX_COLUMNS = tuple(f"p{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3, 4))
@@ -103,7 +103,7 @@ def camera_centre(matrix: np.ndarray) -> np.ndarray:
 def _rows(path: Path, name: str, kind: str) -> list[tuple[int, list[str]]]:
     """Lines of a table that are neither empty nor comments, with their numbers."""
     with reading(name, kind):
-        return [(number, cells_of(line)) for number, line in table_lines(path, name)]
+        return [(number, cells_of(line)) for number, line in comma_lines(path, name)]
 
 
 def _numbers(cells: list[str]) -> list[float] | None:

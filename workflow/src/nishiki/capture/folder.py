@@ -24,7 +24,7 @@ from nishiki.capture.turntable import TurntableCapture, examine_turntable
 from nishiki.formats.bounds import bound
 from nishiki.formats.files import leads_out
 from nishiki.formats.problems import WHERE_IS_IT, CaptureError, Problem, error, raise_errors, warning
-from nishiki.formats.text_tables import expect_rows, reading, table_lines
+from nishiki.formats.text_tables import comma_lines, expect_rows, reading
 
 T = TypeVar("T")
 
@@ -212,7 +212,7 @@ def read_intensities(path: Path, lights: Lights, channels: tuple[str, ...]) -> n
     Raises CaptureError (kinds intensities-unreadable, intensities-many, intensities-invalid, intensities-light).
     """
     with reading(path.name, "intensities"):
-        lines = (line for _, line in table_lines(path, path.name))
+        lines = (line for _, line in comma_lines(path, path.name))
         reader = csv.DictReader(lines, skipinitialspace=True)
         names, rows = reader.fieldnames or [], list(islice(reader, bound("lights") + 1))
     expect_rows(len(rows), "lights", path.name, "intensities")

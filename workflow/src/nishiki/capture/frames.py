@@ -15,7 +15,7 @@ from nishiki.capture.polariser import parse_state
 from nishiki.formats.bounds import bound
 from nishiki.formats.files import leads_out, name_fault
 from nishiki.formats.problems import CaptureError, Problem, error, raise_errors
-from nishiki.formats.text_tables import expect_rows, label_problems, reading, table_lines
+from nishiki.formats.text_tables import comma_lines, expect_rows, label_problems, reading
 
 ROLES = ("sample", "check", "white", "dark", "flat")
 LIT_ROLES = ("sample", "check", "white")
@@ -23,8 +23,9 @@ COLUMNS = ("file", "role", "light", "exposure_s", "view")
 TURNTABLE_ROLES = ("sample", "white", "dark", "board")
 TURNTABLE_COLUMNS = ("file", "role", "view", "light", "polariser", "exposure_s", "silhouette")
 GONIOMETER_ROLES = ("sample", "white", "dark")
-GONIOMETER_COLUMNS = ("file", "role", "theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg", "exposure_s")
-ANGLE_COLUMNS = GONIOMETER_COLUMNS[2:6]
+ANGLE_COLUMNS = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
+RADIAN_COLUMNS = tuple(name.replace("_deg", "_rad") for name in ANGLE_COLUMNS)
+GONIOMETER_COLUMNS = ("file", "role", *ANGLE_COLUMNS, "exposure_s")
 MOST_NAMED = 20  # unknown columns that are named
 DIALECTS = {
     "plane": (ROLES, COLUMNS),
@@ -62,10 +63,13 @@ def read_frames(table: Path, *, geometry: str = "plane") -> tuple[Frame, ...]:
     angle-invalid.
     """
     with reading(table.name, "frames"):
-        lines = (line for _, line in table_lines(table, table.name))
+        lines = (line for _, line in comma_lines(table, table.name))
         reader = csv.DictReader(lines, skipinitialspace=True)
         columns = [(c or "").strip() for c in reader.fieldnames or []]
         roles, known = DIALECTS[geometry]
+        radians = geometry == "goniometer" and set(RADIAN_COLUMNS) <= set(columns)
+        if radians:
+            columns = [column.replace("_rad", "_deg") for column in columns]
         _check_columns(columns, table.name, known)
         reader.fieldnames = columns
         rows = list(islice(reader, bound("frames") + 1))
@@ -84,7 +88,9 @@ def read_frames(table: Path, *, geometry: str = "plane") -> tuple[Frame, ...]:
         if geometry == "turntable":
             frame = _round_about(frame, cells, table.parent, where, problems)
         elif geometry == "goniometer":
-            frame = replace(frame, angles_deg=tuple(_angle(cells, key, where, problems) for key in ANGLE_COLUMNS))
+            unit = math.degrees(1) if radians else 1.0
+            angles = tuple(_angle(cells, key, unit, where, problems) for key in ANGLE_COLUMNS)
+            frame = replace(frame, angles_deg=angles)
         if frame.file in seen:
             what = f"'{frame.file}' is listed twice (also row {seen[frame.file]})"
             problems.append(error("frame-duplicate", where, what, remedy="Keep one row a photograph"))
@@ -100,10 +106,10 @@ def dialect_of(table: Path) -> str:
     """The geometry that a frames.csv looks as if it were of, where capture.yaml does not tell: plane or goniometer."""
     try:
         with reading(table.name, "frames"):
-            _, heading = next(table_lines(table, table.name), (0, ""))
+            _, heading = next(comma_lines(table, table.name), (0, ""))
     except CaptureError:
         return "plane"
-    return "goniometer" if ANGLE_COLUMNS[0] in heading else "plane"
+    return "goniometer" if ANGLE_COLUMNS[0] in heading or RADIAN_COLUMNS[0] in heading else "plane"
 
 
 def _check_columns(columns: list[str], file: str, known: tuple[str, ...]) -> None:
@@ -166,14 +172,14 @@ def _round_about(frame: Frame, row: dict[str, str], payload: Path, where: str, p
     return replace(frame, polariser=state, silhouette=outline, silhouette_path=path)
 
 
-def _angle(row: dict[str, str], key: str, where: str, problems: list[Problem]) -> float | None:
+def _angle(row: dict[str, str], key: str, unit_deg: float, where: str, problems: list[Problem]) -> float | None:
     """Degrees of one cell; None where it is empty, or cannot be an angle, which is told."""
     text = row.get(key, "")
     if not text:
         return None
     least, most = (0.0, 90.0) if key.startswith("theta") else (-360.0, 360.0)
     try:
-        value = float(text)
+        value = float(text) * unit_deg
     except ValueError:
         value = math.nan
     if least <= value <= most and (value < 90 or not key.startswith("theta")):

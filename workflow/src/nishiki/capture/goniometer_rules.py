@@ -12,6 +12,8 @@ SAME_DEG = 0.1  # directions nearer than this are one
 NORMAL_DEG = 1.0
 STEEPEST_WHITE_DEG = 85.0
 FEWEST_NORMAL = 12
+FEWEST_ANGLES = 6  # measurements whose angles together tell their unit
+LEAST_SPREAD = 0.1  # greatest theta, in whatever unit, below which angles tell nothing
 
 
 def goniometer_problems(frames: tuple[Frame, ...]) -> list[Problem]:
@@ -26,6 +28,9 @@ def goniometer_problems(frames: tuple[Frame, ...]) -> list[Problem]:
         remedy = "Photograph a diffuse white board in the cloth's place, at least once"
         problems.append(error("white-missing", TABLE, what, remedy=remedy))
     problems += _exposure_problems([*samples, *whites])
+    angles = [f.angles_deg for f in samples if None not in f.angles_deg]
+    if angles and in_radians(np.array(angles, np.float64)):
+        problems.append(radians_problem(TABLE, "Name the columns theta_i_rad, phi_i_rad, theta_r_rad, phi_r_rad"))
     if not any(p.severity == "error" for p in problems):
         problems += _spread_problems(samples, whites)
     return problems
@@ -81,6 +86,20 @@ def _spread_problems(samples: list[Frame], whites: list[Frame]) -> list[Problem]
         remedy = "Photograph the board once for every direction of light where the lamp's distance or strength changes"
         problems.append(warning("white-cosine", TABLE, what, found=found, remedy=remedy))
     return problems
+
+
+def in_radians(angles: np.ndarray) -> bool:
+    """Whether angles (n, 4) theta_i, phi_i, theta_r, phi_r of some measurements are radians: none is above pi / 2 for
+    theta and 2 pi for phi, which in degrees would all be views along the normal."""
+    theta, phi = np.abs(angles[:, [0, 2]]), np.abs(angles[:, [1, 3]])
+    within = (theta <= np.pi / 2 + 1e-3).all() and (phi <= 2 * np.pi + 1e-3).all()
+    return bool(within and len(angles) >= FEWEST_ANGLES and theta.max() > LEAST_SPREAD)
+
+
+def radians_problem(file: str, remedy: str) -> Problem:
+    """angles-radians, for angles named in degrees of which none is above a turn in radians."""
+    what, expected = "the angles are radians: no theta is above pi / 2, no phi above 2 pi", "degrees"
+    return error("angles-radians", file, what, expected=expected, remedy=remedy)
 
 
 def nearest(directions: list[tuple[float, float]], others: list[tuple[float, float]]) -> np.ndarray:

@@ -10,13 +10,19 @@ from pathlib import Path
 
 import numpy as np
 
+from nishiki.capture.goniometer_rules import in_radians, radians_problem
 from nishiki.formats.bounds import bound
 from nishiki.formats.merl import MERL_BYTES, merl_values, read_merl
 from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, warning
-from nishiki.formats.text_tables import cells_of, expect_rows, reading, table_lines
+from nishiki.formats.text_tables import cells_of, comma_lines, expect_rows, reading, table_lines
 from nishiki.formats.utia import UTIA_BYTES, read_utia
 
 ANGLES = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
+ANGLE = re.compile(
+    r"(?P<kind>theta|phi)[ _]?(?P<way>i|in|inc|incident|l|light|r|o|out|refl|reflected|v|view)"
+    r"([ _]*[\[(]?(?P<unit>deg|degrees?|°|rad|radians?)[\])]?)?"
+)
+"""Names of columns of angles: to the light, to the view, and their unit where it is named."""
 QUANTITIES = {
     "radiance factor or reflectance (no unit)": re.compile(
         r"(radiance|reflectance|reflection)[ _-]*factor|(?<![a-z])brf(?![a-z])"
@@ -61,8 +67,9 @@ def read_table(path: Path, name: str) -> ReflectanceTable:
     if path.suffix.lower() in BINARY_BYTES:
         return (_utia if path.suffix.lower() == ".bin" else _merl)(path, name)
     with reading(name, "table"):
-        lines = table_lines(path, name, limit="reflectances_bytes")
-        table = (_cornell if path.suffix.lower() == ".brdf" else _csv)(lines, name)
+        cornell = path.suffix.lower() == ".brdf"
+        lines = (table_lines if cornell else comma_lines)(path, name, limit="reflectances_bytes")
+        table = (_cornell if cornell else _csv)(lines, name)
     return _checked(*table, name)
 
 
@@ -79,16 +86,28 @@ def is_table(path: Path, *, named: bool = False) -> bool:
         return False
     try:
         with reading(path.name, "table"):
-            _, heading = next(table_lines(path, path.name, limit="reflectances_bytes"), (0, ""))
+            _, heading = next(comma_lines(path, path.name, limit="reflectances_bytes"), (0, ""))
+            return set(ANGLES) <= {angle_column(cell)[0] for cell in cells_of(heading)}
     except CaptureError:
         return False
-    return set(ANGLES) <= {cell.strip() for cell in heading.split(",")}
 
 
-def _csv(lines: Lines, name: str) -> tuple[np.ndarray, tuple[str, ...], array]:
-    """Rows (n, 4 + channels), angles in degrees first; channel names; line number of each row."""
-    heading = cells_of(next(lines, (0, ""))[1])
-    expect_rows(len(heading), "table_columns", name, "table")
+def angle_column(column: str) -> tuple[str, str]:
+    """Which of ANGLES a column holds, and in which unit: deg, rad, or '' where its name does not tell; else the column
+    itself."""
+    match = ANGLE.fullmatch(column.strip().casefold())
+    if match is None:
+        return column, ""
+    kind, way, unit = match["kind"], match["way"], match["unit"] or ""
+    return f"{kind}_{'i' if way[0] in 'il' else 'r'}_deg", "deg" if unit == "°" else unit[:3]
+
+
+def _csv(lines: Lines, name: str) -> tuple[np.ndarray, tuple[str, ...], array, list[Problem]]:
+    """Rows (n, 4 + channels), angles in degrees first; channel names; line number of each row; what to know."""
+    columns = cells_of(next(lines, (0, ""))[1])
+    expect_rows(len(columns), "table_columns", name, "table")
+    named = [angle_column(column) for column in columns]
+    heading, units = [column for column, _ in named], {column: unit for column, unit in named if column in ANGLES}
     channels = tuple(cell for cell in heading if cell not in ANGLES)
     missing = [angle for angle in ANGLES if angle not in heading]
     if missing or not channels or len(set(heading)) != len(heading) or "" in heading:
@@ -112,7 +131,27 @@ def _csv(lines: Lines, name: str) -> tuple[np.ndarray, tuple[str, ...], array]:
                 break
         expect_rows(len(numbers), "reflectances_values", name, "table")
     raise_errors(problems)
-    return np.frombuffer(numbers).reshape(-1, len(order)), channels, places
+    rows = np.frombuffer(numbers).reshape(-1, len(order)).copy()
+    return rows, channels, places, _to_degrees(rows, units, name)
+
+
+def _to_degrees(rows: np.ndarray, units: dict[str, str], name: str) -> list[Problem]:
+    """Bring angles, the first four columns, to degrees; tell where their unit was found from their size.
+
+    CaptureError (angles-radians) where columns named _deg hold radians.
+    """
+    notes, silent = [], [angle for angle in ANGLES if not units[angle]]
+    radians = in_radians(rows[:, :4])
+    if silent:
+        what = f"the unit of {', '.join(angle[:-4] for angle in silent)} is not named: taken from their sizes"
+        remedy = "If they are the others, name the columns theta_i_deg or theta_i_rad, and so on"
+        notes.append(warning("angles-unit", name, what, found="radians" if radians else "degrees", remedy=remedy))
+    elif radians and "rad" not in units.values():
+        raise CaptureError(radians_problem(name, "Name the columns theta_i_rad, phi_i_rad, theta_r_rad, phi_r_rad"))
+    for place, angle in enumerate(ANGLES):
+        if units[angle] == "rad" or (not units[angle] and radians):
+            rows[:, place] = np.degrees(rows[:, place])
+    return notes
 
 
 def quantity_of(column: str) -> str:
@@ -142,7 +181,7 @@ def _expect_reflectances(channels: tuple[str, ...], name: str) -> None:
     )
 
 
-def _cornell(lines: Lines, name: str) -> tuple[np.ndarray, tuple[str, ...], array]:
+def _cornell(lines: Lines, name: str) -> tuple[np.ndarray, tuple[str, ...], array, list[Problem]]:
     """The number of wavelengths, the wavelengths in nm, then rows of four angles in radians and the values."""
     numbers, places = array("d"), array("q")
     try:
@@ -167,14 +206,14 @@ def _cornell(lines: Lines, name: str) -> tuple[np.ndarray, tuple[str, ...], arra
         )
     rows = rest.reshape(-1, wide).copy()
     rows[:, :4] = np.degrees(rows[:, :4])
-    return rows, tuple(f"{nm:g} nm" for nm in values[1 : 1 + count]), places[1 + count :: wide]
+    return rows, tuple(f"{nm:g} nm" for nm in values[1 : 1 + count]), places[1 + count :: wide], []
 
 
 def _utia(path: Path, name: str) -> ReflectanceTable:
     """A table of the UTIA database."""
     with reading(name, "table"):
         rows = read_utia(path, name)
-    table = _checked(rows, COLOURS, array("q", range(1, len(rows) + 1)), name)
+    table = _checked(rows, COLOURS, array("q", range(1, len(rows) + 1)), [], name)
     what = "the values of a UTIA table are taken to be in 1/sr"
     note = warning("table-scale", name, what, remedy="Check their scale: the file does not state it")
     return replace(table, warnings=(*table.warnings, note))
@@ -186,7 +225,7 @@ def _merl(path: Path, name: str) -> ReflectanceTable:
         stored = read_merl(path, name)
     angles = np.array([(*light, *view) for light in MERL_LIGHTS for view in MERL_VIEWS])
     values = merl_values(stored, _unit(angles[:, :2]), _unit(angles[:, 2:]))
-    table = _checked(np.column_stack([angles, values]), COLOURS, array("q", range(1, len(angles) + 1)), name)
+    table = _checked(np.column_stack([angles, values]), COLOURS, array("q", range(1, len(angles) + 1)), [], name)
     what = f"an isotropic table, read at {len(MERL_LIGHTS)} directions of light and {len(MERL_VIEWS)} of view"
     found = f"views up to {MERL_VIEWS[-1][0]:g} degrees; highlights narrower than the steps of 3 degrees are lost"
     return replace(table, warnings=(*table.warnings, warning("table-resampled", name, what, found=found)))
@@ -198,7 +237,9 @@ def _unit(degrees: np.ndarray) -> np.ndarray:
     return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=1)
 
 
-def _checked(rows: np.ndarray, channels: tuple[str, ...], lines: array, name: str) -> ReflectanceTable:
+def _checked(
+    rows: np.ndarray, channels: tuple[str, ...], lines: array, notes: list[Problem], name: str
+) -> ReflectanceTable:
     """The table, if it has rows of possible angles and finite values."""
     if not len(rows):
         raise CaptureError(error("table-empty", name, "no reflectances in it", remedy="Add a row for each measurement"))
@@ -214,7 +255,6 @@ def _checked(rows: np.ndarray, channels: tuple[str, ...], lines: array, name: st
         remedy = "Leave the row out"
         problems.append(error("table-value", f"{name} line {lines[i]}", "a value is not finite", remedy=remedy))
     raise_errors(problems)
-    notes = []
     dark = int((values <= 0).any(axis=1).sum())
     if dark == len(rows):
         raise CaptureError(error("table-value", name, "no row has values above 0 in all its channels"))

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import chain
 from pathlib import Path
 
 from nishiki.formats.bounds import bound, remedy
 from nishiki.formats.files import Refused, is_label, read_bytes
 from nishiki.formats.problems import CaptureError, Problem, error
 
+SEPARATOR = re.compile(r"\s*sep=.\s*", re.IGNORECASE)
+DECIMAL_COMMA = re.compile(r"[-+]?[0-9]*,[0-9]+([eE][-+]?[0-9]+)?")
 LABEL = "Use a name of at most 100 characters without slashes, line ends and control characters"
 
 
@@ -51,6 +55,28 @@ def lines_of(content: bytes, *, encoding: str = "utf-8-sig") -> Iterator[tuple[i
 def table_lines(path: Path, name: str, *, limit: str = "table_bytes") -> Iterator[tuple[int, str]]:
     """Lines of a table file, see `lines_of`; to be used inside `reading`."""
     return lines_of(read_bytes(path, limit, name=name))
+
+
+def comma_lines(path: Path, name: str, *, limit: str = "table_bytes") -> Iterator[tuple[int, str]]:
+    """Lines of a table with commas and decimal points, as `table_lines`, whatever a spreadsheet put in their place.
+
+    The heading tells: semicolons or tabs separate its cells where it has more of these than commas. Numbers may then
+    have decimal commas. A first line `sep=;`, which spreadsheets write, is passed over.
+    """
+    lines = table_lines(path, name, limit=limit)
+    first = next(lines, None)
+    if first is not None and SEPARATOR.fullmatch(first[1]):
+        first = next(lines, None)
+    heading = first[1] if first is not None else ""
+    mark = max(",;\t", key=lambda mark: (heading.count(mark), mark == ","))
+    for number, line in chain([first] if first is not None else [], lines):
+        if mark != ",":
+            cells = next(csv.reader([line], delimiter=mark, skipinitialspace=True))
+            numbers = [cell.replace(",", ".") if DECIMAL_COMMA.fullmatch(cell.strip()) else cell for cell in cells]
+            buffer = io.StringIO()
+            csv.writer(buffer, lineterminator="").writerow(numbers)
+            line = buffer.getvalue()
+        yield number, line
 
 
 def cells_of(line: str) -> list[str]:
