@@ -250,6 +250,7 @@ def match_frames(frames: tuple[Frame, ...], lights: Lights, settings: CaptureFil
             problems.append(
                 error("frame-without-light", where, f"light '{frame.light}' is not in the lights", remedy=remedy)
             )
+    problems += _band_problems(frames, settings.camera.channels)
     observed = [f for f in frames if f.role in ("sample", "check")]
     whites = [f for f in frames if f.role == "white"]
     seen, boards = (Counter(lights.index(f.light) for f in group) for group in (observed, whites))
@@ -272,6 +273,26 @@ def match_frames(frames: tuple[Frame, ...], lights: Lights, settings: CaptureFil
         problems.append(warning("intensities-unused", "capture.yaml", what))
     samples = [lights.index(f.light) for f in frames if f.role == "sample" and lights.index(f.light) is not None]
     return problems + direction_problems(lights.directions[samples], settings.lights.file)
+
+
+def _band_problems(frames: tuple[Frame, ...], channels: tuple[str, ...]) -> list[Problem]:
+    """Whether photographs with a file for each band have one for each of camera.channels."""
+    problems = []
+    for frame in frames:
+        listed = {part.channel for part in frame.bands}
+        where, of = (
+            f"frames.csv row {frame.row}",
+            f"{frame.role} frame" + (f" of light '{frame.light}'" * bool(frame.light)),
+        )
+        if listed and listed < set(channels):
+            found = ", ".join(name for name in channels if name not in listed)
+            what, remedy = f"{of} lacks a band", "Add its row to frames.csv"
+            problems.append(error("band-missing", where, what, found=f"none of {found}", remedy=remedy))
+        elif listed - set(channels):
+            found, expected = ", ".join(sorted(listed - set(channels))), ", ".join(channels)
+            what = f"{of} has a band that is not one of camera.channels"
+            problems.append(error("band-unknown", where, what, expected=expected, found=found))
+    return problems
 
 
 def _exposure_problems(frames: tuple[Frame, ...]) -> list[Problem]:

@@ -6,9 +6,11 @@ import csv
 import difflib
 import math
 import os
+from collections import Counter
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
+from typing import NamedTuple
 
 from nishiki.capture.lights import light_name
 from nishiki.capture.polariser import parse_state
@@ -19,7 +21,7 @@ from nishiki.formats.text_tables import comma_lines, expect_rows, label_problems
 
 ROLES = ("sample", "check", "white", "dark", "flat")
 LIT_ROLES = ("sample", "check", "white")
-COLUMNS = ("file", "role", "light", "exposure_s", "view")
+COLUMNS = ("file", "role", "light", "exposure_s", "view", "band")
 TURNTABLE_ROLES = ("sample", "white", "dark", "board")
 TURNTABLE_COLUMNS = ("file", "role", "view", "light", "polariser", "exposure_s", "silhouette")
 GONIOMETER_ROLES = ("sample", "white", "dark")
@@ -34,10 +36,19 @@ DIALECTS = {
 }
 
 
+class Band(NamedTuple):
+    """One channel of a photograph that has a file of its own; file: as written, relative to the payload."""
+
+    channel: str
+    file: str
+    path: Path
+
+
 @dataclass(frozen=True)
 class Frame:
     """One photograph. file: as written, relative to the payload; light: its lamp's name ('' for dark and flat).
 
+    bands: its channels, where each has a file of its own, of which `file` is the first; else empty.
     polariser: state of the polarisers ('' for none); silhouette: picture of the object's outline in this view, or '';
     angles_deg: theta_i, phi_i, theta_r, phi_r of a goniometer, None where not given.
     """
@@ -53,6 +64,17 @@ class Frame:
     silhouette: str = ""
     silhouette_path: Path | None = None
     angles_deg: tuple[float | None, ...] = (None, None, None, None)
+    bands: tuple[Band, ...] = ()
+
+    @property
+    def parts(self) -> tuple[Band, ...]:
+        """Every file: of each band, or the photograph's own, whose channel has no name."""
+        return self.bands or (Band("", self.file, self.path),)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the files."""
+        return tuple(part.file for part in self.parts)
 
 
 def read_frames(table: Path, *, geometry: str = "plane") -> tuple[Frame, ...]:
@@ -95,11 +117,43 @@ def read_frames(table: Path, *, geometry: str = "plane") -> tuple[Frame, ...]:
             what = f"'{frame.file}' is listed twice (also row {seen[frame.file]})"
             problems.append(error("frame-duplicate", where, what, remedy="Keep one row a photograph"))
         seen.setdefault(frame.file, number)
+        if cells.get("band"):
+            frame = replace(frame, bands=(Band(cells["band"], frame.file, frame.path),))
         frames.append(frame)
     if not frames and not problems:
         problems.append(error("frames-none", table.name, "no photographs listed"))
+    frames = _join_bands(frames, table.name, problems)
     raise_errors(problems)
     return tuple(frames)
+
+
+def _join_bands(frames: list[Frame], file: str, problems: list[Problem]) -> list[Frame]:
+    """Join the rows of one photograph, a row a band; a dark frame without a band is that of every band.
+
+    Several photographs of one role and light (dark frames) are told apart by the order of the rows.
+    """
+    present = tuple(dict.fromkeys(part.channel for frame in frames for part in frame.bands))
+    if not present:
+        return frames
+    taken: Counter[tuple[str, str, str]] = Counter()
+    joined: dict[tuple[str, str, int], Frame] = {}
+    for frame in frames:
+        bands = frame.bands
+        if not bands and frame.role == "dark":
+            bands = tuple(Band(channel, frame.file, frame.path) for channel in present)
+        elif not bands:
+            what, remedy = "a row without a band among rows with one", "Name the band, as in camera.channels"
+            problems.append(error("band-empty", f"{file} row {frame.row}", what, remedy=remedy))
+            continue
+        key = (frame.role, frame.light, taken[frame.role, frame.light, bands[0].channel])
+        taken.update((frame.role, frame.light, band.channel) for band in bands)
+        first = joined.get(key)
+        if first is not None and first.exposure_s != frame.exposure_s:
+            what, found = "exposure times of one photograph differ", f"{first.exposure_s:g} and {frame.exposure_s:g}"
+            remedy = "Leave the column out: white boards of the same exposures, band by band, give the scale"
+            problems.append(error("band-exposure", f"{file} row {frame.row}", what, found=found, remedy=remedy))
+        joined[key] = replace(frame, bands=bands) if first is None else replace(first, bands=first.bands + bands)
+    return list(joined.values())
 
 
 def dialect_of(table: Path) -> str:

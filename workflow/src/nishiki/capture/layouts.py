@@ -10,6 +10,7 @@ from pathlib import Path, PurePath
 
 import numpy as np
 
+from nishiki.capture.bands import find_bands
 from nishiki.capture.frames import inside
 from nishiki.capture.lights import Lights, light_name, lights_from_vectors, read_lights
 from nishiki.capture.mirror_sphere import direction_from_sphere, mean_direction
@@ -39,7 +40,8 @@ DISAGREEMENT = np.radians(3.0)
 class Layout:
     """photographs[i] was taken under lights.names[i]; intensities (lights, channels) or None; mask or None.
 
-    width_mm: of the photographs on the object where the lamps' vectors are positions in millimetres, else 0.
+    width_mm: of the photographs on the object where the lamps' vectors are positions in millimetres, else 0; bands:
+    names of the channels where each has a file of its own, and band_files[i] the files of photograph i.
     """
 
     name: str
@@ -49,6 +51,8 @@ class Layout:
     mask: Path | None
     warnings: tuple[Problem, ...]
     width_mm: float = 0.0
+    bands: tuple[str, ...] = ()
+    band_files: tuple[tuple[Path, ...], ...] = ()
     geometry = "plane"
     channels: tuple[str, ...] = ()
 
@@ -172,6 +176,11 @@ def _find_mask(source: Path) -> Path | None:
 
 def _with_lights(source: Path, lights: Lights, mask: Path | None, *, kind: str = "direction") -> Layout:
     """Photographs named in the lights file; where it names none, in the natural order of their names."""
+    banded = find_bands(source, lights, photographs_in, kind=kind)
+    if banded is not None:
+        photographs = tuple(files[0] for files in banded.files)
+        layout = Layout("a file a band", photographs, banded.lights, None, mask, banded.warnings)
+        return replace(layout, bands=banded.channels, band_files=banded.files)
     folder = source
     if not (present := photographs_in(source)):
         folder = _folder_named(source, lights)

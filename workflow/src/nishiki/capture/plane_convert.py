@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import yaml
 
+from nishiki.capture.bands import complete_bands, sort_bands
 from nishiki.capture.layouts import Layout, photographs_in
 from nishiki.capture.lights import Lights
 from nishiki.capture.options import ConvertOptions, file_problems
@@ -32,19 +34,23 @@ def write_plane(folder: Path, layout: Layout, source: Path, options: ConvertOpti
     link, region = options.link, options.region
     folder.mkdir(parents=True)
     header = usual_header(layout.photographs)
-    channels = channel_names(header)
+    channels = layout.bands or channel_names(header)
     names, held = layout.lights.names, {layout.lights.index(name) for name in options.checks}
-    rows = []
-    for i, (photograph, file) in enumerate(zip(layout.photographs, file_names(layout.photographs), strict=True)):
-        rows.append((take(photograph, folder / "frames" / file, link), "check" if i in held else "sample", names[i]))
+    rows: list[tuple[str, ...]] = []
     notes: list[Problem] = []
-    if options.white:
+    if layout.bands:
+        rows = _take_bands(folder, layout, held, options)
+    else:
+        for i, (photograph, file) in enumerate(zip(layout.photographs, file_names(layout.photographs), strict=True)):
+            name = take(photograph, folder / "frames" / file, link)
+            rows.append((name, "check" if i in held else "sample", names[i]))
+    if options.white and not layout.bands:
         boards = photographs_in(options.white)
         pairing = pair_by_name(layout.photographs, boards, what="white boards", folder=str(options.white))
         notes += pairing.warnings
         for board, light in zip(pairing.partners, names, strict=True):
             rows.append((take(board, folder / "white" / board.name, link), "white", light))
-    for photograph in photographs_in(options.dark) if options.dark else ():
+    for photograph in photographs_in(options.dark) if options.dark and not layout.bands else ():
         rows.append((take(photograph, folder / "dark" / photograph.name, link), "dark", ""))
     settings = {"format": FORMAT, "title": options.title or source.name, "geometry": "plane"}
     jpeg = header.kind == "jpeg"
@@ -67,6 +73,48 @@ def write_plane(folder: Path, layout: Layout, source: Path, options: ConvertOpti
     return [*notes, *_notes(header.sample, jpeg, options.encoding, source)]
 
 
+def _take_bands(folder: Path, layout: Layout, held: set[int | None], options: ConvertOptions) -> list[tuple[str, ...]]:
+    """Take photographs of a file a band, their boards and dark frames; returns rows (file, role, light, band).
+
+    Dark frames without bands are those of every band. CaptureError: band-missing, those of `pair_by_name`.
+    """
+    names, bands = layout.lights.names, layout.bands
+    chosen = [
+        (path, "check" if i in held else "sample", names[i], band)
+        for i, files in enumerate(layout.band_files)
+        for band, path in zip(bands, files, strict=True)
+    ]
+    if options.white:
+        boards = _sorted_bands(options.white, bands)
+        if boards is None:
+            what, expected = "white boards have other bands than the photographs", ", ".join(bands)
+            raise CaptureError(error("band-missing", str(options.white), what, expected=expected))
+        lamps, pictures = ([Path(f"{name}.tif") for name in some] for some in (names, boards))
+        partners = pair_by_name(lamps, pictures, what="white boards", folder=str(options.white)).partners
+        files = complete_bands(bands, {path.stem: boards[path.stem] for path in partners}, str(options.white))
+        for light, board in zip(names, files, strict=True):
+            chosen += [(path, "white", light, band) for band, path in zip(bands, board, strict=True)]
+    if options.dark:
+        darks = _sorted_bands(options.dark, bands)
+        for files in complete_bands(bands, darks, str(options.dark)) if darks else ():
+            chosen += [(path, "dark", "", band) for band, path in zip(bands, files, strict=True)]
+        chosen += [(path, "dark", "", "") for path in (() if darks else photographs_in(options.dark))]
+    same = Counter((role, path.name) for path, role, _, _ in chosen)
+    rows = []
+    for path, role, light, band in chosen:
+        name = path.name if same[role, path.name] == 1 else f"{path.parent.name}_{path.name}"
+        place = folder / ("frames" if role in ("sample", "check") else role) / name
+        rows.append((take(path, place, options.link), role, light, band))
+    return rows
+
+
+def _sorted_bands(folder: Path, bands: tuple[str, ...]) -> dict[str, dict[str, Path]] | None:
+    """The pictures of a folder by name and band; None where they do not have these bands."""
+    return next(
+        (found.files for found in sort_bands(folder, photographs_in) if set(found.channels) == set(bands)), None
+    )
+
+
 def _notes(sample: str, jpeg: bool, encoding: str | None, source: Path) -> list[Problem]:
     if encoding is None and sample == "uint8" and not jpeg:
         what = "8-bit photographs are taken to be linear"
@@ -75,13 +123,14 @@ def _notes(sample: str, jpeg: bool, encoding: str | None, source: Path) -> list[
     return []
 
 
-def write_tables(folder: Path, settings: dict, rows: list[tuple[str, str, str]], lights: Lights) -> None:
-    """Write capture.yaml, frames.csv and lights.lp."""
+def write_tables(folder: Path, settings: dict, rows: list[tuple[str, ...]], lights: Lights) -> None:
+    """Write capture.yaml, frames.csv and lights.lp; rows: file, role, light and, where each has a file, band."""
     text = "# Capture folder: see docs/capture-folder.md\n" + yaml.safe_dump(
         settings, sort_keys=False, allow_unicode=True
     )
     (folder / "capture.yaml").write_text(text, encoding="utf-8")
-    table = "file,role,light\n" + "".join(",".join(_quoted(v) for v in row) + "\n" for row in rows)
+    columns = ("file", "role", "light", "band")[: len(rows[0])]
+    table = ",".join(columns) + "\n" + "".join(",".join(_quoted(v) for v in row) + "\n" for row in rows)
     (folder / "frames.csv").write_text(table, encoding="utf-8")
     lines = (f"{name} {x:.9g} {y:.9g} {z:.9g}\n" for name, (x, y, z) in zip(lights.names, lights.vectors, strict=True))
     (folder / "lights.lp").write_text(f"{len(lights.names)}\n" + "".join(lines), encoding="utf-8")

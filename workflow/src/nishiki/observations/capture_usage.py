@@ -66,7 +66,7 @@ def usage_of(
 
 
 def _files(capture: AnyCapture, unopened: frozenset[str]) -> tuple[Files, ...]:
-    kinds = {Path(f.file).as_posix(): ROLES[f.role] for f in capture.frames}
+    kinds = {Path(name).as_posix(): ROLES[f.role] for f in capture.frames for name in f.names}
     kinds |= {Path(f.silhouette).as_posix(): "silhouettes" for f in capture.frames if getattr(f, "silhouette", "")}
     if capture.geometry == "turntable":
         block = capture.settings.turntable

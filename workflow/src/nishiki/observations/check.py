@@ -105,7 +105,7 @@ def _listed(capture: AnyCapture) -> set[str]:
         settings.regions,
         "capture.yaml",
         "frames.csv",
-        *(f.file for f in capture.frames),
+        *(name for f in capture.frames for name in f.names),
     ]
     if settings.rendered_from and "/" in settings.rendered_from:  # a folder of relight: info.json stands for its planes
         folder = Path(settings.rendered_from).parent
@@ -151,15 +151,15 @@ def _header_problems(capture: AnyCapture) -> tuple[list[Problem], AnyCapture, tu
     """
     problems: list[Problem] = []
     headers: dict[str, ImageHeader] = {}
-    for frame in capture.frames:
+    for channel, file, path in (part for frame in capture.frames for part in frame.parts):
         try:
-            headers[frame.file] = read_header(frame.path, name=frame.file)
-            expect_channels(headers[frame.file], capture.settings.camera.channels, frame.file)
+            headers[file] = read_header(path, name=file)
+            expect_channels(headers[file], (channel,) if channel else capture.settings.camera.channels, file)
         except CaptureError as e:
             problems += e.problems
     if not headers:
         return problems, capture, None
-    shown = {frame.file for frame in capture.observed}
+    shown = {name for frame in capture.observed for name in frame.names}
     sizes = {file: f"{header.rows} x {header.columns}" for file, header in headers.items()}
     problems += _exceptions(sizes, "image-size", "size differs", "Develop all photographs alike, without rotation")
     depths = {file: header.sample for file, header in headers.items()}
@@ -180,8 +180,8 @@ def _header_problems(capture: AnyCapture) -> tuple[list[Problem], AnyCapture, tu
     size = usual.rows, usual.columns
     if capture.geometry == "plane":
         problems += _attempt(lambda: list(region_of(capture, *size)) and [])
-    sound = replace(capture, frames=tuple(f for f in capture.frames if f.file in headers and f.file not in severe))
-    return problems, sound, size
+    sound = tuple(f for f in capture.frames if all(name in headers and name not in severe for name in f.names))
+    return problems, replace(capture, frames=sound), size
 
 
 def _exceptions(values: dict[str, str], kind: str, what: str, remedy: str) -> list[Problem]:
@@ -223,11 +223,13 @@ def _content_problems(capture: Capture, tick: Callable[[str], None]) -> list[Pro
         if frame.role == "dark":
             continue
         problems += _attempt(lambda frame=frame: _frame_content(reader, frame, usable, darks, edges, pairs))
-        digest = sha256_of(frame.path)
-        if digest in digests:
-            what = f"is the same file as {digests[digest]}"
-            problems.append(warning("image-repeated", frame.file, what, remedy="Check the names of the photographs"))
-        digests.setdefault(digest, frame.file)
+        for part in frame.parts:
+            digest = sha256_of(part.path)
+            if digest in digests:
+                what = f"is the same file as {digests[digest]}"
+                remedy = "Check the names of the photographs"
+                problems.append(warning("image-repeated", part.file, what, remedy=remedy))
+            digests.setdefault(digest, part.file)
         tick(frame.file)
     return reader.warnings() + problems + pairs.problems()
 

@@ -111,7 +111,9 @@ def _reduced(capture: AnyCapture, dropped: dict[str, set[Frame]]) -> Choice:
         dropped = {**dropped, "dark": dropped.get("dark", set()) | unneeded_darks(left)}
         gone |= dropped["dark"]
     frames = tuple(f for f in capture.frames if f not in gone)
-    files = {part: tuple(f.file for f in capture.frames if f in some) for part, some in dropped.items()}
+    files = {
+        part: tuple(name for f in capture.frames if f in some for name in f.names) for part, some in dropped.items()
+    }
     return Choice(replace(capture, frames=frames), {part: names for part, names in files.items() if names})
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.capture.folder import Capture
-from nishiki.capture.frames import Frame, inside
+from nishiki.capture.frames import Band, Frame, inside
 from nishiki.capture.seal import expect_sealed, sealed_digests
 from nishiki.colour.encoding import decode
 from nishiki.formats.image_headers import read_header
@@ -68,7 +68,7 @@ class FrameReader:
                 error("channel-unknown", "ingest.channels", "channels", expected=expected, found=channels)
             )
         digests = sealed_digests(capture.root) if prove else {}
-        others = {f.file for f in capture.frames} | set(unopened)
+        others = {name for f in capture.frames for name in f.names} | set(unopened)
         for name in sorted(digests.keys() - others):  # tables, spectra, mask: small
             expect_sealed(inside(capture.payload, name, "manifest-sha256.txt"), name, digests)
         first = capture.observed[0]
@@ -150,23 +150,32 @@ class FrameReader:
 
     def read(self, frame: Frame) -> np.ndarray:
         """Codes (rows, columns, channels) of the region. CaptureError (image-size, image-depth, bits-exceeded, ...)."""
-        expect_sealed(frame.path, Path(frame.file).as_posix(), self.digests)
-        header = read_header(frame.path, name=frame.file)
-        if (header.rows, header.columns) != (self.rows, self.columns):
-            expected, found = f"{self.rows} x {self.columns}", f"{header.rows} x {header.columns}"
-            raise CaptureError(error("image-size", frame.file, "size differs", expected=expected, found=found))
-        if np.dtype(header.sample) != self.dtype:
-            expected, found = str(self.dtype), header.sample
-            raise CaptureError(error("image-depth", frame.file, "depth differs", expected=expected, found=found))
-        luminance = self._luminance
-        codes = read_codes(frame.path, self.stored, header=header, luma=luminance, region=self.region, name=frame.file)
-        if self.single is not None:
-            return codes[:, :, self.single : self.single + 1]
+        stored, luminance = self.stored, self._luminance
+        if frame.bands:
+            wanted = stored if self.single is None else (stored[self.single],)
+            parts = {part.channel: part for part in frame.bands}
+            codes = np.concatenate([self._read_file(parts[name], (name,)) for name in wanted], axis=2)
+        else:
+            codes = self._read_file(frame.parts[0], stored, luma=luminance)
+            codes = codes if self.single is None else codes[:, :, self.single : self.single + 1]
         if luminance and codes.shape[2] > 1:
             top = self.full if np.isfinite(self.saturated) else np.inf
             rounding = 0.0 if self.dtype.kind == "f" else 0.5
             return to_luma(codes, self.saturated, top, self.weights[0], rounding)
         return codes
+
+    def _read_file(self, part: Band, channels: tuple[str, ...], *, luma: bool = False) -> np.ndarray:
+        """Codes (rows, columns, channels) of one file, proven and compared with the first photograph."""
+        file = part.file
+        expect_sealed(part.path, Path(file).as_posix(), self.digests)
+        header = read_header(part.path, name=file)
+        if (header.rows, header.columns) != (self.rows, self.columns):
+            expected, found = f"{self.rows} x {self.columns}", f"{header.rows} x {header.columns}"
+            raise CaptureError(error("image-size", file, "size differs", expected=expected, found=found))
+        if np.dtype(header.sample) != self.dtype:
+            expected, found = str(self.dtype), header.sample
+            raise CaptureError(error("image-depth", file, "depth differs", expected=expected, found=found))
+        return read_codes(part.path, channels, header=header, luma=luma, region=self.region, name=file)
 
     def read_all(self, frames: tuple[Frame, ...]) -> Iterator[tuple[Frame, np.ndarray]]:
         """Each frame with its codes, in order; the next one is decoded while the caller works: two in memory."""
