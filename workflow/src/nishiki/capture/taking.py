@@ -8,20 +8,25 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
+from nishiki.formats.exr import several_layers
 from nishiki.formats.image_header import ImageHeader
 from nishiki.formats.image_headers import read_header
 from nishiki.formats.masks import examine_mask
-from nishiki.formats.problems import CaptureError, Problem
+from nishiki.formats.problems import CaptureError, Problem, error
 
 COLOUR = ("red", "green", "blue")
 FOLDERS = ("frames", "white", "dark", "silhouettes")
 
 
 def channel_names(header: ImageHeader) -> tuple[str, ...]:
-    """Names for the channels of a photograph, alpha apart."""
-    if header.kind == "exr":
-        rest = tuple(sorted(set(header.names) - {"A"}))
-        return COLOUR if set(rest) == {"R", "G", "B"} else rest
+    """Names for the channels of a photograph, alpha apart. CaptureError (layers-several) where an EXR has several
+    layers, none of which is the whole light."""
+    if several_layers(header.names):
+        what, found = "several layers, none of them called Combined or Beauty", ", ".join(header.names)[:200]
+        remedy = "Write an EXR of one layer, or list the channels of one under camera.channels of a capture.yaml"
+        raise CaptureError(error("layers-several", "photographs", what, found=found, remedy=remedy))
+    if header.names:
+        return COLOUR if header.names == ("R", "G", "B") else header.names
     count = header.channels - header.alpha
     known = {1: ("grey",), 3: COLOUR}
     return known.get(count, tuple(f"channel{i + 1}" for i in range(count)))

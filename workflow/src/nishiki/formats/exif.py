@@ -35,32 +35,45 @@ class Exif:
     taken: str = ""
 
 
+NO_EXIF = Exif()
+
+
 def read_exif(path: Path, *, name: str | None = None) -> Exif:
     """Read the camera's facts of a JPEG, PNG, TIFF or TIFF-like raw file; an empty record where there are none.
 
     A damaged block counts as none. name: how to call the file in messages. FileNotFoundError; Refused where the path
     is no regular file.
     """
-    with os.fdopen(open_regular(path, name or path.name), "rb") as file:
-        return exif_of(file)
+    from nishiki.formats.picture_process import request_exif
+
+    handle = open_regular(path, name or path.name)
+    try:
+        return request_exif(handle)
+    finally:
+        os.close(handle)
 
 
 def exif_of(file: BinaryIO) -> Exif:
     """Read the camera's facts of an open file; see `read_exif`."""
     try:
         block = _exif_block(file)
-        return exif_of_tags(tiff_tags(block)) if block else Exif()
+        return exif_of_tags(tiff_tags(block)) if block else NO_EXIF
     except (struct.error, ValueError, OSError, RuntimeError, KeyError, IndexError, TypeError, OverflowError):
-        return Exif()
+        return NO_EXIF
 
 
 def tiff_tags(file: BinaryIO) -> dict[str, Any]:
     """Values of the first directory of a TIFF stream by tag name, that of its Exif directory as a dict."""
     import tifffile
 
-    logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # an Exif block has no pixels, of which it would warn
+    quiet_tifffile()
     with tifffile.TiffFile(file, name="picture") as tiff:
         return {tag.name: tag.value for tag in tiff.pages.first.tags if tag.code not in (273, 279, 324, 325)}
+
+
+def quiet_tifffile() -> None:
+    """Keep tifffile from logging what it makes of damaged files, and that an Exif block has no pixels."""
+    logging.getLogger("tifffile").setLevel(logging.CRITICAL + 1)
 
 
 def exif_of_tags(tags: dict[str, Any]) -> Exif:
@@ -130,12 +143,12 @@ def jpeg_segments(file: BinaryIO) -> Iterator[tuple[bytes, int, int]]:
 
 
 def png_chunks(file: BinaryIO) -> Iterator[tuple[bytes, int, int]]:
-    """Yield (type of four bytes, place, length) of each chunk of a PNG."""
+    """Yield (type of four bytes, place, length) of each chunk of a PNG before its pixels."""
     place = 8
     while True:
         file.seek(place)
         heading = file.read(8)
-        if len(heading) < 8:
+        if len(heading) < 8 or heading[4:] == b"IDAT":
             return
         (length,) = struct.unpack(">I", heading[:4])
         yield heading[4:], place + 8, length

@@ -1,67 +1,97 @@
-"""OpenEXR frames: any channel names, any number of channels, half or float."""
+"""OpenEXR frames: the light channels of one layer, placed in the display window; half or float.
+
+A channel is called LAYER.NAME (OpenEXR Technical Introduction); alpha, depth and identifiers are no light.
+"""
 
 from __future__ import annotations
 
-from pathlib import Path
+import struct
+from dataclasses import dataclass
+from typing import Any, BinaryIO
 
 import numpy as np
 
+from nishiki.formats.coding import D65, LINEAR, Coding, Matrix, primaries_xyz
+from nishiki.formats.exif import Exif
 from nishiki.formats.image_header import ImageHeader
+from nishiki.formats.picture_files import Output, Picture, Wanted, unsupported
 
 _COLOURS = {"red": ("R", "red"), "green": ("G", "green"), "blue": ("B", "blue"), "grey": ("Y", "L"), "gray": ("Y", "L")}
-
-
+_NO_LIGHT = frozenset("a alpha z zback zf depth depth.z id mask ar ag ab ra ga ba".split())
+_BEAUTY = ("", "combined", "beauty", "rgba", "rgb", "composite", "default", "main")
+"""Last word of the layer that holds the whole light, in order of preference; '' has no layer."""
 _RATIO = {"NO_COMPRESSION": 1, "RLE_COMPRESSION": 130, "ZIPS_COMPRESSION": 1040, "ZIP_COMPRESSION": 1040}
 """How many times smaller than its pixels a coded part can be; other compressions have no bound."""
 _LEAST_SAMPLE = 2  # bytes; a header tells no types of its channels
 
 
-def exr_header(path: Path) -> ImageHeader:
-    """Header of the first part; ValueError or RuntimeError where the file is damaged or has several samples a pixel.
+@dataclass(frozen=True)
+class _Channel:
+    """A channel of light: number of its part, name in it, name of its layer, and its own name without that."""
 
-    The library decodes all parts: those after the first may not be larger than it (views, layers).
+    part: int
+    stored: str
+    layer: str
+    base: str
+
+
+def open_exr(file: BinaryIO, name: str) -> Picture:
+    """The picture of an EXR: of the layer that holds all light, else of the only one, else every layer's channels.
+
+    Channels of several layers, none of them the whole light, have the names of their layers; `match_channels` takes
+    those that are wanted. ValueError or RuntimeError where the file is damaged.
     """
     import OpenEXR
 
-    with OpenEXR.File(str(path), header_only=True) as file:
-        headers = [dict(part.header) for part in file.parts]
+    path = f"/dev/fd/{file.fileno()}"
+    with OpenEXR.File(path, header_only=True) as opened:
+        headers = [dict(part.header) for part in opened.parts]
     if any(header["type"] in (OpenEXR.deepscanline, OpenEXR.deeptile) for header in headers):
         raise ValueError("deep images (several samples a pixel) are not read")
-    shapes, samples = [], []
-    for header in headers:
-        first, last = header["dataWindow"]
-        columns, rows = (int(n) for n in last.astype(np.int64) - first + 1)
-        shapes.append((rows, columns))
-        samples.append(rows * columns * sum(c.xSampling == c.ySampling == 1 for c in header["channels"]))
-    if sum(samples[1:]) > 8 * max(samples[0], 1):
+    windows = [_window(header["dataWindow"]) for header in headers]
+    present = [channel for part, header in enumerate(headers) for channel in _channels(header, part)]
+    light = [channel for channel in present if channel.base.casefold() not in _NO_LIGHT]
+    channels = _light(light or [channel for channel in present if channel.base == "A"])  # a mask may be alpha alone
+    layers = {(channel.part, channel.layer) for channel in channels}
+    alpha = [
+        channel for channel in present if light and channel.base == "A" and layers == {(channel.part, channel.layer)}
+    ]
+    if not channels:
+        raise unsupported(name, "chroma sub-sampled or no channels of light", "Save it with channels R, G and B")
+    window = _window(headers[0]["displayWindow"] if "displayWindow" in headers[0] else headers[0]["dataWindow"])
+    stored = [window[2] * window[3] * len(each["channels"]) for window, each in zip(windows, headers, strict=True)]
+    if sum(stored[1:]) > 8 * max(stored[0], 1):
         raise ValueError("the file's further parts are much larger than its first")
-    names = tuple(sorted(channel.name for channel in headers[0]["channels"]))
-    return ImageHeader(
-        "exr", *shapes[0], len(names), "float32", "A" in names and len(names) > 1, names=names,
-        stored_bytes=_LEAST_SAMPLE * sum(samples), ratio=_RATIO.get(headers[0]["compression"].name, 0),
+    coding = Coding("linear, OpenEXR", LINEAR, _primaries(headers[0].get("chromaticities")))
+    exposure, aperture, speed = (_positive(headers[0].get(key)) for key in ("expTime", "aperture", "isoSpeed"))
+    header = ImageHeader(
+        "exr", window[2], window[3], len(channels) + len(alpha), "float32", bool(alpha), names=_names(channels),
+        stored_bytes=_LEAST_SAMPLE * sum(stored), ratio=_RATIO.get(headers[0]["compression"].name, 0), coding=coding,
+        exif=Exif(exposure, aperture, speed),
     )  # fmt: skip
 
+    def decode(wanted: Wanted, output: Output) -> np.ndarray:
+        stored = {channel.stored.casefold(): channel for channel in channels}
+        order = [stored[name.casefold()] for name in wanted.channels if name.casefold() in stored]
+        if len(order) != len(wanted.channels):
+            order = [channels[header.names.index(name)] for name in match_channels(header.names, wanted.channels)]
+        out = output((header.rows, header.columns, len(order) + len(alpha)), "float32")
+        out[...] = 0
+        with OpenEXR.File(path, separate_channels=True) as opened:
+            for place, channel in enumerate([*order, *alpha]):
+                values = opened.channels(channel.part)[channel.stored].pixels
+                _place(values, windows[channel.part], out[:, :, place], window)
+        return out
 
-def read_exr(path: Path, names: tuple[str, ...]) -> np.ndarray:
-    """Pixels (rows, columns, channels) float32 in the order of the wanted channel names.
-
-    A wanted name matches a channel of the same name (case apart), or R, G, B for red, green, blue; if none of the
-    names match, the file's channels but for alpha are taken in the file's (alphabetical) order, R, G, B first.
-    ValueError where the counts differ or a channel is subsampled.
-    """
-    import OpenEXR
-
-    with OpenEXR.File(str(path), separate_channels=True) as file:
-        channels = {name: channel.pixels for name, channel in file.channels().items()}
-    order = match_channels(tuple(channels), names)
-    shapes = {channels[name].shape for name in order}
-    if len(shapes) != 1:
-        raise ValueError(f"channels of different size {sorted(shapes)}")
-    return np.stack([channels[name].astype(np.float32) for name in order], axis=2)
+    return Picture(header, decode)
 
 
 def match_channels(present: tuple[str, ...], names: tuple[str, ...]) -> list[str]:
-    """Which of the file's channels stand for the wanted ones, in their order."""
+    """Which of a file's channels of light stand for the wanted ones, in their order.
+
+    A wanted name matches a channel of the same name (capitals apart), or R, G, B for red, green, blue; where they do
+    not match, all channels are taken in the file's order. ValueError where the counts differ.
+    """
     folded = {name.casefold(): name for name in present}
     matched = []
     for name in names:
@@ -69,9 +99,82 @@ def match_channels(present: tuple[str, ...], names: tuple[str, ...]) -> list[str
         matched += [folded[alias.casefold()] for alias in aliases if alias.casefold() in folded][:1]
     if len(matched) == len(names):
         return matched
-    colour = [name for name in ("R", "G", "B") if name in present]
-    rest = sorted(set(present) - set(colour) - {"A"})
-    order = colour + rest if len(colour) == 3 else sorted(set(present) - {"A"})
-    if len(order) != len(names):
+    if len(present) != len(names) or several_layers(present):
         raise ValueError(f"channels {', '.join(present)} do not give {len(names)} ({', '.join(names)})")
-    return order
+    return list(present)
+
+
+def several_layers(names: tuple[str, ...]) -> bool:
+    """Whether channels belong to different layers, so that somebody has to choose."""
+    return len({name.rpartition(".")[0] for name in names}) > 1
+
+
+def _channels(header: dict[str, Any], part: int) -> list[_Channel]:
+    """The channels of a part in full resolution, its own name before those of its layers where it has one."""
+    found = []
+    for channel in header["channels"]:
+        layer, _, base = channel.name.rpartition(".")
+        full = channel.xSampling == channel.ySampling == 1
+        if full and base.casefold() not in ("ry", "by"):
+            found.append(_Channel(part, channel.name, ".".join(filter(None, (_part_name(header), layer))), base))
+    return found
+
+
+def _part_name(header: dict[str, Any]) -> str:
+    name = str(header.get("name", ""))
+    return "" if name.casefold() in _BEAUTY else name
+
+
+def _light(found: list[_Channel]) -> list[_Channel]:
+    """Channels of the layer that is taken, red, green and blue first; of all layers where none stands out."""
+    layers: dict[str, list[_Channel]] = {}
+    for channel in found:
+        layers.setdefault(channel.layer, []).append(channel)
+
+    def rank(layer: str) -> int:
+        last = layer.rpartition(".")[2].casefold()
+        return _BEAUTY.index(last) if last in _BEAUTY else len(_BEAUTY)
+
+    best = sorted(layers, key=rank)[:1]
+    first = [layer for layer in layers if rank(layer) == rank(best[0])] if best else []
+    chosen = layers[best[0]] if len(first) == 1 else [channel for layer in first for channel in layers[layer]]
+    order = {"R": 0, "G": 1, "B": 2}
+    return sorted(chosen, key=lambda c: (c.layer, order.get(c.base, 3), c.base))
+
+
+def _names(channels: list[_Channel]) -> tuple[str, ...]:
+    """Their names, with the layer unless they are red, green and blue of the one that is taken."""
+    bases = tuple(channel.base for channel in channels)
+    if bases in (("R", "G", "B"), ("Y",)):
+        return bases
+    return tuple(".".join(filter(None, (channel.layer, channel.base))) for channel in channels)
+
+
+def _window(corners: tuple[np.ndarray, np.ndarray]) -> tuple[int, int, int, int]:
+    """Row, column, rows, columns of a window between two corners (x, y), both inclusive."""
+    (left, top), (right, bottom) = (tuple(int(n) for n in corner) for corner in corners)
+    return top, left, bottom - top + 1, right - left + 1
+
+
+def _place(values: np.ndarray, window: tuple[int, int, int, int], out: np.ndarray, display: tuple[int, ...]) -> None:
+    """Copy the part of a data window that lies in the display window to its place there."""
+    top, left = window[0] - display[0], window[1] - display[1]
+    rows = slice(max(top, 0), max(min(top + window[2], out.shape[0]), 0))
+    columns = slice(max(left, 0), max(min(left + window[3], out.shape[1]), 0))
+    out[rows, columns] = values[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left]
+
+
+def _primaries(corners: Any) -> Matrix | None:
+    """(3, 3) to XYZ of the attribute `chromaticities`: red, green, blue, white, x and y each."""
+    if corners is None:
+        return None
+    try:
+        xy = np.asarray(corners, float).reshape(4, 2)
+    except (TypeError, ValueError, struct.error):
+        return None
+    pairs = tuple((float(x), float(y)) for x, y in xy)
+    return primaries_xyz(pairs[:3], pairs[3] if pairs[3][1] > 0 else D65) if (xy[:, 1] != 0).all() else None
+
+
+def _positive(value: Any) -> float | None:
+    return float(value) if isinstance(value, (int, float)) and 0 < value < float("inf") else None

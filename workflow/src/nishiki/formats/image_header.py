@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
+
+from nishiki.formats.coding import Coding, coding_from
+from nishiki.formats.exif import NO_EXIF, Exif
 
 Kind = Literal["png", "jpeg", "tiff", "exr", "raw"]
 Sample = Literal["uint8", "uint16", "float32"]
@@ -16,10 +19,12 @@ IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr"}) |
 
 @dataclass(frozen=True)
 class ImageHeader:
-    """What a photograph says of itself. channels: as decoded, alpha included; pages: TIFF pages of equal size.
+    """What a photograph says of itself. channels: as decoded, alpha included; names: of channels without alpha, where
+    the file names them.
 
     stored_bytes: of all samples before compression, 0 where not known; ratio: how many times smaller than these the
-    file can be at most, 0 where there is no bound.
+    file can be at most, 0 where there is no bound; bits: of a code, where they are fewer than the sample has; coding:
+    None where the file states none; exif: facts of the camera.
     """
 
     kind: Kind
@@ -28,11 +33,19 @@ class ImageHeader:
     channels: int
     sample: Sample
     alpha: bool = False
-    pages: int = 1
     names: tuple[str, ...] = ()
     stored_bytes: int = 0
     ratio: int = 0
+    bits: int | None = None
+    coding: Coding | None = None
+    exif: Exif = NO_EXIF
 
     @property
     def decoded_bytes(self) -> int:
         return self.rows * self.columns * self.channels * {"uint8": 1, "uint16": 2, "float32": 4}[self.sample]
+
+
+def header_from(values: dict[str, Any]) -> ImageHeader:
+    """Rebuild a header from its plain values (`dataclasses.asdict`, after JSON)."""
+    built = {"names": tuple(values["names"]), "coding": coding_from(values["coding"]), "exif": Exif(**values["exif"])}
+    return ImageHeader(**{**values, **built})

@@ -173,10 +173,7 @@ def _read_with_alpha(path: Path, name: str) -> tuple[np.ndarray, int]:
     """Codes (rows, columns, channels) with alpha, where there is one, after the colours; number of colour channels."""
     header = read_header(path, name=name)
     count = header.channels - header.alpha
-    if header.kind == "exr":
-        names = tuple(sorted(header.names, key=lambda channel: channel == "A"))
-        return read_codes(path, names, header=header, name=name), count
-    names = tuple(f"channel {i}" for i in range(count))
+    names = header.names or tuple(f"channel {i}" for i in range(count))
     return read_codes(path, names, header=header, name=name, alpha=True), count
 
 

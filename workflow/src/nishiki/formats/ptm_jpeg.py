@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from nishiki.formats.files import Refused
-from nishiki.formats.image_headers import jpeg_header
-from nishiki.formats.images import check_jpeg
+from nishiki.formats.images import read_jpeg_bytes
+from nishiki.formats.problems import CaptureError
 from nishiki.formats.text_heading import REMEDY, TextHeading
 
 NONE = -1  # the reference of a stream that is no difference
@@ -81,18 +81,11 @@ class PtmStreams:
 
 def _decoded(stream: np.ndarray, rows: int, columns: int, name: str) -> np.ndarray:
     """The samples of one JPEG stream."""
-    import cv2
-
     try:
-        header = jpeg_header(stream.tobytes())
-        check_jpeg(stream)
-    except (ValueError, EOFError) as e:
+        samples = read_jpeg_bytes(stream.tobytes(), name)
+    except CaptureError as e:
         raise Refused(name, "not a whole JPEG picture", found=str(e), remedy=REMEDY) from None
-    size = (header.rows, header.columns, header.channels)
-    if size != (rows, columns, 1):
-        expected, found = f"{rows} x {columns} x 1", " x ".join(map(str, size))
+    if samples.shape != (rows, columns, 1):
+        expected, found = f"{rows} x {columns} x 1", " x ".join(map(str, samples.shape))
         raise Refused(name, "a JPEG picture of another size", expected=expected, found=found, remedy=REMEDY)
-    samples = cv2.imdecode(stream, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
-    if samples is None:
-        raise Refused(name, "a JPEG picture that cannot be decoded", remedy=REMEDY)
-    return samples
+    return samples[:, :, 0]

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.formats.files import Refused, leads_out, open_regular, read_text
-from nishiki.formats.image_headers import jpeg_header
-from nishiki.formats.images import check_jpeg, read_codes
+from nishiki.formats.images import read_codes, read_jpeg_bytes
+from nishiki.formats.problems import CaptureError
 
 CHANNELS = ("red", "green", "blue")
 ALL_PLANES = "planes.tzi"
@@ -132,19 +132,13 @@ def _opened(path: Path, name: str) -> int:
 
 def _decoded(content: np.ndarray, most: int, name: str) -> np.ndarray:
     """The samples (rows, columns, 3) of a JPEG picture in memory, of at most that many rows and columns."""
-    import cv2
-
     try:
-        header = jpeg_header(content.tobytes())
-        check_jpeg(content)
-    except (ValueError, EOFError) as e:
+        samples = read_jpeg_bytes(content.tobytes(), name)
+    except CaptureError as e:
         raise Refused(name, "not a whole JPEG picture", found=str(e), remedy=REMEDY) from None
-    if max(header.rows, header.columns) > most:
-        raise _other_size(name, (most, most), f"{header.columns} x {header.rows}")
-    samples = cv2.imdecode(content, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-    if samples is None:
-        raise Refused(name, "a JPEG picture that cannot be decoded", remedy=REMEDY)
-    return samples[..., ::-1]
+    if max(samples.shape[:2]) > most:
+        raise _other_size(name, (most, most), f"{samples.shape[1]} x {samples.shape[0]}")
+    return np.broadcast_to(samples, (*samples.shape[:2], 3))
 
 
 def _fill(folder: Path, name: str, out: np.ndarray, margin: tuple[int, int] | None = None) -> None:

@@ -1,219 +1,208 @@
-"""TIFF as scientific cameras write it: the directory, and images of any number of channels.
+"""TIFF in every layout that tifffile reads: bits, planes apart, tiles, compressions, predictors, byte orders, BigTIFF.
 
-OpenCV decodes ordinary TIFF; what it does not (more than four samples a pixel, planes apart) is decoded here from
-strips or tiles, uncompressed or deflate. Field numbers from the TIFF 6.0 specification (Adobe, 1992) and BigTIFF.
+Field numbers: TIFF 6.0 (Adobe, 1992) and its technical notes.
 """
 
 from __future__ import annotations
 
 import struct
-import zlib
-from dataclasses import dataclass
-from io import BytesIO
-from typing import BinaryIO, Literal
+from collections.abc import Callable
+from typing import Any, BinaryIO
 
 import numpy as np
+import tifffile
 
+from nishiki.formats.coding import Coding, transfer_function
+from nishiki.formats.exif import exif_of_tags, quiet_tifffile
 from nishiki.formats.image_header import ImageHeader, Sample
+from nishiki.formats.picture_files import AS_RGB, Output, Picture, Wanted, unsupported
 
-_NUMBERS = frozenset((1, 3, 4, 6, 8, 9, 13, 16, 18))  # kinds of field that hold whole numbers
-_TYPES = {1: "B", 2: "c", 3: "H", 4: "I", 5: "II", 6: "b", 8: "h", 9: "i", 11: "f", 12: "d", 13: "I", 16: "Q", 18: "Q"}
-_WIDTH, _LENGTH, _BITS, _COMPRESSION, _PHOTOMETRIC, _STRIPS, _SAMPLES = 256, 257, 258, 259, 262, 273, 277
-_ROWS_PER_STRIP, _STRIP_BYTES, _PLANAR, _PREDICTOR = 278, 279, 284, 317
-_TILE_WIDTH, _TILE_LENGTH, _TILES, _TILE_BYTES, _EXTRA, _FORMAT = 322, 323, 324, 325, 338, 339
-_READ = {_WIDTH, _LENGTH, _BITS, _COMPRESSION, _PHOTOMETRIC, _STRIPS, _SAMPLES, _ROWS_PER_STRIP, _STRIP_BYTES, _PLANAR}
-_MANY = {_STRIPS, _STRIP_BYTES, _TILES, _TILE_BYTES}
-_READ |= {_PREDICTOR, _TILE_WIDTH, _TILE_LENGTH, _TILES, _TILE_BYTES, _EXTRA, _FORMAT}
-_DEFLATE = (8, 32946)
-MAX_PAGES = 256
-MOST_PIECES = 1 << 18  # strips or tiles of a page
+MOST_PAGES = 256
 PACKED_RATIO = 4000  # LZW: codes of 12 bits for at most 4096 bytes, deflate 1032
+NONE_PACKED, WHITE_IS_ZERO, GREY, RGB, PALETTE, YCBCR, LINEAR_RAW = 1, 0, 1, 2, 3, 6, 34892
+BY_JPEG = (6, 7, 34892, 33007)  # compressions that turn YCbCr into RGB themselves
+OTHER_MODELS = {5: "CMYK", 8: "CIELab", 9: "ICCLab", 10: "ITULab", 32803: "a sensor's mosaic (CFA)", 32844: "LogL",
+                32845: "LogLuv"}  # fmt: skip
+MODEL_REMEDY = {"CMYK": "Save it as RGB: CMYK is for printing", "YCbCr": AS_RGB}
+ASSOCIATED, UNASSOCIATED = 1, 2
+_PIXEL_FIELDS = {
+    254,
+    256,
+    257,
+    258,
+    259,
+    262,
+    266,
+    273,
+    277,
+    278,
+    279,
+    284,
+    317,
+    320,
+    322,
+    323,
+    324,
+    325,
+    338,
+    339,
+    347,
+}
 
 
-@dataclass(frozen=True)
-class Directory:
-    """One page: its fields by number, and the file's byte order ('<' or '>')."""
+def open_tiff(file: BinaryIO, name: str) -> Picture:
+    """The picture of a TIFF: its one page, or pages of one channel and equal size as channels.
 
-    fields: dict[int, tuple]
-    order: Literal["<", ">"]
-
-    def one(self, field: int, default: int | None = None) -> int:
-        values = self.fields.get(field)
-        if values:
-            return int(values[0])
-        if default is None:
-            raise ValueError(f"TIFF field {field} is missing")
-        return default
-
-    @property
-    def channels(self) -> int:
-        # a palette of 256 colours decodes to three channels
-        return 3 if self.one(_PHOTOMETRIC, 1) == 3 else self.one(_SAMPLES, 1)
-
-    @property
-    def sample(self) -> Sample:
-        bits, form = self.one(_BITS, 1), self.one(_FORMAT, 1)
-        known: dict[tuple[int, int], Sample] = {
-            (1, 1): "uint8",
-            (2, 1): "uint8",
-            (4, 1): "uint8",
-            (8, 1): "uint8",
-            (16, 1): "uint16",
-            (32, 3): "float32",
-        }
-        if len(set(self.fields.get(_BITS, (1,)))) != 1 or (bits, form) not in known:
-            raise ValueError(
-                f"TIFF samples of {bits} bits in format {form}; unsigned 8 and 16 bits and float 32 are read"
-            )
-        return known[bits, form]
-
-    @property
-    def by_opencv(self) -> bool:
-        """Whether OpenCV decodes it: up to four samples, interleaved."""
-        return self.channels in (1, 3, 4) and (self.channels == 1 or self.one(_PLANAR, 1) == 1)
-
-
-def tiff_header(file: BinaryIO) -> ImageHeader:
-    """Header over all pages; pages must be of equal size and depth. ValueError where the directory is damaged."""
-    pages = read_directories(file)
+    Previews are passed over: pages that say so, and pages smaller than half of the largest one.
+    """
+    quiet_tifffile()
+    file.seek(0)
+    tiff = tifffile.TiffFile(file, name="picture")
+    pages = _full_pages(tiff)
+    for page in pages:
+        _expect_fields(page)
     first = pages[0]
-    shapes = {(p.one(_LENGTH), p.one(_WIDTH), p.channels, p.sample) for p in pages}
-    packed = {p.one(_COMPRESSION, 1) for p in pages} != {1}
-    if len(shapes) != 1:
-        raise ValueError(f"TIFF pages of different size or depth: {sorted(shapes)[:3]}")
+    sample, bits = _sample(first, name)
+    model = int(first.photometric)
+    if model in OTHER_MODELS or (model == YCBCR and int(first.compression) not in BY_JPEG):
+        found = OTHER_MODELS.get(model, "YCbCr")
+        raise unsupported(name, found, MODEL_REMEDY.get(found, AS_RGB))
+    if model == WHITE_IS_ZERO and sample == "float32":
+        raise unsupported(name, "WhiteIsZero in floating point", "Save it as BlackIsZero")
+    shapes = {(page.imagelength, page.imagewidth, page.samplesperpixel, page.dtype) for page in pages}
+    if len(shapes) > 1 or (len(pages) > 1 and first.samplesperpixel > 1):
+        found = f"{len(pages)} pages of {' and '.join(sorted(str(shape[:3]) for shape in shapes))} samples"
+        raise unsupported(name, found, "Keep the page of the photograph alone; bands are pages of one channel")
+    samples = 3 if model == PALETTE else first.samplesperpixel
+    extra = tuple(int(kind) for kind in first.extrasamples)
+    alpha = bool(extra) and samples in (2, 4) and extra[-1] in (ASSOCIATED, UNASSOCIATED)
     end = file.seek(0, 2)
     for page in pages:
-        offsets, counts = _pieces(page)
-        if any(o + c > end for o, c in zip(offsets, counts, strict=True)):
+        if any(place + size > end for place, size in zip(page.dataoffsets, page.databytecounts, strict=True)):
             raise EOFError(f"image data beyond the end of the file ({end} bytes)")
-    alpha = first.channels in (2, 4) and first.fields.get(_EXTRA, (0,))[0] in (1, 2)
-    rows, columns, channels, sample = shapes.pop()
-    return ImageHeader(
-        "tiff", rows, columns, channels * len(pages), sample, alpha and len(pages) == 1, len(pages),
-        stored_bytes=sum(map(_stored_bytes, pages)), ratio=PACKED_RATIO if packed else 1,
+    exif_tags = {tag.name: tag.value for tag in first.tags if tag.code in (271, 272, 274, 34665)}
+    header = ImageHeader(
+        "tiff", first.imagelength, first.imagewidth, samples * len(pages), sample, alpha,
+        stored_bytes=sum(_stored_bytes(page) for page in pages),
+        ratio=1 if all(page.compression == NONE_PACKED for page in pages) else PACKED_RATIO,
+        bits=bits, exif=exif_of_tags(exif_tags),
     )  # fmt: skip
 
+    def decode(wanted: Wanted, output: Output) -> np.ndarray:
+        out = output((header.rows, header.columns, header.channels), sample)
+        for i, page in enumerate(pages):
+            _decode_page(page, out[:, :, i * samples : (i + 1) * samples])
+        if alpha and extra[-1] == ASSOCIATED:
+            _divide_by_alpha(out)
+        return out
 
-def _stored_bytes(page: Directory) -> int:
-    """Of a page's samples before compression. ValueError where its pieces are out of proportion to it."""
-    rows, columns, samples = page.one(_LENGTH), page.one(_WIDTH), page.one(_SAMPLES, 1)
-    if page.one(_TILE_WIDTH, 0) > columns + 65536 or page.one(_TILE_LENGTH, 0) > rows + 65536:
-        raise ValueError(f"TIFF tiles of {page.one(_TILE_LENGTH, 0)} x {page.one(_TILE_WIDTH, 0)} samples")
-    if _TILES in page.fields and min(page.one(_TILE_WIDTH, 0), page.one(_TILE_LENGTH, 0)) < 1:
-        raise ValueError("TIFF tiles without a size")
-    if page.one(_ROWS_PER_STRIP, 1) < 1:
-        raise ValueError("TIFF strips without rows")
-    return rows * (columns * samples * page.one(_BITS, 1) // 8)
+    return Picture(header, decode, first.iccprofile or b"").coded(_transfer(first))
 
 
-def read_directories(file: BinaryIO) -> list[Directory]:
-    """Every page's directory; thumbnails (reduced-resolution pages) are passed over."""
-    file.seek(0)
-    start = file.read(16)
-    order: Literal["<", ">"] = "<" if start[:2] == b"II" else ">"
-    big = struct.unpack(order + "H", start[2:4])[0] == 43
-    (offset,) = struct.unpack(order + ("Q" if big else "I"), start[8:16] if big else start[4:8])
-    pages: list[Directory] = []
-    seen: set[int] = set()
-    while offset:
-        if offset in seen or len(seen) >= MAX_PAGES:
-            raise ValueError("TIFF directories form a circle or are too many")
-        seen.add(offset)
-        fields, offset = _read_directory(file, offset, order, big)
-        if not fields.pop(254, (0,))[0] & 1:
-            pages.append(Directory(fields, order))
-    if not pages:
+def _full_pages(tiff: tifffile.TiffFile) -> list[tifffile.TiffPage]:
+    """Pages that are no previews and no masks, of the file's chain or else of the pages below."""
+    chain: list[tifffile.TiffPage] = []
+    for number in range(MOST_PAGES + 1):
+        try:
+            chain.append(tiff.pages[number].aspage())
+        except IndexError:
+            break
+    if len(chain) > MOST_PAGES:
+        raise ValueError(f"TIFF of more than {MOST_PAGES} pages")
+    full = [page for page in chain if not _is_preview(page)]
+    if not full:
+        below = [sub.aspage() for page in chain for sub in (page.pages or ())]
+        full = [page for page in below[:MOST_PAGES] if not _is_preview(page)]
+    if not full:
         raise ValueError("TIFF without an image")
-    return pages
+    largest = max(page.imagelength * page.imagewidth for page in full)
+    return [page for page in full if 2 * page.imagelength * page.imagewidth > largest]
 
 
-def _read_directory(file: BinaryIO, offset: int, order: str, big: bool) -> tuple[dict[int, tuple], int]:
-    count_format, entry_format, inline = ("Q", "HHQ8s", 8) if big else ("H", "HHI4s", 4)
-    if offset >= 1 << 62:
-        raise ValueError(f"TIFF directory at byte {offset}")
-    file.seek(offset)
-    (count,) = struct.unpack(order + count_format, file.read(struct.calcsize("=" + count_format)))
-    if count > 4096:
-        raise ValueError(f"TIFF directory of {count} fields")
-    size = struct.calcsize("=" + entry_format)
-    entries = file.read(size * count)
-    (following,) = struct.unpack(order + ("Q" if big else "I"), file.read(inline))
-    fields = {}
-    for i in range(count):
-        tag, kind, values, data = struct.unpack(order + entry_format, entries[i * size : (i + 1) * size])
-        if tag not in _READ | {254} or kind not in _NUMBERS:
-            continue
-        if values > (MOST_PIECES if tag in _MANY else 1 << 12):
-            raise ValueError(f"TIFF field {tag} of {values} values")
-        code = _TYPES[kind] * values
-        length = struct.calcsize("=" + code)
-        if length > inline:
-            place = struct.unpack(order + ("Q" if big else "I"), data)[0]
-            if place >= 1 << 62:
-                raise ValueError(f"TIFF field {tag} lies at byte {place}")
-            file.seek(place)
-            data = file.read(length)
-        fields[tag] = struct.unpack(order + code, data[:length])
-    return fields, following
+def _expect_fields(page: tifffile.TiffPage) -> None:
+    """ValueError where a field of the directory that describes the pixels is damaged: tifffile passes over those."""
+    tiff, file = page.parent.tiff, page.parent.filehandle
+    file.seek(page.offset)
+    (count,) = struct.unpack(tiff.tagnoformat, file.read(tiff.tagnosize))
+    entries = file.read(count * tiff.tagsize)
+    codes = {struct.unpack_from(tiff.byteorder + "H", entries, place)[0] for place in range(0, len(entries) - 1,
+                                                                                          tiff.tagsize)}  # fmt: skip
+    if damaged := sorted(code for code in codes & _PIXEL_FIELDS if code not in page.tags):
+        raise ValueError(f"TIFF field {damaged[0]} is damaged")
 
 
-def _pieces(page: Directory) -> tuple[tuple, tuple]:
-    tiled = _TILES in page.fields
-    offsets = page.fields.get(_TILES if tiled else _STRIPS)
-    counts = page.fields.get(_TILE_BYTES if tiled else _STRIP_BYTES)
-    if offsets is None or counts is None or len(offsets) != len(counts):
-        raise ValueError("TIFF without the places of its image data")
-    return offsets, counts
+def _is_preview(page: tifffile.TiffPage) -> bool:
+    """Whether a page is one of reduced resolution or a transparency mask (NewSubfileType, SubfileType)."""
+    return bool(page.subfiletype & 5) or page.tags.valueof(255) == 2 or page.imagelength * page.imagewidth == 0
 
 
-def decode_tiff_page(data: bytes, page: Directory) -> np.ndarray:
-    """Pixels (rows, columns, channels) of one page, from strips or tiles, uncompressed or deflate.
-
-    ValueError where the compression or predictor is another one or the data are short.
-    """
-    rows, columns, channels = page.one(_LENGTH), page.one(_WIDTH), page.one(_SAMPLES, 1)
-    compression, predictor = page.one(_COMPRESSION, 1), page.one(_PREDICTOR, 1)
-    if compression not in (1, *_DEFLATE) or predictor not in (1, 2) or (predictor == 2 and page.sample == "float32"):
-        raise ValueError(f"TIFF of {channels} channels with compression {compression}; save it uncompressed or deflate")
-    dtype = np.dtype({"uint8": "u1", "uint16": "u2", "float32": "f4"}[page.sample]).newbyteorder(page.order)
-    if page.one(_BITS, 1) < 8:
-        raise ValueError("TIFF of less than 8 bits with planes apart")
-    height = page.one(_TILE_LENGTH, 0) or min(page.one(_ROWS_PER_STRIP, rows), rows)
-    width = page.one(_TILE_WIDTH, 0) or columns
-    apart = page.one(_PLANAR, 1) == 2
-    depth, planes = (1, channels) if apart else (channels, 1)
-    out = np.empty((rows, columns, channels), dtype.newbyteorder("="))
-    across, down = -(-columns // width), -(-rows // height)
-    offsets, counts = _pieces(page)
-    if len(offsets) != across * down * planes:
-        raise ValueError(f"TIFF with {len(offsets)} pieces where {across * down * planes} are needed")
-    for i, (offset, count) in enumerate(zip(offsets, counts, strict=True)):
-        plane, place = divmod(i, across * down)
-        top, left = place // across * height, place % across * width
-        # strips end with the image, tiles are padded
-        piece_rows = height if _TILES in page.fields else min(height, rows - top)
-        needed = piece_rows * width * depth * dtype.itemsize
-        block = data[offset : offset + count]
-        if needed > 4 * out.nbytes + (1 << 24):
-            raise ValueError(f"TIFF piece of {needed} bytes in an image of {out.nbytes}")
-        block = zlib.decompressobj().decompress(block, needed) if compression in _DEFLATE else block[:needed]
-        if len(block) != needed:
-            raise ValueError("TIFF image data are cut off")
-        pixels = np.frombuffer(block, dtype).reshape(piece_rows, width, depth).astype(out.dtype)
-        if predictor == 2:
-            pixels = np.cumsum(pixels, axis=1, dtype=out.dtype)
-        part = slice(plane, plane + 1) if apart else slice(None)
-        target = out[top : top + piece_rows, left : left + width, part]
-        target[...] = pixels[: target.shape[0], : target.shape[1]]
-    return out
+def _sample(page: tifffile.TiffPage, name: str) -> tuple[Sample, int | None]:
+    """Type of the decoded samples, and their significant bits where these are fewer."""
+    bits, form = page.bitspersample, int(page.sampleformat)
+    if form == 3 and bits in (16, 24, 32, 64):
+        return "float32", None
+    if form != 1 or not 1 <= bits <= 16:
+        kind = {1: "unsigned", 2: "signed", 3: "floating-point"}.get(form, "complex")
+        remedy = "Save it with unsigned 8 or 16 bits, or as 32-bit floating point"
+        raise unsupported(name, f"{kind} samples of {bits} bits", remedy)
+    return ("uint16", None if bits == 16 else bits) if bits > 8 else ("uint8", None)
 
 
-def decode_tiff(data: bytes) -> np.ndarray:
-    """All pages side by side as channels: (rows, columns, channels)."""
-    pages = read_directories(BytesIO(data))
-    return np.concatenate([decode_tiff_page(data, page) for page in pages], axis=2)
+def _stored_bytes(page: tifffile.TiffPage) -> int:
+    """Bytes of a page's samples before compression. ValueError where its pieces are out of proportion to it."""
+    rows, columns = page.imagelength, page.imagewidth
+    if page.is_tiled and not (0 < page.tilewidth <= columns + 65536 and 0 < page.tilelength <= rows + 65536):
+        raise ValueError(f"TIFF tiles of {page.tilelength} x {page.tilewidth} samples")
+    if not page.is_tiled and page.rowsperstrip < 1:
+        raise ValueError("TIFF strips without rows")
+    if page.imagedepth > 1:
+        raise ValueError(f"TIFF volume of {page.imagedepth} layers")
+    return rows * (columns * page.samplesperpixel * page.bitspersample // 8)
 
 
-def opencv_reads(data: bytes) -> bool:
-    """Whether OpenCV decodes every page of this TIFF."""
-    return all(page.by_opencv for page in read_directories(BytesIO(data)))
+def _decode_page(page: tifffile.TiffPage, out: np.ndarray) -> None:
+    """Fill (rows, columns, channels) from the strips or tiles of a page. ValueError where one is missing or short."""
+    planes, _, rows, columns, depth = page.shaped
+    down = -(-rows // (page.tilelength if page.is_tiled else page.rowsperstrip))
+    pieces = planes * down * (-(-columns // page.tilewidth) if page.is_tiled else 1)
+    if len(page.dataoffsets) < pieces:
+        raise ValueError(f"TIFF with {len(page.dataoffsets)} pieces where {pieces} are needed")
+    codes = out if page.photometric != PALETTE else np.empty((rows, columns, 1), page.dtype)
+    tables = {"jpegtables": page.jpegtables, "jpegheader": page.jpegheader} if page.compression in BY_JPEG else {}
+    decoder: Callable[..., Any] = page.decode
+    file = page.parent.filehandle
+    for index, (place, size) in enumerate(zip(page.dataoffsets[:pieces], page.databytecounts[:pieces], strict=True)):
+        file.seek(place)
+        content = file.read(size)
+        if not content:
+            raise ValueError("TIFF image data are missing")
+        values, (plane, _, top, left, _), shape = decoder(content, index, **tables)
+        target = codes[top : top + shape[1], left : left + shape[2], plane : plane + depth]
+        target[...] = values[0, : target.shape[0], : target.shape[1]]
+    if page.photometric == PALETTE:
+        colours = np.asarray(page.colormap)
+        out[...] = (colours >> 8 if colours.max() > 255 else colours)[:, codes[:, :, 0]].transpose(1, 2, 0)
+        return
+    if out.dtype.kind == "u":
+        top_code = (1 << page.bitspersample) - 1
+        if page.bitspersample < 8:
+            out[...] = (np.arange(top_code + 1) * 255 // top_code).astype(np.uint8)[out]
+        if page.photometric == WHITE_IS_ZERO:
+            light = out[:, :, : out.shape[2] - len(page.extrasamples)]
+            np.subtract(255 if page.bitspersample < 8 else top_code, light, out=light)
+
+
+def _divide_by_alpha(codes: np.ndarray) -> None:
+    """Undo the multiplication of colour by an associated alpha, the last channel, where it is neither 0 nor full."""
+    top = np.float32(1.0) if codes.dtype.kind == "f" else np.float32(np.iinfo(codes.dtype).max)
+    partial = (codes[:, :, -1] > 0) & (codes[:, :, -1] < top)
+    if partial.any():
+        chosen = codes[partial].astype(np.float32)
+        chosen[:, :-1] *= top / chosen[:, -1:]
+        codes[partial] = chosen if codes.dtype.kind == "f" else np.rint(np.minimum(chosen, top))
+
+
+def _transfer(page: tifffile.TiffPage) -> Coding | None:
+    """The coding that TransferFunction and PrimaryChromaticities state."""
+    values, bits = page.tags.valueof(301), page.bitspersample
+    return transfer_function(tuple(values), bits) if isinstance(values, (tuple, np.ndarray)) and bits <= 16 else None

@@ -1,0 +1,263 @@
+"""How a picture's codes stand for light: the curve and the primaries that the file itself states.
+
+Sources, the first that a file has: PNG chunk cICP, embedded ICC profile, PNG chunks sRGB and gAMA, TIFF transfer
+function, Exif colour space. Curves are those of ICC.1:2022, 10.18: with code x and linear light y, both 0 to 1,
+y = (a x + b)^g + e from x = d on, y = c x + f below; or a table over equal steps of x.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from nishiki.formats.icc import D50, ROMM
+
+MOST_STEPS = 4096  # of a table; longer ones are resampled
+SAME = 2e-3  # of full scale: curves nearer than that are the same (sRGB as a formula and as 1024 points)
+BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
+"""Cone responses of the adaptation that ICC profiles use (ICC.1:2022, annex E)."""
+D65 = (0.3127, 0.3290)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Linear light of a code: `formula` (g, a, b, c, d, e, f), or `table` over equal steps where it has values."""
+
+    formula: tuple[float, ...] = (1.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+    table: tuple[float, ...] = ()
+
+    def decode(self, codes: np.ndarray) -> np.ndarray:
+        """Linear values of codes of any shape, float64, full scale 1."""
+        codes = np.asarray(codes, np.float64)
+        if self.table:
+            return np.interp(codes, np.linspace(0, 1, len(self.table)), self.table)
+        g, a, b, c, d, e, f = self.formula
+        return np.where(codes >= d, np.maximum(a * codes + b, 0) ** g + e, c * codes + f)
+
+    def differs_from(self, other: Curve) -> bool:
+        """Whether the two give different light, by more than `SAME`."""
+        steps = np.linspace(0, 1, 257)
+        return bool(np.abs(self.decode(steps) - other.decode(steps)).max() > SAME)
+
+
+LINEAR = Curve()
+SRGB = Curve((2.4, 1 / 1.055, 0.055 / 1.055, 1 / 12.92, 0.04045, 0.0, 0.0))
+BT709 = Curve((1 / 0.45, 1 / 1.099, 0.099 / 1.099, 1 / 4.5, 0.081, 0.0, 0.0))
+Matrix = tuple[tuple[float, float, float], ...]
+
+
+@dataclass(frozen=True)
+class Coding:
+    """What a file states about its codes.
+
+    name: for the user, with its source; curve: of every channel; to_xyz: (3, 3) from linear red, green, blue to XYZ
+    relative to D50, None where no primaries are stated; fault: why the statement cannot be used, or ''; developed: the
+    reader has applied the statement itself (channels of different curves, or a table of colours), codes are linear.
+    """
+
+    name: str
+    curve: Curve = LINEAR
+    to_xyz: Matrix | None = None
+    fault: str = ""
+    developed: bool = False
+
+    @property
+    def linear(self) -> bool:
+        """Whether codes are proportional to light."""
+        return not self.curve.differs_from(LINEAR)
+
+    @property
+    def to_srgb(self) -> np.ndarray | None:
+        """(3, 3) from linear values in the file's primaries to linear sRGB; None where they are the same or unknown."""
+        if self.to_xyz is None:
+            return None
+        matrix = np.linalg.solve(np.array(SRGB_XYZ), np.array(self.to_xyz))
+        return None if np.allclose(matrix, np.eye(3), atol=SAME) else matrix
+
+    def differs_from(self, other: Coding) -> bool:
+        """Whether the two stand for different light: another curve or other primaries."""
+        if self.curve.differs_from(other.curve):
+            return True
+        mine, its = (SRGB_XYZ if each.to_xyz is None else each.to_xyz for each in (self, other))
+        return not np.allclose(mine, its, atol=5 * SAME)
+
+
+def coding_from(values: dict[str, Any] | None) -> Coding | None:
+    """Rebuild a coding from its plain values (`dataclasses.asdict`, after JSON)."""
+    if values is None:
+        return None
+    curve = Curve(*(tuple(values["curve"][key]) for key in ("formula", "table")))
+    matrix = values["to_xyz"] and tuple((row[0], row[1], row[2]) for row in values["to_xyz"])
+    return Coding(values["name"], curve, matrix, values["fault"], values["developed"])
+
+
+def primaries_xyz(primaries: tuple[tuple[float, float], ...], white: tuple[float, float] = D65) -> Matrix:
+    """(3, 3) to XYZ relative to D50 from the x and y of red, green, blue and white, adapted by Bradford's method."""
+    columns = np.array([[x / y, 1.0, (1.0 - x - y) / y] for x, y in primaries]).T
+    light = np.array([white[0] / white[1], 1.0, (1.0 - white[0] - white[1]) / white[1]])
+    scale = (BRADFORD @ np.array(D50)) / (BRADFORD @ light)
+    return as_matrix(np.linalg.solve(BRADFORD, scale[:, None] * BRADFORD) @ (columns * np.linalg.solve(columns, light)))
+
+
+def as_matrix(values: np.ndarray) -> Matrix:
+    return tuple((float(row[0]), float(row[1]), float(row[2])) for row in values)
+
+
+BT709_XY = ((0.64, 0.33), (0.30, 0.60), (0.15, 0.06))
+ADOBE_XY = ((0.64, 0.33), (0.21, 0.71), (0.15, 0.06))
+SRGB_XYZ = primaries_xyz(BT709_XY)
+SRGB_CODING = Coding("sRGB", SRGB, SRGB_XYZ)
+_XY = {
+    1: BT709_XY,
+    9: ((0.708, 0.292), (0.170, 0.797), (0.131, 0.046)),
+    12: ((0.680, 0.320), (0.265, 0.690), (0.150, 0.060)),
+}
+_SPACES = {1: "BT.709", 9: "BT.2020", 12: "Display P3"}
+_TRANSFERS = {
+    **dict.fromkeys((1, 6, 14, 15), ("curve of BT.709", BT709)),
+    4: ("gamma 2.2", Curve((2.2, *LINEAR.formula[1:]))),
+    5: ("gamma 2.8", Curve((2.8, *LINEAR.formula[1:]))),
+    8: ("linear", LINEAR),
+    13: ("curve of sRGB", SRGB),
+}
+"""Of ITU-T H.273, tables 2 and 3."""
+
+
+def exif_coding(colour_space: str) -> Coding | None:
+    """The coding that a camera names in its Exif block: 'srgb' or 'adobe' (DCF 2.0)."""
+    if colour_space == "adobe":
+        return Coding("Adobe RGB (Exif)", Curve((563 / 256, *LINEAR.formula[1:])), primaries_xyz(ADOBE_XY))
+    return Coding("sRGB (Exif)", SRGB, SRGB_XYZ) if colour_space == "srgb" else None
+
+
+def png_coding(chunks: dict[bytes, bytes], exif: Coding | None) -> Coding | None:
+    """The coding of a PNG from the content of its chunks before the pixels (PNG, third edition, 4.3)."""
+    if len(code := chunks.get(b"cICP", b"")) == 4:
+        primaries, transfer = code[0], code[1]
+        name = f"{_SPACES.get(primaries, f'primaries {primaries}')}, cICP"
+        if transfer == 16:
+            return Coding(f"{name}, PQ", Curve(table=_perceptual_quantizer()), _known(primaries))
+        if transfer not in _TRANSFERS:
+            return Coding(name, fault=f"transfer function {transfer} of H.273")
+        words, curve = _TRANSFERS[transfer]
+        return Coding(f"{name}, {words}", curve, _known(primaries))
+    if b"iCCP" in chunks:
+        import zlib
+
+        _, _, packed = chunks[b"iCCP"].partition(b"\0")
+        try:
+            return icc_coding(zlib.decompressobj().decompress(packed[1:], 1 << 24))
+        except zlib.error:
+            return Coding("embedded ICC profile", fault="damaged ICC profile")
+    if b"sRGB" in chunks:
+        return Coding("sRGB, PNG chunk", SRGB, SRGB_XYZ)
+    if len(gamma := chunks.get(b"gAMA", b"")) == 4 and (value := int.from_bytes(gamma, "big")):
+        curve = Curve((100_000 / value, *LINEAR.formula[1:]))
+        corners = np.frombuffer(chunks.get(b"cHRM", b""), ">u4").reshape(-1, 2) / 1e5
+        sound = len(corners) == 4 and (corners > 0).all()
+        xy = tuple((float(x), float(y)) for x, y in corners)
+        matrix = primaries_xyz(xy[1:], xy[0]) if sound else None
+        return Coding(f"gamma {100_000 / value:.3g}, PNG chunk gAMA", curve, matrix)
+    return exif
+
+
+def _known(primaries: int) -> Matrix | None:
+    return primaries_xyz(_XY[primaries]) if primaries in _XY else None
+
+
+def _perceptual_quantizer() -> tuple[float, ...]:
+    """SMPTE ST 2084: light of a code, as a share of 10,000 candelas a square metre."""
+    m1, m2, c1, c2, c3 = 2610 / 16384, 78.84375, 0.8359375, 18.8515625, 18.6875
+    root = np.linspace(0, 1, MOST_STEPS) ** (1 / m2)
+    return tuple((np.maximum(root - c1, 0) / (c2 - c3 * root)) ** (1 / m1))
+
+
+def transfer_function(values: tuple[int, ...], bits: int) -> Coding | None:
+    """The coding of a TIFF by its TransferFunction, one table of 2^bits values or one for each of three channels."""
+    table = np.array(values, float) / 65535
+    if len(table) == 3 << bits:
+        table = table.reshape(3, -1)
+        if np.abs(table - table[0]).max() > SAME:
+            return Coding("TIFF transfer function", fault="different tables of the three channels")
+        table = table[0]
+    return Coding("TIFF transfer function", Curve(table=_resampled(table))) if len(table) == 1 << bits else None
+
+
+def _resampled(table: np.ndarray) -> tuple[float, ...]:
+    steps = np.linspace(0, 1, min(len(table), MOST_STEPS))
+    return tuple(float(value) for value in np.interp(steps, np.linspace(0, 1, len(table)), table))
+
+
+def icc_coding(profile: bytes) -> Coding:
+    """The coding that an ICC profile describes: a matrix with curves, a grey curve, or tables (`developed`)."""
+    try:
+        return _icc_coding(profile)
+    except (struct.error, IndexError, ValueError, OverflowError) as error:
+        return Coding("embedded ICC profile", fault=f"damaged ICC profile ({error})")
+
+
+def _icc_coding(profile: bytes) -> Coding:
+    tags, space = icc_tags(profile)
+    name = f"{_description(tags.get(b'desc', b''))}, embedded ICC profile"
+    if space == b"GRAY" and b"kTRC" in tags:
+        return Coding(name, _curve(tags[b"kTRC"]))
+    if space != b"RGB ":
+        return Coding(name, fault=f"ICC profile of {space.decode('latin-1').strip()}, not of RGB")
+    if all(tag in tags for tag in (b"rXYZ", b"gXYZ", b"bXYZ", b"rTRC", b"gTRC", b"bTRC")):
+        curves = [_curve(tags[tag]) for tag in (b"rTRC", b"gTRC", b"bTRC")]
+        columns = [np.array(struct.unpack(">3i", tags[tag][8:20])) / 65536 for tag in (b"rXYZ", b"gXYZ", b"bXYZ")]
+        matrix = as_matrix(np.stack(columns, axis=1))
+        if not any(curve.differs_from(curves[0]) for curve in curves[1:]):
+            return Coding(name, curves[0], matrix)
+    elif b"A2B0" not in tags:
+        return Coding(name, fault="ICC profile without curves and tables")
+    return Coding(name, LINEAR, as_matrix(ROMM.to_xyz()), developed=True)
+
+
+def icc_tags(profile: bytes) -> tuple[dict[bytes, bytes], bytes]:
+    """The tagged elements of an ICC profile and the signature of its colour space. ValueError where it is none."""
+    if profile[36:40] != b"acsp":
+        raise ValueError("no ICC signature")
+    (count,) = struct.unpack(">I", profile[128:132])
+    if count > 200:
+        raise ValueError(f"{count} tags")
+    tags = {}
+    for place in range(132, 132 + 12 * count, 12):
+        tag, start, length = struct.unpack(">4sII", profile[place : place + 12])
+        tags[tag] = profile[start : start + length]
+    return tags, profile[16:20]
+
+
+def _curve(element: bytes) -> Curve:
+    kind = element[:4]
+    if kind == b"para":
+        (form,) = struct.unpack(">H", element[8:10])
+        count = (1, 3, 4, 5, 7)[form]
+        values = [v / 65536 for v in struct.unpack(f">{count}i", element[12 : 12 + 4 * count])]
+        g, a, b, c, d, e, f = (*values, *LINEAR.formula[count:])[:7]
+        if form in (1, 2):  # the power from x = -b / a on, a constant (c, or 0) below
+            e = f = c if form == 2 else 0.0
+            c, d = 0.0, -b / a if a else 0.0
+        return Curve((g, a, b, c, d, e, f))
+    if kind != b"curv":
+        raise ValueError(f"curve of type {kind!r}")
+    (count,) = struct.unpack(">I", element[8:12])
+    if count == 0:
+        return LINEAR
+    steps = np.frombuffer(element[12 : 12 + 2 * count], ">u2")
+    if len(steps) != count:
+        raise ValueError("curve cut off")
+    return Curve((float(steps[0]) / 256, *LINEAR.formula[1:])) if count == 1 else Curve(table=_resampled(steps / 65535))
+
+
+def _description(element: bytes) -> str:
+    if element[:4] == b"mluc" and len(element) >= 28:
+        length, start = struct.unpack(">II", element[20:28])
+        text = element[start : start + length].decode("utf-16-be", "replace")
+    else:
+        (length,) = struct.unpack(">I", element[8:12]) if len(element) >= 12 else (0,)
+        text = element[12 : 12 + length].decode("latin-1")
+    return "".join(c for c in text if c.isprintable()).strip()[:80] or "profile without a name"

@@ -1,0 +1,198 @@
+"""Decoding of picture files, in the child process of `nishiki.formats.picture_process`: PNG and JPEG here, by
+imagecodecs; TIFF, EXR and camera raw in modules of their own.
+
+Files are read from an open handle and never by name. A damaged one may raise anything: the process reports it. Pixels
+stay as the sensor wrote them: the orientation is told and not applied.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import BinaryIO
+
+import numpy as np
+
+from nishiki.formats.coding import Coding, exif_coding, icc_coding, png_coding
+from nishiki.formats.exif import exif_of, jpeg_segments, png_chunks
+from nishiki.formats.icc import ROMM, RgbSpace, icc_profile
+from nishiki.formats.image_header import RAW_SUFFIXES, ImageHeader
+from nishiki.formats.problems import CaptureError, error
+
+Output = Callable[[tuple[int, ...], str], np.ndarray]  # makes an array of this shape and type, of any content
+DEFLATE_RATIO = 1040  # deflate cannot shrink more than 1032:1, so a larger claim is damage or a decompression bomb
+JPEG_RATIO = 3000  # a progressive JPEG of one even grey needs one bit for 64 samples, or for 768 with coarse colour
+MOST_SCANS = 200  # of a JPEG; progressive ones have about ten
+MOST_PROFILE = 1 << 24  # bytes of an embedded profile and of a PNG chunk that describes the picture
+TAIL, BLOCK = 1 << 12, 1 << 20  # bytes in which the end of a picture is looked for first, and in turn
+AS_RGB = "Save it as RGB or grey in the program that wrote it"
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """channels: names in the order wanted, for formats that name theirs; luma: of a JPEG its luma plane alone."""
+
+    channels: tuple[str, ...]
+    luma: bool = False
+
+
+@dataclass(frozen=True)
+class Picture:
+    """An open picture: its header, and a function that decodes it into an array that `Output` makes.
+
+    The array has (rows, columns, channels), an alpha channel last. profile: embedded ICC profile, or empty.
+    """
+
+    header: ImageHeader
+    decode: Callable[[Wanted, Output], np.ndarray]
+    profile: bytes = b""
+
+    def coded(self, coding: Coding | None = None) -> Picture:
+        """This picture with the coding of its profile, else the given one, else that of its Exif block."""
+        coding = icc_coding(self.profile) if self.profile else coding or exif_coding(self.header.exif.colour_space)
+        if coding is None or not coding.developed:
+            return replace(self, header=replace(self.header, coding=coding))
+        if self.header.channels - self.header.alpha != 3:
+            fault = f"profile of three channels in a picture of {self.header.channels - self.header.alpha}"
+            return replace(self, header=replace(self.header, coding=replace(coding, developed=False, fault=fault)))
+        header = replace(self.header, coding=coding, sample="uint16", bits=None)
+        return Picture(header, lambda wanted, output: _develop(self, wanted, output), self.profile)
+
+
+def unsupported(name: str, found: str, remedy: str = AS_RGB) -> CaptureError:
+    """The error for a picture that is sound, but of a kind that is not read."""
+    what = "a kind of picture that is not read"
+    return CaptureError(error("image-unsupported", name, what, found=found, remedy=remedy))
+
+
+def open_picture(file: BinaryIO, suffix: str, name: str) -> Picture:
+    """Look at a picture by its content, at camera raw by its suffix."""
+    file.seek(0)
+    start = file.read(32)
+    if suffix.lower() in RAW_SUFFIXES:
+        from nishiki.formats.raw import open_raw
+
+        return open_raw(file, name)
+    if start.startswith(b"\x89PNG\r\n\x1a\n"):
+        return open_png(file)
+    if start.startswith(b"\xff\xd8"):
+        return open_jpeg(file, name)
+    if start[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
+        from nishiki.formats.tiff import open_tiff
+
+        return open_tiff(file, name)
+    if start.startswith(b"\x76\x2f\x31\x01"):
+        from nishiki.formats.exr import open_exr
+
+        return open_exr(file, name)
+    expected = "PNG, JPEG, TIFF, OpenEXR or camera raw"
+    found = f"{start[:8]!r}" if start else "an empty file"
+    remedy = "Copy the file again from the camera or the archive, or move it away"
+    raise CaptureError(error("image-unreadable", name, "not an image", expected=expected, found=found, remedy=remedy))
+
+
+def open_png(file: BinaryIO) -> Picture:
+    """A PNG: libpng proves the checksums of its chunks when it is decoded; the last one is looked for here."""
+    chunks: dict[bytes, bytes] = {}
+    for kind, place, length in png_chunks(file):
+        if length <= MOST_PROFILE:
+            file.seek(place)
+            chunks.setdefault(kind, file.read(length))
+    columns, rows, depth, colour = struct.unpack(">IIBB", chunks[b"IHDR"][:10])
+    samples = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}[colour]
+    if depth not in (1, 2, 4, 8, 16):
+        raise ValueError(f"samples of {depth} bits")
+    expect_end(file, 8, b"\0\0\0\0IEND\xaeB`\x82", "PNG")
+    alpha, exif = colour in (4, 6) or b"tRNS" in chunks, exif_of(file)
+    header = ImageHeader(
+        "png", rows, columns, (3 if colour in (2, 3, 6) else 1) + alpha, "uint16" if depth == 16 else "uint8", alpha,
+        stored_bytes=rows * (columns * samples * depth // 8), ratio=DEFLATE_RATIO, exif=exif,
+    )  # fmt: skip
+
+    def decode(wanted: Wanted, output: Output) -> np.ndarray:
+        import imagecodecs
+
+        file.seek(0)
+        out = output((rows, columns, header.channels), header.sample)
+        imagecodecs.png_decode(file.read(), out=out if header.channels > 1 else out[:, :, 0])
+        return out
+
+    return Picture(header, decode).coded(png_coding(chunks, exif_coding(exif.colour_space)))
+
+
+def open_jpeg(file: BinaryIO, name: str) -> Picture:
+    """A JPEG of 8 bits, grey or colour; its profile may lie in several segments."""
+    size, end = (0, 0, 0, 0), 0
+    parts: dict[int, bytes] = {}
+    for marker, place, length in jpeg_segments(file):
+        file.seek(place)
+        if 0xC0 <= marker[1] <= 0xCF and marker[1] not in (0xC4, 0xC8, 0xCC) and not size[3]:
+            size = struct.unpack(">BHHB", file.read(6))
+        elif marker[1] == 0xE2 and file.read(12) == b"ICC_PROFILE\0":
+            (number, _), content = file.read(2), file.read(length - 14)
+            parts[number] = content
+        elif marker[1] == 0xDA:
+            end = place
+    depth, rows, columns, channels = size
+    if not channels or not end:
+        raise EOFError("JPEG without a scan" if channels else "no start of frame")
+    if channels == 4:
+        raise unsupported(name, "CMYK", "Save it as RGB: CMYK is for printing")
+    if depth != 8 or channels not in (1, 3):
+        raise unsupported(name, f"JPEG of {depth} bits and {channels} channels", "Save it as 8-bit RGB or as TIFF")
+    expect_end(file, end, b"\xff\xd9", "JPEG")
+    header = ImageHeader(
+        "jpeg", rows, columns, channels, "uint8", stored_bytes=rows * columns * channels, ratio=JPEG_RATIO,
+        exif=exif_of(file),
+    )  # fmt: skip
+
+    def decode(wanted: Wanted, output: Output) -> np.ndarray:
+        import imagecodecs
+
+        file.seek(0)
+        content = file.read()
+        if content.count(b"\xff\xda", end) > MOST_SCANS:
+            raise ValueError(f"JPEG of more than {MOST_SCANS} scans")
+        single = channels == 1 or wanted.luma
+        out = output((rows, columns, 1 if single else 3), "uint8")
+        imagecodecs.jpeg8_decode(
+            content, outcolorspace="GRAYSCALE" if single else "RGB", out=out[:, :, 0] if single else out
+        )
+        return out
+
+    return Picture(header, decode, b"".join(parts[i] for i in sorted(parts))).coded()
+
+
+def expect_end(file: BinaryIO, start: int, mark: bytes, form: str) -> None:
+    """EOFError unless a mark stands between `start` and the end of the file, nearly always in its last bytes: some
+    programs append data of their own. Nothing but the end of the picture may have the bytes of the mark: within the
+    coded scan of a JPEG 0xFF is never followed by 0xD9."""
+    end = file.seek(0, 2)
+    for place in (max(start, end - TAIL), *range(start, end, BLOCK)):
+        file.seek(place)
+        if mark in file.read(BLOCK + len(mark)):
+            return
+    raise EOFError(f"{form} ends after {end} bytes, without its end marker")
+
+
+def _develop(picture: Picture, wanted: Wanted, output: Output) -> np.ndarray:
+    """Linear light (rows, columns, channels) uint16 in the primaries of ROMM RGB, by the profile, through LittleCMS.
+
+    A pixel that is at full scale in any channel becomes white, so that it still counts as saturated.
+    """
+    import imagecodecs
+
+    codes = picture.decode(wanted, np.empty)
+    top = np.iinfo(codes.dtype).max
+    out = output(codes.shape, "uint16")
+    target = icc_profile(RgbSpace(ROMM.name, ROMM.primaries, 1.0))
+    for place in range(0, len(codes), 256):
+        band = np.ascontiguousarray(codes[place : place + 256, :, :3])
+        linear = imagecodecs.cms_transform(
+            band, picture.profile, target, colorspace="rgb", outcolorspace="rgb", outdtype="float32"
+        )
+        out[place : place + 256, :, :3] = np.rint(np.clip(linear, 0, 1) * 65534)
+        out[place : place + 256, :, :3][(band == top).any(axis=2)] = 65535
+    out[:, :, 3:] = codes[:, :, 3:].astype(np.uint16) * np.uint16(65535 // top)
+    return out

@@ -1,0 +1,251 @@
+"""The child process that decodes pictures: a hostile or damaged file can take no more there than it is allowed.
+
+The child is started once and kept, one for each thread that reads at the same time. It gets an open file, never a name;
+answers are JSON, and pixels lie in memory that both map, so that nothing is copied. Each request has its own limits,
+which the system enforces: address space, from what the header claims, and processor time, from the decoded size. A
+child that exceeds them, or whose decoder breaks down, costs one CaptureError; the next request starts another child.
+"""
+
+from __future__ import annotations
+
+import atexit
+import json
+import mmap
+import os
+import resource
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import tempfile
+import threading
+from dataclasses import asdict
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from nishiki.formats.exif import NO_EXIF, Exif, exif_of
+from nishiki.formats.image_header import ImageHeader, header_from
+from nishiki.formats.problems import CaptureError, Problem, error
+
+LEAST_MEMORY = 512 << 20  # bytes of address space beyond the idle child's: libraries, their threads, a file's directory
+MEMORY_FACTOR = 4  # copies of a decoded picture that a decoder may hold
+LEAST_SECONDS, BYTES_A_SECOND = 20, 4 << 20  # processor time; the slowest codec, LZMA, unpacks ten times as much
+MESSAGE = 1 << 16
+COPY_AGAIN = "Copy the file again from the camera or the archive"
+_START = "import sys; sys.path[:] = sys.argv[2:]; from nishiki.formats.picture_process import serve; serve()"
+
+
+def request_header(handle: int, suffix: str, name: str) -> ImageHeader:
+    """Header of an open picture. CaptureError (image-unreadable, image-truncated, image-unsupported, ...)."""
+    answer, _ = _ask({"do": "header", "suffix": suffix, "name": name}, handle, 0)
+    return header_from(answer["header"])
+
+
+def request_exif(handle: int) -> Exif:
+    """Facts of the camera of an open picture; none where it is damaged."""
+    try:
+        return Exif(**_ask({"do": "exif", "name": "", "suffix": ""}, handle, 0)[0]["exif"])
+    except CaptureError:
+        return NO_EXIF
+
+
+def request_codes(handle: int, header: ImageHeader, suffix: str, name: str, wanted: dict[str, Any]) -> np.ndarray:
+    """Codes (rows, columns, channels) of an open picture, alpha included, in memory shared with the child.
+
+    wanted: channels, luma, and region (row, column, rows, columns) or None. CaptureError as `request_header`.
+    """
+    size = header.decoded_bytes + os.fstat(handle).st_size
+    answer, memory = _ask({"do": "codes", "suffix": suffix, "name": name, **wanted}, handle, size)
+    if memory is None:
+        raise ValueError("the decoder sent no pixels")
+    shape, dtype = tuple(answer["shape"]), np.dtype(answer["dtype"])
+    try:
+        flags = mmap.MAP_SHARED | getattr(mmap, "MAP_POPULATE", 0)
+        mapped = mmap.mmap(memory, max(int(np.prod(shape)) * dtype.itemsize, 1), flags)
+    finally:
+        os.close(memory)
+    return np.frombuffer(mapped, dtype, int(np.prod(shape))).reshape(shape)
+
+
+def hold(content: bytes) -> int:
+    """A handle of anonymous memory that holds a file's content."""
+    handle = _anonymous()
+    rest = memoryview(content)
+    while rest:
+        rest = rest[os.write(handle, rest) :]
+    return handle
+
+
+class _Child:
+    """A decoding process and the socket to it."""
+
+    def __init__(self) -> None:
+        self.socket, other = socket.socketpair()
+        with other:
+            command = [sys.executable, "-I", "-S", "-c", _START, str(other.fileno()), *filter(None, sys.path)]
+            self.process = subprocess.Popen(
+                command, pass_fds=(other.fileno(),), stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )  # fmt: skip
+
+    def end(self) -> int:
+        """Close the socket, at which the child ends; its exit status."""
+        self.socket.close()
+        return self.process.wait()
+
+
+_idle: list[_Child] = []
+_lock = threading.Lock()
+
+
+@atexit.register
+def _end_all() -> None:
+    while _idle:
+        _idle.pop().end()
+
+
+os.register_at_fork(after_in_child=_idle.clear)  # the children belong to the parent
+
+
+def _ask(request: dict[str, Any], handle: int, size: int) -> tuple[dict[str, Any], int | None]:
+    """The answer to a request about an open file, and a handle of memory where it has pixels."""
+    with _lock:
+        child = _idle.pop() if _idle else None
+    child = child or _Child()
+    try:
+        _send(child.socket, {**request, "size": size}, handle)
+        answer, memory = _receive(child.socket)
+    except (EOFError, OSError):
+        raise CaptureError(_breakdown(child.end(), request["name"])) from None
+    except BaseException:
+        child.process.kill()  # interrupted between question and answer
+        child.end()
+        raise
+    with _lock:
+        _idle.append(child)
+    if "problem" in answer:
+        raise CaptureError(Problem(**answer["problem"]))
+    return answer, memory
+
+
+def _breakdown(status: int, name: str) -> Problem:
+    if status == -signal.SIGXCPU:
+        return error("image-absurd", name, "image takes much longer to decode than its size accounts for",
+                     remedy=COPY_AGAIN)  # fmt: skip
+    found = f"decoder ended with status {status}"
+    return error("image-truncated", name, "cannot be decoded", found=found, remedy=COPY_AGAIN)
+
+
+def _send(connection: socket.socket, message: dict[str, Any], handle: int | None) -> None:
+    content = json.dumps(message).encode()
+    content = struct.pack("=I", len(content)) + content
+    sent = socket.send_fds(connection, [content], [] if handle is None else [handle])
+    connection.sendall(content[sent:])
+
+
+def _receive(connection: socket.socket) -> tuple[dict[str, Any], int | None]:
+    """A message and the handle that came with it. EOFError where the other side has ended."""
+    content, handles, _, _ = socket.recv_fds(connection, MESSAGE, 1)
+    length = 4 + struct.unpack("=I", content[:4])[0] if len(content) >= 4 else MESSAGE
+    while len(content) < length and (more := connection.recv(length - len(content))):
+        content += more
+    if len(content) < length:
+        raise EOFError("no answer")
+    return json.loads(content[4:]), handles[0] if handles else None
+
+
+def serve() -> None:
+    """Answer requests until the other side closes the connection: the main function of the child."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # an interrupt from the keyboard is for the parent, which ends this
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    with socket.socket(fileno=int(sys.argv[1])) as connection:
+        while True:
+            try:
+                request, file = _receive(connection)
+            except EOFError:
+                return
+            if file is None:
+                return
+            with os.fdopen(file, "rb") as picture:
+                _limit(request["size"])
+                answer, memory = _answer(picture, request)
+            _send(connection, answer, memory)
+            if memory is not None:
+                os.close(memory)
+
+
+def _limit(size: int) -> None:
+    """Set the limits of a request about a picture of so many bytes, file and pixels."""
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    seconds = int(used.ru_utime + used.ru_stime) + LEAST_SECONDS + size // BYTES_A_SECOND
+    resource.setrlimit(resource.RLIMIT_CPU, (seconds, resource.RLIM_INFINITY))
+    if sys.platform == "linux":
+        with open("/proc/self/statm", "rb") as file:
+            present = int(file.read().split()[0]) * resource.getpagesize()
+        resource.setrlimit(resource.RLIMIT_AS, (present + LEAST_MEMORY + MEMORY_FACTOR * size, resource.RLIM_INFINITY))
+
+
+def _answer(file: BinaryIO, request: dict[str, Any]) -> tuple[dict[str, Any], int | None]:
+    name, memory = request["name"], _Memory()
+    try:
+        if request["do"] == "exif":
+            return {"exif": asdict(exif_of(file))}, None
+        from nishiki.formats.picture_files import Wanted, open_picture
+
+        picture = open_picture(file, request["suffix"], name)
+        if request["do"] == "header":
+            return {"header": asdict(picture.header)}, None
+        region = request["region"]
+        wanted = Wanted(tuple(request["channels"]), request["luma"])
+        codes = picture.decode(wanted, np.empty if region else memory.make)
+        header = picture.header
+        if codes.shape[:2] != (header.rows, header.columns) or codes.dtype != header.sample:
+            raise ValueError(f"{codes.shape} of {codes.dtype} where {header.rows} x {header.columns} of "
+                             f"{header.sample} are stated")  # fmt: skip
+        if region:
+            row, column, rows, columns = region
+            part = codes[row : row + rows, column : column + columns]
+            codes = memory.make(part.shape, part.dtype.name)
+            codes[...] = part
+        return {"shape": codes.shape, "dtype": codes.dtype.name}, memory.handle
+    except CaptureError as e:
+        memory.drop()
+        return {"problem": asdict(e.problems[0])}, None
+    except MemoryError:
+        memory.drop()
+        what = "image takes much more memory to decode than its size accounts for"
+        return {"problem": asdict(error("image-absurd", name, what, remedy=COPY_AGAIN))}, None
+    except Exception as e:  # whatever a damaged file makes a decoder stumble over, its own error classes included
+        memory.drop()
+        what = "image is cut off or damaged"
+        found = (str(e) or type(e).__name__)[:300]
+        return {"problem": asdict(error("image-truncated", name, what, found=found, remedy=COPY_AGAIN))}, None
+
+
+def _anonymous() -> int:
+    """A handle of memory without a name; of a nameless file where the system has no such memory."""
+    if hasattr(os, "memfd_create"):
+        return os.memfd_create("picture", os.MFD_CLOEXEC)
+    with tempfile.TemporaryFile() as file:
+        return os.dup(file.fileno())
+
+
+class _Memory:
+    """Anonymous memory that is given to another process by its handle."""
+
+    handle: int | None = None
+
+    def make(self, shape: tuple[int, ...], dtype: str) -> np.ndarray:
+        """An array of zeros in it."""
+        count = int(np.prod(shape))
+        self.handle = _anonymous()
+        size = max(count * np.dtype(dtype).itemsize, 1)
+        os.ftruncate(self.handle, size)
+        return np.frombuffer(mmap.mmap(self.handle, size), dtype, count).reshape(shape)
+
+    def drop(self) -> None:
+        """Give it up."""
+        if self.handle is not None:
+            os.close(self.handle)
