@@ -88,7 +88,7 @@ def lights(data: bytes) -> None:
     suffix, more, content = choice(data, LIGHTS)
     kind = ("direction", "position_mm")[more % 2]
     path = put(f"l{suffix}", content)
-    found = read_relight(path) if suffix == ".relight" else read_lights(path, kind=kind, frontal=not more & 2)
+    found = read_relight(path).lights if suffix == ".relight" else read_lights(path, kind=kind, frontal=not more & 2)
     assert np.isfinite(found.directions).all()
     assert len(set(found.names)) == len(found.names) == len(found.directions)
 

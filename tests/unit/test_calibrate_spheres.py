@@ -15,7 +15,7 @@ from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
 from nishiki.capture.lights import read_lights
 from nishiki.capture.mirror_sphere import SphereCamera, outline_points, pixel_of_direction, reflected_rays, sphere_of
-from nishiki.capture.relight_files import read_dome
+from nishiki.capture.relight_files import read_relight
 from nishiki.errors import UserError
 
 
@@ -80,7 +80,9 @@ def test_one_sphere_gives_directions(tmp_path, radius, most_deg):
     write_calibration(tmp_path / "out", result)
     lamps = read_lights(tmp_path / "out" / "lamps.lp")
     assert lamps.files == tuple(path.name for path in paths)
-    np.testing.assert_allclose(read_dome(tmp_path / "out" / "lamps.dome")[0].directions, lamps.directions, atol=1e-7)
+    np.testing.assert_allclose(
+        read_relight(tmp_path / "out" / "lamps.dome").lights.directions, lamps.directions, atol=1e-7
+    )
     content = json.loads((tmp_path / "out" / "calibration.json").read_text())
     assert len(content["inputs_sha256"]) == len(paths)
     assert "<svg" in (tmp_path / "out" / "calibration.html").read_text()

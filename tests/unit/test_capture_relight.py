@@ -110,9 +110,9 @@ def test_measured_files_hold_the_same_directions_as_the_lp_file(data, tmp_path):
     folder = data / "rti_marble"
     listed = read_lights(folder / "lights.lp")
     for name, digits in (("marble.relight", 3), ("info.json", 3)):
-        found = read_relight(folder / name)
+        found = read_relight(folder / name).lights
         np.testing.assert_allclose(found.vectors, listed.vectors, atol=0.6 * 10**-digits)
-    assert read_relight(folder / "marble.relight").names == listed.names
+    assert read_relight(folder / "marble.relight").lights.names == listed.names
     shutil.copytree(folder, tmp_path / "s", ignore=shutil.ignore_patterns("lights.lp"))
     made = convert(tmp_path / "s", tmp_path / "c", link=True)
     assert (made.photographs, made.layout) == (40, "lights file")

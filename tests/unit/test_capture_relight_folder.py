@@ -93,6 +93,15 @@ def test_a_relight_folder_becomes_a_capture_unless_photographs_lie_in_it(tmp_pat
     assert recognise_relightable(tmp_path / "r") is None
 
 
+def test_the_size_of_a_pixel_arrives(tmp_path):
+    info, _ = write_relight(tmp_path / "r", "ptm", "rgb", 18)
+    (tmp_path / "r/info.json").write_text(json.dumps(info | {"pixelSizeInMM": 0.0173729}))
+    convert(tmp_path / "r", tmp_path / "c")
+    assert load_capture(tmp_path / "c").settings.pixel_pitch_mm == 0.0173729
+    convert(tmp_path / "r", tmp_path / "d", width_mm=10.0)
+    assert load_capture(tmp_path / "d").settings.pixel_pitch_mm == pytest.approx(10 / COLUMNS)
+
+
 def test_planes_whose_names_are_not_found_are_no_photographs(tmp_path):
     write_relight(tmp_path / "r", "hsh", "rgb", 27)
     (tmp_path / "r/plane_0.jpg").rename(tmp_path / "r/plane_0.JPG")

@@ -3,6 +3,7 @@
 import argparse
 import sys
 
+from nishiki.capture.options import LIGHT_KINDS
 from nishiki.errors import UserError, of_the_machine
 from nishiki.installation import COMMAND, INSTALLED
 from nishiki.version import PROJECT_VERSION
@@ -168,6 +169,10 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument(
         "--lights", help="file of the lights, where it is not found by itself; of a relightable image: to render under"
     )
+    sub.add_argument(
+        "--lights-kind", choices=LIGHT_KINDS, help="what the numbers of the lights file are, where it is not clear"
+    )
+    sub.add_argument("--width-mm", type=float, metavar="MM", help="width of the whole photographs on the object")
     sub.add_argument(
         "--mask", help="picture, light where the object is, or with its shape as alpha; turntable: a folder of them"
     )

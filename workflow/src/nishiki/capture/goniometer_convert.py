@@ -65,7 +65,18 @@ def recognise_table(source: Path, options: ConvertOptions) -> Path | None:
 
 def read_measurements(source: Path, table: Path, options: ConvertOptions) -> MeasuredTable:
     """Read the table. Raises the CaptureErrors of `read_table`, and option-unusable."""
-    options.refuse(NO_PHOTOGRAPHS, "lights_file", "mask", "white", "dark", "checks", "encoding", "region")
+    options.refuse(
+        NO_PHOTOGRAPHS,
+        "lights_file",
+        "lights_kind",
+        "width_mm",
+        "mask",
+        "white",
+        "dark",
+        "checks",
+        "encoding",
+        "region",
+    )
     return MeasuredTable(table, read_table(table, table.name))
 
 

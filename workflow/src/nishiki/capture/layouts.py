@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 import os
 import re
+import shlex
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path, PurePath
 
 import numpy as np
@@ -13,10 +15,12 @@ import numpy as np
 from nishiki.capture.bands import find_bands
 from nishiki.capture.frames import inside
 from nishiki.capture.lights import Lights, light_name, lights_from_vectors, read_lights
+from nishiki.capture.lights_evidence import sample_photographs
 from nishiki.capture.mirror_sphere import direction_from_sphere, mean_direction
 from nishiki.capture.options import ConvertOptions
-from nishiki.capture.relight_files import find_relight, is_relight, read_dome, read_relight
+from nishiki.capture.relight_files import CROPPED, find_relight, is_relight, read_relight
 from nishiki.capture.rtibuilder import RtiProject
+from nishiki.capture.stated_lights import StatedLights, decide, decide_strengths, read_lights_file
 from nishiki.formats.bounds import bound
 from nishiki.formats.files import NAME_BYTES, files_with, is_plain, leads_out, read_text, same_name
 from nishiki.formats.image_header import IMAGE_SUFFIXES
@@ -40,8 +44,9 @@ DISAGREEMENT = np.radians(3.0)
 class Layout:
     """photographs[i] was taken under lights.names[i]; intensities (lights, channels) or None; mask or None.
 
-    width_mm: of the photographs on the object where the lamps' vectors are positions in millimetres, else 0; bands:
-    names of the channels where each has a file of its own, and band_files[i] the files of photograph i.
+    kind: what the lamps' vectors are, `direction` or `position_mm`; pitch_mm: width of a pixel on the object, 0 if it
+    is not known; region: row, column, rows, columns to use, None for all;
+    bands: names of the channels where each has a file of its own, and band_files[i] the files of photograph i.
     """
 
     name: str
@@ -50,7 +55,9 @@ class Layout:
     intensities: np.ndarray | None
     mask: Path | None
     warnings: tuple[Problem, ...]
-    width_mm: float = 0.0
+    kind: str = "direction"
+    pitch_mm: float = 0.0
+    region: tuple[int, int, int, int] | None = None
     bands: tuple[str, ...] = ()
     band_files: tuple[tuple[Path, ...], ...] = ()
     geometry = "plane"
@@ -132,33 +139,60 @@ def find_lights_file(source: Path, options: ConvertOptions) -> Path | None:
         file = find_relight(source)
     if file is None or photographs_in(source) or not (is_relight_folder(source) or files_with(source, RELIGHTABLE)):
         return file
-    return None if file.name == INFO or _folder_named(source, _lights_of(file)[0]) == source else file
+    return (
+        None
+        if file.name == INFO or _folder_named(source, state_lights(source, file, options).lights, file) == source
+        else file
+    )
 
 
 def read_with_lights_file(source: Path, file: Path, options: ConvertOptions) -> Layout:
-    """Read the lights and find their photographs."""
-    lights, width_mm = _lights_of(file)
-    kind = "position_mm" if width_mm else "direction"
-    layout = _with_lights(source, lights, options.mask or _find_mask(source), kind=kind)
-    return replace(layout, width_mm=width_mm)
+    """Read the lights, find their photographs, and decide by these what the file leaves open."""
+    stated = state_lights(source, file, options)
+    return _settled(_with_lights(source, stated, file, options.mask or _find_mask(source)), stated, file, options)
 
 
-def _lights_of(file: Path) -> tuple[Lights, float]:
-    """Lights of a file of any kind, and the width of the pictures in millimetres where they are positions, else 0."""
-    if file.suffix.lower() == ".dome":
-        return read_dome(file)
-    return read_relight(file) if is_relight(file) else read_lights(file), 0.0
+def state_lights(source: Path, file: Path, options: ConvertOptions) -> StatedLights:
+    """Read a lights file of any kind for the photographs in a folder or in those below it."""
+    if is_relight(file):
+        return read_relight(file, options.lights_kind, options.width_mm)
+    folders = [source, *(path for path in source.iterdir() if path.is_dir())] if source.is_dir() else []
+    present = {path.name for folder in folders for path in files_with(folder, IMAGE_SUFFIXES)}
+    return read_lights_file(file, options.lights_kind, present)
+
+
+def _settled(layout: Layout, stated: StatedLights, file: Path, options: ConvertOptions) -> Layout:
+    """The layout with what the file states beside its lamps, and what the photographs decide."""
+    sample = cache(lambda: sample_photographs(layout.photographs, options.encoding))
+    if len(layout.lights.names) != len(stated.lights.names):  # a line a band
+        stated = replace(stated, intensities=None, rival=None)
+    stated, columns = replace(stated, lights=layout.lights), read_header(layout.photographs[0]).columns
+    stated = decide(stated, file.name, sample, columns, options.width_mm)
+    stated = decide_strengths(stated, file.name, sample)
+    more = [note for note in stated.lights.warnings if note not in layout.warnings]
+    notes = [note for note in (*layout.warnings, *more) if not (options.region and note.kind == CROPPED)]
+    return replace(
+        layout,
+        lights=stated.lights,
+        kind=stated.kind,
+        pitch_mm=stated.width_mm / columns or stated.pitch_mm,
+        intensities=stated.intensities,
+        region=stated.region,
+        warnings=tuple(notes),
+    )
 
 
 def read_rtibuilder(source: Path, project: RtiProject, options: ConvertOptions) -> Layout:
     """Read the lights of an RTIBuilder project, given or its own, and find the photographs they name, by stem."""
     lights_file = options.lights_file or project.lights_file()
-    lights, _ = _lights_of(lights_file)
+    stated = state_lights(source, lights_file, options)
+    lights = stated.lights
     if all(file is None for file in lights.files):
         what, remedy = "the lights file names no photographs", "Convert the folder of photographs with --lights"
         raise CaptureError(error("layout-unknown", lights_file.name, what, remedy=remedy))
     folder = project.photographs(lights)
-    layout = _with_lights(folder, lights, options.mask or _find_mask(source) or _find_mask(folder))
+    layout = _with_lights(folder, stated, lights_file, options.mask or _find_mask(source) or _find_mask(folder))
+    layout = _settled(layout, stated, lights_file, options)
     note = project.note(lights_file, lights, folder)
     return replace(layout, name="RTIBuilder project", warnings=(note, *layout.warnings))
 
@@ -174,16 +208,17 @@ def _find_mask(source: Path) -> Path | None:
     return masks[0] if len(masks) == 1 else None
 
 
-def _with_lights(source: Path, lights: Lights, mask: Path | None, *, kind: str = "direction") -> Layout:
+def _with_lights(source: Path, stated: StatedLights, lights_file: Path, mask: Path | None) -> Layout:
     """Photographs named in the lights file; where it names none, in the natural order of their names."""
-    banded = find_bands(source, lights, photographs_in, kind=kind)
+    kind = "position_mm" if stated.open_kind else stated.kind
+    banded = find_bands(source, stated.lights, photographs_in, kind=kind)
     if banded is not None:
         photographs = tuple(files[0] for files in banded.files)
         layout = Layout("a file a band", photographs, banded.lights, None, mask, banded.warnings)
         return replace(layout, bands=banded.channels, band_files=banded.files)
-    folder = source
+    folder, lights = source, stated.lights
     if not (present := photographs_in(source)):
-        folder = _folder_named(source, lights)
+        folder = _folder_named(source, lights, lights_file)
         present, mask = photographs_in(folder), mask or _find_mask(folder)
     if all(file is None for file in lights.files):
         _expect_count(source, present, len(lights.names))
@@ -209,9 +244,14 @@ def _with_lights(source: Path, lights: Lights, mask: Path | None, *, kind: str =
     return Layout("lights file", tuple(chosen), lights, None, mask, tuple(notes))
 
 
-def _folder_named(source: Path, lights: Lights) -> Path:
+def _folder_named(source: Path, lights: Lights, file: Path) -> Path:
     """The folder of a folder without photographs that the lights file names for all of them; else the folder itself."""
     named = {same_name(PurePath(*re.split(r"[\\/]", file or "")).parent.name) for file in lights.files}
+    place = PurePath(*re.split(r"[\\/]", next((file for file in lights.files if file), ""))).parent
+    if ".." in place.parts and (source / place).is_dir():
+        what, there = "the photographs lie outside of the folder of their lights", (source / place).resolve()
+        remedy = f"Convert their folder: ./nishiki convert {shlex.join([str(there), 'CAPTURE', '--lights', str(file)])}"
+        raise CaptureError(error("photograph-missing", str(source), what, found=str(there), remedy=remedy))
     found = [
         path
         for path in sorted(source.iterdir())

@@ -66,25 +66,44 @@ def read_lights(path: Path, *, kind: str = "direction", frontal: bool = True) ->
     Raises CaptureError with every mistake found (kinds: lights-missing, lights-unreadable, lights-many, lights-count,
     light-zero, light-not-finite, light-behind, light-duplicate, name-unusable, lights-none).
     """
+    names, numbers = read_numbers(path)
+    if numbers.shape[1] != 3:
+        raise CaptureError(error("lights-unreadable", path.name, f"{numbers.shape[1]} numbers a line", expected="3"))
+    return lights_from_vectors(names, numbers, file=path.name, kind=kind, frontal=frontal)
+
+
+def read_numbers(path: Path, encoding: str | None = None) -> tuple[list[str | None], np.ndarray]:
+    """Read the names of a lights file and its numbers (lights, numbers a line) float64, as they are written.
+
+    encoding: of a text that is not Unicode. CaptureError: lights-missing, lights-unreadable, lights-many, lights-count.
+    """
+    with reading(path.name, "lights"):
+        text = _decoded(read_bytes(path, "table_bytes", name=path.name), encoding)
+        parse = _parse_table if path.suffix.lower() == ".csv" else _parse_list
+        names, rows = parse(text, path.name, counted=path.suffix.lower() not in (".csv", ".txt"))
+    expect_rows(len(names), "lights", path.name, "lights")
+    return names, np.array(rows, np.float64).reshape(len(rows), len(rows[0]) if rows else 3)
+
+
+def is_unicode(path: Path) -> bool:
+    """Whether a lights file says what its letters are, so that no code page has to be guessed."""
     with reading(path.name, "lights"):
         content = read_bytes(path, "table_bytes", name=path.name)
-        text = _decoded(content)
-        parse = _parse_table if path.suffix.lower() == ".csv" else _parse_list
-        names, vectors = parse(text, path.name, counted=path.suffix.lower() not in (".csv", ".txt"))
-    expect_rows(len(names), "lights", path.name, "lights")
-    return lights_from_vectors(
-        names, np.array(vectors, dtype=np.float64).reshape(-1, 3), file=path.name, kind=kind, frontal=frontal
-    )
+    try:
+        _decoded(content, "ascii")
+    except UnicodeDecodeError:
+        return content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    return True
 
 
-def _decoded(content: bytes) -> str:
-    """Text of a lights file: UTF-16 by its mark, UTF-8, or Latin-1 (the numbers are ASCII anyway)."""
+def _decoded(content: bytes, encoding: str | None = None) -> str:
+    """Text of a lights file: UTF-16 by its mark, UTF-8, or a code page, Latin-1 if none is given."""
     if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return content.decode("utf-16")
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError:
-        return content.decode("latin-1")  # file names in an old code page
+        return content.decode(encoding or "latin-1")  # file names in an old code page; the numbers are ASCII anyway
 
 
 def lights_from_vectors(
@@ -166,27 +185,28 @@ def _parse_list(text: str, file: str, *, counted: bool) -> tuple[list[str | None
         remedy = "Begin it with the number of lights; a line '[file name] x y z' for each follows"
         what = "not a .lp file"
         raise CaptureError(error("lights-unreadable", file, what, expected=expected, found=found, remedy=remedy))
-    names, vectors, problems = [], [], []
-    for number, line in lines:
-        parsed = _parse_line(line)
-        if parsed is None:
+    parsed = [_parse_line(line) for _, line in lines]
+    problems = []
+    for (number, line), each in zip(lines, parsed, strict=True):
+        if each is None:
             where = f"{file} line {number}"
             expected = "[file name] x y z"
             remedy = "End the line with the three numbers of the direction"
             what, found = "line cannot be read", line[:60]
             problems.append(error("lights-unreadable", where, what, expected=expected, found=found, remedy=remedy))
-            continue
-        names.append(parsed[0])
-        vectors.append(parsed[1])
     if declared is not None and declared != len(lines):
         remedy = "Correct the first line, or restore the missing lines"
         expected, found = f"{declared} lights as the first line says", f"{len(lines)} lines"
         problems.append(error("lights-count", file, "count disagrees", expected=expected, found=found, remedy=remedy))
     raise_errors(problems)
+    names = [each[0] for each in parsed if each]
+    rows = [each[1] for each in parsed if each]
     if any(n is None for n in names) and any(n is not None for n in names):
         what, remedy = "some lines have a file name and some have none", "Name the photograph in every line, or in none"
         raise CaptureError(error("lights-unreadable", file, what, remedy=remedy))
-    return names, vectors
+    if len({len(row) for row in rows}) > 1:  # names that end in numbers
+        rows = [row[-3:] for row in rows]
+    return names, rows
 
 
 def _kept(text: str) -> Iterator[tuple[int, str]]:
@@ -197,12 +217,18 @@ def _kept(text: str) -> Iterator[tuple[int, str]]:
 
 
 def _parse_line(line: str) -> tuple[str | None, list[float]] | None:
-    """Name (or None) and three numbers of one line, or None where it is no such line."""
+    """Name (or None) and numbers of one line: all that follow the name of a picture, else the last three.
+
+    None where it is no such line.
+    """
     for candidate in (line, re.sub(r"\s#.*$", "", line)):
         for tokens in _splittings(candidate):
-            numbers = [_number(t) for t in tokens[-3:]]
-            if len(tokens) >= 3 and all(v is not None for v in numbers):
-                return _name_before(candidate, tokens), numbers
+            numbers = [_number(t) for t in tokens]
+            picture = max((i for i, t in enumerate(tokens) if IMAGE_SUFFIX.search(t.strip("\"'"))), default=None)
+            start = max(len(tokens) - 3, 0) if picture is None else picture + 1
+            found = [v for v in numbers[start:] if v is not None]
+            if len(found) >= (3 if picture is None else 2) and len(found) == len(tokens) - start:
+                return _name_before(candidate, tokens, start), found
     return None
 
 
@@ -223,12 +249,14 @@ def _number(token: str) -> float | None:
         return None
 
 
-def _name_before(line: str, tokens: list[str]) -> str | None:
-    """What stands before the last three numbers: a file name that may hold blanks."""
-    if len(tokens) == 3:
+def _name_before(line: str, tokens: list[str], start: int) -> str | None:
+    """What stands before the numbers, which begin with the token `start`: a file name that may hold blanks."""
+    if start == 0:
         return None
-    name = line[: line.rindex(tokens[-3], 0, line.rindex(tokens[-2], 0, line.rindex(tokens[-1])))]
-    return name.strip().rstrip(",;").strip().strip("\"'")
+    end = len(line)
+    for token in reversed(tokens[start:]):
+        end = line.rindex(token, 0, end)
+    return line[:end].strip().rstrip(",;").strip().strip("\"'")
 
 
 def _parse_table(text: str, file: str, *, counted: bool) -> tuple[list[str | None], list[list[float]]]:

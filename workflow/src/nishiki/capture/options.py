@@ -9,8 +9,18 @@ from typing import Literal
 
 from nishiki.formats.problems import CaptureError, Problem, error
 
-FLAGS = {"lights_file": "lights", "checks": "check", "region": "roi"}
+FLAGS = {
+    "lights_file": "lights",
+    "lights_kind": "lights-kind",
+    "width_mm": "width-mm",
+    "checks": "check",
+    "region": "roi",
+}
 """The command's names of fields that have another."""
+ANGLES = ("azimuth_elevation", "elevation_azimuth", "azimuth_polar", "polar_azimuth")
+LIGHT_KINDS = ("direction", "position_mm", *ANGLES)
+"""What the numbers of a lights file can be; angles in degrees or radians by their range, azimuth from x (right) towards
+y (up), elevation from the object's plane, polar from its normal."""
 NO_PHOTOGRAPHS = "What is converted holds no photographs; leave the option out"
 
 
@@ -22,6 +32,11 @@ class ConvertOptions:
     ----------
     lights_file : Path or None
         Lights file, where it is not found by itself; of a relightable image: the lamps to render under.
+    lights_kind : str or None
+        What the numbers of the lights file are, one of LIGHT_KINDS; None where the file or the photographs
+        tell.
+    width_mm : float or None
+        Width of the whole photographs on the object, millimetres.
     mask : Path or None
         Picture of the object; for a turntable the folder of the silhouettes.
     white : Path or None
@@ -44,6 +59,8 @@ class ConvertOptions:
     """
 
     lights_file: Path | None = None
+    lights_kind: str | None = None
+    width_mm: float | None = None
     mask: Path | None = None
     white: Path | None = None
     dark: Path | None = None
@@ -53,6 +70,12 @@ class ConvertOptions:
     region: tuple[int, int, int, int] | None = None
     link: bool = False
     examine: Callable[[Path], list[Problem]] | None = None
+
+    def __post_init__(self) -> None:
+        """Raise CaptureError (option-unusable) for a width that is none."""
+        if self.width_mm is not None and not 0 < self.width_mm < 1e9:
+            found = f"{self.width_mm:g}"
+            raise CaptureError(error("option-unusable", "width-mm", "no width", expected="millimetres", found=found))
 
     def refuse(self, remedy: str, *fields: str) -> None:
         """Raise CaptureError (option-unusable) where one of these fields, which mean nothing to a layout, is given."""

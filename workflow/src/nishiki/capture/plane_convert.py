@@ -31,7 +31,7 @@ def write_plane(folder: Path, layout: Layout, source: Path, options: ConvertOpti
         what = "no such light to keep for evaluation"
         remedy = "The names of the lamps are those of their photographs, without the suffix"
         raise CaptureError(error("light-unknown", str(source), what, expected=expected, found=found, remedy=remedy))
-    link, region = options.link, options.region
+    link, region = options.link, options.region or layout.region
     folder.mkdir(parents=True)
     header = usual_header(layout.photographs)
     channels = layout.bands or channel_names(header)
@@ -56,9 +56,9 @@ def write_plane(folder: Path, layout: Layout, source: Path, options: ConvertOpti
     jpeg = header.kind == "jpeg"
     coding = options.encoding or ("srgb" if jpeg else "linear")
     settings["camera"] = {"channels": list(channels), "encoding": coding}
-    settings["lights"] = {"file": "lights.lp", "kind": "position_mm" if layout.width_mm else "direction"}
-    if layout.width_mm:
-        settings["pixel_pitch_mm"] = float(f"{layout.width_mm / header.columns:.9g}")
+    settings["lights"] = {"file": "lights.lp", "kind": layout.kind}
+    if pitch := options.width_mm / header.columns if options.width_mm else layout.pitch_mm:
+        settings["pixel_pitch_mm"] = float(f"{pitch:.9g}")
     if layout.intensities is not None:
         settings["lights"]["intensities"] = "intensities.csv"
         _write_intensities(folder / "intensities.csv", layout, channels)
@@ -142,6 +142,8 @@ def _quoted(value: str) -> str:
 
 def _write_intensities(path: Path, layout: Layout, channels: tuple[str, ...]) -> None:
     values = layout.intensities
+    if len(channels) == 1:
+        values = values.mean(axis=1, keepdims=True)
     if values.shape[1] == 1:
         values = np.repeat(values, len(channels), axis=1)
     if values.shape[1] != len(channels):

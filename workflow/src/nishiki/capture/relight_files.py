@@ -1,39 +1,56 @@
-"""Lamp directions from the files that the program Relight writes: `NAME.relight` (its project) and `info.json`.
+"""Lamps from the files that the programs Relight and RelightLab write: projects (`.relight`), `.dome`, `info.json`.
 
-A project lists the photographs, each with its file name and `direction` {x, y, z}; one with `skip` is not used. They
-lie in its `folder`.
-`info.json` of a relightable image holds `lights`, three numbers a photograph, without file names. A `.dome` holds the
-lamps of a rig in order: `directions`, and `positions3d` in millimetres where `lightConfiguration` is `lights3d`, with
-the width of the pictures in `imageWidth`. Axes as in `.lp`.
+A project lists its photographs, each with its file name; one with `skip` is not used, nor one with `visible` false.
+They lie in its `folder`. Directions stand with the photographs (`direction`) in old projects, else in
+`dome.directions`: one for each photograph that is not skipped. A dome, in a project or in a file of its own, has in
+millimetres `positionsSphere` where its `lightConfiguration` is `spherical` (else `domeDiameter` and `verticalOffset`
+give them), `positions3d` where it is `lights3d`, the width of the pictures in `imageWidth`, and in `ledAdjust` factors
+that even the lamps out. `crop` is in pixels, turned about the middle of the picture; `aligns` hold shifts.
+`info.json` of a relightable image holds `lights`, three numbers a photograph, without file names, and perhaps
+`pixelSizeInMM`. Axes as in `.lp`.
 """
 
 from __future__ import annotations
 
 import json
+import math
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from nishiki.capture.lights import Lights, lights_from_vectors
+from nishiki.capture.stated_lights import StatedLights
 from nishiki.formats.files import files_with, read_text
-from nishiki.formats.problems import CaptureError, error, warning
+from nishiki.formats.problems import CaptureError, Problem, error, warning
 from nishiki.formats.text_tables import expect_rows, reading
 
 REMEDY = "Save the project again in Relight with its directions, or export a .lp file"
+LEAST_SHIFT = 0.5  # pixels
+CROPPED = "project-crop"
+SUFFIXES = (".relight", ".json", ".dome")
+
+
+def is_relight(path: Path) -> bool:
+    """Whether a lights file is one of Relight's, by its suffix, or by its name where that is all there is."""
+    return (path.suffix or path.name).lower() in SUFFIXES
 
 
 def find_relight(source: Path) -> Path | None:
-    """The one project of Relight in a folder, else its info.json where that holds lights; None without either.
+    """Find the one project of Relight in a folder, else its `.dome`, else its info.json where that holds lights.
 
-    CaptureError (layout-unknown) where there are several projects.
+    None without these. CaptureError (layout-unknown) where there are several projects, or domes.
     """
-    projects = files_with(source, (".relight",))
-    if len(projects) > 1:
-        found = ", ".join(p.name for p in projects[:5])
-        what, remedy = "several .relight files", "Name one: --lights FILE"
-        raise CaptureError(error("layout-unknown", str(source), what, found=found, remedy=remedy))
-    if projects:
-        return projects[0]
+    for suffix in (".relight", ".dome"):
+        hidden = source / suffix  # a project that was saved without a name
+        files = [*files_with(source, (suffix,)), *([hidden] if hidden.is_file() else [])]
+        if len(files) > 1:
+            found = ", ".join(p.name for p in files[:5])
+            what, remedy = f"several {suffix} files", "Name one: --lights FILE"
+            raise CaptureError(error("layout-unknown", str(source), what, found=found, remedy=remedy))
+        if files:
+            return files[0]
     info = source / "info.json"
     try:
         return info if info.is_file() and "lights" in _read(info) else None
@@ -41,59 +58,174 @@ def find_relight(source: Path) -> Path | None:
         return None
 
 
-def read_relight(path: Path) -> Lights:
-    """Lamps of a `.relight` project or of an `info.json`; the names of photographs that are skipped are left out.
+def read_relight(path: Path, kind: str | None = None, width_mm: float | None = None) -> StatedLights:
+    """Read the lamps of a `.relight` project, a `.dome` or an `info.json`.
 
-    CaptureError: lights-missing, lights-unreadable, lights-many, and those of `lights_from_vectors`.
+    kind : `direction` or `position_mm` where the user says which, else as the file is configured; width_mm : of the
+    photographs, in place of the file's. CaptureError: lights-missing, lights-unreadable, lights-many,
+    photograph-missing and those of `lights_from_vectors`.
     """
     content = _read(path)
-    notes, images = [], content.get("images")
+    images = content.get("images")
     if isinstance(images, list):
-        expect_rows(len(images), "lights", path.name, "lights")
-        kept = [image for image in images if not (isinstance(image, dict) and image.get("skip") is True)]
-        names = [_name(image, path.name) for image in kept]
-        folder = content.get("folder")
-        if isinstance(folder, str) and folder not in ("", "."):
-            names = [f"{folder.rstrip('/')}/{name}" for name in names]
-        vectors = [_vector([image["direction"].get(axis) for axis in "xyz"], path.name) for image in kept]
-        if len(kept) < len(images):
-            what = "photographs that the project skips were left out"
-            notes.append(warning("photograph-unlisted", path.name, what, found=f"{len(images) - len(kept)}"))
-    elif isinstance(content.get("lights"), list):
+        return _of_project(content, images, path, kind, width_mm)
+    if isinstance(content.get("lights"), list):
         numbers = content["lights"]
         expect_rows(len(numbers) // 3, "lights", path.name, "lights")
         if len(numbers) % 3:
             raise _unreadable(path.name, "three numbers a light", f"{len(numbers)} numbers")
-        vectors = [_vector(numbers[i : i + 3], path.name) for i in range(0, len(numbers), 3)]
-        names = [None] * len(vectors)
-    else:
-        raise _unreadable(path.name, "'images' with directions, or 'lights'", ", ".join(map(repr, content))[:80])
-    lights = lights_from_vectors(names, np.array(vectors, np.float64).reshape(-1, 3), file=path.name)
-    return Lights(lights.names, lights.files, lights.vectors, lights.directions, (*lights.warnings, *notes))
+        rows = [_vector(numbers[i : i + 3], path.name) for i in range(0, len(numbers), 3)]
+        lights = lights_from_vectors([None] * len(rows), np.array(rows, float).reshape(-1, 3), file=path.name)
+        return StatedLights(lights, pitch_mm=_positive(content, "pixelSizeInMM"))
+    stated = _of_dome(content, path, kind, width_mm)
+    lights = lights_from_vectors([None] * len(stated.vectors), stated.vectors, file=path.name, kind=stated.read_as)
+    return stated.lights(lights, _strengths(content, len(stated.vectors), path.name))
 
 
-def read_dome(path: Path) -> tuple[Lights, float]:
-    """Lamps of a `.dome` in order, without file names, and the width of its pictures in millimetres.
+def _of_project(content: dict, images: list, path: Path, kind: str | None, width_mm: float | None) -> StatedLights:
+    """Photographs that are neither skipped nor hidden, and that have a lamp."""
+    expect_rows(len(images), "lights", path.name, "lights")
+    names = [_name(image, path.name) for image in images]
+    dome = content.get("dome") if isinstance(content.get("dome"), dict) else {}
+    taken = [i for i, image in enumerate(images) if image.get("skip") is not True]
+    own = [images[i].get("direction") for i in taken]
+    if own and all(isinstance(each, dict) for each in own) and any(map(_any, own)):
+        dome = {"imageWidth": dome.get("imageWidth"), "directions": own}
+    if not _vectors(dome.get("directions"), path.name).size and not _vectors(dome.get("positions3d"), path.name).size:
+        what, found = "a project without directions of its lamps", f"{len(taken)} photographs"
+        remedy = "Find the lights in Relight and save it again, or give the directions with --lights FILE"
+        raise CaptureError(error("lights-unreadable", path.name, what, found=found, remedy=remedy))
+    lamps = _of_dome(dome, path, kind, width_mm)
+    strengths = _strengths(dome, len(lamps.vectors), path.name)
+    stated = taken if len(lamps.vectors) == len(taken) else list(range(len(images)))
+    if len(lamps.vectors) != len(stated):
+        expected = f"{len(taken)} lamps, one for each photograph that is not skipped"
+        raise _unreadable(path.name, expected, f"{len(lamps.vectors)}")
+    dark = [i for i, vector in zip(stated, lamps.vectors, strict=True) if not vector.any()]
+    used = [k for k, i in enumerate(stated) if i in taken and images[i].get("visible") is not False and i not in dark]
+    notes = []
+    if dark:
+        what, found = "photographs without a direction were left out", ", ".join(names[i] for i in dark[:5])
+        notes.append(warning("photograph-unlisted", path.name, what, found=found))
+    if len(used) + len(dark) < len(images):
+        what = "photographs that the project skips were left out"
+        notes.append(warning("photograph-unlisted", path.name, what, found=f"{len(images) - len(used) - len(dark)}"))
+    region, more = _crop(content, path.name)
+    notes += [*more, *_shifts(content, [stated[k] for k in used], path.name)]
+    folder = content.get("folder")
+    prefix = f"{folder.rstrip('/')}/" if isinstance(folder, str) and folder.strip("/") not in ("", ".") else ""
+    files: list[str | None] = [f"{prefix}{names[stated[k]]}" for k in used]
+    lamps = lamps.of(used)
+    lights = lights_from_vectors(files, lamps.vectors, file=path.name, kind=lamps.read_as)
+    lights = replace(lights, warnings=(*lights.warnings, *notes))
+    stated_lights = lamps.lights(lights, None if strengths is None else strengths[used])
+    return replace(stated_lights, pitch_mm=_positive(content, "pixelSize"), region=region)
 
-    The vectors are positions in millimetres where the width is above 0, else directions.
-    CaptureError: lights-missing, lights-unreadable, lights-many, and those of `lights_from_vectors`.
+
+@dataclass(frozen=True)
+class _DomeLamps:
+    """Vectors (lamps, 3) of a dome, positions in millimetres or directions; width of the pictures in millimetres or 0.
+
+    directions : where vectors are positions that the photographs have to bear out, else None.
     """
-    content = _read(path)
-    width = content.get("imageWidth", 0)
-    known = isinstance(width, int | float) and not isinstance(width, bool) and 0 < width < 1e9
-    near = content.get("lightConfiguration") == "lights3d" and known
-    listed = content.get("positions3d" if near else "directions")
-    if not isinstance(listed, list) or not listed:
-        raise _unreadable(
-            path.name, "'directions', or 'positions3d' with 'imageWidth'", ", ".join(map(repr, content))[:80]
+
+    vectors: np.ndarray
+    kind: str
+    width_mm: float
+    directions: np.ndarray | None = None
+
+    @property
+    def read_as(self) -> str:
+        return self.kind if self.directions is None else "position_mm"
+
+    def of(self, chosen: list[int]) -> _DomeLamps:
+        far = None if self.directions is None else self.directions[chosen]
+        return replace(self, vectors=self.vectors[chosen], directions=far)
+
+    def lights(self, lights: Lights, strengths: np.ndarray | None) -> StatedLights:
+        open_kind = self.directions is not None
+        return StatedLights(
+            lights, self.kind, self.width_mm, 0.0, strengths, None, open_kind, open_kind, self.directions
         )
-    expect_rows(len(listed), "lights", path.name, "lights")
-    vectors = [
-        _vector([each.get(axis) if isinstance(each, dict) else None for axis in "xyz"], path.name) for each in listed
-    ]
-    kind = "position_mm" if near else "direction"
-    lights = lights_from_vectors([None] * len(vectors), np.array(vectors, np.float64), file=path.name, kind=kind)
-    return lights, float(width) if near else 0.0
+
+
+def _of_dome(dome: dict, path: Path, kind: str | None, width_mm: float | None) -> _DomeLamps:
+    """Positions where the file is configured so, or the user says so, and the width is known, else directions.
+
+    A dome that states positions or a diameter, but no width, or that near lamps are not wanted, leaves it open.
+    """
+    width = width_mm or _positive(dome, "imageWidth")
+    configured = str(dome.get("lightConfiguration"))
+    directions = _vectors(dome.get("directions"), path.name)
+    diameter = _positive(dome, "domeDiameter") or _positive(dome, "diameter")
+    keys = ("positions3d", "positions") if configured == "lights3d" else ("positionsSphere", "positions", "positions3d")
+    stated = [_vectors(dome.get(key), path.name) for key in keys]
+    positions = next((each for each in stated if each.any()), np.zeros((0, 3)))
+    if not positions.size and diameter and directions.any():
+        lengths = np.maximum(np.linalg.norm(directions, axis=1), 1e-9)
+        offset = dome.get("verticalOffset")
+        height = float(offset) if isinstance(offset, int | float) else 0.0
+        positions = directions / lengths[:, None] * (diameter / 2) + [0, 0, height]
+        positions[~directions.any(axis=1)] = 0
+    near = kind == "position_mm" or (kind is None and configured in ("spherical", "lights3d"))
+    if positions.size and near and (width or kind):
+        return _DomeLamps(positions, "position_mm", width)
+    if kind == "position_mm" or not directions.size:
+        expected, found = "'directions', or positions with 'imageWidth'", ", ".join(map(repr, dome))[:80]
+        raise _unreadable(path.name, expected, found)
+    if positions.shape == directions.shape and kind is None:
+        return _DomeLamps(positions, "direction", width, directions)
+    return _DomeLamps(directions, "direction", width)
+
+
+def _strengths(dome: dict, count: int, file: str) -> np.ndarray | None:
+    """Relative strengths (lamps, 3), which the factors of `ledAdjust` even out; None without."""
+    factors = dome.get("ledAdjust")
+    if not isinstance(factors, list) or not factors:
+        return None
+    values = [[each.get(c) if isinstance(each, dict) else None for c in "rgb"] for each in factors]
+    numbers = np.array([_vector(row, file) for row in values])
+    if len(numbers) != count or not (numbers > 0).all():
+        expected, found = f"{count} factors above 0 in 'ledAdjust'", f"{len(numbers)}"
+        raise _unreadable(file, expected, found)
+    return 1 / numbers if np.ptp(numbers) > 0 else None
+
+
+def _crop(content: dict, file: str) -> tuple[tuple[int, int, int, int] | None, list[Problem]]:
+    """Row, column, rows, columns of the upright rectangle that a project crops to; None for the whole picture."""
+    crop = content.get("crop")
+    size = np.array([_positive(content, "width"), _positive(content, "height")])
+    if not isinstance(crop, dict) or not size.all() or not _positive(crop, "width") or not _positive(crop, "height"):
+        return None, []
+    left, top, width, height, angle = _vector(
+        [crop.get(k, 0) for k in ("left", "top", "width", "height", "angle")], file
+    )
+    turn = math.radians(angle)
+    rotation = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
+    corners = np.array([[left, top], [left + width, top], [left, top + height], [left + width, top + height]])
+    upright = (corners - np.abs(rotation) @ size / 2) @ rotation + size / 2
+    first = np.clip(np.floor(upright.min(axis=0) + 1e-6), 0, size).astype(int)
+    last = np.clip(np.ceil(upright.max(axis=0) - 1e-6), 0, size).astype(int)
+    if not (last > first).all() or (last - first == size).all():
+        return None, []
+    region = int(first[1]), int(first[0]), int(last[1] - first[1]), int(last[0] - first[0])
+    turned = f", around the rectangle that it turns by {angle:g} degrees" if angle else ""
+    what = f"the crop of the project is the region of interest{turned}"
+    found = "row {}, column {}, {} rows, {} columns".format(*region)
+    return region, [warning(CROPPED, file, what, found=found)]
+
+
+def _shifts(content: dict, used: list[int], file: str) -> list[Problem]:
+    """What to tell of the shifts of photographs that a project states, which are not applied."""
+    shifts = []
+    for align in content.get("aligns") if isinstance(content.get("aligns"), list) else []:
+        offsets = align.get("offsets") if isinstance(align, dict) else None
+        if isinstance(offsets, list) and len(offsets) > max(used, default=-1):
+            shifts.append([_vector(offsets[i][:2] if isinstance(offsets[i], list) else [], file) for i in used])
+    if not shifts or np.abs(largest := np.mean(shifts, axis=0)).max(initial=0.0) < LEAST_SHIFT:
+        return []
+    what = "the project aligns its photographs; its shifts are not taken over, the photographs stay as they are"
+    return [warning("project-aligns", file, what, found=f"shifts of up to {np.abs(largest).max():.1f} pixels")]
 
 
 def _read(path: Path) -> dict:
@@ -110,11 +242,24 @@ def _read(path: Path) -> dict:
 
 
 def _name(image: object, file: str) -> str:
-    """File name of one photograph of a project, whose direction is an object, too."""
+    """File name of one photograph of a project."""
     name = image.get("filename") if isinstance(image, dict) else None
-    if not isinstance(name, str) or not name or not isinstance(image.get("direction"), dict):
-        raise _unreadable(file, "images with 'filename' and 'direction'", repr(image)[:80])
+    if not isinstance(name, str) or not name:
+        raise _unreadable(file, "images with 'filename'", repr(image)[:80])
     return name
+
+
+def _vectors(listed: object, file: str) -> np.ndarray:
+    """(n, 3) of a list of objects with x, y and z; (0, 3) where there is no list."""
+    if not isinstance(listed, list):
+        return np.zeros((0, 3))
+    expect_rows(len(listed), "lights", file, "lights")
+    rows = [_vector([each.get(axis) if isinstance(each, dict) else None for axis in "xyz"], file) for each in listed]
+    return np.array(rows, np.float64).reshape(-1, 3)
+
+
+def _any(vector: dict) -> bool:
+    return any(vector.get(axis) for axis in "xyz")
 
 
 def _vector(values: list, file: str) -> list[float]:
@@ -123,11 +268,12 @@ def _vector(values: list, file: str) -> list[float]:
     return [float(v) for v in values]
 
 
+def _positive(content: dict, key: str) -> float:
+    """A number above 0; 0 where there is none."""
+    value: Any = content.get(key)
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < 1e9 else 0.0
+
+
 def _unreadable(file: str, expected: str, found: str) -> CaptureError:
     what = "not a file of lights by Relight"
     return CaptureError(error("lights-unreadable", file, what, expected=expected, found=found, remedy=REMEDY))
-
-
-def is_relight(path: Path) -> bool:
-    """Whether a lights file is one of Relight's, by its suffix."""
-    return path.suffix.lower() in (".relight", ".json")

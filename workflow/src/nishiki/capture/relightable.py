@@ -12,11 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.capture.layouts import RELIGHTABLE as SUFFIXES
-from nishiki.capture.layouts import photographs_in
-from nishiki.capture.lights import Lights, lights_from_vectors, read_lights
+from nishiki.capture.layouts import photographs_in, state_lights
+from nishiki.capture.lights import Lights, lights_from_vectors
 from nishiki.capture.options import NO_PHOTOGRAPHS, ConvertOptions, file_problems
 from nishiki.capture.plane_convert import write_tables
-from nishiki.capture.relight_files import is_relight, read_relight
 from nishiki.capture.schema import LOST_BY_FIT
 from nishiki.capture.schema_base import FORMAT
 from nishiki.capture.taking import COLOUR, take, take_mask
@@ -86,7 +85,7 @@ def read_relightable(source: Path, file: Path, options: ConvertOptions) -> Rende
     options.refuse(NO_PHOTOGRAPHS, "white", "dark", "checks")
     raise_errors(file_problems(mask=options.mask))
     open_relightable(file)
-    return Rendering(file, lamps_for(options.lights_file))
+    return Rendering(file, lamps_for(options.lights_file, options))
 
 
 def open_relightable(path: Path) -> PtmFile | HshFile | RelightFolder:
@@ -105,10 +104,10 @@ def open_relightable(path: Path) -> PtmFile | HshFile | RelightFolder:
     return image
 
 
-def lamps_for(lights_file: Path | None) -> Lights:
+def lamps_for(lights_file: Path | None, options: ConvertOptions | None = None) -> Lights:
     """The lamps of a file, or those of RINGS, named by polar angle and azimuth in degrees."""
     if lights_file is not None:
-        return read_relight(lights_file) if is_relight(lights_file) else read_lights(lights_file)
+        return state_lights(lights_file.parent, lights_file, options or ConvertOptions()).lights
     names, vectors = [], []
     for ring, (polar, count) in enumerate(RINGS):
         for step in range(count):
@@ -141,6 +140,8 @@ def write_rendered(folder: Path, layout: Rendering, source: Path, options: Conve
         "rendered_from": _keep(image, file, folder, options.link),
     }
     doubts: list[Problem] = []
+    pitch = options.width_mm / image.shape[1] if options.width_mm else getattr(image, "pitch_mm", 0.0)
+    settings |= {"pixel_pitch_mm": float(f"{pitch:.9g}")} if pitch else {}
     if options.mask is not None:
         place = folder / f"mask{options.mask.suffix.lower()}"
         settings["mask"], doubts = take_mask(options.mask, place, options.link)

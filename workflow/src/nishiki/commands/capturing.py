@@ -59,6 +59,8 @@ def convert(options: argparse.Namespace, rest: list[str]) -> None:
         raise UserError("convert: expected the capture folder to make, CAPTURE, or --list. Remedy: name it")
     given = ConvertOptions(
         lights_file=_path(options.lights),
+        lights_kind=options.lights_kind,
+        width_mm=options.width_mm,
         mask=_path(options.mask),
         white=_path(options.white),
         dark=_path(options.dark),

@@ -40,7 +40,7 @@ class RelightFolder:
     kind : ptm, hsh, sh, rbf or bilinear; colour_space : rgb, lrgb, mrgb or mycc; codes : (rows, columns, planes) uint8,
     rows from the top; scale, bias : (planes,); components : (planes + 1, n, 3) of red, green and blue with their mean
     first, of rbf and bilinear; lights : (n, 3), width : of the Gaussians, both of rbf only; files : names that were
-    read, relative to the folder.
+    read, relative to the folder; pitch_mm : width of a pixel on the object, 0 if it is not stated.
     """
 
     kind: str
@@ -52,6 +52,7 @@ class RelightFolder:
     components: np.ndarray
     width: float
     files: tuple[str, ...]
+    pitch_mm: float = 0.0
 
     @property
     def layout(self) -> str:
@@ -147,7 +148,10 @@ def open_relight(folder: Path) -> RelightFolder:
     codes = np.empty((rows, columns, 3 * pictures), np.uint8)
     for number in range(pictures):
         files += read_plane(folder, number, codes[..., 3 * number : 3 * number + 3])
-    return RelightFolder(kind, space, codes[..., :count], scale, bias, lights, components, width, tuple(files))
+    pitch: Any = info.get("pixelSizeInMM")
+    pitch = float(pitch) if type(pitch) in (int, float) and 0 < pitch < 1e9 else 0.0
+    codes = codes[..., :count]
+    return RelightFolder(kind, space, codes, scale, bias, lights, components, width, tuple(files), pitch)
 
 
 def _triples(info: dict[str, Any], name: str) -> tuple[int, int]:

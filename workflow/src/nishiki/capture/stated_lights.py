@@ -1,0 +1,270 @@
+"""What a lights file states, of any program and dialect: directions, positions or angles, decided by evidence.
+
+A file that can be read in two ways is decided by the photographs (see `lights_evidence`), or refused with the options
+that say which it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.capture.lights import Lights, is_unicode, light_name, lights_from_vectors, read_numbers
+from nishiki.capture.lights_evidence import AS_WELL, CLEARLY, Samples, Verdict, judge, near_field, residual_of
+from nishiki.capture.options import ANGLES
+from nishiki.formats.files import same_name
+from nishiki.formats.problems import CaptureError, Problem, error, warning
+
+CODE_PAGES = "cp932 gbk big5 cp949 euc_jp cp1251 cp1253 cp1250 cp1252 mac_roman cp850 cp437 latin-1".split()
+EVEN, OFF_UNIT = 0.05, 0.1  # spread of the lengths of one set of directions; their distance from 1
+SCALED = (0.1, 10.0)  # lengths of directions that were not normalised; equal ones beyond may be the radius of a dome
+Sampler = Callable[[], Samples | None]
+
+
+@dataclass(frozen=True)
+class StatedLights:
+    """Lamps of a file and what else it states.
+
+    Attributes
+    ----------
+    lights : Lights
+        Names and vectors.
+    kind : str
+        `direction` or `position_mm`.
+    width_mm : float
+        Width of the whole photographs on the object, 0 if it is not known.
+    pitch_mm : float
+        Width of a pixel on the object, 0 if it is not known.
+    intensities : (lights, 1 or 3) float64 or None
+        Relative strengths.
+    region : tuple of int or None
+        Row, column, rows, columns that the file crops to.
+    open_kind : bool
+        Whether photographs have to tell directions from positions, see `decide`; without evidence they are directions
+        where `scaled`.
+    scaled : bool
+        Whether the vectors are of one length near 1.
+    rival : (lights, 3) float64 or None
+        Directions where the angles of the file are of another kind, `rival_kind`, or where lamps turn out to be far.
+    open_strengths : bool
+        Whether photographs have to tell what the intensities are, see `decide_strengths`.
+    """
+
+    lights: Lights
+    kind: str = "direction"
+    width_mm: float = 0.0
+    pitch_mm: float = 0.0
+    intensities: np.ndarray | None = None
+    region: tuple[int, int, int, int] | None = None
+    open_kind: bool = False
+    scaled: bool = False
+    rival: np.ndarray | None = None
+    rival_kind: str = ""
+    open_strengths: bool = False
+
+
+def read_lights_file(file: Path, kind: str | None, present: Collection[str]) -> StatedLights:
+    """Read a `.lp`, a `.csv` or a list, as far as the file alone tells what it is.
+
+    kind : one of LIGHT_KINDS, or None; present : names of the photographs, by which an old code page is recognised.
+    CaptureError: those of `read_numbers` and `lights_from_vectors`, and lights-angles.
+    """
+    names, numbers = _read_names(file, present)
+    stems, counts = {same_name(light_name(name)) for name in present}, [str(i + 1) for i in range(len(names))]
+    names = [None] * len(names) if names == counts and not stems & set(counts) else names
+    strengths = None
+    if numbers.shape[1] == 3 and names and all(_is_fraction(name) for name in names):
+        names, numbers = [None] * len(names), np.column_stack([np.array(names, float), numbers])
+    if numbers.shape[1] in (4, 6) and not _are_unit(numbers[:, -3:]):
+        numbers, strengths = numbers[:, :3], numbers[:, 3:]
+    elif numbers.shape[1] > 3:
+        numbers = numbers[:, -3:]
+    rival, rival_kind = None, ""
+    if kind is None and _are_angles(numbers):
+        raise CaptureError(_angles_refused(file, numbers))
+    if kind in ANGLES:
+        swap = {"polar": "elevation", "elevation": "polar"}
+        rival_kind = "_".join(swap.get(word, word) for word in str(kind).split("_"))
+        numbers, rival, kind = _from_angles(numbers, str(kind)), _from_angles(numbers, rival_kind), "direction"
+    if numbers.shape[1] != 3:
+        remedy = "End each line with the three numbers of the direction"
+        raise CaptureError(error("lights-unreadable", file.name, f"{numbers.shape[1]} numbers a line", remedy=remedy))
+    lengths = np.linalg.norm(numbers, axis=1)
+    even = len(lengths) > 0 and np.ptp(lengths) <= EVEN * lengths.max()
+    scaled = bool(even and SCALED[0] <= lengths.min() and lengths.max() <= SCALED[1])
+    sound = len(lengths) > 0 and np.isfinite(lengths).all() and (lengths > 1e-9).all()
+    open_kind = bool(kind is None and sound and (np.abs(lengths - 1) > OFF_UNIT).any())
+    read_as = "position_mm" if open_kind else kind or "direction"
+    lights = lights_from_vectors(names, numbers, file=file.name, kind=read_as)
+    if strengths is not None and np.ptp(strengths, axis=0).max() < 1e-9:
+        strengths = None
+    return StatedLights(
+        lights,
+        kind or "direction",
+        0.0,
+        0.0,
+        strengths,
+        None,
+        open_kind,
+        scaled,
+        rival,
+        rival_kind,
+        strengths is not None,
+    )
+
+
+def _read_names(file: Path, present: Collection[str]) -> tuple[list[str | None], np.ndarray]:
+    """Names and numbers; of a text in an old code page in the one in which its names are those of photographs."""
+    if is_unicode(file):
+        return read_numbers(file)
+    known = {same_name(name) for name in present} | {same_name(light_name(name)) for name in present}
+    for encoding in CODE_PAGES:
+        try:
+            names, numbers = read_numbers(file, encoding)
+        except CaptureError:
+            if encoding == CODE_PAGES[-1]:  # decodes anything, so that something else is wrong
+                raise
+            continue
+        if all(name is None or same_name(light_name(name)) in known for name in names):
+            return names, numbers
+    what = "names of photographs in a code page that is not known"
+    remedy = "Save the file as UTF-8, or give its names and those of the photographs plain letters"
+    raise CaptureError(error("lights-unreadable", file.name, what, expected="UTF-8", remedy=remedy))
+
+
+def decide(stated: StatedLights, file: str, samples: Sampler, columns: int, width_mm: float | None) -> StatedLights:
+    """Decide by the photographs whether open numbers are directions or positions, and in which unit.
+
+    samples : gives samples of the photographs in the order of the lights; columns : of the photographs; width_mm : that
+    the user states. CaptureError: lights-ambiguous where they do not tell, lights-contradicted where angles are of the
+    other kind.
+    """
+    if stated.rival is not None and stated.rival_kind and (taken := samples()) is not None:
+        own, other = residual_of(taken, stated.lights.directions), residual_of(taken, stated.rival)
+        if other < CLEARLY * own:
+            what, found = "the photographs contradict the kind of these angles", f"residual {own:.3g}, else {other:.3g}"
+            remedy = f"Give the other kind: --lights-kind {stated.rival_kind}"
+            raise CaptureError(error("lights-contradicted", file, what, found=found, remedy=remedy))
+    if stated.kind == "direction" and not stated.open_kind:
+        return replace(stated, width_mm=width_mm or stated.width_mm)
+    if stated.kind == "position_mm" and stated.width_mm:  # as the file says itself
+        return stated
+    vectors, taken = stated.lights.vectors, samples()
+    verdict = (
+        judge(taken, vectors, stated.intensities, columns, width_mm or stated.width_mm)
+        if taken
+        else Verdict(False, False)
+    )
+    if verdict.near and verdict.factor:
+        return _as_positions(stated, file, verdict, told=bool(width_mm))
+    if stated.kind == "position_mm" and width_mm:
+        return replace(stated, width_mm=width_mm)
+    if stated.open_kind and not verdict.near and (verdict.far or stated.scaled):
+        far = vectors if stated.rival is None else stated.rival
+        lights = lights_from_vectors(list(stated.lights.files), far, file=file, kind="direction")
+        return replace(stated, lights=lights, open_kind=False, width_mm=width_mm or stated.width_mm)
+    lengths = np.linalg.norm(vectors, axis=1)
+    found = f"lengths {lengths.min():.4g} to {lengths.max():.4g}"
+    if verdict.near or stated.kind == "position_mm":
+        what, expected = "positions of lamps in a unit that the photographs do not show", "the width of the photographs"
+        remedy = "Give their width on the object in millimetres: --width-mm WIDTH. Directions: --lights-kind direction"
+    else:
+        what = "vectors that may be directions or positions, and the photographs do not tell which"
+        expected = "directions of length 1"
+        remedy = (
+            "Positions in millimetres: --lights-kind position_mm --width-mm WIDTH (of the whole photographs on the "
+            "object). Directions: --lights-kind direction"
+        )
+    raise CaptureError(error("lights-ambiguous", file, what, expected=expected, found=found, remedy=remedy))
+
+
+def _as_positions(stated: StatedLights, file: str, verdict: Verdict, *, told: bool) -> StatedLights:
+    """Positions in millimetres, with a word where the photographs decided on them or on their unit."""
+    lights = replace(stated.lights, vectors=stated.lights.vectors * verdict.factor)
+    if stated.open_kind or verdict.factor != 1:
+        what = (
+            f"the lamps are taken as positions in {verdict.unit}: their light falls off across the photographs as over "
+            f"a width of {verdict.width_mm:.4g} mm"
+        )
+        remedy = "" if told else "Give the true width of the photographs on the object: --width-mm WIDTH"
+        lights = replace(lights, warnings=(*lights.warnings, warning("lights-positions", file, what, remedy=remedy)))
+    return replace(stated, lights=lights, kind="position_mm", width_mm=verdict.width_mm, open_kind=False)
+
+
+def decide_strengths(stated: StatedLights, file: str, samples: Sampler) -> StatedLights:
+    """Decide by the photographs whether further numbers of each line are strengths of the lamps or factors for them."""
+    if stated.intensities is None or not stated.open_strengths:
+        return stated
+    taken = samples()
+    note, chosen = "were not used: the photographs do not follow them", None
+    positive = np.isfinite(stated.intensities).all() and (stated.intensities > 0).all()
+    if taken is not None and positive:
+        strengths = stated.intensities / np.median(stated.intensities, axis=0)
+        mean = strengths.mean(axis=1)[taken.chosen, None]
+        field = stated.lights.directions
+        if stated.kind == "position_mm":
+            field = near_field(stated.lights.vectors, taken.places, stated.width_mm)
+        trials = {"": 1.0, "strengths of the lamps": 1 / mean, "factors that even the lamps out": mean}
+        left = {name: residual_of(replace(taken, values=taken.values * by), field) for name, by in trials.items()}
+        best = min(left, key=lambda name: left[name])
+        if best and left[best] < AS_WELL * left[""]:
+            chosen = strengths if "strengths" in best else 1 / strengths
+            note = f"were taken as {best}"
+    what = f"further numbers of each line {note}"
+    lights = replace(stated.lights, warnings=(*stated.lights.warnings, warning("lights-further-numbers", file, what)))
+    return replace(stated, lights=lights, intensities=chosen)
+
+
+def _is_fraction(name: str | None) -> bool:
+    """Whether a name is a number that is no count, so that it is the first number of its line."""
+    try:
+        return name is not None and float(name) != int(float(name))
+    except (ValueError, OverflowError):
+        return False
+
+
+def _are_unit(vectors: np.ndarray) -> bool:
+    return bool((np.abs(np.linalg.norm(vectors, axis=1) - 1) <= OFF_UNIT).all())
+
+
+def _are_angles(numbers: np.ndarray) -> bool:
+    """Whether rows are two angles, or two angles and one radius for all."""
+    if len(numbers) < 3 or not np.isfinite(numbers).all() or _are_unit(numbers):
+        return False
+    if numbers.shape[1] == 3 and np.ptp(numbers[:, 2]) > 1e-6 * np.abs(numbers[:, 2]).max():
+        return False
+    full = 360.0 if np.abs(numbers[:, :2]).max() > 2 * np.pi + 0.01 else 2 * np.pi
+    return any(_azimuth_at(numbers, column, full) for column in (0, 1))
+
+
+def _azimuth_at(numbers: np.ndarray, column: int, full: float) -> bool:
+    """Whether a column goes round more than a third of the full turn, and the other stays between plane and normal."""
+    other = numbers[:, 1 - column]
+    within = np.abs(numbers[:, column]).max() <= 1.01 * full and other.min() >= 0 and other.max() <= full / 4 * 1.001
+    return bool(within and np.ptp(numbers[:, column]) > full / 3)
+
+
+def _angles_refused(file: Path, numbers: np.ndarray) -> Problem:
+    full = 360.0 if np.abs(numbers[:, :2]).max() > 2 * np.pi + 0.01 else 2 * np.pi
+    first = _azimuth_at(numbers, 0, full)
+    kinds = [kind for kind in ANGLES if kind.startswith("azimuth") == first]
+    what = f"angles in {'degrees' if full == 360 else 'radians'}, the azimuth {'first' if first else 'second'}"
+    remedy = (
+        f"Azimuth from x (right) towards y (up) and elevation from the object's plane: --lights-kind {kinds[0]}. "
+        f"Angle from the normal instead of the elevation: --lights-kind {kinds[1]}. Where the azimuth counts from "
+        "elsewhere or the other way, write directions instead"
+    )
+    found = " ".join(f"{value:g}" for value in numbers[0])
+    return error("lights-angles", file.name, what, expected="directions x y z", found=found, remedy=remedy)
+
+
+def _from_angles(numbers: np.ndarray, kind: str) -> np.ndarray:
+    """Directions (lights, 3) of two angles in the order that the kind names."""
+    degrees = np.abs(numbers[:, :2]).max(initial=0.0) > 2 * np.pi + 0.01
+    angles = np.radians(numbers[:, :2]) if degrees else numbers[:, :2]
+    azimuth, height = angles.T if kind.startswith("azimuth") else angles.T[::-1]
+    polar = height if "polar" in kind else np.pi / 2 - height
+    return np.column_stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)])
