@@ -340,7 +340,6 @@ def test_columns_of_other_quantities_are_not_taken_for_channels(tmp_path, column
     (problem,) = caught.value.problems
     assert problem.kind == "table-quantities"
     assert held in problem.found
-    assert "divided by pi" in problem.remedy
 
 
 @pytest.mark.parametrize(
@@ -440,3 +439,95 @@ def test_frames_whose_angles_are_radians_are_named_and_read_as_such(tmp_path):
     for ours, theirs in zip(load_capture(folder).frames, frames, strict=True):
         pairs = zip(ours.angles_deg, theirs.angles_deg, strict=True)
         assert all(a == b or a == pytest.approx(b, abs=1e-9) for a, b in pairs)
+
+
+def test_radiance_factors_are_read_where_they_are_stated(tmp_path):
+    heading = "theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg,radiance_factor_r,radiance_factor_g"
+    (tmp_path / "t.csv").write_text(f"{heading}\n0,0,10,0,0.5,0.25\n")
+    np.testing.assert_allclose(
+        read_table(tmp_path / "t.csv", "t.csv", values="radiance_factor").values, [[0.5 / np.pi, 0.25 / np.pi]]
+    )
+
+
+def write_cloth(
+    path, *, lights=((0, 0), (30, 0), (30, 90), (60, 0), (60, 90)), change=lambda angles, values: (angles, values)
+):
+    """A table of the test's cloth over whole hemispheres, as `change` makes it of angles (n, 4) and values (n, 3)."""
+    views = [(t, p) for t in range(0, 90, 10) for p in range(0, 360, 30) if t or not p]
+    angles = np.array([(*light, *view) for light in lights for view in views], float)
+    angles, values = change(angles, cloth(*directions(angles)))
+    rows = [",".join(map(repr, [*map(float, a), *map(float, v)])) for a, v in zip(angles, values, strict=True)]
+    path.write_text("theta_i_deg,phi_i_deg,theta_r_deg,phi_r_deg,red,green,blue\n" + "\n".join(rows) + "\n")
+
+
+def counted_from(side):
+    """phi_r counted from the lamp (0) or from the side opposite to it (180)."""
+
+    def change(angles, values):
+        angles = angles.copy()
+        oblique = angles[:, 0] > 0
+        angles[oblique, 3] = (angles[oblique, 3] - angles[oblique, 1] - side) % 360
+        return angles, values
+
+    return change
+
+
+FAULTY_TABLES = {
+    "per cent": (lambda a, v: (a, 100 * np.pi * v), "reflectance-energy", {"values": "radiance_factor_percent"}),
+    "radiance factor": (lambda a, v: (a, 20 * np.pi * v), "reflectance-energy", None),
+    "cosine of the view": (
+        lambda a, v: (a, v * np.cos(np.radians(a[:, 2:3]))), "reciprocity", {"values": "brdf_cos_view"}
+    ),
+    "cosine of the light": (
+        lambda a, v: (a, v * np.cos(np.radians(a[:, :1]))), "reciprocity", {"values": "brdf_cos_light"}
+    ),
+    "from the mirror direction": (counted_from(180), "reciprocity", {"azimuths": "mirror"}),
+    "from the lamp": (counted_from(0), "reciprocity", {"azimuths": "lamp"}),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", FAULTY_TABLES)
+def test_tables_that_no_surface_has_are_refused_with_what_makes_them_right(tmp_path, fault):
+    change, kind, right = FAULTY_TABLES[fault]
+    write_cloth(tmp_path / "sound.csv")
+    write_cloth(tmp_path / "t.csv", change=change)
+    with pytest.raises(CaptureError) as refused:
+        convert(tmp_path / "t.csv", tmp_path / "c", examine=check_capture)
+    (problem,) = refused.value.problems
+    assert (problem.kind, problem.file) == (kind, "t.csv")
+    for key, option in (right or {}).items():
+        assert f"--{key} {option} " in problem.remedy
+    if right is None:
+        return
+    convert(tmp_path / "t.csv", tmp_path / "c", examine=check_capture, **right)
+    convert(tmp_path / "sound.csv", tmp_path / "sound", examine=check_capture)
+    table, sound = load_capture(tmp_path / "c").table, load_capture(tmp_path / "sound").table
+    np.testing.assert_allclose(table.values, sound.values, rtol=1e-9)
+    np.testing.assert_allclose((table.outgoing_deg - sound.outgoing_deg) % 360 % 360, 0, atol=1e-9)
+    assert "reciprocity" not in {p.kind for p in check_capture(tmp_path / "c")}
+    stated = {key: {"values": "brdf", "azimuths": "cloth"}[key] for key in right}
+    convert(tmp_path / "t.csv", tmp_path / "as it is", examine=check_capture, **stated)
+    assert (kind, "warning") in {(p.kind, p.severity) for p in check_capture(tmp_path / "as it is")}
+
+
+def test_azimuths_from_the_mirror_direction_show_where_the_surface_shines(tmp_path):
+    """Lights in one plane have no pairs that tell."""
+    write_cloth(tmp_path / "t.csv", lights=((30, 0), (45, 0), (60, 0)), change=counted_from(180))
+    convert(tmp_path / "t.csv", tmp_path / "c", examine=check_capture)
+    assert "shine-backward" in {p.kind for p in check_capture(tmp_path / "c")}
+
+
+@pytest.mark.parametrize("name", ["garnet_red.brdf", "krylon_blue.brdf"])
+def test_measured_paints_raise_no_alarm(data, tmp_path, name):
+    convert(data / "cornell_brdf" / name, tmp_path / "c", examine=check_capture)
+    assert {p.kind for p in check_capture(tmp_path / "c")} == {"table-dark"}
+
+
+def test_options_of_tables_mean_nothing_to_photographs(tmp_path):
+    with pytest.raises(CaptureError) as refused:
+        convert(make_goniometer(tmp_path / "c") / "white", tmp_path / "d", values="brdf")
+    assert refused.value.problems[0].kind in ("option-unusable", "layout-unknown")
+    folder = make_goniometer(tmp_path / "e", goniometer={"values": "radiance_factor"})
+    with pytest.raises(CaptureError) as refused:
+        load_capture(folder)
+    assert refused.value.problems[0].kind == "wrong-value"

@@ -182,6 +182,10 @@ def _parser() -> argparse.ArgumentParser:
     )
     sub.add_argument("--dark", help="folder of dark frames")
     sub.add_argument("--check", action="append", metavar="LIGHT", help="a light kept for evaluation (repeatable)")
+    quantities = ("brdf", "radiance_factor", "radiance_factor_percent", "brdf_cos_view", "brdf_cos_light")
+    sub.add_argument("--values", choices=quantities, help="what a table of reflectances holds (default: brdf, in 1/sr)")
+    text = "what the azimuth of the view in a table is counted from (default: cloth, the weft, as that of the light)"
+    sub.add_argument("--azimuths", choices=("cloth", "lamp", "mirror"), help=text)
     sub.add_argument("--link", action="store_true", help="hard links instead of copies, on the same disk")
     sub.add_argument("--open", action="store_true", help="do not seal yet: camera curves and the like will be added")
     sub.add_argument("--roi", nargs=4, type=int, metavar=("ROW", "COLUMN", "ROWS", "COLUMNS"), help="crop")

@@ -74,6 +74,8 @@ def convert(source: Path | str, target: Path | str, options: ConvertOptions | No
     missing = file_problems(lights=options.lights_file)
     raise_errors([*folder_problems(white=options.white, dark=options.dark), *missing])
     layout = read_source(source, options)
+    if not isinstance(layout, MeasuredTable):
+        options.refuse("They belong to tables of reflectances; leave them out", "values", "azimuths")
     notes = _write_complete(target, lambda partial: WRITERS[type(layout)](partial, layout, source, options), options)
     return Conversion(target, layout.name, layout.count, (*layout.warnings, *notes), layout.geometry, layout.channels)
 

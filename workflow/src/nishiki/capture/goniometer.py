@@ -117,7 +117,11 @@ def examine_goniometer(
     named = {key: attempt(lambda f=file, k=key: inside(payload, f, f"capture.yaml {k}")) for key, file in block.files}
     path, table = named.get("goniometer.table"), None
     if block.table is not None:
-        table = attempt(lambda: read_table(path, block.table)) if path else None
+        table = (
+            attempt(lambda: read_table(path, block.table, values=block.values, azimuths=block.azimuths))
+            if path
+            else None
+        )
         if table is None:
             return None, []
         problems = list(table.warnings)

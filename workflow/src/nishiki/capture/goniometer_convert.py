@@ -65,19 +65,10 @@ def recognise_table(source: Path, options: ConvertOptions) -> Path | None:
 
 def read_measurements(source: Path, table: Path, options: ConvertOptions) -> MeasuredTable:
     """Read the table. Raises the CaptureErrors of `read_table`, and option-unusable."""
-    options.refuse(
-        NO_PHOTOGRAPHS,
-        "lights_file",
-        "lights_kind",
-        "width_mm",
-        "mask",
-        "white",
-        "dark",
-        "checks",
-        "encoding",
-        "region",
-    )
-    return MeasuredTable(table, read_table(table, table.name))
+    photographs = ("lights_file", "lights_kind", "width_mm", "mask", "white", "dark", "checks", "encoding", "region")
+    options.refuse(NO_PHOTOGRAPHS, *photographs)
+    values, azimuths = options.values or "brdf", options.azimuths or "cloth"
+    return MeasuredTable(table, read_table(table, table.name, values=values, azimuths=azimuths))
 
 
 def write_table_capture(folder: Path, layout: MeasuredTable, source: Path, options: ConvertOptions) -> list[Problem]:
@@ -85,7 +76,9 @@ def write_table_capture(folder: Path, layout: MeasuredTable, source: Path, optio
     table = layout.file
     folder.mkdir(parents=True)
     name = take(table, folder / table.name, options.link)
-    block = {"table": name, "symmetry": "quarter", "weave": "unknown"}
+    stated = {"values": options.values, "azimuths": options.azimuths}
+    block = {"table": name} | {key: value for key, value in stated.items() if value}
+    block |= {"symmetry": "quarter", "weave": "unknown"}
     settings = {"format": FORMAT, "title": options.title or table.stem, "geometry": "goniometer", "goniometer": block}
     text = "# Capture folder: see docs/capture-folder.md\n" + yaml.safe_dump(
         settings, sort_keys=False, allow_unicode=True

@@ -12,18 +12,24 @@ from nishiki.formats.files import is_label
 
 Reflectance = Annotated[float, Field(gt=0, le=1.1)]
 Label = Annotated[int, Field(ge=1, le=65535)]
+Values = Literal["brdf", "radiance_factor", "radiance_factor_percent", "brdf_cos_view", "brdf_cos_light"]
+Azimuths = Literal["cloth", "lamp", "mirror"]
 
 
 class Goniometer(Closed):
     """The block `goniometer`: how a reflectance is read from the photographs, and what is known of the cloth.
 
-    table: reflectances instead of photographs. white_reflectance: of the board, a number or one a channel. crop_px:
-    side of the central window that is kept of every photograph. regions: label picture of the cloth as seen along its
-    normal, region_names: label of each name; upright: what points up in an oblique photograph, the cloth's warp or the
-    plane through normal and camera.
+    table: reflectances instead of photographs. values: what its columns hold: the BRDF in 1/sr, pi times as much, that
+    in per cent, or the BRDF times the cosine of the view or of the light. azimuths: what phi_r is counted from: the
+    cloth's weft, as phi_i; the lamp's side; or the side opposite to it, where a mirror would send the light.
+    white_reflectance: of the board, a number or one a channel. crop_px: side of the central window that is kept of
+    every photograph. regions: label picture of the cloth as seen along its normal, region_names: label of each name;
+    upright: what points up in an oblique photograph, the cloth's warp or the plane through normal and camera.
     """
 
     table: str | None = None
+    values: Values = "brdf"
+    azimuths: Azimuths = "cloth"
     white_reflectance: Reflectance | tuple[Reflectance, ...] = 1.0
     crop_px: Annotated[int, Field(strict=True, ge=1, le=4096)] = 64
     regions: str | None = None
@@ -48,6 +54,8 @@ class Goniometer(Closed):
     def _agree(self) -> Goniometer:
         if self.table and self.regions:
             raise ValueError("a table of reflectances has no regions: they are places in photographs")
+        if not self.table and (self.values, self.azimuths) != ("brdf", "cloth"):
+            raise ValueError("values and azimuths belong to a table of reflectances; frames.csv has photographs")
         if self.region_names and not self.regions:
             raise ValueError("region_names need regions, the label picture that they name")
         if (self.regions_pitch_mm is None) != (self.pixel_pitch_mm is None) and self.regions:

@@ -23,10 +23,9 @@ ANGLE = re.compile(
     r"([ _]*[\[(]?(?P<unit>deg|degrees?|°|rad|radians?)[\])]?)?"
 )
 """Names of columns of angles: to the light, to the view, and their unit where it is named."""
+RADIANCE_FACTOR = "radiance factor or reflectance (no unit)"
 QUANTITIES = {
-    "radiance factor or reflectance (no unit)": re.compile(
-        r"(radiance|reflectance|reflection)[ _-]*factor|(?<![a-z])brf(?![a-z])"
-    ),
+    RADIANCE_FACTOR: re.compile(r"(radiance|reflectance|reflection)[ _-]*factor|(?<![a-z])brf(?![a-z])"),
     "error or count of a measurement": re.compile(
         r"(?<![a-z])(std|stderr|stdev|stddev|sigma|variance|var|error|err|uncertainty|count|samples|weight)(?![a-z])"
     ),
@@ -58,19 +57,38 @@ class ReflectanceTable:
     warnings: tuple[Problem, ...] = ()
 
 
-def read_table(path: Path, name: str) -> ReflectanceTable:
+def read_table(path: Path, name: str, *, values: str = "brdf", azimuths: str = "cloth") -> ReflectanceTable:
     """Read `.brdf` (Cornell: angles in radians, a value a wavelength), `.bin` (UTIA), `.binary` (MERL) or CSV.
 
-    Raises CaptureError with all mistakes: table-missing, table-unreadable, table-many, table-columns,
-    table-quantities, table-empty, angle-invalid, table-value.
+    values, azimuths: what the columns hold and what phi_r is counted from, see `goniometer_schema.Goniometer`; the
+    table that is returned holds the BRDF, and azimuths from the weft. Raises CaptureError with all mistakes:
+    table-missing, table-unreadable, table-many, table-columns, table-quantities, table-empty, angle-invalid,
+    table-value, angles-radians.
     """
     if path.suffix.lower() in BINARY_BYTES:
-        return (_utia if path.suffix.lower() == ".bin" else _merl)(path, name)
+        return _as_brdf((_utia if path.suffix.lower() == ".bin" else _merl)(path, name), values, azimuths)
     with reading(name, "table"):
         cornell = path.suffix.lower() == ".brdf"
         lines = (table_lines if cornell else comma_lines)(path, name, limit="reflectances_bytes")
-        table = (_cornell if cornell else _csv)(lines, name)
-    return _checked(*table, name)
+        table = _cornell(lines, name) if cornell else _csv(lines, name, values)
+    return _as_brdf(_checked(*table, name), values, azimuths)
+
+
+def _as_brdf(table: ReflectanceTable, values: str, azimuths: str) -> ReflectanceTable:
+    """The table with the BRDF in place of `values`, and azimuths of the view from the weft."""
+    cos_i, cos_r = (np.cos(np.radians(each[:, :1])) for each in (table.incident_deg, table.outgoing_deg))
+    weight = {
+        "brdf": 1.0,
+        "radiance_factor": np.pi,
+        "radiance_factor_percent": 100 * np.pi,
+        "brdf_cos_view": cos_r,
+        "brdf_cos_light": cos_i,
+    }[values]
+    outgoing = table.outgoing_deg
+    if azimuths != "cloth":
+        turn = np.where(table.incident_deg[:, 0] > 0, table.incident_deg[:, 1] + 180 * (azimuths == "mirror"), 0.0)
+        outgoing = np.column_stack([outgoing[:, 0], (outgoing[:, 1] + turn) % 360])
+    return replace(table, values=table.values / weight, outgoing_deg=outgoing)
 
 
 def is_table(path: Path, *, named: bool = False) -> bool:
@@ -102,7 +120,7 @@ def angle_column(column: str) -> tuple[str, str]:
     return f"{kind}_{'i' if way[0] in 'il' else 'r'}_deg", "deg" if unit == "°" else unit[:3]
 
 
-def _csv(lines: Lines, name: str) -> tuple[np.ndarray, tuple[str, ...], array, list[Problem]]:
+def _csv(lines: Lines, name: str, values: str) -> tuple[np.ndarray, tuple[str, ...], array, list[Problem]]:
     """Rows (n, 4 + channels), angles in degrees first; channel names; line number of each row; what to know."""
     columns = cells_of(next(lines, (0, ""))[1])
     expect_rows(len(columns), "table_columns", name, "table")
@@ -114,7 +132,7 @@ def _csv(lines: Lines, name: str) -> tuple[np.ndarray, tuple[str, ...], array, l
         expected, found = f"{', '.join(ANGLES)} and one column a channel, each once", ", ".join(heading)[:80]
         remedy = "Name the columns in the first line"
         raise CaptureError(error("table-columns", name, "columns", expected=expected, found=found, remedy=remedy))
-    _expect_reflectances(channels, name)
+    _expect_reflectances(channels, name, values)
     order = [heading.index(column) for column in (*ANGLES, *channels)]
     numbers, places, problems = array("d"), array("q"), []
     for line, text in lines:
@@ -164,18 +182,22 @@ def quantity_of(column: str) -> str:
     return UNSAID
 
 
-def _expect_reflectances(channels: tuple[str, ...], name: str) -> None:
-    """CaptureError (table-quantities) unless all columns hold the same quantity, in 1/sr as far as their names tell."""
+def _expect_reflectances(channels: tuple[str, ...], name: str, values: str) -> None:
+    """CaptureError (table-quantities) unless all columns hold the same quantity, that of `values` as far as their names
+    tell."""
     held: dict[str, list[str]] = {}
     for channel in channels:
         held.setdefault(quantity_of(channel), []).append(channel)
-    if set(held) <= {BRDF} or set(held) <= {UNSAID}:
+    stated = RADIANCE_FACTOR if values.startswith("radiance_factor") else BRDF
+    if set(held) <= {stated} or set(held) <= {UNSAID}:
         return
     found = "; ".join(
         f"{', '.join(names[:4])}{' ...' if len(names) > 4 else ''}: {quantity}" for quantity, names in held.items()
     )
     what = "columns are not all reflectances of one unit"
-    remedy = "Keep the four angles and the columns in 1/sr (a radiance factor divided by pi); delete the others"
+    remedy = "Keep the four angles and the columns in 1/sr (a radiance factor is pi times as much); delete the others"
+    if set(held) == {RADIANCE_FACTOR}:
+        remedy = "Convert it with --values radiance_factor, or radiance_factor_percent where a white has 100"
     raise CaptureError(
         error("table-quantities", name, what, expected="channels in 1/sr alone", found=found, remedy=remedy)
     )

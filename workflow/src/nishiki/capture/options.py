@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from nishiki.capture.goniometer_schema import Azimuths, Values
 from nishiki.formats.problems import CaptureError, Problem, error
 
 FLAGS = {
@@ -52,6 +53,10 @@ class ConvertOptions:
         Title of the object; None for the name of the source.
     region : tuple of int or None
         Row, column, rows, columns.
+    values : str or None
+        What the columns of a table of reflectances hold, see `goniometer_schema.Goniometer`.
+    azimuths : str or None
+        What phi_r of a table of reflectances is counted from.
     link : bool
         Make hard links instead of copies (same disk; then never edit either).
     examine : callable or None
@@ -68,6 +73,8 @@ class ConvertOptions:
     encoding: Literal["linear", "srgb"] | None = None
     title: str | None = None
     region: tuple[int, int, int, int] | None = None
+    values: Values | None = None
+    azimuths: Azimuths | None = None
     link: bool = False
     examine: Callable[[Path], list[Problem]] | None = None
 

@@ -68,6 +68,8 @@ def convert(options: argparse.Namespace, rest: list[str]) -> None:
         encoding=options.encoding,
         title=options.title,
         region=tuple(options.roi) if options.roi else None,
+        values=options.values,
+        azimuths=options.azimuths,
         link=options.link,
         examine=None if options.open else check_capture,
     )

@@ -23,7 +23,7 @@ from nishiki.formats.text_tables import refusal
 from nishiki.observations.blocks import block_edges
 from nishiki.observations.choice import AnyCapture
 from nishiki.observations.frames import FrameReader
-from nishiki.observations.goniometer_check import goniometer_files, look_at_windows
+from nishiki.observations.goniometer_check import goniometer_files, look_at_windows, table_problems
 from nishiki.observations.pairs_check import PairLevels
 from nishiki.observations.plane_decode import count_unusable
 from nishiki.observations.plane_store import frame_problems
@@ -54,6 +54,8 @@ def check_capture(
         problems += _unlisted(capture)
         remarks, sound, size = _header_problems(capture)
         problems += remarks
+        if capture.geometry == "goniometer" and capture.table is not None:
+            problems += table_problems(capture)
         looks = {"turntable": _look_round, "goniometer": look_at_windows}
         look = looks.get(capture.geometry, _look_at_plane)
         if size is not None and sound.observed:

@@ -4,6 +4,7 @@ import numpy as np
 
 from nishiki.artifacts.stage import Context
 from nishiki.errors import UserError
+from nishiki.goniometry.consistency import reciprocity, typical_albedo
 from nishiki.goniometry.coverage import IncidenceCoverage, coverage
 from nishiki.goniometry.directions import unit
 from nishiki.goniometry.hemisphere import Interpolation, complete, directional_albedo
@@ -112,10 +113,11 @@ def diagnostics(
     """Plain values for the manifest."""
     values = measured.values[measured.valid]
     noise = measured.noise[measured.valid]
-    apart = [
-        departure(measured.incident[ok], measured.outgoing[ok], measured.values[ok, r], measured.symmetry)
-        for r, ok in enumerate(measured.valid.T)
+    sets = [
+        (measured.incident[ok], measured.outgoing[ok], measured.values[ok, r]) for r, ok in enumerate(measured.valid.T)
     ]
+    apart = [departure(*each, measured.symmetry) for each in sets]
+    exchanged = [reciprocity(*each, measured.symmetry) for each in sets]
     known = noise > 0
     report = {
         "directions": len(measured),
@@ -128,6 +130,9 @@ def diagnostics(
         "weave": measured.weave,
         "symmetry_departure": [readings for readings, _ in apart],
         "symmetry_images": [count for _, count in apart],
+        "reciprocity": [disagreement for disagreement, _ in exchanged],
+        "reciprocal_pairs": [pairs for _, pairs in exchanged],
+        "albedo": [typical_albedo(*each, measured.symmetry) for each in sets],
         "unusable": (~measured.valid).sum(axis=0).tolist(),
         "least": float(values.min()) if values.size else None,
         "greatest": float(values.max()) if values.size else None,
