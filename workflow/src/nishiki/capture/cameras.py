@@ -11,6 +11,7 @@ from nishiki.errors import UserError
 from nishiki.formats.problems import CaptureError, Problem, error, raise_errors
 from nishiki.formats.text_tables import cells_of, comma_lines, expect_rows, label_problems, reading
 from nishiki.geometry.camera import Camera
+from nishiki.geometry.turn import scale_turn
 
 MATRIX_COLUMNS = tuple(f"p{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3, 4))
 POINT_COLUMNS = ("view", "column", "row", "x", "y", "z")
@@ -47,6 +48,29 @@ def read_cameras(path: Path, name: str) -> dict[str, np.ndarray]:
         matrices[view] = matrix
     raise_errors(problems)
     return matrices
+
+
+def arrange_cameras(
+    matrices: dict[str, np.ndarray], views: tuple[str, ...], *, reverse: bool, camera_of: dict[str, str]
+) -> dict[str, np.ndarray]:
+    """Matrices (3, 4) by view as capture.yaml arranges them: another row for some views, the turn reversed.
+
+    Raises CaptureError: view-unknown for names that are no view or no row; turn-unknown where the cameras to reverse lie
+    on no circle.
+    """
+    where = "capture.yaml turntable.camera_of"
+    unknown = [name for name in camera_of if name not in views] + [n for n in camera_of.values() if n not in matrices]
+    raise_errors(error("view-unknown", where, "no such view or camera", found=name) for name in unknown)
+    if any(view not in matrices for view in views):
+        return matrices  # reported as view-without-camera
+    arranged = np.array([matrices[camera_of.get(view, view)] for view in views])
+    if reverse:
+        turned = scale_turn(arranged, np.array([camera_centre(matrix) for matrix in arranged]), -1.0)
+        if turned is None:
+            what, remedy = "the cameras lie on no circle", "Leave turn out, and correct the cameras"
+            raise CaptureError(error("turn-unknown", "capture.yaml turntable.turn", what, remedy=remedy))
+        arranged = turned
+    return dict(zip(views, arranged, strict=True))
 
 
 def camera_problems(view: str, matrix: np.ndarray, where: str) -> list[Problem]:

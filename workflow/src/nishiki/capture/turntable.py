@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.capture.cameras import read_cameras, read_points
+from nishiki.capture.cameras import arrange_cameras, read_cameras, read_points
 from nishiki.capture.frames import Frame, inside
 from nishiki.capture.lights import Lights, read_lights
 from nishiki.capture.photographed import Photographed
@@ -167,6 +167,10 @@ def examine_turntable(
     views = tuple(dict.fromkeys(f.view for f in samples))
     points = read("correspondences", lambda path, name: read_points(path, name, views))
     problems = turntable_problems(frames, views, lights, matrices, settings)
+    if matrices is not None and (block.turn == "reverse" or block.camera_of):
+        matrices = attempt(
+            lambda: arrange_cameras(matrices, views, reverse=block.turn == "reverse", camera_of=block.camera_of)
+        )
     capture = TurntableCapture(
         root=root,
         payload=payload,

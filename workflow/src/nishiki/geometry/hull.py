@@ -41,6 +41,12 @@ class Field:
     frames: np.ndarray
     buffer: np.ndarray
 
+    @staticmethod
+    def geometry_of(cameras: list[Camera]) -> tuple[np.ndarray, np.ndarray]:
+        """`poses` and `lenses` of cameras."""
+        poses = [np.column_stack([camera.rotation, camera.translation]).ravel() for camera in cameras]
+        return np.array(poses), np.array([_lens(camera) for camera in cameras])
+
     def at(self, points: np.ndarray, *, misses: int = 0) -> np.ndarray:
         """(n,) float64: signed distance at points (n, 3), world's unit, positive inside; misses: as in `carve`."""
         points = np.ascontiguousarray(points, np.float64)
@@ -84,7 +90,7 @@ def field_of(silhouettes: list[np.ndarray | None], cameras: list[Camera], *, fin
     finest_px: detail that nobody will ask for, pixels; larger pictures are kept at a coarser stride. Raises UserError
     where fewer than two views have one, where one is empty, or where its size is not the camera's.
     """
-    names, poses, lenses, frames, maps, start = [], [], [], [], [], 0
+    placed, frames, maps, start = [], [], [], 0
     for silhouette, camera in zip(silhouettes, cameras, strict=True):
         if silhouette is None:
             continue
@@ -100,11 +106,10 @@ def field_of(silhouettes: list[np.ndarray | None], cameras: list[Camera], *, fin
         frames.append([start, area[0].start, area[1].start, *distance.shape, stride, int(touches)])
         maps.append(distance.ravel())
         start += distance.size
-        names.append(camera.name)
-        poses.append(np.column_stack([camera.rotation, camera.translation]).ravel())
-        lenses.append(_lens(camera))
-    _expect_two(len(names))
-    return Field(tuple(names), np.array(poses), np.array(lenses), np.array(frames, np.int64), np.concatenate(maps))
+        placed.append(camera)
+    _expect_two(len(placed))
+    names = tuple(camera.name for camera in placed)
+    return Field(names, *Field.geometry_of(placed), np.array(frames, np.int64), np.concatenate(maps))
 
 
 def _expect_two(count: int) -> None:
@@ -227,6 +232,12 @@ def _planes(silhouette: np.ndarray, camera: Camera) -> np.ndarray:
     normals = np.concatenate([normals, [[0.0, 0.0, 1.0]]])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     return np.column_stack([normals @ camera.rotation, normals @ camera.translation])
+
+
+def sight_rays(pixels: np.ndarray, camera: Camera) -> np.ndarray:
+    """(n, 3) unit directions in the world of the lines of sight of pixels (n, 2)."""
+    directions = _undistorted(pixels, camera) @ camera.rotation
+    return directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
 
 def _undistorted(pixels: np.ndarray, camera: Camera) -> np.ndarray:

@@ -171,3 +171,38 @@ def fill_slab(poses, lenses, frames, buffer, origin, cell, block, misses, band, 
                             )
                             volume[i, j, k] = min(max(value, -band), band)
     return asked
+
+
+@njit(**JIT)
+def trace_rays(poses, lenses, frames, buffer, views, origins, directions, spans, reach, out):
+    """Largest signed distance of the hull along rays, world's unit, into out (n,); tracing ends above -reach.
+
+    views (n,) int64: the view that a ray belongs to, whose own silhouette takes no part; origins (n, 3), directions
+    (n, 3) unit vectors; spans (n, 2): first and last distance. A distance below 0 bounds the way to the hull, so that
+    the ray may go on by it (J. C. Hart, Sphere tracing, The Visual Computer 12, 1996); by four fifths of it, because
+    distances are measured across the line of sight.
+    """
+    spot = np.empty(3)
+    for n in range(out.shape[0]):
+        t, best = spans[n, 0], -FAR
+        while t <= spans[n, 1] and best < -reach:
+            x, y, z = (
+                origins[n, 0] + t * directions[n, 0],
+                origins[n, 1] + t * directions[n, 1],
+                origins[n, 2] + t * directions[n, 2],
+            )
+            least = FAR
+            for view in range(poses.shape[0]):
+                if view == views[n]:
+                    continue
+                _project(poses[view], lenses[view], x, y, z, spot)
+                if spot[2] <= 0.0:
+                    least = -FAR
+                    break
+                value = _distance(buffer, frames[view], spot[0], spot[1]) * spot[2] / lenses[view, 10]
+                least = min(least, value)
+                if least < -8.0 * reach:
+                    break
+            best = max(best, least)
+            t += max(0.8 * abs(least), reach) if least > -FAR else reach
+        out[n] = best

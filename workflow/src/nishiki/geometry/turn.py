@@ -8,6 +8,8 @@ import numpy as np
 
 LARGEST_STEP = 1.6  # of a full turn, relative to the median step
 ON_CIRCLE = 0.1  # relative distance from the circle up to which a camera belongs to one ring
+EQUAL_STEPS_DEG = 0.05
+"""Largest difference between steps that are called equal: a pixel on a radius of a thousand."""
 
 
 @dataclass(frozen=True)
@@ -94,3 +96,25 @@ def turn_of(centres: np.ndarray) -> CircleCheck | None:
         off_plane=float(np.abs((centres - middle) @ directions[2]).max() / radii.mean()),
         steps_deg=tuple(np.degrees(sign * steps).tolist()),
     )
+
+
+def scale_turn(matrices: np.ndarray, centres: np.ndarray, factor: float) -> np.ndarray | None:
+    """Projections (n, 3, 4) of cameras at `factor` times their angles from the first about the axis of their circle.
+
+    matrices (n, 3, 4) and centres (n, 3), world's unit, in the order of the turn. -1 is an object that turns the other
+    way: once round in equal steps, these are the given matrices in reverse order. None where the centres lie on no
+    circle.
+    """
+    circle = turn_of(centres)
+    if circle is None:
+        return None
+    if factor == -1 and circle.full and np.ptp(circle.steps_deg) < EQUAL_STEPS_DEG:
+        return np.roll(matrices[::-1], 1, axis=0)
+    angles = np.radians((1 - factor) * np.concatenate([[0.0], np.cumsum(circle.steps_deg[:-1])]))
+    x, y, z = circle.axis
+    across = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    sines, cosines = np.sin(angles)[:, None, None], np.cos(angles)[:, None, None]
+    motions = np.tile(np.eye(4), (len(matrices), 1, 1))
+    motions[:, :3, :3] += sines * across + (1 - cosines) * (across @ across)  # Rodrigues
+    motions[:, :3, 3] = circle.centre - motions[:, :3, :3] @ np.array(circle.centre)
+    return matrices @ motions

@@ -1,0 +1,318 @@
+"""Coherence of silhouettes and cameras, and the mistake that explains its absence.
+
+The visual hull of all silhouettes holds the object, and the line of sight of every outline pixel touches the object. So
+each of these lines meets the hull of the other views, whatever the shape of the object (Hernández, Schmitt and Cipolla,
+Silhouette coherence for camera calibration under circular motion, IEEE Trans. PAMI 29(2), 2007). The share of outline
+pixels whose line of sight misses that hull, in the mean over the views, is the contradiction. A mistake is named where
+its correction removes the contradiction. A rotation of all cameras about the axis of a turntable, and a common factor
+of their focal lengths, leave the contradiction (almost) as it is and cannot be seen without a mesh.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import combinations, pairwise
+
+import numpy as np
+
+from nishiki.errors import UserError
+from nishiki.geometry.camera import Camera
+from nishiki.geometry.hull import Field, bounding_box, field_of, sight_rays
+from nishiki.geometry.hull_kernels import trace_rays
+from nishiki.geometry.turn import scale_turn
+
+LONGEST_SIDE = 320
+"""Pixels of the longer side of the silhouettes that are compared."""
+RAYS, SCREENING_RAYS = 160, 24
+"""Outline pixels a view: for the figures, and for the choice among many corrections."""
+TOLERANCE_PX, TOLERANCE = 1.0, 0.02
+"""Distance from the hull that still counts as touching: pixels, and a share of the root of the silhouettes' area."""
+NOTICEABLE = 0.01
+"""Contradiction from which corrections are tried. Sound captures gave 0 to 0.008 with given silhouettes and 0.000 to
+0.015 with silhouettes found in photographs; the mildest mistake, two neighbouring views of a round jar exchanged, 0.012."""
+EXPLAINED = 0.25
+"""A correction explains the contradiction where it leaves no more than this share of it."""
+SCALES = (1 / 8, 1 / 6, 1 / 4, 1 / 3, 1 / 2, 2 / 3, 3 / 4, 4 / 3, 3 / 2, 2.0, 3.0, 4.0, 6.0, 8.0)
+FOCAL_FACTORS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.1, 1.25, 1.4, 1.7, 2.0)
+EQUAL = 2e-3
+"""Contradictions that differ by less are equal."""
+LIKELY = 6
+"""Views of which all pairs are tried as exchanged."""
+BORDER_SHARE = 0.5
+"""A silhouette that covers more of the picture's border than this may be the background."""
+
+
+@dataclass(frozen=True)
+class Correction:
+    """What would remove a contradiction.
+
+    kind : "turn-reversed", "cameras-order", "views-exchanged", "pictures-mirrored", "camera-scale",
+        "focal-length", "turn-angles", "silhouette-inverted" or "view-contradicts".
+    detail : the factor of a scale, the axis of a mirror, empty otherwise.
+    order : camera of each silhouette, by place; None where all keep theirs.
+    views : places of the views that it concerns, all others being right; empty: all.
+    """
+
+    kind: str
+    detail: str = ""
+    order: tuple[int, ...] | None = None
+    views: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Coherence:
+    """contradiction : mean over the views of `by_view`, the share of each outline that misses the hull of the other
+    views; correction : what explains it, or None; corrected : contradiction with the correction."""
+
+    contradiction: float
+    by_view: tuple[float, ...]
+    correction: Correction | None = None
+    corrected: float | None = None
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A correction, with what it changes: order (silhouette of each camera), cameras, silhouettes; without: places of
+    the cameras that take no part."""
+
+    correction: Correction
+    order: tuple[int, ...] | None = None
+    cameras: list[Camera] | None = None
+    without: tuple[int, ...] = ()
+
+
+def measure_coherence(silhouettes: list[np.ndarray], cameras: list[Camera]) -> Coherence:
+    """Contradiction between silhouettes, (rows, columns) bool, one a camera, and the mistake that explains it.
+
+    The time is about 10 ms a view where nothing is wrong, and some seconds where corrections are tried.
+    """
+    reduced = [_reduce(mask, camera) for mask, camera in zip(silhouettes, cameras, strict=True)]
+    outlines = Outlines([mask for mask, _ in reduced], [camera for _, camera in reduced])
+    stated = outlines.miss_shares()
+    found = Coherence(float(stated.mean()), tuple(stated.tolist()))
+    outlines.enough = EXPLAINED * max(found.contradiction, NOTICEABLE)
+    inverted = outlines.inverted_views()
+    if inverted:
+        masks = [~mask if i in inverted else mask for i, mask in enumerate(outlines.masks)]
+        share = float(Outlines(masks, outlines.cameras).miss_shares().mean())
+        if share < outlines.enough:
+            return replace(found, correction=Correction("silhouette-inverted", views=inverted), corrected=share)
+    if found.contradiction <= NOTICEABLE:
+        return found
+    for family in (_reversals, _orders, _exchanges, _mirrors, _lenses, _steps, _odd_views):
+        trial, share = _best_trial(outlines, family(outlines))
+        if share < outlines.enough:
+            return replace(found, correction=trial.correction, corrected=share)
+    return found
+
+
+class Outlines:
+    """Outline pixels and distance maps of silhouettes, compared under any assignment to any cameras.
+
+    enough: contradiction below which a correction explains the stated one.
+    """
+
+    enough = 0.0
+
+    def __init__(self, masks: list[np.ndarray], cameras: list[Camera]):
+        self.masks, self.cameras = masks, cameras
+        self.pixels = [_outline_pixels(mask) for mask in masks]
+        self.fields: Field = field_of(masks, cameras)
+        self.size = float(np.median([np.sqrt(mask.sum()) for mask in masks]))
+        together = np.logical_or.reduce(masks) if len({mask.shape for mask in masks}) == 1 else np.ones((2, 2), bool)
+        self.extent = [np.flatnonzero(together.any(axis=axis))[[0, -1]] for axis in (1, 0)]
+
+    def inverted_views(self) -> tuple[int, ...]:
+        """Places of the silhouettes that cover most of the picture's border and leave out something within."""
+        edges = [np.concatenate([m[0], m[-1], m[:, 0], m[:, -1]]).mean() for m in self.masks]
+        return tuple(i for i, edge in enumerate(edges) if edge > BORDER_SHARE and (~self.masks[i]).sum() > 16)
+
+    def miss_shares(
+        self,
+        order: np.ndarray | None = None,
+        cameras: list[Camera] | None = None,
+        *,
+        without: tuple[int, ...] = (),
+        rays: int = RAYS,
+    ) -> np.ndarray:
+        """(views,) share of each outline that misses the hull of the other views; 1 where no hull is possible.
+
+        order (views,): silhouette of each camera; without: cameras that take no part, whose share is 0.
+        """
+        moved, cameras = cameras is not None, self.cameras if cameras is None else cameras
+        order = np.arange(len(cameras)) if order is None else np.asarray(order)
+        used = np.array([i for i in range(len(cameras)) if i not in without])
+        ball = self._ball_of(cameras) if moved else self._ball
+        if ball is None:
+            return np.isin(np.arange(len(cameras)), used).astype(float)
+        middle, radius = ball
+        geometry = Field.geometry_of([cameras[i] for i in used])
+        views, origins, directions = [], [], []
+        for place, i in enumerate(used):
+            pixels = self.pixels[order[i]]
+            pixels = pixels[np.linspace(0, len(pixels) - 1, min(rays, len(pixels))).astype(int)]
+            directions.append(sight_rays(pixels, cameras[i]))
+            origins.append(np.repeat(cameras[i].centre[None], len(pixels), axis=0))
+            views.append(np.full(len(pixels), place))
+        views, origins, directions = np.concatenate(views), np.concatenate(origins), np.concatenate(directions)
+        nearest = np.einsum("ij,ij->i", middle - origins, directions)
+        spans = np.column_stack([np.maximum(nearest - radius, 0.0), nearest + radius])
+        reach = max(TOLERANCE_PX, TOLERANCE * self.size) * float(np.median(nearest) / np.median(geometry[1][:, 10]))
+        deepest = np.empty(len(views))
+        trace_rays(*geometry, self.fields.frames[order[used]], self.fields.buffer, views, origins, directions,
+                   spans, max(reach, 1e-6 * radius), deepest)  # fmt: skip
+        counts = np.bincount(views, minlength=len(used))
+        out = np.zeros(len(cameras))
+        out[used] = np.bincount(views, deepest < -reach, minlength=len(used)) / np.maximum(counts, 1)
+        return out
+
+    @cached_property
+    def _ball(self) -> tuple[np.ndarray, float] | None:
+        return self._ball_of(self.cameras)
+
+    def _ball_of(self, cameras: list[Camera]) -> tuple[np.ndarray, float] | None:
+        """Centre (3,) and radius of a ball round all that the cameras see of the silhouettes' common extent; None where
+        they have no such place in common."""
+        frames = []
+        for camera in cameras:
+            frame = np.zeros((camera.rows, camera.columns), bool)
+            frame[np.ix_(*self.extent)] = True  # the corners alone: the box is that of their convex outline
+            frames.append(frame)
+        try:
+            box = bounding_box(frames, cameras)
+        except UserError:
+            return None
+        return box.mean(axis=0), float(np.linalg.norm(box[1] - box[0]) / 2)
+
+    def contradiction(self, trial: Trial, rays: int = RAYS) -> float:
+        """Mean of `miss_shares` over the views that take part."""
+        shares = self.miss_shares(trial.order, trial.cameras, without=trial.without, rays=rays)
+        return float(shares.sum() / (len(shares) - len(trial.without)))
+
+
+def _best_trial(outlines: Outlines, trials: list[Trial]) -> tuple[Trial | None, float]:
+    """The trial that leaves the least contradiction, the first of equals; of many only the best two are fully traced."""
+    if len(trials) > 2:
+        screened = [outlines.contradiction(trial, SCREENING_RAYS) for trial in trials]
+        trials = [trials[k] for k in sorted(np.argsort(screened, kind="stable")[:2])]
+    shares = [outlines.contradiction(trial) + EQUAL * rank for rank, trial in enumerate(trials)]
+    best = int(np.argmin(shares)) if shares else 0
+    return (trials[best], shares[best] - EQUAL * best) if shares else (None, np.inf)
+
+
+def _reversals(outlines: Outlines) -> list[Trial]:
+    """The object turned the other way."""
+    cameras = _scale_turn(outlines.cameras, -1.0)
+    return [Trial(Correction("turn-reversed"), cameras=cameras)] if cameras else []
+
+
+def _scale_turn(cameras: list[Camera], factor: float) -> list[Camera] | None:
+    centres = np.array([camera.centre for camera in cameras])
+    moved = scale_turn(np.array([camera.matrix for camera in cameras]), centres, factor)
+    if moved is None:
+        return None
+    rebuilt = [
+        Camera.from_matrix(camera.name, matrix, rows=camera.rows, columns=camera.columns)
+        for camera, matrix in zip(cameras, moved, strict=True)
+    ]
+    return [replace(new, distortion=camera.distortion) for new, camera in zip(rebuilt, cameras, strict=True)]
+
+
+def _orders(outlines: Outlines) -> list[Trial]:
+    """Photographs in another order than the cameras: backwards, sorted as text, begun elsewhere."""
+    places = list(range(len(outlines.cameras)))
+    as_text = [sorted(places, key=lambda place, first=first: str(place + first)) for first in (0, 1)]
+    orders = [places[::-1], *as_text, *(np.argsort(order).tolist() for order in as_text)]
+    orders += [each[k:] + each[:k] for k in places[1:] for each in (places, places[::-1])]
+    distinct = dict.fromkeys(tuple(order) for order in orders if order != places)
+    return [Trial(Correction("cameras-order", order=tuple(np.argsort(o).tolist())), o) for o in distinct]
+
+
+def _exchanges(outlines: Outlines) -> list[Trial]:
+    """Two views exchanged: neighbours, and pairs of the views without which the others agree best."""
+    count = len(outlines.cameras)
+    alone = [outlines.contradiction(Trial(Correction(""), without=(i,)), SCREENING_RAYS) for i in range(count)]
+    likely = sorted(np.argsort(alone, kind="stable")[:LIKELY].tolist())
+    trials = []
+    for first, second in dict.fromkeys([*combinations(likely, 2), *pairwise(range(count))]):
+        order = list(range(count))
+        order[first], order[second] = second, first
+        trials.append(Trial(Correction("views-exchanged", order=tuple(order), views=(first, second)), tuple(order)))
+    return trials
+
+
+def _mirrors(outlines: Outlines) -> list[Trial]:
+    """All pictures mirrored, or turned by half a turn."""
+    return [
+        Trial(Correction("pictures-mirrored", detail), cameras=[_mirror(camera, axes) for camera in outlines.cameras])
+        for detail, axes in (("left to right", (0,)), ("top to bottom", (1,)), ("turned by half a turn", (0, 1)))
+    ]
+
+
+def _mirror(camera: Camera, axes: tuple[int, ...]) -> Camera:
+    k, last = camera.intrinsics.copy(), (camera.columns - 1, camera.rows - 1)
+    for axis in axes:
+        k[axis] *= -1
+        k[axis, 2] += last[axis]
+    return replace(camera, intrinsics=k)
+
+
+def _lenses(outlines: Outlines) -> list[Trial]:
+    """Cameras of pictures of another size, or with another focal length."""
+    trials = []
+    for kind, factors in (("camera-scale", SCALES), ("focal-length", FOCAL_FACTORS)):
+        for factor in factors:
+            scale = np.full((3, 3), factor)
+            scale[2] = 1
+            scale[:, 2] = factor if kind == "camera-scale" else 1
+            scale[2, 2] = 1
+            cameras = [replace(camera, intrinsics=camera.intrinsics * scale) for camera in outlines.cameras]
+            trials.append(Trial(Correction(kind, f"{factor:.3g}"), cameras=cameras))
+    return trials
+
+
+def _steps(outlines: Outlines) -> list[Trial]:
+    """The object turned by other steps than the cameras say."""
+    count = len(outlines.cameras)
+    factors = (count / (count - 1), (count - 1) / count, (count + 1) / count, count / (count + 1), 0.5, 2.0)
+    moved = [(f"{f:.4g}", _scale_turn(outlines.cameras, f)) for f in (*factors, *(-f for f in factors))]
+    return [Trial(Correction("turn-angles", detail), cameras=cameras) for detail, cameras in moved if cameras]
+
+
+def _odd_views(outlines: Outlines) -> list[Trial]:
+    """The few views without which the others agree: left out one after the other, a sixth of all at most."""
+    count, left = len(outlines.cameras), ()
+    for _ in range(max(1, count // 6) if count > 3 else 0):
+        longer = [Trial(Correction("view-contradicts"), without=(*left, i)) for i in range(count) if i not in left]
+        shares = [outlines.contradiction(trial, SCREENING_RAYS) for trial in longer]
+        left = longer[int(np.argmin(shares))].without
+        if min(shares) < outlines.enough:
+            break
+    return [Trial(Correction("view-contradicts", views=tuple(sorted(left))), without=left)] if left else []
+
+
+def _reduce(mask: np.ndarray, camera: Camera) -> tuple[np.ndarray, Camera]:
+    """Silhouette and camera of a picture whose longer side has at most 320 pixels."""
+    import cv2
+
+    factor = LONGEST_SIDE / max(mask.shape)
+    if factor >= 1:
+        return mask, camera
+    rows, columns = (max(2, round(size * factor)) for size in mask.shape)
+    small = cv2.resize(mask.astype(np.uint8) * np.uint8(255), (columns, rows), interpolation=cv2.INTER_AREA) > 127
+    along = np.array([columns / camera.columns, rows / camera.rows])
+    k = np.diag([*along, 1.0]) @ camera.intrinsics
+    k[:2, 2] += 0.5 * along - 0.5
+    return small, replace(camera, intrinsics=k, rows=rows, columns=columns)
+
+
+def _outline_pixels(mask: np.ndarray) -> np.ndarray:
+    """(n, 2) float64 column, row of the outermost pixels of a mask; those on the picture's border are no outline."""
+    import cv2
+
+    kernel = np.ones((3, 3), np.uint8)
+    inner = cv2.erode(mask.astype(np.uint8), kernel, borderType=cv2.BORDER_REPLICATE)
+    outline = mask & (inner == 0)
+    outline[[0, -1]] = outline[:, [0, -1]] = False
+    return np.argwhere(outline)[:, ::-1].astype(np.float64)
