@@ -188,6 +188,10 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--azimuths", choices=("cloth", "lamp", "mirror"), help=text)
     sub.add_argument("--link", action="store_true", help="hard links instead of copies, on the same disk")
     sub.add_argument("--open", action="store_true", help="do not seal yet: camera curves and the like will be added")
+    text = "turntable: the object turned against the order of the cameras"
+    sub.add_argument("--turn", choices=("reverse",), help=text)
+    text = "turntable: views that have the camera of another view"
+    sub.add_argument("--camera-of", metavar="VIEW=CAMERA,...", help=text)
     sub.add_argument("--roi", nargs=4, type=int, metavar=("ROW", "COLUMN", "ROWS", "COLUMNS"), help="crop")
     _with_rig(
         command(

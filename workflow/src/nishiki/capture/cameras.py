@@ -55,8 +55,8 @@ def arrange_cameras(
 ) -> dict[str, np.ndarray]:
     """Matrices (3, 4) by view as capture.yaml arranges them: another row for some views, the turn reversed.
 
-    Raises CaptureError: view-unknown for names that are no view or no row; turn-unknown where the cameras to reverse lie
-    on no circle.
+    Raises CaptureError: view-unknown for names that are no view or no row; turn-unknown where the cameras
+    to reverse lie on no circle.
     """
     where = "capture.yaml turntable.camera_of"
     unknown = [name for name in camera_of if name not in views] + [n for n in camera_of.values() if n not in matrices]

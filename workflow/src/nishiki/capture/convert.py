@@ -76,6 +76,8 @@ def convert(source: Path | str, target: Path | str, options: ConvertOptions | No
     layout = read_source(source, options)
     if not isinstance(layout, MeasuredTable):
         options.refuse("They belong to tables of reflectances; leave them out", "values", "azimuths")
+    if getattr(layout, "matrices", None) is None:
+        options.refuse("Nothing here has camera matrices to arrange; leave the option out", "turn", "camera_of")
     notes = _write_complete(target, lambda partial: WRITERS[type(layout)](partial, layout, source, options), options)
     return Conversion(target, layout.name, layout.count, (*layout.warnings, *notes), layout.geometry, layout.channels)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -16,6 +16,7 @@ FLAGS = {
     "width_mm": "width-mm",
     "checks": "check",
     "region": "roi",
+    "camera_of": "camera-of",
 }
 """The command's names of fields that have another."""
 ANGLES = ("azimuth_elevation", "elevation_azimuth", "azimuth_polar", "polar_azimuth")
@@ -57,6 +58,10 @@ class ConvertOptions:
         What the columns of a table of reflectances hold, see `goniometer_schema.Goniometer`.
     azimuths : str or None
         What phi_r of a table of reflectances is counted from.
+    turn : str or None
+        "reverse" where the object of a turntable turned against the order of its cameras.
+    camera_of : dict of str to str
+        Of a turntable: the camera, by the name of another view, of each view that does not have its own.
     link : bool
         Make hard links instead of copies (same disk; then never edit either).
     examine : callable or None
@@ -75,6 +80,8 @@ class ConvertOptions:
     region: tuple[int, int, int, int] | None = None
     values: Values | None = None
     azimuths: Azimuths | None = None
+    turn: Literal["reverse"] | None = None
+    camera_of: dict[str, str] = field(default_factory=dict)
     link: bool = False
     examine: Callable[[Path], list[Problem]] | None = None
 

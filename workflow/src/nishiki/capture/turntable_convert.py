@@ -56,6 +56,8 @@ def write_round(folder: Path, layout: RoundLayout, source: Path, options: Conver
     block: dict = {"full_turn": layout.full_turn, "unit": "arbitrary"} if layout.matrices is not None else {}
     if layout.matrices is not None:
         block["cameras"] = "cameras.csv"
+        block |= {"turn": options.turn} if options.turn else {}
+        block |= {"camera_of": options.camera_of} if options.camera_of else {}
         _write_cameras(folder / "cameras.csv", layout)
     if layout.lens is not None:
         block["intrinsics"] = "intrinsics.yaml"

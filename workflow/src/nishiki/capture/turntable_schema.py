@@ -68,15 +68,15 @@ class TurntableLights(Closed):
 class Turntable(Closed):
     """The block `turntable`: what is known of the object's shape and of the cameras round it.
 
-    turn: reverse where the object turned against the order of the cameras; camera_of: the row of `cameras` for each view
-    whose camera has another name.
+    turn: reverse where the object turned against the order of the cameras; camera_of: the row of `cameras` for each
+    view whose camera has another name.
     """
 
     full_turn: bool = False
     unit: Literal["mm", "cm", "m", "arbitrary"] = "mm"
     cameras: str | None = None
     turn: Literal["forward", "reverse"] = "forward"
-    camera_of: dict[str, str] = {}
+    camera_of: dict[str, str] = Field(default_factory=dict)
     mesh: str | None = None
     scans: tuple[str, ...] = ()
     correspondences: str | None = None

@@ -70,6 +70,8 @@ def convert(options: argparse.Namespace, rest: list[str]) -> None:
         region=tuple(options.roi) if options.roi else None,
         values=options.values,
         azimuths=options.azimuths,
+        turn=options.turn,
+        camera_of=dict(_camera_of(pair) for pair in options.camera_of.split(",")) if options.camera_of else {},
         link=options.link,
         examine=None if options.open else check_capture,
     )
@@ -104,6 +106,13 @@ def _list(archive: Path) -> None:
         cells = (f"{printable(cell):<{width}}" for cell, width in zip(row, (*widths, 0), strict=True))
         print("  ".join(cells).rstrip())
     print(f"{sum(row[3] == 'can be converted' for row in rows)} of {len(rows)} can be converted")
+
+
+def _camera_of(pair: str) -> tuple[str, str]:
+    view, equals, camera = pair.partition("=")
+    if not equals:
+        raise UserError(f"--camera-of: expected VIEW=CAMERA,..., found {pair!r}. Remedy: --camera-of 002=007,007=002")
+    return view, camera
 
 
 def _path(text: str | None) -> Path | None:

@@ -6,7 +6,7 @@ right, y down, z into the scene. Pixels: (column, row), the centre of the top le
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -84,6 +84,13 @@ class Camera:
         k = self.intrinsics
         columns = k[0, 0] * plane[:, 0] + k[0, 1] * plane[:, 1] + k[0, 2]
         return np.column_stack([columns, k[1, 1] * plane[:, 1] + k[1, 2]]), depth
+
+    def resize(self, rows: int, columns: int) -> Camera:
+        """Describe the same camera for its picture resampled to another size."""
+        along = np.array([columns / self.columns, rows / self.rows])
+        intrinsics = np.diag([*along, 1.0]) @ self.intrinsics
+        intrinsics[:2, 2] += 0.5 * along - 0.5
+        return replace(self, intrinsics=intrinsics, rows=rows, columns=columns)
 
     def as_dict(self) -> dict:
         """Plain data, for JSON."""

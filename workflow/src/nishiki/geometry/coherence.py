@@ -29,8 +29,8 @@ RAYS, SCREENING_RAYS = 160, 24
 TOLERANCE_PX, TOLERANCE = 1.0, 0.02
 """Distance from the hull that still counts as touching: pixels, and a share of the root of the silhouettes' area."""
 NOTICEABLE = 0.01
-"""Contradiction from which corrections are tried. Sound captures gave 0 to 0.008 with given silhouettes and 0.000 to
-0.015 with silhouettes found in photographs; the mildest mistake, two neighbouring views of a round jar exchanged, 0.012."""
+"""Contradiction from which corrections are tried. Sound captures gave 0 with given silhouettes and 0.000 to 0.015 with
+silhouettes found in photographs; the mildest mistake, two neighbouring views of a round jar exchanged, gave 0.011."""
 EXPLAINED = 0.25
 """A correction explains the contradiction where it leaves no more than this share of it."""
 SCALES = (1 / 8, 1 / 6, 1 / 4, 1 / 3, 1 / 2, 2 / 3, 3 / 4, 4 / 3, 3 / 2, 2.0, 3.0, 4.0, 6.0, 8.0)
@@ -192,7 +192,7 @@ class Outlines:
 
 
 def _best_trial(outlines: Outlines, trials: list[Trial]) -> tuple[Trial | None, float]:
-    """The trial that leaves the least contradiction, the first of equals; of many only the best two are fully traced."""
+    """The trial that leaves the least contradiction, the first of equals; of many the best two are fully traced."""
     if len(trials) > 2:
         screened = [outlines.contradiction(trial, SCREENING_RAYS) for trial in trials]
         trials = [trials[k] for k in sorted(np.argsort(screened, kind="stable")[:2])]
@@ -301,10 +301,7 @@ def _reduce(mask: np.ndarray, camera: Camera) -> tuple[np.ndarray, Camera]:
         return mask, camera
     rows, columns = (max(2, round(size * factor)) for size in mask.shape)
     small = cv2.resize(mask.astype(np.uint8) * np.uint8(255), (columns, rows), interpolation=cv2.INTER_AREA) > 127
-    along = np.array([columns / camera.columns, rows / camera.rows])
-    k = np.diag([*along, 1.0]) @ camera.intrinsics
-    k[:2, 2] += 0.5 * along - 0.5
-    return small, replace(camera, intrinsics=k, rows=rows, columns=columns)
+    return small, camera.resize(rows, columns)
 
 
 def _outline_pixels(mask: np.ndarray) -> np.ndarray:

@@ -16,6 +16,7 @@ from nishiki.observations.blocks import block_edges
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.plane_decode import count_unusable
 from nishiki.observations.reference import measure_darks
+from nishiki.observations.turntable_coherence import Pictures, capture_problems
 from nishiki.observations.views_store import read_silhouette, view_problems
 from nishiki.observations.views_white import measure_whites
 
@@ -33,21 +34,23 @@ def listed_files(capture: TurntableCapture) -> set[str]:
 
 
 def silhouette_problems(capture: TurntableCapture, size: tuple[int, int]) -> list[Problem]:
-    """Silhouettes: readable, of the frames' size, not empty, not the whole picture, not likely inverted."""
+    """Silhouettes: readable, of the frames' size, not empty, not the whole picture, in agreement with the cameras."""
     problems: list[Problem] = []
+    given: dict[str, np.ndarray] = {}
     for view in capture.views:
         frame = capture.silhouette_of(view)
         if frame is None:
             continue
         try:
             outline = read_silhouette(frame, size)
+            given[view] = outline.inside
             problems += outline.problems
             if outline.inside.all():
                 what, remedy = "silhouette covers the whole picture", "Light pixels mark the object, dark ones all else"
                 problems.append(warning("silhouette-full", frame.silhouette, what, remedy=remedy))
         except CaptureError as e:
             problems += e.problems
-    return problems
+    return problems + capture_problems(capture, given, *size)
 
 
 def turntable_content_problems(capture: TurntableCapture, tick: Tick) -> list[Problem]:
@@ -58,6 +61,7 @@ def turntable_content_problems(capture: TurntableCapture, tick: Tick) -> list[Pr
         return list(e.problems)
     problems = _reference_problems(reader, tick)
     digests: dict[str, str] = {}
+    pictures = Pictures(capture)
     for frame in capture.frames:
         if frame.role != "dark":
             digest = sha256_of(frame.path)
@@ -68,9 +72,9 @@ def turntable_content_problems(capture: TurntableCapture, tick: Tick) -> list[Pr
                 )
             digests.setdefault(digest, frame.file)
         if frame.role in ("sample", "board") or (frame.role == "white" and frame.polariser):
-            problems += _frame_problems(reader, frame)
+            problems += _frame_problems(reader, frame, pictures)
             tick(frame.file)
-    return reader.warnings() + problems
+    return reader.warnings() + problems + pictures.problems(reader.rows, reader.columns)
 
 
 def _reference_problems(reader: FrameReader, tick: Tick) -> list[Problem]:
@@ -92,11 +96,13 @@ def _complete(capture: TurntableCapture) -> bool:
     return timed in (0, len(lit)) and (not plain or plain >= set(capture.light_names))
 
 
-def _frame_problems(reader: FrameReader, frame: Frame) -> list[Problem]:
+def _frame_problems(reader: FrameReader, frame: Frame, pictures: Pictures) -> list[Problem]:
     try:
         codes = reader.read(frame)
         if frame.role == "board":
             return []
+        if frame.role == "sample":
+            pictures.add(frame.view, codes, reader.full)
         named = reader.capture.silhouette_of(frame.view) if frame.role == "sample" else None
         inside = _outline(named, codes.shape[:2])
         *counts, highest = count_unusable(codes, inside, reader.saturated, reader.clip)

@@ -43,7 +43,7 @@ class MeshSettings(Guarded):
     """Where the object's surface comes from, and how many triangles it gets."""
 
     STAGE: ClassVar[str] = "mesh"
-    VERSION: ClassVar[int] = 5
+    VERSION: ClassVar[int] = 6
     LIMITS: ClassVar[tuple[Limit, ...]] = LIMITS
 
     source: Literal["auto", "file", "scans", "silhouettes"] = Field(

@@ -6,9 +6,11 @@ import numpy as np
 
 from nishiki.artifacts.stage import Context
 from nishiki.errors import UserError
+from nishiki.formats.problems import raise_errors
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.cameras_file import read_cameras
 from nishiki.geometry.cleaning import clean
+from nishiki.geometry.coherence import measure_coherence
 from nishiki.geometry.hollows import Photographed, sink_hollows
 from nishiki.geometry.hull import carve
 from nishiki.geometry.mesh import Mesh
@@ -16,6 +18,7 @@ from nishiki.geometry.mesh_files import read_points, read_triangles, write_ply
 from nishiki.geometry.outlines import agreement, contradicted, known_from, outline_of
 from nishiki.geometry.silhouettes import Silhouette, display, possible_shadow, segment
 from nishiki.geometry.surface import SimplifiedMesh, fewest_triangles, shape_of, smoothed, snapped, without_small_parts
+from nishiki.observations.turntable_coherence import FEWEST_VIEWS, describe_coherence
 from nishiki.observations.views import Views
 from nishiki.render.output import write_png
 
@@ -34,9 +37,12 @@ def run(context: Context) -> dict:
         raise UserError(f"hold_out: no view {', '.join(unknown)}; there are: {', '.join(views.views)}")
     source = source_of(settings.source, views)
     used = [name not in settings.hold_out for name in views.views]
-    masks, diagnostics = given_masks(views), {}
+    outlines, shadows, facts = find_outlines(context, views, source == "silhouettes")
+    masks, diagnostics = list(outlines), expect_coherence(context, views, cameras, outlines)
     if source == "silhouettes":
-        masks, shadows, diagnostics["silhouettes"] = find_masks(context, views, cameras, masks, used)
+        again = reconcile(context, views, cameras, masks, shadows, used)
+        given, background = len(masks) - len(facts), background_of(context, views)
+        diagnostics["silhouettes"] = {"given": given, "background": background, "again": again, "views": facts}
         largest = [mask | shadow for mask, shadow in zip(masks, shadows, strict=True)]
         hull = carve(kept(largest, used), cameras, cells=settings.cells, misses=settings.misses)
         mesh, defects = clean(hull.mesh.vertices, hull.mesh.triangles, cameras=cameras)
@@ -65,7 +71,7 @@ def run(context: Context) -> dict:
         "cleaned": {**defects.as_dict(), "small_parts": small},
         "decimation": {**described(light), "grid_step": step},
         **diagnostics,
-        "fit": fit_of(mesh, cameras, masks, used),
+        "fit": fit_of(mesh, cameras, outlines, used),
     }
 
 
@@ -89,11 +95,6 @@ def source_of(source: str, views: Views) -> str:
     return source
 
 
-def given_masks(views: Views) -> list[np.ndarray | None]:
-    """Silhouettes that came with the capture."""
-    return [views.silhouette(name) for name in views.views]
-
-
 def kept(masks: list, used: list[bool]) -> list:
     """Masks of the views that may be used, None for the others."""
     return [mask if use else None for mask, use in zip(masks, used, strict=True)]
@@ -111,44 +112,69 @@ def linear_picture(views: Views, name: str) -> np.ndarray:
     return (total / len(views.lights)).astype(np.float32)
 
 
-def find_masks(
-    context: Context, views: Views, cameras: list[Camera], masks: list, used: list[bool]
-) -> tuple[list[np.ndarray], list[np.ndarray], dict]:
-    """Silhouettes of all views, as given, else segmented, once more where the other views disagree; what may be shadow
-    beside the segmented ones; figures."""
-    settings = context.settings
-    background = settings.background
-    if background == "capture":
-        background = views.attributes.get("background") or "auto"
-    missing = [place for place, mask in enumerate(masks) if mask is None]
-    masks, facts = list(masks), {}
-    shadows = [None if mask is None else np.zeros_like(mask) for mask in masks]
-
-    def find(place: int, **known: np.ndarray) -> Silhouette:
-        picture = picture_of(views, views.views[place])
-        segmented = segment(picture, background=background, **known)
-        masks[place] = segmented.mask
-        shadows[place] = possible_shadow(picture, masks[place], settings.narrow_gap * np.sqrt(masks[place].sum()))
-        return segmented
-
+def find_outlines(context: Context, views: Views, needed: bool) -> tuple[list[np.ndarray | None], list, dict]:
+    """Silhouettes of all views as given, else segmented where they are needed; what may be shadow beside the segmented
+    ones; figures of these by view."""
+    outlines, facts = [views.silhouette(name) for name in views.views], {}
+    shadows = [None if outline is None else np.zeros_like(outline) for outline in outlines]
+    missing = [place for place, outline in enumerate(outlines) if outline is None] if needed else []
     for place in context.progress.over(missing, "silhouette"):
-        segmented = find(place)
+        segmented, shadows[place] = find_outline(context, views, place)
+        outlines[place] = segmented.mask
         facts[views.views[place]] = {
-            "separation": segmented.separation,
-            "parts": segmented.parts,
-            "dropped": segmented.dropped,
-            "holes": segmented.holes,
+            key: getattr(segmented, key) for key in ("separation", "parts", "dropped", "holes")
         }
-    changed = []
-    if settings.consistency and missing and sum(used) > 3:
-        loose = carve(kept(masks, used), cameras, cells=COARSE_CELLS, misses=min(4, max(1, settings.misses)))
-        known = [known_from(loose.mesh, cameras[place], masks[place], loose.cell) for place in missing]
-        for place, each, wrong in zip(missing, known, contradicted(known), strict=True):
-            if wrong:
-                find(place, inside=each.inside, outside=each.outside)
-                changed.append(views.views[place])
-    figures = {"given": len(masks) - len(missing), "background": background, "again": changed, "views": facts}
-    return masks, shadows, figures
+    return outlines, shadows, facts
+
+
+def find_outline(context: Context, views: Views, place: int, **bounds: np.ndarray) -> tuple[Silhouette, np.ndarray]:
+    """Silhouette in the photograph of a view, and what may be shadow beside it; bounds: inside, outside."""
+    picture = picture_of(views, views.views[place])
+    segmented = segment(picture, background=background_of(context, views), **bounds)
+    widest_px = context.settings.narrow_gap * np.sqrt(segmented.mask.sum())
+    return segmented, possible_shadow(picture, segmented.mask, widest_px)
+
+
+def background_of(context: Context, views: Views) -> str:
+    """What is behind the object: the setting, else as the capture says."""
+    named = context.settings.background
+    return named if named != "capture" else views.attributes.get("background") or "auto"
+
+
+def expect_coherence(context: Context, views: Views, cameras: list[Camera], outlines: list) -> dict:
+    """Figures of the coherence of outlines and cameras, before anything is made to fit.
+
+    Raises CaptureError with the remedy where they contradict each other, unless the limit `contradiction` is allowed.
+    """
+    places = [place for place, outline in enumerate(outlines) if outline is not None]
+    if len(places) < FEWEST_VIEWS:
+        return {}
+    posed = [cameras[place] for place in places]
+    found = measure_coherence([outlines[place] for place in places], posed)
+    given = {name: name for name in views.views if views.silhouette(name) is not None}
+    problems = describe_coherence(found, posed, given)
+    if "contradiction" not in context.settings.allow:
+        raise_errors(problems)
+    by_view = {camera.name: share for camera, share in zip(posed, found.by_view, strict=True)}
+    return {"coherence": {"contradiction": found.contradiction, "by_view": by_view}}
+
+
+def reconcile(
+    context: Context, views: Views, cameras: list[Camera], masks: list, shadows: list, used: list[bool]
+) -> list[str]:
+    """Segment those masks once more, in place, that the hull of the other views contradicts; names of their views."""
+    settings, again = context.settings, []
+    missing = [place for place, name in enumerate(views.views) if views.silhouette(name) is None]
+    if not (settings.consistency and missing and sum(used) > 3):
+        return again
+    loose = carve(kept(masks, used), cameras, cells=COARSE_CELLS, misses=min(4, max(1, settings.misses)))
+    known = [known_from(loose.mesh, cameras[place], masks[place], loose.cell) for place in missing]
+    for place, each, wrong in zip(missing, known, contradicted(known), strict=True):
+        if wrong:
+            segmented, shadows[place] = find_outline(context, views, place, inside=each.inside, outside=each.outside)
+            masks[place] = segmented.mask
+            again.append(views.views[place])
+    return again
 
 
 def without_hollows(
