@@ -120,8 +120,10 @@ class Outlines:
         self.pixels = [_outline_pixels(mask) for mask in masks]
         self.fields: Field = field_of(masks, cameras)
         self.size = float(np.median([np.sqrt(mask.sum()) for mask in masks]))
-        together = np.logical_or.reduce(masks) if len({mask.shape for mask in masks}) == 1 else np.ones((2, 2), bool)
-        self.extent = [np.flatnonzero(together.any(axis=axis))[[0, -1]] for axis in (1, 0)]
+        together = np.logical_or.reduce(masks)
+        spans = [np.flatnonzero(together.any(axis=axis))[[0, -1]] for axis in (1, 0)]
+        # An extent that ends on the picture's border would bound nothing.
+        self.extent = [np.clip(span, 1, size - 2) for span, size in zip(spans, together.shape, strict=True)]
 
     def inverted_views(self) -> tuple[int, ...]:
         """Places of the silhouettes that cover most of the picture's border and leave out something within."""
