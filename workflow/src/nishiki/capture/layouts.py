@@ -29,6 +29,7 @@ from nishiki.formats.images import read_codes
 from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, warning
 from nishiki.formats.relight import INFO, LAYERS, is_relight_folder
 from nishiki.formats.text_tables import expect_rows, reading, table_lines
+from nishiki.formats.webrti import TILE, is_web_rti
 
 MASK_WORD = re.compile(r"(^|[._\- ])mask([._\- ]|$)", re.IGNORECASE)
 MASK_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".exr")
@@ -91,11 +92,15 @@ def photographs_in(folder: Path) -> list[Path]:
     be that of a file in a capture.
     """
     pictures = files_with(folder, IMAGE_SUFFIXES)
-    fitted = (folder / INFO).is_file()
-    others = (p for p in pictures if not (MASK_WORD.search(p.stem) or (fitted and LAYERS.fullmatch(p.stem))))
+    fitted, tiled = (folder / INFO).is_file(), is_web_rti(folder)
+    others = (
+        p
+        for p in pictures
+        if not (MASK_WORD.search(p.stem) or (fitted and LAYERS.fullmatch(p.stem)) or (tiled and TILE.fullmatch(p.stem)))
+    )
     chosen = sorted(others, key=natural_key)
     raise_errors(problem for path in chosen for problem in source_problems(path, folder))
-    if not chosen and not fitted:
+    if not chosen and not fitted and not tiled:
         _refuse_unread(folder)
     return chosen
 
@@ -137,7 +142,8 @@ def find_lights_file(source: Path, options: ConvertOptions) -> Path | None:
     file = options.lights_file or (listed[0] if listed else None)
     if file is None and not (source / DIRECTIONS).is_file():
         file = find_relight(source)
-    if file is None or photographs_in(source) or not (is_relight_folder(source) or files_with(source, RELIGHTABLE)):
+    rendered = is_relight_folder(source) or is_web_rti(source) or files_with(source, RELIGHTABLE)
+    if file is None or photographs_in(source) or not rendered:
         return file
     return (
         None

@@ -4,13 +4,24 @@ from __future__ import annotations
 
 import difflib
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
+from nishiki.formats.image_headers import read_header
+from nishiki.formats.images import read_codes
 from nishiki.formats.problems import CaptureError, Problem, error, warning
 
 Kind = Literal["none", "circular", "linear", "generator"]
 FEWEST_ANGLES = 3
+LEAST_ALIKE = 0.3  # median correlation of photographs of one view; those of the measured badges have 0.997
+FEWEST_FITTED = 12  # photographs, for nine unknowns
+SHUFFLES, AS_GOOD = 19, 2  # other orders of them, and how many may fit as well: chance does so once in seven times
+COARSE = 24
+NO_SERIES = "Give the photographs other names if they are none, with --lights FILE or their cameras"
 MEANS = {
     "none": "no polariser",
     "circular": "circular polarisers off or on",
@@ -73,3 +84,46 @@ def state_problems(states: tuple[str, ...], file: str) -> list[Problem]:
             what, remedy = "analyser angles are too few to separate reflection", "Photograph 0, 45, 90 and 135 degrees"
             return [warning("polariser-few", file, what, expected=expected, found=found, remedy=remedy)]
     return []
+
+
+def state_warnings(photographs: Sequence[Path], states: Sequence[str], source: str) -> list[Problem]:
+    """Warn where photographs do not vary with the angles of generator and analyser as behind polarisers.
+
+    Light behind both is a product of 1, cos 2g, sin 2g and 1, cos 2a, sin 2a; it must fit the angles better than the
+    same photographs in nearly all of SHUFFLES other orders (a small grid has orders that fit as well). CaptureError
+    (states-contradicted) where the photographs do not show one view, or not in one size.
+    """
+    values = [_coarse(path) for path in photographs]
+    if len({value.shape for value in values}) > 1:
+        what = "named as states of one view, but of different sizes"
+        raise CaptureError(error("states-contradicted", source, what, remedy=NO_SERIES))
+    stack = np.array([value.ravel() for value in values])
+    varied = stack[stack.std(axis=1) > 0]
+    if len(varied) > 1 and (alike := float(np.median(np.corrcoef(varied)))) < LEAST_ALIKE:
+        what, found = "named as states of one view, but they show different things", f"correlation {alike:.2f}"
+        raise CaptureError(error("states-contradicted", source, what, found=found, remedy=NO_SERIES))
+    turns = np.radians([parse_state(state).angles_deg for state in states]).T * 2
+    parts = [np.stack([np.ones_like(turn), np.cos(turn), np.sin(turn)]) for turn in turns]
+    design = (parts[0][:, None] * parts[1][None]).reshape(9, -1).T
+    if len(stack) < FEWEST_FITTED:
+        return []
+    around = stack - stack.mean(axis=0)
+    orders = [np.arange(len(stack)), *(np.random.default_rng(i).permutation(len(stack)) for i in range(SHUFFLES))]
+    fits = [np.linalg.lstsq(design, around[order], rcond=None)[0] for order in orders]
+    left = [((around[order] - design @ fit) ** 2).sum() for order, fit in zip(orders, fits, strict=True)]
+    if sum(other <= left[0] for other in left[1:]) <= AS_GOOD:
+        return []
+    what = "the photographs do not vary with these angles as light behind polarisers does"
+    return [warning("states-unexplained", source, what, remedy="Check that the names are angles in degrees")]
+
+
+def _coarse(path: Path) -> np.ndarray:
+    """Mean of the channels on a coarse grid, COARSE blocks along the longer side."""
+    import cv2
+
+    header = read_header(path)
+    names = header.names or tuple(f"c{i}" for i in range(header.channels - header.alpha))
+    codes = read_codes(path, names, header=header).astype(np.float32)
+    scale = min(COARSE / max(header.rows, header.columns), 1.0)
+    size = max(round(header.columns * scale), 1), max(round(header.rows * scale), 1)
+    return cv2.resize(codes, size, interpolation=cv2.INTER_AREA).reshape(size[1], size[0], -1).mean(axis=2)

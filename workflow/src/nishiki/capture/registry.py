@@ -127,10 +127,10 @@ LAYOUTS = (
     ),
     FolderLayout("list of cameras", "a list of cameras (*_par.txt)", find_camera_list, read_middlebury),
     FolderLayout("camera matrices", "a .mat file with matrices P", find_matrices, read_numbered),
-    FolderLayout("polarisation series", "photographs named GENERATOR_ANALYSER", find_states, read_series),
+    FolderLayout("polarisation series", "photographs named GENERATOR_ANALYSER in degrees", find_states, read_series),
     FolderLayout(
         "relightable image",
-        "a relightable image (.ptm, .rti, a folder of relight)",
+        "a relightable image (.ptm, .rti, a folder of relight or webRTIViewer)",
         recognise_relightable,
         read_relightable,
         files=True,

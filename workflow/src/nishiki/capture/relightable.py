@@ -25,10 +25,12 @@ from nishiki.formats.problems import CaptureError, Problem, error, raise_errors,
 from nishiki.formats.ptm import PtmFile, open_ptm
 from nishiki.formats.relight import INFO, RelightFolder, is_relight_folder, open_relight
 from nishiki.formats.text_tables import refusal
+from nishiki.formats.webrti import WEB_INFO, WebRtiFolder, is_web_rti, open_web_rti
 
 RINGS = ((20, 6), (35, 9), (50, 9))  # degrees from the normal, lamps
 BYTES_A_PIXEL = 36  # of memory, for a picture that is rendered and coded
 RELIGHT = "relight"  # folder of a capture that keeps the files of a relight folder
+RelightableImage = PtmFile | HshFile | RelightFolder | WebRtiFolder
 LEAST_CLIPPED = 1e-4  # share of a picture's values below which clipping is not worth a warning
 
 
@@ -37,6 +39,7 @@ class Rendering:
     """A relightable image, and the lamps under which pictures are rendered from it."""
 
     file: Path
+    image: RelightableImage
     lights: Lights
     warnings: tuple[Problem, ...] = ()
     geometry = "plane"
@@ -64,13 +67,13 @@ def recognise_relightable(source: Path, options: ConvertOptions | None = None) -
 
     Raises CaptureError (layout-unknown) where a folder holds several.
     """
-    if source.is_file() and source.name == INFO and is_relight_folder(source.parent):
+    if source.is_file() and source.name in (INFO, WEB_INFO) and _is_folder_image(source.parent):
         return source.parent.resolve()
     if source.is_file():
         return source if source.suffix.lower() in SUFFIXES else None
     if not source.is_dir() or photographs_in(source):
         return None
-    if is_relight_folder(source):
+    if _is_folder_image(source):
         return source.resolve()
     files = files_with(source, SUFFIXES)
     if len(files) > 1:
@@ -80,22 +83,25 @@ def recognise_relightable(source: Path, options: ConvertOptions | None = None) -
     return files[0] if files else None
 
 
+def _is_folder_image(folder: Path) -> bool:
+    return is_relight_folder(folder) or is_web_rti(folder)
+
+
 def read_relightable(source: Path, file: Path, options: ConvertOptions) -> Rendering:
     """Choose the lamps under which the image is rendered. CaptureError where it is none that is read."""
     options.refuse(NO_PHOTOGRAPHS, "white", "dark", "checks")
     raise_errors(file_problems(mask=options.mask))
-    open_relightable(file)
-    return Rendering(file, lamps_for(options.lights_file, options))
+    return Rendering(file, open_relightable(file), lamps_for(options.lights_file, options))
 
 
-def open_relightable(path: Path) -> PtmFile | HshFile | RelightFolder:
-    """The image in a file or in a folder of relight.
+def open_relightable(path: Path) -> RelightableImage:
+    """The image in a file, or in a folder of relight or webRTIViewer.
 
     CaptureError (relightable-unreadable) where it is none that is read.
     """
     try:
         if path.is_dir():
-            image = open_relight(path)
+            image = open_relight(path) if is_relight_folder(path) else open_web_rti(path)
         else:
             image = open_hsh(path) if path.suffix.lower() == ".rti" else open_ptm(path)
         expect_memory(BYTES_A_PIXEL * image.shape[0] * image.shape[1], path.name)
@@ -121,7 +127,7 @@ def lamps_for(lights_file: Path | None, options: ConvertOptions | None = None) -
 def write_rendered(folder: Path, layout: Rendering, source: Path, options: ConvertOptions) -> list[Problem]:
     """Render into a new folder, and take the file itself along; returns what the user should know."""
     file, lights = layout.file, layout.lights
-    image = open_relightable(file)
+    image = layout.image
     folder.mkdir(parents=True)
     files = [f"frames/{name}.png" for name in lights.names]
     clipped = [_render(image, light, folder / name) for name, light in zip(files, lights.directions, strict=True)]
@@ -157,16 +163,17 @@ def write_rendered(folder: Path, layout: Rendering, source: Path, options: Conve
     return notes
 
 
-def _keep(image: PtmFile | HshFile | RelightFolder, source: Path, folder: Path, link: bool) -> str:
+def _keep(image: RelightableImage, source: Path, folder: Path, link: bool) -> str:
     """Take the image itself along; returns its name relative to the capture."""
-    if not isinstance(image, RelightFolder):
+    if not isinstance(image, RelightFolder | WebRtiFolder):
         return take(source, folder / source.name, link)
+    place = RELIGHT if isinstance(image, RelightFolder) else "webrti"
     for name in image.files:
-        take(source / name, folder / RELIGHT / name, link)
-    return f"{RELIGHT}/{INFO}"
+        take(source / name, folder / place / name, link)
+    return f"{place}/{image.files[0]}"
 
 
-def _render(image: PtmFile | HshFile | RelightFolder, light: np.ndarray, path: Path) -> float:
+def _render(image: RelightableImage, light: np.ndarray, path: Path) -> float:
     """Write one picture as PNG of 16 bits; returns the share of its values that were clipped."""
     import cv2
 

@@ -14,7 +14,7 @@ import numpy as np
 from nishiki.capture.cameras import camera_centre, camera_problems
 from nishiki.capture.layouts import natural_key, natural_parts, photographs_in, source_problems
 from nishiki.capture.options import ConvertOptions
-from nishiki.capture.polariser import parse_state
+from nishiki.capture.polariser import parse_state, state_warnings
 from nishiki.capture.registered import SHARED, Pictures, Registration, aim_problems, distorted_lens
 from nishiki.capture.seal import sha256_of
 from nishiki.capture.turntable_schema import Intrinsics
@@ -30,6 +30,7 @@ from nishiki.geometry.turn import order_round, turn_of
 
 STATES = re.compile(r"(\d+(?:\.\d+)?)_(\d+(?:\.\d+)?)")
 FEWEST_STATES = 3
+LEAST_TURN = 20.0  # degrees between the outermost angles of a polariser that is turned
 
 
 @dataclass(frozen=True)
@@ -103,10 +104,19 @@ def find_matrices(source: Path, options: ConvertOptions) -> tuple[Path, np.ndarr
 
 
 def find_states(source: Path, options: ConvertOptions) -> list[Path] | None:
-    """Find photographs that are all named G_A, the angles of generator and analyser in degrees."""
+    """Find photographs that are all named G_A, the angles of generator and analyser in degrees.
+
+    Angles that are turned are turned by LEAST_TURN at least: rows and columns of tiles, and running numbers, are none.
+    """
     photographs = photographs_in(source)
-    series = len(photographs) >= FEWEST_STATES and all(STATES.fullmatch(p.stem) for p in photographs)
-    return photographs if series else None
+    matches = [match for match in (STATES.fullmatch(p.stem) for p in photographs) if match]
+    if len(photographs) < FEWEST_STATES or len(matches) < len(photographs):
+        return None
+    angles = np.array([match.groups() for match in matches], float)
+    turns = [float(np.ptp(column)) for column in angles.T]
+    turned = [turn for turn in turns if turn > 0]
+    sound = bool(turned) and min(turned) >= LEAST_TURN and angles.max() <= 360
+    return photographs if sound else None
 
 
 def _only(paths: list[Path], source: Path) -> Path:
@@ -304,7 +314,10 @@ def read_series(source: Path, photographs: list[Path], options: ConvertOptions) 
         found = next(state for state in states if states.count(state) > 1)
         raise CaptureError(error("photograph-repeats", str(source), "two photographs of one state", found=found))
     order = sorted(range(len(states)), key=lambda i: parse_state(states[i]).angles_deg)
-    notes, calibrations = [], sorted(files_with(source, (".mat",)), key=natural_key)
+    notes, calibrations = (
+        state_warnings(photographs, states, str(source)),
+        sorted(files_with(source, (".mat",)), key=natural_key),
+    )
     generators, analysers = ({angles[k] for angles in (parse_state(s).angles_deg for s in states)} for k in (0, 1))
     if len(states) != len(generators) * len(analysers):
         expected, found = f"{len(generators)} x {len(analysers)} states", f"{len(states)}"

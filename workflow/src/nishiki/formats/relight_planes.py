@@ -119,7 +119,7 @@ def _read_joined_tiles(folder: Path, name: str, number: int, out: np.ndarray) ->
             )
             margin = (min(row, 1) * overlap, min(column, 1) * overlap)
             part = out[row * size : (row + 1) * size, column * size : (column + 1) * size]
-            _copy(codes, part, margin, f"{place}, tile {first}")
+            copy_plane(codes, part, margin, f"{place}, tile {first}")
     return [name, joined] if number == 0 or name != ALL_PLANES else []
 
 
@@ -144,10 +144,11 @@ def _decoded(content: np.ndarray, most: int, name: str) -> np.ndarray:
 def _fill(folder: Path, name: str, out: np.ndarray, margin: tuple[int, int] | None = None) -> None:
     """Copy a picture into a window. margin : rows and columns before those of a tile; it may have more after them."""
     about = f"{folder.name}/{name}"
-    _copy(read_codes(within(folder, name), CHANNELS, name=about), out, margin, about)
+    copy_plane(read_codes(within(folder, name), CHANNELS, name=about), out, margin, about)
 
 
-def _copy(codes: np.ndarray, out: np.ndarray, margin: tuple[int, int] | None, about: str) -> None:
+def copy_plane(codes: np.ndarray, out: np.ndarray, margin: tuple[int, int] | None, about: str) -> None:
+    """Copy decoded codes into a window; margin as in `_fill`. Refused where they have another size or type."""
     if margin is not None:
         codes = codes[margin[0] :, margin[1] :][: out.shape[0], : out.shape[1]]
     if codes.shape != out.shape or codes.dtype != np.uint8:
