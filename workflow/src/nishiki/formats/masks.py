@@ -73,8 +73,8 @@ def examine_mask(path: Path, *, name: str | None = None) -> Mask:
         share = 100 * inside.mean()
         what = "the mask covers the border of the picture and leaves a part in the middle out: it looks inverted"
         remedy = (
-            "Exchange black and white if the part that is left out is the object (ImageMagick: convert "
-            "MASK.png -negate MASK.png); otherwise nothing is wrong"
+            "If the part that is left out is the object, exchange black and white (ImageMagick: mogrify -negate "
+            "MASKS) and convert again; otherwise nothing is wrong"
         )
         problems.append(warning("mask-inverted", name, what, found=f"{share:.1f} % of the pixels", remedy=remedy))
     return Mask(inside, tuple(problems))
