@@ -3,6 +3,7 @@
 import importlib
 import json
 import re
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -67,7 +68,7 @@ def ingested(root: Path, *, channels: str, **options) -> Artifact:
                 "sensitivities": np.exp(-0.5 * ((WAVELENGTHS_NM - centres) / 35) ** 2),
             }
         np.savez(writer.path("curves.npz"), **curves)
-        return {"capture": capture.settings.model_dump(mode="json"), **found.as_dict()}
+        return {"capture": capture.settings.model_dump(mode="json"), **asdict(found)}
 
     return artifact(root, IngestSettings(channels=channels), fill)
 

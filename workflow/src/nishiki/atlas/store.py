@@ -10,8 +10,7 @@ import numpy as np
 import zarr
 
 from nishiki.atlas.atlas import Atlas
-from nishiki.errors import UserError
-from nishiki.formats.stored import open_group
+from nishiki.formats.stored import open_made_by
 from nishiki.geometry.camera import Camera
 
 STORE = "texels.zarr"
@@ -46,13 +45,7 @@ class Texels:
     def __init__(self, folder: Path | str):
         """Open the artifact's folder. UserError where it holds no texels of this format."""
         self.folder = Path(folder)
-        try:
-            self._group = open_group(self.folder / STORE)
-            stored = dict(self._group.attrs)
-        except FileNotFoundError as error:
-            raise UserError(f"{self.folder}: no texels here; run the stage texels first") from error
-        if stored.get("format") != FORMAT:
-            raise UserError(f"{self.folder}: texels of format {stored.get('format')}, expected {FORMAT}; run again")
+        self._group, stored = open_made_by("texels", self.folder / STORE, "texels", FORMAT)
         self.attributes = stored
         self.tiles, self.size, self.channels = int(stored["tiles"]), int(stored["size"]), int(stored["channels"])
         self.views, self.lights = tuple(stored["views"]), tuple(stored["lights"])

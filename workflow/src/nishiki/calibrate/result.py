@@ -13,6 +13,7 @@ from pathlib import Path
 import yaml
 
 from nishiki.capture.schema_base import read_mapping
+from nishiki.capture.taking import settings_text
 from nishiki.errors import UserError
 from nishiki.report.page import Facts, Listing, Page, Section, render_page
 from nishiki.version import PROJECT_VERSION
@@ -109,11 +110,11 @@ def put_into_capture(capture: Path, result: Calibration) -> None:
     for name in files:
         if (capture / name).exists():
             raise UserError(f"{capture / name} exists. Remedy: move it away; nothing is overwritten")
-    text = yaml.safe_dump(_merged(settings, result.lines), sort_keys=False, allow_unicode=True)
+    text = settings_text(_merged(settings, result.lines))
     for name, data in files.items():
         (capture / name).write_bytes(data.encode() if isinstance(data, str) else data)
     partial = capture / ".capture.yaml.partial"
-    partial.write_text("# Capture folder: see docs/capture-folder.md\n" + text, encoding="utf-8")
+    partial.write_text(text, encoding="utf-8")
     os.replace(partial, path)
 
 

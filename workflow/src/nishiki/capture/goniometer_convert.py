@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import yaml
-
 from nishiki.capture.goniometer_tables import ReflectanceTable, is_table, read_table
 from nishiki.capture.layouts import photographs_in
 from nishiki.capture.options import NO_PHOTOGRAPHS, ConvertOptions
 from nishiki.capture.schema_base import FORMAT
-from nishiki.capture.taking import take
+from nishiki.capture.taking import settings_text, take
 from nishiki.formats.problems import CaptureError, Problem, error, warning
 
 
@@ -80,10 +78,7 @@ def write_table_capture(folder: Path, layout: MeasuredTable, source: Path, optio
     block = {"table": name} | {key: value for key, value in stated.items() if value}
     block |= {"symmetry": "quarter", "weave": "unknown"}
     settings = {"format": FORMAT, "title": options.title or table.stem, "geometry": "goniometer", "goniometer": block}
-    text = "# Capture folder: see docs/capture-folder.md\n" + yaml.safe_dump(
-        settings, sort_keys=False, allow_unicode=True
-    )
-    (folder / "capture.yaml").write_text(text, encoding="utf-8")
+    (folder / "capture.yaml").write_text(settings_text(settings), encoding="utf-8")
     what = "two mirror planes, through weft and warp, are taken for granted"
     remedy = "Use --open and set goniometer.symmetry (quarter, half, none) and goniometer.weave if it is otherwise"
     return [warning("symmetry-assumed", table.name, what, remedy=remedy)]

@@ -6,7 +6,6 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
-import yaml
 
 from nishiki.capture.bands import complete_bands, sort_bands
 from nishiki.capture.layouts import Layout, photographs_in
@@ -14,7 +13,16 @@ from nishiki.capture.lights import Lights
 from nishiki.capture.options import ConvertOptions, file_problems
 from nishiki.capture.pairing import pair_by_name
 from nishiki.capture.schema_base import FORMAT
-from nishiki.capture.taking import channel_names, file_names, take, take_mask, usual_header
+from nishiki.capture.taking import (
+    channel_names,
+    file_names,
+    lights_text,
+    settings_text,
+    table_text,
+    take,
+    take_mask,
+    usual_header,
+)
 from nishiki.formats.masks import alpha_problems
 from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, warning
 
@@ -125,19 +133,10 @@ def _notes(sample: str, jpeg: bool, encoding: str | None, source: Path) -> list[
 
 def write_tables(folder: Path, settings: dict, rows: list[tuple[str, ...]], lights: Lights) -> None:
     """Write capture.yaml, frames.csv and lights.lp; rows: file, role, light and, where each has a file, band."""
-    text = "# Capture folder: see docs/capture-folder.md\n" + yaml.safe_dump(
-        settings, sort_keys=False, allow_unicode=True
-    )
-    (folder / "capture.yaml").write_text(text, encoding="utf-8")
+    (folder / "capture.yaml").write_text(settings_text(settings), encoding="utf-8")
     columns = ("file", "role", "light", "band")[: len(rows[0])]
-    table = ",".join(columns) + "\n" + "".join(",".join(_quoted(v) for v in row) + "\n" for row in rows)
-    (folder / "frames.csv").write_text(table, encoding="utf-8")
-    lines = (f"{name} {x:.9g} {y:.9g} {z:.9g}\n" for name, (x, y, z) in zip(lights.names, lights.vectors, strict=True))
-    (folder / "lights.lp").write_text(f"{len(lights.names)}\n" + "".join(lines), encoding="utf-8")
-
-
-def _quoted(value: str) -> str:
-    return '"' + value.replace('"', '""') + '"' if any(c in value for c in ',"\n') else value
+    (folder / "frames.csv").write_text(table_text([columns, *rows]), encoding="utf-8")
+    (folder / "lights.lp").write_text(lights_text(lights), encoding="utf-8")
 
 
 def _write_intensities(path: Path, layout: Layout, channels: tuple[str, ...]) -> None:
@@ -149,8 +148,5 @@ def _write_intensities(path: Path, layout: Layout, channels: tuple[str, ...]) ->
     if values.shape[1] != len(channels):
         expected, found = f"{len(channels)} columns", f"{values.shape[1]}"
         raise CaptureError(error("intensities-invalid", "light intensities", "table", expected=expected, found=found))
-    rows = (
-        f"{_quoted(n)},{','.join(f'{v:.9g}' for v in row)}\n"
-        for n, row in zip(layout.lights.names, values, strict=True)
-    )
-    path.write_text(f"light,{','.join(channels)}\n" + "".join(rows), encoding="utf-8")
+    rows = ([n, *(f"{v:.9g}" for v in row)] for n, row in zip(layout.lights.names, values, strict=True))
+    path.write_text(table_text([("light", *channels), *rows]), encoding="utf-8")

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import os
 import shutil
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
+import yaml
+
+from nishiki.capture.lights import Lights
 from nishiki.formats.exr import several_layers
 from nishiki.formats.image_header import ImageHeader
 from nishiki.formats.image_headers import read_header
@@ -69,3 +75,22 @@ def take(origin: Path, place: Path, link: bool) -> str:
 def take_mask(origin: Path, place: Path, link: bool) -> tuple[str, list[Problem]]:
     """Copy or hard-link a mask or silhouette; returns its name in the capture, and warnings about how it is read."""
     return take(origin, place, link), list(examine_mask(origin).problems)
+
+
+def settings_text(settings: dict[str, Any]) -> str:
+    """Content of capture.yaml."""
+    text = yaml.safe_dump(settings, sort_keys=False, allow_unicode=True)
+    return f"# Capture folder: see docs/capture-folder.md\n{text}"
+
+
+def table_text(rows: Iterable[Sequence[str]]) -> str:
+    """Content of a table of comma-separated values, its heading the first row."""
+    buffer = io.StringIO()
+    csv.writer(buffer, lineterminator="\n").writerows(rows)
+    return buffer.getvalue()
+
+
+def lights_text(lights: Lights) -> str:
+    """Content of a `.lp` file."""
+    lines = [f"{name} {x:.9g} {y:.9g} {z:.9g}\n" for name, (x, y, z) in zip(lights.names, lights.vectors, strict=True)]
+    return f"{len(lines)}\n{''.join(lines)}"

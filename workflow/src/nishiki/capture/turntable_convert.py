@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import re
 from pathlib import Path
 
@@ -15,7 +13,7 @@ from nishiki.capture.options import ConvertOptions, folder_problems
 from nishiki.capture.pairing import names_apart, pair_by_name
 from nishiki.capture.polariser import parse_state
 from nishiki.capture.schema_base import FORMAT
-from nishiki.capture.taking import channel_names, file_names, take, take_mask, usual_header
+from nishiki.capture.taking import channel_names, file_names, settings_text, table_text, take, take_mask, usual_header
 from nishiki.capture.turntable_layouts import STATES, RoundLayout
 from nishiki.formats.files import files_with
 from nishiki.formats.image_header import ImageHeader
@@ -69,10 +67,7 @@ def write_round(folder: Path, layout: RoundLayout, source: Path, options: Conver
     settings = {"format": FORMAT, "title": options.title or source.name, "geometry": "turntable", "camera": camera}
     settings |= {"notes": layout.notes} if layout.notes else {}
     settings |= {"turntable": block} if block else {}
-    text = "# Capture folder: see docs/capture-folder.md\n" + yaml.safe_dump(
-        settings, sort_keys=False, allow_unicode=True
-    )
-    (folder / "capture.yaml").write_text(text, encoding="utf-8")
+    (folder / "capture.yaml").write_text(settings_text(settings), encoding="utf-8")
     _write_frames(folder / "frames.csv", rows)
     return [*notes, *_notes(header, coding, options.encoding, source)]
 
@@ -142,17 +137,11 @@ def _write_cameras(path: Path, layout: RoundLayout) -> None:
     """Every digit that float64 has, so that reading gives the same matrices."""
     rows = [["view", *MATRIX_COLUMNS]]
     rows += [[v, *map(repr, m.ravel().tolist())] for v, m in zip(layout.views, layout.matrices, strict=True)]
-    _write_csv(path, rows)
+    path.write_text(table_text(rows), encoding="utf-8")
 
 
 def _write_frames(path: Path, rows: list[tuple[str, ...]]) -> None:
     """The table without the columns that are empty throughout."""
     names = ("file", "role", "view", "polariser", "silhouette")
     kept = [i for i in range(len(names)) if i < 2 or any(row[i] for row in rows)]
-    _write_csv(path, [[names[i] for i in kept], *([row[i] for i in kept] for row in rows)])
-
-
-def _write_csv(path: Path, rows: list) -> None:
-    buffer = io.StringIO()
-    csv.writer(buffer, lineterminator="\n").writerows(rows)
-    path.write_text(buffer.getvalue(), encoding="utf-8")
+    path.write_text(table_text([[names[i] for i in kept], *([row[i] for i in kept] for row in rows)]), encoding="utf-8")

@@ -47,6 +47,21 @@ def open_bands(path: Path | str) -> BandedGroup:
     return _opened(lambda folder, **_: BandedGroup(folder), path)
 
 
+def open_made_by(stage: str, path: Path, what: str, version: int, opening: Callable = open_group) -> tuple[Any, dict]:
+    """Open a store of a stage with its attributes; UserError where there is none, or one of another format version.
+
+    what: what it holds, for messages; opening: `open_group` or `open_bands`.
+    """
+    try:
+        group = opening(path)
+    except FileNotFoundError as error:
+        raise UserError(f"{path}: no {what} here; run {stage} first") from error
+    stored = dict(group.attrs)
+    if stored.get("format") != version:
+        raise UserError(f"{path}: {what} of format {stored.get('format')}, expected {version}; run {stage} again")
+    return group, stored
+
+
 def open_array(path: Path | str) -> Any:
     """A Zarr array for reading, as `open_group`."""
     import zarr

@@ -12,7 +12,7 @@ import numpy as np
 
 from nishiki.capture.folder import Capture, examine
 from nishiki.capture.frames import Frame
-from nishiki.capture.seal import payload_files, sha256_of, verify_seal
+from nishiki.capture.seal import payload_files, verify_seal
 from nishiki.capture.turntable import TurntableCapture
 from nishiki.formats.files import Refused, walk
 from nishiki.formats.image_header import ImageHeader
@@ -29,6 +29,7 @@ from nishiki.observations.plane_decode import count_unusable
 from nishiki.observations.plane_store import frame_problems
 from nishiki.observations.reference import DarkField, board_field, measure_darks
 from nishiki.observations.region import object_mask, region_numbers, region_of
+from nishiki.observations.store_parts import RepeatedFiles, as_errors
 from nishiki.observations.turntable_check import listed_files, silhouette_problems, turntable_content_problems
 
 SAME_DIRECTION = np.cos(np.radians(0.1))
@@ -168,11 +169,8 @@ def _header_problems(capture: AnyCapture) -> tuple[list[Problem], AnyCapture, tu
     problems += _exceptions(depths, "image-depth", "depth differs", "Develop all photographs alike")
     kinds = {file: header.kind for file, header in headers.items() if file in shown}
     severe = {p.file for p in problems}
-    problems += [
-        warning(p.kind, p.file, p.what, expected=p.expected, found=p.found, remedy=p.remedy)
-        for p in _exceptions(kinds, "image-format", "format differs", "Export all photographs by one program")
-        if p.file not in severe
-    ]
+    odd = _exceptions(kinds, "image-format", "format differs", "Export all photographs by one program")
+    problems += [replace(p, severity="warning") for p in odd if p.file not in severe]
     usual = next((h for file, h in headers.items() if file not in severe), next(iter(headers.values())))
     bits, held = capture.settings.camera.bits, {"uint8": 8, "uint16": 16}.get(usual.sample, 16)
     if bits and bits > held:
@@ -220,18 +218,12 @@ def _content_problems(capture: Capture, tick: Callable[[str], None]) -> list[Pro
         usable = object_mask(capture, (reader.rows, reader.columns), reader.region).inside.astype(np.uint8)
     except CaptureError:
         usable = np.ones((rows, columns), np.uint8)  # reported already
-    pairs, digests = PairLevels(reader, darks, usable), {}
+    pairs, repeated = PairLevels(reader, darks, usable), RepeatedFiles()
     for frame in capture.frames:
         if frame.role == "dark":
             continue
         problems += _attempt(lambda frame=frame: _frame_content(reader, frame, usable, darks, edges, pairs))
-        for part in frame.parts:
-            digest = sha256_of(part.path)
-            if digest in digests:
-                what = f"is the same file as {digests[digest]}"
-                remedy = "Check the names of the photographs"
-                problems.append(warning("image-repeated", part.file, what, remedy=remedy))
-            digests.setdefault(digest, part.file)
+        problems += repeated.add(frame)
         tick(frame.file)
     return reader.warnings() + problems + pairs.problems()
 
@@ -257,9 +249,7 @@ def _frame_content(
     if frame.role == "flat":
         return []
     *counts, highest = count_unusable(codes, usable, reader.saturated, reader.clip)
-    problems = frame_problems(frame, np.array(counts), float(highest), reader)
-    severe = {"not-finite"}
-    return [error(p.kind, p.file, p.what, found=p.found) if p.kind in severe else p for p in problems]
+    return as_errors(frame_problems(frame, np.array(counts), float(highest), reader))
 
 
 def failed(problems: list[Problem]) -> bool:

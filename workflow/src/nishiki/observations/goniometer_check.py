@@ -10,7 +10,6 @@ import numpy as np
 
 from nishiki.capture.frames import Frame
 from nishiki.capture.goniometer import GoniometerCapture
-from nishiki.capture.seal import sha256_of
 from nishiki.formats.masks import label_problems
 from nishiki.formats.problems import CaptureError, Problem, error, warning
 from nishiki.goniometry.consistency import FEWEST_PAIRS, forward_shine, reciprocity, turned_views, typical_albedo
@@ -19,6 +18,7 @@ from nishiki.observations.blocks import block_edges
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.goniometer_frames import code_problems, region_labels, white_level, windowed
 from nishiki.observations.reference import DarkField, measure_darks
+from nishiki.observations.store_parts import RepeatedFiles, as_errors
 
 CHECK_BLOCK = 16
 MOST_NAMED = 5  # saturated photographs that are named
@@ -58,16 +58,12 @@ def _content_problems(capture: GoniometerCapture, tick: Tick) -> list[Problem]:
     except CaptureError as e:
         return list(e.problems)
     problems = list(darks.problems)
-    digests: dict[str, str] = {}
+    repeated = RepeatedFiles()
     hot: list[str] = []
     for frame in capture.frames:
         if frame.role == "dark":
             continue
-        digest = sha256_of(frame.path)
-        if digest in digests:
-            what = f"is the same file as {digests[digest]}"
-            problems.append(warning("image-repeated", frame.file, what, remedy="Check the names of the photographs"))
-        digests.setdefault(digest, frame.file)
+        problems += repeated.add(frame)
         problems += _frame_problems(reader, frame, darks, hot)
         tick(frame.file)
     if hot:
@@ -88,7 +84,7 @@ def _frame_problems(reader: FrameReader, frame: Frame, darks: DarkField, hot: li
             hot.append(frame.file)
     except CaptureError as e:
         return list(e.problems)
-    return [error(p.kind, p.file, p.what, found=p.found) if p.kind == "not-finite" else p for p in problems]
+    return as_errors(problems)
 
 
 def table_problems(capture: GoniometerCapture) -> list[Problem]:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -22,19 +21,11 @@ from nishiki.observations.choice import chosen
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.goniometer_frames import code_problems, region_labels, white_level, windowed
 from nishiki.observations.reference import DarkField, Edges, measure_darks
-from nishiki.observations.store_parts import PhotographCounter, Tick, write_small_arrays
+from nishiki.observations.store_parts import PhotographCounter, Settings, Tick, write_small_arrays
 
 STORE, NAMES, TABLE = "goniometer.zarr", "goniometer.json", "table.npz"
 FORMAT = 1
 CHUNK_BYTES = 4 << 20
-
-
-class Settings(Protocol):
-    """What ingest reads of its settings."""
-
-    channels: str
-    white_block: int
-    without: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -54,10 +45,6 @@ class GoniometerDiagnostics:
     white_level: tuple[float, ...]
     defects: int
     warnings: tuple[str, ...]
-
-    def as_dict(self) -> dict:
-        """Plain values for JSON."""
-        return asdict(self)
 
 
 def write_goniometer(

@@ -9,8 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from nishiki.errors import UserError
-from nishiki.formats.stored import open_bands, understood
+from nishiki.formats.stored import open_bands, open_made_by, understood
 from nishiki.formats.zarr_chunks import chunk_path, read_chunk, read_chunk_into
 from nishiki.observations.blocks import Edges, cells, edges_between, on_one_grid, positions
 from nishiki.observations.linearise import straight_scale
@@ -32,18 +31,10 @@ class Observations:
         """Open `frames.zarr`, or the folder that holds it. UserError where it is none."""
         path = Path(folder)
         path = path if path.name.endswith(".zarr") else path / "frames.zarr"
-        try:
-            group = open_bands(path)
-            stored = dict(group.attrs)
-            self._codes = group["codes"]
-        except (FileNotFoundError, KeyError) as e:
-            raise UserError(f"{path}: no ingested frames here; run ingest first") from e
-        if stored.get("format") != FORMAT:
-            raise UserError(
-                f"{path}: ingested frames of format {stored.get('format')}, expected {FORMAT}; run ingest again"
-            )
+        group, stored = open_made_by("ingest", path, "ingested frames", FORMAT, open_bands)
         self.path = path
         with understood(path):
+            self._codes = group["codes"]
             self.attributes = stored
             self.lights: tuple[str, ...] = tuple(stored["lights"])
             self.files: tuple[str, ...] = tuple(stored["files"])

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, Protocol
 
 import numpy as np
 
@@ -22,6 +21,7 @@ from nishiki.observations.reference import Gains, measure_darks, measure_gains
 from nishiki.observations.region import edges_of, object_mask, region_around, region_numbers, window_of
 from nishiki.observations.store_parts import (
     PhotographCounter,
+    Settings,
     refuse_unusable,
     sample_warnings,
     write_small_arrays,
@@ -31,16 +31,6 @@ from nishiki.observations.tiles import bands_with_object, rows_of_band
 STORE = "frames.zarr"
 FORMAT = 1
 ALL_SATURATED = 0.99
-
-
-class Settings(Protocol):
-    """What ingest reads of its settings (`nishiki.stages.ingest.declaration.IngestSettings`)."""
-
-    channels: str
-    white_block: int
-    tile_mib: int
-    compression: Literal["none", "zstd"]
-    without: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -70,10 +60,6 @@ class IngestDiagnostics:
     white_uniformity: tuple[float, ...]
     defects: int
     warnings: tuple[str, ...]
-
-    def as_dict(self) -> dict:
-        """Plain values for JSON."""
-        return asdict(self)
 
 
 def write_observations(

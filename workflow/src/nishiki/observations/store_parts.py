@@ -2,17 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import Literal, Protocol
 
 import numpy as np
 
 from nishiki.capture.frames import Frame
+from nishiki.capture.seal import sha256_of
 from nishiki.formats.problems import CaptureError, Problem, error, warning
 from nishiki.formats.zarr_store import BandedGroup
 from nishiki.observations.frames import FrameReader
 
 MANY_SATURATED = 0.05
 Tick = Callable[[str], None]
+
+
+class Settings(Protocol):
+    """What ingest reads of its settings (`nishiki.stages.ingest.declaration.IngestSettings`)."""
+
+    channels: str
+    white_block: int
+    tile_mib: int
+    compression: Literal["none", "zstd"]
+    without: tuple[str, ...]
 
 
 class PhotographCounter:
@@ -47,6 +60,28 @@ def sample_warnings(frame: Frame, broken: int, saturated: int, inside: int, *, s
         found = f"{100 * saturated / inside:.1f} % of the {shown}"
         problems.append(warning("many-saturated", frame.file, "many saturated samples", found=found))
     return problems
+
+
+def as_errors(problems: Iterable[Problem], kind: str = "not-finite") -> list[Problem]:
+    """The problems with warnings of this kind as errors: what a stage tolerates may make a capture unusable."""
+    return [replace(p, severity="error") if p.kind == kind else p for p in problems]
+
+
+class RepeatedFiles:
+    """Finds photographs that are the same file as one before."""
+
+    def __init__(self) -> None:
+        self.files: dict[str, str] = {}
+
+    def add(self, frame: Frame) -> list[Problem]:
+        """Warn (image-repeated) of each file of a photograph that was added already under another name."""
+        problems = []
+        for part in frame.parts:
+            first = self.files.setdefault(sha256_of(part.path), part.file)
+            if first != part.file:
+                what, remedy = f"is the same file as {first}", "Check the names of the photographs"
+                problems.append(warning("image-repeated", part.file, what, remedy=remedy))
+        return problems
 
 
 def write_small_arrays(

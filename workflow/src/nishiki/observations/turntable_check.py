@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.capture.frames import Frame
-from nishiki.capture.seal import sha256_of
 from nishiki.capture.turntable import TurntableCapture
 from nishiki.formats.masks import read_mask
-from nishiki.formats.problems import CaptureError, Problem, error, warning
+from nishiki.formats.problems import CaptureError, Problem, warning
 from nishiki.observations.blocks import block_edges
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.plane_decode import count_unusable
 from nishiki.observations.reference import measure_darks
+from nishiki.observations.store_parts import RepeatedFiles, as_errors
 from nishiki.observations.turntable_coherence import Pictures, capture_problems
 from nishiki.observations.views_store import read_silhouette, view_problems
 from nishiki.observations.views_white import measure_whites
@@ -60,17 +60,10 @@ def turntable_content_problems(capture: TurntableCapture, tick: Tick) -> list[Pr
     except CaptureError as e:
         return list(e.problems)
     problems = _reference_problems(reader, tick)
-    digests: dict[str, str] = {}
-    pictures = Pictures(capture)
+    repeated, pictures = RepeatedFiles(), Pictures(capture)
     for frame in capture.frames:
         if frame.role != "dark":
-            digest = sha256_of(frame.path)
-            if digest in digests:
-                what = f"is the same file as {digests[digest]}"
-                problems.append(
-                    warning("image-repeated", frame.file, what, remedy="Check the names of the photographs")
-                )
-            digests.setdefault(digest, frame.file)
+            problems += repeated.add(frame)
         if frame.role in ("sample", "board") or (frame.role == "white" and frame.polariser):
             problems += _frame_problems(reader, frame, pictures)
             tick(frame.file)
@@ -109,7 +102,7 @@ def _frame_problems(reader: FrameReader, frame: Frame, pictures: Pictures) -> li
         problems = view_problems(frame, np.array(counts), float(highest), reader, outlined=named is not None)
     except CaptureError as e:
         return list(e.problems)
-    return [error(p.kind, p.file, p.what, found=p.found) if p.kind == "not-finite" else p for p in problems]
+    return as_errors(problems)
 
 
 def _outline(frame: Frame | None, size: tuple[int, int]) -> np.ndarray:

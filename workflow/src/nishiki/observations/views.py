@@ -10,7 +10,7 @@ import numpy as np
 
 from nishiki.colour.encoding import decode, encode
 from nishiki.errors import UserError
-from nishiki.formats.stored import open_group, understood
+from nishiki.formats.stored import open_group, open_made_by, understood
 from nishiki.formats.zarr_chunks import chunk_path, read_chunk
 from nishiki.observations.blocks import grid_of, on_one_grid, picture_edges
 from nishiki.observations.linearise import straight_scale
@@ -35,18 +35,10 @@ class Views:
         """Open `views.zarr`, or the folder that holds it. UserError where it is none."""
         path = Path(folder)
         path = path if path.name.endswith(".zarr") else path / "views.zarr"
-        try:
-            group = open_group(path)
-            stored = dict(group.attrs)
-            self.dtype = np.dtype(group["codes"].dtype)
-        except (FileNotFoundError, KeyError) as e:
-            raise UserError(f"{path}: no ingested views here; run ingest first") from e
-        if stored.get("format") != FORMAT:
-            raise UserError(
-                f"{path}: ingested views of format {stored.get('format')}, expected {FORMAT}; run ingest again"
-            )
+        group, stored = open_made_by("ingest", path, "ingested views", FORMAT)
         self.path, self._group, self.attributes = path, group, stored
         with understood(path):
+            self.dtype = np.dtype(group["codes"].dtype)
             self.views: tuple[str, ...] = tuple(stored["views"])
             self.lights: tuple[str, ...] = tuple(stored["lights"])
             self.states: tuple[str, ...] = tuple(stored["states"])

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -24,6 +23,7 @@ from nishiki.observations.plane_decode import count_unusable
 from nishiki.observations.reference import DarkField, Edges, measure_darks
 from nishiki.observations.store_parts import (
     PhotographCounter,
+    Settings,
     Tick,
     refuse_unusable,
     sample_warnings,
@@ -34,14 +34,6 @@ from nishiki.observations.views_white import Whites, mean_boards, measure_whites
 
 STORE = "views.zarr"
 ALL_SATURATED = 0.99
-
-
-class Settings(Protocol):
-    """What ingest reads of its settings."""
-
-    channels: str
-    white_block: int
-    without: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -69,10 +61,6 @@ class ViewsDiagnostics:
     boards: int
     calibration_pictures: int
     warnings: tuple[str, ...]
-
-    def as_dict(self) -> dict:
-        """Plain values for JSON."""
-        return asdict(self)
 
 
 def write_views(

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.errors import UserError
-from nishiki.formats.stored import open_group
+from nishiki.formats.stored import open_made_by
 from nishiki.formats.zarr_chunks import chunk_path, read_chunk, write_chunk
 from nishiki.formats.zarr_store import BandedGroup
 from nishiki.polarisation.polarisation import SeparatedView
@@ -68,14 +68,7 @@ class Components:
         """Open `components.zarr`, or the folder that holds it. UserError where it is none."""
         path = Path(folder)
         self.path = path if path.name == STORE else path / STORE
-        try:
-            stored = dict(open_group(self.path).attrs)
-        except (FileNotFoundError, KeyError) as error:
-            raise UserError(f"{self.path}: no components here; run polarise first") from error
-        if stored.get("format") != FORMAT:
-            raise UserError(
-                f"{self.path}: components of format {stored.get('format')}, expected {FORMAT}; run polarise"
-            )
+        _, stored = open_made_by("polarise", self.path, "components", FORMAT)
         self.views, self.lights, self.channels = (tuple(stored[name]) for name in ("views", "lights", "channels"))
         self.shape: tuple[int, int] = tuple(stored["shape"])
         self.observations = len(self.views) * len(self.lights)

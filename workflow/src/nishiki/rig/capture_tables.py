@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import os
 import shutil
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from nishiki.capture.folder import examine
 from nishiki.capture.schema_base import FORMAT
+from nishiki.capture.taking import lights_text, settings_text, table_text
 from nishiki.errors import UserError
 from nishiki.formats.files import name_fault
 from nishiki.formats.problems import CaptureError
@@ -52,15 +49,10 @@ def write_tables(
         Seconds of each frame by its file. The column `exposure_s` is written where all lit frames have one.
     """
     values = capture_settings(plan, channels)
-    text = "# Capture folder: see docs/capture-folder.md\n" + yaml.safe_dump(
-        values, sort_keys=False, allow_unicode=True
-    )
-    _put(folder / "capture.yaml", text)
+    _put(folder / "capture.yaml", settings_text(values))
     _put(folder / "frames.csv", _frames_csv(plan, frames, exposures))
     if plan.lights is not None:
-        vectors = zip(plan.lights.names, plan.lights.vectors, strict=True)
-        lines = [f"{name} {x:.9g} {y:.9g} {z:.9g}\n" for name, (x, y, z) in vectors]
-        _put(folder / "lights.lp", f"{len(lines)}\n{''.join(lines)}")
+        _put(folder / "lights.lp", lights_text(plan.lights))
     for name in _texts(plan.settings.capture):
         source = plan.folder / name
         if not name_fault(name) and source.is_file():
@@ -88,14 +80,12 @@ def _frames_csv(plan: ReadPlan, frames: tuple[PlannedFrame, ...], exposures: Map
     }[plan.settings.kind]
     if all(frame.file in exposures for frame in frames if frame.group != "dark"):
         columns.append("exposure_s")
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    table.writerow(columns)
+    rows = [columns]
     for frame in frames:
         cells = {key: getattr(frame, key, "") for key in columns} | dict(zip(ANGLES, frame.angles_deg, strict=False))
         cells["exposure_s"] = exposures.get(frame.file, "")
-        table.writerow([f"{cells[key]:.10g}" if isinstance(cells[key], float) else cells[key] for key in columns])
-    return text.getvalue()
+        rows.append([f"{cells[key]:.10g}" if isinstance(cells[key], float) else cells[key] for key in columns])
+    return table_text(rows)
 
 
 def _texts(value: Any) -> Iterator[str]:

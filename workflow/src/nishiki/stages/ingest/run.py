@@ -1,6 +1,7 @@
 """Ingest: photographs of a sealed capture to linear, white-normalised observations."""
 
 import shutil
+from dataclasses import asdict
 
 import numpy as np
 
@@ -32,7 +33,7 @@ def run(context: Context) -> dict:
     result = write_observations(capture, context.output.folder, settings=context.settings, progress=context.progress)
     stamp_store(context, STORE)
     write_curves(capture, context)
-    return {**described(capture, context), **result.as_dict()}
+    return {**described(capture, context), **asdict(result)}
 
 
 def run_views(capture: TurntableCapture, context: Context) -> dict:
@@ -42,7 +43,7 @@ def run_views(capture: TurntableCapture, context: Context) -> dict:
         shutil.copyfile(source, context.output.path(name))
     stamp_store(context, VIEWS)
     write_curves(capture, context)
-    return {**described(capture, context), **result.as_dict()}
+    return {**described(capture, context), **asdict(result)}
 
 
 def run_goniometer(capture: GoniometerCapture, context: Context) -> dict:
@@ -51,7 +52,7 @@ def run_goniometer(capture: GoniometerCapture, context: Context) -> dict:
     if capture.table is None:
         stamp_store(context, WINDOWS)
     write_curves(capture, context)
-    return {**described(capture, context), **result.as_dict()}
+    return {**described(capture, context), **asdict(result)}
 
 
 def described(capture: Capture | TurntableCapture | GoniometerCapture, context: Context) -> dict:
