@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -17,6 +18,7 @@ DICTIONARIES = {f"DICT_{kind}_{count}": count for kind, counts in MARKERS.items(
 DICTIONARIES |= {"DICT_ARUCO_ORIGINAL": 1024, "DICT_APRILTAG_16h5": 30, "DICT_APRILTAG_25h9": 35}
 DICTIONARIES |= {"DICT_APRILTAG_36h10": 2320, "DICT_APRILTAG_36h11": 587}
 
+MESH_AXES = re.compile("-?[xyz],-?[xyz],-?[xyz]")
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Squares = Annotated[int, Field(strict=True, ge=3, le=200)]
 
@@ -78,12 +80,30 @@ class Turntable(Closed):
     turn: Literal["forward", "reverse"] = "forward"
     camera_of: dict[str, str] = Field(default_factory=dict)
     mesh: str | None = None
+    mesh_scale: Positive = 1.0
+    mesh_axes: str = "x,y,z"
     scans: tuple[str, ...] = ()
     correspondences: str | None = None
     board: Board | None = None
     intrinsics: str | None = None
     background: Literal["auto", "dark", "bright", "blue", "green"] = "auto"
     calibration: str | None = None
+
+    @field_validator("mesh_axes")
+    @classmethod
+    def _turn(cls, axes: str) -> str:
+        if not MESH_AXES.fullmatch(axes) or len({name.strip("-") for name in axes.split(",")}) != 3:
+            raise ValueError("three signed axes, each once, such as x,-z,y")
+        return axes
+
+    @property
+    def mesh_placement(self) -> tuple[float, tuple[int, ...], tuple[int, ...]]:
+        """What brings the mesh into the world of the cameras: scale, the axis that each new one is, and its sign."""
+        names = self.mesh_axes.split(",")
+        order, signs = (
+            tuple(f(name) for name in names) for f in (lambda n: "xyz".index(n[-1]), lambda n: 1 - 2 * (n[0] == "-"))
+        )
+        return self.mesh_scale, order, signs
 
     @property
     def files(self) -> tuple[tuple[str, str], ...]:

@@ -12,6 +12,7 @@ from nishiki.formats.problems import Problem, error, warning
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.coherence import Coherence, measure_coherence
 from nishiki.geometry.matrices import cameras_of_matrices
+from nishiki.observations.mesh_check import mesh_problems
 
 WORKING_SIDE = 480
 """Pixels of the longer side of the photographs in which the check looks for silhouettes."""
@@ -69,9 +70,10 @@ def capture_problems(
     if capture.matrices is None or len(views) < FEWEST_VIEWS or any(v not in capture.matrices for v in views):
         return []
     try:
-        cameras = cameras_of_matrices({v: capture.matrices[v] for v in views}, rows=rows, columns=columns).cameras
+        world = cameras_of_matrices({v: capture.matrices[v] for v in views}, rows=rows, columns=columns)
     except UserError:
         return []  # the stage cameras reports it
+    cameras = list(world.cameras)
     if capture.intrinsics is not None:
         cameras = [replace(camera, distortion=capture.intrinsics.distortion) for camera in cameras]
     cameras = [camera.resize(*silhouettes[camera.name].shape) for camera in cameras]
@@ -79,7 +81,10 @@ def capture_problems(
     needed = given or not (capture.mesh or capture.scans)
     named = {view: frame.silhouette for view in views if (frame := capture.silhouette_of(view))}
     found = measure_coherence([silhouettes[view] for view in views], list(cameras))
-    return describe_coherence(found, cameras, named) if needed or found.correction else []
+    problems = describe_coherence(found, cameras, named) if needed or found.correction else []
+    if problems or capture.mesh is None:
+        return problems
+    return mesh_problems(capture, [silhouettes[view] for view in views], cameras, world.mirror, sure=given)
 
 
 def describe_coherence(found: Coherence, cameras: list[Camera], files: dict[str, str]) -> list[Problem]:

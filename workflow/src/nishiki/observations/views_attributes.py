@@ -51,6 +51,7 @@ def attributes_of(
         "intrinsics": capture.intrinsics.as_dict() if capture.intrinsics else None,
         "matrices": {view: matrices[view].tolist() for view in capture.views} if matrices else None,
         "geometry": dict(geometry_files(capture)),
+        "mesh_placement": list(block.mesh_placement),
     }
 
 

@@ -16,6 +16,7 @@ from nishiki.geometry.hull import carve
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.mesh_files import read_points, read_triangles, write_ply
 from nishiki.geometry.outlines import agreement, contradicted, known_from, outline_of
+from nishiki.geometry.placement import move_mesh
 from nishiki.geometry.silhouettes import Silhouette, display, possible_shadow, segment
 from nishiki.geometry.surface import SimplifiedMesh, fewest_triangles, shape_of, smoothed, snapped, without_small_parts
 from nishiki.observations.turntable_coherence import FEWEST_VIEWS, describe_coherence
@@ -194,6 +195,8 @@ def without_hollows(
 def read_file(context: Context, views: Views, cameras: list[Camera], mirror: list[int] | None):
     """Vertices and triangles of the capture's mesh, in the cameras' world."""
     vertices, triangles = read_triangles(context.inputs["ingest"].path(views.geometry["mesh"]))
+    if "mesh_placement" in views.attributes:
+        vertices, triangles = move_mesh(vertices, triangles, *views.attributes["mesh_placement"])
     return (*mirrored(vertices, triangles, mirror), {"vertices": len(vertices), "triangles": len(triangles)})
 
 

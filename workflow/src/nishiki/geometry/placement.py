@@ -1,0 +1,122 @@
+"""Whether a mesh lies where the silhouettes show the object, and which unit or axes would bring it there."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import permutations, product
+
+import numpy as np
+
+from nishiki.geometry.camera import Camera
+from nishiki.geometry.mesh import Mesh, face_vectors
+from nishiki.geometry.outlines import agreement, outline_of
+
+SCALES = (1.0, 1000.0, 100.0, 10.0, 0.1, 0.01, 0.001, 25.4, 1 / 25.4, 12.0, 1 / 12, 304.8, 1 / 304.8)
+"""Between millimetres, centimetres, metres, inches and feet."""
+USUAL_AXES = (((0, 1, 2), (1, 1, 1)), ((0, 2, 1), (1, -1, 1)), ((0, 2, 1), (1, 1, -1)))
+"""As it lies, y up to z up, and z up to y up: x, -z, y and x, z, -y."""
+AXES = USUAL_AXES + tuple(
+    axes
+    for axes in product(permutations(range(3)), product((1, -1), repeat=3))
+    if axes not in USUAL_AXES and np.linalg.det(np.eye(3)[list(axes[0])] * np.array(axes[1])[:, None]) > 0
+)
+"""The 24 turns of a cube: new axis k is `signs[k]` times the mesh's axis `order[k]`."""
+SIDE, POINTS = 96, 4000  # pixels and points of the surface with which readings are compared
+MOST_VIEWS = 6
+SAME_EXTENT = 0.6  # of the larger of two extents that both have in common, else their overlap is 0
+EQUAL = 0.01  # overlaps that differ by less are equal
+
+
+@dataclass(frozen=True)
+class Placement:
+    """overlap: mean intersection over union of the mesh's outline and the silhouettes, as it lies; scale, order, signs:
+    of the reading that overlaps most, see `move_mesh`; best: its overlap."""
+
+    overlap: float
+    scale: float
+    order: tuple[int, int, int]
+    signs: tuple[int, int, int]
+    best: float
+
+
+def move_mesh(
+    vertices: np.ndarray, triangles: np.ndarray, scale: float, order: Sequence[int], signs: Sequence[int]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Multiply a mesh by `scale`, and take its axis k from `order[k]` with the sign `signs[k]`.
+
+    Vertices (v, 3), triangles (f, 3); where the axes mirror it, triangles are turned so that they face outwards again.
+    """
+    mirrored = np.linalg.det(np.eye(3)[list(order)] * np.array(signs)[:, None]) < 0
+    moved = scale * vertices[:, list(order)] * np.array(signs, np.float64)
+    return moved, triangles[:, ::-1] if mirrored else triangles
+
+
+def measure_placement(
+    mesh: Mesh, silhouettes: list[np.ndarray], cameras: list[Camera], *, enough: float = 0.9
+) -> Placement:
+    """Compare a mesh with silhouettes (rows, columns) bool in the cameras' pictures; where they overlap by less than
+    `enough`, in other units and axes, too."""
+    chosen = np.unique(np.linspace(0, len(cameras) - 1, min(MOST_VIEWS, len(cameras))).round().astype(int))
+    views = [_shrink(silhouettes[i], cameras[i]) for i in chosen]
+
+    def overlap(reading: tuple) -> float:
+        moved = Mesh.of(*move_mesh(mesh.vertices, mesh.triangles, *reading))
+        return float(np.mean([agreement(outline_of(moved, camera), mask) for mask, camera in views]))
+
+    stated = (1.0, *AXES[0])
+    found = overlap(stated)
+    if found >= enough:
+        return Placement(found, *stated, found)
+    points, scores = _surface_points(mesh), {}
+    for scale, axes in product(SCALES, AXES):
+        moved, _ = move_mesh(points, mesh.triangles, scale, *axes)
+        scores[scale, *axes] = total = 0.0
+        for number, (mask, camera) in enumerate(views):
+            total += _splat_overlap(moved, mask, camera)
+            if total == 0:  # the first view excludes nearly all readings
+                break
+            scores[scale, *axes] = total / (number + 1)
+    # of a round object several turns fit: the most usual one
+    best = next(key for key, score in scores.items() if score >= max(scores.values()) - EQUAL)
+    return Placement(found, *best, overlap(best))
+
+
+def _shrink(mask: np.ndarray, camera: Camera) -> tuple[np.ndarray, Camera]:
+    """A silhouette of at most 96 pixels on its longer side, and the camera of such a picture."""
+    import cv2
+
+    factor = min(1.0, SIDE / max(mask.shape))
+    rows, columns = (max(2, round(n * factor)) for n in mask.shape)
+    small = cv2.resize(mask.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA) >= 0.5
+    return small, camera.resize(rows, columns)
+
+
+def _surface_points(mesh: Mesh) -> np.ndarray:
+    """(4000, 3) points spread evenly over the surface, always the same."""
+    rng = np.random.default_rng(0)
+    areas = np.linalg.norm(face_vectors(mesh.vertices, mesh.triangles), axis=1)
+    corners = mesh.vertices[mesh.triangles[rng.choice(len(areas), POINTS, p=areas / areas.sum())]]
+    u, v = np.sqrt(rng.random(POINTS)), rng.random(POINTS)
+    weights = np.stack([1 - u, u * (1 - v), u * v], axis=1)
+    return np.einsum("nk,nkc->nc", weights, corners)
+
+
+def _splat_overlap(points: np.ndarray, mask: np.ndarray, camera: Camera) -> float:
+    """Intersection over union of a silhouette and the points' picture, whose gaps are closed; 0 where the two differ
+    much in place or size."""
+    import cv2
+
+    pixels, depth = camera.project(points)
+    shown = np.argwhere(mask)[:, ::-1]
+    if (depth <= 0).any() or not len(shown):
+        return 0.0
+    ours, theirs = ((np.min(each, axis=0), np.max(each, axis=0) + 1) for each in (pixels, shown))
+    common = np.maximum(np.minimum(ours[1], theirs[1]) - np.maximum(ours[0], theirs[0]), 0)
+    if (common < SAME_EXTENT * np.maximum(ours[1] - ours[0], theirs[1] - theirs[0])).any():
+        return 0.0
+    at = np.round(pixels).astype(int)
+    at = at[((at >= 0) & (at < mask.shape[::-1])).all(axis=1)]
+    drawn = np.zeros(mask.shape, np.uint8)
+    drawn[at[:, 1], at[:, 0]] = 1
+    return agreement(cv2.morphologyEx(drawn, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8)) > 0, mask)
