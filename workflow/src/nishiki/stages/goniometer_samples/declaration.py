@@ -7,19 +7,12 @@ from pydantic import Field
 
 from nishiki.artifacts.closed import Closed, Guarded
 from nishiki.artifacts.limits import Limit, at, extreme, share
-from nishiki.goniometry.consistency import FEWEST_PAIRS
 from nishiki.stages.base import Asked, Cost, SceneFacts, Stage
 
 
 def _albedo(diagnostics: Mapping[str, Any]) -> float | None:
     """The largest share of light sent back, over the regions; along the normal where nothing else is known."""
     return extreme("albedo")(diagnostics) or extreme("albedo_normal")(diagnostics)
-
-
-def _reciprocity(diagnostics: Mapping[str, Any]) -> float | None:
-    """The worst region's disagreement, of regions with enough pairs."""
-    known = zip(diagnostics.get("reciprocity", ()), diagnostics.get("reciprocal_pairs", ()), strict=True)
-    return max((value for value, pairs in known if pairs >= FEWEST_PAIRS), default=None)
 
 
 LIMITS = (
@@ -74,7 +67,7 @@ LIMITS = (
     Limit(
         "reciprocity",
         "disagreement of measurements with light and view exchanged, relative",
-        _reciprocity,
+        extreme("reciprocity"),
         most=0.3,
         remedy="check from where phi_r_deg is counted (from the weft, as phi_i_deg), and the boards of oblique light",
         why="captures gave 0.02 to 0.13; azimuths counted from the mirror direction or a missing cosine 0.35 and more",

@@ -4,7 +4,7 @@ import numpy as np
 
 from nishiki.artifacts.stage import Context
 from nishiki.errors import UserError
-from nishiki.goniometry.consistency import reciprocity, typical_albedo
+from nishiki.goniometry.consistency import FEWEST_PAIRS, reciprocity, typical_albedo
 from nishiki.goniometry.coverage import IncidenceCoverage, coverage
 from nishiki.goniometry.directions import unit
 from nishiki.goniometry.hemisphere import Interpolation, complete, directional_albedo
@@ -116,7 +116,7 @@ def diagnostics(
     sets = [
         (measured.incident[ok], measured.outgoing[ok], measured.values[ok, r]) for r, ok in enumerate(measured.valid.T)
     ]
-    apart = [departure(*each, measured.symmetry) for each in sets]
+    departures = [departure(*each, measured.symmetry) for each in sets]
     exchanged = [reciprocity(*each, measured.symmetry) for each in sets]
     known = noise > 0
     report = {
@@ -128,9 +128,9 @@ def diagnostics(
         "channels": list(measured.channels),
         "symmetry": measured.symmetry,
         "weave": measured.weave,
-        "symmetry_departure": [readings for readings, _ in apart],
-        "symmetry_images": [count for _, count in apart],
-        "reciprocity": [disagreement for disagreement, _ in exchanged],
+        "symmetry_departure": [size for size, _ in departures],
+        "symmetry_images": [count for _, count in departures],
+        "reciprocity": [apart if pairs >= FEWEST_PAIRS else None for apart, pairs in exchanged],
         "reciprocal_pairs": [pairs for _, pairs in exchanged],
         "albedo": [typical_albedo(*each, measured.symmetry) for each in sets],
         "unusable": (~measured.valid).sum(axis=0).tolist(),
