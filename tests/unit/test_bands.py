@@ -38,7 +38,7 @@ def lights(folder, names=LAMPS, vectors=VECTORS):
 
 
 def source(folder, named="{lamp}_{band}.tif", bands=BANDS, listed=LAMPS):
-    for i, lamp in enumerate(LAMPS):
+    for i, lamp in enumerate([f"{300 + i}" for i in range(4)] if "x300" in listed else LAMPS):
         for k, band in enumerate(bands):
             write(folder / named.format(lamp=lamp, band=band), i, k)
     lights(folder, listed)
@@ -63,12 +63,25 @@ def frames_of(folder, channels="all"):
         "lamps without names": ("{lamp}_{band}.tif", BANDS, BANDS, [None] * 4),
         "band first": ("{band}-{lamp}.png", BANDS, BANDS, LAMPS),
         "folders of bands": ("{band}/{lamp}.tif", ("450", "530", "620"), BANDS, LAMPS),
+        "lamps that look like bands": (
+            "{band}/x{lamp}.tif",
+            ("450", "530", "620"),
+            BANDS,
+            [f"x{300 + i}" for i in range(4)],
+        ),
         "folders of lamps": ("{lamp}/{band}.tif", BANDS, BANDS, LAMPS),
         "colours": (
             "x_{lamp}_{band}.tif",
             ("blue", "green", "amber"),
             ("blue", "green", "amber"),
             ["x_" + n for n in LAMPS],
+        ),
+        "LEDs": ("{lamp}_LED{band}.tif", ("450", "530", "620"), BANDS, LAMPS),
+        "colours of LEDs": (
+            "{lamp}_{band}.tif",
+            ("Royal_Blue", "Red", "Deep_Red"),
+            ("royalblue", "red", "deepred"),
+            LAMPS,
         ),
         "letters": ("{lamp}_{band}.tif", ("R", "G", "B"), ("red", "green", "blue"), LAMPS),
         "filters": ("{lamp}_band{band}.tif", ("1", "2", "10"), ("band1", "band2", "band10"), LAMPS),

@@ -10,6 +10,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -19,18 +20,20 @@ from nishiki.formats.files import same_name
 from nishiki.formats.image_headers import read_header
 from nishiki.formats.problems import Problem, error, raise_errors, warning
 
-COLOURS = "uv ultraviolet violet blue cyan green lime yellow amber orange red nir ir infrared".split()
+COLOURS = "uv ultraviolet violet royalblue blue cyan green lime yellow amber orange red".split()
+COLOURS += "deepred farred nir ir infrared".split()
 """Names of bands, from short to long wavelengths."""
 LETTERS = {"b": "blue", "g": "green", "r": "red"}
 SHORTEST_NM, LONGEST_NM = 200, 2500
 SAME_DIRECTION = np.cos(np.radians(0.1))
 LEAST_SHARE = 0.5  # of the files of all lamps in all bands that must be there before any are called missing
+PREFIX = r"(?:(?<![a-z])(?:f|wl?|led|lambda|filter|band)[ _-]?)?"
 PATTERNS = (
-    r"(?<![0-9])(?P<nm>[0-9]{3,4})[ _-]?nm(?![a-z])",
-    r"(?<![a-z])(?P<colour>" + "|".join(COLOURS) + r")(?![a-z])",
+    PREFIX + r"(?<![0-9])(?P<nm>[0-9]{3,4})[ _-]?nm(?![a-z])",
+    r"(?<![a-z])(?P<colour>(?:royal|deep|far)[ _-]?(?:blue|red)|" + "|".join(COLOURS) + r")(?![a-z])",
     r"(?<![a-z])(?P<filter>(?:band|filter|ch|channel)[ _-]?[0-9]{1,2})(?![0-9])",
     r"(?<![0-9a-z])(?P<letter>[rgb])(?![0-9a-z])",
-    r"(?<![0-9])(?P<nm>[2-9][0-9]{2}|1[0-9]{3})(?![0-9])",
+    PREFIX + r"(?<![0-9])(?P<nm>[2-9][0-9]{2}|1[0-9]{3})(?![0-9])",
 )
 
 
@@ -62,10 +65,10 @@ def sort_bands(folder: Path, pictures: Callable[[Path], list[Path]]) -> list[Ban
         paths = [path for inner in sorted(folder.iterdir()) if inner.is_dir() for path in pictures(inner)]
     named = {path: path.relative_to(folder).with_suffix("").as_posix() for path in paths}
     readings = []
-    for pattern in PATTERNS:
+    for pattern, place in product(PATTERNS, (-1, 0)):
         files: dict[str, dict[str, Path]] = {}
         for path, name in named.items():
-            lamp, band = _split_name(name, pattern)
+            lamp, band = _split_name(name, pattern, place)
             if band:
                 files.setdefault(lamp, {}).setdefault(band, path)
         channels = sorted({band for bands in files.values() for band in bands}, key=_band_key)
@@ -131,21 +134,18 @@ def _all_pictures(source: Path, pictures: Callable[[Path], list[Path]]) -> list[
     return pictures(source) or [path for inner in source.iterdir() if inner.is_dir() for path in pictures(inner)]
 
 
-def _split_name(name: str, pattern: str) -> tuple[str, str]:
-    """The lamp's and the band's part of a name; the band is empty where the name tells none."""
-    found = list(re.finditer(pattern, same_name(name)))
+def _split_name(name: str, pattern: str, place: int = -1) -> tuple[str, str]:
+    """The lamp's and the band's part of a name, told last or (place 0) first; the band is empty where there is none."""
+    found = list(re.finditer(pattern, name, re.IGNORECASE))
     if not found:
         return _tidied(name), ""
-    match = found[-1]
+    match = found[place]
     groups = match.groupdict()
-    band = match[0]
+    band = re.sub(r"[ _-]", "", match[0]).lower()
     if groups.get("nm"):
         number = int(groups["nm"])
         band = f"{number}nm" if SHORTEST_NM <= number <= LONGEST_NM else ""
-    elif groups.get("letter"):
-        band = LETTERS[groups["letter"]]
-    elif groups.get("filter"):
-        band = re.sub(r"[ _-]", "", groups["filter"])
+    band = LETTERS.get(band, band)
     return _tidied(name[: match.start()] + "/" + name[match.end() :]), band
 
 
