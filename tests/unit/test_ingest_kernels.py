@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nishiki.colour import encoding
+from nishiki.formats.coding import LINEAR, SRGB
 from nishiki.formats.problems import CaptureError
 from nishiki.observations.block_kernels import block_levels, count_outliers
 from nishiki.observations.blocks import block_edges, blocks_around, cells, edges_between, on_one_grid, positions
@@ -119,7 +120,7 @@ def test_decoding_equals_its_definition(dtype, channels, flat):
         top = np.iinfo(dtype).max
         codes = RNG.integers(0, top + 1, (lights, n, m, channels)).astype(dtype)
         codes[:, :5] = 0
-        table, saturated, clip = code_table(dtype, encoding="srgb"), int(0.9 * top), 0
+        table, saturated, clip = code_table(dtype, SRGB), int(0.9 * top), 0
     row_edges, column_edges = (np.array([0, k]) if flat else block_edges(k, block) for k in (n, m))
     shape = (lights, len(row_edges) - 1, len(column_edges) - 1, channels)
     gain, dark = RNG.uniform(0.5, 2, shape).astype(np.float32), RNG.uniform(0, 0.1, shape).astype(np.float32)
@@ -137,7 +138,7 @@ def test_decoding_equals_its_definition(dtype, channels, flat):
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_a_straight_table_and_a_scale_are_the_same(dtype):
     codes = RNG.integers(0, np.iinfo(dtype).max + 1, (2, 9, 13, 3)).astype(dtype)
-    table = code_table(dtype, encoding="linear")
+    table = code_table(dtype, LINEAR)
     ones = np.ones((2, 1, 1, 3), np.float32)
     edges = np.array([0, 9]), np.array([0, 13])
     settings = (codes, table, ones, 0 * ones, *edges, np.ones((9, 13), np.uint8), np.iinfo(dtype).max, 0, None)
@@ -179,7 +180,7 @@ def test_luma_keeps_saturation():
 
 
 def test_block_levels_ignore_dust_and_dead_pixels_and_count_the_unusable():
-    table = code_table(np.uint16, encoding="linear", bits=12)
+    table = code_table(np.uint16, LINEAR, 12)
     clean = RNG.normal(2000, 20, (64, 48, 2))
     codes = np.rint(clean).astype(np.uint16)
     codes[5:8, 5:8], codes[20, 20], codes[40, 30] = 200, 0, 4095
@@ -210,7 +211,7 @@ def test_outliers_are_counted_per_pixel():
     codes = np.full((8, 8, 1), 100, np.uint8)
     codes[2, 3], codes[5, 6] = 3, 200
     counts = np.zeros((8, 8), np.uint8)
-    table, edges = code_table(np.uint8, encoding="linear"), np.array([0, 8])
+    table, edges = code_table(np.uint8, LINEAR), np.array([0, 8])
     level = np.full((1, 1, 1), 100 / 255, np.float32)
     count_outliers(codes, table, level, edges, edges, 0.1, np.inf, counts)
     assert counts.sum() == counts[2, 3] == 1
@@ -220,7 +221,7 @@ def test_outliers_are_counted_per_pixel():
 
 
 def test_white_gain_makes_a_white_facing_the_lamp_one():
-    table = code_table(np.uint16, encoding="linear")
+    table = code_table(np.uint16, LINEAR)
     board = np.full((32, 32, 3), 0.6 * 65535 * np.cos(0.5) * 0.97).astype(np.uint16) + 1000
     edges = block_edges(32, 16), block_edges(32, 16)
     dark = np.full((1, 1, 3), 1000 / 65535, np.float32)
@@ -243,7 +244,7 @@ def test_srgb_known_values():
     np.testing.assert_allclose(
         encoding.decode(np.array([0, 0.04045, 0.5, 1]), "srgb"), [0, 0.0031308, 0.2140411, 1], rtol=2e-5
     )
-    table = code_table(np.uint8, encoding="srgb")
+    table = code_table(np.uint8, SRGB)
     assert table.dtype == np.float32
     assert table[255] == 1
     assert (np.diff(table) > 0).all()

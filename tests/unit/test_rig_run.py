@@ -19,9 +19,10 @@ from nishiki.capture.schema_base import Camera
 from nishiki.capture.seal import MANIFEST, read_manifest, verify_seal
 from nishiki.cli import main
 from nishiki.errors import UserError
+from nishiki.formats.exif import read_exif
 from nishiki.photometric.solve import estimate_normals
 from nishiki.rig.device import DeviceError, DeviceLost
-from nishiki.rig.frame_check import exif_exposure_s, measure, sharpness
+from nishiki.rig.frame_check import measure, sharpness
 from nishiki.rig.journal import Journal
 from nishiki.rig.opened_rig import expect_devices, reachable_angle
 from nishiki.rig.run import read_frames_of, run_capture
@@ -299,13 +300,13 @@ def test_exif_tells_the_exposure_time(tmp_path):
     exif = Image.Exif()
     exif.get_ifd(34665)[33434] = 0.04
     picture.save(tmp_path / "a.jpg", exif=exif)
-    assert exif_exposure_s(tmp_path / "a.jpg") == pytest.approx(0.04)
+    assert read_exif(tmp_path / "a.jpg").exposure_s == pytest.approx(0.04)
     picture.save(tmp_path / "a.tif", tiffinfo={33434: 0.04})
-    assert exif_exposure_s(tmp_path / "a.tif") == pytest.approx(0.04)
+    assert read_exif(tmp_path / "a.tif").exposure_s == pytest.approx(0.04)
     picture.save(tmp_path / "a.png")
-    assert exif_exposure_s(tmp_path / "a.png") is None
+    assert read_exif(tmp_path / "a.png").exposure_s is None
     (tmp_path / "a.cr3").write_bytes(b"\0\0\0\x18ftypcrx ")
-    assert exif_exposure_s(tmp_path / "a.cr3") is None
+    assert read_exif(tmp_path / "a.cr3").exposure_s is None
 
 
 def test_sharpness_hardly_depends_on_contrast_and_falls_with_blur():

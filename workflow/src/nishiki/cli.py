@@ -165,7 +165,7 @@ def _parser() -> argparse.ArgumentParser:
     text = "say what each folder below the source is and whether it can be converted; nothing is made"
     sub.add_argument("--list", action="store_true", help=text)
     sub.add_argument("--title", help="title of the object")
-    sub.add_argument("--encoding", choices=("linear", "srgb"), help="of the photographs (default: srgb for JPEG)")
+    sub.add_argument("--encoding", choices=("linear", "srgb"), help="of the photographs (default: as they state)")
     sub.add_argument(
         "--lights", help="file of the lights, where it is not found by itself; of a relightable image: to render under"
     )
@@ -328,7 +328,9 @@ def _with_calibrations(sub: argparse.ArgumentParser) -> None:
         help="middles of dark skin, bluish green, black and white, in pixels (default: the target is searched)",
     )
     made.add_argument(
-        "--encoding", choices=("linear", "srgb"), help="of the stored values (default: 8 bit srgb, all others linear)"
+        "--encoding",
+        choices=("linear", "srgb"),
+        help="of the stored values (default: as the file states; else 8 bit srgb, all others linear)",
     )
     made.add_argument(
         "--light",

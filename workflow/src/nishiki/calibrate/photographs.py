@@ -45,9 +45,14 @@ def list_photographs(names: Sequence[str], *, least: int = 1, what: str = "photo
 
 
 def read_channels(path: Path, header: ImageHeader | None = None) -> np.ndarray:
-    """Codes (rows, columns, channels) float32 as stored, an alpha channel apart."""
+    """Codes (rows, columns, channels) float32, an alpha channel apart: as stored, or linear where the file states a
+    curve."""
     header = header or read_header(path)
-    return read_codes(path, channel_names(header), header=header).astype(np.float32)
+    codes = read_codes(path, channel_names(header), header=header).astype(np.float32)
+    if header.coding is None or header.coding.linear:
+        return codes
+    full = full_scale_of(path)
+    return (full * header.coding.curve.decode(codes / full)).astype(np.float32)
 
 
 def read_grey(path: Path) -> np.ndarray:

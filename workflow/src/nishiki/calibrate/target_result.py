@@ -14,7 +14,7 @@ from nishiki.calibrate.sensitivities import Sensitivities, chart_reflectances, r
 from nishiki.calibrate.target import CRITERIA, ColourErrors, Patches, verdict
 from nishiki.capture.spectra_tables import read_curves
 from nishiki.colour.colour import illuminant, srgb_encode, white_xyz, xyz_to_srgb_linear
-from nishiki.colour.encoding import Encoding, decode
+from nishiki.colour.encoding import Encoding
 from nishiki.colour.sampling import WAVELENGTHS_NM
 from nishiki.errors import UserError
 from nishiki.formats.image_headers import read_header
@@ -52,7 +52,7 @@ class TargetInput:
     photograph : Path
         Of a ColorChecker Classic.
     encoding : "linear", "srgb" or None
-        Of the stored values; None: 8 bits are sRGB, everything else is linear.
+        Of the stored values; None: as the file states; without a statement 8 bits are sRGB, all else is linear.
     corners : (4, 2) or None
         Middles of dark skin, bluish green, black and white, (x, y) in pixels; None: the target is searched.
     light : str or None
@@ -78,16 +78,20 @@ def calibrate_target(given: TargetInput) -> Calibration:
     if given.reflectances:
         reflectances = _chart_of_its_own(given.reflectances, names)
     header = read_header(given.photograph)
-    stored = "srgb" if header.sample == "uint8" and header.kind != "raw" else "linear"
-    encoding = given.encoding or stored
+    assumed = "srgb" if header.sample == "uint8" and header.kind != "raw" else "linear"
+    coding = header.coding_used(given.encoding or ("file" if header.coding else assumed))
+    if coding.fault:
+        raise UserError(f"{given.photograph.name}: {coding.fault}. Remedy: give --encoding linear or srgb")
+    encoding = coding.encoding
     codes = read_codes(given.photograph, ("red", "green", "blue"), header=header)
     shares = codes / np.float32(full_scale_of(given.photograph))
-    display = shares if encoding == "srgb" else srgb_encode(shares / max(float(np.percentile(shares, 99.5)), 1e-6))
+    linear = coding.curve.decode(shares)
+    display = srgb_encode(linear / (1.0 if encoding == "srgb" else max(float(np.percentile(shares, 99.5)), 1e-6)))
     picture = np.round(255 * np.clip(display, 0, 1)).astype(np.uint8)
     reference = target.reference_xyz(reflectances)
     try:
         corners = target.find_target(picture) if given.corners is None else target.target_at(given.corners)
-        patches = target.read_patches(decode(shares, encoding), corners, 1.0)
+        patches = target.read_patches(linear, corners, 1.0)
         if np.count_nonzero(patches.usable) < FEWEST or not patches.usable[target.NEUTRAL].any():
             raise UserError(
                 f"{np.count_nonzero(~patches.usable)} of 24 patches are saturated. Remedy: photograph the target with "
@@ -98,7 +102,8 @@ def calibrate_target(given: TargetInput) -> Calibration:
         raise UserError(f"{given.photograph.name}: {error}") from None
     judged = {}
     if encoding == "srgb":
-        judged["as delivered"] = target.errors_of(target.xyz_as_delivered(patches.mean), reference, patches.usable)
+        shown = patches.mean if coding.to_srgb is None else patches.mean @ coding.to_srgb.T
+        judged["as delivered"] = target.errors_of(target.xyz_as_delivered(shown), reference, patches.usable)
     matrix, predicted = target.fitted_xyz(patches.mean, reference, patches.usable)
     judged["after correction"] = target.errors_of(predicted, reference, patches.usable)
     recovered = None if light is None else recover(patches.mean, light, reflectances, patches.usable)
@@ -116,7 +121,8 @@ def calibrate_target(given: TargetInput) -> Calibration:
         files["sensitivities.csv"] = _table_of_curves(recovered.curves)
     warnings = _warnings(names, patches)
     if given.encoding is None:
-        warnings.append(f"Read as {encoding} ({header.kind}, {header.sample}); --encoding says otherwise.")
+        how = coding.name if header.coding else f"{encoding} ({header.kind}, {header.sample})"
+        warnings.append(f"Read as {how}; --encoding says otherwise.")
     return Calibration(
         "target",
         numbers,

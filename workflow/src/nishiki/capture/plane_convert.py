@@ -15,6 +15,7 @@ from nishiki.capture.pairing import pair_by_name
 from nishiki.capture.schema_base import FORMAT
 from nishiki.capture.taking import (
     channel_names,
+    choose_encoding,
     file_names,
     lights_text,
     settings_text,
@@ -24,7 +25,7 @@ from nishiki.capture.taking import (
     usual_header,
 )
 from nishiki.formats.masks import alpha_problems
-from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, warning
+from nishiki.formats.problems import CaptureError, Problem, error, raise_errors
 
 
 def write_plane(folder: Path, layout: Layout, source: Path, options: ConvertOptions) -> list[Problem]:
@@ -61,8 +62,8 @@ def write_plane(folder: Path, layout: Layout, source: Path, options: ConvertOpti
     for photograph in photographs_in(options.dark) if options.dark and not layout.bands else ():
         rows.append((take(photograph, folder / "dark" / photograph.name, link), "dark", ""))
     settings = {"format": FORMAT, "title": options.title or source.name, "geometry": "plane"}
-    jpeg = header.kind == "jpeg"
-    coding = options.encoding or ("srgb" if jpeg else "linear")
+    coding, doubts = choose_encoding(header, options.encoding, source.name)
+    notes += doubts
     settings["camera"] = {"channels": list(channels), "encoding": coding}
     settings["lights"] = {"file": "lights.lp", "kind": layout.kind}
     if pitch := options.width_mm / header.columns if options.width_mm else layout.pitch_mm:
@@ -78,7 +79,7 @@ def write_plane(folder: Path, layout: Layout, source: Path, options: ConvertOpti
     if region is not None:
         settings["region_of_interest"] = list(region)
     write_tables(folder, settings, rows, layout.lights)
-    return [*notes, *_notes(header.sample, jpeg, options.encoding, source)]
+    return notes
 
 
 def _take_bands(folder: Path, layout: Layout, held: set[int | None], options: ConvertOptions) -> list[tuple[str, ...]]:
@@ -121,14 +122,6 @@ def _sorted_bands(folder: Path, bands: tuple[str, ...]) -> dict[str, dict[str, P
     return next(
         (found.files for found in sort_bands(folder, photographs_in) if set(found.channels) == set(bands)), None
     )
-
-
-def _notes(sample: str, jpeg: bool, encoding: str | None, source: Path) -> list[Problem]:
-    if encoding is None and sample == "uint8" and not jpeg:
-        what = "8-bit photographs are taken to be linear"
-        remedy = "Give the encoding srgb if the camera or a converter coded them for display"
-        return [warning("encoding-assumed", source.name, what, remedy=remedy)]
-    return []
 
 
 def write_tables(folder: Path, settings: dict, rows: list[tuple[str, ...]], lights: Lights) -> None:

@@ -39,7 +39,7 @@ class Camera(Closed):
     """How a stored code becomes light."""
 
     channels: tuple[str, ...] = Field(("red", "green", "blue"), min_length=1, max_length=64)
-    encoding: Literal["linear", "srgb"] = "linear"
+    encoding: Literal["file", "linear", "srgb"] = "file"
     bits: Annotated[int, Field(strict=True, ge=1, le=16)] | None = None
     saturation: Annotated[float, Field(gt=0, le=1)] | None = None
     black_level: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0

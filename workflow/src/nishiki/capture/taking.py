@@ -18,7 +18,7 @@ from nishiki.formats.exr import several_layers
 from nishiki.formats.image_header import ImageHeader
 from nishiki.formats.image_headers import read_header
 from nishiki.formats.masks import examine_mask
-from nishiki.formats.problems import CaptureError, Problem, error
+from nishiki.formats.problems import CaptureError, Problem, error, warning
 
 COLOUR = ("red", "green", "blue")
 FOLDERS = ("frames", "white", "dark", "silhouettes")
@@ -53,6 +53,34 @@ def usual_header(photographs: Sequence[Path]) -> ImageHeader:
         raise CaptureError(problems)
     traits = [(h.kind, h.rows, h.columns, h.channels, h.sample) for h in headers]
     return headers[traits.index(Counter(traits).most_common(1)[0][0])]
+
+
+def choose_encoding(
+    header: ImageHeader, given: str | None, source: str, *, display: bool = False
+) -> tuple[str, list[Problem]]:
+    """The value of camera.encoding for photographs like this one, and what the user should know of it.
+
+    given: by the user, or None; display: 8-bit pictures that state nothing are coded for display, not linear. A curve
+    that the file states is used; a linear one needs no statement.
+    """
+    stated = header.coding
+    if stated is not None and stated.fault and given is None:
+        return "file", []  # reported by the check
+    if stated is not None and (given is None or stated.developed):
+        if stated.linear and not stated.developed and stated.to_srgb is None:
+            return "linear", []
+        what, found = "photographs are decoded by the coding that they state", stated.name
+        return "file", [warning("coding-stated", source, what, found=found)]
+    if given is not None and stated is not None and header.coding_used(given).curve.differs_from(stated.curve):
+        what = "the photographs state another coding than the one that is given"
+        return given, [warning("encoding-overruled", source, what, expected=given, found=stated.name)]
+    if given is not None or header.kind == "jpeg":
+        return given or "srgb", []
+    if header.sample != "uint8":
+        return "linear", []
+    what = "8-bit photographs are taken to be " + ("coded for display (sRGB)" if display else "linear")
+    remedy = "Give the encoding, linear or srgb, if it is the other one"
+    return "srgb" if display else "linear", [warning("encoding-assumed", source, what, remedy=remedy)]
 
 
 def file_names(photographs: tuple[Path, ...]) -> list[str]:

@@ -126,7 +126,7 @@ def turntable_facts(capture: TurntableCapture) -> TurntableFacts:
         channels=len(camera.channels),
         rows=header.rows,
         columns=header.columns,
-        encoding=camera.encoding,
+        encoding=header.coding_used(camera.encoding).encoding,
         has_sensitivities=capture.sensitivities is not None,
         has_illuminant=capture.illuminant is not None,
     )

@@ -13,12 +13,20 @@ from nishiki.capture.options import ConvertOptions, folder_problems
 from nishiki.capture.pairing import names_apart, pair_by_name
 from nishiki.capture.polariser import parse_state
 from nishiki.capture.schema_base import FORMAT
-from nishiki.capture.taking import channel_names, file_names, settings_text, table_text, take, take_mask, usual_header
+from nishiki.capture.taking import (
+    channel_names,
+    choose_encoding,
+    file_names,
+    settings_text,
+    table_text,
+    take,
+    take_mask,
+    usual_header,
+)
 from nishiki.capture.turntable_layouts import STATES, RoundLayout
 from nishiki.formats.files import files_with
-from nishiki.formats.image_header import ImageHeader
 from nishiki.formats.masks import alpha_problems
-from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, warning
+from nishiki.formats.problems import CaptureError, Problem, error, raise_errors
 
 
 def write_round(folder: Path, layout: RoundLayout, source: Path, options: ConvertOptions) -> list[Problem]:
@@ -50,7 +58,8 @@ def write_round(folder: Path, layout: RoundLayout, source: Path, options: Conver
         rows.append((take(board, folder / "white" / board.name, link), "white", "", state, ""))
     for photograph in photographs_in(dark) if dark else ():
         rows.append((take(photograph, folder / "dark" / photograph.name, link), "dark", "", "", ""))
-    coding = options.encoding or usual_encoding(header, series=any(layout.states))
+    coding, doubts = choose_encoding(header, options.encoding, source.name, display=not any(layout.states))
+    notes = (*notes, *doubts)
     block: dict = {"full_turn": layout.full_turn, "unit": "arbitrary"} if layout.matrices is not None else {}
     if layout.matrices is not None:
         block["cameras"] = "cameras.csv"
@@ -69,20 +78,7 @@ def write_round(folder: Path, layout: RoundLayout, source: Path, options: Conver
     settings |= {"turntable": block} if block else {}
     (folder / "capture.yaml").write_text(settings_text(settings), encoding="utf-8")
     _write_frames(folder / "frames.csv", rows)
-    return [*notes, *_notes(header, coding, options.encoding, source)]
-
-
-def usual_encoding(header: ImageHeader, *, series: bool) -> str:
-    """What such photographs are coded in: 8-bit pictures for display; measured states and more bits linearly."""
-    return "srgb" if header.kind == "jpeg" or (header.sample == "uint8" and not series) else "linear"
-
-
-def _notes(header: ImageHeader, coding: str, encoding: str | None, source: Path) -> list[Problem]:
-    if encoding is None and header.sample == "uint8" and header.kind != "jpeg":
-        what = "8-bit photographs are taken to be " + ("coded for display (sRGB)" if coding == "srgb" else "linear")
-        remedy = "Give the encoding, linear or srgb, if it is the other one"
-        return [warning("encoding-assumed", source.name, what, remedy=remedy)]
-    return []
+    return list(notes)
 
 
 def _match_silhouettes(layout: RoundLayout, folder: Path) -> tuple[dict[Path, Path], tuple[Problem, ...]]:

@@ -1,13 +1,16 @@
 """From camera channels to XYZ and Lab: one linear map for prediction and photograph alike, so that both err alike."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from nishiki.colour.basis import channel_weights
 from nishiki.colour.colour import illuminant as named_illuminant
 from nishiki.colour.colour import srgb_matrix, white_xyz, xyz_from_spectra, xyz_to_lab
+from nishiki.colour.training import synthetic_reflectances
 from nishiki.errors import UserError
+from nishiki.formats.stored import load_arrays
 
 
 @dataclass(frozen=True)
@@ -52,14 +55,33 @@ def fitted_colour(training: np.ndarray, illuminant: np.ndarray, sensitivities: n
     return CameraColour(matrix, white, how, rmse)
 
 
-def assumed_colour(channels: int) -> CameraColour:
-    """Without sensitivities: three channels are read as linear sRGB, any other number as grey (their mean)."""
+def read_camera_colour(curves: Path, channels: int, to_srgb: list[list[float]] | None = None) -> CameraColour:
+    """From the camera's channels to XYZ: fitted where `curves.npz` has those of camera and lamp, else assumed."""
+    stored = load_arrays(curves) if curves.is_file() else {}
+    if len(stored.get("sensitivities", ())) == channels and "illuminant" in stored:
+        return fitted_colour(synthetic_reflectances(), stored["illuminant"], stored["sensitivities"])
+    return assumed_colour(channels, to_srgb)
+
+
+def displayed_colours(channels: np.ndarray, to_srgb: list[list[float]] | None) -> np.ndarray:
+    """Linear sRGB (..., 3) of channels (..., C) without sensitivities; see `assumed_colour`."""
+    if channels.shape[-1] != 3:
+        return np.repeat(channels.mean(axis=-1, keepdims=True), 3, axis=-1)
+    return channels if to_srgb is None else (channels @ np.array(to_srgb).T).astype(channels.dtype)
+
+
+def assumed_colour(channels: int, to_srgb: list[list[float]] | None = None) -> CameraColour:
+    """Without sensitivities: three channels are read in the primaries that the photographs state (`to_srgb`, (3, 3) to
+    linear sRGB), else as linear sRGB, any other number as grey (their mean)."""
     if channels < 1:
         raise UserError(f"colour: expected at least one channel, found {channels}")
     white = white_xyz(named_illuminant("D65"))
     if channels == 3:
         how = "no sensitivities: the channels are read as linear sRGB, which is a guess about the camera"
         matrix = np.linalg.inv(srgb_matrix())
+        if to_srgb is not None:
+            how = "no sensitivities: the channels are read in the primaries that the photographs state"
+            matrix = matrix @ np.array(to_srgb)
         return CameraColour(matrix, matrix.sum(axis=1), how, None)
     what = "the one channel" if channels == 1 else f"the mean of {channels} channels"
     how = f"no sensitivities: {what} is read as luminance, so that only lightness differs"

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -70,6 +70,11 @@ class Coding:
         return not self.curve.differs_from(LINEAR)
 
     @property
+    def encoding(self) -> Literal["linear", "srgb"]:
+        """The encoding in which pictures of this coding are compared: equal steps of any curve look about alike."""
+        return "linear" if self.linear else "srgb"
+
+    @property
     def to_srgb(self) -> np.ndarray | None:
         """(3, 3) from linear values in the file's primaries to linear sRGB; None where they are the same or unknown."""
         if self.to_xyz is None:
@@ -83,6 +88,19 @@ class Coding:
             return True
         mine, its = (SRGB_XYZ if each.to_xyz is None else each.to_xyz for each in (self, other))
         return not np.allclose(mine, its, atol=5 * SAME)
+
+
+def coding_used(kind: str, stated: Coding | None, encoding: str) -> Coding:
+    """The coding by which a picture is decoded.
+
+    kind: of the file; stated: what the file states; encoding: `file`, or `linear` or `srgb` in place of its curve.
+    Without a statement JPEG is sRGB and all else linear. What the reader has applied already stays applied.
+    """
+    if stated is not None and (stated.developed or encoding == "file"):
+        return stated
+    if encoding == "srgb" or (encoding == "file" and kind == "jpeg"):
+        return Coding("sRGB, not stated by the files", SRGB, stated.to_xyz if stated else None)
+    return Coding("linear, not stated by the files", LINEAR, stated.to_xyz if stated else None)
 
 
 def coding_from(values: dict[str, Any] | None) -> Coding | None:

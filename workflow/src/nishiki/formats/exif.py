@@ -14,7 +14,8 @@ from typing import Any, BinaryIO
 from nishiki.formats.files import open_regular
 
 MOST_BYTES = 1 << 16  # of the Exif block of a JPEG or PNG: a JPEG segment holds no more
-_ADOBE_RGB = "R03"  # interoperability index of Adobe RGB (DCF 2.0)
+_FACTS = (272, 274, 33434, 33437, 34665, 34855)  # model, orientation, exposure, aperture, Exif directory, sensitivity
+_ADOBE_RGB = b"R03"  # interoperability index of Adobe RGB (DCF 2.0)
 
 
 @dataclass(frozen=True)
@@ -57,33 +58,28 @@ def exif_of(file: BinaryIO) -> Exif:
     """Read the camera's facts of an open file; see `read_exif`."""
     try:
         block = _exif_block(file)
-        return exif_of_tags(tiff_tags(block)) if block else NO_EXIF
+        if block is None:
+            return NO_EXIF
+        import tifffile
+
+        quiet_tifffile()
+        with tifffile.TiffFile(block, name="picture") as tiff:
+            return exif_of_page(tiff.pages.first)
     except (struct.error, ValueError, OSError, RuntimeError, KeyError, IndexError, TypeError, OverflowError):
         return NO_EXIF
 
 
-def tiff_tags(file: BinaryIO) -> dict[str, Any]:
-    """Values of the first directory of a TIFF stream by tag name, that of its Exif directory as a dict."""
-    import tifffile
-
-    quiet_tifffile()
-    with tifffile.TiffFile(file, name="picture") as tiff:
-        return {tag.name: tag.value for tag in tiff.pages.first.tags if tag.code not in (273, 279, 324, 325)}
-
-
-def quiet_tifffile() -> None:
-    """Keep tifffile from logging what it makes of damaged files, and that an Exif block has no pixels."""
-    logging.getLogger("tifffile").setLevel(logging.CRITICAL + 1)
-
-
-def exif_of_tags(tags: dict[str, Any]) -> Exif:
-    """Turn tag values by name into a record; values of a wrong kind count as absent."""
+def exif_of_page(page: Any) -> Exif:
+    """The facts in the directory of a TIFF page of tifffile, and in its Exif directory."""
+    tags = {tag.name: tag.value for tag in page.tags if tag.code in _FACTS}
     inner = tags.get("ExifTag")
     values = {**tags, **inner} if isinstance(inner, dict) else tags
+    index, place = b"", values.get("InteroperabilityTag")
+    if isinstance(place, int):  # a directory whose first field, of 12 bytes after the count, ends in the index
+        page.parent.filehandle.seek(place + 10)
+        index = page.parent.filehandle.read(3)
     orientation = _number(values.get("Orientation"))
-    interoperability = values.get("InteroperabilityTag")
-    index = interoperability.get("InteroperabilityIndex", "") if isinstance(interoperability, dict) else ""
-    space = "srgb" if values.get("ColorSpace") == 1 else "adobe" if str(index).startswith(_ADOBE_RGB) else ""
+    space = "srgb" if values.get("ColorSpace") == 1 else "adobe" if index == _ADOBE_RGB else ""
     taken, fraction = (str(values.get(key) or "").strip() for key in ("DateTimeOriginal", "SubsecTimeOriginal"))
     return Exif(
         exposure_s=_number(values.get("ExposureTime")),
@@ -94,6 +90,11 @@ def exif_of_tags(tags: dict[str, Any]) -> Exif:
         model=str(values.get("Model") or "").strip()[:100],
         taken=f"{taken}.{fraction}" if taken and fraction.isdecimal() else taken,
     )
+
+
+def quiet_tifffile() -> None:
+    """Keep tifffile from logging what it makes of damaged files, and that an Exif block has no pixels."""
+    logging.getLogger("tifffile").setLevel(logging.CRITICAL + 1)
 
 
 def _number(value: Any) -> float | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from nishiki.formats.coding import Coding, coding_from
+from nishiki.formats.coding import Coding, coding_from, coding_used
 from nishiki.formats.exif import NO_EXIF, Exif
 
 Kind = Literal["png", "jpeg", "tiff", "exr", "raw"]
@@ -39,6 +39,10 @@ class ImageHeader:
     bits: int | None = None
     coding: Coding | None = None
     exif: Exif = NO_EXIF
+
+    def coding_used(self, encoding: str) -> Coding:
+        """The coding by which its codes become light; see `nishiki.formats.coding.coding_used`."""
+        return coding_used(self.kind, self.coding, encoding)
 
     @property
     def decoded_bytes(self) -> int:

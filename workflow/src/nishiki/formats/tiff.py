@@ -13,7 +13,7 @@ import numpy as np
 import tifffile
 
 from nishiki.formats.coding import Coding, transfer_function
-from nishiki.formats.exif import exif_of_tags, quiet_tifffile
+from nishiki.formats.exif import exif_of_page, quiet_tifffile
 from nishiki.formats.image_header import ImageHeader, Sample
 from nishiki.formats.picture_files import AS_RGB, Output, Picture, Wanted, unsupported
 
@@ -80,12 +80,11 @@ def open_tiff(file: BinaryIO, name: str) -> Picture:
     for page in pages:
         if any(place + size > end for place, size in zip(page.dataoffsets, page.databytecounts, strict=True)):
             raise EOFError(f"image data beyond the end of the file ({end} bytes)")
-    exif_tags = {tag.name: tag.value for tag in first.tags if tag.code in (271, 272, 274, 34665)}
     header = ImageHeader(
         "tiff", first.imagelength, first.imagewidth, samples * len(pages), sample, alpha,
         stored_bytes=sum(_stored_bytes(page) for page in pages),
         ratio=1 if all(page.compression == NONE_PACKED for page in pages) else PACKED_RATIO,
-        bits=bits, exif=exif_of_tags(exif_tags),
+        bits=bits, exif=exif_of_page(first),
     )  # fmt: skip
 
     def decode(wanted: Wanted, output: Output) -> np.ndarray:

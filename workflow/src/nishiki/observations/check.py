@@ -14,6 +14,7 @@ from nishiki.capture.folder import Capture, examine
 from nishiki.capture.frames import Frame
 from nishiki.capture.seal import payload_files, verify_seal
 from nishiki.capture.turntable import TurntableCapture
+from nishiki.formats.coding import Coding
 from nishiki.formats.files import Refused, walk
 from nishiki.formats.image_header import ImageHeader
 from nishiki.formats.image_headers import read_header
@@ -22,7 +23,7 @@ from nishiki.formats.problems import CaptureError, Problem, error, warning
 from nishiki.formats.text_tables import refusal
 from nishiki.observations.blocks import block_edges
 from nishiki.observations.choice import AnyCapture
-from nishiki.observations.frames import FrameReader
+from nishiki.observations.frames import FrameReader, unusable_coding
 from nishiki.observations.goniometer_check import goniometer_files, look_at_windows, table_problems
 from nishiki.observations.pairs_check import PairLevels
 from nishiki.observations.plane_decode import count_unusable
@@ -165,12 +166,15 @@ def _header_problems(capture: AnyCapture) -> tuple[list[Problem], AnyCapture, tu
     shown = {name for frame in capture.observed for name in frame.names}
     sizes = {file: f"{header.rows} x {header.columns}" for file, header in headers.items()}
     problems += _exceptions(sizes, "image-size", "size differs", "Develop all photographs alike, without rotation")
+    problems = [_turned(problem, headers) for problem in problems]
     depths = {file: header.sample for file, header in headers.items()}
     problems += _exceptions(depths, "image-depth", "depth differs", "Develop all photographs alike")
     kinds = {file: header.kind for file, header in headers.items() if file in shown}
     severe = {p.file for p in problems}
     odd = _exceptions(kinds, "image-format", "format differs", "Export all photographs by one program")
     problems += [replace(p, severity="warning") for p in odd if p.file not in severe]
+    problems += _coding_problems(headers, capture.settings.camera.encoding)
+    severe |= {p.file for p in problems if p.severity == "error"}
     usual = next((h for file, h in headers.items() if file not in severe), next(iter(headers.values())))
     bits, held = capture.settings.camera.bits, {"uint8": 8, "uint16": 16}.get(usual.sample, 16)
     if bits and bits > held:
@@ -182,6 +186,46 @@ def _header_problems(capture: AnyCapture) -> tuple[list[Problem], AnyCapture, tu
         problems += _attempt(lambda: list(region_of(capture, *size)) and [])
     sound = tuple(f for f in capture.frames if all(name in headers and name not in severe for name in f.names))
     return problems, replace(capture, frames=sound), size
+
+
+def _turned(problem: Problem, headers: dict[str, ImageHeader]) -> Problem:
+    """Say of a photograph whose rows and columns are exchanged that it was turned."""
+    header = headers.get(problem.file)
+    if problem.kind != "image-size" or not header or f"{header.columns} x {header.rows}" not in problem.expected:
+        return problem
+    remedy = "Turn it back, or export it again without rotation: orientation tags are not applied, turned pixels are"
+    return replace(problem, what="size differs: the photograph was turned by a quarter", remedy=remedy)
+
+
+def _coding_problems(headers: dict[str, ImageHeader], encoding: str) -> list[Problem]:
+    """Name photographs of another coding than most, statements that cannot be used or are overruled, orientations."""
+    problems: list[Problem] = []
+    distinct: list[Coding] = []
+    names, overruled = {}, []
+    for file, header in headers.items():
+        stated, used = header.coding_used("file"), header.coding_used(encoding)
+        alike = next((each for each in distinct if each == stated or not each.differs_from(stated)), stated)
+        distinct += [alike] if alike not in distinct else []
+        names[file] = alike.name
+        overruled += [file] if header.coding and header.coding.curve.differs_from(used.curve) else []
+        if stated.fault and encoding == "file":
+            problems.append(unusable_coding(stated, file))
+    if encoding == "file" or len(overruled) < len(headers):
+        problems += _exceptions(names, "coding-differs", "coding differs", "Develop all photographs alike")
+    else:
+        what, remedy = "the files state another coding", "Set camera.encoding: file to decode them by what they state"
+        expected, found = f"{encoding}, as camera.encoding states", names[overruled[0]]
+        problems.append(
+            warning("encoding-overruled", overruled[0], what, expected=expected, found=found, remedy=remedy)
+        )
+    turns = {file: header.exif.orientation for file, header in headers.items()}
+    usual = Counter(turns.values()).most_common(1)[0][0]
+    odd = [file for file, turn in turns.items() if turn != usual]
+    if odd:
+        what = "orientation tags differ: they are not applied, pixels are taken as the camera wrote them"
+        found = f"{len(odd)} of {len(turns)} photographs, such as this one with {turns[odd[0]]} in place of {usual}"
+        problems.append(warning("orientation-differs", odd[0], what, found=found))
+    return problems
 
 
 def _exceptions(values: dict[str, str], kind: str, what: str, remedy: str) -> list[Problem]:

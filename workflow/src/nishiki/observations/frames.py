@@ -13,7 +13,7 @@ import numpy as np
 from nishiki.capture.folder import Capture
 from nishiki.capture.frames import Band, Frame, inside
 from nishiki.capture.seal import expect_sealed, sealed_digests
-from nishiki.colour.encoding import decode
+from nishiki.formats.coding import Coding
 from nishiki.formats.image_headers import read_header
 from nishiki.formats.images import Region, read_codes
 from nishiki.formats.problems import CaptureError, Problem, error, warning
@@ -27,11 +27,19 @@ NEAR_TOP = 31 / 32
 """Of full scale: cameras clip a little below their largest code."""
 
 
+def unusable_coding(coding: Coding, file: str) -> Problem:
+    """The error where what a file states about its codes cannot be used."""
+    what = f"the coding that the file states ({coding.name}) cannot be used"
+    remedy = "Save the photographs with an sRGB or Adobe RGB profile, or state camera.encoding: linear or srgb"
+    return error("coding-unusable", file, what, found=coding.fault, remedy=remedy)
+
+
 @dataclass(frozen=True)
 class FrameReader:
     """How to read this capture's photographs.
 
-    rows, columns, dtype: of the first frame, which all others must match; digests: of a sealed capture's files, against
+    rows, columns, dtype, coding: of the first frame, which all others must match; bits: significant ones of a code,
+    None where all are; digests: of a sealed capture's files, against
     which every photograph is proven before it is decoded; empty otherwise; largest: largest code of each frame seen.
     """
 
@@ -40,6 +48,8 @@ class FrameReader:
     rows: int
     columns: int
     dtype: np.dtype
+    coding: Coding
+    bits: int | None
     region: Region
     digests: dict[str, str]
     largest: list[float] = field(default_factory=list)
@@ -80,7 +90,10 @@ class FrameReader:
             expected = f"at most {8 * dtype.itemsize} for these files"
             found = str(camera.bits)
             raise CaptureError(error("bits-differ", "capture.yaml camera.bits", "bits", expected=expected, found=found))
-        return cls(capture, channels, header.rows, header.columns, dtype, region, digests)
+        coding, bits = header.coding_used(camera.encoding), camera.bits or header.bits
+        if coding.fault and camera.encoding == "file":
+            raise CaptureError(unusable_coding(coding, first.file))
+        return cls(capture, channels, header.rows, header.columns, dtype, coding, bits, region, digests)
 
     @property
     def stored(self) -> tuple[str, ...]:
@@ -120,21 +133,24 @@ class FrameReader:
 
     @cached_property
     def full(self) -> float:
-        return full_scale(self.dtype, self.capture.settings.camera.bits)
+        return full_scale(self.dtype, self.bits)
 
     @cached_property
     def table(self) -> np.ndarray:
         """Linear value by code; two zeros for float samples, which are linear as they are."""
         if self.dtype.kind == "f":
             return np.zeros(2, np.float32)
-        camera = self.capture.settings.camera
-        return code_table(self.dtype, encoding=camera.encoding, bits=camera.bits)
+        return code_table(self.dtype, self.coding.curve, self.bits)
 
     @cached_property
     def saturated(self) -> np.number:
         """Code from which a sample is saturated, in the codes' own type."""
-        camera = self.capture.settings.camera
-        return saturation_code(self.dtype, camera.saturation, camera.bits)
+        return saturation_code(self.dtype, self.capture.settings.camera.saturation, self.bits)
+
+    @property
+    def to_srgb(self) -> np.ndarray | None:
+        """(3, 3) from the channels that are read to linear sRGB, by the primaries that the files state, or None."""
+        return self.coding.to_srgb if self.names == self.stored and len(self.stored) == 3 else None
 
     @property
     def clip(self) -> np.number:
@@ -144,9 +160,7 @@ class FrameReader:
     @property
     def black(self) -> float:
         """Black level of camera.black_level, linear."""
-        camera = self.capture.settings.camera
-        value = camera.black_level / self.full
-        return float(decode(np.array(value), "srgb")) if camera.encoding == "srgb" else value
+        return float(self.coding.curve.decode(np.array(self.capture.settings.camera.black_level / self.full)))
 
     def read(self, frame: Frame) -> np.ndarray:
         """Codes (rows, columns, channels) of the region. CaptureError (image-size, image-depth, bits-exceeded, ...)."""
@@ -175,6 +189,10 @@ class FrameReader:
         if np.dtype(header.sample) != self.dtype:
             expected, found = str(self.dtype), header.sample
             raise CaptureError(error("image-depth", file, "depth differs", expected=expected, found=found))
+        coding = header.coding_used(self.capture.settings.camera.encoding)
+        if coding != self.coding and coding.differs_from(self.coding):
+            expected, found = self.coding.name, coding.name
+            raise CaptureError(error("coding-differs", file, "coding differs", expected=expected, found=found))
         return read_codes(part.path, channels, header=header, luma=luma, region=self.region, name=file)
 
     def read_all(self, frames: tuple[Frame, ...]) -> Iterator[tuple[Frame, np.ndarray]]:
@@ -201,14 +219,19 @@ class FrameReader:
         """What the user should know about these files as measurements, once the frames have been seen."""
         kinds = {frame.path.suffix.lower() for frame in self.capture.frames}
         warnings = self._unsaid_bits()
-        if self.capture.settings.camera.encoding == "srgb":
-            what = "photographs are sRGB-coded: decoded with the standard curve, which cameras do not follow exactly"
+        if not self.coding.linear:
+            what = (
+                f"photographs are coded ({self.coding.name}): decoded by this curve, which cameras follow only roughly"
+            )
             remedy = "Values are not linear radiance; photograph in raw where radiometry matters"
             warnings.append(warning("not-linear", "capture.yaml", what, remedy=remedy))
+        if self.capture.geometry != "plane" and self.coding.to_srgb is not None:
+            what = f"colours are shown as if the photographs had the primaries of sRGB; theirs: {self.coding.name}"
+            warnings.append(warning("primaries-unused", "capture.yaml", what, remedy="Export them as sRGB"))
         if kinds & {".jpg", ".jpeg"}:
             what = "JPEG is lossy and of 8 bits: shadows are coarse and edges have artefacts"
             warnings.append(warning("jpeg", "frames.csv", what, remedy="Photograph in raw or 16-bit TIFF"))
-            if self.capture.settings.camera.encoding == "linear":
+            if self.coding.linear and self.capture.settings.camera.encoding == "linear":
                 what = "JPEG files are declared linear"
                 remedy = "Set camera.encoding: srgb unless the camera was set to linear output"
                 warnings.append(warning("jpeg-linear", "capture.yaml", what, remedy=remedy))
@@ -220,7 +243,7 @@ class FrameReader:
         Full scale is then too large: saturated samples look like any others.
         """
         highest = max(self.largest, default=0.0)
-        if self.dtype != np.uint16 or self.capture.settings.camera.bits:
+        if self.dtype != np.uint16 or self.bits or not self.coding.linear:
             return []
         bits = next((bits for bits in CAMERA_BITS if NEAR_TOP * 2**bits <= highest < 2**bits), None)
         if bits is None:

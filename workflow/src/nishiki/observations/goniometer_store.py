@@ -45,6 +45,7 @@ class GoniometerDiagnostics:
     white_level: tuple[float, ...]
     defects: int
     warnings: tuple[str, ...]
+    coding: str = ""
 
 
 def write_goniometer(
@@ -91,6 +92,7 @@ def write_goniometer(
         white_level=(min(written.levels), max(written.levels)),
         defects=int(darks.defect.sum()),
         warnings=tuple(map(str, group_problems(problems))),
+        coding=reader.coding.name,
     )
 
 

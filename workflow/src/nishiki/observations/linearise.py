@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
-from nishiki.colour.encoding import decode
+from nishiki.formats.coding import Curve
 
 DEFAULT_SATURATION = 0.995  # of full scale
 LUMA_WEIGHTS = np.array([0.299, 0.587, 0.114])  # ITU-R BT.601, the weights of a JPEG's luma plane
@@ -20,10 +19,10 @@ def full_scale(dtype: np.dtype, bits: int | None) -> float:
     return float((1 << (bits or 8 * np.dtype(dtype).itemsize)) - 1)
 
 
-def code_table(dtype: np.dtype, *, encoding: Literal["linear", "srgb"], bits: int | None = None) -> np.ndarray:
+def code_table(dtype: np.dtype, curve: Curve, bits: int | None = None) -> np.ndarray:
     """Linear value of each code, as a fraction of full scale: (256,) or (65536,) float32."""
     codes = np.arange(np.iinfo(dtype).max + 1) / full_scale(dtype, bits)
-    return decode(codes, encoding).astype(np.float32)
+    return curve.decode(codes).astype(np.float32)
 
 
 def straight_scale(table: np.ndarray, dtype: np.dtype) -> np.float32:

@@ -24,6 +24,7 @@ class Observations:
 
     lights: names; roles: 'sample' | 'check'; directions (lights, 3) float64; positions_mm (lights, 3) or None;
     shape (rows, columns) of the bounding box of the object's mask; channels: names; band_rows; pixel_pitch_mm or None;
+    to_srgb (3, 3): from the primaries that the photographs state to linear sRGB, None where they state none;
     image_centre (row, column) of the whole picture's centre in these coordinates, the origin of positions_mm.
     """
 
@@ -49,6 +50,7 @@ class Observations:
             self.pixel_pitch_mm: float | None = stored["pixel_pitch_mm"]
             self.image_centre: tuple[float, float] = tuple(stored["image_centre"])
             self.white_board: bool = stored["white_board"]
+            self.to_srgb: list[list[float]] | None = stored.get("to_srgb")
         self._group = group
 
     def indices(self, role: Literal["sample", "check"]) -> np.ndarray:

@@ -41,7 +41,8 @@ class IngestDiagnostics:
     bounding box of the mask with a rim; photograph: its rows and columns;
     saturated: saturated in any channel; dark: at the lowest code in all channels; not_finite: counts; white_level:
     median of the board as a fraction of full scale per light, and white_uniformity: 5th / 95th percentile over the
-    board per light, both of the worst channel, empty without a board; defects: hot or dead pixels.
+    board per light, both of the worst channel, empty without a board; defects: hot or dead pixels;
+    coding: how codes became light.
     """
 
     rows: int
@@ -60,6 +61,7 @@ class IngestDiagnostics:
     white_uniformity: tuple[float, ...]
     defects: int
     warnings: tuple[str, ...]
+    coding: str = ""
 
 
 def write_observations(
@@ -185,6 +187,8 @@ def _attributes(capture: Capture, reader: FrameReader, settings: Settings, band_
         "band_rows": band_rows,
         "white_block": settings.white_block,
         "white_board": bool(capture.frames_of("white")),
+        "coding": reader.coding.name,
+        "to_srgb": None if reader.to_srgb is None else reader.to_srgb.tolist(),
         "compression": settings.compression,
     }
 
@@ -216,4 +220,5 @@ def _diagnostics(
         white_uniformity=gains.uniformity,
         defects=int((defect & (mask > 0)).sum()),
         warnings=tuple(map(str, group_problems(problems))),
+        coding=reader.coding.name,
     )

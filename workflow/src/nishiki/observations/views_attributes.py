@@ -34,7 +34,7 @@ def attributes_of(
         "files": [f.file for f in capture.observed],
         "channels": list(reader.names),
         "shape": [reader.rows, reader.columns],
-        "encoding": capture.settings.camera.encoding,
+        "encoding": reader.coding.encoding,
         "full_turn": block.full_turn,
         "unit": block.unit,
         "unit_mm": UNITS_MM[block.unit],

@@ -61,6 +61,7 @@ class ViewsDiagnostics:
     boards: int
     calibration_pictures: int
     warnings: tuple[str, ...]
+    coding: str = ""
 
 
 def write_views(
@@ -198,7 +199,7 @@ def grey_picture(codes: np.ndarray, reader: FrameReader) -> np.ndarray:
     count = codes.shape[2]
     weights = LUMA_WEIGHTS if count == 3 else np.full(count, 1 / count)
     grey = codes.astype(np.float32) @ (weights / reader.full).astype(np.float32)
-    if reader.capture.settings.camera.encoding == "linear":
+    if reader.coding.linear:
         grey = encode(np.nan_to_num(grey), "srgb")
     return np.rint(255 * np.clip(grey, 0, 1)).astype(np.uint8)[:, :, None]
 
@@ -231,4 +232,5 @@ def _diagnostics(
         boards=len(boards),
         calibration_pictures=len(capture.frames_of("board")),
         warnings=tuple(map(str, group_problems(problems))),
+        coding=reader.coding.name,
     )

@@ -10,9 +10,10 @@ from typing import Any
 
 from nishiki.capture.folder import examine
 from nishiki.capture.schema_base import FORMAT
-from nishiki.capture.taking import lights_text, settings_text, table_text
+from nishiki.capture.taking import channel_names, choose_encoding, lights_text, settings_text, table_text
 from nishiki.errors import UserError
 from nishiki.formats.files import name_fault
+from nishiki.formats.image_header import ImageHeader
 from nishiki.formats.problems import CaptureError
 from nishiki.rig.frames_table import ANGLES, PlannedFrame
 from nishiki.rig.plan import GEOMETRIES, DomePlan, ReadPlan, TurntablePlan
@@ -20,14 +21,13 @@ from nishiki.rig.plan import GEOMETRIES, DomePlan, ReadPlan, TurntablePlan
 FULL_TURN_DEG = 360.0
 
 
-def capture_settings(plan: ReadPlan, channels: tuple[str, ...] | None = None) -> dict[str, Any]:
-    """Keys of capture.yaml: those of the plan, and what follows from it. channels: of the photographs, where known."""
+def capture_settings(plan: ReadPlan, header: ImageHeader | None = None) -> dict[str, Any]:
+    """Keys of capture.yaml: those of the plan, and what follows from it and from a photograph, once there is one."""
     settings = plan.settings
     camera = dict(settings.capture.get("camera") or {})
-    if channels:
-        camera.setdefault("channels", list(channels))
-    if settings.suffix in (".jpg", ".jpeg"):
-        camera.setdefault("encoding", "srgb")
+    if header is not None:
+        camera.setdefault("channels", list(channel_names(header)))
+        camera.setdefault("encoding", choose_encoding(header, None, "")[0])
     values = {"format": FORMAT, "geometry": GEOMETRIES[settings.kind], **settings.capture, "camera": camera}
     if isinstance(settings, DomePlan):
         values["lights"] = {**(values.get("lights") or {}), "file": "lights.lp", "kind": settings.lights_kind}
@@ -41,14 +41,14 @@ def write_tables(
     plan: ReadPlan,
     frames: tuple[PlannedFrame, ...],
     exposures: Mapping[str, float],
-    channels: tuple[str, ...] | None = None,
+    header: ImageHeader | None = None,
 ) -> None:
     """Write capture.yaml, frames.csv and lights.lp into `folder`, and copy the files that the plan's `capture` names.
 
     exposures : mapping of str to float
         Seconds of each frame by its file. The column `exposure_s` is written where all lit frames have one.
     """
-    values = capture_settings(plan, channels)
+    values = capture_settings(plan, header)
     _put(folder / "capture.yaml", settings_text(values))
     _put(folder / "frames.csv", _frames_csv(plan, frames, exposures))
     if plan.lights is not None:

@@ -14,9 +14,10 @@ import numpy as np
 
 from nishiki.capture.schema_base import Camera
 from nishiki.capture.taking import channel_names
+from nishiki.colour.encoding import decode
 from nishiki.formats.image_headers import read_header
 from nishiki.formats.images import read_codes
-from nishiki.observations.linearise import decode, full_scale, saturation_code
+from nishiki.observations.linearise import full_scale, saturation_code
 from nishiki.rig.plan import Checks
 
 SAMPLES_PX = 1000  # about as many pixels a side are measured
@@ -88,9 +89,10 @@ def measure(codes: np.ndarray, camera: Camera, exposure_s: float | None) -> Meas
 
 
 def light_of(codes: np.ndarray, camera: Camera) -> np.ndarray:
-    """Linear light above the black level, of full scale."""
-    scale = full_scale(codes.dtype, camera.bits)
-    return decode(codes / scale, camera.encoding) - decode(np.array(camera.black_level / scale), camera.encoding)
+    """Linear light above the black level, of full scale; a coding that only the file states is taken to be sRGB."""
+    scale, stated = full_scale(codes.dtype, camera.bits), "srgb" if codes.dtype == np.uint8 else "linear"
+    encoding = stated if camera.encoding == "file" else camera.encoding
+    return decode(codes / scale, encoding) - decode(np.array(camera.black_level / scale), encoding)
 
 
 def sharpness(codes: np.ndarray) -> float | None:
@@ -104,26 +106,6 @@ def sharpness(codes: np.ndarray) -> float | None:
     half = cv2.resize(grey, (grey.shape[1] // 2, grey.shape[0] // 2), interpolation=cv2.INTER_AREA)
     fine, coarse = (float(cv2.Laplacian(picture, cv2.CV_32F).var()) for picture in (grey, half))
     return fine / coarse if coarse > 0 else None
-
-
-def exif_exposure_s(path: Path) -> float | None:
-    """Exposure time that a JPEG or TIFF, or a raw file built as TIFF, tells; None where it tells none."""
-    from PIL import Image
-
-    try:
-        with path.open("rb") as file:
-            exif = Image.Exif()
-            if file.read(2) in (b"II", b"MM"):
-                file.seek(0)
-                exif.load_from_fp(file)
-            else:
-                file.seek(0)
-                with Image.open(file) as picture:
-                    exif = picture.getexif()
-            value = exif.get_ifd(EXIF_BLOCK).get(EXPOSURE_TIME) or exif.get(EXPOSURE_TIME)
-        return float(value) if value else None
-    except (OSError, SyntaxError, ValueError, TypeError, KeyError, ZeroDivisionError):
-        return None  # files of the camera's own kinds need not hold EXIF that Pillow reads
 
 
 def expected_level(reference: float, neighbours: list[tuple[float, float]]) -> float:

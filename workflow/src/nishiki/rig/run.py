@@ -26,15 +26,15 @@ from typing import Any
 
 from nishiki.capture.schema_base import Camera, validate
 from nishiki.capture.seal import MANIFEST, capture_digest, read_manifest, seal, sha256_of
-from nishiki.capture.taking import channel_names
 from nishiki.errors import UserError
+from nishiki.formats.exif import read_exif
 from nishiki.formats.files import flush_folder
 from nishiki.formats.image_headers import read_header
 from nishiki.formats.problems import CaptureError, group_problems
 from nishiki.rig.capture_tables import capture_settings, refuse_unusable_settings, write_tables
 from nishiki.rig.description import open_rig, read_rig
 from nishiki.rig.device import DeviceError, DeviceLost, Rig
-from nishiki.rig.frame_check import Measures, exif_exposure_s, measure, read_photograph
+from nishiki.rig.frame_check import Measures, measure, read_photograph
 from nishiki.rig.frames_table import AUTOMATIC, PlannedFrame, read_table, summary, table_text
 from nishiki.rig.journal import Journal
 from nishiki.rig.neighbours import Neighbours
@@ -302,7 +302,7 @@ class CaptureRun:
             codes = read_photograph(path)
         except CaptureError as error:
             return path, taken, None, [f"the photograph cannot be read: {error.problems[0]}"]
-        measures = measure(codes, self.camera, exif_exposure_s(path))
+        measures = measure(codes, self.camera, read_exif(path).exposure_s)
         self.observer.photographed(frame, codes, measures)
         return path, taken, measures, self.neighbours.reasons_against(frame, measures, taken, self.kept)
 
@@ -409,9 +409,9 @@ class CaptureRun:
         from nishiki.observations.check import check_capture
 
         self.devices.close()
-        names = channel_names(read_header(self.payload / self.frames[0].file))
+        header = read_header(self.payload / self.frames[0].file)
         exposures = {file: event["exposure_s"] for file, event in self.kept.items() if event["exposure_s"]}
-        write_tables(self.payload, self.plan, self.frames, exposures, names)
+        write_tables(self.payload, self.plan, self.frames, exposures, header)
         problems = check_capture(self.payload, level="full")
         errors = [problem for problem in problems if problem.severity == "error"]
         if errors:

@@ -13,9 +13,8 @@ from nishiki.artifacts.stage import Context
 from nishiki.brdf.parameters import gloss_table, is_facets
 from nishiki.brdf.slopes import slope_covariance
 from nishiki.colour.colour import illuminant
-from nishiki.colour.training import synthetic_reflectances
 from nishiki.errors import UserError
-from nishiki.evaluate.camera_colour import CameraColour, assumed_colour, fitted_colour
+from nishiki.evaluate.camera_colour import read_camera_colour
 from nishiki.evaluate.classes import NAMES, classify
 from nishiki.evaluate.headlines import headlines
 from nishiki.evaluate.height import height_error
@@ -83,14 +82,7 @@ class EvaluatedScene:
             )
         curves = inputs["ingest"].path("curves.npz")
         self.curves = load_arrays(curves) if curves.is_file() else {}
-        self.camera = self._camera()
-
-    def _camera(self) -> CameraColour:
-        channels = len(self.frames.channels)
-        sensitivities, lamp = self.curves.get("sensitivities"), self.curves.get("illuminant")
-        if sensitivities is None or lamp is None or len(sensitivities) != channels:
-            return assumed_colour(channels)
-        return fitted_colour(synthetic_reflectances(), lamp, sensitivities)
+        self.camera = read_camera_colour(curves, len(self.frames.channels), self.frames.to_srgb)
 
 
 def read_gloss(brdf: Artifact | None) -> tuple[Gloss, np.ndarray | None, bool]:

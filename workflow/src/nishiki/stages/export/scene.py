@@ -9,12 +9,10 @@ from nishiki.artifacts.maps import Maps, directional_shading, shading_normals
 from nishiki.brdf.parameters import gloss_table, is_facets
 from nishiki.brdf.slopes import products, slope_covariance, slopes_of
 from nishiki.colour.colour import adaptation_matrix, illuminant, srgb_matrix, white_xyz, xyz_matrix
-from nishiki.colour.training import synthetic_reflectances
 from nishiki.errors import UserError
-from nishiki.evaluate.camera_colour import CameraColour, assumed_colour, fitted_colour
+from nishiki.evaluate.camera_colour import CameraColour, read_camera_colour
 from nishiki.evaluate.prediction import FittedModel
 from nishiki.formats.icc import D50
-from nishiki.formats.stored import load_arrays
 from nishiki.formats.tiff_bands import strips
 from nishiki.observations.plane import Observations
 from nishiki.photometric.flags import NO_ESTIMATE
@@ -130,11 +128,7 @@ class ExportedScene:
     def camera_colour(self) -> CameraColour:
         """From the camera's channels to XYZ: fitted where the capture has spectra of camera and lamp, else assumed."""
         channels = self._maps.group["reflectance"].shape[-1]
-        path = self._inputs["ingest"].path("curves.npz")
-        curves = load_arrays(path) if path.is_file() else {}
-        if len(curves.get("sensitivities", ())) == channels and "illuminant" in curves:
-            return fitted_colour(synthetic_reflectances(), curves["illuminant"], curves["sensitivities"])
-        return assumed_colour(channels)
+        return read_camera_colour(self._inputs["ingest"].path("curves.npz"), channels, self._frames.to_srgb)
 
     def to_srgb(self) -> np.ndarray:
         """(3, K) from coefficients to linear sRGB: spectra under D65, else the camera's channels with white kept."""

@@ -61,7 +61,7 @@ def kind_of(name: str, role: str, held_out: list[str]) -> str:
 def facts_of_object(diagnostics: dict[str, Any]) -> list[tuple[str, str]]:
     """Label and text of what is known of the capture of an object."""
     capture = diagnostics["capture"]
-    facts = about_capture(capture)
+    facts = about_capture(diagnostics)
     views, states = len(diagnostics["views"]), [state for state in diagnostics["states"] if state]
     turn = "a full turn" if (capture.get("turntable") or {}).get("full_turn") else "part of a turn"
     channels = len(diagnostics["channels"])
@@ -76,12 +76,14 @@ def facts_of_object(diagnostics: dict[str, Any]) -> list[tuple[str, str]]:
     return facts
 
 
-def about_capture(capture: dict[str, Any]) -> list[tuple[str, str]]:
-    """What capture.yaml says of the object, the photographer and the camera."""
+def about_capture(diagnostics: dict[str, Any]) -> list[tuple[str, str]]:
+    """What capture.yaml says of the object, the photographer and the camera, and how codes became light."""
+    capture = diagnostics["capture"]
     facts = [(label, str(capture[key])) for key, label in FACTS if capture.get(key)]
     camera = capture.get("camera") or {}
-    encoding = {"linear": "linear values", "srgb": "sRGB-coded values, not linear"}.get(camera.get("encoding"), "")
-    parts = [camera.get("model"), f"{camera['bits']} bits" if camera.get("bits") else None, encoding]
+    coding = diagnostics.get("coding")
+    bits = f"{camera['bits']} bits" if camera.get("bits") else None
+    parts = [camera.get("model"), bits, f"coding of the photographs: {coding}" if coding else None]
     return [*facts, ("Camera", ", ".join(part for part in parts if part) or "not stated")]
 
 
@@ -91,7 +93,7 @@ def facts_of_painting(
     """Label and text of what is known of the capture of a painting."""
     rows, columns = diagnostics["rows"], diagnostics["columns"]
     capture = diagnostics["capture"]
-    facts = about_capture(capture)
+    facts = about_capture(diagnostics)
     size = f"{columns} × {rows} pixels"
     if pitch_mm:
         size += f" of {pitch_mm:g} mm, {columns * pitch_mm:.0f} × {rows * pitch_mm:.0f} mm"

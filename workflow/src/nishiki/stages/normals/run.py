@@ -95,7 +95,7 @@ def create_maps(context: Context, frames: Observations, *, terms: int, relight: 
     """The arrays of the artifact; terms: of the map `shading`, relight: with `shading_normals`."""
     rows, columns = frames.shape
     maps = MapWriter(context.output.folder, rows=rows, columns=columns, band_rows=frames.band_rows, stamp=context.stamp)
-    maps.group.update(pixel_pitch_mm=frames.pixel_pitch_mm)
+    maps.group.update(pixel_pitch_mm=frames.pixel_pitch_mm, to_srgb=frames.to_srgb)
     trailing = {"normals": (3,), "reflectance": (len(frames.channels),), "shading": (terms,), "shading_normals": (3,)}
     left_out = {"shading"} if context.settings.solver == "least_squares" else set()
     left_out |= set() if relight else {"shading_normals"}

@@ -14,6 +14,7 @@ from nishiki.brdf.slopes import slope_covariance
 from nishiki.capture.spectra_tables import read_curves
 from nishiki.colour.colour import illuminant as cie_illuminant
 from nishiki.colour.sampling import resample
+from nishiki.evaluate.camera_colour import displayed_colours
 from nishiki.photometric.flags import NO_ESTIMATE
 from nishiki.render.display import adapted_exposure, display_image
 from nishiki.render.output import (
@@ -83,15 +84,12 @@ def load_scene(inputs: dict[str, Artifact], *, cast_shadows: bool) -> PlaneScene
 
 
 def colours(inputs: dict[str, Artifact], maps: Maps) -> dict[str, np.ndarray]:
-    """Diffuse colour: spectral coefficients and their basis, else camera channels read as linear sRGB, or grey."""
+    """Diffuse colour: spectral coefficients and their basis, else camera channels as linear sRGB, or grey."""
     if "spectra" in inputs:
         spectra = Maps(inputs["spectra"].folder)
         basis = np.array(spectra.attributes("coefficients")["basis"])
         return {"coefficients": spectra.read("coefficients"), "basis": basis}
-    reflectance = maps.read("reflectance")
-    if reflectance.shape[-1] != 3:
-        reflectance = np.repeat(reflectance.mean(axis=-1, keepdims=True), 3, axis=-1)
-    return {"coefficients": reflectance}
+    return {"coefficients": displayed_colours(maps.read("reflectance"), maps.group.attrs.get("to_srgb"))}
 
 
 def spectrum(name: str) -> np.ndarray:

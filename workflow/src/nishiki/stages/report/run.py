@@ -1,11 +1,8 @@
 """Report: one page on a painting, from the artifacts of all other stages."""
 
-from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.maps import Maps
 from nishiki.artifacts.stage import Context
-from nishiki.colour.training import synthetic_reflectances
-from nishiki.evaluate.camera_colour import CameraColour, assumed_colour, fitted_colour
-from nishiki.formats.stored import load_arrays
+from nishiki.evaluate.camera_colour import read_camera_colour
 from nishiki.observations.plane import Observations
 from nishiki.photometric.flags import NO_ESTIMATE
 from nishiki.report.files import read_json
@@ -65,7 +62,7 @@ def run(context: Context) -> dict:
             colour_section(
                 maps["normals"],
                 widest=widest,
-                camera=camera_of(inputs["ingest"], len(frames.channels)),
+                camera=read_camera_colour(inputs["ingest"].path("curves.npz"), len(frames.channels), frames.to_srgb),
                 spectra=maps.get("spectra"),
                 evaluated=maps.get("evaluate"),
                 evaluation=evaluation,
@@ -87,12 +84,3 @@ def run(context: Context) -> dict:
         else [NO_TRUTH.format("" if relighting else "; none were")],
         more_made=[choices({name: artifact.settings for name, artifact in inputs.items()})],
     )
-
-
-def camera_of(ingest: Artifact, channels: int) -> CameraColour:
-    """Map from the camera's channels to XYZ, fitted where the capture has sensitivities and a lamp spectrum."""
-    path = ingest.path("curves.npz")
-    curves = load_arrays(path) if path.is_file() else {}
-    if "sensitivities" not in curves or "illuminant" not in curves or len(curves["sensitivities"]) != channels:
-        return assumed_colour(channels)
-    return fitted_colour(synthetic_reflectances(), curves["illuminant"], curves["sensitivities"])

@@ -17,6 +17,7 @@ from nishiki.artifacts.maps import Maps, directional_shading, shading_normals
 from nishiki.brdf.body_shading import transmittance
 from nishiki.brdf.parameters import gloss_table, is_facets
 from nishiki.colour.colour import srgb_matrix
+from nishiki.evaluate.camera_colour import displayed_colours
 from nishiki.photometric.flags import NO_ESTIMATE
 from nishiki.report.viewer.encoding import (
     ColourCode,
@@ -78,9 +79,8 @@ class PaintingMaps:
         """Records (rows, columns, 1 + 3 + K + terms + 1) float32 of some rows; 0 where nothing is known."""
         normals = shading_normals(self.normals, rows)
         if self.spectra is None:
-            colours = self.normals.read("reflectance", rows)
-            if colours.shape[-1] != 3:
-                colours = np.repeat(colours.mean(axis=-1, keepdims=True), 3, axis=-1)
+            to_srgb = self.normals.group.attrs.get("to_srgb")
+            colours = displayed_colours(self.normals.read("reflectance", rows), to_srgb)
         else:
             colours = self.spectra.read("coefficients", rows)
         known = (self.normals.read("flags", rows) & NO_ESTIMATE) == 0
