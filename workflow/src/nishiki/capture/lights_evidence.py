@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.formats.coding import LINEAR, SRGB
+from nishiki.formats.coarse_pictures import read_coarse
+from nishiki.formats.exif import Exif
 from nishiki.formats.image_headers import read_header
-from nishiki.formats.images import read_codes
 
 SIDE = 40  # samples along the longer side of the picture
 MOST_PHOTOGRAPHS = 32  # read, spread over the lamps
@@ -55,32 +55,26 @@ def sample_photographs(photographs: Sequence[Path], encoding: str | None) -> Sam
 
     CaptureError where one cannot be decoded.
     """
-    import cv2
-
-    headers = [read_header(path) for path in photographs]
-    shapes = {(header.rows, header.columns) for header in headers}
-    if len(photographs) < FEWEST_PHOTOGRAPHS or len(shapes) > 1:
+    if len(photographs) < FEWEST_PHOTOGRAPHS:
         return None
-    ((rows, columns),) = shapes
-    scale = min(SIDE / max(rows, columns), 1.0)
-    size = max(round(columns * scale), 1), max(round(rows * scale), 1)
     chosen = np.unique(np.linspace(0, len(photographs) - 1, MOST_PHOTOGRAPHS).round().astype(int))
-    values = []
-    for i in chosen:
-        header, path = headers[i], photographs[i]
-        names = header.names or tuple(f"c{k}" for k in range(header.channels - header.alpha))
-        codes = read_codes(path, names, header=header)
-        top = np.iinfo(codes.dtype).max if codes.dtype.kind == "u" else 1.0
-        small = cv2.resize(codes.astype(np.float32) / np.float32(top), size, interpolation=cv2.INTER_AREA)
-        grey = small.reshape(size[1], size[0], -1).mean(axis=2).ravel().astype(np.float64)
-        usual = SRGB if (encoding or ("srgb" if header.kind == "jpeg" else "linear")) == "srgb" else LINEAR
-        stated = header.coding.curve if header.coding and not encoding else usual
-        values.append(stated.decode(grey))
-    stored = np.array(values)
+    pictures = [read_coarse(photographs[i], SIDE, encoding) for i in chosen]
+    if len({picture.shape for picture in pictures}) > 1:
+        return None
+    rows, columns = pictures[0].shape
+    stored = np.array(pictures).reshape(len(chosen), -1)
     lit = (stored > DARK * stored.max(axis=0)) & (stored < BRIGHT * max(float(stored.max()), 1e-9))
-    row, column = np.divmod(np.arange(stored.shape[1]), size[0])
-    places = np.column_stack([(column + 0.5) / size[0] - 0.5, (size[1] / 2 - row - 0.5) / size[0], np.zeros(len(row))])
+    row, column = np.divmod(np.arange(stored.shape[1]), columns)
+    places = np.column_stack([(column + 0.5) / columns - 0.5, (rows / 2 - row - 0.5) / columns, np.zeros(len(row))])
+    exposures = [_exposure(read_header(photographs[i]).exif) for i in chosen]
+    if all(exposures):
+        stored = stored / np.array(exposures)[:, None] * np.median(exposures)
     return Samples(np.where(lit, stored, np.nan), places, chosen)
+
+
+def _exposure(exif: Exif) -> float:
+    """Exposure by the camera's own record, in seconds at ISO 1 and f/1; 0 where it has none."""
+    return (exif.exposure_s or 0.0) * (exif.iso or 1.0) / (exif.f_number or 1.0) ** 2
 
 
 def residual_of(samples: Samples, lights: np.ndarray) -> float:

@@ -11,8 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from nishiki.formats.image_headers import read_header
-from nishiki.formats.images import read_codes
+from nishiki.formats.coarse_pictures import read_coarse
 from nishiki.formats.problems import CaptureError, Problem, error, warning
 
 Kind = Literal["none", "circular", "linear", "generator"]
@@ -93,7 +92,7 @@ def state_warnings(photographs: Sequence[Path], states: Sequence[str], source: s
     same photographs in nearly all of SHUFFLES other orders (a small grid has orders that fit as well). CaptureError
     (states-contradicted) where the photographs do not show one view, or not in one size.
     """
-    values = [_coarse(path) for path in photographs]
+    values = [read_coarse(path, COARSE, "linear") for path in photographs]
     if len({value.shape for value in values}) > 1:
         what = "named as states of one view, but of different sizes"
         raise CaptureError(error("states-contradicted", source, what, remedy=NO_SERIES))
@@ -115,15 +114,3 @@ def state_warnings(photographs: Sequence[Path], states: Sequence[str], source: s
         return []
     what = "the photographs do not vary with these angles as light behind polarisers does"
     return [warning("states-unexplained", source, what, remedy="Check that the names are angles in degrees")]
-
-
-def _coarse(path: Path) -> np.ndarray:
-    """Mean of the channels on a coarse grid, COARSE blocks along the longer side."""
-    import cv2
-
-    header = read_header(path)
-    names = header.names or tuple(f"c{i}" for i in range(header.channels - header.alpha))
-    codes = read_codes(path, names, header=header).astype(np.float32)
-    scale = min(COARSE / max(header.rows, header.columns), 1.0)
-    size = max(round(header.columns * scale), 1), max(round(header.rows * scale), 1)
-    return cv2.resize(codes, size, interpolation=cv2.INTER_AREA).reshape(size[1], size[0], -1).mean(axis=2)
