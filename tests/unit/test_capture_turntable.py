@@ -88,7 +88,9 @@ def test_facts_of_everything_that_can_be_given(tmp_path):
     assert capture.intrinsics.as_dict()["matrix"][1] == [0.0, 31.0, 9.5]
     assert len(capture.observed) == 20
     assert [f.view for f in capture.observed[:3]] == ["v0", "v0", "v1"]
-    assert not [p for p in check_capture(folder, level="full") if p.severity == "error"]
+    # The pictures made here are brighter in the state on.
+    errors = {p.kind for p in check_capture(folder, level="full") if p.severity == "error"}
+    assert errors == {"polarisers-exchanged"}
 
 
 def test_a_series_of_one_view_needs_no_camera_and_no_name(tmp_path):
@@ -420,6 +422,7 @@ def test_the_example_of_the_documentation_is_a_sound_capture(tmp_path):
     rows = [line.split(",") for line in blocks["frames.csv"].splitlines()[1:]]
     for i, (file, *_) in enumerate(rows):
         level = (2000 if file.startswith("white") else 100 if file.startswith("dark") else 800) + 50 * i
+        level *= 0.37 if "on" in Path(file).stem else 1.0
         write_frame(tmp_path / file, np.full((20, 24, 3), float(level)))
     views = sorted({row[2] for row in rows if row[2]})
     heading = "view," + ",".join(f"p{r}{c}" for r in (1, 2, 3) for c in (1, 2, 3, 4))

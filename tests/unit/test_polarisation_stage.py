@@ -8,15 +8,17 @@ import numpy as np
 import pytest
 import yaml
 
+from nishiki.artifacts.limits import limit_checks, limit_warnings
 from nishiki.capture.folder import load_capture
 from nishiki.errors import UserError
+from nishiki.observations.check import check_capture
 from nishiki.observations.views_attributes import geometry_sources
 from nishiki.observations.views_store import write_views
 from nishiki.polarisation.components import Components
 from nishiki.progress import Progress
 from nishiki.stages.ingest.declaration import IngestSettings
 from nishiki.stages.polarise import run as stage
-from nishiki.stages.polarise.declaration import PolariseSettings
+from nishiki.stages.polarise.declaration import LIMITS, PolariseSettings
 
 ROWS, COLUMNS = 48, 64
 BETA = np.array([0.42, 0.36, 0.3])
@@ -45,9 +47,12 @@ def seen(state: str, diffuse, specular) -> np.ndarray:
     return 0.8 * (diffuse / 2 + specular * np.cos(np.radians(analyser - generator)) ** 2)
 
 
-def make(folder, states, *, boards=None, views=("a", "b"), block=None, files=None, noise=0.0, plain_board=False):
+def make(
+    folder, states, *, boards=None, views=("a", "b"), block=None, files=None, noise=0.0, plain_board=False, labels=None
+):
     """A capture of a simulated lamp and scene, ingested; boards: states of the white boards photographed; noise:
-    variance of full scale; plain_board: one without polariser, too."""
+    variance of full scale; plain_board: one without polariser, too; labels: names that photographs of the object get in
+    place of those of their states."""
     capture, artifact = folder / "capture", folder / "ingest"
     (artifact / "geometry").mkdir(parents=True)
     capture.mkdir()
@@ -62,7 +67,7 @@ def make(folder, states, *, boards=None, views=("a", "b"), block=None, files=Non
     for number, view in enumerate(views):
         for k, state in enumerate(states):
             save(f"{view}{k}.png", lamp() * seen(state, *scene(number)))
-            rows.append(f"{view}{k}.png,sample,{view},{state}")
+            rows.append(f"{view}{k}.png,sample,{view},{(labels or {}).get(state, state)}")
     white = np.ones((ROWS, COLUMNS, 3))
     for k, state in enumerate(states if boards is None else boards):
         save(f"white{k}.png", lamp() * seen(state, white, 0 * white))
@@ -212,3 +217,50 @@ def test_a_dispersion_needs_the_wavelength(tmp_path):
                     files={"arms.yaml": arms})  # fmt: skip
     with pytest.raises(UserError, match="wavelength_nm"):
         run(artifact, tmp_path)
+
+
+def beyond(told):
+    """Names of the limits of the stage that a result is beyond."""
+    return {each.limit.name for each in limit_checks(LIMITS, told) if each.beyond}
+
+
+SWAPS = [("off", "on"), ("0", "90"), ("0/0", "0/90")]
+
+
+@pytest.mark.parametrize("states", SWAPS)
+def test_sound_states_are_within_every_limit(states, tmp_path):
+    told, _, _ = run(make(tmp_path, states, noise=1e-4), tmp_path, pictures=0)
+    assert not beyond(told)
+    assert not limit_warnings("polarise", LIMITS, told)
+    assert "polarisers-exchanged" not in {p.kind for p in check_capture(tmp_path / "capture", level="full")}
+
+
+@pytest.mark.parametrize("states", SWAPS)
+def test_exchanged_states_are_found_by_check_and_by_the_stage(states, tmp_path):
+    first, second = states
+    artifact = make(tmp_path, states, noise=1e-4, labels={first: second, second: first})
+    problems = {p.kind: p for p in check_capture(tmp_path / "capture", level="full")}
+    assert problems["polarisers-exchanged"].severity == "error"
+    assert "white board" not in problems["polarisers-exchanged"].remedy
+    told, _, _ = run(artifact, tmp_path, pictures=0)
+    assert "specular_share" in beyond(told)
+
+
+def test_boards_that_are_exchanged_too_give_a_beta_above_one(tmp_path):
+    artifact = make(tmp_path, ("on", "off"), labels={"on": "off", "off": "on"}, boards=("off", "on"))
+    table = (tmp_path / "capture" / "frames.csv").read_text()
+    table = table.replace("white,,off", "white,,x").replace("white,,on", "white,,off").replace("white,,x", "white,,on")
+    (tmp_path / "capture" / "frames.csv").write_text(table)
+    write_views(load_capture(tmp_path / "capture"), tmp_path / "second", settings=IngestSettings())
+    told, _, _ = run(tmp_path / "second", tmp_path, pictures=0)
+    assert {"specular_share", "beta"} <= beyond(told)
+    assert artifact.is_dir()
+
+
+def test_angles_that_do_not_explain_the_photographs(tmp_path):
+    states = ("0", "30", "60", "90", "120", "150")
+    for number, labels in enumerate(({}, {"30": "90", "90": "30"})):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        told, _, _ = run(make(folder, states, noise=1e-4, labels=labels), folder, pictures=0)
+        assert ("unexplained" in beyond(told)) == bool(labels)

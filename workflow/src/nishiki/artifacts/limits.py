@@ -19,7 +19,8 @@ Figure = Callable[[Mapping[str, Any]], float | None]
 class Limit:
     """figure: of the stage's diagnostics, None where it does not apply. The result is beyond the limit below `least` or
     above `most`; without either the figure is reported only. why: the limit and not another; remedy: what to change.
-    warns: beyond it the run goes on with a warning, because the result may be right.
+    doubt: level on the same side, nearer to what sound captures give, beyond which the run goes on with a warning.
+    warns: beyond the limit itself the run goes on with a warning, because the result may be right.
     """
 
     name: str
@@ -30,11 +31,18 @@ class Limit:
     remedy: str = ""
     why: str = ""
     warns: bool = False
+    doubt: float | None = None
 
     def beyond(self, value: float) -> bool:
         """Whether a value is beyond the limit; a NaN is."""
         above = self.most is not None and not value <= self.most
         return above or (self.least is not None and not value >= self.least)
+
+    def doubtful(self, value: float) -> bool:
+        """Whether a value is a reason for a warning but not beyond a limit that stops."""
+        if self.beyond(value):
+            return self.warns
+        return self.doubt is not None and not (value <= self.doubt if self.most is not None else value >= self.doubt)
 
     @property
     def stated(self) -> str:
@@ -42,6 +50,13 @@ class Limit:
         if self.most is not None:
             return f"at most {self.most:g}"
         return "" if self.least is None else f"at least {self.least:g}"
+
+    @property
+    def sound(self) -> str:
+        """What sound captures give, in words: the level of doubt where there is one, else the limit."""
+        if self.doubt is None:
+            return self.stated
+        return f"{'at most' if self.most is not None else 'at least'} {self.doubt:g}"
 
 
 @dataclass(frozen=True)
@@ -123,10 +138,10 @@ def check(stage: str, limits: Iterable[Limit], diagnostics: Mapping[str, Any], a
     wrong = [each for each in beyond if not each.limit.warns]
     if wrong:
         failed = "; ".join(
-            f"{each.limit.meaning} is {each.value:.4g}, expected {each.limit.stated} (limit {each.limit.name}). "
-            f"Remedy: {each.limit.remedy}"
+            f"{each.limit.meaning} is {each.value:.4g}, expected {each.limit.stated} (limit {each.limit.name})"
             for each in wrong
         )
+        failed += f". Remedy: {'; '.join(dict.fromkeys(each.limit.remedy for each in wrong))}"
         names = ", ".join(each.limit.name for each in wrong)
         raise UserError(
             f"the result is beyond what can be trusted and is not kept: {failed}. To keep such a result all the same, "
@@ -137,10 +152,11 @@ def check(stage: str, limits: Iterable[Limit], diagnostics: Mapping[str, Any], a
 def limit_warnings(
     stage: str, limits: Iterable[Limit], diagnostics: Mapping[str, Any], allow: Iterable[str] = ()
 ) -> list[str]:
-    """A sentence for each limit that only warns and that the result of a stage is beyond, unless it is allowed."""
+    """A sentence for each figure that gives reason for a warning, unless its limit is allowed."""
+    allow = set(allow)
     return [
-        f"{each.limit.meaning} is {each.value:.2g}, expected {each.limit.stated}. Remedy: {each.limit.remedy}; or, if "
+        f"{each.limit.meaning} is {each.value:.3g}, expected {each.limit.sound}. Remedy: {each.limit.remedy}; or, if "
         f"it is right, set {stage}.allow: [{each.limit.name}]"
         for each in limit_checks(limits, diagnostics, allow)
-        if each.beyond and not each.allowed and each.limit.warns
+        if each.limit.doubtful(each.value) and each.limit.name not in allow
     ]

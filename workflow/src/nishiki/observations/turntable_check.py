@@ -14,6 +14,7 @@ from nishiki.formats.problems import CaptureError, Problem, warning
 from nishiki.observations.blocks import block_edges
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.plane_decode import count_unusable
+from nishiki.observations.polariser_check import PolariserLevels
 from nishiki.observations.reference import measure_darks
 from nishiki.observations.store_parts import RepeatedFiles, as_errors
 from nishiki.observations.turntable_coherence import Pictures, capture_problems
@@ -60,14 +61,15 @@ def turntable_content_problems(capture: TurntableCapture, tick: Tick) -> list[Pr
     except CaptureError as e:
         return list(e.problems)
     problems = _reference_problems(reader, tick)
-    repeated, pictures = RepeatedFiles(), Pictures(capture)
+    repeated, pictures, levels = RepeatedFiles(), Pictures(capture), PolariserLevels(reader)
     for frame in capture.frames:
         if frame.role != "dark":
             problems += repeated.add(frame)
         if frame.role in ("sample", "board") or (frame.role == "white" and frame.polariser):
-            problems += _frame_problems(reader, frame, pictures)
+            problems += _frame_problems(reader, frame, pictures, levels)
             tick(frame.file)
-    return reader.warnings() + problems + pictures.problems(reader.rows, reader.columns)
+    problems += levels.problems() + pictures.problems(reader.rows, reader.columns)
+    return reader.warnings() + problems
 
 
 def _reference_problems(reader: FrameReader, tick: Tick) -> list[Problem]:
@@ -89,7 +91,7 @@ def _complete(capture: TurntableCapture) -> bool:
     return timed in (0, len(lit)) and (not plain or plain >= set(capture.light_names))
 
 
-def _frame_problems(reader: FrameReader, frame: Frame, pictures: Pictures) -> list[Problem]:
+def _frame_problems(reader: FrameReader, frame: Frame, pictures: Pictures, levels: PolariserLevels) -> list[Problem]:
     try:
         codes = reader.read(frame)
         if frame.role == "board":
@@ -98,6 +100,7 @@ def _frame_problems(reader: FrameReader, frame: Frame, pictures: Pictures) -> li
             pictures.add(frame.view, codes, reader.full)
         named = reader.capture.silhouette_of(frame.view) if frame.role == "sample" else None
         inside = _outline(named, codes.shape[:2])
+        levels.add(frame, codes, inside)
         *counts, highest = count_unusable(codes, inside, reader.saturated, reader.clip)
         problems = view_problems(frame, np.array(counts), float(highest), reader, outlined=named is not None)
     except CaptureError as e:

@@ -49,6 +49,7 @@ def smooth_planes(
     usable: np.ndarray,
     sums: StateSums,
     *,
+    counted: np.ndarray | None = None,
     beta: np.ndarray | None = None,
     phase: float | None = None,
     sense: int = 1,
@@ -62,6 +63,8 @@ def smooth_planes(
         Made by `sum_planes` with `sums.weights`.
     usable : (rows, columns) bool
         Pixels that take part: valid ones, inside the silhouette where one is known. Others stay as they are.
+    counted : (rows, columns) bool, optional
+        Pixels over which doubtful values are counted, all usable ones by default.
     beta : array, optional
         Circular: broadcasts against a picture.
     phase, sense, scales
@@ -76,6 +79,7 @@ def smooth_planes(
     if sums.method == "none" or min(rows, columns) < PATCH:
         return Smoothed(planes, None, None)
     inverse = None if beta is None else inverse_of(np.asarray(beta, np.float32), planes.shape[1:])
+    counted = usable if counted is None else usable & counted
     series = Series(planes, usable, differences_of(sums, phase=phase, sense=sense, scales=scales), inverse)
     noise, colour = measure_noise(series)
     if noise is None or not noise.positive:
@@ -85,17 +89,17 @@ def smooth_planes(
     def bands(first: int, last: int) -> None:
         for top in range(first * BAND, min(last * BAND, rows), BAND):
             below = _smooth_rows(series, top, min(top + BAND, rows), noise, colour, smoothed)
-            doubtful[top // BAND] = below
+            doubtful[top // BAND] = np.count_nonzero(below & counted[top : top + BAND, :, None])
 
     over_rows(bands, len(doubtful))
-    values = np.count_nonzero(usable) * planes.shape[3]
+    values = np.count_nonzero(counted) * planes.shape[3]
     share = float(doubtful.sum() / values) if len(series.kinds.of_planes) == 1 and values else None
     return Smoothed(smoothed, noise, share)
 
 
-def _smooth_rows(series: Series, top: int, bottom: int, noise: PhotographNoise, colour: np.ndarray, smoothed) -> int:
+def _smooth_rows(series: Series, top: int, bottom: int, noise: PhotographNoise, colour: np.ndarray, smoothed):
     """Rows top .. bottom - 1 of the smoothed planes; their neighbours that share a square with them are read.
-    Returns the number of values of these rows below -3 standard deviations of their noise."""
+    Returns which values of these rows are below -3 standard deviations of their noise."""
     height = series.planes.shape[1]
     rows = slice(max(top - PATCH + 1, 0), min(bottom + PATCH - 1, height))
     part = series.rows(rows)
@@ -114,7 +118,7 @@ def _smooth_rows(series: Series, top: int, bottom: int, noise: PhotographNoise, 
     usable = series.usable[top:bottom, :, None]
     kept = usable & (change[:, middle] != 0).any(axis=0)
     smoothed[:, top:bottom] = np.where(kept, part[:, middle], series.planes[:, top:bottom])
-    return np.count_nonzero(usable & (q[0, middle] < -3 * np.sqrt(variance[0, middle])))
+    return usable & (q[0, middle] < -3 * np.sqrt(variance[0, middle]))
 
 
 def _joined(values: np.ndarray) -> np.ndarray:

@@ -1,6 +1,7 @@
 """Declaration of the stage `polarise`: settings, inputs, limits of its result, cost."""
 
-from typing import ClassVar, Literal
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal
 
 from pydantic import Field
 
@@ -8,30 +9,73 @@ from nishiki.artifacts.closed import Closed, Guarded
 from nishiki.artifacts.limits import Limit, at, extreme
 from nishiki.stages.base import Cost, SceneFacts, Stage, no_method
 
+
+def _largest_beta(diagnostics: Mapping[str, Any]) -> float | None:
+    """Largest beta of a channel; of analysers, whose boards give a transmission, none."""
+    boards = [board for board in (diagnostics.get("boards") or {}).values() if board]
+    return max(max(b["channel"]) for b in boards) if boards and diagnostics.get("method") == "circular" else None
+
+
+EXCHANGED = "exchange the states off and on (or parallel and crossed angles) in the column polariser of frames.csv, "
+EXCHANGED += "for white boards too where they were exchanged with them; else check polarise.beta, the exposure of the "
+EXCHANGED += "states, and that nothing moved between them"
 LIMITS = (
     Limit(
         "condition",
         "condition of the least squares over the polariser states",
         at("condition"),
         most=1e3,
+        doubt=100,
         remedy="photograph states that are spread more evenly",
         why="simulated and measured series gave 1 to 35; 1000 turns noise of 0.1 % into the whole signal",
     ),
     Limit(
         "valid_share",
-        "share of the pixels with both components",
+        "share of the object's pixels with both components",
         at("valid"),
-        least=0.1,
+        least=0.5,
+        doubt=0.95,
         remedy="expose differently, or give polarise.beta where the board does not fill the picture",
-        why="captures gave 0.9998 and more",
+        why="captures gave 0.9998 and more; with half of the object missing the maps are mostly interpolation",
+    ),
+    Limit(
+        "specular_share",
+        "mean specular light of the object over all of its light",
+        at("specular_share"),
+        least=-0.01,
+        doubt=-0.002,
+        remedy=EXCHANGED,
+        why="light cannot be negative; a lamp that varies by 1 % between the states of a matt object gives -0.01; "
+        "captures gave 0.02 and more, exchanged states -0.18",
+    ),
+    Limit(
+        "beta",
+        "share of diffuse light that the crossed polarisers let through, largest channel",
+        _largest_beta,
+        most=1.0,
+        doubt=0.7,
+        remedy=EXCHANGED,
+        why="captures gave 0.37 to 0.41, ideal polarisers give 0.5; above 1 the crossed board is the brighter one",
     ),
     Limit(
         "negative_share",
-        "share of specular values further below 0 than noise reaches",
+        "share of the object's specular values further below 0 than noise reaches",
         at("doubtful"),
-        most=0.5,
-        remedy="check that the states in the column polariser of frames.csv are not exchanged, and polarise.beta",
-        why="captures gave 0.017 and less; exchanged states make most specular values negative",
+        most=0.2,
+        doubt=0.05,
+        remedy=EXCHANGED,
+        why="captures gave 0.017 and less over the object; exchanged states gave 0.42",
+    ),
+    Limit(
+        "unexplained",
+        "share of the variation between the states that their angles do not explain, worst view",
+        lambda diagnostics: extreme("views")(
+            {"views": [view.get("unexplained") for view in diagnostics.get("by_view") or ()]}
+        ),
+        most=0.4,
+        doubt=0.1,
+        remedy="check the angles in the column polariser of frames.csv against the photographs, and the calibration",
+        why="64 measured states gave 0.0008; two of them exchanged 0.03, all one place on 0.41, mixed 0.74",
     ),
     Limit("low_beta_pixels", "pixels whose beta is below polarise.beta_least", extreme("low_beta")),
 )
@@ -41,7 +85,7 @@ class PolariseSettings(Guarded):
     """Diffuse and specular components of every view, from its polariser states."""
 
     STAGE: ClassVar[str] = "polarise"
-    VERSION: ClassVar[int] = 1
+    VERSION: ClassVar[int] = 2
     LIMITS: ClassVar[tuple[Limit, ...]] = LIMITS
 
     method: Literal["auto", "pairs", "mueller", "none"] = Field(

@@ -23,7 +23,7 @@ from nishiki.polarisation.polarisation import (
 from nishiki.polarisation.polariser_states import StateSums, sums_of
 from nishiki.polarisation.series_diagnostics import Thinned, diagnose
 from nishiki.polarisation.smoothing import smooth_planes
-from nishiki.polarisation.statistics import SeparationStatistics, statistics_of
+from nishiki.polarisation.statistics import SeparationStatistics, select_lit, statistics_of
 from nishiki.render.output import write_png
 from nishiki.stages.polarise.declaration import PolariseSettings
 
@@ -94,15 +94,18 @@ def separate(
         sense = reflected_sense(planes[1][valid], planes[2][valid])
         facts["sense"] = sense
     separated = components(planes, valid, sums, beta=beta, phase=phase, sense=sense, gain=gain)
-    figures = statistics_of(separated)
+    outline = views.silhouette(place)
+    shown = select_lit(separated.diffuse + separated.specular, separated.valid) if outline is None else outline
+    figures = statistics_of(separated, shown)
     if not settings.smoothing:
         return separated, figures, facts
-    usable, outline = separated.valid, views.silhouette(place)
+    usable = separated.valid
     scales = [views.attributes["scale"][views.index(place, state=state, light=light)] for state in views.states]
     smoothed = smooth_planes(
         planes,
         usable if outline is None else usable & outline,
         sums,
+        counted=shown,
         beta=beta,
         phase=phase,
         sense=sense,
