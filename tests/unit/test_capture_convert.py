@@ -7,8 +7,8 @@ from captures import RING, write_frame
 
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
-from nishiki.capture.mirror_sphere import direction_from_sphere
 from nishiki.capture.seal import sha256_of
+from nishiki.capture.spheres.optics import direction_from_sphere
 from nishiki.formats.problems import CaptureError
 from nishiki.observations.check import check_capture
 

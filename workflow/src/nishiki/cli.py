@@ -369,8 +369,8 @@ def _with_calibrations(sub: argparse.ArgumentParser) -> None:
         "--sphere", nargs=3, type=float, action="append", default=[], metavar=("ROW", "COLUMN", "RADIUS"), help=text
     )
     made.add_argument("--mask", help="picture, light on the spheres: their outlines are taken from it")
-    made.add_argument("--count", type=int, default=1, help="spheres to look for (default %(default)s)")
-    text = "focal length in pixels: perspective camera (default: orthographic, seen from afar)"
+    made.add_argument("--count", type=int, help="spheres that must be found (default: all that there are)")
+    text = "focal length in pixels; inf: seen from afar (default: from Exif, else from the agreement of the spheres)"
     made.add_argument("--focal-px", type=float, help=text)
     made.add_argument("--radius-mm", type=float, help="radius of every sphere; needed for positions")
     text = "height of the object's surface above the plane on which the spheres lie (default 0)"

@@ -16,9 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.calibrate.photographs import full_scale_of, list_photographs, read_channels
+from nishiki.calibrate.photographs import list_photographs
 from nishiki.calibrate.result import Calibration, finite
-from nishiki.capture.taking import channel_names
+from nishiki.capture.taking import channel_names, full_scale_of, read_channels
 from nishiki.errors import UserError
 from nishiki.formats.image_headers import read_header
 from nishiki.formats.text_tables import comma_lines

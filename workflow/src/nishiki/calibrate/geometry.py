@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from nishiki.calibrate.photographs import full_scale_of, read_grey
 from nishiki.calibrate.result import Calibration, finite
+from nishiki.capture.taking import full_scale_of, read_grey
 from nishiki.errors import UserError
 from nishiki.formats.image_headers import read_header
 from nishiki.geometry.board import BoardCorners, BoardShape, board_of, detect_boards

@@ -41,6 +41,8 @@ class Calibration:
         Of the page, with the pictures that show whether to trust it.
     subtitle : str
     warnings : sequence of str
+    failure : str
+        Why there is no result; the folder then holds the page and what was measured so far.
     """
 
     kind: str
@@ -51,6 +53,7 @@ class Calibration:
     subtitle: str
     files: Mapping[str, str | bytes] = field(default_factory=dict)
     warnings: Sequence[str] = ()
+    failure: str = ""
 
 
 def write_calibration(folder: Path, result: Calibration) -> None:
@@ -76,7 +79,7 @@ def write_calibration(folder: Path, result: Calibration) -> None:
         ],
         version=PROJECT_VERSION,
         footer=f"Nishiki {PROJECT_VERSION}, calibration of {result.kind}. All numbers: {NUMBERS}.",
-        warnings=result.warnings,
+        warnings=[*([result.failure] if result.failure else []), *result.warnings],
     )
     partial = folder.with_name(f".{folder.name}.partial")
     if partial.exists():

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.calibrate.lamps import LampFit
 from nishiki.calibrate.result import Calibration, finite
-from nishiki.calibrate.spheres import MeasuredSpheres, SphereInput, measure_spheres
 from nishiki.capture.lights import read_lights
-from nishiki.capture.mirror_sphere import outline_points
+from nishiki.capture.spheres.lamps import LampFit
+from nishiki.capture.spheres.measure import Findings, MeasuredSpheres, SphereInput, SpheresError, measure_spheres
+from nishiki.capture.spheres.picture import draw_findings, draw_sphere
 from nishiki.errors import UserError
 from nishiki.report.page import Figure, Figures, Section, Table
 from nishiki.report.pictures import encoded
@@ -20,26 +20,39 @@ from nishiki.report.svg import lights_plot
 
 
 def calibrate_spheres(given: SphereInput) -> Calibration:
-    """Lamps of all photographs, with uncertainties, files and page. UserError where one cannot be measured."""
-    measured = measure_spheres(given)
-    names, camera, fit = measured.names, measured.camera, measured.fit
+    """Measure the lamps of all photographs with a highlight: uncertainties, files and page.
+
+    Where they cannot be measured the result holds the reason and what was found so far.
+    """
+    inputs = [*given.photographs, *given.board, *([given.mask] if given.mask else [])]
+    inputs += [given.compare] if given.compare else []
+    try:
+        measured = measure_spheres(given)
+    except SpheresError as e:
+        section = _picture_section(e.findings)
+        return Calibration("spheres", {}, inputs, {}, [section], "No lamps were measured.", failure=str(e))
+    names, camera, fit = measured.names, measured.findings.camera, measured.fit
     numbers = _numbers(measured, given)
-    sections = [_lamp_section(measured), _picture_section(measured)]
+    sections = [_lamp_section(measured), _picture_section(measured.findings)]
     if given.compare is not None:
         numbers["comparison"], section = _comparison(fit, names, given.compare)
         sections.insert(1, section)
-    files = {"lamps.lp": lp_text([path.name for path in given.photographs], fit.directions)}
+    photographs = [path.name for path in measured.photographs]
+    files = {"lamps.lp": lp_text(photographs, fit.directions)}
     lines: dict = {"lights": {"file": "lamps.lp"}}
     if measured.positioned:
-        files["lamps_mm.lp"] = lp_text([path.name for path in given.photographs], fit.positions)
+        files["lamps_mm.lp"] = lp_text(photographs, fit.positions)
         lines = {"lights": {"file": "lamps_mm.lp", "kind": "position_mm"}, "pixel_pitch_mm": finite(fit.pitch)}
-    width_mm = fit.pitch * camera.columns if given.radius_mm else 0.0
-    files["lamps.dome"] = dome_text(names, fit.directions, fit.positions if measured.positioned else None, width_mm)
-    inputs = [*given.photographs, *given.board, *([given.mask] if given.mask else [])]
-    inputs += [given.compare] if given.compare else []
-    kind = "orthographic camera" if camera.focal_px is None else f"focal length {camera.focal_px:g} px"
-    spheres = len(measured.outlines)
-    subtitle = f"{len(names)} lamps from {spheres} mirror sphere{'s' if spheres > 1 else ''}, {kind}."
+    if not measured.findings.left_out:  # its lamps have no names, so that none may be missing
+        width_mm = fit.pitch * camera.columns if given.radius_mm else 0.0
+        files["lamps.dome"] = dome_text(names, fit.directions, fit.positions if measured.positioned else None, width_mm)
+    kind = "orthographic camera" if camera.focal_px is None else f"focal length {camera.focal_px:.0f} px"
+    spheres = len(measured.findings.outlines)
+    sigma = np.degrees(np.median(fit.direction_sigma))
+    subtitle = (
+        f"{len(names)} of {len(given.photographs)} lamps from {spheres} mirror sphere{'s' if spheres > 1 else ''}, "
+        f"{kind}; directions to {sigma:.2g} degrees."
+    )
     return Calibration("spheres", numbers, inputs, lines, sections, subtitle, files, measured.warnings)
 
 
@@ -80,21 +93,22 @@ def dome_text(names: list[str], directions: np.ndarray, positions: np.ndarray | 
 
 
 def _numbers(measured: MeasuredSpheres, given: SphereInput) -> dict:
-    fit, names, camera, outlines = measured.fit, measured.names, measured.camera, measured.outlines
-    found, positioned = measured.highlights, measured.positioned
+    fit, names, positioned = measured.fit, measured.names, measured.positioned
+    camera, outlines, found = measured.findings.camera, measured.findings.outlines, measured.findings.highlights
     lamps = []
-    for i, name in enumerate(names):
+    for i, (name, photograph) in enumerate(zip(names, measured.numbers, strict=True)):
         lamp = {
             "lamp": name,
             "direction": [finite(v, 9) for v in fit.directions[i]],
             "direction_sigma_deg": finite(np.degrees(fit.direction_sigma[i])),
+            "lens_sigma_deg": finite(np.degrees(measured.lens_sigma[i])),
             "highlights": [
                 None
-                if found[i, k] is None
+                if found[photograph, k] is None
                 else {
-                    "column": finite(found[i, k].pixel[0]),
-                    "row": finite(found[i, k].pixel[1]),
-                    "sigma_px": finite(found[i, k].sigma_px),
+                    "column": finite(found[photograph, k].pixel[0]),
+                    "row": finite(found[photograph, k].pixel[1]),
+                    "sigma_px": finite(found[photograph, k].sigma_px),
                     "residual_px": finite(fit.residuals_px[i, k]) if (i, k) in fit.residuals_px else None,
                 }
                 for k in range(len(outlines))
@@ -125,6 +139,8 @@ def _numbers(measured: MeasuredSpheres, given: SphereInput) -> dict:
         "radius_mm": given.radius_mm,
         "pixel_pitch_mm": finite(fit.pitch) if given.radius_mm else None,
         "lamps": lamps,
+        "left_out": measured.findings.left_out,
+        "scene": None if measured.scene is None else {key: finite(v) for key, v in vars(measured.scene).items()},
         "positions_written": positioned,
         "chi_square": finite(fit.chi_square) if np.isfinite(fit.chi_square) else None,
         "falloff_rms": finite(fit.falloff_rms) if np.isfinite(fit.falloff_rms) else None,
@@ -156,45 +172,24 @@ def _lamp_section(measured: MeasuredSpheres) -> Section:
     )
 
 
-def _picture_section(measured: MeasuredSpheres) -> Section:
-    """The photographs' mean with the outlines, and every sphere with all highlights at once."""
-    import cv2
-
-    mean, camera, outlines, found = measured.mean, measured.camera, measured.outlines, measured.highlights
-
+def _picture_section(found: Findings) -> Section:
+    """Show the photographs with the circles that were taken or not, every sphere with all highlights, and why."""
     figures = []
-    for k, (outline, (brightest, corner)) in enumerate(zip(outlines, measured.crops, strict=True)):
-        zoom = max(1, int(np.ceil(480 / max(brightest.shape))))
-        codes = _display(brightest)
-        codes = cv2.resize(codes, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_NEAREST)
-
-        def place(points: np.ndarray, corner=corner, zoom=zoom) -> np.ndarray:
-            return np.round(((np.atleast_2d(points) - corner + 0.5) * zoom - 0.5) * 16).astype(np.int32)
-
-        curve = place(outline_points(outline.parameters, camera))
-        cv2.polylines(codes, [curve.reshape(-1, 1, 2)], True, (90, 220, 90), 1, cv2.LINE_AA, 4)
-        for i in range(len(measured.names)):
-            if found[i, k] is not None:
-                column, row = place(found[i, k].pixel)[0]
-                cv2.drawMarker(codes, (int(column / 16), int(row / 16)), (255, 90, 40), cv2.MARKER_CROSS, 9, 1)
+    for k, outline in enumerate(found.outlines):
         caption = (
             f"Brightest of all photographs. Green: the outline fitted, {outline.rms_px:.2g} px root mean square, along "
             f"{100 * outline.support:.0f} % of it. Red: where each lamp's highlight was measured."
         )
-        figures.append(Figure(f"Sphere {k + 1}", caption, encoded(codes)))
-    scale = 900 / max(mean.shape)
-    small = cv2.resize(_display(mean), None, fx=min(1, scale), fy=min(1, scale), interpolation=cv2.INTER_AREA)
-    for outline in outlines:
-        curve = np.round((outline_points(outline.parameters, camera) + 0.5) * min(1, scale) - 0.5).astype(np.int32)
-        cv2.polylines(small, [curve.reshape(-1, 1, 2)], True, (90, 220, 90), 1, cv2.LINE_AA)
-    figures.append(Figure("All spheres", "Mean of all photographs, with the outlines.", encoded(small)))
-    return Section("spheres", "Spheres", [Figures(figures, 2)])
-
-
-def _display(grey: np.ndarray) -> np.ndarray:
-    """Grey codes (rows, columns, 3) uint8 for a page, brightened by a square root."""
-    top = float(np.percentile(grey, 99.8)) or 1.0
-    return np.repeat((255 * np.sqrt(np.clip(grey / top, 0, 1))).astype(np.uint8)[..., None], 3, axis=2)
+        figures.append(Figure(f"Sphere {k + 1}", caption, encoded(draw_sphere(found, k))))
+    caption = "Brightest of all photographs. Green: spheres. Grey: circles that were examined and are none."
+    figures.append(Figure("All circles", caption, encoded(draw_findings(found))))
+    parts = [Figures(figures, 2)]
+    if found.rejected:
+        rows = [(c.row, c.column, c.radius, why) for c, why in found.rejected]
+        parts.append(Table(("row", "column", "radius px", "why it is no sphere"), rows, "rrrl"))
+    if found.left_out:
+        parts.append(Table(("photograph", "why its lamp was left out"), list(found.left_out.items()), "ll"))
+    return Section("spheres", "Spheres", parts)
 
 
 def _comparison(fit: LampFit, names: list[str], path: Path) -> tuple[dict, Section]:

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.calibrate import target
-from nishiki.calibrate.photographs import full_scale_of
 from nishiki.calibrate.result import Calibration
 from nishiki.calibrate.sensitivities import Sensitivities, chart_reflectances, recover
 from nishiki.calibrate.target import CRITERIA, ColourErrors, Patches, verdict
 from nishiki.capture.spectra_tables import read_curves
+from nishiki.capture.taking import full_scale_of
 from nishiki.colour.colour import illuminant, srgb_encode, white_xyz, xyz_to_srgb_linear
 from nishiki.colour.encoding import Encoding
 from nishiki.colour.sampling import WAVELENGTHS_NM

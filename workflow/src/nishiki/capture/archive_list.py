@@ -58,7 +58,7 @@ def _entry_of(source: Path, archive: Path) -> ArchiveEntry:
     try:
         found = recognise(source, NOTHING)
         layout = found[0].name if found else ""
-        return ArchiveEntry(name, layout, read_source(source, NOTHING).parts, "")
+        return ArchiveEntry(name, layout, read_source(source, NOTHING, search=False).parts, "")
     except (CaptureError, Refused) as problem:
         problems = problem.problems if isinstance(problem, CaptureError) else (problem,)
         pictures = len(files_with(source, IMAGE_SUFFIXES)) if source.is_dir() else 0

@@ -6,7 +6,8 @@ import math
 import os
 import re
 import shlex
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path, PurePath
 
@@ -16,10 +17,10 @@ from nishiki.capture.bands import find_bands
 from nishiki.capture.frames import inside
 from nishiki.capture.lights import Lights, light_name, lights_from_vectors, read_lights
 from nishiki.capture.lights_evidence import sample_photographs
-from nishiki.capture.mirror_sphere import direction_from_sphere, mean_direction
 from nishiki.capture.options import ConvertOptions
 from nishiki.capture.relight_files import CROPPED, find_relight, is_relight, read_relight
 from nishiki.capture.rtibuilder import RtiProject
+from nishiki.capture.spheres.optics import direction_from_sphere, mean_direction
 from nishiki.capture.stated_lights import StatedLights, decide, decide_strengths, read_lights_file
 from nishiki.formats.bounds import bound
 from nishiki.formats.files import NAME_BYTES, files_with, is_plain, leads_out, read_text, same_name
@@ -47,7 +48,9 @@ class Layout:
 
     kind: what the lamps' vectors are, `direction` or `position_mm`; pitch_mm: width of a pixel on the object, 0 if it
     is not known; region: row, column, rows, columns to use, None for all;
-    bands: names of the channels where each has a file of its own, and band_files[i] the files of photograph i.
+    bands: names of the channels where each has a file of its own, and band_files[i] the files of photograph i;
+    files: further files of the capture by name, of which `mask.png` is the mask where there is no other; notes: for
+    capture.yaml.
     """
 
     name: str
@@ -61,6 +64,8 @@ class Layout:
     region: tuple[int, int, int, int] | None = None
     bands: tuple[str, ...] = ()
     band_files: tuple[tuple[Path, ...], ...] = ()
+    files: Mapping[str, bytes] = field(default_factory=dict)
+    notes: str = ""
     geometry = "plane"
     channels: tuple[str, ...] = ()
 
@@ -155,7 +160,7 @@ def find_lights_file(source: Path, options: ConvertOptions) -> Path | None:
 def read_with_lights_file(source: Path, file: Path, options: ConvertOptions) -> Layout:
     """Read the lights, find their photographs, and decide by these what the file leaves open."""
     stated = state_lights(source, file, options)
-    return _settled(_with_lights(source, stated, file, options.mask or _find_mask(source)), stated, file, options)
+    return _settled(_with_lights(source, stated, file, options.mask or find_mask(source)), stated, file, options)
 
 
 def state_lights(source: Path, file: Path, options: ConvertOptions) -> StatedLights:
@@ -197,7 +202,7 @@ def read_rtibuilder(source: Path, project: RtiProject, options: ConvertOptions) 
         what, remedy = "the lights file names no photographs", "Convert the folder of photographs with --lights"
         raise CaptureError(error("layout-unknown", lights_file.name, what, remedy=remedy))
     folder = project.photographs(lights)
-    layout = _with_lights(folder, stated, lights_file, options.mask or _find_mask(source) or _find_mask(folder))
+    layout = _with_lights(folder, stated, lights_file, options.mask or find_mask(source) or find_mask(folder))
     layout = _settled(layout, stated, lights_file, options)
     note = project.note(lights_file, lights, folder)
     return replace(layout, name="RTIBuilder project", warnings=(note, *layout.warnings))
@@ -208,7 +213,8 @@ def find_spheres(source: Path, options: ConvertOptions) -> list[Path] | None:
     return sorted(path.parent for path in source.glob(f"*/{PROBE_DATA}")) or None
 
 
-def _find_mask(source: Path) -> Path | None:
+def find_mask(source: Path) -> Path | None:
+    """Find the only picture called a mask in a folder."""
     masks = [path for path in files_with(source, MASK_SUFFIXES) if MASK_WORD.search(path.stem)]
     raise_errors(problem for path in masks for problem in source_problems(path, source))
     return masks[0] if len(masks) == 1 else None
@@ -225,7 +231,7 @@ def _with_lights(source: Path, stated: StatedLights, lights_file: Path, mask: Pa
     folder, lights = source, stated.lights
     if not (present := photographs_in(source)):
         folder = _folder_named(source, lights, lights_file)
-        present, mask = photographs_in(folder), mask or _find_mask(folder)
+        present, mask = photographs_in(folder), mask or find_mask(folder)
     if all(file is None for file in lights.files):
         _expect_count(source, present, len(lights.names))
         return _in_order(source, present, lights, None, mask, "directions in order", kind=kind)
@@ -268,7 +274,7 @@ def _folder_named(source: Path, lights: Lights, file: Path) -> Path:
 
 def read_diligent(source: Path, directions: Path, options: ConvertOptions) -> Layout:
     """Read a data set in the layout of DiLiGenT: directions, intensities and names by line, else names in order."""
-    mask = options.mask or _find_mask(source)
+    mask = options.mask or find_mask(source)
     bare = read_lights(directions)
     names = source / "filenames.txt"
     present = photographs_in(source)
@@ -300,7 +306,7 @@ def read_diligent(source: Path, directions: Path, options: ConvertOptions) -> La
 
 def read_with_spheres(source: Path, probes: list[Path], options: ConvertOptions) -> Layout:
     """Measure lamps on spheres that were photographed with the object; both in natural order of the file names."""
-    mask = options.mask or _find_mask(source)
+    mask = options.mask or find_mask(source)
     numbered = re.compile(r"\d")
     folders = [p for p in source.iterdir() if p.is_dir() and p not in probes]
     objects = [pictures for pictures in map(photographs_in, folders) if pictures]

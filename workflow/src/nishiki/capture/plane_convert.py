@@ -74,8 +74,14 @@ def write_plane(folder: Path, layout: Layout, source: Path, options: ConvertOpti
     if layout.mask is not None:
         settings["mask"], doubts = take_mask(layout.mask, folder / f"mask{layout.mask.suffix.lower()}", link)
         notes += doubts
-    else:
+    elif not layout.files:
         notes += alpha_problems(layout.photographs[0])
+    for name, content in layout.files.items():
+        (folder / name).write_bytes(content)
+        if name == "mask.png":
+            settings["mask"] = name
+    if layout.notes:
+        settings["notes"] = layout.notes
     if region is not None:
         settings["region_of_interest"] = list(region)
     write_tables(folder, settings, rows, layout.lights)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from nishiki.capture.balls import find_photographs, read_with_balls
 from nishiki.capture.bundler import bundler_file, read_bundler
 from nishiki.capture.colmap import colmap_folder, read_colmap
 from nishiki.capture.goniometer_convert import MeasuredTable, read_measurements, recognise_table
@@ -19,7 +20,6 @@ from nishiki.capture.layouts import (
     Layout,
     find_lights_file,
     find_spheres,
-    photographs_in,
     read_diligent,
     read_rtibuilder,
     read_with_lights_file,
@@ -144,6 +144,11 @@ LAYOUTS = (
     ),
 )
 
+LAST_RESORT = FolderLayout(
+    "mirror balls", "mirror balls in the frame of the photographs", find_photographs, read_with_balls
+)
+"""Read where no entry of the registry matches. It is none itself, because whether it applies needs all pixels."""
+
 
 def recognise(source: Path, options: ConvertOptions) -> tuple[FolderLayout, Any] | None:
     """Find the layout of a file or folder and its evidence; None where it is of no known layout."""
@@ -155,23 +160,31 @@ def recognise(source: Path, options: ConvertOptions) -> tuple[FolderLayout, Any]
     return None
 
 
-def read_source(source: Path, options: ConvertOptions) -> SourceLayout:
-    """Recognise a source and read it.
+def read_source(source: Path, options: ConvertOptions, *, search: bool = True) -> SourceLayout:
+    """Recognise a source and read it; search: look for mirror balls in photographs of no known layout.
 
     Raises CaptureError (folder-missing, layout-unknown, and those of the layout's reader).
     """
-    found = recognise(source, options)
-    if found is not None:
-        return found[0].read(source, found[1], options)
+    known = recognise(source, options)
+    if known is not None:
+        return known[0].read(source, known[1], options)
     if not source.is_dir():
         remedy = "Name the folder of the photographs; a lights file outside of it by --lights FILE"
         what = "no folder, no table of reflectances and no relightable image" if source.exists() else "no such folder"
         raise CaptureError(error("folder-missing", str(source), what, remedy=remedy))
-    photographs_in(source)  # says what is wrong with pictures that are not read
-    expected = f"one of: {'; '.join(entry.signs for entry in LAYOUTS)}"
+    photographs = LAST_RESORT.matches(source, options)  # says what is wrong with pictures that are not read
+    found = None
+    if photographs and search:
+        try:
+            return LAST_RESORT.read(source, photographs, options)
+        except CaptureError as e:
+            if e.problems[0].kind != "layout-unknown":
+                raise
+            found = e.problems[0].what
+    expected = f"one of: {'; '.join(entry.signs for entry in (*LAYOUTS, LAST_RESORT))}"
     remedy = (
         "Name the lights file with --lights. Without one, photograph mirror balls under the same lamps and measure "
         "these: ./nishiki calibrate spheres BALLS CALIBRATION, then --lights CALIBRATION/lamps.dome. Or write "
         "capture.yaml and frames.csv by hand (docs/capture-folder.md)"
     )
-    raise CaptureError(error("layout-unknown", str(source), UNKNOWN, expected=expected, remedy=remedy))
+    raise CaptureError(error("layout-unknown", str(source), UNKNOWN, expected=expected, found=found, remedy=remedy))

@@ -11,15 +11,18 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 from nishiki.capture.lights import Lights
 from nishiki.formats.exr import several_layers
 from nishiki.formats.image_header import ImageHeader
 from nishiki.formats.image_headers import read_header
+from nishiki.formats.images import read_codes
 from nishiki.formats.masks import examine_mask
 from nishiki.formats.problems import CaptureError, Problem, error, warning
 
+LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 COLOUR = ("red", "green", "blue")
 FOLDERS = ("frames", "white", "dark", "silhouettes")
 
@@ -122,3 +125,25 @@ def lights_text(lights: Lights) -> str:
     """Content of a `.lp` file."""
     lines = [f"{name} {x:.9g} {y:.9g} {z:.9g}\n" for name, (x, y, z) in zip(lights.names, lights.vectors, strict=True)]
     return f"{len(lines)}\n{''.join(lines)}"
+
+
+def read_channels(path: Path, header: ImageHeader | None = None) -> np.ndarray:
+    """Codes (rows, columns, channels) float32, an alpha channel apart: as stored, or linear where the file states a
+    curve."""
+    header = header or read_header(path)
+    codes = read_codes(path, channel_names(header), header=header).astype(np.float32)
+    if header.coding is None or header.coding.linear:
+        return codes
+    full = full_scale_of(path)
+    return (full * header.coding.curve.decode(codes / full)).astype(np.float32)
+
+
+def read_grey(path: Path) -> np.ndarray:
+    """Codes (rows, columns) float32: luma of colour, else the mean of the channels."""
+    codes = read_channels(path)
+    return codes @ LUMA if codes.shape[2] == 3 else codes.mean(axis=2)
+
+
+def full_scale_of(path: Path) -> float:
+    """Largest code that a photograph's samples can hold; 1 for float."""
+    return {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0}[read_header(path).sample]

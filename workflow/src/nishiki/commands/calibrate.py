@@ -19,8 +19,8 @@ def target(options: argparse.Namespace, rest: list[str]) -> None:
 def spheres(options: argparse.Namespace, rest: list[str]) -> None:
     """Measure the lamps of a dome from photographs of mirror spheres."""
     from nishiki.calibrate.photographs import list_photographs
-    from nishiki.calibrate.spheres import SphereInput
     from nishiki.calibrate.spheres_result import calibrate_spheres
+    from nishiki.capture.spheres.measure import SphereInput
 
     result = calibrate_spheres(
         SphereInput(
@@ -77,11 +77,13 @@ def _finish(options: argparse.Namespace, result) -> None:
     from nishiki.calibrate.result import LINES, PAGE, put_into_capture, write_calibration
 
     folder = Path(options.folder)
-    if options.into and not result.lines:
+    if options.into and not result.lines and not result.failure:
         raise UserError(
             "there is nothing for a capture to take. Remedy: leave out --into, or give --light for sensitivities"
         )
     write_calibration(folder, result)
+    if result.failure:
+        raise UserError(f"{result.failure}\nWhat was found so far: {folder / PAGE}")
     if options.into:
         put_into_capture(Path(options.into), result)
     for text in result.warnings:

@@ -24,7 +24,8 @@ class Exif:
 
     exposure_s: exposure time in seconds; f_number: focal length over aperture; iso: sensitivity; orientation: 1 to 8,
     how a viewer would turn the picture (1: not at all); colour_space: 'srgb', 'adobe' or ''; model: of the camera;
-    taken: date and time of the exposure as 'YYYY:MM:DD HH:MM:SS' with a fraction of a second where it is stated.
+    taken: date and time of the exposure as 'YYYY:MM:DD HH:MM:SS' with a fraction of a second where it is stated;
+    focal_35mm: focal length in mm of a lens with the same field on 36 x 24 mm.
     """
 
     exposure_s: float | None = None
@@ -34,6 +35,7 @@ class Exif:
     colour_space: str = ""
     model: str = ""
     taken: str = ""
+    focal_35mm: float | None = None
 
 
 NO_EXIF = Exif()
@@ -85,6 +87,7 @@ def exif_of_page(page: Any) -> Exif:
         exposure_s=_number(values.get("ExposureTime")),
         f_number=_number(values.get("FNumber")),
         iso=_number(values.get("ISOSpeedRatings")),
+        focal_35mm=_number(values.get("FocalLengthIn35mmFilm")),
         orientation=int(orientation) if orientation and orientation <= 8 else 1,
         colour_space=space,
         model=str(values.get("Model") or "").strip()[:100],

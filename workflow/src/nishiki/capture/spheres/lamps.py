@@ -15,12 +15,12 @@ Origin and scale follow the outlines while these move: what an outline leaves un
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nishiki.capture.mirror_sphere import SphereCamera, reflected_rays
+from nishiki.capture.spheres.optics import SphereCamera, reflected_rays
 
 LEAST_FREEDOM = 8  # of the highlights: as many must agree before their uncertainty is taken from their agreement
 
@@ -88,13 +88,20 @@ class LampFit:
         with np.errstate(divide="ignore", invalid="ignore"):
             return self.directions / self.inverse_distance[:, None]
 
+    def widened(self, sigma: np.ndarray) -> LampFit:
+        """The same with a further uncertainty of the directions (lamps,) in radians, of which the fit knows nothing."""
+        wider = np.hypot(self.direction_sigma, sigma)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            positions = np.hypot(self.position_sigma, sigma / self.inverse_distance)
+        return replace(self, direction_sigma=wider, position_sigma=np.where(sigma > 0, positions, self.position_sigma))
+
 
 def fit_lamps(
     sightings: list[Sighting],
     parameters: list[np.ndarray],
     covariances: list[np.ndarray],
     camera: SphereCamera,
-    radius: float,
+    radii: Sequence[float],
     origin_of: Callable[[list[np.ndarray]], tuple[np.ndarray, float]],
     *,
     lamps: int,
@@ -103,8 +110,8 @@ def fit_lamps(
 ) -> LampFit:
     """Directions and, where `near`, distances of all lamps.
 
-    sightings of `lamps` lamps on the spheres whose outlines have these parameters and covariances; radius: of the
-    spheres, sets the unit; origin_of: gives, from the outlines' parameters, the origin (3,) of the scene in the
+    sightings of `lamps` lamps on the spheres whose outlines have these parameters and covariances; radii: of the
+    spheres, set the unit; origin_of: gives, from the outlines' parameters, the origin (3,) of the scene in the
     camera's frame and the length of a pixel in the object's plane; near: fit the distances (two spheres or more, or a
     surface), else lamps are taken to be far away. The distance of a lamp that one sphere alone shows is held loosely
     at the median of the others.
@@ -122,7 +129,7 @@ def fit_lamps(
         points, directions = np.empty((2, len(at), 3))
         for k in range(spheres):
             of = seen_by == k
-            points[of], directions[of] = reflected_rays(at[of], outlines[k], camera, radius)
+            points[of], directions[of] = reflected_rays(at[of], outlines[k], camera, radii[k])
         return points - origin_of(outlines)[0], directions
 
     points, directions = rays(parameters, pixels)
@@ -131,14 +138,14 @@ def fit_lamps(
         np.linalg.norm(rays(parameters, pixels + step)[1] - directions, axis=1) for step in ([0.1, 0.0], [0.0, 0.1])
     ]
     per_pixel = 10 * np.sqrt((steps[0] ** 2 + steps[1] ** 2) / 2)
-    start, start_inverse = _start(points, directions, which, lamps, near)
+    start, start_inverse, _ = triangulate(points, directions, which, lamps, near=near)
     typical = float(np.median(start_inverse[start_inverse > 0])) if (start_inverse > 0).any() else 0.0
     alone = np.bincount(which, minlength=lamps) < 2
     once = np.flatnonzero(alone & (typical > 0 and falloff is None))
     start_inverse[once] = typical
     across = np.stack([np.linalg.svd(u[None])[2][1:] for u in start])
     unknowns = 3 if near else 2
-    scale = float(np.linalg.norm(points, axis=1).max()) or radius  # rho is fitted in units of 1 / scale
+    scale = float(np.linalg.norm(points, axis=1).max()) or radii[0]  # rho is fitted in units of 1 / scale
 
     def lamp_of(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         values = x[: lamps * unknowns].reshape(lamps, unknowns)
@@ -212,19 +219,52 @@ def fit_lamps(
     )
 
 
-def _start(points, directions, which, lamps, near) -> tuple[np.ndarray, np.ndarray]:
-    """Directions (lamps, 3) and inverse distances: the point nearest to a lamp's rays, else their mean direction."""
-    u, inverse = np.empty((lamps, 3)), np.zeros(lamps)
-    for lamp in range(lamps):
-        at, rays = points[which == lamp], directions[which == lamp]
-        u[lamp] = rays.mean(axis=0)
-        if near and len(rays) > 1:
-            projections = np.eye(3) - rays[:, :, None] * rays[:, None, :]
-            matrix = projections.sum(axis=0)
-            place = np.linalg.lstsq(matrix, (projections @ at[:, :, None]).sum(axis=0)[:, 0], rcond=None)[0]
-            if place @ u[lamp] > 0:
-                u[lamp], inverse[lamp] = place, 1 / np.linalg.norm(place)
-    return u / np.linalg.norm(u, axis=1)[:, None], inverse
+def triangulate(
+    points: np.ndarray, directions: np.ndarray, which: np.ndarray, lamps: int, *, near: bool = True
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Find the point nearest to the rays of each lamp, else their mean direction.
+
+    Parameters
+    ----------
+    points, directions : (n, 3)
+        Of the rays; directions of unit length.
+    which : (n,)
+        Lamp of each ray.
+    lamps : int
+    near : bool
+        Whether distances may be finite.
+
+    Returns
+    -------
+    towards : (lamps, 3)
+        Unit vectors from the origin.
+    inverse : (lamps,)
+        Inverse distances; 0 where rays do not meet in front of their points.
+    miss : (lamps,)
+        Largest angle in radians by which a ray misses the lamp; NaN where there is one ray.
+    """
+    directions = np.nan_to_num(directions)  # of pixels outside of a sphere
+    points = np.nan_to_num(points)
+    count, total = np.bincount(which, minlength=lamps), np.zeros((lamps, 3))
+    np.add.at(total, which, directions)
+    far = total / np.maximum(np.linalg.norm(total, axis=1), 1e-12)[:, None]
+    projections = np.eye(3) - directions[:, :, None] * directions[:, None, :]
+    matrix, right = np.zeros((lamps, 3, 3)), np.zeros((lamps, 3))
+    np.add.at(matrix, which, projections)
+    np.add.at(right, which, (projections @ points[:, :, None])[:, :, 0])
+    place = np.linalg.solve(matrix + 1e-9 * np.eye(3), right[:, :, None])[:, :, 0]
+    ahead = ((place[which] - points) * directions).sum(axis=1) > 0
+    behind = np.bincount(which[~ahead], minlength=lamps) > 0
+    meet = near & (count > 1) & ~behind & ((place * far).sum(axis=1) > 0)
+    length = np.maximum(np.linalg.norm(place, axis=1), 1e-12)
+    to_lamp = place[which] - points
+    to_lamp /= np.maximum(np.linalg.norm(to_lamp, axis=1), 1e-12)[:, None]
+    expected = np.where(meet[which, None], to_lamp, far[which])
+    miss = np.zeros(lamps)
+    angles = np.arccos(np.clip((expected * directions).sum(axis=1), -1, 1))
+    np.maximum.at(miss, which, np.nan_to_num(angles, nan=np.pi))
+    towards = np.where(meet[:, None], place / length[:, None], far)
+    return towards, np.where(meet, 1 / length, 0.0), np.where(count > 1, miss, np.nan)
 
 
 def _centred(values: np.ndarray) -> np.ndarray:

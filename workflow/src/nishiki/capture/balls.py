@@ -1,0 +1,121 @@
+"""Photographs of an object beside mirror balls and without a lights file: the lamps are measured on the balls."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.capture.layouts import Layout, find_mask, photographs_in
+from nishiki.capture.lights import lights_from_vectors
+from nishiki.capture.options import ConvertOptions
+from nishiki.capture.spheres.measure import LEAST_LAMPS, MeasuredSpheres, SphereInput, SpheresError, measure_spheres
+from nishiki.capture.spheres.optics import outline_points
+from nishiki.capture.spheres.picture import draw_findings
+from nishiki.errors import UserError
+from nishiki.formats.image_headers import read_header
+from nishiki.formats.problems import CaptureError, Problem, error, warning
+
+PICTURE, MASK = "mirror_balls.png", "mask.png"
+MOST_SIGMA_DEG = 10.0  # median uncertainty of the directions up to which lamps are believed
+MOST_TILT_DEG = 20.0  # of the scene under the lamps
+LEAST_Z = 0.02  # of a direction: lamps below graze the object
+BEYOND = 1.1  # radii of a ball that are left out of the mask
+
+
+def find_photographs(source: Path, options: ConvertOptions) -> list[Path] | None:
+    """Find photographs of one size on which balls can be searched; None where there are too few."""
+    present = photographs_in(source) if source.is_dir() else []
+    sizes = {(header.rows, header.columns) for header in map(read_header, present)}
+    return present if len(present) >= LEAST_LAMPS and len(sizes) == 1 else None
+
+
+def read_with_balls(source: Path, photographs: list[Path], options: ConvertOptions) -> Layout:
+    """Measure the lamps on mirror balls in the photographs.
+
+    Photographs without a highlight are left out. Where no mask is given, all but the balls is the object. A picture of
+    what was found goes into the capture. Raises CaptureError: layout-unknown without balls, lamps-unmeasured
+    where they do not tell of the lamps.
+    """
+    try:
+        measured = measure_spheres(SphereInput(photographs))
+    except SpheresError as e:
+        raise _refusal(source, str(e), "lamps-unmeasured" if e.findings.outlines else "layout-unknown") from e
+    except UserError as e:
+        raise CaptureError(error("lamps-unmeasured", str(source), str(e))) from e
+    scene, sigma = measured.scene, np.degrees(np.median(measured.fit.direction_sigma))
+    if scene is None or not scene.agrees:
+        raise _refusal(source, "what was taken for mirror balls tells of lamps that do not explain the scene")
+    if sigma > MOST_SIGMA_DEG or scene.tilt_deg > MOST_TILT_DEG:
+        what = f"lamps of {sigma:.1f} degrees uncertainty, under which the scene is tilted by {scene.tilt_deg:.0f}"
+        raise _refusal(source, f"mirror balls tell of {what}")
+    mask = options.mask or find_mask(source)
+    files = {PICTURE: _png(draw_findings(measured.findings)[..., ::-1])}
+    if mask is None:
+        files[MASK] = _png(_mask_without(measured))
+    ahead = [i for i, towards in enumerate(measured.fit.directions) if towards[2] > LEAST_Z]
+    for name in (name for i, name in enumerate(measured.names) if i not in ahead):
+        measured.findings.left_out[name] = "its lamp stands in or behind the object's plane"
+    names = [measured.names[i] for i in ahead]
+    lights = lights_from_vectors(names, measured.fit.directions[ahead], file="mirror balls")
+    return Layout(
+        "mirror balls",
+        tuple(measured.photographs[i] for i in ahead),
+        lights,
+        None,
+        mask,
+        (*_notes(source, measured, mask, len(names)), *lights.warnings),
+        files=files,
+        notes=f"Lamps measured on {len(measured.findings.outlines)} mirror balls in the photographs: {PICTURE}",
+    )
+
+
+def _refusal(source: Path, text: str, kind: str = "lamps-unmeasured") -> CaptureError:
+    remedy = (
+        "Name the lights file with --lights; or see which circles were examined, and name those of the balls: "
+        f"./nishiki calibrate spheres {source} CALIBRATION --sphere ROW COLUMN RADIUS, then --lights "
+        "CALIBRATION/lamps.lp"
+    )
+    return CaptureError(error(kind, str(source), text.split(" Remedy:")[0], remedy=remedy))
+
+
+def _notes(source: Path, measured: MeasuredSpheres, mask: Path | None, lamps: int) -> list[Problem]:
+    """Say what was found, what was left out, and by which mask the balls are no part of the object."""
+    found, sigma = measured.findings, np.degrees(measured.fit.direction_sigma)
+    circles = [each.circle(found.camera) for each in found.outlines]
+    places = "; ".join(f"column {x:.0f}, row {y:.0f}, radius {r:.1f}" for x, y, r in circles)
+    lens = "seen from afar" if found.camera.focal_px is None else f"focal length {found.camera.focal_px:.0f} pixels"
+    notes = [
+        warning(
+            "lamps-from-balls",
+            source.name,
+            f"no lights file; {lamps} lamps were measured on {len(circles)} mirror balls to "
+            f"{np.median(sigma):.1f} degrees (largest {sigma.max():.1f}), {lens}",
+            found=places,
+            remedy=f"Look at {PICTURE} in the capture: green outlines lie on the balls, red crosses on highlights",
+        )
+    ]
+    notes += [warning("lamp-unmeasured", name, f"left out: {why}") for name, why in found.left_out.items()]
+    if mask is None:
+        what = f"the balls are no part of the object: {MASK} leaves them out"
+    else:
+        what = "the mask decides whether the balls are part of the object"
+    return [*notes, warning("balls-masked", source.name, what)]
+
+
+def _mask_without(measured: MeasuredSpheres) -> np.ndarray:
+    """Picture (rows, columns) uint8 that is 0 on the balls and 255 elsewhere."""
+    import cv2
+
+    camera = measured.findings.camera
+    picture = np.full((camera.rows, camera.columns), 255, np.uint8)
+    for outline in measured.findings.outlines:
+        rim = outline_points(outline.parameters, camera)
+        cv2.fillPoly(picture, [np.round(rim.mean(axis=0) + BEYOND * (rim - rim.mean(axis=0))).astype(np.int32)], 0)
+    return picture
+
+
+def _png(codes: np.ndarray) -> bytes:
+    import cv2
+
+    return cv2.imencode(".png", codes)[1].tobytes()

@@ -1,0 +1,156 @@
+"""Search mirror balls in photographs under moving lamps.
+
+On a ball that mirrors, every lamp has a small highlight of its own. A pixel there is bright in one photograph or in few
+and dark in all others, so what the room reflects, the ground and matt surfaces drop out by the rank of each pixel's
+values over time. A ball is a place near which most photographs have such a highlight, at places that differ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+SEARCH_SIDE = 1200.0  # pixels of the longer side of the reduced photographs
+SEARCH_PIXELS = 6e7  # of all reduced photographs together, which bounds the memory
+LIT_SHARE = 0.2  # of the photographs that may be bright at a pixel of a mirror
+LEAST_PEAK = 0.15  # of the brightest moving highlight
+LEAST_SHARE = 0.5  # of the photographs that must have a highlight on a ball
+LEAST_PHOTOGRAPHS = 4  # with a highlight on a ball
+BLUR = 0.7  # pixels; below, noise of single pixels makes highlights
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """Moving highlights near one place, one a photograph.
+
+    Attributes
+    ----------
+    score : float
+        Share of the photographs with a highlight, less a tenth for each further highlight a photograph.
+    centre : (2,)
+        Of the smallest circle around the highlights (column, row), in pixels of the whole photographs.
+    radius : float
+        Of that circle.
+    places : dict
+        Highlight (2,) by the photograph's number.
+    """
+
+    score: float
+    centre: np.ndarray
+    radius: float
+    places: dict[int, np.ndarray]
+
+
+@dataclass(frozen=True)
+class Overview:
+    """Reduced photographs: `stack` (n, rows, columns) float32, linear in light, 1 at full scale; pixels a pixel."""
+
+    stack: np.ndarray
+    factor: float
+
+
+def read_overview(photographs: Sequence[Path], read: Callable[[Path], np.ndarray]) -> Overview:
+    """Read all photographs reduced; `read` returns the light (rows, columns) of one."""
+    import cv2
+
+    first = read(photographs[0])
+    factor = max(1.0, max(first.shape) / SEARCH_SIDE, (len(photographs) * first.size / SEARCH_PIXELS) ** 0.5)
+    size = (round(first.shape[1] / factor), round(first.shape[0] / factor))
+
+    def reduce_one(path: Path) -> np.ndarray:
+        return cv2.resize(read(path), size, interpolation=cv2.INTER_AREA)
+
+    with ThreadPoolExecutor(2) as pool:
+        return Overview(np.array(list(pool.map(reduce_one, photographs))), first.shape[1] / size[0])
+
+
+def subtract_surroundings(stack: np.ndarray) -> np.ndarray:
+    """Subtract from photographs (n, rows, columns) what each pixel shows under several lamps; negative where darker."""
+    # A photograph may have been taken twice, or show another lamp as well.
+    rank = len(stack) - 1 - max(2 if len(stack) >= 6 else 1, int(LIT_SHARE * len(stack)))
+    rest = np.empty_like(stack)
+    for top in range(0, stack.shape[1], 64):
+        rows = slice(top, top + 64)
+        rest[:, rows] = stack[:, rows] - np.partition(stack[:, rows], rank, axis=0)[rank]
+    return rest
+
+
+def find_moving_highlights(stack: np.ndarray) -> list[np.ndarray]:
+    """Find small bright places that few photographs share: (m, 3) column, row and peak for each photograph."""
+    import cv2
+
+    smooth = np.array([cv2.GaussianBlur(picture, (0, 0), BLUR) for picture in stack])
+    rest = np.maximum(subtract_surroundings(smooth), 0)
+    least = LEAST_PEAK * rest.max()
+    found = []
+    for picture, own in zip(smooth, rest, strict=True):
+        peak = (own >= cv2.dilate(own, np.ones((5, 5), np.uint8))) & (own > least) & (own > 0.5 * picture)
+        # Compact: twice the mean of its surroundings at one of two scales.
+        small, large = (own > times * cv2.blur(own, (side, side)) for side, times in ((13, 2.0), (33, 2.5)))
+        row, column = np.nonzero(peak & (small | large))
+        found.append(np.column_stack([column, row, own[row, column]]).astype(float))
+    return found
+
+
+def cluster_highlights(found: list[np.ndarray], overview: Overview) -> list[Cluster]:
+    """Find discs in which most photographs have a highlight, the best first; none overlaps a better one."""
+    import cv2
+
+    shape, count = overview.stack.shape[1:], len(found)
+    half = ((shape[0] + 1) // 2, (shape[1] + 1) // 2)
+    distance, density = np.full((count, *half), 1e6, np.float32), np.zeros(half, np.float32)
+    for i, places in enumerate(found):
+        if len(places):
+            column, row = (places[:, :2] / 2).astype(int).T
+            free = np.ones(half, np.uint8)
+            free[row, column] = 0
+            np.add.at(density, (row, column), 1)
+            distance[i] = 2 * cv2.distanceTransform(free, cv2.DIST_L2, 5)
+    seeds = []
+    radius = 4.0
+    while radius < 0.35 * min(shape):
+        side = 2 * int(radius / 2) + 1
+        present = (distance <= radius).sum(axis=0).astype(np.float32)
+        disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)).astype(np.float32)
+        crowd = cv2.filter2D(density, -1, disc, borderType=cv2.BORDER_CONSTANT) / np.maximum(present, 1)
+        score = present / count - 0.1 * np.maximum(0, crowd - 1)
+        smooth = cv2.GaussianBlur(score, (0, 0), max(1.0, side / 6))
+        best = (present >= max(LEAST_PHOTOGRAPHS, LEAST_SHARE * count)) & (score > LEAST_SHARE - 0.05)
+        best &= smooth >= cv2.dilate(smooth, np.ones((side, side), np.uint8))
+        seeds += [(float(score[y, x]), radius, np.array([2.0 * x, 2.0 * y])) for y, x in np.argwhere(best)]
+        radius *= 1.3
+    clusters = []
+    for score, radius, centre in seeds:
+        cluster = _gather(found, score, centre, radius, overview.factor)
+        if cluster is not None and cluster.radius > 2 * overview.factor:
+            clusters.append(cluster)
+    clusters.sort(key=lambda each: -each.score)
+    chosen: list[Cluster] = []
+    for each in clusters:
+        if all(np.linalg.norm(each.centre - other.centre) > max(each.radius, other.radius) for other in chosen):
+            chosen.append(each)
+    return chosen
+
+
+def _gather(found: list[np.ndarray], score: float, centre: np.ndarray, radius: float, factor: float) -> Cluster | None:
+    """Collect the strongest highlight of each photograph near a place, and settle the place by them."""
+    import cv2
+
+    places: dict[int, np.ndarray] = {}
+    for _ in range(4):
+        places = {}
+        for i, highlights in enumerate(found):
+            near = highlights[np.linalg.norm(highlights[:, :2] - centre, axis=1) <= 1.3 * radius]
+            if len(near):
+                places[i] = near[np.argmax(near[:, 2]), :2]
+        if len(places) < LEAST_PHOTOGRAPHS:
+            return None
+        middle, reach = cv2.minEnclosingCircle(np.array(list(places.values()), np.float32))
+        centre, radius = np.array(middle), max(reach, 2.0)
+    return Cluster(
+        score, (centre + 0.5) * factor - 0.5, radius * factor, {i: (p + 0.5) * factor - 0.5 for i, p in places.items()}
+    )
