@@ -93,14 +93,15 @@ def test_a_distorted_lens_goes_along(tmp_path, kind, number, model, parameters, 
     write_model(tmp_path / "s", kind, camera=(number, model, parameters))
     convert(tmp_path / "s", tmp_path / "capture")
     capture = load_capture(tmp_path / "capture")
-    lens = capture.intrinsics
-    assert lens.distortion == pytest.approx(brown)
+    assert capture.distortion_of("view0") == pytest.approx(brown)
     points = np.random.default_rng(1).uniform(-0.5, 0.5, (20, 3))
     fx, fy, cx, cy = parameters[:4] if number > 3 else [parameters[0], *parameters[:3]]
     inner = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
     for name, rotation, translation in around():
         matrix = capture.matrices[name.removesuffix(".png")]
-        camera = replace(Camera.from_matrix("v", matrix, rows=ROWS, columns=COLUMNS), distortion=lens.distortion)
+        camera = replace(
+            Camera.from_matrix("v", matrix, rows=ROWS, columns=COLUMNS), distortion=capture.distortion_of("view0")
+        )
         expected = cv2.projectPoints(points, rotation.as_rotvec(), translation, inner, np.array(brown))[0][:, 0]
         np.testing.assert_allclose(camera.project(points)[0] + 0.5, expected, atol=1e-9)
 

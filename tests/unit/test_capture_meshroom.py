@@ -165,25 +165,17 @@ def test_what_cannot_be_used_is_named(tmp_path, path, value, text):
         convert(tmp_path / "s", tmp_path / "c")
 
 
-def test_cameras_that_share_only_their_distortion_are_said_to(tmp_path):
-    photographs(tmp_path / "s", NAMES)
-    lenses = [intrinsic((1, 2, 8), "radial1", (0.1,), intrinsicId="0")]
-    lenses.append(lenses[0] | {"intrinsicId": "1", "focalLength": "70"})
-    write_cameras(tmp_path / "s", lenses=lenses)
-    (note,) = [note for note in convert(tmp_path / "s", tmp_path / "c").warnings if note.kind == "cameras-several"]
-    assert "only the distortion" in str(note)
-    assert "only the distortion" in load_capture(tmp_path / "c").settings.notes
-    write_cameras(tmp_path / "s", lenses=lenses[:1])
-    assert "cameras-several" not in {note.kind for note in convert(tmp_path / "s", tmp_path / "d").warnings}
-    assert load_capture(tmp_path / "d").settings.notes is None
-
-
-def test_two_lenses_that_differ_and_other_doubts_are_refused(tmp_path):
+def test_two_lenses_are_kept_apart(tmp_path):
     photographs(tmp_path / "s", NAMES)
     lenses = [intrinsic((1, 2, 8), "radial1", (k,), intrinsicId=str(n)) for n, k in enumerate((0.1, 0.2))]
     write_cameras(tmp_path / "s", lenses=lenses)
-    with pytest.raises(CaptureError, match="distortions differ"):
-        convert(tmp_path / "s", tmp_path / "c")
+    convert(tmp_path / "s", tmp_path / "c")
+    capture = load_capture(tmp_path / "c")
+    assert [capture.distortion_of(view)[0] for view in capture.views] == [0.1, 0.2] * (len(NAMES) // 2)
+
+
+def test_doubts_are_refused(tmp_path):
+    photographs(tmp_path / "s", NAMES)
     write_cameras(tmp_path / "s", change=lambda content: set_in(content, "views", 0, "path", value=f"a/{NAMES[1]}"))
     with pytest.raises(CaptureError) as refused:
         convert(tmp_path / "s", tmp_path / "c")

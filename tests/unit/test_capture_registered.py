@@ -4,6 +4,7 @@ The photographs of the faulty captures all show one jar, whose true matrices are
 """
 
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -17,6 +18,10 @@ from nishiki.capture.registry import read_source
 from nishiki.formats.matlab import read_matlab
 from nishiki.formats.problems import CaptureError
 from nishiki.geometry.camera import Camera
+from nishiki.observations.views import Views
+from nishiki.observations.views_store import write_views
+from nishiki.stages.cameras.run import given
+from nishiki.stages.ingest.declaration import IngestSettings
 
 FLIP = np.diag([1.0, -1.0, -1.0])
 POINTS = np.random.default_rng(3).uniform(-0.6, 0.6, (20, 3))
@@ -122,18 +127,18 @@ def kinds(notes):
     return {note.kind for note in notes} - {"encoding-assumed"}
 
 
-def pixels(matrix, lens=None):
+def pixels(matrix, distortion):
     camera = Camera.from_matrix("v", matrix, rows=ROWS, columns=COLUMNS)
-    distortion = (0.0,) * 5 if lens is None else lens.distortion
-    return Camera(**{**camera.__dict__, "distortion": distortion}).project(POINTS)[0]
+    return replace(camera, distortion=tuple(distortion)).project(POINTS)[0]
 
 
 def expect_cameras(layout, cameras=CAMERAS, *, atol=1e-7):
     """The photographs in the order of their numbers, each with its camera."""
     assert [path.name for path in layout.photographs] == NAMES[: len(cameras)]
     assert layout.full_turn
-    for matrix, camera in zip(layout.matrices, cameras, strict=True):
-        np.testing.assert_allclose(pixels(matrix, layout.lens), camera.project(POINTS)[0], atol=atol)
+    distortions = np.zeros((len(cameras), 5)) if layout.distortions is None else layout.distortions
+    for matrix, distortion, camera in zip(layout.matrices, distortions, cameras, strict=True):
+        np.testing.assert_allclose(pixels(matrix, distortion), camera.project(POINTS)[0], atol=atol)
 
 
 @pytest.mark.parametrize(
@@ -173,6 +178,26 @@ def test_transforms_become_a_turntable(tmp_path):
     assert (made.layout, kinds(made.warnings)) == ("turntable with cameras of transforms.json", set())
     assert load_capture(tmp_path / "c").settings.turntable.full_turn
     expect_cameras(read_source_of(tmp_path / "s"))
+
+
+def test_every_photograph_keeps_the_lens_that_it_has(tmp_path):
+    """Programs find a distortion for each photograph; the order of the turn is not that of the file."""
+    cameras = [replace(c, distortion=(0.01 * i, -0.02, 0.001, 0.0, 0.0)) for i, c in enumerate(CAMERAS)]
+    photographs(tmp_path / "images")
+    write_transforms(tmp_path)
+    content = json.loads((tmp_path / "transforms.json").read_text())
+    for frame, camera in zip(content["frames"], cameras, strict=True):
+        frame |= dict(zip(("k1", "k2", "p1", "p2"), camera.distortion[:4], strict=True))
+    content["frames"] = content["frames"][::2] + content["frames"][1::2]
+    (tmp_path / "transforms.json").write_text(json.dumps(content))
+    expect_cameras(read_source_of(tmp_path), cameras)
+    convert(tmp_path, tmp_path / "capture")
+    capture = load_capture(tmp_path / "capture")
+    assert [capture.distortion_of(view) for view in capture.views] == [camera.distortion for camera in cameras]
+    (tmp_path / "ingest").mkdir()
+    write_views(capture, tmp_path / "ingest", settings=IngestSettings())
+    for ours, theirs in zip(given(Views(tmp_path / "ingest"), None)[0], cameras, strict=True):
+        np.testing.assert_allclose(ours.project(POINTS)[0], theirs.project(POINTS)[0], atol=1e-7)
 
 
 def test_transforms_in_parts_with_an_angle_of_view_and_names_without_suffix(tmp_path):
@@ -307,7 +332,7 @@ def test_cameras_of_bundler_become_a_turntable(tmp_path, list_file, prefix):
     expect_cameras(layout, cameras)
     write_bundler(tmp_path, names=NAMES, list_file=list_file, distortion=(0.1, -0.02), unplaced=(8,))
     layout = read_source_of(tmp_path)
-    assert layout.lens.distortion == (0.1, -0.02, 0, 0, 0)
+    np.testing.assert_array_equal(layout.distortions, [[0.1, -0.02, 0, 0, 0]] * 8)
     assert [path.name for path in layout.photographs] == NAMES[:8]
     assert kinds(layout.warnings) == {"photograph-unlisted"}
 

@@ -157,7 +157,7 @@ def test_a_full_turn_is_known_by_its_cameras(views, jitter, start, height, backw
 
 def test_camera_centre_is_what_the_camera_maps_to_zero(tmp_path):
     folder = make_turntable(tmp_path / "c")
-    for view, matrix in read_cameras(folder / "cameras.csv", "cameras.csv").items():
+    for view, matrix in read_cameras(folder / "cameras.csv", "cameras.csv").matrices.items():
         centre = camera_centre(matrix)
         np.testing.assert_allclose(matrix @ [*centre, 1], 0, atol=1e-12)
         np.testing.assert_allclose(Camera.from_matrix(view, matrix, rows=20, columns=24).centre, centre, atol=1e-12)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,32 +15,47 @@ from nishiki.geometry.camera import Camera
 from nishiki.geometry.turn import scale_turn
 
 MATRIX_COLUMNS = tuple(f"p{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3, 4))
+LENS_COLUMNS = ("k1", "k2", "p1", "p2", "k3")
 POINT_COLUMNS = ("view", "column", "row", "x", "y", "z")
 FEWEST_POINTS = 4
 
 
-def read_cameras(path: Path, name: str) -> dict[str, np.ndarray]:
-    """Projection matrices (3, 4) float64 by view, from columns view, p11 ... p34 (row by row).
+@dataclass(frozen=True)
+class CameraTable:
+    """By view: projection matrices (3, 4) float64, and Brown's distortions k1, k2, p1, p2, k3, empty without."""
+
+    matrices: dict[str, np.ndarray]
+    distortions: dict[str, tuple[float, ...]]
+
+
+def read_cameras(path: Path, name: str) -> CameraTable:
+    """Columns view, p11 ... p34 (row by row), and k1, k2, p1, p2, k3 where the lenses are distorted.
 
     Raises CaptureError with every mistake: cameras-missing, cameras-unreadable, cameras-many, cameras-columns,
     camera-values, camera-not-finite, camera-singular, camera-duplicate, name-unusable.
     """
     matrices: dict[str, np.ndarray] = {}
+    distortions: dict[str, tuple[float, ...]] = {}
     problems: list[Problem] = []
     rows = _rows(path, name, "cameras")
-    expected = "view, then the 12 numbers p11 ... p34 of the 3x4 matrix, row by row"
+    expected = "view, then the 12 numbers p11 ... p34 of the 3x4 matrix, row by row; k1, k2, p1, p2, k3 may follow"
     expect_rows(len(rows) - 1, "views", name, "cameras")
-    if not rows or [c.casefold() for c in rows[0][1]] != ["view", *MATRIX_COLUMNS]:
+    heading = [cell.casefold() for cell in rows[0][1]] if rows else []
+    wide = [["view", *MATRIX_COLUMNS], ["view", *MATRIX_COLUMNS, *LENS_COLUMNS]]
+    if heading not in wide:
         found = ",".join(rows[0][1])[:90] if rows else "no heading"
         raise CaptureError(error("cameras-columns", name, "columns", expected=expected, found=found))
+    count = len(heading) - 1
     for number, cells in rows[1:]:
         where = f"{name} row {number}"
         values = _numbers(cells[1:])
-        if len(cells) != 13 or values is None:
-            found = f"{len(cells) - 1} values" if len(cells) != 13 else ",".join(cells)[:60]
-            problems.append(error("camera-values", where, "camera matrix", expected="12 numbers", found=found))
+        if values is None or len(values) != count or not np.isfinite(values[12:]).all():
+            found = f"{len(cells) - 1} values" if len(cells) != count + 1 else ",".join(cells)[:60]
+            problems.append(error("camera-values", where, "camera", expected=f"{count} numbers", found=found))
             continue
-        view, matrix = cells[0], np.array(values).reshape(3, 4)
+        view, matrix = cells[0], np.array(values[:12]).reshape(3, 4)
+        if values[12:]:
+            distortions[view] = tuple(values[12:])
         problems += label_problems(view, "view", where)
         if view in matrices:
             what = f"view '{view}' has two cameras"
@@ -47,22 +63,22 @@ def read_cameras(path: Path, name: str) -> dict[str, np.ndarray]:
         problems += camera_problems(view, matrix, where)
         matrices[view] = matrix
     raise_errors(problems)
-    return matrices
+    return CameraTable(matrices, distortions)
 
 
 def arrange_cameras(
-    matrices: dict[str, np.ndarray], views: tuple[str, ...], *, reverse: bool, camera_of: dict[str, str]
-) -> dict[str, np.ndarray]:
-    """Matrices (3, 4) by view as capture.yaml arranges them: another row for some views, the turn reversed.
+    table: CameraTable, views: tuple[str, ...], *, reverse: bool, camera_of: dict[str, str]
+) -> CameraTable:
+    """Cameras by view as capture.yaml arranges them: another row for some views, the turn reversed.
 
     Raises CaptureError: view-unknown for names that are no view or no row; turn-unknown where the cameras
     to reverse lie on no circle.
     """
-    where = "capture.yaml turntable.camera_of"
+    where, matrices = "capture.yaml turntable.camera_of", table.matrices
     unknown = [name for name in camera_of if name not in views] + [n for n in camera_of.values() if n not in matrices]
     raise_errors(error("view-unknown", where, "no such view or camera", found=name) for name in unknown)
     if any(view not in matrices for view in views):
-        return matrices  # reported as view-without-camera
+        return table  # reported as view-without-camera
     arranged = np.array([matrices[camera_of.get(view, view)] for view in views])
     if reverse:
         turned = scale_turn(arranged, np.array([camera_centre(matrix) for matrix in arranged]), -1.0)
@@ -70,7 +86,8 @@ def arrange_cameras(
             what, remedy = "the cameras lie on no circle", "Leave turn out, and correct the cameras"
             raise CaptureError(error("turn-unknown", "capture.yaml turntable.turn", what, remedy=remedy))
         arranged = turned
-    return dict(zip(views, arranged, strict=True))
+    lenses = {view: table.distortions[camera_of.get(view, view)] for view in views} if table.distortions else {}
+    return CameraTable(dict(zip(views, arranged, strict=True)), lenses)
 
 
 def camera_problems(view: str, matrix: np.ndarray, where: str) -> list[Problem]:

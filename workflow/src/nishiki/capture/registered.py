@@ -17,10 +17,6 @@ from nishiki.formats.image_header import IMAGE_SUFFIXES
 from nishiki.formats.image_headers import read_header
 from nishiki.formats.problems import CaptureError, Problem, error, warning
 
-SHARED = (
-    "The photographs are of several cameras, which share only the distortion: fx, fy, cx and cy in "
-    "turntable.intrinsics are those of the first, and turntable.cameras has those of each."
-)
 CORNER = 0.5  # pixels that count from the corner of the top left one, where ours count from its centre
 GL = np.diag([1.0, -1.0, -1.0])  # camera axes of OpenGL (y up, looking along -z) to ours (y down, looking along z)
 FEWEST_AXES = 3  # views whose lines of sight tell together where they look
@@ -111,22 +107,6 @@ class Pictures:
         """Rows and columns of a photograph. CaptureError as `paths`, and those of reading a header."""
         header = read_header(self.paths([name], file)[0])
         return header.rows, header.columns
-
-
-def distorted_lens(views: Sequence[RegisteredView], file: str) -> Intrinsics | None:
-    """The lens of all photographs where it is distorted, None where none is.
-
-    CaptureError (cameras-distorted) where their distortions differ.
-    """
-    distortions = {view.lens.distortion for view in views}
-    if len(distortions) > 1:
-        what, found = "several lenses whose distortions differ", f"{len(distortions)}"
-        remedy = (
-            "Let the program write undistorted photographs with their cameras and convert these, or have all "
-            "photographs treated as of one camera and lens"
-        )
-        raise CaptureError(error("cameras-distorted", file, what, found=found, remedy=remedy))
-    return views[0].lens if any(map(any, distortions)) else None
 
 
 def aims_at(poses: np.ndarray) -> float | None:

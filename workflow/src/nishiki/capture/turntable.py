@@ -27,8 +27,8 @@ class TurntableCapture(Photographed):
 
     views, light_names, states: of the sample frames in the order in which they first appear, ('',) where the column is
     empty, but 'off' before 'on'; lights: the lamps of the lights file, or None; matrices: (3, 4) float64 by view, or
-    None; points: (n, 5) float64 column, row, x, y, z by view, or None; scans, mesh, calibration: files; warnings: what
-    was tolerated.
+    None; distortions: k1, k2, p1, p2, k3 by view, empty where cameras.csv has none; points: (n, 5) float64 column, row,
+    x, y, z by view, or None; scans, mesh, calibration: files; warnings: what was tolerated.
     """
 
     settings: TurntableFile
@@ -37,6 +37,7 @@ class TurntableCapture(Photographed):
     states: tuple[str, ...]
     lights: Lights | None
     matrices: dict[str, np.ndarray] | None
+    distortions: dict[str, tuple[float, ...]]
     points: dict[str, np.ndarray] | None
     intrinsics: Intrinsics | None
     mesh: Path | None
@@ -55,6 +56,11 @@ class TurntableCapture(Photographed):
         return tuple(
             by_state[key] for key in sorted(known, key=lambda k: [o[n] for n, o in zip(k, orders, strict=True)])
         )
+
+    def distortion_of(self, view: str) -> tuple[float, ...]:
+        """Brown's k1, k2, p1, p2, k3 of a view's lens: those of its camera, else of the intrinsics, else zeros."""
+        shared = self.intrinsics.distortion if self.intrinsics else (0.0,) * 5
+        return self.distortions.get(view, shared)
 
     def silhouette_of(self, view: str) -> Frame | None:
         """The frame whose row names the silhouette of this view."""
@@ -159,17 +165,17 @@ def examine_turntable(
             scan = key == "turntable.scans"
             attempt(lambda p=path, f=file, k=key, s=scan: expect_mesh(p, f, f"capture.yaml {k}", scan=s))
     lights = _lights(payload, settings, attempt)
-    matrices, intrinsics = read("cameras", read_cameras), read("intrinsics", read_intrinsics)
+    table, intrinsics = read("cameras", read_cameras), read("intrinsics", read_intrinsics)
     if frames is None:
         return None, []
     frames = _lamps_named(frames, lights)
     samples = [f for f in frames if f.role == "sample"]
     views = tuple(dict.fromkeys(f.view for f in samples))
     points = read("correspondences", lambda path, name: read_points(path, name, views))
-    problems = turntable_problems(frames, views, lights, matrices, settings)
-    if matrices is not None and (block.turn == "reverse" or block.camera_of):
-        matrices = attempt(
-            lambda: arrange_cameras(matrices, views, reverse=block.turn == "reverse", camera_of=block.camera_of)
+    problems = turntable_problems(frames, views, lights, table.matrices if table else None, settings)
+    if table is not None and (block.turn == "reverse" or block.camera_of):
+        table = attempt(
+            lambda: arrange_cameras(table, views, reverse=block.turn == "reverse", camera_of=block.camera_of)
         )
     capture = TurntableCapture(
         root=root,
@@ -180,7 +186,8 @@ def examine_turntable(
         light_names=tuple(dict.fromkeys(f.light for f in samples)),
         states=_ordered(tuple(dict.fromkeys(f.polariser for f in samples))),
         lights=lights,
-        matrices=matrices,
+        matrices=table.matrices if table else None,
+        distortions=table.distortions if table else {},
         points=points,
         intrinsics=intrinsics,
         mesh=named("mesh"),

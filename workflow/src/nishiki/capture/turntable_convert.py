@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-import yaml
+import numpy as np
 
-from nishiki.capture.cameras import MATRIX_COLUMNS
+from nishiki.capture.cameras import LENS_COLUMNS, MATRIX_COLUMNS
 from nishiki.capture.layouts import MASK_SUFFIXES, natural_key, photographs_in, source_problems
 from nishiki.capture.options import ConvertOptions, folder_problems
 from nishiki.capture.pairing import names_apart, pair_by_name
@@ -66,15 +66,10 @@ def write_round(folder: Path, layout: RoundLayout, source: Path, options: Conver
         block |= {"turn": options.turn} if options.turn else {}
         block |= {"camera_of": options.camera_of} if options.camera_of else {}
         _write_cameras(folder / "cameras.csv", layout)
-    if layout.lens is not None:
-        block["intrinsics"] = "intrinsics.yaml"
-        text = yaml.safe_dump(layout.lens.model_dump(mode="json"), sort_keys=False)
-        (folder / "intrinsics.yaml").write_text(text, encoding="utf-8")
     if layout.calibration is not None:
         block["calibration"] = take(layout.calibration, folder / layout.calibration.name, link)
     camera = {"channels": list(channel_names(header)), "encoding": coding}
     settings = {"format": FORMAT, "title": options.title or source.name, "geometry": "turntable", "camera": camera}
-    settings |= {"notes": layout.notes} if layout.notes else {}
     settings |= {"turntable": block} if block else {}
     (folder / "capture.yaml").write_text(settings_text(settings), encoding="utf-8")
     _write_frames(folder / "frames.csv", rows)
@@ -131,8 +126,10 @@ def _ending(stem: str, known: set[str]) -> str:
 
 def _write_cameras(path: Path, layout: RoundLayout) -> None:
     """Every digit that float64 has, so that reading gives the same matrices."""
-    rows = [["view", *MATRIX_COLUMNS]]
-    rows += [[v, *map(repr, m.ravel().tolist())] for v, m in zip(layout.views, layout.matrices, strict=True)]
+    columns, numbers = MATRIX_COLUMNS, layout.matrices.reshape(-1, 12)
+    if layout.distortions is not None:
+        columns, numbers = columns + LENS_COLUMNS, np.hstack([numbers, layout.distortions])
+    rows = [["view", *columns], *([v, *map(repr, n)] for v, n in zip(layout.views, numbers.tolist(), strict=True))]
     path.write_text(table_text(rows), encoding="utf-8")
 
 

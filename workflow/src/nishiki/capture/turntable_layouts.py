@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
@@ -15,9 +15,8 @@ from nishiki.capture.cameras import camera_centre, camera_problems
 from nishiki.capture.layouts import natural_key, natural_parts, photographs_in, source_problems
 from nishiki.capture.options import ConvertOptions
 from nishiki.capture.polariser import parse_state, state_warnings
-from nishiki.capture.registered import SHARED, Pictures, Registration, aim_problems, distorted_lens
+from nishiki.capture.registered import Pictures, Registration, aim_problems
 from nishiki.capture.seal import sha256_of
-from nishiki.capture.turntable_schema import Intrinsics
 from nishiki.formats.bounds import bound
 from nishiki.formats.files import Refused, files_with, read_text
 from nishiki.formats.image_header import IMAGE_SUFFIXES
@@ -36,8 +35,7 @@ LEAST_TURN = 20.0  # degrees between the outermost angles of a polariser that is
 @dataclass(frozen=True)
 class RoundLayout:
     """photographs[i] shows views[i] in the polariser state states[i] ('' for none); matrices (views, 3, 4) or None;
-    calibration: the instrument's own file, or None; lens: of all photographs where it is distorted, or None;
-    notes: for capture.yaml."""
+    calibration: the instrument's own file, or None; distortions (views, 5): k1, k2, p1, p2, k3, or None."""
 
     name: str
     photographs: tuple[Path, ...]
@@ -47,8 +45,7 @@ class RoundLayout:
     full_turn: bool
     calibration: Path | None
     warnings: tuple[Problem, ...]
-    lens: Intrinsics | None = None
-    notes: str = ""
+    distortions: np.ndarray | None = None
     geometry = "turntable"
     channels: tuple[str, ...] = ()
 
@@ -181,7 +178,7 @@ def read_numbered(source: Path, stored: tuple[Path, np.ndarray], options: Conver
     what = "matrices have no file names: given to the photographs in the natural order of their names"
     found = f"{photographs[0].name} ... {photographs[-1].name}"
     notes.append(warning("cameras-in-order", path.name, what, found=found))
-    return _turntable("turntable with matrices", photographs, matrices, path.name, None, notes)
+    return _turntable("turntable with matrices", photographs, matrices, path.name, notes)
 
 
 def _is_camera_list(path: Path) -> bool:
@@ -235,7 +232,7 @@ def read_middlebury(source: Path, path: Path, options: ConvertOptions) -> RoundL
     if extra:
         what, found = "pictures that the cameras do not name were left out", ", ".join(extra[:5])
         notes.append(warning("photograph-unlisted", str(source), what, found=found))
-    return _turntable("turntable with a list of cameras", photographs, np.array(matrices), path.name, None, notes)
+    return _turntable("turntable with a list of cameras", photographs, np.array(matrices), path.name, notes)
 
 
 def _registered(source: Path, program: str, file: str, found: Registration, pictures: Pictures) -> RoundLayout:
@@ -250,7 +247,6 @@ def _registered(source: Path, program: str, file: str, found: Registration, pict
             f"Give the photographs names of their own before {program} is run",
         )
         raise CaptureError(error("photograph-repeats", file, what, found=twice, remedy=remedy))
-    lens = distorted_lens(views, file)
     problems = []
     for view, path in zip(views, photographs, strict=True):
         problems += source_problems(path, source)
@@ -266,18 +262,20 @@ def _registered(source: Path, program: str, file: str, found: Registration, pict
     if extra:
         what, some = f"pictures without a camera of {program} were left out", ", ".join(extra[:5])
         notes.append(warning("photograph-unlisted", file, what, found=some))
-    shared = SHARED if lens is not None and any(view.lens != lens for view in views) else ""
-    if shared:
-        notes.append(warning("cameras-several", file, shared.rstrip(".")))
     matrices = np.array([view.matrix for view in views])
     cameras = [Camera.from_matrix(v.name, v.matrix, rows=v.rows, columns=v.columns) for v in views]
     notes += aim_problems(np.array([np.column_stack([c.rotation, c.translation]) for c in cameras]), file)
-    layout = _turntable(f"turntable with cameras of {program}", photographs, matrices, file, None, notes)
-    return replace(layout, lens=lens, notes=shared)
+    distortions = np.array([view.lens.distortion for view in views])
+    return _turntable(f"turntable with cameras of {program}", photographs, matrices, file, notes, distortions)
 
 
 def _turntable(
-    name: str, photographs: list[Path], matrices: np.ndarray, file: str, calibration: Path | None, notes: list[Problem]
+    name: str,
+    photographs: list[Path],
+    matrices: np.ndarray,
+    file: str,
+    notes: list[Problem],
+    distortions: np.ndarray | None = None,
 ) -> RoundLayout:
     """A layout with its cameras checked, in the order of the turn, and whether they go once round."""
     raise_errors(
@@ -287,16 +285,16 @@ def _turntable(
     order = order_round(centres)
     photographs, matrices = [photographs[i] for i in order], matrices[order]
     turn = turn_of(centres[order])
-    full = turn is not None and turn.full
     return RoundLayout(
         name,
         tuple(photographs),
         view_names(photographs),
         ("",) * len(photographs),
         matrices,
-        full,
-        calibration,
+        turn is not None and turn.full,
+        None,
         tuple(notes),
+        distortions[order] if distortions is not None and distortions.any() else None,
     )
 
 

@@ -51,21 +51,21 @@ def expect_mesh(path: Path, file: str, where: str, *, scan: bool) -> None:
     if path.suffix.lower() not in known:
         what, remedy = "mesh file", "Convert it, for example with MeshLab"
         raise CaptureError(error("mesh-format", where, what, expected=" or ".join(known), found=file, remedy=remedy))
+    with path.open("rb") as stream:
+        start = stream.read(LONGEST)
+    if path.suffix.lower() == ".obj" and not re.search(rb"^v\s", start, re.MULTILINE):
+        raise CaptureError(error("mesh-unreadable", where, "OBJ file without vertices", found=file))
+    if start.startswith(b"ply") and b"end_header" in start:
+        counts = dict(re.findall(rb"element\s+(\w+)\s+0*(\d{0,18})", start[: start.find(b"end_header")]))
+        for name in ("vertex",) if scan else ("vertex", "face"):
+            if not counts.get(name.encode()):
+                remedy = "Give a surface of triangles under turntable.mesh, or points under turntable.scans"
+                what = f"PLY file without {name} elements"
+                raise CaptureError(error("mesh-empty", where, what, found=file, remedy=remedy))
     try:
         expect_mesh_file(path, file)
-        with path.open("rb") as stream:
-            if path.suffix.lower() == ".obj":
-                if not re.search(rb"^v\s", stream.read(LONGEST), re.MULTILINE):
-                    raise Refused(file, "OBJ file without vertices")
-                return
-            counts = {element.name: element.count for element in read_heading(stream, file)[1]}
     except Refused as e:
         raise CaptureError(refusal(e, "mesh-unreadable")) from e
-    for name in ("vertex",) if scan else ("vertex", "face"):
-        if not counts.get(name):
-            remedy = "Give a surface of triangles under turntable.mesh, or points under turntable.scans"
-            what = f"PLY file without {name} elements"
-            raise CaptureError(error("mesh-empty", where, what, found=file, remedy=remedy))
 
 
 def expect_mesh_file(path: Path, file: str) -> None:
@@ -95,7 +95,7 @@ def read_heading(stream: BinaryIO, file: str) -> tuple[bool, list[Element], int]
     start = stream.read(LONGEST)
     end = start.find(b"end_header")
     if not start.startswith(b"ply") or end < 0:
-        raise Refused(file, "damaged PLY file, or none", expected="ply ... end_header", remedy=REMEDY)
+        raise Refused(file, "damaged PLY file, or not a PLY file", expected="ply ... end_header", remedy=REMEDY)
     form, elements = "", []
     for line in start[:end].decode("latin-1").splitlines()[1:]:
         words = line.split()

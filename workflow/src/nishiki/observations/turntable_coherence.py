@@ -73,9 +73,7 @@ def capture_problems(
         world = cameras_of_matrices({v: capture.matrices[v] for v in views}, rows=rows, columns=columns)
     except UserError:
         return []  # the stage cameras reports it
-    cameras = list(world.cameras)
-    if capture.intrinsics is not None:
-        cameras = [replace(camera, distortion=capture.intrinsics.distortion) for camera in cameras]
+    cameras = [replace(camera, distortion=capture.distortion_of(camera.name)) for camera in world.cameras]
     cameras = [camera.resize(*silhouettes[camera.name].shape) for camera in cameras]
     given = capture.silhouette_of(views[0]) is not None
     needed = given or not (capture.mesh or capture.scans)

@@ -50,6 +50,7 @@ def attributes_of(
         "board": block.board.model_dump(mode="json") if block.board else None,
         "intrinsics": capture.intrinsics.as_dict() if capture.intrinsics else None,
         "matrices": {view: matrices[view].tolist() for view in capture.views} if matrices else None,
+        "distortions": {view: list(capture.distortion_of(view)) for view in capture.views} if matrices else None,
         "geometry": dict(geometry_files(capture)),
         "mesh_placement": list(block.mesh_placement),
     }

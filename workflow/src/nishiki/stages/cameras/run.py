@@ -91,8 +91,9 @@ def given(views: Views, points: dict[str, np.ndarray] | None) -> tuple[list[Came
             f"cameras: no matrix for view {', '.join(missing[:8])}. Remedy: one row of cameras.csv for every view"
         )
     decomposed = cameras_of_matrices({name: views.matrices[name] for name in views.views}, rows=rows, columns=columns)
-    distortion = tuple(views.intrinsics["distortion"]) if views.intrinsics else NO_DISTORTION
-    cameras = [replace(camera, distortion=distortion) for camera in decomposed.cameras]
+    shared = views.intrinsics["distortion"] if views.intrinsics else NO_DISTORTION
+    distortions = views.attributes.get("distortions") or {}
+    cameras = [replace(c, distortion=tuple(distortions.get(c.name, shared))) for c in decomposed.cameras]
     errors: list[float | None] = [None] * len(cameras)
     if points:
         mirror = np.array(decomposed.mirror or (1, 1, 1))
