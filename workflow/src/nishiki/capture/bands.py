@@ -60,10 +60,7 @@ def sort_bands(folder: Path, pictures: Callable[[Path], list[Path]]) -> list[Ban
 
     pictures: function that lists the pictures of a folder in natural order.
     """
-    paths = pictures(folder)
-    if not paths:
-        paths = [path for inner in sorted(folder.iterdir()) if inner.is_dir() for path in pictures(inner)]
-    named = {path: path.relative_to(folder).with_suffix("").as_posix() for path in paths}
+    named = {path: path.relative_to(folder).with_suffix("").as_posix() for path in _all_pictures(folder, pictures)}
     readings = []
     for pattern, place in product(PATTERNS, (-1, 0)):
         files: dict[str, dict[str, Path]] = {}
@@ -131,7 +128,9 @@ def complete_bands(
 
 
 def _all_pictures(source: Path, pictures: Callable[[Path], list[Path]]) -> list[Path]:
-    return pictures(source) or [path for inner in source.iterdir() if inner.is_dir() for path in pictures(inner)]
+    """Pictures of a folder; where it has none, those of the folders in it."""
+    inner = sorted(path for path in source.iterdir() if path.is_dir())
+    return pictures(source) or [path for folder in inner for path in pictures(folder)]
 
 
 def _split_name(name: str, pattern: str, place: int = -1) -> tuple[str, str]:

@@ -15,12 +15,11 @@ from nishiki.capture.frames import Frame
 from nishiki.capture.seal import payload_files, verify_seal
 from nishiki.capture.turntable import TurntableCapture
 from nishiki.formats.coding import Coding
-from nishiki.formats.files import Refused, walk
+from nishiki.formats.files import walk
 from nishiki.formats.image_header import ImageHeader
 from nishiki.formats.image_headers import read_header
 from nishiki.formats.images import expect_channels
 from nishiki.formats.problems import CaptureError, Problem, error, warning
-from nishiki.formats.text_tables import refusal
 from nishiki.observations.blocks import block_edges
 from nishiki.observations.choice import AnyCapture
 from nishiki.observations.frames import FrameReader, unusable_coding
@@ -30,7 +29,7 @@ from nishiki.observations.plane_decode import count_unusable
 from nishiki.observations.plane_store import frame_problems
 from nishiki.observations.reference import DarkField, board_field, measure_darks
 from nishiki.observations.region import object_mask, region_numbers, region_of
-from nishiki.observations.store_parts import RepeatedFiles, as_errors
+from nishiki.observations.store_parts import RepeatedFiles, as_errors, attempt
 from nishiki.observations.turntable_check import listed_files, silhouette_problems, turntable_content_problems
 
 SAME_DIRECTION = np.cos(np.radians(0.1))
@@ -49,9 +48,9 @@ def check_capture(
     capture, problems = examine(root)
     problems = list(problems)
     if (root / "bagit.txt").is_file():
-        problems += _attempt(lambda: verify_seal(root, digests=level == "full"))
+        problems += attempt(lambda: verify_seal(root, digests=level == "full"))
     elif root.is_dir():
-        problems += _attempt(lambda: _strange_entries(root))
+        problems += attempt(lambda: payload_files(root) and [])  # links that lead out, devices, unusable names
     if capture is not None:
         problems += _unlisted(capture)
         remarks, sound, size = _header_problems(capture)
@@ -78,21 +77,6 @@ def _look_round(
 ) -> list[Problem]:
     problems = silhouette_problems(capture, size)
     return problems + (turntable_content_problems(capture, tick) if contents else [])
-
-
-def _strange_entries(root: Path) -> list[Problem]:
-    """Links that lead out, pipes, devices and names that could not be sealed."""
-    payload_files(root)
-    return []
-
-
-def _attempt(work: Callable[[], list[Problem]]) -> list[Problem]:
-    try:
-        return work()
-    except CaptureError as e:
-        return list(e.problems)
-    except Refused as e:
-        return [refusal(e, "file-refused")]
 
 
 def _listed(capture: AnyCapture) -> set[str]:
@@ -183,7 +167,7 @@ def _header_problems(capture: AnyCapture) -> tuple[list[Problem], AnyCapture, tu
         )
     size = usual.rows, usual.columns
     if capture.geometry == "plane":
-        problems += _attempt(lambda: list(region_of(capture, *size)) and [])
+        problems += attempt(lambda: region_of(capture, *size) and [])
     sound = tuple(f for f in capture.frames if all(name in headers and name not in severe for name in f.names))
     return problems, replace(capture, frames=sound), size
 
@@ -245,8 +229,8 @@ def _mask_problems(capture: Capture, size: tuple[int, int]) -> list[Problem]:
         region = region_of(capture, *size)
     except CaptureError:
         return []  # reported already
-    problems = _attempt(lambda: list(object_mask(capture, size, region).problems))
-    return problems + _attempt(lambda: list(region_numbers(capture, size, region)[1]))
+    problems = attempt(lambda: object_mask(capture, size, region).problems)
+    return problems + attempt(lambda: region_numbers(capture, size, region)[1])
 
 
 def _content_problems(capture: Capture, tick: Callable[[str], None]) -> list[Problem]:
@@ -266,7 +250,7 @@ def _content_problems(capture: Capture, tick: Callable[[str], None]) -> list[Pro
     for frame in capture.frames:
         if frame.role == "dark":
             continue
-        problems += _attempt(lambda frame=frame: _frame_content(reader, frame, usable, darks, edges, pairs))
+        problems += attempt(lambda frame=frame: _frame_content(reader, frame, usable, darks, edges, pairs))
         problems += repeated.add(frame)
         tick(frame.file)
     return reader.warnings() + problems + pairs.problems()

@@ -10,7 +10,9 @@ import numpy as np
 
 from nishiki.capture.frames import Frame
 from nishiki.capture.seal import sha256_of
+from nishiki.formats.files import Refused
 from nishiki.formats.problems import CaptureError, Problem, error, warning
+from nishiki.formats.text_tables import refusal
 from nishiki.formats.zarr_store import BandedGroup
 from nishiki.observations.frames import FrameReader
 
@@ -65,6 +67,16 @@ def sample_warnings(frame: Frame, broken: int, saturated: int, inside: int, *, s
 def as_errors(problems: Iterable[Problem], kind: str = "not-finite") -> list[Problem]:
     """The problems with warnings of this kind as errors: what a stage tolerates may make a capture unusable."""
     return [replace(p, severity="error") if p.kind == kind else p for p in problems]
+
+
+def attempt(work: Callable[[], Iterable[Problem]]) -> list[Problem]:
+    """The problems that some work finds, or those that end it."""
+    try:
+        return list(work())
+    except CaptureError as e:
+        return list(e.problems)
+    except Refused as e:
+        return [refusal(e, "file-refused")]
 
 
 class RepeatedFiles:
