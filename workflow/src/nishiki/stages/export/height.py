@@ -4,7 +4,7 @@ import numpy as np
 
 from nishiki.artifacts.stage import Context
 from nishiki.colour.colour import srgb_encode
-from nishiki.formats.tiff_bands import TiffWriter
+from nishiki.formats.tiff_bands import write_tiff
 from nishiki.stages.export.normals import software, stamped
 from nishiki.stages.export.relief_mesh import Relief, reliefs
 from nishiki.stages.export.scene import ExportedScene
@@ -20,18 +20,15 @@ def write(context: Context, scene: ExportedScene) -> dict:
         f"Height in {scene.unit}, towards the camera; NaN: none. Integrated from normals: parts that do not touch have "
         f"each its own zero. {stamped(context)}"
     )
-    with TiffWriter(
+    write_tiff(
         path("exports/height.tif"),
+        (scene.height(rows).astype(np.float32) for rows in scene.bands()),
         (*scene.shape, 1),
-        "float32",
-        band_rows=scene.band_rows,
         description=description,
         software=software(context),
         pitch_mm=scene.pitch_mm,
         nodata="nan",
-    ) as tiff:
-        for rows in scene.bands():
-            tiff.write(scene.height(rows))
+    )
     step, vertices, faces = write_ply(context, scene)
     return {
         "files": ["exports/height.tif", "exports/height.ply"],

@@ -1,10 +1,12 @@
 """Normals as 16-bit TIFF and as EXR, with their convention in the file."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from nishiki.artifacts.stage import Context
 from nishiki.formats.exr_bands import ExrWriter
-from nishiki.formats.tiff_bands import TiffWriter
+from nishiki.formats.tiff_bands import write_tiff
 from nishiki.render.display import normals_as_colours
 from nishiki.stages.export.scene import ExportedScene
 
@@ -22,18 +24,9 @@ def write(context: Context, scene: ExportedScene) -> dict:
     path = context.output.path
     largest = squares = count = 0.0
     header = {**{f"nishiki.{name}": text for name, text in context.stamp.items()}, "comments": f"Unit normals, {AXES}"}
-    with (
-        TiffWriter(
-            path("exports/normals.tif"),
-            (*scene.shape, 3),
-            "uint16",
-            band_rows=scene.band_rows,
-            description=f"{convention} {stamped(context)}",
-            software=software(context),
-            pitch_mm=scene.pitch_mm,
-        ) as tiff,
-        ExrWriter(path("exports/normals.exr"), ("N.X", "N.Y", "N.Z"), *scene.shape, header) as exr,
-    ):
+
+    def bands(exr: ExrWriter) -> Iterator[np.ndarray]:
+        nonlocal largest, squares, count
         for rows in scene.bands():
             normals = scene.normals(rows)
             coded = normals_as_colours(normals)
@@ -43,7 +36,17 @@ def write(context: Context, scene: ExportedScene) -> dict:
             squares, count = squares + float(np.sum(angles**2)), count + angles.size
             if down:
                 coded[..., 1] = np.where(coded.any(axis=-1), 65535 - coded[..., 1], 0)
-            tiff.write(coded)
+            yield coded
+
+    with ExrWriter(path("exports/normals.exr"), ("N.X", "N.Y", "N.Z"), *scene.shape, header) as exr:
+        write_tiff(
+            path("exports/normals.tif"),
+            bands(exr),
+            (*scene.shape, 3),
+            description=f"{convention} {stamped(context)}",
+            software=software(context),
+            pitch_mm=scene.pitch_mm,
+        )
     return {
         "files": ["exports/normals.tif", "exports/normals.exr"],
         "largest_deg": largest,
