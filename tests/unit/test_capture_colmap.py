@@ -216,3 +216,13 @@ def test_back_slashes_separate_folders_and_views_stand_in_the_order_of_the_turn(
     assert capture.settings.turntable.full_turn
     levels = [cv2.imread(str(frame.path))[0, 0, 0] for frame in capture.frames]
     assert levels == [20 * i + 5 for i in range(12)]
+    for i, (name, _, _) in enumerate(views):  # masks in the same folders, as COLMAP names them
+        path = tmp_path / "masks" / (name.replace("\\", "/") + ".png")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        mask = np.zeros((ROWS, COLUMNS), np.uint8)
+        mask[2 : 5 + i, 3:9] = 255
+        cv2.imwrite(str(path), mask)
+    convert(tmp_path / "s", tmp_path / "masked", mask=tmp_path / "masks")
+    capture = load_capture(tmp_path / "masked")
+    masks = [cv2.imread(str(capture.silhouette_of(view).silhouette_path), 0) for view in capture.views]
+    assert [int((mask > 0).sum()) for mask in masks] == [6 * (3 + i) for i in range(12)]

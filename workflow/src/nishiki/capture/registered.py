@@ -16,6 +16,8 @@ from nishiki.formats.files import same_name, walk
 from nishiki.formats.image_header import IMAGE_SUFFIXES
 from nishiki.formats.image_headers import read_header
 from nishiki.formats.problems import CaptureError, Problem, error, warning
+from nishiki.geometry.camera import Camera
+from nishiki.geometry.matrices import point_in_sight
 
 CORNER = 0.5  # pixels that count from the corner of the top left one, where ours count from its centre
 GL = np.diag([1.0, -1.0, -1.0])  # camera axes of OpenGL (y up, looking along -z) to ours (y down, looking along z)
@@ -115,19 +117,11 @@ def aims_at(poses: np.ndarray) -> float | None:
 
     poses (n, 3, 4): from world to camera, looking along z. Photographs of an object look at it from around it.
     """
-    if len(poses) < FEWEST_AXES:
+    point = point_in_sight([Camera("", np.eye(3), pose[:, :3], pose[:, 3], 1, 1) for pose in poses])
+    if point is None or len(poses) < FEWEST_AXES:
         return None
-    ahead = poses[:, 2, :3]
-    centres = -np.einsum("nji,nj->ni", poses[:, :, :3], poses[:, :, 3])
-    across = np.eye(3) - ahead[:, :, None] * ahead[:, None, :]
-    if np.linalg.cond(across.sum(axis=0)) > 1e4:  # parallel lines of sight meet nowhere
-        return None
-    point = np.linalg.solve(across.sum(axis=0), np.einsum("nij,nj->i", across, centres))
-    depth = np.einsum("ni,ni->n", point - centres, ahead)
-    distance = float(np.median(depth))
-    if (depth > 0).mean() < 0.9 or distance <= 1e-9 * np.abs(centres).max():
-        return math.inf
-    return float(np.sqrt((np.einsum("nij,nj->ni", across, point - centres) ** 2).sum(axis=1).mean()) / distance)
+    x, y, depth = (poses @ [*point, 1.0]).T
+    return float(np.sqrt((x**2 + y**2).mean()) / np.median(depth)) if (depth > 0).mean() > 0.9 else math.inf
 
 
 def aim_problems(poses: np.ndarray, file: str) -> list[Problem]:

@@ -12,6 +12,7 @@ from nishiki.capture.layouts import MASK_SUFFIXES, natural_key, photographs_in, 
 from nishiki.capture.options import ConvertOptions, folder_problems
 from nishiki.capture.pairing import names_apart, pair_by_name
 from nishiki.capture.polariser import parse_state
+from nishiki.capture.registered import Pictures
 from nishiki.capture.schema_base import FORMAT
 from nishiki.capture.taking import (
     channel_names,
@@ -45,9 +46,9 @@ def write_round(folder: Path, layout: RoundLayout, source: Path, options: Conver
     header = usual_header(layout.photographs)
     outlines, notes = _match_silhouettes(layout, options.mask) if options.mask else ({}, ())
     notes = notes if options.mask else alpha_problems(layout.photographs[0])
-    copies = {}
-    for path in dict.fromkeys(outlines.values()):
-        copies[path], doubts = take_mask(path, folder / "silhouettes" / path.name, link)
+    copies, masks = {}, tuple(dict.fromkeys(outlines.values()))
+    for path, file in zip(masks, file_names(masks), strict=True):
+        copies[path], doubts = take_mask(path, folder / "silhouettes" / file, link)
         notes = (*notes, *doubts)
     rows = []
     for i, (photograph, file) in enumerate(zip(layout.photographs, file_names(layout.photographs), strict=True)):
@@ -77,8 +78,14 @@ def write_round(folder: Path, layout: RoundLayout, source: Path, options: Conver
 
 
 def _match_silhouettes(layout: RoundLayout, folder: Path) -> tuple[dict[Path, Path], tuple[Problem, ...]]:
-    """Silhouette of each photograph, see `pair_by_name`; of one view in many states, the only picture."""
+    """Silhouette of each photograph, see `pair_by_name`; of one view in many states, the only picture; where the folder
+    has folders like those of the photographs, that of the same path, as COLMAP's `cam0/0000.png.png`."""
     present = sorted(files_with(folder, MASK_SUFFIXES), key=natural_key)
+    below = Pictures(folder)
+    nested = [] if present else [below.find(f"{p}.png") or below.find(str(p)) for p in layout.photographs]
+    if nested and None not in nested and len(set(nested)) == len(nested):
+        raise_errors(problem for path in nested for problem in source_problems(path, folder))
+        return dict(zip(layout.photographs, nested, strict=True)), ()
     raise_errors(problem for path in present for problem in source_problems(path, folder))
     if len(present) == 1 and len(set(layout.views)) == 1:
         return {layout.photographs[0]: present[0]}, ()
