@@ -106,15 +106,16 @@ def test_lights_that_list_every_file_are_one_light_a_photograph(tmp_path):
     np.testing.assert_allclose(load_capture(tmp_path / "c").directions, VECTORS, atol=1e-5)
 
 
-@pytest.mark.parametrize(("gone", "count"), [(("L2_530nm.tif",), 1), (tuple(f"L3_{b}.tif" for b in BANDS), 3)])
-def test_missing_bands_are_refused_by_lamp(tmp_path, gone, count):
+@pytest.mark.parametrize("gone", [("L2_530nm.tif",), tuple(f"L3_{b}.tif" for b in BANDS)])
+def test_missing_bands_are_refused_by_lamp(tmp_path, gone):
     folder = source(tmp_path / "s")
     for name in gone:
         (folder / name).unlink()
     with pytest.raises(CaptureError) as caught:
         convert(folder, tmp_path / "c")
-    assert [p.kind for p in caught.value.problems] == ["band-missing"] * count
-    assert all(gone[0][:2] in p.what for p in caught.value.problems)
+    assert [p.kind for p in caught.value.problems] == ["band-missing"]
+    assert gone[0][:2] in caught.value.problems[0].what
+    assert all(name[3:8] in caught.value.problems[0].what for name in gone)
     assert not (tmp_path / "c").exists()
 
 

@@ -106,13 +106,13 @@ def find_bands(
 def complete_bands(
     channels: Sequence[str], files: dict[str, dict[str, Path]], folder: str
 ) -> tuple[tuple[Path, ...], ...]:
-    """The files (lamps, channels). CaptureError: band-missing for each that is not there, band-channels."""
+    """The files (lamps, channels). CaptureError: band-missing for each lamp that lacks one, band-channels."""
     remedy = "Put the file there, or take the lamp out of the lights file"
+    lacking = {lamp: [name for name in channels if name not in bands] for lamp, bands in files.items()}
     problems = [
-        error("band-missing", folder, f"'{lamp}' has no photograph in band {channel}", remedy=remedy)
-        for lamp, bands in files.items()
-        for channel in channels
-        if channel not in bands
+        error("band-missing", folder, f"lamp '{lamp}' has no photograph in {', '.join(names)}", remedy=remedy)
+        for lamp, names in lacking.items()
+        if names
     ]
     for path in (path for bands in files.values() for path in bands.values()):
         header = read_header(path)
