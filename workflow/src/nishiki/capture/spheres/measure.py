@@ -427,7 +427,6 @@ def _lit_share(circle: Circle, overview: Overview) -> float:
     column, row = ((v + 0.5) / overview.factor - 0.5 for v in circle[:2])
     light = overview.stack[:, np.hypot(columns - column, rows - row) < 0.6 * circle.radius / overview.factor]
     light = np.maximum(light - np.percentile(light, 25, axis=0), 0)  # a flash may have failed
-    print("LIT", float((light.sum(axis=0) ** 2).sum() / max(len(light) * (light**2).sum(), 1e-12)))
     return float((light.sum(axis=0) ** 2).sum() / max(len(light) * (light**2).sum(), 1e-12))
 
 
