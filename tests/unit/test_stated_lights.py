@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
+import nishiki
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
 from nishiki.formats.problems import CaptureError
@@ -26,13 +27,19 @@ STRENGTHS = np.linspace(0.6, 1.4, 12)
 NAMES = [f"img_{i + 1:02d}.png" for i in range(12)]
 
 
+def relief():
+    """Normals (3, rows, columns)."""
+    row, column = np.indices((ROWS, COLUMNS))
+    slope_x, slope_y = 0.5 * np.cos(column / 3) * np.cos(row / 5), 0.5 * np.sin(row / 4 + column / 17)
+    return np.stack([-slope_x, slope_y, np.ones_like(slope_x)]) / np.sqrt(slope_x**2 + slope_y**2 + 1)
+
+
 def photographs(folder, *, positions=None, strengths=None, names=NAMES):
     """Sixteen-bit pictures under lamps at positions in millimetres, or far away where there are none."""
     folder.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(0)
     row, column = np.indices((ROWS, COLUMNS))
-    slope_x, slope_y = 0.5 * np.cos(column / 3) * np.cos(row / 5), 0.5 * np.sin(row / 4 + column / 17)
-    normal = np.stack([-slope_x, slope_y, np.ones_like(slope_x)]) / np.sqrt(slope_x**2 + slope_y**2 + 1)
+    normal = relief()
     place = np.stack([column - (COLUMNS - 1) / 2, (ROWS - 1) / 2 - row, 0 * row]) * (WIDTH_MM / COLUMNS)
     albedo = 0.3 + 0.2 * (column > 20) + 0.1 * (row % 7 > 3)
     for i, name in enumerate(names):
@@ -146,7 +153,7 @@ def test_a_fourth_number_is_a_strength_or_a_factor_by_what_the_photographs_show(
     source = with_file(tmp_path, text, positions=positions, strengths=STRENGTHS)
     capture, _ = captured(source, tmp_path / "c")
     assert capture.settings.lights.kind == ("direction" if positions is None else "position_mm")
-    ratio = capture.intensities[:, 0] / STRENGTHS
+    ratio = capture.intensities[:, 0] / STRENGTHS * (1 if positions is None else np.linspace(120, 220, 12) ** 2)
     np.testing.assert_allclose(ratio, ratio[0], rtol=0.01)
 
 
@@ -266,6 +273,22 @@ def test_a_dome_with_a_diameter_whose_lamps_are_far_by_the_photographs(tmp_path)
     capture, _ = captured(source, tmp_path / "c")
     assert capture.settings.lights.kind == "direction"
     np.testing.assert_allclose(capture.directions, DIRECTIONS, atol=1e-7)
+
+
+@pytest.mark.parametrize("region", [None, (5, 8, 20, 20)], ids=["whole", "cut"])
+def test_normals_under_near_lamps_are_those_of_the_relief(tmp_path, region):
+    source = with_file(tmp_path, listed(UNEVEN), positions=UNEVEN)
+    convert(source, tmp_path / "c", region=region, lights_kind="position_mm", width_mm=WIDTH_MM)
+    observed = nishiki.read_observations(tmp_path / "c")
+    field = nishiki.estimate_normals(
+        observed.values[..., 0], observed.directions, valid=observed.valid, solver="least_squares"
+    )
+    row, column, rows, columns = region or (0, 0, ROWS, COLUMNS)
+    truth = np.moveaxis(relief(), 0, 2)[row : row + rows, column : column + columns]
+    off = np.degrees(np.arccos(np.clip((field.normals * truth).sum(axis=2), -1, 1)))
+    assert np.median(off) < 1.0  # of one per cent of noise
+    far = nishiki.estimate_normals(observed.values[..., 0], DIRECTIONS, solver="least_squares").normals
+    assert np.degrees(np.arccos(np.clip((far * truth).sum(axis=2), -1, 1))).mean() > 4
 
 
 @pytest.mark.data

@@ -29,8 +29,10 @@ class Observed(NamedTuple):
         highlights exceed 1.
     valid : (lights, rows, columns) bool ndarray
         Inside the object's mask, neither saturated nor at the lowest code nor defect.
-    directions : (lights, 3) float64 ndarray
-        Unit vectors from the object's centre to the lamps; x right, y up, z towards the camera.
+    directions : (lights, 3) float64 or (lights, rows, columns, 3) float32 ndarray
+        Unit vectors from the object's centre to the lamps; x right, y up, z towards the camera. Of lamps at a stated
+        position those from each pixel, and without a white board their fall-off with the square of the distance is
+        taken off the values.
     lights : tuple of str
         Names of the lamps.
     check : (lights,) bool ndarray
@@ -114,8 +116,21 @@ def read_observations(capture: str | Path, *, white_block: int = 16) -> Observed
         write_observations(described, folder, settings=IngestSettings(white_block=white_block))
         stored = Observations(folder)
         values, valid = stored.read(slice(0, stored.shape[0]))
+        directions = stored.directions
+        if stored.positions_mm is not None:
+            directions = np.empty((*values.shape[:3], 3), np.float32)
+            (rows, columns), (row, column) = stored.shape, stored.image_centre
+            x, y = np.arange(columns) - column, row - np.arange(rows)
+            for i, position in enumerate(stored.positions_mm):
+                near = position / stored.pixel_pitch_mm
+                away = np.broadcast_arrays(near[0] - x[None], near[1] - y[:, None], near[2])
+                towards = np.stack(away, axis=-1)
+                distance = np.linalg.norm(towards, axis=2, keepdims=True)
+                directions[i] = towards / distance
+                if not stored.white_board:
+                    values[i] *= (distance / np.linalg.norm(near)) ** 2
         check = np.array([role == "check" for role in stored.roles])
-        return Observed(values, valid, stored.directions, stored.lights, check, stored.channels)
+        return Observed(values, valid, directions, stored.lights, check, stored.channels)
 
 
 def read_object(folder: str | Path) -> DecodedObject:

@@ -21,7 +21,7 @@ from nishiki.capture.options import ConvertOptions
 from nishiki.capture.relight_files import CROPPED, find_relight, is_relight, read_relight
 from nishiki.capture.rtibuilder import RtiProject
 from nishiki.capture.spheres.optics import direction_from_sphere, mean_direction
-from nishiki.capture.stated_lights import StatedLights, decide, decide_strengths, read_lights_file
+from nishiki.capture.stated_lights import StatedLights, decide, decide_strengths, read_lights_file, scale_to_middle
 from nishiki.formats.bounds import bound
 from nishiki.formats.files import NAME_BYTES, files_with, is_plain, leads_out, read_text, same_name
 from nishiki.formats.image_header import IMAGE_SUFFIXES
@@ -180,6 +180,7 @@ def _settled(layout: Layout, stated: StatedLights, file: Path, options: ConvertO
     stated, columns = replace(stated, lights=layout.lights), read_header(layout.photographs[0]).columns
     stated = decide(stated, file.name, sample, columns, options.width_mm)
     stated = decide_strengths(stated, file.name, sample)
+    stated = stated if options.white else scale_to_middle(stated, file.name, sample)
     more = [note for note in stated.lights.warnings if note not in layout.warnings]
     notes = [note for note in (*layout.warnings, *more) if not (options.region and note.kind == CROPPED)]
     return replace(

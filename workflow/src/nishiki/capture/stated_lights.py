@@ -218,6 +218,29 @@ def decide_strengths(stated: StatedLights, file: str, samples: Sampler) -> State
     return replace(stated, lights=lights, intensities=chosen)
 
 
+def scale_to_middle(stated: StatedLights, file: str, samples: Sampler) -> StatedLights:
+    """Turn strengths of near lamps at different distances into those of their light on the middle of the object.
+
+    Lamps are taken to be equal where no strengths are stated, unless the photographs clearly show that each lights the
+    middle alike.
+    """
+    lengths = np.linalg.norm(stated.lights.vectors, axis=1)
+    if stated.kind != "position_mm" or np.ptp(lengths) <= EVEN * lengths.max():
+        return stated
+    light = (np.median(lengths) / lengths[:, None]) ** 2
+    given = np.ones_like(light) if stated.intensities is None else stated.intensities
+    if (taken := samples()) is not None:
+        values = replace(taken, values=taken.values / given.mean(axis=1)[taken.chosen, None])
+        field = near_field(stated.lights.vectors, taken.places, stated.width_mm)
+        if residual_of(values, field / light[..., None]) < CLEARLY * residual_of(values, field):
+            return stated
+    what = "lamps at different distances are taken as equally strong; intensities.csv has what reaches the middle"
+    note = warning("lights-equal", file, what, found=f"{lengths.min():.4g} to {lengths.max():.4g} mm")
+    notes = () if stated.intensities is not None else (note,)
+    lights = replace(stated.lights, warnings=(*stated.lights.warnings, *notes))
+    return replace(stated, lights=lights, intensities=given * light)
+
+
 def _is_fraction(name: str | None) -> bool:
     """Whether a name is a number that is no count, so that it is the first number of its line."""
     try:

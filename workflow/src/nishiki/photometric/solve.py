@@ -11,6 +11,7 @@ from nishiki.photometric.light_selection import all_finite, checked_stack
 SOLVERS = ("default", "lobe", "least_squares")
 PRIOR = 1e-4  # least weight of b^2 and d^2, times a third of the number of samples (about their sum of c^2)
 RESELECTIONS = 1
+NEAR_DEG = 0.2  # largest difference between a pixel's direction to a near light and that of its block
 AT_LEAST = 6  # samples below which the gloss lobe is not tried: five unknowns and one to spare
 
 
@@ -79,8 +80,9 @@ def estimate_normals(
     ----------
     observations : (lights, rows, columns) array_like of float
         Relative to the white reference: 1 is a perfect white diffuser that faces the lamp.
-    directions : (lights, 3) array_like of float
-        Unit vectors to the lights; x right, y up, z towards the camera.
+    directions : (lights, 3) or (lights, rows, columns, 3) array_like of float
+        Unit vectors to the lights; x right, y up, z towards the camera. Of near lights those of each pixel; they are
+        taken as constant over blocks in which they change by less than 0.2 degrees.
     usable : (lights, rows, columns) array_like of bool, optional
         Samples that the fit starts from, as `nishiki.photometric.light_selection.select_diffuse` chooses them.
         Default: all.
@@ -134,6 +136,10 @@ def estimate_normals(
     """
     if solver not in SOLVERS:
         raise UserError(f"normals: expected a solver of {', '.join(SOLVERS)}, found {solver!r}")
+    if np.ndim(directions) == 4:
+        options = {"solver": solver, "max_condition": max_condition, "noise": noise}
+        samples = {"usable": usable, "weights": weights, "valid": valid}
+        return _near_field(np.asarray(observations), np.asarray(directions), samples, options)
     if solver == "default":
         solver = "lobe"
     stack, directions = checked_stack(observations, directions)
@@ -152,6 +158,29 @@ def estimate_normals(
         shading = refine_lobe(stack, directions, factors, known, outputs, noise, max_condition)
         shading = shading.reshape(*shape[1:], 3)
     return replace(as_field(*outputs, shape[1:], solver), shading=shading)
+
+
+def _near_field(observations, directions, samples, options):
+    """The estimate under directions (lights, rows, columns, 3), block by block; samples: arguments with an axis each
+    for lights, rows and columns, or for lights only, or None."""
+    if directions.shape != (*observations.shape, 3):
+        expected = f"({', '.join(map(str, observations.shape))}, 3)"
+        raise UserError(f"light directions: expected shape {expected}, found {directions.shape}")
+    steps = [np.abs(np.diff(directions, axis=axis)).max(initial=0.0) for axis in (1, 2)]
+    side = max(int(np.sqrt(2) * np.radians(NEAR_DEG) / max(*steps, 1e-9)), 1)
+    whole: dict[str, np.ndarray] = {}
+    for top in range(0, observations.shape[1], side):
+        for left in range(0, observations.shape[2], side):
+            area = np.s_[:, top : top + side, left : left + side]
+            middle = directions[area].mean(axis=(1, 2), dtype=np.float64)
+            middle /= np.linalg.norm(middle, axis=1, keepdims=True)
+            parts = {name: each[area] if np.ndim(each) == 3 else each for name, each in samples.items()}
+            field = estimate_normals(observations[area], middle, **parts, **options)
+            for name, values in vars(field).items():
+                if isinstance(values, np.ndarray):
+                    shape = (*observations.shape[1:], *values.shape[2:])
+                    whole.setdefault(name, np.empty(shape, values.dtype))[area[1:]] = values
+    return replace(field, **whole)
 
 
 def without_distrusted(stack, directions, usable, known, outputs, max_condition):
