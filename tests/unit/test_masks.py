@@ -173,3 +173,16 @@ def test_equal_problems_are_one_with_a_count():
     assert len(group_problems(same)) == 1
     remedies = [error("unknown-column", "frames.csv", f"column {i}", remedy=f"Did you mean {i}?") for i in range(8)]
     assert group_problems(remedies) == remedies
+
+
+def test_several_masks_beside_the_photographs_are_named(tmp_path):
+    for i in range(4):
+        cv2.imwrite(str(tmp_path / f"L{i}.png"), np.full((6, 8), 1000 * (i + 1), np.uint16))
+    (tmp_path / "dome.lp").write_text("4\nL0 .6 0 .8\nL1 0 .6 .8\nL2 -.6 0 .8\nL3 0 -.6 .8\n")
+    for name in ("mask.png", "mask_old.jpg"):
+        cv2.imwrite(str(tmp_path / name), np.full((6, 8), 255, np.uint8))
+    assert "mask-several" in kinds(convert(tmp_path, tmp_path / "c").warnings)
+    (tmp_path / "mask.png").unlink()
+    made = convert(tmp_path, tmp_path / "d")
+    assert "mask-several" not in kinds(made.warnings)
+    assert (tmp_path / "d/mask.jpg").is_file()

@@ -216,9 +216,15 @@ def find_spheres(source: Path, options: ConvertOptions) -> list[Path] | None:
 
 def find_mask(source: Path) -> Path | None:
     """Find the only picture called a mask in a folder."""
-    masks = [path for path in files_with(source, MASK_SUFFIXES) if MASK_WORD.search(path.stem)]
-    raise_errors(problem for path in masks for problem in source_problems(path, source))
+    masks = masks_in(source)
     return masks[0] if len(masks) == 1 else None
+
+
+def masks_in(folder: Path) -> list[Path]:
+    """Pictures of a folder whose names hold the word mask. CaptureError: outside-folder, name-unusable."""
+    masks = [path for path in files_with(folder, MASK_SUFFIXES) if MASK_WORD.search(path.stem)]
+    raise_errors(problem for path in masks for problem in source_problems(path, folder))
+    return masks
 
 
 def _with_lights(source: Path, stated: StatedLights, lights_file: Path, mask: Path | None) -> Layout:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.capture.bands import complete_bands, sort_bands
-from nishiki.capture.layouts import Layout, photographs_in
+from nishiki.capture.layouts import Layout, masks_in, photographs_in
 from nishiki.capture.lights import Lights
 from nishiki.capture.options import ConvertOptions, file_problems
 from nishiki.capture.pairing import pair_by_name
@@ -25,7 +25,7 @@ from nishiki.capture.taking import (
     usual_header,
 )
 from nishiki.formats.masks import alpha_problems
-from nishiki.formats.problems import CaptureError, Problem, error, raise_errors
+from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, warning
 
 
 def write_plane(folder: Path, layout: Layout, source: Path, options: ConvertOptions) -> list[Problem]:
@@ -76,6 +76,11 @@ def write_plane(folder: Path, layout: Layout, source: Path, options: ConvertOpti
         notes += doubts
     elif not layout.files:
         notes += alpha_problems(layout.photographs[0])
+        if several := masks_in(layout.photographs[0].parent):
+            what, found = "several masks: none of them is used", ", ".join(path.name for path in several[:5])
+            notes.append(
+                warning("mask-several", source.name, what, found=found, remedy="Give the right one with --mask")
+            )
     for name, content in layout.files.items():
         (folder / name).write_bytes(content)
         if name == "mask.png":
