@@ -64,5 +64,7 @@ def _entry_of(source: Path, archive: Path) -> ArchiveEntry:
         pictures = len(files_with(source, IMAGE_SUFFIXES)) if source.is_dir() else 0
         known = layout or problems[0].what != UNKNOWN
         reason = f"{problems[0]}" + (f" (and {len(problems) - 1} more)" if len(problems) > 1 else "")
+        if not known:
+            reason = f"{UNKNOWN}; convert searches the pictures for mirror balls" if pictures else UNKNOWN
         parts = f"{pictures} pictures" if pictures else ""
-        return ArchiveEntry(name, layout or ("unknown" if pictures else ""), parts, reason if known else UNKNOWN)
+        return ArchiveEntry(name, layout or ("unknown" if pictures else ""), parts, reason)

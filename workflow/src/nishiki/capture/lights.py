@@ -282,11 +282,11 @@ def _parse_table(text: str, file: str, *, counted: bool) -> tuple[list[str | Non
             problems.append(error("lights-unreadable", f"{file} line {i}", "row cannot be read", found=found))
             continue
         names.append(row["light"].strip())
-        vectors.append(values if len(values) == 3 else _from_angles(*values))
+        vectors.append(values if len(values) == 3 else from_angles(*np.radians(values)).tolist())
     raise_errors(problems)
     return names, vectors
 
 
-def _from_angles(azimuth_deg: float, polar_deg: float) -> list[float]:
-    azimuth, polar = math.radians(azimuth_deg), math.radians(polar_deg)
-    return [math.sin(polar) * math.cos(azimuth), math.sin(polar) * math.sin(azimuth), math.cos(polar)]
+def from_angles(azimuth: np.ndarray, polar: np.ndarray) -> np.ndarray:
+    """Directions (..., 3) of azimuths from x towards y and of angles from the normal, radians."""
+    return np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], axis=-1)

@@ -86,7 +86,11 @@ class ConvertOptions:
     examine: Callable[[Path], list[Problem]] | None = None
 
     def __post_init__(self) -> None:
-        """Raise CaptureError (option-unusable) for a width that is none."""
+        """Raise CaptureError (option-unusable) for a width that is none, or a kind of lights that is not known."""
+        if self.lights_kind not in (None, *LIGHT_KINDS):
+            expected = f"one of {', '.join(LIGHT_KINDS)}"
+            problem = error("option-unusable", "lights-kind", "no such kind", expected=expected, found=self.lights_kind)
+            raise CaptureError(problem)
         if self.width_mm is not None and not 0 < self.width_mm < 1e9:
             found = f"{self.width_mm:g}"
             raise CaptureError(error("option-unusable", "width-mm", "no width", expected="millimetres", found=found))

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.capture.lights import Lights, is_unicode, light_name, lights_from_vectors, read_numbers
+from nishiki.capture.lights import Lights, from_angles, is_unicode, light_name, lights_from_vectors, read_numbers
 from nishiki.capture.lights_evidence import AS_WELL, CLEARLY, Samples, Verdict, judge, near_field, residual_of
 from nishiki.capture.options import ANGLES
 from nishiki.formats.files import same_name
@@ -290,4 +290,4 @@ def _from_angles(numbers: np.ndarray, kind: str) -> np.ndarray:
     angles = np.radians(numbers[:, :2]) if degrees else numbers[:, :2]
     azimuth, height = angles.T if kind.startswith("azimuth") else angles.T[::-1]
     polar = height if "polar" in kind else np.pi / 2 - height
-    return np.column_stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)])
+    return from_angles(azimuth, polar)
