@@ -21,7 +21,7 @@ from zarr.codecs import Crc32cCodec, ZstdCodec
 from nishiki.capture.seal import seal
 
 TABLES = ("plane", "turntable", "goniometer", "cameras", "points", "intensities", "spectra", "reflectances", "brdf")
-TABLES += ("scenes", "camera list", "matlab", "meshroom")
+TABLES += ("scenes", "camera list", "matlab", "meshroom", "transforms", "metashape", "bundler")
 FOLDER = ("info.json", "plane_0.dzi", "plane_0.tzi")
 IMAGES = (".png", ".jpg", ".tif", ".exr", ".ptm", ".rti", *FOLDER)
 YAML = ("plane", "turntable", "goniometer", "intrinsics", "configuration", "instrument")
@@ -91,9 +91,22 @@ def _tables(folder: Path) -> list[bytes]:
         of(TABLES, "matlab", matlab(packed=False)),
         of(TABLES, "matlab", matlab(packed=True)),
         of(TABLES, "meshroom", json.dumps(MESHROOM)),
+        of(TABLES, "transforms", json.dumps(TRANSFORMS)),
+        of(TABLES, "metashape", METASHAPE),
+        of(TABLES, "bundler", "# Bundle file v0.3\n2 1\n" + 2 * BUNDLER + "0 0 0\n9 9 9\n2 0 0 1.5 2.5 1 0 1 2\n"),
     ]
 
 
+TURNED = [[1, 0, 0, 0.5], [0, 1, 0, 0], [0, 0, 1, 5], [0, 0, 0, 1]]
+TRANSFORMS = {"fl_x": 40.0, "k1": 0.1, "frames": [{"file_path": f"{n}.png", "transform_matrix": TURNED} for n in "ab"]}
+METASHAPE = (
+    '<document><chunk><sensors><sensor id="0"><calibration type="frame"><resolution width="32" height="24"/>'
+    "<f>40</f><k1>.1</k1></calibration></sensor></sensors><components><component id='0'><transform><rotation>1 0 0 0 1 "
+    "0 0 0 1</rotation><translation>0 0 1</translation><scale>2</scale></transform></component></components><cameras>"
+    '<camera id="0" sensor_id="0" component_id="0" label="a"><transform>1 0 0 0 0 1 0 0 0 0 1 -5 0 0 0 1</transform>'
+    '</camera><camera id="1" sensor_id="0" label="b"/></cameras></chunk></document>'
+)
+BUNDLER = "40 .1 0\n1 0 0\n0 1 0\n0 0 1\n0 0 -5\n"
 MESHROOM = {
     "version": ["1", "2", "8"],
     "views": [{"viewId": "1", "poseId": "1", "intrinsicId": "2", "path": "/x/a.png"}],

@@ -11,18 +11,21 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 from fuzz.corpus import FOLDER, IMAGES, LIGHTS, MESHES, STORES, TABLES, YAML, corpus, make_relight, make_store
 from fuzz.watch import paused
 
 from nishiki.artifacts.artifact import MANIFEST, open_artifact
+from nishiki.capture.bundler import read_bundler
 from nishiki.capture.cameras import read_cameras, read_points
 from nishiki.capture.folder import examine, read_intensities
 from nishiki.capture.frames import read_frames
 from nishiki.capture.goniometer_tables import read_table
 from nishiki.capture.lights import lights_from_vectors, read_lights
 from nishiki.capture.meshroom import read_meshroom
+from nishiki.capture.metashape import read_metashape
 from nishiki.capture.options import ConvertOptions
 from nishiki.capture.registry import read_source
 from nishiki.capture.relight_files import read_relight
@@ -30,6 +33,7 @@ from nishiki.capture.relightable import SUFFIXES, open_relightable
 from nishiki.capture.schema import geometry_named, read_capture_file
 from nishiki.capture.seal import manifest_text, read_manifest
 from nishiki.capture.spectra_tables import read_curves
+from nishiki.capture.transforms import read_transforms
 from nishiki.capture.turntable_schema import read_intrinsics
 from nishiki.engine.project import load_project, load_yaml
 from nishiki.errors import UserError
@@ -110,8 +114,16 @@ def tables(data: bytes) -> None:
             "scenes": lambda: load_project({"scenes": str(put("scenes.tsv", content))}),
             "camera list": lambda: _alone("a_par.txt", content),
             "meshroom": lambda: read_meshroom(put("c.sfm", content)),
+            "transforms": lambda: read_transforms(put("transforms.json", content), _any_pictures()),
+            "metashape": lambda: read_metashape(put("c.xml", content)),
+            "bundler": lambda: read_bundler(put("bundle.out", content), _any_pictures()),
             "matlab": lambda: (_alone("a.mat", content), read_instrument(put("i.mat", content))),
         }[kind]()
+
+
+def _any_pictures():
+    put("list.txt", b"a.png\nb.png\n")
+    return SimpleNamespace(folder=place(), paths=lambda names, file: names, size=lambda name, file: (24, 32))
 
 
 def _two_lights():

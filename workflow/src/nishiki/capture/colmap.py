@@ -105,8 +105,8 @@ def _view(image: _Image, cameras: dict[int, _Camera], file: str) -> RegisteredVi
         what = f"the photograph '{image.name}' names a camera that is not there"
         raise CaptureError(error("cameras-unreadable", file, what, found=f"camera {image.camera}"))
     w, x, y, z = image.quaternion
-    if not np.isfinite(image.quaternion).all() or not any(image.quaternion):
-        raise CaptureError(error("camera-values", file, f"rotation of the photograph '{image.name}'"))
+    if not np.isfinite([*image.quaternion, *image.translation]).all() or not any(image.quaternion):
+        raise CaptureError(error("camera-values", file, f"pose of the photograph '{image.name}'"))
     pose = np.column_stack([Rotation.from_quat([x, y, z, w]).as_matrix(), image.translation])
     return RegisteredView.of(image.name, (camera.rows, camera.columns), camera.lens, pose)
 

@@ -61,7 +61,7 @@ def read_metashape(path: Path) -> Registration:
         if len(chunks) != 1:
             raise ValueError(f"{len(chunks)} chunks with cameras, where one is expected")
         return _chunk(chunks[0], path.name)
-    except (ValueError, TypeError, AttributeError, ElementTree.ParseError, RecursionError) as e:
+    except (ValueError, LookupError, TypeError, AttributeError, ElementTree.ParseError, RecursionError) as e:
         what = "not cameras as Metashape exports them"
         raise CaptureError(error("cameras-unreadable", path.name, what, found=str(e)[:120], remedy=REMEDY)) from e
 
