@@ -89,6 +89,7 @@ def _limits() -> list[str]:
             stage,
             f"`{limit.name}`",
             limit.meaning,
+            limit.sound if limit.doubt is not None else "",
             limit.stated + ", warns only" * limit.warns,
             limit.why,
             limit.remedy,
@@ -97,7 +98,7 @@ def _limits() -> list[str]:
         for limit in limits
         if limit.stated
     ]
-    head = ["stage", "limit", "figure", "expected", "why there", "remedy"]
+    head = ["stage", "limit", "figure", "sound", "expected", "why there", "remedy"]
     return ["## Limits", "", (HERE / "limits.md").read_text(encoding="utf-8").rstrip(), "", *_table(head, rows), ""]
 
 

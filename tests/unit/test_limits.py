@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from nishiki.artifacts.limits import check, limit_checks
+from nishiki.artifacts.limits import Limit, at, check, limit_checks, limit_warnings
 from nishiki.report.scene_page import conditions
 from nishiki.stages.table import CHAIN, LIMITS
 
@@ -50,6 +50,22 @@ def test_the_report_shows_every_figure_beside_its_limit():
     manifest = {"stage": "height", "settings": {"allow": ["convergence"]}, "diagnostics": {"residual": 0.5, "parts": 2}}
     rows = {meaning: rest for _, meaning, *rest in conditions(manifest, LIMITS["height"])}
     assert rows == {
-        "relative residual of the linear system of the height": ["0.5", "at most 0.01", "beyond, allowed"],
+        "relative residual of the linear system of the height": ["0.5", "at most 0.001", "beyond, allowed"],
         "separate parts of the object, each with its own zero": ["2", "none", "–"],
     }
+
+
+@pytest.mark.parametrize(("value", "warns", "stops"), [(0.97, False, False), (0.93, True, False), (0.8, False, True)])
+def test_a_doubtful_figure_warns_and_one_beyond_stops(value, warns, stops):
+    limit = Limit("overlap", "overlap", at("overlap"), least=0.9, doubt=0.95, remedy="look", why="so")
+    figures = {"overlap": value}
+    assert bool(limit_warnings("mesh", [limit], figures)) == warns
+    assert limit_warnings("mesh", [limit], figures, ("overlap",)) == []
+    assert [each.beyond for each in limit_checks([limit], figures)] == [stops]
+
+
+@pytest.mark.parametrize(("stage", "limit"), STATED, ids=lambda value: getattr(value, "name", value))
+def test_a_level_of_doubt_lies_on_the_sound_side(stage, limit):
+    if limit.doubt is not None:
+        assert not limit.beyond(limit.doubt)
+        assert not limit.warns

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,8 +11,10 @@ from nishiki.capture.turntable import TurntableCapture
 from nishiki.errors import UserError
 from nishiki.formats.problems import Problem, error, warning
 from nishiki.geometry.camera import Camera
-from nishiki.geometry.coherence import Coherence, measure_coherence
 from nishiki.geometry.matrices import cameras_of_matrices
+
+if TYPE_CHECKING:
+    from nishiki.geometry.coherence import Coherence
 from nishiki.observations.mesh_check import mesh_problems
 
 WORKING_SIDE = 480
@@ -66,6 +69,8 @@ def capture_problems(
     Silhouettes found in photographs whose background is not plain may contradict each other with sound cameras: where
     the surface does not come from them, only a contradiction that a correction explains is reported.
     """
+    from nishiki.geometry.coherence import measure_coherence  # the limits of a plan need no compiled code
+
     views = [view for view in capture.views if view in silhouettes]
     if capture.matrices is None or len(views) < FEWEST_VIEWS or any(v not in capture.matrices for v in views):
         return []

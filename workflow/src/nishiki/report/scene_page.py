@@ -198,7 +198,8 @@ def conditions(manifest: Mapping[str, Any], limits: Sequence[Limit]) -> list[tup
             stated = f"at least {plain(limit.least)}"
         state = "–"
         if limit.stated:
-            state = "within" if not check.beyond else "beyond, allowed" if check.allowed else f"beyond: {limit.remedy}"
+            state = "doubtful" if limit.doubtful(check.value) and not check.beyond else "within"
+            state = state if not check.beyond else "beyond, allowed" if check.allowed else f"beyond: {limit.remedy}"
         rows.append((stage, limit.meaning, plain(check.value), stated, state))
     for parameter in at_bounds(manifest["diagnostics"]):
         rows.append((stage, f"fitted parameter at a bound: {parameter}", None, "inside its range", "at its bound"))

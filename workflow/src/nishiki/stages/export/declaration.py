@@ -18,9 +18,10 @@ LIMITS = (
         "clipped",
         "share of the samples of the albedo that its colour space cannot hold",
         at("losses.albedo.clipped"),
-        most=0.5,
+        most=0.2,
+        doubt=0.02,
         remedy="check the white board and the spectra, or leave albedo out of export.formats",
-        why="surfaces gave 0; where half is outside, the picture shows another surface",
+        why="surfaces gave 0; where a fifth is outside, the picture shows another surface",
     ),
 )
 

@@ -13,9 +13,10 @@ LIMITS = (
         "convergence",
         "relative residual of the linear system of the height",
         at("residual"),
-        most=1e-2,
+        most=1e-3,
+        doubt=1e-4,
         remedy="set height.method to another solver, or more iterations; check the normals' maps for islands",
-        why="captures gave 1e-5 and less; a hundredth bends a surface by about its own relief",
+        why="captures gave 1e-5 and less; a hundredth bends a surface by its own relief, a thousandth by a tenth of it",
     ),
     Limit(
         "bow",

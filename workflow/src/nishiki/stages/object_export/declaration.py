@@ -25,9 +25,9 @@ def _of_look(name: str) -> Figure:
 
 LIMITS = (
     Limit("clipped", "share of the texels whose colour is brighter than white", _of_look("clipped")),
-    Limit("placed", "share of the triangles that have a place in the textures", _of_look("placed"), least=0.5,
-          remedy="check the mesh and the charts of the stage texels", why="objects gave 1; without texels there is no "
-          "colour"),
+    Limit("placed", "share of the triangles that have a place in the textures", _of_look("placed"), least=0.9,
+          doubt=0.99, remedy="check the mesh and the charts of the stage texels", why="objects gave 1; without texels "
+          "there is no colour"),
 )  # fmt: skip
 
 

@@ -46,7 +46,7 @@ LIMITS = (
         doubt=-0.002,
         remedy=EXCHANGED,
         why="light cannot be negative; a lamp that varies by 1 % between the states of a matt object gives -0.01; "
-        "captures gave 0.02 and more, exchanged states -0.18",
+        "the jar of the demo gave 0.16, its exchanged states -0.18",
     ),
     Limit(
         "beta",

@@ -20,9 +20,10 @@ LIMITS = (
         "loss",
         "how much worse the stored result is than the model that it refines, dB",
         _residual_loss,
-        most=3,
+        most=1,
+        doubt=0,
         remedy="a finer residual.amount, or leave the stage out",
-        why="a residual adds 0.4 to 17 dB; a step so coarse that it costs 3 is worse than none",
+        why="a residual adds 0.4 to 17 dB; a step so coarse that it costs 1 is worse than none",
     ),
     Limit("empty_tiles", "tiles for which the model suffices", at("empty_tiles")),
 )

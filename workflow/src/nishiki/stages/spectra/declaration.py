@@ -13,9 +13,10 @@ LIMITS = (
         "condition",
         "condition of camera, lamp and bases",
         at("condition"),
-        most=1e4,
+        most=1e3,
+        doubt=100,
         remedy="set spectra.bases to fewer, use a lamp with a broader spectrum, or take the stage from the products",
-        why="captures gave 3 to 4; at 1e4 noise of 0.1 % in a pixel is an error ten times the reflectance",
+        why="captures gave 3 to 4; at 1000 noise of 0.1 % in a pixel is an error as large as the reflectance",
     ),
     *(
         Limit(f"{name}_pixels", f"pixels flagged {words}", at(f"flagged_{name}"))
