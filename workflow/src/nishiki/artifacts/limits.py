@@ -1,9 +1,9 @@
 """What a result may not exceed: conditions, flagged shares, registration, lost texels. Beyond a limit the run stops.
 
 A limit stands where captures leave off: beyond what sound captures give (docs/stability.md lists what those gave), of
-the object and not of the picture, against what came in and not what the stage made of it. From `doubt` on the run goes on
-with a warning, which stands at the head of the report. The setting `allow` of a stage lists the limits that its result
-may exceed.
+the object and not of the picture, against what came in and not what the stage made of it. From `doubt` on the run goes
+on with a warning, which stands at the head of the report. The setting `allow` of a stage lists the limits that its
+result may exceed.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ LIMITS = (
         least=0.8,
         doubt=0.95,
         remedy="more lights, other exposures, separate.method none, or normals.max_condition for lights in a plane",
-        why="captures gave 0.9997 and more; where a fifth is missing, height and reflectance are guessed over wide areas",
+        why="captures gave 0.9997 and more; without a fifth, height and reflectance are guessed over wide areas",
     ),
     Limit(
         "sigma",
