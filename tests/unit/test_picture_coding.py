@@ -228,6 +228,34 @@ def test_an_encoding_that_is_given_overrules_the_files_aloud(tmp_path):
     assert linear.warnings == ()
 
 
+def test_the_usual_statement_of_a_camera_is_no_news(tmp_path):
+    source = photographs(tmp_path / "s", None)
+    exif = Image.Exif()
+    exif.get_ifd(0x8769).update({0xA001: 1})
+    for path in sorted(source.glob("*.tif")):
+        write(path.with_suffix(".jpg"), (tifffile.imread(path) >> 8).astype(np.uint8), exif=exif)
+        path.unlink()
+    (source / "dome.lp").write_text((source / "dome.lp").read_text().replace(".tif", ".jpg"))
+    assert convert(source, tmp_path / "c").warnings == ()
+    reader = FrameReader.of(load_capture(tmp_path / "c"), "all", prove=False)
+    np.testing.assert_allclose(reader.table[::51], SRGB_OF_FIFTHS, atol=1e-5)
+
+
+SRGB_OF_FIFTHS = [0, 0.0331048, 0.1328683, 0.3185468, 0.6038273, 1]
+
+
+def test_a_grey_profile_gives_the_curve(tmp_path):
+    curve = b"curv" + bytes(4) + struct.pack(">IH", 1, round(2.2 * 256))
+    write(
+        tmp_path / "a.tif",
+        np.zeros((8, 9), np.uint16),
+        elements({b"desc": description("Dot"), b"kTRC": curve}, b"GRAY"),
+    )
+    coding = read_header(tmp_path / "a.tif").coding
+    np.testing.assert_allclose(coding.curve.decode(CODES), CODES ** (round(2.2 * 256) / 256))
+    assert coding.to_srgb is None
+
+
 @pytest.mark.parametrize("odd", [PROFILES["sRGB v4"][0], PROFILES["Adobe RGB"][0], b"no profile"])
 def test_one_photograph_of_another_coding_is_named(tmp_path, odd):
     with pytest.raises(CaptureError) as caught:

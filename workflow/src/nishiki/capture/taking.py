@@ -15,6 +15,7 @@ import numpy as np
 import yaml
 
 from nishiki.capture.lights import Lights
+from nishiki.formats.coding import coding_used
 from nishiki.formats.exr import several_layers
 from nishiki.formats.image_header import ImageHeader
 from nishiki.formats.image_headers import read_header
@@ -72,6 +73,8 @@ def choose_encoding(
     if stated is not None and (given is None or stated.developed):
         if stated.linear and not stated.developed and stated.to_srgb is None:
             return "linear", []
+        if not stated.differs_from(coding_used(header.kind, None, "file")):
+            return "file", []
         what, found = "photographs are decoded by the coding that they state", stated.name
         return "file", [warning("coding-stated", source, what, found=found)]
     if given is not None and stated is not None and header.coding_used(given).curve.differs_from(stated.curve):

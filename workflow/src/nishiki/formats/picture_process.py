@@ -201,9 +201,10 @@ def _answer(file: BinaryIO, request: dict[str, Any]) -> tuple[dict[str, Any], in
         wanted = Wanted(tuple(request["channels"]), request["luma"])
         codes = picture.decode(wanted, np.empty if region else memory.make)
         header = picture.header
-        if codes.shape[:2] != (header.rows, header.columns) or codes.dtype != header.sample:
-            raise ValueError(f"{codes.shape} of {codes.dtype} where {header.rows} x {header.columns} of "
-                             f"{header.sample} are stated")  # fmt: skip
+        channels = codes.shape[2] if header.kind == "exr" or wanted.luma else header.channels
+        if codes.shape != (header.rows, header.columns, channels) or codes.dtype != header.sample:
+            stated = f"{header.rows} x {header.columns} x {channels} of {header.sample}"
+            raise ValueError(f"{' x '.join(map(str, codes.shape))} of {codes.dtype} where {stated} are stated")
         if region:
             row, column, rows, columns = region
             part = codes[row : row + rows, column : column + columns]
