@@ -16,6 +16,7 @@ from nishiki.goniometry.symmetry import images
 SAME = 0.02  # distance of unit vectors up to which two directions are one, about a degree
 APART = 0.1  # by which a pair differs from itself exchanged, else it tells nothing
 FEWEST_PAIRS = 4  # from which their disagreement tells something
+GRAZING = np.cos(np.radians(80.5))  # beyond it instruments disagree with themselves
 NODES = 2000  # directions over which the light that is sent back is summed
 REACH = np.radians(15.0)  # a view stands for directions this near
 FEWEST_VIEWS, LEAST_COVERED = 12, 0.7  # of one direction of light whose reflected light is summed
@@ -39,6 +40,10 @@ def reciprocity(
     """
     from scipy.spatial import cKDTree
 
+    steep = (incident[:, 2] > GRAZING) & (outgoing[:, 2] > GRAZING)
+    incident, outgoing, values = incident[steep], outgoing[steep], values[steep]
+    if not len(values):
+        return None, 0
     tree, found = cKDTree(np.hstack([incident, outgoing])), []
     for image in images(symmetry):
         exchanged = np.hstack([outgoing @ image.T, incident @ image.T])
