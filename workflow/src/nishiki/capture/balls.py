@@ -18,7 +18,7 @@ from nishiki.formats.problems import CaptureError, Problem, error, warning
 
 PICTURE, MASK = "mirror_balls.png", "mask.png"
 MOST_SIGMA_DEG = 10.0  # median uncertainty of the directions up to which lamps are believed
-MOST_TILT_DEG = 20.0  # of the scene under the lamps
+MOST_TILT_DEG = 35.0  # of the scene under the lamps; near lamps tilt it, too
 LEAST_Z = 0.02  # of a direction: lamps below graze the object
 BEYOND = 1.1  # radii of a ball that are left out of the mask
 

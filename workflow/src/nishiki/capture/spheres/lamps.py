@@ -186,7 +186,7 @@ def fit_lamps(
     freedom = 2 * len(sightings) - lamps * unknowns + len(once)
     chi = float("nan")
     for _ in range(3 if falloff is not None or freedom >= LEAST_FREEDOM else 1):
-        fit = least_squares(residuals, x, x_scale="jac", method="trf", ftol=1e-10, xtol=1e-10, max_nfev=40)
+        fit = least_squares(residuals, x, x_scale="jac", method="trf", ftol=1e-8, xtol=1e-8, max_nfev=15)
         x = fit.x
         if falloff is not None:
             spread = max(float(np.sqrt((surface_residuals(x) ** 2).mean())), 1e-4)

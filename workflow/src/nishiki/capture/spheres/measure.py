@@ -54,7 +54,10 @@ AGREEMENT_SIGMAS = 4.0
 MOST_CLUSTERS = 8  # that are examined
 LEAST_SUPPORT = 0.45  # of a circle that may be a ball's outline
 RIVAL = 0.7  # of the best support: of one ball alone, the outermost circle with as much is its outline
-RIVAL_OF_PAIR = 0.55  # of the best support: circles with as much may be the outline where two balls can be compared
+LEAST_OF_SAME = 0.38  # support of a circle as large as that of another ball
+SAME_SIZE = 0.05  # relative difference of radii
+MOST_SIZES = 3  # of other balls that are tried
+MOST_RIVALS = 8  # circles that may be the outline of one ball
 AS_GOOD = 1.15  # residual relative to the least, up to which circles explain the scene as well
 LARGEST = 7.0  # radius of a ball relative to that of the circle around its highlights
 LEAST_RADIUS_PX = 10.0
@@ -64,6 +67,7 @@ COARSE_PX = 20.0  # radius of a cluster on the reduced photographs below which c
 FINE_PX = 4.0  # radius of a cluster on the reduced photographs below which these show no circle
 CROP_REACH = 4.0  # of such a crop, in radii of the cluster
 AGREEMENT = np.radians(8.0)  # up to which directions from two circles belong to two balls
+SETTLED = np.radians(1.5)  # up to which rays agree as well as places on reduced photographs can
 LEAST_LAMPS = 4  # that must be measured
 LENSES = (None, 12.0, 8.0, 6.0, 4.5, 3.5, 2.8, 2.2, 1.8, 1.5, 1.25, 1.0, 0.8)
 """Focal lengths that are tried, in longer sides of the photograph; None: seen from afar."""
@@ -217,8 +221,6 @@ def measure_spheres(given: SphereInput) -> MeasuredSpheres:
             findings,
         )
     crops = [_crop(circle, (rows, columns)) for circle in circles]
-    if overview.factor == 1:
-        read.append(((slice(0, rows), slice(0, columns)), overview.stack))
     stacks = [_cut(crop, read) for crop in crops]
     if any(stack is None for stack in stacks):
         stacks = _read_crops(given.photographs, crops)
@@ -368,10 +370,26 @@ def _search(given: SphereInput, overview: Overview, findings: Findings) -> tuple
     shape = findings.camera.rows, findings.camera.columns
     small = [c for c in clusters if c.radius / overview.factor < COARSE_PX and overview.factor > 1.2]
     crops = [_crop((*c.centre, CROP_REACH * c.radius / MARGIN), shape) for c in small]
-    fine = dict(zip(map(id, small), zip(crops, _read_crops(given.photographs, crops), strict=True), strict=True))
-    whole = ((slice(0, shape[0]), slice(0, shape[1])), overview.stack)
+    fine: dict[int | None, Crop] = dict(
+        zip(map(id, small), zip(crops, _read_crops(given.photographs, crops), strict=True), strict=True)
+    )
+    if overview.factor == 1:
+        fine[None] = ((slice(0, shape[0]), slice(0, shape[1])), overview.stack)
     candidates: list[tuple[Cluster, list[Circle]]] = []
     left: dict[Circle, float] = {}
+
+    def examine(cluster: Cluster, circles: list[Circle], least: float = LEAST_SUPPORT) -> list[Circle]:
+        residual = _explain_scene(cluster, overview, findings.camera)
+        good = [c for c in circles if c.support >= least and c.radius >= LEAST_RADIUS_PX]
+        left.update({circle: residual(circle) for circle in good})
+        return sorted(good, key=lambda c: (left[c], -c.support))[:MOST_RIVALS]
+
+    def propose_near(cluster: Cluster, circle: Sequence[float], radii: tuple[float, float]) -> list[Circle]:
+        crop = _crop(circle, shape)
+        stack = _cut(crop, list(fine.values()))
+        inner = np.array(list(cluster.places.values()))
+        return _propose(stack, _corner(crop), inner, radii, 1.0) if stack is not None else []
+
     for cluster in clusters:
         inner = np.array(list(cluster.places.values()))
         radii = 1.02 * cluster.radius, LARGEST * cluster.radius
@@ -388,26 +406,24 @@ def _search(given: SphereInput, overview: Overview, findings: Findings) -> tuple
         start = (*cluster.centre, 1.5 * cluster.radius)
         if residual(start) < 1:
             # Where the scene tells which circle it must be, edges are looked for along that one, too.
-            found = minimize(
-                residual, start, method="Nelder-Mead", options={"maxfev": 150, "xatol": 1, "fatol": 1e-5}
-            ).x
-            stack = _cut(crop := _crop(found, shape), [*fine.values(), *([whole] if overview.factor == 1 else [])])
-            near = (0.88 * found[2], 1.14 * found[2])
-            again = _propose(stack, _corner(crop), inner, near, 1.0) if stack is not None else []
+            found = minimize(residual, start, method="Nelder-Mead", options={"maxfev": 150, "xatol": 1}).x
+            again = propose_near(cluster, found, (0.88 * found[2], 1.14 * found[2]))
             circles += [c for c in again if np.hypot(c.column - found[0], c.row - found[1]) < 0.25 * found[2]][:4]
-        good = [c for c in circles if c.support >= LEAST_SUPPORT and c.radius >= LEAST_RADIUS_PX]
-        if good:
-            left.update({circle: residual(circle) for circle in good})
-            best = max(c.support for c in good)
-            good = sorted((c for c in good if c.support >= RIVAL_OF_PAIR * best), key=lambda c: (left[c], -c.support))
-            candidates.append((cluster, good[:8]))
+        if good := examine(cluster, circles):
+            candidates.append((cluster, good))
         else:
-            circle = (
-                max(circles, key=lambda each: each.support) if circles else Circle(*cluster.centre, cluster.radius, 0.0)
-            )
-            findings.rejected.append((circle, f"no outline: edges along {100 * circle.support:.0f} % of a circle"))
+            best = max(circles, key=lambda each: each.support, default=Circle(*cluster.centre, cluster.radius, 0.0))
+            findings.rejected.append((best, f"no outline: edges along {100 * best.support:.0f} % of a circle"))
+    # Balls are often of one size: edges are looked for along circles as large as those of the other balls.
+    for k, (cluster, circles) in enumerate(candidates):
+        others = [c[0].radius for j, (_, c) in enumerate(candidates) if j != k and min(left[c[0]], 1) < 1]
+        for radius in others[:MOST_SIZES]:
+            if all(abs(np.log(radius / c.radius)) > SAME_SIZE for c in circles) and radius > cluster.radius:
+                near = (radius / (1 + SAME_SIZE), radius * (1 + SAME_SIZE))
+                circles = [*circles, *propose_near(cluster, (*cluster.centre, 1.3 * radius), near)[:4]]
+        candidates[k] = (cluster, examine(cluster, circles, LEAST_OF_SAME))
     chosen = []
-    for circle in _choose(candidates, left, findings):
+    for circle in _choose(candidates, left, overview, findings):
         share = _lit_share(circle, overview)
         if share > max(MATT_SHARE, 1.8 / len(overview.stack)):
             why = f"a matt ball: places on it are bright in {100 * share:.0f} % of the photographs"
@@ -431,7 +447,7 @@ def _lit_share(circle: Circle, overview: Overview) -> float:
 
 
 def _choose(
-    candidates: list[tuple[Cluster, list[Circle]]], left: dict[Circle, float], findings: Findings
+    candidates: list[tuple[Cluster, list[Circle]]], left: dict[Circle, float], overview: Overview, findings: Findings
 ) -> list[Circle]:
     """Choose one circle for each ball such that all agree about the lamps under one lens.
 
@@ -446,10 +462,11 @@ def _choose(
             if np.hypot(one.column - two.column, one.row - two.row) < one.radius + two.radius:
                 continue
             places = candidates[i][0].places, candidates[j][0].places
-            angles = [_disagreement(((one, places[0]), (two, places[1])), lens, findings.camera) for lens in LENSES]
-            best = int(np.argmin(angles))
-            if angles[best] < AGREEMENT:
-                pairs.append((max(left[one], left[two]), angles[best], i, j, one, two, LENSES[best]))
+            pair = ((one, places[0]), (two, places[1]))
+            if min(_disagreement(pair, lens, findings.camera) for lens in LENSES[::4]) < 3 * AGREEMENT:
+                angle, best = min((_disagreement(pair, lens, findings.camera), -k) for k, lens in enumerate(LENSES))
+                if angle < AGREEMENT:
+                    pairs.append((max(left[one], left[two]), angle, i, j, one, two, LENSES[-best]))
     if not pairs:
         chosen = {}
         if candidates:
@@ -461,6 +478,8 @@ def _choose(
         least = min(pair[1] for pair in pairs)
         pairs = [pair for pair in pairs if pair[1] < 1.2 * least + np.radians(0.5)]
         _, _, i, j, one, two, lens = max(pairs, key=lambda pair: pair[4].support + pair[5].support)
+        if least > SETTLED:
+            one, two = _settle_pair((candidates[i][0], candidates[j][0]), (one, two), lens, overview, findings.camera)
         chosen = {i: one, j: two}
         for k in set(range(len(candidates))) - {i, j}:
             fitting = []
@@ -514,22 +533,53 @@ def _explain_scene(cluster: Cluster, overview: Overview, camera: SphereCamera) -
 
 def _disagreement(pair, lens: float | None, camera: SphereCamera) -> float:
     """Median angle in radians by which rays from two balls miss each other; pair: circle and highlights of each."""
+    return _meet(pair, lens, camera)[1]
+
+
+def _meet(pair, lens: float | None, camera: SphereCamera) -> tuple[np.ndarray, float]:
+    """Directions (lamps, 3) from between two balls, and the median angle in radians by which rays miss each other."""
     both = sorted(set(pair[0][1]) & set(pair[1][1]))
     if len(both) < LEAST_LAMPS:
-        return np.inf
+        return np.zeros((0, 3)), np.inf
     points, directions = [], []
+    seen = _camera_with(camera, lens)
+    turn = np.linspace(0, 2 * np.pi, 36, endpoint=False)
     for circle, places in pair:
-        seen = _camera_with(camera, lens)
-        turn = np.linspace(0, 2 * np.pi, 36, endpoint=False)
-        rim = np.column_stack([circle.column + circle.radius * np.cos(turn), circle.row + circle.radius * np.sin(turn)])
-        outline = solve_outline(rim, seen)
-        radius = circle.radius / pair[0][0].radius
-        at, rays = reflected_rays(np.array([places[i] for i in both]), outline, seen, radius)
+        rim = np.column_stack([circle[0] + circle[2] * np.cos(turn), circle[1] + circle[2] * np.sin(turn)])
+        radius = circle[2] / pair[0][0][2]
+        at, rays = reflected_rays(np.array([places[i] for i in both]), solve_outline(rim, seen), seen, radius)
         points.append(at)
         directions.append(rays)
     lamps = np.tile(np.arange(len(both)), 2)
-    _, _, miss = triangulate(np.concatenate(points), np.concatenate(directions), lamps, len(both))
-    return float(np.median(np.where(np.isfinite(miss), miss, np.pi)))
+    between = np.concatenate(points) - np.nanmean(np.concatenate(points), axis=0)
+    towards, _, miss = triangulate(between, np.concatenate(directions), lamps, len(both))
+    return towards, float(np.median(np.where(np.isfinite(miss), miss, np.pi)))
+
+
+def _settle_pair(
+    clusters: tuple[Cluster, Cluster], circles: tuple[Circle, Circle], lens: float | None, overview: Overview, camera
+) -> tuple[Circle, Circle]:
+    """Move the circles of two balls to where their rays meet best and explain the scene best.
+
+    For rims that are blurred, or beside stronger edges; the focal length is settled with them.
+    """
+    from scipy.optimize import minimize
+
+    both = sorted(set(clusters[0].places) & set(clusters[1].places))
+    light = bright_blocks(overview.stack[both], np.ones(overview.stack.shape[1:], bool))
+    if light is None:
+        return circles
+
+    def cost(x: np.ndarray) -> float:
+        pair = ((x[:3], clusters[0].places), (x[3:6], clusters[1].places))
+        towards, miss = _meet(pair, None if x[6] < 0.02 else 0.5 / np.tan(min(x[6], 0.6)), camera)
+        return np.log(miss + np.radians(0.2)) + np.log(residual_of(light, np.nan_to_num(towards)) + 0.01)
+
+    start = np.array([*circles[0][:3], *circles[1][:3], 0.0 if lens is None else np.arctan(0.5 / lens)])
+    steps = 0.05 * np.array([circles[0].radius] * 3 + [circles[1].radius] * 3 + [1.0])
+    simplex = np.vstack([start, start + np.diag(steps)])
+    x = minimize(cost, start, method="Nelder-Mead", options={"maxfev": 400, "initial_simplex": simplex}).x
+    return Circle(*map(float, x[:3]), circles[0].support), Circle(*map(float, x[3:6]), circles[1].support)
 
 
 def _camera_with(camera: SphereCamera, lens: float | None) -> SphereCamera:
