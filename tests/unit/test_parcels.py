@@ -60,3 +60,11 @@ def test_distant_lamps_need_one_parcel():
     (only,) = parcels(distant, slice(8, 24), np.array([2, 0]))
     assert (only.rows, only.columns) == (slice(0, 16), slice(0, COLUMNS))
     assert np.array_equal(only.directions, distant.directions[[2, 0]])
+
+
+def test_lamps_that_are_very_near_have_small_parcels_where_these_are_few():
+    near = scene(POSITIONS / 20)
+    sides = {parcel.rows.stop - parcel.rows.start for parcel in parcels(near, slice(0, ROWS), np.arange(3))}
+    assert sides == {2}
+    near.shape = (6000, COLUMNS)
+    assert next(parcels(near, slice(0, ROWS), np.arange(3))).rows.stop == 8

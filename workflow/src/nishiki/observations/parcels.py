@@ -1,5 +1,6 @@
 """Pieces of a band of rows over which the direction to every lamp is constant."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -9,6 +10,9 @@ from nishiki.observations.plane import Observations
 
 TOLERANCE_RAD = np.radians(0.2)
 """Largest difference between a pixel's direction to a near lamp and that of its parcel's centre."""
+USUAL_SIDE, LEAST_SIDE, FEW_PARCELS = 8, 2, 2048
+"""Least side of a parcel in pixels, as each costs time of its own; but where the tolerance needs less than LEAST_SIDE,
+the side with which this many parcels cover the picture, if that is smaller."""
 
 
 @dataclass(frozen=True)
@@ -29,14 +33,16 @@ def parcels(frames: Observations, band: slice, lights: np.ndarray) -> Iterator[P
     """Parcels of a band: the whole band for distant lamps, small rectangles for lamps at a position.
 
     lights: indices (n,). The size follows from the nearest lamp: the direction changes by less than 0.2 degrees from a
-    parcel's centre to its corner, except for lamps so near that this takes fewer than 8 pixels.
+    parcel's centre to its corner, except for lamps so near that this takes parcels smaller than USUAL_SIDE.
     """
     rows, columns = band.stop - band.start, frames.shape[1]
     if frames.positions_mm is None:
         yield Parcel(slice(0, rows), slice(0, columns), frames.directions[lights], np.ones(len(lights), np.float32))
         return
     positions = frames.positions_mm[lights]
-    step = parcel_side(positions, frames.pixel_pitch_mm)
+    reach = 2 * TOLERANCE_RAD * float(positions[:, 2].min()) / np.sqrt(2)
+    side, few = int(reach / frames.pixel_pitch_mm), math.ceil(math.sqrt(frames.shape[0] * columns / FEW_PARCELS))
+    step = min(USUAL_SIDE, few) if side < LEAST_SIDE else max(USUAL_SIDE, side)
     for top in range(0, rows, step):
         for left in range(0, columns, step):
             area = slice(top, min(top + step, rows)), slice(left, min(left + step, columns))
@@ -47,12 +53,6 @@ def parcels(frames: Observations, band: slice, lights: np.ndarray) -> Iterator[P
                 np.ones(len(lights)) if frames.white_board else (distance / np.linalg.norm(positions, axis=1)) ** 2
             )
             yield Parcel(*area, towards / distance[:, None], fall_off.astype(np.float32))
-
-
-def parcel_side(positions_mm: np.ndarray, pitch_mm: float) -> int:
-    """Side of a square parcel in pixels, at least 8, for lamps at these positions (lights, 3)."""
-    reach = 2 * TOLERANCE_RAD * float(positions_mm[:, 2].min()) / np.sqrt(2)
-    return max(8, int(reach / pitch_mm))
 
 
 def point_mm(frames: Observations, row: float, column: float) -> np.ndarray:
