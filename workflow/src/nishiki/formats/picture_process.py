@@ -29,7 +29,8 @@ from nishiki.formats.exif import NO_EXIF, Exif, exif_of
 from nishiki.formats.image_header import ImageHeader, header_from
 from nishiki.formats.problems import CaptureError, Problem, error
 
-LEAST_MEMORY = 512 << 20  # bytes of address space beyond the idle child's: libraries, their threads, a file's directory
+LEAST_MEMORY = 512 << 20  # bytes of address space beyond the idle child's: libraries, a file's directory
+THREAD_MEMORY = 16 << 20  # bytes of address space for each processor: libraries start a thread for each
 MEMORY_FACTOR = 4  # copies of a decoded picture that a decoder may hold
 LEAST_SECONDS, BYTES_A_SECOND = 20, 4 << 20  # processor time; the slowest codec, LZMA, unpacks ten times as much
 MESSAGE = 1 << 16
@@ -87,7 +88,7 @@ class _Child:
             command = [sys.executable, "-I", "-S", "-c", _START, str(other.fileno()), *filter(None, sys.path)]
             self.process = subprocess.Popen(
                 command, pass_fds=(other.fileno(),), stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
-                stderr=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL, env={**os.environ, "MALLOC_ARENA_MAX": "2"},
             )  # fmt: skip
 
     def end(self) -> int:
@@ -184,7 +185,8 @@ def _limit(size: int) -> None:
     if sys.platform == "linux":
         with open("/proc/self/statm", "rb") as file:
             present = int(file.read().split()[0]) * resource.getpagesize()
-        resource.setrlimit(resource.RLIMIT_AS, (present + LEAST_MEMORY + MEMORY_FACTOR * size, resource.RLIM_INFINITY))
+        allowed = present + LEAST_MEMORY + THREAD_MEMORY * (os.cpu_count() or 1) + MEMORY_FACTOR * size
+        resource.setrlimit(resource.RLIMIT_AS, (allowed, resource.RLIM_INFINITY))
 
 
 def _answer(file: BinaryIO, request: dict[str, Any]) -> tuple[dict[str, Any], int | None]:
