@@ -11,12 +11,12 @@ import cv2
 import numpy as np
 import pytest
 from captures import make_capture
-from serial_devices import VirtualCamera
 
 from nishiki.commands.running import photograph_by_rig
 from nishiki.errors import UserError
 from nishiki.rig.description import open_rig
 from nishiki.simulate.rig.bench import PaintingBench, run_at_terminal
+from nishiki.simulate.rig.camera import VirtualCamera
 
 SOURCE = Path(__file__).resolve().parents[2] / "workflow" / "src"
 RIG = """
@@ -97,7 +97,7 @@ with open_rig(Path("rig.yaml")) as rig:
 
 def test_a_virtual_camera_on_usb_sees_what_the_dome_lights(bench, tmp_path):
     camera = VirtualCamera(tmp_path / "usb", as_jpeg(bench.darks[0]))
-    bench.dome.on_light = lambda lit: camera.show(as_jpeg(bench.photograph(lit)))
+    bench.show_to(camera, as_jpeg)
     Path("rig.yaml").write_text(re.sub("camera: .*", "camera: {kind: gphoto}", RIG))
     environment = os.environ | {"PYTHONPATH": str(SOURCE), "VCAMERADIR": str(tmp_path / "usb")}
     done = subprocess.run([sys.executable, "-c", BY_USB], env=environment, capture_output=True, text=True, check=False)

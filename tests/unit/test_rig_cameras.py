@@ -10,11 +10,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from serial_devices import CAPACITY, VirtualCamera
 
 from nishiki.rig.device import DeviceError, DeviceLost, Exposure
 from nishiki.rig.gphoto import number_of
 from nishiki.rig.watched_folder import WatchedFolder, run_command
+from nishiki.simulate.rig.camera import CAPACITY, VirtualCamera
 
 SOURCE = Path(__file__).resolve().parents[2] / "workflow" / "src"
 

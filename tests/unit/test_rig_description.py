@@ -5,14 +5,16 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from serial_devices import SimulatedComXim, SimulatedDialogue, SimulatedGrbl
 
 from nishiki.cli import main
 from nishiki.errors import UserError
 from nishiki.rig import dome, operator, serial_line
 from nishiki.rig.description import open_rig, read_rig
 from nishiki.rig.device import DeviceError, DeviceLost, Exposure
+from nishiki.simulate.rig.comxim import SimulatedComXim
 from nishiki.simulate.rig.dome import SimulatedDome
+from nishiki.simulate.rig.grbl import SimulatedGrbl
+from nishiki.simulate.rig.line import SimulatedDialogue
 
 OWN_CAMERA = """
 from pathlib import Path

@@ -9,7 +9,6 @@ from itertools import pairwise
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from serial_devices import FAULTS, SimulatedComXim, SimulatedDialogue, SimulatedGrbl
 
 from nishiki.artifacts.closed import parse
 from nishiki.errors import UserError
@@ -27,7 +26,10 @@ from nishiki.rig.device import DeviceError, DeviceLost
 from nishiki.rig.dome import BracketDome
 from nishiki.rig.grbl import Grbl, GrblAxis
 from nishiki.rig.serial_line import LONGEST_LINE, SerialLine
+from nishiki.simulate.rig.comxim import SimulatedComXim
 from nishiki.simulate.rig.dome import SimulatedDome
+from nishiki.simulate.rig.grbl import SimulatedGrbl
+from nishiki.simulate.rig.line import FAULTS, SimulatedDialogue
 
 DESTRUCTIVE = [fault for fault in FAULTS if fault not in ("halves", "noise")]
 """Faults after which the answer never comes."""
