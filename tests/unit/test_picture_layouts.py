@@ -114,6 +114,11 @@ def layouts():
             found.append(Layout(f"six bands {bits} {planar}", stored, bands, options))
         pages = tuple((bands[:, :, k], {"photometric": "minisblack", "compression": "zlib"}) for k in range(6))
         found.append(Layout(f"six pages {bits}", bands, bands, pages=pages))
+    for bits in (8, 16):
+        four = typed(4, bits)
+        for kind in ([], ["unspecified"]):  # saved selections of image editors
+            options = {"photometric": "rgb", "extrasamples": kind} if kind else {"photometric": "rgb"}
+            found.append(Layout(f"RGB and {kind or 'no word'} {bits}", four, four[..., :3], options))
     rgb = typed(3, 16)
     small = rgb[::4, ::4]
     for flag, order in product((0, 1), ("first", "last")):

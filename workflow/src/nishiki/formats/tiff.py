@@ -76,6 +76,7 @@ def open_tiff(file: BinaryIO, name: str) -> Picture:
     samples = 3 if model == PALETTE else first.samplesperpixel
     extra = tuple(int(kind) for kind in first.extrasamples)
     alpha = bool(extra) and samples in (2, 4) and extra[-1] in (ASSOCIATED, UNASSOCIATED)
+    alpha |= model == RGB and samples == 4  # a fourth sample of RGB is no colour, whatever it is
     end = file.seek(0, 2)
     for page in pages:
         if any(place + size > end for place, size in zip(page.dataoffsets, page.databytecounts, strict=True)):
@@ -91,7 +92,7 @@ def open_tiff(file: BinaryIO, name: str) -> Picture:
         out = output((header.rows, header.columns, header.channels), sample)
         for i, page in enumerate(pages):
             _decode_page(page, out[:, :, i * samples : (i + 1) * samples])
-        if alpha and extra[-1] == ASSOCIATED:
+        if extra[-1:] == (ASSOCIATED,):
             _divide_by_alpha(out)
         return out
 
