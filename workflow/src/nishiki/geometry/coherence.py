@@ -35,6 +35,8 @@ EXPLAINED = 0.25
 """A correction explains the contradiction where it leaves no more than this share of it."""
 SCALES = (1 / 8, 1 / 6, 1 / 4, 1 / 3, 1 / 2, 2 / 3, 3 / 4, 4 / 3, 3 / 2, 2.0, 3.0, 4.0, 6.0, 8.0)
 FOCAL_FACTORS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.1, 1.25, 1.4, 1.7, 2.0)
+EXHAUSTED = 0.02
+"""Share of the contradiction from which on no better correction is looked for."""
 EQUAL = 2e-3
 """Contradictions that differ by less are equal."""
 LIKELY = 6
@@ -100,10 +102,15 @@ def measure_coherence(silhouettes: list[np.ndarray], cameras: list[Camera]) -> C
             return replace(found, correction=Correction("silhouette-inverted", views=inverted), corrected=share)
     if found.contradiction <= NOTICEABLE:
         return found
+    least = outlines.enough
     for family in (_reversals, _orders, _exchanges, _mirrors, _lenses, _steps, _odd_views):
+        if family is _odd_views and found.correction is not None:
+            break
         trial, share = _best_trial(outlines, family(outlines))
-        if share < outlines.enough:
-            return replace(found, correction=trial.correction, corrected=share)
+        if share < least:
+            found, least = replace(found, correction=trial.correction, corrected=share), share - EQUAL
+        if least < max(NOTICEABLE * EXPLAINED, EXHAUSTED * found.contradiction):
+            break
     return found
 
 

@@ -97,7 +97,7 @@ def _frame_problems(reader: FrameReader, frame: Frame, pictures: Pictures, level
         if frame.role == "board":
             return []
         if frame.role == "sample":
-            pictures.add(frame.view, codes, reader.full)
+            pictures.add(frame.view, codes, reader)
         named = reader.capture.silhouette_of(frame.view) if frame.role == "sample" else None
         inside = _outline(named, codes.shape[:2])
         levels.add(frame, codes, inside)

@@ -15,15 +15,16 @@ from nishiki.geometry.matrices import cameras_of_matrices
 
 if TYPE_CHECKING:
     from nishiki.geometry.coherence import Coherence
+    from nishiki.observations.frames import FrameReader
 from nishiki.observations.mesh_check import mesh_problems
 
 WORKING_SIDE = 480
 """Pixels of the longer side of the photographs in which the check looks for silhouettes."""
 GUESSED_OUTLINE = 2.0
 """Separation of the two sides of an outline, in spreads of the background, below which the outline is a guess."""
-DOUBTFUL, INCOHERENT = 0.03, 0.10
-"""Contradiction without an explanation that is a warning, and an error. Sound captures gave up to 0.015; with half of
-the views moved by 4 % of the object it is 0.04 to 0.15."""
+DOUBTFUL, INCOHERENT = 0.06, 0.10
+"""Contradiction without an explanation that is a warning, and an error. Sound captures gave up to 0.015, dark ones of 8
+bits 0.037; with half of the views moved by 4 % of the object it is 0.08 to 0.16."""
 FEWEST_VIEWS = 4
 
 
@@ -31,12 +32,12 @@ class Pictures:
     """Small display pictures of the views, from which silhouettes are found where none are given."""
 
     def __init__(self, capture: TurntableCapture):
-        self.capture, self.masks = capture, {}
+        self.capture, self.masks, self.dark = capture, {}, None
         usable = capture.matrices is not None and len(capture.views) >= FEWEST_VIEWS
         self.wanted = set() if not usable or capture.silhouette_of(capture.views[0]) else set(capture.views)
 
-    def add(self, view: str, codes: np.ndarray, full: float) -> None:
-        """Find the silhouette in the first photograph of a view; codes (rows, columns, channels), full scale `full`."""
+    def add(self, view: str, codes: np.ndarray, reader: FrameReader) -> None:
+        """Find the silhouette in the first photograph of a view; codes (rows, columns, channels) of the reader."""
         if view not in self.wanted:
             return
         import cv2
@@ -45,9 +46,15 @@ class Pictures:
         from nishiki.geometry.silhouettes import display, segment
 
         self.wanted.discard(view)
+        step = max(1, max(codes.shape[:2]) // (2 * WORKING_SIDE))  # an outline is found as well on every n-th pixel
+        codes = codes[::step, ::step]
         factor = min(1.0, WORKING_SIDE / max(codes.shape[:2]))
         size = tuple(max(2, round(n * factor)) for n in codes.shape[1::-1])
-        small = cv2.resize(codes[..., :3].astype(np.float32) / full, size, interpolation=cv2.INTER_AREA)
+        if self.dark is None:
+            dark = next(iter(self.capture.frames_of("dark")), None)
+            self.dark = 0.0 if dark is None else float(reader.read(dark).mean())
+        values = np.maximum(codes[..., :3].astype(np.float32) - self.dark, 0) / reader.full
+        small = cv2.resize(values, size, interpolation=cv2.INTER_AREA)
         small = np.nan_to_num(small.reshape(size[1], size[0], -1))
         linear = decode(small, "srgb") if self.capture.settings.camera.encoding == "srgb" else small
         found = segment(display(linear), background=self.capture.settings.turntable.background)
