@@ -181,6 +181,7 @@ def _parser() -> argparse.ArgumentParser:
         help="folder of the white board's photographs, one a light, paired by name",
     )
     sub.add_argument("--dark", help="folder of dark frames")
+    sub.add_argument("--ambient", help="photograph without lamp, in the light of the room alone, or a folder of such")
     sub.add_argument("--check", action="append", metavar="LIGHT", help="a light kept for evaluation (repeatable)")
     quantities = ("brdf", "radiance_factor", "radiance_factor_percent", "brdf_cos_view", "brdf_cos_light")
     sub.add_argument("--values", choices=quantities, help="what a table of reflectances holds (default: brdf, in 1/sr)")

@@ -72,6 +72,8 @@ def convert(source: Path | str, target: Path | str, options: ConvertOptions | No
         remedy = "Choose another name; nothing is overwritten"
         raise CaptureError(error("target-exists", str(target), "target exists", remedy=remedy))
     missing = file_problems(lights=options.lights_file)
+    if options.ambient is not None and not options.ambient.is_dir():
+        missing += file_problems(ambient=options.ambient)
     raise_errors([*folder_problems(white=options.white, dark=options.dark), *missing])
     layout = read_source(source, options)
     if not isinstance(layout, MeasuredTable):

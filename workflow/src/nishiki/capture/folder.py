@@ -13,7 +13,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from nishiki.capture.frames import DIALECTS, Frame, dialect_of, inside, read_frames
+from nishiki.capture.frames import DIALECTS, EXPOSURE_COLUMNS, Frame, dialect_of, inside, read_frames
 from nishiki.capture.goniometer import GoniometerCapture, examine_goniometer
 from nishiki.capture.lights import Lights, direction_problems, read_lights
 from nishiki.capture.photographed import Photographed
@@ -296,11 +296,13 @@ def _band_problems(frames: tuple[Frame, ...], channels: tuple[str, ...]) -> list
 
 
 def _exposure_problems(frames: tuple[Frame, ...]) -> list[Problem]:
-    """An exposure time for some lit frames but not for all cannot be used."""
-    lit = [f for f in frames if f.role in ("sample", "check", "white")]
-    without = [f for f in lit if f.exposure_s is None]
-    if without and len(without) < len(lit):
-        found = f"{len(without)} of {len(lit)} rows without, the first in row {without[0].row}"
-        remedy = "Give exposure_s for every sample, check and white frame, or for none"
-        return [error("exposure-partial", "frames.csv", "exposure_s", found=found, remedy=remedy)]
-    return []
+    """An exposure time, f-number or ISO for some lit frames but not for all cannot be used."""
+    lit = [f for f in frames if f.role in ("sample", "check", "white", "ambient")]
+    problems = []
+    for column in EXPOSURE_COLUMNS:
+        without = [f for f in lit if getattr(f, column) is None]
+        if without and len(without) < len(lit):
+            found = f"{len(without)} of {len(lit)} rows without, the first in row {without[0].row}"
+            remedy = f"Give {column} for every sample, check, white and ambient frame, or for none"
+            problems.append(error("exposure-partial", "frames.csv", column, found=found, remedy=remedy))
+    return problems

@@ -19,9 +19,10 @@ from nishiki.formats.files import leads_out, name_fault
 from nishiki.formats.problems import CaptureError, Problem, error, raise_errors
 from nishiki.formats.text_tables import comma_lines, expect_rows, label_problems, reading
 
-ROLES = ("sample", "check", "white", "dark", "flat")
+ROLES = ("sample", "check", "white", "dark", "flat", "ambient")
 LIT_ROLES = ("sample", "check", "white")
-COLUMNS = ("file", "role", "light", "exposure_s", "view", "band")
+EXPOSURE_COLUMNS = {"exposure_s": "seconds above 0", "f_number": "a number above 0", "iso": "a number above 0"}
+COLUMNS = ("file", "role", "light", *EXPOSURE_COLUMNS, "view", "band")
 TURNTABLE_ROLES = ("sample", "white", "dark", "board")
 TURNTABLE_COLUMNS = ("file", "role", "view", "light", "polariser", "exposure_s", "silhouette")
 GONIOMETER_ROLES = ("sample", "white", "dark")
@@ -46,8 +47,9 @@ class Band(NamedTuple):
 
 @dataclass(frozen=True)
 class Frame:
-    """One photograph. file: as written, relative to the payload; light: its lamp's name ('' for dark and flat).
+    """One photograph. file: as written, relative to the payload; light: its lamp's name ('' where no lamp burns).
 
+    f_number: focal length over aperture; iso: sensitivity; None where not stated.
     bands: its channels, where each has a file of its own, of which `file` is the first; else empty.
     polariser: state of the polarisers ('' for none); silhouette: picture of the object's outline in this view, or '';
     angles_deg: theta_i, phi_i, theta_r, phi_r of a goniometer, None where not given.
@@ -65,6 +67,8 @@ class Frame:
     silhouette_path: Path | None = None
     angles_deg: tuple[float | None, ...] = (None, None, None, None)
     bands: tuple[Band, ...] = ()
+    f_number: float | None = None
+    iso: float | None = None
 
     @property
     def parts(self) -> tuple[Band, ...]:
@@ -75,6 +79,13 @@ class Frame:
     def names(self) -> tuple[str, ...]:
         """Names of the files."""
         return tuple(part.file for part in self.parts)
+
+    @property
+    def exposure(self) -> float | None:
+        """Exposure time times ISO over 100 over the square of the f-number, of those stated; None where none is."""
+        if self.exposure_s is self.f_number is self.iso is None:
+            return None
+        return (self.exposure_s or 1.0) * ((self.iso or 100.0) / 100.0) / (self.f_number or 1.0) ** 2
 
 
 def read_frames(table: Path, *, geometry: str = "plane") -> tuple[Frame, ...]:
@@ -184,7 +195,7 @@ def _check_columns(columns: list[str], file: str, known: tuple[str, ...]) -> Non
 def _frame(
     row: dict[str, str], payload: Path, number: int, where: str, problems: list[Problem], roles: tuple[str, ...]
 ) -> Frame:
-    role, light, exposure = row["role"], row.get("light", ""), row.get("exposure_s", "")
+    role, light = row["role"], row.get("light", "")
     if role not in roles:
         problems.append(error("role-unknown", where, "role", expected=" | ".join(roles), found=repr(role)))
     if roles is ROLES and role in LIT_ROLES and not light:
@@ -193,22 +204,23 @@ def _frame(
         )
     problems += label_problems(row.get("view", ""), "view", where)
     problems += label_problems(light_name(light), "light", where)
-    seconds = None
-    if exposure:
-        try:
-            seconds = float(exposure)
-        except ValueError:
-            seconds = math.nan
-        if not 0 < seconds < math.inf:
-            what, expected = "exposure_s", "seconds above 0"
-            problems.append(error("exposure-invalid", where, what, expected=expected, found=exposure))
-            seconds = None
+    exposure: dict[str, float | None] = dict.fromkeys(EXPOSURE_COLUMNS)
+    for column, expected in EXPOSURE_COLUMNS.items():
+        if text := row.get(column, ""):
+            try:
+                value = float(text)
+            except ValueError:
+                value = math.nan
+            if 0 < value < math.inf:
+                exposure[column] = value
+            else:
+                problems.append(error("exposure-invalid", where, column, expected=expected, found=text))
     path = payload
     try:
         path = inside(payload, row["file"], where)
     except CaptureError as e:
         problems.extend(e.problems)
-    return Frame(row["file"], path, role, light, seconds, row.get("view", ""), number)
+    return Frame(row["file"], path, role, light, view=row.get("view", ""), row=number, **exposure)
 
 
 def _round_about(frame: Frame, row: dict[str, str], payload: Path, where: str, problems: list[Problem]) -> Frame:

@@ -63,8 +63,8 @@ def recognise_table(source: Path, options: ConvertOptions) -> Path | None:
 
 def read_measurements(source: Path, table: Path, options: ConvertOptions) -> MeasuredTable:
     """Read the table. Raises the CaptureErrors of `read_table`, and option-unusable."""
-    photographs = ("lights_file", "lights_kind", "width_mm", "mask", "white", "dark", "checks", "encoding", "region")
-    options.refuse(NO_PHOTOGRAPHS, *photographs)
+    options.refuse(NO_PHOTOGRAPHS, "lights_file", "lights_kind", "width_mm", "mask", "white", "dark", "ambient")
+    options.refuse(NO_PHOTOGRAPHS, "checks", "encoding", "region")
     values, azimuths = options.values or "brdf", options.azimuths or "cloth"
     return MeasuredTable(table, read_table(table, table.name, values=values, azimuths=azimuths))
 

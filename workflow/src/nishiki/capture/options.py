@@ -46,6 +46,8 @@ class ConvertOptions:
         a turntable named by their polariser state.
     dark : Path or None
         Folder of dark frames, all of which are averaged.
+    ambient : Path or None
+        Photograph of the object in the light of the room alone, or a folder of such, all of which are averaged.
     checks : tuple of str
         Lights kept for evaluation.
     encoding : str or None
@@ -74,6 +76,7 @@ class ConvertOptions:
     mask: Path | None = None
     white: Path | None = None
     dark: Path | None = None
+    ambient: Path | None = None
     checks: tuple[str, ...] = ()
     encoding: Literal["linear", "srgb"] | None = None
     title: str | None = None

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.capture.bands import complete_bands, sort_bands
+from nishiki.capture.frames import EXPOSURE_COLUMNS
 from nishiki.capture.layouts import Layout, masks_in, photographs_in
 from nishiki.capture.lights import Lights
 from nishiki.capture.options import ConvertOptions, file_problems
@@ -24,8 +25,11 @@ from nishiki.capture.taking import (
     take_mask,
     usual_header,
 )
+from nishiki.formats.exif import read_exif
 from nishiki.formats.masks import alpha_problems
 from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, warning
+
+SAME_EXPOSURE = 0.01  # cameras that measure the exposure time write it with such differences
 
 
 def write_plane(folder: Path, layout: Layout, source: Path, options: ConvertOptions) -> list[Problem]:
@@ -59,8 +63,10 @@ def write_plane(folder: Path, layout: Layout, source: Path, options: ConvertOpti
         notes += pairing.warnings
         for board, light in zip(pairing.partners, names, strict=True):
             rows.append((take(board, folder / "white" / board.name, link), "white", light))
-    for photograph in photographs_in(options.dark) if options.dark and not layout.bands else ():
-        rows.append((take(photograph, folder / "dark" / photograph.name, link), "dark", ""))
+    for role, given in (("dark", options.dark), ("ambient", options.ambient)):
+        if given is not None and not layout.bands:
+            for photograph in photographs_in(given) if given.is_dir() else [given]:
+                rows.append((take(photograph, folder / role / photograph.name, link), role, ""))
     settings = {"format": FORMAT, "title": options.title or source.name, "geometry": "plane"}
     coding, doubts = choose_encoding(header, options.encoding, source.name)
     notes += doubts
@@ -89,12 +95,13 @@ def write_plane(folder: Path, layout: Layout, source: Path, options: ConvertOpti
         settings["notes"] = layout.notes
     if region is not None:
         settings["region_of_interest"] = list(region)
-    write_tables(folder, settings, rows, layout.lights)
-    return notes
+    exposures, remarks = ({}, []) if layout.bands else read_exposures(folder, rows)
+    write_tables(folder, settings, rows, layout.lights, exposures)
+    return [*notes, *remarks]
 
 
 def _take_bands(folder: Path, layout: Layout, held: set[int | None], options: ConvertOptions) -> list[tuple[str, ...]]:
-    """Take photographs of a file a band, their boards and dark frames; returns rows (file, role, light, band).
+    """Take photographs of a file a band, their boards, dark and ambient frames; returns rows (file, role, light, band).
 
     Dark frames without bands are those of every band. CaptureError: band-missing, those of `pair_by_name`.
     """
@@ -114,11 +121,13 @@ def _take_bands(folder: Path, layout: Layout, held: set[int | None], options: Co
         files = complete_bands(bands, {path.stem: boards[path.stem] for path in partners}, str(options.white))
         for light, board in zip(names, files, strict=True):
             chosen += [(path, "white", light, band) for band, path in zip(bands, board, strict=True)]
-    if options.dark:
-        darks = _sorted_bands(options.dark, bands)
-        for files in complete_bands(bands, darks, str(options.dark)) if darks else ():
-            chosen += [(path, "dark", "", band) for band, path in zip(bands, files, strict=True)]
-        chosen += [(path, "dark", "", "") for path in (() if darks else photographs_in(options.dark))]
+    for role, given in (("dark", options.dark), ("ambient", options.ambient)):
+        if given is None:
+            continue
+        found = _sorted_bands(given, bands)
+        for files in complete_bands(bands, found, str(given)) if found else ():
+            chosen += [(path, role, "", band) for band, path in zip(bands, files, strict=True)]
+        chosen += [(path, role, "", "") for path in (() if found else photographs_in(given))]
     same = Counter((role, path.name) for path, role, _, _ in chosen)
     rows = []
     for path, role, light, band in chosen:
@@ -135,11 +144,52 @@ def _sorted_bands(folder: Path, bands: tuple[str, ...]) -> dict[str, dict[str, P
     )
 
 
-def write_tables(folder: Path, settings: dict, rows: list[tuple[str, ...]], lights: Lights) -> None:
-    """Write capture.yaml, frames.csv and lights.lp; rows: file, role, light and, where each has a file, band."""
+def read_exposures(folder: Path, rows: list[tuple[str, ...]]) -> tuple[dict[str, list[str]], list[Problem]]:
+    """Read exposure time, f-number and ISO of the photographs of frames.csv, where cameras recorded them.
+
+    rows: file, role and light of each. Returns the cells of each column whose values differ between the lit
+    photographs by more than SAME_EXPOSURE, and a warning where there is one, or where some of them state nothing.
+    """
+    recorded = [read_exif(folder / row[0], name=row[0]) for row in rows]
+    lit = [i for i, row in enumerate(rows) if row[1] != "dark"]
+    columns: dict[str, list[str]] = {}
+    unknown, said = [], []
+    for column in EXPOSURE_COLUMNS:
+        values = [getattr(exif, column) for exif in recorded]
+        stated = [values[i] for i in lit if values[i] is not None]
+        if not stated or max(stated) <= min(stated) * (1 + SAME_EXPOSURE):
+            continue
+        said.append(f"{column} {min(stated):.4g} to {max(stated):.4g}")
+        if len(stated) < len(lit):
+            unknown += [rows[i][0] for i in lit if values[i] is None]
+        columns[column] = ["" if value is None else f"{value:.9g}" for value in values]
+    if unknown:
+        what, found = "photographs are differently exposed, and some do not state how", ", ".join(said)
+        remedy = f"Exposures are not divided out. Give them for {unknown[0]} too, in frames.csv of an open capture"
+        return {}, [warning("exposure-unstated", unknown[0], what, found=found, remedy=remedy)]
+    if not columns:
+        return {}, []
+    what, found = "photographs are differently exposed; the exposures that they record are divided out", ", ".join(said)
+    remedy = "Set the camera to manual exposure"
+    return columns, [warning("exposure-differs", "frames.csv", what, found=found, remedy=remedy)]
+
+
+def write_tables(
+    folder: Path,
+    settings: dict,
+    rows: list[tuple[str, ...]],
+    lights: Lights,
+    further: dict[str, list[str]] | None = None,
+) -> None:
+    """Write capture.yaml, lights.lp and frames.csv.
+
+    rows: file, role, light and, where each has a file, band; further: cells of further columns.
+    """
     (folder / "capture.yaml").write_text(settings_text(settings), encoding="utf-8")
+    further = further or {}
     columns = ("file", "role", "light", "band")[: len(rows[0])]
-    (folder / "frames.csv").write_text(table_text([columns, *rows]), encoding="utf-8")
+    lines = [(*columns, *further), *zip(*zip(*rows, strict=True), *further.values(), strict=True)]
+    (folder / "frames.csv").write_text(table_text(lines), encoding="utf-8")
     (folder / "lights.lp").write_text(lights_text(lights), encoding="utf-8")
 
 

@@ -25,7 +25,7 @@ from nishiki.formats.problems import CaptureError, Problem, error, warning
 
 LUMA = np.array([0.299, 0.587, 0.114], np.float32)
 COLOUR = ("red", "green", "blue")
-FOLDERS = ("frames", "white", "dark", "silhouettes")
+FOLDERS = ("frames", "white", "dark", "ambient", "silhouettes")
 
 
 def channel_names(header: ImageHeader) -> tuple[str, ...]:

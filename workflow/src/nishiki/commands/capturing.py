@@ -64,6 +64,7 @@ def convert(options: argparse.Namespace, rest: list[str]) -> None:
         mask=_path(options.mask),
         white=_path(options.white),
         dark=_path(options.dark),
+        ambient=_path(options.ambient),
         checks=tuple(options.check or ()),
         encoding=options.encoding,
         title=options.title,

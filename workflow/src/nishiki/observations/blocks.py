@@ -59,6 +59,16 @@ def cells(edges: np.ndarray, start: int, stop: int) -> np.ndarray:
     return np.clip(np.concatenate([[start], inner, [stop]]), start, stop) - start
 
 
+def field_rows(field: np.ndarray, edges: Edges, start: int, stop: int) -> np.ndarray:
+    """Values (rows, columns, channels) of a field on blocks (r, c, channels) in the rows start..stop of a picture."""
+    if field.shape[:2] == (1, 1):
+        return np.broadcast_to(field, (stop - start, int(edges[1][-1]), field.shape[2]))
+    (above, down), (left, right) = positions(edges[0], start, stop), positions(edges[1], 0, int(edges[1][-1]))
+    below, beyond = (np.minimum(n + 1, size - 1) for n, size in zip((above, left), field.shape, strict=False))
+    across = field[:, left] + right[:, None] * (field[:, beyond] - field[:, left])
+    return across[above] + down[:, None, None] * (across[below] - across[above])
+
+
 def on_one_grid(gain: np.ndarray, dark: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Gain and dark level (..., r, c, channels) as float32 on one grid of blocks, contiguous.
 

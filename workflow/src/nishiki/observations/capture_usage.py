@@ -14,6 +14,7 @@ ROLES = {
     "check": "photographs under check lights",
     "white": "white boards",
     "dark": "dark frames",
+    "ambient": "photographs without lamp",
     "flat": "flat frames",
     "board": "pictures of the calibration board",
 }

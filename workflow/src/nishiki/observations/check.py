@@ -274,7 +274,7 @@ def _frame_content(
         pairs.add(frame, codes)
     if frame.role == "white":
         return list(board_field(reader, frame, codes, darks, edges, usable).problems)
-    if frame.role == "flat":
+    if frame.role in ("flat", "ambient"):
         return []
     *counts, highest = count_unusable(codes, usable, reader.saturated, reader.clip)
     return as_errors(frame_problems(frame, np.array(counts), float(highest), reader))

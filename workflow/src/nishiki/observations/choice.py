@@ -121,7 +121,7 @@ def unneeded_darks(frames: Iterable[Frame]) -> set[Frame]:
     """Dark frames whose exposure time is not the nearest, in ratio, to that of any lit frame (see DarkField.at)."""
     frames = list(frames)
     darks = [f for f in frames if f.role == "dark"]
-    lit = {f.exposure_s for f in frames if f.role in ("sample", "check", "white")}
+    lit = {f.exposure_s for f in frames if f.role in ("sample", "check", "white", "ambient")}
     times = tuple(dict.fromkeys(f.exposure_s for f in darks))
     if not times or None in times or None in lit or not lit:
         return set()

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -20,6 +20,7 @@ from nishiki.formats.problems import CaptureError, Problem, error, warning
 from nishiki.observations.linearise import LUMA_WEIGHTS, code_table, full_scale, saturation_code
 from nishiki.observations.plane_decode import to_luma
 from nishiki.observations.region import region_of
+from nishiki.observations.resampling import move_codes, region_behind, subtract_light
 
 CAMERA_BITS = (10, 12, 14)
 """Of cameras whose codes are stored in 16 bits."""
@@ -41,6 +42,8 @@ class FrameReader:
     rows, columns, dtype, coding: of the first frame, which all others must match; bits: significant ones of a code,
     None where all are; digests: of a sealed capture's files, against
     which every photograph is proven before it is decoded; empty otherwise; largest: largest code of each frame seen.
+    motions: by file, (2, 3) column and row in the region, as it was photographed, of what is read at a column and row;
+    room: (rows, columns, channels) float16 linear light of the room at exposure 1, subtracted from the object's.
     """
 
     capture: Capture
@@ -53,6 +56,8 @@ class FrameReader:
     region: Region
     digests: dict[str, str]
     largest: list[float] = field(default_factory=list)
+    motions: Mapping[str, np.ndarray] = field(default_factory=dict)
+    room: np.ndarray | None = None
 
     @classmethod
     def of(
@@ -164,6 +169,20 @@ class FrameReader:
 
     def read(self, frame: Frame) -> np.ndarray:
         """Codes (rows, columns, channels) of the region. CaptureError (image-size, image-depth, bits-exceeded, ...)."""
+        motion = self.motions.get(frame.file)
+        if motion is None:
+            codes = self._read_still(frame)
+        else:
+            region = region_behind(motion, self.region, self.rows, self.columns)
+            corner = [[0, 0, region[1] - self.region[1]], [0, 0, region[0] - self.region[0]]]
+            codes = replace(self, region=region)._read_still(frame)
+            codes = move_codes(codes, motion - corner, self.region[2:], self.saturated, self.clip)
+        if self.room is not None and frame.role in ("sample", "check"):
+            codes = subtract_light(codes, self.room * np.float32(frame.exposure or 1), self.table, self.saturated)
+        return codes
+
+    def _read_still(self, frame: Frame) -> np.ndarray:
+        """Codes (rows, columns, channels) of the region as it was photographed."""
         stored, luminance = self.stored, self._luminance
         if frame.bands:
             wanted = stored if self.single is None else (stored[self.single],)

@@ -77,7 +77,7 @@ class PairLevels:
         part = codes[np.ix_(self.rows, self.columns)]
         linear = part if part.dtype.kind == "f" else reader.table[part]
         dark = self.darks.at(frame.exposure_s).mean(axis=(0, 1))
-        values = (linear - dark).mean(axis=2, dtype=np.float64) / (frame.exposure_s or 1.0)
+        values = (linear - dark).mean(axis=2, dtype=np.float64) / (frame.exposure or 1.0)
         values[(part >= reader.saturated).any(axis=2) | ~self.inside] = np.nan
         high, samples_high, wide, samples_wide = self.shape
         blocks = values.reshape(high, samples_high, wide, samples_wide).swapaxes(1, 2).reshape(high * wide, -1)

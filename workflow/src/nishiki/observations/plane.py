@@ -153,7 +153,7 @@ class Observations:
         first, last = self._channel_range(channel)
         rows, width = codes.shape[1:3]
         gain, dark = self._fields(chosen)
-        edges = self._edges
+        edges = self.edges
         if gain.shape[1:3] == (1, 1):
             edges = tuple(np.array([0, n]) for n in self.shape)
         place_rows, row_weights = positions(edges[0], start, start + rows)
@@ -164,7 +164,7 @@ class Observations:
         valid = np.empty(codes.shape[:3], bool)
         decode(
             codes, self.table, self._scale, gain, dark, place_rows, row_weights, between, column_weights, usable,
-            *self._limits, first, last, channel is not None, out, valid,
+            *self.limits, first, last, channel is not None, out, valid,
         )  # fmt: skip
         return (out if channel is None else out[..., 0]), valid
 
@@ -197,7 +197,7 @@ class Observations:
         return codes, start
 
     @cached_property
-    def _edges(self) -> Edges:
+    def edges(self) -> Edges:
         """Edges of the blocks of gain and dark: those of the region that the capture asks for, inside what is kept."""
         kept = self.attributes.get("region_of_interest", (0, 0, *self.shape))
         asked = self.attributes.get("asked_region", kept)
@@ -214,7 +214,7 @@ class Observations:
         return usable.astype(np.uint8)
 
     @property
-    def _limits(self) -> tuple[np.number, np.number]:
+    def limits(self) -> tuple[np.number, np.number]:
         """Codes at or above, at or below which a sample is unusable, in the codes' own type."""
         top, low = self.attributes["saturation_code"], self.attributes["clip_code"]
         if self.dtype.kind == "u":

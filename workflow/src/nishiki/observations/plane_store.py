@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +14,13 @@ from nishiki.formats.problems import Problem, group_problems
 from nishiki.formats.zarr_chunks import chunk_path, write_chunk
 from nishiki.formats.zarr_store import BandedGroup
 from nishiki.observations.choice import chosen
+from nishiki.observations.corrections import find_corrections
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.pairs_check import PairLevels
 from nishiki.observations.plane_decode import count_unusable
-from nishiki.observations.reference import Gains, measure_darks, measure_gains
+from nishiki.observations.reference import Gains, measure_darks, measure_gains, measure_room
 from nishiki.observations.region import edges_of, object_mask, region_around, region_numbers, window_of
+from nishiki.observations.room_light import subtract_room
 from nishiki.observations.store_parts import (
     PhotographCounter,
     Settings,
@@ -42,7 +44,8 @@ class IngestDiagnostics:
     saturated: saturated in any channel; dark: at the lowest code in all channels; not_finite: counts; white_level:
     median of the board as a fraction of full scale per light, and white_uniformity: 5th / 95th percentile over the
     board per light, both of the worst channel, empty without a board; defects: hot or dead pixels;
-    coding: how codes became light.
+    coding: how codes became light; corrections: what was measured and put right, see
+    `nishiki.observations.corrections`.
     """
 
     rows: int
@@ -62,6 +65,7 @@ class IngestDiagnostics:
     defects: int
     warnings: tuple[str, ...]
     coding: str = ""
+    corrections: dict = field(default_factory=dict)
 
 
 def write_observations(
@@ -78,9 +82,8 @@ def write_observations(
     """
     choice = chosen(capture, settings.without)
     capture = choice.capture
-    tick = PhotographCounter(
-        progress, len(capture.frames_of("dark")) + len(capture.frames_of("white")) + len(capture.observed)
-    )
+    once = sum(len(capture.frames_of(role)) for role in ("dark", "white", "ambient"))
+    tick = PhotographCounter(progress, once + 2 * len(capture.observed))
     reader = FrameReader.of(capture, settings.channels, unopened=choice.files)
     asked, size = reader.region, (reader.rows, reader.columns)
     outline = object_mask(capture, size, asked)
@@ -92,6 +95,10 @@ def write_observations(
     darks = measure_darks(reader, edges, tick)
     pairs = PairLevels(reader, darks, mask)
     gains = measure_gains(reader, darks, edges, mask, tick, pairs.add)
+    reader = replace(reader, room=measure_room(reader, darks, tick))
+    corrections = find_corrections(reader, darks, gains.gain, mask, settings.correct, tick)
+    capture, gains = corrections.capture, gains.of(corrections.kept)
+    reader = replace(reader, capture=capture, motions=corrections.motions)
     group = BandedGroup.create(Path(folder) / STORE)
     band_rows = rows_of_band(len(capture.observed), rows, columns, len(reader.names), settings.tile_mib)
     look = pairs.add if capture.frames_of("white") else None
@@ -99,15 +106,18 @@ def write_observations(
         Path(folder) / STORE, group, reader, mask, band_rows, settings.compression, tick, look
     )
     defect = darks.defect | gains.defect
-    arrays = {"mask": mask, "gain": gains.gain, "dark": darks.for_frames(capture.observed)}
+    arrays = {"mask": mask, "gain": gains.gain / corrections.strengths, "dark": darks.for_frames(capture.observed)}
     labels, label_warnings = region_numbers(capture, size, reader.region)
     if labels is not None:
         arrays["regions"] = labels
     write_small_arrays(group, reader, defect, arrays)
     group.update(**_attributes(capture, reader, settings, band_rows), asked_region=list(asked))
-    doubts = (*capture.warnings, *outline.problems, *label_warnings, *reader.warnings())
+    if corrections.ambient.any():
+        subtract_room(Path(folder) / STORE, corrections.ambient, corrections.gains)
+    doubts = (*capture.warnings, *outline.problems, *label_warnings, *reader.warnings(), *corrections.problems)
     problems = (*doubts, *darks.problems, *gains.problems, *pairs.problems(), *problems)
-    return _diagnostics(reader, counts, mask, defect, gains, problems, band_rows)
+    diagnostics = _diagnostics(reader, counts, mask, defect, gains, problems, band_rows)
+    return replace(diagnostics, corrections=corrections.measured)
 
 
 def cropped(reader: FrameReader, mask: np.ndarray, white_block: int) -> tuple[FrameReader, np.ndarray]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -60,6 +60,11 @@ class Gains:
     defect: np.ndarray
     problems: tuple[Problem, ...]
 
+    def of(self, kept: np.ndarray) -> Gains:
+        """Select the frames of these numbers."""
+        levels, uniformity = (tuple(some[j] for j in kept) if some else () for some in (self.levels, self.uniformity))
+        return replace(self, gain=self.gain[kept], levels=levels, uniformity=uniformity)
+
 
 def measure_darks(reader: FrameReader, edges: Edges, tick: Callable[[str], None]) -> DarkField:
     """Average the dark frames of each exposure; camera.black_level where there are none."""
@@ -82,6 +87,26 @@ def measure_darks(reader: FrameReader, edges: Edges, tick: Callable[[str], None]
     levels = tuple(_flatten((total / count).astype(np.float32), step) for total, count in sums.values())
     problems = _dark_problems(reader, exposures)
     return DarkField(exposures, levels, hot > len(frames[:255]) // 2, problems)
+
+
+def measure_room(reader: FrameReader, darks: DarkField, tick: Callable[[str], None]) -> np.ndarray | None:
+    """Average the photographs without lamp.
+
+    Returns (rows, columns, channels) float16 linear light at exposure 1 (see `Frame.exposure`), of which half a per
+    mille is lost in that type; None where there are no such photographs.
+    """
+    import cv2
+
+    frames = reader.capture.frames_of("ambient")
+    total = None
+    for frame, codes in reader.read_all(frames):
+        light = codes.astype(np.float32) if codes.dtype.kind == "f" else reader.table[codes]
+        level = darks.at(frame.exposure_s)
+        light -= level if level.shape[:2] == (1, 1) else cv2.resize(level, codes.shape[1::-1]).reshape(codes.shape)
+        light = np.nan_to_num(np.maximum(light, 0)) / np.float32((frame.exposure or 1) * len(frames))
+        total = light if total is None else total + light
+        tick(frame.file)
+    return None if total is None else total.astype(np.float16)
 
 
 def hot_limit(reader: FrameReader, edges: Edges) -> float:
@@ -133,8 +158,8 @@ def measure_gains(
     capture, shape = reader.capture, reader.region[2:]
     observed = capture.observed
     if not capture.frames_of("white"):
-        longest = max((f.exposure_s for f in observed if f.exposure_s), default=1.0)
-        scale = np.array([longest / (f.exposure_s or longest) for f in observed])[:, None]
+        longest = max((f.exposure for f in observed if f.exposure), default=1.0)
+        scale = np.array([longest / (f.exposure or longest) for f in observed])[:, None]
         places = [capture.lights.index(f.light) for f in observed]
         stored = capture.intensities[places] if capture.intensities is not None else np.ones((1, len(reader.stored)))
         gain = np.broadcast_to(scale / (stored @ reader.weights.T), (len(observed), len(reader.names)))
@@ -147,7 +172,7 @@ def measure_gains(
         look(frame, codes)
         i = by_light[capture.lights.index(frame.light)]
         field = board_field(reader, frame, codes, darks, edges, mask)
-        ratio = (frame.exposure_s or 1.0) / (observed[i].exposure_s or 1.0)
+        ratio = (frame.exposure or 1.0) / (observed[i].exposure or 1.0)
         gains[i] = field.gain * np.float32(ratio)
         levels[i], uniformity[i] = field.level.min(), field.uniformity.min()
         problems += field.problems

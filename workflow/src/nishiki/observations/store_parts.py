@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import Literal, Protocol
+from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from nishiki.formats.problems import CaptureError, Problem, error, warning
 from nishiki.formats.text_tables import refusal
 from nishiki.formats.zarr_store import BandedGroup
 from nishiki.observations.frames import FrameReader
+
+if TYPE_CHECKING:
+    from nishiki.observations.corrections import Wishes
 
 MANY_SATURATED = 0.05
 Tick = Callable[[str], None]
@@ -28,6 +31,7 @@ class Settings(Protocol):
     tile_mib: int
     compression: Literal["none", "zstd"]
     without: tuple[str, ...]
+    correct: Wishes
 
 
 class PhotographCounter:

@@ -23,11 +23,28 @@ LIMITS = (
 )
 
 
+class Correct(Closed):
+    """What is put right where the photographs show it against each other; never: measured, and warned of."""
+
+    registration: Literal["auto", "never"] = Field(
+        "auto", description="auto: photographs are moved back where the camera moved; never: they stay"
+    )
+    ambient: Literal["auto", "never"] = Field(
+        "auto", description="auto: light of the room that no frame of role ambient shows is estimated and subtracted"
+    )
+    gains: Literal["auto", "never"] = Field(
+        "auto", description="auto: strengths of the lamps from the photographs, where no board or table has them"
+    )
+    leave_out: Literal["auto", "never"] = Field(
+        "auto", description="auto: without photographs whose lamp failed, or that repeat another one"
+    )
+
+
 class IngestSettings(Guarded):
     """Photographs to linear, white-normalised observations."""
 
     STAGE: ClassVar[str] = "ingest"
-    VERSION: ClassVar[int] = 2
+    VERSION: ClassVar[int] = 3
     LIMITS: ClassVar[tuple[Limit, ...]] = LIMITS
 
     channels: str = Field(
@@ -43,6 +60,9 @@ class IngestSettings(Guarded):
         le=256,
         description="white board averaged over blocks of this many pixels; 1: per pixel (Tominaga and Tanaka 2004, "
         "eq. 3)",
+    )
+    correct: Correct = Field(
+        Correct(), description="plane: what is put right where the photographs do not agree with each other"
     )
     tile_mib: int = Field(128, ge=8, le=4096, description="memory for one tile of all lights as float32, MiB")
     compression: Literal["none", "zstd"] = Field("none", description="zstd: a third of the bytes, twice the time")

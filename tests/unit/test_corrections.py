@@ -1,0 +1,266 @@
+"""Moved cameras, room light, exposures, unequal and failed lamps: measured at ingest and put right; sound sets stay."""
+
+import hashlib
+import struct
+import zlib
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+
+import nishiki
+from nishiki.capture.convert import convert
+from nishiki.capture.folder import load_capture
+from nishiki.formats.coding import LINEAR, SRGB
+from nishiki.formats.problems import CaptureError
+from nishiki.observations.linearise import code_table
+from nishiki.observations.plane_store import write_observations
+from nishiki.observations.registration import Window, choose_pairs, solve_movement
+from nishiki.observations.resampling import move_codes, region_behind, subtract_light
+from nishiki.stages.ingest.declaration import IngestSettings
+
+ROWS, COLUMNS, LAMPS = 96, 128, 10
+ACCURATE = 0.5  # degrees from the normals of the clean set
+
+
+def lamps(count=LAMPS):
+    """(lamps, 3) unit vectors, alternately low and high, none opposite to another."""
+    azimuth = np.radians(np.arange(count) * 360 / count + 11)
+    elevation = np.radians(np.where(np.arange(count) % 2, 38, 62))
+    flat = np.cos(elevation)
+    return np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)], axis=1)
+
+
+def seen(light, *, shift=(0.0, 0.0), turn=0.0, albedo_only=False):
+    """A photograph (rows, columns, 3) of a painted relief with gloss, seen by a camera that moved.
+
+    The reflection is Oren and Nayar's for rough matter (1994, first term) with a highlight, not Lambert's law.
+    """
+    y, x = np.mgrid[:ROWS, :COLUMNS].astype(float)
+    x, y = x - COLUMNS / 2 - shift[0], y - ROWS / 2 - shift[1]
+    x, y = np.cos(turn) * x + np.sin(turn) * y, np.cos(turn) * y - np.sin(turn) * x
+    p = 0.45 * np.cos(x / 7) * np.cos(y / 11) + 0.2 * np.sin(x / 3.1 + y / 9)
+    q = 0.5 * np.sin(y / 6 + x / 23)
+    normal = np.stack([-p, q, np.ones_like(p)], axis=2)
+    normal /= np.linalg.norm(normal, axis=2, keepdims=True)
+    waves = np.random.default_rng(3).normal(0, 0.25, (30, 2))
+    strokes = np.tanh(sum(np.sin(a * x + b * y + 7 * a / b) for a, b in waves) / 2)
+    albedo = np.stack([0.45 + 0.25 * strokes, 0.4 - 0.2 * strokes, 0.35 + 0.1 * np.sin(x / 13)], axis=2)
+    if albedo_only:
+        return albedo
+    cosine = np.maximum(normal @ light, 0)
+    across = np.maximum(light[2] - cosine * normal[..., 2], 0) / np.maximum(np.maximum(cosine, normal[..., 2]), 0.05)
+    half = light + np.array([0, 0, 1])
+    half /= np.linalg.norm(half)
+    gloss = 0.04 * np.maximum(normal @ half, 0) ** 40 * (cosine > 0)
+    return albedo * (cosine * (0.93 + 0.1 * across))[..., None] + gloss[..., None]
+
+
+def write_set(folder, photographs, directions=None, exif=None):
+    """A folder of 16-bit PNG with a lights file; photographs of at most 1."""
+    folder.mkdir()
+    rng = np.random.default_rng(0)
+    directions = lamps(len(photographs)) if directions is None else directions
+    lines = []
+    for j, (picture, light) in enumerate(zip(photographs, directions, strict=True)):
+        name = f"p{j:02d}.png"
+        noisy = picture + rng.normal(0, 0.002, picture.shape)
+        cv2.imwrite(str(folder / name), np.rint(np.clip(noisy, 0, 1) * 65535).astype(np.uint16)[..., ::-1])
+        lines.append(f"{name} {light[0]:.9f} {light[1]:.9f} {light[2]:.9f}\n")
+        if exif:
+            tags = Image.Exif()
+            tags.get_ifd(0x8769).update(exif[j])
+            content, block = (folder / name).read_bytes(), tags.tobytes().removeprefix(b"Exif\0\0")
+            chunk = b"eXIf" + block
+            chunk = struct.pack(">I", len(block)) + chunk + struct.pack(">I", zlib.crc32(chunk))
+            (folder / name).write_bytes(content[:33] + chunk + content[33:])
+    (folder / "dome.lp").write_text(f"{len(photographs)}\n" + "".join(lines))
+    return folder
+
+
+def digitise(source, tmp_path, name="c", correct=None, **options):
+    """Normals of a folder of photographs through `convert` and ingest, with the diagnostics and the lights."""
+    convert(source, tmp_path / name, **options)
+    settings = IngestSettings(**({"correct": correct} if correct else {}))
+    out = tmp_path / f"{name}-out"
+    diagnostics = write_observations(load_capture(tmp_path / name), out, settings=settings)
+    observed = nishiki.read_observations(tmp_path / name)
+    field = nishiki.estimate_normals(observed.values.mean(axis=3), observed.directions, valid=observed.valid)
+    return field, diagnostics, observed.lights
+
+
+def difference(field, reference, margin=8):
+    """Mean angle between two normal fields in degrees, apart from the border."""
+    cosine = np.clip((field.normals * reference.normals).sum(axis=2), -1, 1)
+    return float(np.degrees(np.arccos(cosine))[margin:-margin, margin:-margin].mean())
+
+
+@pytest.fixture(scope="module")
+def clean(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("clean")
+    field, diagnostics, _ = digitise(write_set(folder / "s", [seen(light) for light in lamps()]), folder)
+    done = diagnostics.corrections["done"]
+    assert not any(done.values()), done
+    return field
+
+
+def digest_of(store):
+    files = sorted(path for path in store.rglob("*") if path.is_file())
+    return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
+
+
+def test_a_sound_capture_is_stored_as_without_corrections(tmp_path):
+    source = write_set(tmp_path / "s", [seen(light) for light in lamps()])
+    convert(source, tmp_path / "c")
+    never = dict.fromkeys(("registration", "ambient", "gains", "leave_out"), "never")
+    for name, correct in (("auto", {}), ("never", never)):
+        settings = IngestSettings(correct=correct)
+        write_observations(load_capture(tmp_path / "c"), tmp_path / name, settings=settings)
+    assert digest_of(tmp_path / "auto" / "frames.zarr") == digest_of(tmp_path / "never" / "frames.zarr")
+
+
+MOVEMENTS = {
+    "bumped": lambda j: {"shift": (3, 2) if j > 5 else (0, 0)},
+    "drifting": lambda j: {"shift": (0.4 * j, 0.25 * j)},
+    "far": lambda j: {"shift": (-9.4, 6.7) if j in (3, 8) else (0, 0)},
+    "turned": lambda j: {"shift": (1.3, -2.2), "turn": 0.05} if j > 6 else {},
+}
+
+
+@pytest.mark.parametrize("kind", MOVEMENTS)
+def test_a_moved_camera_is_registered(clean, tmp_path, kind):
+    moves = [MOVEMENTS[kind](j) for j in range(LAMPS)]
+    source = write_set(tmp_path / "s", [seen(light, **move) for light, move in zip(lamps(), moves, strict=True)])
+    field, diagnostics, _ = digitise(source, tmp_path)
+    measured = list(diagnostics.corrections["photographs"].values())
+    for move, row in zip(moves, measured, strict=True):
+        assert np.allclose(row["shift_px"], move.get("shift", (0, 0)), atol=0.3)
+        assert np.isclose(row["turn_deg"], np.degrees(move.get("turn", 0)), atol=0.3)
+    assert difference(field, clean, margin=14) < ACCURATE
+
+
+def test_a_movement_may_be_left_as_it_is(tmp_path):
+    source = write_set(tmp_path / "s", [seen(light, **MOVEMENTS["bumped"](j)) for j, light in enumerate(lamps())])
+    convert(source, tmp_path / "c")
+    settings = IngestSettings(correct={"registration": "never"})
+    diagnostics = write_observations(load_capture(tmp_path / "c"), tmp_path / "o", settings=settings)
+    assert diagnostics.corrections["done"]["registered"] == []
+    assert any("camera" in text for text in diagnostics.warnings)
+
+
+def test_unconnected_photographs_are_not_moved():
+    """Photographs of noise have nothing in common."""
+    noise = np.random.default_rng(1).random((6, 60, 80)).astype(np.float32)
+    window = Window(noise, np.ones((60, 80), bool), np.zeros(2), np.ones(2))
+    movement = solve_movement([window], choose_pairs(lamps(6)), np.array([60, 80]))
+    assert not movement.moved.any()
+
+
+def test_room_light_of_a_frame_without_lamp_is_taken_off(clean, tmp_path):
+    room = 0.12 * np.array([1.0, 0.8, 0.6]) * seen(None, albedo_only=True)
+    source = write_set(tmp_path / "s", [0.8 * seen(light) + room for light in lamps()])
+    write_set(tmp_path / "dark", [room], np.array([[0, 0, 1.0]]))
+    field, diagnostics, _ = digitise(source, tmp_path, ambient=tmp_path / "dark" / "p00.png")
+    assert not any(diagnostics.corrections["done"].values())
+    assert difference(field, clean) < ACCURATE / 5
+    assert difference(digitise(source, tmp_path, "plain", {"ambient": "never"})[0], clean) > 1
+
+
+def test_recorded_exposures_are_divided_out(clean, tmp_path):
+    times = [(1 / 100, 1 / 50, 1 / 25)[j % 3] for j in range(LAMPS)]
+    sensitivities = [100 if j % 2 else 50 for j in range(LAMPS)]
+    exif = [{33434: t, 33437: 8.0, 34855: iso} for t, iso in zip(times, sensitivities, strict=True)]
+    factors = [t * 25 * iso / 100 for t, iso in zip(times, sensitivities, strict=True)]
+    source = write_set(tmp_path / "s", [f * seen(light) for f, light in zip(factors, lamps(), strict=True)], exif=exif)
+    field, diagnostics, _ = digitise(source, tmp_path)
+    header = (tmp_path / "c" / "frames.csv").read_text().splitlines()[0]
+    assert header == "file,role,light,exposure_s,iso"
+    assert difference(field, clean) < ACCURATE
+    assert not any(diagnostics.corrections["done"].values())
+
+
+def test_lamps_of_unequal_strength_are_calibrated_by_the_photographs(clean, tmp_path):
+    strengths = np.random.default_rng(5).uniform(0.6, 1.0, LAMPS)
+    source = write_set(tmp_path / "s", [s * seen(light) for s, light in zip(strengths, lamps(), strict=True)])
+    field, diagnostics, _ = digitise(source, tmp_path)
+    gains = np.array([diagnostics.corrections["photographs"][f"p{j:02d}"]["gain"] for j in range(LAMPS)])
+    assert np.allclose(gains / gains.mean(), strengths / strengths.mean(), rtol=0.03)
+    assert difference(field, clean) < ACCURATE
+
+
+def test_failed_lamps_and_repeated_photographs_are_left_out(clean, tmp_path):
+    pictures = [seen(light) for light in lamps()]
+    pictures[4] = np.zeros_like(pictures[4])
+    pictures[8] = pictures[7]
+    field, diagnostics, lights = digitise(write_set(tmp_path / "s", pictures), tmp_path)
+    assert set(diagnostics.corrections["done"]["left_out"]) == {"p04", "p08"}
+    assert "p04" not in lights
+    assert difference(field, clean) < 2 * ACCURATE  # two lamps less
+
+
+def test_too_few_lamps_are_refused(tmp_path):
+    pictures = [seen(light) if j < 2 else 0 * seen(light) for j, light in enumerate(lamps(4))]
+    convert(write_set(tmp_path / "s", pictures), tmp_path / "c")
+    with pytest.raises(CaptureError):
+        write_observations(load_capture(tmp_path / "c"), tmp_path / "o", settings=IngestSettings())
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+def test_moved_codes_keep_what_is_saturated_and_what_is_dark(dtype):
+    full = 1 if dtype == np.float32 else np.iinfo(dtype).max
+    codes = np.full((20, 30, 5), 0.5 * full).astype(dtype)
+    codes[8, 10, 2] = full
+    codes[15:, :] = 0
+    matrix = np.array([[1, 0, 0.8], [0, 1, 0.3]])
+    moved = move_codes(codes, matrix, (20, 30), dtype(0.99 * full), dtype(0))
+    assert moved.dtype == codes.dtype
+    assert moved.shape == codes.shape
+    hot = (moved >= dtype(0.99 * full)).all(axis=2)
+    assert hot[6:9, 8:11].all()
+    assert hot.sum() < 26
+    assert (moved[16:] == 0).all()
+    still = ~hot & (np.arange(20) < 12)[:, None] & (np.arange(30) < 28)[None]
+    assert np.allclose(moved[still][:, 0], codes[0, 0, 0], rtol=1e-3)
+    assert (moved[:, -1] == 0).all()  # beyond the border there is nothing
+
+
+def test_a_region_behind_a_movement_holds_its_corners():
+    matrix = np.array([[1, 0, -7.5], [0, 1, 4.2]])
+    assert region_behind(matrix, (10, 20, 30, 40), 100, 100) == (11, 9, 37, 47)
+    assert region_behind(matrix, (0, 0, 100, 100), 100, 100) == (1, 0, 99, 96)
+
+
+@pytest.mark.parametrize(("dtype", "curve"), [(np.uint8, SRGB), (np.uint8, LINEAR), (np.uint16, SRGB)])
+def test_subtracted_light_leaves_codes_of_the_rest(dtype, curve):
+    table = code_table(dtype, curve)
+    codes = np.arange(0, len(table), 5).astype(dtype).reshape(1, -1, 1)
+    light = np.full(codes.shape, 0.1, np.float32)
+    left = table[subtract_light(codes, light, table, codes.max())]
+    expected = np.maximum(table[codes] - 0.1, 0)
+    expected[codes == codes.max()] = table[codes.max()]
+    step = np.diff(table).max()
+    assert np.abs(left - expected).max() <= 0.51 * step + 2e-5
+
+
+@pytest.mark.parametrize(
+    ("case", "done"),
+    [
+        ("08-camera-bumped", {"registered"}),
+        ("09-ambient", {"ambient"}),
+        ("09-autoexposure", set()),
+        ("09-lamp-failed", {"left_out"}),
+        ("09-taken-twice", {"left_out"}),
+    ],
+)
+def test_captures_of_bug_reports(data, tmp_path, case, done):
+    import importlib.util
+
+    folder = data / "faulty_captures" / "photographs"
+    spec = importlib.util.spec_from_file_location("faulty_scene", folder / "scene.py")
+    scene = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(scene)
+    field, diagnostics, _ = digitise(folder / case, tmp_path)
+    assert {name for name, what in diagnostics.corrections["done"].items() if what} == done
+    cosine = np.clip((field.normals * scene.scene()[0]).sum(axis=2), -1, 1)
+    assert np.degrees(np.arccos(cosine))[field.valid].mean() < ACCURATE

@@ -1,0 +1,333 @@
+"""Movement of the camera between the photographs of a plane, measured although the light changes.
+
+Photograph j shows at x + d_j(x) what the first one shows at x, with
+
+    d_j(x) = t_j + A_j (x - c),    A_j = [[s_j, -r_j], [r_j, s_j]]
+
+c the centre of the picture, t_j the shift, r_j the turn and s_j the change of scale. Edges of the paint stand still
+when the lamp moves, and the shading of relief changes its sign as often as not, so the photographs are compared by the
+Laplacian of their logarithms: the phase correlation (C. D. Kuglin and D. C. Hines, 1975) of a window under two lamps of
+similar direction has its peak at the difference of their movements. All windows and pairs together determine the
+movements by robust least squares. To compare each photograph with its photometric prediction from the others is no
+substitute: shifts that follow the direction of the lamp look like slopes at the edges of the paint, and hardly change
+the residual.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+LIMIT = 0.3  # pixels: displacements below this, anywhere in the picture, are left alone
+SIGMAS = 5.0  # times its standard error that a displacement must have
+LIGHT_BIAS = 0.06  # pixels of shift that a change of the lamp imitated on objects that did not move
+TURN_LIMIT = 1.0  # pixels, at the mean distance of the windows from the centre: relief in them shifts with the lamp
+WINDOW, MARGIN = 160, 32  # pixels: side of a window at full resolution, and what is stored around it
+GRID = 3  # windows a side
+NEIGHBOURS = 6  # lamps of the most similar directions with which a photograph is compared
+LEAST_PEAK = 7.0  # height of a peak of correlation, in robust standard deviations of the plane
+LEAST_SUPPORT = 3  # pairs that must agree on a photograph
+AGREE = 0.5  # pixels within which they agree
+ROUNDS = 24  # of robust least squares
+FINE, COARSER = 1.0, 1.6  # standard deviations of the Gaussians whose difference is the Laplacian, pixels
+FLOOR = 0.03  # of the bright parts, added before the logarithm
+CLIP = 4.0  # robust standard deviations at which features end
+WHITENING = 0.3  # part of the mean amplitude below which frequencies count less
+
+
+@dataclass(frozen=True)
+class Movement:
+    """Movement of each photograph against the first.
+
+    Attributes
+    ----------
+    shift : (lights, 2) float64
+        Displacement of the picture's centre, columns and rows, pixels.
+    turn, scale : (lights,) float64
+        Turn in radians, from columns to rows, and change of scale; 0 where they are not significant.
+    sigma : (lights,) float64
+        Standard error of the displacement along one axis, pixels, infinite where nothing was measured.
+    reach : float
+        Half of the picture's diagonal, pixels.
+    centre : (2,) float64
+        Column and row of the picture's centre.
+    """
+
+    shift: np.ndarray
+    turn: np.ndarray
+    scale: np.ndarray
+    sigma: np.ndarray
+    reach: float
+    centre: np.ndarray
+
+    @property
+    def largest(self) -> np.ndarray:
+        """(lights,) float64: largest displacement in the picture, pixels."""
+        return np.hypot(*self.shift.T) + self.reach * np.hypot(self.turn, self.scale)
+
+    @property
+    def significant(self) -> np.ndarray:
+        """(lights,) bool: photographs that moved by more than LIMIT and SIGMAS standard errors."""
+        return self.largest > np.maximum(LIMIT, SIGMAS * self.sigma)
+
+    @property
+    def moved(self) -> np.ndarray:
+        """(lights,) bool: photographs to resample: where one moved, all that moved by more than their error."""
+        return (self.largest > np.maximum(LIMIT / 3, 2 * self.sigma)) & self.significant.any()
+
+    def matrix(self, j: int) -> np.ndarray:
+        """(2, 3) float64: column and row in photograph j of a column and row of the first photograph."""
+        turned = np.array([[1 + self.scale[j], -self.turn[j]], [self.turn[j], 1 + self.scale[j]]])
+        return np.column_stack([turned, self.shift[j] + self.centre - turned @ self.centre])
+
+
+@dataclass(frozen=True)
+class Window:
+    """The same window of all photographs.
+
+    pictures: (lights, rows, columns) float32 linear light; inside: (rows, columns) bool, the object; corner: column and
+    row of its first pixel in the whole picture; step: pixels of the whole picture to one of the window; margin: pixels
+    around it that serve the alignment only.
+    """
+
+    pictures: np.ndarray
+    inside: np.ndarray
+    corner: np.ndarray
+    step: np.ndarray
+    margin: int = 0
+
+    @property
+    def centre(self) -> np.ndarray:
+        """(2,) float64: column and row of the middle of the object in it, in the whole picture."""
+        rows, columns = np.nonzero(self.inside)
+        middle = (np.array(self.inside.shape[::-1]) - 1) / 2 if not len(rows) else (columns.mean(), rows.mean())
+        return self.corner + self.step * middle
+
+    def part(self, rows: slice, columns: slice) -> Window:
+        """A part of it, with pictures that are views."""
+        corner = self.corner + self.step * (columns.start, rows.start)
+        return Window(self.pictures[:, rows, columns], self.inside[rows, columns], corner, self.step)
+
+
+def choose_places(reduced: np.ndarray, inside: np.ndarray, factor: int) -> list[tuple[slice, slice]]:
+    """Choose windows at full resolution: in each cell of a grid where a photograph has most texture.
+
+    reduced: (rows, columns), of a photograph that is `factor` times as large; inside: (rows, columns) bool, the object.
+    """
+    from scipy.ndimage import uniform_filter
+
+    strength = uniform_filter(np.abs(_features(reduced[None], inside)[0]), max(WINDOW // factor, 1), mode="constant")
+    shape, side = factor * np.array(reduced.shape), WINDOW + 2 * MARGIN
+    cells = [np.linspace(0, n, GRID + 1).astype(int) for n in reduced.shape]
+    places = []
+    for top, bottom in zip(cells[0][:-1], cells[0][1:], strict=True):
+        for left, right in zip(cells[1][:-1], cells[1][1:], strict=True):
+            cell = strength[top:bottom, left:right]
+            if cell.max(initial=0) > 0:
+                middle = np.array(np.unravel_index(np.argmax(cell), cell.shape)) + np.array([top, left])
+                start = np.clip(middle * factor - side // 2, 0, np.maximum(shape - side, 0))
+                rows, columns = (slice(int(a), int(min(a + side, n))) for a, n in zip(start, shape, strict=True))
+                places.append((rows, columns))
+    return places
+
+
+def measure_movement(whole: Window, windows: list[Window], directions: np.ndarray) -> Movement:
+    """Measure the movement of the photographs under lamps of these directions (lights, 3).
+
+    whole: the reduced pictures; windows: at full resolution, none where the pictures are not reduced.
+    """
+    halves = [(slice(0, n // 2), slice(n // 2, n)) for n in whole.inside.shape]
+    parts = [whole, *(whole.part(rows, columns) for rows in halves[0] for columns in halves[1])]
+    shape = whole.step[::-1] * whole.inside.shape
+    pairs, movement = choose_pairs(directions), None
+    for chosen in (parts, parts, windows):
+        movement = solve_movement(chosen, pairs, shape, movement) if chosen else movement
+    return movement
+
+
+def choose_pairs(directions: np.ndarray) -> np.ndarray:
+    """Choose pairs (pairs, 2) int64 of photographs: those of similar lamps, and each with the one before."""
+    count = len(directions)
+    nearest = np.argsort(-(directions @ directions.T) - 9 * np.eye(count), axis=1)[:, 1 : NEIGHBOURS + 1]
+    pairs = {(min(j, k), max(j, k)) for j in range(count) for k in nearest[j]}
+    return np.array(sorted(pairs | {(j, j + 1) for j in range(count - 1)}), np.int64)
+
+
+def solve_movement(
+    windows: list[Window], pairs: np.ndarray, shape: np.ndarray, before: Movement | None = None
+) -> Movement:
+    """Determine the movements from windows of the photographs.
+
+    Parameters
+    ----------
+    windows : list of Window
+    pairs : (pairs, 2) int64
+        Photographs that are compared with each other.
+    shape : (2,) int
+        Rows and columns of the whole picture.
+    before : Movement, optional
+        Earlier result; the windows are aligned by it first.
+
+    Returns
+    -------
+    Movement
+    """
+    count = len(windows[0].pictures)
+    centre, reach = (np.asarray(shape)[::-1] - 1) / 2, float(np.hypot(*shape)) / 2
+    start = before or Movement(np.zeros((count, 2)), *np.zeros((3, count)), reach, centre)
+    compared = [_compare(window, pairs, start) for window in windows]
+    measured = np.concatenate([shifts for shifts, _ in compared])
+    peaks = np.concatenate([heights for _, heights in compared])
+    places = np.concatenate([np.tile((window.centre - centre) / reach, (len(pairs), 1)) for window in windows])
+    pair = np.tile(pairs, (len(windows), 1))
+    change, sigma = fit_movements(places, measured, peaks, pair, count)
+    lever = np.sqrt(np.average(np.square(places).sum(axis=1), weights=np.maximum(peaks - LEAST_PEAK, 1e-9)))
+    outer = lever * np.hypot(change[:, 2] + reach * start.turn, change[:, 3] + reach * start.scale)
+    known = np.isfinite(sigma[:, 1])
+    if not (outer[known] > np.maximum(TURN_LIMIT, SIGMAS * lever * sigma[known, 1])).any():
+        start = Movement(start.shift, *np.zeros((2, count)), start.sigma, reach, centre)
+        change, sigma = fit_movements(places, measured, peaks, pair, count, turn=False)
+    turn, scale = start.turn + change[:, 2] / reach, start.scale + change[:, 3] / reach
+    return Movement(start.shift + change[:, :2], turn, scale, np.hypot(sigma[:, 0], LIGHT_BIAS), reach, centre)
+
+
+def fit_movements(
+    places: np.ndarray, measured: np.ndarray, peaks: np.ndarray, pairs: np.ndarray, count: int, *, turn: bool = True
+) -> tuple[np.ndarray, np.ndarray]:
+    """Fit the movements of `count` photographs to the differences of pairs, by robust least squares.
+
+    places (n, 2): where, from the centre in units of the reach; measured (n, 2): displacement of the second of the pair
+    against the first, pixels; peaks (n,): heights of the peaks of correlation; turn: False for shifts alone.
+    Returns (count, 4) pixels: shift along columns and rows, turn and scale times the reach, against the first
+    photograph that could be compared; and standard errors (count, 2) of shift and turn, infinite without support.
+    """
+    from scipy.linalg import inv, solve
+    from scipy.sparse import csr_matrix
+
+    n, x, y, one, none = len(pairs), *places.T, np.ones(len(pairs)), np.zeros(len(pairs))
+    terms = np.stack([np.stack([one, none, -y, x], 1), np.stack([none, one, x, y], 1)])[:, :, : 4 if turn else 2]
+    unknowns = terms.shape[2]
+    columns = unknowns * pairs[:, :, None] + np.arange(unknowns)  # (n, 2, unknowns)
+    values = terms[:, :, None, :] * np.array([-1.0, 1.0])[:, None]  # (2, n, 2, unknowns)
+    rows = np.broadcast_to(np.arange(2 * n).reshape(2, n, 1, 1), values.shape)
+    places_of = np.broadcast_to(columns, values.shape)
+    design = csr_matrix((values.ravel(), (rows.ravel(), places_of.ravel())), (2 * n, unknowns * count))
+    strength = np.square(np.minimum(np.maximum(peaks - LEAST_PEAK, 0), 50))
+    target, weights = measured.T.ravel(), strength
+    for rounds in range(ROUNDS):
+        double = np.tile(weights, 2)
+        normal = (design.T @ design.multiply(double[:, None])).toarray()
+        ridge = 1e-8 * max(float(np.trace(normal)) / len(normal), 1e-9)
+        normal += ridge * np.eye(len(normal))
+        found = solve(normal, design.T @ (double * target), assume_a="pos")
+        residual = np.hypot(*(target - design @ found).reshape(2, n))
+        if rounds < ROUNDS // 2:  # least absolute deviations first: the minority of wrong peaks must not pull
+            weights = strength / np.maximum(residual, 0.02)
+        else:
+            scale = max(1.4826 * _weighted_median(residual, strength), 0.02)
+            weights = strength / np.square(1 + np.square(residual / (2 * scale)))
+    agrees = (residual < AGREE) & (strength > 0)
+    support = np.bincount(pairs[agrees].ravel(), minlength=count)
+    first = int(np.argmax(support >= LEAST_SUPPORT))
+    inverse = inv(normal)
+    degrees = max(2 * int((weights > 0).sum()) - unknowns * count, 1)
+    spread = float((weights * np.square(residual)).sum()) / degrees
+    contrast = np.eye(count)
+    contrast[:, first] -= 1
+    change, sigma = np.zeros((count, 4)), np.full((count, 2), np.inf)
+    change[:, :unknowns] = contrast @ found.reshape(count, unknowns)
+    blocks = inverse.reshape(count, unknowns, count, unknowns)
+    for column, unknown in enumerate((0, 2) if turn else (0,)):
+        variance = np.einsum("ij,jk,ik->i", contrast, blocks[:, unknown, :, unknown], contrast)
+        sigma[:, column] = np.sqrt(np.maximum(variance, 0) * spread)
+    lost = support < LEAST_SUPPORT
+    change[lost], sigma[lost] = 0, np.inf
+    return change, sigma
+
+
+def _weighted_median(values: np.ndarray, weights: np.ndarray) -> float:
+    order = np.argsort(values)
+    total = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(total, total[-1] / 2)]) if total[-1] > 0 else 0.0
+
+
+def _features(pictures: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    """Laplacians of the logarithms (lights, rows, columns), clipped, 0 at and beyond the rim of the object."""
+    import cv2
+    from scipy.ndimage import gaussian_filter
+
+    depth = cv2.distanceTransform(np.pad(inside.astype(np.uint8), 1), cv2.DIST_L2, 3)[1:-1, 1:-1]
+    taper = np.clip((depth - 4) / 8, 0, 1).astype(np.float32)
+    features = np.zeros_like(pictures)
+    if not (taper > 0).any():
+        return features
+    for picture, out in zip(pictures, features, strict=True):
+        known = np.where(np.isfinite(picture), picture, 0)
+        floor = FLOOR * np.percentile(known[taper > 0], 80)
+        if floor <= 0:
+            continue
+        logarithm = np.log(np.maximum(known, 0) + floor)
+        curved = gaussian_filter(logarithm, COARSER) - gaussian_filter(logarithm, FINE)
+        unit = 1.4826 * np.median(np.abs(curved[taper > 0])) + 1e-12
+        out[...] = np.clip(curved / unit, -CLIP, CLIP) * taper
+    return features
+
+
+def _compare(window: Window, pairs: np.ndarray, movement: Movement) -> tuple[np.ndarray, np.ndarray]:
+    """Displacements (pairs, 2) in pixels of the whole picture, after alignment, and the heights of their peaks."""
+    from scipy.fft import irfft2, rfft2
+
+    features = _features(*align_window(window, movement))
+    shape = features.shape[1:]
+    spectra = rfft2(features)
+    reach = max(min(*shape) // 4, 3)
+    shifts, heights = np.zeros((len(pairs), 2)), np.zeros(len(pairs))
+    for i, (j, k) in enumerate(pairs):
+        cross = np.conj(spectra[j]) * spectra[k]
+        amplitude = np.abs(cross)
+        mean = float(amplitude.mean())
+        if mean > 0:
+            plane = irfft2(cross / (amplitude + WHITENING * mean), s=shape)
+            shifts[i], heights[i] = _peak(plane, reach)
+    return shifts * window.step, heights
+
+
+def align_window(window: Window, movement: Movement, *, replicate: bool = True) -> tuple[np.ndarray, np.ndarray]:
+    """The pictures brought to the first one by a movement, and where they show the object, without the margin.
+
+    replicate: pixels beyond the border are those at it; otherwise NaN.
+    """
+    import cv2
+
+    border = cv2.BORDER_REPLICATE if replicate else cv2.BORDER_CONSTANT
+    pictures, inside, edge = window.pictures, window.inside, window.margin
+    if movement.largest.any():
+        moved, size, flags = [], inside.shape[::-1], cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+        for j, picture in enumerate(pictures):
+            matrix = movement.matrix(j)
+            turned = matrix[:, :2]
+            offset = (turned @ window.corner + matrix[:, 2] - window.corner) / window.step
+            local = np.column_stack([turned, offset])
+            picture = cv2.warpAffine(picture, local, size, flags=flags, borderMode=border, borderValue=(np.nan,) * 4)
+            moved.append(picture)
+        pictures = np.stack(moved)
+    rows, columns = (slice(edge, max(n - edge, edge + 1)) for n in inside.shape)
+    return pictures[:, rows, columns], inside[rows, columns]
+
+
+def _peak(plane: np.ndarray, reach: int) -> tuple[tuple[float, float], float]:
+    """Column and row of the largest value of a cyclic plane of correlation within reach, and its height."""
+    from scipy.ndimage import gaussian_filter
+
+    near = gaussian_filter(np.roll(plane, (reach, reach), (0, 1))[: 2 * reach + 1, : 2 * reach + 1], 0.7)
+    row, column = np.unravel_index(np.argmax(near[1:-1, 1:-1]), (2 * reach - 1, 2 * reach - 1))
+    row, column = int(row) + 1, int(column) + 1
+    spread = 1.4826 * float(np.median(np.abs(near - np.median(near)))) + 1e-12
+
+    def vertex(a: float, b: float, c: float) -> float:
+        return 0.5 * (a - c) / min(a - 2 * b + c, -1e-12)
+
+    across = column - reach + vertex(*near[row, column - 1 : column + 2])
+    down = row - reach + vertex(*near[row - 1 : row + 2, column])
+    return (across, down), float(near[row, column]) / spread
