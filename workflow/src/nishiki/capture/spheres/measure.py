@@ -58,6 +58,7 @@ LEAST_OF_SAME = 0.38  # support of a circle as large as that of another ball
 SAME_SIZE = 0.05  # relative difference of radii
 MOST_SIZES = 3  # of other balls that are tried
 MOST_RIVALS = 8  # circles that may be the outline of one ball
+EQUAL = 1.03  # residual relative to the least, up to which edges alone rank circles
 AS_GOOD = 1.15  # residual relative to the least, up to which circles explain the scene as well
 LARGEST = 7.0  # radius of a ball relative to that of the circle around its highlights
 LEAST_RADIUS_PX = 10.0
@@ -67,6 +68,7 @@ COARSE_PX = 20.0  # radius of a cluster on the reduced photographs below which c
 FINE_PX = 4.0  # radius of a cluster on the reduced photographs below which these show no circle
 CROP_REACH = 4.0  # of such a crop, in radii of the cluster
 AGREEMENT = np.radians(8.0)  # up to which directions from two circles belong to two balls
+CLEAR = 0.7  # support of a circle that is not moved
 SETTLED = np.radians(1.5)  # up to which rays agree as well as places on reduced photographs can
 LEAST_LAMPS = 4  # that must be measured
 LENSES = (None, 12.0, 8.0, 6.0, 4.5, 3.5, 2.8, 2.2, 1.8, 1.5, 1.25, 1.0, 0.8)
@@ -75,7 +77,7 @@ LEVEL_DEG = 5.0  # tilt of a scene up to which it is taken to be level
 LEVEL_SIGMA_DEG = 2.0  # by which a scene that is level on average may be tilted
 USUAL_LENS = 2.0  # longer sides: the focal length whose obliqueness is the error where none is known
 FILM_DIAGONAL_MM = 43.27
-MATT_SHARE = 0.32  # of the photographs in which a place on a ball is bright, from which it is no mirror
+MATT_SHARE = 0.36  # of the photographs in which a place on a ball is bright, from which it is no mirror
 LEAST_MEASURED = 0.5  # of the photographs: balls that fewer have highlights on are not believed
 
 Crop = tuple[tuple[slice, slice], np.ndarray]
@@ -382,7 +384,9 @@ def _search(given: SphereInput, overview: Overview, findings: Findings) -> tuple
         residual = _explain_scene(cluster, overview, findings.camera)
         good = [c for c in circles if c.support >= least and c.radius >= LEAST_RADIUS_PX]
         left.update({circle: residual(circle) for circle in good})
-        return sorted(good, key=lambda c: (left[c], -c.support))[:MOST_RIVALS]
+        least = min((left[circle] for circle in good), default=1.0)
+        # Circles that explain the scene as well as the best are ranked by their edges.
+        return sorted(good, key=lambda c: (max(left[c], EQUAL * least), -c.support))[:MOST_RIVALS]
 
     def propose_near(cluster: Cluster, circle: Sequence[float], radii: tuple[float, float]) -> list[Circle]:
         crop = _crop(circle, shape)
@@ -478,7 +482,7 @@ def _choose(
         least = min(pair[1] for pair in pairs)
         pairs = [pair for pair in pairs if pair[1] < 1.2 * least + np.radians(0.5)]
         _, _, i, j, one, two, lens = max(pairs, key=lambda pair: pair[4].support + pair[5].support)
-        if least > SETTLED:
+        if least > SETTLED and min(one.support, two.support) < CLEAR:
             one, two = _settle_pair((candidates[i][0], candidates[j][0]), (one, two), lens, overview, findings.camera)
         chosen = {i: one, j: two}
         for k in set(range(len(candidates))) - {i, j}:

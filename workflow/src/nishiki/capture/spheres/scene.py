@@ -13,7 +13,7 @@ SHADOW = 0.1  # of a block's brightest photograph: below it may lie in shadow
 SATURATED = 0.95
 TRIALS = 59  # orders of the lamps that are tried
 MOST_RESIDUAL = 0.3
-MOST_CHANCE = 0.02
+MOST_CHANCE = 0.05
 LEAST_Z = 0.2  # of normals whose slopes count
 
 
