@@ -3,6 +3,7 @@
 import hashlib
 import struct
 import zlib
+from dataclasses import asdict
 
 import cv2
 import numpy as np
@@ -14,11 +15,13 @@ from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
 from nishiki.formats.coding import LINEAR, SRGB
 from nishiki.formats.problems import CaptureError
+from nishiki.observations.check import check_capture, failed
 from nishiki.observations.linearise import code_table
 from nishiki.observations.plane_store import write_observations
 from nishiki.observations.registration import Window, choose_pairs, solve_movement
 from nishiki.observations.resampling import move_codes, region_behind, subtract_light
 from nishiki.stages.ingest.declaration import IngestSettings
+from nishiki.stages.ingest.report import capture_section
 
 ROWS, COLUMNS, LAMPS = 96, 128, 10
 ACCURATE = 0.5  # degrees from the normals of the clean set
@@ -196,6 +199,11 @@ def test_failed_lamps_and_repeated_photographs_are_left_out(clean, tmp_path):
     field, diagnostics, lights = digitise(write_set(tmp_path / "s", pictures), tmp_path)
     assert set(diagnostics.corrections["done"]["left_out"]) == {"p04", "p08"}
     assert "p04" not in lights
+    assert not failed(check_capture(tmp_path / "c", level="full"))
+    page = capture_section(
+        asdict(diagnostics), lights=list(lights), kinds=["sample"] * len(lights), directions=lamps(len(lights))
+    )
+    assert any({row[0] for row in getattr(block, "rows", ())} == {"p04", "p08"} for block in page.blocks)
     assert difference(field, clean) < 2 * ACCURATE  # two lamps less
 
 

@@ -31,6 +31,7 @@ from nishiki.observations.reference import DarkField, board_field, measure_darks
 from nishiki.observations.region import object_mask, region_numbers, region_of
 from nishiki.observations.store_parts import RepeatedFiles, as_errors, attempt
 from nishiki.observations.turntable_check import listed_files, silhouette_problems, turntable_content_problems
+from nishiki.photometric.consistency import FEWEST_LAMPS
 
 SAME_DIRECTION = np.cos(np.radians(0.1))
 CHECK_BLOCK = 16
@@ -250,7 +251,10 @@ def _content_problems(capture: Capture, tick: Callable[[str], None]) -> list[Pro
     for frame in capture.frames:
         if frame.role == "dark":
             continue
-        problems += attempt(lambda frame=frame: _frame_content(reader, frame, usable, darks, edges, pairs))
+        found = attempt(lambda frame=frame: _frame_content(reader, frame, usable, darks, edges, pairs))
+        if len(capture.frames_of("sample")) > FEWEST_LAMPS and frame.role != "white":  # ingest leaves it out
+            found = [replace(p, severity="warning") if p.kind == "all-dark" else p for p in found]
+        problems += found
         problems += repeated.add(frame)
         tick(frame.file)
     return reader.warnings() + problems + pairs.problems()

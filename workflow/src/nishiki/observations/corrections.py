@@ -217,7 +217,7 @@ def find_corrections(
         problems += notes
     motions = {frames[j].file: movement.matrix(j) for j in kept if moved[j] and wishes.registration == "auto"}
     done = {
-        "registered": sorted(motions),
+        "registered": [frame.light for frame in frames if frame.file in motions],
         "left_out": {frames[j].light: reason for j, reason in reasons.items() if frames[j].file in out},
         "gains": {f.light: float(g) for f, g in zip(left.observed, gains, strict=True) if g != 1},
         "ambient": ambient.tolist() if ambient.any() else [],

@@ -45,12 +45,34 @@ def capture_section(
     if saturated := _saturation(diagnostics, lights):
         items.append(Figure("Saturation", SATURATION, svg=saturated))
     blocks.append(Figures(items))
+    if table := _corrected(diagnostics.get("corrections", {})):
+        blocks.append(table)
     table = _exposure(diagnostics, lights, kinds, directions)
     summary = f"angles and exposure of all {len(lights)}"
     blocks.append(Fold("Each photograph", summary, [table]) if len(lights) > LONGEST_TABLE else table)
     if diagnostics["defects"]:
         blocks.append(f"{figure(diagnostics['defects'])} hot or dead pixels of the object are used nowhere.")
     return Section("capture", "Capture", blocks)
+
+
+def _corrected(corrections: dict[str, Any]) -> Table | None:
+    """One row a photograph that was put right or left out: what it showed before, and what was done."""
+    done = corrections.get("done", {})
+    rows = []
+    for name, row in corrections.get("photographs", {}).items():
+        said = ["moved back"] if name in done["registered"] else []
+        said += [f"divided by {done['gains'][name]:.2f}"] if name in done["gains"] else []
+        said += [f"left out: {done['left_out'][name]}"] if name in done["left_out"] else []
+        if said:
+            gain = f"{row['gain']:.2f} ± {row['gain_sigma'] or 0:.2f}" if row.get("gain") is not None else "–"
+            moved = f"{row['shift_px'][0]:+.1f}, {row['shift_px'][1]:+.1f}"
+            rows.append((name, moved, gain, "; ".join(said)))
+    if not rows:
+        return None
+    caption = (
+        "Photographs that were put right, or left out, as they were before: movement in pixels, strength of the lamp."
+    )
+    return Table(["Light", "moved by", "strength", "what was done"], rows, "lrrl", caption)
 
 
 def kind_of(name: str, role: str, held_out: list[str]) -> str:
