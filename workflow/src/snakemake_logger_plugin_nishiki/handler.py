@@ -50,6 +50,11 @@ class RunHandler(LogHandlerBase):
 
     stream: TextIO | None = None
     """Where to print, for tests; None: standard error, and that of the jobs is read."""
+    writes_to_stream = True  # Snakemake itself prints nothing then
+    writes_to_file = False  # Snakemake writes its log file itself
+    has_filter = True  # every record is wanted, whatever is quiet in the log file
+    has_formatter = True  # the lines are made here
+    needs_rulegraph = False
 
     def __post_init__(self) -> None:
         settings = self.settings
@@ -73,31 +78,6 @@ class RunHandler(LogHandlerBase):
             threading.Thread(target=self._tick, daemon=True, name="live line").start()
         else:
             self.screen = Screen(self.stream)
-
-    @property
-    def writes_to_stream(self) -> bool:
-        """Yes: Snakemake itself prints nothing then."""
-        return True
-
-    @property
-    def writes_to_file(self) -> bool:
-        """No: Snakemake writes its log file itself."""
-        return False
-
-    @property
-    def has_filter(self) -> bool:
-        """Yes: every record is wanted, whatever is quiet in the log file."""
-        return True
-
-    @property
-    def has_formatter(self) -> bool:
-        """Yes: the lines are made here."""
-        return True
-
-    @property
-    def needs_rulegraph(self) -> bool:
-        """No."""
-        return False
 
     def emit(self, record: logging.LogRecord) -> None:
         """Show what a record says, where a user has to know."""
