@@ -199,8 +199,8 @@ def _grade(value):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _fine_grade(value):
-    """24 grades, four an octave."""
+def fine_grade(value):
+    """Return one of 24 grades of a sum of magnitudes, four an octave."""
     if value < 4:
         return value
     octave = 0
@@ -243,7 +243,7 @@ def code_plane(values, filled, bands, b, k, c, chance, seen, tally, weights, tab
                     turned += _around(plane, bands[b - 2], i, j)
             near, diagonal = w + n, nw + ne
             total = 6 * near + 3 * diagonal + 2 * far + 2 * above + 3 * before + earlier + 2 * beside + 2 * turned
-            amount = _fine_grade(total)
+            amount = fine_grade(total)
             close = min(near, 2)
             # zero or not
             contexts[0] = OFFSETS[3] + ((min(w, 3) * 4 + min(n, 3)) * 4 + min(diagonal, 3)) * 2 + min(far, 1)

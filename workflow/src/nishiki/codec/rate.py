@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from nishiki.codec.entropy import bands_of
+from nishiki.codec.entropy import bands_of, fine_grade
 
 GRADES, LEVELS = 24, 8
 MORE = 3.5  # bits: the sign, the magnitude, and neighbours' zeros made less likely
@@ -107,17 +107,6 @@ def spread_to_bands(amounts, bands, b, c, k, i, j, size):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def grade_of(amount):
-    """24 grades, four an octave."""
-    if amount < 4:
-        return amount
-    octave = 0
-    while (amount >> octave) >= 8:
-        octave += 1
-    return min(4 * octave + (amount >> octave), 23)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def count_grades(values, amounts, bands, tally):
     """Count zeros and others under each level and grade."""
     for b in range(bands.shape[0]):
@@ -126,7 +115,7 @@ def count_grades(values, amounts, bands, tally):
             for k in range(values.shape[1]):
                 for i in range(top, top + bands[b, 2]):
                     for j in range(left, left + bands[b, 3]):
-                        tally[level, grade_of(amounts[c, k, i, j]), 1 if values[c, k, i, j] > 0 else 0] += 1
+                        tally[level, fine_grade(amounts[c, k, i, j]), 1 if values[c, k, i, j] > 0 else 0] += 1
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -138,4 +127,4 @@ def look_up_bits(amounts, bands, table, out):
             for k in range(amounts.shape[1]):
                 for i in range(top, top + bands[b, 2]):
                     for j in range(left, left + bands[b, 3]):
-                        out[c, k, i, j] = table[level, grade_of(amounts[c, k, i, j])]
+                        out[c, k, i, j] = table[level, fine_grade(amounts[c, k, i, j])]
