@@ -1,14 +1,12 @@
 """Cloth evaluation: what the cloth's models predict against what was measured and no fit has seen."""
 
-import csv
-import json
-
 import numpy as np
 
 from nishiki.artifacts.stage import Context
 from nishiki.brdf.cloth.measures import incidences
 from nishiki.errors import UserError
 from nishiki.evaluate.cloth import Judged, by_incidence, in_plane, judge, plane_name
+from nishiki.evaluate.files import write_tables
 from nishiki.goniometry.store import Reflectances
 from nishiki.render.cloth.models import ClothModels
 
@@ -25,8 +23,6 @@ def run(context: Context) -> dict:
         raise UserError(f"regions: expected some of {', '.join(models.regions)}, found {', '.join(sorted(unknown))}")
     regions = {name: region(context, measured, models, name) for name in settings.regions or models.regions}
     evaluation = {"default": models.default, "regions": regions}
-    text = json.dumps(evaluation, indent=1, sort_keys=True, allow_nan=False)
-    context.output.path("evaluation.json").write_text(text + "\n")
     rows = [
         {"region": name, "model": model, "set": kind, **row}
         for name, evaluated in regions.items()
@@ -35,10 +31,7 @@ def run(context: Context) -> dict:
         for row in entry[kind]["rows"]
     ]
     columns = ["region", "model", "set", *Judged.__dataclass_fields__]
-    with context.output.path("evaluation.csv").open("w", newline="") as file:
-        table = csv.DictWriter(file, columns)
-        table.writeheader()
-        table.writerows(rows)
+    write_tables(context, evaluation, columns, rows)
     return {"default": models.default, "regions": {name: headlines(evaluated) for name, evaluated in regions.items()}}
 
 

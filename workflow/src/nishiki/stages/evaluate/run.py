@@ -1,14 +1,11 @@
 """Evaluate: errors against truth where there is one, and predictions of lights that the fit never saw."""
 
-import csv
 import json
-from pathlib import Path
 
 import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.maps import Maps, MapWriter, directional_shading, shading_normals
-from nishiki.artifacts.provenance import truth_digest
 from nishiki.artifacts.stage import Context
 from nishiki.brdf.parameters import gloss_table, is_facets
 from nishiki.brdf.slopes import slope_covariance
@@ -16,6 +13,7 @@ from nishiki.colour.colour import illuminant
 from nishiki.errors import UserError
 from nishiki.evaluate.camera_colour import read_camera_colour
 from nishiki.evaluate.classes import NAMES, classify
+from nishiki.evaluate.files import planned_truth, write_tables
 from nishiki.evaluate.headlines import headlines
 from nishiki.evaluate.height import height_error
 from nishiki.evaluate.museum import levels
@@ -48,7 +46,7 @@ def run(context: Context) -> dict:
     evaluation["overall"] = {"de00": pooled.as_dict(), "levels": levels(pooled.mean, pooled.p90)}
     evaluation["classes_from"] = "truth" if truth.checks else "model"
     evaluation["gloss"] = {"true_gamma_rad": truth.equivalent_gamma(), "gamma_rad": scene.model.gloss.gamma.tolist()}
-    write_tables(context.output.folder, evaluation)
+    write_tables(context, evaluation, COLUMNS, rows_of(evaluation))
     return headlines(evaluation)
 
 
@@ -100,15 +98,9 @@ def read_gloss(brdf: Artifact | None) -> tuple[Gloss, np.ndarray | None, bool]:
 
 def read_truth(context: Context, frames: Observations) -> Truth:
     """Truth of a simulated capture (truth.zarr), or an .npz with normals; empty where none is given."""
-    if context.truth is None:
+    path = planned_truth(context)
+    if path is None:
         return Truth()
-    path = Path(context.truth)
-    digest = truth_digest(path)
-    if digest != context.settings.truth_sha256:
-        raise UserError(
-            f"{path}: expected the truth with the digest {context.settings.truth_sha256 or '(none)'} (setting "
-            f"truth_sha256), found {digest}. Remedy: run again, so that the plan sees the truth as it is now"
-        )
     region, asked = (tuple(frames.attributes[name]) for name in ("region_of_interest", "asked_region"))
     if (path / "truth.zarr").is_dir():
         group = open_group(path / "truth.zarr")
@@ -251,13 +243,3 @@ def compare_pictures(truth, pictures: dict, views: dict, classes: np.ndarray) ->
         total, by_class, _ = truth_difference(picture, true, views[case].white, classes=classes)
         result[case] = {"de00": total.as_dict(), "by_class": {name: s.as_dict() for name, s in by_class.items()}}
     return result
-
-
-def write_tables(folder: Path, evaluation: dict) -> None:
-    """evaluation.json holds everything, evaluation.csv the figures."""
-    text = json.dumps(evaluation, indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
-    (folder / "evaluation.json").write_text(text, encoding="utf-8")
-    with open(folder / "evaluation.csv", "w", newline="", encoding="utf-8") as handle:
-        table = csv.DictWriter(handle, COLUMNS, lineterminator="\n")
-        table.writeheader()
-        table.writerows(rows_of(evaluation))

@@ -1,16 +1,12 @@
 """Object_evaluate: the decoded object against its photographs, left-out views, truth, and the bytes it takes."""
 
-import csv
-import json
-from pathlib import Path
-
 import numpy as np
 
-from nishiki.artifacts.provenance import truth_digest
 from nishiki.artifacts.stage import Context
 from nishiki.codec.cost import cost_of
 from nishiki.colour.encoding import encode
 from nishiki.errors import UserError
+from nishiki.evaluate.files import planned_truth, write_tables
 from nishiki.evaluate.object_comparison import comparison
 from nishiki.evaluate.object_photographs import ObjectTruth, Photographs
 from nishiki.evaluate.object_rows import (
@@ -55,12 +51,7 @@ def run(context: Context) -> dict:
         "rows": [row.as_dict() for row in rows],
         "pictures": work.shown,
     }
-    text = json.dumps(evaluation, indent=1, sort_keys=True, allow_nan=False)
-    context.output.path("evaluation.json").write_text(text + "\n")
-    with context.output.path("evaluation.csv").open("w", newline="") as file:
-        table = csv.DictWriter(file, COLUMNS)
-        table.writeheader()
-        table.writerows(evaluation["rows"])
+    write_tables(context, evaluation, COLUMNS, evaluation["rows"])
     return headlines(evaluation)
 
 
@@ -144,17 +135,12 @@ class Work:
 
 def open_truth(context: Context, photographs: Photographs) -> ObjectTruth | None:
     """The truth of a simulated capture, if one is given; UserError where it is not the one that was planned."""
-    if context.truth is None:
+    path = planned_truth(context)
+    if path is None:
         return None
-    digest = truth_digest(Path(context.truth))
-    if digest != context.settings.truth_sha256:
-        raise UserError(
-            f"{context.truth}: expected the truth with the digest {context.settings.truth_sha256 or '(none)'} (setting "
-            f"truth_sha256), found {digest}. Remedy: run again, so that the plan sees the truth as it is now"
-        )
-    if not (Path(context.truth) / "truth.zarr").is_dir():
-        raise UserError(f"{context.truth}: expected truth.zarr of a simulated turntable capture, found none")
-    return ObjectTruth(Path(context.truth), photographs)
+    if not (path / "truth.zarr").is_dir():
+        raise UserError(f"{path}: expected truth.zarr of a simulated turntable capture, found none")
+    return ObjectTruth(path, photographs)
 
 
 def headlines(evaluation: dict) -> dict:
