@@ -23,9 +23,11 @@ import numpy as np
 from numba import njit
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
+sys.path.insert(1, str(Path(__file__).resolve().parents[1]))
+from compiled_lobe import specular_scalar
+
 import _project  # noqa: F401
 from nishiki import threads
-from nishiki.brdf.kernels import specular_scalar
 from nishiki.brdf.torrance_sparrow import specular
 from nishiki.colour.colour import cie_1931_cmfs, illuminant, white_xyz, xyz_matrix
 from nishiki.render.plane.scene import Gloss, Light, PlaneScene

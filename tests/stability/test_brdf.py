@@ -4,6 +4,7 @@ import json
 
 import mpmath
 import numpy as np
+from compiled_lobe import specular_scalar
 from hypothesis import strategies as st
 from stability.cases import case, powers_of_ten, relative, worst_over
 from stability.samples import EXTREME, dome, tilted
@@ -11,7 +12,6 @@ from stability.samples import EXTREME, dome, tilted
 from nishiki.brdf.fit import fit_torrance_sparrow
 from nishiki.brdf.flags import FitFlag
 from nishiki.brdf.gloss_profile import fit_gloss
-from nishiki.brdf.kernels import specular_scalar
 from nishiki.brdf.levenberg_marquardt import fit_lobe
 from nishiki.brdf.parameters import described
 from nishiki.brdf.scene import fit_scene

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.brdf.kernels import specular_scalar as specular_scalar  # the same term, for loops over pixels
 from nishiki.errors import UserError
 
 GAMMA_PER_SIGMA = float(np.sqrt(2.0 * np.log(2.0)))
@@ -212,8 +211,3 @@ def specular(normals, lights, views, *, beta, gamma, refractive_index) -> np.nda
     """
     geometry = half_vector_geometry(normals, lights, views)
     return beta * facet_distribution(geometry.phi, gamma) * attenuation(geometry, refractive_index)
-
-
-def gamma_from_sigma(sigma):
-    """Half width at half maximum of a Gaussian of standard deviation sigma: gamma = sigma sqrt(2 ln 2)."""
-    return sigma * GAMMA_PER_SIGMA

@@ -230,10 +230,6 @@ class Workflow(Scheduling):
         }
         return canonical({"settings": self.sweep.settings.model_dump(mode="json"), "variants": variants})
 
-    def relative_results(self) -> str:
-        """Results folder relative to the working folder, for messages."""
-        return os.path.relpath(self.results)
-
 
 def _no_option(path: Path) -> str:
     """A path as an argument that cannot be taken for an option."""

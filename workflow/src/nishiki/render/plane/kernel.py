@@ -207,7 +207,7 @@ def _view_cosines(buf, flags, n):
 def _half_vector_terms(buf, widest, n):
     """phi^2 and F G / cos_r of a block for one light into their lanes; cos_i and whether any lobe is worth computing.
 
-    Equal to `nishiki.brdf.kernels.specular_scalar`, rewritten with four divisions and two roots a pixel.  With
+    Equal to `nishiki.brdf.torrance_sparrow.attenuation`, rewritten with four divisions and two roots a pixel.  With
     s = l + v:  sin^2(phi / 2) = |n x s|^2 / (2 |s| (|s| + n.s)),
     G / cos_r = min(1 / cos_r, 4 n.s min(1, cos_i / cos_r) / |s|^2),
     and with c = |s| / 2, m = n^2 - 1, g = sqrt(m + c^2) + c:
