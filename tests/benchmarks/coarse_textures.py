@@ -33,7 +33,7 @@ from nishiki.colour.colour import srgb_encode
 from nishiki.observations.plane import Observations
 from nishiki.stages.export.declaration import ExportSettings
 from nishiki.stages.export.gltf_material import GltfMaterial
-from nishiki.stages.export.look import FORMATS, PaintingLook, ShownGloss, painting_look
+from nishiki.stages.export.look import FORMATS, PaintingLook, painting_look
 from nishiki.stages.export.photographs import CodedErrors, Photographs
 from nishiki.stages.export.region_gloss import RegionGloss
 from nishiki.stages.export.scene import ExportedScene, block_mean
@@ -118,7 +118,9 @@ def linear_photographs(inputs: dict[str, Artifact], lights: np.ndarray) -> tuple
     return values, valid
 
 
-def shown(look: PaintingLook, gloss: ShownGloss, shape: tuple[int, int], light: np.ndarray) -> np.ndarray:
+def shown(
+    look: PaintingLook, gloss: "RegionGloss | AnisotropicGloss", shape: tuple[int, int], light: np.ndarray
+) -> np.ndarray:
     """(rows, columns, 3) linear light of every pixel's texel."""
     texels = look.texels(slice(0, shape[0]), shape[1])
     return gloss.of(texels.rows, texels.columns).shown(texels.colours, texels.normals, light).reshape(*shape, 3)
@@ -137,7 +139,7 @@ def figures(
     frames, look, fine = Observations(inputs["ingest"].folder), looks[step], looks[1]
     hold_out = open_artifact(inputs["normals"].folder).settings.get("hold_out", ())
     gloss = getattr(look.gloss, form)
-    ways: dict[str, tuple[PaintingLook, ShownGloss]] = {
+    ways: dict[str, tuple[PaintingLook, RegionGloss | AnisotropicGloss]] = {
         "written": (look, gloss),
         "one roughness a region": (look, replace(gloss, widened=None)),
         "pixels' means": (fine, getattr(fine.gloss, form)),

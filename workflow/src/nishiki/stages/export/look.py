@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -176,29 +176,8 @@ def most_frequent(labels: np.ndarray, known: np.ndarray, step: int) -> np.ndarra
     return best
 
 
-class ShownMaterial(Protocol):
-    """What a program shows of pixels."""
-
-    def shown(self, base: np.ndarray, normals: np.ndarray, light: np.ndarray) -> np.ndarray:
-        """As `GltfMaterial.shown`."""
-
-
-class StoredTextures(Protocol):
-    """Colours and normals as files hold them."""
-
-    def texels(self, rows: slice, columns: int) -> Texels:
-        """As `PaintingLook.texels`."""
-
-
-class ShownGloss(Protocol):
-    """A gloss as a format takes it."""
-
-    def of(self, rows: np.ndarray, columns: np.ndarray) -> ShownMaterial:
-        """As `RegionGloss.of`."""
-
-
 def errors(
-    context: Context, scene: ExportedScene, look: StoredTextures, glosses: Mapping[str, ShownGloss]
+    context: Context, scene: ExportedScene, look: PaintingLook, glosses: Mapping[str, RegionGloss]
 ) -> dict[str, dict[str, dict[str, float]]]:
     """PSNR of the stored look, seen from the front without cast shadows, under fitted and check lights.
 
