@@ -33,7 +33,7 @@ from nishiki.colour.colour import srgb_encode
 from nishiki.observations.plane import Observations
 from nishiki.stages.export.declaration import ExportSettings
 from nishiki.stages.export.gltf_material import GltfMaterial
-from nishiki.stages.export.look import FORMATS, PaintingLook, painting_look
+from nishiki.stages.export.look import PaintingLook, painting_look
 from nishiki.stages.export.photographs import CodedErrors, Photographs
 from nishiki.stages.export.region_gloss import RegionGloss
 from nishiki.stages.export.scene import ExportedScene, block_mean
@@ -173,7 +173,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folders", nargs="+", type=Path, help="results/SCENE")
     parser.add_argument("--steps", nargs="+", type=int, default=[1, 2, 4, 8], help="pixels along the side of a texel")
-    parser.add_argument("--formats", nargs="+", choices=FORMATS, default=["gltf"])
+    parser.add_argument("--formats", nargs="+", choices=("gltf", "usd", "materialx"), default=["gltf"])
     parser.add_argument("--anisotropy", action="store_true", help="gltf with anisotropy as well")
     options = parser.parse_args()
     for folder in options.folders:

@@ -24,6 +24,7 @@ from numba import njit
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 sys.path.insert(1, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(2, str(Path(__file__).resolve().parents[2] / "workflow/src"))
 from compiled_lobe import specular_scalar
 
 import _project  # noqa: F401

@@ -16,8 +16,8 @@ from nishiki.stages.export.photographs import CodedErrors, Photographs
 from nishiki.stages.export.region_gloss import PaintingGloss, RegionGloss, painting_gloss, slopes_widen
 from nishiki.stages.export.relief_mesh import reliefs
 from nishiki.stages.export.scene import ExportedScene, block_mean
+from nishiki.stages.export.surface import ExportedSurface
 
-FORMATS = ("gltf", "usd", "materialx")
 METRES = 1e-3  # of a millimetre; of a pixel where the capture states no scale
 
 
@@ -69,11 +69,14 @@ class PaintingLook:
         return {"pixels_a_texel": self.step * self.step, "materials": materials}
 
 
-class PaintingSurface:
-    """Mesh, look and errors of a painting: made once, when the first format asks for them."""
+class PaintingSurface(ExportedSurface):
+    """Mesh, look and errors of a painting."""
+
+    stem = "painting"
 
     def __init__(self, context: Context, scene: ExportedScene):
-        self._context, self.scene = context, scene
+        super().__init__(context)
+        self.scene = scene
 
     @cached_property
     def look(self) -> PaintingLook:
@@ -91,6 +94,10 @@ class PaintingSurface:
         pitch_mm = self.scene.pitch_mm
         return f"1 is 1000 {self.scene.unit}" if pitch_mm is None else "metres"
 
+    def look_of(self, name: str) -> SurfaceLook:
+        """Textures and material as a format takes them."""
+        return self.look.surface(getattr(self.look.gloss, name))
+
     def losses(self, name: str) -> dict:
         """What the diagnostics say of a format, its files left out."""
         figures = self.look.figures(getattr(self.look.gloss, name))
@@ -99,7 +106,7 @@ class PaintingSurface:
     @cached_property
     def _errors(self) -> dict[str, dict]:
         """PSNR of every format that is asked for; the photographs are read once."""
-        asked = {name: getattr(self.look.gloss, name) for name in FORMATS if name in self._context.settings.formats}
+        asked = {name: getattr(self.look.gloss, name) for name in self.formats}
         return errors(self._context, self.scene, self.look, asked)
 
 

@@ -1,19 +1,13 @@
-"""A painting as a package of OpenUSD: the mesh of its relief with the material UsdPreviewSurface."""
+"""A surface as a package of OpenUSD: its mesh with the material UsdPreviewSurface."""
 
 from nishiki.artifacts.stage import Context
 from nishiki.formats.usd import write_usdz
-from nishiki.stages.export.look import PaintingSurface
+from nishiki.stages.export.surface import ExportedSurface
 
 
-def write(context: Context, surface: PaintingSurface) -> dict:
-    """`painting.usdz`; the error of its material against photographs."""
-    look, mesh = surface.look, surface.mesh
+def write(context: Context, surface: ExportedSurface) -> dict:
+    """`painting.usdz` or `object.usdz`; the error of its material against photographs."""
+    mesh, file = surface.mesh, f"exports/{surface.stem}.usdz"
     facts = {**context.stamp, "unit": surface.unit}
-    path = context.output.path("exports/painting.usdz")
-    write_usdz(path, mesh, look.surface(look.gloss.usd), name=context.stamp["scene"], facts=facts)
-    return {
-        "files": ["exports/painting.usdz"],
-        "vertices": len(mesh.positions),
-        "faces": len(mesh.triangles),
-        **surface.losses("usd"),
-    }
+    write_usdz(context.output.path(file), mesh, surface.look_of("usd"), name=context.stamp["scene"], facts=facts)
+    return {"files": [file], "vertices": len(mesh.positions), "faces": len(mesh.triangles), **surface.losses("usd")}

@@ -1,7 +1,8 @@
 """Object_export: files of an object for other programs, and what each of them loses."""
 
 from nishiki.artifacts.stage import Context
-from nishiki.stages.object_export import gltf, iiif, kintsugi, materialx, mitsuba, usd
+from nishiki.stages.export import materialx, usd
+from nishiki.stages.object_export import gltf, iiif, kintsugi, mitsuba
 from nishiki.stages.object_export.surface import ObjectSurface
 
 WRITERS = {

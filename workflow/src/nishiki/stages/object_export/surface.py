@@ -1,20 +1,17 @@
-"""Mesh, look and errors of an object: made once for all formats, when the first asks for them."""
+"""Mesh, look and errors of an object."""
 
 from functools import cached_property
 
-from nishiki.artifacts.stage import Context
-from nishiki.formats.textured_surface import TexturedMesh
+from nishiki.formats.textured_surface import SurfaceLook, TexturedMesh
+from nishiki.stages.export.surface import ExportedSurface
 from nishiki.stages.object_export.errors import errors
 from nishiki.stages.object_export.look import ObjectLook, object_look, object_mesh, unit_of
 
-FORMATS = ("gltf", "usd", "materialx")
 
-
-class ObjectSurface:
+class ObjectSurface(ExportedSurface):
     """What formats of scenes have in common."""
 
-    def __init__(self, context: Context):
-        self._context = context
+    stem = "object"
 
     @cached_property
     def look(self) -> ObjectLook:
@@ -31,11 +28,14 @@ class ObjectSurface:
         """What a length of 1 in a file means."""
         return unit_of(self._context)
 
+    def look_of(self, name: str) -> SurfaceLook:
+        """Textures and material as a format takes them; the gloss has one strength in USD."""
+        return (self.look.of_one_strength() if name == "usd" else self.look).surface()
+
     def losses(self, name: str) -> dict:
         """What the diagnostics say of a format, its files left out."""
         return {**self.look.figures(), "kinds": {name: {"psnr_db": self._errors[name]}}}
 
     @cached_property
     def _errors(self) -> dict[str, dict[str, dict[str, float]]]:
-        asked = [name for name in FORMATS if name in self._context.settings.formats]
-        return errors(self._context, self.look, asked)
+        return errors(self._context, self.look, self.formats)
