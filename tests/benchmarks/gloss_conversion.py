@@ -22,7 +22,7 @@ from nishiki.brdf.texels.model import GRAZING
 from nishiki.brdf.torrance_sparrow import fresnel, specular
 from nishiki.brdf.trowbridge_reitz import isotropic_lobe
 from nishiki.colour.encoding import encode
-from nishiki.stages.export.gltf_material import GltfMaterial, fitted_material
+from nishiki.stages.export.gltf_material import GltfMaterial, best_material, coded_errors
 from nishiki.stages.object_export.look import ALPHA_PER_SIGMA
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -67,7 +67,7 @@ def of_painting(folder: Path, albedo: float):
     """Figures of each region."""
     beta, gamma, index, _ = gloss_table(json.loads((folder / "current/brdf/parameters.json").read_text()))
     for region, (strengths, widths) in enumerate(zip(beta, gamma, strict=True)):
-        material = fitted_material(strengths, widths, float(index[region]), albedo)
+        material = best_material(coded_errors(strengths, widths, float(index[region]), albedo), float(index[region]))
         lobes = {"roughness": round(material.roughness, 2), "strength": round(float(material.strength), 2)}
         line: dict = {"scene": folder.name, "region": region, **lobes, "schlick": {}, "dielectric": {}}
         for degrees in VIEWS:

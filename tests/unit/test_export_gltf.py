@@ -25,7 +25,7 @@ from small_painting import (
 from nishiki.artifacts.maps import MapWriter
 from nishiki.brdf.torrance_sparrow import specular
 from nishiki.colour.colour import illuminant, srgb_encode, white_xyz, xyz_from_spectra, xyz_to_srgb_linear
-from nishiki.stages.export.gltf_material import GltfMaterial, fitted_material
+from nishiki.stages.export.gltf_material import GltfMaterial, best_material, coded_errors
 from nishiki.stages.export.look import textures
 from nishiki.stages.export.relief_mesh import reliefs
 from nishiki.stages.export.scene import ExportedScene
@@ -116,7 +116,7 @@ def test_reliefs_that_were_flattened_are_exported_with_their_normals(tmp_path):
 
 def test_the_fitted_lobe_of_gltf_looks_like_ours():
     beta, gamma, index = np.array([3.0, 0.4]), np.array([0.12, 0.5]), 1.45
-    material = fitted_material(beta, gamma, index, 0.3)
+    material = best_material(coded_errors(beta, gamma, index, 0.3), index)
     for degrees in (0, 10, 25, 50):
         angle = np.radians(degrees)
         light, view = np.array([np.sin(angle), 0, np.cos(angle)]), np.array([0, 0, 1.0])
@@ -127,7 +127,7 @@ def test_the_fitted_lobe_of_gltf_looks_like_ours():
         base = material.base_colour(np.full((1, 3), 0.3))
         shown = material.shown(base, np.array([[0, 0, 1.0]]), light)[0, 0]
         assert srgb_encode(shown) == pytest.approx(srgb_encode(ours), abs=0.03)
-    assert fitted_material(np.array([0.0]), np.array([0.9]), 1.45, 0.3).strength < 0.01
+    assert best_material(coded_errors(np.array([0.0]), np.array([0.9]), 1.45, 0.3), 1.45).strength < 0.01
 
 
 def test_the_material_of_gltf_is_that_of_the_specification():

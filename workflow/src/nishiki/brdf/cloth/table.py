@@ -13,6 +13,7 @@ import numpy as np
 
 from nishiki.brdf.cloth.interface import ArrayFields, halves, only_above
 from nishiki.formats.utia import UTIA_PHI_DEG, UTIA_THETA_DEG
+from nishiki.goniometry.directions import unit
 
 _HALF_PI = np.pi / 2
 _NEAREST_HORIZON = 1e-3  # z of the directions that stand for those at and beyond the horizon
@@ -125,7 +126,7 @@ def goniometer_rows(brdf, *, incident_deg, outgoing_deg) -> np.ndarray:
     that an exported BRDF can be read as a measurement.
     """
     incident_deg, outgoing_deg = np.asarray(incident_deg, float), np.asarray(outgoing_deg, float)
-    values = brdf.evaluate(_unit(incident_deg)[:, None], _unit(outgoing_deg)[None])
+    values = brdf.evaluate(unit(*np.radians(incident_deg.T))[:, None], unit(*np.radians(outgoing_deg.T))[None])
     angles = np.concatenate(
         [np.repeat(incident_deg, len(outgoing_deg), axis=0), np.tile(outgoing_deg, (len(incident_deg), 1))], axis=1
     )
@@ -139,13 +140,7 @@ def utia_planes(brdf) -> np.ndarray:
     theta 0 .. 75 degrees by 15, phi by 7.5; written as little-endian doubles in this order it is a `.bin` file that
     readers of that database open (ALTA among them).  One channel is written three times.  Values are 1 / sr.
     """
-    grid = np.stack(np.meshgrid(UTIA_THETA_DEG, UTIA_PHI_DEG, indexing="ij"), axis=-1)
-    directions = _unit(grid)
+    directions = unit(*np.radians(np.meshgrid(UTIA_THETA_DEG, UTIA_PHI_DEG, indexing="ij")))
     values = brdf.evaluate(directions[:, :, None, None], directions[None, None])
     values = np.broadcast_to(values, (*values.shape[:-1], 3)) if values.shape[-1] == 1 else values[..., :3]
     return np.ascontiguousarray(np.moveaxis(values, -1, 0)).astype("<f8")
-
-
-def _unit(degrees: np.ndarray) -> np.ndarray:
-    theta, phi = np.radians(degrees[..., 0]), np.radians(degrees[..., 1])
-    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)

@@ -6,7 +6,7 @@ import numpy as np
 
 from nishiki.geometry.mesh import Mesh
 from nishiki.render.cloth.scene import Surface
-from nishiki.render.cloth.tangent import from_texture
+from nishiki.render.cloth.tangent import from_texture, unit
 
 
 def grid_triangles(rows: int, columns: int) -> np.ndarray:
@@ -89,9 +89,3 @@ def paper(width: float, depth: float, height: float, bend: float, *, turn: float
     place = place.reshape(-1, 3) @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]).T
     mesh = Mesh.of(place, grid_triangles(len(x), len(z)))
     return Surface(mesh, np.tile([c, 0.0, -s], (len(place), 1)), material)
-
-
-def unit(vectors: np.ndarray) -> np.ndarray:
-    """Vectors (n, 3) of length 1; 0 stays 0."""
-    length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return np.where(length > 0, vectors / np.where(length > 0, length, 1), 0.0)

@@ -139,8 +139,8 @@ def from_texture(
     face = flat / np.where(size > 0, size, 1)[:, None]
     # Warp turned back by 90 degrees, the way round that (u, v) itself goes.
     back = -np.cross(face, along_v) * np.sign(safe)
-    weft = _unit(along_u) + _unit(back)
-    weft = np.where(known[:, None], _unit(weft), 0.0)
+    weft = unit(along_u) + unit(back)
+    weft = np.where(known[:, None], unit(weft), 0.0)
     return _settled(
         vertices, triangles, normals, _gathered(weft, np.where(known, size, 0), triangles, len(vertices)), turn
     )
@@ -155,16 +155,16 @@ def from_direction(
     """
     given = np.array(np.broadcast_to(np.asarray(direction, np.float64), np.shape(vertices)))
     given[~np.isfinite(given).all(axis=1)] = 0.0
-    return _settled(vertices, triangles, normals, _unit(given), turn)
+    return _settled(vertices, triangles, normals, unit(given), turn)
 
 
 def _settled(vertices, triangles, normals, given: np.ndarray, turn: float) -> TangentField:
     """Directions (v, 3) of about unit length made tangential; transported where nothing is left of them; turned."""
-    normals = _unit(np.asarray(normals, np.float64))
+    normals = unit(np.asarray(normals, np.float64))
     across = given - np.sum(given * normals, axis=1, keepdims=True) * normals
     length = np.linalg.norm(across, axis=1)
     known = length > FLAT
-    weft, arbitrary = _unit(across), 0
+    weft, arbitrary = unit(across), 0
     if not known.all():
         weft, arbitrary = transported(len(vertices), triangles, normals, weft, known)
     if turn:
@@ -180,9 +180,10 @@ def _gathered(directions: np.ndarray, weights: np.ndarray, triangles: np.ndarray
             sums[:, axis] += np.bincount(triangles[:, k], weights=weights * directions[:, axis], minlength=count)
     total = sum(np.bincount(triangles[:, k], weights=weights, minlength=count) for k in range(3))
     # Directions that cancel each other say nothing.
-    return np.where((np.linalg.norm(sums, axis=1) > FLAT * total)[:, None], _unit(sums), 0.0)
+    return np.where((np.linalg.norm(sums, axis=1) > FLAT * total)[:, None], unit(sums), 0.0)
 
 
-def _unit(vectors: np.ndarray) -> np.ndarray:
+def unit(vectors: np.ndarray) -> np.ndarray:
+    """Scale vectors (..., 3) to length 1; 0 stays 0."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.where(length > 0, vectors / np.where(length > 0, length, 1), 0.0)

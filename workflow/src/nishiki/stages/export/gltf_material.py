@@ -103,16 +103,8 @@ def white_at_grazing(material: GltfMaterial) -> GltfMaterial:
     return WhiteAtGrazing(material.roughness, material.strength, material.index, material.least_factor)
 
 
-def fitted_material(beta: np.ndarray, gamma: np.ndarray, index: float, albedo: float) -> GltfMaterial:
-    """The material whose coded brightness under lights around, seen along the normal, is nearest to that of our lobes.
-
-    beta, gamma : (lobes,); albedo : mean of the object, over which the gloss is seen.
-    """
-    return best_material(coded_errors(beta, gamma, index, albedo), index)
-
-
 def best_material(errors: np.ndarray, index: float) -> GltfMaterial:
-    """The material of the least of the errors (roughness, strength) of `coded_errors`."""
+    """Return the material of the least of the errors (roughness, strength) of `coded_errors`."""
     rough, strong = np.unravel_index(int(np.argmin(errors)), errors.shape)
     return GltfMaterial(float(ROUGHNESS[rough]), float(STRENGTH[strong]), index)
 
@@ -120,7 +112,7 @@ def best_material(errors: np.ndarray, index: float) -> GltfMaterial:
 def coded_errors(beta: np.ndarray, gamma: np.ndarray, index: float, albedo: float) -> np.ndarray:
     """(roughness, strength) weighted sums of squared differences of coded brightness from our lobes, over the grid.
 
-    Arguments as of `fitted_material`.
+    beta, gamma : (lobes,); albedo : mean of the object, over which the gloss is seen along the normal.
     """
     cos_i, cos_q = np.cos(ANGLES), np.cos(ANGLES / 2)
     up = np.array([0.0, 0.0, 1.0])
