@@ -14,10 +14,13 @@ from nishiki.observations.check import check_capture
 
 
 def reflected(channel, theta_i, phi_i, theta_r, phi_r):
-    """Any smooth function that tells all five apart; along the normal it does not depend on the azimuth."""
+    """Any smooth function in 1/sr that tells all five apart; along the normal it does not depend on the azimuth.
+
+    It sends back at most .6 of the light.
+    """
     tilt_i, tilt_r = math.sin(math.radians(theta_i)), math.sin(math.radians(theta_r))
     turned = 0.3 * tilt_i * math.cos(math.radians(phi_i - 20)) + 0.1 * tilt_r * math.sin(math.radians(phi_r))
-    return (channel + 1) * (0.2 + 0.1 * turned + 0.05 * tilt_r)
+    return (channel + 1) * (0.06 + 0.03 * turned + 0.015 * tilt_r)
 
 
 @pytest.fixture(scope="module")
