@@ -193,9 +193,9 @@ def calibrate_geometry(
         numbers["stage"] = {
             "kind": name,
             "point_mm": [finite(v) for v in resting["point"]],
-            "point_sigma_mm": _number(resting["point_sigma"]),
+            "point_sigma_mm": finite(resting["point_sigma"]),
             "axis": None if resting["axis"] is None else [finite(v, 8) for v in resting["axis"]],
-            "axis_sigma_deg": _number(resting["axis_sigma_deg"]),
+            "axis_sigma_deg": finite(resting["axis_sigma_deg"]),
             "rms_mm": finite(resting["rms"]),
             "turn_deg": finite(resting["turn_deg"]),
             "not_seen": list(on_stage.unseen),
@@ -226,10 +226,6 @@ def calibrate_geometry(
     lines = {"turntable": {"intrinsics": "intrinsics.yaml", "board": board}}
     subtitle = f"Lens from {len(fit.picture_px) - len(fit.outliers)} pictures of a board."
     return Calibration("geometry", numbers, [*lens_pictures, *stage], lines, sections, subtitle, files, warnings)
-
-
-def _number(value: float) -> float | None:
-    return finite(value) if np.isfinite(value) else None
 
 
 def _residual_picture(pictures: Sequence[BoardCorners], fit: LensFit, rows: int, columns: int):

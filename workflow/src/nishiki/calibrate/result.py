@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import shutil
@@ -13,6 +12,7 @@ from pathlib import Path
 import yaml
 
 from nishiki.capture.schema_base import read_mapping
+from nishiki.capture.seal import sha256_of
 from nishiki.capture.taking import settings_text
 from nishiki.errors import UserError
 from nishiki.report.page import Facts, Listing, Page, Section, render_page
@@ -60,7 +60,7 @@ def write_calibration(folder: Path, result: Calibration) -> None:
     """Write the folder, which must not exist; it appears whole or not at all."""
     if folder.exists():
         raise UserError(f"{folder} exists. Remedy: choose another folder; nothing is overwritten")
-    digests = {str(path): _digest(path) for path in result.inputs}
+    digests = {str(path): sha256_of(path) for path in result.inputs}
     content = {
         "calibration": result.kind,
         "version": PROJECT_VERSION,
@@ -138,8 +138,3 @@ def _merged(settings: dict, lines: dict) -> dict:
         old = merged.get(key)
         merged[key] = _merged(old, value) if isinstance(value, dict) and isinstance(old, dict) else value
     return merged
-
-
-def _digest(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -13,7 +13,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from nishiki.capture.frames import DIALECTS, EXPOSURE_COLUMNS, Frame, dialect_of, inside, read_frames
+from nishiki.capture.frames import DIALECTS, Frame, dialect_of, exposure_problems, inside, read_frames
 from nishiki.capture.goniometer import GoniometerCapture, examine_goniometer
 from nishiki.capture.lights import Lights, direction_problems, read_lights
 from nishiki.capture.photographed import Photographed
@@ -267,7 +267,7 @@ def match_frames(frames: tuple[Frame, ...], lights: Lights, settings: CaptureFil
             remedy = "Photograph the board under every light, or list no white frames at all"
             what = f"light '{name}' has no white frame"
             problems.append(error("white-missing", "frames.csv", what, remedy=remedy))
-    problems += _exposure_problems(frames)
+    problems += exposure_problems(frames)
     if whites and settings.lights.intensities:
         what = "white frames are used; lights.intensities is not"
         problems.append(warning("intensities-unused", "capture.yaml", what))
@@ -292,17 +292,4 @@ def _band_problems(frames: tuple[Frame, ...], channels: tuple[str, ...]) -> list
             found, expected = ", ".join(sorted(listed - set(channels))), ", ".join(channels)
             what = f"{of} has a band that is not one of camera.channels"
             problems.append(error("band-unknown", where, what, expected=expected, found=found))
-    return problems
-
-
-def _exposure_problems(frames: tuple[Frame, ...]) -> list[Problem]:
-    """An exposure time, f-number or ISO for some lit frames but not for all cannot be used."""
-    lit = [f for f in frames if f.role in ("sample", "check", "white", "ambient")]
-    problems = []
-    for column in EXPOSURE_COLUMNS:
-        without = [f for f in lit if getattr(f, column) is None]
-        if without and len(without) < len(lit):
-            found = f"{len(without)} of {len(lit)} rows without, the first in row {without[0].row}"
-            remedy = f"Give {column} for every sample, check, white and ambient frame, or for none"
-            problems.append(error("exposure-partial", "frames.csv", column, found=found, remedy=remedy))
     return problems

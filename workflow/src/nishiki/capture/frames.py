@@ -7,6 +7,7 @@ import difflib
 import math
 import os
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -253,6 +254,19 @@ def _angle(row: dict[str, str], key: str, unit_deg: float, where: str, problems:
     expected = "degrees from the normal, 0 to below 90" if key.startswith("theta") else "degrees, -360 to 360"
     problems.append(error("angle-invalid", where, key, expected=expected, found=repr(text)))
     return None
+
+
+def exposure_problems(frames: Iterable[Frame]) -> list[Problem]:
+    """exposure-partial where some lit frames have an exposure time, f-number or ISO and some have none."""
+    lit = [f for f in frames if f.role in (*LIT_ROLES, "ambient")]
+    problems = []
+    for column in EXPOSURE_COLUMNS:
+        without = [f for f in lit if getattr(f, column) is None]
+        if without and len(without) < len(lit):
+            found = f"{len(without)} of {len(lit)} rows without, the first in row {without[0].row}"
+            remedy = f"Give {column} for every {', '.join(dict.fromkeys(f.role for f in lit))} frame, or for none"
+            problems.append(error("exposure-partial", "frames.csv", column, found=found, remedy=remedy))
+    return problems
 
 
 def inside(payload: Path, file: str, where: str) -> Path:

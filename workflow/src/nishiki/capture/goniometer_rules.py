@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from nishiki.capture.frames import Frame
+from nishiki.capture.frames import Frame, exposure_problems
 from nishiki.formats.problems import Problem, error, warning
+from nishiki.goniometry.directions import unit
 
 TABLE = "frames.csv"
 SAME_DEG = 0.1  # directions nearer than this are one
@@ -27,7 +28,7 @@ def goniometer_problems(frames: tuple[Frame, ...]) -> list[Problem]:
         what = "no white frame: a reflectance is the cloth's light over that of a white board"
         remedy = "Photograph a diffuse white board in the cloth's place, at least once"
         problems.append(error("white-missing", TABLE, what, remedy=remedy))
-    problems += _exposure_problems([*samples, *whites])
+    problems += exposure_problems(frames)
     angles = [f.angles_deg for f in samples if None not in f.angles_deg]
     if angles and in_radians(np.array(angles, np.float64)):
         problems.append(radians_problem(TABLE, "Name the columns theta_i_rad, phi_i_rad, theta_r_rad, phi_r_rad"))
@@ -56,16 +57,6 @@ def _angle_problems(frame: Frame) -> list[Problem]:
         remedy = "Photograph it at a smaller theta_i_deg: the cosine of the angles brings it to the others"
         return [error("white-grazing", where, what, expected=expected, found=found, remedy=remedy)]
     return []
-
-
-def _exposure_problems(lit: list[Frame]) -> list[Problem]:
-    """An exposure time for some lit frames but not for all cannot be used."""
-    without = [f for f in lit if f.exposure_s is None]
-    if not without or len(without) == len(lit):
-        return []
-    found = f"{len(without)} of {len(lit)} rows without, the first in row {without[0].row}"
-    remedy = "Give exposure_s for every sample and white frame, or for none"
-    return [error("exposure-partial", TABLE, "exposure_s", found=found, remedy=remedy)]
 
 
 def _spread_problems(samples: list[Frame], whites: list[Frame]) -> list[Problem]:
@@ -104,15 +95,10 @@ def radians_problem(file: str, remedy: str) -> Problem:
 
 def nearest(directions: list[tuple[float, float]], others: list[tuple[float, float]]) -> np.ndarray:
     """Angle in degrees from each direction (theta, phi in degrees) to the nearest of the others, infinite for none."""
+    from scipy.spatial import cKDTree
+
     if not others:
         return np.full(len(directions), np.inf)
-    chords, boards = np.empty(len(directions)), _unit(others)
-    for first in range(0, len(directions), 256):  # a table may hold thousands of each
-        apart = _unit(directions[first : first + 256])[:, None] - boards
-        chords[first : first + 256] = np.sqrt((apart**2).sum(axis=2).min(axis=1))
+    towards, known = (unit(*np.radians(each).T) for each in (directions, others))
+    chords, _ = cKDTree(known).query(towards)
     return np.degrees(2 * np.arcsin(np.minimum(chords / 2, 1.0)))  # from the chord: exact for small angles
-
-
-def _unit(angles_deg: list[tuple[float, float]]) -> np.ndarray:
-    theta, phi = np.radians(np.asarray(angles_deg, np.float64)).T
-    return np.column_stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])

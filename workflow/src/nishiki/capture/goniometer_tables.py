@@ -16,6 +16,7 @@ from nishiki.formats.merl import MERL_BYTES, merl_values, read_merl
 from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, warning
 from nishiki.formats.text_tables import cells_of, comma_lines, expect_rows, reading, table_lines
 from nishiki.formats.utia import UTIA_BYTES, read_utia
+from nishiki.goniometry.directions import unit
 
 ANGLES = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
 ANGLE = re.compile(
@@ -246,17 +247,11 @@ def _merl(path: Path, name: str) -> ReflectanceTable:
     with reading(name, "table"):
         stored = read_merl(path, name)
     angles = np.array([(*light, *view) for light in MERL_LIGHTS for view in MERL_VIEWS])
-    values = merl_values(stored, _unit(angles[:, :2]), _unit(angles[:, 2:]))
+    values = merl_values(stored, *(unit(*np.radians(each).T) for each in (angles[:, :2], angles[:, 2:])))
     table = _checked(np.column_stack([angles, values]), COLOURS, array("q", range(1, len(angles) + 1)), [], name)
     what = f"an isotropic table, read at {len(MERL_LIGHTS)} directions of light and {len(MERL_VIEWS)} of view"
     found = f"views up to {MERL_VIEWS[-1][0]:g} degrees; highlights narrower than the steps of 3 degrees are lost"
     return replace(table, warnings=(*table.warnings, warning("table-resampled", name, what, found=found)))
-
-
-def _unit(degrees: np.ndarray) -> np.ndarray:
-    """Unit vectors (n, 3) of theta and phi (n, 2)."""
-    theta, phi = np.radians(degrees).T
-    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=1)
 
 
 def _checked(

@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 
 from nishiki.capture.cameras import camera_centre
-from nishiki.capture.frames import Frame
+from nishiki.capture.frames import Frame, exposure_problems
 from nishiki.capture.lights import Lights
 from nishiki.capture.polariser import state_problems
 from nishiki.capture.turntable_schema import TurntableFile
@@ -45,7 +45,7 @@ def turntable_problems(
         *_camera_problems(views, matrices, settings),
         *_board_problems(frames, views, settings),
         *_pose_problems(frames, views, settings),
-        *_exposure_problems(frames),
+        *exposure_problems(frames),
     ]
 
 
@@ -257,14 +257,3 @@ def _pose_problems(frames: tuple[Frame, ...], views: tuple[str, ...], settings: 
         for view in views
         if view not in posed
     ]
-
-
-def _exposure_problems(frames: tuple[Frame, ...]) -> list[Problem]:
-    """An exposure time for some lit frames but not for all cannot be used."""
-    lit = [f for f in frames if f.role in ("sample", "white")]
-    without = [f for f in lit if f.exposure_s is None]
-    if without and len(without) < len(lit):
-        found = f"{len(without)} of {len(lit)} rows without, the first in row {without[0].row}"
-        remedy = "Give exposure_s for every sample and white frame, or for none"
-        return [error("exposure-partial", TABLE, "exposure_s", found=found, remedy=remedy)]
-    return []

@@ -74,20 +74,12 @@ def complete(
         float((weights * basic.measured).sum()),
         float((weights * basic.extrapolated).sum()),
     )
-    return replace(plain(measured), basic=basic), interpolation
+    return replace(measured.take(slice(None)), basic=basic), interpolation  # whatever subclass it came in
 
 
 def positive(values: np.ndarray) -> np.ndarray:
     """(n,) bool: reflectances (n, channels) that have a logarithm in every channel."""
     return (np.isfinite(values) & (values > 0)).all(axis=-1)
-
-
-def plain(measured: ReflectanceSet) -> ReflectanceSet:
-    """The same values as a ReflectanceSet proper, whatever subclass they came in."""
-    names = ("incident", "outgoing", "values", "noise", "valid", "regions", "channels", "symmetry", "weave")
-    return ReflectanceSet(
-        **{name: getattr(measured, name) for name in names}, normal_deg=measured.normal_deg, basic=measured.basic
-    )
 
 
 def interpolate(

@@ -12,7 +12,6 @@ from nishiki.goniometry.directions import angles
 from nishiki.goniometry.grid import coefficients, evaluate
 
 Symmetry = Literal["quarter", "half", "none"]
-WEAVES = ("plain", "twill", "satin", "unknown")
 NORMAL_DEG = 1.0
 
 
@@ -95,8 +94,8 @@ class ReflectanceSet:
         """(n,) bool: lit along the normal, within normal_deg."""
         return angles(self.incident)[0] < np.radians(self.normal_deg)
 
-    def take(self, chosen: np.ndarray) -> ReflectanceSet:
-        """The measurements chosen (indices, or (n,) bool); `basic` is kept, for it may be of all."""
+    def take(self, chosen: np.ndarray | slice) -> ReflectanceSet:
+        """The measurements chosen (indices, (n,) bool, or a slice); `basic` is kept, for it may be of all."""
         rows = {name: getattr(self, name)[chosen] for name in ("incident", "outgoing", "values", "noise", "valid")}
         rest = {
             name: getattr(self, name) for name in ("regions", "channels", "symmetry", "weave", "normal_deg", "basic")
