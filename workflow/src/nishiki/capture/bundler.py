@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.capture.registered import GL, Pictures, RegisteredView, Registration, finite, rigid
+from nishiki.capture.registered import GL, Pictures, RegisteredView, Registration, finite, reading_cameras, rigid
 from nishiki.capture.turntable_schema import Intrinsics
 from nishiki.formats.files import files_with, read_bytes
-from nishiki.formats.problems import CaptureError, error, warning
+from nishiki.formats.problems import CaptureError, error, expect_one, left_out, raise_errors
 from nishiki.formats.text_tables import expect_rows, reading
 
 HEADING = b"# Bundle file"
@@ -34,12 +34,9 @@ def bundler_file(source: Path) -> Path | None:
                 if stream.read(len(HEADING)) == HEADING:
                     found.append(path)
         named = [path for path in found if path.name == "bundle.out"] or found
-        if len(named) > 1:
-            names = ", ".join(path.name for path in named[:5])
-            what, remedy = "several files of Bundler", "Keep the last one that it wrote, or call it bundle.out"
-            raise CaptureError(error("layout-unknown", str(source), what, found=names, remedy=remedy))
-        if named:
-            return named[0]
+        what, remedy = "several files of Bundler", "Keep the last one that it wrote, or call it bundle.out"
+        if one := expect_one(named, source, what, remedy):
+            return one
     return None
 
 
@@ -49,25 +46,18 @@ def read_bundler(path: Path, pictures: Pictures) -> Registration:
     Raises CaptureError: cameras-unreadable, cameras-many, photograph-missing; photographs-count where the list is not
     as long as the cameras; camera-values where points lie outside of their photographs, which are then of another size.
     """
-    with reading(path.name, "cameras"):
-        content = read_bytes(path, "json_bytes")
     names = _names(path, pictures.folder)
-    try:
+    with reading_cameras(path.name, "Bundler", "Export them again, as Bundler version 0.3"):
+        content = read_bytes(path, "json_bytes")
         lines = content.split(b"\n", 2 + LINES * (len(names) + 1) + 3 * POINTS)
         count = int(lines[1].split()[0])
         expect_rows(count, "views", path.name, "cameras")
         if count != len(names):
             expected, found = f"{count}, one a camera of {path.name}", f"{len(names)}"
             remedy = "Put the list of photographs that Bundler was given beside it (list.txt)"
+            what = "names of photographs"
             raise CaptureError(
-                error(
-                    "photographs-count",
-                    path.name,
-                    "names of photographs",
-                    expected=expected,
-                    found=found,
-                    remedy=remedy,
-                )
+                error("photographs-count", path.name, what, expected=expected, found=found, remedy=remedy)
             )
         cameras = [_numbers(lines[2 + LINES * i : 2 + LINES * (i + 1)], 15) for i in range(count)]
         seen = _furthest(lines[2 + LINES * count :], count)
@@ -87,15 +77,8 @@ def read_bundler(path: Path, pictures: Pictures) -> Registration:
             views.append(RegisteredView.of(name, (rows, columns), lens, pose))
         if not views:
             raise ValueError("no photograph has a camera")
-    except (ValueError, IndexError) as e:
-        what, remedy = "not cameras as Bundler writes them", "Export them again, as Bundler version 0.3"
-        raise CaptureError(error("cameras-unreadable", path.name, what, found=str(e)[:120], remedy=remedy)) from e
-    if problems:
-        raise CaptureError(problems)
-    what, found = "photographs without a camera were left out", ", ".join(unplaced[:5])
-    return Registration(
-        tuple(views), (warning("photograph-unlisted", path.name, what, found=found),) if unplaced else ()
-    )
+    raise_errors(problems)
+    return Registration(tuple(views), tuple(left_out(unplaced, path.name, "photographs without a camera")))
 
 
 def _names(path: Path, folder: Path) -> list[str]:

@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from nishiki.capture.registered import CORNER, RegisteredView, Registration
+from nishiki.capture.registered import CORNER, UNDISTORT, RegisteredView, Registration, reading_cameras
 from nishiki.capture.turntable_schema import Intrinsics
 from nishiki.formats.bounds import bound
 from nishiki.formats.files import read_bytes
 from nishiki.formats.problems import CaptureError, Problem, error, warning
-from nishiki.formats.text_tables import expect_rows, reading
+from nishiki.formats.text_tables import expect_rows
 
 PLACES = (".", "sparse", "sparse/0")
 KINDS = (".txt", ".bin")
+REMEDY = "Export the model again, as text or binary"
 # Name, number of parameters, and how many of these come before the distortion, by COLMAP's number of the model; models
 # of another number are newer. The distortion begins with k1, k2, p1, p2, k3 of Brown's model as far as it goes; what
 # follows is another model's.
@@ -80,21 +81,15 @@ def read_colmap(folder: Path) -> Registration:
     numbers.
     """
     kind = ".bin" if (folder / "cameras.bin").is_file() and (folder / "images.bin").is_file() else ".txt"
-    cameras = _parsed(folder / f"cameras{kind}", dict(zip(KINDS, (_text_cameras, _binary_cameras), strict=True))[kind])
     file, notes = f"images{kind}", []
-    read = (lambda content: _text_images(content, notes)) if kind == ".txt" else _binary_images
-    images = _parsed(folder / file, read)
+    with reading_cameras(f"cameras{kind}", "COLMAP", REMEDY):
+        content = read_bytes(folder / f"cameras{kind}", "table_bytes")
+        cameras = _text_cameras(content) if kind == ".txt" else _binary_cameras(content)
+    with reading_cameras(file, "COLMAP", REMEDY):
+        content = read_bytes(folder / file, "table_bytes")
+        images = _text_images(content, notes) if kind == ".txt" else _binary_images(content)
     expect_rows(len(images), "views", file, "cameras")
     return Registration(tuple(_view(image, cameras, file) for image in images), tuple(notes))
-
-
-def _parsed(path: Path, parse: Callable):
-    try:
-        with reading(path.name, "cameras"):
-            return parse(read_bytes(path, "table_bytes"))
-    except (ValueError, IndexError, struct.error) as e:
-        what, remedy = "not as COLMAP writes it", "Export the model again, as text or binary"
-        raise CaptureError(error("cameras-unreadable", path.name, what, found=str(e)[:120], remedy=remedy)) from e
 
 
 def _view(image: _Image, cameras: dict[int, _Camera], file: str) -> RegisteredView:
@@ -117,10 +112,9 @@ def _camera(model: str, parameters: Sequence[float], rows: int, columns: int) ->
     distortion = [float(value) for value in parameters[plain:]]
     straight = "DIVISION" in model and not any(distortion)
     if not plain or any(distortion[BROWN:]) or (any(word in model for word in OTHERS) and not straight):
-        remedy = "Take the distortion out of the photographs (colmap image_undistorter), and convert what that writes"
         what = f"the camera {model} of {columns} x {rows} pixels has a distortion that is not read"
         expected = "PINHOLE, SIMPLE_RADIAL, RADIAL or OPENCV"
-        raise CaptureError(error("cameras-distorted", "cameras", what, expected=expected, remedy=remedy))
+        raise CaptureError(error("cameras-distorted", "cameras", what, expected=expected, remedy=UNDISTORT))
     fx, fy = (parameters[0], parameters[0]) if plain == 3 else parameters[:2]
     cx, cy = (value - CORNER for value in parameters[plain - 2 : plain])
     brown = tuple((distortion + [0.0] * BROWN)[:BROWN])

@@ -10,7 +10,7 @@ from nishiki.capture.layouts import photographs_in
 from nishiki.capture.options import NO_PHOTOGRAPHS, ConvertOptions
 from nishiki.capture.schema_base import FORMAT
 from nishiki.capture.taking import settings_text, take
-from nishiki.formats.problems import CaptureError, Problem, error, warning
+from nishiki.formats.problems import Problem, expect_one, warning
 
 
 @dataclass(frozen=True)
@@ -54,11 +54,7 @@ def recognise_table(source: Path, options: ConvertOptions) -> Path | None:
         return None
     visible = (path for path in source.iterdir() if not path.name.startswith(".") and path.is_file())
     tables = sorted(path for path in visible if is_table(path))
-    if len(tables) > 1:
-        what, remedy = "several tables of reflectances", f"Convert one: {tables[0]}"
-        found = ", ".join(path.name for path in tables[:5])
-        raise CaptureError(error("layout-unknown", str(source), what, found=found, remedy=remedy))
-    return tables[0] if tables else None
+    return expect_one(tables, source, "several tables of reflectances", f"Convert one: {next(iter(tables), '')}")
 
 
 def read_measurements(source: Path, table: Path, options: ConvertOptions) -> MeasuredTable:

@@ -13,13 +13,13 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.capture.registered import RegisteredView, Registration, finite, positive, rigid, whole
+from nishiki.capture.registered import RegisteredView, Registration, finite, positive, reading_cameras, rigid, whole
 from nishiki.capture.turntable_schema import Intrinsics
 from nishiki.formats.files import files_with, read_text
-from nishiki.formats.problems import CaptureError, error
-from nishiki.formats.text_tables import expect_rows, reading
+from nishiki.formats.problems import CaptureError, error, expect_one
+from nishiki.formats.text_tables import expect_rows
 
-REMEDY = "Save the cameras again as .sfm (JSON) with Meshroom's node ConvertSfMFormat"
+REMEDY = "Take the file that the node StructureFromMotion wrote; ConvertSfMFormat saves it as .sfm (JSON)"
 # Names of the distortions that are read, and where Brown's k1, k2, p1, p2, k3 stand among their parameters.
 NONE, RADIAL1, RADIAL3, BROWN = (), (0, None, None, None, None), (0, 1, None, None, 2), (0, 1, 3, 4, 2)
 DISTORTIONS = {
@@ -36,11 +36,9 @@ def meshroom_file(source: Path) -> Path | None:
     CaptureError (layout-unknown) where there are several and none of this name.
     """
     files = files_with(source, (".sfm",))
-    if len(files) > 1 and source / "cameras.sfm" not in files:
-        found = ", ".join(path.name for path in files[:5])
-        what, remedy = "several .sfm files", "Keep the one that StructureFromMotion wrote, or call it cameras.sfm"
-        raise CaptureError(error("layout-unknown", str(source), what, found=found, remedy=remedy))
-    return next((path for path in files if path.name == "cameras.sfm"), files[0] if files else None)
+    named = [path for path in files if path.name == "cameras.sfm"] or files
+    remedy = "Keep the one that StructureFromMotion wrote, or call it cameras.sfm"
+    return expect_one(named, source, "several .sfm files", remedy)
 
 
 def read_meshroom(path: Path) -> Registration:
@@ -49,10 +47,8 @@ def read_meshroom(path: Path) -> Registration:
     Raises CaptureError: cameras-unreadable, cameras-many; cameras-distorted where a lens cannot be said by Brown's five
     numbers.
     """
-    with reading(path.name, "cameras"):
-        text = read_text(path, "json_bytes")
-    try:
-        content = json.loads(text)
+    with reading_cameras(path.name, "Meshroom", REMEDY):
+        content = json.loads(read_text(path, "json_bytes"))
         version = tuple(whole(each) for each in content["version"])
         lenses = {str(each["intrinsicId"]): _lens(each, version, path.name) for each in content["intrinsics"]}
         poses = {str(each["poseId"]): _pose(each["pose"]["transform"]) for each in content.get("poses", [])}
@@ -62,13 +58,8 @@ def read_meshroom(path: Path) -> Registration:
             for view in content["views"]
             if str(view.get("poseId")) in poses
         ]
-    except (ValueError, KeyError, TypeError, AttributeError, ArithmeticError, RecursionError) as e:
-        found = f"without {e}" if isinstance(e, KeyError) else str(e)[:120]
-        what = "not cameras as Meshroom writes them"
-        raise CaptureError(error("cameras-unreadable", path.name, what, found=found, remedy=REMEDY)) from e
-    if not views:
-        what, remedy = "no photograph has a pose", "Take the file that the node StructureFromMotion wrote"
-        raise CaptureError(error("cameras-unreadable", path.name, what, remedy=remedy))
+        if not views:
+            raise ValueError("no photograph has a pose")
     return Registration(tuple(views))
 
 

@@ -14,11 +14,20 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from nishiki.capture.registered import CORNER, RegisteredView, Registration, finite, positive, rigid, whole
+from nishiki.capture.registered import (
+    CORNER,
+    RegisteredView,
+    Registration,
+    finite,
+    positive,
+    reading_cameras,
+    rigid,
+    whole,
+)
 from nishiki.capture.turntable_schema import Intrinsics
 from nishiki.formats.files import files_with, read_bytes
-from nishiki.formats.problems import CaptureError, Problem, error, warning
-from nishiki.formats.text_tables import expect_rows, reading
+from nishiki.formats.problems import CaptureError, Problem, error, expect_one, left_out, warning
+from nishiki.formats.text_tables import expect_rows
 
 HEAD = 1 << 16  # bytes in which a file of cameras tells what it is
 OTHERS = ("k4", "p3", "p4")  # of the distortion, beyond Brown's five numbers
@@ -38,11 +47,8 @@ def metashape_file(source: Path) -> Path | None:
             head = stream.read(HEAD)
         if b"<chunk" in head and b"<sensors" in head:
             found.append(path)
-    if len(found) > 1:
-        names = ", ".join(path.name for path in found[:5])
-        what, remedy = "several files of Metashape's cameras", "Keep the one that belongs to these photographs"
-        raise CaptureError(error("layout-unknown", str(source), what, found=names, remedy=remedy))
-    return found[0] if found else None
+    what, remedy = "several files of Metashape's cameras", "Keep the one that belongs to these photographs"
+    return expect_one(found, source, what, remedy)
 
 
 def read_metashape(path: Path) -> Registration:
@@ -51,9 +57,8 @@ def read_metashape(path: Path) -> Registration:
     Raises CaptureError: cameras-unreadable, cameras-many; cameras-distorted where a lens cannot be said by Brown's five
     numbers.
     """
-    with reading(path.name, "cameras"):
+    with reading_cameras(path.name, "Metashape", REMEDY):
         content = read_bytes(path, "json_bytes")
-    try:
         if b"<!DOCTYPE" in content[:HEAD] or b"<!ENTITY" in content[:HEAD]:
             raise ValueError("a declaration of a document type")
         chunks = list(ElementTree.fromstring(content).iter("chunk"))
@@ -61,9 +66,6 @@ def read_metashape(path: Path) -> Registration:
         if len(chunks) != 1:
             raise ValueError(f"{len(chunks)} chunks with cameras, where one is expected")
         return _chunk(chunks[0], path.name)
-    except (ValueError, LookupError, TypeError, AttributeError, ElementTree.ParseError, RecursionError) as e:
-        what = "not cameras as Metashape exports them"
-        raise CaptureError(error("cameras-unreadable", path.name, what, found=str(e)[:120], remedy=REMEDY)) from e
 
 
 def _chunk(chunk: ElementTree.Element, file: str) -> Registration:
@@ -83,11 +85,8 @@ def _chunk(chunk: ElementTree.Element, file: str) -> Registration:
     if not enabled:
         raise ValueError(f"no camera is aligned, of {len(off) + len(unaligned)}")
     expect_rows(len(enabled), "views", file, "cameras")
-    notes = [
-        warning("photograph-unlisted", file, f"photographs that {why} in Metashape were left out", found=_some(labels))
-        for why, labels in (("are switched off", off), ("have no place", unaligned))
-        if labels
-    ]
+    notes = left_out(off, file, "photographs that are switched off in Metashape")
+    notes += left_out(unaligned, file, "photographs that have no place in Metashape")
     components = [camera.get("component_id") for camera in enabled]
     placed, more = _in_world(placed, components, worlds, own, file)
     lenses = {number: _lens(sensors[number], file) for number in dict.fromkeys(c.get("sensor_id") for c in enabled)}
@@ -160,7 +159,3 @@ def _lens(sensor: ElementTree.Element, file: str) -> tuple[tuple[int, int], Intr
         raise ValueError(f"the sensor '{label}' of {columns} x {rows} pixels with focal lengths {fx:g} and {fy:g}")
     found = Intrinsics(fx=fx, fy=fy, cx=cx - CORNER, cy=cy - CORNER, skew=skew, distortion=(k1, k2, p1, p2, k3))
     return (rows, columns), found
-
-
-def _some(labels: list) -> str:
-    return ", ".join(map(str, labels[:5])) + (f" and {len(labels) - 5} more" if len(labels) > 5 else "")

@@ -13,9 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from nishiki.formats.problems import CaptureError, Problem, error, warning
+from nishiki.formats.problems import CaptureError, Problem, error, left_out, name_some, warning
 
-MOST_NAMED = 5  # names listed of one kind
 Token = str | int
 
 
@@ -39,7 +38,7 @@ def pair_by_name(photographs: Sequence[Path], others: Sequence[Path], *, what: s
     if all(tokens(p.stem) in by_stem for p in photographs):
         partners = tuple(by_stem[tokens(p.stem)] for p in photographs)
         left = [p.name for p in others if p not in set(partners)]
-        return Pairing(partners, _left_over(left, what, folder))
+        return Pairing(partners, tuple(left_out(left, folder, f"{what} of no photograph")))
     if len(parts) != len(present):
         expected, found = f"{len(photographs)}, one a photograph", f"{len(others)}"
         remedy = f"Name the {what} as the photographs, or move the others away"
@@ -59,7 +58,7 @@ def pair_by_name(photographs: Sequence[Path], others: Sequence[Path], *, what: s
         f"Give the {what} the names of their photographs, with any prefix or suffix that all of them share; "
         "or list the pairs in frames.csv by hand"
     )
-    found = f"no partner for {_some(lacking)}; {_some(strange)} fit no photograph"
+    found = f"no partner for {name_some(lacking)}; {name_some(strange)} fit no photograph"
     summary = f"{what} cannot be paired with the photographs by name"
     raise CaptureError(error("pairing-unmatched", folder, summary, found=found, remedy=remedy))
 
@@ -107,15 +106,3 @@ def _in_order(photographs: Sequence[Path], chosen: Sequence[Path], what: str, fo
     summary = f"{what} have running numbers of their own: paired with the photographs in the order of the numbers"
     remedy = f"If a pair is wrong, name the {what} as the photographs and convert again"
     return warning("paired-in-order", folder, summary, found=pairs, remedy=remedy)
-
-
-def _left_over(names: list[str], what: str, folder: str) -> tuple[Problem, ...]:
-    if not names:
-        return ()
-    summary = f"{what} of no photograph were left out"
-    return (warning("photograph-unlisted", folder, summary, found=_some(names)),)
-
-
-def _some(names: Sequence[str]) -> str:
-    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
-    return ", ".join(names[:MOST_NAMED]) + more

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+import struct
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -16,12 +19,15 @@ from nishiki.formats.files import same_name, walk
 from nishiki.formats.image_header import IMAGE_SUFFIXES
 from nishiki.formats.image_headers import read_header
 from nishiki.formats.problems import CaptureError, Problem, error, warning
+from nishiki.formats.text_tables import reading
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.matrices import point_in_sight
 
 CORNER = 0.5  # pixels that count from the corner of the top left one, where ours count from its centre
 GL = np.diag([1.0, -1.0, -1.0])  # camera axes of OpenGL (y up, looking along -z) to ours (y down, looking along z)
 FEWEST_AXES = 3  # views whose lines of sight tell together where they look
+BROKEN = (struct.error, ElementTree.ParseError)  # what readers of binary files and of XML raise
+UNDISTORT = "Take the distortion out of the photographs (colmap image_undistorter), and convert what that writes"
 NEAR = 0.5  # root mean square distance of the lines of sight from one point, relative to the cameras' distance
 
 
@@ -109,6 +115,18 @@ class Pictures:
         """Rows and columns of a photograph. CaptureError as `paths`, and those of reading a header."""
         header = read_header(self.paths([name], file)[0])
         return header.rows, header.columns
+
+
+@contextmanager
+def reading_cameras(name: str, program: str, remedy: str) -> Iterator[None]:
+    """Tell what is wrong with a file of a program's cameras as cameras-missing and cameras-unreadable."""
+    try:
+        with reading(name, "cameras"):
+            yield
+    except (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError, *BROKEN) as e:
+        found = f"without {e}" if isinstance(e, KeyError) else str(e)[:120]
+        what = f"not cameras as {program} writes them"
+        raise CaptureError(error("cameras-unreadable", name, what, found=found, remedy=remedy)) from e
 
 
 def aims_at(poses: np.ndarray) -> float | None:

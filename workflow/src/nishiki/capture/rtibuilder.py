@@ -15,7 +15,7 @@ from pathlib import Path
 from nishiki.capture.lights import Lights
 from nishiki.formats.files import files_with, leads_out, same_name
 from nishiki.formats.image_header import IMAGE_SUFFIXES
-from nishiki.formats.problems import CaptureError, Problem, error, warning
+from nishiki.formats.problems import CaptureError, Problem, error, expect_one, warning
 
 ASSEMBLY, FINISHED = "assembly-files", "finished-files"
 PHOTOGRAPHS = ("jpeg-exports", "cropped-files", "edited-captures", "original-captures")
@@ -48,12 +48,9 @@ class RtiProject:
         places = [self.folders[ASSEMBLY]] if ASSEMBLY in self.folders else []
         for place in (*places, self.root):
             files = files_with(place, (".lp",))
-            if len(files) > 1:
-                found = ", ".join(path.name for path in files[:5])
-                what, remedy = "several .lp files", f"Name one: --lights {files[0]}"
-                raise CaptureError(error("layout-unknown", str(place), what, found=found, remedy=remedy))
-            if files:
-                return files[0]
+            remedy = f"Name one: --lights {next(iter(files), '')}"
+            if one := expect_one(files, place, "several .lp files", remedy):
+                return one
         finished = self._finished()
         remedy = f"Convert {finished}, from which pictures are rendered" if finished else "Name one with --lights"
         what = "an RTIBuilder project without a .lp file"

@@ -18,12 +18,14 @@ from nishiki.capture.registered import (
     CORNER,
     GL,
     NEAR,
+    UNDISTORT,
     Pictures,
     RegisteredView,
     Registration,
     aims_at,
     finite,
     positive,
+    reading_cameras,
     rigid,
     whole,
 )
@@ -58,7 +60,7 @@ def read_transforms(path: Path, pictures: Pictures) -> Registration:
     files = (
         [path] if path.name == NAME else [p for p in files_with(path.parent, (".json",)) if p.name.startswith(PARTS)]
     )
-    try:
+    with reading_cameras(path.name, "NeRF", "Write the file again with the program that made it"):
         for file in files:
             with reading(file.name, "cameras"):
                 content = json.loads(read_text(file, "json_bytes"))
@@ -71,10 +73,6 @@ def read_transforms(path: Path, pictures: Pictures) -> Registration:
         matrices = [_matrix(frame["transform_matrix"]) for frame in frames.values()]
         if not frames:
             raise ValueError("no frames")
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as e:
-        found = f"without {e}" if isinstance(e, KeyError) else str(e)[:120]
-        what, remedy = "not cameras as NeRF programs write them", "Write the file again with the program that made it"
-        raise CaptureError(error("cameras-unreadable", path.name, what, found=found, remedy=remedy)) from e
     pictures.paths(list(frames), path.name)
     lenses = [_lens(frame, pictures.size(name, path.name), name) for name, frame in frames.items()]
     poses, notes = _poses(np.array(matrices), path.name)
@@ -121,10 +119,7 @@ def _lens(frame: dict, size: tuple[int, int], name: str) -> tuple[tuple[int, int
         model, fisheye = str(frame.get("camera_model", "OPENCV")).upper(), frame.get("is_fisheye", False)
         if model not in MODELS or fisheye or any(finite(frame.get(key, 0)) for key in OTHERS):
             what, expected = f"a lens of the model {'fish-eye' if fisheye else model}", "none, or Brown's distortion"
-            remedy = (
-                "Take the distortion out of the photographs (colmap image_undistorter), and convert what that writes"
-            )
-            raise CaptureError(error("cameras-distorted", name, what, expected=expected, remedy=remedy))
+            raise CaptureError(error("cameras-distorted", name, what, expected=expected, remedy=UNDISTORT))
         rows, columns = whole(frame.get("h", size[0])), whole(frame.get("w", size[1]))
         fx = _focal_length(frame, "x", columns)
         fy = _focal_length(frame, "y", rows) or fx

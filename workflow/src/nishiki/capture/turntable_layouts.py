@@ -22,12 +22,13 @@ from nishiki.formats.files import Refused, files_with, read_text
 from nishiki.formats.image_header import IMAGE_SUFFIXES
 from nishiki.formats.image_headers import read_header
 from nishiki.formats.matlab import read_matlab
-from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, warning
+from nishiki.formats.problems import CaptureError, Problem, error, expect_one, left_out, raise_errors, warning
 from nishiki.formats.text_tables import expect_rows, reading, refusal
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.turn import order_round, turn_of
 
 STATES = re.compile(r"(\d+(?:\.\d+)?)_(\d+(?:\.\d+)?)")
+SEVERAL = ("several files of cameras", "Keep the one that belongs to these photographs")
 FEWEST_STATES = 3
 LEAST_TURN = 20.0  # degrees between the outermost angles of a polariser that is turned
 
@@ -77,7 +78,7 @@ def cameras_of(program: str, read: Callable[[Path, Pictures], Registration]) -> 
 def find_camera_list(source: Path, options: ConvertOptions) -> Path | None:
     """Find a list of cameras as the Middlebury multi-view sets have it. CaptureError where there are several."""
     lists = [path for path in files_with(source, (".txt",)) if _is_camera_list(path)]
-    return _only(lists, source) if lists else None
+    return expect_one(lists, source, *SEVERAL)
 
 
 def find_matrices(source: Path, options: ConvertOptions) -> tuple[Path, np.ndarray] | None:
@@ -97,7 +98,8 @@ def find_matrices(source: Path, options: ConvertOptions) -> tuple[Path, np.ndarr
             continue
         if matrices is not None:
             stored[path] = matrices
-    return (_only(list(stored), source), next(iter(stored.values()))) if stored else None
+    path = expect_one(list(stored), source, *SEVERAL)
+    return (path, stored[path]) if path else None
 
 
 def find_states(source: Path, options: ConvertOptions) -> list[Path] | None:
@@ -114,14 +116,6 @@ def find_states(source: Path, options: ConvertOptions) -> list[Path] | None:
     turned = [turn for turn in turns if turn > 0]
     sound = bool(turned) and min(turned) >= LEAST_TURN and angles.max() <= 360
     return photographs if sound else None
-
-
-def _only(paths: list[Path], source: Path) -> Path:
-    if len(paths) > 1:
-        found = ", ".join(p.name for p in paths)
-        what, remedy = "several files of cameras", "Keep the one that belongs to these photographs"
-        raise CaptureError(error("layout-unknown", str(source), what, found=found, remedy=remedy))
-    return paths[0]
 
 
 def _matrices_in(path: Path) -> np.ndarray | None:
@@ -204,7 +198,7 @@ def read_middlebury(source: Path, path: Path, options: ConvertOptions) -> RoundL
     """Read lines `name k11 ... k33 r11 ... r33 t1 t2 t3`: the camera is K [R t]."""
     lines = _camera_lines(path)
     expect_rows(len(lines) - 1, "views", path.name, "cameras")
-    problems, notes, photographs, matrices = [], [], [], []
+    problems, photographs, matrices = [], [], []
     present = {p.name: p for p in source.iterdir() if p.is_file()}
     for number, cells in enumerate(lines[1:], start=2):
         where = f"{path.name} line {number}"
@@ -229,9 +223,7 @@ def read_middlebury(source: Path, path: Path, options: ConvertOptions) -> RoundL
         problems.append(error("cameras-count", path.name, "cameras", expected=expected, found=found))
     raise_errors(problems)
     extra = [p.name for p in photographs_in(source) if p not in photographs]
-    if extra:
-        what, found = "pictures that the cameras do not name were left out", ", ".join(extra[:5])
-        notes.append(warning("photograph-unlisted", str(source), what, found=found))
+    notes = left_out(extra, str(source), "pictures that the cameras do not name")
     return _turntable("turntable with a list of cameras", photographs, np.array(matrices), path.name, notes)
 
 
@@ -256,12 +248,9 @@ def _registered(source: Path, program: str, file: str, found: Registration, pict
             what, remedy = "not the size that its camera has", f"Give the photographs that {program} was given"
             problems.append(error("camera-values", path.name, what, expected=expected, found=size, remedy=remedy))
     raise_errors(problems)
-    notes = list(found.notes)
     folders = dict.fromkeys(path.parent for path in photographs)
     extra = [path.name for folder in folders for path in photographs_in(folder) if path not in photographs]
-    if extra:
-        what, some = f"pictures without a camera of {program} were left out", ", ".join(extra[:5])
-        notes.append(warning("photograph-unlisted", file, what, found=some))
+    notes = [*found.notes, *left_out(extra, file, f"pictures without a camera of {program}")]
     matrices = np.array([view.matrix for view in views])
     cameras = [Camera.from_matrix(v.name, v.matrix, rows=v.rows, columns=v.columns) for v in views]
     notes += aim_problems(np.array([np.column_stack([c.rotation, c.translation]) for c in cameras]), file)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Literal
 
 from nishiki.errors import UserError, printable
@@ -62,6 +63,26 @@ def raise_errors(problems: Iterable[Problem]) -> None:
     errors = [p for p in problems if p.severity == "error"]
     if errors:
         raise CaptureError(errors)
+
+
+def name_some(names: Iterable[object]) -> str:
+    """The first names, and the number of the others."""
+    texts = [str(name) for name in names]
+    more = f" and {len(texts) - MOST_NAMED} more" if len(texts) > MOST_NAMED else ""
+    return ", ".join(texts[:MOST_NAMED]) + more
+
+
+def left_out(names: Sequence[object], file: str, what: str) -> list[Problem]:
+    """photograph-unlisted for pictures that are not taken over; what: which they are. Empty without names."""
+    return [warning("photograph-unlisted", file, f"{what} were left out", found=name_some(names))] if names else []
+
+
+def expect_one(files: Sequence[Path], place: Path, what: str, remedy: str) -> Path | None:
+    """The only one of some files; None without. CaptureError (layout-unknown) where there are several."""
+    if len(files) > 1:
+        found = name_some(path.name for path in files)
+        raise CaptureError(error("layout-unknown", str(place), what, found=found, remedy=remedy))
+    return files[0] if files else None
 
 
 def group_problems(problems: Iterable[Problem]) -> list[Problem]:
