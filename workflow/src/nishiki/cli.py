@@ -172,6 +172,10 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument(
         "--lights-kind", choices=LIGHT_KINDS, help="what the numbers of the lights file are, where it is not clear"
     )
+    text = "which listed lamp each photograph shows: shift:N (the lamp N places on), reverse, or numbers: 2,1,3"
+    sub.add_argument("--lights-order", metavar="ORDER", help=text)
+    text = "axes of the lamps in terms of those listed: x,-y where y was counted downwards; --lights-axes=-x,y"
+    sub.add_argument("--lights-axes", metavar="X,Y", help=text)
     sub.add_argument("--width-mm", type=float, metavar="MM", help="width of the whole photographs on the object")
     sub.add_argument(
         "--mask", help="picture, light where the object is, or with its shape as alpha; turntable: a folder of them"

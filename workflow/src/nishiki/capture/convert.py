@@ -18,6 +18,9 @@ from nishiki.capture.turntable_convert import write_round
 from nishiki.capture.turntable_layouts import RoundLayout
 from nishiki.formats.problems import CaptureError, Problem, error, raise_errors
 
+JUDGED = ("lamp-failed", "photograph-repeated", "ambient-light")
+"""Kinds of warnings that photographs give against each other, which `convert` passes on."""
+
 WRITERS: dict[type, Callable[..., list[Problem]]] = {
     Layout: write_plane,
     RoundLayout: write_round,
@@ -96,7 +99,9 @@ def _write_complete(target: Path, write: Callable[[Path], list[Problem]], option
         shutil.rmtree(partial)
     try:
         notes = write(partial)
-        raise_errors(options.examine(partial) if options.examine else ())
+        found = options.examine(partial) if options.examine else []
+        raise_errors(found)
+        notes = [*notes, *(problem for problem in found if problem.kind in JUDGED)]
         os.rename(partial, target)
     finally:
         if partial.exists():

@@ -13,7 +13,7 @@ import io
 import math
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
@@ -156,6 +156,61 @@ def _check_vector(
         what = f"light '{name}' lies in or behind the object's plane"
         return [error("light-behind", file, what, expected="z > 0", found=found, remedy=remedy)]
     return []
+
+
+def rearrange(lights: Lights, order: str | None, axes: str | None) -> tuple[Lights, np.ndarray]:
+    """Give the photographs other lamps of the list, and the lamps other axes.
+
+    Parameters
+    ----------
+    lights : Lights
+        As listed, one a photograph.
+    order : str or None
+        `shift:N`: photograph i has the lamp listed N places after it, the last ones followed by the first; `reverse`:
+        the first photograph has the last lamp; or the numbers of the lamps, from 1, by photograph: `2,1,3`.
+    axes : str or None
+        x and y of the lamps in terms of those listed: `x,-y` where the list counts y downwards.
+
+    Returns
+    -------
+    Lights, (lights,) int
+        Under the same names, and the place in the list of each.
+
+    Raises
+    ------
+    CaptureError
+        option-unusable for what is none of these.
+    """
+    places = np.arange(len(lights.names))
+    if order is not None:
+        places = _order_of(order, len(places))
+    vectors = lights.vectors[places]
+    if axes is not None:
+        if not re.fullmatch(r"-?x,-?y|-?y,-?x", axes):
+            remedy = "Write it with an equals sign where it begins with a dash: --lights-axes=-x,y"
+            expected = "x,-y and the like, one of the eight ways to turn and mirror"
+            what = "not two axes"
+            raise CaptureError(
+                error("option-unusable", "lights-axes", what, expected=expected, found=axes, remedy=remedy)
+            )
+        columns = [(-1 if axis.startswith("-") else 1) * vectors[:, "xy".index(axis[-1])] for axis in axes.split(",")]
+        vectors = np.column_stack([*columns, vectors[:, 2]])
+    directions = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    return replace(lights, vectors=vectors, directions=directions), places
+
+
+def _order_of(text: str, count: int) -> np.ndarray:
+    places = np.arange(count)
+    if text == "reverse":
+        return places[::-1]
+    if match := re.fullmatch(r"shift:(-?[0-9]{1,9})", text):
+        return (places + int(match[1])) % count
+    if re.fullmatch(r"[0-9]{1,9}(,[0-9]{1,9})*", text):
+        numbers = np.array([int(number) - 1 for number in text.split(",")])
+        if sorted(numbers.tolist()) == places.tolist():
+            return numbers
+    expected = f"shift:N, reverse, or each number from 1 to {count} once, with commas between"
+    raise CaptureError(error("option-unusable", "lights-order", "not an order", expected=expected, found=text[:60]))
 
 
 def direction_problems(directions: np.ndarray, file: str) -> list[Problem]:

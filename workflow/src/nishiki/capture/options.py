@@ -14,6 +14,8 @@ FLAGS = {
     "lights_file": "lights",
     "lights_kind": "lights-kind",
     "width_mm": "width-mm",
+    "lights_order": "lights-order",
+    "lights_axes": "lights-axes",
     "checks": "check",
     "region": "roi",
     "camera_of": "camera-of",
@@ -37,6 +39,10 @@ class ConvertOptions:
     lights_kind : str or None
         What the numbers of the lights file are, one of LIGHT_KINDS; None where the file or the photographs
         tell.
+    lights_order : str or None
+        Which listed lamp each photograph shows, see `lights.reorder`.
+    lights_axes : str or None
+        Axes of the lamps in terms of those of the lights file, as `x,-y`.
     width_mm : float or None
         Width of the whole photographs on the object, millimetres.
     mask : Path or None
@@ -72,6 +78,8 @@ class ConvertOptions:
 
     lights_file: Path | None = None
     lights_kind: str | None = None
+    lights_order: str | None = None
+    lights_axes: str | None = None
     width_mm: float | None = None
     mask: Path | None = None
     white: Path | None = None

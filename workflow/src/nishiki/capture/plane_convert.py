@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import numpy as np
 from nishiki.capture.bands import complete_bands, sort_bands
 from nishiki.capture.frames import EXPOSURE_COLUMNS
 from nishiki.capture.layouts import Layout, masks_in, photographs_in
-from nishiki.capture.lights import Lights
+from nishiki.capture.lights import Lights, rearrange
 from nishiki.capture.options import ConvertOptions, file_problems
 from nishiki.capture.pairing import pair_by_name
 from nishiki.capture.schema_base import FORMAT
@@ -44,6 +45,9 @@ def write_plane(folder: Path, layout: Layout, source: Path, options: ConvertOpti
         what = "no such light to keep for evaluation"
         remedy = "The names of the lamps are those of their photographs, without the suffix"
         raise CaptureError(error("light-unknown", str(source), what, expected=expected, found=found, remedy=remedy))
+    lights, places = rearrange(layout.lights, options.lights_order, options.lights_axes)
+    strengths = None if layout.intensities is None else layout.intensities[places]
+    layout = replace(layout, lights=lights, intensities=strengths)
     link, region = options.link, options.region or layout.region
     folder.mkdir(parents=True)
     header = usual_header(layout.photographs)

@@ -89,7 +89,7 @@ def _is_folder_image(folder: Path) -> bool:
 
 def read_relightable(source: Path, file: Path, options: ConvertOptions) -> Rendering:
     """Choose the lamps under which the image is rendered. CaptureError where it is none that is read."""
-    options.refuse(NO_PHOTOGRAPHS, "white", "dark", "ambient", "checks")
+    options.refuse(NO_PHOTOGRAPHS, "white", "dark", "ambient", "checks", "lights_order", "lights_axes")
     raise_errors(file_problems(mask=options.mask))
     return Rendering(file, open_relightable(file), lamps_for(options.lights_file, options))
 

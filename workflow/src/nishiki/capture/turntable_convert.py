@@ -39,7 +39,8 @@ def write_round(folder: Path, layout: RoundLayout, source: Path, options: Conver
     """
     options.refuse("Views of a turntable are held out by the setting hold_out when results are made", "checks")
     options.refuse("Camera matrices count from the corner of the whole photograph, so that it is used whole", "region")
-    options.refuse("What is converted has cameras and no lights file", "lights_kind", "width_mm")
+    lamps = ("lights_kind", "lights_order", "lights_axes", "width_mm")
+    options.refuse("What is converted has cameras and no lights file", *lamps)
     options.refuse("Light of the room is subtracted from flat objects only", "ambient")
     raise_errors(folder_problems(mask=options.mask))
     white, dark, link = options.white, options.dark, options.link

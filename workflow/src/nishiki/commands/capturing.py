@@ -2,6 +2,7 @@
 
 import argparse
 import sys
+from functools import partial
 from pathlib import Path
 
 from nishiki.errors import UserError, printable
@@ -57,9 +58,12 @@ def convert(options: argparse.Namespace, rest: list[str]) -> None:
         return
     if options.capture is None:
         raise UserError("convert: expected the capture folder to make, CAPTURE, or --list. Remedy: name it")
+    progress = Progress(f"check {options.capture}")
     given = ConvertOptions(
         lights_file=_path(options.lights),
         lights_kind=options.lights_kind,
+        lights_order=options.lights_order,
+        lights_axes=options.lights_axes,
         width_mm=options.width_mm,
         mask=_path(options.mask),
         white=_path(options.white),
@@ -74,7 +78,7 @@ def convert(options: argparse.Namespace, rest: list[str]) -> None:
         turn=options.turn,
         camera_of=dict(_camera_of(pair) for pair in options.camera_of.split(",")) if options.camera_of else {},
         link=options.link,
-        examine=None if options.open else check_capture,
+        examine=None if options.open else partial(check_capture, level="full", progress=progress.tell),
     )
     made = convert_folder(Path(options.source), Path(options.capture), given)
     things = "measurements" if made.geometry == "goniometer" else "photographs"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -22,6 +23,7 @@ from nishiki.formats.images import expect_channels
 from nishiki.formats.problems import CaptureError, Problem, error, warning
 from nishiki.observations.blocks import block_edges
 from nishiki.observations.choice import AnyCapture
+from nishiki.observations.consistency import Judgement, ReducedPhotographs, judgement_problems
 from nishiki.observations.frames import FrameReader, unusable_coding
 from nishiki.observations.goniometer_check import goniometer_files, look_at_windows, table_problems
 from nishiki.observations.pairs_check import PairLevels
@@ -38,12 +40,17 @@ CHECK_BLOCK = 16
 
 
 def check_capture(
-    root: Path | str, *, level: Literal["quick", "full"] = "quick", progress: Callable[[str], None] | None = None
+    root: Path | str,
+    *,
+    level: Literal["quick", "full"] = "quick",
+    progress: Callable[[str], None] | None = None,
+    judged: Callable[[Judgement], None] = lambda judgement: None,
 ) -> list[Problem]:
     """All problems of a capture folder, errors first; an empty list means that nothing was found.
 
     quick: tables, headers of all photographs, mask. full: also decodes every photograph (damage, saturation, white
-    boards, samples that are not finite) and compares every digest of a sealed capture.
+    boards, samples that are not finite), compares every digest of a sealed capture, and the photographs of a plane with
+    each other: judged(judgement) is called with what they show.
     """
     root = Path(root)
     capture, problems = examine(root)
@@ -59,7 +66,7 @@ def check_capture(
         if capture.geometry == "goniometer" and capture.table is not None:
             problems += table_problems(capture)
         looks = {"turntable": _look_round, "goniometer": look_at_windows}
-        look = looks.get(capture.geometry, _look_at_plane)
+        look = looks.get(capture.geometry, partial(_look_at_plane, judged))
         if size is not None and sound.observed:
             problems += look(sound, size, level == "full", progress or (lambda file: None))
     distinct = list(dict.fromkeys(problems))
@@ -67,10 +74,14 @@ def check_capture(
 
 
 def _look_at_plane(
-    capture: Capture, size: tuple[int, int], contents: bool, tick: Callable[[str], None]
+    judged: Callable[[Judgement], None],
+    capture: Capture,
+    size: tuple[int, int],
+    contents: bool,
+    tick: Callable[[str], None],
 ) -> list[Problem]:
     problems = _same_directions(capture) + _strength_problems(capture) + _mask_problems(capture, size)
-    return problems + (_content_problems(capture, tick) if contents else [])
+    return problems + (_content_problems(capture, judged, tick) if contents else [])
 
 
 def _look_round(
@@ -234,7 +245,9 @@ def _mask_problems(capture: Capture, size: tuple[int, int]) -> list[Problem]:
     return problems + attempt(lambda: region_numbers(capture, size, region)[1])
 
 
-def _content_problems(capture: Capture, tick: Callable[[str], None]) -> list[Problem]:
+def _content_problems(
+    capture: Capture, judged: Callable[[Judgement], None], tick: Callable[[str], None]
+) -> list[Problem]:
     """What only decoding shows."""
     try:
         reader = FrameReader.of(capture, "all", prove=False)  # the whole seal is verified apart
@@ -248,16 +261,21 @@ def _content_problems(capture: Capture, tick: Callable[[str], None]) -> list[Pro
     except CaptureError:
         usable = np.ones((rows, columns), np.uint8)  # reported already
     pairs, repeated = PairLevels(reader, darks, usable), RepeatedFiles()
+    reduced = ReducedPhotographs(reader, darks, usable)
     for frame in capture.frames:
         if frame.role == "dark":
             continue
-        found = attempt(lambda frame=frame: _frame_content(reader, frame, usable, darks, edges, pairs))
+        found = attempt(lambda frame=frame: _frame_content(reader, frame, usable, darks, edges, (pairs, reduced)))
         if len(capture.frames_of("sample")) > FEWEST_LAMPS and frame.role != "white":  # ingest leaves it out
             found = [replace(p, severity="warning") if p.kind == "all-dark" else p for p in found]
         problems += found
         problems += repeated.add(frame)
         tick(frame.file)
-    return reader.warnings() + problems + pairs.problems()
+    tick("photographs against each other")
+    judgement = reduced.judge()
+    if judgement is not None:
+        judged(judgement)
+    return reader.warnings() + problems + pairs.problems() + judgement_problems(judgement, capture)
 
 
 def _darks(reader: FrameReader, edges: tuple, tick: Callable[[str], None]) -> tuple[DarkField, list[Problem]]:
@@ -271,11 +289,12 @@ def _darks(reader: FrameReader, edges: tuple, tick: Callable[[str], None]) -> tu
 
 
 def _frame_content(
-    reader: FrameReader, frame: Frame, usable: np.ndarray, darks: DarkField, edges: tuple, pairs: PairLevels
+    reader: FrameReader, frame: Frame, usable: np.ndarray, darks: DarkField, edges: tuple, collectors: tuple
 ) -> list[Problem]:
     codes = reader.read(frame)
     if frame.role in ("sample", "check", "white") and reader.capture.lights.index(frame.light) is not None:
-        pairs.add(frame, codes)
+        for collector in collectors:
+            collector.add(frame, codes)
     if frame.role == "white":
         return list(board_field(reader, frame, codes, darks, edges, usable).problems)
     if frame.role in ("flat", "ambient"):

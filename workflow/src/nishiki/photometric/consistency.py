@@ -108,15 +108,16 @@ class Fit:
     scale: np.ndarray
 
 
-def examine_photographs(values: np.ndarray, directions: np.ndarray) -> Consistency | None:
+def examine_photographs(values: np.ndarray, lamps: np.ndarray) -> Consistency | None:
     """Compare every photograph of a plane scene with its prediction from the others.
 
     Parameters
     ----------
     values : (lights, rows, columns) or (lights, rows, columns, channels)
         Linear values of the reduced photographs, NaN where saturated or outside of the object.
-    directions : (lights, 3)
-        Unit vectors to the lamps as stated, x right, y up, z to the camera.
+    lamps : (lights, 3) or (lights, rows, columns, 3)
+        Vectors to the lamps as stated, x right, y up, z to the camera; of lamps that stand near, at each pixel, as long
+        as their light is strong.
 
     Returns
     -------
@@ -125,8 +126,9 @@ def examine_photographs(values: np.ndarray, directions: np.ndarray) -> Consisten
     """
     grey = values.mean(axis=3) if values.ndim == 4 else values
     places, patches = spread_pixels(grey)
-    if len(directions) < FEWEST_LAMPS or len(places) < FEWEST_PIXELS:
+    if len(lamps) < FEWEST_LAMPS or len(places) < FEWEST_PIXELS:
         return None
+    directions = lamps if lamps.ndim == 2 else lamps.reshape(len(lamps), -1, 3)[:, places]
     chosen = grey.reshape(len(grey), -1)[:, places].astype(np.float64)
     fit = fit_lambert(chosen, directions, patches)
     if not np.isfinite(fit.gains).all():
@@ -210,26 +212,21 @@ def fit_lambert(
     gains, ambient = np.ones(lights), 0.0
     weights = known / np.maximum(np.nanmedian(values, axis=0), 1e-12) ** 2
     shade = np.zeros(values.shape)
-    outer = (directions[:, :, None] * directions[:, None, :]).reshape(lights, 9)
+    vectors = directions.reshape(lights, -1, 3)
     for turn in range(ROUNDS):
-        lamps = gains[:, None] * directions
-        matrix = ((weights * gains[:, None] ** 2).T @ outer).reshape(-1, 3, 3)
-        matrix += (1e-9 * np.trace(matrix, axis1=1, axis2=2) + 1e-300)[:, None, None] * np.eye(3)
-        inverse = np.linalg.inv(matrix)
+        lamps = gains[:, None, None] * vectors
         direct = filled - ambient * ambience
-        normals = np.einsum("sab,sb->sa", inverse, (weights * direct).T @ lamps)
+        normals, inverse = solve_normals(weights, direct, lamps)
         albedo = np.linalg.norm(normals, axis=1) + 1e-300
-        cosine = directions @ normals.T
-        # in shadow by the model and in the photograph: a bright value stays, else a wrong fit would drop what it misses
-        faint = known & (filled < GRAZING * albedo)
-        lit = known & ~(faint & (cosine < GRAZING * albedo))
-        lit = np.where(lit.sum(axis=0) > 3, lit, known)
-        dark = faint & (cosine < -GRAZING * albedo) & ~lit
+        cosine = np.einsum("jsa,sa->js", vectors, normals)
+        lit, dark = lit_and_dark(known, filled, cosine, albedo)
         residual = direct - np.where(dark, 0.0, gains[:, None] * cosine)
         if turn:
             # derivatives after the gains and, last, after the ambient light, by those after the normal
-            mixed = (weights * cosine)[:, :, None] * lamps[:, None, :]
-            mixed = np.concatenate([mixed, (ambience[:, None] * (weights.T @ lamps))[None]]).reshape(lights + 1, -1)
+            mixed = (weights * cosine)[:, :, None] * lamps
+            mixed = np.concatenate(
+                [mixed, (ambience[:, None] * np.einsum("js,jsa->sa", weights, lamps))[None]]
+            ).reshape(lights + 1, -1)
             solved = (mixed.reshape(lights + 1, -1, 1, 3) @ inverse)[:, :, 0].reshape(lights + 1, -1)
             # a prior of 1 for all of them keeps what is not determined at 1 and 0
             system = np.eye(lights + 1) - solved @ mixed.T
@@ -249,10 +246,7 @@ def fit_lambert(
             norm = np.median(gains)
             gains, normals, albedo, cosine = gains / norm, normals * norm, albedo * norm, cosine * norm
             residual = filled - ambient * ambience - np.where(dark, 0.0, gains[:, None] * cosine)
-        spread = np.nanmedian(np.where(lit, np.abs(residual), np.nan), axis=0)
-        # at least that of all pixels: a pixel whose weights are gone to all but three values fits these exactly
-        usual = np.nanmedian(spread / albedo)
-        scale = np.maximum(1.4826 * np.fmax(spread, usual * albedo), LEAST_SCALE * albedo)
+        scale = scale_of(residual, lit, albedo)
         if turn < ROUNDS - 1:
             last = scale
             trust = 1 / ((1 + (residual / (KINK * scale)) ** 2) * scale**2)
@@ -261,9 +255,43 @@ def fit_lambert(
     np.add.at(groups, patches, scores.T)
     covariance = inverse_system @ (groups.T @ groups) @ inverse_system
     sigma = np.sqrt(np.maximum(np.diag(covariance), np.diag(inverse_system)))
-    leverage = weights * np.einsum("ja,sab,jb->js", lamps, inverse, lamps)
+    leverage = weights * np.einsum("jsa,sab,jsb->js", lamps, inverse, lamps)
     alone = residual / np.maximum(1 - leverage, 1e-2)
     return Fit(normals, gains, sigma[:-1], ambient, float(sigma[-1]), weights * last**2, residual, alone, inverse, last)
+
+
+def solve_normals(weights: np.ndarray, values: np.ndarray, lamps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Solve for albedo times normal (pixels, 3) by weighted least squares; also the inverse matrices (pixels, 3, 3).
+
+    weights, values (lights, pixels); lamps (lights, 1 or pixels, 3).
+    """
+    matrix = np.einsum("js,jsa,jsb->sab", weights, lamps, lamps, optimize=["einsum_path", (1, 2), (0, 1)])
+    matrix += (1e-9 * np.trace(matrix, axis1=1, axis2=2) + 1e-300)[:, None, None] * np.eye(3)
+    inverse = np.linalg.inv(matrix)
+    return np.einsum("sab,sb->sa", inverse, np.einsum("js,jsa->sa", weights * values, lamps)), inverse
+
+
+def lit_and_dark(
+    known: np.ndarray, filled: np.ndarray, cosine: np.ndarray, albedo: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Say which values (lights, pixels) the lamp lights, and which lie in attached shadow.
+
+    In shadow by the model and in the photograph: a bright value stays, else a wrong fit would drop what it misses.
+    """
+    faint = known & (filled < GRAZING * albedo)
+    lit = known & ~(faint & (cosine < GRAZING * albedo))
+    lit = np.where(lit.sum(axis=0) > 3, lit, known)
+    return lit, faint & (cosine < -GRAZING * albedo) & ~lit
+
+
+def scale_of(residual: np.ndarray, lit: np.ndarray, albedo: np.ndarray) -> np.ndarray:
+    """Robust standard deviation (pixels,) of the residuals (lights, pixels) of lit values.
+
+    At least that of all pixels: a pixel whose weights are gone to all but three values fits these exactly.
+    """
+    spread = np.nanmedian(np.where(lit, np.abs(residual), np.nan), axis=0)
+    usual = np.nanmedian(spread / albedo)
+    return np.maximum(1.4826 * np.fmax(spread, usual * albedo), LEAST_SCALE * albedo)
 
 
 def _compare(
@@ -283,8 +311,8 @@ def _compare(
         level = np.median(predictions[j, used])
         residual[j] = np.median(np.abs(fit.alone[j, used])) / max(level, 1e-300)
         # the normals without this photograph, by the update of the inverse for one row less
-        lamp = fit.gains[j] * directions[j]
-        step = (fit.alone[j] * fit.weights[j] / fit.scale**2)[:, None] * (fit.inverses @ lamp)
+        lamp = fit.gains[j] * directions.reshape(count, -1, 3)[j]
+        step = (fit.alone[j] * fit.weights[j] / fit.scale**2)[:, None] * np.einsum("sab,sb->sa", fit.inverses, lamp)
         others = fit.normals - np.where(np.isfinite(step), step, 0.0)
         target = values[j] - fit.ambient * albedo
         vector, covariance = regress(others[used], target[used], patches[used])
@@ -295,7 +323,10 @@ def _compare(
         terms = np.column_stack([predictions[j, used], albedo[used]])
         line, covariance = regress(terms, values[j, used], patches[used])
         offset[j], offset_sigma[j] = line[1], np.sqrt(max(covariance[1, 1], 0.0))
-    failed = tuple(np.flatnonzero(fit.gains + SURE * fit.gains_sigma < FAINT).tolist())
+    # gains of a flat object are hardly determined: the photograph itself has to be dark
+    level = np.nanmedian(values, axis=1)
+    dark = (fit.gains + SURE * fit.gains_sigma < FAINT) & (level < FAINT * np.nanmedian(level))
+    failed = tuple(np.flatnonzero(dark).tolist())
     repeats = _repeated(values, predictions, residual, failed)
     return Consistency(
         residual, fit.gains, fit.gains_sigma, offset, offset_sigma, found, sigma_deg, failed, repeats, *ambient

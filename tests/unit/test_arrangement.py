@@ -1,0 +1,155 @@
+"""A wrong order of the lamps and wrong axes are found with the right remedy; sound sets are left as they are."""
+
+import cv2
+import numpy as np
+import pytest
+from lit_relief import dome, photographs
+
+from nishiki.capture.convert import convert
+from nishiki.capture.folder import load_capture
+from nishiki.capture.lights import lights_from_vectors, rearrange
+from nishiki.formats.problems import CaptureError
+from nishiki.observations.check import check_capture
+from nishiki.observations.consistency import order_text
+from nishiki.photometric.arrangement import arrange, turned
+
+RINGS = ((7, 35), (5, 60))
+AXES = ("x,-y", "-x,y", "y,x", "-y,-x", "y,-x", "-y,x")
+
+
+def exchanged(count, first, second):
+    order = list(range(count))
+    order[first], order[second] = second, first
+    return order
+
+
+ORDERS = {
+    "shift:1": [*range(1, 12), 0],
+    "shift:-2": [10, 11, *range(10)],
+    "reverse": list(range(12))[::-1],
+    "exchange": exchanged(12, 2, 9),
+    "random": [6, 8, 0, 11, 2, 7, 4, 10, 5, 1, 9, 3],
+}
+
+
+@pytest.mark.parametrize("options", [{}, {"gloss": 0.5}, {"albedo": (0.01, 0.03)}])
+@pytest.mark.parametrize("rings", [RINGS, ((4, 45),), ((6, 30),)])
+def test_sound_sets_are_left_as_they_are(rings, options):
+    directions = dome(rings)
+    found = arrange(photographs(directions, seed=4, **options), directions)
+    assert found.as_stated
+    assert found.sigmas == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+@pytest.mark.parametrize("name", ORDERS)
+def test_the_order_of_the_lamps_is_found(name, seed):
+    directions = dome(RINGS)
+    order = np.array(ORDERS[name])
+    # the photograph i shows the lamp that is listed in place order[i]
+    listed = directions[np.argsort(order)]
+    found = arrange(photographs(directions, seed=seed), listed)
+    assert (list(found.order), found.axes) == (ORDERS[name], "x,y")
+    assert max(found.sigmas) > 5
+    np.testing.assert_allclose(listed[list(found.order)], directions)
+
+
+@pytest.mark.parametrize("axes", AXES)
+def test_axes_are_found_but_for_a_half_turn(axes):
+    directions = dome(RINGS)
+    listed = turned(directions, axes)
+    found = arrange(photographs(directions), listed)
+    assert found.order == tuple(range(12))
+    mended = turned(listed, found.axes)
+    # a half turn makes hills hollows, which neither residual nor curl can tell
+    assert np.allclose(mended, directions) or np.allclose(mended * [-1, -1, 1], directions)
+    assert found.residual[0] == found.residual[1]
+    assert found.curl[1] < 0.8 * found.curl[0]
+
+
+def test_nothing_is_told_of_a_flat_object_or_of_three_lamps():
+    directions = dome(RINGS)
+    shifted = np.roll(directions, 1, axis=0)
+    assert arrange(photographs(directions, steep=0.0), shifted).as_stated
+    assert arrange(photographs(directions)[:3], directions[:3]) is None
+
+
+@pytest.mark.parametrize("text", [*(name for name in ORDERS if ":" in name), "reverse"])
+def test_an_order_is_written_as_it_is_read(text):
+    lights = lights_from_vectors([str(i) for i in range(12)], dome(RINGS), file="lights.lp")
+    mended, places = rearrange(lights, text, None)
+    assert order_text(places.tolist()) == text
+    assert places.tolist() == ORDERS[text]
+    np.testing.assert_array_equal(mended.vectors, lights.vectors[places])
+    assert mended.names == lights.names
+
+
+@pytest.mark.parametrize(("order", "axes"), [("1,2", None), ("forwards", None), (None, "x,x"), (None, "y")])
+def test_orders_and_axes_that_are_none_are_refused(order, axes):
+    lights = lights_from_vectors([str(i) for i in range(12)], dome(RINGS), file="lights.lp")
+    with pytest.raises(CaptureError) as caught:
+        rearrange(lights, order, axes)
+    assert [problem.kind for problem in caught.value.problems] == ["option-unusable"]
+
+
+def write_folder(folder, values, directions):
+    """A folder of 16-bit photographs with an .lp file."""
+    folder.mkdir()
+    names = [f"{i:02d}.png" for i in range(len(values))]
+    for name, value in zip(names, values, strict=True):
+        cv2.imwrite(str(folder / name), np.clip(65535 * value, 0, 65535).astype(np.uint16))
+    lines = (f"{name} {x:.6f} {y:.6f} {z:.6f}\n" for name, (x, y, z) in zip(names, directions, strict=True))
+    (folder / "dome.lp").write_text(f"{len(names)}\n" + "".join(lines))
+    return folder
+
+
+def examine(folder):
+    return check_capture(folder, level="full")
+
+
+@pytest.mark.parametrize(
+    ("fault", "kind"),
+    [
+        (lambda lamps: np.roll(lamps, 1, axis=0), "lights-order"),
+        (lambda lamps: turned(lamps, "x,-y"), "lights-axes"),
+        (lambda lamps: turned(lamps, "y,x"), "lights-axes"),
+    ],
+)
+def test_convert_refuses_with_an_option_that_mends(tmp_path, fault, kind):
+    directions = dome(RINGS)
+    source = write_folder(tmp_path / "photographs", photographs(directions), fault(directions))
+    with pytest.raises(CaptureError) as caught:
+        convert(source, tmp_path / "capture", examine=examine)
+    (problem,) = (p for p in caught.value.problems if p.severity == "error")
+    assert problem.kind == kind
+    assert not (tmp_path / "capture").exists()
+    option = next(word.rstrip(",.") for word in problem.remedy.split() if word.startswith("--"))
+    flag, value = option.removeprefix("--").split("=")
+    convert(source, tmp_path / "capture", examine=examine, **{flag.replace("-", "_"): value})
+    mended = load_capture(tmp_path / "capture").lights.directions
+    half_turn = [1, 1, 1] if kind == "lights-order" else [-1, -1, 1]
+    assert np.allclose(mended, directions, atol=1e-4) or np.allclose(mended * half_turn, directions, atol=1e-4)
+
+
+def test_convert_passes_on_what_photographs_say_of_each_other(tmp_path):
+    directions = dome(RINGS)
+    values = photographs(directions)
+    values[3] *= 0.001
+    source = write_folder(tmp_path / "photographs", values, directions)
+    made = convert(source, tmp_path / "capture", examine=examine)
+    assert [(w.kind, w.file) for w in made.warnings] == [("lamp-failed", "frames/03.png")]
+
+
+@pytest.mark.parametrize(
+    ("case", "kind", "file"),
+    [
+        ("09-off-by-one", "lights-order", "lights.lp"),
+        ("09-lamp-failed", "lamp-failed", "frames/img_05.png"),
+        ("09-taken-twice", "photograph-repeated", "frames/img_08.png"),
+        ("09-ambient", "ambient-light", "frames.csv"),
+    ],
+)
+def test_captures_as_people_make_them(tmp_path, data, case, kind, file):
+    convert(data / "faulty_captures" / "photographs" / case, tmp_path / "c")
+    found = [p for p in examine(tmp_path / "c") if p.kind not in ("strengths-unknown",)]
+    assert [(p.kind, p.file) for p in found] == [(kind, file)]
