@@ -38,7 +38,8 @@ from nishiki.photometric.consistency import (
 
 TILE = 8  # side of a tile, pixels of the reduced picture: one observation
 FEWEST_TILES, MOST_TILES = 12, 140  # a mean of fewer has no useful error; more only take time
-PER_TILE = 12  # pixels of a tile in the fit of gains
+MOST_VALUES = 100_000  # of all tiles and photographs; with many lamps fewer tiles are enough
+PER_TILE = 9  # pixels of a tile in the fit of gains
 STEEPEST = 0.2  # cosine of the steepest slope that counts: beyond, small errors of the normal are any slope
 STARTS = 60  # rotations from which permutations are sought; exchanged pairs and random orders of 12 need about 10
 FINALISTS = 5  # orders by each of two measures that are fitted robustly
@@ -100,13 +101,15 @@ class _Tiles:
 @dataclass(frozen=True)
 class _Trial:
     """An order with its fit, the misfit (lights, tiles) relative to the albedo, the energies (tiles, 4) of the
-    derivatives that AXES names, and (4,) how far the normals then point outwards."""
+    derivatives that AXES names, (4,) how far the normals then point outwards, and the turns about the line of sight,
+    with and without mirroring y, after which the curl is least, as matrices (2, 3, 3)."""
 
     order: np.ndarray
     fit: Fit
     misfit: np.ndarray
     energies: np.ndarray
     outwards: np.ndarray
+    turns: np.ndarray
 
 
 def arrange(values: np.ndarray, lamps: np.ndarray) -> Arrangement | None:
@@ -136,18 +139,22 @@ def arrange(values: np.ndarray, lamps: np.ndarray) -> Arrangement | None:
     for order in _candidates(tiles):
         _add(trials, tiles, order)
     for trial in [*sorted(trials.values(), key=lambda t: np.nanmedian(t.misfit))[:REFINED], first]:
-        for _ in range(TURNS):
-            following = _add(trials, tiles, _reassigned(tiles, trial))
-            if following is None:
-                break
-            trial = following
+        starts = [np.eye(3)]
+        if trial is not first:
+            # a ring of lamps turned by its own step is explained as well: the normals turned so that the curl is least
+            starts += [turn @ half for turn in trial.turns for half in (np.eye(3), np.diag([-1.0, -1.0, 1.0]))]
+        for turn in starts:
+            following: _Trial | None = trial
+            for _ in range(TURNS):
+                following = _add(trials, tiles, _reassigned(tiles, following, turn))
+                if following is None:
+                    break
+                turn = np.eye(3)
     # the simplest arrangement that is better than that stated, and than which no other is better
     rivals = [(trial, axes) for trial in trials.values() for axes in range(len(AXES))]
-    rivals = [rival for rival in rivals if _beyond_doubt(_compare((first, 0), rival))]
+    rivals = [rival for rival in rivals if _beyond_doubt((first, 0), rival)]
     rivals.sort(key=lambda rival: _complexity(rival[0].order, rival[1]))
-    best, axes = next(
-        (one for one in rivals if not any(_beyond_doubt(_compare(one, other)) for other in rivals)), (first, 0)
-    )
+    best, axes = next((one for one in rivals if not any(_beyond_doubt(one, other) for other in rivals)), (first, 0))
     sigmas = _compare((first, 0), (best, axes))[:2]
     return Arrangement(
         tuple(best.order.tolist()),
@@ -209,7 +216,8 @@ def _cut(values: np.ndarray, lamps: np.ndarray) -> _Tiles | None:
     chosen = np.flatnonzero(known.mean(axis=(1, 2)) > 0.6)
     if len(chosen) < FEWEST_TILES:
         return None
-    chosen = chosen[:: -(-len(chosen) // MOST_TILES)]
+    most = int(np.clip(MOST_VALUES // (count * TILE * TILE), 4 * FEWEST_TILES, MOST_TILES))
+    chosen = chosen[:: -(-len(chosen) // most)]
     down, across = np.divmod(chosen, wide)
     vectors = lamps[:, None, :] if lamps.ndim == 2 else cut(lamps)[:, chosen, TILE // 2, TILE // 2]
     part = np.where(known[chosen], tiles[:, chosen], np.nan).astype(np.float64)
@@ -231,14 +239,14 @@ def _try(tiles: _Tiles, order: np.ndarray) -> _Trial | None:
     return _Trial(order, fit, misfit, *_slopes(normals.reshape(number, TILE, TILE, 3), tiles.middles))
 
 
-def _reassigned(tiles: _Tiles, trial: _Trial) -> np.ndarray:
-    """Assign the photographs to the lamps that explain them best, given the normals of a trial."""
+def _reassigned(tiles: _Tiles, trial: _Trial, turn: np.ndarray) -> np.ndarray:
+    """Assign the photographs to the lamps that explain them best, given the normals of a trial, turned."""
     from scipy.optimize import linear_sum_assignment
 
     count, (sample, patches) = len(tiles.values), tiles.sample
     albedo = np.linalg.norm(trial.fit.normals, axis=1)
     vectors = tiles.lamps if tiles.lamps.shape[1] == 1 else tiles.lamps[:, patches]
-    shading = np.maximum(np.einsum("jsa,sa->js", vectors, trial.fit.normals / albedo[:, None]), 0.0)
+    shading = np.maximum(np.einsum("jsa,sa->js", vectors, trial.fit.normals @ turn.T / albedo[:, None]), 0.0)
     cost = np.ones((count, count))
     for photograph, values in enumerate(sample / albedo):
         known = np.isfinite(values)
@@ -269,8 +277,9 @@ def _robust_normals(values: np.ndarray, lamps: np.ndarray, fit: Fit) -> np.ndarr
     return normals
 
 
-def _slopes(normals: np.ndarray, middles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Energies (tiles, 4) of the derivatives of slopes that AXES names, and the outward tilt (tiles, 4, 2)."""
+def _slopes(normals: np.ndarray, middles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Energies (tiles, 4) of the derivatives of slopes that AXES names, the outward tilt (4,), and the turns
+    (2, 3, 3) that leave the least curl."""
     size = np.linalg.norm(normals, axis=-1)
     steep = np.maximum(normals[..., 2], STEEPEST * size)
     p, q = -normals[..., 0] / steep, -normals[..., 1] / steep
@@ -282,11 +291,19 @@ def _slopes(normals: np.ndarray, middles: np.ndarray) -> tuple[np.ndarray, np.nd
         return 0.5 * (f[:, :-1, 1:] - f[:, 1:, 1:] + f[:, :-1, :-1] - f[:, 1:, :-1])
 
     parts = (upwards(p) - across(q), upwards(p) + across(q), across(p) - upwards(q), across(p) + upwards(q))
-    # a step at an edge of the object counts as one of unit slope
-    energies = np.stack([np.nanmean(np.clip(part, -1, 1) ** 2, axis=(1, 2)) for part in parts], axis=1)
+    parts = tuple(np.clip(part, -1, 1) for part in parts)  # an edge of the object counts as a step of unit slope
+    energies = np.stack([np.nanmean(part**2, axis=(1, 2)) for part in parts], axis=1)
     mean = np.stack([-np.nanmean(p, axis=(1, 2)), -np.nanmean(q, axis=(1, 2))], axis=1)
     tilts = [mean @ np.array(axes).reshape(2, 2).T for axes in AXES]
-    return energies, np.stack([np.nansum((tilt - np.nanmean(tilt, axis=0)) * middles) for tilt in tilts])
+    outwards = np.stack([np.nansum((tilt - np.nanmean(tilt, axis=0)) * middles) for tilt in tilts])
+    turns = []
+    for still, turned_part, mirror in ((0, 3, 1.0), (1, 2, -1.0)):
+        # curl after a turn by f: cos f a - sin f d, of least square where (cos 2f, sin 2f) ~ (dd - aa, 2 ad)
+        first, second = parts[still], parts[turned_part]
+        angle = 0.5 * np.arctan2(2 * np.nanmean(first * second), np.nanmean(second**2) - np.nanmean(first**2))
+        cosine, sine = np.cos(angle), np.sin(angle)
+        turns.append(np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1.0]]) @ np.diag([1.0, mirror, 1.0]))
+    return energies, outwards, np.stack(turns)
 
 
 def _curl(trial: _Trial, axes: int) -> float:
@@ -319,10 +336,23 @@ def _in_errors(differences: np.ndarray) -> float:
     return float(np.mean(known) / error) if error > 0 else 0.0
 
 
-def _beyond_doubt(found: tuple[float, float, float]) -> bool:
-    """Whether one test is sure, and the other does not speak against it."""
-    residual, curl, left = found
-    return (curl > SURE and residual > -2) or (residual > SURE and left < HALVED and curl > -2)
+def _beyond_doubt(first: tuple[_Trial, int], other: tuple[_Trial, int]) -> bool:
+    """Whether one test is sure, and the other does not speak against it.
+
+    The residual alone is believed of orders by which people err, and not of one in thousands that fits by chance.
+    """
+    residual, curl, left = _compare(first, other)
+    if curl > SURE and residual > -2:
+        return True
+    moved, plain = _pattern(first[0].order, other[0].order)
+    return residual > SURE and left < HALVED and curl > -2 and (plain or moved <= 4)
+
+
+def _pattern(first: np.ndarray, other: np.ndarray) -> tuple[int, bool]:
+    """Count the photographs whose lamps differ, and say whether one order is the other shifted or reversed."""
+    place = np.argsort(first)[other]
+    plain = [np.roll(order, s) for order in (np.arange(len(first)), np.arange(len(first))[::-1]) for s in first]
+    return int((first != other).sum()), any((place == order).all() for order in plain)
 
 
 def _name_axes(axes: int, outwards: np.ndarray) -> str:
@@ -354,7 +384,7 @@ def _plain_curl(tiles: _Tiles, directions: np.ndarray) -> float:
     """Curl of the slopes by least squares with these directions."""
     values = np.nan_to_num(tiles.values.reshape(len(directions), -1))
     normals = (np.linalg.pinv(directions) @ values).T.reshape(-1, TILE, TILE, 3)
-    energies, _ = _slopes(normals, tiles.middles)
+    energies, _, _ = _slopes(normals, tiles.middles)
     return float(np.nanmedian(energies[:, :1].sum(axis=1) / energies.sum(axis=1)))
 
 

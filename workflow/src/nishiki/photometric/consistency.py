@@ -223,13 +223,12 @@ def fit_lambert(
         residual = direct - np.where(dark, 0.0, gains[:, None] * cosine)
         if turn:
             # derivatives after the gains and, last, after the ambient light, by those after the normal
-            mixed = (weights * cosine)[:, :, None] * lamps
-            mixed = np.concatenate(
-                [mixed, (ambience[:, None] * np.einsum("js,jsa->sa", weights, lamps))[None]]
-            ).reshape(lights + 1, -1)
-            solved = (mixed.reshape(lights + 1, -1, 1, 3) @ inverse)[:, :, 0].reshape(lights + 1, -1)
+            of_ambient = ambience[:, None] * np.einsum("js,jsa->sa", weights, lamps)
+            mixed = np.concatenate([(weights * cosine)[:, :, None] * lamps, of_ambient[None]])
+            solved = np.einsum("jsa,sab->jsb", mixed, inverse).reshape(lights + 1, -1)
+            mixed = mixed.reshape(lights + 1, -1)
             # a prior of 1 for all of them keeps what is not determined at 1 and 0
-            system = np.eye(lights + 1) - solved @ mixed.T
+            system = np.eye(lights + 1) - multiply(solved, mixed)
             system[:-1, :-1] += np.diag((weights * cosine**2).sum(axis=1))
             coupled = (weights * cosine) @ ambience
             system[:-1, -1] += coupled
@@ -260,12 +259,25 @@ def fit_lambert(
     return Fit(normals, gains, sigma[:-1], ambient, float(sigma[-1]), weights * last**2, residual, alone, inverse, last)
 
 
+def multiply(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Multiply first (n, k) by the transpose of second (n, k) in parts too small for the library to start threads.
+
+    Its threads wait for each other: on a machine with other work that took ten times as long as the product.
+    """
+    width = max(8, 200_000 // len(first) ** 2)
+    parts = []
+    for matrix in (first, second):
+        padded = np.pad(matrix, ((0, 0), (0, -matrix.shape[1] % width)))
+        parts.append(np.ascontiguousarray(padded.reshape(len(matrix), -1, width).transpose(1, 0, 2)))
+    return (parts[0] @ parts[1].transpose(0, 2, 1)).sum(axis=0)
+
+
 def solve_normals(weights: np.ndarray, values: np.ndarray, lamps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Solve for albedo times normal (pixels, 3) by weighted least squares; also the inverse matrices (pixels, 3, 3).
 
     weights, values (lights, pixels); lamps (lights, 1 or pixels, 3).
     """
-    matrix = np.einsum("js,jsa,jsb->sab", weights, lamps, lamps, optimize=["einsum_path", (1, 2), (0, 1)])
+    matrix = np.einsum("js,jsab->sab", weights, lamps[..., :, None] * lamps[..., None, :])
     matrix += (1e-9 * np.trace(matrix, axis1=1, axis2=2) + 1e-300)[:, None, None] * np.eye(3)
     inverse = np.linalg.inv(matrix)
     return np.einsum("sab,sb->sa", inverse, np.einsum("js,jsa->sa", weights * values, lamps)), inverse
