@@ -146,6 +146,8 @@ def _parser() -> argparse.ArgumentParser:
     sub = command("check", "capturing:check", "everything that is wrong with a capture, in one pass")
     sub.add_argument("captures", nargs="+", help="capture folders")
     sub.add_argument("--quick", action="store_true", help="read headers and tables only, not every pixel")
+    text = "write and open a contact sheet: each photograph with its lamp as stated and as measured, the odd ones first"
+    sub.add_argument("--open", action="store_true", help=text)
     sub = command(
         "seal", "capturing:seal", "seal a capture with a BagIt manifest (RFC 8493); its files move into data/"
     )

@@ -23,17 +23,37 @@ def check(options: argparse.Namespace, rest: list[str]) -> int:
 
     worst = 0
     for name in options.captures:
-        progress = Progress(f"check {name}")
+        judgements: list = []
         problems = check_capture(
-            Path(name), level="quick" if options.quick else "full", progress=lambda file, tell=progress: tell.tell(file)
+            Path(name),
+            level="quick" if options.quick else "full",
+            progress=Progress(f"check {name}").tell,
+            judged=judgements.append,
         )
         errors = [problem for problem in problems if problem.severity == "error"]
         for problem in group_problems(problems):
             print(f"{name}: {problem.severity}: {problem}")
         warnings = len(problems) - len(errors)
         print(f"{name}: {'usable' if not errors else 'cannot be used'}, {len(errors)} errors, {warnings} warnings")
+        if options.open:
+            _open_sheet(Path(name), problems, judgements)
         worst = max(worst, 2 if errors else 0)
     return worst
+
+
+def _open_sheet(capture: Path, problems: list, judgements: list) -> None:
+    """Write the contact sheet beside the capture, and open it."""
+    import webbrowser
+
+    from nishiki.report.contact_sheet import contact_sheet
+
+    if not judgements:
+        print(f"{capture}: no contact sheet: compared are photographs of a plane, without --quick")
+        return
+    page = capture.resolve().with_name(f"{capture.resolve().name}-check.html")
+    page.write_text(contact_sheet(judgements[0], problems, capture.resolve().name), encoding="utf-8")
+    print(f"{capture}: contact sheet {page}")
+    webbrowser.open(page.as_uri())
 
 
 def seal(options: argparse.Namespace, rest: list[str]) -> None:

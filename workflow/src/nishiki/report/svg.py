@@ -64,6 +64,10 @@ class Drawing:
         """A filled rectangle."""
         self.parts.append(f'<rect x="{x:.1f}" y="{y:.1f}" width="{width:.1f}" height="{height:.1f}" fill="{colour}"/>')
 
+    def picture(self, x, y, width, height, source) -> None:
+        """A picture by its data URI, stretched to this size."""
+        self.parts.append(f'<image x="{x:g}" y="{y:g}" width="{width:g}" height="{height:g}" href="{source}"/>')
+
     def _shape(
         self, shape, tip, *, fill="none", stroke="", width=1.0, dashed=False, dash=DASHES[0], opacity=1.0
     ) -> None:
