@@ -28,6 +28,7 @@ from nishiki.photometric.consistency import (
     FEWEST_LAMPS,
     GRAZING,
     KINK,
+    LEAST_SCALE,
     SURE,
     Fit,
     fit_lambert,
@@ -142,7 +143,12 @@ def arrange(values: np.ndarray, lamps: np.ndarray) -> Arrangement | None:
         starts = [np.eye(3)]
         if trial is not first:
             # a ring of lamps turned by its own step is explained as well: the normals turned so that the curl is least
-            starts += [turn @ half for turn in trial.turns for half in (np.eye(3), np.diag([-1.0, -1.0, 1.0]))]
+            starts += [
+                turn @ half
+                for turn in trial.turns
+                if np.isfinite(turn).all()
+                for half in (np.eye(3), np.diag([-1.0, -1.0, 1.0]))
+            ]
         for turn in starts:
             following: _Trial | None = trial
             for _ in range(TURNS):
@@ -258,7 +264,7 @@ def _reassigned(tiles: _Tiles, trial: _Trial, turn: np.ndarray) -> np.ndarray:
             weights = 1 / (GRAZING**2 + np.abs(here - gains[:, None] * there))
             gains = (weights * there * here).sum(axis=1) / np.maximum((weights * there**2).sum(axis=1), 1e-12)
         cost[photograph] = np.minimum(np.abs(here - gains[:, None] * there), 1.0).mean(axis=1)
-    return linear_sum_assignment(cost)[1]
+    return linear_sum_assignment(np.nan_to_num(cost, nan=1.0))[1]
 
 
 def _robust_normals(values: np.ndarray, lamps: np.ndarray, fit: Fit) -> np.ndarray:
@@ -323,17 +329,27 @@ def _compare(first: tuple[_Trial, int], other: tuple[_Trial, int]) -> tuple[floa
         )
         gained = np.log(before / after)
         sigma, left = _in_errors(gained), float(np.exp(-np.mean(gained)))
-    before, after = (t.energies[:, k] / t.energies.sum(axis=1) for t, k in (first, other))
+    before, after = _shares(first), _shares(other)
     # normals that face away have no slopes: as bad as slopes in any direction
     nowhere = np.isnan(before) & np.isnan(after)
     before, after = (np.where(np.isfinite(e) | nowhere, e, 0.25) for e in (before, after))
     return sigma, _in_errors((before - after) / (before + after)), left
 
 
+def _shares(one: tuple[_Trial, int]) -> np.ndarray:
+    """Curl of every tile as a share of the energy of all four derivatives: 0 for a surface, 1/4 for noise."""
+    return one[0].energies[:, one[1]] / one[0].energies.sum(axis=1)
+
+
 def _in_errors(differences: np.ndarray) -> float:
+    """Mean over its standard error, as the normal deviate that is as rare (Wallace, 1959): tiles may be few."""
     known = differences[np.isfinite(differences)]
-    error = np.std(known, ddof=1) / np.sqrt(len(known)) if len(known) > 1 else 0.0
-    return float(np.mean(known) / error) if error > 0 else 0.0
+    freedom = len(known) - 1
+    error = np.std(known, ddof=1) / np.sqrt(len(known)) if freedom > 0 else 0.0
+    if not error > 0:
+        return 0.0
+    rare = np.sqrt(freedom * np.log1p((np.mean(known) / error) ** 2 / freedom)) * (8 * freedom + 1) / (8 * freedom + 3)
+    return float(np.copysign(rare, np.mean(known)))
 
 
 def _beyond_doubt(first: tuple[_Trial, int], other: tuple[_Trial, int]) -> bool:
@@ -342,10 +358,12 @@ def _beyond_doubt(first: tuple[_Trial, int], other: tuple[_Trial, int]) -> bool:
     The residual alone is believed of orders by which people err, and not of one in thousands that fits by chance.
     """
     residual, curl, left = _compare(first, other)
-    if curl > SURE and residual > -2:
+    if curl > SURE and residual > -2 and _in_errors(0.25 - _shares(other)) > SURE:
         return True
     moved, plain = _pattern(first[0].order, other[0].order)
-    return residual > SURE and left < HALVED and curl > -2 and (plain or moved <= 4)
+    usual = plain or moved <= min(4, len(first[0].order) // 3)
+    fitting = np.nanmedian(first[0].misfit) < 2 * LEAST_SCALE  # there is nothing to gain but rounding
+    return residual > SURE and left < HALVED and curl > -2 and usual and not fitting
 
 
 def _pattern(first: np.ndarray, other: np.ndarray) -> tuple[int, bool]:
