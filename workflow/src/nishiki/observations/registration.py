@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-LIMIT = 0.3  # pixels: displacements below this, anywhere in the picture, are left alone
+LIMIT = 0.5  # pixels: smaller displacements, which the light imitates on smooth relief, are left alone
 SIGMAS = 5.0  # times its standard error that a displacement must have
 LIGHT_BIAS = 0.06  # pixels of shift that a change of the lamp imitated on objects that did not move
 TURN_LIMIT = 1.0  # pixels, at the mean distance of the windows from the centre: relief in them shifts with the lamp
