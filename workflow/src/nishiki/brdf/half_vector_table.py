@@ -24,6 +24,7 @@ from itertools import product
 
 import numpy as np
 
+from nishiki.goniometry.directions import unit
 from nishiki.threads import threads
 
 Evaluate = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -75,11 +76,11 @@ class HalfVectorTable:
         t, s = (axis.ravel() for axis in np.meshgrid(s, s, indexing="ij"))
 
         def square(place: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-            light = vectors(theta[place[1]], phi[place[0]])
+            light = unit(theta[place[1]], phi[place[0]])
             seen = np.maximum(m @ light, 0) * facets * jacobian
             seen /= integral(seen)
             where = warped(seen, s, t)
-            half = vectors(np.pi / 2 * where[0] ** 2, (2 * where[1] - 1) * np.pi)
+            half = unit(np.pi / 2 * where[0] ** 2, (2 * where[1] - 1) * np.pi)
             eye = 2 * (half @ light)[:, None] * half - light
             f = evaluate(np.broadcast_to(light, eye.shape), eye) * np.maximum(eye[:, 2:], 0)
             own_area = interpolated(area, *square_place(light[None]))
@@ -233,12 +234,7 @@ def interpolated(table: np.ndarray, x: np.ndarray, y: np.ndarray, at: tuple = ()
 def grid_directions() -> np.ndarray:
     """Unit vectors (around, polar, 3) of the nodes of D and sigma."""
     theta, phi = np.pi / 2 * np.linspace(0, 1, POLAR) ** 2, np.linspace(-np.pi, np.pi, AROUND)[:, None]
-    return vectors(*np.broadcast_arrays(theta, phi))
-
-
-def vectors(theta: np.ndarray | float, phi: np.ndarray | float) -> np.ndarray:
-    """Unit vectors (..., 3) of angles from the normal and around it."""
-    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
+    return unit(theta, phi)
 
 
 def square_place(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
