@@ -38,7 +38,7 @@ def run(context: Context) -> dict:
         texels.encoding,
     )
     out = ParameterWriter(
-        context.output.folder, tiles=texels.tiles, size=texels.size, channels=channels(texels), stamp=context.stamp
+        context.output.folder, tiles=texels.tiles, size=texels.size, channels=texels.channels, stamp=context.stamp
     )
     context.progress.tell(f"{texels.tiles} tiles, {len(cameras)} observations")
     specular, decision = shows_gloss(sample, capture, settings.specular)
@@ -95,11 +95,6 @@ def shows_gloss(sample: Sample, capture: Capture, setting: str) -> tuple[bool, D
         weights *= encoding_slope(values.mean(axis=-1), "srgb") ** 2
     gain = unseen_gain(values, diffuse, attenuation, alpha, weights)
     return gain.keep, decided(gain, setting)
-
-
-def channels(texels: Texels) -> int:
-    """Number of channels of the store."""
-    return texels.channels if isinstance(texels.channels, int) else len(texels.channels)
 
 
 def lamps(texels: Texels, views: Views, kind: str) -> tuple[Lighting, list, np.ndarray]:

@@ -166,14 +166,9 @@ class ArtifactSource:
         for tile in range(self.tiles):
             pixels += len(self.pixels(tile).s)
             visible += int(np.count_nonzero(self.texels.visible(tile)[self.kept]))
-        channels = channels_of(self.texels) * len(self.components)
+        channels = self.texels.channels * len(self.components)
         every = self.tiles * self.texels.size**2 * len(self.kept)
         return {"pixels": pixels, "visible": visible * channels, "samples": every * channels}
-
-
-def channels_of(texels: Texels) -> int:
-    """Number of channels of the store."""
-    return texels.channels if isinstance(texels.channels, int) else len(texels.channels)
 
 
 def scene_of(texels: Texels, lighting: dict) -> CodedScene:
@@ -191,7 +186,7 @@ def design_of(texels: Texels, components: tuple[str, ...], settings: ResidualSet
         tile_size=texels.size,
         views=len(texels.views),
         lights=len(texels.lights),
-        channels=channels_of(texels),
+        channels=texels.channels,
         full_turn=bool(texels.full_turn),
         encoding=texels.encoding,
         components=components,
