@@ -105,9 +105,9 @@ def test_exposure_is_bounded_and_looks_at_the_object_only():
 
 
 def test_parameters_at_a_bound_are_named():
-    fitted = {"beta": [2.0, 0.0], "gamma": [1.6, 1.6], "flags": ["AT_BOUND"], "name": "gold"}
+    fitted = {"beta": [2.0, 0.0], "gamma": [1.6, 1.6], "flags": ["AT_BOUND"]}
     free = {"beta": [2.0], "gamma": [0.3], "flags": []}
-    assert parameters_at_bounds([fitted, free]) == ["half width of lobe 1, gold: 91.7 degrees, the upper end"]
+    assert parameters_at_bounds([fitted, free]) == ["half width of lobe 1, region 0: 91.7 degrees, the upper end"]
     ladder = {"beta": [2.0], "gamma": [0.01], "flags": ["AT_BOUND"], "at_bounds": ["gloss: the narrowest"]}
     assert parameters_at_bounds([ladder]) == ["gloss: the narrowest, whole scene"]
     profile = GlossProfile(np.array([0.95, 0.05]), np.array([0.01, 0.9]))

@@ -23,13 +23,14 @@ def described(fit: TorranceSparrowFit) -> dict:
         "samples": fit.samples,
         "rejected": fit.rejected,
         "flags": [flag.name for flag in fit.flags],
-        "profile": {
-            "phi": profile.phi.tolist(),
-            "value": profile.value.tolist(),
-            "count": profile.count.tolist(),
-            "fitted": fit.fitted.tolist(),
-        },
+        "profile": described_profile(profile, fit.fitted),
     }
+
+
+def described_profile(profile: SpecularProfile, fitted: np.ndarray) -> dict[str, list]:
+    """Angles, values and counts of a profile, and what the fit (rows,) has in their place."""
+    values = {name: getattr(profile, name).tolist() for name in ("phi", "value", "count")}
+    return {**values, "fitted": fitted.tolist()}
 
 
 def described_ladder(
@@ -55,12 +56,7 @@ def described_ladder(
         "rejected": float(weight @ profile.rejected),
         "flags": ["AT_BOUND"] * bool(ends),
         "at_bounds": ends,
-        "profile": {
-            "phi": profile.phi.tolist(),
-            "value": profile.value.tolist(),
-            "count": profile.count.tolist(),
-            "fitted": fitted.tolist(),
-        },
+        "profile": described_profile(profile, fitted),
     }
 
 
@@ -122,7 +118,7 @@ def parameters_at_bounds(regions: list[dict]) -> list[str]:
     """Half widths of fitted lobes that stand at the end of the range that was searched or on offer, in words."""
     texts = []
     for number, region in enumerate(regions):
-        name = region.get("name") or (f"region {number}" if len(regions) > 1 else "whole scene")
+        name = f"region {number}" if len(regions) > 1 else "whole scene"
         texts += [f"{each}, {name}" for each in region.get("at_bounds", [])]
         if "AT_BOUND" not in region["flags"] or region.get("at_bounds"):
             continue

@@ -38,10 +38,10 @@ def gloss_section(parameters: dict[str, Any] | None, *, true_gamma: list[float] 
     rows: list[list[Cell]] = []
     charts: list[Figure] = []
     for number, region in enumerate(parameters["regions"]):
-        name = str(region.get("name") or (f"region {number}" if len(parameters["regions"]) > 1 else "whole scene"))
+        name = f"region {number}" if len(parameters["regions"]) > 1 else "whole scene"
         flags = ", ".join(FLAGS.get(flag, flag) for flag in region.get("flags") or []) or "–"
         rest = (region["refractive_index"], region.get("samples"), region.get("residual"), flags)
-        for lobe, (beta, gamma) in enumerate(zip(_list(region["beta"]), _list(region["gamma"]), strict=True), 1):
+        for lobe, (beta, gamma) in enumerate(zip(region["beta"], region["gamma"], strict=True), 1):
             rows.append([name, lobe, beta, gamma, None if gamma is None else float(np.degrees(gamma)), *rest])
         if region.get("profile") and len(charts) < MOST_CHARTS:
             charts += _profile_charts(region["profile"], name)
@@ -64,9 +64,7 @@ def _profile_charts(profile: dict[str, Any], name: str) -> list[Figure]:
     """The profile with linear and with logarithmic strength."""
     order = np.argsort(profile["phi"], kind="stable")
     phi = np.degrees(np.array(profile["phi"], float)[order])
-    value, fitted = (np.array(profile[key], float)[order] for key in ("value", "fitted"))
-    count = np.array(profile.get("count") or np.ones(phi.size), float)
-    count = count[order] if count.size == phi.size else np.ones(phi.size)
+    value, fitted, count = (np.array(profile[key], float)[order] for key in ("value", "fitted", "count"))
     peak = float(np.nanmax(fitted, initial=0.0))
     if not (phi.size and peak > 0):
         return []
@@ -95,7 +93,3 @@ def _profile_charts(profile: dict[str, Any], name: str) -> list[Figure]:
     )
     heading = name.capitalize()
     return [Figure(heading, LINEAR, svg=linear), Figure(f"{heading}, logarithmic", LOGARITHMIC, svg=logarithmic)]
-
-
-def _list(value: Any) -> list:
-    return value if isinstance(value, list) else [value]
