@@ -20,6 +20,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any, BinaryIO
 
@@ -50,6 +51,11 @@ def request_exif(handle: int) -> Exif:
         return Exif(**_ask({"do": "exif", "name": "", "suffix": ""}, handle, 0)[0]["exif"])
     except CaptureError:
         return NO_EXIF
+
+
+def request_matlab(handle: int, name: str, names: Sequence[str]) -> dict[str, Any]:
+    """Numbers of an open MATLAB file, see `matlab.stored_numbers`. CaptureError as `request_header`."""
+    return _ask({"do": "matlab", "name": name, "names": names}, handle, os.fstat(handle).st_size)[0]["numbers"]
 
 
 def request_codes(handle: int, header: ImageHeader, suffix: str, name: str, wanted: dict[str, Any]) -> np.ndarray:
@@ -194,6 +200,10 @@ def _answer(file: BinaryIO, request: dict[str, Any]) -> tuple[dict[str, Any], in
     try:
         if request["do"] == "exif":
             return {"exif": asdict(exif_of(file))}, None
+        if request["do"] == "matlab":
+            from nishiki.formats.matlab import stored_numbers
+
+            return {"numbers": stored_numbers(file, request["names"])}, None
         from nishiki.formats.picture_files import Wanted, open_picture
 
         picture = open_picture(file, request["suffix"], name)
