@@ -43,7 +43,6 @@ def gloss_evidence(
     *,
     sigma: np.ndarray | float = 0.0,
     refractive_index: float = 1.45,
-    limit: float = LIMIT,
 ) -> Evidence:
     """Evidence from samples of any shape.
 
@@ -53,7 +52,7 @@ def gloss_evidence(
     sigma: deviation of the normals per tangent axis, radians.
 
     A lobe is fitted to the sample as to a scene (`nishiki.brdf.scene`); it has to pass that fit's F test (12) and to
-    reach `limit` standard deviations of the residuals in the hundredth of the samples where it is brightest. Below
+    reach LIMIT standard deviations of the residuals in the hundredth of the samples where it is brightest. Below
     that, leaving it out adds less than the samples scatter anyway. Where many samples near the mirror direction are
     unusable, gloss may have saturated them: the specular part is kept.
     """
@@ -81,8 +80,8 @@ def gloss_evidence(
     brightest, everywhere = (float(np.sqrt(np.mean(values**2))) for values in (strongest, specular))
     ratio = brightest / max(noise, 1e-30)
     return Evidence(
-        ratio > limit,
-        "a lobe stands out" if ratio > limit else "its lobe does not stand out of the scatter",
+        ratio > LIMIT,
+        "a lobe stands out" if ratio > LIMIT else "its lobe does not stand out of the scatter",
         float(min(ratio, 1e6)),
         brightest,
         everywhere,

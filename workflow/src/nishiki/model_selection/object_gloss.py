@@ -31,8 +31,6 @@ def unseen_gain(
     attenuation: np.ndarray,
     alpha: np.ndarray,
     weights: np.ndarray,
-    *,
-    limit_db: float = LIMIT_DB,
 ) -> Gain:
     """How much better a lobe predicts observations that its fit has not seen (cross-validation in FOLDS parts; M.
     Stone, Cross-validatory choice and assessment of statistical predictions, J. R. Stat. Soc. B 36, 1974).
@@ -64,7 +62,7 @@ def unseen_gain(
     best = 1 + int(np.argmin(inside[1:]))
     gain = 10 * np.log10(max(outside[0], 1e-30) / max(outside[best], 1e-30))
     error = np.sqrt(outside[0] / max(weights.sum() * values.shape[2], 1e-30))
-    return Gain(bool(gain > limit_db), float(gain), float(SIGMAS[best - 1]), float(error), len(values))
+    return Gain(bool(gain > LIMIT_DB), float(gain), float(SIGMAS[best - 1]), float(error), len(values))
 
 
 def _parts(seen: np.ndarray) -> np.ndarray:

@@ -10,12 +10,12 @@ CLEAR = 1 / 3  # of the limit: a gain nearer to 0 in the first look is not looke
 OVERRIDE = "normals.refine: gloss"
 
 
-def clearly_matt(first: SceneGloss, *, limit: float = WORTHWHILE) -> bool:
+def clearly_matt(first: SceneGloss) -> bool:
     """Whether the first look settles it: the gain in robust cost is within a third of what counts of nothing.
 
     A loss of more than that is a profile that has gone wrong, and says nothing.
     """
-    return abs(first.gain) < CLEAR * limit
+    return abs(first.gain) < CLEAR * WORTHWHILE
 
 
 def decided(
