@@ -10,7 +10,6 @@ with gain in electrons a code (photon transfer: Janesick, Photon Transfer, 2007;
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,7 +20,7 @@ from nishiki.calibrate.result import Calibration, finite
 from nishiki.capture.taking import channel_names, full_scale_of, read_channels
 from nishiki.errors import UserError
 from nishiki.formats.image_headers import read_header
-from nishiki.formats.text_tables import comma_lines
+from nishiki.formats.text_tables import table_rows
 from nishiki.observations.linearise import check_linearity
 from nishiki.report.colour_map import heat
 from nishiki.report.page import Figure, Figures, Section, Table
@@ -77,17 +76,18 @@ def read_series(table: Path) -> dict[float, list[Path]]:
     """Photographs by exposure time from a table `file,exposure_s`; 0 stands for the closed lens."""
     if not table.is_file():
         raise UserError(f"{table}: no such file. Remedy: write a table with the columns file,exposure_s")
-    rows = csv.DictReader(line for _, line in comma_lines(table, table.name))
-    if not {"file", "exposure_s"} <= set(rows.fieldnames or ()):
-        raise UserError(f"{table}: expected the columns file,exposure_s, found {','.join(rows.fieldnames or ())[:80]}")
+    columns, *rows = [cells for _, cells in table_rows(table, table.name)] or [[]]
+    if not {"file", "exposure_s"} <= set(columns):
+        raise UserError(f"{table}: expected the columns file,exposure_s, found {','.join(columns)[:80]}")
     series: dict[float, list[Path]] = {}
-    for row in rows:
+    for cells in rows:
+        row = dict(zip(columns, cells, strict=False))
         try:
             exposure = float(row["exposure_s"])
-        except (TypeError, ValueError):
+        except (KeyError, ValueError):
             exposure = -1.0
-        if not (0 <= exposure < 1e6) or not row["file"]:
-            raise UserError(f"{table}: expected a file and an exposure time in seconds, found {list(row.values())}")
+        if not (0 <= exposure < 1e6) or not row.get("file"):
+            raise UserError(f"{table}: expected a file and an exposure time in seconds, found {cells}")
         series.setdefault(exposure, []).append(table.parent / row["file"])
     list_photographs([str(path) for paths in series.values() for path in paths])
     return dict(sorted(series.items()))

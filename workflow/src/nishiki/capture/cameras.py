@@ -10,7 +10,7 @@ import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.formats.problems import CaptureError, Problem, error, raise_errors
-from nishiki.formats.text_tables import cells_of, comma_lines, expect_rows, label_problems, reading
+from nishiki.formats.text_tables import expect_rows, label_problems, reading, table_rows
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.turn import scale_turn
 
@@ -37,7 +37,8 @@ def read_cameras(path: Path, name: str) -> CameraTable:
     matrices: dict[str, np.ndarray] = {}
     distortions: dict[str, tuple[float, ...]] = {}
     problems: list[Problem] = []
-    rows = _rows(path, name, "cameras")
+    with reading(name, "cameras"):
+        rows = list(table_rows(path, name))
     expected = "view, then the 12 numbers p11 ... p34 of the 3x4 matrix, row by row; k1, k2, p1, p2, k3 may follow"
     expect_rows(len(rows) - 1, "views", name, "cameras")
     heading = [cell.casefold() for cell in rows[0][1]] if rows else []
@@ -109,7 +110,8 @@ def read_points(path: Path, name: str, views: tuple[str, ...]) -> dict[str, np.n
 
     Raises CaptureError: points-missing, points-unreadable, points-columns, points-values, points-view, points-few.
     """
-    rows = _rows(path, name, "points")
+    with reading(name, "points"):
+        rows = list(table_rows(path, name))
     if not rows or tuple(c.casefold() for c in rows[0][1]) != POINT_COLUMNS:
         found = ",".join(rows[0][1])[:90] if rows else "no heading"
         raise CaptureError(error("points-columns", name, "columns", expected=",".join(POINT_COLUMNS), found=found))
@@ -139,12 +141,6 @@ def read_points(path: Path, name: str, views: tuple[str, ...]) -> dict[str, np.n
 def camera_centre(matrix: np.ndarray) -> np.ndarray:
     """(3,) place of the camera of a 3x4 matrix: the point that it maps to zero."""
     return -np.linalg.solve(matrix[:, :3], matrix[:, 3])
-
-
-def _rows(path: Path, name: str, kind: str) -> list[tuple[int, list[str]]]:
-    """Lines of a table that are neither empty nor comments, with their numbers."""
-    with reading(name, kind):
-        return [(number, cells_of(line)) for number, line in comma_lines(path, name)]
 
 
 def _numbers(cells: list[str]) -> list[float] | None:

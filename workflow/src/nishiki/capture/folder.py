@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections import Counter
 from collections.abc import Callable
@@ -24,7 +23,7 @@ from nishiki.capture.turntable import TurntableCapture, examine_turntable
 from nishiki.formats.bounds import bound
 from nishiki.formats.files import leads_out
 from nishiki.formats.problems import WHERE_IS_IT, CaptureError, Problem, error, raise_errors, warning
-from nishiki.formats.text_tables import comma_lines, expect_rows, reading
+from nishiki.formats.text_tables import expect_rows, reading, table_rows
 
 T = TypeVar("T")
 
@@ -212,24 +211,23 @@ def read_intensities(path: Path, lights: Lights, channels: tuple[str, ...]) -> n
     Raises CaptureError (kinds intensities-unreadable, intensities-many, intensities-invalid, intensities-light).
     """
     with reading(path.name, "intensities"):
-        lines = (line for _, line in comma_lines(path, path.name))
-        reader = csv.DictReader(lines, skipinitialspace=True)
-        names, rows = reader.fieldnames or [], list(islice(reader, bound("lights") + 1))
+        names, *rows = [cells for _, cells in islice(table_rows(path, path.name), bound("lights") + 2)] or [[]]
     expect_rows(len(rows), "lights", path.name, "intensities")
     if sorted(names) != sorted(("light", *channels)):
         found, expected = ",".join(names)[:80], f"light,{','.join(channels)}"
         raise CaptureError(error("intensities-unreadable", path.name, "columns", expected=expected, found=found))
     table = np.full((len(lights.names), len(channels)), np.nan)
     problems = []
-    for number, row in enumerate(rows, start=2):
-        place = lights.index(row["light"] or "")
-        where = f"{path.name} row {number}"
+    for number, cells in enumerate(rows, start=2):
+        row, where = dict(zip(names, cells, strict=False)), f"{path.name} row {number}"
+        light = row.get("light", "")
+        place = lights.index(light)
         if place is None:
-            problems.append(error("intensities-light", where, f"no light '{row['light']}'"))
+            problems.append(error("intensities-light", where, f"no light '{light}'"))
             continue
         try:
             table[place] = [float(row[c]) for c in channels]
-        except (TypeError, ValueError):
+        except (KeyError, ValueError):
             table[place] = -1
         if not all(0 < v < math.inf for v in table[place]):
             problems.append(error("intensities-invalid", where, "intensity", expected="numbers above 0"))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import difflib
 import math
 import os
@@ -18,7 +17,7 @@ from nishiki.capture.polariser import parse_state
 from nishiki.formats.bounds import bound
 from nishiki.formats.files import leads_out, name_fault
 from nishiki.formats.problems import CaptureError, Problem, error, raise_errors
-from nishiki.formats.text_tables import comma_lines, expect_rows, label_problems, reading
+from nishiki.formats.text_tables import expect_rows, label_problems, reading, table_rows
 
 ROLES = ("sample", "check", "white", "dark", "flat", "ambient")
 LIT_ROLES = ("sample", "check", "white")
@@ -97,27 +96,23 @@ def read_frames(table: Path, *, geometry: str = "plane") -> tuple[Frame, ...]:
     angle-invalid.
     """
     with reading(table.name, "frames"):
-        lines = (line for _, line in comma_lines(table, table.name))
-        reader = csv.DictReader(lines, skipinitialspace=True)
-        columns = [(c or "").strip() for c in reader.fieldnames or []]
-        roles, known = DIALECTS[geometry]
-        radians = geometry == "goniometer" and set(RADIAN_COLUMNS) <= set(columns)
-        if radians:
-            columns = [column.replace("_rad", "_deg") for column in columns]
-        _check_columns(columns, table.name, known)
-        reader.fieldnames = columns
-        rows = list(islice(reader, bound("frames") + 1))
+        columns, *rows = [cells for _, cells in islice(table_rows(table, table.name), bound("frames") + 2)] or [[]]
+    roles, known = DIALECTS[geometry]
+    radians = geometry == "goniometer" and set(RADIAN_COLUMNS) <= set(columns)
+    if radians:
+        columns = [column.replace("_rad", "_deg") for column in columns]
+    _check_columns(columns, table.name, known)
     expect_rows(len(rows), "frames", table.name, "frames")
     problems: list[Problem] = []
     frames: list[Frame] = []
     seen: dict[str, int] = {}
     for number, row in enumerate(rows, start=2):
         where = f"{table.name} row {number}"
-        if None in row or None in row.values():
+        if len(row) != len(columns):
             expected = f"{len(columns)} values"
             problems.append(error("frames-unreadable", where, "wrong number of values", expected=expected))
             continue
-        cells = {k: v.strip() for k, v in row.items()}
+        cells = dict(zip(columns, row, strict=True))
         frame = _frame(cells, table.parent, number, where, problems, roles)
         if geometry == "turntable":
             frame = _round_about(frame, cells, table.parent, where, problems)
@@ -172,7 +167,7 @@ def dialect_of(table: Path) -> str:
     """The geometry that a frames.csv looks as if it were of, where capture.yaml does not tell: plane or goniometer."""
     try:
         with reading(table.name, "frames"):
-            _, heading = next(comma_lines(table, table.name), (0, ""))
+            _, heading = next(table_rows(table, table.name), (0, []))
     except CaptureError:
         return "plane"
     return "goniometer" if ANGLE_COLUMNS[0] in heading or RADIAN_COLUMNS[0] in heading else "plane"

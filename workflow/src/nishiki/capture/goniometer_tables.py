@@ -14,7 +14,7 @@ from nishiki.capture.goniometer_rules import in_radians, radians_problem
 from nishiki.formats.bounds import bound
 from nishiki.formats.merl import MERL_BYTES, merl_values, read_merl
 from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, warning
-from nishiki.formats.text_tables import cells_of, comma_lines, expect_rows, reading, table_lines
+from nishiki.formats.text_tables import expect_rows, reading, table_lines, table_rows
 from nishiki.formats.utia import UTIA_BYTES, read_utia
 from nishiki.goniometry.directions import unit
 
@@ -43,7 +43,7 @@ MERL_VIEWS = ((0.0, 0.0), *((3.0 * k, 7.5 * step) for k in range(1, 27) for step
 """theta and phi in degrees at which tables of the MERL database are read: as densely as a cloth is photographed."""
 SHOWN = 5  # wrong rows told of one kind
 MOST_PROBLEMS = 20  # rows that cannot be read, before reading stops
-Lines = Iterator[tuple[int, str]]
+Lines, Rows = Iterator[tuple[int, str]], Iterator[tuple[int, list[str]]]
 
 
 @dataclass(frozen=True)
@@ -69,9 +69,10 @@ def read_table(path: Path, name: str, *, values: str = "brdf", azimuths: str = "
     if path.suffix.lower() in BINARY_BYTES:
         return _as_brdf((_utia if path.suffix.lower() == ".bin" else _merl)(path, name), values, azimuths)
     with reading(name, "table"):
-        cornell = path.suffix.lower() == ".brdf"
-        lines = (table_lines if cornell else comma_lines)(path, name, limit="reflectances_bytes")
-        table = _cornell(lines, name) if cornell else _csv(lines, name, values)
+        if path.suffix.lower() == ".brdf":
+            table = _cornell(table_lines(path, name, limit="reflectances_bytes"), name)
+        else:
+            table = _csv(table_rows(path, name, limit="reflectances_bytes"), name, values)
     return _as_brdf(_checked(*table, name), values, azimuths)
 
 
@@ -105,8 +106,8 @@ def is_table(path: Path, *, named: bool = False) -> bool:
         return False
     try:
         with reading(path.name, "table"):
-            _, heading = next(comma_lines(path, path.name, limit="reflectances_bytes"), (0, ""))
-            return set(ANGLES) <= {angle_column(cell)[0] for cell in cells_of(heading)}
+            _, heading = next(table_rows(path, path.name, limit="reflectances_bytes"), (0, []))
+            return set(ANGLES) <= {angle_column(cell)[0] for cell in heading}
     except CaptureError:
         return False
 
@@ -121,9 +122,9 @@ def angle_column(column: str) -> tuple[str, str]:
     return f"{kind}_{'i' if way[0] in 'il' else 'r'}_deg", "deg" if unit == "°" else unit[:3]
 
 
-def _csv(lines: Lines, name: str, values: str) -> tuple[np.ndarray, tuple[str, ...], array, list[Problem]]:
+def _csv(lines: Rows, name: str, values: str) -> tuple[np.ndarray, tuple[str, ...], array, list[Problem]]:
     """Rows (n, 4 + channels), angles in degrees first; channel names; line number of each row; what to know."""
-    columns = cells_of(next(lines, (0, ""))[1])
+    columns = next(lines, (0, []))[1]
     expect_rows(len(columns), "table_columns", name, "table")
     named = [angle_column(column) for column in columns]
     heading, units = [column for column, _ in named], {column: unit for column, unit in named if column in ANGLES}
@@ -136,9 +137,8 @@ def _csv(lines: Lines, name: str, values: str) -> tuple[np.ndarray, tuple[str, .
     _expect_reflectances(channels, name, values)
     order = [heading.index(column) for column in (*ANGLES, *channels)]
     numbers, places, problems = array("d"), array("q"), []
-    for line, text in lines:
+    for line, row in lines:
         try:
-            row = cells_of(text)
             if len(row) != len(heading):
                 raise ValueError(f"{len(row)} values")
             numbers.extend([float(row[i]) for i in order])

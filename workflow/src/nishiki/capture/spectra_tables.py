@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from nishiki.formats.problems import CaptureError, error, raise_errors
-from nishiki.formats.text_tables import comma_lines, expect_rows, reading
+from nishiki.formats.text_tables import expect_rows, reading, table_rows
 
 FIRST_NM, LAST_NM = 400.0, 700.0
 
@@ -52,7 +51,7 @@ def read_curves(path: Path, *, names: tuple[str, ...] | None = None, label: str 
 
 def _table(path: Path, label: str) -> tuple[list[str], list[list[str]]]:
     with reading(label, "spectra"):
-        rows = [[v.strip() for v in row] for row in csv.reader(line for _, line in comma_lines(path, label))]
+        rows = [cells for _, cells in table_rows(path, label)]
     if not rows:
         raise CaptureError(error("spectra-unreadable", label, "empty file"))
     expect_rows(len(rows[0]), "table_columns", label, "spectra")

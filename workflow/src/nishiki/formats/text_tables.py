@@ -57,11 +57,11 @@ def table_lines(path: Path, name: str, *, limit: str = "table_bytes") -> Iterato
     return lines_of(read_bytes(path, limit, name=name))
 
 
-def comma_lines(path: Path, name: str, *, limit: str = "table_bytes") -> Iterator[tuple[int, str]]:
-    """Lines of a table with commas and decimal points, as `table_lines`, whatever a spreadsheet put in their place.
+def table_rows(path: Path, name: str, *, limit: str = "table_bytes") -> Iterator[tuple[int, list[str]]]:
+    """Cells of each line of a table, without blanks around them, with the line's number; to be used inside `reading`.
 
-    The heading tells: semicolons or tabs separate its cells where it has more of these than commas. Numbers may then
-    have decimal commas. A first line `sep=;`, which spreadsheets write, is passed over.
+    The heading tells: commas separate its cells, or semicolons or tabs where it has more of these. Numbers may then
+    have decimal commas, which become points. A first line `sep=;`, which spreadsheets write, is passed over.
     """
     lines = table_lines(path, name, limit=limit)
     first = next(lines, None)
@@ -70,18 +70,10 @@ def comma_lines(path: Path, name: str, *, limit: str = "table_bytes") -> Iterato
     heading = first[1] if first is not None else ""
     mark = max(",;\t", key=lambda mark: (heading.count(mark), mark == ","))
     for number, line in chain([first] if first is not None else [], lines):
+        cells = [cell.strip() for cell in next(csv.reader([line], delimiter=mark, skipinitialspace=True, strict=True))]
         if mark != ",":
-            cells = next(csv.reader([line], delimiter=mark, skipinitialspace=True))
-            numbers = [cell.replace(",", ".") if DECIMAL_COMMA.fullmatch(cell.strip()) else cell for cell in cells]
-            buffer = io.StringIO()
-            csv.writer(buffer, lineterminator="").writerow(numbers)
-            line = buffer.getvalue()
-        yield number, line
-
-
-def cells_of(line: str) -> list[str]:
-    """Cells of one line of a comma-separated table, without blanks around them."""
-    return [cell.strip() for cell in next(csv.reader([line]))]
+            cells = [cell.replace(",", ".") if DECIMAL_COMMA.fullmatch(cell) else cell for cell in cells]
+        yield number, cells
 
 
 def expect_rows(count: int, limit: str, name: str, kind: str) -> None:
