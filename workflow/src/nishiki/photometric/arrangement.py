@@ -39,8 +39,8 @@ from nishiki.photometric.consistency import (
 
 TILE = 8  # side of a tile, pixels of the reduced picture: one observation
 FEWEST_TILES, MOST_TILES = 12, 140  # a mean of fewer has no useful error; more only take time
-MOST_VALUES = 100_000  # of all tiles and photographs; with many lamps fewer tiles are enough
-PER_TILE = 9  # pixels of a tile in the fit of gains
+MOST_VALUES = 300_000  # of all tiles and photographs; with many lamps fewer tiles are enough
+PER_TILE = 5  # pixels of a tile in the fit of gains
 STEEPEST = 0.2  # cosine of the steepest slope that counts: beyond, small errors of the normal are any slope
 STARTS = 60  # rotations from which permutations are sought; exchanged pairs and random orders of 12 need about 10
 FINALISTS = 5  # orders by each of two measures that are fitted robustly
