@@ -12,7 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from nishiki.capture.frames import DIALECTS, Frame, dialect_of, exposure_problems, inside, read_frames
+from nishiki.capture.frames import DIALECTS, Frame, dialect_of, exposure_problems, inside, lamp_problems, read_frames
 from nishiki.capture.goniometer import GoniometerCapture, examine_goniometer
 from nishiki.capture.lights import Lights, direction_problems, read_lights
 from nishiki.capture.photographed import Photographed
@@ -240,23 +240,12 @@ def read_intensities(path: Path, lights: Lights, channels: tuple[str, ...]) -> n
 
 def match_frames(frames: tuple[Frame, ...], lights: Lights, settings: CaptureFile) -> list[Problem]:
     """Whether frames and lights belong together, and whether the sample's lights determine normals."""
-    problems = []
-    for frame in frames:
-        if frame.light and lights.index(frame.light) is None:
-            where = f"frames.csv row {frame.row}"
-            remedy = "Add it to the lights, or correct the name"
-            problems.append(
-                error("frame-without-light", where, f"light '{frame.light}' is not in the lights", remedy=remedy)
-            )
+    problems = lamp_problems(frames, lights, settings.lights.file)
     problems += _band_problems(frames, settings.camera.channels)
     observed = [f for f in frames if f.role in ("sample", "check")]
     whites = [f for f in frames if f.role == "white"]
     seen, boards = (Counter(lights.index(f.light) for f in group) for group in (observed, whites))
     for place, name in enumerate(lights.names):
-        if seen[place] == 0:
-            remedy = "Add its row to frames.csv, or remove the light"
-            what = f"light '{name}' has no photograph"
-            problems.append(error("light-without-frame", settings.lights.file, what, remedy=remedy))
         for count, what in ((seen[place], "sample or check"), (boards[place], "white")):
             if count > 1:
                 found = f"{count} {what} frames under light '{name}'"

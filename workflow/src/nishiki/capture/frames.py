@@ -12,7 +12,7 @@ from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
-from nishiki.capture.lights import light_name
+from nishiki.capture.lights import Lights, light_name
 from nishiki.capture.polariser import parse_state
 from nishiki.formats.bounds import bound
 from nishiki.formats.files import leads_out, name_fault
@@ -249,6 +249,21 @@ def _angle(row: dict[str, str], key: str, unit_deg: float, where: str, problems:
     expected = "degrees from the normal, 0 to below 90" if key.startswith("theta") else "degrees, -360 to 360"
     problems.append(error("angle-invalid", where, key, expected=expected, found=repr(text)))
     return None
+
+
+def lamp_problems(frames: Iterable[Frame], lights: Lights, file: str) -> list[Problem]:
+    """frame-without-light and light-without-frame where frames and lamps of a lights file do not belong together."""
+    frames, problems = list(frames), []
+    for frame in frames:
+        if frame.light and lights.index(frame.light) is None:
+            what, remedy = f"light '{frame.light}' is not in the lights", "Add it to the lights, or correct the name"
+            problems.append(error("frame-without-light", f"frames.csv row {frame.row}", what, remedy=remedy))
+    observed = {lights.index(f.light) for f in frames if f.role in ("sample", "check")}
+    for place, name in enumerate(lights.names):
+        if place not in observed:
+            what, remedy = f"light '{name}' has no photograph", "Add its row to frames.csv, or remove the light"
+            problems.append(error("light-without-frame", file, what, remedy=remedy))
+    return problems
 
 
 def exposure_problems(frames: Iterable[Frame]) -> list[Problem]:

@@ -15,15 +15,15 @@ from nishiki.capture.cameras import camera_centre, camera_problems
 from nishiki.capture.layouts import natural_key, natural_parts, photographs_in, source_problems
 from nishiki.capture.options import ConvertOptions
 from nishiki.capture.polariser import parse_state, state_warnings
-from nishiki.capture.registered import Pictures, Registration, aim_problems
+from nishiki.capture.registered import Pictures, Registration, aim_problems, reading_cameras
 from nishiki.capture.seal import sha256_of
 from nishiki.formats.bounds import bound
-from nishiki.formats.files import Refused, files_with, read_text
+from nishiki.formats.files import files_with, read_text
 from nishiki.formats.image_header import IMAGE_SUFFIXES
 from nishiki.formats.image_headers import read_header
 from nishiki.formats.matlab import read_matlab
 from nishiki.formats.problems import CaptureError, Problem, error, expect_one, left_out, raise_errors, warning
-from nishiki.formats.text_tables import expect_rows, reading, refusal
+from nishiki.formats.text_tables import expect_rows, reading
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.turn import order_round, turn_of
 
@@ -123,14 +123,8 @@ def _matrices_in(path: Path) -> np.ndarray | None:
 
     None where the file has no such variable. CaptureError (cameras-unreadable) where it is no MATLAB file of level 5.
     """
-    try:
+    with reading_cameras(path.name, "MATLAB", "Save it with -v7 in MATLAB, or write cameras.csv by hand"):
         stored = read_matlab(path, ("P",)).get("P")
-    except ValueError as e:
-        remedy = "Save it with -v7 in MATLAB, or write cameras.csv by hand"
-        what = "MATLAB file cannot be read"
-        raise CaptureError(error("cameras-unreadable", path.name, what, found=str(e)[:120], remedy=remedy)) from e
-    except Refused as e:
-        raise CaptureError(refusal(e, "cameras-unreadable")) from e
     if stored is None:
         return None
     if stored.dtype == object:

@@ -8,7 +8,7 @@ from itertools import product
 import numpy as np
 
 from nishiki.capture.cameras import camera_centre
-from nishiki.capture.frames import Frame, exposure_problems
+from nishiki.capture.frames import Frame, exposure_problems, lamp_problems
 from nishiki.capture.lights import Lights
 from nishiki.capture.polariser import state_problems
 from nishiki.capture.turntable_schema import TurntableFile
@@ -90,15 +90,7 @@ def _light_problems(frames: tuple[Frame, ...], lights: Lights | None, settings: 
         if not frame.light:
             what, remedy = f"a {frame.role} frame needs its light", "Name it as in the lights"
             problems.append(error("light-empty", _row(frame), what, remedy=remedy))
-        if frame.light and lights.index(frame.light) is None:
-            what, remedy = f"light '{frame.light}' is not in the lights", "Add it to the lights, or correct the name"
-            problems.append(error("frame-without-light", _row(frame), what, remedy=remedy))
-    seen = {lights.index(f.light) for f in lit if f.role == "sample"}
-    for place, name in enumerate(lights.names):
-        if place not in seen:
-            what, remedy = f"light '{name}' has no photograph", f"Add its rows to {TABLE}, or remove the light"
-            problems.append(error("light-without-frame", settings.lights.file, what, remedy=remedy))
-    return problems
+    return problems + lamp_problems(lit, lights, settings.lights.file)
 
 
 def _grid_problems(samples: list[Frame], views: tuple[str, ...]) -> list[Problem]:

@@ -127,7 +127,6 @@ def as_matrix(values: np.ndarray) -> Matrix:
 BT709_XY = ((0.64, 0.33), (0.30, 0.60), (0.15, 0.06))
 ADOBE_XY = ((0.64, 0.33), (0.21, 0.71), (0.15, 0.06))
 SRGB_XYZ = primaries_xyz(BT709_XY)
-SRGB_CODING = Coding("sRGB", SRGB, SRGB_XYZ)
 _XY = {
     1: BT709_XY,
     9: ((0.708, 0.292), (0.170, 0.797), (0.131, 0.046)),

@@ -16,12 +16,11 @@ from nishiki.goniometry.consistency import FEWEST_PAIRS, forward_shine, reciproc
 from nishiki.goniometry.directions import unit
 from nishiki.observations.blocks import block_edges
 from nishiki.observations.frames import FrameReader
-from nishiki.observations.goniometer_frames import code_problems, region_labels, white_level, windowed
+from nishiki.observations.goniometer_frames import code_problems, hot_problems, region_labels, white_level, windowed
 from nishiki.observations.reference import DarkField, measure_darks
 from nishiki.observations.store_parts import RepeatedFiles, as_errors
 
 CHECK_BLOCK = 16
-MOST_NAMED = 5  # saturated photographs that are named
 Tick = Callable[[str], None]
 DISAGREE = 0.2  # sound tables gave at most .13, simulated cloths .06, wrong ones .35 and more
 AGREE = 1 / 3  # of the disagreement is left by the reading that is right
@@ -66,12 +65,7 @@ def _content_problems(capture: GoniometerCapture, tick: Tick) -> list[Problem]:
         problems += repeated.add(frame)
         problems += _frame_problems(reader, frame, darks, hot)
         tick(frame.file)
-    if hot:
-        what, more = "photographs of the cloth have saturated pixels", " ..." if len(hot) > MOST_NAMED else ""
-        found = f"{len(hot)} of {len(capture.observed)}: {', '.join(hot[:MOST_NAMED])}{more}"
-        remedy = "Photograph them again with a shorter exposure_s beside the longer"
-        problems.append(warning("some-saturated", "frames.csv", what, found=found, remedy=remedy))
-    return reader.warnings() + problems
+    return reader.warnings() + problems + hot_problems(hot, len(capture.observed))
 
 
 def _frame_problems(reader: FrameReader, frame: Frame, darks: DarkField, hot: list[str]) -> list[Problem]:

@@ -10,7 +10,7 @@ from nishiki.capture.frames import Frame
 from nishiki.capture.goniometer import GoniometerCapture
 from nishiki.formats.images import Region
 from nishiki.formats.masks import read_labels
-from nishiki.formats.problems import CaptureError, Problem, error, warning
+from nishiki.formats.problems import CaptureError, Problem, error, name_some, warning
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.reference import DarkField
 
@@ -61,6 +61,15 @@ def code_problems(frame: Frame, codes: np.ndarray, reader: FrameReader) -> list[
         raise CaptureError(error("not-finite", frame.file, "no sample is finite", remedy="Write the file again"))
     what = "NaN or infinite samples are not used"
     return [warning("not-finite", frame.file, what, found=f"{broken} pixels")] if broken else []
+
+
+def hot_problems(files: list[str], count: int) -> list[Problem]:
+    """some-saturated where photographs of the cloth, of so many, have saturated pixels."""
+    if not files:
+        return []
+    what, found = "photographs of the cloth have saturated pixels", f"{len(files)} of {count}: {name_some(files)}"
+    remedy = "Photograph them again with a shorter exposure_s beside the longer"
+    return [warning("some-saturated", "frames.csv", what, found=found, remedy=remedy)]
 
 
 def white_level(frame: Frame, codes: np.ndarray, reader: FrameReader, darks: DarkField) -> float:

@@ -13,13 +13,13 @@ from nishiki.capture.frames import Frame, inside
 from nishiki.capture.goniometer import GoniometerCapture
 from nishiki.capture.seal import expect_sealed, sealed_digests
 from nishiki.formats.masks import label_problems
-from nishiki.formats.problems import Problem, group_problems, warning
+from nishiki.formats.problems import Problem, group_problems
 from nishiki.formats.zarr_chunks import chunk_path, write_chunk
 from nishiki.formats.zarr_store import BandedGroup
 from nishiki.observations.blocks import block_edges
 from nishiki.observations.choice import chosen
 from nishiki.observations.frames import FrameReader
-from nishiki.observations.goniometer_frames import code_problems, region_labels, white_level, windowed
+from nishiki.observations.goniometer_frames import code_problems, hot_problems, region_labels, white_level, windowed
 from nishiki.observations.reference import DarkField, Edges, measure_darks
 from nishiki.observations.store_parts import PhotographCounter, Settings, Tick, write_small_arrays
 
@@ -117,24 +117,18 @@ def _write_codes(
     size = (*reader.region[2:], len(reader.names))
     depth = frames_a_chunk(size, reader.dtype, len(frames))
     group.create_array("codes", (len(frames), *size), (depth, *size), reader.dtype, compression="zstd")
-    problems, levels, hot, cold = [], [], 0, 0
+    problems, levels, hot, cold = [], [], [], 0
     for i, block in enumerate(_in_blocks(reader, frames, depth, tick)):
         for j, frame in enumerate(frames[i * depth : (i + 1) * depth]):
             problems += code_problems(frame, block[j], reader)
             if frame.role == "white":
                 levels.append(white_level(frame, block[j], reader, darks))
             else:
-                hot += bool((block[j] >= reader.saturated).any())
+                hot += [frame.file] * bool((block[j] >= reader.saturated).any())
                 cold += bool((block[j] <= reader.clip).all())
         write_chunk(chunk_path(path / "codes", i, 0), block, compression="zstd")
-    if hot:
-        what = "photographs of the cloth have saturated pixels"
-        found, remedy = (
-            f"{hot} of {len(frames) - len(levels)}",
-            "Photograph them again with a shorter exposure_s beside the longer",
-        )
-        problems.append(warning("some-saturated", "frames.csv", what, found=found, remedy=remedy))
-    return _Written(hot, cold, tuple(levels), tuple(problems))
+    problems += hot_problems(hot, len(frames) - len(levels))
+    return _Written(len(hot), cold, tuple(levels), tuple(problems))
 
 
 def frames_a_chunk(size: tuple[int, ...], dtype: np.dtype, frames: int) -> int:

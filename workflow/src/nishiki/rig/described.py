@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 import time
-from typing import Annotated
+from typing import Annotated, Any
 
-from pydantic import Field, field_validator
+from pydantic import BeforeValidator, Field, field_validator
 
 from nishiki.artifacts.closed import Closed
 from nishiki.capture.polariser import parse_state
@@ -89,6 +89,14 @@ def check_state(name: str) -> str:
         return parse_state(name).name
     except CaptureError as error:
         raise ValueError(str(error)) from None
+
+
+def _check_states(states: Any) -> Any:
+    """Angles need no quotes."""
+    return tuple(check_state(str(state)) for state in states) if isinstance(states, list | tuple) else states
+
+
+States = Annotated[tuple[str, ...], BeforeValidator(_check_states)]
 
 
 class _Device:

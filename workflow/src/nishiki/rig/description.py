@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from nishiki.artifacts.closed import Closed, parse
 from nishiki.capture.schema_base import UnquotedStatesLoader, read_mapping
@@ -24,7 +24,7 @@ from nishiki.rig.described import (
     HomeMadePolariser,
     Pause,
     Seconds,
-    check_state,
+    States,
 )
 from nishiki.rig.device import Rig
 from nishiki.rig.dome import BracketDome
@@ -125,13 +125,7 @@ class PromptSettings(Closed):
     """A polariser that a person turns."""
 
     kind: Literal["prompt"]
-    states: tuple[str, ...] = Field(("off", "on"), min_length=1, description="its states, named as in frames.csv")
-
-    @field_validator("states", mode="before")
-    @classmethod
-    def _states_of_captures(cls, states: Any) -> Any:
-        """Angles need no quotes."""
-        return tuple(check_state(str(state)) for state in states) if isinstance(states, list | tuple) else states
+    states: States = Field(("off", "on"), min_length=1, description="its states, named as in frames.csv")
 
 
 CameraSettings = Annotated[GPhotoSettings | FolderSettings | PythonDevice, Field(discriminator="kind")]

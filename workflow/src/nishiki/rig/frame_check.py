@@ -25,7 +25,6 @@ DETAIL_PX = 1024  # side of the central window whose sharpness is measured
 NO_LIGHT = 0.002  # of full scale, above the black level
 DARK_LEVEL = 0.05  # of full scale: a dark frame above saw light
 EXPOSURE_TOLERANCE = 0.15  # relative: EXIF rounds to the steps of the camera's dial
-EXPOSURE_TIME, EXIF_BLOCK = 33434, 34665  # tags of EXIF 2.32
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,11 @@ from pydantic import Field, field_validator, model_validator
 
 from nishiki.artifacts.closed import Closed, parse
 from nishiki.capture.lights import Lights, read_lights
-from nishiki.capture.polariser import parse_state
 from nishiki.capture.schema_base import Positive
 from nishiki.errors import UserError
 from nishiki.formats.image_header import IMAGE_SUFFIXES
 from nishiki.goniometry.directions import between, unit
+from nishiki.rig.described import States
 from nishiki.rig.description import read_yaml
 from nishiki.rig.frames_table import AUTOMATIC, PlannedFrame
 
@@ -143,18 +143,12 @@ class TurntablePlan(Plan):
     turn_deg: Annotated[float, Field(gt=0, le=360)] = Field(360.0, description="angle that the steps share")
     axis: str = Field("turntable", description="name of the axis in the rig's description")
     lamps: tuple[Annotated[int, Field(ge=1)], ...] = Field((), description="numbers; left out: lamps are not switched")
-    states: tuple[str, ...] = Field((), description="states of the polarisers, named as in frames.csv")
+    states: States = Field((), description="states of the polarisers, named as in frames.csv")
     polarisers: tuple[str, ...] = Field(
         ("polariser",), min_length=1, max_length=2, description="names in the rig's description; two: G/A in states"
     )
     outer: Literal["view", "state"] = Field("view", description="what changes least often; state where a person turns")
     board: PoseBoard | None = Field(None, description="ChArUco board that turns with the table; left out: none")
-
-    @field_validator("states", mode="before")
-    @classmethod
-    def _named_as_in_captures(cls, states: Any) -> Any:
-        """Angles need no quotes."""
-        return tuple(parse_state(str(s)).name for s in states) if isinstance(states, list | tuple) else states
 
 
 class GoniometerPlan(Plan):
