@@ -15,6 +15,7 @@ from nishiki.capture.schema_base import read_mapping
 from nishiki.capture.seal import sha256_of
 from nishiki.capture.taking import settings_text
 from nishiki.errors import UserError
+from nishiki.formats.files import put_file
 from nishiki.report.page import Facts, Listing, Page, Section, render_page
 from nishiki.version import PROJECT_VERSION
 
@@ -116,9 +117,7 @@ def put_into_capture(capture: Path, result: Calibration) -> None:
     text = settings_text(_merged(settings, result.lines))
     for name, data in files.items():
         (capture / name).write_bytes(data.encode() if isinstance(data, str) else data)
-    partial = capture / ".capture.yaml.partial"
-    partial.write_text(text, encoding="utf-8")
-    os.replace(partial, path)
+    put_file(path, text)
 
 
 def finite(value: float, digits: int = 6) -> float | None:

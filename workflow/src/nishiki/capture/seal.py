@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from datetime import date as Date
 from pathlib import Path
 
-from nishiki.formats.files import Refused, flush_folder, is_plain, leads_out, open_regular, read_bytes, walk
+from nishiki.formats.files import Refused, flush_folder, is_plain, leads_out, open_regular, put_file, read_bytes, walk
 from nishiki.formats.problems import WHERE_IS_IT, CaptureError, Problem, error, raise_errors
 from nishiki.formats.text_tables import refusal
 
@@ -260,13 +260,7 @@ def _write_tags(bag: Path, payload: Path, progress: Callable[[str], None] | None
     texts = {"bag-info.txt": info, MANIFEST: manifest_text(digests)}
     tags = {n: hashlib.sha256(t.encode()).hexdigest() for n, t in {**texts, "bagit.txt": BAGIT}.items()}
     for name, text in {**texts, TAG_MANIFEST: manifest_text(tags), "bagit.txt": BAGIT}.items():
-        temporary = bag / f".{name}.part"
-        temporary.unlink(missing_ok=True)  # never written through: it may be a link that leads elsewhere
-        with temporary.open("x", encoding="utf-8", newline="\n") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, bag / name)
+        put_file(bag / name, text)
     flush_folder(bag)
 
 

@@ -175,6 +175,17 @@ def walk(folder: Path, most: str = "folder_entries") -> Iterator[tuple[str, os.D
                 yield f"{prefix}{entry.name}", entry
 
 
+def put_file(path: Path, content: str | bytes) -> None:
+    """Write a file whole or not at all; it is on the disk when this returns."""
+    partial = path.with_name(f".{path.name}.part")
+    partial.unlink(missing_ok=True)  # never written through: it may be a link that leads elsewhere
+    with partial.open("xb") as file:
+        file.write(content.encode() if isinstance(content, str) else content)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(partial, path)
+
+
 def flush_folder(folder: Path) -> None:
     """Wait until the names in a folder are on the disk: files that were made in it, renamed or removed."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)

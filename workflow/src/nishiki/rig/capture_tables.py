@@ -12,7 +12,7 @@ from nishiki.capture.folder import examine
 from nishiki.capture.schema_base import FORMAT
 from nishiki.capture.taking import channel_names, choose_encoding, lights_text, settings_text, table_text
 from nishiki.errors import UserError
-from nishiki.formats.files import name_fault
+from nishiki.formats.files import name_fault, put_file
 from nishiki.formats.image_header import ImageHeader
 from nishiki.formats.problems import CaptureError
 from nishiki.rig.frames_table import ANGLES, PlannedFrame
@@ -49,10 +49,10 @@ def write_tables(
         Seconds of each frame by its file. The column `exposure_s` is written where all lit frames have one.
     """
     values = capture_settings(plan, header)
-    _put(folder / "capture.yaml", settings_text(values))
-    _put(folder / "frames.csv", _frames_csv(plan, frames, exposures))
+    put_file(folder / "capture.yaml", settings_text(values))
+    put_file(folder / "frames.csv", _frames_csv(plan, frames, exposures))
     if plan.lights is not None:
-        _put(folder / "lights.lp", lights_text(plan.lights))
+        put_file(folder / "lights.lp", lights_text(plan.lights))
     for name in _texts(plan.settings.capture):
         source = plan.folder / name
         if not name_fault(name) and source.is_file():
@@ -95,13 +95,3 @@ def _texts(value: Any) -> Iterator[str]:
     elif isinstance(value, Mapping | list | tuple):
         for item in value.values() if isinstance(value, Mapping) else value:
             yield from _texts(item)
-
-
-def _put(path: Path, text: str) -> None:
-    """Write a file whole or not at all."""
-    partial = path.with_name(f".{path.name}.part")
-    with partial.open("w", encoding="utf-8", newline="\n") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(partial, path)

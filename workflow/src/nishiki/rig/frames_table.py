@@ -9,13 +9,13 @@ from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
+from nishiki.capture.frames import ANGLE_COLUMNS as ANGLES
 from nishiki.capture.frames import ROLES, TURNTABLE_ROLES
 from nishiki.errors import UserError
 from nishiki.formats.files import name_fault
 
 AUTOMATIC = {"object": "auto:object", "white": "auto:white"}
 """What stands in place of an exposure that is found when the frames are taken, by what is before the camera."""
-ANGLES = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
 COLUMNS = ("file", "role", "lamp", "light", "view", "polariser", *ANGLES, "exposure_s", "aperture", "iso")
 AXIS, POLARISER = "axis:", "polariser:"
 """Beginnings of the columns that a rig's axes and polarisers have by their names."""

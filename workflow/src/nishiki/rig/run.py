@@ -28,7 +28,7 @@ from nishiki.capture.schema_base import Camera, validate
 from nishiki.capture.seal import MANIFEST, capture_digest, read_manifest, seal, sha256_of
 from nishiki.errors import UserError
 from nishiki.formats.exif import read_exif
-from nishiki.formats.files import flush_folder
+from nishiki.formats.files import flush_folder, put_file
 from nishiki.formats.image_headers import read_header
 from nishiki.formats.problems import CaptureError, group_problems
 from nishiki.rig.capture_tables import capture_settings, refuse_unusable_settings, write_tables
@@ -232,9 +232,7 @@ class CaptureRun:
                 )
             return
         named = read_table(plan_file)[0] if plan_file.suffix.lower() == ".tsv" else plan_file
-        partial = path.with_suffix(".part")
-        partial.write_text(table_text(self.frames, os.path.relpath(named, self.work)), encoding="utf-8")
-        os.replace(partial, path)
+        put_file(path, table_text(self.frames, os.path.relpath(named, self.work)))
 
     def _is_kept(self, event: dict[str, Any]) -> bool:
         """Whether a journalled frame is in the capture, or can be put there, with the digest that it had."""
