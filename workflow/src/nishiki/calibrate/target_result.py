@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.calibrate import target
-from nishiki.calibrate.result import Calibration
+from nishiki.calibrate.result import Calibration, finite
 from nishiki.calibrate.sensitivities import Sensitivities, chart_reflectances, recover
 from nishiki.calibrate.target import CRITERIA, ColourErrors, Patches, verdict
 from nishiki.capture.spectra_tables import read_curves
@@ -119,7 +119,8 @@ def calibrate_target(given: TargetInput) -> Calibration:
         numbers["sensitivities"] = {"residual": recovered.residual, "left_out": recovered.left_out}
         lines["camera"] = {"channels": ["red", "green", "blue"], "sensitivities": "sensitivities.csv"}
         files["sensitivities.csv"] = _table_of_curves(recovered.curves)
-    warnings = _warnings(names, patches)
+    left_out = ", ".join(names[k] for k in np.flatnonzero(~patches.usable))
+    warnings = [f"Saturated and left out: {left_out}. Photograph the target with less light."] if left_out else []
     if given.encoding is None:
         how = coding.name if header.coding else f"{encoding} ({header.kind}, {header.sample})"
         warnings.append(f"Read as {how}; --encoding says otherwise.")
@@ -200,12 +201,6 @@ def _sections(
     return sections
 
 
-def _warnings(names: tuple[str, ...], patches: Patches) -> list[str]:
-    """What the user should know before the figures."""
-    left_out = ", ".join(names[k] for k in np.flatnonzero(~patches.usable))
-    return [f"Saturated and left out: {left_out}. Photograph the target with less light."] if left_out else []
-
-
 def _pictures(picture, reference, patches: Patches, judged: dict[str, ColourErrors]) -> list[Block]:
     import cv2
 
@@ -237,14 +232,10 @@ def _table(names, patches: Patches, judged: dict[str, ColourErrors]) -> Table:
     head = ["", "patch", *(f"CIEDE2000 {how}" for how in judged), "noise, % of the value"]
     rows = []
     for k, patch in enumerate(names):
-        differences = [_known(errors.delta_e[k]) for errors in judged.values()]
+        differences = [finite(errors.delta_e[k]) for errors in judged.values()]
         noise = float(100 * patches.deviation[k].mean() / max(patches.mean[k].mean(), 1e-6))
         rows.append([str(k + 1), patch, *differences, noise])
     return Table(head, rows, "rl" + "r" * (len(judged) + 1))
-
-
-def _known(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
 
 
 def _verdicts(judged: dict[str, ColourErrors]) -> list[Block]:

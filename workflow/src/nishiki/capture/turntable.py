@@ -177,6 +177,9 @@ def examine_turntable(
         table = attempt(
             lambda: arrange_cameras(table, views, reverse=block.turn == "reverse", camera_of=block.camera_of)
         )
+    states = tuple(dict.fromkeys(f.polariser for f in samples))
+    if set(states) == {"off", "on"}:
+        states = ("off", "on")  # the first state is the brighter one
     capture = TurntableCapture(
         root=root,
         payload=payload,
@@ -184,7 +187,7 @@ def examine_turntable(
         frames=frames,
         views=views,
         light_names=tuple(dict.fromkeys(f.light for f in samples)),
-        states=_ordered(tuple(dict.fromkeys(f.polariser for f in samples))),
+        states=states,
         lights=lights,
         matrices=table.matrices if table else None,
         distortions=table.distortions if table else {},
@@ -211,11 +214,6 @@ def _lamps_named(frames: tuple[Frame, ...], lights: Lights | None) -> tuple[Fram
         return lights.names[place] if place is not None else frame.light or alone
 
     return tuple(replace(f, light=called(f)) if f.role in ("sample", "white") else f for f in frames)
-
-
-def _ordered(states: tuple[str, ...]) -> tuple[str, ...]:
-    """'off' before 'on', so that the first state is the brighter one; others as in the table."""
-    return tuple(sorted(states)) if set(states) == {"off", "on"} else states
 
 
 def _lights(payload: Path, settings: TurntableFile, attempt: Callable) -> Lights | None:

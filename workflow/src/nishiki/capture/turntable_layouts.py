@@ -267,11 +267,11 @@ def _turntable(
     centres = np.array([camera_centre(m) for m in matrices])
     order = order_round(centres)
     photographs, matrices = [photographs[i] for i in order], matrices[order]
-    turn = turn_of(centres[order])
+    turn, stems = turn_of(centres[order]), [path.stem for path in photographs]
     return RoundLayout(
         name,
         tuple(photographs),
-        view_names(photographs),
+        tuple(stems) if len(set(stems)) == len(stems) else tuple(f"{i + 1:03d}" for i in range(len(stems))),
         ("",) * len(photographs),
         matrices,
         turn is not None and turn.full,
@@ -279,12 +279,6 @@ def _turntable(
         tuple(notes),
         distortions[order] if distortions is not None and distortions.any() else None,
     )
-
-
-def view_names(photographs: list[Path]) -> tuple[str, ...]:
-    """The file names without suffix; numbered where two are the same."""
-    stems = [p.stem for p in photographs]
-    return tuple(stems) if len(set(stems)) == len(stems) else tuple(f"{i + 1:03d}" for i in range(len(stems)))
 
 
 def read_series(source: Path, photographs: list[Path], options: ConvertOptions) -> RoundLayout:

@@ -98,6 +98,8 @@ def interpolate(
     (seen from their centre) the value at the edge is kept. noise (n, channels): standard deviations, 0 where unknown.
     Views with a value that is not above 0 and finite are left out; UserError where too few are left.
     """
+    from scipy.spatial import cKDTree
+
     usable = positive(values)
     outgoing, values, noise = outgoing[usable], values[usable], noise[usable]
     if not len(outgoing):
@@ -122,7 +124,8 @@ def interpolate(
         ) from None
     grid = np.exp(predict(inside)).reshape(*nodes.shape[:2], values.shape[1])
     grid[0] = grid[0].mean(axis=0)
-    measured = near_a_view(nodes, views, symmetry, np.radians(WITHIN * np.degrees(theta[1])))
+    tree = cKDTree(np.concatenate([views @ image.T for image in images(symmetry)]))
+    measured = tree.query(nodes)[0] <= 2 * np.sin(WITHIN * theta[1] / 2)  # a view or one of its images is near the node
     beyond = (np.linalg.norm(inside - places, axis=1) > 1e-6).reshape(nodes.shape[:2])
     basic = BasicReflectance(theta, phi, grid[None], measured, beyond & ~measured)
     weights = solid_angles(basic)
@@ -183,14 +186,6 @@ def within_hull(places: np.ndarray, points: np.ndarray) -> np.ndarray:
     room = -(normals @ centre + offsets)  # > 0: from the centre to each edge
     reach = np.where(outward > 0, room / np.maximum(outward, 1e-300), np.inf).min(axis=1)
     return centre + (places - centre) * np.minimum(1.0, reach)[:, None]
-
-
-def near_a_view(nodes: np.ndarray, views: np.ndarray, symmetry: str, within: float) -> np.ndarray:
-    """(nt, np) bool: a view or one of its images lies within this angle of the node."""
-    from scipy.spatial import cKDTree
-
-    tree = cKDTree(np.concatenate([views @ image.T for image in images(symmetry)]))
-    return tree.query(nodes.reshape(-1, 3))[0].reshape(nodes.shape[:2]) <= 2 * np.sin(within / 2)
 
 
 def solid_angles(basic: BasicReflectance) -> np.ndarray:

@@ -159,13 +159,16 @@ class CaptureRun:
 
     def complete(self, plan_file: Path) -> str:
         """Take what is missing, then check, put in place and seal."""
-        if self._is_in_place() and not self._was_checked():
+        checked = any(event["event"] == "checked" for event in self.journal.events())
+        if self._is_in_place() and not checked:
             raise UserError(f"{self.capture}: exists already. Remedy: choose another name; nothing is overwritten")
         with self._locked():
             try:
                 if not self._is_in_place():
                     self._begin(plan_file)
-                    self._take_all()
+                    for frame in self.frames:
+                        if frame.file not in self.kept:
+                            self._take(frame)
                     self._check_and_place()
                 return self._seal()
             except UserError as error:
@@ -179,9 +182,6 @@ class CaptureRun:
 
     def _is_in_place(self) -> bool:
         return self.capture.exists() or self.capture.with_name(self.capture.name + ".sealing").exists()
-
-    def _was_checked(self) -> bool:
-        return any(event["event"] == "checked" for event in self.journal.events())
 
     @contextlib.contextmanager
     def _locked(self) -> Iterator[None]:
@@ -246,11 +246,6 @@ class CaptureRun:
         return False
 
     # Frames
-
-    def _take_all(self) -> None:
-        for frame in self.frames:
-            if frame.file not in self.kept:
-                self._take(frame)
 
     def _take(self, frame: PlannedFrame) -> None:
         """Take one frame until it is kept; UserError after the stated number of repetitions."""
