@@ -10,7 +10,6 @@ from nishiki.capture.folder import Capture
 from nishiki.capture.frames import Frame
 from nishiki.formats.problems import Problem, error, warning
 from nishiki.observations.frames import FrameReader
-from nishiki.observations.pairs_check import quiet
 from nishiki.observations.reference import DarkField, board_cosine
 from nishiki.photometric.arrangement import Arrangement, arrange
 from nishiki.photometric.consistency import LEAST_AMBIENT, SURE, Consistency, examine_photographs
@@ -95,9 +94,7 @@ class ReducedPhotographs:
         elif capture.intensities is not None:
             values = values / capture.intensities[list(places)].mean(axis=1)[:, None, None].astype(np.float32)
         lamps = self._lamps(places)
-        with np.errstate(all="ignore"), quiet():
-            consistency = examine_photographs(values, lamps)
-            arrangement = arrange(values, lamps)
+        consistency, arrangement = examine_photographs(values, lamps), arrange(values, lamps)
         names = tuple(self.files[place] for place in places)
         directions = capture.lights.directions[list(places)]
         return Judgement(places, names, values, directions, consistency, arrangement)
@@ -134,7 +131,7 @@ def judgement_problems(judgement: Judgement | None, capture: Capture) -> list[Pr
         return []
     problems = [] if judgement.arrangement is None else _arrangement_problems(judgement, capture)
     found = judgement.consistency
-    if found is None or problems:
+    if found is None or any(problem.severity == "error" for problem in problems):
         return problems
     for j in found.failed:
         what, remedy = "shows no light of its lamp", "Take this photograph again, or leave it out"
@@ -155,7 +152,12 @@ def _arrangement_problems(judgement: Judgement, capture: Capture) -> list[Proble
     """lights-order and lights-axes, as errors with the option of `convert` that mends them."""
     arrangement, file = judgement.arrangement, capture.settings.lights.file
     if arrangement.as_stated:
-        return []
+        if not arrangement.mirror_undecided:
+            return []
+        what = "the photographs do not show which way the y axis of the lights points"
+        said = f"curl of the slopes {100 * arrangement.curl[0]:.0f} %, and as little with y mirrored"
+        remedy = "If y counts downwards there, or hills come out as hollows, convert again with --lights-axes=x,-y"
+        return [warning("lights-axes-undecided", file, what, found=said, remedy=remedy)]
     percent = [100 * value for value in (*arrangement.residual, *arrangement.curl)]
     evidence = (
         f"misfit of the photographs {percent[0]:.1f} % as listed, {percent[1]:.1f} % then; curl of the slopes "

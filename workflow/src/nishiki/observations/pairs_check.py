@@ -13,9 +13,6 @@ lamps of unequal strength misfit with every board alike: exchanging boards then 
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -24,6 +21,7 @@ from nishiki.capture.frames import Frame
 from nishiki.formats.problems import Problem, warning
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.reference import DarkField, board_cosine
+from nishiki.photometric.consistency import quiet
 
 BLOCKS = 8  # a side, over the bounding box of the object
 SAMPLES = 12  # a side, of a block
@@ -314,14 +312,6 @@ def _misfits(expected: np.ndarray, whites: np.ndarray) -> np.ndarray:
         if known.sum() >= FEWEST_BLOCKS:
             table[i] = np.median(np.abs(row[known] - whites[:, known]), axis=1)
     return table
-
-
-@contextmanager
-def quiet() -> Iterator[None]:
-    """Without NumPy's warnings of medians over nothing, which are NaN as they should be."""
-    with warnings.catch_warnings(), np.errstate(all="ignore"):
-        warnings.simplefilter("ignore", RuntimeWarning)
-        yield
 
 
 def _cycles(order: np.ndarray) -> list[np.ndarray]:

@@ -16,7 +16,6 @@ from nishiki.geometry.matrices import cameras_of_matrices
 if TYPE_CHECKING:
     from nishiki.geometry.coherence import Coherence
     from nishiki.observations.frames import FrameReader
-from nishiki.observations.mesh_check import mesh_problems
 
 WORKING_SIDE = 480
 """Pixels of the longer side of the photographs in which the check looks for silhouettes."""
@@ -94,6 +93,8 @@ def capture_problems(
     problems = describe_coherence(found, cameras, named) if needed or found.correction else []
     if problems or capture.mesh is None:
         return problems
+    from nishiki.observations.mesh_check import mesh_problems  # it loads compiled code, which planning does without
+
     return mesh_problems(capture, [silhouettes[view] for view in views], cameras, world.mirror, sure=given)
 
 

@@ -33,6 +33,7 @@ from nishiki.photometric.consistency import (
     Fit,
     fit_lambert,
     lit_and_dark,
+    none_where_undetermined,
     scale_of,
     solve_normals,
 )
@@ -45,6 +46,7 @@ STEEPEST = 0.2  # cosine of the steepest slope that counts: beyond, small errors
 STARTS = 60  # rotations from which permutations are sought; exchanged pairs and random orders of 12 need about 10
 FINALISTS = 5  # orders by each of two measures that are fitted robustly
 REFINED, TURNS = 3, 5  # fits from which photographs are assigned to lamps anew, and how often
+DOUBTFUL = 2.0  # standard errors by which an arrangement that is believed may at most be the worse one
 HALVED = 0.5  # of the residual that is left of the photographs that an order moves: gloss gains less by chance
 AXES = ((1, 0, 0, 1), (1, 0, 0, -1), (0, 1, 1, 0), (0, 1, -1, 0))  # as stated, mirrored, exchanged, turned
 COMMON = (1, -1, 2, -2)  # cyclic shifts that are always fitted, and the reversal: a photograph or two more or fewer
@@ -66,6 +68,8 @@ class Arrangement:
         in any direction.
     sigmas : (float, float)
         By how many standard errors residual and curl are better than as stated; 0 where nothing is to be changed.
+    mirror_undecided : bool
+        Whether the slopes have as little curl with one axis mirrored, although they are no noise.
     """
 
     order: tuple[int, ...]
@@ -73,6 +77,7 @@ class Arrangement:
     residual: tuple[float, float]
     curl: tuple[float, float]
     sigmas: tuple[float, float]
+    mirror_undecided: bool
 
     @property
     def as_stated(self) -> bool:
@@ -113,6 +118,7 @@ class _Trial:
     turns: np.ndarray
 
 
+@none_where_undetermined
 def arrange(values: np.ndarray, lamps: np.ndarray) -> Arrangement | None:
     """Find the order and the axes of the lamps that the photographs show.
 
@@ -162,12 +168,14 @@ def arrange(values: np.ndarray, lamps: np.ndarray) -> Arrangement | None:
     rivals.sort(key=lambda rival: _complexity(rival[0].order, rival[1]))
     best, axes = next((one for one in rivals if not any(_beyond_doubt(one, other) for other in rivals)), (first, 0))
     sigmas = _compare((first, 0), (best, axes))[:2]
+    mirrored, exchanged, quarter = (_compare((best, axes), (best, axes ^ other))[1] for other in (1, 2, 3))
     return Arrangement(
         tuple(best.order.tolist()),
         _name_axes(axes, best.outwards),
         (float(np.nanmedian(first.misfit)), float(np.nanmedian(best.misfit))),
         (_curl(first, 0), _curl(best, axes)),
         sigmas,
+        mirrored > -DOUBTFUL and min(exchanged, quarter) < -SURE,
     )
 
 
@@ -358,12 +366,12 @@ def _beyond_doubt(first: tuple[_Trial, int], other: tuple[_Trial, int]) -> bool:
     The residual alone is believed of orders by which people err, and not of one in thousands that fits by chance.
     """
     residual, curl, left = _compare(first, other)
-    if curl > SURE and residual > -2 and _in_errors(0.25 - _shares(other)) > SURE:
+    if curl > SURE and residual > -DOUBTFUL and _in_errors(0.25 - _shares(other)) > SURE:
         return True
     moved, plain = _pattern(first[0].order, other[0].order)
     usual = plain or moved <= min(4, len(first[0].order) // 3)
     fitting = np.nanmedian(first[0].misfit) < 2 * LEAST_SCALE  # there is nothing to gain but rounding
-    return residual > SURE and left < HALVED and curl > -2 and usual and not fitting
+    return residual > SURE and left < HALVED and curl > -DOUBTFUL and usual and not fitting
 
 
 def _pattern(first: np.ndarray, other: np.ndarray) -> tuple[int, bool]:

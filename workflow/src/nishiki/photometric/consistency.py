@@ -18,9 +18,16 @@ the model (gloss, cast shadows, light from one part to another), which neighbour
 
 from __future__ import annotations
 
+import functools
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from typing import ParamSpec, TypeVar
 
 import numpy as np
+
+P, R = ParamSpec("P"), TypeVar("R")
 
 ROUNDS = 15  # of reweighting; the gains change by less than their errors after ten
 KINK = 2.0  # robust standard deviations of a pixel's residuals at which the weight of a value is a half (Cauchy)
@@ -108,6 +115,29 @@ class Fit:
     scale: np.ndarray
 
 
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Silence NumPy's warnings of medians over nothing, which are NaN, and of numbers beyond float64."""
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore", RuntimeWarning)
+        yield
+
+
+def none_where_undetermined(compare: Callable[P, R]) -> Callable[P, R | None]:
+    """Return None from a comparison of photographs that determine nothing: black, saturated or not finite."""
+
+    @functools.wraps(compare)
+    def compared(*args: P.args, **options: P.kwargs) -> R | None:
+        with quiet():
+            try:
+                return compare(*args, **options)
+            except np.linalg.LinAlgError:
+                return None
+
+    return compared
+
+
+@none_where_undetermined
 def examine_photographs(values: np.ndarray, lamps: np.ndarray) -> Consistency | None:
     """Compare every photograph of a plane scene with its prediction from the others.
 
