@@ -18,6 +18,7 @@ from nishiki.capture.frames import inside
 from nishiki.capture.lights import Lights, light_name, lights_from_vectors, read_lights
 from nishiki.capture.lights_evidence import sample_photographs
 from nishiki.capture.options import ConvertOptions
+from nishiki.capture.photographed import SourcePhotographs
 from nishiki.capture.relight_files import CROPPED, find_relight, is_relight, read_relight
 from nishiki.capture.rtibuilder import RtiProject
 from nishiki.capture.spheres.optics import direction_from_sphere, mean_direction
@@ -43,7 +44,7 @@ DISAGREEMENT = np.radians(3.0)
 
 
 @dataclass(frozen=True)
-class Layout:
+class Layout(SourcePhotographs):
     """photographs[i] was taken under lights.names[i]; intensities (lights, channels) or None; mask or None.
 
     kind: what the lamps' vectors are, `direction` or `position_mm`; pitch_mm: width of a pixel on the object, 0 if it
@@ -67,12 +68,6 @@ class Layout:
     files: Mapping[str, bytes] = field(default_factory=dict)
     notes: str = ""
     geometry = "plane"
-    channels: tuple[str, ...] = ()
-
-    @property
-    def count(self) -> int:
-        """Number of the photographs."""
-        return len(self.photographs)
 
     @property
     def parts(self) -> str:

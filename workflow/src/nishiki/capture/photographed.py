@@ -9,6 +9,18 @@ from nishiki.capture.frames import Frame
 from nishiki.capture.schema_base import Session
 
 
+class SourcePhotographs:
+    """Photographs of a folder that `convert` reads, of any geometry; channels: their names where a file states them."""
+
+    photographs: tuple[Path, ...]
+    channels: tuple[str, ...] = ()
+
+    @property
+    def count(self) -> int:
+        """Number of the photographs."""
+        return len(self.photographs)
+
+
 @dataclass(frozen=True)
 class Photographed:
     """root: the folder; payload: where capture.yaml lies (root, or root/data of a sealed one); frames: every

@@ -14,6 +14,7 @@ import numpy as np
 from nishiki.capture.cameras import camera_centre, camera_problems
 from nishiki.capture.layouts import natural_key, natural_parts, photographs_in, source_problems
 from nishiki.capture.options import ConvertOptions
+from nishiki.capture.photographed import SourcePhotographs
 from nishiki.capture.polariser import parse_state, state_warnings
 from nishiki.capture.registered import Pictures, Registration, aim_problems, reading_cameras
 from nishiki.capture.seal import sha256_of
@@ -34,7 +35,7 @@ LEAST_TURN = 20.0  # degrees between the outermost angles of a polariser that is
 
 
 @dataclass(frozen=True)
-class RoundLayout:
+class RoundLayout(SourcePhotographs):
     """photographs[i] shows views[i] in the polariser state states[i] ('' for none); matrices (views, 3, 4) or None;
     calibration: the instrument's own file, or None; distortions (views, 5): k1, k2, p1, p2, k3, or None."""
 
@@ -48,12 +49,6 @@ class RoundLayout:
     warnings: tuple[Problem, ...]
     distortions: np.ndarray | None = None
     geometry = "turntable"
-    channels: tuple[str, ...] = ()
-
-    @property
-    def count(self) -> int:
-        """Number of the photographs."""
-        return len(self.photographs)
 
     @property
     def parts(self) -> str:
