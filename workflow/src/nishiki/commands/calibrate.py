@@ -20,7 +20,7 @@ def spheres(options: argparse.Namespace, rest: list[str]) -> None:
     """Measure the lamps of a dome from photographs of mirror spheres."""
     from nishiki.calibrate.photographs import list_photographs
     from nishiki.calibrate.spheres_result import calibrate_spheres
-    from nishiki.capture.spheres.measure import SphereInput
+    from nishiki.capture.spheres.findings import SphereInput
 
     result = calibrate_spheres(
         SphereInput(

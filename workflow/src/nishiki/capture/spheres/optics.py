@@ -46,7 +46,7 @@ class SphereCamera:
 
     @classmethod
     def of(cls, rows: int, columns: int, focal_px: float | None = None, centre=None) -> SphereCamera:
-        """A camera whose principal point is the middle of the photograph, unless given."""
+        """Make a camera whose principal point is the middle of the photograph, unless given."""
         return cls(rows, columns, focal_px, centre or ((columns - 1) / 2, (rows - 1) / 2))
 
     def rays(self, pixels: np.ndarray) -> np.ndarray:
@@ -57,7 +57,7 @@ class SphereCamera:
 
 
 def outline_points(parameters: np.ndarray, camera: SphereCamera, count: int = 180) -> np.ndarray:
-    """Points (count, 2) of an outline in pixels (column, row)."""
+    """Compute points (count, 2) of an outline in pixels (column, row)."""
     turn = np.linspace(0, 2 * np.pi, count, endpoint=False)
     if camera.focal_px is None:
         column, row, radius = parameters
@@ -76,7 +76,7 @@ def outline_points(parameters: np.ndarray, camera: SphereCamera, count: int = 18
 
 
 def circle_of(parameters: np.ndarray, camera: SphereCamera) -> tuple[float, float, float]:
-    """Column, row and radius in pixels of the circle nearest to an outline."""
+    """Compute column, row and radius in pixels of the circle nearest to an outline."""
     if camera.focal_px is None:
         return tuple(float(v) for v in parameters)
     edge = outline_points(parameters, camera)
@@ -85,7 +85,7 @@ def circle_of(parameters: np.ndarray, camera: SphereCamera) -> tuple[float, floa
 
 
 def sphere_of(parameters: np.ndarray, camera: SphereCamera, radius: float) -> tuple[np.ndarray, float]:
-    """Centre (3,) and radius of the sphere with this outline, in the unit of the radius.
+    """Compute centre (3,) and radius of the sphere with this outline, in the unit of the radius.
 
     For an orthographic camera the unit of a pixel is radius / radius in pixels, x and y count from the principal
     point, and z from the plane on which the sphere lies: its centre has z = radius.
@@ -101,7 +101,7 @@ def sphere_of(parameters: np.ndarray, camera: SphereCamera, radius: float) -> tu
 def reflected_rays(
     pixels: np.ndarray, parameters: np.ndarray, camera: SphereCamera, radius: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Points (n, 3) of the sphere that pixels (n, 2) show, and directions (n, 3) in which it shows its surroundings.
+    """Compute points (n, 3) that pixels (n, 2) of a sphere show, and directions (n, 3) of what it mirrors there.
 
     NaN where a pixel does not show the sphere.
     """
@@ -126,7 +126,7 @@ def reflected_rays(
 def pixel_of_direction(
     direction: np.ndarray, parameters: np.ndarray, camera: SphereCamera, radius: float
 ) -> np.ndarray:
-    """Pixel (2,) (column, row) at which the sphere shows its surroundings in a direction (3,).
+    """Compute the pixel (2,) (column, row) at which the sphere shows its surroundings in a direction (3,).
 
     The normal halves the angle between the directions to lamp and camera; for a perspective camera the latter depends
     on the point, which few repetitions settle.
@@ -175,7 +175,7 @@ class Highlight:
 def find_highlight(
     picture: np.ndarray, noise: float, outline: np.ndarray, camera: SphereCamera, corner=(0, 0), *, levels=LEVELS
 ) -> Highlight | None:
-    """The highlight of a lamp on a sphere; None where there is none.
+    """Find the highlight of a lamp on a sphere; None where there is none.
 
     picture (rows, columns) float32: crop of a photograph less what the sphere shows without the lamp; noise: its
     standard deviation; outline: the sphere's parameters; corner: column and row of the crop's corner; levels: see
@@ -247,7 +247,7 @@ def _finer(smooth: np.ndarray, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def direction_from_sphere(image: np.ndarray, centre: tuple[float, float], radius: float) -> np.ndarray:
-    """Unit direction (3,) float64 to the lamp that a mirror sphere shows in a single photograph.
+    """Measure the unit direction (3,) float64 to the lamp that a mirror sphere shows in a single photograph.
 
     image (rows, columns) of any scale; centre (row, column) and radius of the sphere's outline in pixels, seen from
     afar along z. ValueError where no highlight lies on the sphere.
@@ -271,7 +271,7 @@ def direction_from_sphere(image: np.ndarray, centre: tuple[float, float], radius
 
 
 def mean_direction(directions: np.ndarray) -> tuple[np.ndarray, float]:
-    """Mean unit direction (3,) of several spheres (spheres, 3), and the largest angle from it in radians."""
+    """Compute the mean direction (3,) of several spheres (spheres, 3), and the largest angle from it in radians."""
     total = directions.sum(axis=0)
     mean = total / np.linalg.norm(total)
     return mean, float(np.arccos(np.clip(directions @ mean, -1, 1)).max())

@@ -162,7 +162,7 @@ def _edge_points(strength: np.ndarray, radii: np.ndarray, circle: Sequence[float
 
 
 def solve_outline(pixels: np.ndarray, camera: SphereCamera) -> np.ndarray:
-    """Parameters of the outline through edge points, by linear least squares."""
+    """Fit the parameters of the outline through edge points, by linear least squares."""
     if camera.focal_px is not None:
         return np.linalg.lstsq(camera.rays(pixels), np.ones(len(pixels)), rcond=None)[0]
     middle = pixels.mean(axis=0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from nishiki.capture.spheres.measure import Findings
+from nishiki.capture.spheres.findings import Findings
 from nishiki.capture.spheres.optics import SphereCamera, outline_points
 
 WIDEST = 1200
@@ -60,6 +60,6 @@ def draw_sphere(findings: Findings, sphere: int, side: int = 480) -> np.ndarray:
 
 
 def display_codes(light: np.ndarray) -> np.ndarray:
-    """Grey codes (rows, columns, 3) uint8 of light, brightened by a square root."""
+    """Convert light to grey codes (rows, columns, 3) uint8, brightened by a square root."""
     top = float(np.percentile(light, 99.8)) or 1.0
     return np.repeat((255 * np.sqrt(np.clip(light / top, 0, 1))).astype(np.uint8)[..., None], 3, axis=2)

@@ -1,0 +1,378 @@
+"""Search the circles of mirror balls: edges around moving highlights, and rays of two balls that meet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import combinations, product
+
+import numpy as np
+
+from nishiki.capture.spheres.findings import (
+    LEAST_LAMPS,
+    MARGIN,
+    Crop,
+    Findings,
+    SphereInput,
+    corner_of,
+    crop_around,
+    cut_crop,
+    read_crops,
+)
+from nishiki.capture.spheres.lamps import triangulate
+from nishiki.capture.spheres.lens import LENSES, set_lens
+from nishiki.capture.spheres.optics import SphereCamera, reflected_rays
+from nishiki.capture.spheres.outline import Circle, propose_circles, solve_outline
+from nishiki.capture.spheres.scene import bright_blocks, residual_of
+from nishiki.capture.spheres.search import Cluster, Overview, cluster_highlights, find_moving_highlights
+from nishiki.errors import UserError
+from nishiki.formats.masks import read_mask
+
+MOST_CLUSTERS = 8  # that are examined
+LEAST_SUPPORT = 0.45  # of a circle that may be a ball's outline
+RIVAL = 0.7  # of the best support: of one ball alone, the outermost circle with as much is its outline
+LEAST_OF_SAME = 0.38  # support of a circle as large as that of another ball
+SAME_SIZE = 0.05  # relative difference of radii
+MOST_SIZES = 3  # of other balls that are tried
+MOST_RIVALS = 8  # circles that may be the outline of one ball
+EQUAL = 1.03  # residual relative to the least, up to which edges alone rank circles
+AS_GOOD = 1.15  # residual relative to the least, up to which circles explain the scene as well
+LARGEST = 7.0  # radius of a ball relative to that of the circle around its highlights
+LEAST_RADIUS_PX = 10.0
+OUTSIDE = 0.1  # share of the highlights that may lie outside of a circle
+CROP_SIDE = 440.0  # pixels of a crop in which circles are proposed
+COARSE_PX = 20.0  # radius of a cluster on the reduced photographs below which circles are proposed on the whole ones
+FINE_PX = 4.0  # radius of a cluster on the reduced photographs below which these show no circle
+CROP_REACH = 4.0  # of such a crop, in radii of the cluster
+AGREEMENT = np.radians(8.0)  # up to which directions from two circles belong to two balls
+CLEAR = 0.7  # support of a circle that is not moved
+SETTLED = np.radians(1.5)  # up to which rays agree as well as places on reduced photographs can
+MATT_SHARE = 0.36  # of the photographs in which a place on a ball is bright, from which it is no mirror
+
+
+def locate_given(given: SphereInput, findings: Findings) -> list[Circle]:
+    """Locate the circles that the user gives: parts of the mask, or edges near the circles that are named.
+
+    Parameters
+    ----------
+    given : SphereInput
+        With a mask or seeds.
+    findings : Findings
+        Its camera states the size of the photographs.
+
+    Returns
+    -------
+    list of Circle
+        One a sphere.
+
+    Raises
+    ------
+    UserError
+        Where the mask has another size than the photographs or shows no sphere.
+    """
+    import cv2
+
+    shape = findings.camera.rows, findings.camera.columns
+    if given.mask is not None:
+        mask = read_mask(given.mask)
+        if mask.shape != shape:
+            raise UserError(
+                f"{given.mask}: expected the photographs' size {shape[1]} x {shape[0]}, found {mask.shape[1]} x "
+                f"{mask.shape[0]}"
+            )
+        count, _, parts, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
+        circles = [
+            Circle(x + (w - 1) / 2, y + (h - 1) / 2, (w + h) / 4, 1.0)
+            for x, y, w, h, area in parts[1:count]
+            if area > 100
+        ]
+        if not circles:
+            raise UserError(f"{given.mask}: no sphere, all pixels are zero. Remedy: paint the spheres non-zero")
+        return sorted(circles)
+    seeds = [Circle(column, row, radius, 0.0) for row, column, radius in given.seeds]
+    crops = [crop_around(seed, shape) for seed in seeds]
+    circles = []
+    for seed, crop, stack in zip(seeds, crops, read_crops(given.photographs, crops), strict=True):
+        inner = np.array([[seed.column, seed.row]])
+        proposed = _propose(stack, corner_of(crop), inner, (0.75 * seed.radius, 1.3 * seed.radius), 1.0)
+        near = [c for c in proposed if np.hypot(c.column - seed.column, c.row - seed.row) < 0.3 * seed.radius]
+        circles.append(_outermost(near) if near else seed)
+    return circles
+
+
+def _propose(stack, corner, inner: np.ndarray, radii: tuple[float, float], factor: float) -> list[Circle]:
+    """Propose circles in pixels of the photographs around highlights, in a crop that is reduced where it is large.
+
+    stack: crop whose pixels are `factor` pixels large, `corner` its first pixel's place in units of its own pixels.
+    """
+    import cv2
+
+    origin = np.asarray(corner, float) * factor
+    circles: list[Circle] = []
+    for side in (CROP_SIDE, CROP_SIDE / 2):  # rims are sharp or blurred
+        shrink = max(1.0, max(stack.shape[1:]) / side)
+        size = (max(8, round(stack.shape[2] / shrink)), max(8, round(stack.shape[1] / shrink)))
+        small = np.array([cv2.resize(each, size, interpolation=cv2.INTER_AREA) for each in stack])
+        pixel = factor * stack.shape[2] / size[0]
+        places = (inner + 0.5 - origin) / pixel - 0.5
+        for c in propose_circles(small, places, (max(radii[0] / pixel, 4.0), max(radii[1] / pixel, 8.0))):
+            column, row = (np.array([c.column, c.row]) + 0.5) * pixel - 0.5 + origin
+            circles.append(Circle(column, row, c.radius * pixel, c.support))
+        if shrink == 1 and max(stack.shape[1:]) <= side / 2:
+            break
+    return sorted(circles, key=lambda each: -each.support)
+
+
+def _outermost(circles: list[Circle]) -> Circle:
+    """Select the largest of the circles with good support.
+
+    The horizon of what a ball on a table shows is a circle, too.
+    """
+    best = max(circle.support for circle in circles)
+    return max((circle for circle in circles if circle.support >= RIVAL * best), key=lambda each: each.radius)
+
+
+def search_circles(given: SphereInput, overview: Overview, findings: Findings) -> tuple[list[Circle], list[Crop]]:
+    """Search the circles of mirror balls.
+
+    Chosen are the circles whose highlights agree about the lamps; of one ball alone, the outermost.
+
+    Parameters
+    ----------
+    given : SphereInput
+        Its photographs are read at full size around small clusters of highlights.
+    overview : Overview
+        Reduced photographs.
+    findings : Findings
+        Rejected circles are added to it.
+
+    Returns
+    -------
+    circles : list of Circle
+        One a ball, in pixels of the photographs.
+    crops : list of Crop
+        Crops of the photographs that were read on the way.
+    """
+    from scipy.optimize import minimize
+
+    clusters = cluster_highlights(find_moving_highlights(overview.stack), overview)[:MOST_CLUSTERS]
+    shape = findings.camera.rows, findings.camera.columns
+    small = [c for c in clusters if c.radius / overview.factor < COARSE_PX and overview.factor > 1.2]
+    crops = [crop_around((*c.centre, CROP_REACH * c.radius / MARGIN), shape) for c in small]
+    fine: dict[int | None, Crop] = dict(
+        zip(map(id, small), zip(crops, read_crops(given.photographs, crops), strict=True), strict=True)
+    )
+    if overview.factor == 1:
+        fine[None] = ((slice(0, shape[0]), slice(0, shape[1])), overview.stack)
+    candidates: list[tuple[Cluster, list[Circle]]] = []
+    left: dict[Circle, float] = {}
+
+    def examine(cluster: Cluster, circles: list[Circle], least: float = LEAST_SUPPORT) -> list[Circle]:
+        residual = _explain_scene(cluster, overview, findings.camera)
+        good = [c for c in circles if c.support >= least and c.radius >= LEAST_RADIUS_PX]
+        left.update({circle: residual(circle) for circle in good})
+        least = min((left[circle] for circle in good), default=1.0)
+        # Circles that explain the scene as well as the best are ranked by their edges.
+        return sorted(good, key=lambda c: (max(left[c], EQUAL * least), -c.support))[:MOST_RIVALS]
+
+    def propose_near(cluster: Cluster, circle: Sequence[float], radii: tuple[float, float]) -> list[Circle]:
+        crop = crop_around(circle, shape)
+        stack = cut_crop(crop, list(fine.values()))
+        inner = np.array(list(cluster.places.values()))
+        return _propose(stack, corner_of(crop), inner, radii, 1.0) if stack is not None else []
+
+    for cluster in clusters:
+        inner = np.array(list(cluster.places.values()))
+        radii = 1.02 * cluster.radius, LARGEST * cluster.radius
+        circles: list[Circle] = []
+        if id(cluster) in fine:
+            crop, stack = fine[id(cluster)]
+            circles = _propose(stack, corner_of(crop), inner, (radii[0], CROP_REACH * cluster.radius), 1.0)
+            radii = (CROP_REACH * cluster.radius, radii[1])
+        if cluster.radius / overview.factor > FINE_PX:
+            centre = (cluster.centre + 0.5) / overview.factor - 0.5
+            crop = crop_around((*centre, LARGEST * cluster.radius / overview.factor / 1.5), overview.stack.shape[1:])
+            circles += _propose(overview.stack[(slice(None), *crop)], corner_of(crop), inner, radii, overview.factor)
+        residual = _explain_scene(cluster, overview, findings.camera)
+        start = (*cluster.centre, 1.5 * cluster.radius)
+        if residual(start) < 1:
+            # Where the scene tells which circle it must be, edges are looked for along that one, too.
+            found = minimize(residual, start, method="Nelder-Mead", options={"maxfev": 150, "xatol": 1}).x
+            again = propose_near(cluster, found, (0.88 * found[2], 1.14 * found[2]))
+            circles += [c for c in again if np.hypot(c.column - found[0], c.row - found[1]) < 0.25 * found[2]][:4]
+        if good := examine(cluster, circles):
+            candidates.append((cluster, good))
+        else:
+            best = max(circles, key=lambda each: each.support, default=Circle(*cluster.centre, cluster.radius, 0.0))
+            findings.rejected.append((best, f"no outline: edges along {100 * best.support:.0f} % of a circle"))
+    # Balls are often of one size: edges are looked for along circles as large as those of the other balls.
+    for k, (cluster, circles) in enumerate(candidates):
+        others = [c[0].radius for j, (_, c) in enumerate(candidates) if j != k and min(left[c[0]], 1) < 1]
+        for radius in others[:MOST_SIZES]:
+            if all(abs(np.log(radius / c.radius)) > SAME_SIZE for c in circles) and radius > cluster.radius:
+                near = (radius / (1 + SAME_SIZE), radius * (1 + SAME_SIZE))
+                circles = [*circles, *propose_near(cluster, (*cluster.centre, 1.3 * radius), near)[:4]]
+        candidates[k] = (cluster, examine(cluster, circles, LEAST_OF_SAME))
+    chosen = []
+    for circle in _choose(candidates, left, overview, findings):
+        share = _lit_share(circle, overview)
+        if share > max(MATT_SHARE, 1.8 / len(overview.stack)):
+            why = f"a matt ball: places on it are bright in {100 * share:.0f} % of the photographs"
+            findings.rejected.append((circle, why))
+        else:
+            chosen.append(circle)
+    return chosen, list(fine.values())
+
+
+def _lit_share(circle: Circle, overview: Overview) -> float:
+    """Compute the mean share of the photographs in which a place on a ball's middle is bright, less what all show.
+
+    A mirror shows a spot in one photograph here and in another there; on a matt ball, glossy or not, the whole follows
+    the lamp.
+    """
+    rows, columns = np.indices(overview.stack.shape[1:])
+    column, row = ((v + 0.5) / overview.factor - 0.5 for v in circle[:2])
+    light = overview.stack[:, np.hypot(columns - column, rows - row) < 0.6 * circle.radius / overview.factor]
+    light = np.maximum(light - np.percentile(light, 25, axis=0), 0)  # a flash may have failed
+    return float((light.sum(axis=0) ** 2).sum() / max(len(light) * (light**2).sum(), 1e-12))
+
+
+def _choose(
+    candidates: list[tuple[Cluster, list[Circle]]], left: dict[Circle, float], overview: Overview, findings: Findings
+) -> list[Circle]:
+    """Choose one circle for each ball such that all agree about the lamps under one lens.
+
+    left: share of the scene's light that each circle does not explain.
+
+    Of the pairs that agree, the one begins whose lamps explain the scene best: the horizon of what a ball on a table
+    shows is a circle, too, and so is what it stands in. Others are added where they agree with it.
+    """
+    pairs = []
+    for i, j in combinations(range(len(candidates)), 2):
+        for one, two in product(candidates[i][1], candidates[j][1]):
+            if np.hypot(one.column - two.column, one.row - two.row) < one.radius + two.radius:
+                continue
+            places = candidates[i][0].places, candidates[j][0].places
+            pair = ((one, places[0]), (two, places[1]))
+            if min(_disagreement(pair, lens, findings.camera) for lens in LENSES[::4]) < 3 * AGREEMENT:
+                angle, best = min((_disagreement(pair, lens, findings.camera), -k) for k, lens in enumerate(LENSES))
+                if angle < AGREEMENT:
+                    pairs.append((max(left[one], left[two]), angle, i, j, one, two, LENSES[-best]))
+    if not pairs:
+        chosen = {}
+        if candidates:
+            first = max(range(len(candidates)), key=lambda i: candidates[i][0].score * candidates[i][1][0].support)
+            least = min(left[circle] for circle in candidates[first][1])
+            chosen[first] = _outermost([c for c in candidates[first][1] if left[c] <= AS_GOOD * least])
+    else:
+        pairs = [pair for pair in pairs if pair[0] <= AS_GOOD * min(pairs)[0]]
+        least = min(pair[1] for pair in pairs)
+        pairs = [pair for pair in pairs if pair[1] < 1.2 * least + np.radians(0.5)]
+        _, _, i, j, one, two, lens = max(pairs, key=lambda pair: pair[4].support + pair[5].support)
+        if least > SETTLED and min(one.support, two.support) < CLEAR:
+            one, two = _settle_pair((candidates[i][0], candidates[j][0]), (one, two), lens, overview, findings.camera)
+        chosen = {i: one, j: two}
+        for k in set(range(len(candidates))) - {i, j}:
+            fitting = []
+            for circle in candidates[k][1]:
+                apart = all(
+                    np.hypot(circle.column - c.column, circle.row - c.row) > circle.radius + c.radius
+                    for c in chosen.values()
+                )
+                pair = ((one, candidates[i][0].places), (circle, candidates[k][0].places))
+                angle = _disagreement(pair, lens, findings.camera)
+                if apart and angle < min(AGREEMENT, 2 * least + np.radians(2)):
+                    fitting.append((left[circle], angle, circle))
+            if fitting:
+                chosen[k] = min(fitting)[2]
+    why = "its highlights do not agree with the other spheres" if pairs else "another circle has clearer highlights"
+    taken = list(chosen.values())
+    findings.rejected += [
+        (circles[0], why)
+        for k, (_, circles) in enumerate(candidates)
+        if k not in chosen
+        and all(np.hypot(circles[0].column - c.column, circles[0].row - c.row) > c.radius for c in taken)
+    ]
+    return sorted(taken)
+
+
+def _explain_scene(cluster: Cluster, overview: Overview, camera: SphereCamera) -> Callable[[Sequence[float]], float]:
+    """Make a function of a circle (column, row, radius): the share of the scene's light that its lamps do not explain.
+
+    A turn of all lamps does not change that share, so the ball is treated as seen from afar. 1 without a scene.
+    """
+    import cv2
+
+    seen = sorted(cluster.places)
+    places = np.array([cluster.places[i] for i in seen])
+    free = np.ones(overview.stack.shape[1:], np.uint8)
+    at = [int((v + 0.5) / overview.factor) for v in cluster.centre]
+    cv2.circle(free, at, int(2.5 * cluster.radius / overview.factor), 0, -1)
+    light = bright_blocks(overview.stack[seen], free > 0)
+
+    def residual(circle: Sequence[float]) -> float:
+        if light is None or (np.hypot(*(places - circle[:2]).T) >= circle[2]).mean() > OUTSIDE:
+            return 1.0
+        shown = (
+            np.asarray(circle[:2])
+            + (places - circle[:2]) * np.minimum(1, 0.999 * circle[2] / np.hypot(*(places - circle[:2]).T))[:, None]
+        )
+        return residual_of(light, reflected_rays(shown, np.array(circle[:3]), camera, 1.0)[1])
+
+    return residual
+
+
+def _disagreement(pair, lens: float | None, camera: SphereCamera) -> float:
+    """Compute the median angle in radians by which rays from two balls miss each other.
+
+    pair: circle and highlights of each ball.
+    """
+    return _meet(pair, lens, camera)[1]
+
+
+def _meet(pair, lens: float | None, camera: SphereCamera) -> tuple[np.ndarray, float]:
+    """Compute the directions (lamps, 3) of lamps from between two balls.
+
+    Also returns the median angle in radians by which rays from both balls miss each other.
+    """
+    both = sorted(set(pair[0][1]) & set(pair[1][1]))
+    if len(both) < LEAST_LAMPS:
+        return np.zeros((0, 3)), np.inf
+    points, directions = [], []
+    seen = set_lens(camera, lens)
+    turn = np.linspace(0, 2 * np.pi, 36, endpoint=False)
+    for circle, places in pair:
+        rim = np.column_stack([circle[0] + circle[2] * np.cos(turn), circle[1] + circle[2] * np.sin(turn)])
+        radius = circle[2] / pair[0][0][2]
+        at, rays = reflected_rays(np.array([places[i] for i in both]), solve_outline(rim, seen), seen, radius)
+        points.append(at)
+        directions.append(rays)
+    lamps = np.tile(np.arange(len(both)), 2)
+    between = np.concatenate(points) - np.nanmean(np.concatenate(points), axis=0)
+    towards, _, miss = triangulate(between, np.concatenate(directions), lamps, len(both))
+    return towards, float(np.median(np.where(np.isfinite(miss), miss, np.pi)))
+
+
+def _settle_pair(
+    clusters: tuple[Cluster, Cluster], circles: tuple[Circle, Circle], lens: float | None, overview: Overview, camera
+) -> tuple[Circle, Circle]:
+    """Move the circles of two balls to where their rays meet best and explain the scene best.
+
+    For rims that are blurred, or beside stronger edges; the focal length is settled with them.
+    """
+    from scipy.optimize import minimize
+
+    both = sorted(set(clusters[0].places) & set(clusters[1].places))
+    light = bright_blocks(overview.stack[both], np.ones(overview.stack.shape[1:], bool))
+    if light is None:
+        return circles
+
+    def cost(x: np.ndarray) -> float:
+        pair = ((x[:3], clusters[0].places), (x[3:6], clusters[1].places))
+        towards, miss = _meet(pair, None if x[6] < 0.02 else 0.5 / np.tan(min(x[6], 0.6)), camera)
+        return np.log(miss + np.radians(0.2)) + np.log(residual_of(light, np.nan_to_num(towards)) + 0.01)
+
+    start = np.array([*circles[0][:3], *circles[1][:3], 0.0 if lens is None else np.arctan(0.5 / lens)])
+    steps = 0.05 * np.array([circles[0].radius] * 3 + [circles[1].radius] * 3 + [1.0])
+    simplex = np.vstack([start, start + np.diag(steps)])
+    x = minimize(cost, start, method="Nelder-Mead", options={"maxfev": 400, "initial_simplex": simplex}).x
+    return Circle(*map(float, x[:3]), circles[0].support), Circle(*map(float, x[3:6]), circles[1].support)

@@ -1,0 +1,198 @@
+"""Describe the photographs of mirror balls: what is given, crops of them, and what they show so far."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from nishiki.capture.spheres.optics import Highlight, SphereCamera
+from nishiki.capture.spheres.outline import Circle, Outline
+from nishiki.capture.taking import channel_names, full_scale_of, read_grey
+from nishiki.errors import UserError
+from nishiki.formats.image_headers import read_header
+from nishiki.formats.images import read_codes
+
+MARGIN = 1.65  # of the radius: half the side of the crop around a sphere
+LEAST_LAMPS = 4  # that must be measured
+
+Crop = tuple[tuple[slice, slice], np.ndarray]
+"""Rows and columns of the photographs, and their light there (n, rows, columns)."""
+
+
+@dataclass(frozen=True)
+class SphereInput:
+    """What is given of the spheres.
+
+    Attributes
+    ----------
+    photographs : sequence of Path
+        One a lamp.
+    seeds : sequence of (row, column, radius)
+        Circles in pixels to a quarter of the radius; empty: spheres are searched.
+    mask : Path or None
+        Picture that is non-zero on the spheres.
+    count : int or None
+        Number of spheres that must be found; None: as many as there are.
+    focal_px : float or None
+        Focal length in pixels; infinite: seen from afar; None: from Exif or the agreement of the spheres.
+    radius_mm : float or None
+        Of every sphere.
+    object_height_mm : float
+        Of the object's surface above the plane on which the spheres lie.
+    board : sequence of Path
+        Photographs of a flat board in the object's plane, one a lamp in the same order.
+    compare : Path or None
+        A lights file.
+    """
+
+    photographs: Sequence[Path]
+    seeds: Sequence[tuple[float, float, float]] = ()
+    mask: Path | None = None
+    count: int | None = None
+    focal_px: float | None = None
+    radius_mm: float | None = None
+    object_height_mm: float = 0.0
+    board: Sequence[Path] = ()
+    compare: Path | None = None
+
+
+@dataclass
+class Findings:
+    """What the photographs show so far; filled step by step, so that a failure can be drawn.
+
+    Attributes
+    ----------
+    mean : (rows, columns) float32
+        Of all photographs, reduced, and the brightest of them.
+    brightest : (rows, columns) float32
+    factor : float
+        Pixels of a photograph in a pixel of these.
+    camera : SphereCamera
+    outlines : list of Outline
+        One a sphere.
+    crops : list of (picture, (column, row))
+        Brightest of all photographs around each sphere, and the crop's corner.
+    highlights : dict
+        By (photograph, sphere); None where there is none.
+    rejected : list of (Circle, str)
+        Circles that were examined and why they are no mirror spheres.
+    left_out : dict
+        Reason by the name of each photograph whose lamp cannot be measured.
+    """
+
+    mean: np.ndarray
+    brightest: np.ndarray
+    factor: float
+    camera: SphereCamera
+    outlines: list[Outline] = field(default_factory=list)
+    crops: list[tuple[np.ndarray, tuple[int, int]]] = field(default_factory=list)
+    highlights: dict[tuple[int, int], Highlight | None] = field(default_factory=dict)
+    rejected: list[tuple[Circle, str]] = field(default_factory=list)
+    left_out: dict[str, str] = field(default_factory=dict)
+
+
+class SpheresError(UserError):
+    """No lamps could be measured; `findings` tell how far it came."""
+
+    def __init__(self, text: str, findings: Findings) -> None:
+        super().__init__(text)
+        self.findings = findings
+
+
+def read_light(path: Path) -> np.ndarray:
+    """Read the light of a photograph; that of a JPEG is the square of its codes.
+
+    Parameters
+    ----------
+    path : Path
+        Photograph.
+
+    Returns
+    -------
+    (rows, columns) float32
+        Light, 1 at full scale.
+    """
+    header = read_header(path)
+    if header.kind != "jpeg":
+        return read_grey(path) / np.float32(full_scale_of(path))
+    light = read_codes(path, channel_names(header), header=header, luma=True)[..., 0] / np.float32(255)
+    return light * light
+
+
+def crop_around(circle: Sequence[float], shape: tuple[int, int]) -> tuple[slice, slice]:
+    """Compute the crop of a photograph that holds a circle and its surroundings.
+
+    Parameters
+    ----------
+    circle : sequence of float
+        Column, row and radius in pixels; further entries are ignored.
+    shape : (int, int)
+        Rows and columns of the photograph.
+
+    Returns
+    -------
+    (slice, slice)
+        Rows and columns of the crop.
+    """
+    column, row, radius = circle[:3]
+    reach = MARGIN * radius
+    return (
+        slice(max(0, int(row - reach)), min(shape[0], int(row + reach) + 2)),
+        slice(max(0, int(column - reach)), min(shape[1], int(column + reach) + 2)),
+    )
+
+
+def cut_crop(crop: tuple[slice, slice], read: list[Crop]) -> np.ndarray | None:
+    """Cut a crop from one of those that were read.
+
+    Parameters
+    ----------
+    crop : (slice, slice)
+        Rows and columns of the photographs.
+    read : list of Crop
+        Crops that were read.
+
+    Returns
+    -------
+    (n, rows, columns) or None
+        Light of the photographs in the crop; None where no crop of `read` contains it.
+    """
+    for outer, stack in read:
+        if all(o.start <= c.start and c.stop <= o.stop for o, c in zip(outer, crop, strict=True)):
+            rows, columns = (slice(c.start - o.start, c.stop - o.start) for o, c in zip(outer, crop, strict=True))
+            return stack[:, rows, columns]
+    return None
+
+
+def corner_of(crop: tuple[slice, slice]) -> tuple[int, int]:
+    """Return the column and the row of a crop's first pixel."""
+    return crop[1].start, crop[0].start
+
+
+def read_crops(photographs: Sequence[Path], crops: Sequence[tuple[slice, slice]]) -> list[np.ndarray]:
+    """Read each photograph once and cut all crops from it.
+
+    Parameters
+    ----------
+    photographs : sequence of Path
+        Photographs of one size.
+    crops : sequence of (slice, slice)
+        Rows and columns of each crop.
+
+    Returns
+    -------
+    list of (n, rows, columns) float32
+        Light of all photographs in each crop.
+    """
+
+    def cut(path: Path) -> list[np.ndarray]:
+        light = read_light(path)
+        return [light[crop].copy() for crop in crops]
+
+    with ThreadPoolExecutor(2) as pool:
+        cuts = list(pool.map(cut, photographs))
+    return [np.array([each[k] for each in cuts]) for k in range(len(crops))]
