@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 import numpy as np
@@ -46,10 +47,14 @@ def read_with_balls(source: Path, photographs: list[Path], options: ConvertOptio
         raise CaptureError(error("lamps-unmeasured", str(source), str(e))) from e
     scene, sigma = measured.scene, np.degrees(np.median(measured.fit.direction_sigma))
     if scene is None or not scene.agrees:
-        raise _refusal(source, "what was taken for mirror balls tells of lamps that do not explain the scene")
+        what = "the lamps measured on what look like mirror balls do not explain what the photographs show besides"
+        raise _refusal(source, what)
     if sigma > MOST_SIGMA_DEG or scene.tilt_deg > MOST_TILT_DEG:
-        what = f"lamps of {sigma:.1f} degrees uncertainty, under which the scene is tilted by {scene.tilt_deg:.0f}"
-        raise _refusal(source, f"mirror balls tell of {what}")
+        what = (
+            f"expected lamps measured to {MOST_SIGMA_DEG:.0f} degrees under which the scene is tilted by at most "
+            f"{MOST_TILT_DEG:.0f} degrees, found {sigma:.1f} and {scene.tilt_deg:.0f} degrees on the mirror balls"
+        )
+        raise _refusal(source, what)
     mask = options.mask or find_mask(source)
     files = {PICTURE: _png(draw_findings(measured.findings)[..., ::-1])}
     if mask is None:
@@ -73,9 +78,9 @@ def read_with_balls(source: Path, photographs: list[Path], options: ConvertOptio
 
 def _refusal(source: Path, text: str, kind: str = "lamps-unmeasured") -> CaptureError:
     remedy = (
-        "Name the lights file with --lights; or see which circles were examined, and name those of the balls: "
-        f"./nishiki calibrate spheres {source} CALIBRATION --sphere ROW COLUMN RADIUS, then --lights "
-        "CALIBRATION/lamps.lp"
+        "Give a lights file with --lights. Or give the places of the balls in pixels: ./nishiki calibrate spheres "
+        f"{shlex.quote(str(source))} CALIBRATION --sphere ROW COLUMN RADIUS (without --sphere, its page shows which "
+        "circles were examined), then convert with --lights CALIBRATION/lamps.lp"
     )
     return CaptureError(error(kind, str(source), text.split(" Remedy:")[0], remedy=remedy))
 
@@ -85,22 +90,24 @@ def _notes(source: Path, measured: MeasuredSpheres, mask: Path | None, lamps: in
     found, sigma = measured.findings, np.degrees(measured.fit.direction_sigma)
     circles = [each.circle(found.camera) for each in found.outlines]
     places = "; ".join(f"column {x:.0f}, row {y:.0f}, radius {r:.1f}" for x, y, r in circles)
-    lens = "seen from afar" if found.camera.focal_px is None else f"focal length {found.camera.focal_px:.0f} pixels"
+    lens = "the camera is taken to be far away"
+    if found.camera.focal_px is not None:
+        lens = f"the focal length is {found.camera.focal_px:.0f} pixels"
     notes = [
         warning(
             "lamps-from-balls",
             source.name,
-            f"no lights file; {lamps} lamps were measured on {len(circles)} mirror balls to "
-            f"{np.median(sigma):.1f} degrees (largest {sigma.max():.1f}), {lens}",
+            f"there is no lights file; {lamps} lamps were measured on {len(circles)} mirror balls with an "
+            f"uncertainty of {np.median(sigma):.1f} degrees (largest {sigma.max():.1f}); {lens}",
             found=places,
-            remedy=f"Look at {PICTURE} in the capture: green outlines lie on the balls, red crosses on highlights",
+            remedy=f"Look at {PICTURE} in the capture: green outlines must lie on the balls, red crosses on highlights",
         )
     ]
-    notes += [warning("lamp-unmeasured", name, f"left out: {why}") for name, why in found.left_out.items()]
+    notes += [warning("lamp-unmeasured", name, f"photograph left out: {why}") for name, why in found.left_out.items()]
     if mask is None:
-        what = f"the balls are no part of the object: {MASK} leaves them out"
+        what = f"the balls are not part of the object: {MASK} excludes them"
     else:
-        what = "the mask decides whether the balls are part of the object"
+        what = f"whether the balls are part of the object depends on the mask {mask.name}"
     return [*notes, warning("balls-masked", source.name, what)]
 
 

@@ -91,7 +91,9 @@ def read_lights_file(file: Path, kind: str | None, present: Collection[str]) -> 
         numbers, rival, kind = _from_angles(numbers, str(kind)), _from_angles(numbers, rival_kind), "direction"
     if numbers.shape[1] != 3:
         remedy = "End each line with the three numbers of the direction"
-        raise CaptureError(error("lights-unreadable", file.name, f"{numbers.shape[1]} numbers a line", remedy=remedy))
+        expected, found = "three numbers x y z a line", f"{numbers.shape[1]}"
+        what = "the lines hold no directions"
+        raise CaptureError(error("lights-unreadable", file.name, what, expected=expected, found=found, remedy=remedy))
     lengths = np.linalg.norm(numbers, axis=1)
     even = len(lengths) > 0 and np.ptp(lengths) <= EVEN * lengths.max()
     scaled = bool(even and SCALED[0] <= lengths.min() and lengths.max() <= SCALED[1])
@@ -130,8 +132,8 @@ def _read_names(file: Path, present: Collection[str]) -> tuple[list[str | None],
             continue
         if all(name is None or same_name(light_name(name)) in known for name in names):
             return names, numbers
-    what = "names of photographs in a code page that is not known"
-    remedy = "Save the file as UTF-8, or give its names and those of the photographs plain letters"
+    what = "the text encoding of the names is not known"
+    remedy = "Save the file as UTF-8, or rename the photographs, there and in the folder, with plain letters a to z"
     raise CaptureError(error("lights-unreadable", file.name, what, expected="UTF-8", remedy=remedy))
 
 
@@ -145,7 +147,8 @@ def decide(stated: StatedLights, file: str, samples: Sampler, columns: int, widt
     if stated.rival is not None and stated.rival_kind and (taken := samples()) is not None:
         own, other = residual_of(taken, stated.lights.directions), residual_of(taken, stated.rival)
         if other < CLEARLY * own:
-            what, found = "the photographs contradict the kind of these angles", f"residual {own:.3g}, else {other:.3g}"
+            what = "the photographs contradict the kind of these angles"
+            found = f"residual {own:.3g}, and {other:.3g} with the other kind"
             remedy = f"Give the other kind: --lights-kind {stated.rival_kind}"
             raise CaptureError(error("lights-contradicted", file, what, found=found, remedy=remedy))
     if stated.kind == "direction" and not stated.open_kind:
@@ -169,14 +172,17 @@ def decide(stated: StatedLights, file: str, samples: Sampler, columns: int, widt
     lengths = np.linalg.norm(vectors, axis=1)
     found = f"lengths {lengths.min():.4g} to {lengths.max():.4g}"
     if verdict.near or stated.kind == "position_mm":
-        what, expected = "positions of lamps in a unit that the photographs do not show", "the width of the photographs"
-        remedy = "Give their width on the object in millimetres: --width-mm WIDTH. Directions: --lights-kind direction"
+        what, expected = "the unit of the lamps' positions is not known", "the width of the photographs"
+        remedy = (
+            "Give the width of the whole photographs on the object in millimetres: --width-mm WIDTH. If the numbers "
+            "are directions, give --lights-kind direction"
+        )
     else:
-        what = "vectors that may be directions or positions, and the photographs do not tell which"
+        what = "the vectors may be directions or positions, and the photographs do not show which"
         expected = "directions of length 1"
         remedy = (
-            "Positions in millimetres: --lights-kind position_mm --width-mm WIDTH (of the whole photographs on the "
-            "object). Directions: --lights-kind direction"
+            "If they are positions in millimetres, give --lights-kind position_mm --width-mm WIDTH (of the whole "
+            "photographs on the object). If they are directions, give --lights-kind direction"
         )
     raise CaptureError(error("lights-ambiguous", file, what, expected=expected, found=found, remedy=remedy))
 
@@ -186,8 +192,8 @@ def _as_positions(stated: StatedLights, file: str, verdict: Verdict, *, told: bo
     lights = replace(stated.lights, vectors=stated.lights.vectors * verdict.factor)
     if stated.open_kind or verdict.factor != 1:
         what = (
-            f"the lamps are taken as positions in {verdict.unit}: their light falls off across the photographs as over "
-            f"a width of {verdict.width_mm:.4g} mm"
+            f"the numbers are read as positions in {verdict.unit}, because the light of the lamps falls off across the "
+            f"photographs as it does over a width of {verdict.width_mm:.4g} mm"
         )
         remedy = "" if told else "Give the true width of the photographs on the object: --width-mm WIDTH"
         lights = replace(lights, warnings=(*lights.warnings, warning("lights-positions", file, what, remedy=remedy)))
@@ -199,7 +205,7 @@ def decide_strengths(stated: StatedLights, file: str, samples: Sampler) -> State
     if stated.intensities is None or not stated.open_strengths:
         return stated
     taken = samples()
-    note, chosen = "were not used: the photographs do not follow them", None
+    note, chosen = "were not used: the photographs do not show that they are strengths", None
     positive = np.isfinite(stated.intensities).all() and (stated.intensities > 0).all()
     if taken is not None and positive:
         strengths = stated.intensities / np.median(stated.intensities, axis=0)
@@ -212,8 +218,8 @@ def decide_strengths(stated: StatedLights, file: str, samples: Sampler) -> State
         best = min(left, key=lambda name: left[name])
         if best and left[best] < AS_WELL * left[""]:
             chosen = strengths if "strengths" in best else 1 / strengths
-            note = f"were taken as {best}"
-    what = f"further numbers of each line {note}"
+            note = f"are read as {best}"
+    what = f"the further numbers of each line {note}"
     lights = replace(stated.lights, warnings=(*stated.lights.warnings, warning("lights-further-numbers", file, what)))
     return replace(stated, lights=lights, intensities=chosen)
 
@@ -234,7 +240,7 @@ def scale_to_middle(stated: StatedLights, file: str, samples: Sampler) -> Stated
         field = near_field(stated.lights.vectors, taken.places, stated.width_mm)
         if residual_of(values, field / light[..., None]) < CLEARLY * residual_of(values, field):
             return stated
-    what = "lamps at different distances are taken as equally strong; intensities.csv has what reaches the middle"
+    what = "lamps at different distances are assumed equally strong; intensities.csv lists their light on the middle"
     note = warning("lights-equal", file, what, found=f"{lengths.min():.4g} to {lengths.max():.4g} mm")
     notes = () if stated.intensities is not None else (note,)
     lights = replace(stated.lights, warnings=(*stated.lights.warnings, *notes))
@@ -274,11 +280,12 @@ def _angles_refused(file: Path, numbers: np.ndarray) -> Problem:
     full = 360.0 if np.abs(numbers[:, :2]).max() > 2 * np.pi + 0.01 else 2 * np.pi
     first = _azimuth_at(numbers, 0, full)
     kinds = [kind for kind in ANGLES if kind.startswith("azimuth") == first]
-    what = f"angles in {'degrees' if full == 360 else 'radians'}, the azimuth {'first' if first else 'second'}"
+    unit, place = "degrees" if full == 360 else "radians", "first" if first else "second"
+    what = f"the lamps are given by angles in {unit}, with the azimuth {place}"
     remedy = (
-        f"Azimuth from x (right) towards y (up) and elevation from the object's plane: --lights-kind {kinds[0]}. "
-        f"Angle from the normal instead of the elevation: --lights-kind {kinds[1]}. Where the azimuth counts from "
-        "elsewhere or the other way, write directions instead"
+        "If the azimuth counts from x (right) towards y (up) and the other angle from the object's plane, give "
+        f"--lights-kind {kinds[0]}. If the other angle counts from the normal, give --lights-kind {kinds[1]}. If the "
+        "azimuth counts from elsewhere or the other way, write directions instead"
     )
     found = " ".join(f"{value:g}" for value in numbers[0])
     return error("lights-angles", file.name, what, expected="directions x y z", found=found, remedy=remedy)

@@ -134,16 +134,16 @@ def judgement_problems(judgement: Judgement | None, capture: Capture) -> list[Pr
     if found is None or any(problem.severity == "error" for problem in problems):
         return problems
     for j in found.failed:
-        what, remedy = "shows no light of its lamp", "Take this photograph again, or leave it out"
+        what, remedy = "the photograph shows no light of its lamp", "Take this photograph again, or leave it out"
         said = f"{100 * found.gain[j]:.1f} % of the light of the others"
         problems.append(warning("lamp-failed", judgement.names[j], what, found=said, remedy=remedy))
     for i, j in found.repeats:
-        what = f"shows the same lamp as {judgement.names[j]}, though two different ones are stated"
+        what = f"the photograph shows the same lamp as {judgement.names[j]}, although two different lamps are stated"
         problems.append(warning("photograph-repeated", judgement.names[i], what, remedy="Leave this photograph out"))
     if found.ambient > max(LEAST_AMBIENT, SURE * found.ambient_sigma):
-        what = "all photographs hold light that does not come from their lamps"
+        what = "all photographs contain light that does not come from their lamps"
         said = f"{100 * found.ambient:.1f} % of a frontal lamp, standard error {100 * found.ambient_sigma:.1f} %"
-        remedy = "Darken the room, or photograph a frame without lamp"
+        remedy = "Darken the room, or photograph the object once without a lamp (role ambient)"
         problems.append(warning("ambient-light", "frames.csv", what, found=said, remedy=remedy))
     return problems
 
@@ -156,12 +156,12 @@ def _arrangement_problems(judgement: Judgement, capture: Capture) -> list[Proble
             return []
         what = "the photographs do not show which way the y axis of the lights points"
         said = f"curl of the slopes {100 * arrangement.curl[0]:.0f} %, and as little with y mirrored"
-        remedy = "If y counts downwards there, or hills come out as hollows, convert again with --lights-axes=x,-y"
+        remedy = "If y counts downwards in that file, or hills appear as hollows, convert again with --lights-axes=x,-y"
         return [warning("lights-axes-undecided", file, what, found=said, remedy=remedy)]
     percent = [100 * value for value in (*arrangement.residual, *arrangement.curl)]
     evidence = (
-        f"misfit of the photographs {percent[0]:.1f} % as listed, {percent[1]:.1f} % then; curl of the slopes "
-        f"{percent[2]:.0f} % as listed, {percent[3]:.0f} % then"
+        f"misfit of the photographs {percent[0]:.1f} % as listed, {percent[1]:.1f} % with the remedy; curl of the "
+        f"slopes {percent[2]:.0f} % as listed, {percent[3]:.0f} % with the remedy"
     )
     options, kinds = [], []
     number = tuple(range(len(judgement.lights)))
@@ -170,14 +170,14 @@ def _arrangement_problems(judgement: Judgement, capture: Capture) -> list[Proble
         for photograph, lamp in enumerate(arrangement.order):
             order[judgement.lights[photograph]] = judgement.lights[lamp]
         options.append(f"--lights-order={order_text(order)}")
-        kinds.append(("lights-order", "photographs show other lamps than those listed for them"))
+        kinds.append(("lights-order", "the photographs show other lamps than those listed for them"))
     if arrangement.axes != "x,y":
         options.append(f"--lights-axes={arrangement.axes}")
-        kinds.append(("lights-axes", "the axes of the lights are not those of the photographs"))
+        kinds.append(("lights-axes", "the axes of the lights differ from those of the photographs"))
     remedy = f"Convert the photographs again with {' '.join(options)}, or correct {file}"
     if arrangement.axes != "x,y":
         opposite = ",".join(axis[1:] if axis.startswith("-") else f"-{axis}" for axis in arrangement.axes.split(","))
-        remedy += f". Should hills then come out as hollows, the axes are {opposite}"
+        remedy += f". If hills then appear as hollows, give --lights-axes={opposite} instead"
     return [error(kind, file, what, found=evidence, remedy=remedy) for kind, what in kinds]
 
 

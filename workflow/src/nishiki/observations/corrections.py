@@ -206,7 +206,9 @@ def find_corrections(
     if reasons and wishes.leave_out == "auto":
         kept = np.array([j for j in kept if j not in reasons], np.int64)
         samples = [j for j in kept if frames[j].role == "sample"]
-        raise_errors(direction_problems(directions[samples], f"{len(reasons)} photographs are of no use, and then"))
+        few = direction_problems(directions[samples], "frames.csv")
+        without = f"without the {len(reasons)} photographs that are of no use"
+        raise_errors(replace(problem, what=f"{problem.what} {without}") for problem in few)
         found = examine_photographs(values[kept], directions[kept])
     out = {frames[j].file for j in range(len(frames)) if j not in kept}
     left = replace(capture, frames=tuple(f for f in capture.frames if f.file not in out))
@@ -242,13 +244,15 @@ def _movement_problems(frames: tuple[Frame, ...], movement: Movement, moved: np.
         return []
     far = int(np.argmax(np.where(moved, movement.largest, 0)))
     x, y = movement.shift[far]
-    found = f"{moved.sum()} of {len(frames)} photographs, {frames[far].file} by {x:+.1f}, {y:+.1f} pixels"
+    found = f"{moved.sum()} of {len(frames)} photographs moved, {frames[far].file} most: {x:+.1f}, {y:+.1f} pixels"
     if movement.turn.any():
         found += f", turned by {np.degrees(movement.turn[far]):.2f} degrees"
     if wishes.registration == "auto":
-        what, remedy = "camera moved between the photographs; they are moved back", "Fix camera and object more firmly"
+        what = "the camera moved between the photographs; they are moved back"
+        remedy = "Fasten the camera and the object more firmly"
     else:
-        what, remedy = "camera moved between the photographs", "Set ingest.correct.registration: auto to move them back"
+        what = "the camera moved between the photographs"
+        remedy = "Set ingest.correct.registration: auto to move them back"
     return [warning("camera-moved", frames[far].file, what, found=found, remedy=remedy)]
 
 
@@ -271,7 +275,7 @@ def _left_out_problems(frames: tuple[Frame, ...], reasons: dict[int, str], wishe
         warning(
             kinds["repeats" in reason],
             frames[j].file,
-            f"light {frames[j].light} is {'left out' if leaves else 'of no use'}: {reason}",
+            f"the photograph of light {frames[j].light} is {'left out' if leaves else 'of no use'}: {reason}",
             remedy=remedy,
         )
         for j, reason in sorted(reasons.items())
@@ -293,8 +297,8 @@ def _choose_gains(capture: Capture, found: Consistency, wishes: Wishes) -> tuple
     odd = significant & (off > ODD_EXPOSURE)
     if times and max(times) > min(times) and odd.any():
         j = int(np.argmax(np.where(odd, off, 0)))
-        what = "photographs are not as bright as their recorded exposures say"
-        said = f"{odd.sum()} of {len(frames)}, {frames[j].file} by {100 * (found.gain[j] - 1):+.0f} %"
+        what = "the brightness of photographs does not match their recorded exposures"
+        said = f"{odd.sum()} of {len(frames)} photographs, {frames[j].file} most, by {100 * (found.gain[j] - 1):+.0f} %"
         remedy = "Check the columns exposure_s, f_number and iso of frames.csv"
         problems.append(warning("exposure-disagrees", "frames.csv", what, found=said, remedy=remedy))
     if capture.frames_of("white") or capture.intensities is not None or not significant.any():
@@ -308,9 +312,9 @@ def _choose_gains(capture: Capture, found: Consistency, wishes: Wishes) -> tuple
     more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
     remedy = "Photograph a white board under every lamp"
     if wishes.gains == "never":
-        gains, what, remedy = ones, "lamps are not equally strong", f"{remedy}, or set ingest.correct.gains: auto"
+        gains, what, remedy = ones, "the lamps are not equally strong", f"{remedy}, or set ingest.correct.gains: auto"
     else:
-        what = "lamps are not equally strong; their strengths are taken from the photographs"
+        what = "the lamps are not equally strong; their strengths are estimated from the photographs"
     said = f"{', '.join(names[:MOST_NAMED])}{more}"
     return gains, [*problems, warning("lamps-unequal", "frames.csv", what, found=said, remedy=remedy)]
 
@@ -328,10 +332,10 @@ def _choose_ambient(
         if alone is not None and alone.ambient > SURE * alone.ambient_sigma:
             levels[channel] = alone.ambient
     said = f"{100 * found.ambient:.1f} ± {100 * found.ambient_sigma:.1f} % of a lamp that faces the object"
-    remedy = "Darken the room, or photograph the object once without lamp (role ambient)"
-    what = "light of the room is in the photographs"
+    remedy = "Darken the room, or photograph the object once without a lamp (role ambient)"
+    what = "the photographs contain light of the room"
     if capture.frames_of("ambient"):
-        what = "more light of the room is in the photographs than in those without lamp"
+        what = "the photographs contain more light of the room than those without a lamp"
     if wishes.ambient == "auto":
         what += "; its estimate is subtracted"
     problem = warning("room-light", "frames.csv", what, found=said, remedy=remedy)

@@ -109,8 +109,8 @@ def describe_coherence(found: Coherence, cameras: list[Camera], files: dict[str,
             return []
         worst = ", ".join(names[k] for k in np.argsort(found.by_view)[::-1][:5])
         what = "silhouettes and cameras contradict each other, and no single mistake explains it"
-        remedy = "Check the cameras, whether the camera or the object was moved, and the silhouettes; the views that "
-        remedy += f"contradict most: {worst}"
+        remedy = "Check the cameras and the silhouettes, and whether the camera or the object was moved. Begin with "
+        remedy += f"the views that contradict the others most: {worst}"
         kind = error if found.contradiction > INCOHERENT else warning
         return [kind("views-contradict", "cameras.csv", what, expected=expected, found=facts, remedy=remedy)]
     facts += f"; {100 * (found.corrected or 0):.1f} % with the remedy"
@@ -125,7 +125,7 @@ def describe_coherence(found: Coherence, cameras: list[Camera], files: dict[str,
         remedy = f"Exchange black and white in the silhouettes of {concerned}"
         return [error(fix.kind, file, what, expected=expected, found=facts, remedy=remedy)]
     if fix.kind == "view-contradicts":
-        what = f"the views {concerned} contradict all others, which agree"
+        what = f"the views {concerned} contradict all others, which agree with each other"
         remedy = (
             "Check their photographs, silhouettes and cameras, or remove their rows from frames.csv and cameras.csv"
         )
@@ -134,7 +134,7 @@ def describe_coherence(found: Coherence, cameras: list[Camera], files: dict[str,
         "turn-reversed": (
             "the object turned against the order of the cameras",
             "Convert again with --turn reverse, or set turn: reverse under turntable in capture.yaml and seal a copy. "
-            "Photographs that are mirrored left to right look the same: mirror these back instead",
+            "Photographs that are mirrored left to right give the same contradiction; if these are, mirror them back",
         ),
         "cameras-order": (
             "the photographs are in another order than the cameras",
@@ -149,7 +149,7 @@ def describe_coherence(found: Coherence, cameras: list[Camera], files: dict[str,
             "Turn or mirror photographs and silhouettes back",
         ),
         "camera-scale": (
-            f"the cameras are those of pictures whose size is {fix.detail} times smaller",
+            f"the pictures are {fix.detail} times as large as those of the cameras",
             "Use the photographs in the size for which the cameras were computed, or multiply the first two rows of "
             f"every matrix by {fix.detail}",
         ),
@@ -158,7 +158,7 @@ def describe_coherence(found: Coherence, cameras: list[Camera], files: dict[str,
             "Calibrate the lens again, or compute the cameras again with that focal length",
         ),
         "turn-angles": (
-            f"the object turned by other steps than the cameras: {fix.detail} times theirs fits",
+            f"the object turned by other steps than the cameras state: {fix.detail} times those steps fit",
             "Compute the cameras again with these steps",
         ),
     }[fix.kind]

@@ -38,6 +38,7 @@ EQUAL = 1.03  # residual relative to the least, up to which edges alone rank cir
 AS_GOOD = 1.15  # residual relative to the least, up to which circles explain the scene as well
 LARGEST = 7.0  # radius of a ball relative to that of the circle around its highlights
 LEAST_RADIUS_PX = 10.0
+LEAST_AREA_PX = 100  # of a sphere in a mask
 OUTSIDE = 0.1  # share of the highlights that may lie outside of a circle
 CROP_SIDE = 440.0  # pixels of a crop in which circles are proposed
 COARSE_PX = 20.0  # radius of a cluster on the reduced photographs below which circles are proposed on the whole ones
@@ -77,16 +78,19 @@ def locate_given(given: SphereInput, findings: Findings) -> list[Circle]:
         if mask.shape != shape:
             raise UserError(
                 f"{given.mask}: expected the photographs' size {shape[1]} x {shape[0]}, found {mask.shape[1]} x "
-                f"{mask.shape[0]}"
+                f"{mask.shape[0]}. Remedy: paint the spheres in a picture of that size"
             )
         count, _, parts, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
         circles = [
             Circle(x + (w - 1) / 2, y + (h - 1) / 2, (w + h) / 4, 1.0)
             for x, y, w, h, area in parts[1:count]
-            if area > 100
+            if area > LEAST_AREA_PX
         ]
         if not circles:
-            raise UserError(f"{given.mask}: no sphere, all pixels are zero. Remedy: paint the spheres non-zero")
+            raise UserError(
+                f"{given.mask}: expected spheres as areas of more than {LEAST_AREA_PX} pixels that are not zero, found "
+                "none. Remedy: paint the spheres white on black"
+            )
         return sorted(circles)
     seeds = [Circle(column, row, radius, 0.0) for row, column, radius in given.seeds]
     crops = [crop_around(seed, shape) for seed in seeds]
@@ -203,7 +207,7 @@ def search_circles(given: SphereInput, overview: Overview, findings: Findings) -
             candidates.append((cluster, good))
         else:
             best = max(circles, key=lambda each: each.support, default=Circle(*cluster.centre, cluster.radius, 0.0))
-            findings.rejected.append((best, f"no outline: edges along {100 * best.support:.0f} % of a circle"))
+            findings.rejected.append((best, f"no outline: edges along {100 * best.support:.0f} % of a circle only"))
     # Balls are often of one size: edges are looked for along circles as large as those of the other balls.
     for k, (cluster, circles) in enumerate(candidates):
         others = [c[0].radius for j, (_, c) in enumerate(candidates) if j != k and min(left[c[0]], 1) < 1]
@@ -284,7 +288,9 @@ def _choose(
                     fitting.append((left[circle], angle, circle))
             if fitting:
                 chosen[k] = min(fitting)[2]
-    why = "its highlights do not agree with the other spheres" if pairs else "another circle has clearer highlights"
+    why = "another circle has clearer highlights"
+    if pairs:
+        why = "its highlights do not agree with those of the other spheres"
     taken = list(chosen.values())
     findings.rejected += [
         (circles[0], why)

@@ -35,6 +35,7 @@ from nishiki.capture.taking import full_scale_of, read_grey
 from nishiki.errors import UserError
 from nishiki.formats.image_headers import read_header
 from nishiki.formats.masks import read_mask
+from nishiki.formats.problems import name_some
 
 DOUBLED = 0.35  # light of the second highlight relative to the first, from which it is doubtful which is the lamp
 FAINT = 0.15  # of the median peak: below there is no highlight
@@ -104,7 +105,10 @@ def measure_spheres(given: SphereInput) -> MeasuredSpheres:
     names = [light_name(path.name) for path in given.photographs]
     doubled_names = sorted({name for name in names if names.count(name) > 1})
     if doubled_names:
-        raise UserError(f"photographs: names appear twice: {', '.join(doubled_names[:5])}. Remedy: rename the files")
+        raise UserError(
+            f"photographs: expected a name of its own for each, found several named {name_some(doubled_names)}. "
+            "Remedy: rename the files"
+        )
     overview = read_overview(given.photographs, read_light)
     header = read_header(given.photographs[0])
     rows, columns = header.rows, header.columns
@@ -117,8 +121,8 @@ def measure_spheres(given: SphereInput) -> MeasuredSpheres:
     if not circles or (given.count is not None and len(circles) != given.count):
         expected = "at least one" if given.count is None else f"{given.count}"
         raise SpheresError(
-            f"{len(circles)} mirror spheres were found, expected {expected}. Remedy: say where each is with --sphere "
-            "ROW COLUMN RADIUS (pixels, roughly), or paint them in a picture for --mask",
+            f"mirror spheres: expected {expected}, found {len(circles)}. Remedy: give the place of each with --sphere "
+            "ROW COLUMN RADIUS (in pixels, roughly), or paint the spheres in a picture and give it with --mask",
             findings,
         )
     crops = [crop_around(circle, (rows, columns)) for circle in circles]
@@ -133,7 +137,7 @@ def measure_spheres(given: SphereInput) -> MeasuredSpheres:
         reasons = "; ".join(f"{name}: {why}" for name, why in list(findings.left_out.items())[:8])
         raise SpheresError(
             f"{len(names) - len(seen)} of {len(names)} lamps have no highlight that can be used ({reasons}). Remedy: "
-            "photograph these lamps again, shade what else shines on the spheres, or correct --sphere",
+            "photograph these lamps again, shade other sources of light, or correct --sphere",
             findings,
         )
     numbers = {lamp: i for i, lamp in enumerate(seen)}
@@ -181,7 +185,7 @@ def _refuse(given: SphereInput) -> None:
     if given.board and len(given.board) != len(given.photographs):
         raise UserError(
             f"--board: expected {len(given.photographs)} photographs, one for every lamp in the same order, found "
-            f"{len(given.board)}"
+            f"{len(given.board)}. Remedy: give the folder of all photographs of the board"
         )
     if len(given.photographs) < LEAST_LAMPS:
         raise UserError(
@@ -202,7 +206,9 @@ def _measure_sphere(given: SphereInput, circle: Circle, crop, stack: np.ndarray,
     except ValueError as e:
         where = f"row {circle.row:.0f}, column {circle.column:.0f}, radius {circle.radius:.0f}"
         raise SpheresError(
-            f"sphere at {where}: {e}. Remedy: correct --sphere, or paint the sphere in a picture for --mask", findings
+            f"sphere at {where}: expected an outline, found {e}. Remedy: correct --sphere, or paint the sphere in a "
+            "picture and give it with --mask",
+            findings,
         ) from e
     column, row, radius = outline.circle(camera)
     rows, columns = np.ogrid[crop]
@@ -258,15 +264,21 @@ def _falloff(given: SphereInput, camera: SphereCamera, seen: list[int]) -> Fallo
     for path in (given.board[i] for i in seen):
         grey = read_grey(path)
         if grey.shape != (camera.rows, camera.columns):
-            raise UserError(f"{path}: expected the size of the photographs of the spheres")
+            raise UserError(
+                f"{path}: expected {camera.columns} x {camera.rows} pixels, as in the photographs of the spheres, "
+                f"found {grey.shape[1]} x {grey.shape[0]}. Remedy: photograph the board with the same camera"
+            )
         blocks = grey[: rows * side, : columns * side].reshape(rows, side, columns, side)
         mean, brightest = blocks.mean(axis=(1, 3)), blocks.max(axis=(1, 3))
         values.append(np.where((brightest < top) & (mean > 0.02 * top), np.log(np.maximum(mean, 1e-9)), np.nan))
     row, column = np.mgrid[:rows, :columns] * side + (side - 1) / 2
     right, above = column - (camera.columns - 1) / 2, (camera.rows - 1) / 2 - row
     log_light = np.array(values).reshape(len(values), -1)
-    if np.isfinite(log_light).mean() < 0.3:
-        raise UserError("--board: less than a third of the board is neither dark nor saturated. Remedy: expose again")
+    if (usable := np.isfinite(log_light).mean()) < 0.3:
+        raise UserError(
+            "--board: expected at least 30 % of the board to be neither dark nor saturated, found "
+            f"{100 * usable:.0f} %. Remedy: photograph the board again with another exposure"
+        )
     return Falloff(np.column_stack([right.ravel(), above.ravel()]), log_light)
 
 
@@ -282,19 +294,22 @@ def _fit_warnings(fit: LampFit, names: list[str], near: bool, given: SphereInput
     warnings = []
     behind = [name for name, u in zip(names, fit.directions, strict=True) if u[2] <= 0]
     if behind:
-        warnings.append(f"in or behind the object's plane, so that no capture of a plane can use them: {behind[:8]}")
+        what = "these lamps stand in or behind the object's plane, so a capture of a plane cannot use them"
+        warnings.append(f"{name_some(behind)}: {what}")
     worst = sorted(fit.residuals_px.items(), key=lambda item: -item[1])[:3]
     if near and fit.chi_square > AGREEMENT_SIGMAS**2 / 4:
         shown = ", ".join(f"{names[i]} on sphere {k + 1} {px:.2g} px" for (i, k), px in worst)
         warnings.append(
-            f"the spheres disagree: residuals are {np.sqrt(fit.chi_square):.1f} times their uncertainty (largest: "
-            f"{shown}); all uncertainties were raised by that. Check that radius and focal length are right"
+            f"the highlights on the spheres do not agree: their residuals are {np.sqrt(fit.chi_square):.1f} times "
+            f"their uncertainty (largest: {shown}). All uncertainties were raised by this factor. Check the radius and "
+            "the focal length"
         )
     if near and given.radius_mm is None:
         warnings.append("positions need the spheres' radius (--radius-mm); only directions were written")
     elif (near or given.board) and not _positioned(fit, given):
         warnings.append(
             f"the distance of at least one lamp is uncertain by more than {100 * POSITION_SHARE:.0f} %; only "
-            "directions were written. Spheres further apart, or a board, determine distances"
+            "directions were written. Place the spheres further apart, or photograph a board (--board), to measure "
+            "distances"
         )
     return warnings

@@ -142,7 +142,7 @@ def fit_outline(stack: np.ndarray, seed: Sequence[float], camera: SphereCamera, 
             keep = np.abs(distance) < max(3 * spread, 0.3)
         support = keep.sum() / ANGLES
         if support < LEAST_SUPPORT:
-            raise ValueError(f"edges agree along {100 * support:.0f} % of the outline only")
+            raise ValueError(f"edges that agree along {100 * support:.0f} % of the outline only")
         edge = outline_points(parameters, camera) - corner
         middle = (edge.min(axis=0) + edge.max(axis=0)) / 2
         circle = (float(middle[0]), float(middle[1]), float(np.linalg.norm(edge - middle, axis=1).mean()))
