@@ -53,6 +53,26 @@ def estimate_lens(
 
     Given; else, of two spheres and more, the one under which their rays meet best; else as Exif states it; else, of one
     sphere, the one under which what lies beside it is level on average; else seen from afar.
+
+    Parameters
+    ----------
+    given : SphereInput
+        Photographs, and the focal length where it is given.
+    findings : Findings
+        Camera and outlines.
+    sightings : list of Sighting
+        Highlights, of lamps that are counted from 0.
+    lamps : int
+        Number of the lamps.
+    stack : (lamps, rows, columns) float32
+        Light of their reduced photographs, 1 at full scale.
+
+    Returns
+    -------
+    lens : float or None
+        Focal length in longer sides of the photograph; None: seen from afar.
+    sigma : (lamps,) float64
+        Standard deviation of the directions that follows from the focal length, radians.
     """
     camera = findings.camera
     side = max(camera.rows, camera.columns)

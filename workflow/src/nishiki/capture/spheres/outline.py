@@ -202,11 +202,11 @@ def _shifted(parameters: np.ndarray, camera: SphereCamera) -> np.ndarray:
 
 
 def edge_map(stack: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Strength (rows, columns) of the edges that photographs share, where it is largest across them, and their normals.
+    """Compute the strength (rows, columns) of the edges that photographs share, where it is largest across them.
 
     Gradients of the logarithm are averaged as tensors, each capped, so that a rim counts alike in bright and in dark
     photographs, whichever side of it is brighter. The strength is in standard deviations of its neighbourhood, at most
-    2.5; normals are angles from the columns' axis, of either sign.
+    2.5; their normals, returned with it, are angles from the columns' axis, of either sign.
     """
     import cv2
 

@@ -42,7 +42,7 @@ class SceneFit:
 
 
 def bright_blocks(stack: np.ndarray, free: np.ndarray) -> np.ndarray | None:
-    """Light (n, blocks) of the blocks beside the spheres that are bright in a photograph; None where they are few.
+    """Average the light (n, blocks) of bright blocks beside the spheres; None where they are few.
 
     stack (n, rows, columns): light of the photographs, 1 at full scale; free (rows, columns): pixels of the scene.
     """
@@ -59,7 +59,10 @@ def bright_blocks(stack: np.ndarray, free: np.ndarray) -> np.ndarray | None:
 
 
 def residual_of(light: np.ndarray, directions: np.ndarray) -> float:
-    """Share of the squared light of blocks (n, blocks) that Lambert's law leaves; no turn of all lamps changes it."""
+    """Compute the share of the squared light of blocks (n, blocks) that Lambert's law leaves.
+
+    A turn of all lamps does not change it.
+    """
     shares = light / np.linalg.norm(light, axis=0)
     across = np.linalg.qr(directions)[0]
     return float(1 - ((across.T @ shares) ** 2).sum() / shares.shape[1])
