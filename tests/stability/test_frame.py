@@ -198,7 +198,7 @@ def test_a_result_beyond_its_limit():
         for residual in (0.5, float("nan")):
             status, said, left = staged(folder, {"residual": residual}, values)
             wrong += status != 2 or bool(left)
-            wrong += "at most 0.01" not in said or "Remedy" not in said or "height.allow: [convergence]" not in said
+            wrong += "at most 0.001" not in said or "Remedy" not in said or "height.allow: [convergence]" not in said
         status, _, left = staged(folder, {"residual": 0.5}, values, '{"allow": ["convergence"]}')
         told = open_artifact(folder / "height" / left[0]) if left else None
         wrong += status != 0 or told is None or told.settings["allow"] != ["convergence"]

@@ -10,6 +10,7 @@ from stability.samples import EXTREME, dome, matt_pixels
 from nishiki.colour.encoding import decode as uncurve
 from nishiki.colour.encoding import encode
 from nishiki.errors import UserError
+from nishiki.formats.coding import LINEAR, SRGB
 from nishiki.formats.problems import CaptureError
 from nishiki.observations.block_kernels import block_levels
 from nishiki.observations.blocks import block_edges, cells, positions
@@ -23,7 +24,7 @@ from nishiki.photometric.light_selection import METHODS, select_diffuse
 def decoded(codes, gain, dark, *, reduced=False, saturated=None):
     """Observations and validity of codes (lights, rows, columns, channels) with fields of one node or more."""
     lights, rows, columns, channels = codes.shape
-    table = code_table(codes.dtype, encoding="linear") if codes.dtype.kind == "u" else np.zeros(2, np.float32)
+    table = code_table(codes.dtype, LINEAR) if codes.dtype.kind == "u" else np.zeros(2, np.float32)
     edges = [block_edges(n, n // g) for n, g in zip((rows, columns), gain.shape[1:3], strict=True)]
     lower, weights = positions(edges[0], 0, rows)
     _, across = positions(edges[1], 0, columns)
@@ -75,7 +76,7 @@ def test_fields_of_any_size():
 )
 def test_views_of_any_size():
     wrong = 0
-    table = code_table(np.uint8, encoding="srgb")
+    table = code_table(np.uint8, SRGB)
     codes = np.random.default_rng(1).integers(1, 200, (6, 8, 3)).astype(np.uint8)
     rows, weights, columns = np.zeros(6, np.int64), np.zeros(6, np.float32), np.zeros(8, np.float32)
     for gain, dark in ((np.inf, 0), (np.nan, 0), (3e38, 0), (0, 0), (1, np.nan), (1, np.inf), (1, 1e30), (2, 0.01)):
@@ -183,7 +184,7 @@ def _board(scale, dtype=np.float32):
     codes = (scale * rng.uniform(0.5, 0.6, (16, 16, 3))).astype(dtype)
     edges = np.array([0, 8, 16])
     top = np.inf if np.dtype(dtype).kind == "f" else 254.0
-    table = code_table(np.dtype(dtype), encoding="linear") if np.dtype(dtype).kind == "u" else np.zeros(2, np.float32)
+    table = code_table(np.dtype(dtype), LINEAR) if np.dtype(dtype).kind == "u" else np.zeros(2, np.float32)
     return white_field(
         codes,
         table,
@@ -226,7 +227,7 @@ def test_board_units():
 def test_boards_that_cannot_be_used():
     wrong = 0
     edges = np.array([0, 8, 16])
-    table = code_table(np.uint8, encoding="linear")
+    table = code_table(np.uint8, LINEAR)
 
     def field(codes, cosine=0.9, dark=0.0):
         return white_field(
