@@ -48,9 +48,16 @@ def test_a_process_is_kept_and_replaced_when_it_dies(picture):
     assert child() is not first
 
 
-def test_a_strip_that_unpacks_to_a_gigabyte_is_refused_in_bounded_memory(tmp_path, monkeypatch):
+@pytest.fixture
+def fresh_decoder(monkeypatch):
+    """No decoding process of an earlier test, whose peak of memory includes its pictures."""
+    monkeypatch.setattr(picture_process, "_idle", [])
+    yield
+    picture_process._end_all()
+
+
+def test_a_strip_that_unpacks_to_a_gigabyte_is_refused_in_bounded_memory(tmp_path, fresh_decoder):
     """tifffile alone held it all: the file has a megabyte and claims 20 x 30 pixels."""
-    monkeypatch.setattr(picture_process, "_idle", [])  # the peak of a child includes the pictures of earlier tests
     path = tmp_path / "bomb.tif"
     packer = zlib.compressobj(9)
     strip = b"".join([packer.compress(bytes(1 << 24)) for _ in range(64)]) + packer.flush()
